@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pandapower as pp
+import pandapower.networks as networks
 import pandas as pd
 import pytest
 from typer.testing import CliRunner
@@ -98,7 +99,8 @@ def test_rules_of_size(case33: ImportedFeeder) -> None:
     assert day.batteries.p_max_kw == pytest.approx(0.5 * day.batteries.energy_kwh)
     assert day.load_kw.max(axis=0) == pytest.approx(peak_kw)
     assert day.load_kvar.max(axis=0).sum() == pytest.approx(2300.0, rel=1e-4)
-    assert day.network is case33.network
+    assert day.network.v_min_pu == case33.network.v_min_pu
+    np.testing.assert_array_equal(day.network.r_ohm, case33.network.r_ohm)
 
 
 def test_capacitors_that_the_forming_battery_cannot_hold_are_off_in_islands(
@@ -162,7 +164,7 @@ def test_pv_of_the_source(cigre: ImportedFeeder) -> None:
     assert day.pv.p_max_kw.sum() == pytest.approx(own.p_kw.sum())
     windy = day.pv.kind == "wind"
     assert day.pv.customer[windy].tolist() == ["c7"]
-    assert (day.pv_kw[:, windy] == 1500.0).all()
+    assert (day.pv_kw[:, windy] == 0.0).all()  # no one knows the wind
     assert day.pv_kw[0, ~windy].sum() == 0.0
     assert len(new_scenario(cigre, NewScenarioOptions(pv="none")).pv) == 0
     sized = new_scenario(cigre, NewScenarioOptions(pv="sized"))
@@ -387,3 +389,18 @@ def test_command_refuses_before_it_works(tmp_path: Path) -> None:
     done = call("new", "case33bw", tmp_path)
     assert done.exit_code == 2
     assert (tmp_path / "letter.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("zone", "lowest", "origin"),
+    [(None, 0.90, "EN 50160"), ("Europe/London", 0.94, "Great Britain")],
+)
+def test_low_voltage_has_the_limits_of_its_country(
+    zone: str | None, lowest: float, origin: str
+) -> None:
+    feeder = import_network(networks.create_kerber_landnetz_kabel_1())
+    rules = NewScenarioOptions(time_zone=zone)
+    net = new_scenario(feeder, rules).network
+    assert (net.v_min_ac_pu, net.v_max_ac_pu) == (lowest, 1.10)
+    assert (net.v_min_pu, net.v_max_pu) == (lowest + 0.007, 1.093)
+    assert any(origin in note for note in assumptions(feeder, rules))

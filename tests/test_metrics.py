@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import platform
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pandas as pd
@@ -352,3 +353,29 @@ def test_more_supply_never_lowers_resilience():
     values = [metrics.resilience(day_run(day, supply)) for supply in (0.0, 800.0, 1700.0, 9e9)]
     assert values == sorted(values)
     assert (values[0], values[-1]) == (0.0, 1.0)
+
+
+def test_a_connection_counts_for_its_homes() -> None:
+    run = small_run()
+    day = run.scenario
+    homes = np.arange(1, len(day.customers) + 1) * 10
+    street = replace(run, scenario=replace(day, customers=replace(day.customers, homes=homes)))
+    single = reliability_by_customer(run)
+    figures = metrics.summarise(street)
+    assert figures["customer_interruptions"] == single["interruptions"] @ homes
+    assert figures["minutes_lost_per_customer"] == pytest.approx(
+        single["minutes"] @ homes / homes.sum()
+    )
+    assert figures["resilience"] == metrics.summarise(run)["resilience"]
+
+
+def reliability_by_customer(run: Trajectory) -> dict[str, np.ndarray]:
+    """Losses of supply and minutes lost of each customer, counted one by one."""
+    minutes = run.scenario.grid.step_minutes
+    found: dict[str, list[float]] = {"interruptions": [], "minutes": []}
+    for name in run.scenario.customers.id:
+        rows = run.customers[run.customers["id"] == name].sort_values("time")
+        on = [True, *rows["served"].astype(bool)]
+        found["interruptions"].append(sum(a and not b for a, b in pairwise(on)))
+        found["minutes"].append(minutes * on.count(False))
+    return {name: np.array(values) for name, values in found.items()}

@@ -111,7 +111,11 @@ def test_generators_by_kind() -> None:
         "1 PV system, 2 wind systems, 1 tidal system, 190.0 kW (the source's); without a customer, "
         "all exported or curtailed: wind2, wind4." in notes
     )
-    assert "Without a series, at their largest power in every step: wind2, wind4, tidal3." in notes
+    assert "Without a series, at their largest power in every step: tidal3." in notes
+    assert (
+        "Wind without a series gives nothing: wind2, wind4. Give its series with --profiles."
+        in (notes)
+    )
 
 
 def test_generators_with_a_fuel_are_named_with_their_size() -> None:

@@ -17,7 +17,7 @@ from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.io import read_scenario, scenario_digest, write_scenario
 from vppres.plant.island import NO_FORMER
-from vppres.scenario.remarks import darkness, remarks
+from vppres.scenario.remarks import darkness, former_words, remarks
 from vppres.scenario.scenario import ControllerDefaults, Scenario
 from vppres.scenario.source import MAX_NOTE_LENGTH, MAX_NOTES, Source, SourceDeviation
 
@@ -155,6 +155,21 @@ def test_mode_is_the_scenarios_unless_it_is_given() -> None:
         run = run_day(scenario, options)
         assert run.options["mode"] == mode
         assert set(run.steps["mode"]) == {mode}
+
+
+def test_the_battery_that_forms_the_island_is_named() -> None:
+    tiny = tiny_scenario()
+    assert former_words(tiny) == ""  # islands of paper mode have no former
+    default = former_words(tiny, "physical")
+    assert default.startswith("The island is formed by big at bus ")
+    assert "that no one chose: no battery has grid_forming = yes" in default
+    assert default in remarks(tiny, "physical")
+    chosen = replace(tiny.batteries, grid_forming=np.array([False, True]))
+    named = former_words(replace(tiny, batteries=chosen), "physical")
+    assert named.startswith("The island is formed by small at bus ")
+    assert "no one chose" not in named
+    connected = replace(tiny, grid_limit_kw=np.full(tiny.grid.n_steps, np.inf))
+    assert former_words(connected, "physical") == ""
 
 
 def test_tiers_that_are_not_named_from_the_most_important_one_are_told() -> None:

@@ -28,7 +28,7 @@ def reliability_figures(run: Trajectory) -> dict[str, float]:
         ``customer_minutes_lost``, and per customer ``minutes_lost_per_customer`` (CML, SAIDI);
         ``energy_not_supplied_kwh``; ``voll_gbp_per_kwh``, the value of lost load of the scenario,
         and ``energy_not_supplied_gbp`` at that value. A customer in K parts counts as one, of which
-        a part may be off.
+        a part may be off, and one that stands for several homes as so many.
     """
     table = reliability_by_tier(run)
     total = table.sum()
@@ -58,7 +58,7 @@ def reliability_by_tier(run: Trajectory) -> pd.DataFrame:
     dt_h = run.scenario.grid.dt_h
     off = ~_per_customer(run, "served").astype(bool)
     demand_kw = _per_customer(run, "p_load_kw").astype(float)
-    share = _shares_of_a_customer(run)
+    share = _shares_of_a_customer(run) * c.homes
     of_customers = pd.DataFrame(
         {
             "customers": share,

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vppres.scenario.assets import PV, PVSystems
+from vppres.scenario.assets import PV, Customers, PVSystems
 from vppres.scenario.network import BUS_DRAWS, Network
 from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
 from vppres.scenario.scenario import HARD, REPORT, ControllerDefaults, Headroom, Priority, Scenario
@@ -53,6 +53,9 @@ def _canonical(value: Any) -> Any:
             left_out = left_out | _unsaid(value)
         if isinstance(value, ControllerDefaults) and value.outages == ControllerDefaults.outages:
             left_out = left_out | {"outages"}
+        # So do customers that each stand for one.
+        if isinstance(value, Customers) and (value.homes == 1).all():
+            left_out = left_out | {"homes"}
         # Hard limits are those from before there were others.
         if isinstance(value, ControllerDefaults) and value.voltage_limits == HARD:
             left_out = left_out | {"voltage_limits"}

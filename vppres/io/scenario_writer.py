@@ -186,8 +186,9 @@ def _frames(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, pd.
         frames["customers"] = frames["customers"].drop(columns="weight")
     if scenario.warnings:
         frames["warnings"] = _warning_frame(scenario.warnings)
-    if (customers.shed_steps == 1).all():
-        frames["customers"] = frames["customers"].drop(columns="shed_steps")
+    for name in ("shed_steps", "homes"):
+        if (getattr(customers, name) == 1).all():
+            frames["customers"] = frames["customers"].drop(columns=name)
     return frames
 
 

@@ -31,6 +31,7 @@ from vppres.scenario.timegrid import is_zone
 MAX_GRID_DAYS = 366
 MAX_STEPS = MAX_GRID_DAYS * 1440  # steps of a minute
 MAX_SHED_STEPS = 20
+MAX_HOMES = 1_000_000
 MAX_ITEMS = 10_000  # lines, customers, ...: matrices of the network grow with the square
 MAX_NAME_LENGTH = 100  # of an identifier: names of files and labels of figures are made of it
 MAX_TITLE_LENGTH = 300

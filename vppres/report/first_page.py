@@ -19,6 +19,7 @@ from vppres.explain.words import DRIVERS
 from vppres.report.clock import Clock
 from vppres.report.findings import LIMIT_TOLERANCE_PU
 from vppres.report.key_figures import amount, number
+from vppres.scenario.remarks import former_words
 from vppres.scenario.scenario import DEFAULT_VOLL_GBP_PER_KWH
 
 NAMES_SHOWN = 5
@@ -241,13 +242,11 @@ def island_words(run: Trajectory) -> Iterator[str]:
     day, options = run.scenario, run.options
     if not day.outage.any():
         return
-    b = day.batteries
-    formers = [str(name) for name in b.id[b.formers]]
-    if options.get("mode") == "physical" and formers:
+    former = former_words(day, str(options.get("mode", "paper")))
+    if former:
         headroom = float(options.get("headroom") or 0.0)
         kept = f" {headroom:.0%} of the rating stays free as headroom." if headroom else ""
-        kva = float(b.s_max_kva[b.formers].sum())
-        yield f"The island is formed by {named(formers, NAMES_SHOWN)} ({kva:,.0f} kVA).{kept}"
+        yield f"{former}{kept}"
     if options.get("outages", "known") == "known":
         yield "The controller knows begin and end of each outage as soon as its horizon reaches it."
 

@@ -26,7 +26,8 @@ class Customers:
 
     ``weight`` is the priority weight w_c of the objective's f1; ``power_factor`` is negative where
     the load feeds reactive power (leading); ``shed_steps`` are the equal parts that may be switched
-    apart, 1 (all or nothing) if not given.
+    apart, 1 (all or nothing) if not given. ``homes`` are the customers that a connection stands for
+    in interruptions and minutes lost, 1 if not given.
     """
 
     id: Names
@@ -35,10 +36,12 @@ class Customers:
     weight: Floats
     power_factor: Floats
     shed_steps: Wholes = field(default_factory=lambda: np.empty(0, dtype=int))
+    homes: Wholes = field(default_factory=lambda: np.empty(0, dtype=int))
 
     def __post_init__(self) -> None:
-        if len(self.shed_steps) == 0:
-            object.__setattr__(self, "shed_steps", np.ones(len(self.id), dtype=int))
+        for name in ("shed_steps", "homes"):
+            if len(getattr(self, name)) == 0:
+                object.__setattr__(self, name, np.ones(len(self.id), dtype=int))
         freeze_fields(
             self,
             id=object,
@@ -47,6 +50,7 @@ class Customers:
             weight=float,
             power_factor=float,
             shed_steps=int,
+            homes=int,
         )
 
     def __len__(self) -> int:

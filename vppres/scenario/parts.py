@@ -41,7 +41,7 @@ def split_sheddable(scenario: Scenario) -> Scenario:
         weight=_shared(customers.weight, parts),
         **{
             name: np.repeat(getattr(customers, name), parts)
-            for name in ("bus", "tier", "power_factor")
+            for name in ("bus", "tier", "power_factor", "homes")
         },
         shed_steps=np.ones(parts.sum(), dtype=int),
     )

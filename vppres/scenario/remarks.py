@@ -12,6 +12,9 @@ from vppres.scenario.capacitors import too_large
 if TYPE_CHECKING:
     from vppres.scenario.scenario import Scenario
 
+FORMERS_SHOWN = 5
+"""Batteries named in one sentence."""
+
 
 def darkness(scenario: Scenario, mode: str | None = None) -> str:
     """Why every island of a scenario blacks out, or would; empty if a battery can form the grid.
@@ -82,6 +85,42 @@ def held_capacitors(scenario: Scenario) -> str:
     )
 
 
+def former_words(scenario: Scenario, mode: str | None = None) -> str:
+    """What forms the grid of an island; empty where no island needs it.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Whose outages.
+    mode : {"paper", "physical"}, optional
+        How its islands are run; the scenario's own choice if not given.
+    """
+    b = scenario.batteries
+    physical = (mode or scenario.controller.mode) == "physical"
+    if not physical or not scenario.outage.any() or not b.formers.any():
+        return ""
+    names = [
+        f"{b.id[i]} at bus {b.bus[i]} ({b.s_max_kva[i]:,.4g} kVA)"
+        for i in np.flatnonzero(b.formers)
+    ]
+    if b.grid_forming.any():
+        return f"The island is formed by {', '.join(names[:FORMERS_SHOWN])}{_more(names)}."
+    bus = b.bus[b.formers][0]
+    whose = "a customer's battery" if bus in scenario.customers.bus else "a battery"
+    peak_kva = float(np.hypot(scenario.load_kw, scenario.load_kvar).sum(axis=1).max())
+    return (
+        f"The island is formed by {names[0]}, {whose} that no one chose: no battery has "
+        f"grid_forming = yes, so the one with the largest inverter forms it. The largest demand is "
+        f"{peak_kva:,.4g} kVA. Mark the batteries that can form the grid in batteries.csv."
+    )
+
+
+def _more(names: list[str]) -> str:
+    """How many names are not shown."""
+    left = len(names) - FORMERS_SHOWN
+    return f" and {left} more" if left > 0 else ""
+
+
 def export_words(scenario: Scenario) -> str:
     """What the connection does with a surplus.
 
@@ -144,6 +183,7 @@ def remarks(scenario: Scenario, mode: str | None = None) -> list[str]:
     first = [str(scenario.source)] if scenario.source else []
     said = [
         darkness(scenario, mode),
+        former_words(scenario, mode),
         held_capacitors(scenario),
         dear_export(scenario),
         rising_weights(scenario),

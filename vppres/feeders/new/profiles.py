@@ -325,7 +325,7 @@ def _systems(
 def _invented(names: list[str], count: int, what: str) -> str:
     """What fills in for series that were not given."""
     of = "all of them" if len(names) == count else named(names)
-    rule = " (kinds other than PV: the largest power)" if what != "Load" else ""
+    rule = " (wind: no power; kinds other than PV: the largest)" if what != "Load" else ""
     return f"Invented: {what} without a series follows one bundled summer day{rule}: {of}."
 
 

@@ -25,6 +25,8 @@ from vppres.feeders.closeness import (
 )
 from vppres.feeders.feeder import ImportedFeeder, Profile
 from vppres.feeders.new.assets import TIER_WEIGHTS, NewAssets, new_assets, written
+from vppres.feeders.new.kinds import WIND
+from vppres.feeders.new.low_voltage import limits_of
 from vppres.feeders.new.options import NewScenarioOptions, check_options, outages_of
 from vppres.feeders.new.profiles import Series, place_profiles, timed
 from vppres.feeders.series.files import Reading, read_profiles
@@ -35,6 +37,7 @@ from vppres.scenario.assets import PV, Batteries, PVSystems
 from vppres.scenario.capacitors import too_large
 from vppres.scenario.network import Network
 from vppres.scenario.priority import STRICT
+from vppres.scenario.remarks import former_words
 from vppres.scenario.scenario import ControllerDefaults, Priority, Scenario
 from vppres.scenario.source import Source
 from vppres.scenario.timegrid import TimeGrid
@@ -103,7 +106,8 @@ def _built(feeder: ImportedFeeder, options: NewScenarioOptions) -> tuple[Scenari
         controller=ControllerDefaults(mode="physical"),
         priority=Priority(STRICT),
     )
-    return scenario, [*assets.notes, *switched, *series.notes, *_told_constants(series)]
+    notes = (*assets.notes, *switched, *series.notes, *_told_constants(series))
+    return scenario, [*notes, *_told_limits(network, options)]
 
 
 def _for_islands(network: Network, batteries: Batteries) -> tuple[Network, list[str]]:
@@ -178,7 +182,8 @@ def write_new_scenario(
     told = [*feeder.notes, *chosen, *told_causes(feeder, deviation)]
     source = Source.of(feeder.name, "", told, deviation, feeder.unbalanced)
     scenario = replace(scenario, source=source)
-    notes = list(dict.fromkeys([*told, told_deviation(feeder, deviation)]))
+    said = [former_words(scenario), told_deviation(feeder, deviation)]
+    notes = list(dict.fromkeys([*told, *filter(None, said)]))
     text = "\n".join([f"# {scenario.title}", "", *(f"- {note}" for note in notes), ""])
     with atomic_folder(folder) as aside:
         fill_scenario_folder(scenario, aside)
@@ -197,7 +202,12 @@ def _told_bundled(pv: PVSystems) -> Iterator[str]:
     kinds = dict.fromkeys(pv.kind)
     shaped = "load and PV follow" if PV in kinds else "load follows"
     yield f"Invented: {shaped} one bundled summer day; the source's loads are the peaks."
-    constant = [str(name) for name in pv.id[pv.kind != PV]]
+    still = [str(name) for name in pv.id[pv.kind == WIND]]
+    if still:
+        yield (
+            f"Wind without a series gives nothing: {named(still)}. Give its series with --profiles."
+        )
+    constant = [str(name) for name in pv.id[(pv.kind != PV) & (pv.kind != WIND)]]
     if constant:
         yield f"Without a series, at their largest power in every step: {named(constant)}."
 
@@ -235,11 +245,12 @@ def _check_feeder(feeder: ImportedFeeder, options: NewScenarioOptions) -> list[P
         for tier in sorted({*feeder.tier} - {"", *TIER_WEIGHTS})
     ]
     v_pu = feeder.network.v_slack_pu if options.v_slack_pu is None else options.v_slack_pu
-    if not Network.v_min_pu <= v_pu <= Network.v_max_pu:
+    limits = limits_of(feeder.network, options.time_zone)
+    if not limits.v_min_pu <= v_pu <= limits.v_max_pu:
         problems.append(
             Problem(
                 feeder.name,
-                f"must lie between {Network.v_min_pu:g} and {Network.v_max_pu:g}, the "
+                f"must lie between {limits.v_min_pu:g} and {limits.v_max_pu:g}, the "
                 "limits of the voltages",
                 "Give another one with --v-slack, or correct the source.",
                 field="v_slack_pu",
@@ -250,9 +261,27 @@ def _check_feeder(feeder: ImportedFeeder, options: NewScenarioOptions) -> list[P
 
 
 def _network(feeder: ImportedFeeder, options: NewScenarioOptions) -> Network:
-    if options.v_slack_pu is None:
-        return feeder.network
-    return replace(feeder.network, v_slack_pu=options.v_slack_pu)
+    limits = limits_of(feeder.network, options.time_zone)
+    v_slack_pu = feeder.network.v_slack_pu if options.v_slack_pu is None else options.v_slack_pu
+    return replace(
+        feeder.network,
+        v_slack_pu=v_slack_pu,
+        v_min_pu=limits.v_min_pu,
+        v_max_pu=limits.v_max_pu,
+        v_min_ac_pu=limits.v_min_ac_pu,
+        v_max_ac_pu=limits.v_max_ac_pu,
+    )
+
+
+def _told_limits(network: Network, options: NewScenarioOptions) -> Iterator[str]:
+    """Whose limits a low-voltage feeder has."""
+    limits = limits_of(network, options.time_zone)
+    if limits.origin:
+        yield (
+            f"Voltage limits are {limits.v_min_ac_pu:g} to {limits.v_max_ac_pu:g} pu, and "
+            f"{limits.v_min_pu:g} to {limits.v_max_pu:g} pu in plans ({limits.origin}). Edit "
+            "[network] where the feeder has others."
+        )
 
 
 def _hours(grid: TimeGrid) -> Floats:
@@ -267,8 +296,9 @@ def _profile(shape: tuple[float, ...], grid: TimeGrid) -> Floats:
 
 
 def _available(pv: PVSystems, grid: TimeGrid) -> Floats:
-    """Power of each system: the bundled day's for PV, the largest for every other kind, (T, P)."""
-    shape = np.where(pv.kind == PV, _profile(PV_SHAPE, grid)[:, None], 1.0)
+    """Power of each system, (T, P): the bundled day's for PV, none for wind, else the largest."""
+    constant = np.where(pv.kind == WIND, 0.0, 1.0)
+    shape = np.where(pv.kind == PV, _profile(PV_SHAPE, grid)[:, None], constant)
     return shape * pv.p_max_kw
 
 
