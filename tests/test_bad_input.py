@@ -57,7 +57,7 @@ EDITS: dict[str, tuple[str, str, str, list[str]]] = {
         "scenario.toml",
         'kind = "mpc"',
         "kind =",
-        ["scenario.toml, row 34: is not valid TOML: Invalid value. Correct this line."],
+        ["scenario.toml, row 40: is not valid TOML: Invalid value. Correct this line."],
     ),
     "unknown section": (
         "scenario.toml",
@@ -77,7 +77,7 @@ EDITS: dict[str, tuple[str, str, str, list[str]]] = {
         'gurobi = "yes"',
         [
             "scenario.toml, controller.gurobi: is not a known key. Remove it. "
-            "Known: kind, horizon_h, mode, soc_end, outages."
+            "Known: kind, horizon_h, mode, soc_end, outages, voltage_limits, ratings."
         ],
     ),
     "missing key": (
@@ -106,7 +106,8 @@ EDITS: dict[str, tuple[str, str, str, list[str]]] = {
     ),
     "section is a number": (
         "scenario.toml",
-        '[controller]\nkind = "mpc"\nhorizon_h = 5.0\nmode = "paper"',
+        '[controller]\nkind = "mpc"\nhorizon_h = 5.0\nmode = "paper"\n'
+        'voltage_limits = "hard"\nratings = "report"',
         "[files]\npv_kw = 3",
         ["scenario.toml, files.pv_kw = 3: is not text. Give the file of the PV series."],
     ),

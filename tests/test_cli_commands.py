@@ -136,6 +136,7 @@ def test_valid_scenario_as_json(tiny_folder: Path) -> None:
             "name": "",
             "kind": "",
             "notes": [],
+            "unbalanced": "",
             "deviation": {"no_load_pu": None, "as_given_pu": None, "worst_hour_pu": None},
         },
         "remarks": [],
@@ -689,6 +690,8 @@ def test_every_option_of_run_is_a_parameter() -> None:
         "forecaster": "seasonal",
         "outages": "likely",
         "solver-seed": 3,
+        "voltage-limits": "hard",
+        "ratings": "report",
     }
     day, options = small_scenario(), RunOptions()
     for name in sweep_parameters.OPTION_OF:
@@ -715,6 +718,8 @@ def test_every_option_of_run_is_a_parameter() -> None:
         "mode": "physical",
         "headroom": 0.5,
         "priority": "strict",
+        "voltage_limits": "hard",
+        "ratings": "report",
         "switching": {
             "min_served_h": 0.5,
             "min_unserved_h": 0.5,
@@ -800,7 +805,7 @@ def test_help_has_an_example(command: str) -> None:
     [
         ("vppres val", "validate"),
         ("vppres run uk", "uk-heatwave-2022"),
-        ("vppres sweep x --ra", "--range"),
+        ("vppres sweep x --ran", "--range"),
     ],
 )
 def test_shell_completion(words: str, expected: str) -> None:

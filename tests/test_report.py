@@ -188,8 +188,14 @@ def test_sentences_by_hand() -> None:
     )
 
 
-def test_a_run_as_it_should_be_has_no_findings() -> None:
+def _everyone_on() -> Trajectory:
+    """The small day with grid, and with supply for everyone."""
     run = live(small_run(small_scenario(outage=False)))
+    return replace(run, customers=run.customers.assign(served=True))
+
+
+def test_a_run_as_it_should_be_has_no_findings() -> None:
+    run = _everyone_on()
     assert findings(run) == []
 
 
@@ -234,7 +240,7 @@ def test_findings_name_fallbacks_and_dark_islands() -> None:
 
 
 def test_a_bus_without_voltage_is_no_violation() -> None:
-    run = live(small_run(small_scenario(outage=False)))
+    run = _everyone_on()
     dark = run.buses.assign(v_ac_pu=run.buses["v_ac_pu"].where(run.buses["bus"] != 3, np.nan))
     assert findings(replace(run, buses=dark)) == []
 

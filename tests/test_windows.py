@@ -256,12 +256,11 @@ def test_compiled_problems_are_kept() -> None:
     solver = WindowSolver(Site.of(day))
     first = solver.solve(window(day))
     compiled = solver.cache.compilations
-    programs = [model.problem._cache.param_prog for model in solver.cache.problems]
+    problems = solver.cache.problems
     poorer = solver.solve(replace(window(day), soc=np.array([0.5])))
     assert first.dispatch.served.any() and not poorer.dispatch.served.any()
     assert solver.cache.compilations == compiled
-    again = [model.problem._cache.param_prog for model in solver.cache.problems]
-    assert all(a is b for a, b in zip(again, programs, strict=True))
+    assert all(a is b for a, b in zip(solver.cache.problems, problems, strict=True))
 
 
 # Statuses.

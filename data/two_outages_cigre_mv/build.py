@@ -111,6 +111,7 @@ def _series_only(network: Network) -> Network:
         q_shunt_kvar=nowhere,
         p_fixed_kw=nowhere,
         q_fixed_kvar=nowhere,
+        island=np.ones(network.n_buses, dtype=bool),
     )
 
 

@@ -443,8 +443,8 @@ def _selected_by_cvxpy(
 def as_cvxpy(selected: Selected) -> tuple[cp.Problem, cp.Variable]:
     """A selection with its present numbers as a problem of one variable, without parameters."""
     numbers = selected.numbers()
-    whole = [(int(column),) for column in selected.whole]
-    x = cp.Variable(len(numbers.cost), **({"integer": whole} if whole else {}))
+    whole = np.asarray(selected.whole, dtype=int)
+    x = cp.Variable(len(numbers.cost), integer=(whole,) if len(whole) else False)
     zero, end = selected.dims.zero, selected.dims.zero + selected.dims.nonneg
     left = numbers.limit - numbers.rows @ x
     rows = [left[:zero] == 0, left[zero:end] >= 0]
