@@ -249,7 +249,11 @@ def test_every_option_of_a_run_has_a_meaning() -> None:
     rows = option_words(RunOptions().as_record())
     assert len(rows) > len(fields(RunOptions))  # nested groups are taken apart
     assert [row.name for row in rows if not row.meaning] == []
-    assert {row.name: row.default for row in rows if row.default} == {"mode": "physical"}
+    assert {row.name: row.default for row in rows if row.default} == {
+        "mode": "physical",
+        "priority": "weights",
+        "headroom": "0.1",
+    }
 
 
 def test_an_option_that_is_not_the_default_says_so() -> None:

@@ -12,6 +12,7 @@ import numpy as np
 
 from vppres.day.trajectory import Trajectory
 from vppres.scenario.option_table import default_of
+from vppres.scenario.priority import STRICT
 from vppres.scenario.scenario import LIMIT
 
 # A parameter of a numpydoc docstring: one name or several, a type, and an indented text.
@@ -41,7 +42,8 @@ def option_words(options: Mapping[str, Any]) -> list[OptionWords]:
     # Only the report of a run needs the options' documentation; the simulator is slow to load.
     from vppres.day.options import RunOptions
 
-    defaults = RunOptions(mode=default_of("mode"))
+    scenarios = ("mode", "priority", "headroom")
+    defaults = RunOptions(**{name: default_of(name) for name in scenarios})
     meanings = dict(_meanings(defaults))
     flat_defaults = dict(_flat(asdict(defaults)))
     rows = []
@@ -80,6 +82,8 @@ def simplifications(run: Trajectory) -> list[str]:
         else "Forecasts have errors; the current step, prices, the grid's availability and "
         "temperatures are known.",
     ]
+    if len(day.tiers) > 1:
+        sentences.append(_order(options))
     if options.get("thermal") == "off":
         sentences.append("Battery efficiencies are constant: heating is not simulated.")
     if options.get("mode", "paper") == "paper" and day.outage.any():
@@ -93,6 +97,16 @@ def simplifications(run: Trajectory) -> list[str]:
             "mismatch; frequency and transients are not simulated."
         )
     return [*sentences, *day.batteries.notes]
+
+
+def _order(options: Mapping[str, Any]) -> str:
+    """What tiers meant to the plans."""
+    if options.get("priority") == STRICT:
+        return (
+            "Tiers are in strict order: a window supplies as many customers and steps of the first "
+            "as it can, then of the second, and so on."
+        )
+    return "Customers are weighed against each other: many small ones may outweigh a larger one."
 
 
 def _ratings(options: Mapping[str, Any]) -> str:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vppres.scenario.capacitors import too_large
+from vppres.scenario.priority import STRICT
 
 if TYPE_CHECKING:
     from vppres.scenario.scenario import Scenario
@@ -154,7 +155,9 @@ def dear_export(scenario: Scenario) -> str:
 
 
 def rising_weights(scenario: Scenario) -> str:
-    """Which tier outweighs one that is named before it; empty where none does."""
+    """Which tier outweighs one that is named before it; empty in strict order, or if none does."""
+    if scenario.priority.rule == STRICT:
+        return ""
     customers = scenario.customers
     heaviest = {
         tier: float(customers.weight[customers.tier == tier].max())
