@@ -14,6 +14,7 @@ from vppres.explain.words import (
     DRIVERS,
     SCARCE,
     TOO_LITTLE,
+    TOO_LITTLE_OF_BOTH,
     figure,
     hours,
     money,
@@ -77,10 +78,14 @@ def why_not_served(step: Step, customer: int) -> Reason:
         return _nothing_scarce(step)
     if gain < -WORTH:
         return _outranked(step, customer, binding, gain)
+    too_little = TOO_LITTLE[binding]
+    if binding == "energy" and step.spare_kw < step.load_kw[customer]:
+        # Shares of a customer are priced by energy, but batteries cannot carry it as a whole.
+        too_little = TOO_LITTLE_OF_BOTH
     return Reason(
         binding,
         binding,
-        _sentence(f"Not supplied: {TOO_LITTLE[binding]}", one_more(step, binding)),
+        _sentence(f"Not supplied: {too_little}", one_more(step, binding)),
     )
 
 

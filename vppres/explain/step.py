@@ -82,6 +82,21 @@ class Step:
         """What the record alone shows to be at its limit."""
         return Limits.of(self.recorded, self.t)
 
+    @cached_property
+    def spare_kw(self) -> float:
+        """Power that batteries, curtailed PV and grid could have given besides.
+
+        The headroom of physical mode is left free.
+        """
+        if not self.outage:
+            return np.inf
+        b = self.site.batteries
+        share = float(self.recorded.options.get("headroom") or 0.0)
+        kept = share if self.recorded.options.get("mode") == "physical" else 0.0
+        most_kw = b.active_max_kw - np.where(b.formers, kept * b.s_max_kva, 0.0)
+        spare_kw = np.maximum(most_kw + self.battery_kw, 0.0).sum()
+        return float(spare_kw + self.recorded.curtailed_kw[self.t].sum())
+
     @property
     def service(self) -> ShadowPrices | None:
         """Shadow prices in weighted customer hours."""

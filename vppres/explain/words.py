@@ -31,6 +31,8 @@ TOO_LITTLE: dict[Binding, str] = {
     "": "nothing binds",
 }
 
+TOO_LITTLE_OF_BOTH = "not enough stored energy and battery power to supply it in full"
+
 DRIVERS = {
     "energy": "stored energy",
     "power": "battery power",
