@@ -79,14 +79,23 @@ def why_not_served(step: Step, customer: int) -> Reason:
     if gain < -WORTH:
         return _outranked(step, customer, binding, gain)
     too_little = TOO_LITTLE[binding]
-    if binding == "energy" and step.spare_kw < step.load_kw[customer]:
-        # Shares of a customer are priced by energy, but batteries cannot carry it as a whole.
+    if _short_of_both(step, customer, binding):
         too_little = TOO_LITTLE_OF_BOTH
     return Reason(
         binding,
         binding,
         _sentence(f"Not supplied: {too_little}", one_more(step, binding)),
     )
+
+
+def _short_of_both(step: Step, customer: int, binding: Scarce) -> bool:
+    """Whether more energy alone, or more power alone, would not supply a customer in full.
+
+    Prices are those of a share of a customer: as a whole it may need more power than there is.
+    """
+    if binding == "energy":
+        return step.spare_kw < float(step.load_kw[customer])
+    return binding == "power" and bool(step.supply_cost["energy"][customer] > WORTH)
 
 
 def _outranked(step: Step, customer: int, binding: Scarce, gain: float) -> Reason:
