@@ -2,9 +2,10 @@
 
 All batteries are one on a copper plate and customers are served in shares, so that the policies of
 ``experiments.uncertain`` take milliseconds a day. ``best`` is a bound for all that do not know the
-truth: its battery is full whenever an outage begins, at no cost, and it rations by the exact value
-over (energy; hours out; all that was said of the length), of someone who knows how days are drawn
-and foresees that messages become better. ``python -m experiments.outage_ceiling --days 300``
+truth: its battery holds at every onset what it can have charged since midnight, at no cost. It
+rations by the exact value over (energy; hours out; all that was said of the length), of someone who
+knows how days are drawn and foresees that messages become better.
+``python -m experiments.outage_ceiling --days 300``
 """
 
 from __future__ import annotations
@@ -242,7 +243,7 @@ def _next_means(j: int, precision: float) -> Floats:
 
 
 def best_resilience(day: OutageDay) -> float:
-    """Resilience with a full battery at every onset and the best rationing from there."""
+    """Resilience with all that batteries can hold at each onset, and the best rationing then."""
     scenario, plate = heatwave()
     served = [_served(plate, day, outage, scenario.grid.start) for outage in day.outages]
     everyone = float(scenario.customers.weight.sum())
@@ -251,6 +252,7 @@ def best_resilience(day: OutageDay) -> float:
 
 def _served(plate: Plate, day: OutageDay, outage: Outage, midnight: pd.Timestamp) -> Floats:
     """Service in each step of an outage."""
+    scenario, _ = heatwave()
     announced = day.comes and outage is day.expected
     name = "announced" if announced else "surprise"
     hours = outage.steps
@@ -260,7 +262,7 @@ def _served(plate: Plate, day: OutageDay, outage: Outage, midnight: pd.Timestamp
         if w.outage == name and w.duration_p50_h is not None
     }
     before = sum(hour < hours.start for hour in said)
-    energy = POINTS - 1
+    energy = _reachable(plate, scenario, hours.start)
     found = []
     steps = range(hours.start, min(hours.stop, plate.ahead.n_steps))
     for j, t in enumerate(steps):
@@ -270,6 +272,16 @@ def _served(plate: Plate, day: OutageDay, outage: Outage, midnight: pd.Timestamp
         found.append(plate.service[t, energy, chosen])
         energy = chosen
     return np.array(found)
+
+
+def _reachable(plate: Plate, scenario: Scenario, hour: int) -> int:
+    """The most energy that batteries can hold at an onset: charged at full power from midnight."""
+    b = scenario.batteries
+    begun_kwh = float(b.energy_kwh @ b.soc_initial)
+    charged_kwh = plate.fleet.eta_charge * plate.fleet.p_max_kw * scenario.grid.dt_h * hour
+    most_kwh = min(begun_kwh + charged_kwh, plate.fleet.most_kwh)
+    # The point above it, so that the bound stays one.
+    return int(np.searchsorted(plate.energy_kwh, most_kwh - 1e-9))
 
 
 # The policies.
