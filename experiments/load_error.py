@@ -31,8 +31,9 @@ def figure(config: Config, results: Results) -> Figure:
 
 
 def rows(config: Config, results: Results) -> list[Row]:
-    """R13, R14, R15 and R18."""
+    """R13, R14, R14b, R15 and R18."""
     return [
         *forecast_errors.rows(config, results, "load error, alpha ="),
+        random_errors.actual_row(config, results, "load error"),
         random_errors.planned_row(config, results, "load error"),
     ]

@@ -53,6 +53,15 @@ V_MIN_MODEL_PU = 0.947
 V_MIN_AC_PU = 0.94
 SOLVER_TOLERANCE_PU = 1e-5
 """How far a solver may pass a bound on the voltage."""
+V_MEAN_PU = {"MPC": 0.9607, "full horizon": 0.9601}
+IMPORT_KWH = {"MPC": 60854.07, "full horizon": 60691.72}
+
+
+def between(published: dict[str, float]) -> float:
+    """Half of what two published values differ by: a wider tolerance would not tell them apart."""
+    low, high = sorted(published.values())
+    return (high - low) / 2
+
 
 _ALL = (
     Statement(
@@ -96,18 +105,18 @@ _ALL = (
         "text",
         "Mean over the day of the lowest AC voltage, MPC (pu)",
         "0.9607",
-        0.9607,
-        0.9607,
-        0.004,
+        V_MEAN_PU["MPC"],
+        V_MEAN_PU["MPC"],
+        between(V_MEAN_PU),
     ),
     Statement(
         "R6b",
         "text",
         "Mean over the day of the lowest AC voltage, full horizon (pu)",
         "0.9601",
-        0.9601,
-        0.9601,
-        0.004,
+        V_MEAN_PU["full horizon"],
+        V_MEAN_PU["full horizon"],
+        between(V_MEAN_PU),
     ),
     Statement(
         "R7",
@@ -184,6 +193,12 @@ _ALL = (
         0.02,
     ),
     Statement(
+        "R14b",
+        "fig:2, text",
+        "Full horizon in fact, under growing random error",
+        "degrades as errors grow",
+    ),
+    Statement(
         "R15",
         "fig:2, text",
         "Full horizon as planned, under growing random error",
@@ -239,18 +254,18 @@ _ALL = (
         "tab:eff",
         "Imported energy with battery heating, MPC (kWh)",
         "60854.07",
-        60854.07,
-        60854.07,
-        0.02 * 60854.07,
+        IMPORT_KWH["MPC"],
+        IMPORT_KWH["MPC"],
+        between(IMPORT_KWH),
     ),
     Statement(
         "R20b",
         "tab:eff",
         "Imported energy with battery heating, full horizon (kWh)",
         "60691.72",
-        60691.72,
-        60691.72,
-        0.02 * 60691.72,
+        IMPORT_KWH["full horizon"],
+        IMPORT_KWH["full horizon"],
+        between(IMPORT_KWH),
     ),
     Statement(
         "R21",

