@@ -226,7 +226,7 @@ def section_options(section: str) -> dict[str, Option]:
     """Options that a section of scenario.toml sets, by their keys.
 
     >>> list(section_options("controller"))
-    ['kind', 'horizon_h', 'mode', 'soc_end', 'outages', 'voltage_limits']
+    ['kind', 'horizon_h', 'mode', 'soc_end', 'outages', 'voltage_limits', 'ratings']
     """
     parted = [(option.scenario_key.partition("."), option) for option in OPTIONS]
     return {key: option for (name, _, key), option in parted if name == section}
