@@ -2,9 +2,11 @@
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .PHONY: help venv test quick nightly lint types docs pages doctests pytest durations mutants reproduce \
-  studies bench ablation scenario lock clean
+  studies bench ablation scenario lock newest clean
 
 VENV ?= .venv
+# What is installed: the pinned versions, each file with its hash.
+PACKAGES = -r requirements.lock
 JOBS ?= 2
 # First interpreter on the path that is new enough; override with `make PYTHON=...`.
 PYTHON ?= $(firstword $(foreach name,python3.11 python3 python3.12 python3.13,$(shell \
@@ -43,7 +45,7 @@ venv: $(STAMP)  ## create the environment with the pinned versions
 $(STAMP): requirements.lock pyproject.toml
 	$(if $(PYTHON),,$(error No Python >= 3.11 on the path; give one with PYTHON=...))
 	test -x $(BIN)/python || $(MAKE_VENV)
-	$(INSTALL) -r requirements.lock
+	$(INSTALL) $(PACKAGES)
 	$(INSTALL) --no-deps --no-build-isolation -e .
 	$(BIN)/python -c "import vppres.cli.commands, vppres.day.simulate, vppres.explain.day, vppres.report.run_folder"
 	touch $@
@@ -130,9 +132,14 @@ scenario: $(STAMP)  ## rebuild the packaged scenarios
 lock: $(STAMP)  ## write requirements.lock anew, keeping pins that still fit (fetches uv)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check uv
 	$(BIN)/uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 \
-	  --no-emit-index-url --no-emit-find-links --no-annotate --quiet \
+	  --no-emit-index-url --no-emit-find-links --no-annotate --quiet --generate-hashes \
 	  --custom-compile-command 'make lock' --output-file requirements.lock
 
+NEWEST = .venv-newest
+newest:  ## the tests with the newest versions that pyproject.toml allows, in .venv-newest (at night)
+	rm -rf $(NEWEST)
+	$(MAKE) --no-print-directory pytest VENV=$(NEWEST) PACKAGES="-e '.[dev]'"
+
 clean:  ## remove what the other targets built, the environment and results excepted
-	rm -rf build dist mutants docs/_build docs/generated .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf build dist mutants docs/_build docs/generated .pytest_cache .mypy_cache .ruff_cache .hypothesis $(NEWEST)
 	find . -path ./$(VENV) -prune -o -name __pycache__ -type d -print | xargs rm -rf
