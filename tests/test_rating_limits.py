@@ -13,6 +13,7 @@ from vppres.day.metrics import cautions, line_current_a, line_loading
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.day.trajectory import Trajectory
+from vppres.explain.day import explain_day
 from vppres.feeders import import_network
 from vppres.feeders.new.options import NewScenarioOptions
 from vppres.feeders.new.scenario import new_scenario
@@ -54,6 +55,16 @@ def test_currents_stay_within_ratings(batteries: bool) -> None:
     assert kept.customers["served"].mean() > 0.7
     if not kept.customers["served"].all():
         assert "Lines at their rating then: " in cautions(kept)[0]
+
+
+def test_a_customer_off_for_a_rating_is_told_the_line() -> None:
+    told = explain_day(ran(narrow_feeder(batteries=False).between(0, 1), LIMIT)).explanations
+    assert told is not None
+    off = told[told["action"] == "not_served"]
+    by_rating = off[off["binding"] == "rating"]
+    assert len(by_rating)
+    assert by_rating["words"].str.contains("line from [0-9]+ to [0-9]+").all()
+    assert not (off["driver"] == "unexplained").any()
 
 
 def test_ratings_that_bind_nothing_change_nothing() -> None:

@@ -137,7 +137,10 @@ def _prices(step: Step) -> list[Row]:
 def _families(step: Step) -> list[tuple[str, str, Floats]]:
     """Name, unit and items of each family of shadow prices."""
     site = step.site
-    buses = step.scenario.network.buses
+    net = step.scenario.network
+    buses = net.buses
+    ends = zip(net.from_bus, net.to_bus, strict=True)
+    lines = np.array([f"{above} to {below}" for above, below in ends], dtype=object)
     b = site.batteries.id
     pv = site.pv.id
     return [
@@ -150,6 +153,7 @@ def _families(step: Step) -> list[tuple[str, str, Floats]]:
         ("pv_inverter", "kVA", pv),
         ("voltage_floor", "0.001 pu", buses),
         ("voltage_ceiling", "0.001 pu", buses),
+        ("line_rating", "kVA", lines),
         ("grid", "kW", np.array(["grid"], dtype=object)),
         ("active", "kW", buses),
         ("reactive", "kvar", buses),

@@ -9,14 +9,16 @@ import numpy as np
 
 from vppres.explain.prices import WORTH
 from vppres.explain.recorded import MOVE_KW
+from vppres.explain.room import limits_in_full, overloaded_line
 from vppres.explain.step import Binding, Reason, Scarce, Step
 from vppres.explain.words import (
     DRIVERS,
     SCARCE,
     TOO_LITTLE,
-    TOO_LITTLE_OF_BOTH,
     figure,
     hours,
+    line_name,
+    line_words,
     money,
     one_more,
     pounds,
@@ -57,7 +59,7 @@ def why_not_served(step: Step, customer: int) -> Reason:
             "demand would use.",
         )
     if step.service is None:
-        return _from_the_record(step)
+        return _from_the_record(step, customer)
     gain = float(step.service.service[customer])
     binding = step.scarce_for(customer)
     if step.recorded.rules and gain > WORTH:
@@ -75,27 +77,51 @@ def why_not_served(step: Step, customer: int) -> Reason:
             f"leaves it off; supplying it would be worth {hours(gain, step.site.ranks)}.",
         )
     if not binding:
-        return _nothing_scarce(step)
+        return _nothing_scarce(step, customer)
     if gain < -WORTH:
         return _outranked(step, customer, binding, gain)
-    too_little = TOO_LITTLE[binding]
-    if _short_of_both(step, customer, binding):
-        too_little = TOO_LITTLE_OF_BOTH
+    too_little = _too_little(step, customer, binding)
     return Reason(
         binding,
         binding,
-        _sentence(f"Not supplied: {too_little}", one_more(step, binding)),
+        _sentence(f"Not supplied: {too_little}", _one_more_for(step, customer, binding)),
     )
 
 
-def _short_of_both(step: Step, customer: int, binding: Scarce) -> bool:
-    """Whether more energy alone, or more power alone, would not supply a customer in full.
+def _too_little(step: Step, customer: int, binding: Scarce) -> str:
+    """What there is not enough of, by name."""
+    demand_kw = figure(float(step.load_kw[customer]))
+    limits = limits_in_full(step, customer, binding)
+    if len(limits) > 1:
+        *names, last = (_scarce_words(step, customer, limit) for limit in limits)
+        return f"{', '.join(names)} and {last} do not allow its full demand of {demand_kw} kW"
+    line = _line_for(step, customer, binding)
+    if line is None:
+        return TOO_LITTLE[binding]
+    return f"{line_words(step, line)} does not carry its {demand_kw} kW in full"
 
-    Prices are those of a share of a customer: as a whole it may need more power than there is.
-    """
-    if binding == "energy":
-        return step.spare_kw < float(step.load_kw[customer])
-    return binding == "power" and bool(step.supply_cost["energy"][customer] > WORTH)
+
+def _scarce_words(step: Step, customer: int, binding: Scarce) -> str:
+    """What is scarce for a customer, by name."""
+    line = _line_for(step, customer, binding)
+    return SCARCE[binding] if line is None else f"the rating of {line_name(step, line)}"
+
+
+def _one_more_for(step: Step, customer: int, binding: Scarce) -> str:
+    """The value of one more unit of what limits a customer."""
+    return one_more(step, binding, _line_for(step, customer, binding))
+
+
+def _line_for(step: Step, customer: int, binding: Scarce) -> int | None:
+    """The line whose rating limits a customer; None if another limit does."""
+    if binding != "rating":
+        return None
+    line = overloaded_line(step, customer)
+    return step.full_line(_bus_of(step, customer)) if line is None else line
+
+
+def _bus_of(step: Step, customer: int) -> str:
+    return step.scenario.customers.bus[customer]  # type: ignore[no-any-return]
 
 
 def _outranked(step: Step, customer: int, binding: Scarce, gain: float) -> Reason:
@@ -113,17 +139,18 @@ def _outranked(step: Step, customer: int, binding: Scarce, gain: float) -> Reaso
             "priority",
             binding,
             _sentence(
-                f"Not supplied: {SCARCE[binding]} goes to {FIRST[step.site.ranks is None]}; "
-                f"{compare}",
-                one_more(step, binding),
+                f"Not supplied: {_scarce_words(step, customer, binding)} goes to "
+                f"{FIRST[step.site.ranks is None]}; {compare}",
+                _one_more_for(step, customer, binding),
             ),
         )
     return Reason(
         binding,
         binding,
         _sentence(
-            f"Not supplied: {SCARCE[binding]} has more value elsewhere or later; {compare}",
-            one_more(step, binding),
+            f"Not supplied: {_scarce_words(step, customer, binding)} has more value elsewhere or "
+            f"later; {compare}",
+            _one_more_for(step, customer, binding),
         ),
     )
 
@@ -155,7 +182,7 @@ def _own_inverter_too_small(step: Step, customer: int) -> bool:
     return bool((own_kw > step.site.pv.s_max_kva[owned] + 1e-9).any())
 
 
-def _nothing_scarce(step: Step) -> Reason:
+def _nothing_scarce(step: Step, customer: int) -> Reason:
     """The window itself would have supplied the customer."""
     if step.recorded.note(step.t, "status") == "planned":
         return Reason(
@@ -164,16 +191,23 @@ def _nothing_scarce(step: Step) -> Reason:
             "Not supplied: the day plan, made with the forecast at the start of the day, leaves it "
             "off; no check of the plan failed.",
         )
-    return _from_the_record(step) if step.outage else UNEXPLAINED
+    return _from_the_record(step, customer)
 
 
-def _from_the_record(step: Step) -> Reason:
-    """Without shadow prices: what the record itself shows to be at its limit."""
+def _from_the_record(step: Step, customer: int) -> Reason:
+    """Without shadow prices: what the record itself shows to be at its limit.
+
+    With grid, batteries are not what keeps a customer off.
+    """
+    line = step.full_line(_bus_of(step, customer))
+    if line is not None:
+        words = f"Not supplied: {line_words(step, line)} is at its limit in the record."
+        return Reason("rating", "rating", words)
     limits = step.limits
     found: tuple[tuple[bool, Scarce], ...] = (
-        (len(limits.empty) > 0 and bool(limits.empty.all()), "energy"),
-        (bool(limits.at_power.any()), "power"),
-        (bool(limits.at_inverter.any()), "inverter"),
+        (step.outage and len(limits.empty) > 0 and bool(limits.empty.all()), "energy"),
+        (step.outage and bool(limits.at_power.any()), "power"),
+        (step.outage and bool(limits.at_inverter.any()), "inverter"),
         (bool(limits.low_voltage.any()), "voltage"),
     )
     for reached, binding in found:
@@ -244,6 +278,10 @@ def _move_with_grid(step: Step, battery: int, verb: str) -> Reason:
     charges = verb == "Charges"
     if _voltage_decides(step, battery):
         return Reason("voltage", "voltage", f"{verb}: keeps the voltage within its limit.")
+    line = _relieved_line(step, battery)
+    if line is not None:
+        words = f"{verb}: keeps {line_words(step, line)} within its limit."
+        return Reason("rating", "rating", words)
     if charges and step.recorded.imported_kw(step.t) < MOVE_KW:
         return Reason(
             "surplus",
@@ -273,10 +311,23 @@ def _voltage_decides(step: Step, battery: int) -> bool:
         return False
     bound = max(prices.voltage_floor.max(initial=0.0), prices.voltage_ceiling.max(initial=0.0))
     base = float(prices.active[0])
-    above = float((step.site.battery_bus.T @ prices.active)[battery]) - base
+    by_voltage = prices.active - prices.line_active
+    above = float((step.site.battery_bus.T @ by_voltage)[battery]) - base
     # A discharge helps where power is worth more than at the slack bus, a charge where less.
     helps = above * -np.sign(step.battery_kw[battery])
     return bound > WORTH and bool(helps > OFF_PRICE * max(abs(base), WORTH))
+
+
+def _relieved_line(step: Step, battery: int) -> int | None:
+    """A line at its rating that the battery's move relieves; None if there is none."""
+    prices = step.service if step.scarce == "rating" else step.cost
+    if prices is None:
+        return None
+    worth = float((step.site.battery_bus.T @ prices.line_active)[battery])
+    helps = worth * -np.sign(step.battery_kw[battery])
+    if helps <= OFF_PRICE * max(abs(float(prices.active[0])), WORTH):
+        return None
+    return step.full_line(step.scenario.batteries.bus[battery])
 
 
 def _at_limit(step: Step, battery: int) -> Binding:
@@ -307,6 +358,11 @@ def why_curtailed(step: Step, system: int) -> Reason:
     prices = step.service or step.cost
     if prices is not None and prices.voltage_ceiling.max(initial=0.0) > WORTH:
         return Reason("voltage", "voltage", "Curtailed: the voltage is at its upper limit.")
+    bus = step.scenario.pv.buses(step.scenario.customers)[system]
+    line = step.full_line(bus)
+    if line is not None:
+        words = f"Curtailed: {line_words(step, line)} is at its limit."
+        return Reason("rating", "rating", words)
     if step.at_export_limit:
         most = figure(float(step.scenario.export_max_kw[step.t]))
         return Reason("grid", "grid", f"Curtailed: export is at its limit of {most} kW.")

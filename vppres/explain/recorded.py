@@ -16,12 +16,15 @@ from vppres.contract.operating_point import OperatingPoint
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
 from vppres.day.forecasting import PAPER, Forecasts, named_forecasts
+from vppres.day.metrics import line_loading
 from vppres.day.outages import GridSeen, OutageView, believed_outages
 from vppres.day.priority import site_of
 from vppres.day.trajectory import Trajectory
+from vppres.model.beyond_paper.ratings import LineRatings
 from vppres.model.beyond_paper.table import Beyond, beyond_paper
 from vppres.model.data import WindowData
 from vppres.model.own_state import with_own_state
+from vppres.model.ratings import with_ratings
 from vppres.scenario.rules import SwitchingRules
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.shadow_price_model import Held
@@ -117,7 +120,10 @@ class Recorded:
         return tuple(there.items())
 
     def _beyond_of(self, t: int) -> Beyond:
-        return beyond_paper(self.site, self.seen(t))
+        seen = self.seen(t)
+        ratings = LineRatings.shape(self.site, seen)
+        rated = () if ratings is None else ((LineRatings, ratings),)
+        return (*beyond_paper(self.site, seen), *rated)
 
     def left_out(self, t: int) -> Flags:
         """Batteries that could not be used in a step, shape (B,)."""
@@ -139,7 +145,8 @@ class Recorded:
             load_kw=np.vstack([self.load_kw[t], data.load_kw[1:]]),
             soc=np.where(self.left_out(t), empty, self.soc_start[t]),
         )
-        return with_own_state(self.site, seen)
+        seen = with_own_state(self.site, seen)
+        return with_ratings(self.site, seen) if self.site.rated else seen
 
     def observation(self, t: int) -> Observation:
         """What the controller was told of that window."""
@@ -164,6 +171,16 @@ class Recorded:
             (power > MOVE_KW).astype(float),
             ((power >= -MOVE_KW) & ~self.left_out(t)).astype(float),
         )
+
+    def flows(self, t: int) -> tuple[Floats, Floats]:
+        """AC flow of each line in a step in kW and kvar, (L,) each."""
+        lines = self.trajectory.lines
+        return self._array(lines, "p_ac_kw")[t], self._array(lines, "q_ac_kvar")[t]
+
+    @cached_property
+    def loading(self) -> Floats:
+        """AC current of each line as a share of its rating, (T, L); NaN for a line without one."""
+        return line_loading(self.trajectory)
 
     @cached_property
     def _eta_charge(self) -> Floats:

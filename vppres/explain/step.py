@@ -10,12 +10,13 @@ from typing import Literal
 import numpy as np
 
 from vppres.core.arrays import Floats
+from vppres.day.metrics import AT_RATING
 from vppres.day.phases import Phase
 from vppres.explain.prices import WORTH, StepPrices
 from vppres.explain.recorded import Limits, Recorded
 from vppres.solve.shadow_prices import ShadowPrices
 
-Scarce = Literal["energy", "power", "voltage", "inverter", "grid"]
+Scarce = Literal["energy", "power", "voltage", "inverter", "rating", "grid"]
 # docs/explanations.md defines them: "grid" limits the import, and the export of what is curtailed.
 Driver = (
     Scarce
@@ -172,12 +173,14 @@ class Step:
 
         In weighted customer hours. The active power at the slack bus is priced by what limits the
         fleet, each battery counting with its rated power; what the price at the customer's bus has
-        on top is due to voltage; reactive power at the slack bus is due to inverters.
+        on top is due to ratings of lines and to voltage; reactive power at the slack bus is due to
+        inverters.
         """
         count = len(self.site.customers)
         if self.service is None:
             return {
-                name: np.zeros(count) for name in ("energy", "power", "inverter", "grid", "voltage")
+                name: np.zeros(count)
+                for name in ("energy", "power", "inverter", "grid", "rating", "voltage")
             }
         p = self.service
         bus = self.site.customer_bus
@@ -186,15 +189,35 @@ class Step:
         reactive = bus.T @ p.reactive
         system = max(p.active[0], 0.0) * self.load_kw
         share = self._fleet_shares(p)
-        voltage = (active - p.active[0]) * self.load_kw + (reactive - p.reactive[0]) * load_kvar
+        beyond = (active - p.active[0]) * self.load_kw + (reactive - p.reactive[0]) * load_kvar
+        rating = bus.T @ p.line_active * self.load_kw + bus.T @ p.line_reactive * load_kvar
         inverter = share["inverter"] * system + np.maximum(p.reactive[0] * load_kvar, 0.0)
         return {
             "energy": share["energy"] * system,
             "power": share["power"] * system,
             "inverter": inverter,
             "grid": share["grid"] * system,
-            "voltage": np.maximum(voltage, 0.0),
+            "rating": np.maximum(rating, 0.0),
+            "voltage": np.maximum(beyond - rating, 0.0),
         }
+
+    @cached_property
+    def loading(self) -> Floats:
+        """AC current of each line as a share of its rating, (L,); 0 for a line without one."""
+        return np.asarray(np.nan_to_num(self.recorded.loading[self.t]))
+
+    def full_line(self, bus: str) -> int | None:
+        """The line on the way to a bus whose rating is worth most, else the fullest at its rating.
+
+        None if no line on the way is at its rating.
+        """
+        net = self.scenario.network
+        on_way = net.downstream[:, [net.bus_index[bus]]].toarray().ravel() > 0.0
+        worth = np.zeros(net.n_lines) if self.service is None else self.service.line_rating * on_way
+        if worth.max(initial=0.0) > WORTH:
+            return int(np.argmax(worth))
+        load = self.loading * on_way
+        return int(np.argmax(load)) if load.max(initial=0.0) > AT_RATING else None
 
     def scarce_for(self, customer: int) -> Binding:
         """What most limits the supply of a customer, empty if nothing does."""

@@ -17,6 +17,7 @@ SCARCE: dict[Binding, str] = {
     "energy": "stored energy",
     "power": "battery power",
     "inverter": "inverter rating",
+    "rating": "the rating of a line",
     "voltage": "the voltage limit",
     "grid": "the grid limit",
     "": "nothing",
@@ -26,17 +27,17 @@ TOO_LITTLE: dict[Binding, str] = {
     "energy": "not enough stored energy to supply it in full",
     "power": "not enough battery power to supply it in full",
     "inverter": "not enough inverter rating to supply it in full",
+    "rating": "the rating of a line does not allow its full demand",
     "voltage": "the voltage limit does not allow its full demand",
     "grid": "the grid limit does not allow its full demand",
     "": "nothing binds",
 }
 
-TOO_LITTLE_OF_BOTH = "not enough stored energy and battery power to supply it in full"
-
 DRIVERS = {
     "energy": "stored energy",
     "power": "battery power",
     "inverter": "inverter rating",
+    "rating": "line rating",
     "voltage": "voltage limit",
     "grid": "grid limit",
     "priority": "priority",
@@ -86,13 +87,17 @@ def pounds(value: float) -> str:
     return in_pounds(value, ".0f" if value >= 10.0 else ".2f")
 
 
-def one_more(step: Step, binding: Binding) -> str:
-    """The value of one more unit of the binding limit, without a full stop; empty if none."""
+def one_more(step: Step, binding: Binding, line: int | None = None) -> str:
+    """The value of one more unit of the binding limit, without a full stop; empty if none.
+
+    Of ratings that of a line, the most valuable one if none is given.
+    """
     p = step.service
     if p is None:
         return ""
     b = step.site.batteries
     buses = step.scenario.network.buses
+    full = int(np.argmax(p.line_rating)) if line is None else line
     offers: dict[Binding, tuple[float, str]] = {
         "energy": (_most(p.stored_energy), "one more stored kWh"),
         "power": _first(
@@ -113,10 +118,26 @@ def one_more(step: Step, binding: Binding) -> str:
             _most(p.voltage_floor),
             f"a voltage limit 0.001 pu lower at bus {_name(buses, p.voltage_floor)}",
         ),
+        "rating": (
+            float(p.line_rating[full]),
+            f"one more kVA through {line_name(step, full)}",
+        ),
         "grid": (p.grid, "one more kW from the grid"),
     }
     value, what = offers.get(binding, (0.0, ""))
     return f"{what} would add {hours(value, step.site.ranks)}" if value > WORTH else ""
+
+
+def line_words(step: Step, line: int) -> str:
+    """A line with its ends, and the share of its rating that its AC current has."""
+    return f"{line_name(step, line)} ({step.loading[line]:.0%} of its rating)"
+
+
+def line_name(step: Step, line: int) -> str:
+    """A line or transformer with the buses at its ends."""
+    net = step.scenario.network
+    kind = "line" if net.ratio[line] == 1.0 else "transformer"
+    return f"the {kind} from {net.from_bus[line]} to {net.to_bus[line]}"
 
 
 def hours(value: float, ranks: Ranks | None) -> str:

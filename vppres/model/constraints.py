@@ -60,7 +60,7 @@ def battery_soc_limits(site: Site, v: Variables, p: Parameters) -> Named:
 def battery_inverter(site: Site, v: Variables, p: Parameters) -> Named:
     """Apparent power of batteries within their inverters' ratings (3), ``eq:batt_inverter``."""
     rating = _each_step(site.batteries.s_max_kva, v.P_batt) if p.S_max is None else p.S_max
-    return {"battery_inverter_capacity": _disc(v.P_batt, v.Q_batt, rating)}
+    return {"battery_inverter_capacity": disc(v.P_batt, v.Q_batt, rating)}
 
 
 def circular_charging(site: Site, v: Variables, p: Parameters) -> Named:
@@ -92,7 +92,7 @@ def pv_self_consumption(site: Site, v: Variables, p: Parameters) -> Named:
 def pv_inverter(site: Site, v: Variables, p: Parameters) -> Named:
     """Apparent power of PV systems within their inverters' ratings (7), ``eq:pv_inverter``."""
     P = v.P_self + v.P_exp
-    return {"pv_inverter_capacity": _disc(P, v.Q_pv, _each_step(site.pv.s_max_kva, P))}
+    return {"pv_inverter_capacity": disc(P, v.Q_pv, _each_step(site.pv.s_max_kva, P))}
 
 
 # Power balance.
@@ -190,7 +190,7 @@ def _each_step(rating: Floats, power: cp.Expression) -> cp.Expression:
     return cp.Constant(np.broadcast_to(rating, power.shape))
 
 
-def _disc(P: cp.Expression, Q: cp.Expression, S: cp.Expression) -> cp.Constraint:
+def disc(P: cp.Expression, Q: cp.Expression, S: cp.Expression) -> cp.Constraint:
     """Second-order cones ``norm(P, Q) <= S``, one for each step and item."""
     both = cp.vstack([cp.vec(P, order="F"), cp.vec(Q, order="F")])
     return cp.SOC(cp.vec(S, order="F"), both, axis=0)

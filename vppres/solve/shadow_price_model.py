@@ -133,7 +133,13 @@ def _padded(data: WindowData, missing: int) -> WindowData:
         export=data.export and data.export.followed_by_none(missing),
         drawn=data.drawn and Drawn(_rows(data.drawn.kw, missing), _rows(data.drawn.kvar, missing)),
         own_u_pu2=None if data.own_u_pu2 is None else _rows(data.own_u_pu2, missing),
+        flow_max_kva=_followed_by_last(data.flow_max_kva, missing),
     )
+
+
+def _followed_by_last(values: Floats | None, missing: int) -> Floats | None:
+    """The array with its last row again and again behind it."""
+    return None if values is None else np.concatenate([values, values[-1:].repeat(missing, axis=0)])
 
 
 def _rows(values: Floats, missing: int) -> Floats:

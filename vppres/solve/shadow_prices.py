@@ -12,11 +12,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from vppres.core.arrays import Floats
+from vppres.model.beyond_paper.ratings import FAMILY, rated_lines
 from vppres.model.data import WindowData
 from vppres.solve.result import Status
 from vppres.solve.shadow_price_model import Held, PricedTerms, ShadowPriceModel
 from vppres.solve.solvers import run_conic
 from vppres.solve.turns import one_at_a_time
+
+NO_FLOW_KVA = 1e-9
+"""A flow without direction: no rating limits it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +41,10 @@ class ShadowPrices:
         For 1 kVA more of the inverter.
     voltage_floor, voltage_ceiling : array, shape (N,)
         For a limit that lies 0.001 pu further out, at each bus.
+    line_rating : array, shape (L,)
+        For 1 kVA more through each line.
+    line_active, line_reactive : array, shape (N,)
+        What ratings of lines make of the price of 1 kW or 1 kvar at each bus.
     grid : float
         For 1 kW more that may be imported, less its price.
     active, reactive : array, shape (N,)
@@ -55,6 +63,9 @@ class ShadowPrices:
     pv_inverter: Floats
     voltage_floor: Floats
     voltage_ceiling: Floats
+    line_rating: Floats
+    line_active: Floats
+    line_reactive: Floats
     grid: float
     active: Floats
     reactive: Floats
@@ -137,6 +148,7 @@ def _prices(model: ShadowPriceModel) -> ShadowPrices:
     dual = model.dual
     # A demand on the right of the balance costs what an injection gains.
     active = -dual("active_power_balance")[0]
+    line_rating, *at_buses = _of_lines(model)
     rho_dt = -model.factors["f2"] * model.statement.p.rho_dt.value[0]
     return ShadowPrices(
         stored_energy=dual("battery_soc_start") / energy_kwh,
@@ -149,6 +161,9 @@ def _prices(model: ShadowPriceModel) -> ShadowPrices:
         pv_inverter=_of_discs(model, "pv_inverter_capacity"),
         voltage_floor=_per_milli_pu(dual("voltage_min")[0], net.v_min_pu, net.bus_ratio),
         voltage_ceiling=_per_milli_pu(dual("voltage_max")[0], net.v_max_pu, net.bus_ratio),
+        line_rating=line_rating,
+        line_active=at_buses[0],
+        line_reactive=at_buses[1],
         # In an outage the limit meets the bound of 0 from the other side, and its own dual is not
         # unique; what an injection at the slack bus gains is.
         grid=max(float(active[0] - rho_dt), 0.0),
@@ -161,6 +176,19 @@ def _prices(model: ShadowPriceModel) -> ShadowPrices:
 def _per_milli_pu(per_pu2: Floats, limit_pu: float, ratio: Floats) -> Floats:
     """From a squared limit at the buses behind the slack bus to 0.001 pu at all buses."""
     return np.concatenate([[0.0], per_pu2 * 2.0 * limit_pu * 1e-3 / ratio[1:] ** 2])
+
+
+def _of_lines(model: ShadowPriceModel) -> tuple[Floats, Floats, Floats]:
+    """Value of one more kVA through each line, and what of it a kW and a kvar at each bus has."""
+    net = model.site.network
+    rating = np.zeros(net.n_lines)
+    if FAMILY in model.rows_of:
+        of_rated = model.dual(FAMILY)[0].reshape(-1, model.n_steps)[:, 0]
+        rating[rated_lines(model.site)] = np.maximum(of_rated, 0.0)
+    flow = np.stack([model.value_of(name)[0] for name in ("P_flow", "Q_flow")])
+    direction = flow / np.maximum(np.hypot(*flow), NO_FLOW_KVA)
+    active, reactive = (rating * direction) @ net.downstream
+    return rating, active, reactive
 
 
 def _of_discs(model: ShadowPriceModel, name: str) -> Floats:

@@ -33,6 +33,7 @@ LIMITS = {
     "pv_inverter": "PV inverter",
     "voltage_floor": "lowest voltage at bus",
     "voltage_ceiling": "highest voltage at bus",
+    "line_rating": "rating of line",
     "grid": "grid limit",
 }
 ACTIONS = {

@@ -1,0 +1,96 @@
+"""Which limits leave no room for the whole demand of a customer, beside all else in its step.
+
+Shadow prices are those of a share of a customer. As a whole it may exceed more limits than the one
+that is scarce.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vppres.control.converged import physics_of
+from vppres.core.arrays import Floats
+from vppres.explain.prices import WORTH
+from vppres.explain.step import Binding, Scarce, Step
+from vppres.model.formulas import lossless_flows, voltage_drop_pu2
+
+
+def limits_in_full(step: Step, customer: int, binding: Binding) -> list[Scarce]:
+    """Limits that the whole demand of a customer exceeds or has a price in; the scarce one first.
+
+    Parameters
+    ----------
+    step : Step
+        The step.
+    customer : int
+        Off in it.
+    binding : str
+        What is scarce for a share of the customer.
+    """
+    priced = {name for name, cost in step.supply_cost.items() if cost[customer] > WORTH}
+    if step.spare_kw < float(step.load_kw[customer]):
+        priced.add("power")
+    if _spare_kwh(step) < float(step.load_kw[customer]) * step.site.dt_h:
+        priced.add("energy")
+    if overloaded_line(step, customer) is not None:
+        priced.add("rating")
+    if _under_voltage(step, *_flows_for(step, customer)):
+        priced.add("voltage")
+    return sorted(priced, key=lambda name: (name != binding, name))
+
+
+def _spare_kwh(step: Step) -> float:
+    """Energy that batteries keep beyond their reserve in the step of the outage with the least."""
+    if not step.outage:
+        return np.inf
+    recorded, site, window = step.recorded, step.site, step.levels.window
+    there = np.logical_and.accumulate(window.grid_limit_kw <= 0.0)
+    b = site.batteries
+    lowest = np.broadcast_to(b.soc_min, (window.n_steps, len(b)))
+    if recorded.options.get("mode") == "physical":
+        lowest = lowest + physics_of(site, window, float(recorded.options["headroom"])).soc_reserve
+    steps = np.flatnonzero(there)
+    kept = np.maximum(recorded.soc_end[step.t + steps] - lowest[steps], 0.0)
+    return float((kept @ (b.energy_kwh * window.eta_discharge)).min(initial=np.inf))
+
+
+def overloaded_line(step: Step, customer: int) -> int | None:
+    """The line that the whole demand of a customer would take furthest beyond its rating."""
+    most_kva = step.levels.window.flow_max_kva
+    if most_kva is None:
+        return None
+    now_kw, now_kvar = step.recorded.flows(step.t)
+    kw, kvar = _flows_for(step, customer)
+    more = np.hypot(now_kw + kw, now_kvar + kvar)
+    share = np.where(more > np.hypot(now_kw, now_kvar), more / most_kva[0], 0.0)
+    return int(np.argmax(share)) if share.max(initial=0.0) > 1.0 else None
+
+
+def _flows_for(step: Step, customer: int) -> tuple[Floats, Floats]:
+    """What the supply of a customer adds to the flows of the lines, in kW and kvar, (L,) each.
+
+    It comes from the grid, and in an island from the largest battery that forms it.
+    """
+    site = step.site
+    source = 0
+    b = site.batteries
+    if step.outage and b.formers.any():
+        largest = int(np.argmax(np.where(b.formers, b.s_max_kva, -1.0)))
+        source = site.network.bus_index[b.bus[largest]]
+    place = site.customer_bus[:, [customer]].toarray().ravel()
+    place[source] -= 1.0
+    kw = float(step.load_kw[customer])
+    kvar = kw * float(site.customers.q_per_p[customer])
+    return tuple(lossless_flows(site.network, -place[None, :] * size)[0] for size in (kw, kvar))
+
+
+def _under_voltage(step: Step, kw: Floats, kvar: Floats) -> bool:
+    """Whether a voltage would fall below what plans allow with more flow."""
+    net = step.site.network
+    drop = voltage_drop_pu2(net, kw[None, :], kvar[None, :]) @ net.downstream
+    fall = np.asarray(drop)[0]
+    held = int(np.argmin(fall)) if step.outage else 0
+    before = net.u_pu2(step.recorded.v_ac_pu[step.t])
+    after = before - (fall - fall[held])
+    lowest = step.levels.window.u_limits_pu2(net)[0][0]
+    return bool(((after < lowest) & (after < before)).any())
