@@ -55,16 +55,13 @@ def test_currents_stay_within_ratings(batteries: bool) -> None:
     assert kept.customers["served"].mean() > 0.7
     if not kept.customers["served"].all():
         assert "Lines at their rating then: " in cautions(kept)[0]
-
-
-def test_a_customer_off_for_a_rating_is_told_the_line() -> None:
-    told = explain_day(ran(narrow_feeder(batteries=False).between(0, 1), LIMIT)).explanations
-    assert told is not None
-    off = told[told["action"] == "not_served"]
-    by_rating = off[off["binding"] == "rating"]
-    assert len(by_rating)
-    assert by_rating["words"].str.contains("line from [0-9]+ to [0-9]+").all()
-    assert not (off["driver"] == "unexplained").any()
+        told = explain_day(kept).explanations
+        assert told is not None
+        off = told[told["action"] == "not_served"]
+        by_rating = off[off["binding"] == "rating"]
+        assert len(by_rating) > len(off) / 2
+        assert by_rating["words"].str.contains("line from [0-9]+ to [0-9]+").all()
+        assert not (off["driver"] == "unexplained").any()
 
 
 def test_ratings_that_bind_nothing_change_nothing() -> None:
