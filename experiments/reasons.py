@@ -138,7 +138,8 @@ def what_is_wrong(step: Step, customer: int, reason: Reason) -> str:
     if on and forced is not None and _gain(recorded.site, forced) > gain + tolerance:
         return "a plan with the customer is worth more"
     if reason.driver in LIMITS and any(words in reason.words for words in NOT_IN_FULL):
-        limits = limits_in_full(step, customer, reason.binding) or [str(reason.binding)]
+        limits = [str(limit) for limit in limits_in_full(step, customer, reason.binding)]
+        limits = limits or [str(reason.binding)]
         return _with_plenty(step, customer, limits, gain)
     if reason.driver == "unexplained":
         return "there is none"
