@@ -27,7 +27,7 @@ from vppres.solve.ladder import WindowSolver
 ERRORS = ForecastErrors(0.1, 0.05, -0.1, 0.05)
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture
 def own_problems(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every solver compiles its own problems, so that runs share nothing but their observations."""
     monkeypatch.setattr("vppres.solve.ladder.shared_cache", ModelCache)
@@ -56,6 +56,7 @@ def other_truth(scenario: Scenario, known: range) -> Scenario:
 # No look-ahead.
 
 
+@pytest.mark.usefixtures("own_problems")
 @pytest.mark.parametrize("seed", [0, 3, 6])
 def test_mpc_does_not_see_beyond_its_window(seed: int) -> None:
     truth = random_scenario(seed, n_steps=6)
@@ -67,6 +68,7 @@ def test_mpc_does_not_see_beyond_its_window(seed: int) -> None:
     assert same(*decisions)
 
 
+@pytest.mark.usefixtures("own_problems")
 @pytest.mark.parametrize("kind", ["mpc", "full-horizon"])
 def test_controller_knows_only_its_observation(kind: str) -> None:
     """A controller that was made from another truth decides the same on the same observation."""
@@ -78,6 +80,7 @@ def test_controller_knows_only_its_observation(kind: str) -> None:
     assert same(maker.decide(seen), stranger.decide(seen))
 
 
+@pytest.mark.usefixtures("own_problems")
 def test_full_horizon_sees_nothing_but_the_step_once_it_has_planned() -> None:
     truth = random_scenario(5, n_steps=4)
     options = RunOptions(controller="full-horizon", errors=ForecastErrors(load_bias=0.2))

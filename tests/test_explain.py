@@ -185,17 +185,25 @@ LIMITS = {
 }
 
 
+UNITS = [
+    ("stored_energy", "soc_initial", 1 / 200.0, 2, {"energy", "energy and power", "voltage"}),
+    ("energy_floor", "soc_min", -1 / 200.0, 2, {"energy", "energy and power", "voltage"}),
+    # A rating counts in every step, and its price is that of the first: one step alone.
+    ("battery_discharging", "p_max_kw", 1.0, 1, {"energy and power", "power"}),
+    ("battery_inverter", "s_max_kva", 1.0, 1, {"inverter"}),
+]
+BY_DAY = {("energy", "soc_initial"), ("voltage", "soc_min"), ("power", "p_max_kw")}
+BY_DAY |= {("inverter", "s_max_kva"), ("inverter", "soc_initial")}
+
+
 @pytest.mark.parametrize(
-    ("name", "field", "step", "steps", "binding"),
+    ("limit", "name", "field", "step", "steps", "binding"),
     [
-        ("stored_energy", "soc_initial", 1 / 200.0, 2, {"energy", "energy and power", "voltage"}),
-        ("energy_floor", "soc_min", -1 / 200.0, 2, {"energy", "energy and power", "voltage"}),
-        # A rating counts in every step, and its price is that of the first: one step alone.
-        ("battery_discharging", "p_max_kw", 1.0, 1, {"energy and power", "power"}),
-        ("battery_inverter", "s_max_kva", 1.0, 1, {"inverter"}),
+        pytest.param(limit, *unit, marks=() if (limit, unit[1]) in BY_DAY else pytest.mark.nightly)
+        for limit in LIMITS
+        for unit in UNITS
     ],
 )
-@pytest.mark.parametrize("limit", LIMITS)
 def test_one_more_unit_buys_its_shadow_price(
     limit: str, name: str, field: str, step: float, steps: int, binding: set[str]
 ) -> None:
@@ -230,7 +238,7 @@ def with_source(day: Scenario, bus: int, p_kw: float, s_kva: float) -> Scenario:
     )
 
 
-@pytest.mark.parametrize("bus", [1, 2, 3])
+@pytest.mark.parametrize("bus", [3, *(pytest.param(n, marks=pytest.mark.nightly) for n in (1, 2))])
 def test_power_put_into_a_bus_buys_its_shadow_price(bus: int) -> None:
     # Reactive demand, a small inverter and a long line: power factor, rating and voltage matter.
     day = island(energy_kwh=100.0, inverter_kva=45.0, r_ohm=2.0)
@@ -252,7 +260,9 @@ def test_power_put_into_a_bus_buys_its_shadow_price(bus: int) -> None:
     assert gain(1.0, 1.0) == pytest.approx(np.hypot(active, reactive), rel=2e-2)
 
 
-@pytest.mark.parametrize("t", [7, 11, 12, 14, 17])
+@pytest.mark.parametrize(
+    "t", [11, 14, *(pytest.param(t, marks=pytest.mark.nightly) for t in (7, 12, 17))]
+)
 def test_one_more_kwh_on_the_heatwave_day(heatwave: Trajectory, t: int) -> None:
     recorded = Recorded(heatwave)
     model = ShadowPriceModel(recorded.site, recorded.n_seen)
@@ -334,8 +344,9 @@ def test_customers_with_priority_count_less_per_kw(explained: Trajectory) -> Non
     assert (behind["per_kw"] < behind["time"].map(best)).all()
 
 
-def test_a_second_explanation_is_the_same(heatwave: Trajectory, explained: Trajectory) -> None:
-    for before, after in zip(tables(explained), tables(explain_day(heatwave)), strict=True):
+def test_a_second_explanation_is_the_same(tiny_run: Trajectory) -> None:
+    first, second = (tables(explain_day(tiny_run)) for _ in range(2))
+    for before, after in zip(first, second, strict=True):
         pd.testing.assert_frame_equal(before, after)
 
 
@@ -506,10 +517,10 @@ def test_a_partial_grid_limit_is_named() -> None:
 @pytest.mark.parametrize(
     "options",
     [
-        RunOptions("full-horizon", horizon_h=2.0),
-        RunOptions(horizon_h=0.0),
         RunOptions(horizon_h=5.0, errors=vppres.ForecastErrors(0.2, 0.1, -0.2, 0.1), seed=3),
         RunOptions("full-horizon", 2.0, errors=vppres.ForecastErrors(0.2, 0.1, -0.2, 0.1), seed=3),
+        pytest.param(RunOptions("full-horizon", horizon_h=2.0), marks=pytest.mark.nightly),
+        pytest.param(RunOptions(horizon_h=0.0), marks=pytest.mark.nightly),
     ],
 )
 def test_every_controller_is_explained_in_full(options: RunOptions) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -288,8 +289,19 @@ def sunny(tiny: Scenario, limit_kw: float = 60.0, price: float = 0.1) -> Scenari
     return exporting(replace(tiny, pv=pv, pv_kw=9 * tiny.pv_kw), limit_kw, price)
 
 
-@pytest.mark.parametrize("mode", ["paper", "physical"])
-@pytest.mark.parametrize("controller", ["mpc", "full-horizon", "perfect", "idle", "reserve"])
+BY_DAY = {("full-horizon", "paper"), ("perfect", "paper"), ("mpc", "physical")}
+BY_DAY |= {("idle", "physical"), ("reserve", "physical")}
+
+
+@pytest.mark.parametrize(
+    ("controller", "mode"),
+    [
+        pytest.param(*case, marks=() if case in BY_DAY else pytest.mark.nightly)
+        for case in product(
+            ("mpc", "full-horizon", "perfect", "idle", "reserve"), ("paper", "physical")
+        )
+    ],
+)
 def test_every_controller_keeps_the_limit_at_the_meter(
     tiny: Scenario, controller: str, mode: str
 ) -> None:

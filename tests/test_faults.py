@@ -92,7 +92,17 @@ def test_solver_fault_is_named_and_the_next_step_is_as_planned(
 
 @pytest.mark.parametrize(
     ("controller", "kind"),
-    [*(("mpc", kind) for kind in SOLVER_FAULTS), ("full-horizon", "infeasible")],
+    [
+        ("mpc", "killed"),
+        ("mpc", "infeasible"),
+        *(
+            pytest.param(*case, marks=pytest.mark.nightly)
+            for case in [
+                *(("mpc", kind) for kind in SOLVER_FAULTS if kind not in ("killed", "infeasible")),
+                ("full-horizon", "infeasible"),
+            ]
+        ),
+    ],
 )
 def test_solver_that_never_works_leaves_the_rule(
     tiny: Scenario, controller: str, kind: str
@@ -120,7 +130,9 @@ def test_measurement_faults_are_recorded(tiny: Scenario, quantity: str, frozen: 
 
 
 @pytest.mark.parametrize("silent", [False, True])
-@pytest.mark.parametrize("controller", ["mpc", "full-horizon"])
+@pytest.mark.parametrize(
+    "controller", ["mpc", pytest.param("full-horizon", marks=pytest.mark.nightly)]
+)
 def test_tripped_battery_gives_nothing(tiny: Scenario, controller: str, silent: bool) -> None:
     plan = FaultPlan(trips=(BatteryTrip(0, 3, 6, silent),))
     run = faulty(tiny, plan, replace(OPTIONS, controller=controller))

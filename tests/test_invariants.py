@@ -25,8 +25,12 @@ from vppres.scenario.scenario import Scenario
 ERRORS = ForecastErrors(load_bias=0.05, load_alpha_per_h=0.05, pv_bias=-0.1, pv_alpha_per_h=0.1)
 N_STEPS = 5
 SEEDS = (100, 101, 102, 103, 106, 108, 110, 111)
+BY_DAY = (100, 101)
 RUNS = [(seed, kind) for seed in SEEDS for kind in ("mpc", "full-horizon")]
-each_run = pytest.mark.parametrize(("seed", "kind"), RUNS)
+each_run = pytest.mark.parametrize(
+    ("seed", "kind"),
+    [pytest.param(*run, marks=() if run[0] in BY_DAY else pytest.mark.nightly) for run in RUNS],
+)
 
 
 @cache
@@ -190,12 +194,15 @@ def test_batteries_charge_from_import_and_pv_export_only(seed: int, kind: str) -
     assert (per_step(run, "batteries", "charge_kw").sum(axis=1) <= given + 1.0).all()
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize(
+    "seed", [pytest.param(s, marks=() if s in BY_DAY else pytest.mark.nightly) for s in SEEDS]
+)
 def test_mpc_decides_on_exact_current_values(seed: int) -> None:
     """The current step is known exactly, so the plant has nothing to move."""
     assert random_run(seed, "mpc").steps["clipped_kw"].max() <= 1e-3
 
 
+@pytest.mark.nightly
 def test_runs_cover_what_they_are_meant_to() -> None:
     runs = {key: random_run(*key) for key in RUNS}
     scenarios = [run.scenario for run in runs.values()]

@@ -191,7 +191,13 @@ def test_cost_bound_of_a_set_is_not_above_its_cost(packaged: Scenario) -> None:
     assert outcome.bound == pytest.approx(cost_gbp, rel=3e-6)  # the tie-breakers spend 1e-6 of it
 
 
-@pytest.mark.parametrize(("first", "steps", "soc"), [(12, 6, 0.5), (14, 4, 0.3), (10, 8, 0.7)])
+@pytest.mark.parametrize(
+    ("first", "steps", "soc"),
+    [
+        (12, 6, 0.5),
+        *(pytest.param(*w, marks=pytest.mark.nightly) for w in [(14, 4, 0.3), (10, 8, 0.7)]),
+    ],
+)
 def test_counts_find_what_binaries_find(
     packaged: Scenario, first: int, steps: int, soc: float
 ) -> None:
@@ -622,7 +628,10 @@ def test_least_reactive_power_leaves_the_active_power_and_needs_less(packaged: S
     assert worth(after) < 0.9 * worth(before)
 
 
-@pytest.mark.parametrize(("name", "cheaper_gbp"), [("s007", 150.0), ("s030", 150.0)])
+@pytest.mark.parametrize(
+    ("name", "cheaper_gbp"),
+    [("s007", 150.0), pytest.param("s030", 150.0, marks=pytest.mark.nightly)],
+)
 def test_a_cheaper_set_in_the_network_is_found(
     name: str, cheaper_gbp: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import sys
 import warnings
 from collections.abc import Callable
+from copy import deepcopy
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -39,14 +41,20 @@ TRAFO = {
 }
 
 
-def two_buses(**line: Any) -> Any:
+@cache
+def built_two_buses() -> Any:
     """Bus 0 feeds bus 1 over one line, with 300 kW and 100 kvar at its end."""
     net = pp.create_empty_network()
     pp.create_buses(net, 2, vn_kv=20.0)
     pp.create_ext_grid(net, 0, vm_pu=1.01)
-    pp.create_line_from_parameters(net, 0, 1, length_km=4.0, name="feeder", **{**LINE, **line})
+    pp.create_line_from_parameters(net, 0, 1, length_km=4.0, name="feeder", **LINE)
     pp.create_load(net, 1, p_mw=0.3, q_mvar=0.1, name="mill")
     return net
+
+
+def two_buses() -> Any:
+    """A copy to be changed: pandapower takes longer to build one."""
+    return deepcopy(built_two_buses())
 
 
 def three_buses_in_a_ring() -> Any:
@@ -57,7 +65,8 @@ def three_buses_in_a_ring() -> Any:
     return net
 
 
-def every_branch() -> Any:
+@cache
+def built_every_branch() -> Any:
     """Parallel lines and transformers, three windings, a bus coupler and an impedance."""
     net = two_buses()
     pp.create_buses(net, 6, vn_kv=20.0)  # 2 to 7
@@ -95,6 +104,11 @@ def every_branch() -> Any:
     return net
 
 
+def every_branch() -> Any:
+    """A copy to be changed."""
+    return deepcopy(built_every_branch())
+
+
 def cigre_without_charging() -> Any:
     net = pp_networks.create_cigre_network_mv(with_der="pv_wind")
     net.line["c_nf_per_km"] = 0.0
@@ -127,7 +141,7 @@ def differences(net: Any, feeder: ImportedFeeder) -> tuple[float, float]:
         every_branch,
         cigre_without_charging,
         pp_networks.case33bw,
-        pp_networks.create_cigre_network_lv,
+        pytest.param(pp_networks.create_cigre_network_lv, marks=pytest.mark.nightly),
     ],
 )
 def test_power_flow_is_the_source_s(make: Callable[[], Any]) -> None:
@@ -174,7 +188,7 @@ def test_taps_charging_and_shunts_are_the_source_s() -> None:
     assert feeder.p_load_kw[reactive] == feeder.q_load_kvar[reactive] == 0.0
 
 
-@pytest.mark.parametrize("ratios", [(1.0, 1.0), (1.025, 1.025), (1.05, 0.975)])
+@pytest.mark.parametrize("ratios", [(1.025, 1.025), (1.05, 0.975)])
 def test_parallel_transformers_are_one_two_port(ratios: tuple[float, float]) -> None:
     """With different taps a current circulates between them."""
     net = two_buses()

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import pickle
+import subprocess
+import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -17,10 +20,11 @@ from tests.support.long_days import repeated
 from tests.support.tiny_day import tiny_scenario
 from vppres.day.options import RunOptions
 from vppres.scenario.timegrid import TimeGrid
+from vppres.service import explainer
 from vppres.service.access import Access, new_token
 from vppres.service.app import make_app
 from vppres.service.clock import SetClock
-from vppres.service.explanations import explained, question
+from vppres.service.explanations import explained
 from vppres.service.records import Reading, seconds
 from vppres.service.runner import Runner, Service
 from vppres.service.serve import opened
@@ -144,8 +148,15 @@ def test_figures_are_those_of_the_plan(calm: Watcher, watched: tuple[Runner, str
 CONTRAST = (Path(__file__).parent / "support" / "contrast.js").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
-@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize(
+    ("size", "scheme"),
+    [
+        (DESKTOP, "light"),
+        (PHONE, "dark"),
+        pytest.param(DESKTOP, "dark", marks=pytest.mark.nightly),
+        pytest.param(PHONE, "light", marks=pytest.mark.nightly),
+    ],
+)
 def test_all_text_stands_out_and_everything_has_a_name(
     browser: Any, watched: tuple[Runner, str], size: dict[str, int], scheme: str
 ) -> None:
@@ -322,9 +333,21 @@ def test_an_outage_that_is_believed_is_told_before_a_plan_knows_of_it(
             assert watcher.text("#verdict-more") == "Outage possible: 60%, from 02:00 GMT."
 
 
-def test_an_outage_and_what_goes_wrong_in_it(browser: Any, watched: tuple[Runner, str]) -> None:
+def test_an_outage_and_what_goes_wrong_in_it(
+    browser: Any, watched: tuple[Runner, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The last test: it goes on to the next hour, and ends with a service that is gone."""
     runner, _ = watched
+    said = []
+    made = threading.Event()
+
+    def explained_here(asked: bytes) -> subprocess.CompletedProcess[bytes]:
+        """The explanation without the start of a process for it."""
+        said.append(explained(pickle.loads(asked)))
+        made.set()
+        return subprocess.CompletedProcess([], 0, json.dumps(said[-1]).encode())
+
+    monkeypatch.setattr(explainer, "_asked", explained_here)
     decide(runner, NIGHT + 2 * HOUR, soc=0.17)
     assert runner.last is not None
     off = [one["asset"] for one in runner.last["setpoints"] if one.get("served") is False]
@@ -337,8 +360,8 @@ def test_an_outage_and_what_goes_wrong_in_it(browser: Any, watched: tuple[Runner
         for name in off:
             assert name in watcher.text("#off-list")
         # Why, in the service's own words, as soon as they are worked out.
-        reasons = explained(question(runner, runner.last))["reasons"]
-        words = {r["words"] for r in reasons if r["asset"] in off}
+        assert made.wait(100.0)
+        words = {r["words"] for r in said[0]["reasons"] if r["asset"] in off}
         for sentence in words:
             shown = sentence.removeprefix("Not supplied: ").split("; ")[0].rstrip(".")
             row = page.locator("#off-list", has_text=shown[1:])
