@@ -394,7 +394,10 @@ TEXTS: dict[str, tuple[str, str]] = {
     "very deep": ("[" * 200_000 + "]" * 200_000, "cannot be read as pandapower JSON"),
     "many objects": (f"[{'{},' * 1_000_000}1]", "has more than 1000000 objects and lists"),
     "many digits": (made_of({"f_hz": 10**399}), "net.json: cannot be read as a network ("),
-    "narrow table": (made_of({"load": frame(1)}), "net.json: cannot be read as a network ("),
+    "narrow table": (
+        made_of({"load": frame(1)}),
+        "net.json: cannot be read as a network (lacks 'bus'). Correct the file",
+    ),
     "long": (" " * (33 * 2**20), "has more than 32 MB"),
 }
 

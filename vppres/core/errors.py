@@ -60,7 +60,13 @@ class Problem:
 
 
 def first_line(error: BaseException) -> str:
-    """What an exception says in a line; its name if it says nothing."""
+    """What an exception says in a line; its name if it says nothing.
+
+    >>> first_line(KeyError("bus"))
+    "lacks 'bus'"
+    """
+    if isinstance(error, KeyError):
+        return f"lacks {error}"
     return next(iter(str(error).splitlines()), type(error).__name__)
 
 
