@@ -186,6 +186,13 @@ def test_a_forecast_has_the_range_of_a_reading(live: tuple[Caller, SetClock]) ->
     assert decided(http, clock, NOON)["status"] in ("ok", "fallback")
     body["assets"] = {"shop": {"p50": [2.0 * RANGES["load_kw"].highest]}}
     assert http.put("/v1/forecasts/load_kw", body).status == 422
+    body["assets"] = {"roof": {"p50": [20.0], "p90": [2e4]}}
+    refused = http.put("/v1/forecasts/pv_kw", body)
+    assert refused.status == 422
+    assert refused.json()["detail"] == (
+        "forecast, pv_kw of roof = 20000.0: is beyond the system's rating of 30 kW. "
+        "Give the power in kW."
+    )
 
 
 # The newest reading counts.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,9 +13,10 @@ from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import InputError, Problem
 from vppres.io.messages import did_you_mean
 from vppres.live.controller import Controller
+from vppres.live.ranges import ranges_of
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import written
-from vppres.service.payloads import read_duration, read_moment
+from vppres.service.payloads import Quantiles, read_duration, read_moment
 
 MEDIAN = "p50"
 CAUTIOUS = {"load_kw": "p90", "pv_kw": "p10"}
@@ -101,12 +102,12 @@ class Window:
 
 def check_forecast(
     quantity: str,
-    assets: Iterable[str],
+    assets: Mapping[str, Quantiles],
     start: pd.Timestamp,
     length: pd.Timedelta,
     of: Scenario,
 ) -> None:
-    """Whether a forecast is of the site and its steps.
+    """Whether a forecast is of the site and its steps, and of what its devices can do.
 
     Raises
     ------
@@ -119,6 +120,7 @@ def check_forecast(
         for name in assets
         if name not in known
     ]
+    problems += _beyond_ratings(quantity, assets, of)
     step = of.grid.step
     if length != step:
         problems.append(
@@ -142,3 +144,18 @@ def check_forecast(
         )
     if problems:
         raise InputError(problems)
+
+
+def _beyond_ratings(
+    quantity: str, assets: Mapping[str, Quantiles], of: Scenario
+) -> Iterator[Problem]:
+    """Devices of which more is expected than a reading of theirs may say."""
+    own = ranges_of(of)
+    for name, quantiles in assets.items():
+        permitted = own.get((quantity, name))
+        most_kw = max(max(row) for row in (quantiles.p50, quantiles.p90) if row is not None)
+        if permitted is not None and not permitted.holds(most_kw):
+            field = f"{quantity} of {name}"
+            yield Problem(
+                "forecast", permitted.text(most_kw), permitted.cure, field=field, value=most_kw
+            )
