@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from tests.support.bodies import BEGIN, crowd, reading, strangers
+from experiments.strangers import BEGIN, empty_texts, reading, unknown_fields
 from tests.support.live_service import HERE, NOON, client, decided, site
 from vppres.day.options import RunOptions
 from vppres.scenario.scenario import Scenario
@@ -165,7 +165,7 @@ def test_whatever_is_said_the_step_is_decided(
     check()
 
 
-@pytest.mark.parametrize("body", [crowd, strangers])
+@pytest.mark.parametrize("body", [empty_texts, unknown_fields])
 def test_a_body_of_mistakes_costs_little(body: Any, tiny: Scenario, tmp_path: Path) -> None:
     sent = body()
     with client(Service(site(tiny), HERE), tmp_path, SetClock(NOON)) as http:

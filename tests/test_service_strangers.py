@@ -6,19 +6,16 @@ import http.client
 import os
 import resource
 import socket
-import threading
 import time
 from collections.abc import Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import pandas as pd
 import pytest
 
+from experiments.strangers import address, attacks, lives, silent
 from tests.support.asgi import Caller
-from tests.support.bodies import crowd, strangers
 from tests.support.live_service import HERE, NOON, client, site
 from tests.support.tiny_day import tiny_scenario
 from vppres.core.errors import StorageError
@@ -26,7 +23,7 @@ from vppres.scenario.scenario import Scenario
 from vppres.service.access import Access, new_token
 from vppres.service.app import make_app
 from vppres.service.client import Client
-from vppres.service.clock import SetClock, written
+from vppres.service.clock import SetClock
 from vppres.service.connections import MOST_AT_ONCE, SILENT_S
 from vppres.service.runner import Service
 from vppres.service.serve import opened
@@ -43,38 +40,6 @@ def own(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Started]:
     served = Service(site(tiny_scenario()), HERE, paced=True)
     with started(served, tmp_path_factory.mktemp("live")) as own:
         yield own
-
-
-def address(own: Started) -> tuple[str, int]:
-    host, _, port = own.url.removeprefix("http://").rpartition(":")
-    return host, int(port)
-
-
-def lives(own: Started) -> float:
-    """How long ``/livez`` takes over a connection of its own, in s."""
-    begin = time.perf_counter()
-    asked = http.client.HTTPConnection(*address(own), timeout=60)
-    with closing(asked):
-        asked.request("GET", "/livez")
-        assert asked.getresponse().status == 200
-    return time.perf_counter() - begin
-
-
-@contextmanager
-def silent(own: Started, many: int) -> Iterator[list[socket.socket]]:
-    """Connections that send nothing, and others that send half a head."""
-    opened = []
-    for number in range(many):
-        one = socket.create_connection(address(own))
-        if number % 2:
-            with suppress(OSError):
-                one.send(b"GET /livez HT")
-        opened.append(one)
-    try:
-        yield opened
-    finally:
-        for one in opened:
-            one.close()
 
 
 @pytest.mark.parametrize("many", [MOST_AT_ONCE, 3 * MOST_AT_ONCE])
@@ -118,42 +83,11 @@ def test_a_connection_that_is_answered_in_time_stays(own: Started) -> None:
 
 
 def test_mistakes_of_8_mb_and_13000_reads_stop_no_step(own: Started) -> None:
-    with closing(Client(own.url)) as operator:
-        for hour, body in enumerate((crowd(), strangers(), None), start=1):
-            now = site(tiny_scenario()).grid.start + pd.Timedelta(hours=hour)
-            operator.wanted("PUT", "/v1/clock", {"now": written(now)})
-            others = [threading.Thread(target=mistaken, args=(own, body))]
-            if body is None:
-                others = [threading.Thread(target=read, args=(own, i)) for i in range(26)]
-            for one in others:
-                one.start()
-            time.sleep(0.2)
-            answer = operator.wanted("POST", "/v1/steps")
-            assert answer.body["status"] == "ok" and answer.seconds < 10.0
-            took = []
-            while any(one.is_alive() for one in others):
-                took.append(lives(own))
-                time.sleep(0.05)
-            assert np.percentile(took or [0.0], 95) < WITHIN_S, max(took)
-    lines = Path(f"/proc/{own.pid}/status").read_text().splitlines()
-    (peak,) = (line for line in lines if line.startswith("VmHWM"))
-    assert int(peak.split()[1]) / 1024 < MOST_MB
-
-
-def mistaken(own: Started, body: bytes) -> None:
-    """Send a body of mistakes."""
-    with closing(http.client.HTTPConnection(*address(own), timeout=120)) as asked:
-        asked.request("POST", "/v1/telemetry", body, {"content-type": "application/json"})
-        assert asked.getresponse().status == 422
-
-
-def read(own: Started, number: int, times: int = 500) -> None:
-    """Look many times at one thing."""
-    path = ("/v1/setpoints", "/v1/plan", "/readyz", "/v1/overview")[number % 4]
-    with closing(http.client.HTTPConnection(*address(own), timeout=120)) as asked:
-        for _ in range(times):
-            asked.request("GET", path)
-            asked.getresponse().read()
+    day = site(tiny_scenario()).grid
+    rows = attacks(own, day.start, day.step)
+    assert (rows["step"] == "ok").all() and rows["step_s"].max() < 10.0
+    assert rows["livez_p95_s"].max() < WITHIN_S
+    assert rows["peak_mb"].max() < MOST_MB
 
 
 def test_who_asks_whether_it_is_ready_writes_nothing(
