@@ -10,7 +10,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from vppres.contract.longest_off import LongestOff
 from vppres.core.arrays import Flags, Floats, Wholes
+from vppres.scenario.assets import Customers
 from vppres.scenario.rules import SwitchingRules
 
 UNLIMITED = 1e6
@@ -62,6 +64,9 @@ class SwitchingData:
         Whose demand would be higher for a restoration before the window, if still served.
     day : array of int, shape (W,)
         Day of each step, counted from that of the first.
+    longest_off : LongestOff, optional
+        How long customers may be off at a time; None where that says nothing. It may be broken at a
+        price, so that no service breaks a rule by it.
     """
 
     steps: RuleSteps
@@ -73,6 +78,7 @@ class SwitchingData:
     cold_factor: float
     cold_before: Flags
     day: Wholes
+    longest_off: LongestOff | None = None
 
     @classmethod
     def without_rules(cls, n_steps: int, n_customers: int) -> SwitchingData:
@@ -103,7 +109,18 @@ class SwitchingData:
                 name: getattr(self, name)[steps]
                 for name in ("served_min", "served_max", "cold_before", "day")
             },
+            longest_off=self._longest_off_of(steps),
         )
+
+    def _longest_off_of(self, steps: slice) -> LongestOff | None:
+        """The longest time off in some steps; only from the first on is the time before known."""
+        first, stop, _ = steps.indices(len(self.served_min))
+        return self.longest_off.first(stop) if self.longest_off and first == 0 else None
+
+    def priced(self, customers: Customers, dt_h: float) -> SwitchingData:
+        """The rules at the prices of customers as they are weighed."""
+        limits = self.longest_off
+        return self if limits is None else replace(self, longest_off=limits.priced(customers, dt_h))
 
     def without_duties(self) -> SwitchingData:
         """The rules without what the past demands of the service: nobody has to be served."""
@@ -121,7 +138,17 @@ class SwitchingData:
 
     @property
     def idle(self) -> bool:
-        """Whether any service obeys, at no price and with no higher demand.
+        """Whether any service obeys, at no price and with no higher demand."""
+        return self.longest_off is None and self._any_switching
+
+    @property
+    def only_time_off(self) -> bool:
+        """Whether all that the rules say is how long customers may be off."""
+        return self.longest_off is not None and self._any_switching
+
+    @property
+    def _any_switching(self) -> bool:
+        """Whether customers may be switched at will.
 
         Minimum times of one step are no rule, nor is a limit of as many actions as a day has steps.
         """
@@ -151,8 +178,12 @@ class SwitchingData:
         return 2.0 * self.price_per_action
 
     def price(self, served: Flags) -> float:
-        """Price of a service, in weighted customer hours: two actions for each switching off."""
-        return self.price_of_pair * float(self.changes(served)[1].sum())
+        """Price of a service, in weighted customer hours.
+
+        Two actions for each switching off, and what is beyond the longest times off.
+        """
+        pairs = self.price_of_pair * float(self.changes(served)[1].sum())
+        return pairs if self.longest_off is None else pairs + self.longest_off.cost(served)
 
     def demand_factor(self, served: Flags) -> Floats:
         """Demand of each customer as a multiple of the usual one under a service, (W, C)."""
@@ -177,6 +208,8 @@ class SwitchingData:
         limited step; where minimum times unserved, actions or cold load matter, nobody
         (``docs/method.md``).
         """
+        if self.only_time_off:
+            return np.tile(unlimited[:, None], self.served_max.shape[1])
         limited = (self.actions_left < UNLIMITED).any()
         if self.steps.unserved > 1 or self.steps.cold or limited:
             return np.zeros_like(self.served_max)
@@ -205,6 +238,8 @@ class SwitchingState:
         Whether the past demands anything of the service.
     step : int
         The step that begins now, counted from the first.
+    longest_off_h : array, shape (C,), optional
+        How long each customer may be off at a time in h; None if none has a limit.
     """
 
     rules: SwitchingRules
@@ -214,9 +249,16 @@ class SwitchingState:
     actions: Floats
     duties: bool = True
     step: int = 0
+    longest_off_h: Floats | None = None
 
     @classmethod
-    def start(cls, rules: SwitchingRules, dt_h: float, n_customers: int) -> SwitchingState:
+    def start(
+        cls,
+        rules: SwitchingRules,
+        dt_h: float,
+        n_customers: int,
+        longest_off_h: Floats | None = None,
+    ) -> SwitchingState:
         """Everyone is served, and has been for long."""
         return cls(
             rules,
@@ -224,7 +266,22 @@ class SwitchingState:
             np.ones(n_customers, dtype=bool),
             np.full(n_customers, np.inf),
             np.zeros(n_customers),
+            longest_off_h=longest_off_h,
         )
+
+    @classmethod
+    def of(cls, rules: SwitchingRules, customers: Customers, dt_h: float) -> SwitchingState | None:
+        """The start of a site's customers; None where nothing of the past matters."""
+        longest_h = customers.longest_off_h
+        limits = longest_h if np.isfinite(longest_h).any() else None
+        if limits is None and not rules.active:
+            return None
+        return cls.start(rules, dt_h, len(customers), limits)
+
+    @property
+    def off_h(self) -> Floats:
+        """How long each customer has been off in h, 0 if it was served in the last step."""
+        return np.where(self.served, 0.0, self.since_h)
 
     def advance(self, served: Flags) -> SwitchingState:
         """The state after a step."""
@@ -272,6 +329,9 @@ class SwitchingState:
             cold_factor=rules.cold_load_factor,
             cold_before=self.restored & (step < self._left(cold_h)),
             day=days,
+            longest_off=None
+            if self.longest_off_h is None
+            else LongestOff.of(self.longest_off_h, self.off_h, self.dt_h, n_steps),
         )
         return data if self.duties else data.without_duties()
 

@@ -105,10 +105,8 @@ class Day:
         self.options = options.on(scenario)
         self.faults = faults
         self.plant = Plant(scenario, options.thermal, options.switching)
-        self.switching = (
-            SwitchingState.start(options.switching, scenario.grid.dt_h, len(scenario.customers))
-            if options.switching.active
-            else None
+        self.switching = SwitchingState.of(
+            options.switching, scenario.customers, scenario.grid.dt_h
         )
         self.state = self.plant.initial_state()
         errors = ForecastErrors() if options.controller == PERFECT else options.errors

@@ -21,7 +21,7 @@ from vppres.io.series import TIME, check_times, read_values
 from vppres.io.settings import SCENARIO_FILE, Settings, read_settings
 from vppres.io.tables import Table, check_columns, no_table, read_rows, read_table
 from vppres.io.warning_rows import read_warnings
-from vppres.scenario.assets import Batteries, Customers, PVSystems
+from vppres.scenario.assets import OF_TIME_OFF, Batteries, Customers, PVSystems
 from vppres.scenario.history import History
 from vppres.scenario.network import BusId, Network, check_radial
 from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
@@ -391,6 +391,8 @@ def _customers(
     columns["weight"] = [
         tiers[row.tier] if row.weight is None else row.weight for row in rows.values()
     ]
+    for name in OF_TIME_OFF:
+        columns[name] = [np.nan if hours is None else hours for hours in columns[name]]
     return Customers(**columns)
 
 

@@ -168,7 +168,7 @@ def _frames(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, pd.
         "lines": pd.DataFrame(
             {name: getattr(network, name) for name in schema.LineRow.model_fields}
         ),
-        "customers": _frame(customers, schema.CustomerRow),
+        "customers": _customer_frame(customers),
         "pv": _pv_frame(scenario.pv),
         "batteries": _battery_frame(scenario.batteries),
         "load_kw": _series_frame(scenario, customers.id, scenario.load_kw),
@@ -190,6 +190,12 @@ def _frames(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, pd.
         if (getattr(customers, name) == 1).all():
             frames["customers"] = frames["customers"].drop(columns=name)
     return frames
+
+
+def _customer_frame(customers: Customers) -> pd.DataFrame:
+    """Customers, without the columns of the longest time off that none has."""
+    names = [name for name in schema.CustomerRow.model_fields if len(getattr(customers, name))]
+    return pd.DataFrame({name: getattr(customers, name) for name in names})
 
 
 def _history_frames(scenario: Scenario, history: History) -> dict[str, pd.DataFrame]:

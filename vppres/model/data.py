@@ -116,6 +116,7 @@ class WindowData:
         offset = delta_offset(site.network, point, centre)
         island = forecast.grid_limit_kw <= 0.0
         stores = len(site.batteries) > 0
+        rules = observation.rules
         return cls(
             load_kw=forecast.load_kw,
             pv_kw=forecast.pv_kw,
@@ -125,7 +126,7 @@ class WindowData:
             eta_charge=observation.eta_charge,
             eta_discharge=observation.eta_discharge,
             delta_pu2=np.tile(offset, (n_steps, 1)),
-            switching=observation.rules,
+            switching=None if rules is None else rules.priced(site.customers, site.dt_h),
             moves=observation.moves,
             export=forecast.export,
             drawn=drawn_by(site.network, None if point is None else point.v_pu, island),

@@ -20,6 +20,10 @@ NO_POWER_KW = 1e-3
 """A battery of no more power than this, the smallest that files may give, is no battery."""
 
 
+OF_TIME_OFF = ("max_off_h", "own_backup_h")
+"""Columns of customers that say how long they may be off."""
+
+
 @dataclass(frozen=True, eq=False)
 class Customers:
     """Customers, shape (C,) each.
@@ -27,7 +31,9 @@ class Customers:
     ``weight`` is the priority weight w_c of the objective's f1; ``power_factor`` is negative where
     the load feeds reactive power (leading); ``shed_steps`` are the equal parts that may be switched
     apart, 1 (all or nothing) if not given. ``homes`` are the customers that a connection stands for
-    in interruptions and minutes lost, 1 if not given.
+    in interruptions and minutes lost, 1 if not given. ``max_off_h`` is how long a customer may be
+    off at a time, ``own_backup_h`` how long its own backup supplies it, in h; NaN if not given, and
+    empty if no customer has one.
     """
 
     id: Names
@@ -37,11 +43,16 @@ class Customers:
     power_factor: Floats
     shed_steps: Wholes = field(default_factory=lambda: np.empty(0, dtype=int))
     homes: Wholes = field(default_factory=lambda: np.empty(0, dtype=int))
+    max_off_h: Floats = field(default_factory=lambda: np.empty(0))
+    own_backup_h: Floats = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
         for name in ("shed_steps", "homes"):
             if len(getattr(self, name)) == 0:
                 object.__setattr__(self, name, np.ones(len(self.id), dtype=int))
+        for name in OF_TIME_OFF:
+            if np.isnan(np.asarray(getattr(self, name), dtype=float)).all():
+                object.__setattr__(self, name, np.empty(0))
         freeze_fields(
             self,
             id=object,
@@ -51,6 +62,8 @@ class Customers:
             power_factor=float,
             shed_steps=int,
             homes=int,
+            max_off_h=float,
+            own_backup_h=float,
         )
 
     def __len__(self) -> int:
@@ -60,6 +73,32 @@ class Customers:
     def q_per_p(self) -> Floats:
         """Reactive load in kvar per kW of active load: ``tan(arccos(pf))``, negative if leading."""
         return np.tan(np.arccos(self.power_factor))
+
+    @property
+    def longest_off_h(self) -> Floats:
+        """How long each may be off at a time in h, (C,): own backup and what it bears beyond it.
+
+        Infinite for a customer that says neither.
+
+        >>> c = Customers(["a", "b"], [1, 1], ["x", "x"], [1, 1], [1, 1], own_backup_h=[4, np.nan])
+        >>> c.longest_off_h
+        array([ 4., inf])
+        """
+        given = [getattr(self, name) for name in OF_TIME_OFF if len(getattr(self, name))]
+        if not given:
+            return np.full(len(self), np.inf)
+        said = np.stack(given)
+        return np.where(np.isnan(said).all(axis=0), np.inf, np.nansum(said, axis=0))
+
+    @property
+    def hour_beyond(self) -> Floats:
+        """Price of an hour beyond the longest time off in weighted customer hours, (C,).
+
+        It counts as an hour off of everyone in the customer's tier, each with its weight: nothing
+        that others of the tier gain in that hour is worth it.
+        """
+        _, tier, count = np.unique(self.tier.astype(str), return_inverse=True, return_counts=True)
+        return self.weight * count[tier]
 
 
 PV = "pv"

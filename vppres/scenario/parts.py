@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from vppres.core.arrays import Floats, Names, Wholes
+from vppres.scenario.assets import OF_TIME_OFF
 from vppres.scenario.scenario import Scenario
 
 
@@ -42,6 +43,11 @@ def split_sheddable(scenario: Scenario) -> Scenario:
         **{
             name: np.repeat(getattr(customers, name), parts)
             for name in ("bus", "tier", "power_factor", "homes")
+        },
+        **{
+            name: np.repeat(getattr(customers, name), parts)
+            for name in OF_TIME_OFF
+            if len(getattr(customers, name))
         },
         shed_steps=np.ones(parts.sum(), dtype=int),
     )

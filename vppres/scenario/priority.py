@@ -1,14 +1,15 @@
 """Strict priority: weights by which nothing that lower tiers gain pays for a loss of a higher one.
 
-In a window of W steps all lower tiers together gain at most the service of everyone in them. A
-unit of a tier that is worth more than that is never given up for them, so the optimum of the
-weighted objective serves as much of the first tier as can be served, then of the second, and so on.
+In a window of W steps all lower tiers together gain at most the service of everyone in them, and
+what they would pay beyond their longest times off. A unit of a tier that is worth more than that is
+never given up for them, so the optimum of the weighted objective serves as much of the first tier
+as can be served, then of the second, and so on.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil
 
 import numpy as np
@@ -76,19 +77,28 @@ class Ranks:
         >>> ranks = Ranks.of(made(["a", "b", "b"], [1.0, 0.1, 0.1]), ("a", "b"), n_steps=6)
         >>> ranks.weight
         array([13.,  1.,  1.])
+
+        A customer that may be off for four hours weighs two more, those of its tier, beyond.
+
+        >>> least = replace(made(["a", "b", "b"], [1.0, 0.1, 0.1]), max_off_h=[np.nan, 4, np.nan])
+        >>> Ranks.of(least, ("a", "b"), n_steps=6).weight
+        array([25.,  1.,  1.])
         """
         rank = {name: k for k, name in enumerate(tiers)}
         tier = np.array([rank[name] for name in customers.tier], dtype=int)
         units = np.zeros(len(customers), dtype=int)
         for k in np.unique(tier):
             units[tier == k] = _whole_units(customers.weight[tier == k])
+        # What a step off takes from each at most: its service, and beyond its longest time off.
+        beyond = replace(customers, weight=units).hour_beyond
+        of_step = units + np.where(np.isfinite(customers.longest_off_h), beyond, 0.0)
         worth = np.ones(len(tiers))
         most = MOST_WORTH ** (1.0 / max(len(tiers) - 1, 1))
         # An action may be needed for every customer in every step.
         actions = action_price * len(customers) * n_steps
         below = ceil(actions)
         for k in range(len(tiers) - 1, 0, -1):
-            below += int(worth[k] * units[tier == k].sum()) * n_steps
+            below += int(worth[k] * of_step[tier == k].sum()) * n_steps
             worth[k - 1] = min(1.0 + below, np.floor(most * worth[k]))
         return cls(tuple(tiers), tier, units, worth, actions)
 

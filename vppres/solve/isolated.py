@@ -30,6 +30,7 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags
 from vppres.core.errors import InputError, SolverLostError
 from vppres.core.parent import command
+from vppres.model.beyond_paper.longest_off import longest_off_of
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.solve.dispatch import POLYGON_SIDES
@@ -533,4 +534,5 @@ class IsolatedSolver(WindowSolver):
 def _kind(method: str, data: WindowData) -> tuple[object, ...]:
     """What of a task decides on the problems that it needs."""
     rules = None if data.switching is None else data.switching.steps
-    return method, data.n_steps, data.physical, rules, data.moves is not None
+    limited = longest_off_of(data) is not None
+    return method, data.n_steps, data.physical, rules, limited, data.moves is not None

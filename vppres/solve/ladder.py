@@ -15,6 +15,7 @@ from functools import partial
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags
 from vppres.core.errors import InputError
+from vppres.model.beyond_paper.longest_off import longest_off_of
 from vppres.model.data import WindowData
 from vppres.model.own_state import giving_way, with_own_state
 from vppres.model.ratings import MOVED_SHARE, overloaded, with_ratings
@@ -33,6 +34,7 @@ from vppres.solve.fleet.rungs import (
     with_modes_of_batteries,
 )
 from vppres.solve.fleet.steady import steady_sets
+from vppres.solve.longest_off import solve_with_limits
 from vppres.solve.network.decide import decide_at_once, enter_network, network_master
 from vppres.solve.network.rated import decided_within, served_within
 from vppres.solve.network.terms import all_terms_in_network
@@ -125,12 +127,19 @@ class WindowSolver:
         limits = self.limits.at_most(within_s)
         deadline = Deadline(limits.time_s)
         *tighter, data = giving_way(self.site, data.with_sound_soc(self.site.batteries))
-        if self.method == "decomposed" and falls_apart(self.site, data):
-            found = solve_apart(data, limits, self._solve)
-        else:
-            found = self._solve(data, limits)
+        found = self._decided(data, limits)
         found = self._rated(data, found, deadline)
         return self._within(tighter, found, deadline)
+
+    def _decided(self, data: WindowData, limits: SolveLimits) -> WindowSolution:
+        """A window without ratings of lines, of voltages that do not give way."""
+        if self.method != "decomposed":
+            return self._solve(data, limits)
+        if longest_off_of(data) is not None:
+            return solve_with_limits(data, limits, self._decided, self._solve)
+        if falls_apart(self.site, data):
+            return solve_apart(data, limits, self._solve)
+        return self._solve(data, limits)
 
     def _rated(self, data: WindowData, found: WindowSolution, deadline: Deadline) -> WindowSolution:
         """An answer within the ratings of the lines, where one is exceeded and there is any."""

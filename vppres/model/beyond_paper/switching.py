@@ -206,9 +206,9 @@ FAMILIES: tuple[RuleFamily, ...] = (switching_actions, minimum_times, past_actio
 
 
 def rule_steps(data: WindowData) -> RuleSteps | None:
-    """Shape of the window's rules, None without rules."""
+    """Shape of the window's rules, None without rules on switching itself."""
     rules: SwitchingData | None = data.switching
-    return None if rules is None else rules.steps
+    return None if rules is None or rules.only_time_off else rules.steps
 
 
 def _zero_to_one(shape: tuple[int, int], name: str) -> cp.Variable:

@@ -7,6 +7,7 @@ from collections.abc import Hashable
 from vppres.model.beyond_paper.addition import Addition
 from vppres.model.beyond_paper.drawn import DrawnByNetwork
 from vppres.model.beyond_paper.export import ExportToGrid
+from vppres.model.beyond_paper.longest_off import LongestTimeOff
 from vppres.model.beyond_paper.physical import PhysicalMode
 from vppres.model.beyond_paper.stored_value import ValueAtEnd
 from vppres.model.beyond_paper.switching import SwitchingModel
@@ -16,6 +17,7 @@ from vppres.model.site import Site
 
 ADDITIONS: tuple[type[Addition], ...] = (
     SwitchingModel,
+    LongestTimeOff,
     PhysicalMode,
     ExportToGrid,
     DrawnByNetwork,

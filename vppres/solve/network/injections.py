@@ -80,7 +80,8 @@ class Injections:
     is none; ``missing`` (1, B), the energy that is missing at the end, or (1, 0) where none is
     asked for; ``kept`` (1, 1), what the energy at the end is worth, or (1, 0); with switching rules
     ``on`` and ``off`` (W, C), who is switched, and ``cold`` (W, C), whose demand is higher for a
-    restoration, (W, 0) where it never is. Charging and discharging may overlap, and so may import
+    restoration, (W, 0) where it never is; ``beyond`` (W, n), steps beyond the longest time off of
+    those that have one. Charging and discharging may overlap, and so may import
     and export.
 
     Parameters
@@ -92,8 +93,8 @@ class Injections:
     data : WindowData
         The window; losses of physical mode are a demand of the network.
     rules : Rows, optional
-        Rows of its switching rules on ``x``, ``on``, ``off`` and ``cold`` side by side, all steps
-        of a customer one after the other.
+        Rows of its switching rules on ``x``, ``on``, ``off``, ``cold`` and ``beyond`` side by side,
+        all steps of a customer one after the other.
     """
 
     def __init__(
@@ -107,6 +108,8 @@ class Injections:
         C = len(site.customers)
         P = len(site.pv)
         B = len(site.batteries)
+        limits = None if data.switching is None else data.switching.longest_off
+        switched = data.switching is not None and not data.switching.only_time_off
         self.size = 0
         self.at = {}
         for name, width in {
@@ -120,9 +123,10 @@ class Injections:
             "P_grid": 1,
             "Q_grid": 1,
             "P_out": int(data.exporting),
-            "on": C if data.switching is not None else 0,
-            "off": C if data.switching is not None else 0,
+            "on": C if switched else 0,
+            "off": C if switched else 0,
             "cold": C if data.switching is not None and data.switching.steps.cold else 0,
+            "beyond": 0 if limits is None else len(limits.customer),
         }.items():
             self.at[name] = self.size + np.arange(W * width).reshape(W, width)
             self.size += W * width
@@ -176,6 +180,7 @@ class Injections:
             "on": (0.0, 1.0),
             "off": (0.0, 1.0),
             "cold": (0.0, 1.0),
+            "beyond": (0.0, 1.0),
             "missing": (0.0, np.inf if data.terminal is None else data.terminal.target_kwh(b)),
             "kept": data.kept_range(site),
         }
@@ -304,7 +309,7 @@ class Injections:
         """Switching rules."""
         if self.rules is None:
             return []
-        columns = [self.at[name].ravel(order="F") for name in ("x", "on", "off", "cold")]
+        columns = [self.at[name].ravel(order="F") for name in ("x", "on", "off", "cold", "beyond")]
         places = np.concatenate(columns)
         rows = self.rules.matrix.tocoo()
         matrix = sp.csr_array(

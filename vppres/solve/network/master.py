@@ -107,8 +107,11 @@ class NetworkMaster:
         self.units: Floats = np.tile(units, data.n_steps)
         self._dispatched: tuple[Flags, Outcome, Dispatch | None] | None = None
         self.pair = 0.0
+        self.beyond: Floats = np.zeros(0)
         if data.switching is not None:
             self.pair = float(np.round(data.switching.price_of_pair / self.unit))
+            if data.switching.longest_off is not None:
+                self.beyond = np.round(data.switching.longest_off.price / self.unit)
 
     @cached_property
     def root(self) -> tuple[highspy.Highs, ProgramSolution]:
@@ -390,14 +393,17 @@ class NetworkMaster:
         served = carried.reshape(self.data.load_kw.shape) > 0.5
         if rules.broken(served).any():
             return carried, -np.inf
-        return carried, units - self.pair * float(rules.changes(served)[1].sum())
+        return carried, units - float(np.round(rules.price(served) / self.unit))
 
     @property
     def lack(self) -> tuple[Wholes, Floats]:
-        """Columns of service and of switching off, and what of them is minimised, in units."""
+        """Columns of service and of what rules cost, and what of them is minimised, in units."""
         off = self.model.at["off"].ravel()
-        columns = np.append(self.model.at["x"].ravel(), off)
-        return columns, np.append(-self.units, np.full(len(off), self.pair))
+        columns = [self.model.at["x"].ravel(), off, self.model.at["beyond"].ravel()]
+        beyond = np.tile(self.beyond, self.data.n_steps)
+        return np.concatenate(columns), np.concatenate(
+            [-self.units, np.full(len(off), self.pair), beyond]
+        )
 
     def _searched(
         self, binding: Flags, at_most: float, best: Floats | None, deadline: Deadline

@@ -12,11 +12,11 @@ from vppres.solve.linear import Linear
 from vppres.solve.network.rows import Rows
 from vppres.solve.selection import EQUAL
 
-LETTERS = ("x_served", "y_on", "y_off", "z_cold")
+LETTERS = ("x_served", "y_on", "y_off", "z_cold", "beyond")
 
 
 def rows_of_rules(cache: ModelCache, data: WindowData) -> Rows | None:
-    """Rows of a window's switching rules on x, on, off and cold side by side, None without rules.
+    """Rows of a window's switching rules on x, on, off, cold and beyond side by side, if any.
 
     The steps of a customer come in turn.
     """

@@ -137,6 +137,8 @@ class NetworkTerms(NetworkProgram):
         cost[columns] += site.weights.lambda_grid * gbp
         if self.data.switching is not None:
             cost[at["off"]] = self.data.switching.price_of_pair
+            if self.data.switching.longest_off is not None:
+                cost[at["beyond"]] = self.data.switching.longest_off.price
         if self.data.keeps_service:
             cost[at["kept"]] -= 1.0
         return cost

@@ -1,0 +1,62 @@
+"""Windows whose customers may be off for so long at a time (``docs/method.md``, *Stages*).
+
+Without the limits a window is a relaxation, and a smaller one: its steps may fall apart, and
+customers of equal weight are alike. What exceeds no limit there is as good as anything within them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from vppres.core.errors import SolveError
+from vppres.model.data import WindowData
+from vppres.solve.apart import SolveStep, better
+from vppres.solve.deadline import LEAST_S, Deadline
+from vppres.solve.result import SolveLimits, Status, WindowSolution
+
+RELAXED_SHARE = 0.5
+"""Share of the time for the window without the limits: the other half is for that with them."""
+
+
+def solve_with_limits(
+    data: WindowData, limits: SolveLimits, without: SolveStep, within: SolveStep
+) -> WindowSolution:
+    """Solve a window without its longest times off, and with them if the answer exceeds one.
+
+    Parameters
+    ----------
+    data : WindowData
+        A window with longest times off.
+    limits : SolveLimits
+        Of the whole window.
+    without, within : callable
+        Solve a window without them, and with them.
+
+    Raises
+    ------
+    SolveError
+        If the window has no dispatch.
+    """
+    rules = data.switching
+    assert rules is not None and rules.longest_off is not None
+    deadline = Deadline(limits.time_s)
+    freed = replace(rules, longest_off=None)
+    relaxed = replace(data, switching=None if freed.idle else freed)
+    free = without(relaxed, limits.at_most(RELAXED_SHARE * limits.time_s))
+    beyond = rules.longest_off.cost(free.dispatch.served)
+    if beyond == 0.0:
+        return free
+    paid = replace(
+        free,
+        terms=replace(free.terms, f6=free.terms.f6 + beyond),
+        objective=free.objective - beyond,
+        service_gap=free.service_gap + beyond,
+    )
+    try:
+        found = within(data, limits.at_most(max(deadline.left_s, LEAST_S)))
+    except SolveError:
+        met = limits.met(paid.bound, paid.objective)
+        return paid if met else replace(paid, status=Status.TIME_LIMIT)
+    best = better(found, paid, limits)
+    chosen = found if best.dispatch is found.dispatch else paid
+    return replace(best, service_gap=chosen.service_gap)
