@@ -296,6 +296,17 @@ class SwitchingState:
         )
 
     @property
+    def due(self) -> Flags | None:
+        """Customers that would be off beyond their longest time now, (C,); None without any."""
+        if self.longest_off_h is None:
+            return None
+        limits = LongestOff.of(self.longest_off_h, self.off_h, self.dt_h, n_steps=1)
+        found = np.zeros(len(self.served), dtype=bool)
+        if limits is not None:
+            found[limits.customer] = limits.asked[0]
+        return found
+
+    @property
     def restored(self) -> Flags:
         """Who is served after an interruption, (C,)."""
         return np.asarray(self.served & np.isfinite(self.since_h))

@@ -1,6 +1,7 @@
 """Dispatch of one step by rule, without a solver: the answer that is always there.
 
-Who is served is decided by tier, then by weight per kW. PV power comes first, then import, then the
+Who is served is decided by tier, then by weight per kW, which counts a longest time off that has
+ended. PV power comes first, then import, then the
 batteries; a surplus is exported as far as the grid takes it, then stored, then curtailed. Active
 balance, ratings and state of charge always hold. The first tier is not let go for reactive power or
 voltages: what they lack is said instead, and nobody else is added who would make it worse.
@@ -84,7 +85,7 @@ def rule_dispatch(
             return everyone
     wanted = 0.0 * wanted
     served = np.zeros(len(customers), dtype=bool)
-    served[first] = best_subset(customers.weight[first], state.load_kw[first], state.capacity_kw)
+    served[first] = best_subset(state.worth[first], state.load_kw[first], state.capacity_kw)
     best = carry(state, served, wanted)
     assert best is not None  # the subset fits the capacity, and nobody at all always does
     for c in service_order(state, tiers):
@@ -102,7 +103,7 @@ def service_order(state: StepState, tiers: Sequence[str]) -> Wholes:
     """Positions of the customers by tier, then by weight per kW, shape (C,)."""
     customers = state.site.customers
     rank = np.array([list(tiers).index(tier) for tier in customers.tier], dtype=int)
-    per_kw = customers.weight / np.maximum(state.load_kw, 1e-9)
+    per_kw = state.worth / np.maximum(state.load_kw, 1e-9)
     return np.lexsort((-per_kw, rank))
 
 

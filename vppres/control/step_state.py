@@ -48,6 +48,8 @@ class StepState:
         What the network itself draws, one step; None where it draws nothing.
     own_v_pu : array, shape (N,), optional
         Voltages that the feeder has without control, where limits give way to them.
+    due : array of bool, shape (C,), optional
+        Customers whose longest time off has ended; None where none has one.
     """
 
     site: Site
@@ -62,6 +64,7 @@ class StepState:
     export_limit_kw: float = 0.0
     drawn: Drawn | None = None
     own_v_pu: Floats | None = None
+    due: Flags | None = None
 
     @classmethod
     def of(
@@ -86,7 +89,16 @@ class StepState:
             seen.forecast.export_now_kw,
             now.drawn,
             own,
+            None if seen.switching is None else seen.switching.due,
         )
+
+    @property
+    def worth(self) -> Floats:
+        """What it is worth to serve each customer in the step, per hour, (C,)."""
+        customers = self.site.customers
+        if self.due is None:
+            return customers.weight
+        return customers.weight + np.where(self.due, customers.hour_beyond, 0.0)
 
     @property
     def island(self) -> bool:

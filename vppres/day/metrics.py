@@ -16,6 +16,7 @@ from vppres.core.units import kva_to_a
 from vppres.day.inversions import headroom_words, inversion_words
 from vppres.day.reliability import fairness_figures, reliability_figures
 from vppres.day.switching_figures import switching_figures
+from vppres.day.time_off import time_off_figures, time_off_words
 from vppres.day.trajectory import OPTIONS, Trajectory
 from vppres.io.digest import scenario_digest
 from vppres.plant.plant import NOBODY
@@ -60,6 +61,7 @@ def summarise(trajectory: Trajectory) -> dict[str, Any]:
         **island_figures(trajectory),
         "import_above_limit_max_kw": import_above_limit_max_kw(trajectory),
         **switching_figures(trajectory),
+        **time_off_figures(trajectory),
         "corrections": int(trajectory.steps["corrected"].sum()),
         **operation_figures(trajectory),
         **reliability_figures(trajectory),
@@ -87,6 +89,7 @@ def cautions(trajectory: Trajectory) -> list[str]:
     off = off_with_grid(trajectory)
     return [
         *([off] if off else []),
+        *time_off_words(trajectory),
         *unknown_phases(trajectory.scenario),
         *_blackouts(trajectory),
         *inversion_words(trajectory),

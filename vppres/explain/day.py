@@ -11,7 +11,7 @@ import pandas as pd
 from vppres.core.arrays import Floats
 from vppres.day.trajectory import Trajectory
 from vppres.explain.prices import WORTH, WORTH_GBP, day_prices, step_prices
-from vppres.explain.reasons import why_battery_moved, why_curtailed, why_not_served
+from vppres.explain.reasons import why_battery_moved, why_curtailed, why_not_served, why_restored
 from vppres.explain.recorded import MOVE_KW, Recorded
 from vppres.explain.step import Reason, Step
 from vppres.explain.summary import why_step
@@ -85,6 +85,10 @@ def _actions(step: Step) -> list[Row]:
     rows += [
         _row("customer", site.customers.id[c], "not_served", why_not_served(step, c))
         for c in np.flatnonzero(~step.served).tolist()
+    ]
+    rows += [
+        _row("customer", site.customers.id[c], "restored", why_restored(step, c))
+        for c in np.flatnonzero(step.ended & step.served).tolist()
     ]
     rows += [
         _row(

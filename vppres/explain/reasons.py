@@ -5,8 +5,11 @@ The order of the questions is that of the definitions in docs/explanations.md.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
+from vppres.core.text import named
 from vppres.explain.prices import WORTH
 from vppres.explain.recorded import MOVE_KW
 from vppres.explain.room import limits_in_full, overloaded_line
@@ -29,6 +32,9 @@ OFF_PRICE = 0.02
 """Share by which the price of power at a bus must differ from the slack bus's before a voltage
 limit, not the import price, is what drove a battery there."""
 
+NAMES_SHOWN = 3
+"""Customers named in one reason."""
+
 RULES = ("idle", "reserve")
 """Controllers that follow a rule, whatever would be worth more."""
 
@@ -40,7 +46,36 @@ UNEXPLAINED = Reason(
 )
 
 
+def why_restored(step: Step, customer: int) -> Reason:
+    """Why a customer is on supply again whose longest time off has ended."""
+    local = step.scenario.grid.local(step.scenario.grid.times[step.t])
+    return Reason("longest_off", "", f"On at {local:%H:%M}: {_its_limit(step, customer)} ends.")
+
+
+def _its_limit(step: Step, customer: int) -> str:
+    """How long a customer may be off at a time, in words."""
+    c = step.site.customers
+    backup = c.own_backup_h[customer] if len(c.own_backup_h) else np.nan
+    limit = f"{c.longest_off_h[customer]:g} h"
+    return (
+        f"its backup of {limit}"
+        if backup == c.longest_off_h[customer]
+        else (f"its longest time off of {limit}")
+    )
+
+
 def why_not_served(step: Step, customer: int) -> Reason:
+    """Why a customer was off supply in a step, and how far beyond its longest time off."""
+    reason = _why_off(step, customer)
+    if not step.ended[customer]:
+        return reason
+    off_h = step.recorded.off_before_h[step.t][customer] + step.site.dt_h
+    beyond_h = off_h - step.site.customers.longest_off_h[customer]
+    limit = _its_limit(step, customer)
+    return replace(reason, words=f"{reason.words} It is {figure(beyond_h)} h beyond {limit}.")
+
+
+def _why_off(step: Step, customer: int) -> Reason:
     """Why a customer was off supply in a step."""
     overruled = _overruled(step, "Not supplied")
     if overruled is not None:
@@ -76,6 +111,11 @@ def why_not_served(step: Step, customer: int) -> Reason:
             f"Not supplied: the fixed rule of controller {step.recorded.options['controller']} "
             f"leaves it off; supplying it would be worth {hours(gain, step.site.ranks)}.",
         )
+    restored = np.flatnonzero(step.ended & step.served)
+    if binding and gain > WORTH and len(restored):
+        names = named(step.site.customers.id[restored].tolist(), NAMES_SHOWN)
+        words = f"Not supplied: {SCARCE[binding]} goes to {names}, whose longest time off ends."
+        return Reason("longest_off", binding, words)
     if not binding:
         return _nothing_scarce(step, customer)
     if gain < -WORTH:

@@ -19,6 +19,7 @@ from vppres.day.forecasting import PAPER, Forecasts, named_forecasts
 from vppres.day.metrics import line_loading
 from vppres.day.outages import GridSeen, OutageView, believed_outages
 from vppres.day.priority import site_of
+from vppres.day.time_off import off_before_h
 from vppres.day.trajectory import Trajectory
 from vppres.model.beyond_paper.ratings import LineRatings
 from vppres.model.beyond_paper.table import Beyond, beyond_paper
@@ -73,6 +74,11 @@ class Recorded:
         Made once: every step keeps its row, and with it the whole array.
         """
         return np.asarray(self.charge_kw - self.discharge_kw)
+
+    @cached_property
+    def off_before_h(self) -> Floats:
+        """How long each customer had been off at the beginning of each step in h, (T, C)."""
+        return off_before_h(self.served, self.scenario.grid.dt_h)
 
     @property
     def n_seen(self) -> int:

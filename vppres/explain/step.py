@@ -9,9 +9,10 @@ from typing import Literal
 
 import numpy as np
 
-from vppres.core.arrays import Floats
+from vppres.core.arrays import Flags, Floats
 from vppres.day.metrics import AT_RATING
 from vppres.day.phases import Phase
+from vppres.day.time_off import ROUNDING_H
 from vppres.explain.prices import WORTH, StepPrices
 from vppres.explain.recorded import Limits, Recorded
 from vppres.solve.shadow_prices import ShadowPrices
@@ -23,6 +24,7 @@ Driver = (
     | Literal[
         "priority",
         "switching_rule",
+        "longest_off",
         "price",
         "preparation",
         "surplus",
@@ -77,6 +79,16 @@ class Step:
         self.load_kw = recorded.load_kw[t]
         self.served = recorded.served[t]
         self.battery_kw = recorded.battery_kw[t]
+
+    @cached_property
+    def ended(self) -> Flags:
+        """Customers whose longest time off had ended at the beginning of the step, (C,).
+
+        With the grid back it is not what puts them on.
+        """
+        off_h = self.recorded.off_before_h[self.t]
+        limit_h = self.site.customers.longest_off_h
+        return np.asarray(self.outage & (off_h > 0.0) & (off_h >= limit_h - ROUNDING_H))
 
     @cached_property
     def limits(self) -> Limits:

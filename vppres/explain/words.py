@@ -42,6 +42,7 @@ DRIVERS = {
     "grid": "grid limit",
     "priority": "priority",
     "switching_rule": "switching rule",
+    "longest_off": "longest time off",
     "price": "price",
     "preparation": "preparation",
     "surplus": "PV surplus",

@@ -16,7 +16,7 @@ from vppres.io.messages import few, folded, shown
 from vppres.scenario.scenario import Scenario
 
 # Attributes that may have no value (a temperature at the start), or no limit.
-_MAY_BE_NAN = {"t_initial_c"}
+_MAY_BE_NAN = {"max_off_h", "own_backup_h", "t_initial_c"}
 _MAY_BE_INFINITE = {"i_max_a", "grid_limit_kw", "export_limit_kw"}
 
 

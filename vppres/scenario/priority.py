@@ -89,9 +89,8 @@ class Ranks:
         units = np.zeros(len(customers), dtype=int)
         for k in np.unique(tier):
             units[tier == k] = _whole_units(customers.weight[tier == k])
-        # What a step off takes from each at most: its service, and beyond its longest time off.
-        beyond = replace(customers, weight=units).hour_beyond
-        of_step = units + np.where(np.isfinite(customers.longest_off_h), beyond, 0.0)
+        # In its tier, the most that a step off takes from each customer.
+        of_step = replace(customers, weight=units).hour_off
         worth = np.ones(len(tiers))
         most = MOST_WORTH ** (1.0 / max(len(tiers) - 1, 1))
         # An action may be needed for every customer in every step.

@@ -324,7 +324,7 @@ class GuardedController:
 
 
 def critical_site(site: Site, tier: str) -> Site:
-    """The site with one customer of a tier worth more than all others together.
+    """The site with one customer of a tier worth more than all that others may lose together.
 
     Its one-step window says who of the tier can be served at all.
     """
@@ -332,7 +332,7 @@ def critical_site(site: Site, tier: str) -> Site:
     weight = site.customers.weight
     if not first.any():
         return site
-    factor = np.ceil(weight[~first].sum() / weight[first].min()) + 1.0
+    factor = np.ceil(site.customers.hour_off[~first].sum() / weight[first].min()) + 1.0
     return replace(
         site, customers=replace(site.customers, weight=np.where(first, weight * factor, weight))
     )
