@@ -119,8 +119,8 @@ def levels_of(site: Site, solution: WindowSolution) -> str:
     if site.ranks is None or terms.f7 or not np.isfinite(solution.service_gap):
         return ""
     service = terms.f1 - site.weights.lambda_curt * terms.f3 - terms.f6 + solution.service_gap
-    # Of schedules that exceed the longest times off by no more than this one. Its actions, which are
-    # in the same term, only loosen the bound.
+    # Of schedules that exceed the longest times off no more than this one. Its actions are in the
+    # same term, and only loosen the bound.
     if np.isfinite(site.customers.longest_off_h).any():
         service += terms.f6
     # What curtailment and actions take from the service of other schedules is not known.
