@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time as machine
 from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,10 @@ import pytest
 
 from tests.support.asgi import Caller
 from tests.support.live_service import HERE, NOON, decided, heard, readings, said, site
+from vppres.core.errors import InputError
 from vppres.scenario.scenario import Scenario
 from vppres.service.access import Access
+from vppres.service.announced import check_not_over
 from vppres.service.app import make_app
 from vppres.service.clock import SetClock
 from vppres.service.loop import Loop
@@ -196,6 +199,24 @@ def test_what_is_wholly_past_is_not_announced(
     assert http.get("/v1/events").json() == {}
     http.put("/v1/events/old", {"type": "outage", "start": past["start"]})
     assert http.put("/v1/events/old", past).status == 200
+
+
+@pytest.mark.parametrize(
+    ("duration", "over"),
+    [
+        ({"family": "discrete", "hours": [1.0, 2.0], "probabilities": [0.5, 0.5]}, True),
+        ({"family": "discrete", "hours": [1.0, 5.0], "probabilities": [0.5, 0.5]}, False),
+        ({"family": "until", "until": "2026-11-21T11:00:00Z"}, True),
+        ({"family": "lognormal", "median_h": 1.0, "sigma": 1.0, "max_h": None}, False),
+    ],
+)
+def test_a_believed_outage_is_over_when_its_longest_is(
+    duration: dict[str, Any], over: bool
+) -> None:
+    onset = {"start": "2026-11-21T08:00Z", "resolution": "PT1H", "probabilities": [0.5, 0.5]}
+    body = {"type": "outage_belief", "probability": 0.6, "onset": onset, "duration": duration}
+    with pytest.raises(InputError, match="wholly in the past") if over else nullcontext():
+        check_not_over(body, NOON)
 
 
 def test_set_points_beyond_a_rating_and_unknown_assets_are_refused(

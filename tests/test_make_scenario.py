@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -404,3 +406,46 @@ def test_low_voltage_has_the_limits_of_its_country(
     assert (net.v_min_ac_pu, net.v_max_ac_pu) == (lowest, 1.10)
     assert (net.v_min_pu, net.v_max_pu) == (lowest + 0.007, 1.093)
     assert any(origin in note for note in assumptions(feeder, rules))
+
+
+@cache
+def street() -> Any:
+    """A lane with two customers on one bus, and a battery; two mills have the same name."""
+    net = pp.create_empty_network()
+    grid, school, mills = (pp.create_bus(net, 0.4, name=n) for n in ("Substation", "School", None))
+    pp.create_ext_grid(net, grid)
+    for above, below in ((grid, school), (school, mills)):
+        pp.create_line_from_parameters(net, above, below, 0.1, 0.2, 0.08, 0.0, 0.2)
+    pp.create_load(net, school, 0.010, 0.002, name="Classrooms")
+    pp.create_load(net, school, 0.004, 0.001, name="Kitchen")
+    for _ in range(2):
+        pp.create_load(net, mills, 0.006, 0.0, name="Mill")
+    pp.create_sgen(net, school, 0.005, name="School roof", type="PV")
+    pp.create_storage(net, mills, 0.0, 0.020, max_p_mw=0.01, min_p_mw=-0.01, name="Yard battery")
+    return net
+
+
+def test_names_of_the_source_and_several_customers_on_a_bus(tmp_path: Path) -> None:
+    feeder = import_network(street(), names=True)
+    outages = (parse_outage("12:00..16:00", START),)
+    options = NewScenarioOptions(step_minutes=240.0, outages=outages)
+    write_new_scenario(feeder, options, tmp_path / "street")
+    day = read_scenario(tmp_path / "street")
+    assert [*map(str, day.network.buses)] == ["Substation", "School", "2"]
+    assert [*zip(day.customers.id, day.customers.bus, strict=True)] == [
+        ("Classrooms", "School"),
+        ("Kitchen", "School"),
+        ("Mill (load 2)", "2"),
+        ("Mill (load 3)", "2"),
+    ]
+    assert [*day.pv.id] == ["School roof"] and [*day.pv.customer] == [""]
+    assert [*day.batteries.id] == ["Yard battery"]
+    by_bus = new_scenario(import_network(street()), options)
+    assert [*by_bus.customers.id] == ["c1", "c2"]
+    np.testing.assert_allclose(day.load_kw.sum(axis=1), by_bus.load_kw.sum(axis=1))
+    np.testing.assert_allclose(day.load_kvar.sum(axis=1), by_bus.load_kvar.sum(axis=1), rtol=1e-6)
+    run = run_day(day, RunOptions(horizon_h=4.0))
+    assert "Classrooms" in set(run.customers["id"])
+    net = deepcopy(street())
+    run.apply_to(net, feeder, run.steps["time"].iloc[3])
+    assert net.load.loc[net.load["name"] == "Kitchen", "in_service"].any()

@@ -13,6 +13,7 @@ import pytest
 
 from tests.support.asgi import Caller
 from tests.support.live_service import HERE, NOON, decided, readings, site
+from vppres.scenario.remarks import former_words
 from vppres.scenario.scenario import Scenario
 from vppres.service.access import Access
 from vppres.service.app import make_app
@@ -88,6 +89,9 @@ def test_the_first_lines_tell_what_is_announced_and_ordered(tiny: Scenario, tmp_
         decided(http, clock, NOON, soc=0.85)
         calm = told(http, tmp_path)
         assert calm["verdict"][:2] == ["fine", "All 3 customers supplied."]
+        physical = former_words(site(tiny), "physical", always=True)
+        assert physical.startswith("The island is formed by big at bus")
+        assert http.get("/v1/site").json()["former"] == ""
         assert calm["facts"] == (
             "Measured: grid on at 12:00 (scada). Announced: no outage. "
             "Ordered at 12:00: 3 of 3 customers connected."

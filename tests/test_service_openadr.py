@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
 
 from tests.support.asgi import Caller
@@ -58,6 +59,12 @@ def test_an_event_is_taken_as_it_stands(tiny: Scenario, tmp_path: Path) -> None:
         assert plan["expected"]["import_kw"] == pytest.approx(180.0, abs=3.0)
         assert http.post("/v1/openadr/events", EVENT).status == 201
         assert http.get("/v1/events").json()["17.0.PRICE"]["version"] == 2
+        clock.set(NOON + pd.Timedelta("3h"))
+        late = http.post("/v1/openadr/events", {**EVENT, "id": "18"})
+        assert (late.status, late.json()["problems"][0]["message"]) == (
+            422,
+            "lies wholly in the past",
+        )
 
 
 def test_a_possible_outage_is_believed_where_beliefs_are_planned_with(

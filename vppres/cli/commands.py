@@ -383,6 +383,7 @@ def new(
     open_loops: cli_new.OpenLoops = False,
     slack: cli_new.Slack = None,
     balance: cli_new.Balance = False,
+    source_names: cli_new.SourceNames = False,
     outage: cli_new.Outages = None,
     start: cli_new.Start = None,
     date: cli_new.Date = None,
@@ -407,6 +408,7 @@ def new(
             open_loops=open_loops,
             slack=slack,
             balance=balance,
+            names=source_names,
         )
         for note in write_new_scenario(feeder, options, folder):
             typer.echo(f"- {note}")

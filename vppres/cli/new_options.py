@@ -45,6 +45,13 @@ Slack = Annotated[
 Balance = Annotated[
     bool, typer.Option("--balance", help="Spread loads of single phases over three.")
 ]
+SourceNames = Annotated[
+    bool,
+    typer.Option(
+        "--source-names",
+        help="Names of the network for everything, and a customer for each of its loads.",
+    ),
+]
 Outages = Annotated[
     list[str] | None,
     typer.Option(

@@ -45,6 +45,7 @@ class Loads:
     id: Names
     bus: Names
     p_kw: Floats
+    q_kvar: Floats
 
     def __post_init__(self) -> None:
         _freeze(self)
@@ -199,6 +200,8 @@ class ImportedFeeder:
         AC power flow of the source for other powers.
     unbalanced : str
         What of the source is not balanced and was spread over three phases; empty if nothing.
+    named : bool
+        Whether customers are the loads, and they, generators and batteries keep their names.
     """
 
     name: str
@@ -216,6 +219,7 @@ class ImportedFeeder:
     causes: tuple[str, ...] = ()
     source_flow: SourceFlow | None = None
     unbalanced: str = ""
+    named: bool = False
 
     def __post_init__(self) -> None:
         freeze_fields(self, p_load_kw=float, q_load_kvar=float, tier=object)

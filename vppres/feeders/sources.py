@@ -19,6 +19,7 @@ from vppres.feeders.dss.circuit import OpenDSSFlow
 from vppres.feeders.feeder import ImportedFeeder, Profile
 from vppres.feeders.net.balance import PhasePowers, balanced, phase_powers
 from vppres.feeders.net.changes import Changes, changed
+from vppres.feeders.net.names import bus_names
 from vppres.feeders.net.reduce import feeder_of
 from vppres.feeders.series.source import control_profiles, controls_in_json, profiles_of
 from vppres.io.messages import did_you_mean
@@ -63,6 +64,7 @@ def import_network(
     open_loops: bool = False,
     slack: str | None = None,
     balance: bool = False,
+    names: bool = False,
 ) -> ImportedFeeder:
     """Import a network.
 
@@ -82,6 +84,9 @@ def import_network(
         name or its bus, or ``all`` for those that hold the same voltage together.
     balance : bool, optional
         Spread loads of single phases over three; without it a network with any is refused.
+    names : bool, optional
+        Call buses, generators and batteries as the source does, and make each of its loads a
+        customer with its name; otherwise names follow the buses' numbers, with a customer a bus.
 
     Returns
     -------
@@ -92,7 +97,7 @@ def import_network(
     InputError
         If there is no such network, its library is missing, or it cannot be a radial feeder.
     """
-    changes = Changes(tuple(open_branches), open_loops, slack, balance)
+    changes = Changes(tuple(open_branches), open_loops, slack, balance, names)
     if not isinstance(name_or_file, (str, Path)):
         with _quiet():
             return _feeder(_Net(name_or_file), "pandapower net", changes)
@@ -135,8 +140,11 @@ def _feeder(found: _Net, name: str, changes: Changes) -> ImportedFeeder:
     phases = found.phases or phase_powers(found.net)
     if phases is not None:
         notes += (balanced(phases, name, changes.balance),)
-    net, made = changed(found.net, name, changes, found.bus_ids)
-    feeder = feeder_of(net, name, bus_ids=found.bus_ids)
+    ids = found.bus_ids
+    if ids is None and changes.names:
+        ids = bus_names(found.net)
+    net, made = changed(found.net, name, changes, ids)
+    feeder = replace(feeder_of(net, name, bus_ids=ids), named=changes.names)
     if phases is not None:
         feeder = replace(feeder, unbalanced=phases.what)
     if found.flow is not None:

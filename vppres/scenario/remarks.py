@@ -86,7 +86,7 @@ def held_capacitors(scenario: Scenario) -> str:
     )
 
 
-def former_words(scenario: Scenario, mode: str | None = None) -> str:
+def former_words(scenario: Scenario, mode: str | None = None, always: bool = False) -> str:
     """What forms the grid of an island; empty where no island needs it.
 
     Parameters
@@ -95,10 +95,13 @@ def former_words(scenario: Scenario, mode: str | None = None) -> str:
         Whose outages.
     mode : {"paper", "physical"}, optional
         How its islands are run; the scenario's own choice if not given.
+    always : bool, optional
+        Whether an outage may come that is not in the scenario, as it may for a service.
     """
     b = scenario.batteries
     physical = (mode or scenario.controller.mode) == "physical"
-    if not physical or not scenario.outage.any() or not b.formers.any():
+    outage = always or scenario.outage.any()
+    if not physical or not outage or not b.formers.any():
         return ""
     names = [
         f"{b.id[i]} at bus {b.bus[i]} ({b.s_max_kva[i]:,.4g} kVA)"

@@ -122,7 +122,7 @@ def check_not_over(body: Mapping[str, Any], now: pd.Timestamp) -> None:
     elif body["type"] == RESTORATION:
         end = max(read_moment(body[name]) for name in SAID_OF_END if body.get(name))
     elif body["type"] == "outage_belief":
-        end = (certain_interval(body) or (now, None))[1]
+        end = _last_end(body)
     if end is not None and end <= now:
         raise InputError.of(
             "event",
@@ -131,6 +131,32 @@ def check_not_over(body: Mapping[str, Any], now: pd.Timestamp) -> None:
             field="end",
             value=end.isoformat(),
         )
+
+
+def check_not_all_over(bodies: Iterable[Mapping[str, Any]], now: pd.Timestamp) -> None:
+    """Refuse a message all of whose parts are in the past; InputError with the first of them."""
+    past: list[InputError] = []
+    for body in bodies:
+        try:
+            check_not_over(body, now)
+        except InputError as error:
+            past.append(error)
+        else:
+            return
+    raise past[0]
+
+
+def _last_end(body: Mapping[str, Any]) -> pd.Timestamp | None:
+    """When a believed outage is over at the latest; None if nothing says so."""
+    length = body["duration"]
+    if length is not None and length["family"] == "until":
+        return read_moment(length["until"])
+    interval = certain_interval(body)
+    if interval is not None:
+        return interval[1]
+    longest = _distribution(length)
+    most_h = np.inf if longest is None else max(longest.hours, default=longest.max_h)
+    return _shares(body["onset"]).end + most_h * HOUR if np.isfinite(most_h) else None
 
 
 def certain_interval(body: Mapping[str, Any]) -> tuple[pd.Timestamp, pd.Timestamp | None] | None:

@@ -11,6 +11,7 @@ from typing import Any, get_args
 import numpy as np
 import pandas as pd
 
+from vppres.scenario.remarks import former_words
 from vppres.service.clock import written
 from vppres.service.knowledge import GRID, MEAN, Heard, Latest, last_heard
 from vppres.service.payloads import ModeRequest
@@ -45,6 +46,7 @@ def site_of(runner: Runner) -> dict[str, Any]:
         "played": runner.played,
         "modes": list(get_args(ModeRequest.model_fields["mode"].annotation)),
         "tiers": list(day.tiers),
+        "former": former_words(day, runner.options.mode, always=True),
         "v_min_pu": day.network.v_min_ac_pu,
         "v_max_pu": day.network.v_max_ac_pu,
         "customers": {

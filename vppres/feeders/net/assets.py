@@ -69,11 +69,14 @@ def loads_of(net: Any, case: NetCase, ids: Mapping[int, BusId]) -> Loads:
     labels = [label(net, "load", i) for i in loads.index]
     labels += [label(net, "motor", i) for i in motors.index]
     rows = [*loads["row"], *motors["row"]]
-    p_mw = [*(loads["p_mw"] * loads["scaling"].fillna(1.0)), *motors["p_mw"]]
+    scaling = loads["scaling"].fillna(1.0)
+    p_mw = [*(loads["p_mw"] * scaling), *motors["p_mw"]]
+    q_mvar = [*(loads["q_mvar"] * scaling), *motors["q_mvar"]]
     return Loads(
         np.array(labels, dtype=object),
         np.array([ids[row] for row in rows], dtype=object),
         mw_to_kw(p_mw),
+        mw_to_kw(q_mvar),
     )
 
 

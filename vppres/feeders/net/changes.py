@@ -28,12 +28,15 @@ class Changes:
         The grid connection among several: by table and index, name or bus; ``all`` joins them.
     balance : bool
         Spread loads of single phases over three; whoever reads the net refuses them without it.
+    names : bool
+        Call everything as the source does.
     """
 
     open_branches: Sequence[str] = ()
     open_loops: bool = False
     slack: str | None = None
     balance: bool = False
+    names: bool = False
 
 
 def changed(

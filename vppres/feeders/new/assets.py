@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -12,6 +13,7 @@ import pandas as pd
 from vppres.core.arrays import Flags, Floats, Names, Wholes
 from vppres.core.text import named
 from vppres.feeders.feeder import ImportedFeeder
+from vppres.feeders.net.names import identifiers
 from vppres.feeders.new.kinds import PV, burns_fuel, kind_of
 from vppres.feeders.new.options import (
     BATTERY_KWH_PER_PEAK_KW,
@@ -56,6 +58,8 @@ class NewAssets:
         Load of each customer in the source.
     of_generator : array, shape (G,)
         Position of the system that each generator of the source is a part of; -1 for none.
+    of_load : array, shape (E,)
+        Position of the customer that each load of the source is; -1 for a part of one, or none.
     notes : tuple of str
         What was chosen, drawn or left out, in sentences.
     """
@@ -66,27 +70,28 @@ class NewAssets:
     tiers: dict[str, float]
     peak_kw: Floats
     of_generator: Wholes
+    of_load: Wholes
     notes: tuple[str, ...]
 
 
 def new_assets(feeder: ImportedFeeder, options: NewScenarioOptions) -> NewAssets:
     """The source's assets, with what the options ask to add."""
     draw_tier, draw_pv = (np.random.default_rng([options.seed, i]) for i in range(2))
-    loaded = np.flatnonzero(feeder.p_load_kw > 0)
-    peak_kw = feeder.p_load_kw[loaded]
-    tier, tiers = _tiers(feeder.tier[loaded], options, draw_tier)
-    customers = _customers(feeder, loaded, tier, tiers)
+    connections = connections_of(feeder)
+    peak_kw = connections["p_kw"].to_numpy(float)
+    tier, tiers = _tiers(connections["tier"].to_numpy(dtype=object), options, draw_tier)
+    customers = _customers(connections, tier, tiers)
     table = generator_table(feeder)
     kept = _kept(table, options)
-    grouped = _own_systems(table[kept])
+    grouped = _own_systems(table[kept], feeder.named)
     pv = _systems(grouped, customers)
     before = 0
     if options.pv == "sized":
-        sized = _sized_pv(customers, peak_kw, options, draw_pv)
+        sized = _sized_pv(customers, peak_kw, options, draw_pv, feeder.named)
         before = len(sized)
         pv = _joined(sized, pv)
     own = _own_batteries(feeder)
-    added = _added_batteries(customers, peak_kw, options, set(own.id))
+    added = _added_batteries(customers, peak_kw, options, set(own.id), feeder.named)
     notes = [
         _told_tiers(feeder, tier, tiers, options),
         *_told_generators(feeder, pv, options),
@@ -94,7 +99,9 @@ def new_assets(feeder: ImportedFeeder, options: NewScenarioOptions) -> NewAssets
         *_told_loads(feeder),
     ]
     of_generator = _positions(table, kept, grouped, before)
-    return NewAssets(customers, pv, _joined(own, added), tiers, peak_kw, of_generator, tuple(notes))
+    batteries = _joined(own, added)
+    of_load = connections.attrs["of_load"]
+    return NewAssets(customers, pv, batteries, tiers, peak_kw, of_generator, of_load, tuple(notes))
 
 
 def written(values: Floats) -> Floats:
@@ -146,16 +153,61 @@ def _told_tiers(
     return f"Customers by tier: {count} ({origin})."
 
 
-def _customers(
-    feeder: ImportedFeeder, loaded: Wholes, tier: Names, tiers: dict[str, float]
-) -> Customers:
-    """One customer per bus with a load."""
-    bus = feeder.network.buses[loaded]
-    p_kw = feeder.p_load_kw[loaded]
-    q_kvar = feeder.q_load_kvar[loaded]
+def connections_of(feeder: ImportedFeeder) -> pd.DataFrame:
+    """What becomes a customer: the load of each bus, or the source's loads with their names.
+
+    Columns ``id``, ``bus``, ``p_kw``, ``q_kvar`` and ``tier``; ``attrs["of_load"]`` has the row of
+    each load of the source, -1 for none. Where loads are not the customers of a bus one by one,
+    because one gives power or a ward draws too, the bus has one customer.
+    """
+    loaded = np.flatnonzero(feeder.p_load_kw > 0)
+    at_bus = pd.DataFrame(
+        {
+            "bus": feeder.network.buses[loaded],
+            "p_kw": feeder.p_load_kw[loaded],
+            "q_kvar": feeder.q_load_kvar[loaded],
+            "tier": feeder.tier[loaded],
+        }
+    )
+    of_load = np.full(len(feeder.loads.id), -1, dtype=int)
+    if not feeder.named:
+        found = at_bus.assign(id=_ids("c", at_bus["bus"].to_numpy(dtype=object)))
+        found.attrs["of_load"] = of_load
+        return found
+    rows: list[dict[Any, Any]] = []
+    for row in at_bus.to_dict("records"):
+        loads = _customers_among(feeder, row)
+        if not len(loads):
+            rows.append({**row, "id": f"c{row['bus']}", "label": f"c{row['bus']}"})
+        for load in loads:
+            of_load[load] = len(rows)
+            label = str(feeder.loads.id[load])
+            power = {"p_kw": feeder.loads.p_kw[load], "q_kvar": feeder.loads.q_kvar[load]}
+            named = {"id": _name_in(label), "label": label.partition(" (")[0]}
+            rows.append({**row, **power, **named})
+    found = pd.DataFrame(rows, columns=["id", "label", *at_bus.columns])
+    found["id"] = identifiers([*found["id"]], [*found["label"]])
+    found.attrs["of_load"] = of_load
+    return found
+
+
+def _customers_among(feeder: ImportedFeeder, at_bus: Mapping[Any, Any]) -> Wholes:
+    """Loads of a bus that are its customers; none where they are not all of its demand."""
+    loads = feeder.loads
+    mine = np.flatnonzero((loads.bus == at_bus["bus"]) & ((loads.p_kw != 0) | (loads.q_kvar != 0)))
+    size = np.hypot(loads.p_kw[mine], loads.q_kvar[mine])
+    owned = loads.p_kw[mine] > schema.MIN_POWER_FACTOR * size
+    rest = (loads.p_kw[mine].sum() - at_bus["p_kw"], loads.q_kvar[mine].sum() - at_bus["q_kvar"])
+    return mine if owned.all() and np.hypot(*rest) < schema.MIN_KW else mine[:0]
+
+
+def _customers(connections: pd.DataFrame, tier: Names, tiers: dict[str, float]) -> Customers:
+    """Customers of a scenario."""
+    bus = connections["bus"].to_numpy(dtype=object)
+    p_kw, q_kvar = (connections[name].to_numpy(float) for name in ("p_kw", "q_kvar"))
     leading = np.where(q_kvar < 0, -1.0, 1.0)
     return Customers(
-        id=_ids("c", bus),
+        id=connections["id"].to_numpy(dtype=object),
         bus=bus,
         tier=tier,
         weight=np.array([tiers[t] for t in tier]),
@@ -191,7 +243,7 @@ def generator_table(feeder: ImportedFeeder) -> pd.DataFrame:
 
 def _name_in(identifier: str) -> str:
     """The name in a label such as ``sgen 8 (WKA 7)``."""
-    return identifier.partition("(")[2].rstrip(")")
+    return identifier.partition("(")[2].removesuffix(")")
 
 
 def _kept(table: pd.DataFrame, options: NewScenarioOptions) -> Flags:
@@ -202,10 +254,19 @@ def _kept(table: pd.DataFrame, options: NewScenarioOptions) -> Flags:
     return keep & (options.pv == "existing")
 
 
-def _own_systems(kept: pd.DataFrame) -> pd.DataFrame:
-    """The source's systems by bus and kind: largest power and inverter."""
-    grouped = kept.groupby(["bus", "kind"], sort=False)[["p_max_kw", "s_kva"]].sum()
-    return grouped.reset_index()
+def _own_systems(kept: pd.DataFrame, named: bool) -> pd.DataFrame:
+    """The source's systems by bus and kind: largest power and inverter.
+
+    With names, a system that is one generator of the source keeps its name.
+    """
+    at_bus = kept.groupby(["bus", "kind"], sort=False)
+    grouped = at_bus[["p_max_kw", "s_kva"]].sum().reset_index()
+    words = zip(grouped["kind"], grouped["bus"], strict=True)
+    ids = [f"{kind.replace(' ', '_')}{bus}" for kind, bus in words]
+    if named and len(kept):
+        alone = at_bus["id"].agg(lambda of: _name_in(of.iloc[0]) if len(of) == 1 else "")
+        ids = identifiers([str(name) for name in alone], ids)
+    return grouped.assign(id=_distinct(_names(ids)))
 
 
 def _positions(table: pd.DataFrame, kept: Flags, grouped: pd.DataFrame, before: int) -> Wholes:
@@ -224,15 +285,18 @@ def _positions(table: pd.DataFrame, kept: Flags, grouped: pd.DataFrame, before: 
 def _systems(own: pd.DataFrame, customers: Customers) -> PVSystems:
     """The source's systems: one behind each customer's meter, PV before other kinds.
 
-    Further kinds at a customer's bus, and systems at buses without a customer, stand alone.
+    Further kinds at a customer's bus, and systems at buses without a customer or with several,
+    stand alone.
     """
     after_pv = np.argsort((own["kind"] != PV).to_numpy(int), kind="stable")
     first = own.iloc[after_pv].drop_duplicates("bus").index
-    owner = dict(zip(customers.bus, customers.id, strict=True))
+    at_bus = Counter(customers.bus)
+    pairs = zip(customers.bus, customers.id, strict=True)
+    owner = {bus: name for bus, name in pairs if at_bus[bus] == 1}
     owned = own.index.isin(first) & own["bus"].isin([*owner]).to_numpy(bool)
     s_kva = written(own["s_kva"].to_numpy(float))
     return PVSystems(
-        id=_ids_of_kinds(own),
+        id=own["id"].to_numpy(dtype=object),
         customer=np.where(owned, own["bus"].map(owner), ""),
         p_max_kw=np.minimum(written(own["p_max_kw"].to_numpy(float)), s_kva),
         s_max_kva=s_kva,
@@ -241,14 +305,12 @@ def _systems(own: pd.DataFrame, customers: Customers) -> PVSystems:
     )
 
 
-def _ids_of_kinds(systems: pd.DataFrame) -> Names:
-    """Identifiers after kind and bus, without blanks."""
-    pairs = zip(systems["kind"], systems["bus"], strict=True)
-    return np.array([f"{kind.replace(' ', '_')}{bus}" for kind, bus in pairs], dtype=object)
-
-
 def _sized_pv(
-    customers: Customers, peak_kw: Floats, options: NewScenarioOptions, draw: np.random.Generator
+    customers: Customers,
+    peak_kw: Floats,
+    options: NewScenarioOptions,
+    draw: np.random.Generator,
+    named: bool,
 ) -> PVSystems:
     """PV at some of the customers, sized by their peak load."""
     kw_per_kw = options.pv_share_of_peak or PV_SHARE_OF_PEAK
@@ -258,7 +320,7 @@ def _sized_pv(
     p_kw = written(p_kw)
     has = np.flatnonzero(p_kw > 0)
     return PVSystems(
-        id=_ids("pv", customers.bus[has]),
+        id=_ids("PV of ", customers.id[has]) if named else _ids("pv", customers.bus[has]),
         customer=customers.id[has],
         p_max_kw=p_kw[has],
         s_max_kva=written(PV_INVERTER_RATIO * p_kw[has]),
@@ -268,9 +330,12 @@ def _sized_pv(
 def _own_batteries(feeder: ImportedFeeder) -> Batteries:
     """The source's batteries, each for itself."""
     own = feeder.storages
+    ids = _distinct(_ids("b", own.bus))
+    if feeder.named:
+        ids = _names(identifiers([_name_in(str(name)) for name in own.id], [*ids]))
     given = ("soc_min", "soc_max", "soc_initial", "eta_charge", "eta_discharge")
     return _batteries(
-        id=_distinct(_ids("b", own.bus)),
+        id=ids,
         bus=own.bus,
         **{name: written(getattr(own, name)) for name in ("energy_kwh", "p_max_kw", "s_max_kva")},
         **{name: written(getattr(own, name)) for name in given},
@@ -278,7 +343,11 @@ def _own_batteries(feeder: ImportedFeeder) -> Batteries:
 
 
 def _added_batteries(
-    customers: Customers, peak_kw: Floats, options: NewScenarioOptions, taken: set[str]
+    customers: Customers,
+    peak_kw: Floats,
+    options: NewScenarioOptions,
+    taken: set[str],
+    named: bool,
 ) -> Batteries:
     """A battery at every customer, sized by its peak load; the format's defaults elsewhere."""
     size = options.battery_kwh_per_peak_kw
@@ -287,6 +356,8 @@ def _added_batteries(
     has = np.flatnonzero(energy_kwh > 0)
     p_kw = written(BATTERY_KW_PER_KWH * energy_kwh[has])
     names = [f"b{bus}" for bus in customers.bus[has]]
+    if named:
+        names = [f"battery of {name}" for name in customers.id[has]]
     return _batteries(
         id=np.array([f"{n}_added" if n in taken else n for n in names], dtype=object),
         bus=customers.bus[has],
@@ -397,6 +468,10 @@ def _amount(batteries: Batteries) -> str:
 def _ids(prefix: str, buses: Names) -> Names:
     """Identifiers of assets, after their bus."""
     return np.array([f"{prefix}{bus}" for bus in buses], dtype=object)
+
+
+def _names(values: Sequence[str]) -> Names:
+    return np.array([*values], dtype=object)
 
 
 def _distinct(names: Names) -> Names:

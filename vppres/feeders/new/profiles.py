@@ -215,7 +215,10 @@ class _Sorter:
         customers = set(assets.customers.bus)
         for i, name in enumerate(feeder.loads.id):
             kind = "load" if feeder.loads.bus[i] in customers else "left out"
-            self._add_element(str(name), _Target(kind, i, float(feeder.loads.p_kw[i])))
+            target = _Target(kind, i, float(feeder.loads.p_kw[i]))
+            if assets.of_load[i] >= 0:
+                target = _Target("customer", int(assets.of_load[i]), target.rating_kw)
+            self._add_element(str(name), target)
         table = generator_table(feeder)
         for i, (name, p_max_kw) in enumerate(zip(table["id"], table["p_max_kw"], strict=True)):
             kind = "left out" if assets.of_generator[i] < 0 else "generator"
@@ -235,7 +238,9 @@ class _Sorter:
                 self._add(text, target)
 
     def _add(self, name: str, target: _Target) -> None:
-        self.known.setdefault(name, []).append(target)
+        targets = self.known.setdefault(name, [])
+        if target not in targets:  # a customer that has the name of its load
+            targets.append(target)
 
     def target(self, profile: Profile) -> tuple[_Target | None, list[Problem]]:
         """What a series is for."""

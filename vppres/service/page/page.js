@@ -271,6 +271,7 @@ function showOff() {
 }
 
 function showBatteries() {
+  document.getElementById("batteries-former").textContent = view.site.former;
   const { plan, measured } = view.overview;
   const all = Object.entries(view.site.batteries);
   const key = [plan?.batteries, all.map(([name]) => measured[`soc ${name}`]), plan?.expected?.soc, Math.floor(view.now / 60000)];

@@ -9,7 +9,7 @@ from starlette.exceptions import HTTPException
 
 from vppres.day.outages import BELIEF, LIKELY
 from vppres.service import payloads
-from vppres.service.announced import check_belief, check_not_over
+from vppres.service.announced import check_belief, check_not_all_over, check_not_over
 from vppres.service.clock import written
 from vppres.service.openadr import OpenADREvent, events_of, those_of
 from vppres.service.records import moment
@@ -99,9 +99,13 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         for event in found.values():
             if isinstance(event, payloads.Prices):
                 check_forecast("load_kw", {}, event.start, event.resolution, runner.scenario)
-        bodies = dict.fromkeys(those_of(body, runner.store.events()))
-        bodies |= {name: payloads.plain(event) for name, event in found.items()}
-        runner.store.put_events(bodies, runner.clock.now(), actor)
+        known = runner.store.events()
+        now = runner.clock.now()
+        said = {name: payloads.plain(event) for name, event in found.items()}
+        if said and not known.keys() & said.keys():
+            check_not_all_over(said.values(), now)
+        bodies = {**dict.fromkeys(those_of(body, known)), **said}
+        runner.store.put_events(bodies, now, actor)
         if any(not isinstance(event, payloads.Alert) for event in found.values()):
             runner.changes.note(f"event {body.name}")
         return {"events": list(found), "ignored": ignored}

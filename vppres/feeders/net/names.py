@@ -1,0 +1,34 @@
+"""Names of a source as identifiers: such that each names one thing, and can be shown."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+from vppres.core.text import visible
+from vppres.scenario.network import BusId
+
+LONGEST = 80
+"""Characters of a name: identifiers have at most 100, and a number may follow."""
+
+
+def bus_names(net: Any) -> dict[int, BusId]:
+    """Names of the buses of a pandapower net; those without one keep their number."""
+    given = net.bus["name"] if "name" in net.bus else [None] * len(net.bus)
+    found = identifiers([name if isinstance(name, str) else "" for name in given], net.bus.index)
+    return dict(zip(map(int, net.bus.index), found, strict=True))
+
+
+def identifiers(names: Sequence[str], numbers: Sequence[object]) -> list[str]:
+    """Names as identifiers: one that is missing is its number, one that others have gets it.
+
+    >>> identifiers(["School", "Mill", "Mill", ""], [3, 4, 5, 6])
+    ['School', 'Mill (4)', 'Mill (5)', '6']
+    """
+    clean = [visible(" ".join(name.split()))[:LONGEST].strip() for name in names]
+    count = Counter([*clean, *map(str, numbers)])
+    return [
+        str(number) if not name else name if count[name] == 1 else f"{name} ({number})"
+        for name, number in zip(clean, numbers, strict=True)
+    ]
