@@ -34,6 +34,11 @@ from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
 
 
+def page() -> tuple[object, ...]:
+    """The two functions of the page as they are now: problems compiled of others are others."""
+    return paper_objective, paper_constraints
+
+
 @dataclass(frozen=True, eq=False)
 class PaperProblem:
     """Variables, parameters, objective and constraints of a window of W steps."""

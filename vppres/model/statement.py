@@ -16,10 +16,12 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import ModelError
 from vppres.model import objective, problem
-from vppres.model.beyond_paper.table import Beyond
+from vppres.model.beyond_paper.table import ADDITIONS, Beyond
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
+from vppres.model.equations import EQUATIONS
 from vppres.model.implied import IMPLIED
+from vppres.model.own_term import own_term
 from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
 
@@ -45,12 +47,18 @@ class Statement:
     implied : dict
         The same that follow from them: a relaxation without some of them keeps these.
     terms : dict
-        Terms of the objective as they are before they are weighted.
+        Terms of the objective as they are before they are weighted; ``own`` has what the page's
+        objective, or a part of one's own, has besides.
+    own : tuple of str
+        Families that neither the paper nor the package has, and ``own`` if there is such a term.
+    lacking : tuple of str
+        Families of the paper that the page does not have any more.
 
     Raises
     ------
     ModelError
-        If a family is not disciplined (DPP): it would be compiled anew at every solve.
+        If a family is not disciplined (DPP): it would be compiled anew at every solve. If one of
+        one's own, or such a term, is not linear.
     """
 
     def __init__(self, site: Site, n_steps: int, beyond: Beyond = ()) -> None:
@@ -61,7 +69,8 @@ class Statement:
         p = self._with_additions(Parameters.create(site, n_steps))
         self.v = v
         self.p = p
-        self.families = self._families()
+        paper = problem.paper_constraints(site, v, p)
+        self.families = self._families(paper)
         self.implied: Named = {}
         for family in IMPLIED:
             self.implied |= family(site, v, p)
@@ -69,8 +78,10 @@ class Statement:
         for addition in self.additions:
             self.implied_beyond |= addition.implied(site, v, p)
         self.implied |= self.implied_beyond
-        self.terms = self._terms()
         self.F = problem.paper_objective(site, v, p)
+        self.terms = self._terms()
+        self.lacking = tuple(name for name in EQUATIONS if name not in paper)
+        self.own = self._own_names(paper)
         named = self.families | self.implied
         for name, constraint in named.items():
             if not constraint.is_dcp(dpp=True):
@@ -95,10 +106,25 @@ class Statement:
                 values[name] = values[name] + value if both else value
         return replace(p, **values)
 
-    def _families(self) -> Named:
+    def _own_names(self, paper: Named) -> tuple[str, ...]:
+        """Families of the page and of additions that the package does not know, and their term."""
+        args = (self.site, self.v, self.p)
+        added = [each for each in self.additions if type(each) not in ADDITIONS]
+        named = {name: c for name, c in paper.items() if name not in EQUATIONS}
+        for addition in added:
+            named |= addition.families(*args)
+        for name, constraint in named.items():
+            if not _is_linear(constraint):
+                raise ModelError(
+                    f"The family {name} is not linear. State it by linear rows, with variables of "
+                    "its own where it needs any."
+                )
+        return (*named, *(("own",) if "own" in self.terms else ()))
+
+    def _families(self, paper: Named) -> Named:
         """The paper's families, then those of the additions; one that is replaced gives way."""
         args = (self.site, self.v, self.p)
-        named = problem.paper_constraints(*args)
+        named = paper
         for addition in self.additions:
             kept = {n: c for n, c in named.items() if n not in addition.replaces}
             named = kept | addition.families(*args)
@@ -112,25 +138,31 @@ class Statement:
             "f2": objective.f2_cost(*args),
             "f3": objective.f3_curtailment(*args),
         }
+        own = own_term(self.F, self.site, self.v, self.p)
+        if own is not None:
+            terms["own"] = own
         for addition in self.additions:
             for name, term in addition.terms().items():
                 terms[name] = terms[name] + term if name in terms else term
         return terms
 
     @property
+    def own_letters(self) -> frozenset[str]:
+        """Letters that the families and the term of one's own use."""
+        parts = [self.terms[name] if name == "own" else self.families[name] for name in self.own]
+        return frozenset(x.name() for part in parts for x in part.variables())
+
+    @property
     def rules(self) -> frozenset[str]:
         """Families on service alone, which a known service meets or does not."""
         args = (self.site, self.v, self.p)
-        named = (each.families(*args) for each in self.additions if each.rules)
+        of_rules = (each for each in self.additions if each.rules and type(each) in ADDITIONS)
+        named = (each.families(*args) for each in of_rules)
         return frozenset(name for families in named for name in families)
 
-    def write(self, data: WindowData, served: Flags | None = None) -> Floats:
-        """All parameters of a window one after the other, with a 1 behind them.
-
-        With a served set, shape (W, C), demand and self-consumption are those of the served
-        customers only: of a problem that holds service at 1.
-        """
-        self.p.fill(self.site, data, served)
+    def write(self, data: WindowData) -> Floats:
+        """All parameters of a window one after the other, with a 1 behind them."""
+        self.p.fill(self.site, data)
         for addition in self.additions:
             addition.fill(self.site, data)
         values = [np.ravel(q.value, order="F") for q in self.parameters]
@@ -147,3 +179,8 @@ class Statement:
         """Give the letters the values of a solution, by their names."""
         for name, value in values.items():
             self.letters[name].save_value(value)
+
+
+def _is_linear(constraint: cp.Constraint) -> bool:
+    """Whether a constraint is one of linear rows, with maxima and absolute values at most."""
+    return not isinstance(constraint, cp.SOC) and all(each.is_pwl() for each in constraint.args)

@@ -17,7 +17,8 @@ class Terms:
     """The terms of the objective (paper, Section 3.3), summed over a window.
 
     ``f6`` is the price of switching actions, ``f7`` the later service that stored energy is worth,
-    both in weighted customer hours; the paper has neither.
+    both in weighted customer hours; the paper has neither. ``own`` is what the page's objective has
+    besides.
     """
 
     f1: float
@@ -27,6 +28,7 @@ class Terms:
     f5: float
     f6: float = 0.0
     f7: float = 0.0
+    own: float = 0.0
 
     def total(self, weights: ObjectiveWeights) -> float:
         """The objective F."""
@@ -35,11 +37,11 @@ class Terms:
     def upper_levels(self, weights: ObjectiveWeights) -> float:
         """F without the two tie-breakers; never below F, since f4 and f5 are not negative."""
         now = self.f1 - weights.lambda_grid * self.f2 - weights.lambda_curt * self.f3 - self.f6
-        return now + self.f7
+        return now + self.f7 + self.own
 
 
-def evaluate(site: Site, data: WindowData, dispatch: Dispatch) -> Terms:
-    """Objective terms of a dispatch, recomputed from its arrays."""
+def evaluate(site: Site, data: WindowData, dispatch: Dispatch, own: float = 0.0) -> Terms:
+    """Objective terms of a dispatch, recomputed from its arrays but for ``own``."""
     flow2 = dispatch.p_flow_kw**2 + dispatch.q_flow_kvar**2
     use = np.square(dispatch.pv_q_kvar / site.pv.s_max_kva).sum()
     use += np.square(dispatch.batt_q_kvar / site.batteries.s_max_kva).sum()
@@ -52,4 +54,5 @@ def evaluate(site: Site, data: WindowData, dispatch: Dispatch) -> Terms:
         f5=float(use),
         f6=data.switching.price(dispatch.served) if data.switching else 0.0,
         f7=data.later_service(site.batteries, dispatch.soc[-1]),
+        own=own,
     )

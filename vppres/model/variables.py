@@ -74,21 +74,15 @@ class Parameters:
             }
         )
 
-    def fill(self, site: Site, data: WindowData, served: Flags | None = None) -> None:
-        """Write a window's data: all values are computed first, then all are written.
-
-        With a served set, shape (W, C), demand and self-consumption are those of the served
-        customers only; forms with a fixed service need it.
-        """
+    def fill(self, site: Site, data: WindowData) -> None:
+        """Write a window's data: all values are computed first, then all are written."""
         W = data.n_steps
-        x = np.ones(data.load_kw.shape) if served is None else np.asarray(served, dtype=float)
-        load = data.load_kw * x
         u_min, u_max = data.u_limits_pu2(site.network)
         values = {
-            "P_load": load,
-            "Q_load": load * site.customers.q_per_p,
+            "P_load": data.load_kw,
+            "Q_load": data.load_kw * site.customers.q_per_p,
             "P_pv": data.pv_kw,
-            "P_self_max": data.self_limit_kw(site) * x[:, site.owner],
+            "P_self_max": data.self_limit_kw(site),
             "rho_dt": data.price_gbp_per_kwh * site.dt_h,
             "P_grid_max": data.grid_p_max_kw(site),
             "Q_grid_max": data.grid_q_max_kvar(site),

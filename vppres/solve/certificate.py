@@ -6,11 +6,13 @@ prices of any sign: ``CostRange.least_gbp`` is zero where no price is negative.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from vppres.contract.dispatch import Dispatch
+from vppres.core.arrays import Floats
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.model.terms import Terms, evaluate
@@ -20,6 +22,17 @@ COST_GAP_REL = 1e-3
 COST_GAP_GBP = 1e-3
 """Gap of the search for a cheaper set: 0.1 % of the cost, far below what a forecast of prices and
 demand knows, and a tenth of a penny where there is next to no cost."""
+
+
+@dataclass(frozen=True, eq=False)
+class Own:
+    """What a solution says of what only the page has: its term of F, and its letters."""
+
+    value: float = 0.0
+    letters: Mapping[str, Floats] = field(default_factory=dict)
+
+
+NO_OWN = Own()
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +53,8 @@ class Candidate:
         What its served set costs at least.
     in_network : bool
         Whether flows, reactive power and voltages have been found too.
+    letters : mapping
+        Values of the letters that only the page has.
     """
 
     dispatch: Dispatch
@@ -48,20 +63,30 @@ class Candidate:
     value: float
     cost_bound_gbp: float
     in_network: bool
+    letters: Mapping[str, Floats] = field(default_factory=dict)
 
     @classmethod
     def of(
-        cls, site: Site, data: WindowData, dispatch: Dispatch, slack_gbp: float, in_network: bool
+        cls,
+        site: Site,
+        data: WindowData,
+        dispatch: Dispatch,
+        slack_gbp: float,
+        in_network: bool,
+        own: Own = NO_OWN,
     ) -> Candidate:
         """A dispatch whose set costs at most ``slack_gbp`` less than the dispatch does."""
-        terms = evaluate(site, data, dispatch)
+        terms = evaluate(site, data, dispatch, own.value)
         value = terms.upper_levels(site.weights)
         service = value + site.weights.lambda_grid * terms.f2
-        return cls(dispatch, terms, service, value, terms.f2 - slack_gbp, in_network)
+        cost_gbp = terms.f2 - slack_gbp
+        return cls(dispatch, terms, service, value, cost_gbp, in_network, own.letters)
 
-    def carried_by(self, site: Site, data: WindowData, dispatch: Dispatch) -> Candidate:
+    def carried_by(
+        self, site: Site, data: WindowData, dispatch: Dispatch, own: Own = NO_OWN
+    ) -> Candidate:
         """The same set and cost in the network, with a dispatch that carries them."""
-        terms = evaluate(site, data, dispatch)
+        terms = evaluate(site, data, dispatch, own.value)
         return replace(self, dispatch=dispatch, terms=terms, in_network=True)
 
 

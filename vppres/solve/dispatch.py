@@ -22,7 +22,7 @@ from vppres.model.site import Site
 from vppres.model.terms import evaluate
 from vppres.model.violations import broken
 from vppres.solve.cache import ModelCache, shared_cache
-from vppres.solve.certificate import Candidate
+from vppres.solve.certificate import NO_OWN, Candidate, Own
 from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.forms import Form, sheet_of, window_problem
 from vppres.solve.network.reactive import ReactiveModel
@@ -54,6 +54,9 @@ CURTAILMENT_HELD_REL = 1e-7
 """The same of curtailment, which weighs more: nearly as much as all service in a sunny outage. As
 much again is what interior points may miss it by."""
 
+OWN_HELD = 1e-7
+"""The same of the page's own term, in weighted customer hours: a thousandth of the gap."""
+
 SOC_OVER = 1e-7
 """By how much a netted battery may exceed its largest SoC: the linear solver's own tolerance."""
 
@@ -84,6 +87,7 @@ class Attempt:
     dispatch: Dispatch | None
     both_kw: Floats = field(default_factory=lambda: np.zeros(1))
     wasteful: bool = False
+    own: Own = NO_OWN
 
 
 # From a served set to a candidate.
@@ -112,6 +116,9 @@ def keep_dispatch_in_network(
     others were never worth more by the gap, and took as long to find as the set itself.
     """
     if not task.obeys_rules(served):
+        return
+    if task.own_in_network:
+        task.certificate.keep(in_network(task, served))
         return
     form = cost_form(0, network=False)
     found = cheapest(task, "cost", served, form, modes_later=before is not None)
@@ -151,7 +158,7 @@ def cheapest_with_modes(
     task.certificate.note("cost", attempt.outcome)
     if attempt.dispatch is None:
         return None
-    return Candidate.of(task.site, data, attempt.dispatch, np.inf, in_network=False)
+    return Candidate.of(task.site, data, attempt.dispatch, np.inf, False, attempt.own)
 
 
 def in_network(task: WindowTask, served: Flags) -> Candidate | None:
@@ -175,38 +182,42 @@ def cheapest(
     if attempt.dispatch is None:
         return None
     slack_gbp = abs(attempt.outcome.value - attempt.outcome.bound)
-    return Candidate.of(task.site, data, attempt.dispatch, slack_gbp, form.network)
+    return Candidate.of(task.site, data, attempt.dispatch, slack_gbp, form.network, attempt.own)
 
 
 def with_tie_breakers(task: WindowTask, found: Candidate) -> Candidate | None:
     """The dispatch that the tie-breakers prefer, None if the network forbids its cost."""
     data = task.data.for_service(found.dispatch.served)
-    attempt = _by_tie_breakers(task, data, found.dispatch)
+    attempt = _by_tie_breakers(task, data, found)
     task.certificate.note("tie_breakers", attempt.outcome)
-    return carried(task, data, found, attempt.dispatch)
+    return carried(task, data, found, attempt)
 
 
 def carried(
-    task: WindowTask, data: WindowData, found: Candidate, dispatch: Dispatch | None
+    task: WindowTask, data: WindowData, found: Candidate, attempt: Attempt
 ) -> Candidate | None:
     """The candidate with a dispatch in the network, None if that breaks a row of the window.
 
     Every answer comes through here: none is one because a solver calls it so.
     """
+    dispatch = attempt.dispatch
     if dispatch is None:
         return None
     if broken(task.site, data, dispatch):
         task.certificate.note("checked", Outcome(Status.INACCURATE, np.nan, np.nan, 0.0))
         return None
-    return found.carried_by(task.site, data, dispatch)
+    return found.carried_by(task.site, data, dispatch, attempt.own)
 
 
 def polished(task: WindowTask, found: Candidate) -> Candidate | None:
     """A dispatch of the network with the tie-breakers, or with the least reactive power.
 
     What only minimises cost has any reactive power that the discs allow. Its losses would be the
-    next pass's in physical mode, and from there it may never agree with AC.
+    next pass's in physical mode, and from there it may never agree with AC. The least reactive
+    power knows the paper's rows alone.
     """
+    if task.own:
+        return with_tie_breakers(task, found)
     return with_tie_breakers(task, found) or with_least_reactive(task, found)
 
 
@@ -215,15 +226,16 @@ def with_least_reactive(task: WindowTask, found: Candidate) -> Candidate | None:
     data = task.data.for_service(found.dispatch.served)
     attempt = least_reactive(task.cache, data, found.dispatch, task.answer_by())
     task.certificate.note("reactive_power", attempt.outcome)
-    return carried(task, data, found, attempt.dispatch)
+    return carried(task, data, found, attempt)
 
 
-def _by_tie_breakers(task: WindowTask, data: WindowData, dispatch: Dispatch) -> Attempt:
+def _by_tie_breakers(task: WindowTask, data: WindowData, found: Candidate) -> Attempt:
     """The tie-breakers, in a large window without the buses at which nothing happens.
 
     If one of those then exceeds its limits, all of them are needed.
     """
-    plain = data.physics is None and data.drawn is None
+    dispatch = found.dispatch
+    plain = data.physics is None and data.drawn is None and not task.own
     reduction = task.cache.table(Reduction.of) if task.is_large and plain else None
     if reduction is not None:
         cache = shared_cache(reduction.site)
@@ -234,7 +246,8 @@ def _by_tie_breakers(task: WindowTask, data: WindowData, dispatch: Dispatch) -> 
         whole = reduction.expanded(data, attempt.dispatch)
         if reduction.within_limits(data, whole, VOLTAGE_OVER_PU2):
             return replace(attempt, dispatch=whole)
-    return polish(task.cache, data, dispatch, task.answer_by())
+    own = Own(found.terms.own, found.letters)
+    return polish(task.cache, data, dispatch, task.answer_by(), own)
 
 
 # Cost.
@@ -310,6 +323,8 @@ def _solve_cost(
     if deadline.passed:
         return Attempt(Outcome(Status.NO_ANSWER, np.nan, np.nan, 0.0), None)
     conic = form.network and form.exclusivity == "relaxed"
+    if conic and sheet_of(cache, data).own_whole:
+        conic, form = False, replace(form, polygon_sides=form.polygon_sides or POLYGON_SIDES)
     problem = window_problem(cache, data, form, conic)
     problem.fill(data, served)
     if conic:
@@ -318,7 +333,8 @@ def _solve_cost(
         outcome = run(problem, spec, gap_gbp, deadline.left_s, more=spec.of_modes)
     if not outcome.status.has_answer:
         return Attempt(outcome, None)
-    return Attempt(outcome, problem.dispatch(served), problem.both_ways_kw())
+    own = Own(problem.own_value(), problem.own_letters())
+    return Attempt(outcome, problem.dispatch(served), problem.both_ways_kw(), own=own)
 
 
 def with_modes(
@@ -346,7 +362,8 @@ def _with_modes(
     if found.status != Status.OPTIMAL:
         return Attempt(outcome, None)
     problem.put(found.x)
-    return Attempt(outcome, problem.dispatch(served))
+    own = Own(problem.own_value(), problem.own_letters())
+    return Attempt(outcome, problem.dispatch(served), own=own)
 
 
 def net_modes(site: Site, data: WindowData, dispatch: Dispatch) -> tuple[Dispatch, bool]:
@@ -373,7 +390,13 @@ def soc_path(site: Site, data: WindowData, charge_kw: Floats, discharge_kw: Floa
 # Tie-breakers.
 
 
-def polish(cache: ModelCache, data: WindowData, dispatch: Dispatch, deadline: Deadline) -> Attempt:
+def polish(
+    cache: ModelCache,
+    data: WindowData,
+    dispatch: Dispatch,
+    deadline: Deadline,
+    own: Own = NO_OWN,
+) -> Attempt:
     """Minimise the tie-breakers with service, cost and curtailment held.
 
     It also decides whether a dispatch that was found without the network can be had in it: reactive
@@ -393,6 +416,7 @@ def polish(cache: ModelCache, data: WindowData, dispatch: Dispatch, deadline: De
     moves = data.moves is not None
     problem = cache.problem(TieBreakers, sheet=sheet, curtailing=curtailing, moves=moves)
     problem.hold(data, dispatch, f2_max, f3_max)
+    problem.hold_own(own.letters, own.value - OWN_HELD * (1.0 + abs(own.value)))
     outcome = run_for_variables(problem, deadline.left_s)
     if outcome.status != Status.OPTIMAL:
         return Attempt(outcome, None)
@@ -402,7 +426,7 @@ def polish(cache: ModelCache, data: WindowData, dispatch: Dispatch, deadline: De
     f2_after = held_gbp(site, data, better)
     missed_kwh = CURTAILMENT_HELD_REL * terms.f3 + HELD_ABS
     kept = f2_after <= f2_max + HELD_ABS and after.f3 <= f3_max + missed_kwh
-    return Attempt(outcome, better if kept else None)
+    return Attempt(outcome, better if kept else None, own=Own(problem.own_value(), own.letters))
 
 
 def held_gbp(site: Site, data: WindowData, dispatch: Dispatch) -> float:

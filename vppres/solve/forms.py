@@ -9,10 +9,11 @@ from typing import Literal
 import numpy as np
 import scipy.sparse as sp
 
-from vppres.model.beyond_paper.table import beyond_paper
+from vppres.model.beyond_paper.table import Beyond, beyond_paper
 from vppres.model.data import WindowData
 from vppres.model.numerics import cost_scale, objective_scale
 from vppres.model.polygons import Polygon
+from vppres.model.problem import page
 from vppres.model.site import Site
 from vppres.solve.cache import ModelCache
 from vppres.solve.selection import EQUAL, ORDER, Selected, Selection, Sheet
@@ -83,9 +84,7 @@ def select_form(sheet: Sheet, form: Form) -> Selection:
     found = Selection(sheet)
     if form.service == "fixed":
         names = [name for name in names if name not in statement.rules]
-        found = found.hold("x_served", 1.0)
-        if "z_cold" in statement.letters:
-            found = found.hold("z_cold", 0.0)  # what a set draws is in its parameters
+        found = found.hold("x_served", "z_cold")
     if form.service == "relaxed":
         found = found.relax("x_served", 0.0, 1.0)
     if form.exclusivity == "relaxed":
@@ -140,10 +139,11 @@ def with_level(found: Selection, level: Level) -> Selection:
     gbp = cost_scale(site)
     w = site.weights
     if level == "cost":
-        return found.optimise(f2=gbp * w.lambda_grid, f3=gbp * w.lambda_curt, f7=-gbp)
+        cost, curtailed = gbp * w.lambda_grid, gbp * w.lambda_curt
+        return found.optimise(f2=cost, f3=curtailed, f7=-gbp, own=-gbp)
     s = objective_scale(site)
     cost, curtailed = s * w.lambda_grid, s * w.lambda_curt
-    return found.optimise(True, f1=s, f6=-s, f2=-cost, f3=-curtailed, f7=s)
+    return found.optimise(True, f1=s, f6=-s, f2=-cost, f3=-curtailed, f7=s, own=s)
 
 
 def form_problem(site: Site, sheet: Sheet, form: Form, conic: bool) -> Selected:
@@ -155,7 +155,18 @@ def form_problem(site: Site, sheet: Sheet, form: Form, conic: bool) -> Selected:
 def sheet_of(cache: ModelCache, data: WindowData) -> Sheet:
     """The compiled statement of the window's length and of what it has beyond the paper."""
     beyond = beyond_paper(cache.site, data)
-    return cache.problem(Sheet, n_steps=data.n_steps, beyond=beyond)
+    return cache.problem(sheet_of_page, n_steps=data.n_steps, beyond=beyond, page=page())
+
+
+def sheet_of_page(site: Site, n_steps: int, beyond: Beyond, page: tuple[object, ...]) -> Sheet:
+    """The compiled statement of the page as it is."""
+    return Sheet(site, n_steps, beyond)
+
+
+def own_of(cache: ModelCache, data: WindowData) -> tuple[str, ...]:
+    """How a window's page differs from the paper's: families by name, ``own`` for a term of F."""
+    statement = sheet_of(cache, data).statement
+    return statement.own + statement.lacking
 
 
 def window_problem(

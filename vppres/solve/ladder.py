@@ -25,7 +25,7 @@ from vppres.solve.apart import falls_apart, solve_apart
 from vppres.solve.cache import shared_cache
 from vppres.solve.deadline import Deadline
 from vppres.solve.dispatch import POLYGON_SIDES, keep_dispatch_in_network, keep_with_turns
-from vppres.solve.fleet.all_terms import all_terms
+from vppres.solve.fleet.all_terms import all_terms, require_bounds
 from vppres.solve.fleet.masters import fleets_of, master_of
 from vppres.solve.fleet.reach import everyone_in_reach
 from vppres.solve.fleet.rungs import (
@@ -34,6 +34,7 @@ from vppres.solve.fleet.rungs import (
     with_modes_of_batteries,
 )
 from vppres.solve.fleet.steady import steady_sets
+from vppres.solve.forms import own_of
 from vppres.solve.longest_off import solve_with_limits
 from vppres.solve.network.decide import decide_at_once, enter_network, network_master
 from vppres.solve.network.rated import decided_within, served_within
@@ -133,7 +134,7 @@ class WindowSolver:
 
     def _decided(self, data: WindowData, limits: SolveLimits) -> WindowSolution:
         """A window without ratings of lines, of voltages that do not give way."""
-        if self.method != "decomposed":
+        if self.method != "decomposed" or own_of(self.cache, data):
             return self._solve(data, limits)
         if longest_off_of(data) is not None:
             return solve_with_limits(data, limits, self._decided, self._solve)
@@ -274,6 +275,9 @@ def climb(task: WindowTask) -> None:
 
     Dispatches are first found without the network; the best one is then put into it.
     """
+    if task.own:
+        climb_own_page(task)
+        return
     everyone = worth_everyone(task)
     plain = not task.data.physical and task.data.switching is None
     at_once = plain and (task.is_huge or (task.is_wide and not everyone))
@@ -288,6 +292,18 @@ def climb(task: WindowTask) -> None:
     if task.certificate.wasteful and task.goes_on:
         with_modes_of_batteries(task)
     enter_network(task, master)
+
+
+def climb_own_page(task: WindowTask) -> None:
+    """The same of a page with families or a term that the package does not know.
+
+    Rungs that know the paper by heart are left out: what is left are selections of the page.
+    """
+    require_bounds(task)
+    all_terms(task)
+    if task.certificate.wasteful and task.goes_on:
+        with_modes_of_batteries(task)
+    enter_network(task, None)
 
 
 def keep_a_steady_set(task: WindowTask) -> None:

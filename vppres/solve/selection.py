@@ -98,6 +98,16 @@ class Sheet:
         for name, x in self.statement.letters.items():
             self._add_letter(name, x.shape, *_bounds(x), _is_whole(x))
 
+    @cached_property
+    def own_whole(self) -> tuple[str, ...]:
+        """Letters that are whole numbers and that only the page has."""
+        known = {"x_served", "delta", "importing"}
+        return tuple(
+            name
+            for name, x in self.statement.letters.items()
+            if name in self.statement.own_letters - known and _is_whole(x)
+        )
+
     @property
     def size(self) -> int:
         """Columns so far: those that cvxpy makes of a family come with it."""
@@ -219,8 +229,8 @@ class Selection:
         Terms, one row each, with their factors.
     maximises : bool
         Whether the sum of the terms is maximised.
-    held : mapping
-        Values of the letters that are constants.
+    held : set of str
+        Letters that are no columns: a window writes their values.
     relaxed : mapping
         Limits of letters that are no whole numbers here.
     squares : mapping
@@ -233,7 +243,7 @@ class Selection:
     parts: tuple[Family, ...] = ()
     terms: tuple[tuple[Family, float], ...] = ()
     maximises: bool = False
-    held: Mapping[str, float] = field(default_factory=dict)
+    held: Set[str] = frozenset()
     relaxed: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     squares: Mapping[str, Floats] = field(default_factory=dict)
     order: tuple[str, ...] = ()
@@ -271,9 +281,14 @@ class Selection:
         shape = sheet.columns[next(iter(sums))].shape
         return replace(self, parts=(*self.parts, Family(name, rows, MOST, shape, tuple(sums))))
 
-    def limit_term(self, name: str) -> Selection:
-        """The same with a row that limits a term from above; a window writes the limit."""
-        part = replace(self.sheet.term(name), kind=MOST)
+    def limit_term(self, name: str, sign: float = 1.0) -> Selection:
+        """The same with a row that limits a term from above; a window writes the limit.
+
+        With the sign -1 what is limited is the term's negative.
+        """
+        term = self.sheet.term(name)
+        rows = term.rows.times(sp.csr_array([[sign]])) if sign < 0.0 else term.rows
+        part = replace(term, rows=rows, kind=MOST)
         return replace(self, parts=(*self.parts, part))
 
     def polygon(self, name: str, polygon: Polygon, of_size: bool = False) -> Selection:
@@ -310,9 +325,10 @@ class Selection:
         rows = part.rows.times(sp.eye_array(count), sp.csr_array(sp.diags_array(turned)))
         return replace(self, parts=(*others, replace(part, rows=rows)))
 
-    def hold(self, name: str, value: float) -> Selection:
-        """The same with a letter held at a value."""
-        return replace(self, held={**self.held, name: value})
+    def hold(self, *names: str) -> Selection:
+        """The same with letters held, those that there are, at what a window writes."""
+        there = {name for name in names if name in self.sheet.columns}
+        return replace(self, held=self.held | there)
 
     def relax(self, name: str, lower: float = -np.inf, upper: float = np.inf) -> Selection:
         """The same with a letter that is no whole number, within other limits."""
@@ -326,14 +342,14 @@ class Selection:
 
     @cached_property
     def letters(self) -> list[str]:
-        """Letters with columns, in the order of their use by terms and rows."""
+        """Letters in the order of their use by terms and rows, those that are held behind them."""
         used = [name for term, _ in self.terms for name in term.letters]
         rows = [name for part in self.parts for name in part.letters]
         inside = {*self.squares, *used, *rows}
         first = (name for name in self.order if name in inside)
         used = [*self.squares, *first, *used, *rows]
         there = [name for name in dict.fromkeys(used) if self.sheet.columns[name].size]
-        return [name for name in there if name not in self.held]
+        return sorted(there, key=lambda name: name in self.held)
 
 
 class Selected:
@@ -369,6 +385,7 @@ class Selected:
         self.value: float = np.nan
         self.duals = np.zeros(0)
         self.limits: dict[str, Floats | float] = {}
+        self.held: dict[str, Floats | float] = {}
         self.extras = 0
         self.is_compiled = False
         self._numbers: Numbers | None = None
@@ -426,6 +443,8 @@ class Selected:
         sheet = self.sheet
         selection = self.selection
         letters = selection.letters
+        held = [name for name in letters if name in selection.held]
+        letters = letters[: len(letters) - len(held)]
         if self.conic:
             # Limits are the first rows, and so their letters come before the others.
             in_terms = {name for term, _ in selection.terms for name in term.letters}
@@ -433,10 +452,11 @@ class Selected:
             limited = [n for n in letters if n not in first and np.isfinite(self._low(n)).any()]
             free = [n for n in letters if n not in first and n not in limited]
             letters = [*first, *limited, *free]
-        places = [sheet.columns[name] for name in letters]
+        places = [sheet.columns[name] for name in (*letters, *held)]
         self._global = np.concatenate([np.zeros(0, dtype=np.int64), *(_flat(p) for p in places)])
         starts = np.cumsum([0, *(place.size for place in places)])
         self.first = {name: int(at) for name, at in zip(letters, starts, strict=False)}
+        self._held = held
         lower, upper = ([self._limits(name)[k] for name in letters] for k in (0, 1))
         self.x_lower = np.concatenate([np.zeros(0), *lower])
         self.x_upper = np.concatenate([np.zeros(0), *upper])
@@ -460,23 +480,15 @@ class Selected:
     def _selector(self) -> sp.csr_array:
         """From all columns, and the limits behind them, to those of the problem."""
         size = len(self._global)
-        rows, columns, values = [self._global], [np.arange(size)], [np.ones(size)]
-        for name, value in self.selection.held.items():
-            held = _flat(self.sheet.columns[name])
-            # A constant goes from the left of a row to its limit.
-            rows.append(held)
-            columns.append(np.full(len(held), size))
-            values.append(np.full(len(held), -value))
-        rows.append(np.array([self.sheet.size]))
-        columns.append(np.array([size]))
-        values.append(np.ones(1))
-        entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
-        return sp.csr_array(entries, shape=(self.sheet.size + 1, size + 1))
+        places = (np.append(self._global, self.sheet.size), np.arange(size + 1))
+        return sp.csr_array((np.ones(size + 1), places), shape=(self.sheet.size + 1, size + 1))
 
     def _bound_rows(self) -> Family:
         """Limits of columns as rows, letter by letter."""
         columns, signs, limits = [], [], []
         for name in self.selection.letters:
+            if name in self.selection.held:
+                continue
             place = _flat(self.sheet.columns[name])
             for sign, limit in zip((-1.0, 1.0), self._limits(name), strict=True):
                 there = np.isfinite(limit)
@@ -520,8 +532,13 @@ class Selected:
     # What a window writes.
 
     def fill(self, data: WindowData, served: Flags | None = None) -> None:
-        """Write a window's data; with service held at 1, that of a served set."""
-        self.values = self.statement.write(data, served)
+        """Write a window's data, and a served set where service is held.
+
+        What a restoration adds to its demand is in the data then.
+        """
+        self.values = self.statement.write(data)
+        if served is not None:
+            self.held |= {"x_served": served.astype(float), "z_cold": 0.0}
 
     def numbers(self) -> Numbers:
         """The numbers of the window that was written last.
@@ -536,10 +553,14 @@ class Selected:
         rows.data = self._entries @ self.values
         limit = np.zeros(rows.shape[0])
         limit[self._limited] = self._limits_by @ self.values
+        held = self._held_values()
+        if len(held):
+            limit -= np.asarray(rows[:, -len(held) :] @ held)
+            rows = sp.csc_array(rows[:, : -len(held)])
         for name, value in self.limits.items():
             if name in self.rows_of:
                 limit[self.rows_of[name]] += np.ravel(value, order="F")
-        cost = np.zeros(rows.shape[1])
+        cost = np.zeros(len(self._global))
         offset = 0.0
         sign = -1.0 if self.maximises else 1.0
         for name, term in self._terms.items():
@@ -547,13 +568,24 @@ class Selected:
             inside = term.column < len(cost)
             cost[term.column[inside]] += entries[inside]
             offset -= float(np.sum(entries[~inside]))
+        offset += float(cost[len(cost) - len(held) :] @ held)
+        cost = cost[: len(cost) - len(held)]
         self._numbers = checked(Numbers(self._squares, cost, offset, rows, limit))
         return self._numbers
+
+    def _held_values(self) -> Floats:
+        """Values of the columns that are held, one after the other."""
+        shapes = [self.sheet.columns[name].shape for name in self._held]
+        values = [
+            _flat(np.broadcast_to(self.held[name], shape))
+            for name, shape in zip(self._held, shapes, strict=True)
+        ]
+        return np.concatenate([np.zeros(0), *values])
 
     @cached_property
     def _squares(self) -> sp.csc_array:
         """Twice the weights of squares, by columns."""
-        weights = np.zeros(len(self._global))
+        weights = np.zeros(len(self.x_lower))
         for name, weight in self.selection.squares.items():
             weights[self.at(name)] = 2.0 * weight
         diagonal = sp.csc_array(sp.diags_array(weights))
@@ -577,6 +609,15 @@ class Selected:
         """The last solution, of a served set if service is held."""
         return self.statement.dispatch(served)
 
+    def own_value(self) -> float:
+        """What the page's own term of F is worth in the last solution."""
+        term = self.statement.terms.get("own")
+        return 0.0 if term is None else float(term.value)
+
+    def own_letters(self) -> dict[str, Floats]:
+        """Values of the whole numbers that only the page has in the last solution."""
+        return {name: self.value_of(name) for name in self.sheet.own_whole}
+
     def both_ways_kw(self) -> Floats:
         """What the last solution imports and exports at the same time, (W,)."""
         imported = np.maximum(self.value_of("P_grid"), 0.0)
@@ -596,14 +637,14 @@ class Selected:
         values = {}
         for name in letters:
             shape = letters[name].shape
-            if name in self.first:
+            if name in self.first and name not in self._held:
                 value = x[self.at(name)]
                 low, high = (limit.reshape(shape, order="F") for limit in self._limits(name))
                 value = np.clip(value, low, high)
                 if self.sheet.whole[name] and name not in self.selection.relaxed:
                     value = np.round(value)
             else:
-                value = np.full(shape, self.selection.held.get(name, np.nan))
+                value = np.broadcast_to(self.held.get(name, np.nan), shape).astype(float)
             values[name] = value
         self.statement.put(values)
 

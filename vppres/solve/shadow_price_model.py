@@ -90,7 +90,7 @@ class ShadowPriceModel(Selected):
         found = with_discs(found, names, polygon)
         for name, letter in (("mode", "delta"), ("service", "x_served")):
             found = found.limit(f"{name}_min", {letter: -1.0}).limit(f"{name}_max", {letter: 1.0})
-        return found.limit_term("f3").optimise(True, f1=1.0, f2=-1.0, f3=-1.0, f7=1.0)
+        return found.limit_term("f3").optimise(True, f1=1.0, f2=-1.0, f3=-1.0, f7=1.0, own=1.0)
 
     def price(self, data: WindowData, held: Held, priced: PricedTerms) -> None:
         """Write a window's data, padded to the compiled length, and what is held and priced."""
@@ -98,8 +98,8 @@ class ShadowPriceModel(Selected):
         self.fill(_padded(data, missing))
         self.compile()
         self.factors.update(f1=priced.service, f2=-priced.cost, f3=-priced.curtailment)
-        if "f7" in self.factors:
-            self.factors["f7"] = priced.service
+        for name in {"f7", "own"} & self.factors.keys():
+            self.factors[name] = priced.service
         # All PV energy of the window is a limit that never binds.
         everything = float(data.pv_kw.sum()) * self.site.dt_h + 1.0
         later = np.ones((self.n_steps - 1, len(self.site.batteries)))

@@ -14,6 +14,7 @@ from vppres.model.site import Site
 from vppres.solve.cache import ModelCache
 from vppres.solve.certificate import Certificate, CostRange
 from vppres.solve.deadline import Deadline
+from vppres.solve.forms import NETWORK, own_of, sheet_of
 from vppres.solve.result import SolveLimits, WindowSolution
 from vppres.solve.solvers import SolverSpec
 
@@ -92,6 +93,16 @@ class WindowTask:
     def site(self) -> Site:
         """Fixed data."""
         return self.cache.site
+
+    @cached_property
+    def own(self) -> tuple[str, ...]:
+        """How the page differs from the paper's: families by name, ``own`` for a term of F."""
+        return own_of(self.cache, self.data)
+
+    @property
+    def own_in_network(self) -> bool:
+        """Whether any of them uses a letter of the network."""
+        return bool(self.own and sheet_of(self.cache, self.data).statement.own_letters & NETWORK)
 
     @cached_property
     def everyone(self) -> float:

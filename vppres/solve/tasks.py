@@ -7,10 +7,12 @@ import socket
 import struct
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
+from vppres.core.errors import InputError
+from vppres.model.beyond_paper.table import own_additions
 from vppres.model.site import Site
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import SolveLimits
@@ -20,6 +22,11 @@ OUT_OF_MEMORY = 77
 
 _LENGTH = struct.Struct("!Q")
 _CHUNK = 1 << 20
+
+
+def _own_parts() -> tuple[str, ...]:
+    """Names of the parts of one's own that are added in this process."""
+    return tuple(part.__qualname__ for part in own_additions())
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +46,8 @@ class Setup:
         Gaps and time limit of a window.
     polygon_sides : int
         Sides of an inverter's polygon.
+    own : tuple of str
+        Parts of one's own that the problem has.
     """
 
     factory: Callable[[Site, str, str, SolveLimits, int], WindowSolver]
@@ -47,6 +56,7 @@ class Setup:
     solver: str
     limits: SolveLimits
     polygon_sides: int
+    own: tuple[str, ...] = field(default_factory=lambda: _own_parts())
 
     @cached_property
     def key(self) -> str:
@@ -57,7 +67,21 @@ class Setup:
         )
 
     def make(self) -> WindowSolver:
-        """The solver."""
+        """The solver.
+
+        Raises
+        ------
+        InputError
+            If the problem has parts of one's own that this process does not know.
+        """
+        if self.own != _own_parts():
+            raise InputError.of(
+                "options",
+                f"does not know the problem's own parts ({', '.join(self.own)})",
+                "Solve in this process, or write them into the package's page.",
+                field="isolate",
+                value="true",
+            )
         return self.factory(self.site, self.method, self.solver, self.limits, self.polygon_sides)
 
 

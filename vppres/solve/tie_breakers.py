@@ -7,6 +7,7 @@ is curtailed PV export is data too, so that a PV inverter's disc leaves a plain 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from copy import copy
 from dataclasses import replace
 from functools import cached_property
@@ -38,7 +39,9 @@ KEPT_TOLERANCE = 1e-6
 OF_PV = ("pv_balance", "pv_self_consumption")
 """Families that say what PV systems export, with service known."""
 
-BY_DATA = ("battery_charge_mode", "battery_discharge_mode", *OF_PV)
+MODES = ("battery_charge_mode", "battery_discharge_mode")
+
+BY_DATA = (*MODES, *OF_PV)
 """Families that hold by what is put in."""
 
 SHARPER = {
@@ -70,18 +73,22 @@ class TieBreakers(Selected):
         self.site = site
         self.curtailing = curtailing
         self.moves = moves and len(site.batteries) > 0
+        self._kept: tuple[sp.csc_array, Wholes, Wholes] | None = None
 
     def _selected(self, sheet: Sheet) -> Selection:
         """All families, scaled, with the limits that are written with a window."""
         site = self.site
         valued = "kept" in sheet.statement.letters
-        out = {*BY_DATA, *sheet.statement.rules, *(("value_at_end",) if valued else ())}
-        found = Selection(sheet).hold("x_served", 1.0)
-        if "z_cold" in sheet.statement.letters:
-            found = found.hold("z_cold", 0.0)
-        if valued:
-            # The energy that a dispatch keeps is held, and its value has no part in the cost.
-            found = found.hold("kept", 0.0)
+        # A page of one's own may multiply by parameters what is put in otherwise.
+        puts_in = len(site.pv) > 0 and not sheet.statement.own
+        out = {
+            *(BY_DATA if puts_in else MODES),
+            *sheet.statement.rules,
+            *(("value_at_end",) if valued else ()),
+        }
+        # The energy that a dispatch keeps is held, and its value has no part in the cost.
+        found = Selection(sheet).hold("x_served", "z_cold", "delta", "importing", "kept")
+        found = found.hold(*sheet.own_whole)
         sides = disc_sides(site, sheet.n_steps)
         for name in sorted(in_order(sheet), key=_rank):
             if name in DISCS:
@@ -93,17 +100,17 @@ class TieBreakers(Selected):
         if self.curtailing:
             found = found.limit("pv_export", {"P_exp": -1.0})
         else:
-            found = found.hold("P_curt", 0.0)
+            found = found.hold("P_curt")
         found = found.limit("battery_power_min", {"P_ch": -1.0, "P_dch": 1.0})
         found = found.limit("battery_power_max", {"P_ch": 1.0, "P_dch": -1.0})
         if valued:
             found = found.limit("energy_held", {"E_stored": -1.0})
         found = found.limit_term("f2").limit_term("f3")
-        for name in ("P_ch", "P_dch", "delta", "importing"):
-            if name in sheet.columns:
-                found = found.relax(name)  # their limits hold by what is put in
+        if "own" in sheet.statement.terms:
+            found = found.limit_term("own", -1.0)
+        found = found.relax("P_ch").relax("P_dch")  # their limits hold by what is put in
         parts = found.parts
-        if len(site.pv):
+        if puts_in:
             by = [sheet.family(name) for name in OF_PV]
             parts = tuple(eliminated(sheet, parts, ("P_self", "P_exp"), by))
         order = ("P_grid", "P_curt")
@@ -159,13 +166,20 @@ class TieBreakers(Selected):
             "f2": f2_gbp,
             "f3": f3_kwh,
         }
-        self._constants: dict[str, Floats] = {
+        self.held |= {
             "delta": charging.astype(float),
             "importing": np.where(exporting_steps(dispatch), 0.0, 1.0),
+            "kept": 0.0,
+            "P_curt": 0.0,
         }
         self._near = None
         if self.moves and data.moves is not None:
             self._near = data.moves.targets(b.p_max_kw)
+
+    def hold_own(self, letters: Mapping[str, Floats], least: float) -> None:
+        """Write the whole numbers that only the page has, and the least of its term."""
+        self.held |= letters
+        self.limits["own"] = -least
 
     def numbers(self) -> Numbers:
         """The numbers with what is held put in, and one signed power for each battery.
@@ -178,10 +192,9 @@ class TieBreakers(Selected):
             charges[self.at("P_ch")] = self._charging
             charges[self.at("P_dch")] = self._charging - 1.0
         weight = np.where(self._turned, charges, 1.0)
-        entries = (weight[self._column] * n.rows.data)[self._stays]
-        places, number = self._places
+        places, number, column = self._places(n.rows)
         rows = copy(places)
-        rows.data = np.bincount(number, entries, minlength=places.nnz)
+        rows.data = np.bincount(number, weight[column] * n.rows.data, minlength=places.nnz)
         diagonal = n.squares.diagonal()[self._y]
         cost = np.zeros(len(diagonal))
         if self._near is not None:
@@ -192,16 +205,7 @@ class TieBreakers(Selected):
             cost[P_batt] -= 2.0 * factor * value
         squares = sp.csc_array(sp.diags_array(diagonal))
         squares.eliminate_zeros()
-        limit = n.limit - n.rows @ self._held_columns()
-        return Numbers(squares, cost, n.offset, rows, limit)
-
-    def _held_columns(self) -> Floats:
-        """Values of the columns that are held, 0 of the others."""
-        found = np.zeros(len(self.x_lower))
-        for name, value in self._constants.items():
-            if name in self.first:
-                found[self.at(name)] = value
-        return found
+        return Numbers(squares, cost, n.offset, rows, n.limit)
 
     @cached_property
     def _turned(self) -> Flags:
@@ -216,42 +220,29 @@ class TieBreakers(Selected):
     def _y(self) -> Flags:
         """Columns of the problem that is solved, a battery's power in that of its charging."""
         found = np.ones(len(self.x_lower), dtype=bool)
-        for name in ("P_dch", *self._constants):
-            if name in self.first:
-                found[self.at(name)] = False
+        if "P_dch" in self.first:
+            found[self.at("P_dch")] = False
         return found
 
-    @cached_property
-    def _column(self) -> Wholes:
-        """Column of each entry."""
-        return np.repeat(np.arange(len(self.x_lower)), np.diff(self._pattern.indptr))
-
-    @cached_property
-    def _stays(self) -> Flags:
-        """Entries that are not of a column that is held."""
-        stays = self._y.copy()
-        stays[self._turned] = True
-        return stays[self._column]
-
-    @cached_property
-    def _places(self) -> tuple[sp.csc_array, Wholes]:
-        """The pattern that is left, and the place of each entry in it."""
-        shown = np.cumsum(self._y) - 1
-        if "P_ch" in self.first:
-            shown[self.at("P_dch")] = shown[self.at("P_ch")]
-        count = self._pattern.shape[0]
-        column = shown[self._column[self._stays]].astype(np.int64)
-        places, number = np.unique(
-            column * count + self._pattern.indices[self._stays], return_inverse=True
-        )
-        size = int(self._y.sum())
-        begins = np.searchsorted(places, count * np.arange(size + 1))
-        pattern = (np.ones(len(places)), places % count, begins)
-        return sp.csc_array(pattern, shape=(count, size)), number
+    def _places(self, pattern: sp.csc_array) -> tuple[sp.csc_array, Wholes, Wholes]:
+        """The pattern that is left, and each entry's place in it and column of before."""
+        if self._kept is None:
+            shown = np.cumsum(self._y) - 1
+            if "P_ch" in self.first:
+                shown[self.at("P_dch")] = shown[self.at("P_ch")]
+            before = np.repeat(np.arange(len(shown)), np.diff(pattern.indptr))
+            count = pattern.shape[0]
+            column = shown[before].astype(np.int64)
+            places, number = np.unique(column * count + pattern.indices, return_inverse=True)
+            size = int(self._y.sum())
+            begins = np.searchsorted(places, count * np.arange(size + 1))
+            left = (np.ones(len(places)), places % count, begins)
+            self._kept = sp.csc_array(left, shape=(count, size)), number, before
+        return self._kept
 
     def put(self, x: Floats) -> None:
         """Give the statement's letters the values of a solution, exactly in its modes."""
-        found = self._held_columns()
+        found = np.zeros(len(self.x_lower))
         found[self._y] = x
         if "P_ch" in self.first:
             P_batt = found[self.at("P_ch")]

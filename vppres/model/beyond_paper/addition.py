@@ -35,12 +35,12 @@ class Addition:
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
         """What a problem is compiled for; None for a window without it."""
-        raise NotImplementedError
+        return True
 
     @classmethod
     def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
         """Its variables and parameters, for the window of these variables."""
-        raise NotImplementedError
+        return cls()
 
     def parameters(self, site: Site) -> dict[str, cp.Expression]:
         """What it sets of :class:`vppres.model.variables.Parameters`; what is added is summed."""
@@ -55,12 +55,14 @@ class Addition:
         return {}
 
     def terms(self) -> dict[str, cp.Expression]:
-        """What it adds to the terms of the objective, by their names."""
+        """What it adds to the terms of the objective, by their names.
+
+        ``own`` is a term of F with weight 1, in weighted customer hours.
+        """
         return {}
 
     def fill(self, site: Site, data: WindowData) -> None:
-        """Write a window's data."""
-        raise NotImplementedError
+        """Write a window's data into its parameters."""
 
     def read(self, found: Dispatch) -> Dispatch:
         """A dispatch that was read from the paper's letters, with what its own say."""

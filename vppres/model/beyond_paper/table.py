@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Iterator
+from contextlib import contextmanager
+from itertools import chain
 
 from vppres.model.beyond_paper.addition import Addition
 from vppres.model.beyond_paper.drawn import DrawnByNetwork
@@ -25,11 +27,39 @@ ADDITIONS: tuple[type[Addition], ...] = (
     ValueAtEnd,
 )
 
+_OWN: list[type[Addition]] = []
+
+
+@contextmanager
+def own_parts(*parts: type[Addition]) -> Iterator[None]:
+    """Add parts of one's own to the problem of every window while the block runs.
+
+    They reach every method of this process. A part that the decomposed method cannot bound is
+    refused there, by its name.
+
+    Examples
+    --------
+    >>> with own_parts(Addition):
+    ...     [part.__name__ for part in own_additions()]
+    ['Addition']
+    """
+    _OWN.extend(parts)
+    try:
+        yield
+    finally:
+        del _OWN[len(_OWN) - len(parts) :]
+
+
+def own_additions() -> tuple[type[Addition], ...]:
+    """Parts of one's own."""
+    return tuple(_OWN)
+
+
 Beyond = tuple[tuple[type[Addition], Hashable], ...]
 """What a window has beyond the paper, with what a problem is compiled for; () for the paper."""
 
 
 def beyond_paper(site: Site, data: WindowData) -> Beyond:
     """The additions of a window."""
-    shapes = ((each, each.shape(site, data)) for each in ADDITIONS)
+    shapes = ((each, each.shape(site, data)) for each in chain(ADDITIONS, _OWN))
     return tuple((each, shape) for each, shape in shapes if shape is not None)

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 from functools import partial
 
+from vppres.core.errors import InputError
 from vppres.model.numerics import objective_scale
 from vppres.solve.dispatch import keep_dispatch
 from vppres.solve.fleet.masters import fleets_of, search_for_set
-from vppres.solve.fleet.relaxation import fleet_problem
+from vppres.solve.fleet.relaxation import fleet_of, fleet_problem
+from vppres.solve.forms import sheet_of
 from vppres.solve.result import Status
 from vppres.solve.task import WindowTask
 
@@ -24,8 +26,48 @@ def all_terms(task: WindowTask) -> None:
     Where batteries would waste energy, their modes come next, and no other search.
     """
     for lumped in fleets_of(task.data):
+        if lumped and not_bounded(task, lumped):
+            continue
         if task.goes_on and not task.certificate.wasteful:
             task.search_to_its_gap(GAP_SHARE, partial(_search, task, lumped))
+
+
+def require_bounds(task: WindowTask) -> None:
+    """Refuse a page that the fleet has no bound of.
+
+    Raises
+    ------
+    InputError
+        If a family or the term that only the page has is not one of the fleet's, or the page lacks
+        a family of the paper.
+    """
+    unknown = not_bounded(task, lumped=False)
+    if unknown:
+        raise InputError.of(
+            "options",
+            f"does not bound {_named(task, unknown[0])}",
+            "Use --method monolithic.",
+            field="method",
+            value="decomposed",
+        )
+
+
+def _named(task: WindowTask, name: str) -> str:
+    """How the page differs from the paper's, in words."""
+    if name == "own":
+        return "the term that paper_objective has"
+    lacking = name in sheet_of(task.cache, task.data).statement.lacking
+    return f"a page without the family {name}" if lacking else f"the family {name}"
+
+
+def not_bounded(task: WindowTask, lumped: bool) -> list[str]:
+    """What the page has, or lacks, that the fleet's relaxation does not know what to do with."""
+    if not task.own:
+        return []
+    fleet = fleet_of(task.cache, task.data, lumped)
+    taken = fleet.joined.keys() | fleet.terms.keys()
+    lacking = sheet_of(task.cache, task.data).statement.lacking
+    return [name for name in task.own if name in lacking or name not in taken]
 
 
 def _search(task: WindowTask, lumped: bool, gap: float) -> bool:

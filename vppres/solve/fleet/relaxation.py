@@ -87,7 +87,11 @@ class Fleet:
         solved = self.put_in(self.joined, WITH_DEVICES, ("P_self", "P_exp"))
         self.families = {family.name: family for family in solved}
         lumped_terms = {name: self.lumping.of(sheet.term(name)) for name in sheet.statement.terms}
-        self.terms = {name: term for name, term in lumped_terms.items() if term is not None}
+        self.terms = {
+            name: term
+            for name, term in lumped_terms.items()
+            if term is not None and not set(term.letters) & LEFT_OUT
+        }
         # Factors of sums, then ratios of the first step, as a window has them.
         self.extras = self.lumping.extras + 2 * self.groups
 
@@ -112,12 +116,23 @@ class Fleet:
             beyond = name in statement.families or name in statement.implied_beyond
             if (used & LEFT_OUT) or not (beyond or name in OF_ENERGY) or name in MODES:
                 continue
+            if name in statement.own and not self._puts_in(name):
+                continue
             for family in sheet.parts(name):
                 found.append(self._over_devices(family))
         if len(self.site.batteries):
             found.append(self._over_devices(self._one_mode_at_a_time()))
         lumped = (self.lumping.of(family) for family in found)
         return [family for family in lumped if family is not None]
+
+    def _puts_in(self, name: str) -> bool:
+        """Whether what is put in for letters has constant factors in a family's rows."""
+        sheet = self.sheet
+        letters = ("P_self", "P_exp", "SoC")
+        columns = np.concatenate([sheet.columns[each].ravel() for each in letters])
+        every = [part.rows for part in sheet.parts(name)]
+        inside = (rows.by[np.isin(rows.column, columns)] for rows in every)
+        return all((by.indices == sheet.width - 1).all() for by in inside)
 
     def _balance(self) -> Family:
         """Sum of the active balances over the buses: flows cancel."""
@@ -281,7 +296,8 @@ class Fleet:
     @cached_property
     def service(self) -> tuple[tuple[str, float], ...]:
         """f1 less f3 as weighted, less the price of switching, with later service."""
-        return ("f1", 1.0), ("f3", -self.site.weights.lambda_curt), ("f6", -1.0), ("f7", 1.0)
+        curtailed = ("f3", -self.site.weights.lambda_curt)
+        return ("f1", 1.0), curtailed, ("f6", -1.0), ("f7", 1.0), ("own", 1.0)
 
 
 class FleetProblem(Selected):

@@ -92,7 +92,7 @@ def fleet_master(task: WindowTask, deadline: Deadline) -> Master | None:
 
 def network_master(task: WindowTask) -> NetworkMaster | None:
     """The master in the network, None where the window does not have its form."""
-    if not applies(task.site, task.data):
+    if task.own or not applies(task.site, task.data):
         return None
     reactance = task.cache.table(Reactance)
     return NetworkMaster(
