@@ -221,6 +221,14 @@ def test_what_is_not_linear_is_refused_by_name(
     ):
         WindowSolver(site).solve(data)
     with (
+        page(
+            monkeypatch,
+            families=lambda s, v, p: {"twice": cp.multiply(p.rho_dt, p.P_grid_max) <= v.P_grid},
+        ),
+        pytest.raises(ModelError, match="family twice is not DPP"),
+    ):
+        WindowSolver(site).solve(data)
+    with (
         page(monkeypatch, families=lambda s, v, p: {"round": cp.norm(v.P_ch) <= 1.0}),
         pytest.raises(ModelError, match="family round"),
     ):

@@ -53,9 +53,10 @@ from vppres.solve.fleet.relaxation import fleet_problem
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.network.master import NetworkMaster, applies
 from vppres.solve.network.reactance import Reactance
-from vppres.solve.network.reactive import ReactiveModel
+from vppres.solve.network.reactive import LeastReactive
 from vppres.solve.programs import Program
 from vppres.solve.result import SolveLimits, Status, WindowSolution
+from vppres.solve.selection import Sheet
 
 WINDOWS = [(seed, stressed) for stressed in (False, True) for seed in range(16)]
 DAYS = tuple(range(14))
@@ -165,16 +166,17 @@ def test_least_reactive_power_knows_losses_headroom_and_who_holds_the_voltage(
 def test_least_reactive_power_weighs_flows_and_inverters_as_the_objective(kind: str) -> None:
     site = Site.of(hard_day(kind, 0).scenario)
     net, w = site.network, site.weights
-    model = ReactiveModel(site)
     rng = np.random.default_rng(0)
-    for variable in (model.Q_flow, model.Q_pv, model.Q_batt):
-        variable.value = rng.normal(size=variable.shape)
-    flows = net.r_ohm @ np.square(model.Q_flow.value)
-    used = np.square(model.Q_pv.value / site.pv.s_max_kva).sum()
-    used += np.square(model.Q_batt.value / site.batteries.s_max_kva).sum()
+    shapes = {"Q_flow": net.n_lines, "Q_pv": len(site.pv), "Q_batt": len(site.batteries)}
+    x = {name: rng.normal(size=size) for name, size in shapes.items()}
+    flows = net.r_ohm @ np.square(x["Q_flow"])
+    used = np.square(x["Q_pv"] / site.pv.s_max_kva).sum()
+    used += np.square(x["Q_batt"] / site.batteries.s_max_kva).sum()
     about_kw = 1000.0 * net.base_kv**2 * max(w.lambda_l, w.lambda_q)
     weighed = (w.lambda_l * flows + w.lambda_q * used) / about_kw
-    assert model.problem.objective.value == pytest.approx(weighed)
+    problem = LeastReactive(site, Sheet(site, 1))
+    squares = problem.selection.squares
+    assert sum(squares[name] @ np.square(x[name]) for name in x) == pytest.approx(weighed)
 
 
 def test_checker_finds_what_a_lossless_or_greedy_plan_would_do() -> None:

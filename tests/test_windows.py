@@ -27,7 +27,7 @@ from tests.support.small_windows import (
 from vppres.core.errors import InfeasibleError, InputError, LimitError, ModelError
 from vppres.io import find_scenario, read_scenario
 from vppres.model.data import WindowData
-from vppres.model.numerics import require_dpp, write
+from vppres.model.numerics import write
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
 from vppres.solve import solvers
@@ -354,17 +354,6 @@ def test_running_out_of_time_is_not_called_infeasible(
         "The window of 1 steps was not solved before the time limit. Raise "
         "--time-limit, or use --method decomposed."
     )
-
-
-def test_problem_that_is_not_dpp_is_refused() -> None:
-    a, b, x = cp.Parameter(nonneg=True), cp.Parameter(nonneg=True), cp.Variable()
-    with pytest.raises(ModelError) as error:
-        require_dpp(cp.Problem(cp.Minimize(x), [x >= a * b]), "product of parameters")
-    assert str(error.value) == (
-        "The problem (product of parameters) is not DPP: a parameter multiplies a parameter or "
-        "enters non-affinely. Move the product into the parameter's value."
-    )
-    require_dpp(cp.Problem(cp.Minimize(x), [x >= a + b]), "sum of parameters")
 
 
 def test_a_parameter_takes_only_what_it_is_declared_for() -> None:

@@ -54,12 +54,3 @@ def write(parameter: cp.Parameter, values: ArrayLike) -> None:
     if parameter.attributes["nonneg"] and array.min(initial=0.0) < -BELOW_ZERO:
         raise ModelError(f"{parameter.name()} is never negative, but {array.min():g} was given.")
     parameter.save_value(array)
-
-
-def require_dpp(problem: cp.Problem, what: str) -> None:
-    """Refuse a problem that would be compiled anew at every solve."""
-    if not problem.is_dcp(dpp=True):
-        raise ModelError(
-            f"The problem ({what}) is not DPP: a parameter multiplies a parameter or "
-            "enters non-affinely. Move the product into the parameter's value."
-        )

@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import cvxpy as cp
 import numpy as np
-import scipy.sparse as sp
 
-from vppres.core.arrays import Floats
 from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
 
@@ -36,19 +34,6 @@ def f4_flows(site: Site, v: Variables, p: Parameters) -> cp.Expression:
     return cp.sum_squares(cp.multiply(root_r, v.P_flow)) + cp.sum_squares(
         cp.multiply(root_r, v.Q_flow)
     )
-
-
-def squares_of_list(weight: Floats, x: cp.Expression) -> cp.Expression:
-    """``sum(weight * x**2)`` of a list (n,) in one matrix: cvxpy makes no variables for that.
-
-    Examples
-    --------
-    >>> float(squares_of_list(np.array([1.0, 10.0]), cp.Variable(2, value=np.ones(2))).value)
-    11.0
-    """
-    if not x.size:
-        return cp.Constant(0.0)
-    return cp.quad_form(x, sp.diags_array(weight), assume_PSD=True)
 
 
 def f5_reactive(site: Site, v: Variables, p: Parameters) -> cp.Expression:

@@ -25,7 +25,7 @@ from vppres.solve.cache import ModelCache, shared_cache
 from vppres.solve.certificate import NO_OWN, Candidate, Own
 from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.forms import Form, sheet_of, window_problem
-from vppres.solve.network.reactive import ReactiveModel
+from vppres.solve.network.reactive import LeastReactive, of_network
 from vppres.solve.programs import ProgramSolution, program_of
 from vppres.solve.result import Outcome, Status
 from vppres.solve.solvers import SolverSpec, run, run_conic, run_for_variables
@@ -443,7 +443,9 @@ def least_reactive(
     A step without an answer, or for which there is no time, keeps the reactive power that it has.
     """
     watch = Stopwatch()
-    model = cache.problem(ReactiveModel)
+    # Nothing of the window but its network has a part in it.
+    seen = of_network(data)
+    model = cache.problem(LeastReactive, sheet=sheet_of(cache, seen.first(1)))
     changed = dispatch
     status = Status.OPTIMAL
     solver = "none"
@@ -451,8 +453,8 @@ def least_reactive(
         if deadline.passed:
             status = Status.TIME_LIMIT
             break
-        model.fill(data, dispatch, t)
-        outcome = run_for_variables(model.problem, deadline.left_s)
+        model.hold(seen, dispatch, t)
+        outcome = run_for_variables(model, deadline.left_s)
         solver = outcome.solver
         if outcome.status == Status.OPTIMAL:
             changed = model.put_into(changed, t)

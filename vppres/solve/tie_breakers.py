@@ -114,7 +114,7 @@ class TieBreakers(Selected):
             by = [sheet.family(name) for name in OF_PV]
             parts = tuple(eliminated(sheet, parts, ("P_self", "P_exp"), by))
         order = ("P_grid", "P_curt")
-        return replace(found, parts=parts, squares=self._squares_of(), order=order)
+        return replace(found, parts=parts, squares=squares_of(site), order=order)
 
     def _disc(self, found: Selection, name: str, sides: int) -> Selection:
         """Discs, or polygons for large windows; what data leaves of a disc is an interval."""
@@ -127,20 +127,6 @@ class TieBreakers(Selected):
         if name == "battery_inverter_capacity":
             return found.polygon(name, polygon.right_half, of_size=True)
         return found.polygon(name, polygon)
-
-    def _squares_of(self) -> dict[str, Floats]:
-        """f4 and f5 as weighted, scaled: f4 over the squared base voltage is about kW of loss."""
-        site = self.site
-        w = site.weights
-        heaviest = max(w.lambda_l, w.lambda_q) or 1.0
-        scale = 1.0 / (1000.0 * site.network.base_kv**2 * heaviest)
-        of_flows = scale * w.lambda_l * site.network.r_ohm
-        return {
-            "P_flow": of_flows,
-            "Q_flow": of_flows,
-            "Q_pv": scale * w.lambda_q * site.pv.s_max_kva**-2.0,
-            "Q_batt": scale * w.lambda_q * site.batteries.s_max_kva**-2.0,
-        }
 
     # What a window writes.
 
@@ -251,6 +237,20 @@ class TieBreakers(Selected):
         super().put(found)
         P_exp = self._pv_kw - self._own_kw - self.value_of("P_curt")
         self.statement.put({"P_self": self._own_kw, "P_exp": P_exp})
+
+
+def squares_of(site: Site) -> dict[str, Floats]:
+    """f4 and f5 as weighted, scaled: f4 over the squared base voltage is about kW of loss."""
+    w = site.weights
+    heaviest = max(w.lambda_l, w.lambda_q) or 1.0
+    scale = 1.0 / (1000.0 * site.network.base_kv**2 * heaviest)
+    of_flows = scale * w.lambda_l * site.network.r_ohm
+    return {
+        "P_flow": of_flows,
+        "Q_flow": of_flows,
+        "Q_pv": scale * w.lambda_q * site.pv.s_max_kva**-2.0,
+        "Q_batt": scale * w.lambda_q * site.batteries.s_max_kva**-2.0,
+    }
 
 
 def _rank(name: str) -> int:
