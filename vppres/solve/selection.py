@@ -503,15 +503,25 @@ class Selected:
         return Family("limits of columns", rows, MOST, (len(column),), ())
 
     def _keep_rows(self, rows: Linear) -> None:
-        """The pattern of the rows, and the map from parameters to their numbers."""
-        count, size = rows.shape
-        inside = rows.column < size
+        """The pattern of the rows, and the map from parameters to their numbers.
+
+        What is held goes to the limits, number by number: their sums keep the order of parameters.
+        """
+        count = rows.shape[0]
+        free = len(self.x_lower)
+        inside = rows.column < free
         self._entries = sp.csr_array(rows.by[inside])
-        begins = np.searchsorted(rows.column[inside], np.arange(size + 1)).astype(np.int32)
+        begins = np.searchsorted(rows.column[inside], np.arange(free + 1)).astype(np.int32)
         places = rows.row[inside].astype(np.int32)
-        self._pattern = sp.csc_array((np.ones(len(places)), places, begins), shape=(count, size))
-        self._limited = rows.row[~inside]
-        self._limits_by = sp.csr_array(rows.by[~inside])
+        self._pattern = sp.csc_array((np.ones(len(places)), places, begins), shape=(count, free))
+        by = rows.by[~inside].tocoo()
+        row, column = rows.row[~inside][by.row], rows.column[~inside][by.row]
+        order = np.lexsort((by.col, row))
+        ends = np.searchsorted(row[order], np.arange(count + 1))
+        entries = (by.data[order], by.col[order], ends)
+        self._limits_by = sp.csr_array(entries, shape=(count, by.shape[1]))
+        # The limits themselves stand behind all letters.
+        self._limits_of = column[order] - free
 
     @property
     def entries(self) -> int:
@@ -551,12 +561,10 @@ class Selected:
         self.compile()
         rows = copy(self._pattern)
         rows.data = self._entries @ self.values
-        limit = np.zeros(rows.shape[0])
-        limit[self._limited] = self._limits_by @ self.values
         held = self._held_values()
-        if len(held):
-            limit -= np.asarray(rows[:, -len(held) :] @ held)
-            rows = sp.csc_array(rows[:, : -len(held)])
+        limits = copy(self._limits_by)
+        limits.data = limits.data * np.append(-held, 1.0)[self._limits_of]
+        limit = np.asarray(limits @ self.values)
         for name, value in self.limits.items():
             if name in self.rows_of:
                 limit[self.rows_of[name]] += np.ravel(value, order="F")

@@ -73,7 +73,6 @@ class TieBreakers(Selected):
         self.site = site
         self.curtailing = curtailing
         self.moves = moves and len(site.batteries) > 0
-        self._kept: tuple[sp.csc_array, Wholes, Wholes] | None = None
 
     def _selected(self, sheet: Sheet) -> Selection:
         """All families, scaled, with the limits that are written with a window."""
@@ -178,7 +177,7 @@ class TieBreakers(Selected):
             charges[self.at("P_ch")] = self._charging
             charges[self.at("P_dch")] = self._charging - 1.0
         weight = np.where(self._turned, charges, 1.0)
-        places, number, column = self._places(n.rows)
+        places, number, column = self._places
         rows = copy(places)
         rows.data = np.bincount(number, weight[column] * n.rows.data, minlength=places.nnz)
         diagonal = n.squares.diagonal()[self._y]
@@ -210,21 +209,20 @@ class TieBreakers(Selected):
             found[self.at("P_dch")] = False
         return found
 
-    def _places(self, pattern: sp.csc_array) -> tuple[sp.csc_array, Wholes, Wholes]:
+    @cached_property
+    def _places(self) -> tuple[sp.csc_array, Wholes, Wholes]:
         """The pattern that is left, and each entry's place in it and column of before."""
-        if self._kept is None:
-            shown = np.cumsum(self._y) - 1
-            if "P_ch" in self.first:
-                shown[self.at("P_dch")] = shown[self.at("P_ch")]
-            before = np.repeat(np.arange(len(shown)), np.diff(pattern.indptr))
-            count = pattern.shape[0]
-            column = shown[before].astype(np.int64)
-            places, number = np.unique(column * count + pattern.indices, return_inverse=True)
-            size = int(self._y.sum())
-            begins = np.searchsorted(places, count * np.arange(size + 1))
-            left = (np.ones(len(places)), places % count, begins)
-            self._kept = sp.csc_array(left, shape=(count, size)), number, before
-        return self._kept
+        shown = np.cumsum(self._y) - 1
+        if "P_ch" in self.first:
+            shown[self.at("P_dch")] = shown[self.at("P_ch")]
+        before = np.repeat(np.arange(len(shown)), np.diff(self._pattern.indptr))
+        count = self._pattern.shape[0]
+        column = shown[before].astype(np.int64)
+        places, number = np.unique(column * count + self._pattern.indices, return_inverse=True)
+        size = int(self._y.sum())
+        begins = np.searchsorted(places, count * np.arange(size + 1))
+        left = (np.ones(len(places)), places % count, begins)
+        return sp.csc_array(left, shape=(count, size)), number, before
 
     def put(self, x: Floats) -> None:
         """Give the statement's letters the values of a solution, exactly in its modes."""
