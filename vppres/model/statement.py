@@ -16,7 +16,7 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import ModelError
 from vppres.model import objective, problem
-from vppres.model.beyond_paper.table import ADDITIONS, Beyond
+from vppres.model.beyond_paper.table import Beyond, own_additions
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
 from vppres.model.equations import EQUATIONS
@@ -66,6 +66,8 @@ class Statement:
         self.n_steps = n_steps
         v = Variables.create(site, n_steps)
         self.additions = [each.create(site, v, shape) for each, shape in beyond]
+        known = [each for each, _ in beyond if each not in own_additions()]
+        self._own_parts = [each for each in self.additions if type(each) not in known]
         p = self._with_additions(Parameters.create(site, n_steps))
         self.v = v
         self.p = p
@@ -109,9 +111,8 @@ class Statement:
     def _own_names(self, paper: Named) -> tuple[str, ...]:
         """Families of the page and of additions that the package does not know, and their term."""
         args = (self.site, self.v, self.p)
-        added = [each for each in self.additions if type(each) not in ADDITIONS]
         named = {name: c for name, c in paper.items() if name not in EQUATIONS}
-        for addition in added:
+        for addition in self._own_parts:
             named |= addition.families(*args)
         for name, constraint in named.items():
             if not _is_linear(constraint):
@@ -156,7 +157,7 @@ class Statement:
     def rules(self) -> frozenset[str]:
         """Families on service alone, which a known service meets or does not."""
         args = (self.site, self.v, self.p)
-        of_rules = (each for each in self.additions if each.rules and type(each) in ADDITIONS)
+        of_rules = (each for each in self.additions if each.rules and each not in self._own_parts)
         named = (each.families(*args) for each in of_rules)
         return frozenset(name for families in named for name in families)
 
