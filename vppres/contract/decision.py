@@ -10,7 +10,7 @@ import numpy as np
 
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.observation import Observation
-from vppres.core.arrays import Flags
+from vppres.core.arrays import Flags, Floats
 
 OUT = "battery {} is out"
 """How a record's ``estimated`` names a battery that was left out of a decision."""
@@ -72,6 +72,8 @@ class Decision:
         Why it had to, and what it leaves open.
     estimated : str
         Measurements that were estimated and batteries that are out, in words.
+    weight : array, shape (C,), optional
+        The customers' weights, where they are not the site's.
     """
 
     dispatch: Dispatch
@@ -82,6 +84,7 @@ class Decision:
     fallback: str = "none"
     fallback_reason: str = ""
     estimated: str = ""
+    weight: Floats | None = None
 
 
 class Decider(Protocol):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import fields
 from functools import partial
 
 import numpy as np
@@ -16,13 +17,17 @@ from vppres.control.guard.guard import GuardedController, GuardOptions
 from vppres.control.headroom import HeadroomPlanner
 from vppres.control.mpc import MPCController
 from vppres.control.planner import Planner
+from vppres.control.rotation import Rotating
+from vppres.core.errors import InputError
 from vppres.day.faults import FaultInjector, FaultySolver
 from vppres.day.options import RunOptions
 from vppres.day.outages import check_outages
 from vppres.day.own import ByStepWeights, Own
-from vppres.day.priority import site_of
+from vppres.day.priority import site_of, weighed
 from vppres.model.site import Site
+from vppres.scenario.fairness import Fairness, hours_off
 from vppres.scenario.priority import STRICT
+from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
 from vppres.solve.isolated import IsolatedSolver
@@ -79,9 +84,43 @@ def make_controller(
             return controller_of(whole)
         return GuardedController(controller_of, solver_of, whole, _guard_options(scenario, options))
 
-    if own is None or own.weights is None:
-        return decider_of(site)
-    return ByStepWeights(decider_of, site, scenario, options, own)
+    if own is not None and own.weights is not None:
+        return ByStepWeights(decider_of, site, scenario, options, own)
+    if shares(options):
+        check_fairness(options.controller)
+        chosen = {f.name: getattr(options, f.name) for f in fields(Fairness)}
+        rules = Fairness(**chosen)
+        return Rotating(
+            decider_of,
+            partial(weighed, site, scenario, options.as_record()),
+            scenario,
+            rules,
+            hours_off(scenario.interruptions, scenario.customers.id),
+            {Site: site, SwitchingRules: options.switching},
+        )
+    return decider_of(site)
+
+
+def shares(options: RunOptions) -> bool:
+    """Whether supply is shared within tiers, as the options say it."""
+    return bool(options.rotation or options.minimum_on_h)
+
+
+def check_fairness(controller: str) -> None:
+    """Refuse a controller that does not plan anew in each step.
+
+    Raises
+    ------
+    InputError
+        For any but mpc.
+    """
+    if controller != "mpc":
+        raise InputError.of(
+            "options",
+            "share supply within tiers, which is for the controller mpc",
+            "Leave them at 0, or use the controller mpc.",
+            field="rotation and minimum_on_h",
+        )
 
 
 def _guard_options(scenario: Scenario, options: RunOptions) -> GuardOptions:

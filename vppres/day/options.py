@@ -70,6 +70,9 @@ class RunOptions:
     headroom : float or None
         Physical mode: share of a grid-forming battery's inverter rating that plans reserve in
         an island; None uses the scenario's.
+    rotation, turn_h, minimum_on_h : float or None
+        How supply is shared within a tier, :class:`vppres.scenario.fairness.Fairness`; None uses
+        the scenario's.
     isolate : bool or None
         Whether windows are solved in a separate process; None: yes for live controllers, no for
         runs.
@@ -108,6 +111,9 @@ class RunOptions:
     voltage_limits: str | None = None
     ratings: str | None = None
     headroom: float | None = None
+    rotation: float | None = None
+    turn_h: float | None = None
+    minimum_on_h: float | None = None
     isolate: bool | None = default_of("isolate")
     switching: SwitchingRules = field(default_factory=SwitchingRules)
     guard: bool = default_of("guard")
@@ -156,10 +162,14 @@ class RunOptions:
     def on(self, scenario: Scenario) -> RunOptions:
         """The options with the scenario's where they leave it the choice."""
         own = scenario.controller
+        fair = scenario.fairness
         return replace(
             self,
             mode=own.mode if self.mode is None else self.mode,
             headroom=scenario.headroom.share if self.headroom is None else self.headroom,
+            rotation=fair.rotation if self.rotation is None else self.rotation,
+            turn_h=fair.turn_h if self.turn_h is None else self.turn_h,
+            minimum_on_h=fair.minimum_on_h if self.minimum_on_h is None else self.minimum_on_h,
             priority=scenario.priority.rule if self.priority is None else self.priority,
             voltage_limits=self.voltage_limits or own.voltage_limits,
             ratings=self.ratings or own.ratings,

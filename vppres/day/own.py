@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from vppres.control.remembered import memory_of, put_back
 from vppres.core.arrays import Floats
 from vppres.core.errors import InputError
 from vppres.day.options import RunOptions
-from vppres.day.priority import site_of
+from vppres.day.priority import weighed
 from vppres.forecasts.interface import Forecaster
 from vppres.model.site import Site
 from vppres.scenario.rules import SwitchingRules
@@ -151,11 +151,7 @@ class ByStepWeights:
 
     def _weighed(self, weight: Floats) -> Site:
         """The site with other weights, in the run's order of the tiers."""
-        customers = replace(self.scenario.customers, weight=weight)
-        other = site_of(replace(self.scenario, customers=customers), self.options.as_record())
-        return replace(
-            self.site, customers=other.customers, weights=other.weights, ranks=other.ranks
-        )
+        return weighed(self.site, self.scenario, self.options.as_record(), weight)
 
 
 def _name(part: Any) -> str:

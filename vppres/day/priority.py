@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+from vppres.core.arrays import Floats
 from vppres.model.site import Site
 from vppres.scenario.priority import STRICT, Ranks
 from vppres.scenario.scenario import LIMIT, SOFT, Scenario
@@ -26,6 +27,13 @@ def site_of(scenario: Scenario, options: Mapping[str, Any]) -> Site:
     site = replace(Site.of(scenario), soft_voltages=soft, rated=rated)
     ranks = ranks_of(scenario, options)
     return site if ranks is None else site.ranked(ranks, longest_window(scenario, options))
+
+
+def weighed(site: Site, scenario: Scenario, options: Mapping[str, Any], weight: Floats) -> Site:
+    """A site with other weights of its customers, (C,), in the run's order of the tiers."""
+    customers = replace(scenario.customers, weight=weight)
+    other = site_of(replace(scenario, customers=customers), options)
+    return replace(site, customers=other.customers, weights=other.weights, ranks=other.ranks)
 
 
 def ranks_of(scenario: Scenario, options: Mapping[str, Any]) -> Ranks | None:

@@ -251,6 +251,7 @@ def _record(
         "q_load_kvar": realised.load_kw * scenario.customers.q_per_p,
         "served": realised.served,
         "shed": done.shed,
+        **({} if decision.weight is None else {"weight": decision.weight}),
     }
     pv = {
         "available_kw": scenario.pv_kw[t],

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.scenario.assets import OF_TIME_OFF, PV, Customers, PVSystems
+from vppres.scenario.fairness import Fairness
 from vppres.scenario.network import BUS_DRAWS, Network
 from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
 from vppres.scenario.scenario import HARD, REPORT, ControllerDefaults, Headroom, Priority, Scenario
@@ -93,6 +94,8 @@ def _unsaid(scenario: Scenario) -> set[str]:
         "outage_statistics": scenario.outage_statistics != OutageStatistics(),
         "priority": scenario.priority != Priority(),
         "headroom": scenario.headroom != Headroom(),
+        "fairness": scenario.fairness != Fairness(),
+        "interruptions": bool(scenario.interruptions),
     }
     return {name for name, told in said.items() if not told}
 

@@ -1,4 +1,4 @@
-"""A file of outages that were: one row each, with ``start`` and ``end``."""
+"""A file of outages that were: a row each, with ``start``, ``end`` and, if known, ``customer``."""
 
 from __future__ import annotations
 
@@ -6,28 +6,20 @@ from itertools import pairwise
 from pathlib import Path
 
 import pandas as pd
-from pydantic import Field
 
 from vppres.core.errors import InputError, Problem
 from vppres.io import schema
 from vppres.io.messages import few
 from vppres.io.tables import CHECK_PATH, Table, read_rows, read_table
 from vppres.io.warning_rows import read_warnings
+from vppres.scenario.fairness import Interruption
 from vppres.scenario.outage_warnings import OutageWarning
-
-
-class OutageRow(schema.Row):
-    """An outage that was, over the half-open interval from `start` to `end`."""
-
-    start: schema.Time = Field(description="beginning of the outage, ISO 8601 with time zone")
-    end: schema.Time = Field(description="end of the outage, ISO 8601 with time zone")
-
 
 Interval = tuple[pd.Timestamp, pd.Timestamp]
 
 
 def read_outage_log(file: str | Path) -> list[Interval]:
-    """Outages of a file by their beginning, each as the times between which there was no grid.
+    """Outages of the feeder by their beginning, each as the times between which there was no grid.
 
     Raises
     ------
@@ -35,14 +27,27 @@ def read_outage_log(file: str | Path) -> list[Interval]:
         With every problem of the file.
     """
     table, problems = read_table(Path(file), CHECK_PATH)
-    rows, found = read_rows(table, OutageRow)
-    problems += found
-    outages = {line: (pd.Timestamp(row.start), pd.Timestamp(row.end)) for line, row in rows.items()}
-    in_order = sorted(outages.items(), key=lambda item: item[1])
-    problems += [] if table is None else _empty(table, outages) + _overlaps(table, in_order)
-    if problems:
-        raise InputError(problems)
-    return [interval for _, interval in in_order]
+    rows, found = read_interruptions(table)
+    if problems + found:
+        raise InputError(problems + found)
+    return sorted((one.start, one.end) for one in rows.values() if not one.customer)
+
+
+def read_interruptions(table: Table | None) -> tuple[dict[int, Interruption], list[Problem]]:
+    """The sound rows of a table by line, and all its problems."""
+    rows, problems = read_rows(table, schema.OutageRow)
+    found = {
+        line: Interruption(pd.Timestamp(row.start), pd.Timestamp(row.end), row.customer)
+        for line, row in rows.items()
+    }
+    if table is None:
+        return found, problems
+    of_each: dict[str, list[tuple[int, Interval]]] = {}
+    for line, one in sorted(found.items(), key=lambda item: (item[1].start, item[1].end)):
+        of_each.setdefault(one.customer, []).append((line, (one.start, one.end)))
+    for in_order in of_each.values():
+        problems += _empty(table, dict(in_order)) + _overlaps(table, in_order)
+    return found, problems
 
 
 def read_warning_file(file: str | Path) -> list[OutageWarning]:

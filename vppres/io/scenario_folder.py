@@ -17,11 +17,13 @@ from vppres.core.errors import InputError, Problem
 from vppres.io import checks, schema
 from vppres.io.history import Columns, history_of
 from vppres.io.messages import in_order
+from vppres.io.outage_log import read_interruptions
 from vppres.io.series import TIME, check_times, read_values
 from vppres.io.settings import SCENARIO_FILE, Settings, read_settings
 from vppres.io.tables import Table, check_columns, no_table, read_rows, read_table
 from vppres.io.warning_rows import read_warnings
 from vppres.scenario.assets import OF_TIME_OFF, Batteries, Customers, PVSystems
+from vppres.scenario.fairness import Fairness, Interruption
 from vppres.scenario.history import History
 from vppres.scenario.network import BusId, Network, check_radial
 from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
@@ -41,6 +43,7 @@ _OPTIONAL: dict[str, type[BaseModel]] = {
     "pv": schema.PVRow,
     "batteries": schema.BatteryRow,
     "warnings": schema.WarningRow,
+    "outages": schema.OutageRow,
 }
 _HISTORY = ("history_load_kw", "history_pv_kw")
 
@@ -59,6 +62,7 @@ class _Folder:
     pv_kw: Table | None
     system: Table | None
     warnings: Table | None
+    outages: Table | None
     history_load_kw: Table | None
     history_pv_kw: Table | None
 
@@ -73,6 +77,7 @@ class _Rows:
     pv: dict[int, schema.Row]
     batteries: dict[int, schema.Row]
     warnings: dict[int, OutageWarning]
+    outages: dict[int, Interruption]
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,14 +147,16 @@ def _read_all_rows(content: _Folder) -> tuple[_Rows, list[Problem]]:
     pv, pv_problems = read_rows(content.pv, schema.PVRow)
     batteries, battery_problems = read_rows(content.batteries, schema.BatteryRow)
     warnings, warning_problems = read_warnings(content.warnings)
+    outages, outage_problems = read_interruptions(content.outages)
     return (
-        _Rows(lines, buses, customers, pv, batteries, warnings),
+        _Rows(lines, buses, customers, pv, batteries, warnings, outages),
         line_problems
         + bus_problems
         + customer_problems
         + pv_problems
         + battery_problems
-        + warning_problems,
+        + warning_problems
+        + outage_problems,
     )
 
 
@@ -184,6 +191,10 @@ def _check_across(content: _Folder, rows: _Rows) -> list[Problem]:
             customers.column("id").values(),
             f"is not a customer of {customers.file}",
         )
+    if customers and content.outages and "customer" in content.outages.names:
+        known = [*customers.column("id").values(), ""]
+        message = f"is not a customer of {customers.file}"
+        problems += checks.check_known(content.outages, "customer", known, message)
     for table in (customers, pv):
         if customers and table:
             problems += checks.check_parts(table, rows.customers)
@@ -343,12 +354,14 @@ def _assemble(
         controller=ControllerDefaults(**file.controller.model_dump()),
         priority=Priority(**file.priority.model_dump()),
         headroom=Headroom(**file.headroom.model_dump()),
+        fairness=Fairness(**file.fairness.model_dump()),
         switching=SwitchingRules(**file.switching.model_dump()),
         export_limit_kw=series.export_limit_kw if one_limit_kw is None else np.array(one_limit_kw),
         export_price_gbp_per_kwh=series.export_price_gbp_per_kwh,
         source=_source(file.source),
         voll_gbp_per_kwh=file.reliability.voll_gbp_per_kwh,
         warnings=tuple(rows.warnings.values()),
+        interruptions=tuple(rows.outages.values()),
         outage_statistics=OutageStatistics(**file.outage_statistics.model_dump()),
     )
 

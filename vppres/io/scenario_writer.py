@@ -22,6 +22,7 @@ from vppres.io.series import TIME
 from vppres.io.settings import SCENARIO_FILE, outage_intervals
 from vppres.io.times import iso
 from vppres.scenario.assets import PV, Batteries, Customers, PVSystems
+from vppres.scenario.fairness import Interruption
 from vppres.scenario.history import History
 from vppres.scenario.network import BUS_DRAWS, LINE_DEFAULTS, BusId, Network
 from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
@@ -85,6 +86,7 @@ def _document(scenario: Scenario) -> dict[str, Any]:
         "tiers": {tier: _tier_weight(scenario.customers, tier) for tier in scenario.tiers},
         "priority": asdict(scenario.priority),
         "headroom": asdict(scenario.headroom),
+        "fairness": asdict(scenario.fairness),
         "objective": {
             f.name: float(getattr(scenario.objective, f.name)) for f in fields(scenario.objective)
         },
@@ -186,6 +188,8 @@ def _frames(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, pd.
         frames["customers"] = frames["customers"].drop(columns="weight")
     if scenario.warnings:
         frames["warnings"] = _warning_frame(scenario.warnings)
+    if scenario.interruptions:
+        frames["outages"] = outage_frame(scenario.interruptions)
     for name in ("shed_steps", "homes"):
         if (getattr(customers, name) == 1).all():
             frames["customers"] = frames["customers"].drop(columns=name)
@@ -196,6 +200,12 @@ def _customer_frame(customers: Customers) -> pd.DataFrame:
     """Customers, without the columns of the longest time off that none has."""
     names = [name for name in schema.CustomerRow.model_fields if len(getattr(customers, name))]
     return pd.DataFrame({name: getattr(customers, name) for name in names})
+
+
+def outage_frame(interruptions: Sequence[Interruption]) -> pd.DataFrame:
+    """Outages that were as rows of ``outages.csv``."""
+    rows = [(iso(one.start), iso(one.end), one.customer) for one in interruptions]
+    return pd.DataFrame(rows, columns=list(schema.OutageRow.model_fields))
 
 
 def _history_frames(scenario: Scenario, history: History) -> dict[str, pd.DataFrame]:

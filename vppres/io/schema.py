@@ -288,6 +288,7 @@ LoadSeries = _model("load_kw.csv")
 PVSeries = _model("pv_kw.csv")
 SystemSeries = _model("system.csv")
 WarningRow = _model("warnings.csv")
+OutageRow = _model("outages.csv")
 
 
 def unit(field: FieldInfo) -> str:

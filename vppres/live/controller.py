@@ -13,6 +13,7 @@ from vppres.contract.forecast import ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.control.guard.guard import GuardedController
 from vppres.control.remembered import memory_of, put_back
+from vppres.control.rotation import Rotating
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import SolveError, VppresError
 from vppres.day.assembly import make_controller
@@ -386,7 +387,8 @@ class Controller:
 
     def _taken_for_true(self, told: Observation) -> Observation:
         """What a guard made of the observation that it was told last."""
-        guard = self._decider
+        decider = self._decider
+        guard = decider.inner if isinstance(decider, Rotating) else decider
         if isinstance(guard, GuardedController) and guard.known:
             return guard.known.observation
         return told

@@ -68,6 +68,7 @@ HEADROOM = Range(
     "Give a share of the inverter's rating, for example 0.1.",
     open_most=True,
 )
+ROTA = Range(0, 24, "must lie between 0 and 24", "Give hours of 24, for example 1.")
 
 _RANGES = {
     "hours": HOURS,
@@ -79,6 +80,7 @@ _RANGES = {
     "error bias": ERROR_BIAS,
     "error growth": ERROR_GROWTH,
     "headroom": HEADROOM,
+    "rota": ROTA,
 }
 _KINDS: dict[str, Any] = {
     "text": str,

@@ -35,6 +35,10 @@ def split_sheddable(scenario: Scenario) -> Scenario:
     parts = customers.shed_steps
     if (parts == 1).all():
         return scenario
+    names = {
+        str(name): [str(part) for part in _part_names(np.array([name]), np.array([n]))]
+        for name, n in zip(customers.id, parts, strict=True)
+    }
     pv_parts = np.where(pv.alone, 1, parts[pv.owner(customers)])
     split_customers = replace(
         customers,
@@ -66,6 +70,11 @@ def split_sheddable(scenario: Scenario) -> Scenario:
         pv=split_pv,
         load_kw=_shared(scenario.load_kw, parts),
         pv_kw=_shared(scenario.pv_kw, pv_parts),
+        interruptions=tuple(
+            replace(one, customer=name)
+            for one in scenario.interruptions
+            for name in names.get(one.customer, [one.customer])
+        ),
         history=None
         if history is None
         else replace(

@@ -12,6 +12,7 @@ import pandas as pd
 from vppres.core.arrays import Flags, Floats, freeze_fields
 from vppres.core.notebook import facts_html
 from vppres.scenario.assets import Batteries, Customers, PVSystems
+from vppres.scenario.fairness import Fairness, Interruption
 from vppres.scenario.history import History
 from vppres.scenario.network import Network
 from vppres.scenario.option_table import default_of
@@ -133,6 +134,8 @@ class Scenario:
         How tiers are ranked in runs whose options say nothing.
     headroom : Headroom
         What plans leave free in islands in runs whose options say nothing.
+    fairness : Fairness
+        How supply is shared within a tier in runs whose options say nothing.
     switching : SwitchingRules
         What ``vppres run`` uses where its options say nothing.
     export_limit_kw : array, shape (T,) or ()
@@ -148,6 +151,8 @@ class Scenario:
         Messages about outages, for runs that do not know them.
     outage_statistics : OutageStatistics
         Outages without a warning, for the same runs.
+    interruptions : tuple of Interruption
+        Outages that were before the first step, and who was off supply in them.
     history : History, optional
         What was measured before the first step, for forecasters that learn from it.
     """
@@ -169,6 +174,7 @@ class Scenario:
     controller: ControllerDefaults = ControllerDefaults()
     priority: Priority = Priority()
     headroom: Headroom = Headroom()
+    fairness: Fairness = field(default_factory=Fairness)
     switching: SwitchingRules = field(default_factory=SwitchingRules)
     export_limit_kw: Floats = field(default_factory=_zero)
     export_price_gbp_per_kwh: Floats = field(default_factory=_zero)
@@ -176,6 +182,7 @@ class Scenario:
     voll_gbp_per_kwh: float = DEFAULT_VOLL_GBP_PER_KWH
     warnings: tuple[OutageWarning, ...] = ()
     outage_statistics: OutageStatistics = field(default_factory=OutageStatistics)
+    interruptions: tuple[Interruption, ...] = ()
     history: History | None = None
 
     def __post_init__(self) -> None:

@@ -1,0 +1,134 @@
+"""Fairness within a tier: weights by what customers lost before, which keep the tiers apart."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from vppres.core.arrays import Flags, Floats, Names
+from vppres.scenario.assets import Customers
+from vppres.scenario.option_table import default_of
+
+ROTA_H = 24.0
+"""Hours of outage in which each customer's turn of a minimum comes once: a day, as in rotas."""
+
+HALVINGS = 60
+"""Halvings that find a tier's scale: as many as a float has digits."""
+
+
+@dataclass(frozen=True)
+class Fairness:
+    """How supply is shared within a tier; nothing is by default.
+
+    Parameters
+    ----------
+    rotation : float
+        Growth of a customer's weight with each hour off supply in outages, in 1/h.
+    turn_h : float
+        Hours of an outage for which weights stay.
+    minimum_on_h : float
+        Hours that each customer is on in 24 h of outage.
+    """
+
+    rotation: float = default_of("rotation")
+    turn_h: float = default_of("turn_h")
+    minimum_on_h: float = default_of("minimum_on_h")
+
+
+@dataclass(frozen=True)
+class Interruption:
+    """A time off supply that was.
+
+    Parameters
+    ----------
+    start, end : pandas.Timestamp
+        Half-open interval.
+    customer : str
+        Who was off; empty for an outage of the feeder, of which nobody's time off is known.
+    """
+
+    start: pd.Timestamp
+    end: pd.Timestamp
+    customer: str = ""
+
+
+def hours_off(past: Sequence[Interruption], names: Names) -> Floats:
+    """Hours that each customer was off supply, (C,).
+
+    >>> noon = pd.Timestamp("2025-07-01T12:00Z")
+    >>> hours_off([Interruption(noon, noon + pd.Timedelta(hours=2), "b")], np.array(["a", "b"]))
+    array([0., 2.])
+    """
+    hour = pd.Timedelta(hours=1)
+    found = dict.fromkeys(map(str, names), 0.0)
+    for one in past:
+        if one.customer in found:
+            found[one.customer] += (one.end - one.start) / hour
+    return np.array(list(found.values()), dtype=float)
+
+
+def rotated(
+    customers: Customers, tiers: Sequence[str], off_h: Floats, growth_per_h: float
+) -> Floats:
+    """Weights that grow with the time off supply, (C,).
+
+    The sum of each tier stays. No weight passes the middle between its tier and the next one, so
+    that a customer never overtakes another tier.
+
+    Parameters
+    ----------
+    customers : Customers
+        With their weights.
+    tiers : sequence of str
+        Names, the most important first.
+    off_h : array, shape (C,)
+        Hours off supply so far.
+    growth_per_h : float
+        Growth of a weight with each of them.
+
+    Examples
+    --------
+    >>> two = Customers(["a", "b"], [1, 1], ["low", "low"], [1.0, 1.0], [0.9, 0.9])
+    >>> rotated(two, ["low"], np.array([0.0, 5.0]), 0.2).round(3)
+    array([0.667, 1.333])
+    """
+    weight = customers.weight.copy()
+    members = [found for tier in tiers if (found := np.asarray(customers.tier == tier)).any()]
+    for k, own in enumerate(members):
+        before = customers.weight[own]
+        above = customers.weight[members[k - 1]].min() if k else np.inf
+        below = customers.weight[members[k + 1]].max() if k + 1 < len(members) else 0.0
+        least = min(np.sqrt(below / before.min()), 1.0)
+        most = max(np.sqrt(above / before.max()), 1.0)
+        grown = 1.0 + growth_per_h * off_h[own]
+        if np.ptp(grown) == 0.0:  # all alike: the weights stay, to the last bit
+            continue
+        weight[own] = before * _scaled(before, grown, least, most)
+    return weight
+
+
+def _scaled(weight: Floats, grown: Floats, least: float, most: float) -> Floats:
+    """Factors in the proportions of ``grown``, within bounds, that leave the sum of weights."""
+    low, high = 0.0, 1.0
+    for _ in range(HALVINGS):
+        scale = 0.5 * (low + high)
+        if weight @ np.clip(scale * grown, least, most) > weight.sum():
+            high = scale
+        else:
+            low = scale
+    return np.clip(low * grown, least, most)
+
+
+def turns(n_customers: int, out_h: float, length_h: float) -> Flags:
+    """Whose turn it is after so many hours of outage, (C,).
+
+    Turns begin one after another in the customers' order, spread evenly over 24 h of outage.
+
+    >>> turns(4, 6.5, 1.0)
+    array([False,  True, False, False])
+    """
+    begins_h = np.arange(n_customers) * ROTA_H / max(n_customers, 1)
+    return np.asarray((out_h - begins_h) % ROTA_H < length_h)
