@@ -65,6 +65,8 @@ class Observation:
         Whether outages ahead in ``forecast`` are the likely ones and not known.
     kept_on : array of bool, shape (C,), optional
         Customers that the present step must serve; none if not given.
+    spared : array of bool, shape (C,), optional
+        Customers that must not lose service for ``kept_on``, which is let go otherwise.
     outage_messages : str
         Which messages about outages the belief in ``forecast`` and ``stored_value`` follows, where
         several speak of one.
@@ -92,6 +94,7 @@ class Observation:
     stored_value: StoredValue | None = None
     guessed: bool = False
     kept_on: Flags | None = None
+    spared: Flags | None = None
     outage_messages: str = ""
     elapsed_h: float = 0.0
     soc_age_h: Floats | None = None

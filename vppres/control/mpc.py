@@ -87,6 +87,8 @@ class MPCController:
         For an outage that is only likely no customer is switched off that the present step alone
         would serve.
         """
+        if observation.spared is not None:
+            return self._planned_in_turn(observation)
         found = plan_with_rules(self.planner, observation)
         served = found[0].dispatch.served[0]
         connected = observation.forecast.grid_limit_kw[0] > 0.0
@@ -97,6 +99,15 @@ class MPCController:
         if not (kept_on & ~served).any():
             return found
         return plan_with_rules(self.planner, replace(observation, kept_on=kept_on))
+
+    def _planned_in_turn(self, observation: Observation) -> tuple[WindowSolution, bool]:
+        """The plan with those on whose turn it is, unless who is spared loses service by it."""
+        free = plan_with_rules(self.planner, replace(observation, kept_on=None))
+        if free[0].dispatch.served[0][observation.kept_on].all():
+            return free
+        in_turn = plan_with_rules(self.planner, observation)
+        spared_h = [one[0].dispatch.served[:, observation.spared].sum() for one in (free, in_turn)]
+        return free if spared_h[1] < spared_h[0] else in_turn
 
     def _before(self, observation: Observation) -> Moves | None:
         """What the plan before had foreseen for the window, None if it does not reach it."""

@@ -102,8 +102,10 @@ class Rotating:
             scale = self._weighed(self.weight).customers.weight.sum() / self._total
             value = replace(value, service=value.service * scale)
         due = self._due() if self._out else np.zeros(len(self.off_h), dtype=bool)
-        kept_on = due if due.any() else observation.kept_on
-        told = replace(observation, stored_value=value, kept_on=kept_on)
+        told = replace(observation, stored_value=value)
+        if due.any():
+            first = np.asarray(self.scenario.customers.tier == self.scenario.tiers[0])
+            told = replace(told, kept_on=due, spared=first)
         return replace(self.inner.decide(told), weight=self.weight)
 
     def _count(self, observation: Observation) -> None:

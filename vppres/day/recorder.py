@@ -35,6 +35,9 @@ ITEM_COLUMNS = {
 }
 """Columns of the other tables that change from step to step; identifiers come before them."""
 
+ROTATED = "rotated_weight"
+"""Column of the customers in runs that share supply within tiers: the weights of the plans."""
+
 
 @dataclass(frozen=True, eq=False)
 class StepRecord:
@@ -168,9 +171,10 @@ class Recorder:
         """A table with items: identifiers repeat in every step."""
         n_steps = len(self._records)
         n_items = len(next(iter(fixed.values())))
+        rotated = [ROTATED] if ROTATED in getattr(self._records[0], name) else []
         changing = {
             column: np.concatenate([getattr(r, name)[column] for r in self._records])
-            for column in ITEM_COLUMNS[name]
+            for column in (*ITEM_COLUMNS[name], *rotated)
         }
         return pd.DataFrame(
             {

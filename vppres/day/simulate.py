@@ -22,7 +22,7 @@ from vppres.day.forecasting import Forecasts, MeasuredForecasts, basis_of, forec
 from vppres.day.options import PERFECT, RunOptions
 from vppres.day.outages import BELIEF, LIKELY, GridSeen, OutageView
 from vppres.day.own import Own
-from vppres.day.recorder import Recorder, StepRecord, voltage_figures
+from vppres.day.recorder import ROTATED, Recorder, StepRecord, voltage_figures
 from vppres.day.trajectory import Trajectory
 from vppres.forecasts.interface import Forecaster
 from vppres.io.python_door import check_scenario
@@ -251,7 +251,7 @@ def _record(
         "q_load_kvar": realised.load_kw * scenario.customers.q_per_p,
         "served": realised.served,
         "shed": done.shed,
-        **({} if decision.weight is None else {"weight": decision.weight}),
+        **({} if decision.weight is None else {ROTATED: decision.weight}),
     }
     pv = {
         "available_kw": scenario.pv_kw[t],

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Floats
+from vppres.day.recorder import ROTATED
 from vppres.day.trajectory import Trajectory
 from vppres.explain.prices import WORTH, WORTH_GBP, day_prices, step_prices
 from vppres.explain.reasons import why_battery_moved, why_curtailed, why_not_served, why_restored
@@ -59,7 +60,7 @@ def explain_day(trajectory: Trajectory) -> Trajectory:
 
 def explain_step(trajectory: Trajectory, t: int) -> tuple[list[Row], list[Row]]:
     """The rows of one step: its explanations, and its shadow prices; only they are solved for."""
-    recorded = Recorded(trajectory)
+    recorded = _weighed(trajectory)[t]
     model = ShadowPriceModel(recorded.site, recorded.n_seen, recorded.beyond)
     phase = trajectory.steps["phase"].iloc[t]
     step = Step(recorded, t, phase, step_prices(recorded, model, t))
@@ -68,13 +69,28 @@ def explain_step(trajectory: Trajectory, t: int) -> tuple[list[Row], list[Row]]:
 
 def steps_of(trajectory: Trajectory) -> list[Step]:
     """Every step of a run with its phase and its shadow prices."""
-    recorded = Recorded(trajectory)
+    recorded = _weighed(trajectory)
     return [
-        Step(recorded, t, phase, prices)
-        for t, (phase, prices) in enumerate(
-            zip(trajectory.steps["phase"], day_prices(recorded), strict=True)
+        Step(one, t, phase, prices)
+        for t, (one, phase, prices) in enumerate(
+            zip(recorded, trajectory.steps["phase"], day_prices(recorded), strict=True)
         )
     ]
+
+
+def _weighed(trajectory: Trajectory) -> list[Recorded]:
+    """The record for each step, with the weights of its plan; steps of equal weights share it."""
+    n_steps = len(trajectory.steps)
+    if ROTATED not in trajectory.customers:
+        return [Recorded(trajectory)] * n_steps
+    rows = trajectory.customers[ROTATED].to_numpy(float).reshape(n_steps, -1)
+    found: dict[bytes, Recorded] = {}
+    for weight in rows:
+        if weight.tobytes() not in found:
+            customers = replace(trajectory.scenario.customers, weight=weight)
+            scenario = replace(trajectory.scenario, customers=customers)
+            found[weight.tobytes()] = Recorded(replace(trajectory, scenario=scenario))
+    return [found[weight.tobytes()] for weight in rows]
 
 
 def _actions(step: Step) -> list[Row]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -68,10 +68,13 @@ class StepPrices:
         return sum(level.solver_s for level in (self.service, self.cost) if level is not None)
 
 
-def day_prices(recorded: Recorded) -> list[StepPrices]:
-    """Shadow prices of every step of a run; one problem is compiled for all."""
-    model = ShadowPriceModel(recorded.site, recorded.n_seen, recorded.beyond)
-    return [step_prices(recorded, model, t) for t in range(recorded.n_steps)]
+def day_prices(recorded: Sequence[Recorded]) -> list[StepPrices]:
+    """Shadow prices of every step of a run; one problem is compiled for all that share a record."""
+    models: dict[int, ShadowPriceModel] = {}
+    for one in recorded:
+        if id(one) not in models:
+            models[id(one)] = ShadowPriceModel(one.site, one.n_seen, one.beyond)
+    return [step_prices(one, models[id(one)], t) for t, one in enumerate(recorded)]
 
 
 def step_prices(recorded: Recorded, model: ShadowPriceModel, t: int) -> StepPrices:
