@@ -20,6 +20,7 @@ from vppres.core.errors import InputError
 from vppres.day import options as day_options
 from vppres.day.options import RunOptions
 from vppres.io import read_scenario, schema, write_scenario
+from vppres.scenario.fairness import Fairness
 from vppres.scenario.option_table import OPTIONS, Option, section_options
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import ControllerDefaults, Headroom, Priority
@@ -61,6 +62,7 @@ def test_constants_of_other_rooms_are_those_of_the_table() -> None:
         ("switching", SwitchingRules),
         ("priority", Priority),
         ("headroom", Headroom),
+        ("fairness", Fairness),
     ],
 )
 def test_sections_hold_what_a_scenario_carries(section: str, frozen: type) -> None:

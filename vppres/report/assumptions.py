@@ -42,7 +42,7 @@ def option_words(options: Mapping[str, Any]) -> list[OptionWords]:
     # Only the report of a run needs the options' documentation; the simulator is slow to load.
     from vppres.day.options import RunOptions
 
-    scenarios = ("mode", "priority", "headroom")
+    scenarios = ("mode", "priority", "headroom", "rotation", "turn_h", "minimum_on_h")
     defaults = RunOptions(**{name: default_of(name) for name in scenarios})
     meanings = dict(_meanings(defaults))
     flat_defaults = dict(_flat(asdict(defaults)))
