@@ -22,6 +22,7 @@ from vppres.io.digest import scenario_digest
 from vppres.model.beyond_paper.table import beyond_paper
 from vppres.model.data import WindowData
 from vppres.model.site import Site
+from vppres.report.run_folder import render_report
 from vppres.scenario.parts import split_sheddable
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
@@ -198,6 +199,7 @@ def test_a_day_keeps_the_limit_and_says_why_the_customer_is_on() -> None:
     restored = told[told["action"] == "restored"]
     assert restored[["id", "driver"]].to_numpy().tolist() == [["c1", "longest_off"]] * 2
     assert restored["words"].iloc[0] == "On at 02:00: its backup of 2 h ends."
+    assert "On at 02:00: its backup of 2 h ends." in render_report(run, summary)
 
 
 def test_a_limit_that_cannot_be_kept_is_named() -> None:

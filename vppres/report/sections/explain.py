@@ -38,6 +38,7 @@ LIMITS = {
 }
 ACTIONS = {
     "not_served": "customer not served",
+    "restored": "customer restored in time",
     "charge": "battery charged",
     "discharge": "battery discharged",
     "curtail": "PV system curtailed",
@@ -145,7 +146,7 @@ def _reasons(explanations: pd.DataFrame) -> list[Row]:
 
 
 def _people(explanations: pd.DataFrame, clock: Clock) -> list[Row]:
-    """Every customer and step without service, with its reason."""
+    """Every customer and step without service, or restored in time, with its reason."""
     rows = explanations[explanations["item"] == "customer"]
     return [
         {"time": clock.words(row["time"]), "id": row["id"], "words": row["words"]}
