@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
@@ -148,7 +148,7 @@ def step_beside(
     }
 
 
-def attacks(own: Started, start: pd.Timestamp, length: pd.Timedelta) -> pd.DataFrame:
+def attacks(own: Started, start: pd.Timestamp, length: pd.Timedelta) -> Iterator[dict[str, Any]]:
     """One row for each kind of stranger."""
     works: dict[str, tuple[Callable[[int], None], int]] = {
         "nobody": (lambda _: None, 1),
@@ -156,26 +156,29 @@ def attacks(own: Started, start: pd.Timestamp, length: pd.Timedelta) -> pd.DataF
         "8 MB of unknown fields": (lambda _: sends(own, unknown_fields()), 1),
         f"{READERS * READS} reads": (lambda number: reads(own, number), READERS),
     }
-    rows = []
     with closing(Client(own.url)) as operator:
         for step, (name, (work, many)) in enumerate(works.items(), start=1):
             now = start + step * length
-            rows.append({"beside": name, **step_beside(own, operator, now, work, many)})
+            yield {"beside": name, **step_beside(own, operator, now, work, many)}
         with silent(own, MOST_AT_ONCE):
             now = start + (len(works) + 1) * length
             row = step_beside(own, operator, now, lambda _: time.sleep(1.0), 1)
-            rows.append({"beside": f"{MOST_AT_ONCE} silent connections", **row})
-    return pd.DataFrame(rows)
+            yield {"beside": f"{MOST_AT_ONCE} silent connections", **row}
 
 
-def main() -> None:
-    """What each kind of stranger costs a service of the packaged day."""
-    day = load_scenario("uk-heatwave-2022")
+def main(
+    site: Annotated[str, typer.Option(help="Scenario of the service.")] = "uk-heatwave-2022",
+) -> None:
+    """What each kind of stranger costs a service: a row each, times in s."""
+    day = load_scenario(site)
     with TemporaryDirectory() as folder:
         service = Service(day, RunOptions(horizon_h=4.0), paced=True)
         with started(service, Path(folder)) as own:
-            table = attacks(own, day.grid.start, day.grid.step)
-    typer.echo(table.round(3).to_string(index=False))
+            for row in attacks(own, day.grid.start, day.grid.step):
+                words = (
+                    f"{name} {v:.3f}" if isinstance(v, float) else v for name, v in row.items()
+                )
+                typer.echo(", ".join(words))
 
 
 if __name__ == "__main__":

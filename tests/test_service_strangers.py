@@ -12,6 +12,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
 
 from experiments.strangers import address, attacks, lives, silent
@@ -84,7 +85,7 @@ def test_a_connection_that_is_answered_in_time_stays(own: Started) -> None:
 
 def test_mistakes_of_8_mb_and_13000_reads_stop_no_step(own: Started) -> None:
     day = site(tiny_scenario()).grid
-    rows = attacks(own, day.start, day.step)
+    rows = pd.DataFrame(attacks(own, day.start, day.step))
     assert (rows["step"] == "ok").all() and rows["step_s"].max() < 10.0
     assert rows["livez_p95_s"].max() < WITHIN_S
     assert rows["peak_mb"].max() < MOST_MB
