@@ -176,7 +176,8 @@ def main(
         with started(service, Path(folder)) as own:
             for row in attacks(own, day.grid.start, day.grid.step):
                 words = (
-                    f"{name} {v:.3f}" if isinstance(v, float) else v for name, v in row.items()
+                    f"{name} {value:.3f}" if isinstance(value, float) else str(value)
+                    for name, value in row.items()
                 )
                 typer.echo(", ".join(words))
 
