@@ -109,7 +109,7 @@ def sends(own: Started, body: bytes) -> None:
     """Send a body of mistakes, which is refused."""
     with closing(http.client.HTTPConnection(*address(own), timeout=120)) as asked:
         asked.request("POST", "/v1/telemetry", body, {"content-type": "application/json"})
-        assert asked.getresponse().status == 422
+        assert asked.getresponse().status in (413, 422)
 
 
 def reads(own: Started, number: int) -> None:

@@ -25,6 +25,12 @@ MOST_BYTES = 8_000_000
 """Of a request: a batch of telemetry of a thousand assets and a day of minutes."""
 
 TOO_LARGE = f"The request has more than {MOST_BYTES} bytes. Send it in parts."
+
+MOST_PARTS = 200_000
+"""Fields, lists and objects of a request, ten for each reading of the largest batch. JSON is read
+in one piece, and nothing else is answered meanwhile: a million of them take a second."""
+
+TOO_MANY = f"The request has more than {MOST_PARTS} fields, lists and objects. Send it in parts."
 GUARDED = "/v1/"
 SAFE = ("GET", "HEAD", "OPTIONS")
 ANYWHERE = "*"
@@ -80,7 +86,7 @@ class Perimeter:
         except Denied as error:
             await denied_answer(error)(scope, receive, send)
         else:
-            await self._pass(scope, _with_limit(receive, MOST_BYTES), send)
+            await self._pass(scope, _with_limits(receive), send)
 
     async def _pass(self, scope: Scope, receive: Receive, send: Send) -> None:
         """On to the routes; a few may wait for a step, others are sent away."""
@@ -131,16 +137,21 @@ def _with_headers(send: Send, headers: Mapping[str, str]) -> Send:
     return sending
 
 
-def _with_limit(receive: Receive, most_bytes: int) -> Receive:
+def _with_limits(receive: Receive) -> Receive:
     """A body that is cut off where it becomes too large, whatever its head says."""
-    read = 0
+    read = parts = 0
 
     async def receiving() -> Message:
-        nonlocal read
+        nonlocal read, parts
         message = await receive()
-        read += len(message.get("body", b""))
-        if read > most_bytes:
+        body = message.get("body", b"")
+        read += len(body)
+        # Those in texts count too: a time of day has a colon or three.
+        parts += sum(body.count(sign) for sign in (b":", b"[", b"{"))
+        if read > MOST_BYTES:
             raise HTTPException(413, TOO_LARGE)
+        if parts > MOST_PARTS:
+            raise HTTPException(413, TOO_MANY)
         return message
 
     return receiving
