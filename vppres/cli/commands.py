@@ -10,6 +10,8 @@ import gc
 import json
 import signal
 import sys
+import threading
+import time
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -19,6 +21,7 @@ import typer
 from rich.console import Console
 
 from vppres.cli import backtest_options as cli_backtest
+from vppres.cli import feeds_options as cli_feeds
 from vppres.cli import new_options as cli_new
 from vppres.cli import serve_options as cli_serve
 from vppres.cli import sweep_options as cli_sweep
@@ -601,6 +604,66 @@ def simulate(
             return
         for line in simulation_lines(found):
             typer.echo(line)
+
+
+@app.command(epilog='Example: vppres feeds ukpn --postcode "CM4 0" --service http://127.0.0.1:8420')
+def feeds(
+    feed: cli_feeds.Which = None,
+    postcode: cli_feeds.Postcodes = None,
+    service: cli_feeds.Url = None,
+    token: cli_feeds.AccessToken = None,
+    every: cli_feeds.Every = 5.0,
+    record: cli_feeds.Record = None,
+    debug: Debug = False,
+) -> None:
+    """Follow a public feed of outages as events of a service, until Ctrl-C.
+
+    Without a feed the feeds are listed, and nothing is asked.
+    """
+    with plain_errors(debug):
+        from vppres.feeds.adapters import FEEDS, feed_named
+        from vppres.feeds.follow import Asker, Follower, events_at, follow
+        from vppres.feeds.incidents import check_areas
+
+        if feed is None:
+            for one in FEEDS.values():
+                typer.echo(f"{one.name}: {one.operator}, {one.licence}, {one.url}")
+            return
+        chosen = feed_named(feed)
+        areas = check_areas(postcode or ())
+        end = threading.Event()
+        follower = Follower(chosen, areas, events_at(service, token), typer.echo)
+        follow(follower, Asker(chosen, end.wait, time.monotonic), 60.0 * every, end, record)
+
+
+@app.command(
+    "feeds replay",
+    epilog='Example: vppres feeds replay day ukpn --postcode "CM4 0" --speed 600',
+)
+def replay_feed(
+    folder: cli_feeds.Folder,
+    feed: cli_feeds.Played,
+    postcode: cli_feeds.Postcodes = None,
+    service: cli_feeds.Url = None,
+    token: cli_feeds.AccessToken = None,
+    speed: cli_feeds.Speed = 0.0,
+    debug: Debug = False,
+) -> None:
+    """Play recorded answers of a feed: events come, change and go.
+
+    With --service they go to a service that was started with --paced, and its clock is set.
+    """
+    with plain_errors(debug):
+        from vppres.feeds.adapters import feed_named
+        from vppres.feeds.follow import Follower, events_at, recorded, replay
+        from vppres.feeds.incidents import check_areas
+
+        chosen = feed_named(feed)
+        areas = check_areas(postcode or ())
+        follower = Follower(chosen, areas, events_at(service, token), typer.echo)
+        wrong = replay(follower, recorded(folder, chosen), speed, threading.Event().wait)
+        if wrong:
+            typer.echo(f"{wrong} answers could not be read.", err=True)
 
 
 @app.command(epilog="Example: vppres backtest data/homes --zone Etc/GMT+8 --out results/backtest")

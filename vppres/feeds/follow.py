@@ -1,0 +1,353 @@
+"""Follows a feed: its incidents in a site's areas come, change and go as events of a service."""
+
+from __future__ import annotations
+
+import http.client
+import threading
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Iterator
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Protocol
+from urllib.parse import quote
+
+import pandas as pd
+
+import vppres
+from vppres.core.errors import InputError
+from vppres.feeds.adapters import Feed
+from vppres.feeds.incidents import Answer
+from vppres.service.client import Client
+from vppres.service.clock import written
+
+LEAST_S = 60.0
+"""Time between two requests at least."""
+
+LATE = pd.Timedelta(minutes=30)
+"""Age of an answer from which it is late: feeds are made anew every two to ten minutes."""
+
+MOST_BYTES = 20_000_000
+"""Of an answer; a storm's has some hundred kilobytes."""
+
+TIMEOUT_S = 30.0
+STAMP = "%Y-%m-%dT%H%M%SZ"
+"""Time of a recorded answer in its file name."""
+
+Told = Callable[[str], None]
+
+
+class Service(Protocol):
+    """Where events go."""
+
+    def put(self, name: str, body: dict[str, Any]) -> None:
+        """Announce or change an event."""
+
+    def withdraw(self, name: str) -> None:
+        """Take an event back."""
+
+    def said(self, source: str) -> dict[str, dict[str, Any]]:
+        """Events of a source that hold."""
+
+    def set_clock(self, now: pd.Timestamp) -> None:
+        """Let it be so late, in a replay."""
+
+
+class OverHTTP:
+    """A service that listens at an address."""
+
+    def __init__(self, client: Client) -> None:
+        self.client = client
+
+    def put(self, name: str, body: dict[str, Any]) -> None:
+        """Announce or change an event."""
+        self.client.wanted("PUT", f"/v1/events/{quote(name, safe='')}", body)
+
+    def withdraw(self, name: str) -> None:
+        """Take an event back; one that is gone already stays so."""
+        answer = self.client.ask("DELETE", f"/v1/events/{quote(name, safe='')}")
+        if answer.status >= 400 and answer.status != 404:
+            raise InputError(f"DELETE {name}: the service answers {answer.status}")
+
+    def said(self, source: str) -> dict[str, dict[str, Any]]:
+        """Events of a source that hold."""
+        events = self.client.wanted("GET", "/v1/events").body
+        return {name: body for name, body in events.items() if body.get("source") == source}
+
+    def set_clock(self, now: pd.Timestamp) -> None:
+        """Set the clock of a service that is paced."""
+        self.client.wanted("PUT", "/v1/clock", {"now": written(now)})
+
+
+class Shown:
+    """No service: events are shown only."""
+
+    def put(self, name: str, body: dict[str, Any]) -> None:
+        """Do nothing."""
+
+    def withdraw(self, name: str) -> None:
+        """Do nothing."""
+
+    def said(self, source: str) -> dict[str, dict[str, Any]]:
+        """Nothing was said."""
+        del source
+        return {}
+
+    def set_clock(self, now: pd.Timestamp) -> None:
+        """Do nothing."""
+
+
+def events_at(url: str | None, token: str | None) -> Service:
+    """The service at an address, or none: changes are shown only."""
+    return Shown() if url is None else OverHTTP(Client(url, token))
+
+
+class Follower:
+    """Turns answers of a feed into events.
+
+    Parameters
+    ----------
+    feed : Feed
+        What is followed.
+    areas : list of str
+        Postcodes, sectors or districts of the site.
+    service : Service
+        Where events go.
+    told : callable
+        Gets a line for each change.
+    """
+
+    def __init__(self, feed: Feed, areas: list[str], service: Service, told: Told) -> None:
+        self.feed = feed
+        self.areas = areas
+        self.service = service
+        self.told = told
+        self.heard: pd.Timestamp | None = None
+        self._begun: pd.Timestamp | None = None
+        self._late = False
+        self._refused: dict[str, dict[str, Any]] = {}
+        kept = service.said(feed.name)
+        self._said = {name: _without_version(body) for name, body in kept.items()}
+
+    def hear(self, content: bytes, now: pd.Timestamp) -> None:
+        """Announce, change and withdraw what an answer says.
+
+        Raises
+        ------
+        InputError
+            If it cannot be read; what was said before stays.
+        OSError
+            If the service does not answer.
+        """
+        answer = self.feed.read(content)
+        self.heard = now if answer.made_at is None else min(answer.made_at, now)
+        if answer.left_out:
+            self.told(f"{self.feed.name}: {answer.left_out} rows could not be read")
+        self._announce(answer, now)
+
+    def _announce(self, answer: Answer, now: pd.Timestamp) -> None:
+        """The events of an answer in the place of those before."""
+        near = [one for one in answer.incidents if one.touches(self.areas)]
+        there = {f"{self.feed.name} {one.name}": one for one in near if not one.restored}
+        for name in [name for name in self._said if name not in there and name != self._alert]:
+            self.service.withdraw(name)
+            del self._said[name]
+            self.told(f"{name}: over")
+        for name, incident in there.items():
+            body = incident.event(self.feed.name, now)
+            # An estimate that is over leaves what was said: the outage outlasts it.
+            if body is None or body in (self._said.get(name), self._refused.get(name)):
+                continue
+            try:
+                self.service.put(name, body)
+            except InputError as error:  # the others are announced all the same
+                self._refused[name] = body
+                self.told(str(error))
+                continue
+            self.told(f"{name}: {_words(body)}{' (changed)' if name in self._said else ''}")
+            self._said[name] = body
+
+    def watch(self, now: pd.Timestamp) -> None:
+        """Say that the feed is late, and that it is back.
+
+        Raises
+        ------
+        InputError, OSError
+            If the service does not take it.
+        """
+        self._begun = self._begun or now
+        since = self.heard or self._begun
+        late = now - since > LATE
+        if late and not self._late:
+            text = f"The feed of {self.feed.operator} is late: nothing since {written(since)}"
+            alert = {"type": "alert", "source": self.feed.name, "start": written(now), "text": text}
+            self.service.put(self._alert, alert)
+            self._said[self._alert] = alert
+            self.told(f"{text}. What it said before stays.")
+        elif not late and self._alert in self._said:
+            self.service.withdraw(self._alert)
+            del self._said[self._alert]
+            self.told(f"The feed of {self.feed.operator} is back.")
+        self._late = late
+
+    @property
+    def _alert(self) -> str:
+        return f"{self.feed.name} late"
+
+
+class Asker:
+    """Asks a feed, with what its last answer was called, and never twice within a minute.
+
+    Parameters
+    ----------
+    feed : Feed
+        Which one.
+    wait : callable
+        Waits for so many seconds; whether to end.
+    clock : callable
+        Time in seconds.
+    """
+
+    def __init__(
+        self, feed: Feed, wait: Callable[[float], bool], clock: Callable[[], float]
+    ) -> None:
+        self.feed = feed
+        self._wait = wait
+        self._clock = clock
+        self._tag: str | None = None
+        self._content: bytes | None = None
+        self._asked: float | None = None
+
+    def ask(self) -> bytes:
+        """The answer; the one before where nothing has changed.
+
+        Raises
+        ------
+        InputError
+            If there is none.
+        """
+        if self._asked is not None:
+            self._wait(max(LEAST_S - (self._clock() - self._asked), 0.0))
+        self._asked = self._clock()
+        request = urllib.request.Request(
+            self.feed.url, headers={"User-Agent": f"vppres/{vppres.__version__}"}
+        )
+        if self._tag is not None:
+            request.add_header("If-None-Match", self._tag)
+        try:
+            with urllib.request.urlopen(request, timeout=TIMEOUT_S) as response:
+                content: bytes = response.read(MOST_BYTES + 1)
+                self._tag = response.headers.get("ETag")
+        except urllib.error.HTTPError as error:
+            if error.code == http.client.NOT_MODIFIED and self._content is not None:
+                return self._content
+            raise _silent(self.feed, f"answers {error.code}") from error
+        except (OSError, http.client.HTTPException) as error:
+            raise _silent(self.feed, f"does not answer: {error}") from error
+        if len(content) > MOST_BYTES:
+            raise _silent(self.feed, f"answers with more than {MOST_BYTES:,} bytes")
+        self._content = content
+        return content
+
+
+def follow(
+    follower: Follower,
+    asker: Asker,
+    every_s: float,
+    end: threading.Event,
+    record: Path | None = None,
+) -> None:
+    """Ask until the end; what fails is said and tried again, at most eight times as late."""
+    failures = 0
+    while True:
+        now = pd.Timestamp.now(tz="UTC")
+        try:
+            content = asker.ask()
+            if record is not None:
+                record.mkdir(parents=True, exist_ok=True)
+                stamp = now.strftime(STAMP)
+                (record / f"{stamp}{follower.feed.suffix}").write_bytes(content)
+            follower.hear(content, now)
+            failures = 0
+        except (InputError, OSError) as error:
+            failures += 1
+            follower.told(str(error))
+        try:
+            follower.watch(pd.Timestamp.now(tz="UTC"))
+        except (InputError, OSError) as error:
+            follower.told(str(error))
+        if end.wait(max(every_s, LEAST_S) * min(2**failures, 8)):
+            return
+
+
+def recorded(folder: Path, feed: Feed) -> Iterator[tuple[pd.Timestamp, bytes]]:
+    """Recorded answers of a folder with their times, in order.
+
+    Raises
+    ------
+    InputError
+        If there are none, or a name is no time.
+    """
+    files = sorted(folder.glob(f"*{feed.suffix}")) if folder.is_dir() else []
+    if not files:
+        raise InputError.of(
+            str(folder),
+            f"holds no recorded answers of {feed.name}",
+            f"Give a folder with files such as 2026-07-19T120000Z{feed.suffix}.",
+        )
+    for file in files:
+        try:
+            time = pd.Timestamp(datetime.strptime(file.stem, STAMP), tz="UTC")
+        except ValueError as error:
+            raise InputError.of(
+                str(file),
+                "has a name that is no time",
+                f"Name it as 2026-07-19T120000Z{feed.suffix}.",
+            ) from error
+        yield time, file.read_bytes()
+
+
+def replay(
+    follower: Follower,
+    answers: Iterator[tuple[pd.Timestamp, bytes]],
+    speed: float,
+    wait: Callable[[float], bool],
+) -> int:
+    """Play recorded answers, at a multiple of their speed or, at 0, one after another.
+
+    Returns
+    -------
+    int
+        Answers that could not be read.
+    """
+    before: pd.Timestamp | None = None
+    wrong = 0
+    for now, content in answers:
+        if speed and before is not None:
+            wait((now - before).total_seconds() / speed)
+        before = now
+        follower.service.set_clock(now)
+        follower.told(written(now))
+        try:
+            follower.hear(content, now)
+        except InputError as error:
+            wrong += 1
+            follower.told(str(error))
+        follower.watch(now)
+    return wrong
+
+
+def _silent(feed: Feed, message: str) -> InputError:
+    return InputError.of(f"feed {feed.name}", message, "It is asked again.")
+
+
+def _words(body: dict[str, Any]) -> str:
+    """An event in a few words."""
+    if body["type"] == "outage":
+        return f"planned outage, {body['start']} to {body['end']}"
+    return f"restoration about {body['likely']}"
+
+
+def _without_version(body: dict[str, Any]) -> dict[str, Any]:
+    """What was put, as it was put."""
+    return {name: value for name, value in body.items() if name != "version" and value is not None}

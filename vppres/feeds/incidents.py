@@ -1,0 +1,149 @@
+"""What a network operator says of an outage, whichever feed it is in."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import pandas as pd
+
+from vppres.core.errors import InputError
+from vppres.service.clock import written
+
+ZONE = "Europe/London"
+"""Of times without an offset: the clocks of Great Britain."""
+
+_AREA = re.compile(r"[A-Z]{1,2}\d[A-Z\d]?( \d([A-Z]{2})?)?")
+_INWARD = re.compile(r"\d[A-Z]{2}")
+
+
+@dataclass(frozen=True)
+class Incident:
+    """An outage in a feed.
+
+    Parameters
+    ----------
+    name : str
+        Reference of the operator.
+    postcodes : tuple of str
+        Postcodes, or sectors and districts, that are affected.
+    planned : bool
+        Whether it is planned work with a known beginning.
+    start : pandas.Timestamp, optional
+        Beginning.
+    end : pandas.Timestamp, optional
+        Planned end, or estimated restoration.
+    restored : bool
+        Whether it is over.
+    """
+
+    name: str
+    postcodes: tuple[str, ...]
+    planned: bool = False
+    start: pd.Timestamp | None = None
+    end: pd.Timestamp | None = None
+    restored: bool = False
+
+    def touches(self, areas: Iterable[str]) -> bool:
+        """Whether it is in one of some areas: postcodes, sectors or districts."""
+        return any(_overlap(one, other) for one in self.postcodes for other in areas)
+
+    def event(self, source: str, now: pd.Timestamp) -> dict[str, Any] | None:
+        """The event of the service that says the same; None if it says nothing of what comes.
+
+        Planned work is an outage with its beginning and end. An estimate of restoration is what a
+        crew says of the present outage: where there is grid, it says nothing.
+        """
+        if self.restored or self.end is None or self.end <= now:
+            return None
+        if self.planned and self.start is not None:
+            if self.end <= self.start:
+                return None
+            times = {"start": written(self.start), "end": written(self.end)}
+            return {"type": "outage", "source": source, **times}
+        return {"type": "restoration", "source": source, "likely": written(self.end)}
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a feed answered.
+
+    Parameters
+    ----------
+    incidents : tuple of Incident
+        All that it holds.
+    made_at : pandas.Timestamp, optional
+        When the operator made it, where the feed says so.
+    left_out : int
+        Rows that could not be read.
+    """
+
+    incidents: tuple[Incident, ...]
+    made_at: pd.Timestamp | None = None
+    left_out: int = 0
+
+
+def area(text: str) -> str:
+    """A postcode, sector or district as it is compared: outward code, space, the rest.
+
+    >>> area("cm4 0"), area("CM40AB"), area("cm4")
+    ('CM4 0', 'CM4 0AB', 'CM4')
+    """
+    parts = text.upper().split()
+    if len(parts) == 1 and len(parts[0]) >= 5 and _INWARD.fullmatch(parts[0][-3:]):
+        parts = [parts[0][:-3], parts[0][-3:]]
+    return " ".join(parts)
+
+
+def check_areas(texts: Iterable[str]) -> list[str]:
+    """Areas of a user.
+
+    Raises
+    ------
+    InputError
+        If there are none, or one is no postcode, sector or district.
+    """
+    found = [area(text) for text in texts]
+    wrong = [one for one in found if not _AREA.fullmatch(one)]
+    if wrong or not found:
+        raise InputError.of(
+            "options",
+            "is no postcode, sector or district" if wrong else "is missing",
+            'Give those of the site, for example "CM4 0".',
+            field="postcode",
+            value=wrong[0] if wrong else None,
+        )
+    return found
+
+
+def _overlap(one: str, other: str) -> bool:
+    """Whether one area holds the other."""
+    (here, _, rest), (there, _, other_rest) = (area(text).partition(" ") for text in (one, other))
+    return here == there and (rest.startswith(other_rest) or other_rest.startswith(rest))
+
+
+def time_in(value: Any) -> pd.Timestamp | None:
+    """A time of a feed in UTC; None where there is none.
+
+    Raises
+    ------
+    ValueError
+        If it is no time.
+
+    Examples
+    --------
+    >>> time_in("2026-07-01T12:00:00").isoformat(), time_in("")
+    ('2026-07-01T11:00:00+00:00', None)
+    """
+    if value is None or value == "":
+        return None
+    if not isinstance(value, str):
+        raise ValueError(f"{value!r} is no time")
+    found = pd.Timestamp(value)
+    if pd.isna(found):
+        raise ValueError(f"{value!r} is no time")
+    if found.tzinfo is None:
+        found = found.tz_localize(ZONE, ambiguous=True, nonexistent="shift_forward")
+    return found.tz_convert("UTC").floor("s")
