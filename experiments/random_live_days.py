@@ -27,7 +27,7 @@ import typer
 
 from experiments.random_days import small_day
 from experiments.report import machine
-from experiments.seeds import Study
+from experiments.seeds import PATIENT, Study
 from experiments.shedding import Judge
 from experiments.tables import markdown_table, write_pages
 from experiments.within import Within
@@ -44,7 +44,7 @@ from vppres.service.runner import Service
 from vppres.service.serve import opened
 from vppres.service.world import Series, World, critical_off
 
-OPTIONS = RunOptions(horizon_h=4.0, isolate=False, priority="strict")
+OPTIONS = RunOptions(horizon_h=4.0, isolate=False, priority="strict", limits=PATIENT)
 START = pd.Timestamp("2026-11-21T00:00Z")
 QUARTERS = 96
 QUARTER = pd.Timedelta(minutes=15)

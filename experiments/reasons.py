@@ -20,7 +20,7 @@ import typer
 from numpy.random import Generator
 
 from experiments.random_days import small_day
-from experiments.seeds import STUDIES, FirstSeed, Results
+from experiments.seeds import PATIENT, STUDIES, FirstSeed, Results
 from experiments.tables import markdown_table, write_pages
 from vppres.control.converged import ConvergedPlanner
 from vppres.control.planner import OnePass
@@ -73,7 +73,7 @@ def day_of(seed: int) -> tuple[Scenario, RunOptions, Generator]:
     rule = ("weights", "strict")[seed % 2]
     mode = ("paper", "physical")[seed // 2 % 2]
     day = small_day(rng, seed)
-    options = RunOptions(priority=rule, mode=mode, horizon_h=5.0)
+    options = RunOptions(priority=rule, mode=mode, horizon_h=5.0, limits=PATIENT)
     if seed % 5 >= 3:
         day = weak_day(day, rng)
         options = replace(options, voltage_limits=SOFT, ratings=LIMIT)
@@ -200,7 +200,7 @@ def _solved(
         forecast = seen.forecast
         free = np.where(forecast.grid_limit_kw > 0.0, np.inf, 0.0)
         seen = replace(seen, forecast=replace(forecast, grid_limit_kw=free))
-    solver = WindowSolver(site)
+    solver = WindowSolver(site, limits=PATIENT)
     planner: Any = OnePass(solver)
     if recorded.options["mode"] == "physical":
         # Headroom is a share of the rating: it stays what it is in kW.

@@ -19,6 +19,7 @@ from pydantic import TypeAdapter
 
 from experiments.terminal import bar_of, plain_errors, show_report
 from vppres.io.atomic import atomic_write_text
+from vppres.solve.result import SolveLimits
 from vppres.studies.side_by_side import Lost, Where, identity, map_unordered
 
 J = TypeVar("J")
@@ -26,6 +27,9 @@ R = TypeVar("R")
 T = TypeVar("T")
 
 STUDIES = Path("results/studies")
+
+PATIENT = SolveLimits(time_s=3600.0)
+"""No window ends for want of time, however busy the machine is."""
 
 Days = Annotated[int, typer.Option(min=1, help="Number of days.")]
 FirstSeed = Annotated[int, typer.Option(help="Seed of the first day.")]

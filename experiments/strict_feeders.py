@@ -19,7 +19,7 @@ from typing import Any
 
 import typer
 
-from experiments.seeds import STUDIES, Results
+from experiments.seeds import PATIENT, STUDIES, Results
 from experiments.tables import markdown_table, write_pages
 from vppres import new_scenario
 from vppres.control.converged import ConvergedPlanner
@@ -134,7 +134,7 @@ def play(source: Callable[[], Any], seed: int) -> Trajectory:
         outages=(parse_outage(OUTAGE, NewScenarioOptions.start),),
         accept_deviation=True,
     )
-    return run_day(new_scenario(feeder, options), RunOptions(seed=seed))
+    return run_day(new_scenario(feeder, options), RunOptions(seed=seed, limits=PATIENT))
 
 
 def avoidable(run: Trajectory, one: Inversion) -> bool:
@@ -150,7 +150,7 @@ def avoidable(run: Trajectory, one: Inversion) -> bool:
     first = replace(
         recorded.site, customers=replace(recorded.site.customers, weight=weight), ranks=None
     )
-    planner = ConvergedPlanner(WindowSolver(first), float(run.options["headroom"]))
+    planner = ConvergedPlanner(WindowSolver(first, limits=PATIENT), float(run.options["headroom"]))
     try:
         plan = planner.plan(recorded.observation(one.t)).dispatch
     except VppresError:

@@ -18,7 +18,7 @@ import pandas as pd
 import typer
 
 from experiments.networks import CURES, Candidate, candidates
-from experiments.seeds import STUDIES
+from experiments.seeds import PATIENT, STUDIES
 from experiments.tables import markdown_table, write_pages
 from vppres.core.errors import InputError
 from vppres.day.metrics import line_loading, summarise
@@ -37,8 +37,8 @@ SPREAD = 0.3
 MOST_BUSES = 150
 AN_OUTAGE = (pd.Timestamp("2025-07-01T00:00Z"), pd.Timestamp("2025-07-01T04:00Z"))
 RULES = {
-    "hard": RunOptions(horizon_h=HORIZON_H, voltage_limits=HARD, ratings=REPORT),
-    "new": RunOptions(horizon_h=HORIZON_H, voltage_limits=SOFT, ratings=LIMIT),
+    "hard": RunOptions(horizon_h=HORIZON_H, voltage_limits=HARD, ratings=REPORT, limits=PATIENT),
+    "new": RunOptions(horizon_h=HORIZON_H, voltage_limits=SOFT, ratings=LIMIT, limits=PATIENT),
 }
 OFF = "Off with the grid on: "
 
