@@ -124,7 +124,6 @@ MECHANISMS = (
         {"ladder.all_terms_in_network": nothing},
         ("network.terms",),
     ),
-    Mechanism("smaller network for tie-breakers", {"dispatch.Reduction.of": nothing}),
     Mechanism(
         "options of HiGHS",
         {

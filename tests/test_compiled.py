@@ -1,43 +1,51 @@
-"""Compiled problems give solvers the numbers that cvxpy gives them, and variables its values."""
+"""Compiled constraints have the numbers that cvxpy gives them; solvers' statuses are honest."""
 
 from __future__ import annotations
-
-import gc
 
 import cvxpy as cp
 import numpy as np
 import pytest
 
+from tests.support.small_windows import DARK, OPEN, two_buses, window
 from vppres.core.errors import NumericalError
-from vppres.solve import compiled
-from vppres.solve.compiled import compiled_for, is_compiled
+from vppres.model.site import Site
+from vppres.scenario.scenario import Scenario
+from vppres.solve.cache import ModelCache
+from vppres.solve.compiled import affine
+from vppres.solve.forms import Form, window_problem
 from vppres.solve.result import Status
 from vppres.solve.solvers import find_solver, run, run_conic
 
-STEPS = 2
 
-
-@pytest.mark.parametrize(("solver", "square"), [("highs", 0), ("clarabel", 0), ("clarabel", 1)])
-def test_solved_as_by_cvxpy(solver: str, square: int) -> None:
-    """The same answers bit for bit, whatever was solved before."""
-    x = cp.Variable((2, 3), nonneg=True, name="x")
-    price = cp.Parameter(3, nonneg=True)
-    most = cp.Parameter(nonneg=True)
-    total = price @ cp.sum(x, axis=0) + (cp.sum_squares(x) if square else 0.0)
-    problem = cp.Problem(cp.Minimize(total), [cp.sum(x) >= most, x <= 0.7 * most])
-    for prices in ([1.0, 2.0, 3.0], [3.0, 1.0, 2.0]):
-        price.value = np.array(prices)
-        most.value = 1.0 + prices[0]
-        outcome = (
-            run(problem, find_solver("highs"), 0.0, 10.0)
-            if solver == "highs"
-            else run_conic(problem, 10.0)
-        )
-        ours = np.array(x.value)
-        options = {} if solver == "highs" else {"iterative_refinement_enable": False}
-        other = cp.Problem(problem.objective, problem.constraints)
-        assert other.solve(solver=solver.upper(), **options) == outcome.value
-        np.testing.assert_array_equal(ours, x.value)
+@pytest.mark.parametrize("kind", ["equal", "most", "cone"])
+def test_a_constraint_has_cvxpys_values_whatever_its_parameters(kind: str) -> None:
+    x, y = cp.Variable((2, 3), nonneg=True), cp.Variable(2)
+    price, most = cp.Parameter(3, nonneg=True), cp.Parameter(nonneg=True)
+    left = x @ price - 2.0 * y
+    constraint = {
+        "equal": left == most,
+        "most": left <= most * np.ones(2),
+        "cone": cp.SOC(most * np.ones(2), cp.vstack([x @ price, y]), axis=0),
+    }[kind]
+    found = affine(constraint)
+    rng = np.random.default_rng(0)
+    for leaf in (x, y, price, most):
+        leaf.save_value(rng.uniform(0.5, 1.5, leaf.shape))
+    values = np.ones(found.width)
+    for parameter, first in found.parameters:
+        values[first : first + parameter.size] = np.ravel(parameter.value, order="F")
+    columns = np.zeros(found.rows.shape[1] + 1)
+    columns[-1] = -1.0
+    for leaf in (x, y):
+        first = found.first[leaf.id]
+        columns[first : first + leaf.size] = np.ravel(leaf.value, order="F")
+    rows = np.zeros(found.rows.shape[0])
+    np.add.at(rows, found.rows.row, (found.rows.by @ values) * columns[found.rows.column])
+    if kind == "cone":
+        inside = np.stack([most.value * np.ones(2), x.value @ price.value, y.value])
+        np.testing.assert_allclose(-rows.reshape(2, 3).T, inside)
+    else:
+        np.testing.assert_allclose(rows, left.value - most.value)
 
 
 def test_whole_numbers_and_how_searches_end() -> None:
@@ -57,31 +65,22 @@ def test_whole_numbers_and_how_searches_end() -> None:
     assert run(endless, spec, 0.0, 10.0).status in (Status.UNBOUNDED, Status.INFEASIBLE)
 
 
+@pytest.fixture
+def day() -> Scenario:
+    return two_buses([[5.0], [5.0]], [1.0], [OPEN, DARK])
+
+
 @pytest.mark.parametrize("solver", ["highs", "clarabel"])
-def test_what_is_no_number_is_refused(solver: str) -> None:
-    x = cp.Variable(2)
-    factor = cp.Parameter(2, value=np.array([1.0, 2.0]))
-    squares = cp.sum_squares(x) if solver == "clarabel" else cp.sum(x)
-    problem = cp.Problem(cp.Minimize(squares), [cp.multiply(factor, x) >= 1.0])
+def test_what_is_no_number_is_refused(solver: str, day: Scenario) -> None:
+    site, data = Site.of(day), window(day)
+    conic = solver == "clarabel"
+    form = Form(service="relaxed", exclusivity="relaxed", network=conic)
+    problem = window_problem(ModelCache(site), data, form, conic)
     for wrong in (np.nan, np.inf):
-        factor.save_value(np.array([1.0, wrong]))
+        problem.fill(data)
+        problem.values[problem.sheet._parameters[problem.statement.p.P_load.id]] = wrong
         with pytest.raises(NumericalError, match="not finite"):
-            if solver == "highs":
-                run(problem, find_solver("highs"), 0.0, 10.0)
-            else:
+            if conic:
                 run_conic(problem, 10.0)
-
-
-def test_kept_as_long_as_the_problem_and_for_its_interface() -> None:
-    x = cp.Variable(2, nonneg=True)
-    problem = cp.Problem(cp.Minimize(cp.sum(x)), [x >= 1.0])
-    gc.collect()
-    before = len(compiled._KEPT)
-    known = compiled_for(problem, cp.HIGHS)
-    assert compiled_for(problem, cp.HIGHS) is known
-    assert is_compiled(problem, cp.HIGHS) and not is_compiled(problem, cp.CLARABEL)
-    assert compiled_for(problem, cp.CLARABEL) is not known
-    assert len(compiled._KEPT) == before + 1
-    del problem, x
-    gc.collect()
-    assert len(compiled._KEPT) == before
+            else:
+                run(problem, find_solver("highs"), 0.0, 10.0)

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
 
-import cvxpy as cp
 import numpy as np
 import pytest
 
 from benchmarks.instances import Instance, packaged, read_instances, window_data
 from experiments.random_feeders import random_window
+from tests.support.small_windows import window
 from vppres.core.arrays import Flags
 from vppres.core.errors import LimitError, SolveError
 from vppres.model.site import Site
+from vppres.scenario.scenario import Scenario
 from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.fleet.counts import Counts, _Found
 from vppres.solve.fleet.masters import demand_of
+from vppres.solve.forms import Form, window_problem
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import SolveLimits, Status
 from vppres.solve.solvers import find_solver, run, run_conic
@@ -122,50 +125,54 @@ def test_first_answer_has_the_grace_of_the_network_s_size() -> None:
 # Compiling.
 
 
-def small_problem() -> cp.Problem:
-    x = cp.Variable(3, nonneg=True)
-    return cp.Problem(cp.Minimize(cp.sum(x)), [x >= 1.0])
-
-
-def test_what_cannot_be_compiled_in_time_is_not_begun(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vppres.solve.solvers.COMPILE_S_PER_ENTRY", 100.0)  # 6 entries: 10 min
-    problem = small_problem()
-    for solve in (
-        lambda: run(problem, find_solver("highs"), 0.0, time_s=60.0),
-        lambda: run_conic(problem, time_s=60.0),
-    ):
-        outcome = solve()
+def test_what_cannot_be_compiled_in_time_is_not_begun(
+    monkeypatch: pytest.MonkeyPatch, tiny: Scenario
+) -> None:
+    monkeypatch.setattr("vppres.solve.solvers.COMPILE_S_PER_ENTRY", 100.0)
+    site, data = Site.of(tiny), window(tiny, slice(1))
+    cache = ModelCache(site)
+    relaxed = Form(service="relaxed", exclusivity="relaxed")
+    for conic in (False, True):
+        form = relaxed if conic else Form(network=False)
+        problem = window_problem(cache, data, form, conic)
+        problem.fill(data)
+        outcome = (
+            run_conic(problem, time_s=60.0)
+            if conic
+            else run(problem, find_solver("highs"), 0.0, time_s=60.0)
+        )
         assert outcome.status == Status.NO_ANSWER
-        assert problem.compilation_time is None
-    assert run_conic(problem, time_s=601.0).value == pytest.approx(3.0)
+        assert not problem.is_compiled
+    monkeypatch.undo()
+    assert run_conic(problem, time_s=600.0).status == Status.OPTIMAL
 
 
-def test_a_solver_gets_what_compiling_leaves(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_solver_gets_what_compiling_leaves(
+    monkeypatch: pytest.MonkeyPatch, tiny: Scenario
+) -> None:
     """Compiling took its 5 s on top of the limit."""
-    problem = small_problem()
-    compiled = problem.get_problem_data
     now = [100.0]
     monkeypatch.setattr("vppres.solve.deadline.time", SimpleNamespace(perf_counter=lambda: now[0]))
-
-    def slow(*args: object, **options: object) -> object:
-        now[0] += 5.0
-        return compiled(*args, **options)
-
     given = []
 
     def options(gap: float, time_s: float) -> dict[str, float]:
         given.append(time_s)
         return {"time_limit": time_s}
 
-    monkeypatch.setattr(problem, "get_problem_data", slow)
     spec = replace(find_solver("highs"), options=options)
-    assert run(problem, spec, 0.0, time_s=8.0).value == pytest.approx(3.0)
-    assert given == [3.0]
-    problem = small_problem()
-    compiled = problem.get_problem_data
-    monkeypatch.setattr(problem, "get_problem_data", slow)
-    assert run(problem, spec, 0.0, time_s=4.0).status == Status.NO_ANSWER
-    assert given == [3.0]
+    data = window(tiny, slice(1))
+    for time_s, ended in ((8.0, Status.OPTIMAL), (4.0, Status.NO_ANSWER)):
+        problem = window_problem(ModelCache(Site.of(tiny)), data, Form(network=False))
+        problem.fill(data)
+        compiled = problem.compile
+
+        def slow(compiled: Callable[[], None] = compiled) -> None:
+            now[0] += 5.0
+            compiled()
+
+        monkeypatch.setattr(problem, "compile", slow)
+        assert run(problem, spec, 0.0, time_s=time_s).status == ended
+        assert given == [3.0]
 
 
 def test_no_time_to_compile_is_no_numerical_trouble(monkeypatch: pytest.MonkeyPatch) -> None:

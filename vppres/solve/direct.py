@@ -1,4 +1,4 @@
-"""HiGHS and Clarabel asked with the numbers of compiled problems, as cvxpy asks them.
+"""HiGHS and Clarabel asked with the numbers of selections, as cvxpy asks them.
 
 The model, the options and their order are those of cvxpy's interfaces, and so are the answers.
 """
@@ -17,7 +17,7 @@ from cvxpy.reductions.solvers.conic_solvers.highs_conif import HIGHS
 from cvxpy.settings import SOLUTION_PRESENT
 
 from vppres.core.arrays import Flags, Floats
-from vppres.solve.compiled import Compiled, Numbers
+from vppres.solve.compiled import Numbers
 from vppres.solve.programs import begin_with
 from vppres.solve.selection import Selected
 
@@ -30,7 +30,7 @@ class Start(NamedTuple):
 
 
 def solve_by_highs(
-    compiled: Compiled | Selected, options: Mapping[str, Any], start: Start | None = None
+    selected: Selected, options: Mapping[str, Any], start: Start | None = None
 ) -> tuple[str, Any, float]:
     """Solve a problem without cones: cvxpy's word for how it ended, HiGHS's figures, the least.
 
@@ -48,37 +48,37 @@ def solve_by_highs(
     for name, value in options.items():
         if solver.setOptionValue(name, value) == highspy.HighsStatus.kError:
             raise ValueError(f"HiGHS does not take {value!r} for its option {name}.")
-    numbers = compiled.numbers()
-    solver.passModel(_model(compiled, numbers))
-    if start is not None and isinstance(compiled, Selected):
-        begin_with(solver, compiled.at(start.letter), start.values)
+    numbers = selected.numbers()
+    solver.passModel(_model(selected, numbers))
+    if start is not None:
+        begin_with(solver, selected.at(start.letter), start.values)
     solver.run()
     word = HIGHS.STATUS_MAP.get(solver.getModelStatus().name, cp.SOLVER_ERROR)
     if word in SOLUTION_PRESENT:
-        compiled.put(np.array(solver.getSolution().col_value))
+        selected.put(np.array(solver.getSolution().col_value))
     info = solver.getInfo()
     return word, info, info.objective_function_value + numbers.offset
 
 
-def _model(compiled: Compiled | Selected, numbers: Numbers) -> highspy.HighsModel:
+def _model(selected: Selected, numbers: Numbers) -> highspy.HighsModel:
     """A problem in HiGHS's own form."""
     model = highspy.HighsModel()
     lp = model.lp_
     lp.num_row_, lp.num_col_ = numbers.rows.shape
     lp.col_cost_ = numbers.cost
-    lp.row_lower_ = compiled.row_lower(numbers.limit)
+    lp.row_lower_ = selected.row_lower(numbers.limit)
     lp.row_upper_ = numbers.limit
     lp.a_matrix_.format_ = highspy.MatrixFormat.kColwise
     lp.a_matrix_.start_ = numbers.rows.indptr
     lp.a_matrix_.index_ = numbers.rows.indices
     lp.a_matrix_.value_ = numbers.rows.data
-    if len(compiled.whole):
+    if len(selected.whole):
         kinds = [highspy.HighsVarType.kContinuous] * len(numbers.cost)
-        for column in compiled.whole:
+        for column in selected.whole:
             kinds[column] = highspy.HighsVarType.kInteger
         lp.integrality_ = kinds
-    lp.col_lower_ = compiled.x_lower
-    lp.col_upper_ = compiled.x_upper
+    lp.col_lower_ = selected.x_lower
+    lp.col_upper_ = selected.x_upper
     return model
 
 
@@ -89,7 +89,7 @@ def _cones(dims: Any) -> list[Any]:
     return [*zero, *nonneg, *(clarabel.SecondOrderConeT(size) for size in dims.soc)]
 
 
-def solve_by_clarabel(compiled: Compiled | Selected, options: Mapping[str, Any]) -> str:
+def solve_by_clarabel(selected: Selected, options: Mapping[str, Any]) -> str:
     """Solve a continuous problem with cones; cvxpy's word for how it ended.
 
     Raises
@@ -101,19 +101,19 @@ def solve_by_clarabel(compiled: Compiled | Selected, options: Mapping[str, Any])
     settings.verbose = False
     for name, value in options.items():
         setattr(settings, name, value)
-    numbers = compiled.numbers()
+    numbers = selected.numbers()
     solver = clarabel.DefaultSolver(
         numbers.squares,
         numbers.cost,
         numbers.rows,
         numbers.limit,
-        _cones(compiled.dims),
+        _cones(selected.dims),
         settings,
     )
     found = solver.solve()
     word: str = CLARABEL.STATUS_MAP.get(str(found.status), cp.SOLVER_ERROR)
     if word in SOLUTION_PRESENT:
         x: Floats = np.array(found.x)
-        compiled.put(x)
-        compiled.duals = np.array(found.z)
+        selected.put(x)
+        selected.duals = np.array(found.z)
     return word

@@ -17,18 +17,17 @@ from vppres.model.beyond_paper.export import net_exchange
 from vppres.model.data import WindowData
 from vppres.model.formulas import cell_kw, soc_after
 from vppres.model.numerics import cost_scale, disc_sides
-from vppres.model.reduction import Reduction
 from vppres.model.site import Site
 from vppres.model.terms import evaluate
 from vppres.model.violations import broken
-from vppres.solve.cache import ModelCache, shared_cache
+from vppres.solve.cache import ModelCache
 from vppres.solve.certificate import NO_OWN, Candidate, Own
 from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.forms import Form, sheet_of, window_problem
 from vppres.solve.network.reactive import LeastReactive, of_network
 from vppres.solve.programs import ProgramSolution, program_of
 from vppres.solve.result import Outcome, Status
-from vppres.solve.solvers import SolverSpec, run, run_conic, run_for_variables
+from vppres.solve.solvers import SolverSpec, run, run_conic
 from vppres.solve.task import WindowTask
 from vppres.solve.tie_breakers import TieBreakers
 
@@ -65,9 +64,6 @@ EASED_KWH = 1e-5
 step of an hour, since a few batteries may lack what the fleet misses. A plan that lives on exactly
 the energy it has charged misses it by rounding one step later, and a set that lacks so little is
 served."""
-
-VOLTAGE_OVER_PU2 = 1e-6
-"""By how much a squared voltage of a bus that the tie-breakers did not know may miss its limit."""
 
 NETWORK_SHARE = 1.0 / 3.0
 """Share of the time left for the cheapest dispatch in the network. A large network may need long to
@@ -188,7 +184,8 @@ def cheapest(
 def with_tie_breakers(task: WindowTask, found: Candidate) -> Candidate | None:
     """The dispatch that the tie-breakers prefer, None if the network forbids its cost."""
     data = task.data.for_service(found.dispatch.served)
-    attempt = _by_tie_breakers(task, data, found)
+    own = Own(found.terms.own, found.letters)
+    attempt = polish(task.cache, data, found.dispatch, task.answer_by(), own)
     task.certificate.note("tie_breakers", attempt.outcome)
     return carried(task, data, found, attempt)
 
@@ -227,27 +224,6 @@ def with_least_reactive(task: WindowTask, found: Candidate) -> Candidate | None:
     attempt = least_reactive(task.cache, data, found.dispatch, task.answer_by())
     task.certificate.note("reactive_power", attempt.outcome)
     return carried(task, data, found, attempt)
-
-
-def _by_tie_breakers(task: WindowTask, data: WindowData, found: Candidate) -> Attempt:
-    """The tie-breakers, in a large window without the buses at which nothing happens.
-
-    If one of those then exceeds its limits, all of them are needed.
-    """
-    dispatch = found.dispatch
-    plain = data.physics is None and data.drawn is None and not task.own
-    reduction = task.cache.table(Reduction.of) if task.is_large and plain else None
-    if reduction is not None:
-        cache = shared_cache(reduction.site)
-        fewer = reduction.data(data), reduction.reduced(dispatch)
-        attempt = polish(cache, *fewer, task.answer_by())
-        if attempt.dispatch is None:
-            return attempt
-        whole = reduction.expanded(data, attempt.dispatch)
-        if reduction.within_limits(data, whole, VOLTAGE_OVER_PU2):
-            return replace(attempt, dispatch=whole)
-    own = Own(found.terms.own, found.letters)
-    return polish(task.cache, data, dispatch, task.answer_by(), own)
 
 
 # Cost.
@@ -417,7 +393,7 @@ def polish(
     problem = cache.problem(TieBreakers, sheet=sheet, curtailing=curtailing, moves=moves)
     problem.hold(data, dispatch, f2_max, f3_max)
     problem.hold_own(own.letters, own.value - OWN_HELD * (1.0 + abs(own.value)))
-    outcome = run_for_variables(problem, deadline.left_s)
+    outcome = run_conic(problem, deadline.left_s)
     if outcome.status != Status.OPTIMAL:
         return Attempt(outcome, None)
     better = problem.dispatch(dispatch.served)
@@ -454,7 +430,7 @@ def least_reactive(
             status = Status.TIME_LIMIT
             break
         model.hold(seen, dispatch, t)
-        outcome = run_for_variables(model, deadline.left_s)
+        outcome = run_conic(model, deadline.left_s)
         solver = outcome.solver
         if outcome.status == Status.OPTIMAL:
             changed = model.put_into(changed, t)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache, partial
+from functools import cache
 from types import MappingProxyType
 from typing import Any
 
@@ -16,7 +16,7 @@ from cvxpy.reductions.solvers.solver import Solver
 from vppres.core.errors import InputError
 from vppres.model.data import WindowData
 from vppres.model.site import Site
-from vppres.solve.compiled import COMPILER, Compiled, compiled_for, is_compiled
+from vppres.solve.compiled import COMPILER
 from vppres.solve.deadline import LEAST_S, Deadline
 from vppres.solve.direct import Start, solve_by_clarabel, solve_by_highs
 from vppres.solve.programs import (
@@ -246,9 +246,11 @@ def run_with(
 ) -> Outcome:
     """The same with options of one's own, of the seconds that are left."""
     deadline = Deadline(time_s)
-    ask = partial(_by_highs, start=start) if spec.cvxpy_name == cp.HIGHS else _by_cvxpy
     try:
-        answer = ask(problem, spec.cvxpy_name, deadline, options)
+        if spec.cvxpy_name == cp.HIGHS and isinstance(problem, Selected):
+            answer = _by_highs(problem, deadline, options, start)
+        else:
+            answer = _by_cvxpy(problem, spec.cvxpy_name, deadline, options)
     except cp.SolverError:
         return Outcome(Status.NUMERICAL, np.nan, np.nan, deadline.spent_s, spec.name)
     elapsed = deadline.spent_s
@@ -290,104 +292,62 @@ def _status(answer: Answer, spec: SolverSpec) -> Status:
     return Status.NUMERICAL
 
 
-def run_conic(
-    problem: cp.Problem | Selected, time_s: float, scale: float = 1.0, duals: bool = False
-) -> Outcome:
+def run_conic(problem: Selected, time_s: float, scale: float = 1.0) -> Outcome:
     """Solve a continuous problem with cones or a quadratic objective by interior points.
 
     ``scale`` is a factor in the problem's objective; the value is meant without it. The time limit
-    holds for compiling too. Constraints get their duals where they are asked for.
+    holds for compiling too.
     """
-    outcome = run_for_variables(problem, time_s, duals)
-    if not outcome.status.has_answer:
-        return outcome
-    value = _value(problem) / scale
-    return replace(outcome, value=value, bound=value)
-
-
-def run_for_variables(
-    problem: cp.Problem | Selected, time_s: float, duals: bool = False
-) -> Outcome:
-    """The same for who reads the variables alone: a sum of squares takes long to evaluate."""
     deadline = Deadline(time_s)
     # Refinement costs as many iterations again and gains digits nobody reads, unless they lack.
-    status = _interior_points(problem, deadline, duals, refined=False)
+    status = _interior_points(problem, deadline, refined=False)
     if status in (Status.INACCURATE, Status.NUMERICAL) and not deadline.passed:
-        status = _interior_points(problem, deadline, duals, refined=True)
-    return Outcome(status, np.nan, np.nan, deadline.spent_s, INTERIOR_POINTS)
+        status = _interior_points(problem, deadline, refined=True)
+    value = problem.value / scale if status.has_answer else np.nan
+    return Outcome(status, value, value, deadline.spent_s, INTERIOR_POINTS)
 
 
-def _interior_points(
-    problem: cp.Problem | Selected, deadline: Deadline, duals: bool, refined: bool
-) -> Status:
+def _interior_points(problem: Selected, deadline: Deadline, refined: bool) -> Status:
     """Status of a solve by interior points, with or without refined steps."""
-
-    def options(time_s: float) -> Mapping[str, Any]:
-        return {"time_limit": time_s, "iterative_refinement_enable": refined}
-
-    ask = _by_cvxpy if duals and isinstance(problem, cp.Problem) else _by_clarabel
-    try:
-        answer = ask(problem, cp.CLARABEL, deadline, options)
-    except cp.SolverError:
-        return Status.NUMERICAL
-    if answer is None:
+    if not compiled_in_time(problem, deadline):
         return Status.NO_ANSWER
+    left_s = max(deadline.left_s, LEAST_S)
+    word = solve_by_clarabel(
+        problem, {"time_limit": left_s, "iterative_refinement_enable": refined}
+    )
     return {
         cp.OPTIMAL: Status.OPTIMAL,
         cp.OPTIMAL_INACCURATE: Status.INACCURATE,
         cp.INFEASIBLE: Status.INFEASIBLE,
         cp.UNBOUNDED: Status.UNBOUNDED,
         cp.USER_LIMIT: Status.NO_ANSWER,
-    }.get(answer.word, Status.NUMERICAL)
+    }.get(word, Status.NUMERICAL)
 
 
 # What is asked of a solver in what is left after compiling; None where no time was left to ask.
 
 
 def _by_highs(
-    problem: cp.Problem | Selected,
-    interface: str | Solver,
+    problem: Selected,
     deadline: Deadline,
     options: Callable[[float], Mapping[str, Any]],
     start: Start | None,
 ) -> Answer | None:
-    """Ask HiGHS, without duals."""
-    known = compiled_in_time(problem, interface, deadline)
-    if known is None:
+    """Ask HiGHS."""
+    if not compiled_in_time(problem, deadline):
         return None
-    word, info, least = solve_by_highs(known, options(max(deadline.left_s, LEAST_S)), start)
+    word, info, least = solve_by_highs(problem, options(max(deadline.left_s, LEAST_S)), start)
     if word == cp.SOLVER_ERROR:
         raise cp.SolverError("HiGHS gave up.")
-    return Answer(word, info, len(known.whole) > 0, word in cp.settings.SOLUTION_PRESENT, least)
+    return Answer(word, info, len(problem.whole) > 0, word in cp.settings.SOLUTION_PRESENT, least)
 
 
-def _by_clarabel(
-    problem: cp.Problem | Selected,
-    interface: str | Solver,
-    deadline: Deadline,
-    options: Callable[[float], Mapping[str, Any]],
-) -> Answer | None:
-    """Ask Clarabel, without duals."""
-    known = compiled_in_time(problem, interface, deadline)
-    if known is None:
-        return None
-    word = solve_by_clarabel(known, options(max(deadline.left_s, LEAST_S)))
-    return Answer(word, None, False, word in cp.settings.SOLUTION_PRESENT)
-
-
-def compiled_in_time(
-    problem: cp.Problem | Selected, interface: str | Solver, deadline: Deadline
-) -> Compiled | Selected | None:
-    """The compiled problem; None if it could not be compiled in time, or need not be begun."""
-    if isinstance(problem, Selected):
-        if deadline.left_s < _compile_s(problem):
-            return None
-        problem.compile()
-        return None if deadline.passed else problem
-    if not is_compiled(problem, interface) and deadline.left_s < _compile_s(problem):
-        return None
-    known = compiled_for(problem, interface)
-    return None if deadline.passed else known
+def compiled_in_time(problem: Selected, deadline: Deadline) -> bool:
+    """Compile a problem; whether that was done in time. What would take longer is not begun."""
+    if deadline.left_s < _compile_s(problem):
+        return False
+    problem.compile()
+    return not deadline.passed
 
 
 def _by_cvxpy(

@@ -180,7 +180,7 @@ def search_for_set(
         return run(problem, spec, gap_abs, time_s, scale, spec.of_sets)
     deadline = Deadline(time_s)
     asks = first is None and len(spec.of_sets) > 0
-    if asks and compiled_in_time(problem, spec.cvxpy_name, deadline):
+    if asks and compiled_in_time(problem, deadline):
         near = near_linear(program_of(problem), gap_abs * scale, deadline.part(NEAR_SHARE))
         if near is not None:
             first = near[problem.at("x_served")] > 0.5
