@@ -16,6 +16,7 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import ModelError
 from vppres.model import objective, problem
+from vppres.model.beyond_paper.addition import Held
 from vppres.model.beyond_paper.table import Beyond, own_additions
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
@@ -160,6 +161,20 @@ class Statement:
         of_rules = (each for each in self.additions if each.rules and each not in self._own_parts)
         named = (each.families(*args) for each in of_rules)
         return frozenset(name for families in named for name in families)
+
+    def named(self, kind: str) -> tuple[str, ...]:
+        """Letters or families that additions name as of a kind, of those that there are."""
+        names = (name for each in self.additions for name in getattr(each, kind))
+        return tuple(n for n in names if n in self.letters or n in self.families)
+
+    def held(self, data: WindowData, dispatch: Dispatch) -> Held:
+        """What the tie-breakers hold of a dispatch of what is beyond the paper."""
+        found = [each.of_dispatch(self.site, data, dispatch) for each in self.additions]
+        return Held(
+            {name: value for each in found for name, value in each.values.items()},
+            {name: value for each in found for name, value in each.least.items()},
+            sum(each.gbp for each in found),
+        )
 
     def write(self, data: WindowData) -> Floats:
         """All parameters of a window one after the other, with a 1 behind them."""

@@ -383,12 +383,13 @@ def polish(
         return Attempt(Outcome(Status.NO_ANSWER, np.nan, np.nan, 0.0), None)
     site = cache.site
     terms = evaluate(site, data, dispatch)
-    f2 = held_gbp(site, data, dispatch)
+    sheet = sheet_of(cache, data)
+    # What the cost has besides is held by itself.
+    f2 = terms.f2 - sheet.statement.held(data, dispatch).gbp
     f2_max = f2 + HELD_REL * abs(f2) + HELD_ABS
     f3_max = terms.f3 + CURTAILMENT_HELD_REL * terms.f3 + HELD_ABS
     # Where nothing is curtailed, PV export is data and its discs are intervals: far smaller.
     curtailing = terms.f3 > HELD_ABS or bool((data.pv_kw > site.pv.s_max_kva).any())
-    sheet = sheet_of(cache, data)
     moves = data.moves is not None
     problem = cache.problem(TieBreakers, sheet=sheet, curtailing=curtailing, moves=moves)
     problem.hold(data, dispatch, f2_max, f3_max)
@@ -399,16 +400,10 @@ def polish(
     better = problem.dispatch(dispatch.served)
     better = replace(better, soc=soc_path(site, data, better.charge_kw, better.discharge_kw))
     after = evaluate(site, data, better)
-    f2_after = held_gbp(site, data, better)
+    f2_after = after.f2 - sheet.statement.held(data, better).gbp
     missed_kwh = CURTAILMENT_HELD_REL * terms.f3 + HELD_ABS
     kept = f2_after <= f2_max + HELD_ABS and after.f3 <= f3_max + missed_kwh
     return Attempt(outcome, better if kept else None, own=Own(problem.own_value(), own.letters))
-
-
-def held_gbp(site: Site, data: WindowData, dispatch: Dispatch) -> float:
-    """Cost that the tie-breakers hold: where energy at the end has a value, it is held itself."""
-    gbp = data.cost_gbp(dispatch.p_grid_kw, site.dt_h)
-    return gbp + data.end_gbp(site.batteries, dispatch.soc[-1]) if data.ending == "target" else gbp
 
 
 def least_reactive(

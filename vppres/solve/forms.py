@@ -84,13 +84,12 @@ def select_form(sheet: Sheet, form: Form) -> Selection:
     found = Selection(sheet)
     if form.service == "fixed":
         names = [name for name in names if name not in statement.rules]
-        found = found.hold("x_served", "z_cold")
+        found = found.hold("x_served", *statement.named("by_service"))
     if form.service == "relaxed":
         found = found.relax("x_served", 0.0, 1.0)
     if form.exclusivity == "relaxed":
         found = found.relax("delta")
-        if "importing" in statement.letters:
-            found = found.relax("importing", 0.0, 1.0)
+        found = found.relaxed_to_shares(statement.named("directions"))
     if form.network:
         found = with_discs(found, names, form.polygon)
     else:

@@ -7,7 +7,7 @@ sparse product.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Set
+from collections.abc import Callable, Mapping, Sequence, Set
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -19,7 +19,6 @@ import scipy.sparse as sp
 
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats, Wholes
-from vppres.model.beyond_paper.export import NOISE_KW
 from vppres.model.beyond_paper.table import Beyond
 from vppres.model.data import WindowData
 from vppres.model.polygons import Polygon
@@ -101,7 +100,7 @@ class Sheet:
     @cached_property
     def own_whole(self) -> tuple[str, ...]:
         """Letters that are whole numbers and that only the page has."""
-        known = {"x_served", "delta", "importing"}
+        known = {"x_served", "delta", *self.statement.named("directions")}
         return tuple(
             name
             for name, x in self.statement.letters.items()
@@ -334,6 +333,10 @@ class Selection:
         """The same with a letter that is no whole number, within other limits."""
         return replace(self, relaxed={**self.relaxed, name: (lower, upper)})
 
+    def relaxed_to_shares(self, names: Sequence[str]) -> Selection:
+        """The same with binaries that take any share."""
+        return replace(self, relaxed={**self.relaxed, **dict.fromkeys(names, (0.0, 1.0))})
+
     def optimise(self, maximises: bool = False, **terms: float) -> Selection:
         """The same with factors of the terms that there are; others are left out."""
         there = [(n, f) for n, f in terms.items() if n in self.sheet.statement.terms]
@@ -548,7 +551,8 @@ class Selected:
         """
         self.values = self.statement.write(data)
         if served is not None:
-            self.held |= {"x_served": served.astype(float), "z_cold": 0.0}
+            by_service = self.statement.named("by_service")
+            self.held |= {"x_served": served.astype(float), **dict.fromkeys(by_service, 0.0)}
 
     def numbers(self) -> Numbers:
         """The numbers of the window that was written last.
@@ -629,10 +633,8 @@ class Selected:
     def both_ways_kw(self) -> Floats:
         """What the last solution imports and exports at the same time, (W,)."""
         imported = np.maximum(self.value_of("P_grid"), 0.0)
-        if "P_out" not in self.first:
-            return np.zeros_like(imported)
-        exported = self.value_of("P_out")
-        return np.minimum(imported, np.where(exported < NOISE_KW, 0.0, exported))
+        found = [each.both_ways_kw(imported) for each in self.statement.additions]
+        return np.sum(found, axis=0) if found else np.zeros_like(imported)
 
     def put(self, x: Floats) -> None:
         """Give the statement's letters, and the problem, the values of a solution."""

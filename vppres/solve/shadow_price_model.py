@@ -83,8 +83,7 @@ class ShadowPriceModel(Selected):
         A bound of self-consumption would take up a part of the dual that belongs to the service.
         """
         found = Selection(sheet).relax("x_served").relax("P_self").relax("delta")
-        if "importing" in sheet.columns:
-            found = found.relax("importing", 0.0, 1.0)
+        found = found.relaxed_to_shares(sheet.statement.named("directions"))
         polygon = Polygon.inscribed(self.sides) if self.sides else None
         names = [RATED.get(name, name) for name in in_order(sheet)]
         found = with_discs(found, names, polygon)

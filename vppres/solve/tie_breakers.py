@@ -17,7 +17,6 @@ import scipy.sparse as sp
 
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats, Wholes
-from vppres.model.beyond_paper.export import exporting_steps
 from vppres.model.data import WindowData
 from vppres.model.numerics import disc_sides
 from vppres.model.polygons import Polygon
@@ -32,9 +31,6 @@ SHARPER_ENERGY = 1e4
 """Factors on both sides of rows in pu² and in shares of a capacity. An interior-point solver allows
 residuals in proportion to the largest value of the solution, thousands of kW here; what is a
 fraction of one needs smaller units to be met as sharply."""
-
-KEPT_TOLERANCE = 1e-6
-"""Share of the capacity by which the energy that a dispatch keeps for later may be missed."""
 
 OF_PV = ("pv_balance", "pv_self_consumption")
 """Families that say what PV systems export, with service known."""
@@ -77,16 +73,16 @@ class TieBreakers(Selected):
     def _selected(self, sheet: Sheet) -> Selection:
         """All families, scaled, with the limits that are written with a window."""
         site = self.site
-        valued = "kept" in sheet.statement.letters
+        named = sheet.statement.named
         # A page of one's own may multiply by parameters what is put in otherwise.
         puts_in = len(site.pv) > 0 and not sheet.statement.own
         out = {
             *(BY_DATA if puts_in else MODES),
             *sheet.statement.rules,
-            *(("value_at_end",) if valued else ()),
+            *named("met"),
         }
-        # The energy that a dispatch keeps is held, and its value has no part in the cost.
-        found = Selection(sheet).hold("x_served", "z_cold", "delta", "importing", "kept")
+        found = Selection(sheet).hold("x_served", "delta")
+        found = found.hold(*named("by_service"), *named("by_dispatch"))
         found = found.hold(*sheet.own_whole)
         sides = disc_sides(site, sheet.n_steps)
         for name in sorted(in_order(sheet), key=_rank):
@@ -102,8 +98,8 @@ class TieBreakers(Selected):
             found = found.hold("P_curt")
         found = found.limit("battery_power_min", {"P_ch": -1.0, "P_dch": 1.0})
         found = found.limit("battery_power_max", {"P_ch": 1.0, "P_dch": -1.0})
-        if valued:
-            found = found.limit("energy_held", {"E_stored": -1.0})
+        for name in named("at_least"):
+            found = found.limit(f"{name}_min", {name: -1.0})
         found = found.limit_term("f2").limit_term("f3")
         if "own" in sheet.statement.terms:
             found = found.limit_term("own", -1.0)
@@ -135,9 +131,9 @@ class TieBreakers(Selected):
         site = self.site
         b = site.batteries
         charging = charging_modes(dispatch)
+        beyond = self.statement.held(data, dispatch)
         most_kw = np.broadcast_to(b.active_max_kw, charging.shape)
         left_kvar = np.sqrt(np.maximum(site.pv.s_max_kva**2 - data.pv_kw**2, 0.0))
-        kept_kwh = float(dispatch.soc[-1] @ b.energy_kwh - KEPT_TOLERANCE * b.energy_kwh.sum())
         self._own_kw = data.self_limit_kw(site) * dispatch.served[:, site.owner]
         self._pv_kw = data.pv_kw
         self._charging = charging
@@ -147,16 +143,11 @@ class TieBreakers(Selected):
             "pv_export": 0.0,
             "pv_reactive_min": left_kvar,
             "pv_reactive_max": left_kvar,
-            "energy_held": -kept_kwh,
             "f2": f2_gbp,
             "f3": f3_kwh,
         }
-        self.held |= {
-            "delta": charging.astype(float),
-            "importing": np.where(exporting_steps(dispatch), 0.0, 1.0),
-            "kept": 0.0,
-            "P_curt": 0.0,
-        }
+        self.limits |= {f"{name}_min": -least for name, least in beyond.least.items()}
+        self.held |= {"delta": charging.astype(float), "P_curt": 0.0, **beyond.values}
         self._near = None
         if self.moves and data.moves is not None:
             self._near = data.moves.targets(b.p_max_kw)

@@ -7,15 +7,31 @@ knows it: what it adds reaches all of them through the one statement of the wind
 from __future__ import annotations
 
 from collections.abc import Hashable
+from dataclasses import dataclass, field
 from typing import ClassVar, Self
 
 import cvxpy as cp
+import numpy as np
 
 from vppres.contract.dispatch import Dispatch
+from vppres.core.arrays import Floats
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """What a dispatch says of an addition where cost is held, for the tie-breakers.
+
+    ``values`` are those of its letters of :attr:`Addition.by_dispatch`, ``least`` what other
+    letters must have at least, and ``gbp`` the part of the cost that goes with it.
+    """
+
+    values: dict[str, Floats | float] = field(default_factory=dict)
+    least: dict[str, float] = field(default_factory=dict)
+    gbp: float = 0.0
 
 
 class Addition:
@@ -27,10 +43,25 @@ class Addition:
         Families of the paper that it states anew, or that do not hold with it.
     rules : bool
         Whether all of its families limit service alone: a known service meets them or does not.
+    directions : tuple of str
+        Its binaries of which relaxations without modes take shares.
+    of_batteries : tuple of str
+        Its letters with a column for each battery: a lumped fleet has their sum.
+    by_service : tuple of str
+        Its letters that are 0 once service is known, since the data have what they add then.
+    by_dispatch, at_least, met : tuple of str
+        Its letters that the tie-breakers hold and those that they bound below, by
+        :meth:`of_dispatch`; its families that hold by that.
     """
 
     replaces: ClassVar[tuple[str, ...]] = ()
     rules: ClassVar[bool] = False
+    directions: ClassVar[tuple[str, ...]] = ()
+    of_batteries: ClassVar[tuple[str, ...]] = ()
+    by_service: ClassVar[tuple[str, ...]] = ()
+    by_dispatch: ClassVar[tuple[str, ...]] = ()
+    at_least: ClassVar[tuple[str, ...]] = ()
+    met: ClassVar[tuple[str, ...]] = ()
 
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
@@ -63,6 +94,14 @@ class Addition:
 
     def fill(self, site: Site, data: WindowData) -> None:
         """Write a window's data into its parameters."""
+
+    def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> Held:
+        """What the tie-breakers hold of a dispatch."""
+        return Held()
+
+    def both_ways_kw(self, P_grid_kw: Floats) -> Floats:
+        """What the last solution imports and exports at the same time, (W,)."""
+        return np.zeros_like(P_grid_kw)
 
     def read(self, found: Dispatch) -> Dispatch:
         """A dispatch that was read from the paper's letters, with what its own say."""

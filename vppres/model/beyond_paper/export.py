@@ -16,8 +16,8 @@ import cvxpy as cp
 import numpy as np
 
 from vppres.contract.dispatch import Dispatch
-from vppres.core.arrays import Flags, Floats
-from vppres.model.beyond_paper.addition import Addition
+from vppres.core.arrays import Floats
+from vppres.model.beyond_paper.addition import Addition, Held
 from vppres.model.constraints import Named, at_slack_bus
 from vppres.model.data import WindowData
 from vppres.model.numerics import write
@@ -56,6 +56,8 @@ class ExportToGrid(Addition):
     sigma_dt: cp.Parameter
 
     replaces: ClassVar[tuple[str, ...]] = ("grid_active_limit",)
+    directions: ClassVar[tuple[str, ...]] = ("importing",)
+    by_dispatch: ClassVar[tuple[str, ...]] = ("importing",)
 
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
@@ -96,6 +98,14 @@ class ExportToGrid(Addition):
         write(self.P_out_max, data.export_max_kw(site))
         write(self.sigma_dt, data.export.price_gbp_per_kwh * site.dt_h)
 
+    def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> Held:
+        """The direction of each step."""
+        return Held({"importing": np.where(dispatch.p_grid_kw < 0.0, 0.0, 1.0)})
+
+    def both_ways_kw(self, P_grid_kw: Floats) -> Floats:
+        """The lesser of import and export."""
+        return np.minimum(P_grid_kw, self.exported_kw())
+
     def read(self, found: Dispatch) -> Dispatch:
         """The dispatch with the grid's power in both directions."""
         return replace(found, p_grid_kw=found.p_grid_kw - self.exported_kw())
@@ -127,8 +137,3 @@ def net_exchange(data: WindowData, dispatch: Dispatch, both_kw: Floats, dt_h: fl
     circle = dispatch.charge_kw.sum(axis=1) - fed
     exploited = float(margin @ both_kw) * dt_h
     return exploited <= EXPLOITED_GBP and bool((circle <= CIRCLE_KW).all())
-
-
-def exporting_steps(dispatch: Dispatch) -> Flags:
-    """Steps in which a dispatch exports."""
-    return np.asarray(dispatch.p_grid_kw < 0.0)

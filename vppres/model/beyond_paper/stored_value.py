@@ -9,17 +9,21 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 from dataclasses import dataclass
-from typing import Self
+from typing import ClassVar, Self
 
 import cvxpy as cp
 
+from vppres.contract.dispatch import Dispatch
 from vppres.contract.stored_value import PIECES, StoredValue
-from vppres.model.beyond_paper.addition import Addition
+from vppres.model.beyond_paper.addition import Addition, Held
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
 from vppres.model.numerics import write
 from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
+
+KEPT_TOLERANCE = 1e-6
+"""Share of the capacity by which the energy that a dispatch keeps for later may be missed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +50,11 @@ class ValueAtEnd(Addition):
     offset: cp.Parameter
     gbp: cp.Parameter
     share: cp.Parameter
+
+    # The energy that a dispatch keeps is held, and its value has no part in the cost then.
+    by_dispatch: ClassVar[tuple[str, ...]] = ("kept",)
+    at_least: ClassVar[tuple[str, ...]] = ("E_stored",)
+    met: ClassVar[tuple[str, ...]] = ("value_at_end",)
 
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
@@ -75,6 +84,13 @@ class ValueAtEnd(Addition):
     def terms(self) -> dict[str, cp.Expression]:
         """What comes off the cost in GBP, and later service in weighted customer hours."""
         return {"f2": -self.gbp * self.kept, "f7": self.share * self.kept}
+
+    def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> Held:
+        """The energy at the end, and what comes off the cost for it."""
+        b = site.batteries
+        kept_kwh = float(dispatch.soc[-1] @ b.energy_kwh - KEPT_TOLERANCE * b.energy_kwh.sum())
+        gbp = data.end_gbp(b, dispatch.soc[-1])
+        return Held({"kept": 0.0}, {"E_stored": kept_kwh}, gbp)
 
     def fill(self, site: Site, data: WindowData) -> None:
         """Write the lines and what they count as."""

@@ -77,6 +77,7 @@ class SwitchingModel(Addition):
     """
 
     rules: ClassVar[bool] = True
+    by_service: ClassVar[tuple[str, ...]] = ("z_cold",)
 
     def __init__(self, site: Site, x: cp.Expression, steps: RuleSteps) -> None:
         self.site = site

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 from dataclasses import dataclass
-from typing import Self
+from typing import ClassVar, Self
 
 import cvxpy as cp
 
@@ -39,6 +39,8 @@ class HeldAtEnd(Addition):
     missing: cp.Variable
     target_kwh: cp.Parameter
     price: cp.Parameter
+
+    of_batteries: ClassVar[tuple[str, ...]] = ("E_missing",)
 
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:

@@ -12,7 +12,7 @@ from vppres.core.arrays import Flags
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.solve.certificate import CostRange
-from vppres.solve.fleet.relaxation import DIRECTION, LEFT_OUT, Fleet, rank, with_column
+from vppres.solve.fleet.relaxation import LEFT_OUT, Fleet, rank, with_column
 from vppres.solve.linear import Linear
 from vppres.solve.selection import MOST, Family, Selected, Selection, Sheet
 
@@ -133,7 +133,7 @@ def _select(sheet: Sheet, fleet: Fleet) -> Selection:
     cost = fleet.sum_of_terms("spent", MOST, ("f2", 1.0))
     parts.append(with_column(cost, int(spent[0]), -1.0, "spent"))
     found = Selection(sheet, tuple(parts), order=("load", "lost", "spent"))
-    return found.relax(DIRECTION, 0.0, 1.0) if DIRECTION in sheet.columns else found
+    return found.relaxed_to_shares(sheet.statement.named("directions"))
 
 
 def _with_load(sheet: Sheet, family: Family) -> Family:

@@ -45,7 +45,6 @@ OF_ENERGY = (
 """Families in shares of a capacity: as energies they can be added up."""
 
 LEFT_OUT = NETWORK | {"Q_grid"}
-DIRECTION = "importing"
 MODES = ("battery_charge_mode", "battery_discharge_mode")
 WITH_DEVICES = ("pv_balance", "pv_self_consumption")
 
@@ -80,8 +79,8 @@ class Fleet:
         letters = {name: pv for name in ("P_self", "P_exp", "P_curt") if len(pv)}
         if lumped and len(b):
             letters |= {"P_ch": np.ones(len(b)), "P_dch": np.ones(len(b)), "SoC": b.energy_kwh}
-            if "E_missing" in sheet.columns:
-                letters["E_missing"] = np.ones(len(b))
+            of_batteries = sheet.statement.named("of_batteries")
+            letters |= dict.fromkeys(of_batteries, np.ones(len(b)))
         self.lumping = Lumping(sheet, letters)
         self.joined = self._joined({family.name: family for family in self._summed()})
         solved = self.put_in(self.joined, WITH_DEVICES, ("P_self", "P_exp"))
@@ -362,8 +361,7 @@ def _select(sheet: Sheet, fleet: Fleet, integer: bool, goal: Goal) -> Selection:
         parts += counts_of_alike(fleet)
     else:
         found = found.relax("x_served", 0.0, 1.0)
-    if DIRECTION in sheet.columns:
-        found = found.relax(DIRECTION, 0.0, 1.0)
+    found = found.relaxed_to_shares(sheet.statement.named("directions"))
     found = replace(found, parts=tuple(sorted(parts, key=rank)))
     return _with_goal(found, fleet, integer, goal)
 
