@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -11,6 +11,7 @@ from vppres.contract.decision import Decision, SolveInfo
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
+from vppres.contract.terminal import Terminal
 from vppres.control.planner import OnePass, Planner, plan_with_rules, solve_info
 from vppres.control.remembered import PART
 from vppres.core.arrays import Floats, Names
@@ -69,6 +70,7 @@ class FullHorizonController:
         "plan": Dispatch | None,
         "loss_kw": Floats | None,
         "first": int,
+        "guessed": bool,
         "planner": PART,
     }
 
@@ -88,6 +90,7 @@ class FullHorizonController:
         self.plan: Dispatch | None = None
         self.loss_kw: Floats | None = None
         self.first = 0
+        self.guessed = False
 
     def horizon_steps(self, t0: int) -> range:
         """The rest of the day while there is no plan for it, then the step itself."""
@@ -106,6 +109,7 @@ class FullHorizonController:
             self.plan = solution.dispatch
             self.loss_kw = solution.loss_kw
             self.first = observation.t0
+            self.guessed = observation.guessed
             info = solve_info(self.solver.site, solution, self.solver.compilations)
         f = observation.forecast
         row = observation.t0 - self.first
@@ -122,6 +126,11 @@ class FullHorizonController:
             f.export_now_kw,
         )
         reasons = self.violations(actual)
+        connected = self.guessed and actual.grid_limit_kw > 0.0
+        if not reasons and connected and not self.plan.served[row].all():
+            kept = self._kept_on(observation, row)
+            if (kept.dispatch.served[0] & ~self.plan.served[row]).any():
+                return kept
         if not reasons:
             return Decision(self.plan, row, info)
         return self._correct(observation, "; ".join(reasons))
@@ -131,6 +140,18 @@ class FullHorizonController:
         solution, relaxed = plan_with_rules(self.planner, observation, 1)
         info = solve_info(self.solver.site, solution, self.solver.compilations, relaxed)
         return Decision(solution.dispatch, 0, info, True, reason)
+
+    def _kept_on(self, observation: Observation, row: int) -> Decision:
+        """The step alone, with those who would be off for an outage that is only likely.
+
+        Batteries are charged as far as the plan has it, where nobody is off for it.
+        """
+        assert self.plan is not None
+        b = self.solver.site.batteries
+        planned = float(self.plan.soc[row + 1] @ b.energy_kwh / b.energy_kwh.sum())
+        now = observation.forecast.first(1)
+        alone = replace(observation, forecast=now, terminal=Terminal.of(planned, now, ends=True))
+        return self._correct(alone, "grid: an outage that is only likely takes nobody off")
 
     def violations(self, actual: _Actual) -> list[str]:
         """Names of the checks that the planned step fails, with the worst item of each."""
