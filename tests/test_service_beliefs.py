@@ -145,9 +145,21 @@ def told_of_it(
         return plans
 
 
-def test_an_estimate_counts_whatever_its_name(tiny: Scenario, tmp_path: Path) -> None:
-    """A wrong one as the outage begins, and its correction two hours later."""
-    estimates = {2: lasting(2.0), 4: lasting(6.0)}
+SEQUENCES = {
+    "right": {2: 6.0},
+    "wrong": {2: 2.0},
+    "corrected": {2: 2.0, 4: 6.0},
+    "outlasted": {2: 1.0},
+}
+"""Lengths of the outage that began at two, as they are estimated at an hour."""
+
+
+@pytest.mark.parametrize("sequence", SEQUENCES)
+def test_an_estimate_counts_whatever_its_name(
+    tiny: Scenario, tmp_path: Path, sequence: str
+) -> None:
+    """Under another name than the storm's it gives what it gives under that, to the last bit."""
+    estimates = {hour: lasting(length) for hour, length in SEQUENCES[sequence].items()}
     named = {
         name: told_of_it(tiny, tmp_path / name, name, estimates) for name in ("storm", "INC-1")
     }
@@ -157,9 +169,21 @@ def test_an_estimate_counts_whatever_its_name(tiny: Scenario, tmp_path: Path) ->
     )
     assert same == other
     words = [plan["solve"]["outage_messages"] for plan in named["INC-1"]]
-    assert words == [None] + ["INC-1 counts, not storm"] * 4
-    wrong, corrected = other[2][0], other[3][0]
-    assert wrong[2] < 0.2 < 0.5 < corrected[1]
+    assert words[0] is None
+    assert all(each.startswith("INC-1 counts, not storm") for each in words[1:])
+    # Of the hour two after the one at which it is said, from two on.
+    after_two = [plan[0][2] for plan in other[1:]]
+    at_three, at_four = after_two[1:3]
+    if sequence == "right":
+        assert after_two[0] > 0.99 > after_two[3] > 0.5
+    elif sequence == "wrong":
+        assert after_two[0] < 0.2 and at_three < 0.01
+    elif sequence == "corrected":
+        assert at_three < 0.01 < 0.5 < at_four
+    else:
+        # What is outlasted does not say that it ends now.
+        assert after_two[0] < 1e-4 < 0.3 < at_three < at_four
+        assert "INC-1 is outlasted, the statistics count" in words[2]
 
 
 def test_what_a_crew_says_of_the_end(tiny: Scenario, tmp_path: Path) -> None:
