@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vppres.core.arrays import Flags, Floats, Wholes
-from vppres.scenario.assets import Customers
 
 ROUNDING = 1e-9
 """Share of a step by which a limit may miss a whole number of steps."""
@@ -68,9 +67,9 @@ class LongestOff:
             return None
         return cls(customer, np.minimum(steps, n_steps), asked, np.zeros(len(customer)))
 
-    def priced(self, customers: Customers, dt_h: float) -> LongestOff:
-        """The limits at the prices of customers as they are weighed."""
-        return replace(self, price=customers.hour_beyond[self.customer] * dt_h)
+    def priced(self, hour_beyond: Floats, dt_h: float) -> LongestOff:
+        """The limits at the prices of an hour beyond, (C,)."""
+        return replace(self, price=hour_beyond[self.customer] * dt_h)
 
     def beyond(self, served: Flags) -> Flags:
         """Steps beyond the limit under a service (W, C), shape (W, n)."""

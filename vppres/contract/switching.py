@@ -117,10 +117,12 @@ class SwitchingData:
         first, stop, _ = steps.indices(len(self.served_min))
         return self.longest_off.first(stop) if self.longest_off and first == 0 else None
 
-    def priced(self, customers: Customers, dt_h: float) -> SwitchingData:
-        """The rules at the prices of customers as they are weighed."""
+    def priced(self, hour_beyond: Floats, dt_h: float) -> SwitchingData:
+        """The rules at the prices of an hour beyond the longest time off, (C,)."""
         limits = self.longest_off
-        return self if limits is None else replace(self, longest_off=limits.priced(customers, dt_h))
+        if limits is None:
+            return self
+        return replace(self, longest_off=limits.priced(hour_beyond, dt_h))
 
     def without_duties(self) -> SwitchingData:
         """The rules without what the past demands of the service: nobody has to be served."""

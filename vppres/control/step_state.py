@@ -95,10 +95,10 @@ class StepState:
     @property
     def worth(self) -> Floats:
         """What it is worth to serve each customer in the step, per hour, (C,)."""
-        customers = self.site.customers
-        if self.due is None:
-            return customers.weight
-        return customers.weight + np.where(self.due, customers.hour_beyond, 0.0)
+        weight = self.site.customers.weight
+        return (
+            weight if self.due is None else weight + np.where(self.due, self.site.hour_beyond, 0.0)
+        )
 
     @property
     def island(self) -> bool:

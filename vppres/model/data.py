@@ -126,7 +126,7 @@ class WindowData:
             eta_charge=observation.eta_charge,
             eta_discharge=observation.eta_discharge,
             delta_pu2=np.tile(offset, (n_steps, 1)),
-            switching=None if rules is None else rules.priced(site.customers, site.dt_h),
+            switching=None if rules is None else rules.priced(site.hour_beyond, site.dt_h),
             moves=observation.moves,
             export=forecast.export,
             drawn=drawn_by(site.network, None if point is None else point.v_pu, island),

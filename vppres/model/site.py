@@ -66,6 +66,23 @@ class Site:
             ranks=ranks,
         )
 
+    @property
+    def hour_beyond(self) -> Floats:
+        """Price of an hour beyond the longest time off in weighted customer hours, (C,).
+
+        Of customers without one it has no meaning.
+        """
+        return self.customers.hour_beyond if self.ranks is None else self.ranks.hour_beyond
+
+    @property
+    def hour_off(self) -> Floats:
+        """Most that an hour off takes from each in weighted customer hours, (C,).
+
+        Its service, and what is paid beyond the longest time off of those that have one.
+        """
+        limited = np.isfinite(self.customers.longest_off_h)
+        return self.customers.weight + np.where(limited, self.hour_beyond, 0.0)
+
     @cached_property
     def key(self) -> str:
         """Digest of the content: sites of equal content have equal problems."""

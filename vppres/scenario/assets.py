@@ -100,15 +100,6 @@ class Customers:
         _, tier, count = np.unique(self.tier.astype(str), return_inverse=True, return_counts=True)
         return self.weight * count[tier]
 
-    @property
-    def hour_off(self) -> Floats:
-        """Most that an hour off takes from each in weighted customer hours, (C,).
-
-        Its service, and what is paid beyond the longest time off of those that have one.
-        """
-        limited = np.isfinite(self.longest_off_h)
-        return self.weight + np.where(limited, self.hour_beyond, 0.0)
-
 
 PV = "pv"
 """Kind of a photovoltaic system."""

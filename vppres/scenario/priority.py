@@ -9,7 +9,7 @@ as can be served, then of the second, and so on.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import ceil
 
 import numpy as np
@@ -44,6 +44,9 @@ class Ranks:
         Weight of a unit of each tier; 1 for the last.
     actions : float
         What all actions of a window cost at most, in units of the last tier.
+    hour_beyond : array, shape (C,)
+        Price of an hour beyond the longest time off of those that have one: as many hours off as
+        the tier has customers, or as leave a unit of the tier above worth more than all of it.
     """
 
     tiers: tuple[str, ...]
@@ -51,6 +54,7 @@ class Ranks:
     units: Wholes
     worth: Floats
     actions: float = 0.0
+    hour_beyond: Floats = field(default_factory=lambda: np.zeros(0))
 
     @classmethod
     def of(
@@ -89,17 +93,24 @@ class Ranks:
         units = np.zeros(len(customers), dtype=int)
         for k in np.unique(tier):
             units[tier == k] = _whole_units(customers.weight[tier == k])
-        # In its tier, the most that a step off takes from each customer.
-        of_step = replace(customers, weight=units).hour_off
+        limited = np.isfinite(customers.longest_off_h)
+        beyond = np.where(limited, replace(customers, weight=units).hour_beyond, 0.0)
         worth = np.ones(len(tiers))
         most = MOST_WORTH ** (1.0 / max(len(tiers) - 1, 1))
         # An action may be needed for every customer in every step.
         actions = action_price * len(customers) * n_steps
         below = ceil(actions)
         for k in range(len(tiers) - 1, 0, -1):
-            below += int(worth[k] * of_step[tier == k].sum()) * n_steps
+            below += int(worth[k] * units[tier == k].sum()) * n_steps
+            limits = units[(tier == k) & limited].sum()
+            if limits:
+                # Steps off that a step beyond may count as, for a unit of a tier to remain more.
+                room = (np.floor(most * worth[k]) - 1.0 - below) // (worth[k] * limits * n_steps)
+                own = np.minimum(beyond, units * max(room, 1.0))
+                beyond = np.where(tier == k, own, beyond)
+                below += int(worth[k] * beyond[tier == k].sum()) * n_steps
             worth[k - 1] = min(1.0 + below, np.floor(most * worth[k]))
-        return cls(tuple(tiers), tier, units, worth, actions)
+        return cls(tuple(tiers), tier, units, worth, actions, worth[tier] * beyond)
 
     @property
     def weight(self) -> Floats:

@@ -332,7 +332,7 @@ def critical_site(site: Site, tier: str) -> Site:
     weight = site.customers.weight
     if not first.any():
         return site
-    factor = np.ceil(site.customers.hour_off[~first].sum() / weight[first].min()) + 1.0
+    factor = np.ceil(site.hour_off[~first].sum() / weight[first].min()) + 1.0
     return replace(
         site, customers=replace(site.customers, weight=np.where(first, weight * factor, weight))
     )
