@@ -26,6 +26,7 @@ from vppres.model.site import Site
 from vppres.report.run_folder import render_report
 from vppres.scenario.parts import split_sheddable
 from vppres.scenario.priority import Ranks
+from vppres.scenario.remarks import remarks
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 from vppres.solve.ladder import METHODS, WindowSolver
@@ -289,3 +290,9 @@ def test_without_limits_nothing_is_added() -> None:
     assert SwitchingState.of(SwitchingRules(), day.customers, 1.0) is None
     assert beyond_paper(Site.of(day), window(day)) == ()
     assert Site.of(day).hour_off.tolist() == [1.0]
+
+
+def test_a_limit_shorter_than_a_step_is_told() -> None:
+    day = six_hours(0.5)
+    assert "The longest time off of c1 is shorter than a step of 1 h" in remarks(day)[0]
+    assert not remarks(six_hours(0.0)) and not remarks(six_hours(2.0))

@@ -84,6 +84,12 @@ def simplifications(run: Trajectory) -> list[str]:
     ]
     if len(day.tiers) > 1:
         sentences.append(_order(options))
+    limited = int(np.isfinite(day.customers.longest_off_h).sum())
+    if limited:
+        sentences.append(
+            f"Longest times off ({limited} of {len(day.customers)} customers) are kept where they "
+            "can be, and broken by the least where not."
+        )
     if options.get("thermal") == "off":
         sentences.append("Battery efficiencies are constant: heating is not simulated.")
     if options.get("mode", "paper") == "paper" and day.outage.any():

@@ -177,6 +177,21 @@ def rising_weights(scenario: Scenario) -> str:
     return ""
 
 
+def short_times_off(scenario: Scenario) -> str:
+    """Which customers may be off for less than a step, and so not at all; empty if none."""
+    limit_h = scenario.customers.longest_off_h
+    short = (limit_h > 0.0) & (limit_h < scenario.grid.dt_h)
+    if not short.any():
+        return ""
+    names = [f"{name}" for name in scenario.customers.id[short]]
+    shown = ", ".join(names[:FORMERS_SHOWN])
+    return (
+        f"The longest time off of {shown}{_more(names)} is shorter than a step of "
+        f"{scenario.grid.dt_h:g} h: plans keep such a customer on in every step. Use shorter "
+        "steps, or longer times."
+    )
+
+
 def remarks(scenario: Scenario, mode: str | None = None) -> list[str]:
     """What to know: source and how exact it is, dark islands, dear export, tiers, import.
 
@@ -193,5 +208,6 @@ def remarks(scenario: Scenario, mode: str | None = None) -> list[str]:
         held_capacitors(scenario),
         dear_export(scenario),
         rising_weights(scenario),
+        short_times_off(scenario),
     ]
     return [*first, *filter(None, said), *scenario.source.notes]
