@@ -6,6 +6,7 @@ others are true. A customer of the first tier that is off in the first run alone
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -222,8 +223,11 @@ def main(
     """Count the customers of the first tier that a bad sensor puts off supply."""
     names = feeder or list(FEEDERS)
     seeds = range(first, first + days)
-    table = pd.DataFrame([row_of(name, seed) for name in names for seed in seeds])
-    typer.echo(table.to_string(index=False))
+    rows = []
+    for name, seed in itertools.product(names, seeds):
+        rows.append(row_of(name, seed))
+        typer.echo(", ".join(f"{key} {value}" for key, value in rows[-1].items()))
+    table = pd.DataFrame(rows)
     for_a_lie = int((table["off_for_a_lie"] > 0).sum())
     beyond = int((table["beyond_limits"] > 0).sum())
     typer.echo(
