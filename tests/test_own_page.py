@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 from typing import ClassVar
 
 import cvxpy as cp
@@ -12,16 +14,23 @@ import numpy as np
 import pytest
 
 from experiments.random_feeders import random_window
+from experiments.random_forms import window_of
 from tests.support.small_windows import DARK, OPEN, battery, two_buses, window
+from vppres import solve
+from vppres.contract.switching import RuleSteps
 from vppres.core.errors import InputError, ModelError
 from vppres.model import problem
 from vppres.model.beyond_paper.addition import Addition
-from vppres.model.beyond_paper.table import own_parts
+from vppres.model.beyond_paper.longest_off import LongestTimeOff
+from vppres.model.beyond_paper.switching import SwitchingModel
+from vppres.model.beyond_paper.table import ADDITIONS, beyond_paper, own_parts
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
 from vppres.model.site import Site
+from vppres.model.statement import Statement
 from vppres.model.variables import Parameters, Variables
 from vppres.scenario.scenario import Scenario
+from vppres.solve.certificate import CostRange
 from vppres.solve.ladder import METHODS, WindowSolver
 from vppres.solve.result import SolveLimits, WindowSolution
 
@@ -233,3 +242,52 @@ def test_what_is_not_linear_is_refused_by_name(
         pytest.raises(ModelError, match="family round"),
     ):
         WindowSolver(site).solve(data)
+
+
+# One file for one thing.
+
+
+SHAPES = {SwitchingModel: RuleSteps(2, 2, 2), LongestTimeOff: ((0, 1),)}
+"""What problems are compiled for, of additions that have more than one shape."""
+
+AS_ARRAYS = {"injections.py", "rules.py", "terms.py", "master.py", "cheapest.py"}
+"""Modules of ``solve/network`` on arrays, for windows that are too large to be compiled."""
+
+
+def test_no_method_names_what_is_beyond_the_paper(tiny: Scenario) -> None:
+    site = Site.of(tiny)
+    paper = Statement(site, 2)
+    beyond = Statement(site, 2, tuple((each, SHAPES.get(each, True)) for each in ADDITIONS))
+    names = (beyond.letters.keys() | beyond.families.keys()) - paper.letters.keys()
+    names -= paper.families.keys()
+    assert len(names) > 20
+    wrong = {}
+    for file in Path(str(solve.__file__)).parent.rglob("*.py"):
+        source = re.sub(r"^ORDER = \(.*?^\)", "", file.read_text(), flags=re.DOTALL | re.MULTILINE)
+        found = names & set(re.findall(r'"(\w+)"', source))
+        if found and file.name not in AS_ARRAYS:
+            wrong[file.name] = found
+    assert not wrong
+
+
+def test_additions_compute_what_their_terms_say(nightly: bool) -> None:
+    """Cost of a dispatch by arrays and by the statement, within its range: ends and export."""
+    for number in range(3, 12 * (10 if nightly else 2), 3):
+        _, site, data = window_of(number)
+        answer = WindowSolver(site).solve(data)
+        statement = Statement(site, data.n_steps, beyond_paper(site, data))
+        d = answer.dispatch
+        values = {"P_grid": np.maximum(d.p_grid_kw, 0.0), "SoC": d.soc}
+        values |= {"P_out": np.maximum(-d.p_grid_kw, 0.0)}
+        b = site.batteries
+        if data.terminal is not None:
+            missing = data.terminal.target_kwh(b) - d.soc[-1] * b.energy_kwh
+            values |= {"E_missing": np.maximum(missing, 0.0)}
+        if data.stored_value is not None:
+            values |= {"kept": data.stored_value.at(float(d.soc[-1] @ b.energy_kwh))}
+        statement.write(data)
+        statement.put({n: np.asarray(v) for n, v in values.items() if n in statement.letters})
+        f2 = float(statement.terms["f2"].value)
+        assert answer.terms.f2 == pytest.approx(f2, abs=1e-6)
+        cost = CostRange.of(site, data)
+        assert cost.least_gbp - 1e-6 <= f2 <= cost.dearest_gbp + 1e-6

@@ -206,26 +206,6 @@ class WindowData:
             return "value"
         return "" if self.terminal is None else "target"
 
-    def end_gbp(self, batteries: Batteries, soc_end: Floats) -> float:
-        """What the batteries' end, (B,), adds to the cost: what they lack, less what they keep."""
-        if self.stored_value is not None:
-            kept = self.stored_value.at(float(soc_end @ batteries.energy_kwh))
-            return -self.stored_value.gbp_as_cost * kept
-        return 0.0 if self.terminal is None else self.terminal.cost_gbp(batteries, soc_end)
-
-    def end_range_gbp(self, site: Site) -> tuple[float, float]:
-        """Least and most that the batteries' end can add to the cost."""
-        if self.stored_value is not None:
-            least, most = self.kept_range(site)
-            return -self.stored_value.gbp_as_cost * most, -self.stored_value.gbp_as_cost * least
-        return 0.0, self.end_gbp(site.batteries, np.zeros(len(site.batteries)))
-
-    def later_service(self, batteries: Batteries, soc_end: Floats) -> float:
-        """Later service that the batteries' end, (B,), buys where that counts as service."""
-        if self.stored_value is None or not self.stored_value.as_service:
-            return 0.0
-        return self.stored_value.at(float(soc_end @ batteries.energy_kwh))
-
     def require_value(self) -> StoredValue:
         """The value of a window that must have one.
 
@@ -340,15 +320,6 @@ class WindowData:
             possible = possible + np.maximum(-self.drawn.kw.sum(axis=1), 0.0)
         connected = self.grid_limit_kw > 0.0
         return np.where(connected, np.minimum(self.export.limit_kw, possible), 0.0)
-
-    def cost_gbp(self, p_grid_kw: Floats, dt_h: float) -> float:
-        """Cost of the import (W,) less what the export, where it is negative, earns."""
-        if self.export is None:
-            return float(self.price_gbp_per_kwh @ p_grid_kw * dt_h)
-        imported = np.maximum(p_grid_kw, 0.0)
-        exported = np.maximum(-p_grid_kw, 0.0)
-        spent = self.price_gbp_per_kwh @ imported - self.export.price_gbp_per_kwh @ exported
-        return float(spent * dt_h)
 
     def grid_q_max_kvar(self, site: Site) -> Floats:
         """Largest reactive exchange with the grid that devices and loads allow, (W,)."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vppres.contract.dispatch import Dispatch
+from vppres.model.beyond_paper.table import beyond_paper
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.scenario.scenario import ObjectiveWeights
@@ -45,14 +46,17 @@ def evaluate(site: Site, data: WindowData, dispatch: Dispatch, own: float = 0.0)
     flow2 = dispatch.p_flow_kw**2 + dispatch.q_flow_kvar**2
     use = np.square(dispatch.pv_q_kvar / site.pv.s_max_kva).sum()
     use += np.square(dispatch.batt_q_kvar / site.batteries.s_max_kva).sum()
-    return Terms(
-        f1=float((dispatch.served @ site.customers.weight).sum() * site.dt_h),
-        f2=data.cost_gbp(dispatch.p_grid_kw, site.dt_h)
-        + data.end_gbp(site.batteries, dispatch.soc[-1]),
-        f3=float(dispatch.pv_curtailed_kw.sum() * site.dt_h),
-        f4=float((flow2 @ site.network.r_ohm).sum()),
-        f5=float(use),
-        f6=data.switching.price(dispatch.served) if data.switching else 0.0,
-        f7=data.later_service(site.batteries, dispatch.soc[-1]),
-        own=own,
-    )
+    terms = {
+        "f1": float((dispatch.served @ site.customers.weight).sum() * site.dt_h),
+        "f2": float(data.price_gbp_per_kwh @ dispatch.p_grid_kw * site.dt_h),
+        "f3": float(dispatch.pv_curtailed_kw.sum() * site.dt_h),
+        "f4": float((flow2 @ site.network.r_ohm).sum()),
+        "f5": float(use),
+        "f6": data.switching.price(dispatch.served) if data.switching else 0.0,
+        "f7": 0.0,
+        "own": own,
+    }
+    for addition, _ in beyond_paper(site, data):
+        for name, value in addition.worth(site, data, dispatch).items():
+            terms[name] += value
+    return Terms(**terms)

@@ -13,6 +13,7 @@ import numpy as np
 
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Floats
+from vppres.model.beyond_paper.table import beyond_paper
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.model.terms import Terms, evaluate
@@ -101,22 +102,14 @@ class CostRange:
     def of(cls, site: Site, data: WindowData) -> CostRange:
         """All import that can ever be useful, in the steps in which it earns or costs money.
 
-        Where export does so too, a step has the one or the other. What batteries lack at the end
-        costs most where they hold nothing, and what they keep is worth most where it is most.
+        What a window has beyond the paper says what it makes of that.
         """
         price = data.price_gbp_per_kwh
-        most_kw = data.grid_p_max_kw(site)
-        least = np.minimum(price, 0.0)
-        dearest = np.maximum(price, 0.0)
-        best_end, worst_end = data.end_range_gbp(site)
-        if data.export is None:
-            spent = float(dearest @ most_kw) * site.dt_h
-            return cls(float(least @ most_kw) * site.dt_h + best_end, spent + worst_end)
-        spent_out = -data.export.price_gbp_per_kwh * data.export_max_kw(site)
-        return cls(
-            float(np.minimum(least * most_kw, spent_out).sum()) * site.dt_h + best_end,
-            float(np.maximum(dearest * most_kw, spent_out).sum()) * site.dt_h + worst_end,
-        )
+        most_kwh = data.grid_p_max_kw(site) * site.dt_h
+        least, dearest = np.minimum(price, 0.0) * most_kwh, np.maximum(price, 0.0) * most_kwh
+        for addition, _ in beyond_paper(site, data):
+            least, dearest = addition.cost_range(site, data, least, dearest)
+        return cls(float(least.sum()), float(dearest.sum()))
 
 
 class Certificate:

@@ -95,6 +95,18 @@ class Addition:
     def fill(self, site: Site, data: WindowData) -> None:
         """Write a window's data into its parameters."""
 
+    @classmethod
+    def worth(cls, site: Site, data: WindowData, dispatch: Dispatch) -> dict[str, float]:
+        """What it adds to the terms of a dispatch, recomputed from its arrays."""
+        return {}
+
+    @classmethod
+    def cost_range(
+        cls, site: Site, data: WindowData, least_gbp: Floats, dearest_gbp: Floats
+    ) -> tuple[Floats, Floats]:
+        """The least and the most that each step can cost, (W,) each, with what it adds."""
+        return least_gbp, dearest_gbp
+
     def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> Held:
         """What the tie-breakers hold of a dispatch."""
         return Held()

@@ -98,6 +98,23 @@ class ExportToGrid(Addition):
         write(self.P_out_max, data.export_max_kw(site))
         write(self.sigma_dt, data.export.price_gbp_per_kwh * site.dt_h)
 
+    @classmethod
+    def worth(cls, site: Site, data: WindowData, dispatch: Dispatch) -> dict[str, float]:
+        """What the export earns, and no price of import for it."""
+        assert data.export is not None
+        exported_kw = np.maximum(-dispatch.p_grid_kw, 0.0)
+        each_gbp = data.price_gbp_per_kwh - data.export.price_gbp_per_kwh
+        return {"f2": float(each_gbp @ exported_kw) * site.dt_h}
+
+    @classmethod
+    def cost_range(
+        cls, site: Site, data: WindowData, least_gbp: Floats, dearest_gbp: Floats
+    ) -> tuple[Floats, Floats]:
+        """A step imports or exports: the most of one or the other."""
+        assert data.export is not None
+        most_gbp = -data.export.price_gbp_per_kwh * data.export_max_kw(site) * site.dt_h
+        return np.minimum(least_gbp, most_gbp), np.maximum(dearest_gbp, most_gbp)
+
     def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> Held:
         """The direction of each step."""
         return Held({"importing": np.where(dispatch.p_grid_kw < 0.0, 0.0, 1.0)})

@@ -12,9 +12,11 @@ from dataclasses import dataclass
 from typing import ClassVar, Self
 
 import cvxpy as cp
+import numpy as np
 
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.stored_value import PIECES, StoredValue
+from vppres.core.arrays import Floats
 from vppres.model.beyond_paper.addition import Addition, Held
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
@@ -85,11 +87,27 @@ class ValueAtEnd(Addition):
         """What comes off the cost in GBP, and later service in weighted customer hours."""
         return {"f2": -self.gbp * self.kept, "f7": self.share * self.kept}
 
+    @classmethod
+    def worth(cls, site: Site, data: WindowData, dispatch: Dispatch) -> dict[str, float]:
+        """What the energy at the end takes off the cost, and the later service that it buys."""
+        value = data.require_value()
+        kept = value.at(float(dispatch.soc[-1] @ site.batteries.energy_kwh))
+        return {"f2": -value.gbp_as_cost * kept, "f7": kept if value.as_service else 0.0}
+
+    @classmethod
+    def cost_range(
+        cls, site: Site, data: WindowData, least_gbp: Floats, dearest_gbp: Floats
+    ) -> tuple[Floats, Floats]:
+        """What is kept takes most off the cost where it is most."""
+        each_gbp = -data.require_value().gbp_as_cost
+        least, most = data.kept_range(site)
+        return np.append(least_gbp, each_gbp * most), np.append(dearest_gbp, each_gbp * least)
+
     def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> Held:
         """The energy at the end, and what comes off the cost for it."""
         b = site.batteries
         kept_kwh = float(dispatch.soc[-1] @ b.energy_kwh - KEPT_TOLERANCE * b.energy_kwh.sum())
-        gbp = data.end_gbp(b, dispatch.soc[-1])
+        gbp = self.worth(site, data, dispatch)["f2"]
         return Held({"kept": 0.0}, {"E_stored": kept_kwh}, gbp)
 
     def fill(self, site: Site, data: WindowData) -> None:

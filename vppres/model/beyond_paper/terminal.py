@@ -12,8 +12,11 @@ from dataclasses import dataclass
 from typing import ClassVar, Self
 
 import cvxpy as cp
+import numpy as np
 
+from vppres.contract.dispatch import Dispatch
 from vppres.contract.terminal import Terminal
+from vppres.core.arrays import Floats
 from vppres.model.beyond_paper.addition import Addition
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
@@ -65,6 +68,22 @@ class HeldAtEnd(Addition):
     def terms(self) -> dict[str, cp.Expression]:
         """What the missing energy costs, in GBP."""
         return {"f2": self.price * cp.sum(self.missing)}
+
+    @classmethod
+    def worth(cls, site: Site, data: WindowData, dispatch: Dispatch) -> dict[str, float]:
+        """What the missing energy costs."""
+        assert data.terminal is not None
+        return {"f2": data.terminal.cost_gbp(site.batteries, dispatch.soc[-1])}
+
+    @classmethod
+    def cost_range(
+        cls, site: Site, data: WindowData, least_gbp: Floats, dearest_gbp: Floats
+    ) -> tuple[Floats, Floats]:
+        """What is missing costs most where batteries hold nothing."""
+        assert data.terminal is not None
+        nothing = np.zeros(len(site.batteries))
+        most_gbp = data.terminal.cost_gbp(site.batteries, nothing)
+        return least_gbp, np.append(dearest_gbp, most_gbp)
 
     def fill(self, site: Site, data: WindowData) -> None:
         """Write what is to be held and the price of what is missing; nothing without a target."""

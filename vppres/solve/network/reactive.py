@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cvxpy as cp
 import numpy as np
+from cvxpy.constraints.zero import Equality
 
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Floats
@@ -20,9 +22,6 @@ from vppres.solve.tie_breakers import SHARPER_VOLTAGE, squares_of
 
 ANY_KVAR = 1e6
 """Reactive flow that no line has: a limit for those without a rating."""
-
-KEPT = ("reactive_power_balance", "voltage_slack", "voltage_reference")
-"""Families that stay as they are, of those that there are."""
 
 LETTERS = {
     "Q_pv": "pv_q_kvar",
@@ -53,9 +52,10 @@ class LeastReactive(Selected):
 
     def _selected(self, sheet: Sheet) -> Selection:
         """Reactive balance and voltage of every bus, limits of inverters, lines and the grid."""
-        families = sheet.statement.families
+        families = sheet.statement.families.items()
+        holds_voltage = [name for name, c in families if _holds_voltage(c)]
         found = Selection(sheet).hold("x_served", "P_flow").relax("u")
-        found = found.keep(*(name for name in KEPT if name in families))
+        found = found.keep("reactive_power_balance", *holds_voltage)
         found = found.scale("delta_lindistflow", SHARPER_VOLTAGE)
         limited = [name for name in LETTERS if name != "Q_flow" or self.site.rated]
         for name in ("u", *limited):
@@ -104,6 +104,12 @@ class LeastReactive(Selected):
 def of_network(data: WindowData) -> WindowData:
     """The window with nothing beyond the paper but what the network has: losses and draws."""
     return replace(data, switching=None, export=None, terminal=None, stored_value=None)
+
+
+def _holds_voltage(constraint: cp.Constraint) -> bool:
+    """Whether a family says where the voltage is held."""
+    letters = {x.name() for x in constraint.variables()}
+    return isinstance(constraint, Equality) and letters == {"u"}
 
 
 def _left(s_max_kva: Floats, p_kw: Floats, q_kvar: Floats) -> Floats:
