@@ -72,6 +72,8 @@ function unawareOfLoss(view) {
   return read?.value === 0 && plan?.grid?.available === true && new Date(read.at) >= new Date(plan.valid_from ?? plan.start);
 }
 
+const MOMENT = /\d{4}-\d\d-\d\dT[\d:.]+Z/g;
+
 // What is measured, what is announced and what is ordered, each with its time.
 export function facts(view) {
   if (!view.site || !view.overview?.plan) return "";
@@ -81,7 +83,7 @@ export function facts(view) {
   const outages = Object.entries(events).filter(([, event]) => event.type === "outage" && !(event.end && new Date(event.end) <= view.now));
   const told = outages.map(([name, event]) => `${announced(event, view).toLowerCase()} (${name})`);
   const all = Object.keys(view.site.customers).length, off = (plan.off ?? []).length;
-  const why = plan.anew ? ` (${plan.anew})` : "";
+  const why = plan.anew ? ` (${plan.anew.replace(MOMENT, (time) => at(time))})` : "";
   return `Measured: ${measured}. Announced: ${told.length ? list(told) : "no outage"}. Ordered at ${at(plan.valid_from ?? plan.start)}${why}: ${all - off} of ${counted(all, "customer")} connected.`;
 }
 
@@ -101,12 +103,12 @@ export function verdict(view) {
   if (plan.status === "failed") return [ALARM, "No plan for this step. It is decided by rule.", plan.reason];
   if (plan.status === "missed") return [WARNING, `This step was missed. Devices use default set-points.${uncertain}`, plan.reason];
   const off = offByTier(view), n = Object.values(off).reduce((a, b) => a + b, 0);
-  const [first] = view.site.tiers, all = Object.keys(view.site.customers).length;
+  const tiers = view.site.tiers, [first] = tiers, all = Object.keys(view.site.customers).length;
   const dark = outage(view);
   const head = dark ? `Outage${dark.end ? ` until ${at(dark.end)}` : ", end unknown"}` : "";
   if (mode.mode === "off") return [WARNING, `${head ? `${head}. ` : ""}Switched off by the operator: devices use default set-points.${uncertain}`, mode.until ? `Until ${at(mode.until)}. ${mode.reason}` : mode.reason];
   const words = n === 0 ? `all ${counted(all, "customer")} supplied` : `${n} of ${counted(all, "customer")} off supply`;
-  if (off[first] > 0) return [ALARM, `${head ? `${head}: ` : ""}${counted(off[first], `${first} customer`)} off supply.`, `${capital(words)}. ${next(view, at)}`];
+  if (off[first] > 0) return [ALARM, `${head ? `${head}: ` : ""}${counted(off[first], tiers.length > 1 ? `${first} customer` : "customer")} off supply.`, `${capital(words)}. ${next(view, at)}`];
   const saved = n > 0 ? `, all ${first} customers supplied` : "";
   if (plan.status === "hold" || plan.status === "manual") {
     return [WARNING, `${head ? `${head}: ${words}` : capital(words)}, ${plan.status === "hold" ? "held" : "set"} by the operator.`, mode.until ? `Until ${at(mode.until)}. ${mode.reason}` : ""];
