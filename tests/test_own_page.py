@@ -205,6 +205,25 @@ def test_what_the_fleet_cannot_bound_is_refused_by_name_and_solved_by_the_monoli
     assert held.bound >= held.objective - 1e-6
 
 
+@pytest.mark.parametrize(("most", "served"), [(0.6, 2), (1.0, 4)])
+def test_a_family_of_the_paper_that_is_stated_anew_is_refused_by_name(
+    monkeypatch: pytest.MonkeyPatch, dark_day: Scenario, most: float, served: int
+) -> None:
+    """A limit of the state of charge below the paper's, with which 3 are served, and above it."""
+    site, data = Site.of(dark_day), window(dark_day, soc=0.5)
+
+    def anew(site: Site, v: Variables, p: Parameters) -> Named:
+        return {"battery_soc_max": v.SoC[1:] <= most}
+
+    with page(monkeypatch, families=anew):
+        with pytest.raises(InputError, match="battery_soc_max"):
+            WindowSolver(site).solve(data)
+        answer = WindowSolver(site, "monolithic").solve(data)
+    assert answer.status == "optimal"
+    assert answer.dispatch.served[1:].sum() == served
+    assert answer.dispatch.soc.max() <= most + 1e-6
+
+
 def test_a_page_without_a_family_of_the_paper_is_refused_by_name(
     monkeypatch: pytest.MonkeyPatch, dark_day: Scenario
 ) -> None:

@@ -194,3 +194,30 @@ def disc(P: cp.Expression, Q: cp.Expression, S: cp.Expression) -> cp.Constraint:
     """Second-order cones ``norm(P, Q) <= S``, one for each step and item."""
     both = cp.vstack([cp.vec(P, order="F"), cp.vec(Q, order="F")])
     return cp.SOC(cp.vec(S, order="F"), both, axis=0)
+
+
+FAMILIES = (
+    battery_modes,
+    battery_soc,
+    battery_soc_limits,
+    battery_inverter,
+    circular_charging,
+    pv_balance,
+    pv_self_consumption,
+    pv_inverter,
+    active_balance,
+    reactive_balance,
+    grid_connection,
+    voltage_limits,
+    voltage_slack,
+    delta_lindistflow,
+)
+"""The paper's families, in the paper's order."""
+
+
+def made_by(site: Site, v: Variables, p: Parameters) -> dict[str, tuple[str, cp.Constraint]]:
+    """All families of the paper by their names, each with the function that states it."""
+    found: dict[str, tuple[str, cp.Constraint]] = {}
+    for function in FAMILIES:
+        found |= {family: (function.__name__, c) for family, c in function(site, v, p).items()}
+    return found

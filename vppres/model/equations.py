@@ -6,8 +6,6 @@
 
 from __future__ import annotations
 
-import inspect
-
 from vppres.core.tables import packaged_table
 from vppres.model import constraints, problem
 from vppres.model.site import Site
@@ -19,10 +17,7 @@ EQUATIONS = {line["family"]: line for line in packaged_table(__file__, "equation
 def equation_map(site: Site) -> str:
     """The table of the families that the page states for a site, in Markdown."""
     page = problem.paper_problem(site, 1)
-    made: dict[str, str] = {}
-    for name, function in inspect.getmembers(constraints, inspect.isfunction):
-        if list(inspect.signature(function).parameters) == ["site", "v", "p"]:
-            made |= dict.fromkeys(function(site, page.v, page.p), name)
+    made = constraints.made_by(site, page.v, page.p)
     rows = [
         "| paper | label | equation | function (`model.constraints`) | constraint |",
         "|---|---|---|---|---|",
@@ -31,6 +26,6 @@ def equation_map(site: Site) -> str:
         line = EQUATIONS[family]
         label = f" `{line['label']}` " if line["label"] else " "
         rows.append(
-            f"| {line['paper']} |{label}| {line['equation']} | `{made[family]}` | `{family}` |"
+            f"| {line['paper']} |{label}| {line['equation']} | `{made[family][0]}` | `{family}` |"
         )
     return "\n".join(rows)

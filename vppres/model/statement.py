@@ -22,7 +22,7 @@ from vppres.model.constraints import Named
 from vppres.model.data import WindowData
 from vppres.model.equations import EQUATIONS
 from vppres.model.implied import IMPLIED
-from vppres.model.own_term import own_term
+from vppres.model.own_page import changed_families, own_term
 from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
 
@@ -52,8 +52,8 @@ class Statement:
         objective, or a part of one's own, has besides.
     own : tuple of str
         Families that neither the paper nor the package has, and ``own`` if there is such a term.
-    lacking : tuple of str
-        Families of the paper that the page does not have any more.
+    changed : tuple of str
+        Families of the paper that the page lacks, or states in another way.
 
     Raises
     ------
@@ -83,7 +83,7 @@ class Statement:
         self.implied |= self.implied_beyond
         self.F = problem.paper_objective(site, v, p)
         self.terms = self._terms()
-        self.lacking = tuple(name for name in EQUATIONS if name not in paper)
+        self.changed = changed_families(paper, site, v, p)
         self.own = self._own_names(paper)
         named = self.families | self.implied
         for name, constraint in named.items():

@@ -165,7 +165,7 @@ def sheet_of_page(site: Site, n_steps: int, beyond: Beyond, page: tuple[object, 
 def own_of(cache: ModelCache, data: WindowData) -> tuple[str, ...]:
     """How a window's page differs from the paper's: families by name, ``own`` for a term of F."""
     statement = sheet_of(cache, data).statement
-    return statement.own + statement.lacking
+    return statement.own + statement.changed
 
 
 def window_problem(

@@ -100,9 +100,15 @@ class WindowTask:
         return own_of(self.cache, self.data)
 
     @property
+    def changed(self) -> tuple[str, ...]:
+        """Families of the paper that the page lacks, or states in another way."""
+        return sheet_of(self.cache, self.data).statement.changed
+
+    @property
     def own_in_network(self) -> bool:
-        """Whether any of them uses a letter of the network."""
-        return bool(self.own and sheet_of(self.cache, self.data).statement.own_letters & NETWORK)
+        """Whether any of them needs the network, or what follows from the paper may not hold."""
+        letters = sheet_of(self.cache, self.data).statement.own_letters
+        return bool(self.changed or letters & NETWORK)
 
     @cached_property
     def everyone(self) -> float:

@@ -35,9 +35,7 @@ fraction of one needs smaller units to be met as sharply."""
 OF_PV = ("pv_balance", "pv_self_consumption")
 """Families that say what PV systems export, with service known."""
 
-MODES = ("battery_charge_mode", "battery_discharge_mode")
-
-BY_DATA = (*MODES, *OF_PV)
+BY_DATA = ("battery_charge_mode", "battery_discharge_mode", *OF_PV)
 """Families that hold by what is put in."""
 
 SHARPER = {
@@ -75,9 +73,10 @@ class TieBreakers(Selected):
         site = self.site
         named = sheet.statement.named
         # A page of one's own may multiply by parameters what is put in otherwise.
-        puts_in = len(site.pv) > 0 and not sheet.statement.own
+        of_paper = not (sheet.statement.own or sheet.statement.changed)
+        puts_in = len(site.pv) > 0 and of_paper
         out = {
-            *(BY_DATA if puts_in else MODES),
+            *(BY_DATA if of_paper else ()),
             *sheet.statement.rules,
             *named("met"),
         }
@@ -113,7 +112,8 @@ class TieBreakers(Selected):
 
     def _disc(self, found: Selection, name: str, sides: int) -> Selection:
         """Discs, or polygons for large windows; what data leaves of a disc is an interval."""
-        if name == "pv_inverter_capacity" and not self.curtailing:
+        changed = found.sheet.statement.changed
+        if name == "pv_inverter_capacity" and not self.curtailing and name not in changed:
             found = found.limit("pv_reactive_min", {"Q_pv": -1.0})
             return found.limit("pv_reactive_max", {"Q_pv": 1.0})
         if not sides:

@@ -12,7 +12,6 @@ from vppres.model.numerics import objective_scale
 from vppres.solve.dispatch import keep_dispatch
 from vppres.solve.fleet.masters import fleets_of, search_for_set
 from vppres.solve.fleet.relaxation import fleet_of, fleet_problem
-from vppres.solve.forms import sheet_of
 from vppres.solve.result import Status
 from vppres.solve.task import WindowTask
 
@@ -56,8 +55,8 @@ def _named(task: WindowTask, name: str) -> str:
     """How the page differs from the paper's, in words."""
     if name == "own":
         return "the term that paper_objective has"
-    lacking = name in sheet_of(task.cache, task.data).statement.lacking
-    return f"a page without the family {name}" if lacking else f"the family {name}"
+    changed = name in task.changed
+    return f"a page without the paper's family {name}" if changed else f"the family {name}"
 
 
 def not_bounded(task: WindowTask, lumped: bool) -> list[str]:
@@ -66,8 +65,7 @@ def not_bounded(task: WindowTask, lumped: bool) -> list[str]:
         return []
     fleet = fleet_of(task.cache, task.data, lumped)
     taken = fleet.joined.keys() | fleet.terms.keys()
-    lacking = sheet_of(task.cache, task.data).statement.lacking
-    return [name for name in task.own if name in lacking or name not in taken]
+    return [name for name in task.own if name in task.changed or name not in taken]
 
 
 def _search(task: WindowTask, lumped: bool, gap: float) -> bool:

@@ -1,4 +1,7 @@
-"""What the page's objective has besides the paper's terms."""
+"""How the page differs from the paper's: its objective, and families of the paper.
+
+Both are told by values at a random point of letters and parameters.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,8 @@ from cvxpy.atoms.affine.add_expr import AddExpression
 
 from vppres.core.arrays import Floats
 from vppres.core.errors import ModelError
-from vppres.model import objective
+from vppres.model import constraints, objective
+from vppres.model.constraints import Named
 from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
 
@@ -18,8 +22,6 @@ SAME = 1e-12
 
 def own_term(F: cp.Expression, site: Site, v: Variables, p: Parameters) -> cp.Expression | None:
     """What F has besides the paper's terms as weighted, None for the paper's F.
-
-    Terms are told by their values at a random point, so that F may be written in any order.
 
     Raises
     ------
@@ -35,7 +37,7 @@ def own_term(F: cp.Expression, site: Site, v: Variables, p: Parameters) -> cp.Ex
         -w.lambda_q * objective.f5_reactive(site, v, p),
     ]
     left = list(F.args) if isinstance(F, AddExpression) else [F]
-    values = _at_random([*left, *paper])
+    values = [float(value) for value in at_random([*left, *paper])]
     own = values[: len(left)]
     for term, value in zip(paper, values[len(left) :], strict=True):
         same = [k for k, other in enumerate(own) if abs(other - value) <= SAME * abs(value)]
@@ -56,15 +58,31 @@ def own_term(F: cp.Expression, site: Site, v: Variables, p: Parameters) -> cp.Ex
     return term
 
 
-def _at_random(terms: list[cp.Expression]) -> list[float]:
-    """Values of terms at one random point of their letters and parameters."""
+def at_random(terms: list[cp.Expression]) -> list[Floats]:
+    """Values of expressions at one random point of their letters and parameters."""
     leaves = {x.id: x for term in terms for x in (*term.variables(), *term.parameters())}
     before = {number: leaf.value for number, leaf in leaves.items()}
     rng = np.random.default_rng(0)
     for leaf in leaves.values():
-        value: Floats = rng.uniform(0.5, 1.5, leaf.shape)
-        leaf.save_value(value)
-    values = [float(np.sum(term.value)) for term in terms]
+        leaf.save_value(rng.uniform(0.5, 1.5, leaf.shape))
+    values = [np.asarray(term.value) for term in terms]
     for number, leaf in leaves.items():
         leaf.save_value(before[number])
     return values
+
+
+def changed_families(page: Named, site: Site, v: Variables, p: Parameters) -> tuple[str, ...]:
+    """Families of the paper that the page lacks, or states in another way."""
+    paper = {name: c for name, (_, c) in constraints.made_by(site, v, p).items()}
+    both = [name for name in paper if name in page]
+    parts = [(x, y) for n in both for x, y in zip(paper[n].args, page[n].args, strict=False)]
+    values = at_random([each for pair in parts for each in pair])
+    same = dict.fromkeys(both, True)
+    number = 0
+    for name in both:
+        same[name] = type(paper[name]) is type(page[name])
+        for _ in zip(paper[name].args, page[name].args, strict=False):
+            x, y = values[2 * number], values[2 * number + 1]
+            same[name] &= x.shape == y.shape and bool(np.allclose(x, y, rtol=SAME, atol=0.0))
+            number += 1
+    return tuple(name for name in paper if not same.get(name, False))
