@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,6 +15,7 @@ from experiments.random_feeders import random_rules, random_window
 from tests.support.small_windows import DARK, OPEN, battery, two_buses, window
 from vppres import Controller, Measurement, RunOptions, explain_day, run_day, summarise
 from vppres.contract.switching import SwitchingState
+from vppres.control.planner import levels_of
 from vppres.control.rules import rule_dispatch
 from vppres.control.step_state import StepState
 from vppres.core.errors import InfeasibleError
@@ -296,3 +298,29 @@ def test_a_limit_shorter_than_a_step_is_told() -> None:
     day = six_hours(0.5)
     assert "The longest time off of c1 is shorter than a step of 1 h" in remarks(day)[0]
     assert not remarks(six_hours(0.0)) and not remarks(six_hours(2.0))
+
+
+def test_bounds_of_the_levels_hold_for_every_schedule() -> None:
+    """All schedules of three customers in two steps, each with its dispatch or without."""
+    day = dark_hours([30.0, 10.0, 10.0], [1.0, 0.4, 0.4], 41.0, [np.nan, 0.0, np.nan], hours=2)
+    tier = np.array(["critical", "low", "low"], dtype=object)
+    day = replace(day, tiers=("critical", "low"), customers=replace(day.customers, tier=tier))
+    site = site_of(day, RunOptions(priority="strict", horizon_h=2.0).as_record())
+    assert site.ranks is not None
+    rules = state_of(day, [0.0, 0.0, 0.0]).window(2).priced(site.hour_beyond, site.dt_h)
+    data = replace(window(day), switching=rules)
+    solver = WindowSolver(site)
+    plan = solver.solve(data)
+    pairs = [part.split()[1].split("/") for part in levels_of(site, plan).split(", ")]
+    supplied, most = np.array(pairs, dtype=int).T
+    dispatched = 0
+    for service in itertools.product([False, True], repeat=6):
+        served = np.reshape(service, (2, 3))
+        if rules.price(served) > plan.terms.f6 or solver.solve_served(data, served) is None:
+            continue
+        dispatched += 1
+        units = site.ranks.supplied(served)
+        assert tuple(units) <= tuple(supplied)
+        assert units[0] <= most[0]
+        assert units[1] <= most[1] or units[0] != supplied[0]
+    assert dispatched > 3
