@@ -17,9 +17,9 @@ from vppres.scenario.scenario import ObjectiveWeights
 class Terms:
     """The terms of the objective (paper, Section 3.3), summed over a window.
 
-    ``f6`` is the price of switching actions, ``f7`` the later service that stored energy is worth,
-    both in weighted customer hours; the paper has neither. ``own`` is what the page's objective has
-    besides.
+    ``f6`` is the price of switching actions and of hours beyond longest times off, ``f7`` the later
+    service that stored energy is worth, both in weighted customer hours; the paper has neither.
+    ``own`` is what the page's objective has besides.
     """
 
     f1: float
