@@ -110,6 +110,8 @@ studies: $(STAMP)  ## 500 days of faults, 500 without, alarms, garbage, 50 besid
 	$(BIN)/python -m experiments.uncertain --part cigre --results results/studies $(call COUNT,--days 2)
 	$(BIN)/python -m experiments.uncertain --part wrong --results results/studies $(call COUNT,--days 2)
 	$(BIN)/python -m experiments.outage_ceiling --results results/studies $(call COUNT,--days 2)
+	$(BIN)/python -m experiments.uncertain --part names --results results/studies $(call COUNT,--days 2)
+	$(BIN)/python -m experiments.fairness --results results/studies/fairness $(call COUNT,--weeks 1)
 	$(BIN)/python -m experiments.homes --results results/studies $(call COUNT,--days 2)
 	$(BIN)/python -m experiments.islands --out results/studies/islands $(call COUNT,--days 2)
 	$(BIN)/python -m experiments.precision --results results/studies $(call COUNT,--quick)

@@ -52,6 +52,7 @@ NOT_RUN = {
     "python -m experiments.homes --days 60": "takes minutes",
     "python -m experiments.uncertain --days 240": "takes half an hour",
     "python -m experiments.outage_ceiling --days 300": "takes minutes",
+    "python -m experiments.fairness": "takes minutes",
     "python -m experiments.precision": "takes hours",
     "python -m experiments.cluster --days 100": "takes minutes",
     "python -m experiments.islands --days 200": "takes minutes",

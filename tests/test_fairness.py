@@ -44,7 +44,7 @@ def test_rotation_keeps_sums_and_the_order_of_tiers(
     for name in TIERS:
         own = tier == name
         assert after[own].sum() == pytest.approx(before[own].sum())
-        order = np.argsort(off_h[own], kind="stable")
+        order = np.lexsort((after[own], off_h[own]))
         assert (np.diff(after[own][order]) >= -1e-12).all()
     for above, below in (("critical", "high"), ("high", "low"), ("critical", "low")):
         if (tier == above).any() and (tier == below).any():

@@ -15,6 +15,9 @@ from vppres.scenario.option_table import default_of
 ROTA_H = 24.0
 """Hours of outage in which each customer's turn of a minimum comes once: a day, as in rotas."""
 
+PARTS = 20
+"""Weights change in twentieths: with whole multiples of a unit, windows are proven by counting."""
+
 HALVINGS = 60
 """Halvings that find a tier's scale: as many as a float has digits."""
 
@@ -93,7 +96,7 @@ def rotated(
     --------
     >>> two = Customers(["a", "b"], [1, 1], ["low", "low"], [1.0, 1.0], [0.9, 0.9])
     >>> rotated(two, ["low"], np.array([0.0, 5.0]), 0.2).round(3)
-    array([0.667, 1.333])
+    array([0.65, 1.35])
     """
     weight = customers.weight.copy()
     members = [found for tier in tiers if (found := np.asarray(customers.tier == tier)).any()]
@@ -111,15 +114,26 @@ def rotated(
 
 
 def _scaled(weight: Floats, grown: Floats, least: float, most: float) -> Floats:
-    """Factors in the proportions of ``grown``, within bounds, that leave the sum of weights."""
+    """Factors in the proportions of ``grown``, within bounds, that leave the sum of weights.
+
+    They are twentieths: those that lose most by rounding down are rounded up.
+    """
+    lowest, highest = max(np.ceil(PARTS * least), 1.0), np.floor(PARTS * most)
     low, high = 0.0, 1.0
     for _ in range(HALVINGS):
         scale = 0.5 * (low + high)
-        if weight @ np.clip(scale * grown, least, most) > weight.sum():
+        if weight @ np.clip(scale * PARTS * grown, lowest, highest) > PARTS * weight.sum():
             high = scale
         else:
             low = scale
-    return np.clip(low * grown, least, most)
+    exact = np.clip(low * PARTS * grown, lowest, highest)
+    parts = np.floor(exact)
+    short = PARTS * weight.sum() - weight @ parts
+    for c in np.argsort(parts - exact, kind="stable"):
+        if short > 0.5 * weight[c] and parts[c] < highest:
+            parts[c] += 1.0
+            short -= weight[c]
+    return np.asarray(parts / PARTS)
 
 
 def turns(n_customers: int, out_h: float, length_h: float) -> Flags:
