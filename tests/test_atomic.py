@@ -308,6 +308,7 @@ def test_a_day_is_kept_where_its_report_cannot_be_made(
     assert kept.trajectory.steps["p_grid_kw"].tolist() == run.steps["p_grid_kw"].tolist()
 
 
+@pytest.mark.daily
 @pytest.mark.skipif(sys.platform == "win32", reason="no such limit")
 def test_a_limit_of_size_is_met_like_a_full_disk(tmp_path: Path) -> None:
     code = textwrap.dedent("""

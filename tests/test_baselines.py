@@ -93,14 +93,13 @@ def test_perfect_information_ignores_the_forecast_errors(tiny: Scenario) -> None
     assert (summary["corrections"], summary["horizon_h"]) == (0, None)
 
 
-@pytest.mark.parametrize("controller", ["mpc", "full-horizon", "idle", "reserve"])
-def test_perfect_information_is_the_best(tiny: Scenario, controller: str) -> None:
+def test_perfect_information_is_the_best(tiny: Scenario) -> None:
     errors = ForecastErrors(0.1, 0.05, -0.1, 0.05)
-    best, other = (
+    best, *others = (
         summarise(run_day(tiny, RunOptions(controller=name, errors=errors, horizon_h=3.0)))
-        for name in ("perfect", controller)
+        for name in ("perfect", "mpc", "full-horizon", "idle", "reserve")
     )
-    assert other["resilience"] <= best["resilience"] + 1e-9
+    assert max(other["resilience"] for other in others) <= best["resilience"] + 1e-9
 
 
 @pytest.mark.parametrize(

@@ -111,7 +111,7 @@ def test_several_grids_are_refused_with_their_buses() -> None:
     )
 
 
-@pytest.mark.parametrize("word", ["north", "3", "ext_grid 1"])
+@pytest.mark.parametrize("word", ["north", "3"])
 def test_one_grid_is_chosen(word: str) -> None:
     feeder = import_network(two_grids(), slack=word)
     assert feeder.network.slack_bus == 3
@@ -147,7 +147,7 @@ def test_an_unknown_grid_is_named() -> None:
     )
 
 
-@pytest.mark.parametrize("word", [None, "0", "plant"])
+@pytest.mark.parametrize("word", [None, "plant"])
 def test_a_generator_can_be_the_grid_connection(word: str | None) -> None:
     net = two_grids()
     net.ext_grid = net.ext_grid.iloc[:0]

@@ -493,6 +493,7 @@ def test_sweep_writes_table_page_and_figure(small_folder: Path, tmp_path: Path) 
     assert json.loads((out / "summary.json").read_text(encoding="utf-8"))["runs"] == record["runs"]
 
 
+@pytest.mark.daily
 def test_failed_run_does_not_end_the_others(small_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "sweep"
     result = call(

@@ -552,6 +552,7 @@ def test_step_decided_again_takes_the_place_of_the_first(tiny: Scenario) -> None
 # Threads.
 
 
+@pytest.mark.daily
 def test_two_threads_answer_as_one_does(nightly: bool) -> None:
     steps, wrong, _, _ = differing(range(3 if nightly else 1))
     assert (steps, wrong) == (60 if nightly else 20, 0)

@@ -87,6 +87,7 @@ def test_days_are_those_of_the_clocks(start: str, n_steps: int, hours: dict[str,
     assert days["demand_kwh"].tolist() == [70.0 * h for h in hours.values()]
 
 
+@pytest.mark.daily
 def test_actions_are_limited_by_the_day_of_the_run(tiny: Scenario) -> None:
     """Two outages of two days: who may act twice a day is let go and restored in both."""
     day = repeated(tiny, 48)

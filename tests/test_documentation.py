@@ -73,6 +73,7 @@ NOT_RUN = {
 # Pages that take long, and whose commands are those of other pages or tests.
 NIGHTLY = {
     "by-hand.md",
+    "change.md",
     "compare.md",
     "islands.md",
     "networks.md",
@@ -81,6 +82,7 @@ NIGHTLY = {
     "pandas.md",
     "priorities.md",
     "reproduce.md",
+    "rolling.md",
     "solver.md",
     "sweep.md",
     "tutorial.md",

@@ -350,6 +350,7 @@ def test_a_second_explanation_is_the_same(tiny_run: Trajectory) -> None:
         pd.testing.assert_frame_equal(before, after)
 
 
+@pytest.mark.daily
 def test_the_run_folder_keeps_the_explanation_and_the_report_tells_it(
     explained: Trajectory, tmp_path: Path
 ) -> None:
@@ -429,6 +430,7 @@ def test_a_battery_that_settles_the_mismatch_says_so(tiny_run: Trajectory) -> No
     assert set(reasons.loc[reasons["item"] == "battery", "driver"]) == {"mismatch"}
 
 
+@pytest.mark.daily
 def test_an_owner_whose_inverter_is_too_small(tiny: Scenario) -> None:
     # The roof's 20 kW would all be consumed, but its inverter passes 10 kVA.
     pv = replace(tiny.pv, s_max_kva=[10.0, 30.0])
@@ -450,9 +452,19 @@ def test_surplus_is_curtailed_and_stored_for_what_it_is(tiny: Scenario) -> None:
     ("limits", "binding", "constraint"),
     [
         ({"energy_kwh": 40.0}, "energy", "energy_floor"),
-        ({"energy_kwh": 100.0, "power_kw": 35.0}, "power", "battery_discharging"),
-        ({"energy_kwh": 100.0, "inverter_kva": 35.0}, "inverter", "battery_inverter"),
         ({"energy_kwh": 100.0, "r_ohm": 3.0}, "voltage", "voltage_floor"),
+        pytest.param(
+            {"energy_kwh": 100.0, "power_kw": 35.0},
+            "power",
+            "battery_discharging",
+            marks=pytest.mark.nightly,
+        ),
+        pytest.param(
+            {"energy_kwh": 100.0, "inverter_kva": 35.0},
+            "inverter",
+            "battery_inverter",
+            marks=pytest.mark.nightly,
+        ),
     ],
 )
 def test_what_is_scarce_in_an_island_is_named(

@@ -70,8 +70,18 @@ def test_fault_of_an_item_that_is_not_there_is_named(tiny: Scenario) -> None:
 # One fault at a time: the day goes on, and the record says what was done.
 
 
-@pytest.mark.parametrize("every_call", [True, False])
-@pytest.mark.parametrize("kind", SOLVER_FAULTS)
+@pytest.mark.parametrize(
+    ("kind", "every_call"),
+    [
+        *((kind, True) for kind in SOLVER_FAULTS),
+        ("infeasible", False),
+        *(
+            pytest.param(k, False, marks=pytest.mark.nightly)
+            for k in SOLVER_FAULTS
+            if k != "infeasible"
+        ),
+    ],
+)
 def test_solver_fault_is_named_and_the_next_step_is_as_planned(
     tiny: Scenario, kind: str, every_call: bool
 ) -> None:
@@ -162,6 +172,7 @@ def test_plant_and_record_keep_the_truth(tiny: Scenario) -> None:
     assert np.isfinite(run.batteries["soc_end"]).all()
 
 
+@pytest.mark.daily
 @pytest.mark.parametrize("seed", range(4))
 def test_day_of_drawn_faults_finishes(seed: int) -> None:
     day = random_scenario(seed, stressed=seed % 2 == 1, n_steps=5)

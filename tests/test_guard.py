@@ -82,6 +82,7 @@ def window_of(state: StepState) -> WindowData:
     )
 
 
+@pytest.mark.daily
 @settings(max_examples=50, deadline=None)
 @given(seed=SEEDS, charge_kw=st.floats(-500.0, 500.0))
 def test_rule_is_always_feasible(seed: int, charge_kw: float) -> None:
@@ -364,6 +365,7 @@ def with_slack(scenario: Scenario, v_slack_pu: float) -> Scenario:
     )
 
 
+@pytest.mark.daily
 @pytest.mark.parametrize(
     ("v_slack_pu", "limits"),
     [
@@ -399,6 +401,7 @@ class OnlyOneStep(WindowSolver):
         return super().solve(data, within_s)
 
 
+@pytest.mark.daily
 def test_service_is_let_go_where_wider_limits_do_not_help(tiny: Scenario) -> None:
     error = InfeasibleError("The rules of switching leave nothing.")
     day = played(tiny, guarded(tiny, {3: error}, solver_of=OnlyOneStep))
@@ -438,7 +441,8 @@ def rationed() -> Scenario:
     )
 
 
-@pytest.mark.parametrize("solver_of", [WindowSolver, Dead])
+@pytest.mark.daily
+@pytest.mark.parametrize("solver_of", [WindowSolver, pytest.param(Dead, marks=pytest.mark.nightly)])
 def test_critical_customer_is_served_where_the_step_can(
     solver_of: Callable[[Site], WindowSolver],
 ) -> None:

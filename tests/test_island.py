@@ -205,6 +205,7 @@ def test_sharing_fills_up_to_the_room_and_no_further(power: float, rooms: list[f
     assert taken.sum() == pytest.approx(min(power, room.sum()), abs=1e-6)
 
 
+@pytest.mark.daily
 @settings(max_examples=20, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 10_000), stressed=st.booleans(), size=st.sampled_from([0.1, 1.0, 3.0]))
 def test_whatever_is_asked_for_the_island_balances_within_all_limits_or_is_dark(

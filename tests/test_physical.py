@@ -311,7 +311,7 @@ def packaged_day() -> Trajectory:
     return run_day(read_scenario(find_scenario("uk-heatwave-2022")), RunOptions(mode="physical"))
 
 
-@pytest.mark.daily
+@pytest.mark.nightly
 def test_packaged_day_costs_the_losses_and_no_more(packaged_day: Trajectory) -> None:
     found = resilience(packaged_day)
     assert found is not None and PAPER_R - 0.01 <= found <= PAPER_R
@@ -359,7 +359,8 @@ def with_capacitor(day: Scenario, share: float) -> Scenario:
     return replace(day, network=network)
 
 
-@pytest.mark.parametrize("share", [0.8, 3.0])
+@pytest.mark.daily
+@pytest.mark.parametrize("share", [3.0, pytest.param(0.8, marks=pytest.mark.nightly)])
 def test_an_island_with_a_capacitor_is_held_or_planned_dark(tiny: Scenario, share: float) -> None:
     day = with_capacitor(tiny, share)
     run = run_day(day, RunOptions(mode="physical", horizon_h=5.0))
@@ -443,7 +444,7 @@ def lossy_day(tiny: Scenario) -> tuple[Scenario, Observation]:
     return day, seen
 
 
-@pytest.mark.parametrize("stored", [0.3, 0.8])
+@pytest.mark.parametrize("stored", [0.3, pytest.param(0.8, marks=pytest.mark.nightly)])
 def test_batteries_that_lose_sun_in_turns_keep_them_until_ac_agrees(stored: float) -> None:
     """Each pass found other turns as good, and a step was refused for a surplus of 20 kW."""
     hard = hard_day("small_former", 7203)

@@ -257,8 +257,15 @@ def with_shunts() -> Case:
     return replace(network, q_shunt_kvar=shunts_kvar), p_kw, q_kvar
 
 
-@pytest.mark.parametrize("reference", [0, 20])
-@pytest.mark.parametrize("case", [case33, with_shunts], ids=["33 buses", "69 with shunts"])
+@pytest.mark.parametrize(
+    ("case", "reference"),
+    [
+        (case33, 0),
+        (with_shunts, 20),
+        pytest.param(case33, 20, marks=pytest.mark.nightly),
+        pytest.param(with_shunts, 0, marks=pytest.mark.nightly),
+    ],
+)
 def test_answers_are_pandapower_s_to_the_last_bit(case: Callable[[], Case], reference: int) -> None:
     network, p_kw, q_kvar = case()
     flow = ACPowerFlow(network)

@@ -29,7 +29,9 @@ def test_files_hold_prices_below_zero(paid: Scenario, tmp_path: Path) -> None:
     assert read.price_gbp_per_kwh.tolist() == paid.price_gbp_per_kwh.tolist()
 
 
-@pytest.mark.parametrize("controller", ["mpc", "full-horizon"])
+@pytest.mark.parametrize(
+    "controller", ["full-horizon", pytest.param("mpc", marks=pytest.mark.nightly)]
+)
 def test_a_day_with_prices_below_zero_is_certified_as_by_the_monolith(
     paid: Scenario, controller: str
 ) -> None:

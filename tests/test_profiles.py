@@ -244,7 +244,11 @@ def controlled(index: pd.Index) -> Any:
 
 @pytest.mark.parametrize(
     ("as_file", "index"),
-    [(False, DAY), (True, DAY.tz_localize(None)), (False, pd.RangeIndex(24))],
+    [
+        pytest.param(False, DAY, marks=pytest.mark.nightly),
+        (True, DAY.tz_localize(None)),
+        (False, pd.RangeIndex(24)),
+    ],
     ids=["net", "file", "rows"],
 )
 def test_controllers_of_constants(as_file: bool, index: pd.Index, tmp_path: Path) -> None:

@@ -114,7 +114,11 @@ def test_a_dead_line_carries_no_current() -> None:
 
 
 @pytest.mark.parametrize(
-    "source", [networks.create_cigre_network_mv, networks.simple_mv_open_ring_net]
+    "source",
+    [
+        networks.create_cigre_network_mv,
+        pytest.param(networks.simple_mv_open_ring_net, marks=pytest.mark.nightly),
+    ],
 )
 def test_loading_is_pandapower_s(source: Callable[[], Any]) -> None:
     """Line by line; charging, which the feeder leaves out, is taken from the source too."""

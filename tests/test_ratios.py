@@ -105,8 +105,14 @@ def injections(net: Network) -> tuple[np.ndarray, np.ndarray]:
     return p, q
 
 
-@pytest.mark.parametrize("turned", [False, True])
-@pytest.mark.parametrize("slack", ["a", "d"])
+@pytest.mark.parametrize(
+    ("turned", "slack"),
+    [
+        (False, "d"),
+        (True, "a"),
+        *(pytest.param(*case, marks=pytest.mark.nightly) for case in [(False, "a"), (True, "d")]),
+    ],
+)
 def test_the_power_flow_is_that_of_pandapower(turned: bool, slack: str) -> None:
     net = tapped(turned)
     source = source_net(slack)

@@ -127,6 +127,7 @@ def test_a_dark_feeder_is_not_compared(found: Recheck) -> None:
     assert "Dark in the plan, and not compared: 1 steps without grid." in found.notes
 
 
+@pytest.mark.daily
 def test_an_island_is_held_where_its_battery_is(tmp_path: Path) -> None:
     # The battery at bus a carries the 6 kW of its bus at 0.97 pu; the grid's bus follows it.
     lit = run()["buses"]

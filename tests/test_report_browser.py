@@ -193,7 +193,7 @@ def test_without_scripts_everything_is_still_there(browser: Any, report: Path) -
     context.close()
 
 
-@pytest.mark.parametrize("width", [390, 1280])
+@pytest.mark.parametrize("width", [390, pytest.param(1280, marks=pytest.mark.nightly)])
 def test_the_page_fits_the_window(browser: Any, report: Path, width: int) -> None:
     page = browser.new_page(viewport={"width": width, "height": 844})
     page.goto(report.as_uri())

@@ -541,6 +541,7 @@ def test_json_schema_states_units_bounds_and_required_keys() -> None:
     assert definitions["ScenarioFile"]["required"] == ["name", "time", "network", "tiers"]
 
 
+@pytest.mark.daily
 def test_reading_loads_no_solver_power_flow_or_plot_library() -> None:
     code = (
         "import sys, vppres.io.schema, vppres.io; "

@@ -391,6 +391,7 @@ HOSTILE = [
 ]
 
 
+@pytest.mark.daily
 def test_hostile_requests_get_a_problem_and_change_nothing(live: tuple[Caller, SetClock]) -> None:
     http, _ = live
     for method, path, body in HOSTILE:

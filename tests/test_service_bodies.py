@@ -151,7 +151,7 @@ def test_whatever_is_said_the_step_is_decided(
 ) -> None:
     """By property: a message is refused, or the next step stands on it."""
 
-    @settings(max_examples=12, deadline=None, suppress_health_check=list(HealthCheck))
+    @settings(max_examples=7, deadline=None, suppress_health_check=list(HealthCheck))
     @given(st.lists(messages, min_size=1, max_size=3))
     def check(said: list[tuple[str, dict[str, Any]]]) -> None:
         clock = SetClock(NOON)
@@ -169,6 +169,7 @@ def empty_lists() -> bytes:
     return b"[%s[]]" % (b"[]," * 2_600_000)
 
 
+@pytest.mark.daily
 @pytest.mark.parametrize(
     ("body", "status"), [(empty_texts, 422), (unknown_fields, 413), (empty_lists, 413)]
 )

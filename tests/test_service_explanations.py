@@ -109,6 +109,7 @@ def test_the_last_step_is_explained_once(stormy: Any, monkeypatch: pytest.Monkey
     ]
 
 
+@pytest.mark.daily
 def test_what_is_not_kept_and_what_nobody_decided(stormy: Any) -> None:
     runner, http, _ = stormy
     for time, status in (

@@ -83,6 +83,7 @@ def test_what_is_measured_is_learned_and_taken_up_again(tiny: Scenario, tmp_path
     assert max(sizes["whole"]) < 1.1 * min(sizes["whole"])
 
 
+@pytest.mark.daily
 def test_a_forecaster_that_is_new_learns_from_readings_that_are_kept(
     tiny: Scenario, tmp_path: Path
 ) -> None:

@@ -61,12 +61,13 @@ def with_wind(tiny: Scenario) -> np.ndarray:
     return np.column_stack([tiny.pv_kw[:, 0], [90.0, 20.0, 80.0, 85.0, 40.0, 60.0]])
 
 
+@pytest.mark.daily
 @pytest.mark.parametrize("options", [
     RunOptions(horizon_h=3.0),
-    RunOptions(horizon_h=3.0, mode="physical"),
+    pytest.param(RunOptions(horizon_h=3.0, mode="physical"), marks=pytest.mark.nightly),
     pytest.param(RunOptions(horizon_h=3.0, method="monolithic"), marks=pytest.mark.nightly),
     pytest.param(RunOptions(controller="full-horizon"), marks=pytest.mark.nightly),
-    RunOptions(controller="reserve"),
+    pytest.param(RunOptions(controller="reserve"), marks=pytest.mark.nightly),
 ], ids=["mpc", "physical", "monolithic", "plan", "rules"])  # fmt: skip
 def test_the_day_is_that_of_an_owner_who_takes_nothing(options: RunOptions) -> None:
     run = run_day(alone(), options)

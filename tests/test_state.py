@@ -76,11 +76,15 @@ def played(day: Scenario, options: RunOptions, relay: bool) -> Iterator[SetPoint
         yield before
 
 
+@pytest.mark.daily
 @pytest.mark.parametrize(
     "options",
     [
         RunOptions(horizon_h=1.0, switching=RULES, protect_critical=True),
-        RunOptions(horizon_h=1.0, mode="physical", switching=COLD, soc_end=0.5),
+        pytest.param(
+            RunOptions(horizon_h=1.0, mode="physical", switching=COLD, soc_end=0.5),
+            marks=pytest.mark.nightly,
+        ),
         pytest.param(RunOptions(horizon_h=1.0, forecaster="seasonal"), marks=pytest.mark.nightly),
         pytest.param(RunOptions("full-horizon", mode="physical"), marks=pytest.mark.nightly),
         pytest.param(RunOptions("reserve"), marks=pytest.mark.nightly),
@@ -90,7 +94,7 @@ def played(day: Scenario, options: RunOptions, relay: bool) -> Iterator[SetPoint
 )
 def test_a_relay_of_controllers_decides_as_one(tiny: Scenario, options: RunOptions) -> None:
     """Every step by a controller that knows of the ones before only what a file held."""
-    day = stormy(tiny, 15 if options.controller == "mpc" else 8)
+    day = stormy(tiny, 10 if options.controller == "mpc" else 8)
     if options.forecaster == "seasonal":
         before = repeated(stormy(tiny), 72, "2025-06-28T18:00Z")
         history = History(before.grid.start, 60.0, before.load_kw, before.pv_kw)

@@ -29,6 +29,7 @@ def test_steady_sets_obey_the_rules(seed: int) -> None:
         assert (on | off).sum(axis=0).max() <= 2
 
 
+@pytest.mark.daily
 def test_a_window_without_a_search_is_answered(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("vppres.solve.ladder.rungs", lambda _: [])
     for name in ("worth_everyone", "worth_an_answer", "worth_the_whole"):

@@ -88,7 +88,9 @@ def test_the_sun_is_kept_rather_than_lost() -> None:
 
 
 @pytest.mark.parametrize("way", ["counts", "binaries", "every-battery"])
-def test_every_master_weighs_later_service(way: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_master_weighs_later_service(
+    way: str, nightly: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Each finds and proves the same optimum by itself, without the search with all terms."""
     most = 10**9 if way == "binaries" else 0
     monkeypatch.setattr("vppres.solve.fleet.masters.MOST_BINARIES", most)
@@ -97,7 +99,7 @@ def test_every_master_weighs_later_service(way: str, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr("vppres.solve.ladder.all_terms", lambda _: None)
     rng = np.random.default_rng(4)
     wrong = []
-    for seed in range(4):
+    for seed in range(4 if nightly else 2):
         load = rng.uniform(1.0, 9.0, 30)
         day = two_buses([load], rng.choice([1.0, 0.1, 0.02], 30), [DARK])
         day = replace(day, batteries=battery(soc=0.7, p_max_kw=45.0, count=3, energy_kwh=60.0))
@@ -119,7 +121,7 @@ SHARP = SolveLimits(gap_rel=1e-7, gap_abs=1e-6)
 def test_certificates_hold_against_the_monolith(nightly: bool, physical: bool) -> None:
     """One step of random feeders, with grid and without, weak ones too."""
     wrong = []
-    for seed in range(8 if nightly else 4):
+    for seed in range(8 if nightly else 3):
         scenario, data = random_window(seed, stressed=seed % 2 == 1)
         site = Site.of(scenario)
         if not len(site.batteries):

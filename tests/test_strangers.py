@@ -515,7 +515,13 @@ BINARIES: dict[str, tuple[str, Callable[[], bytes], str]] = {
 }
 
 
-@pytest.mark.parametrize("name", BINARIES)
+BY_NIGHT = {"pickle as a matrix", "no mpc", "zeros", "calls", "empty lines", "long text"}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=pytest.mark.nightly if n in BY_NIGHT else ()) for n in BINARIES],
+)
 def test_hostile_matlab_files_and_others(name: str, house: Path) -> None:
     file_name, content, reason = BINARIES[name]
     file = house / file_name

@@ -419,6 +419,7 @@ def test_real_day_obeys_the_rules(
     assert broken_rules(free, rules) > 0
 
 
+@pytest.mark.daily
 def test_recorded_demand_is_higher_after_a_restoration(tiny: Scenario) -> None:
     rules = SwitchingRules(cold_load_factor=1.5, cold_load_h=1.0)
     run = run_day(tiny, RunOptions(horizon_h=2.0, switching=rules))
@@ -470,8 +471,14 @@ def test_fewer_moves_cost_no_service(packaged: Scenario) -> None:
 # The rules themselves.
 
 
-@pytest.mark.parametrize("rules", [(1, 1, 1), (1, 1, 3), (2, 1, 2), (2, 1, 4), (3, 2, 2)])
-@pytest.mark.parametrize("left", [0, 1])
+@pytest.mark.parametrize(
+    ("rules", "left"),
+    [
+        pytest.param(rules, left, marks=() if left == n % 2 else pytest.mark.nightly)
+        for n, rules in enumerate([(1, 1, 1), (1, 1, 3), (2, 1, 2), (2, 1, 4), (3, 2, 2)])
+        for left in (0, 1)
+    ],
+)
 def test_demand_is_higher_just_where_the_state_says_so(
     tiny: Scenario, rules: tuple[int, int, int], left: int
 ) -> None:

@@ -145,7 +145,7 @@ READINGS = st.sampled_from(sorted(ASSETS)).flatmap(
 
 
 @pytest.mark.daily
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(batch=st.lists(READINGS, max_size=12), dark=st.booleans())
 def test_whatever_is_read_the_step_is_decided(batch: list[Any], dark: bool) -> None:
     clock = SetClock(NOON)
@@ -236,7 +236,9 @@ def test_a_reading_denies_what_the_plan_believed(live: tuple[Caller, SetClock]) 
     assert not said(dark, "customers")["shop"]["served"]
 
 
-@pytest.mark.parametrize("minutes", [15, 30, 60])
+@pytest.mark.parametrize(
+    "minutes", [15, *(pytest.param(m, marks=pytest.mark.nightly) for m in (30, 60))]
+)
 def test_five_minute_telemetry_is_not_late_at_any_step(
     tiny: Scenario, tmp_path: Path, minutes: int
 ) -> None:

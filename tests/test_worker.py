@@ -167,7 +167,7 @@ MEMORY = r"SolverLostError: The solver's process ran out of memory, 1\.0 GB\."
 @pytest.mark.parametrize(
     ("factory", "words"),
     [
-        (failing.Sleeping, LATE),
+        pytest.param(failing.Sleeping, LATE, marks=pytest.mark.nightly),
         pytest.param(failing.Blocking, LATE, marks=pytest.mark.nightly),
         (
             failing.Crashing,
@@ -281,6 +281,7 @@ def test_a_process_that_is_killed_or_stopped_in_a_window_is_named(
     assert gone(pid)
 
 
+@pytest.mark.daily
 def test_nothing_is_left_when_the_processes_are_closed(tiny: Scenario) -> None:
     files = set(os.listdir("/dev/fd"))
     pool = Workers()

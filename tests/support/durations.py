@@ -28,7 +28,7 @@ QUICK_CASE_S = 0.3
 """CPU time of a case up to which a function is quick."""
 QUICK_CASES = 2
 """Cases of a quick function that run."""
-LONG_S = 2.0
+LONG_S = 1.5
 """CPU time of a case above which a function is left for the night, unless it is marked daily."""
 USUAL_S = 1.5
 """CPU time that a usual run grants the random cases of one function; the first always runs."""
