@@ -13,7 +13,8 @@ class Dispatch:
 
     ``soc`` has one row more than the steps: row 0 is the state at the beginning of the window. The
     dispatch of a form without network has NaN in place of reactive power, flows and voltages. The
-    grid's power is negative where it is exported.
+    grid's power is negative where it is exported. ``v_node_pu`` are voltages by phase, in plans of
+    phased feeders.
     """
 
     served: Flags
@@ -30,6 +31,7 @@ class Dispatch:
     v_pu: Floats
     p_flow_kw: Floats
     q_flow_kvar: Floats
+    v_node_pu: Floats | None = None
 
     @property
     def n_steps(self) -> int:

@@ -16,6 +16,7 @@ from vppres.control.guard.check import Tolerances
 from vppres.control.guard.guard import GuardedController, GuardOptions
 from vppres.control.headroom import HeadroomPlanner
 from vppres.control.mpc import MPCController
+from vppres.control.phased import PhasedPlanner
 from vppres.control.planner import Planner
 from vppres.control.rotation import Rotating
 from vppres.core.errors import InputError
@@ -176,6 +177,8 @@ def _planner(solver: WindowSolver, options: RunOptions) -> Planner | None:
     if options.mode != "physical":
         return None
     assert options.headroom is not None
+    if solver.site.phases is not None:
+        return PhasedPlanner(solver, options.headroom)
     strict = options.priority == STRICT and options.headroom > 0.0
     kind = HeadroomPlanner if strict else ConvergedPlanner
     return kind(solver, options.headroom)

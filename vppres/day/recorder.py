@@ -65,6 +65,8 @@ class StepRecord:
     batteries: Mapping[str, Floats]
     buses: Mapping[str, Floats]
     lines: Mapping[str, Floats]
+    nodes: Mapping[str, Floats] | None = None
+    """Voltages by phase of the optimisation and of the AC power flow; None without phases."""
 
 
 def voltage_figures(v_model_pu: Floats, v_ac_pu: Floats) -> dict[str, float]:
@@ -136,7 +138,12 @@ class Recorder:
         returning = returning_steps(tables["customers"], tables["batteries"], len(steps))
         steps["phase"] = phases(steps["outage"].to_numpy(bool), returning, n_seen)
         return Trajectory(
-            scenario=self._scenario, steps=steps, **tables, options=dict(options), planned=planned
+            scenario=self._scenario,
+            steps=steps,
+            **tables,
+            options=dict(options),
+            planned=planned,
+            nodes=self._nodes(),
         )
 
     def _check_shapes(self, step: StepRecord) -> None:
@@ -166,6 +173,23 @@ class Recorder:
             steps["export_limit_kw"] = self._scenario.export_max_kw[:n_steps]
             steps["export_price_gbp_per_kwh"] = self._scenario.export_price[:n_steps]
         return steps
+
+    def _nodes(self) -> pd.DataFrame | None:
+        """Voltages by phase; None for a balanced feeder."""
+        phases = self._scenario.phases
+        if phases is None:
+            return None
+        labels = phases.measured
+        dark = {name: np.full(len(labels), np.nan) for name in ("v_model_pu", "v_ac_pu")}
+        found = [record.nodes or dark for record in self._records]
+        return pd.DataFrame(
+            {
+                "time": self._times().repeat(len(labels)),
+                "bus": [bus for bus, _ in labels] * len(found),
+                "phase": [phase for _, phase in labels] * len(found),
+                **{name: np.concatenate([nodes[name] for nodes in found]) for name in dark},
+            }
+        )
 
     def _table(self, name: str, fixed: Mapping[str, NDArray[Any]]) -> pd.DataFrame:
         """A table with items: identifiers repeat in every step."""

@@ -9,7 +9,7 @@ import pandas as pd
 
 from vppres.core.errors import InputError, Problem
 from vppres.core.plain import json_safe
-from vppres.day.trajectory import EXPLAINING_TABLES, TABLES, Trajectory
+from vppres.day.trajectory import OPTIONAL_TABLES, TABLES, Trajectory
 from vppres.io.scenario_folder import read_scenario
 
 OPTIONS_FILE = "options.json"
@@ -39,7 +39,7 @@ def read_run(folder: Path) -> Trajectory:
         message = f"has no {', no '.join(missing)}"
         raise InputError([Problem(str(folder), message, "Give a folder written by a run.")])
     record = json.loads((folder / OPTIONS_FILE).read_text(encoding="utf-8"))
-    explained = [name for name in EXPLAINING_TABLES if _table_file(folder, name).is_file()]
+    explained = [name for name in OPTIONAL_TABLES if _table_file(folder, name).is_file()]
     tables = {name: pd.read_parquet(_table_file(folder, name)) for name in (*TABLES, *explained)}
     return Trajectory(
         scenario=read_scenario(folder / "scenario"),

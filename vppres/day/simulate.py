@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from vppres.contract.decision import Decider, Decision, SolveInfo
@@ -30,8 +31,10 @@ from vppres.model.site import Site
 from vppres.physics.powerflow import ACPowerFlow
 from vppres.plant.collapse import realise
 from vppres.plant.island import IslandPlant, Settled
+from vppres.plant.phased import PhasedACFlow, PhasedACResult, PhasedIslandPlant, PhasedPlant
 from vppres.plant.plant import CLIP_TOLERANCE_KW, BatteryState, Plant
 from vppres.scenario.parts import parts_record, split_sheddable
+from vppres.scenario.phases import PHASES
 from vppres.scenario.priority import STRICT
 from vppres.scenario.scenario import Scenario
 
@@ -104,7 +107,9 @@ class Day:
         self.scenario = scenario
         self.options = options.on(scenario)
         self.faults = faults
-        self.plant = Plant(scenario, options.thermal, options.switching)
+        phased = scenario.phases is not None
+        make_plant = PhasedPlant if phased else Plant
+        self.plant = make_plant(scenario, options.thermal, options.switching)
         self.switching = SwitchingState.of(
             options.switching, scenario.customers, scenario.grid.dt_h
         )
@@ -117,10 +122,7 @@ class Day:
             if forecaster is None
             else MeasuredForecasts(scenario, forecaster)
         )
-        self.ac = ACPowerFlow(scenario.network)
-        islanded = scenario.network.islanded
-        self.island_ac = self.ac if islanded is scenario.network else ACPowerFlow(islanded)
-        self.island = IslandPlant(self.plant, self.island_ac)
+        self.ac, self.island_ac, self.island = (_with_phases if phased else _balanced)(self.plant)
         self.recorder = Recorder(scenario)
         self.operating_point: OperatingPoint | None = None
         self.battery_kw: Floats | None = None
@@ -194,8 +196,7 @@ class Day:
                 result.v_pu,
                 result.p_from_kw,
                 result.q_from_kvar,
-                realised.p_injection_kw,
-                realised.q_injection_kvar,
+                *self.plant.at_buses(realised),
                 bool(self.scenario.outage[t]),
             )
         )
@@ -221,6 +222,20 @@ class Day:
     def _held_by_batteries(self, t: int) -> bool:
         """Whether a step is an island of physical mode."""
         return self.options.mode == "physical" and bool(self.scenario.outage[t])
+
+
+def _balanced(plant: Plant) -> tuple[ACPowerFlow, ACPowerFlow, IslandPlant]:
+    """Flows with grid and without, and what happens in an island."""
+    network = plant.scenario.network
+    flow = ACPowerFlow(network)
+    island = flow if network.islanded is network else ACPowerFlow(network.islanded)
+    return flow, island, IslandPlant(plant, island)
+
+
+def _with_phases(plant: Plant) -> tuple[ACPowerFlow, ACPowerFlow, IslandPlant]:
+    """The same of a phased feeder."""
+    flow = PhasedACFlow(plant.scenario)
+    return flow, flow, PhasedIslandPlant(plant, flow)
 
 
 def _promised(plan: Dispatch | None, scenario: Scenario) -> dict[str, Any] | None:
@@ -293,7 +308,22 @@ def _record(
         steps["levels"] = decision.info.levels
     if options.outages == BELIEF:
         steps["stored_value_gbp_per_kwh"] = decision.info.stored_value_gbp_per_kwh
-    return StepRecord(t, steps, customers, pv, batteries, buses, lines)
+    nodes = None
+    if isinstance(done.ac, PhasedACResult):
+        steps |= _by_phase(done.ac, held_by_batteries)
+        v_ac_pu = done.ac.v_node_pu
+        planned = np.full_like(v_ac_pu, np.nan) if plan.v_node_pu is None else plan.v_node_pu[row]
+        nodes = {"v_model_pu": planned, "v_ac_pu": v_ac_pu}
+        steps["v_error_pu"] = float(np.abs(planned - v_ac_pu).max(initial=0.0))
+    return StepRecord(t, steps, customers, pv, batteries, buses, lines, nodes)
+
+
+def _by_phase(ac: PhasedACResult, held_by_batteries: bool) -> dict[str, float]:
+    """What the source gives on each phase, and the largest unbalance factor."""
+    source = "former" if held_by_batteries else "import"
+    found = {f"{each}_{p}_kva": np.nan for each in ("former", "import") for p in PHASES}
+    found |= {f"{source}_{p}_kva": abs(s) for p, s in zip(PHASES, ac.former_kva, strict=True)}
+    return {**found, "unbalance_max": ac.unbalance}
 
 
 def _supply(

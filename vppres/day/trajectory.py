@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 TABLES = ("steps", "customers", "pv", "batteries", "buses", "lines")
 EXPLAINING_TABLES = ("explanations", "shadow_prices")
+PHASED_TABLES = ("nodes",)
+OPTIONAL_TABLES = (*EXPLAINING_TABLES, *PHASED_TABLES)
 OPTIONS = ("controller", "horizon_h", "solver", "method", "seed")
 
 
@@ -56,6 +58,8 @@ class Trajectory:
     explanations, shadow_prices : DataFrame, optional
         A reason for every action, and what one more unit of what was scarce would have bought;
         :func:`vppres.explain.day.explain_day` makes them.
+    nodes : DataFrame, optional
+        Voltages by phase of a phased feeder.
     """
 
     scenario: Scenario
@@ -69,6 +73,7 @@ class Trajectory:
     planned: Mapping[str, Any] | None = None
     explanations: pd.DataFrame | None = None
     shadow_prices: pd.DataFrame | None = None
+    nodes: pd.DataFrame | None = None
 
     @property
     def imported_kw(self) -> Floats:
@@ -89,7 +94,7 @@ class Trajectory:
     @property
     def tables(self) -> dict[str, pd.DataFrame]:
         """The six tables by name, and those of the explanation if there is one."""
-        found = {name: getattr(self, name) for name in (*TABLES, *EXPLAINING_TABLES)}
+        found = {name: getattr(self, name) for name in (*TABLES, *OPTIONAL_TABLES)}
         return {name: table for name, table in found.items() if table is not None}
 
     def apply_to(self, net: Any, feeder: Feeder, time: pd.Timestamp | str) -> None:

@@ -12,6 +12,7 @@ import pandas as pd
 
 from vppres.core.arrays import Floats, Names, freeze_fields
 from vppres.scenario.network import BusId, Network
+from vppres.scenario.phases import PhaseConnection, Phases
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,6 +167,31 @@ def _at_no_load(v_pu: float | None) -> str:
     return "" if v_pu is None else f", at no load by {v_pu:.2g} pu"
 
 
+@dataclass(frozen=True)
+class PhasedLoad:
+    """A load or generator of a phased source, at a bus of the feeder, with its connection."""
+
+    kind: str
+    bus: BusId
+    p_kw: float
+    q_kvar: float
+    connection: PhaseConnection
+
+
+@dataclass(frozen=True, eq=False)
+class PhasedSource:
+    """The three phases of a source, without assets, and what is connected to them.
+
+    ``difference_pu`` is the largest one of the own power flow from that of the source.
+    """
+
+    phases: Phases
+    loads: tuple[PhasedLoad, ...]
+    v_pu: float
+    difference_pu: float | None = None
+    notes: tuple[str, ...] = ()
+
+
 @dataclass(frozen=True, eq=False)
 class ImportedFeeder:
     """A feeder from another tool.
@@ -200,8 +226,13 @@ class ImportedFeeder:
         AC power flow of the source for other powers.
     unbalanced : str
         What of the source is not balanced and was spread over three phases; empty if nothing.
+<<<<<<< HEAD
     named : bool
         Whether customers are the loads, and they, generators and batteries keep their names.
+=======
+    phased : PhasedSource, optional
+        The three phases; None for a feeder that is balanced.
+>>>>>>> 1ca9b74 (Phased feeders: tables, import from OpenDSS, power flow by phase, plans and record)
     """
 
     name: str
@@ -219,7 +250,11 @@ class ImportedFeeder:
     causes: tuple[str, ...] = ()
     source_flow: SourceFlow | None = None
     unbalanced: str = ""
+<<<<<<< HEAD
     named: bool = False
+=======
+    phased: PhasedSource | None = None
+>>>>>>> 1ca9b74 (Phased feeders: tables, import from OpenDSS, power flow by phase, plans and record)
 
     def __post_init__(self) -> None:
         freeze_fields(self, p_load_kw=float, q_load_kvar=float, tier=object)

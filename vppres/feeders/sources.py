@@ -68,6 +68,8 @@ def import_network(
 ) -> ImportedFeeder:
     """Import a network.
 
+    An OpenDSS feeder that is not balanced keeps its phases, unless ``balance`` spreads them.
+
     Parameters
     ----------
     name_or_file : str, Path or pandapowerNet
@@ -83,10 +85,14 @@ def import_network(
         The grid connection, where there are several external grids: one by table and index, by its
         name or its bus, or ``all`` for those that hold the same voltage together.
     balance : bool, optional
+<<<<<<< HEAD
         Spread loads of single phases over three; without it a network with any is refused.
     names : bool, optional
         Call buses, generators and batteries as the source does, and make each of its loads a
         customer with its name; otherwise names follow the buses' numbers, with a customer a bus.
+=======
+        Spread loads of single phases over three; without it a pandapower net with any is refused.
+>>>>>>> 1ca9b74 (Phased feeders: tables, import from OpenDSS, power flow by phase, plans and record)
 
     Returns
     -------
@@ -113,7 +119,7 @@ def import_network(
     with _quiet():
         if source is None and text in NAMED:
             return _feeder(NAMED[text](), text, changes)
-        return _of_file(_reader(text, source), Path(text), changes)
+        return _of_file(_reader(text, source, not balance), Path(text), changes)
 
 
 def _of_file(read: Callable[[], _Net], path: Path, changes: Changes) -> ImportedFeeder:
@@ -138,13 +144,21 @@ def _feeder(found: _Net, name: str, changes: Changes) -> ImportedFeeder:
     """The feeder of a net, after the changes that were asked for."""
     notes = found.notes
     phases = found.phases or phase_powers(found.net)
-    if phases is not None:
+    keeps_phases = phases is not None and found.flow is not None and not changes.balance
+    if phases is not None and not keeps_phases:
         notes += (balanced(phases, name, changes.balance),)
+<<<<<<< HEAD
     ids = found.bus_ids
     if ids is None and changes.names:
         ids = bus_names(found.net)
     net, made = changed(found.net, name, changes, ids)
     feeder = replace(feeder_of(net, name, bus_ids=ids), named=changes.names)
+=======
+    net, made = changed(found.net, name, changes, found.bus_ids)
+    feeder = feeder_of(net, name, bus_ids=found.bus_ids)
+    if keeps_phases:
+        return _with_phases(found, net, replace(feeder, notes=notes + made))
+>>>>>>> 1ca9b74 (Phased feeders: tables, import from OpenDSS, power flow by phase, plans and record)
     if phases is not None:
         feeder = replace(feeder, unbalanced=phases.what)
     if found.flow is not None:
@@ -154,6 +168,17 @@ def _feeder(found: _Net, name: str, changes: Changes) -> ImportedFeeder:
         feeder = replace(feeder, deviation=given)
     feeder = _with_profiles(feeder, found.profiles or profiles_of(net))
     return replace(feeder, notes=notes + made + feeder.notes)
+
+
+def _with_phases(found: _Net, net: Any, feeder: ImportedFeeder) -> ImportedFeeder:
+    """The tree of a feeder with the phases of its source."""
+    from vppres.feeders.dss.phases import phased_source
+
+    assert found.flow is not None
+    flow = found.flow.of(net, feeder)
+    feeder = replace(feeder, source_flow=flow, causes=(), deviation=None)
+    phased = phased_source(flow.job, flow.name, feeder, flow.disabled)
+    return replace(feeder, phased=phased, notes=(*feeder.notes, *phased.notes))
 
 
 def _with_profiles(feeder: ImportedFeeder, profiles: tuple[Profile, ...]) -> ImportedFeeder:
@@ -170,8 +195,8 @@ def _quiet() -> Iterator[None]:
         yield
 
 
-def _reader(text: str, source: Source | None) -> Callable[[], _Net]:
-    """The reader of a file or code."""
+def _reader(text: str, source: Source | None, by_phase: bool) -> Callable[[], _Net]:
+    """The reader of a file or code; of OpenDSS with its phases, or as a balanced equivalent."""
     never = NEVER.get(Path(text).suffix.lower())
     if never and source != "simbench":
         raise InputError.of(
@@ -196,7 +221,9 @@ def _reader(text: str, source: Source | None) -> Callable[[], _Net]:
     path = Path(text)
     if not path.is_file():
         raise InputError.of(f"network {text}", "there is no such file", "Correct the path.")
-    readers = {"pandapower": _pandapower, "matpower": _matpower, "opendss": _opendss}
+    if kind == "opendss":
+        return lambda: _opendss(path, by_phase)
+    readers = {"pandapower": _pandapower, "matpower": _matpower}
     return lambda: readers[kind](path)
 
 
@@ -237,13 +264,13 @@ def _matpower(path: Path) -> _Net:
         return _Net(read(path))
 
 
-def _opendss(path: Path) -> _Net:
+def _opendss(path: Path, by_phase: bool) -> _Net:
     # OpenDSS is loaded in a process of its own, never in this one.
     if importlib.util.find_spec("opendssdirect") is None:
         raise _missing("opendssdirect", "opendss")
     from vppres.feeders.dss.circuit import read_opendss
 
-    return _Net(*read_opendss(path))
+    return _Net(*read_opendss(path, by_phase=by_phase))
 
 
 def _simbench(code: str) -> _Net:

@@ -17,7 +17,11 @@ from vppres.core.errors import InputError, Problem
 from vppres.io import checks, schema
 from vppres.io.history import Columns, history_of
 from vppres.io.messages import in_order
+<<<<<<< HEAD
 from vppres.io.outage_log import read_interruptions
+=======
+from vppres.io.phase_files import read_phases
+>>>>>>> 1ca9b74 (Phased feeders: tables, import from OpenDSS, power flow by phase, plans and record)
 from vppres.io.series import TIME, check_times, read_values
 from vppres.io.settings import SCENARIO_FILE, Settings, read_settings
 from vppres.io.tables import Table, check_columns, no_table, read_rows, read_table
@@ -27,6 +31,7 @@ from vppres.scenario.fairness import Fairness, Interruption
 from vppres.scenario.history import History
 from vppres.scenario.network import BusId, Network, check_radial
 from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
+from vppres.scenario.phases import Phases
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import (
     ControllerDefaults,
@@ -116,11 +121,20 @@ def read_scenario(folder: str | Path) -> Scenario:
     history, history_problems = _read_history(content, rows)
     series_problems += history_problems
     problems += row_problems + _check_across(content, rows) + series_problems
+    phases, phase_problems = _read_phases(folder, content)
+    problems += phase_problems
     if problems or content.lines is None or content.settings.grid is None:
         files = [SCENARIO_FILE, *content.settings.files.model_dump().values()]
         raise InputError(in_order(problems, files))
-    day = _assemble(content.settings, rows, series, checks.bus_reader(content.lines))
+    day = _assemble(content.settings, rows, series, checks.bus_reader(content.lines), phases)
     return day if history is None else replace(day, history=history)
+
+
+def _read_phases(folder: Path, content: _Folder) -> tuple[Phases | None, list[Problem]]:
+    """The three phases of a folder that has them."""
+    if content.lines is None:
+        return None, []
+    return read_phases(folder, checks.bus_reader(content.lines))
 
 
 def _read_files(folder: Path) -> tuple[_Folder, list[Problem]]:
@@ -322,7 +336,11 @@ def _stack(columns: dict[str, Floats], n_steps: int) -> Floats:
 
 
 def _assemble(
-    settings: Settings, rows: _Rows, series: _Series, read_bus: Callable[[str], BusId]
+    settings: Settings,
+    rows: _Rows,
+    series: _Series,
+    read_bus: Callable[[str], BusId],
+    phases: Phases | None,
 ) -> Scenario:
     """The scenario, from files in which no problem was found."""
     file = settings.file
@@ -363,6 +381,7 @@ def _assemble(
         warnings=tuple(rows.warnings.values()),
         interruptions=tuple(rows.outages.values()),
         outage_statistics=OutageStatistics(**file.outage_statistics.model_dump()),
+        phases=phases,
     )
 
 

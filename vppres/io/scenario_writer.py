@@ -18,6 +18,7 @@ from vppres.core.errors import InputError
 from vppres.io import schema
 from vppres.io.atomic import atomic_folder
 from vppres.io.messages import problems_of
+from vppres.io.phase_files import phase_frames
 from vppres.io.series import TIME
 from vppres.io.settings import SCENARIO_FILE, outage_intervals
 from vppres.io.times import iso
@@ -193,6 +194,8 @@ def _frames(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, pd.
     for name in ("shed_steps", "homes"):
         if (getattr(customers, name) == 1).all():
             frames["customers"] = frames["customers"].drop(columns=name)
+    if scenario.phases is not None:
+        frames |= phase_frames(scenario.phases)
     return frames
 
 

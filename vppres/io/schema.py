@@ -65,6 +65,9 @@ MAX_SAIFI = 8760.0  # one an hour
 MAX_SIGMA = 5.0  # nine in ten outages differ by a factor of 400,000
 MAX_ESTIMATE = 100.0  # a multiple of what was said
 MAX_SHARE = 0.99
+MIN_X_PCT = 1e-6  # a regulator that is stated without any has a thousand times as much
+MAX_PPM = 1e4  # 1 %: then it is a shunt, and has a row of its own
+MAX_EXPONENT = 6.0  # lamps and motors stay below 4
 MAX_BATTERY_V = 1e5  # strings in service stay below 2 kV
 
 
@@ -168,6 +171,7 @@ _TYPES: dict[str, Any] = {
         dict[Name, Annotated[float, Field(ge=MIN_WEIGHT, le=MAX_WEIGHT)]], Field(min_length=1)
     ],
     "yes or no": Literal["yes", "no"],
+    "voltage kind": Literal["ground", "lines"],
     "warning preset": Literal[WARNING_PRESETS],
     "statistics preset": Literal[STATISTICS_PRESETS],
 }
@@ -288,7 +292,15 @@ LoadSeries = _model("load_kw.csv")
 PVSeries = _model("pv_kw.csv")
 SystemSeries = _model("system.csv")
 WarningRow = _model("warnings.csv")
+<<<<<<< HEAD
 OutageRow = _model("outages.csv")
+=======
+PhaseBusRow = _model("phase_buses.csv")
+PhaseLineRow = _model("phase_lines.csv")
+PhaseTransformerRow = _model("phase_transformers.csv")
+PhaseShuntRow = _model("phase_shunts.csv")
+PhaseConnectionRow = _model("phase_connections.csv")
+>>>>>>> 1ca9b74 (Phased feeders: tables, import from OpenDSS, power flow by phase, plans and record)
 
 
 def unit(field: FieldInfo) -> str:

@@ -13,7 +13,7 @@ from vppres.contract.operating_point import Centre
 from vppres.contract.stored_value import Ending, StoredValue
 from vppres.contract.switching import SwitchingData
 from vppres.contract.terminal import Terminal
-from vppres.core.arrays import Flags, Floats, Wholes
+from vppres.core.arrays import Complexes, Flags, Floats, Wholes
 from vppres.core.errors import ModelError
 from vppres.model.linearise import Drawn, delta_offset, drawn_by
 from vppres.model.site import Site
@@ -46,6 +46,37 @@ class Physics:
     def part(self, steps: slice) -> Physics:
         """Some of the steps."""
         return Physics(*(getattr(self, f.name)[steps] for f in fields(self)))
+
+
+@dataclass(frozen=True, eq=False)
+class PhasedWindow:
+    """What a window of W steps on a phased feeder is linearised at; m voltages have limits.
+
+    Parameters
+    ----------
+    u_offset : array, shape (W, m)
+        Squared voltages with nothing drawn that meet the AC points.
+    former_offset : array of complex, shape (W, 3)
+        The same of the former's power by phase in kVA.
+    u_min, u_max : array, shape (W, m)
+        Limits.
+    room_kva : array, shape (W,)
+        What each phase of the former may carry in steps without grid.
+    watched : tuple of int
+        Voltages whose rows are stated.
+    """
+
+    u_offset: Floats
+    former_offset: Complexes
+    u_min: Floats
+    u_max: Floats
+    room_kva: Floats
+    watched: tuple[int, ...] = ()
+
+    def part(self, steps: slice) -> PhasedWindow:
+        """Some of the steps."""
+        names = ("u_offset", "former_offset", "u_min", "u_max", "room_kva")
+        return replace(self, **{name: getattr(self, name)[steps] for name in names})
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +118,8 @@ class WindowData:
         NaN where they do not. None, the paper, has hard limits.
     flow_max_kva : array, shape (W, L), optional
         Largest flow of each line; None, the paper, has no ratings.
+    phased : PhasedWindow, optional
+        Voltages and former by phase; None for a balanced feeder.
     """
 
     load_kw: Floats
@@ -106,6 +139,7 @@ class WindowData:
     stored_value: StoredValue | None = None
     own_u_pu2: Floats | None = None
     flow_max_kva: Floats | None = None
+    phased: PhasedWindow | None = None
 
     @classmethod
     def of(cls, observation: Observation, site: Site, centre: Centre) -> WindowData:
@@ -188,6 +222,7 @@ class WindowData:
             stored_value=self.stored_value if to_the_end else None,
             own_u_pu2=None if self.own_u_pu2 is None else self.own_u_pu2[steps],
             flow_max_kva=None if self.flow_max_kva is None else self.flow_max_kva[steps],
+            phased=self.phased and self.phased.part(steps),
         )
 
     def u_limits_pu2(self, network: Network) -> tuple[Floats, Floats]:

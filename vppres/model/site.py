@@ -11,12 +11,41 @@ import scipy.sparse as sp
 from vppres.core.arrays import Flags, Floats, Wholes, content_key
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
+from vppres.scenario.phases import Phases
 from vppres.scenario.priority import Ranks
 from vppres.scenario.scenario import ObjectiveWeights, Scenario
 
 LESS_THAN_A_UNIT = 0.5
 """What all curtailment of a window counts at most in strict order: rounded to whole units, a bound
 on service and curtailment is one on service."""
+
+
+ANY_PU = (0.1, 2.0)
+"""Limits of voltages that have none."""
+
+
+def as_tree(network: Network) -> Network:
+    """The tree of a phased feeder's buses: lines without ratios and shunts, no voltage limited."""
+    none = np.empty(0)
+    least, most = ANY_PU
+    return replace(
+        network,
+        ratio=none,
+        b_us=none,
+        g_us=none,
+        i_max_a=none,
+        drawing_bus=np.empty(0, dtype=object),
+        p_shunt_kw=none,
+        q_shunt_kvar=none,
+        p_fixed_kw=none,
+        q_fixed_kvar=none,
+        island=np.empty(0, dtype=bool),
+        v_slack_pu=1.0,
+        v_min_pu=least,
+        v_max_pu=most,
+        v_min_ac_pu=least,
+        v_max_ac_pu=most,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +55,9 @@ class Site:
     ``ranks`` are those behind the weights of strict priority; None where tiers are weighed.
     With ``soft_voltages`` the limits of the voltages give way, with grid, to what the feeder has
     without control. With ``rated`` the currents of lines stay within their ratings.
+
+    A site with ``phases`` has a ``network`` that is only the tree of its buses: its flows break
+    ties, and no voltage of it is limited. The limits are those of ``feeder``.
     """
 
     network: Network
@@ -37,10 +69,18 @@ class Site:
     ranks: Ranks | None = None
     soft_voltages: bool = False
     rated: bool = False
+    phases: Phases | None = None
+    limits_of: Network | None = None
 
     @classmethod
     def of(cls, scenario: Scenario) -> Site:
         """Site of a scenario."""
+        if scenario.phases is not None:
+            balanced = cls.of(replace(scenario, phases=None))
+            tree = as_tree(scenario.network)
+            return replace(
+                balanced, network=tree, phases=scenario.phases, limits_of=scenario.network
+            )
         return cls(
             scenario.network,
             scenario.customers,
@@ -83,11 +123,18 @@ class Site:
         limited = np.isfinite(self.customers.longest_off_h)
         return self.customers.weight + np.where(limited, self.hour_beyond, 0.0)
 
+    @property
+    def feeder(self) -> Network:
+        """The network whose voltage limits hold."""
+        return self.network if self.limits_of is None else self.limits_of
+
     @cached_property
     def key(self) -> str:
         """Digest of the content: sites of equal content have equal problems."""
         ranks = () if self.ranks is None else (self.ranks,)
         rules = " soft" * self.soft_voltages + " rated" * self.rated
+        if self.phases is not None:
+            rules += f" {self.phases.key} {content_key(self.feeder)}"
         return f"{self.dt_h}{rules} " + content_key(
             self.weights, self.network, self.customers, self.pv, self.batteries, *ranks
         )

@@ -173,12 +173,20 @@ class IslandPlant:
             change_kw = ac.p_slack_kw - left_kw
             change_kvar = ac.q_slack_kvar
             if max(abs(change_kw), abs(change_kvar)) <= self.tolerance_kw:
-                excess_kvar = abs(batt_q[reference]) - b.s_max_kva[reference]
-                return _Balance(shared, ac, left_kw, float(excess_kvar))
+                return _Balance(shared, ac, left_kw, self._excess_kva(reference, batt_q, ac))
             deficit_kw += change_kw
             batt_q = batt_q.copy()
             batt_q[reference] += change_kvar
         raise VerificationError("the sharing of the mismatch does not converge")
+
+    def _excess_kva(self, reference: int, batt_q_kvar: Floats, ac: ACResult) -> float:
+        """By how much the battery that holds the island is beyond its rating."""
+        rating = self.plant.scenario.batteries.s_max_kva[reference]
+        return float(abs(batt_q_kvar[reference]) - rating)
+
+    def _order(self, t: int, powers: Powers, ac: ACResult) -> list[int]:
+        """Customers that are on in the order in which they are shed."""
+        return [c for c in shedding_order(self.plant.scenario, t) if powers.served[c]]
 
     def _share(
         self, powers: Powers, state: BatteryState, able: Flags, batt_q: Floats, deficit_kw: float
@@ -205,7 +213,7 @@ class IslandPlant:
             charging = np.where(others, np.maximum(powers.battery_kw, 0.0), 0.0)
             if found.left_kw > self.tolerance_kw and charging.sum() > 0:
                 return replace(powers, battery_kw=powers.battery_kw - part_of(charging, need_kw))
-            return self._shed(t, powers, need_kw)
+            return self._shed(t, powers, need_kw, found.ac)
         surplus_kw = -found.left_kw + CUT_MARGIN_KW
         if (powers.pv_export_kw + powers.pv_self_kw).sum() > 0:
             return curtailed(powers, surplus_kw)
@@ -214,10 +222,10 @@ class IslandPlant:
             return replace(powers, battery_kw=powers.battery_kw + part_of(discharging, surplus_kw))
         return None
 
-    def _shed(self, t: int, powers: Powers, need_kw: float) -> Powers | None:
+    def _shed(self, t: int, powers: Powers, need_kw: float, ac: ACResult) -> Powers | None:
         """Customers off until the need is met, those whose service is worth least per kW first."""
         load_kw = self.plant.load_kw(t, powers.served)
-        order = [c for c in shedding_order(self.plant.scenario, t) if powers.served[c]]
+        order = self._order(t, powers, ac)
         if not order:
             return None
         reached = np.cumsum(load_kw[order]) >= need_kw

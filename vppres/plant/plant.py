@@ -103,6 +103,11 @@ class Plant:
         self._alone = scenario.pv.alone
         pv_buses = scenario.pv.buses(scenario.customers)
         self._pv_bus = np.array([index[b] for b in pv_buses], dtype=int)
+        self.n_places = scenario.network.n_buses
+
+    def at_buses(self, realised: Realised) -> tuple[Floats, Floats]:
+        """Net injections of the network's buses, (N,) each."""
+        return realised.p_injection_kw, realised.q_injection_kvar
 
     def initial_state(self) -> BatteryState:
         """State before the first step."""
@@ -223,7 +228,7 @@ class Plant:
         self, demand_kw: Floats, own: Floats, export: Floats, battery_kw: Floats
     ) -> tuple[Floats, Floats]:
         """Net injection of every bus: generation less served demand; kvar of the demand only."""
-        p = np.zeros(self.scenario.network.n_buses)
+        p = np.zeros(self.n_places)
         q = np.zeros_like(p)
         np.add.at(p, self._customer_bus, -demand_kw)
         np.add.at(q, self._customer_bus, -demand_kw * self.scenario.customers.q_per_p)

@@ -17,6 +17,7 @@ from vppres.scenario.history import History
 from vppres.scenario.network import Network
 from vppres.scenario.option_table import default_of
 from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
+from vppres.scenario.phases import Phases, check_phases
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.source import Source
 from vppres.scenario.timegrid import TimeGrid
@@ -155,6 +156,8 @@ class Scenario:
         Outages that were before the first step, and who was off supply in them.
     history : History, optional
         What was measured before the first step, for forecasters that learn from it.
+    phases : Phases, optional
+        The three phases of the feeder; None for a balanced one.
     """
 
     name: str
@@ -184,8 +187,11 @@ class Scenario:
     outage_statistics: OutageStatistics = field(default_factory=OutageStatistics)
     interruptions: tuple[Interruption, ...] = ()
     history: History | None = None
+    phases: Phases | None = None
 
     def __post_init__(self) -> None:
+        if self.phases is not None:
+            check_phases(self.phases, self.network, self.customers, self.pv, self.batteries)
         freeze_fields(
             self,
             load_kw=float,

@@ -151,7 +151,7 @@ def _one_dispatch(parts: Sequence[Dispatch]) -> Dispatch:
     rows = {
         f.name: np.concatenate([getattr(part, f.name) for part in parts])
         for f in fields(Dispatch)
-        if f.name != "soc"
+        if f.name not in ("soc", "v_node_pu")
     }
     soc = np.concatenate([parts[0].soc[:1], *(part.soc[1:] for part in parts)])
     return Dispatch(**rows, soc=soc)

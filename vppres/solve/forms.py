@@ -23,7 +23,7 @@ Mode = Literal["integer", "relaxed", "fixed"]
 
 DISCS = ("battery_inverter_capacity", "pv_inverter_capacity")
 
-NETWORK = frozenset({"P_flow", "Q_flow", "u", "Q_pv", "Q_batt"})
+NETWORK = frozenset({"P_flow", "Q_flow", "u", "Q_pv", "Q_batt", "P_former", "Q_former"})
 """Letters that a relaxation without the network has not."""
 
 

@@ -128,7 +128,10 @@ def _shapes(decision: Decision, site: Site) -> list[str]:
     }
     found = []
     for field in fields(Dispatch):
-        values = np.asarray(getattr(decision.dispatch, field.name))
+        given = getattr(decision.dispatch, field.name)
+        if given is None:
+            continue
+        values = np.asarray(given)
         shape = values.shape[1:]
         wanted = (sizes[field.name],) if field.name in sizes else ()
         if not 0 <= decision.row < len(values) or shape != wanted:

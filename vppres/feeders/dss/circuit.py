@@ -34,7 +34,9 @@ SHAPE_TOLERANCE = 1e-6
 Contents = tuple[Any, dict[int, BusId], tuple[str, ...], PhasePowers | None, "OpenDSSFlow"]
 
 
-def read_opendss(path: Path, time_limit_s: float = TIME_LIMIT_S) -> Contents:
+def read_opendss(
+    path: Path, time_limit_s: float = TIME_LIMIT_S, by_phase: bool = False
+) -> Contents:
     """Read a circuit.
 
     Parameters
@@ -43,6 +45,9 @@ def read_opendss(path: Path, time_limit_s: float = TIME_LIMIT_S) -> Contents:
         The master file; what it redirects to lies in its folder.
     time_limit_s : float, optional
         For OpenDSS to build the circuit.
+    by_phase : bool, optional
+        Whether the net is only the tree of a feeder with its phases: then open deltas are part of
+        it, and notes say nothing of a balanced equivalent.
 
     Returns
     -------
@@ -64,12 +69,15 @@ def read_opendss(path: Path, time_limit_s: float = TIME_LIMIT_S) -> Contents:
         an element has no balanced equivalent here.
     """
     script = dss_text.read_script(path)
-    job = {"commands": [command.text for command in script.commands]}
-    found = confined("dss/engine", job, path.name, time_limit_s)
+    job: dict[str, Any] = {"commands": [command.text for command in script.commands]}
+    asked = {**job, "open_deltas": by_phase}
+    found = confined("dss/engine", asked, path.name, time_limit_s)
     if found["problems"]:
         raise InputError([located(problem, script, path.name) for problem in found["problems"]])
     net, ids = _build(found)
-    notes = (*script.notes, *found["notes"])
+    notes = (*script.notes, *found["balanced_notes"], *found["notes"])
+    if by_phase and found["single_phases"]:
+        notes = (*script.notes, *found["notes"])
     return net, ids, notes, _phase_powers(found), OpenDSSFlow(job, path.name, found, time_limit_s)
 
 
@@ -162,7 +170,7 @@ class OpenDSSFlow:
             "disabled": self.disabled,
             "v_slack_pu": None,
         }
-        job = {**self.job, "state": state}
+        job = {**self.job, "state": state, "open_deltas": True}
         return self._by_index(confined("dss/engine", job, self.name, self.time_limit_s)["v_pu"])
 
     def _by_index(self, v_pu: dict[str, float] | None) -> dict[int, float] | None:

@@ -41,7 +41,7 @@ Table = list[dict[str, Any]]
 
 def answer(job: dict[str, Any]) -> dict[str, Any]:
     """The circuit of the job's commands as tables, or what is wrong with it."""
-    problems = build(job["commands"])
+    problems = build(job["commands"], job.get("open_deltas", False))
     if problems:
         return {"problems": problems}
     solved = settled()
@@ -98,8 +98,8 @@ def _voltages(solved: bool) -> dict[str, Any]:
     return {"v_pu": found, "losses_kw": losses_kw, "complete": complete}
 
 
-def build(commands: list[str]) -> Problems:
-    """Build the circuit; what is wrong with it."""
+def build(commands: list[str], open_deltas: bool = False) -> Problems:
+    """Build the circuit; what is wrong with it, open deltas if they are not allowed."""
     dss.Basic.AllowChangeDir(False)
     dss.Basic.AllowForms(False)
     dss.Basic.AllowEditor(False)
@@ -119,7 +119,8 @@ def build(commands: list[str]) -> Problems:
             }
         ]
     unfit = [p for name in _elements() if (p := _problem(name))]
-    return [*unfit, *_open_deltas()] or _check_levels()
+    banks = [] if open_deltas else [*_open_deltas()]
+    return [*unfit, *banks] or _check_levels()
 
 
 @cache
@@ -253,6 +254,7 @@ def _tables(solved: bool) -> dict[str, Any]:
         "powers": list(_powers()),
         "causes": list(_causes()),
         "single_phases": _single_phases(),
+        "balanced_notes": list(_notes_on_balance()),
         "notes": list(_notes()),
     }
 
@@ -416,7 +418,7 @@ def _single_phases() -> dict[str, list[int]]:
     return found
 
 
-def _notes() -> Iterator[str]:
+def _notes_on_balance() -> Iterator[str]:
     """What the balanced equivalent leaves out."""
     yield (
         "The circuit is taken as balanced: lines have their positive-sequence impedance, loads "
@@ -430,6 +432,11 @@ def _notes() -> Iterator[str]:
             f"{few} of {len(phases)} lines have fewer than three phases; their impedance is "
             "raised so that drop and losses are those of the phases that they have."
         )
+
+
+def _notes() -> Iterator[str]:
+    """What is taken as something else, whether the feeder is balanced or not."""
+    phases = [dss.CktElement.NumPhases() for _ in _of("line")]
     unrated = [name for name in _of("line") if dss.CktElement.NormalAmps() == DEFAULT_AMPS]
     if unrated:
         yield (

@@ -25,6 +25,7 @@ from vppres.feeders.closeness import (
 )
 from vppres.feeders.feeder import ImportedFeeder, Profile
 from vppres.feeders.new.assets import TIER_WEIGHTS, NewAssets, new_assets, written
+from vppres.feeders.new.connections import connected, shunts_in_islands, with_former
 from vppres.feeders.new.kinds import WIND
 from vppres.feeders.new.low_voltage import limits_of
 from vppres.feeders.new.options import NewScenarioOptions, check_options, outages_of
@@ -39,7 +40,7 @@ from vppres.scenario.network import Network
 from vppres.scenario.priority import STRICT
 from vppres.scenario.remarks import former_words
 from vppres.scenario.scenario import ControllerDefaults, Priority, Scenario
-from vppres.scenario.source import Source
+from vppres.scenario.source import Source, SourceDeviation
 from vppres.scenario.timegrid import TimeGrid
 
 NOTES_FILE = "notes.md"
@@ -85,7 +86,13 @@ def _built(feeder: ImportedFeeder, options: NewScenarioOptions) -> tuple[Scenari
     grid = options.grid
     assets = new_assets(feeder, options)
     series = _series(feeder, options, assets, grid)
-    network, switched = _for_islands(_network(feeder, options), assets.batteries)
+    phases, batteries = None, assets.batteries
+    if feeder.phased is not None:
+        own = (assets.customers, assets.pv, batteries)
+        phases = connected(feeder.phased, feeder.name, *own)
+        batteries = with_former(phases, batteries)
+    network, switched = _for_islands(_network(feeder, options), batteries)
+    phases = phases and shunts_in_islands(phases, network)
     constant_c = np.full(grid.n_steps, TEMPERATURE_C)
     scenario = Scenario(
         name=_name(feeder.name),
@@ -94,7 +101,7 @@ def _built(feeder: ImportedFeeder, options: NewScenarioOptions) -> tuple[Scenari
         network=network,
         customers=assets.customers,
         pv=assets.pv,
-        batteries=assets.batteries,
+        batteries=batteries,
         load_kw=written(series.load_kw),
         pv_kw=written(series.pv_kw),
         price_gbp_per_kwh=series.system.get("price_gbp_per_kwh", _price(grid)),
@@ -104,7 +111,8 @@ def _built(feeder: ImportedFeeder, options: NewScenarioOptions) -> tuple[Scenari
         export_limit_kw=np.array(options.export_limit_kw),
         export_price_gbp_per_kwh=np.array(options.export_price_gbp_per_kwh),
         controller=ControllerDefaults(mode="physical"),
-        priority=Priority(STRICT),
+        priority=Priority(STRICT) if phases is None else Priority(),
+        phases=phases,
     )
     notes = (*assets.notes, *switched, *series.notes, *_told_constants(series))
     return scenario, [*notes, *_told_limits(network, options)]
@@ -177,12 +185,18 @@ def write_new_scenario(
         from the source's than the options accept.
     """
     scenario, chosen = _built(feeder, options)
-    deviation = source_deviation(feeder, scenario)
+    phased = feeder.phased
+    if phased is None:
+        deviation = source_deviation(feeder, scenario)
+        told_of = [*told_causes(feeder, deviation)], told_deviation(feeder, deviation)
+    else:
+        deviation = SourceDeviation(as_given_pu=phased.difference_pu)
+        told_of = [], str(deviation)
     check_deviation(feeder, deviation, options.accept_deviation)
-    told = [*feeder.notes, *chosen, *told_causes(feeder, deviation)]
+    told = [*feeder.notes, *chosen, *told_of[0]]
     source = Source.of(feeder.name, "", told, deviation, feeder.unbalanced)
     scenario = replace(scenario, source=source)
-    said = [former_words(scenario), told_deviation(feeder, deviation)]
+    said = [former_words(scenario), told_of[1]]
     notes = list(dict.fromkeys([*told, *filter(None, said)]))
     text = "\n".join([f"# {scenario.title}", "", *(f"- {note}" for note in notes), ""])
     with atomic_folder(folder) as aside:

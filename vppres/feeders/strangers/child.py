@@ -15,7 +15,12 @@ import sys
 from pathlib import Path
 from typing import Any
 
-ENGINES = {"dss/engine": (), "matpower/binary": (), "dss/day": ("dss/engine",)}
+ENGINES = {
+    "dss/engine": (),
+    "matpower/binary": (),
+    "dss/day": ("dss/engine",),
+    "dss/by_phase": ("dss/engine",),
+}
 """Engines of the room around this one, and others that each needs."""
 
 MEMORY_BYTES = 2 * 2**30

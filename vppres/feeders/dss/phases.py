@@ -1,0 +1,206 @@
+"""An OpenDSS circuit as the tables of a phased feeder."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.sparse.linalg import splu
+
+from vppres.core.arrays import Complexes, Floats
+from vppres.core.errors import InputError, Problem
+from vppres.feeders.feeder import ImportedFeeder, PhasedLoad, PhasedSource
+from vppres.feeders.strangers.confined import TIME_LIMIT_S, confined
+from vppres.physics.phases import PhasedFlow, admittances
+from vppres.scenario.network import BusId
+from vppres.scenario.phases import (
+    GROUND,
+    LINES,
+    PHASES,
+    PhaseBus,
+    PhaseConnection,
+    PhaseLine,
+    Phases,
+    PhaseShunt,
+    PhaseTransformer,
+)
+
+THREE_WIRE = 1e4
+"""Impedance to ground over that between phases from which a bus has three wires: what earths it
+there is a millionth of a rating; a stiff source with a weak neutral has a ratio of some hundred."""
+
+HELD = "the source"
+
+
+def phased_source(
+    job: Mapping[str, Any], name: str, feeder: ImportedFeeder, disabled: list[str]
+) -> PhasedSource:
+    """The three phases of a circuit whose balanced tree has been imported.
+
+    Parameters
+    ----------
+    job : mapping
+        The commands that build it.
+    name : str
+        Name of the file, for messages.
+    feeder : ImportedFeeder
+        The tree, with the name of each bus of the circuit in ``source_flow``.
+    disabled : list of str
+        Elements that are out of service.
+
+    Raises
+    ------
+    InputError
+        With everything that has no table.
+    """
+    found = confined("dss/by_phase", {**job, "disabled": disabled}, name, TIME_LIMIT_S)
+    problems = [Problem(name, each["message"], each["cure"]) for each in found["problems"]]
+    problems += _crossed(found, name)
+    if problems:
+        raise InputError(problems)
+    flow: Any = feeder.source_flow
+    at: dict[str, BusId] = {
+        bus: feeder.bus_of[i] for bus, i in flow.index.items() if i in feeder.bus_of
+    }
+    phases = _phases(found, at, feeder.network.slack_bus)
+    loads = tuple(_loads(found, at))
+    source = PhasedSource(_three_wire(phases), loads, found["source"]["v_pu"])
+    difference_pu = _difference(source, found["v_pu"])
+    return replace(source, difference_pu=difference_pu, notes=tuple(_notes(source)))
+
+
+def _difference(source: PhasedSource, v_pu: Mapping[str, float]) -> float | None:
+    """Largest difference of a node's voltage to ground from OpenDSS's, without generators."""
+    if not v_pu:
+        return None
+    flow, p_kw, q_kvar = flow_of_source(source)
+    drawn = np.array([load.kind == "load" for load in source.loads])
+    found = flow.solve(p_kw * drawn, q_kvar * drawn)
+    base_v = {row.bus: row.kv * 1000.0 / np.sqrt(3) for row in source.phases.buses}
+    apart = [
+        abs(abs(v) / base_v[bus] - v_pu[f"{bus}.{phase + 1}"])
+        for (bus, phase), v in zip(source.phases.nodes, found.v, strict=True)
+        if f"{bus}.{phase + 1}" in v_pu
+    ]
+    return float(max(apart))
+
+
+def _notes(source: PhasedSource) -> list[str]:
+    """What is known of the phases."""
+    phases = source.phases
+    wires = [row.bus for row in phases.buses if row.limits == LINES]
+    notes = [
+        f"The feeder keeps its phases: {len(phases.nodes)} nodes at {len(phases.buses)} buses. "
+        "Ratings of its lines are not held."
+    ]
+    if wires:
+        notes.append(
+            f"Limits are for voltages between phases at {len(wires)} buses that nothing earths."
+        )
+    return notes
+
+
+def _crossed(found: Mapping[str, Any], name: str) -> list[Problem]:
+    """Lines that connect a phase with another one."""
+    return [
+        Problem(
+            name,
+            f"line.{line['name']} connects a phase with another one",
+            "Name the same nodes at both ends, or import the feeder with --balance.",
+        )
+        for line in found["lines"]
+        if line["from_phases"] != line["to_phases"]
+    ]
+
+
+def _phases(found: Mapping[str, Any], at: Mapping[str, BusId], slack: BusId) -> Phases:
+    """The tables without connections; the source is a bus of its own behind its impedance."""
+    source = found["source"]
+    behind = str(slack)
+    rows = [PhaseBus(behind, slack, source["kv"], " ".join(PHASES))]
+    rows += [
+        PhaseBus(row["bus"], at[row["bus"]], row["kv"], " ".join(row["phases"]))
+        for row in found["buses"]
+        if row["bus"] in at
+    ]
+    z, no_charging = _whole(_of(source["z"]), source["phases"]), np.zeros((3, 3))
+    lines = [PhaseLine(behind, source["bus"], z, no_charging)]
+    lines += [
+        PhaseLine(
+            line["from_bus"],
+            line["to_bus"],
+            _whole(_of(line["z"]), line["from_phases"]),
+            _whole(np.array(line["b_us"]), line["from_phases"]).real,
+        )
+        for line in found["lines"]
+        if line["from_bus"] in at
+    ]
+    units = [PhaseTransformer(**row) for row in found["transformers"] if row["from_bus"] in at]
+    shunts = [
+        PhaseShunt(row["bus"], row["coils"], row["kv"], 0.0, -row["kvar"])
+        for row in found["capacitors"]
+        if row["bus"] in at and row["kvar"]
+    ]
+    return Phases(tuple(rows), tuple(lines), tuple(units), tuple(shunts))
+
+
+def _of(parts: Mapping[str, Any]) -> Complexes:
+    return np.array(parts["re"]) + 1j * np.array(parts["im"])
+
+
+def _whole(values: Complexes | Floats, phases: list[int]) -> Complexes:
+    """A matrix of some phases as one of all three, NaN elsewhere."""
+    found = np.full((3, 3), np.nan, dtype=complex)
+    found[np.ix_(phases, phases)] = values
+    return found
+
+
+def _loads(found: Mapping[str, Any], at: Mapping[str, BusId]) -> list[PhasedLoad]:
+    """Loads and generators that are supplied, with their connections."""
+    return [
+        PhasedLoad(
+            row["kind"],
+            at[row["bus"]],
+            row["p_kw"],
+            row["q_kvar"],
+            PhaseConnection(row["name"], row["bus"], row["coils"], row["kv"], *row["exponents"]),
+        )
+        for row in found["powers"]
+        if row["bus"] in at
+    ]
+
+
+def _three_wire(phases: Phases) -> Phases:
+    """The tables with limits between phases where nothing earths them."""
+    nodes = phases.node_index
+    held = [nodes[phases.buses[0].bus, phase] for phase in range(3)]
+    free = np.setdiff1d(np.arange(len(nodes)), held)
+    factors = splu(admittances(phases)[free][:, free].tocsc())
+    place = {int(node): i for i, node in enumerate(free)}
+    rows = []
+    for row in phases.buses:
+        own = [PHASES.index(word) for word in row.phases.split()]
+        columns = [place[nodes[row.bus, phase]] for phase in own if nodes[row.bus, phase] in place]
+        if len(columns) < 2:
+            rows.append(row)
+            continue
+        unit = np.zeros((len(free), len(columns)), dtype=complex)
+        unit[columns, np.arange(len(columns))] = 1.0
+        z = factors.solve(unit)[columns]
+        together = abs(z.sum()) / len(columns)
+        apart = abs(z[0, 0] - z[0, 1] - z[1, 0] + z[1, 1]) / 2.0
+        rows.append(replace(row, limits=LINES if together > THREE_WIRE * apart else GROUND))
+    return replace(phases, buses=tuple(rows))
+
+
+def flow_of_source(source: PhasedSource) -> tuple[PhasedFlow, Floats, Floats]:
+    """The own power flow of a source as it is given: with its powers, drawn positive."""
+    phases = replace(source.phases, connections=tuple(load.connection for load in source.loads))
+    names = [load.connection.id for load in source.loads]
+    flow = PhasedFlow(phases, names, phases.buses[0].bus, source.v_pu)
+    signs = np.array([1.0 if load.kind == "load" else -1.0 for load in source.loads])
+    p_kw = signs * np.array([load.p_kw for load in source.loads])
+    q_kvar = signs * np.array([load.q_kvar for load in source.loads])
+    return flow, p_kw, q_kvar

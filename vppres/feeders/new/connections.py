@@ -1,0 +1,102 @@
+"""Where the assets of a new phased scenario are connected."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+
+from vppres.core.errors import InputError
+from vppres.feeders.feeder import PhasedLoad, PhasedSource
+from vppres.scenario.assets import Batteries, Customers, PVSystems
+from vppres.scenario.network import Network
+from vppres.scenario.phases import LINES, PHASES, PhaseConnection, Phases
+
+LOAD = "load"
+
+
+def loads_of(source: PhasedSource) -> pd.DataFrame:
+    """Loads of a phased source one by one: name, bus, active and reactive power, tier."""
+    loads = [load for load in source.loads if load.kind == LOAD and load.p_kw > 0]
+    table = {
+        "name": [load.connection.id for load in loads],
+        "bus": [load.bus for load in loads],
+        "p_kw": [load.p_kw for load in loads],
+        "q_kvar": [load.q_kvar for load in loads],
+        "tier": [""] * len(loads),
+    }
+    return pd.DataFrame(table).astype({"name": object, "bus": object, "tier": object})
+
+
+def connected(
+    source: PhasedSource, name: str, customers: Customers, pv: PVSystems, batteries: Batteries
+) -> Phases:
+    """The phases of a source with the connections of a scenario's assets.
+
+    A customer is connected as its load, and so are PV system and battery behind its meter, at
+    constant power; a battery with three phases has a coil to ground on each where there is ground.
+
+    Raises
+    ------
+    InputError
+        If generators that became one system are not connected alike.
+    """
+    loads = {f"c{load.connection.id}": load for load in source.loads if load.kind == LOAD}
+    rows = [replace(loads[str(each)].connection, id=str(each)) for each in customers.id]
+    for system, owner, bus in zip(pv.id, pv.customer, pv.buses(customers), strict=True):
+        own = _generators(source, bus)
+        if own:
+            if len({(load.connection.coils, load.connection.bus) for load in own}) > 1:
+                raise InputError.of(
+                    name,
+                    f"has generators on different phases of bus {bus}",
+                    "Leave them out with --pv none or --pv sized.",
+                )
+            rows.append(_constant(own[0].connection, system))
+        else:
+            rows.append(_constant(loads[str(owner)].connection, system))
+    at_customer = {f"b{each[1:]}": loads[each].connection for each in map(str, customers.id)}
+    at_customer |= {f"{key}_added": row for key, row in at_customer.items()}
+    rows += [_of_battery(source.phases, at_customer[str(each)], each) for each in batteries.id]
+    return replace(source.phases, connections=tuple(rows))
+
+
+def _generators(source: PhasedSource, bus: object) -> list[PhasedLoad]:
+    return [load for load in source.loads if load.kind != LOAD and load.bus == bus]
+
+
+def _constant(row: PhaseConnection, asset: str) -> PhaseConnection:
+    """The same connection at constant power."""
+    return PhaseConnection(str(asset), row.bus, row.coils, row.kv)
+
+
+def _of_battery(phases: Phases, row: PhaseConnection, asset: str) -> PhaseConnection:
+    """The connection of a battery: three phases to ground where there are three and ground."""
+    bus = phases.by_bus[row.bus]
+    if len(row.coils.split()) < len(PHASES) or bus.limits == LINES:
+        return _constant(row, asset)
+    return PhaseConnection(str(asset), row.bus, " ".join(PHASES), bus.kv / np.sqrt(3))
+
+
+def with_former(phases: Phases, batteries: Batteries) -> Batteries:
+    """The batteries with the largest of three phases to form an island, if there is one."""
+    complete = np.array(
+        [len(phases.connection(str(each)).coils.split()) == len(PHASES) for each in batteries.id],
+        dtype=bool,
+    )
+    able = complete & (batteries.active_max_kw > 0.0)
+    if not able.any():
+        return batteries
+    forming = np.zeros(len(batteries), dtype=bool)
+    forming[int(np.argmax(np.where(able, batteries.s_max_kva, -1.0)))] = True
+    return replace(batteries, grid_forming=forming)
+
+
+def shunts_in_islands(phases: Phases, network: Network) -> Phases:
+    """The phases without the shunts in islands that the network has not there either."""
+    at = {row.bus: network.bus_index[row.at] for row in phases.buses}
+    shunts = tuple(
+        replace(row, island="yes" if network.island[at[row.bus]] else "no") for row in phases.shunts
+    )
+    return replace(phases, shunts=shunts)

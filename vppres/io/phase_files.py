@@ -1,0 +1,156 @@
+"""The tables of a phased feeder, read from a scenario folder and written into one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from vppres.core.arrays import Complexes, Floats
+from vppres.core.errors import InputError, Problem
+from vppres.io import schema
+from vppres.io.tables import no_table, read_rows, read_table
+from vppres.scenario.network import BusId
+from vppres.scenario.phases import (
+    PHASES,
+    TRIANGLE,
+    PhaseBus,
+    PhaseConnection,
+    PhaseLine,
+    Phases,
+    PhaseShunt,
+    PhaseTransformer,
+)
+
+MODELS = {
+    "buses": schema.PhaseBusRow,
+    "lines": schema.PhaseLineRow,
+    "transformers": schema.PhaseTransformerRow,
+    "shunts": schema.PhaseShuntRow,
+    "connections": schema.PhaseConnectionRow,
+}
+"""Tables by the last word of their file's name."""
+
+MUST = ("buses", "lines", "connections")
+BUSES_FIRST = "Give all tables of a phased feeder, or remove them all for a balanced one."
+
+
+def read_phases(
+    folder: Path, read_bus: Callable[[str], BusId]
+) -> tuple[Phases | None, list[Problem]]:
+    """The phases of a folder, None for a balanced one, and what is wrong with their tables."""
+    present = [name for name in MODELS if (folder / _file(name)).exists()]
+    if not present:
+        return None, []
+    rows: dict[str, dict[int, Any]] = {}
+    problems: list[Problem] = []
+    for name, model in MODELS.items():
+        if name not in present and name not in MUST:
+            rows[name] = read_rows(no_table(_file(name), model), model)[0]
+            continue
+        table, found = read_table(folder / _file(name), BUSES_FIRST)
+        rows[name], wrong = read_rows(table, model)
+        problems += found + wrong
+    problems += _lines_wrong(rows["lines"])
+    if problems:
+        return None, problems
+    try:
+        return _phases(rows, read_bus), []
+    except InputError as error:
+        return None, [each for each in error.problems if isinstance(each, Problem)]
+
+
+def _file(name: str) -> str:
+    return f"phase_{name}.csv"
+
+
+def _phases(rows: dict[str, dict[int, Any]], read_bus: Callable[[str], BusId]) -> Phases:
+    buses = [{**row.model_dump(), "at": read_bus(row.at)} for row in rows["buses"].values()]
+    return Phases(
+        tuple(PhaseBus(**row) for row in buses),
+        tuple(_line(row) for row in rows["lines"].values()),
+        tuple(PhaseTransformer(**row.model_dump()) for row in rows["transformers"].values()),
+        tuple(PhaseShunt(**row.model_dump()) for row in rows["shunts"].values()),
+        tuple(PhaseConnection(**row.model_dump()) for row in rows["connections"].values()),
+        rows={name: tuple(found) for name, found in rows.items()},
+    )
+
+
+def _names(row: int, column: int) -> tuple[str, str, str]:
+    """Columns of an entry: resistance, reactance, charging."""
+    pair = PHASES[column] + PHASES[row]
+    return f"r_{pair}_ohm", f"x_{pair}_ohm", f"b_{pair}_us"
+
+
+def _line(row: Any) -> PhaseLine:
+    """A line of its triangles; what is empty between phases that it has is 0."""
+    z: Complexes = np.full((3, 3), np.nan, dtype=complex)
+    b: Floats = np.full((3, 3), np.nan)
+    own = [i for i in range(3) if getattr(row, _names(i, i)[0]) is not None]
+    for i, j in TRIANGLE:
+        if i in own and j in own:
+            r, x, charging = (getattr(row, name) or 0.0 for name in _names(i, j))
+            z[i, j] = z[j, i] = r + 1j * x
+            b[i, j] = b[j, i] = charging
+    return PhaseLine(row.from_bus, row.to_bus, z, b)
+
+
+def _lines_wrong(rows: dict[int, Any]) -> list[Problem]:
+    """Entries of phases that a line lacks, and impedances that cannot be inverted."""
+    problems = []
+    for place, row in rows.items():
+        own = [i for i in range(3) if getattr(row, _names(i, i)[0]) is not None]
+        for i, j in TRIANGLE:
+            for name in _names(i, j):
+                value = getattr(row, name)
+                if value is not None and not {i, j} <= {*own}:
+                    lacking = next(k for k in (i, j) if k not in own)
+                    problems.append(
+                        Problem(
+                            _file("lines"),
+                            f"is given, and phase {PHASES[lacking]} has no resistance",
+                            f"Give {_names(lacking, lacking)[0]} too, or leave both empty.",
+                            row=place,
+                            field=name,
+                            value=value,
+                        )
+                    )
+        z = _line(row).z_ohm[np.ix_(own, own)]
+        if own and not problems and np.linalg.cond(z) > 1e12:
+            problems.append(
+                Problem(
+                    _file("lines"),
+                    "has an impedance that no current can be found for",
+                    "Give a resistance above 0 on each phase, and mutual ones below it.",
+                    row=place,
+                    field=_names(own[0], own[0])[0],
+                    value=getattr(row, _names(own[0], own[0])[0]),
+                )
+            )
+    return problems
+
+
+def phase_frames(phases: Phases) -> dict[str, pd.DataFrame]:
+    """The tables as they are written, by name of their file; empty ones are left out."""
+    tables: dict[str, list[dict[str, Any]]] = {
+        "phase_buses": [asdict(row) for row in phases.buses],
+        "phase_lines": [_line_row(line) for line in phases.lines],
+        "phase_transformers": [asdict(row) for row in phases.transformers],
+        "phase_shunts": [asdict(row) for row in phases.shunts],
+        "phase_connections": [asdict(row) for row in phases.connections],
+    }
+    return {name: pd.DataFrame(rows) for name, rows in tables.items() if rows}
+
+
+def _line_row(line: PhaseLine) -> dict[str, Any]:
+    row: dict[str, Any] = {"from_bus": line.from_bus, "to_bus": line.to_bus}
+    own = {*line.phases}
+    parts = (line.z_ohm.real, line.z_ohm.imag, line.b_us)
+    for part, values in enumerate(parts):
+        for i, j in TRIANGLE:
+            row[_names(i, j)[part]] = float(values[i, j]) if {i, j} <= own else None
+    return row

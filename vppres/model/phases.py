@@ -1,0 +1,244 @@
+"""How voltages and a former's power by phase follow set-points, in three phases.
+
+For each source, the grid or a battery that holds an island, the squared voltage of a node and the
+power of each of the source's phases are linear in the powers that assets draw, around no load:
+``u = offset + Mp p + Mq q``. The slopes stay as they are; the offsets are those of an AC point.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from vppres.contract.dispatch import Dispatch
+from vppres.core.arrays import Complexes, Flags, Floats, Wholes
+from vppres.model.data import WindowData
+from vppres.model.site import Site
+from vppres.physics.phased_sources import assets_of, flow_of_former, flow_of_grid, former_of
+from vppres.physics.phases import NoPhasedSolutionError, PhasedFlow, PhasedResult
+
+GRID, ISLAND = 0, 1
+"""What holds the voltage in a step."""
+
+
+@dataclass(frozen=True, eq=False)
+class Slopes:
+    """What one source's quantities change by per kW and kvar that each asset draws.
+
+    ``u_p`` and ``u_q`` are of squared voltages, (m, D); ``former_p`` and ``former_q`` of the
+    source's complex power by phase, (3, D). ``u_0`` and ``former_0`` are at no load.
+    """
+
+    u_p: Floats
+    u_q: Floats
+    former_p: Complexes
+    former_q: Complexes
+    u_0: Floats
+    former_0: Complexes
+
+    @classmethod
+    def of(cls, flow: PhasedFlow) -> Slopes:
+        """Slopes around no load, with load models at the voltages there."""
+        w = flow.no_load_v
+        across = flow.coils @ w
+        ratio = np.abs(across) / flow.rated_v
+        p = _by_asset(flow, ratio**flow.p_exponent)
+        q = _by_asset(flow, ratio**flow.q_exponent)
+        measured = flow.measured[1]
+        at = measured @ w
+        drops = np.conj(at)[:, None] * (measured @ (flow.drop / np.conj(across)[None, :]))
+        # A coil that draws S takes drop conj(S / U) off the voltage: kW are thousands of watts.
+        u_p = -2000.0 * np.real(drops)
+        u_q = -2000.0 * np.imag(drops)
+        currents = (flow.coils.T - flow.y @ flow.drop)[flow.held]
+        power = flow.v_held[:, None] * np.conj(np.asarray(currents)) / across[None, :]
+        no_load = flow.v_held * np.conj((flow.y @ w)[flow.held]) / 1000.0
+        return cls(
+            u_p=np.asarray(u_p @ p),
+            u_q=np.asarray(u_q @ q),
+            former_p=power @ p,
+            former_q=1j * power @ q,
+            u_0=np.abs(at) ** 2,
+            former_0=no_load,
+        )
+
+
+def _by_asset(flow: PhasedFlow, factor: Floats) -> Floats:
+    """Share of each asset's power that each coil draws, (coils, D)."""
+    found = np.zeros((len(flow.asset), len(flow.assets)))
+    found[np.arange(len(flow.asset)), flow.asset] = flow.share * factor
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class PhasedPoints:
+    """AC points of W steps: squared voltages (W, m), source's kVA (W, 3), what the network draws.
+
+    ``network_kw`` and ``network_kvar`` are the source's power beyond what assets draw at rated
+    voltage: losses, capacitors, and loads that follow the voltage.
+    """
+
+    u_pu2: Floats
+    source_kva: Complexes
+    network_kw: Floats
+    network_kvar: Floats
+    converged: Flags
+
+
+@dataclass(frozen=True, eq=False)
+class PhasedModel:
+    """A site's three phases, with the grid as source and with its former.
+
+    ``flows`` and ``slopes`` are those of the grid and, if there is a former, of the island.
+    """
+
+    site: Site
+    flows: tuple[PhasedFlow, ...]
+    former: int | None
+
+    @classmethod
+    def of(cls, site: Site) -> PhasedModel:
+        """The model of a site that has phases."""
+        phases = site.phases
+        assert phases is not None
+        former = former_of(phases, site.batteries)
+        names = assets_of(site.customers, site.pv, site.batteries)
+        net = site.feeder
+        limits = (net.v_min_pu, net.v_max_pu)
+        flows = [flow_of_grid(phases, names, net.v_slack_pu)]
+        if former is not None:
+            flows.append(flow_of_former(phases, names, site.batteries, former, *limits))
+        return cls(site, tuple(flows), former)
+
+    @cached_property
+    def slopes(self) -> tuple[Slopes, ...]:
+        """Slopes of each source."""
+        return tuple(Slopes.of(flow) for flow in self.flows)
+
+    @cached_property
+    def former_device(self) -> int | None:
+        """Place of the former among the assets."""
+        if self.former is None:
+            return None
+        return len(self.site.customers) + len(self.site.pv) + self.former
+
+    @property
+    def n_measured(self) -> int:
+        """Voltages that have limits."""
+        return len(self.flows[0].measured[0])
+
+    @cached_property
+    def limited(self) -> Flags:
+        """Voltages that plans keep within limits: all but those of the grid's own bus."""
+        labels = self.flows[0].measured[0]
+        slack = self.flows[0].phases.buses[0].bus
+        return np.array([bus != slack for bus, _ in labels])
+
+    @cached_property
+    def at_bus(self) -> Wholes:
+        """Bus of the network at which each voltage is measured, (m,)."""
+        phases = self.flows[0].phases
+        index = self.site.network.bus_index
+        return np.array([index[phases.by_bus[bus].at] for bus, _ in self.flows[0].measured[0]])
+
+    # Set-points.
+
+    def drawn(self, data: WindowData, dispatch: Dispatch) -> tuple[Floats, Floats]:
+        """What each asset draws in each step, (W, D) each, its former's own power left out."""
+        load = data.load_kw * dispatch.served
+        p = np.hstack(
+            [
+                load,
+                -(dispatch.pv_self_kw + dispatch.pv_export_kw),
+                dispatch.charge_kw - dispatch.discharge_kw,
+            ]
+        )
+        q = np.hstack(
+            [load * self.site.customers.q_per_p, -dispatch.pv_q_kvar, -dispatch.batt_q_kvar]
+        )
+        return self.without_former(p, data.dark), self.without_former(q, data.dark)
+
+    def without_former(self, values: Floats, dark: Flags) -> Floats:
+        """Powers of the assets, with nothing of the former where it is the source."""
+        if self.former_device is None:
+            return values
+        found = values.copy()
+        found[dark, self.former_device] = 0.0
+        return found
+
+    def points(self, data: WindowData, p_kw: Floats, q_kvar: Floats, lit: Flags) -> PhasedPoints:
+        """AC points of powers that assets draw, step by step; those that are not lit rest."""
+        W, m = data.n_steps, self.n_measured
+        u = np.ones((W, m))
+        kva: Complexes = np.zeros((W, 3), dtype=complex)
+        network = np.zeros((W, 2))
+        converged = np.ones(W, dtype=bool)
+        for t in np.flatnonzero(lit):
+            source = ISLAND if data.dark[t] else GRID
+            if source >= len(self.flows):
+                continue
+            try:
+                found = self.flows[source].solve(p_kw[t], q_kvar[t])
+            except NoPhasedSolutionError:
+                converged[t] = False
+                continue
+            u[t] = self.flows[source].v_pu(found.v) ** 2
+            kva[t] = found.source_kva
+            network[t] = _beyond(found, p_kw[t], q_kvar[t])
+        return PhasedPoints(u, kva, network[:, 0], network[:, 1], converged)
+
+    def offsets(
+        self, data: WindowData, p_kw: Floats, q_kvar: Floats, points: PhasedPoints
+    ) -> tuple[Floats, Complexes]:
+        """Offsets that make the linear model meet the AC points: (W, m) and (W, 3)."""
+        u, former = self.linear(data, p_kw, q_kvar)
+        return points.u_pu2 - u, points.source_kva - former
+
+    def linear(self, data: WindowData, p_kw: Floats, q_kvar: Floats) -> tuple[Floats, Complexes]:
+        """What powers change: squared voltages (W, m), source's complex power (W, 3)."""
+        W = data.n_steps
+        u = np.zeros((W, self.n_measured))
+        former: Complexes = np.zeros((W, 3), dtype=complex)
+        for source, steps in ((GRID, ~data.dark), (ISLAND, data.dark)):
+            if source < len(self.flows) and steps.any():
+                s = self.slopes[source]
+                u[steps] = p_kw[steps] @ s.u_p.T + q_kvar[steps] @ s.u_q.T
+                former[steps] = p_kw[steps] @ s.former_p.T + q_kvar[steps] @ s.former_q.T
+        return u, former
+
+    def at_no_load(self, dark: Flags) -> tuple[Floats, Complexes]:
+        """Offsets at no load, (W, m) and (W, 3)."""
+        u = np.tile(self.slopes[GRID].u_0, (len(dark), 1))
+        former = np.zeros((len(dark), 3), dtype=complex)
+        if len(self.flows) > ISLAND:
+            u[dark] = self.slopes[ISLAND].u_0
+            former[dark] = self.slopes[ISLAND].former_0
+        return u, former
+
+    def rating_kva(self, kept: Floats) -> Floats:
+        """What each phase of the former may carry in each step, (W,), less what is kept free."""
+        if self.former is None:
+            return np.zeros(len(kept))
+        return np.asarray((self.site.batteries.s_max_kva[self.former] - kept[:, self.former]) / 3.0)
+
+
+def _beyond(found: PhasedResult, p_kw: Floats, q_kvar: Floats) -> tuple[float, float]:
+    """Source's power beyond what assets draw at rated voltage."""
+    total = found.source_kva.sum()
+    return float(total.real - p_kw.sum()), float(total.imag - q_kvar.sum())
+
+
+_KNOWN: OrderedDict[str, PhasedModel] = OrderedDict()
+_KEPT = 3
+
+
+def phased_model(site: Site) -> PhasedModel:
+    """The model of a site, made once for equal sites."""
+    found = _KNOWN.pop(site.key, None) or PhasedModel.of(site)
+    _KNOWN[site.key] = found
+    while len(_KNOWN) > _KEPT:
+        _KNOWN.popitem(last=False)
+    return found

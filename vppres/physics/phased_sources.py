@@ -1,0 +1,57 @@
+"""The flows of a phased feeder from each of its sources: the grid, and the battery of an island."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from vppres.core.arrays import Flags
+from vppres.physics.phases import PhasedFlow
+from vppres.scenario.assets import Batteries, Customers, PVSystems
+from vppres.scenario.phases import PHASES, Phases
+
+
+def assets_of(customers: Customers, pv: PVSystems, batteries: Batteries) -> list[str]:
+    """All assets in the order of their powers: customers, PV systems, batteries."""
+    return [str(name) for table in (customers, pv, batteries) for name in table.id]
+
+
+def able_formers(phases: Phases, batteries: Batteries) -> Flags:
+    """Who can form an island, (B,): those that are to, with all three phases."""
+    complete = [
+        len(phases.connection(str(name)).coils.split()) == len(PHASES) for name in batteries.id
+    ]
+    return np.asarray(batteries.formers & np.array(complete, dtype=bool))
+
+
+def former_of(phases: Phases, batteries: Batteries) -> int | None:
+    """The battery that holds an island: the largest of those that form it; None without any."""
+    able = able_formers(phases, batteries)
+    if not able.any():
+        return None
+    return int(np.argmax(np.where(able, batteries.s_max_kva, -1.0)))
+
+
+def flow_of_grid(phases: Phases, assets: Sequence[str], v_pu: float) -> PhasedFlow:
+    """The flow with the grid as source."""
+    return PhasedFlow(phases, assets, phases.buses[0].bus, v_pu)
+
+
+def flow_of_former(
+    phases: Phases,
+    assets: Sequence[str],
+    batteries: Batteries,
+    former: int,
+    v_min_pu: float,
+    v_max_pu: float,
+) -> PhasedFlow:
+    """The flow with a battery as source, at the voltage from which no load is within limits.
+
+    It holds the middle of what keeps all voltages within their limits at no load.
+    """
+    bus = phases.connection(str(batteries.id[former])).bus
+    probe = PhasedFlow(phases, assets, bus, 1.0, island=True)
+    at_rest = probe.v_pu(probe.no_load_v)
+    held = (v_min_pu / at_rest.min() + v_max_pu / at_rest.max()) / 2.0
+    return PhasedFlow(phases, assets, bus, float(held), island=True)

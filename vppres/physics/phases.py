@@ -1,0 +1,329 @@
+"""Three-phase power flow on admittances that are made of a feeder's tables.
+
+Every device is a set of coils, each between two nodes or a node and ground. With the currents ``I``
+that coils draw, voltages are ``V = w - Z I``: ``w`` without any, and ``Z`` one factorisation of the
+admittance matrix for each source. So only the voltages across the coils have to be found, by a
+fixed point, and by Newton's method where that does not meet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import splu
+
+from vppres.core.arrays import Complexes, Floats, Wholes
+from vppres.core.errors import VerificationError
+from vppres.scenario.phases import Phases, coils_of
+
+TOLERANCE_PU = 1e-10
+"""Largest change of a coil's voltage in the last round, as a share of its rated voltage."""
+
+MAX_ROUNDS = 60
+MAX_NEWTON = 20
+LEAST_SHARE = 1e-3
+"""How sharply the share of a load is told beyond which there is no solution."""
+
+ANGLES = np.exp(-2j * np.pi / 3 * np.arange(3))
+"""Turns of phases a, b and c."""
+
+W_PER_KW = 1000.0
+S_PER_US = 1e-6
+VA_PER_KVA = 1000.0
+V_PER_KV = 1000.0
+
+
+class NoPhasedSolutionError(VerificationError):
+    """The flow of three phases has no solution beyond a share of its load.
+
+    Parameters
+    ----------
+    share : float
+        That share.
+    """
+
+    def __init__(self, share: float) -> None:
+        super().__init__(
+            "the three-phase power flow has no solution: voltages collapse at "
+            f"{share:.1%} of the load. Serve less, or check the impedances."
+        )
+        self.share = share
+
+
+def incidence(phases: Phases, bus: str, coils: str) -> Any:
+    """Voltages across coils of voltages at nodes, shape (coils, nodes)."""
+    at = phases.node_index
+    entries = [
+        (row, at[bus, end], sign)
+        for row, coil in enumerate(coils_of(coils))
+        for end, sign in zip(coil, (1.0, -1.0), strict=True)
+        if end is not None
+    ]
+    rows, columns, values = (np.array(each) for each in zip(*entries, strict=True))
+    return sp.csr_array((values, (rows, columns)), shape=(len(coils_of(coils)), len(at)))
+
+
+def admittances(phases: Phases, island: bool = False) -> Any:
+    """Nodal admittances in siemens, without sources and assets; in an island less some shunts.
+
+    Examples
+    --------
+    A shunt of 100 kvar to ground at 1 kV is 0.1 S:
+
+    >>> from vppres.scenario.phases import PhaseBus, PhaseShunt
+    >>> one = Phases((PhaseBus("x", 1, 1.0, "a b c"),), (),
+    ...              shunts=(PhaseShunt("x", "a", 1.0, 0.0, -100.0),))
+    >>> complex(admittances(one)[0, 0])
+    0.1j
+    """
+    at = phases.node_index
+    y: Any = sp.csr_array((len(at), len(at)), dtype=complex)
+    rows, columns, values = [], [], []
+    for line in phases.lines:
+        own = line.phases
+        series = np.linalg.inv(line.z_ohm[np.ix_(own, own)])
+        half = 0.5j * S_PER_US * line.b_us[np.ix_(own, own)]
+        whole = np.block([[series + half, -series], [-series, series + half]])
+        places = [at[bus, phase] for bus in (line.from_bus, line.to_bus) for phase in own]
+        rows.append(np.repeat(places, len(places)))
+        columns.append(np.tile(places, len(places)))
+        values.append(whole.ravel())
+    if rows:
+        entries = np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))
+        y = sp.csr_array(entries, shape=y.shape)
+    for unit in phases.transformers:
+        sides = [
+            (incidence(phases, unit.from_bus, unit.from_coils), unit.from_kv, unit.from_tap),
+            (incidence(phases, unit.to_bus, unit.to_coils), unit.to_kv, unit.to_tap),
+        ]
+        va = unit.kva * VA_PER_KVA
+        short = va * 100.0 / (unit.r_pct + 1j * unit.x_pct)
+        turns = [b / (kv * V_PER_KV * tap) for b, kv, tap in sides]
+        through = turns[0] - turns[1]
+        y = y + (through.T @ through) * short
+        for b, kv, _ in sides:
+            floating = -0.5j * unit.ppm * 1e-6 * va / (kv * V_PER_KV) ** 2
+            ends: Any = sp.diags_array(np.asarray(abs(b).sum(axis=0)).ravel())
+            y = y + ends * floating
+    for shunt in phases.shunts:
+        if island and shunt.island == "no":
+            continue
+        b = incidence(phases, shunt.bus, shunt.coils)
+        siemens = (shunt.p_kw - 1j * shunt.q_kvar) * W_PER_KW / b.shape[0]
+        y = y + siemens / (shunt.kv * V_PER_KV) ** 2 * (b.T @ b)
+    return sp.csc_array(y)
+
+
+@dataclass(frozen=True, eq=False)
+class PhasedResult:
+    """One flow: complex voltages of the nodes in V, coil voltages, the source's kVA by phase."""
+
+    v: Complexes
+    coil_v: Complexes
+    source_kva: Complexes
+    drawn_kva: Complexes
+    rounds: int
+
+    @property
+    def losses_kw(self) -> float:
+        """What the source gives beyond what all coils draw."""
+        return float(self.source_kva.sum().real - self.drawn_kva.sum().real)
+
+
+class PhasedFlow:
+    """Power flow of three phases from one source that holds the three voltages of its bus.
+
+    Parameters
+    ----------
+    phases : Phases
+        The feeder.
+    assets : sequence of str
+        Devices in the order of their powers, each with a connection.
+    bus : str
+        The source's bus.
+    v_pu : float
+        Its voltage.
+    island : bool
+        Whether shunts that open in islands are off.
+    """
+
+    def __init__(
+        self, phases: Phases, assets: Sequence[str], bus: str, v_pu: float, island: bool = False
+    ) -> None:
+        self.phases = phases
+        self.assets = list(assets)
+        nodes = phases.nodes
+        self.held: Wholes = np.array([nodes.index((bus, phase)) for phase in range(3)])
+        self.free: Wholes = np.delete(np.arange(len(nodes)), self.held)
+        self.v_held = v_pu * V_PER_KV * phases.by_bus[bus].kv / np.sqrt(3) * ANGLES
+        self.y = admittances(phases, island)
+        self._factors = splu(self.y[self.free][:, self.free].tocsc())
+        rows = [phases.connection(name) for name in self.assets]
+        blocks = [incidence(phases, row.bus, row.coils) for row in rows]
+        empty = sp.csr_array((0, len(nodes)))
+        self.coils: Any = sp.csr_array(sp.vstack(blocks, format="csr")) if blocks else empty
+        counts = [block.shape[0] for block in blocks]
+        self.asset: Wholes = np.repeat(np.arange(len(rows)), counts)
+        self.share: Floats = np.repeat([1.0 / count for count in counts], counts)
+        self.rated_v: Floats = np.repeat([row.kv * V_PER_KV for row in rows], counts)
+        self.p_exponent: Floats = np.repeat([row.p_exponent for row in rows], counts)
+        self.q_exponent: Floats = np.repeat([row.q_exponent for row in rows], counts)
+        self._last: Complexes | None = None
+
+    @cached_property
+    def no_load_v(self) -> Complexes:
+        """Voltages of the nodes while nothing draws power."""
+        v = np.zeros(len(self.phases.nodes), dtype=complex)
+        v[self.held] = self.v_held
+        coupling = self.y[self.free][:, self.held]
+        v[self.free] = self._factors.solve(-(coupling @ self.v_held))
+        return v
+
+    @cached_property
+    def drop(self) -> Complexes:
+        """Voltage at each node that a coil's current takes away, in ohm, (nodes, coils)."""
+        z = np.zeros((len(self.phases.nodes), self.coils.shape[0]), dtype=complex)
+        drawn = self.coils[:, self.free].T.toarray().astype(complex)
+        if drawn.size:
+            z[self.free] = self._factors.solve(drawn)
+        return z
+
+    @cached_property
+    def _across(self) -> tuple[Complexes, Complexes]:
+        """The same across the coils: their voltages at no load, and what currents take away."""
+        return np.asarray(self.coils @ self.no_load_v), np.asarray(self.coils @ self.drop)
+
+    def drawn_va(self, p_kw: Floats, q_kvar: Floats, u: Complexes) -> Complexes:
+        """Power that each coil draws at its voltage, from powers of the assets at rated voltage."""
+        ratio = np.abs(u) / self.rated_v
+        p = p_kw[self.asset] * self.share * ratio**self.p_exponent
+        q = q_kvar[self.asset] * self.share * ratio**self.q_exponent
+        return np.asarray((p + 1j * q) * W_PER_KW)
+
+    def solve(self, p_kw: Floats, q_kvar: Floats) -> PhasedResult:
+        """The flow of powers that assets draw at rated voltage, (assets,) each.
+
+        Raises
+        ------
+        NoPhasedSolutionError
+            If there is none.
+        """
+        p, q = np.asarray(p_kw, float), np.asarray(q_kvar, float)
+        u0, _ = self._across
+        start = u0 if self._last is None else self._last
+        found = self._fixed_point(p, q, start)
+        if found is None:
+            u, rounds = self._newton(p, q, u0), MAX_ROUNDS
+        else:
+            u, rounds = found
+        if u is None:
+            raise NoPhasedSolutionError(self._reached(p, q))
+        self._last = u
+        return self._result(p, q, u, rounds)
+
+    def _fixed_point(self, p: Floats, q: Floats, u: Complexes) -> tuple[Complexes, int] | None:
+        """Coil voltages, and in how many rounds; None where they do not meet."""
+        u0, z = self._across
+        before = np.inf
+        for rounds in range(MAX_ROUNDS):
+            after = u0 - z @ np.conj(self.drawn_va(p, q, u) / u)
+            change = float((np.abs(after - u) / self.rated_v).max(initial=0.0))
+            u = after
+            if change <= TOLERANCE_PU:
+                return u, rounds + 1
+            if not change < 2.0 * before or change > 1.0:
+                return None
+            before = change
+        return None
+
+    def _newton(self, p: Floats, q: Floats, u: Complexes) -> Complexes | None:
+        """The same by Newton's method in real and imaginary parts; None where it fails."""
+        u0, z = self._across
+        for _ in range(MAX_NEWTON):
+            s = self.drawn_va(p, q, u)
+            current = np.conj(s / u)
+            missed = u - u0 + z @ current
+            if float((np.abs(missed) / self.rated_v).max(initial=0.0)) <= TOLERANCE_PU:
+                return u
+            by_u, by_conj = self.current_slopes(p, q, u)
+            own, turned = z * by_u, z * by_conj
+            eye = np.eye(len(u))
+            jacobian = np.block(
+                [
+                    [eye + (own + turned).real, (turned - own).imag],
+                    [(own + turned).imag, eye + (own - turned).real],
+                ]
+            )
+            step = np.linalg.solve(jacobian, -np.concatenate([missed.real, missed.imag]))
+            u = u + step[: len(u)] + 1j * step[len(u) :]
+            if not np.isfinite(u).all() or (np.abs(u) < 0.2 * self.rated_v).any():
+                return None
+        return None
+
+    def current_slopes(self, p: Floats, q: Floats, u: Complexes) -> tuple[Complexes, Complexes]:
+        """How a coil's current ``conj(S(|u|) / u)`` follows ``u`` and its conjugate."""
+        s = self.drawn_va(p, q, u)
+        by_size: Complexes = self.p_exponent * s.real + 1j * self.q_exponent * s.imag
+        # d|u| = Re(conj(u) du) / |u|, so S changes by by_size Re(conj(u) du) / |u|².
+        size = np.abs(u) ** 2
+        by_u: Complexes = np.conj(by_size) / (2.0 * size)
+        by_conj: Complexes = (
+            np.conj(by_size) * u / (2.0 * size * np.conj(u)) - np.conj(s) / np.conj(u) ** 2
+        )
+        return by_u, by_conj
+
+    def _reached(self, p: Floats, q: Floats) -> float:
+        """Share of a load up to which there is a solution, from no load on."""
+        low, high = 0.0, 1.0
+        u = self._across[0]
+        while high - low > LEAST_SHARE:
+            share = (low + high) / 2.0
+            found = self._newton(share * p, share * q, u)
+            if found is None:
+                high = share
+            else:
+                low, u = share, found
+        return low
+
+    def _result(self, p: Floats, q: Floats, u: Complexes, rounds: int) -> PhasedResult:
+        s = self.drawn_va(p, q, u)
+        current = np.conj(s / u)
+        v = self.no_load_v - self.drop @ current
+        at_source = (self.y @ v + self.coils.T @ current)[self.held]
+        source = self.v_held * np.conj(at_source) / W_PER_KW
+        return PhasedResult(v, u, source, s / W_PER_KW, rounds)
+
+    # What is measured.
+
+    @cached_property
+    def measured(self) -> tuple[tuple[tuple[str, str], ...], Any]:
+        """Bus and phase of each voltage that is limited, and these voltages in pu of the nodes'."""
+        labels = self.phases.measured
+        blocks = []
+        for bus, word in labels:
+            volts = V_PER_KV * self.phases.by_bus[bus].kv / (np.sqrt(3) if len(word) == 1 else 1.0)
+            blocks.append(incidence(self.phases, bus, word) / volts)
+        return labels, sp.csr_array(sp.vstack(blocks))
+
+    def v_pu(self, v: Complexes) -> Floats:
+        """Voltages in pu as their limits count them."""
+        return np.asarray(np.abs(self.measured[1] @ v))
+
+    @cached_property
+    def complete(self) -> tuple[list[str], Wholes]:
+        """Buses with three phases, and their nodes, (buses, 3)."""
+        at = self.phases.node_index
+        buses = [row.bus for row in self.phases.buses if len(row.phases.split()) == 3]
+        places = [[at[bus, phase] for phase in range(3)] for bus in buses]
+        return buses, np.array(places, dtype=int)
+
+    def unbalance(self, v: Complexes) -> Floats:
+        """Voltage unbalance factor of each complete bus: negative over positive sequence."""
+        three = v[self.complete[1]]
+        negative, positive = (np.abs(three @ turns) for turns in (ANGLES, np.conj(ANGLES)))
+        return np.asarray(np.minimum(negative, positive) / np.maximum(negative, positive))

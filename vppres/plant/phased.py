@@ -1,0 +1,199 @@
+"""A phased feeder as it really is: power flow by phase, and an island whose former is unbalanced.
+
+The former takes what each phase lacks. Where one of its phases is beyond its rating, customers on
+that phase are shed, those whose service is worth least for what they take off it first.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from vppres.core.arrays import Complexes, Floats
+from vppres.physics.phased_sources import able_formers, assets_of, flow_of_former, flow_of_grid
+from vppres.physics.phases import NoPhasedSolutionError, PhasedFlow, PhasedResult
+from vppres.physics.powerflow import ACPowerFlow, ACResult, NoSolutionError
+from vppres.plant.island import IslandPlant, shedding_order
+from vppres.plant.plant import Plant, Powers, Realised
+from vppres.scenario.scenario import Scenario
+
+TOLERANCE_KVA = 1e-3
+"""What a solved flow may miss: a tenth of a billionth of a volt is a watt on a stiff feeder."""
+
+
+@dataclass(frozen=True, eq=False)
+class PhasedACResult(ACResult):
+    """A flow with what it says of phases.
+
+    Parameters
+    ----------
+    v_node_pu : array, shape (m,)
+        Voltages that have limits, of nodes or between them.
+    former_kva : array of complex, shape (3,)
+        What the source gives on each phase, its own set-point included.
+    unbalance : float
+        Largest unbalance factor of any bus with three phases.
+    """
+
+    v_node_pu: Floats = field(default_factory=lambda: np.zeros(0))
+    former_kva: Complexes = field(default_factory=lambda: np.zeros(3, dtype=complex))
+    unbalance: float = np.nan
+
+
+class PhasedPlant(Plant):
+    """The actual day of a phased scenario: injections are those of its assets, (D,), not of buses.
+
+    Customers come first, then PV systems, then batteries.
+    """
+
+    def __init__(self, *args: object, **options: object) -> None:
+        super().__init__(*args, **options)  # type: ignore[arg-type]
+        s = self.scenario
+        C, P, B = len(s.customers), len(s.pv), len(s.batteries)
+        buses = [*s.customers.bus, *s.pv.buses(s.customers), *s.batteries.bus]
+        self._place = s.network.place(np.array(buses, dtype=object))
+        self._customer_bus = np.arange(C)
+        self._pv_bus = C + np.arange(P)
+        self.battery_bus = C + P + np.arange(B)
+        self.n_places = C + P + B
+
+    def at_buses(self, realised: Realised) -> tuple[Floats, Floats]:
+        """Net injections of the network's buses, (N,) each."""
+        return self._place @ realised.p_injection_kw, self._place @ realised.q_injection_kvar
+
+
+class PhasedACFlow(ACPowerFlow):
+    """Power flow of a phased scenario for injections of its assets.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Its phases, and where its assets are connected.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        phases = scenario.phases
+        assert phases is not None
+        self.network = scenario.network
+        self._last = {}
+        b = scenario.batteries
+        assets = assets_of(scenario.customers, scenario.pv, b)
+        net = scenario.network
+        self.grid = flow_of_grid(phases, assets, net.v_slack_pu)
+        self.before_batteries = len(assets) - len(b)
+        limits = net.v_min_pu, net.v_max_pu
+        self.islands = {
+            self.before_batteries + int(i): flow_of_former(phases, assets, b, int(i), *limits)
+            for i in np.flatnonzero(able_formers(phases, b))
+        }
+        buses = [
+            *scenario.customers.bus,
+            *scenario.pv.buses(scenario.customers),
+            *b.bus,
+        ]
+        self._place = net.place(np.array(buses, dtype=object))
+        index = net.bus_index
+        self._at_bus = np.array(
+            [index[phases.by_bus[bus].at] for bus, _ in self.grid.measured[0]], dtype=int
+        )
+
+    @property
+    def tolerance_kva(self) -> float:
+        """Power that a solved flow may miss."""
+        return TOLERANCE_KVA
+
+    def solve(self, p_kw: ArrayLike, q_kvar: ArrayLike, reference: int = 0) -> PhasedACResult:
+        """The flow of injections of the assets, (D,) each.
+
+        Parameters
+        ----------
+        p_kw, q_kvar : array
+            Generation is positive.
+        reference : int, optional
+            0 for the grid, else the place of the battery that holds the island.
+
+        Raises
+        ------
+        NoSolutionError
+            If there is no solution.
+        """
+        flow = self.grid if reference == 0 else self.islands[reference]
+        p, q = -np.asarray(p_kw, float), -np.asarray(q_kvar, float)
+        own = 0.0j
+        if reference:
+            own = -complex(p[reference], q[reference])
+            p[reference] = q[reference] = 0.0
+        try:
+            found = flow.solve(p, q)
+        except NoPhasedSolutionError as error:
+            raise NoSolutionError(str(error), error.share) from None
+        return self._read(flow, found, p, q, own)
+
+    def _read(
+        self, flow: PhasedFlow, found: PhasedResult, p: Floats, q: Floats, own: complex
+    ) -> PhasedACResult:
+        """Voltages by bus, flows of the tree without losses, and what the source gives."""
+        net = self.network
+        v_node = flow.v_pu(found.v)
+        v = np.ones(net.n_buses)
+        order = np.argsort(np.abs(v_node - 1.0))
+        v[self._at_bus[order]] = v_node[order]
+        p_flow, q_flow = (net.downstream @ (self._place @ power) for power in (p, q))
+        total = found.source_kva.sum()
+        return PhasedACResult(
+            v_pu=v,
+            p_from_kw=p_flow,
+            q_from_kvar=q_flow,
+            p_to_kw=p_flow,
+            q_to_kvar=q_flow,
+            losses_kw=found.losses_kw,
+            p_slack_kw=float(total.real - own.real),
+            q_slack_kvar=float(total.imag - own.imag),
+            v_node_pu=v_node,
+            former_kva=found.source_kva,
+            unbalance=float(flow.unbalance(found.v).max(initial=0.0)),
+        )
+
+
+class PhasedIslandPlant(IslandPlant):
+    """An island whose former carries each phase's own rest."""
+
+    flow: PhasedACFlow
+
+    def __init__(self, plant: Plant, flow: PhasedACFlow) -> None:
+        super().__init__(plant, flow)
+        phases = plant.scenario.phases
+        assert phases is not None
+        self.formers = able_formers(phases, plant.scenario.batteries)
+
+    def _excess_kva(self, reference: int, batt_q_kvar: Floats, ac: ACResult) -> float:
+        """By how much the worst phase of the former is beyond a third of its rating, times three.
+
+        What is cut on a phase comes off that phase alone, so its excess counts for all three.
+        """
+        assert isinstance(ac, PhasedACResult)
+        rating = float(self.plant.scenario.batteries.s_max_kva[reference])
+        return float(3.0 * np.abs(ac.former_kva).max() - rating)
+
+    def _on_worst_phase(self, ac: ACResult) -> Floats:
+        """Share of each customer that is on the phase of the former with most power, (C,)."""
+        assert isinstance(ac, PhasedACResult)
+        flow = self.flow.grid
+        worst = int(np.argmax(np.abs(ac.former_kva)))
+        count = len(self.plant.scenario.customers)
+        on_phase = np.zeros(count)
+        ends = np.abs(flow.coils.toarray())
+        phase_of = np.array([phase for _, phase in flow.phases.nodes])
+        on = ends[:, phase_of == worst].sum(axis=1) > 0
+        for coil in np.flatnonzero(on):
+            if flow.asset[coil] < count:
+                on_phase[flow.asset[coil]] += flow.share[coil]
+        return on_phase
+
+    def _order(self, t: int, powers: Powers, ac: ACResult) -> list[int]:
+        """Customers in the order in which they are shed; others than those on the phase last."""
+        order = [c for c in shedding_order(self.plant.scenario, t) if powers.served[c]]
+        on_phase = self._on_worst_phase(ac)
+        return [c for c in order if on_phase[c] > 0] + [c for c in order if on_phase[c] == 0]
