@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Floats
+from vppres.day.phased import refuse_phased
 from vppres.day.recorder import ROTATED
 from vppres.day.trajectory import Trajectory
 from vppres.explain.prices import WORTH, WORTH_GBP, day_prices, step_prices
@@ -45,6 +46,7 @@ def explain_day(trajectory: Trajectory) -> Trajectory:
         The same run with the tables ``explanations`` and ``shadow_prices``, which
         :func:`vppres.report.run_folder.write_run` writes and ``docs/explanations.md`` defines.
     """
+    refuse_phased(trajectory.scenario, "reasons and shadow prices")
     explanations: list[Row] = []
     prices: list[Row] = []
     for step in steps_of(trajectory):

@@ -8,7 +8,9 @@ import numpy as np
 
 from vppres.core.arrays import Floats, Wholes
 from vppres.core.errors import VerificationError
+from vppres.physics.phased_sources import assets_of, flow_of_grid
 from vppres.physics.powerflow import ACPowerFlow
+from vppres.scenario.phases import Phases
 from vppres.scenario.scenario import SOFT, Scenario
 
 MOST_STEPS = 96
@@ -43,6 +45,8 @@ def _extreme_steps(scenario: Scenario) -> Wholes:
 def _voltages(scenario: Scenario, steps: Wholes) -> tuple[Floats, int]:
     """AC voltages of the steps that have any, NaN in the others, and how many those are."""
     net = scenario.network
+    if scenario.phases is not None:
+        return _by_phase(scenario, scenario.phases, steps)
     customer = net.place(scenario.customers.bus)
     pv = net.place(scenario.pv.buses(scenario.customers))
     flow = ACPowerFlow(net)
@@ -54,6 +58,26 @@ def _voltages(scenario: Scenario, steps: Wholes) -> tuple[Floats, int]:
             found[row] = flow.solve(p_kw, -(customer @ scenario.load_kvar[t])).v_pu
         except VerificationError:
             continue
+    return found, int(np.isnan(found).any(axis=1).sum())
+
+
+def _by_phase(scenario: Scenario, phases: Phases, steps: Wholes) -> tuple[Floats, int]:
+    """The same of a phased feeder: of each bus the voltage that is farthest from 1 pu."""
+    net, b = scenario.network, scenario.batteries
+    flow = flow_of_grid(phases, assets_of(scenario.customers, scenario.pv, b), net.v_slack_pu)
+    at_bus = np.array([net.bus_index[phases.by_bus[bus].at] for bus, _ in phases.measured])
+    usable_kw = np.minimum(scenario.pv_kw, scenario.pv.s_max_kva)
+    idle = np.zeros(len(b))
+    found = np.full((len(steps), net.n_buses), np.nan)
+    for row, t in enumerate(steps):
+        p_kw = np.concatenate([scenario.load_kw[t], -usable_kw[t], idle])
+        q_kvar = np.concatenate([scenario.load_kvar[t], 0.0 * usable_kw[t], idle])
+        try:
+            v_pu = flow.v_pu(flow.solve(p_kw, q_kvar).v)
+        except VerificationError:
+            continue
+        order = np.argsort(np.abs(v_pu - 1.0))
+        found[row, at_bus[order]] = v_pu[order]
     return found, int(np.isnan(found).any(axis=1).sum())
 
 

@@ -10,8 +10,10 @@ import numpy as np
 
 from vppres.day.trajectory import Trajectory
 from vppres.feeders.actuate import Feeding
+from vppres.feeders.dss.phased_recheck import recheck_phased
 from vppres.feeders.dss.recheck import Recheck, recheck_opendss
 from vppres.io.atomic import atomic_folder
+from vppres.physics.phased_sources import former_of
 from vppres.report.plots.files import save_chart
 from vppres.report.plots.phases import voltages_per_phase
 
@@ -26,6 +28,12 @@ def recheck_run(run: Trajectory, source: Path) -> Recheck:
     """
     mode = str(run.options.get("mode", "paper"))
     network = run.scenario.network
+    phases = run.scenario.phases
+    if phases is not None:
+        batteries = run.scenario.batteries
+        former = former_of(phases, batteries)
+        name = None if former is None else str(batteries.id[former])
+        return recheck_phased(run.tables, phases, source, name)
     holder = Feeding.of(run.scenario, True, mode, np.ones(network.n_buses)).bus
     return recheck_opendss(run.tables, source, None if holder == network.slack_bus else holder)
 

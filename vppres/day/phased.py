@@ -1,0 +1,68 @@
+"""What runs of phased feeders do not state, refused by name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from vppres.core.errors import InputError, Problem
+from vppres.day.options import RunOptions
+from vppres.scenario.priority import STRICT
+from vppres.scenario.scenario import HARD, Scenario
+
+CONTROLLERS = ("mpc",)
+BALANCED = "remove the folder's phase_*.csv for its balanced equivalent"
+
+
+def check_phased(scenario: Scenario, options: RunOptions) -> None:
+    """Refuse what plans of a phased feeder cannot hold.
+
+    Raises
+    ------
+    InputError
+        With every option that has no meaning there.
+    """
+    if scenario.phases is None:
+        return
+    problems = [*_not_stated(options.on(scenario))]
+    if problems:
+        raise InputError(problems)
+
+
+def _not_stated(options: RunOptions) -> Iterator[Problem]:
+    """Options that a phased feeder has no plan for."""
+    if options.mode != "physical":
+        yield _wrong("mode", options.mode, "Use physical")
+    if options.controller not in CONTROLLERS:
+        yield _wrong("controller", options.controller, "Use mpc")
+    if options.priority == STRICT:
+        yield _wrong("priority", options.priority, "Use weights")
+    if options.voltage_limits == HARD:
+        yield _wrong("voltage_limits", options.voltage_limits, "Use soft")
+    if options.switching.cold:
+        yield _wrong("cold_load_factor", options.switching.cold_load_factor, "Use 1")
+
+
+def _wrong(field: str, value: object, cure: str) -> Problem:
+    return Problem(
+        "options",
+        "is not stated for feeders with phases",
+        f"{cure}, or {BALANCED}.",
+        field=field,
+        value=value,
+    )
+
+
+def refuse_phased(scenario: Scenario, what: str) -> None:
+    """Refuse something that knows balanced feeders only.
+
+    Raises
+    ------
+    InputError
+        If the scenario has phases.
+    """
+    if scenario.phases is not None:
+        raise InputError.of(
+            "phase_buses.csv",
+            f"is there: {what} know balanced feeders only",
+            f"Do without, or {BALANCED}.",
+        )
