@@ -226,13 +226,10 @@ class ImportedFeeder:
         AC power flow of the source for other powers.
     unbalanced : str
         What of the source is not balanced and was spread over three phases; empty if nothing.
-<<<<<<< HEAD
     named : bool
         Whether customers are the loads, and they, generators and batteries keep their names.
-=======
     phased : PhasedSource, optional
         The three phases; None for a feeder that is balanced.
->>>>>>> 1ca9b74 (Phased feeders: tables, import from OpenDSS, power flow by phase, plans and record)
     """
 
     name: str
@@ -250,11 +247,8 @@ class ImportedFeeder:
     causes: tuple[str, ...] = ()
     source_flow: SourceFlow | None = None
     unbalanced: str = ""
-<<<<<<< HEAD
     named: bool = False
-=======
     phased: PhasedSource | None = None
->>>>>>> 1ca9b74 (Phased feeders: tables, import from OpenDSS, power flow by phase, plans and record)
 
     def __post_init__(self) -> None:
         freeze_fields(self, p_load_kw=float, q_load_kvar=float, tier=object)

@@ -85,14 +85,10 @@ def import_network(
         The grid connection, where there are several external grids: one by table and index, by its
         name or its bus, or ``all`` for those that hold the same voltage together.
     balance : bool, optional
-<<<<<<< HEAD
-        Spread loads of single phases over three; without it a network with any is refused.
+        Spread loads of single phases over three; without it a pandapower net with any is refused.
     names : bool, optional
         Call buses, generators and batteries as the source does, and make each of its loads a
         customer with its name; otherwise names follow the buses' numbers, with a customer a bus.
-=======
-        Spread loads of single phases over three; without it a pandapower net with any is refused.
->>>>>>> 1ca9b74 (Phased feeders: tables, import from OpenDSS, power flow by phase, plans and record)
 
     Returns
     -------
@@ -147,18 +143,14 @@ def _feeder(found: _Net, name: str, changes: Changes) -> ImportedFeeder:
     keeps_phases = phases is not None and found.flow is not None and not changes.balance
     if phases is not None and not keeps_phases:
         notes += (balanced(phases, name, changes.balance),)
-<<<<<<< HEAD
     ids = found.bus_ids
     if ids is None and changes.names:
         ids = bus_names(found.net)
     net, made = changed(found.net, name, changes, ids)
     feeder = replace(feeder_of(net, name, bus_ids=ids), named=changes.names)
-=======
-    net, made = changed(found.net, name, changes, found.bus_ids)
-    feeder = feeder_of(net, name, bus_ids=found.bus_ids)
     if keeps_phases:
-        return _with_phases(found, net, replace(feeder, notes=notes + made))
->>>>>>> 1ca9b74 (Phased feeders: tables, import from OpenDSS, power flow by phase, plans and record)
+        # Its customers are the loads by name in any case.
+        return _with_phases(found, net, replace(feeder, notes=notes + made, named=False))
     if phases is not None:
         feeder = replace(feeder, unbalanced=phases.what)
     if found.flow is not None:

@@ -17,11 +17,8 @@ from vppres.core.errors import InputError, Problem
 from vppres.io import checks, schema
 from vppres.io.history import Columns, history_of
 from vppres.io.messages import in_order
-<<<<<<< HEAD
 from vppres.io.outage_log import read_interruptions
-=======
 from vppres.io.phase_files import read_phases
->>>>>>> 1ca9b74 (Phased feeders: tables, import from OpenDSS, power flow by phase, plans and record)
 from vppres.io.series import TIME, check_times, read_values
 from vppres.io.settings import SCENARIO_FILE, Settings, read_settings
 from vppres.io.tables import Table, check_columns, no_table, read_rows, read_table

@@ -292,15 +292,12 @@ LoadSeries = _model("load_kw.csv")
 PVSeries = _model("pv_kw.csv")
 SystemSeries = _model("system.csv")
 WarningRow = _model("warnings.csv")
-<<<<<<< HEAD
 OutageRow = _model("outages.csv")
-=======
 PhaseBusRow = _model("phase_buses.csv")
 PhaseLineRow = _model("phase_lines.csv")
 PhaseTransformerRow = _model("phase_transformers.csv")
 PhaseShuntRow = _model("phase_shunts.csv")
 PhaseConnectionRow = _model("phase_connections.csv")
->>>>>>> 1ca9b74 (Phased feeders: tables, import from OpenDSS, power flow by phase, plans and record)
 
 
 def unit(field: FieldInfo) -> str:

@@ -15,6 +15,7 @@ from vppres.core.arrays import Floats
 from vppres.model.beyond_paper.physical import at_far_ends
 from vppres.model.data import WindowData
 from vppres.model.formulas import bus_injections, cell_kw, soc_after, voltage_drop_pu2
+from vppres.model.phases import phased_model
 from vppres.model.site import Site
 from vppres.scenario.assets import SOC_ROUNDING
 
@@ -56,6 +57,7 @@ def excesses(site: Site, data: WindowData, dispatch: Dispatch) -> Excess:
         _balances,
         _voltages,
         _ratings,
+        _phases,
     )
     rules = 0.0 if data.switching is None else float(data.switching.broken(dispatch.served).sum())
     found = {"switching rules": 2.0 * rules}
@@ -197,3 +199,21 @@ def _ratings(site: Site, data: WindowData, d: Dispatch) -> Excess:
         return {}
     over_kva = np.hypot(d.p_flow_kw, d.q_flow_kvar) - data.flow_max_kva
     return {"line rating": _most(_power_tolerance(site, data), over_kva)}
+
+
+def _phases(site: Site, data: WindowData, d: Dispatch) -> Excess:
+    """Watched voltages by phase, and the former's phases."""
+    phased = data.phased
+    if phased is None:
+        return {}
+    model = phased_model(site)
+    p_kw, q_kvar = model.drawn(data, d)
+    u, former = model.linear(data, p_kw, q_kvar)
+    u = phased.u_offset + u
+    rows = list(phased.watched)
+    over_kva = np.abs(phased.former_offset + former).max(axis=1) - phased.room_kva
+    return {
+        "lowest voltage of a phase": _most(VOLTAGE_TOLERANCE_PU2, (phased.u_min - u)[:, rows]),
+        "highest voltage of a phase": _most(VOLTAGE_TOLERANCE_PU2, (u - phased.u_max)[:, rows]),
+        "phase of the former": _most(_power_tolerance(site, data), over_kva[data.dark]),
+    }

@@ -268,14 +268,11 @@ class PhasedFlow:
     def current_slopes(self, p: Floats, q: Floats, u: Complexes) -> tuple[Complexes, Complexes]:
         """How a coil's current ``conj(S(|u|) / u)`` follows ``u`` and its conjugate."""
         s = self.drawn_va(p, q, u)
-        by_size: Complexes = self.p_exponent * s.real + 1j * self.q_exponent * s.imag
-        # d|u| = Re(conj(u) du) / |u|, so S changes by by_size Re(conj(u) du) / |u|².
-        size = np.abs(u) ** 2
-        by_u: Complexes = np.conj(by_size) / (2.0 * size)
-        by_conj: Complexes = (
-            np.conj(by_size) * u / (2.0 * size * np.conj(u)) - np.conj(s) / np.conj(u) ** 2
-        )
-        return by_u, by_conj
+        # d|u| = Re(conj(u) du) / |u|, so S changes by its exponents' share Re(conj(u) du) / |u|².
+        per_size: Complexes = self.p_exponent * s.real - 1j * self.q_exponent * s.imag
+        per_size /= 2.0 * np.abs(u) ** 2
+        turned = u / np.conj(u)
+        return per_size, per_size * turned - np.conj(s) / np.conj(u) ** 2
 
     def _reached(self, p: Floats, q: Floats) -> float:
         """Share of a load up to which there is a solution, from no load on."""

@@ -24,7 +24,13 @@ from vppres.model.violations import broken
 from vppres.solve.apart import falls_apart, solve_apart
 from vppres.solve.cache import shared_cache
 from vppres.solve.deadline import Deadline
-from vppres.solve.dispatch import POLYGON_SIDES, keep_dispatch_in_network, keep_with_turns
+from vppres.solve.dispatch import (
+    POLYGON_SIDES,
+    in_network,
+    keep_dispatch_in_network,
+    keep_with_turns,
+    with_tie_breakers,
+)
 from vppres.solve.fleet.all_terms import all_terms, require_bounds
 from vppres.solve.fleet.masters import fleets_of, master_of
 from vppres.solve.fleet.reach import everyone_in_reach
@@ -182,7 +188,9 @@ class WindowSolver:
     def _solve(self, data: WindowData, limits: SolveLimits) -> WindowSolution:
         """Solve a window as one problem."""
         task = self._task(data, limits)
-        if self.method == "decomposed":
+        if data.phased is not None:
+            climb_phased(task, self.method)
+        elif self.method == "decomposed":
             climb(task)
             if task.data.switching is not None and not task.certificate.answered:
                 keep_a_steady_set(task)
@@ -304,6 +312,28 @@ def climb_own_page(task: WindowTask) -> None:
     if task.certificate.wasteful and task.goes_on:
         with_modes_of_batteries(task)
     enter_network(task, None)
+
+
+def climb_phased(task: WindowTask, method: str) -> None:
+    """The ladder of a phased site: relaxations without the network, then the whole problem.
+
+    The stages that put lines and buses in by hand do not know phases.
+    """
+    if method != "decomposed":
+        return
+    if worth_everyone(task):
+        everyone_served(task)
+    for rung in rungs(task):
+        if task.goes_on and not task.search.passed and not task.certificate.wasteful:
+            rung()
+    if task.certificate.wasteful and task.goes_on:
+        with_modes_of_batteries(task)
+    known = task.certificate
+    best = known.best
+    if best is not None and not best.in_network:
+        known.best = with_tie_breakers(task, best) or in_network(task, best.dispatch.served)
+    if worth_an_answer(task):
+        without_binaries(task)
 
 
 def keep_a_steady_set(task: WindowTask) -> None:

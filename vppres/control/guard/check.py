@@ -120,6 +120,7 @@ def _shapes(decision: Decision, site: Site) -> list[str]:
     sizes = {
         "served": len(site.customers),
         "v_pu": site.network.n_buses,
+        "v_node_pu": 0 if site.phases is None else len(site.phases.measured),
         **dict.fromkeys(("p_flow_kw", "q_flow_kvar"), site.network.n_lines),
         **dict.fromkeys(("charge_kw", "discharge_kw", "batt_q_kvar", "soc"), len(site.batteries)),
         **dict.fromkeys(

@@ -30,11 +30,9 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
     if problems:
         return {"problems": problems}
     engine.settled()
-    for element in [*dss.Circuit.AllElementNames(), *job["disabled"]]:
-        if (
-            element.lower().startswith(tuple(f"{kind}." for kind in OFF))
-            or element in job["disabled"]
-        ):
+    off = tuple(f"{kind}." for kind in OFF)
+    for element in dss.Circuit.AllElementNames():
+        if element.lower().startswith(off):
             dss.Circuit.Disable(element)
     names = [_new_asset(i, asset) for i, asset in enumerate(job["assets"])]
     if job["island_bus"] is not None:

@@ -47,7 +47,6 @@ def recheck_phased(run: Tables, phases: Phases, source: Path, former: str | None
         "steps": _steps(run, phases, assets, former),
         "island_bus": None if former is None else phases.connection(former).bus,
         "open": [row.bus for row in phases.shunts if row.island == "no"],
-        "disabled": [],
     }
     limit_s = TIME_LIMIT_S + len(run["steps"]) / STEPS_PER_S
     found = confined("dss/phased_day", job, source.name, limit_s)

@@ -13,11 +13,8 @@ import pandas as pd
 from vppres.core.arrays import Flags, Floats, Names, Wholes
 from vppres.core.text import named
 from vppres.feeders.feeder import ImportedFeeder
-<<<<<<< HEAD
 from vppres.feeders.net.names import identifiers
-=======
 from vppres.feeders.new.connections import loads_of
->>>>>>> 1ca9b74 (Phased feeders: tables, import from OpenDSS, power flow by phase, plans and record)
 from vppres.feeders.new.kinds import PV, burns_fuel, kind_of
 from vppres.feeders.new.options import (
     BATTERY_KWH_PER_PEAK_KW,
@@ -81,17 +78,13 @@ class NewAssets:
 def new_assets(feeder: ImportedFeeder, options: NewScenarioOptions) -> NewAssets:
     """The source's assets, with what the options ask to add."""
     draw_tier, draw_pv = (np.random.default_rng([options.seed, i]) for i in range(2))
-<<<<<<< HEAD
-    connections = connections_of(feeder)
+    if feeder.phased is None:
+        connections = connections_of(feeder)
+    else:
+        connections = loads_of(feeder.phased, len(feeder.loads.id))
     peak_kw = connections["p_kw"].to_numpy(float)
     tier, tiers = _tiers(connections["tier"].to_numpy(dtype=object), options, draw_tier)
     customers = _customers(connections, tier, tiers)
-=======
-    loads = _loads(feeder) if feeder.phased is None else loads_of(feeder.phased)
-    peak_kw = loads["p_kw"].to_numpy(float)
-    tier, tiers = _tiers(loads["tier"].to_numpy(dtype=object), options, draw_tier)
-    customers = _customers(loads, tier, tiers)
->>>>>>> 1ca9b74 (Phased feeders: tables, import from OpenDSS, power flow by phase, plans and record)
     table = generator_table(feeder)
     kept = _kept(table, options)
     grouped = _own_systems(table[kept], feeder.named)
@@ -164,7 +157,6 @@ def _told_tiers(
     return f"Customers by tier: {count} ({origin})."
 
 
-<<<<<<< HEAD
 def connections_of(feeder: ImportedFeeder) -> pd.DataFrame:
     """What becomes a customer: the load of each bus, or the source's loads with their names.
 
@@ -175,20 +167,11 @@ def connections_of(feeder: ImportedFeeder) -> pd.DataFrame:
     loaded = np.flatnonzero(feeder.p_load_kw > 0)
     at_bus = pd.DataFrame(
         {
-=======
-def _loads(feeder: ImportedFeeder) -> pd.DataFrame:
-    """Loads by bus: name, bus, active and reactive power, tier."""
-    loaded = np.flatnonzero(feeder.p_load_kw > 0)
-    return pd.DataFrame(
-        {
-            "name": feeder.network.buses[loaded],
->>>>>>> 1ca9b74 (Phased feeders: tables, import from OpenDSS, power flow by phase, plans and record)
             "bus": feeder.network.buses[loaded],
             "p_kw": feeder.p_load_kw[loaded],
             "q_kvar": feeder.q_load_kvar[loaded],
             "tier": feeder.tier[loaded],
         }
-<<<<<<< HEAD
     )
     of_load = np.full(len(feeder.loads.id), -1, dtype=int)
     if not feeder.named:
@@ -229,19 +212,6 @@ def _customers(connections: pd.DataFrame, tier: Names, tiers: dict[str, float]) 
     leading = np.where(q_kvar < 0, -1.0, 1.0)
     return Customers(
         id=connections["id"].to_numpy(dtype=object),
-=======
-    ).astype({"name": object, "bus": object, "tier": object})
-
-
-def _customers(loads: pd.DataFrame, tier: Names, tiers: dict[str, float]) -> Customers:
-    """One customer per load."""
-    bus = loads["bus"].to_numpy(dtype=object)
-    p_kw = loads["p_kw"].to_numpy(float)
-    q_kvar = loads["q_kvar"].to_numpy(float)
-    leading = np.where(q_kvar < 0, -1.0, 1.0)
-    return Customers(
-        id=_ids("c", loads["name"].to_numpy(dtype=object)),
->>>>>>> 1ca9b74 (Phased feeders: tables, import from OpenDSS, power flow by phase, plans and record)
         bus=bus,
         tier=tier,
         weight=np.array([tiers[t] for t in tier]),
@@ -354,11 +324,7 @@ def _sized_pv(
     p_kw = written(p_kw)
     has = np.flatnonzero(p_kw > 0)
     return PVSystems(
-<<<<<<< HEAD
-        id=_ids("PV of ", customers.id[has]) if named else _ids("pv", customers.bus[has]),
-=======
-        id=_ids("pv", _names(customers)[has]),
->>>>>>> 1ca9b74 (Phased feeders: tables, import from OpenDSS, power flow by phase, plans and record)
+        id=_ids("PV of ", customers.id[has]) if named else _ids("pv", _stems(customers)[has]),
         customer=customers.id[has],
         p_max_kw=p_kw[has],
         s_max_kva=written(PV_INVERTER_RATIO * p_kw[has]),
@@ -393,13 +359,9 @@ def _added_batteries(
     energy_kwh = written((size if options.add_batteries else 0.0) * peak_kw)
     has = np.flatnonzero(energy_kwh > 0)
     p_kw = written(BATTERY_KW_PER_KWH * energy_kwh[has])
-<<<<<<< HEAD
-    names = [f"b{bus}" for bus in customers.bus[has]]
+    names = [f"b{name}" for name in _stems(customers)[has]]
     if named:
         names = [f"battery of {name}" for name in customers.id[has]]
-=======
-    names = [f"b{name}" for name in _names(customers)[has]]
->>>>>>> 1ca9b74 (Phased feeders: tables, import from OpenDSS, power flow by phase, plans and record)
     return _batteries(
         id=np.array([f"{n}_added" if n in taken else n for n in names], dtype=object),
         bus=customers.bus[has],
@@ -507,7 +469,7 @@ def _amount(batteries: Batteries) -> str:
     )
 
 
-def _names(customers: Customers) -> Names:
+def _stems(customers: Customers) -> Names:
     """What the customers are named after: their bus, or their load."""
     return np.array([str(name)[1:] for name in customers.id], dtype=object)
 

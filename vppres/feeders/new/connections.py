@@ -16,17 +16,22 @@ from vppres.scenario.phases import LINES, PHASES, PhaseConnection, Phases
 LOAD = "load"
 
 
-def loads_of(source: PhasedSource) -> pd.DataFrame:
-    """Loads of a phased source one by one: name, bus, active and reactive power, tier."""
+def loads_of(source: PhasedSource, count: int) -> pd.DataFrame:
+    """Loads of a phased source one by one: id, bus, active and reactive power, tier.
+
+    ``attrs["of_load"]`` has no row for any of the ``count`` loads of the tree.
+    """
     loads = [load for load in source.loads if load.kind == LOAD and load.p_kw > 0]
     table = {
-        "name": [load.connection.id for load in loads],
+        "id": [f"c{load.connection.id}" for load in loads],
         "bus": [load.bus for load in loads],
         "p_kw": [load.p_kw for load in loads],
         "q_kvar": [load.q_kvar for load in loads],
         "tier": [""] * len(loads),
     }
-    return pd.DataFrame(table).astype({"name": object, "bus": object, "tier": object})
+    found = pd.DataFrame(table).astype({"id": object, "bus": object, "tier": object})
+    found.attrs["of_load"] = np.full(count, -1, dtype=int)
+    return found
 
 
 def connected(

@@ -9,11 +9,8 @@ from itertools import chain
 from vppres.model.beyond_paper.addition import Addition
 from vppres.model.beyond_paper.drawn import DrawnByNetwork
 from vppres.model.beyond_paper.export import ExportToGrid
-<<<<<<< HEAD
 from vppres.model.beyond_paper.longest_off import LongestTimeOff
-=======
 from vppres.model.beyond_paper.phases import ThreePhases
->>>>>>> 1ca9b74 (Phased feeders: tables, import from OpenDSS, power flow by phase, plans and record)
 from vppres.model.beyond_paper.physical import PhysicalMode
 from vppres.model.beyond_paper.stored_value import ValueAtEnd
 from vppres.model.beyond_paper.switching import SwitchingModel

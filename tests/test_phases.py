@@ -1,0 +1,211 @@
+"""Phased feeders: tables, power flow against OpenDSS, linear model, plans within every phase."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vppres.core.errors import InputError
+from vppres.day.assembly import make_controller
+from vppres.day.options import RunOptions
+from vppres.day.simulate import Day
+from vppres.feeders.new.options import NewScenarioOptions
+from vppres.feeders.new.scenario import write_new_scenario
+from vppres.feeders.sources import import_network
+from vppres.io import read_scenario
+from vppres.io.scenario_writer import write_scenario
+from vppres.model.phases import Slopes
+from vppres.physics.phased_sources import assets_of, flow_of_former, flow_of_grid, former_of
+from vppres.physics.phases import NoPhasedSolutionError, PhasedFlow
+from vppres.scenario.phases import PhaseBus, PhaseConnection, PhaseLine, Phases
+from vppres.scenario.scenario import Scenario
+
+pytest.importorskip("opendssdirect")
+
+CIRCUIT = """clear
+new circuit.small basekv=69 pu=1.02 mvasc3=20000 mvasc1=21000
+new transformer.sub phases=3 windings=2 xhl=8
+~ wdg=1 bus=sourcebus conn=delta kv=69 kva=5000 %r=0.5
+~ wdg=2 bus=s conn=wye kv=4.16 kva=5000 %r=0.5
+new transformer.rega phases=1 xhl=0.1 kvas=[1600 1600] buses=[s.1 r.1] kvs=[2.4 2.4] %r=0.01
+new transformer.regb phases=1 xhl=0.1 kvas=[1600 1600] buses=[s.2 r.2] kvs=[2.4 2.4] %r=0.01
+~ wdg=2 tap=1.025
+new transformer.regc phases=1 xhl=0.1 kvas=[1600 1600] buses=[s.3 r.3] kvs=[2.4 2.4] %r=0.01
+~ wdg=2 tap=1.0125
+new linecode.three nphases=3 rmatrix=[0.4|0.15 0.41|0.15 0.15 0.4] basefreq=60
+~ xmatrix=[1.0|0.5 1.05|0.4 0.4 1.0] cmatrix=[9|-2 9|-1 -1 9] units=km
+new linecode.two nphases=2 rmatrix=[0.8|0.15 0.8] xmatrix=[0.9|0.3 0.9] cmatrix=[3|0 3] units=km
+new line.l1 bus1=r bus2=m linecode=three length=0.5 units=km
+new line.l2 bus1=m.2.3 bus2=n.2.3 phases=2 linecode=two length=0.3 units=km
+new line.l3 bus1=m bus2=e linecode=three length=0.6 units=km
+new transformer.low phases=3 windings=2 xhl=2.7
+~ wdg=1 bus=e conn=delta kv=4.16 kva=300 %r=0.6
+~ wdg=2 bus=d conn=delta kv=0.48 kva=300 %r=0.6
+new capacitor.c bus1=e phases=3 kvar=150 kv=4.16
+new load.a bus1=m.1 phases=1 kv=2.4 kw=260 kvar=90 model=5
+new load.b bus1=n.2 phases=1 kv=2.4 kw=90 kvar=30 model=2
+new load.bc bus1=n.2.3 phases=1 conn=delta kv=4.16 kw=120 kvar=50 model=1
+new load.e bus1=e phases=3 kv=4.16 kw=600 kvar=200 model=1
+new load.d bus1=d phases=3 conn=delta kv=0.48 kw=90 kvar=30 model=1
+set voltagebases=[69 4.16 0.48]
+calcvoltagebases
+"""
+
+
+@pytest.fixture(scope="module")
+def circuit(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small unbalanced circuit with every kind of element."""
+    file = tmp_path_factory.mktemp("phases") / "small.dss"
+    file.write_text(CIRCUIT)
+    return file
+
+
+@pytest.fixture(scope="module")
+def day(circuit: Path) -> Scenario:
+    """A scenario of it, read back from its folder."""
+    folder = circuit.parent / "small"
+    options = NewScenarioOptions(add_batteries=True, pv="sized", draw_tiers=True)
+    write_new_scenario(import_network(circuit), options, folder)
+    return read_scenario(folder)
+
+
+def powers(day: Scenario, t: int) -> tuple[np.ndarray, np.ndarray]:
+    """What all assets draw in a step, batteries idle."""
+    idle = np.zeros(len(day.batteries))
+    p = np.concatenate([day.load_kw[t], -day.pv_kw[t], idle])
+    q = np.concatenate([day.load_kvar[t], 0.0 * day.pv_kw[t], idle])
+    return p, q
+
+
+def flows(day: Scenario) -> tuple[PhasedFlow, PhasedFlow]:
+    """With the grid as source, and with the former."""
+    assert day.phases is not None
+    names = assets_of(day.customers, day.pv, day.batteries)
+    former = former_of(day.phases, day.batteries)
+    assert former is not None
+    grid = flow_of_grid(day.phases, names, day.network.v_slack_pu)
+    island = flow_of_former(day.phases, names, day.batteries, former, 0.947, 1.053)
+    return grid, island
+
+
+def test_import_has_opendss_voltages(day: Scenario) -> None:
+    as_given = day.source.deviation.as_given_pu
+    assert as_given is not None
+    assert as_given < 1e-7
+    assert not day.source.unbalanced
+
+
+def test_three_wires_have_limits_between_phases(day: Scenario) -> None:
+    assert day.phases is not None
+    assert [row.bus for row in day.phases.buses if row.limits == "lines"] == ["d"]
+
+
+def test_folder_reads_back_equal(day: Scenario, tmp_path: Path) -> None:
+    write_scenario(day, tmp_path / "again")
+    again = read_scenario(tmp_path / "again")
+    assert day.phases is not None
+    assert again.phases is not None
+    assert again.phases.key == day.phases.key
+
+
+def test_slopes_are_derivatives_at_no_load(day: Scenario) -> None:
+    small = 1e-3
+    for flow in flows(day):
+        slopes = Slopes.of(flow)
+        count = len(flow.assets)
+        for asset in range(0, count, 3):
+            p = np.zeros(count)
+            p[asset] = small
+            for kw, kvar, u, source in (
+                (p, 0 * p, slopes.u_p, slopes.former_p),
+                (0 * p, p, slopes.u_q, slopes.former_q),
+            ):
+                found, other = flow.solve(kw, kvar), flow.solve(-kw, -kvar)
+                du = (flow.v_pu(found.v) ** 2 - flow.v_pu(other.v) ** 2) / (2 * small)
+                ds = (found.source_kva - other.source_kva) / (2 * small)
+                np.testing.assert_allclose(du, u[:, asset], atol=1e-7)
+                np.testing.assert_allclose(ds, source[:, asset], atol=1e-4)
+
+
+def test_newton_finds_what_the_fixed_point_finds(day: Scenario) -> None:
+    grid, _ = flows(day)
+    p, q = powers(day, 18)
+    found = grid.solve(p, q)
+    by_newton = grid._newton(p, q, grid._across[0])
+    assert by_newton is not None
+    assert np.abs((by_newton - found.coil_v) / grid.rated_v).max() < 1e-8
+
+
+def test_load_beyond_the_lines_has_no_solution(day: Scenario) -> None:
+    grid, _ = flows(day)
+    p, q = powers(day, 18)
+    with pytest.raises(NoPhasedSolutionError, match="collapse at"):
+        grid.solve(30 * p, 30 * q)
+
+
+def test_turned_phases_turn_the_answer() -> None:
+    z = np.full((3, 3), 0.1 + 0.3j) + np.diag([0.3, 0.3, 0.3])
+    buses = (PhaseBus("s", 1, 4.16, "a b c"), PhaseBus("e", 2, 4.16, "a b c"))
+    lines = (PhaseLine("s", "e", z, np.zeros((3, 3))),)
+    found = []
+    for words in (("a", "bc"), ("b", "ca")):
+        rows = [PhaseConnection(f"x{i}", "e", word, 2.4) for i, word in enumerate(words)]
+        phases = Phases(buses, lines, connections=tuple(rows))
+        flow = PhasedFlow(phases, ["x0", "x1"], "s", 1.0)
+        found.append(flow.solve(np.array([300.0, 200.0]), np.array([100.0, 50.0])))
+    np.testing.assert_allclose(found[1].source_kva, np.roll(found[0].source_kva, 1), rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"coils": "a x"}, "phase_connections.csv, row 2, coils"),
+        ({"coils": "a b c", "bus": "n"}, "has no phase a"),
+        ({"bus": "nowhere"}, "is not a bus of phase_buses.csv"),
+        ({"bus": "e", "coils": "a"}, "is at bus e"),
+        ({"id": "stranger"}, "has no row"),
+    ],
+)
+def test_connections_that_cannot_be(day: Scenario, change: dict[str, str], message: str) -> None:
+    assert day.phases is not None
+    first, *rest = day.phases.connections
+    with pytest.raises(InputError, match=message):
+        replace(day, phases=replace(day.phases, connections=(replace(first, **change), *rest)))
+
+
+@pytest.mark.parametrize(
+    ("options", "name"),
+    [
+        ({"mode": "paper"}, "mode"),
+        ({"controller": "full-horizon"}, "controller"),
+        ({"priority": "strict"}, "priority"),
+        ({"voltage_limits": "hard"}, "voltage_limits"),
+    ],
+)
+def test_options_that_are_not_stated_are_refused_by_name(
+    day: Scenario, options: dict[str, str], name: str
+) -> None:
+    with pytest.raises(InputError, match=f"{name} = "):
+        make_controller(day, RunOptions().having(options))
+
+
+def test_plans_keep_every_phase_of_the_former_and_every_node(day: Scenario) -> None:
+    options = RunOptions(horizon_h=1.0).on(day)
+    full = replace(day.batteries, soc_initial=day.batteries.soc_max)
+    evening = replace(day, batteries=full).between(16, 19)
+    run = Day(evening, options)
+    trajectory = run.run(make_controller(evening, options))
+    steps = trajectory.steps
+    dark = steps["outage"].to_numpy(bool)
+    rating = evening.batteries.s_max_kva[evening.batteries.grid_forming][0]
+    kva = steps[[f"former_{phase}_kva" for phase in "abc"]].to_numpy(float)
+    assert dark.tolist() == [True, True, False]
+    assert kva[dark].max() <= rating / 3 * 0.9 + 1.0
+    assert (steps["shed_kw"] == 0.0).all()
+    assert steps["v_error_pu"].max() < 1e-4
+    nodes = trajectory.nodes
+    assert nodes is not None
+    assert nodes["v_ac_pu"].between(0.94, 1.06).all()
