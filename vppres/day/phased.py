@@ -38,6 +38,9 @@ def _not_stated(options: RunOptions) -> Iterator[Problem]:
         yield _wrong("priority", options.priority, "Use weights")
     if options.voltage_limits == HARD:
         yield _wrong("voltage_limits", options.voltage_limits, "Use soft")
+    for name in ("rotation", "minimum_on_h"):
+        if getattr(options, name):
+            yield _wrong(name, getattr(options, name), "Leave it at 0")
     if options.switching.cold:
         yield _wrong("cold_load_factor", options.switching.cold_load_factor, "Use 1")
 

@@ -1,0 +1,217 @@
+"""Phased feeders: OpenDSS's admittances and voltages, and closed loops beside balanced plans.
+
+``python -m experiments.phases --verify FOLDER`` compares the own power flow with OpenDSS on the
+circuits of a folder. ``python -m experiments.phases --loops FOLDER`` runs a day with an outage of
+six hours on each, planned by phase and as its balanced equivalent. Both are carried out on the
+feeder with its phases, and printed as the table of the page.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vppres.contract.decision import Decision
+from vppres.core.errors import VerificationError, VppresError
+from vppres.day.assembly import make_controller
+from vppres.day.metrics import resilience
+from vppres.day.options import RunOptions
+from vppres.day.recorder import StepRecord
+from vppres.day.simulate import Day
+from vppres.feeders.dss.phases import flow_of_source
+from vppres.feeders.new.assets import BATTERY_INVERTER_RATIO
+from vppres.feeders.new.options import NewScenarioOptions
+from vppres.feeders.new.scenario import write_new_scenario
+from vppres.feeders.sources import import_network
+from vppres.io import read_scenario
+from vppres.plant.phased import PhasedACFlow
+from vppres.scenario.scenario import Scenario
+
+FEEDERS = {
+    "13": "13Bus/IEEE13Nodeckt.dss",
+    "34": "34Bus/ieee34Mod1.dss",
+    "37": "37Bus/ieee37.dss",
+    "123": "123Bus/IEEE123Master.dss",
+}
+SOLVES = 50
+
+
+def say(text: str) -> None:
+    """Write a line at once."""
+    sys.stdout.write(f"{text}\n")
+    sys.stdout.flush()
+
+
+def verify(folder: Path, names: list[str]) -> None:
+    """Print how far admittances and voltages are from OpenDSS's, and the CPU time of a flow."""
+    say("| feeder | nodes | admittances, relative | voltages, pu | CPU of a flow, ms |")
+    say("| --- | --- | --- | --- | --- |")
+    for name in names:
+        feeder = import_network(folder / FEEDERS[name])
+        phased = feeder.phased
+        assert phased is not None
+        flow, p_kw, q_kvar = flow_of_source(phased)
+        flow.solve(p_kw, q_kvar)
+        began = time.process_time()
+        for _ in range(SOLVES):
+            flow._last = None
+            flow.solve(p_kw, q_kvar)
+        cpu_ms = 1000.0 * (time.process_time() - began) / SOLVES
+        apart = _admittances_apart(folder / FEEDERS[name], flow)
+        say(
+            f"| IEEE {name} | {len(phased.phases.nodes)} | {apart:.1e} | "
+            f"{phased.difference_pu:.1e} | {cpu_ms:.2f} |"
+        )
+
+
+def _admittances_apart(file: Path, flow: Any) -> float:
+    """Largest difference of an entry from OpenDSS's, as a share of its row's diagonal."""
+    import opendssdirect as dss
+
+    from vppres.feeders.dss import engine, text
+
+    engine._elements.cache_clear()
+    commands = [command.text for command in text.read_script(file).commands]
+    assert not engine.build(commands, open_deltas=True)
+    engine.settled()
+    for kind in ("load", "generator", "pvsystem"):
+        for element in list(engine._of(kind)):
+            dss.Circuit.Disable(f"{kind}.{element}")
+    dss.Text.Command("set controlmode=off")
+    dss.Solution.Solve()
+    names = [node.lower() for node in dss.Circuit.YNodeOrder()]
+    flat = np.array(dss.Circuit.SystemY())
+    theirs = (flat[::2] + 1j * flat[1::2]).reshape(len(names), len(names))
+    place = {f"{bus}.{phase + 1}": i for i, (bus, phase) in enumerate(flow.phases.nodes)}
+    at = [place[node] for node in names]
+    own = flow.y.toarray()[np.ix_(at, at)]
+    return float((np.abs(own - theirs).max(axis=1) / np.abs(np.diag(theirs))).max())
+
+
+FORMER_SHARE = 0.25
+"""Power of the battery that forms islands, as a share of the peak load."""
+
+FORMER_HOURS = 2.0
+
+DAYS = {"usual": (1.0, 1.0), "little sun": (1.3, 0.3), "much sun": (0.6, 1.6)}
+"""Factors of load and sun."""
+
+
+def loops(folder: Path, names: list[str], days: list[str]) -> None:
+    """Print a row for each feeder and day: planned by phase, and as its balanced equivalent."""
+    say(
+        "| feeder | day | plan | R planned | R | former's worst phase as planned, of its rating | "
+        "hours over it | blacked out, h | node-hours outside | V, pu | off plan, pu | CPU, s |"
+    )
+    say("| --- " * 12 + "|")
+    for name in names:
+        scenario = _scenario(folder / FEEDERS[name])
+        for day in days:
+            for plan in ("by phase", "balanced"):
+                try:
+                    row = _loop(_of_day(scenario, day), plan == "balanced")
+                except VppresError as error:
+                    row = f"{type(error).__name__}: {error}"
+                say(f"| IEEE {name} | {day} | {plan} | {row} |")
+
+
+def _scenario(file: Path) -> Scenario:
+    """A first scenario of a circuit, with a battery that can hold its island."""
+    options = NewScenarioOptions(pv="sized", draw_tiers=True, add_batteries=True)
+    with tempfile.TemporaryDirectory() as folder:
+        target = Path(folder) / "feeder"
+        write_new_scenario(import_network(file), options, target)
+        return _equipped(read_scenario(target))
+
+
+def _equipped(scenario: Scenario) -> Scenario:
+    """The scenario with a former of a size that can hold an island."""
+    b = scenario.batteries
+    rating = FORMER_SHARE * scenario.load_kw.max(axis=0).sum()
+    larger = b.grid_forming
+    sizes = {
+        "energy_kwh": np.where(larger, FORMER_HOURS * rating, b.energy_kwh),
+        "p_max_kw": np.where(larger, rating, b.p_max_kw),
+        "s_max_kva": np.where(larger, BATTERY_INVERTER_RATIO * rating, b.s_max_kva),
+    }
+    return replace(scenario, batteries=replace(b, **sizes))
+
+
+def _of_day(scenario: Scenario, day: str) -> Scenario:
+    load, sun = DAYS[day]
+    pv_kw = np.minimum(sun * scenario.pv_kw, scenario.pv.p_max_kw)
+    return replace(scenario, load_kw=load * scenario.load_kw, pv_kw=pv_kw)
+
+
+class Watched(Day):
+    """A day that keeps what the former's phases would carry if all followed the plan."""
+
+    def __init__(self, scenario: Scenario, options: RunOptions) -> None:
+        super().__init__(scenario, options)
+        self.worst_kva: list[float] = []
+        self.planned: list[Any] = []
+
+    def settle(self, t: int, decision: Decision) -> StepRecord:
+        """One step, with the former's phases at the set-points of the plan before it."""
+        self.planned.append(np.asarray(decision.dispatch.served[decision.row]))
+        if self.scenario.outage[t] and isinstance(self.ac, PhasedACFlow):
+            planned = self.plant.apply(t, decision, self.state)
+            former = self.plant.battery_bus[int(np.argmax(self.scenario.batteries.grid_forming))]
+            try:
+                found = self.ac.solve(planned.p_injection_kw, planned.q_injection_kvar, int(former))
+                self.worst_kva.append(float(np.abs(found.former_kva).max()))
+            except VerificationError:
+                self.worst_kva.append(np.inf)
+        return super().settle(t, decision)
+
+
+def _loop(scenario: Scenario, balanced: bool) -> str:
+    """A closed loop on the feeder with its phases."""
+    began = time.process_time()
+    known = replace(scenario, phases=None) if balanced else scenario
+    options = RunOptions().on(scenario)
+    day = Watched(scenario, options)
+    run = day.run(make_controller(known, options))
+    steps = run.steps
+    assert run.nodes is not None
+    dark = scenario.outage
+    rating = scenario.batteries.s_max_kva[scenario.batteries.grid_forming].max() / 3.0
+    worst = np.array(day.worst_kva) / rating
+    v = run.nodes["v_ac_pu"]
+    net = scenario.network
+    outside = int(((v < net.v_min_ac_pu) | (v > net.v_max_ac_pu)).sum())
+    weight = scenario.customers.weight
+    claimed = float(np.mean(np.array(day.planned)[dark] @ weight) / weight.sum())
+    off_plan = "" if balanced else f"{np.nanmax(steps['v_error_pu']):.1e}"
+    return (
+        f"{claimed:.4f} | {resilience(run) or 0.0:.4f} | {worst.max():.3f} | "
+        f"{int((worst > 1.0).sum())} of {dark.sum()} | {int(steps['dark'].sum())} | "
+        f"{outside} of {v.notna().sum()} | {v.min():.3f} to {v.max():.3f} | {off_plan} | "
+        f"{time.process_time() - began:.0f}"
+    )
+
+
+def main() -> int:
+    """Read the arguments and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--verify", type=Path)
+    parser.add_argument("--loops", type=Path)
+    parser.add_argument("--feeders", nargs="*", default=[*FEEDERS])
+    parser.add_argument("--days", nargs="*", default=[*DAYS])
+    given = parser.parse_args()
+    if given.verify:
+        verify(given.verify, given.feeders)
+    if given.loops:
+        loops(given.loops, given.feeders, given.days)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
