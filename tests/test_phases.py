@@ -16,6 +16,7 @@ from vppres.feeders.new.options import NewScenarioOptions
 from vppres.feeders.new.scenario import write_new_scenario
 from vppres.feeders.sources import import_network
 from vppres.io import read_scenario
+from vppres.io.digest import scenario_digest
 from vppres.io.scenario_writer import write_scenario
 from vppres.model.phases import Slopes
 from vppres.physics.phased_sources import assets_of, flow_of_former, flow_of_grid, former_of
@@ -209,3 +210,7 @@ def test_plans_keep_every_phase_of_the_former_and_every_node(day: Scenario) -> N
     nodes = trajectory.nodes
     assert nodes is not None
     assert nodes["v_ac_pu"].between(0.94, 1.06).all()
+
+
+def test_phases_are_part_of_the_digest(day: Scenario) -> None:
+    assert scenario_digest(day) != scenario_digest(replace(day, phases=None))

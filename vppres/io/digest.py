@@ -14,6 +14,7 @@ from vppres.scenario.assets import OF_TIME_OFF, PV, Customers, PVSystems
 from vppres.scenario.fairness import Fairness
 from vppres.scenario.network import BUS_DRAWS, Network
 from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
+from vppres.scenario.phases import Phases
 from vppres.scenario.scenario import HARD, REPORT, ControllerDefaults, Headroom, Priority, Scenario
 
 _EXPORT = {"export_limit_kw", "export_price_gbp_per_kwh"}
@@ -38,6 +39,8 @@ def _canonical(value: Any) -> Any:
         return _canonical_network(value)
     if isinstance(value, PVSystems):
         return _canonical_pv(value)
+    if isinstance(value, Phases):
+        return value.key
     if is_dataclass(value):
         left_out = _WITHOUT_EFFECT
         # A connection that imports only keeps the digest from before there was another.
@@ -46,6 +49,9 @@ def _canonical(value: Any) -> Any:
         # So does a day of which nothing was measured before.
         if isinstance(value, Scenario) and value.history is None:
             left_out = left_out | {"history"}
+        # So does a balanced feeder.
+        if isinstance(value, Scenario) and value.phases is None:
+            left_out = left_out | {"phases"}
         # So does a run whose batteries may end empty.
         if isinstance(value, ControllerDefaults) and value.soc_end is None:
             left_out = left_out | {"soc_end"}
