@@ -24,6 +24,8 @@ def check_phased(scenario: Scenario, options: RunOptions) -> None:
     if scenario.phases is None:
         return
     problems = [*_not_stated(options.on(scenario))]
+    if len(scenario.customers.max_off_h):
+        problems.append(_wrong("max_off_h", "", "Leave the column of customers.csv out"))
     if problems:
         raise InputError(problems)
 
