@@ -76,7 +76,7 @@ class Settled:
 
 
 @dataclass(frozen=True, eq=False)
-class _Balance:
+class Balance:
     """Powers with the mismatch shared, and what the set could not carry: deficits are positive.
 
     ``not_found`` says why ``ac`` is only the best answer; the mismatch is then that without losses.
@@ -150,7 +150,7 @@ class IslandPlant:
             powers = cut
         return self._dark(t, planned, state, NO_BALANCE)
 
-    def _balance(self, t: int, powers: Powers, state: BatteryState, able: Flags) -> _Balance:
+    def _balance(self, t: int, powers: Powers, state: BatteryState, able: Flags) -> Balance:
         """Solve, share what the source gave among the set, and solve again until it gives nothing.
 
         The battery with the largest inverter is the reference: all reactive mismatch is its own.
@@ -169,11 +169,11 @@ class IslandPlant:
                 # Nothing shows that the lines cannot carry it: what is known is the balance.
                 deficit_kw += left_kw - float(realised.p_injection_kw.sum())
                 shared, left_kw = self._share(powers, state, able, batt_q, deficit_kw)
-                return _Balance(shared, error.best, left_kw, 0.0, f"{NOBODY} shed: {error}")
+                return Balance(shared, error.best, left_kw, 0.0, f"{NOBODY} shed: {error}")
             change_kw = ac.p_slack_kw - left_kw
             change_kvar = ac.q_slack_kvar
             if max(abs(change_kw), abs(change_kvar)) <= self.tolerance_kw:
-                return _Balance(shared, ac, left_kw, self._excess_kva(reference, batt_q, ac))
+                return Balance(shared, ac, left_kw, self._excess_kva(reference, batt_q, ac))
             deficit_kw += change_kw
             batt_q = batt_q.copy()
             batt_q[reference] += change_kvar
@@ -205,7 +205,7 @@ class IslandPlant:
         shared = replace(powers, battery_kw=base_kw - given, batt_q_kvar=batt_q)
         return shared, float(deficit_kw - given.sum())
 
-    def _cut(self, t: int, powers: Powers, found: _Balance) -> Powers | None:
+    def _cut(self, t: int, powers: Powers, found: Balance) -> Powers | None:
         """One more protective action, None if there is none left."""
         need_kw = max(found.left_kw, found.excess_kvar) + CUT_MARGIN_KW
         others = ~self.formers

@@ -6,16 +6,16 @@ that phase are shed, those whose service is worth least for what they take off i
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vppres.core.arrays import Complexes, Floats
+from vppres.core.arrays import Complexes, Flags, Floats
 from vppres.physics.phased_sources import able_formers, assets_of, flow_of_former, flow_of_grid
 from vppres.physics.phases import NoPhasedSolutionError, PhasedFlow, PhasedResult
 from vppres.physics.powerflow import ACPowerFlow, ACResult, NoSolutionError
-from vppres.plant.island import IslandPlant, shedding_order
+from vppres.plant.island import Balance, IslandPlant, shedding_order
 from vppres.plant.plant import Plant, Powers, Realised
 from vppres.scenario.scenario import Scenario
 
@@ -178,18 +178,14 @@ class PhasedIslandPlant(IslandPlant):
         return float(3.0 * np.abs(ac.former_kva).max() - rating)
 
     def _on_worst_phase(self, ac: ACResult) -> Floats:
-        """Share of each customer that is on the phase of the former with most power, (C,)."""
+        """Share of each asset that is on the phase of the former with most power, (D,)."""
         assert isinstance(ac, PhasedACResult)
         flow = self.flow.grid
         worst = int(np.argmax(np.abs(ac.former_kva)))
-        count = len(self.plant.scenario.customers)
-        on_phase = np.zeros(count)
-        ends = np.abs(flow.coils.toarray())
         phase_of = np.array([phase for _, phase in flow.phases.nodes])
-        on = ends[:, phase_of == worst].sum(axis=1) > 0
-        for coil in np.flatnonzero(on):
-            if flow.asset[coil] < count:
-                on_phase[flow.asset[coil]] += flow.share[coil]
+        on = np.abs(flow.coils.toarray())[:, phase_of == worst].sum(axis=1) > 0
+        on_phase: Floats = np.zeros(len(flow.assets))
+        np.add.at(on_phase, flow.asset, flow.share * on)
         return on_phase
 
     def _order(self, t: int, powers: Powers, ac: ACResult) -> list[int]:
@@ -197,3 +193,38 @@ class PhasedIslandPlant(IslandPlant):
         order = [c for c in shedding_order(self.plant.scenario, t) if powers.served[c]]
         on_phase = self._on_worst_phase(ac)
         return [c for c in order if on_phase[c] > 0] + [c for c in order if on_phase[c] == 0]
+
+    def _cut(self, t: int, powers: Powers, found: Balance) -> Powers | None:
+        """What relieves an overloaded phase: less of what feeds it, else customers on it.
+
+        Where nobody is left to be shed, everything but the former stops.
+        """
+        ac = found.ac
+        if abs(found.left_kw) > self.tolerance_kw or not isinstance(ac, PhasedACResult):
+            return super()._cut(t, powers, found)
+        worst = int(np.argmax(np.abs(ac.former_kva)))
+        if ac.former_kva[worst].real < 0.0:
+            on_phase = self._on_worst_phase(ac) > 0.0
+            less = self._without(powers, on_phase)
+            if less is not None:
+                return less
+        everything = np.ones(len(self.flow.grid.assets), dtype=bool)
+        return super()._cut(t, powers, found) or self._without(powers, everything)
+
+    def _without(self, powers: Powers, which: Flags) -> Powers | None:
+        """Powers without PV export and discharge of some assets; None if they have neither."""
+        s = self.plant.scenario
+        first = len(s.customers)
+        pv, batteries = which[first : first + len(s.pv)], which[first + len(s.pv) :] & ~self.formers
+        export = np.where(pv, powers.pv_export_kw, 0.0)
+        feeding = np.where(batteries, np.minimum(powers.battery_kw, 0.0), 0.0)
+        if not (export.any() or feeding.any()):
+            return None
+        return replace(
+            powers,
+            pv_export_kw=powers.pv_export_kw - export,
+            pv_curtailed_kw=powers.pv_curtailed_kw + export,
+            pv_q_kvar=np.where(pv, 0.0, powers.pv_q_kvar),
+            battery_kw=powers.battery_kw - feeding,
+            batt_q_kvar=np.where(batteries, 0.0, powers.batt_q_kvar),
+        )
