@@ -138,6 +138,8 @@ def test_the_memory_goes_on_over_a_restart(tiny: Scenario) -> None:
         restored = vppres.Controller.of(tiny, options, state=state)
     off_h = going.state()["now"]["memory"]["off_h"]
     assert sum(off_h) > 0.0
+    with pytest.raises(vppres.InputError, match="rotation or minimum_on_h = False: was written"):
+        vppres.Controller.of(tiny, HERE, state=going.state())
 
 
 def test_outages_of_the_past_are_read_and_written(tiny: Scenario, tmp_path: Path) -> None:

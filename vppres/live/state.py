@@ -195,10 +195,12 @@ def given_by(known: Scenario, options: RunOptions) -> Given:
 
 
 def _decisive(options: RunOptions) -> dict[str, Any]:
-    return {
+    found = {
         name: asdict(value) if isinstance(value, SwitchingRules) else value
         for name, value in ((name, getattr(options, name)) for name in DECISIVE)
     }
+    # Hours off supply are remembered by controllers that count them.
+    return found | {"rotation or minimum_on_h": bool(options.rotation or options.minimum_on_h)}
 
 
 def _check(state: Any, scenario: Scenario, options: RunOptions) -> None:
