@@ -11,7 +11,6 @@ from dataclasses import replace
 from email.message import Message
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
 import pandas as pd
 import pytest
@@ -23,9 +22,10 @@ from tests.support.command_line import call
 from tests.support.live_service import HERE, client, decided, site
 from vppres.core.errors import InputError
 from vppres.feeds.adapters import FEEDS
-from vppres.feeds.follow import Asker, Follower, recorded, replay
+from vppres.feeds.follow import Asker, Follower, OverHTTP, recorded, replay
 from vppres.feeds.incidents import Incident, check_areas
 from vppres.scenario.scenario import Scenario
+from vppres.service.client import Answer, Client
 from vppres.service.clock import SetClock
 from vppres.service.runner import Service
 
@@ -179,26 +179,16 @@ def test_areas_meet_where_one_holds_the_other() -> None:
 # Into a service
 
 
-class Through:
-    """A service that is asked without a network in between, as a place of events."""
+class Inside(Client):
+    """A client of a service that is asked without a network in between."""
 
-    def __init__(self, http: Caller, clock: SetClock) -> None:
+    def __init__(self, http: Caller) -> None:
+        super().__init__("http://127.0.0.1:8420")
         self.http = http
-        self.clock = clock
 
-    def put(self, name: str, body: dict[str, Any]) -> None:
-        answer = self.http.put(f"/v1/events/{quote(name, safe='')}", body)
-        assert answer.status in (200, 201), answer.json()
-
-    def withdraw(self, name: str) -> None:
-        assert self.http.delete(f"/v1/events/{quote(name, safe='')}").status == 200
-
-    def said(self, source: str) -> dict[str, dict[str, Any]]:
-        events = self.http.get("/v1/events").json()
-        return {name: body for name, body in events.items() if body.get("source") == source}
-
-    def set_clock(self, now: pd.Timestamp) -> None:
-        self.clock.set(now)
+    def ask(self, method: str, path: str, body: Any = None) -> Answer:
+        found = self.http.ask(method, path, body, {})
+        return Answer(found.status, found.json(), 0.0)
 
 
 @contextmanager
@@ -206,14 +196,14 @@ def serving(tiny: Scenario, folder: Path) -> Iterator[tuple[Caller, SetClock]]:
     """A service that believes, at eleven."""
     clock = SetClock(ELEVEN)
     options = replace(HERE, outages="belief")
-    with client(Service(site(tiny), options), folder, clock) as http:
+    with client(Service(site(tiny), options, paced=True), folder, clock) as http:
         yield http, clock
 
 
 def test_a_day_is_replayed_into_a_service(tiny: Scenario, tmp_path: Path) -> None:
     """What was said stays in the history; a follower that begins anew knows what it said."""
     with serving(tiny, tmp_path) as (http, clock):
-        place = Through(http, clock)
+        place = OverHTTP(Inside(http))
         feed = FEEDS["ukpn"]
         answers = list(recorded(ROOT / "ukpn", feed))
         replay(
