@@ -11,6 +11,7 @@ import pytest
 from vppres.core.errors import InputError
 from vppres.day.assembly import make_controller
 from vppres.day.options import RunOptions
+from vppres.day.phase_figures import phase_figures
 from vppres.day.simulate import Day
 from vppres.feeders.new.options import NewScenarioOptions
 from vppres.feeders.new.scenario import write_new_scenario
@@ -207,6 +208,10 @@ def test_plans_keep_every_phase_of_the_former_and_every_node(day: Scenario) -> N
     assert kva[dark].max() <= rating / 3 * 0.9 + 1.0
     assert (steps["shed_kw"] == 0.0).all()
     assert steps["v_error_pu"].max() < 1e-4
+    figures = phase_figures(trajectory)
+    assert figures["former_phase_rating_kva"] == pytest.approx(rating / 3)
+    assert figures["former_phase_max_kva"] == pytest.approx(kva[dark].max())
+    assert figures["node_steps_outside_ac"] == 0
     nodes = trajectory.nodes
     assert nodes is not None
     assert nodes["v_ac_pu"].between(0.94, 1.06).all()

@@ -14,6 +14,7 @@ from vppres.core.plain import json_safe
 from vppres.core.text import counted_steps
 from vppres.core.units import kva_to_a
 from vppres.day.inversions import headroom_words, inversion_words
+from vppres.day.phase_figures import phase_figures
 from vppres.day.reliability import fairness_figures, reliability_figures
 from vppres.day.switching_figures import switching_figures
 from vppres.day.time_off import time_off_figures, time_off_words
@@ -59,6 +60,7 @@ def summarise(trajectory: Trajectory) -> dict[str, Any]:
         **voltage_figures(trajectory),
         **line_figures(trajectory),
         **island_figures(trajectory),
+        **phase_figures(trajectory),
         "import_above_limit_max_kw": import_above_limit_max_kw(trajectory),
         **switching_figures(trajectory),
         **time_off_figures(trajectory),

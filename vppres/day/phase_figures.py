@@ -1,0 +1,34 @@
+"""Figures of a phased run: voltages by phase, unbalance, and the phases of what held the island."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vppres.physics.phased_sources import former_of
+from vppres.scenario.phases import PHASES
+
+if TYPE_CHECKING:
+    from vppres.day.trajectory import Trajectory
+
+
+def phase_figures(trajectory: Trajectory) -> dict[str, float | int | None]:
+    """Keys of ``summary.json`` that only phased feeders have; nothing for others."""
+    nodes, phases = trajectory.nodes, trajectory.scenario.phases
+    if nodes is None or phases is None:
+        return {}
+    net, steps = trajectory.scenario.network, trajectory.steps
+    v_pu = nodes["v_ac_pu"].dropna()
+    batteries = trajectory.scenario.batteries
+    former = former_of(phases, batteries)
+    rating_kva = None if former is None else float(batteries.s_max_kva[former]) / len(PHASES)
+    kva = steps[[f"former_{phase}_kva" for phase in PHASES]].to_numpy(float)
+    held = not np.isnan(kva).all()
+    return {
+        "node_steps": len(v_pu),
+        "node_steps_outside_ac": int(((v_pu < net.v_min_ac_pu) | (v_pu > net.v_max_ac_pu)).sum()),
+        "unbalance_max": float(steps["unbalance_max"].max()),
+        "former_phase_rating_kva": rating_kva,
+        "former_phase_max_kva": float(np.nanmax(kva)) if held else None,
+    }
