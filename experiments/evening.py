@@ -62,7 +62,9 @@ class Moment:
         off = off_in(self.plan)
         first = [name for name in off if name in critical(scenario)]
         words = f"{self.time} {self.event}: {self.plan['status']}, {len(off)} off"
+        solve_s = (self.plan.get("solve") or {}).get("seconds") or 0.0
         words += f", of the first tier {len(first)}, after {self.seconds:.1f} s"
+        words += f", {max(self.seconds - solve_s, 0.0):.1f} s of them beside the solver"
         return f"{words}. WRONG: {'; '.join(self.wrong)}" if self.wrong else f"{words}."
 
 
