@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from vppres.core.errors import SolveError
+from vppres.core.errors import LimitError, NumericalError, SolveError
 from vppres.model.data import WindowData
 from vppres.solve.apart import SolveStep, better
 from vppres.solve.deadline import LEAST_S, Deadline
@@ -42,7 +42,11 @@ def solve_with_limits(
     deadline = Deadline(limits.time_s)
     freed = replace(rules, longest_off=None)
     relaxed = replace(data, switching=None if freed.idle else freed)
-    free = without(relaxed, limits.at_most(RELAXED_SHARE * limits.time_s))
+    try:
+        free = without(relaxed, limits.at_most(RELAXED_SHARE * limits.time_s))
+    except (LimitError, NumericalError):
+        # It says nothing then, and the other half of the time may be enough.
+        return within(data, limits.at_most(max(deadline.left_s, LEAST_S)))
     beyond = rules.longest_off.cost(free.dispatch.served)
     if beyond == 0.0:
         return free
