@@ -721,6 +721,9 @@ def test_every_option_of_run_is_a_parameter() -> None:
         "priority": "strict",
         "voltage_limits": "hard",
         "ratings": "report",
+        "rotation": 0.5,
+        "turn_h": 0.5,
+        "minimum_on_h": 0.5,
         "switching": {
             "min_served_h": 0.5,
             "min_unserved_h": 0.5,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -36,8 +36,8 @@ def own_problems(monkeypatch: pytest.MonkeyPatch) -> None:
 def same(one: Decision, other: Decision) -> bool:
     """Whether two decisions carry out the same step."""
     return all(
-        (getattr(one.dispatch, f.name)[one.row] == getattr(other.dispatch, f.name)[other.row]).all()
-        for f in fields(Dispatch)
+        (values[one.row] == getattr(other.dispatch, name)[other.row]).all()
+        for name, values in one.dispatch.arrays().items()
     )
 
 
@@ -122,8 +122,8 @@ def plan_of(scenario: Scenario, step: int, done: Decision) -> Dispatch:
     assert 0 <= step < steps
     return Dispatch(
         **{
-            f.name: np.repeat(getattr(done.dispatch, f.name)[:1], steps, axis=0)
-            for f in fields(Dispatch)
+            name: np.repeat(values[:1], steps, axis=0)
+            for name, values in done.dispatch.arrays().items()
         }
     )
 

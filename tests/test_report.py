@@ -253,6 +253,9 @@ def test_every_option_of_a_run_has_a_meaning() -> None:
         "mode": "physical",
         "priority": "weights",
         "headroom": "0.1",
+        "rotation": "0",
+        "turn h": "4",
+        "minimum on h": "0",
     }
 
 

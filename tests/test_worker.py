@@ -12,7 +12,7 @@ import textwrap
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +23,6 @@ from tests.support.command_line import call
 from tests.support.failing_solvers import BAD_PRICE, bad
 from tests.support.small_windows import window
 from vppres.contract.decision import Decider, Decision
-from vppres.contract.dispatch import Dispatch
 from vppres.contract.observation import Observation
 from vppres.control.guard.guard import GuardedController, GuardOptions
 from vppres.control.mpc import MPCController
@@ -87,9 +86,9 @@ def same(one: WindowSolution, other: WindowSolution) -> bool:
         "passes",
     )
     return all(getattr(one, name) == getattr(other, name) for name in numbers) and all(
-        getattr(one.dispatch, f.name).tobytes() == getattr(other.dispatch, f.name).tobytes()
-        and getattr(one.dispatch, f.name).dtype == getattr(other.dispatch, f.name).dtype
-        for f in fields(Dispatch)
+        values.tobytes() == getattr(other.dispatch, name).tobytes()
+        and values.dtype == getattr(other.dispatch, name).dtype
+        for name, values in one.dispatch.arrays().items()
     )
 
 

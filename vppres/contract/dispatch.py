@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 from vppres.core.arrays import Flags, Floats
 
@@ -37,3 +37,8 @@ class Dispatch:
     def n_steps(self) -> int:
         """Number of steps W."""
         return len(self.p_grid_kw)
+
+    def arrays(self) -> dict[str, Flags | Floats]:
+        """The arrays that it has, by their names."""
+        named = {f.name: getattr(self, f.name) for f in fields(self)}
+        return {name: values for name, values in named.items() if values is not None}

@@ -23,7 +23,7 @@ from vppres.io.series import TIME
 from vppres.io.settings import SCENARIO_FILE, outage_intervals
 from vppres.io.times import iso
 from vppres.scenario.assets import PV, Batteries, Customers, PVSystems
-from vppres.scenario.fairness import Interruption
+from vppres.scenario.fairness import Fairness, Interruption
 from vppres.scenario.history import History
 from vppres.scenario.network import BUS_DRAWS, LINE_DEFAULTS, BusId, Network
 from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
@@ -87,7 +87,6 @@ def _document(scenario: Scenario) -> dict[str, Any]:
         "tiers": {tier: _tier_weight(scenario.customers, tier) for tier in scenario.tiers},
         "priority": asdict(scenario.priority),
         "headroom": asdict(scenario.headroom),
-        "fairness": asdict(scenario.fairness),
         "objective": {
             f.name: float(getattr(scenario.objective, f.name)) for f in fields(scenario.objective)
         },
@@ -110,6 +109,8 @@ def _document(scenario: Scenario) -> dict[str, Any]:
         document["switching"] = {
             name: value for name, value in asdict(scenario.switching).items() if value is not None
         }
+    if scenario.fairness != Fairness():
+        document["fairness"] = asdict(scenario.fairness)
     if scenario.voll_gbp_per_kwh != DEFAULT_VOLL_GBP_PER_KWH:
         document["reliability"] = {"voll_gbp_per_kwh": float(scenario.voll_gbp_per_kwh)}
     if scenario.outage_statistics != OutageStatistics():

@@ -149,9 +149,9 @@ def _status(steps: Sequence[WindowSolution], met: bool) -> Status:
 def _one_dispatch(parts: Sequence[Dispatch]) -> Dispatch:
     """The dispatches of consecutive steps as one; ``soc`` has a row more than the steps."""
     rows = {
-        f.name: np.concatenate([getattr(part, f.name) for part in parts])
-        for f in fields(Dispatch)
-        if f.name not in ("soc", "v_node_pu")
+        name: np.concatenate([getattr(part, name) for part in parts])
+        for name in parts[0].arrays()
+        if name != "soc"
     }
     soc = np.concatenate([parts[0].soc[:1], *(part.soc[1:] for part in parts)])
     return Dispatch(**rows, soc=soc)

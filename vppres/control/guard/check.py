@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
 from vppres.contract.decision import Decision
-from vppres.contract.dispatch import Dispatch
 from vppres.control.step_state import StepState
 from vppres.core.arrays import Floats, Names
 from vppres.model.formulas import bus_injections, cell_kw, curtailed_kw, lossless_flows, soc_after
@@ -130,17 +129,14 @@ def _shapes(decision: Decision, site: Site) -> list[str]:
         ),
     }
     found = []
-    for field in fields(Dispatch):
-        given = getattr(decision.dispatch, field.name)
-        if given is None:
-            continue
+    for name, given in decision.dispatch.arrays().items():
         values = np.asarray(given)
         shape = values.shape[1:]
-        wanted = (sizes[field.name],) if field.name in sizes else ()
+        wanted = (sizes[name],) if name in sizes else ()
         if not 0 <= decision.row < len(values) or shape != wanted:
-            found.append(f"{field.name} has shape {values.shape}")
+            found.append(f"{name} has shape {values.shape}")
         elif not np.isfinite(values[decision.row].astype(float)).all():
-            found.append(f"{field.name} is not finite")
+            found.append(f"{name} is not finite")
     return found
 
 
