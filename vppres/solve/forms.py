@@ -23,8 +23,8 @@ Mode = Literal["integer", "relaxed", "fixed"]
 
 DISCS = ("battery_inverter_capacity", "pv_inverter_capacity")
 
-NETWORK = frozenset({"P_flow", "Q_flow", "u", "Q_pv", "Q_batt", "P_former", "Q_former"})
-"""Letters that a relaxation without the network has not."""
+NETWORK = frozenset({"P_flow", "Q_flow", "u", "Q_pv", "Q_batt"})
+"""The paper's letters that a relaxation without the network has not."""
 
 
 WITHOUT_NETWORK = (
@@ -113,6 +113,11 @@ def with_discs(found: Selection, names: list[str], polygon: Polygon | None) -> S
     return found
 
 
+def network_letters(sheet: Sheet) -> frozenset[str]:
+    """Letters that a relaxation without the network has not."""
+    return NETWORK.union(sheet.statement.named("of_network"))
+
+
 def without_network(found: Selection, names: list[str]) -> Selection:
     """A relaxation: families that use a letter of the network are left out.
 
@@ -120,7 +125,8 @@ def without_network(found: Selection, names: list[str]) -> Selection:
     """
     sheet = found.sheet
     families = sheet.statement.families
-    kept = [n for n in names if not NETWORK & {x.name() for x in families[n].variables()}]
+    left_out = network_letters(sheet)
+    kept = [n for n in names if not left_out & {x.name() for x in families[n].variables()}]
     known = [name for name in kept if name in ORDER]
     found = found.keep(*known)
     W, N = sheet.family("active_power_balance").shape
@@ -147,7 +153,7 @@ def with_level(found: Selection, level: Level) -> Selection:
 
 def form_problem(site: Site, sheet: Sheet, form: Form, conic: bool) -> Selected:
     """A form of the problem as a solver is asked for it."""
-    without = frozenset() if form.network else NETWORK
+    without = frozenset() if form.network else network_letters(sheet)
     return Selected(sheet, partial(select_form, form=form), conic, without)
 
 

@@ -45,6 +45,8 @@ class Addition:
         Whether all of its families limit service alone: a known service meets them or does not.
     directions : tuple of str
         Its binaries of which relaxations without modes take shares.
+    of_network : tuple of str
+        Its letters that a relaxation without the network has not.
     of_batteries : tuple of str
         Its letters with a column for each battery: a lumped fleet has their sum.
     by_service : tuple of str
@@ -57,6 +59,7 @@ class Addition:
     replaces: ClassVar[tuple[str, ...]] = ()
     rules: ClassVar[bool] = False
     directions: ClassVar[tuple[str, ...]] = ()
+    of_network: ClassVar[tuple[str, ...]] = ()
     of_batteries: ClassVar[tuple[str, ...]] = ()
     by_service: ClassVar[tuple[str, ...]] = ()
     by_dispatch: ClassVar[tuple[str, ...]] = ()

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import cvxpy as cp
 import numpy as np
@@ -33,6 +33,8 @@ WIDE_PU2 = 100.0
 @dataclass(frozen=True, eq=False)
 class ThreePhases(Addition):
     """Letters of the former's power by phase, and the limits of a window of W steps."""
+
+    of_network: ClassVar[tuple[str, ...]] = ("P_former", "Q_former")
 
     model: PhasedModel
     watched: tuple[int, ...]

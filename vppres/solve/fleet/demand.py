@@ -12,7 +12,7 @@ from vppres.core.arrays import Flags
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.solve.certificate import CostRange
-from vppres.solve.fleet.relaxation import LEFT_OUT, Fleet, rank, with_column
+from vppres.solve.fleet.relaxation import Fleet, rank, with_column
 from vppres.solve.linear import Linear
 from vppres.solve.selection import MOST, Family, Selected, Selection, Sheet
 
@@ -44,7 +44,7 @@ class DemandModel(Selected):
     """
 
     def __init__(self, site: Site, fleet: Fleet) -> None:
-        super().__init__(fleet.sheet, partial(_select, fleet=fleet), without=LEFT_OUT)
+        super().__init__(fleet.sheet, partial(_select, fleet=fleet), without=fleet.left_out)
         self.site = site
         self.fleet = fleet
         self.grid = fleet.grid

@@ -24,7 +24,7 @@ from vppres.model.formulas import charge_to_kw, discharge_to_kw
 from vppres.model.numerics import objective_scale
 from vppres.model.site import Site
 from vppres.solve.cache import ModelCache
-from vppres.solve.forms import NETWORK, sheet_of
+from vppres.solve.forms import network_letters, sheet_of
 from vppres.solve.linear import Linear
 from vppres.solve.lumping import Lumping, eliminated
 from vppres.solve.selection import EQUAL, MOST, Family, Selected, Selection, Sheet
@@ -44,7 +44,6 @@ OF_ENERGY = (
 )
 """Families in shares of a capacity: as energies they can be added up."""
 
-LEFT_OUT = NETWORK | {"Q_grid"}
 MODES = ("battery_charge_mode", "battery_discharge_mode")
 WITH_DEVICES = ("pv_balance", "pv_self_consumption")
 
@@ -73,6 +72,7 @@ class Fleet:
         self.site = site
         self.sheet = sheet
         self.lumped = lumped
+        self.left_out = network_letters(sheet) | {"Q_grid"}
         self.grid = weight_grid(site.customers.weight * site.dt_h)
         b = site.batteries
         pv = np.ones(len(site.pv))
@@ -89,7 +89,7 @@ class Fleet:
         self.terms = {
             name: term
             for name, term in lumped_terms.items()
-            if term is not None and not set(term.letters) & LEFT_OUT
+            if term is not None and not set(term.letters) & self.left_out
         }
         # Factors of sums, then ratios of the first step, as a window has them.
         self.extras = self.lumping.extras + 2 * self.groups
@@ -113,7 +113,7 @@ class Fleet:
         for name, constraint in {**statement.families, **statement.implied}.items():
             used = {x.name() for x in constraint.variables()}
             beyond = name in statement.families or name in statement.implied_beyond
-            if (used & LEFT_OUT) or not (beyond or name in OF_ENERGY) or name in MODES:
+            if (used & self.left_out) or not (beyond or name in OF_ENERGY) or name in MODES:
                 continue
             if name in statement.own and not self._puts_in(name):
                 continue
@@ -318,7 +318,7 @@ class FleetProblem(Selected):
 
     def __init__(self, site: Site, fleet: Fleet, integer: bool, goal: Goal) -> None:
         select = partial(_select, fleet=fleet, integer=integer, goal=goal)
-        super().__init__(fleet.sheet, select, without=LEFT_OUT)
+        super().__init__(fleet.sheet, select, without=fleet.left_out)
         self.fleet = fleet
         self.grid = fleet.grid
         self.service_min = 0.0
