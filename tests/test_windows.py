@@ -497,6 +497,7 @@ def test_stages_name_the_solver_of_each(packaged: Scenario) -> None:
     assert solvers["tie_breakers"] == "clarabel"
 
 
+@pytest.mark.nightly
 def test_random_windows_cover_what_they_are_meant_to() -> None:
     cases = [random_window(*key) for key in RANDOM_WINDOWS]
     dark = [(case.data.grid_limit_kw <= 0).mean() for case in cases]
