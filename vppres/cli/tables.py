@@ -112,7 +112,10 @@ def remarks_told(run: Trajectory) -> list[str]:
     from vppres.report.first_page import island_words
     from vppres.scenario.remarks import remarks
 
-    words = [*island_words(run), *remarks(run.scenario, str(run.options["mode"]))]
+    # What forms the island is said once, with its headroom.
+    first = list(island_words(run))
+    more_of = remarks(run.scenario, str(run.options["mode"]))
+    words = [*first, *(one for one in more_of if not " ".join(first).startswith(one))]
     more = len(words) - REMARKS_SHOWN
     rest = [f"{more} more in the report."] if more > 0 else []
     return [f"- {remark}" for remark in [*words[:REMARKS_SHOWN], *rest]]
