@@ -22,6 +22,7 @@ from vppres.io.scenario_writer import write_scenario
 from vppres.model.phases import Slopes
 from vppres.physics.phased_sources import assets_of, flow_of_former, flow_of_grid, former_of
 from vppres.physics.phases import NoPhasedSolutionError, PhasedFlow
+from vppres.report.first_page import who_and_why
 from vppres.scenario.phases import PhaseBus, PhaseConnection, PhaseLine, Phases
 from vppres.scenario.scenario import Scenario
 
@@ -103,6 +104,10 @@ def test_import_has_opendss_voltages(day: Scenario) -> None:
 def test_three_wires_have_limits_between_phases(day: Scenario) -> None:
     assert day.phases is not None
     assert [row.bus for row in day.phases.buses if row.limits == "lines"] == ["d"]
+
+
+def test_no_loading_is_stated_of_lines_whose_phases_differ(day: Scenario) -> None:
+    assert not day.network.has_ratings
 
 
 def test_folder_reads_back_equal(day: Scenario, tmp_path: Path) -> None:
@@ -215,6 +220,7 @@ def test_plans_keep_every_phase_of_the_former_and_every_node(day: Scenario) -> N
     nodes = trajectory.nodes
     assert nodes is not None
     assert nodes["v_ac_pu"].between(0.94, 1.06).all()
+    assert "No reasons recorded: they are not stated for phases." in who_and_why(trajectory)
 
 
 def test_phases_are_part_of_the_digest(day: Scenario) -> None:

@@ -117,7 +117,9 @@ def who_and_why(run: Trajectory) -> list[str]:
 def _reasons(run: Trajectory) -> Iterator[str]:
     """What left customers without supply, most frequent first."""
     if run.explanations is None:
-        yield "No reasons recorded: the run used --no-explain."
+        phased = run.scenario.phases is not None
+        why = "they are not stated for phases" if phased else "the run used --no-explain"
+        yield f"No reasons recorded: {why}."
         return
     out = run.explanations[run.explanations["action"] == "not_served"]
     counts = out["driver"].value_counts()

@@ -93,7 +93,7 @@ def _notes(source: PhasedSource) -> list[str]:
     wires = [row.bus for row in phases.buses if row.limits == LINES]
     notes = [
         f"The feeder keeps its phases: {len(phases.nodes)} nodes at {len(phases.buses)} buses. "
-        "Ratings of its lines are not held."
+        "Ratings of its lines are left out: no phase is held to them."
     ]
     if wires:
         notes.append(

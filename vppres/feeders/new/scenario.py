@@ -92,7 +92,10 @@ def _built(feeder: ImportedFeeder, options: NewScenarioOptions) -> tuple[Scenari
         phases = connected(feeder.phased, feeder.name, *own)
         batteries = with_former(phases, batteries)
     network, switched = _for_islands(_network(feeder, options), batteries)
-    phases = phases and shunts_in_islands(phases, network)
+    if phases is not None:
+        phases = shunts_in_islands(phases, network)
+        # A loading that is stated would be that of three equal phases.
+        network = replace(network, i_max_a=np.full(network.n_lines, np.inf))
     constant_c = np.full(grid.n_steps, TEMPERATURE_C)
     scenario = Scenario(
         name=_name(feeder.name),
