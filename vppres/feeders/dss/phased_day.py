@@ -41,12 +41,20 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
             "z1=[0,1e-9] z0=[0,1e-9] enabled=no"
         )
     dss.Text.Command("set controlmode=off mode=snap tolerance=1e-11 maxiterations=1000")
-    steps = [_solved(job, step, names) for step in job["steps"]]
-    return {"problems": [], "nodes": _nodes(), "steps": steps}
+    nodes = _nodes()
+    steps = [_solved(job, step, names, nodes) for step in job["steps"]]
+    return {"problems": [], "nodes": nodes, "steps": steps}
 
 
 def _nodes() -> list[str]:
     return [name.lower() for name in dss.Circuit.AllNodeNames()]
+
+
+def _volts(nodes: list[str]) -> list[float]:
+    """Real and imaginary parts by node: OpenDSS orders buses anew with its sources."""
+    flat = dss.Circuit.AllBusVolts()
+    place = {name: i for i, name in enumerate(_nodes())}
+    return [float(flat[2 * place[node] + part]) for node in nodes for part in (0, 1)]
 
 
 def _new_asset(i: int, asset: dict[str, Any]) -> str:
@@ -67,7 +75,9 @@ def _new_asset(i: int, asset: dict[str, Any]) -> str:
     return name
 
 
-def _solved(job: dict[str, Any], step: dict[str, Any], names: list[str]) -> dict[str, Any]:
+def _solved(
+    job: dict[str, Any], step: dict[str, Any], names: list[str], nodes: list[str]
+) -> dict[str, Any]:
     """Voltages of a step, real and imaginary part of each node; None where there is no solution."""
     island = step["held_v"] is not None
     for name in dss.Vsources.AllNames():
@@ -90,4 +100,4 @@ def _solved(job: dict[str, Any], step: dict[str, Any], names: list[str]) -> dict
         return {"v": None, "import_kw": None}
     if not dss.Solution.Converged():
         return {"v": None, "import_kw": None}
-    return {"v": list(dss.Circuit.AllBusVolts()), "import_kw": -dss.Circuit.TotalPower()[0]}
+    return {"v": _volts(nodes), "import_kw": -dss.Circuit.TotalPower()[0]}
