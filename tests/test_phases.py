@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.support.command_line import call
 from vppres.core.errors import InputError
 from vppres.day.assembly import make_controller
 from vppres.day.options import RunOptions
@@ -198,6 +199,24 @@ def test_options_that_are_not_stated_are_refused_by_name(
 ) -> None:
     with pytest.raises(InputError, match=f"{name} = "):
         make_controller(day, RunOptions().having(options))
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        (("serve",), "live controllers know balanced feeders only"),
+        (("validate", "--power-flow"), "pandapower's balanced power flow says nothing of phases"),
+    ],
+    ids=["serve", "validate"],
+)
+def test_commands_for_balanced_feeders_refuse_phases_and_leave_nothing(
+    circuit: Path, day: Scenario, command: tuple[str, ...], message: str
+) -> None:
+    before = sorted(circuit.parent.iterdir())
+    result = call(command[0], circuit.parent / "small", *command[1:])
+    assert result.exit_code == 2
+    assert message in " ".join(result.stderr.split())
+    assert sorted(circuit.parent.iterdir()) == before
 
 
 @pytest.mark.daily

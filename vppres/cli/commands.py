@@ -213,9 +213,10 @@ def validate(
         try:
             day = read_scenario(folder)
             content = content_of(day)
-            check = _cross_check(day) if power_flow else None
         except InputError as error:
             problems = error.problems
+        if power_flow and not problems:
+            check = _cross_check(day)
         if as_json:
             record = {
                 "folder": str(folder),
