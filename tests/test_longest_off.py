@@ -31,8 +31,9 @@ from vppres.scenario.priority import Ranks
 from vppres.scenario.remarks import remarks
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
+from vppres.solve.apart import better
 from vppres.solve.ladder import METHODS, WindowSolver
-from vppres.solve.result import WindowSolution
+from vppres.solve.result import SolveLimits, WindowSolution
 
 NEVER = float("inf")
 
@@ -151,6 +152,16 @@ def test_methods_agree_on_random_windows(seed: int) -> None:
     gap = 1e-4 * max(abs(other.objective), 0.01) + 1e-6
     assert one.objective == pytest.approx(other.objective, abs=2.0 * gap)
     assert one.bound >= other.objective - gap
+
+
+def test_the_better_of_two_answers_keeps_the_gap_of_its_own_service() -> None:
+    day = dark_hours([10.0, 10.0], [1.0, 0.5], 41.0, [np.nan, np.nan])
+    most = replace(WindowSolver(Site.of(day)).solve(window(day)), service_gap=0.0)
+    less = replace(most, objective=most.objective + 0.1, service_gap=0.5)
+    again = replace(most, service_gap=0.2)
+    limits = SolveLimits()
+    assert better(most, less, limits).service_gap == better(less, most, limits).service_gap == 0.5
+    assert better(most, again, limits).service_gap == better(again, most, limits).service_gap == 0.0
 
 
 # The tiers come first.

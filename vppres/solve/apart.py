@@ -34,15 +34,17 @@ def falls_apart(site: Site, data: WindowData) -> bool:
 
 
 def better(one: WindowSolution, other: WindowSolution, limits: SolveLimits) -> WindowSolution:
-    """The better of two answers to the same window, with what both prove and took."""
-    best = one if one.objective >= other.objective else other
+    """The better of two answers to the same window, with the bound of both and what both took.
+
+    The gaps of service and cost are its own: those of the other are gaps to another service.
+    """
+    best = max(one, other, key=lambda answer: (answer.objective, -answer.service_gap))
     bound = min(one.bound, other.bound)
     met = limits.met(bound, best.objective)
     return replace(
         best,
         bound=bound,
         status=Status.OPTIMAL if met else one.status,
-        service_gap=min(one.service_gap, other.service_gap),
         solve_s=one.solve_s + other.solve_s,
         solver_s=one.solver_s + other.solver_s,
         stages=other.stages + one.stages,

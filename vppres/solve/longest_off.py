@@ -11,7 +11,7 @@ from dataclasses import replace
 from vppres.core.errors import LimitError, NumericalError, SolveError
 from vppres.model.data import WindowData
 from vppres.solve.apart import SolveStep, better
-from vppres.solve.deadline import LEAST_S, Deadline
+from vppres.solve.deadline import Deadline
 from vppres.solve.result import SolveLimits, Status, WindowSolution
 
 RELAXED_SHARE = 0.5
@@ -46,7 +46,7 @@ def solve_with_limits(
         free = without(relaxed, limits.at_most(RELAXED_SHARE * limits.time_s))
     except (LimitError, NumericalError):
         # It says nothing then, and the other half of the time may be enough.
-        return within(data, limits.at_most(max(deadline.left_s, LEAST_S)))
+        return within(data, limits.at_most(deadline.left_s))
     beyond = rules.longest_off.cost(free.dispatch.served)
     if beyond == 0.0:
         return free
@@ -57,10 +57,8 @@ def solve_with_limits(
         service_gap=free.service_gap + beyond,
     )
     try:
-        found = within(data, limits.at_most(max(deadline.left_s, LEAST_S)))
+        found = within(data, limits.at_most(deadline.left_s))
     except SolveError:
         met = limits.met(paid.bound, paid.objective)
         return paid if met else replace(paid, status=Status.TIME_LIMIT)
-    best = better(found, paid, limits)
-    chosen = found if best.dispatch is found.dispatch else paid
-    return replace(best, service_gap=chosen.service_gap)
+    return better(found, paid, limits)
