@@ -24,13 +24,7 @@ from vppres.model.violations import broken
 from vppres.solve.apart import falls_apart, solve_apart
 from vppres.solve.cache import shared_cache
 from vppres.solve.deadline import Deadline
-from vppres.solve.dispatch import (
-    POLYGON_SIDES,
-    in_network,
-    keep_dispatch_in_network,
-    keep_with_turns,
-    with_tie_breakers,
-)
+from vppres.solve.dispatch import POLYGON_SIDES, keep_dispatch_in_network, keep_with_turns
 from vppres.solve.fleet.all_terms import all_terms, require_bounds
 from vppres.solve.fleet.masters import fleets_of, master_of
 from vppres.solve.fleet.reach import everyone_in_reach
@@ -188,9 +182,7 @@ class WindowSolver:
     def _solve(self, data: WindowData, limits: SolveLimits) -> WindowSolution:
         """Solve a window as one problem."""
         task = self._task(data, limits)
-        if data.phased is not None:
-            climb_phased(task, self.method)
-        elif self.method == "decomposed":
+        if self.method == "decomposed":
             climb(task)
             if task.data.switching is not None and not task.certificate.answered:
                 keep_a_steady_set(task)
@@ -283,9 +275,7 @@ def climb(task: WindowTask) -> None:
 
     Dispatches are first found without the network; the best one is then put into it.
     """
-    if task.own:
-        climb_own_page(task)
-        return
+    require_bounds(task)
     everyone = worth_everyone(task)
     plain = not task.data.physical and task.data.switching is None
     at_once = plain and (task.is_huge or (task.is_wide and not everyone))
@@ -302,40 +292,6 @@ def climb(task: WindowTask) -> None:
     enter_network(task, master)
 
 
-def climb_own_page(task: WindowTask) -> None:
-    """The same of a page with families or a term that the package does not know.
-
-    Rungs that know the paper by heart are left out: what is left are selections of the page.
-    """
-    require_bounds(task)
-    all_terms(task)
-    if task.certificate.wasteful and task.goes_on:
-        with_modes_of_batteries(task)
-    enter_network(task, None)
-
-
-def climb_phased(task: WindowTask, method: str) -> None:
-    """The ladder of a phased site: relaxations without the network, then the whole problem.
-
-    The stages that put lines and buses in by hand do not know phases.
-    """
-    if method != "decomposed":
-        return
-    if worth_everyone(task):
-        everyone_served(task)
-    for rung in rungs(task):
-        if task.goes_on and not task.search.passed and not task.certificate.wasteful:
-            rung()
-    if task.certificate.wasteful and task.goes_on:
-        with_modes_of_batteries(task)
-    known = task.certificate
-    best = known.best
-    if best is not None and not best.in_network:
-        known.best = with_tie_breakers(task, best) or in_network(task, best.dispatch.served)
-    if worth_an_answer(task):
-        without_binaries(task)
-
-
 def keep_a_steady_set(task: WindowTask) -> None:
     """An answer by rule, if switching rules left the searches none in their time."""
     for served in steady_sets(task.data):
@@ -345,7 +301,12 @@ def keep_a_steady_set(task: WindowTask) -> None:
 
 
 def worth_everyone(task: WindowTask) -> bool:
-    """Whether to try to serve everyone before any search: connected throughout, or in reach."""
+    """Whether to try to serve everyone before any search: connected throughout, or in reach.
+
+    Not with families or a term that the package does not know: they may not want everyone.
+    """
+    if task.own:
+        return False
     data = task.data
     if (data.grid_limit_kw > 0.0).all():
         return True
@@ -356,12 +317,13 @@ def rungs(task: WindowTask) -> list[Callable[[], None]]:
     """Relaxations without the network, in the order in which they are tried.
 
     A dark step without batteries has to match the sun with whole customers, and every kW that it
-    misses is lost: service cannot be told from curtailment there, and all terms come at once.
+    misses is lost: service cannot be told from curtailment there, and all terms come at once. So
+    they do with families or a term that the package does not know.
     """
     data = task.data
     sunny = (data.pv_kw > 0.0).any(axis=1)
     matched = task.site.batteries.idle and bool((data.dark & sunny).any())
-    fleets = () if matched else fleets_of(data)
+    fleets = () if matched or task.own else fleets_of(data)
     return [*(partial(_by_levels, task, lumped) for lumped in fleets), partial(all_terms, task)]
 
 
