@@ -59,6 +59,7 @@ from vppres.core.errors import InputError, Problem, VerificationError
 if TYPE_CHECKING:
     from vppres.day.trajectory import Trajectory
     from vppres.feeders.cross_check import CrossCheck
+    from vppres.feeds.follow import Follower
     from vppres.scenario.scenario import Scenario
     from vppres.studies.sweep import SweepRow
 
@@ -612,7 +613,7 @@ def feeds(
     feed: cli_feeds.Which = None,
     postcode: cli_feeds.Postcodes = None,
     service: cli_feeds.Url = None,
-    token: cli_feeds.AccessToken = None,
+    token: cli_serve.AccessToken = None,
     every: cli_feeds.Every = 5.0,
     record: cli_feeds.Record = None,
     debug: Debug = False,
@@ -622,19 +623,17 @@ def feeds(
     Without a feed the feeds are listed, and nothing is asked.
     """
     with plain_errors(debug):
-        from vppres.feeds.adapters import FEEDS, feed_named
-        from vppres.feeds.follow import Asker, Follower, events_at, follow
-        from vppres.feeds.incidents import check_areas
+        from vppres.feeds.adapters import FEEDS
+        from vppres.feeds.follow import Asker, follow
 
         if feed is None:
             for one in FEEDS.values():
                 typer.echo(f"{one.name}: {one.operator}, {one.licence}, {one.url}")
             return
-        chosen = feed_named(feed)
-        areas = check_areas(postcode or ())
+        follower = _follower(feed, postcode, service, token)
         end = threading.Event()
-        follower = Follower(chosen, areas, events_at(service, token), typer.echo)
-        follow(follower, Asker(chosen, end.wait, time.monotonic), 60.0 * every, end, record)
+        asker = Asker(follower.feed, end.wait, time.monotonic)
+        follow(follower, asker, 60.0 * every, end, record)
 
 
 @app.command(
@@ -646,7 +645,7 @@ def replay_feed(
     feed: cli_feeds.Played,
     postcode: cli_feeds.Postcodes = None,
     service: cli_feeds.Url = None,
-    token: cli_feeds.AccessToken = None,
+    token: cli_serve.AccessToken = None,
     speed: cli_feeds.Speed = 0.0,
     debug: Debug = False,
 ) -> None:
@@ -655,16 +654,24 @@ def replay_feed(
     With --service they go to a service that was started with --paced, and its clock is set.
     """
     with plain_errors(debug):
-        from vppres.feeds.adapters import feed_named
-        from vppres.feeds.follow import Follower, events_at, recorded, replay
-        from vppres.feeds.incidents import check_areas
+        from vppres.feeds.follow import recorded, replay
 
-        chosen = feed_named(feed)
-        areas = check_areas(postcode or ())
-        follower = Follower(chosen, areas, events_at(service, token), typer.echo)
-        wrong = replay(follower, recorded(folder, chosen), speed, threading.Event().wait)
+        follower = _follower(feed, postcode, service, token)
+        wrong = replay(follower, recorded(folder, follower.feed), speed, threading.Event().wait)
         if wrong:
             typer.echo(f"{wrong} answers could not be read.", err=True)
+
+
+def _follower(
+    feed: str, postcodes: list[str] | None, service: str | None, token: str | None
+) -> Follower:
+    """What turns a feed into events of a service, each told in a line."""
+    from vppres.feeds.adapters import feed_named
+    from vppres.feeds.follow import Follower, events_at
+    from vppres.feeds.incidents import check_areas
+
+    areas = check_areas(postcodes or ())
+    return Follower(feed_named(feed), areas, events_at(service, token), typer.echo)
 
 
 @app.command(epilog="Example: vppres backtest data/homes --zone Etc/GMT+8 --out results/backtest")

@@ -25,9 +25,6 @@ Url = Annotated[
     str | None,
     typer.Option("--service", metavar="URL", help="The service; changes are only shown without."),
 ]
-AccessToken = Annotated[
-    str | None, typer.Option(envvar="VPPRES_TOKEN", help="Token for that service.")
-]
 Every = Annotated[float, typer.Option(min=1.0, help="Minutes between two requests.")]
 Record = Annotated[
     Path | None, typer.Option(metavar="DIR", help="Keep every answer in a folder, for a replay.")

@@ -6,7 +6,7 @@ import csv
 import io
 import json
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from vppres.core.errors import InputError
@@ -89,12 +89,14 @@ def read_nged(content: bytes) -> Answer:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise _unreadable("nged", "is no text") from error
-    if text.lstrip().startswith(("{", "<")):
-        # A denial comes with the status of success.
-        raise _unreadable("nged", "is no CSV file")
-    rows = list(csv.DictReader(io.StringIO(text)))
-    if "Incident ID" not in (text.splitlines() or [""])[0]:
-        raise _unreadable("nged", "has no column Incident ID")
+    table = csv.DictReader(io.StringIO(text))
+    try:
+        if "Incident ID" not in (table.fieldnames or ()):
+            # A denial comes with the status of success.
+            raise _unreadable("nged", "has no column Incident ID")
+        rows = list(table)
+    except csv.Error as error:
+        raise _unreadable("nged", "is no CSV file") from error
     made = [str(row.get("Upload Date") or "") for row in rows]
     return _answer("nged", rows, _of_nged, max(made, default=None))
 
@@ -192,12 +194,11 @@ def _once(incidents: Iterable[Incident]) -> list[Incident]:
             found[one.name] = one
         elif not one.restored:
             ends = [end for end in (one.end, other.end) if end is not None]
-            found[one.name] = Incident(
-                one.name,
-                (*other.postcodes, *one.postcodes),
-                one.planned and other.planned,
-                other.start,
-                max(ends, default=None),
+            found[one.name] = replace(
+                other,
+                postcodes=(*other.postcodes, *one.postcodes),
+                planned=one.planned and other.planned,
+                end=max(ends, default=None),
             )
     return list(found.values())
 

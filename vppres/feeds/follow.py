@@ -124,7 +124,6 @@ class Follower:
         self.told = told
         self.heard: pd.Timestamp | None = None
         self._begun: pd.Timestamp | None = None
-        self._late = False
         self._refused: dict[str, dict[str, Any]] = {}
         kept = service.said(feed.name)
         self._said = {name: _without_version(body) for name, body in kept.items()}
@@ -178,7 +177,7 @@ class Follower:
         self._begun = self._begun or now
         since = self.heard or self._begun
         late = now - since > LATE
-        if late and not self._late:
+        if late and self._alert not in self._said:
             text = f"The feed of {self.feed.operator} is late: nothing since {written(since)}"
             alert = {"type": "alert", "source": self.feed.name, "start": written(now), "text": text}
             self.service.put(self._alert, alert)
@@ -188,7 +187,6 @@ class Follower:
             self.service.withdraw(self._alert)
             del self._said[self._alert]
             self.told(f"The feed of {self.feed.operator} is back.")
-        self._late = late
 
     @property
     def _alert(self) -> str:
