@@ -18,9 +18,6 @@ ROTA_H = 24.0
 PARTS = 20
 """Weights change in twentieths: with whole multiples of a unit, windows are proven by counting."""
 
-HALVINGS = 60
-"""Halvings that find a tier's scale: as many as a float has digits."""
-
 
 @dataclass(frozen=True)
 class Fairness:
@@ -119,14 +116,12 @@ def _scaled(weight: Floats, grown: Floats, least: float, most: float) -> Floats:
     They are twentieths: those that lose most by rounding down are rounded up.
     """
     lowest, highest = max(np.ceil(PARTS * least), 1.0), np.floor(PARTS * most)
-    low, high = 0.0, 1.0
-    for _ in range(HALVINGS):
-        scale = 0.5 * (low + high)
-        if weight @ np.clip(scale * PARTS * grown, lowest, highest) > PARTS * weight.sum():
-            high = scale
-        else:
-            low = scale
-    exact = np.clip(low * PARTS * grown, lowest, highest)
+    # Between the scales at which a factor meets a bound, the sum is linear.
+    meets = np.concatenate([lowest / grown, highest / grown]) / PARTS
+    scales = np.unique(np.append(np.minimum(meets, 1.0), 0.0))
+    sums = np.clip(np.outer(scales, PARTS * grown), lowest, highest) @ weight
+    scale = np.interp(PARTS * weight.sum(), sums, scales)
+    exact = np.clip(scale * PARTS * grown, lowest, highest)
     parts = np.floor(exact)
     short = PARTS * weight.sum() - weight @ parts
     for c in np.argsort(parts - exact, kind="stable"):

@@ -35,10 +35,7 @@ def split_sheddable(scenario: Scenario) -> Scenario:
     parts = customers.shed_steps
     if (parts == 1).all():
         return scenario
-    names = {
-        str(name): [str(part) for part in _part_names(np.array([name]), np.array([n]))]
-        for name, n in zip(customers.id, parts, strict=True)
-    }
+    names_of = dict(zip(customers.id, map(_names_of, customers.id, parts), strict=True))
     pv_parts = np.where(pv.alone, 1, parts[pv.owner(customers)])
     split_customers = replace(
         customers,
@@ -46,11 +43,7 @@ def split_sheddable(scenario: Scenario) -> Scenario:
         weight=_shared(customers.weight, parts),
         **{
             name: np.repeat(getattr(customers, name), parts)
-            for name in ("bus", "tier", "power_factor", "homes")
-        },
-        **{
-            name: np.repeat(getattr(customers, name), parts)
-            for name in OF_TIME_OFF
+            for name in ("bus", "tier", "power_factor", "homes", *OF_TIME_OFF)
             if len(getattr(customers, name))
         },
         shed_steps=np.ones(parts.sum(), dtype=int),
@@ -73,7 +66,7 @@ def split_sheddable(scenario: Scenario) -> Scenario:
         interruptions=tuple(
             replace(one, customer=name)
             for one in scenario.interruptions
-            for name in names.get(one.customer, [one.customer])
+            for name in names_of.get(one.customer, [one.customer])
         ),
         history=None
         if history is None
@@ -113,11 +106,12 @@ def part_names(customer: str, count: int) -> list[str]:
 
 def _part_names(names: Names, parts: Wholes) -> Names:
     """Names of all parts in order; whoever is all or nothing keeps its name."""
-    split = [
-        [name] if count == 1 else part_names(str(name), int(count))
-        for name, count in zip(names, parts, strict=True)
-    ]
+    split = map(_names_of, names, parts)
     return np.array([name for group in split for name in group], dtype=object)
+
+
+def _names_of(name: str, count: int) -> list[str]:
+    return [name] if count == 1 else part_names(name, count)
 
 
 def _shared(values: Floats, parts: Wholes) -> Floats:

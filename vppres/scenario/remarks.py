@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vppres.core.text import named
 from vppres.scenario.capacitors import too_large
 from vppres.scenario.priority import STRICT
 
@@ -183,10 +184,9 @@ def short_times_off(scenario: Scenario) -> str:
     short = (limit_h > 0.0) & (limit_h < scenario.grid.dt_h)
     if not short.any():
         return ""
-    names = [f"{name}" for name in scenario.customers.id[short]]
-    shown = ", ".join(names[:FORMERS_SHOWN])
+    names = named(scenario.customers.id[short], FORMERS_SHOWN)
     return (
-        f"The longest time off of {shown}{_more(names)} is shorter than a step of "
+        f"The longest time off of {names} is shorter than a step of "
         f"{scenario.grid.dt_h:g} h: plans keep such a customer on in every step. Use shorter "
         "steps, or longer times."
     )
