@@ -110,12 +110,12 @@ def order_told(run: Trajectory) -> list[str]:
 def remarks_told(run: Trajectory) -> list[str]:
     """What to know beside the figures of a run, a line each; of very many the first."""
     from vppres.report.first_page import island_words
-    from vppres.scenario.remarks import remarks
+    from vppres.scenario.remarks import former_words, remarks
 
-    # What forms the island is said once, with its headroom.
-    first = list(island_words(run))
-    more_of = remarks(run.scenario, str(run.options["mode"]))
-    words = [*first, *(one for one in more_of if not " ".join(first).startswith(one))]
+    mode = str(run.options["mode"])
+    # The words of the island say what forms it, with the headroom.
+    former = former_words(run.scenario, mode)
+    words = [*island_words(run), *(one for one in remarks(run.scenario, mode) if one != former)]
     more = len(words) - REMARKS_SHOWN
     rest = [f"{more} more in the report."] if more > 0 else []
     return [f"- {remark}" for remark in [*words[:REMARKS_SHOWN], *rest]]

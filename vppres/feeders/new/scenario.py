@@ -188,18 +188,19 @@ def write_new_scenario(
         from the source's than the options accept.
     """
     scenario, chosen = _built(feeder, options)
-    phased = feeder.phased
-    if phased is None:
+    causes: list[str] = []
+    if feeder.phased is None:
         deviation = source_deviation(feeder, scenario)
-        told_of = [*told_causes(feeder, deviation)], told_deviation(feeder, deviation)
+        closeness = told_deviation(feeder, deviation)
+        causes += told_causes(feeder, deviation)
     else:
-        deviation = SourceDeviation(as_given_pu=phased.difference_pu)
-        told_of = [], str(deviation)
+        deviation = SourceDeviation(as_given_pu=feeder.phased.difference_pu)
+        closeness = str(deviation)
     check_deviation(feeder, deviation, options.accept_deviation)
-    told = [*feeder.notes, *chosen, *told_of[0]]
+    told = [*feeder.notes, *chosen, *causes]
     source = Source.of(feeder.name, "", told, deviation, feeder.unbalanced)
     scenario = replace(scenario, source=source)
-    said = [former_words(scenario), told_of[1]]
+    said = [former_words(scenario), closeness]
     notes = list(dict.fromkeys([*told, *filter(None, said)]))
     text = "\n".join([f"# {scenario.title}", "", *(f"- {note}" for note in notes), ""])
     with atomic_folder(folder) as aside:
