@@ -133,10 +133,14 @@ def check_not_over(body: Mapping[str, Any], now: pd.Timestamp) -> None:
         )
 
 
-def check_not_all_over(bodies: Iterable[Mapping[str, Any]], now: pd.Timestamp) -> None:
-    """Refuse a message all of whose parts are in the past; InputError with the first of them."""
+def check_new(
+    said: Mapping[str, Mapping[str, Any]], known: Mapping[str, Any], now: pd.Timestamp
+) -> None:
+    """Refuse events by name none of which is known or to come; InputError with the first."""
+    if not said or known.keys() & said.keys():
+        return
     past: list[InputError] = []
-    for body in bodies:
+    for body in said.values():
         try:
             check_not_over(body, now)
         except InputError as error:

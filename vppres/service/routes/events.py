@@ -9,7 +9,7 @@ from starlette.exceptions import HTTPException
 
 from vppres.day.outages import BELIEF, LIKELY
 from vppres.service import payloads
-from vppres.service.announced import check_belief, check_not_all_over, check_not_over
+from vppres.service.announced import check_belief, check_new
 from vppres.service.clock import written
 from vppres.service.openadr import OpenADREvent, events_of, those_of
 from vppres.service.records import moment
@@ -66,8 +66,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         if isinstance(body, payloads.Belief | payloads.Restoration):
             check_belief(plain, runner.options)
         now = runner.clock.now()
-        if identifier not in runner.store.events():
-            check_not_over(plain, now)
+        check_new({identifier: plain}, runner.store.events(), now)
         version = _version(if_match)
         put = runner.store.put_events({identifier: plain}, now, actor, version)[identifier]
         if not isinstance(body, payloads.Alert):
@@ -102,8 +101,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         known = runner.store.events()
         now = runner.clock.now()
         said = {name: payloads.plain(event) for name, event in found.items()}
-        if said and not known.keys() & said.keys():
-            check_not_all_over(said.values(), now)
+        check_new(said, known, now)
         bodies = {**dict.fromkeys(those_of(body, known)), **said}
         runner.store.put_events(bodies, now, actor)
         if any(not isinstance(event, payloads.Alert) for event in found.values()):
