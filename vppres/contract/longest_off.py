@@ -90,3 +90,16 @@ class LongestOff:
         if not asked.any():
             return None
         return replace(self, steps=np.minimum(self.steps, len(asked)), asked=asked)
+
+
+def due(longest_h: Floats, off_h: Floats, dt_h: float) -> Flags:
+    """Customers that would be off beyond their longest time now, (C,).
+
+    >>> due(np.array([1.5, np.inf]), np.array([1.0, 1.0]), dt_h=1.0)
+    array([ True, False])
+    """
+    found = np.zeros(len(longest_h), dtype=bool)
+    limits = LongestOff.of(longest_h, off_h, dt_h, n_steps=1)
+    if limits is not None:
+        found[limits.customer] = limits.asked[0]
+    return found

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vppres.contract.longest_off import LongestOff
+from vppres.contract.longest_off import LongestOff, due
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.scenario.assets import Customers
 from vppres.scenario.rules import SwitchingRules
@@ -302,11 +302,7 @@ class SwitchingState:
         """Customers that would be off beyond their longest time now, (C,); None without any."""
         if self.longest_off_h is None:
             return None
-        limits = LongestOff.of(self.longest_off_h, self.off_h, self.dt_h, n_steps=1)
-        found = np.zeros(len(self.served), dtype=bool)
-        if limits is not None:
-            found[limits.customer] = limits.asked[0]
-        return found
+        return due(self.longest_off_h, self.off_h, self.dt_h)
 
     @property
     def restored(self) -> Flags:

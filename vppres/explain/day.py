@@ -62,7 +62,7 @@ def explain_day(trajectory: Trajectory) -> Trajectory:
 
 def explain_step(trajectory: Trajectory, t: int) -> tuple[list[Row], list[Row]]:
     """The rows of one step: its explanations, and its shadow prices; only they are solved for."""
-    recorded = _weighed(trajectory)[t]
+    [recorded] = _weighed(trajectory, slice(t, t + 1))
     model = ShadowPriceModel(recorded.site, recorded.n_seen, recorded.beyond)
     phase = trajectory.steps["phase"].iloc[t]
     step = Step(recorded, t, phase, step_prices(recorded, model, t))
@@ -71,7 +71,7 @@ def explain_step(trajectory: Trajectory, t: int) -> tuple[list[Row], list[Row]]:
 
 def steps_of(trajectory: Trajectory) -> list[Step]:
     """Every step of a run with its phase and its shadow prices."""
-    recorded = _weighed(trajectory)
+    recorded = _weighed(trajectory, slice(None))
     return [
         Step(one, t, phase, prices)
         for t, (one, phase, prices) in enumerate(
@@ -80,12 +80,12 @@ def steps_of(trajectory: Trajectory) -> list[Step]:
     ]
 
 
-def _weighed(trajectory: Trajectory) -> list[Recorded]:
-    """The record for each step, with the weights of its plan; steps of equal weights share it."""
+def _weighed(trajectory: Trajectory, steps: slice) -> list[Recorded]:
+    """The record for each of some steps, with the weights of its plan; equal ones share it."""
     n_steps = len(trajectory.steps)
     if ROTATED not in trajectory.customers:
-        return [Recorded(trajectory)] * n_steps
-    rows = trajectory.customers[ROTATED].to_numpy(float).reshape(n_steps, -1)
+        return [Recorded(trajectory)] * len(range(n_steps)[steps])
+    rows = trajectory.customers[ROTATED].to_numpy(float).reshape(n_steps, -1)[steps]
     found: dict[bytes, Recorded] = {}
     for weight in rows:
         if weight.tobytes() not in found:

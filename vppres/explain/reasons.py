@@ -55,13 +55,9 @@ def why_restored(step: Step, customer: int) -> Reason:
 def _its_limit(step: Step, customer: int) -> str:
     """How long a customer may be off at a time, in words."""
     c = step.site.customers
-    backup = c.own_backup_h[customer] if len(c.own_backup_h) else np.nan
-    limit = f"{c.longest_off_h[customer]:g} h"
-    return (
-        f"its backup of {limit}"
-        if backup == c.longest_off_h[customer]
-        else (f"its longest time off of {limit}")
-    )
+    limit_h = c.longest_off_h[customer]
+    only_backup = len(c.own_backup_h) and c.own_backup_h[customer] == limit_h
+    return f"its {'backup' if only_backup else 'longest time off'} of {limit_h:g} h"
 
 
 def why_not_served(step: Step, customer: int) -> Reason:

@@ -66,6 +66,8 @@ class Recorded:
         self.soc_end = self._array(trajectory.batteries, "soc_end")
         self.curtailed_kw = self._array(trajectory.pv, "curtailed_kw")
         self.v_ac_pu = self._array(trajectory.buses, "v_ac_pu")
+        self.flow_kw = self._array(trajectory.lines, "p_ac_kw")
+        self.flow_kvar = self._array(trajectory.lines, "q_ac_kvar")
 
     @cached_property
     def battery_kw(self) -> Floats:
@@ -177,11 +179,6 @@ class Recorded:
             (power > MOVE_KW).astype(float),
             ((power >= -MOVE_KW) & ~self.left_out(t)).astype(float),
         )
-
-    def flows(self, t: int) -> tuple[Floats, Floats]:
-        """AC flow of each line in a step in kW and kvar, (L,) each."""
-        lines = self.trajectory.lines
-        return self._array(lines, "p_ac_kw")[t], self._array(lines, "q_ac_kvar")[t]
 
     @cached_property
     def loading(self) -> Floats:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from vppres.control.converged import physics_of
 from vppres.core.arrays import Floats
 from vppres.explain.prices import WORTH
 from vppres.explain.step import Binding, Scarce, Step
@@ -30,7 +29,7 @@ def limits_in_full(step: Step, customer: int, binding: Binding) -> list[Scarce]:
     priced = {name for name, cost in step.supply_cost.items() if cost[customer] > WORTH}
     if step.spare_kw < float(step.load_kw[customer]):
         priced.add("power")
-    if _spare_kwh(step) < float(step.load_kw[customer]) * step.site.dt_h:
+    if step.spare_kwh < float(step.load_kw[customer]) * step.site.dt_h:
         priced.add("energy")
     if overloaded_line(step, customer) is not None:
         priced.add("rating")
@@ -39,27 +38,12 @@ def limits_in_full(step: Step, customer: int, binding: Binding) -> list[Scarce]:
     return sorted(priced, key=lambda name: (name != binding, name))
 
 
-def _spare_kwh(step: Step) -> float:
-    """Energy that batteries keep beyond their reserve in the step of the outage with the least."""
-    if not step.outage:
-        return np.inf
-    recorded, site, window = step.recorded, step.site, step.levels.window
-    there = np.logical_and.accumulate(window.grid_limit_kw <= 0.0)
-    b = site.batteries
-    lowest = np.broadcast_to(b.soc_min, (window.n_steps, len(b)))
-    if recorded.options.get("mode") == "physical":
-        lowest = lowest + physics_of(site, window, float(recorded.options["headroom"])).soc_reserve
-    steps = np.flatnonzero(there)
-    kept = np.maximum(recorded.soc_end[step.t + steps] - lowest[steps], 0.0)
-    return float((kept @ (b.energy_kwh * window.eta_discharge)).min(initial=np.inf))
-
-
 def overloaded_line(step: Step, customer: int) -> int | None:
     """The line that the whole demand of a customer would take furthest beyond its rating."""
     most_kva = step.levels.window.flow_max_kva
     if most_kva is None:
         return None
-    now_kw, now_kvar = step.recorded.flows(step.t)
+    now_kw, now_kvar = step.recorded.flow_kw[step.t], step.recorded.flow_kvar[step.t]
     kw, kvar = _flows_for(step, customer)
     more = np.hypot(now_kw + kw, now_kvar + kvar)
     share = np.where(more > np.hypot(now_kw, now_kvar), more / most_kva[0], 0.0)

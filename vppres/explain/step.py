@@ -9,10 +9,11 @@ from typing import Literal
 
 import numpy as np
 
+from vppres.contract.longest_off import due
+from vppres.control.converged import physics_of
 from vppres.core.arrays import Flags, Floats
 from vppres.day.metrics import AT_RATING
 from vppres.day.phases import Phase
-from vppres.day.time_off import ROUNDING_H
 from vppres.explain.prices import WORTH, StepPrices
 from vppres.explain.recorded import Limits, Recorded
 from vppres.solve.shadow_prices import ShadowPrices
@@ -88,7 +89,7 @@ class Step:
         """
         off_h = self.recorded.off_before_h[self.t]
         limit_h = self.site.customers.longest_off_h
-        return np.asarray(self.outage & (off_h > 0.0) & (off_h >= limit_h - ROUNDING_H))
+        return np.asarray(self.outage & (off_h > 0.0) & due(limit_h, off_h, self.site.dt_h))
 
     @cached_property
     def limits(self) -> Limits:
@@ -109,6 +110,21 @@ class Step:
         most_kw = b.active_max_kw - np.where(b.formers, kept * b.s_max_kva, 0.0)
         spare_kw = np.maximum(most_kw + self.battery_kw, 0.0).sum()
         return float(spare_kw + self.recorded.curtailed_kw[self.t].sum())
+
+    @cached_property
+    def spare_kwh(self) -> float:
+        """Energy that batteries keep beyond their reserve, in the outage's step with the least."""
+        if not self.outage:
+            return np.inf
+        window = self.levels.window
+        b = self.site.batteries
+        lowest = np.broadcast_to(b.soc_min, (window.n_steps, len(b)))
+        if self.recorded.options.get("mode") == "physical":
+            headroom = float(self.recorded.options["headroom"])
+            lowest = lowest + physics_of(self.site, window, headroom).soc_reserve
+        steps = np.flatnonzero(np.logical_and.accumulate(window.grid_limit_kw <= 0.0))
+        kept = np.maximum(self.recorded.soc_end[self.t + steps] - lowest[steps], 0.0)
+        return float((kept @ (b.energy_kwh * window.eta_discharge)).min(initial=np.inf))
 
     @property
     def service(self) -> ShadowPrices | None:
