@@ -75,7 +75,7 @@ class Rotating:
         self._t = -1
         self._out = False
         self._parts: dict[bytes, Decider] = {}
-        self.part_for(self._weight().tobytes())
+        self.part_for(self._rotated().tobytes())
 
     @property
     def inner(self) -> Decider:
@@ -98,15 +98,13 @@ class Rotating:
             self._t = observation.t0
         value = observation.stored_value
         if value is not None and value.as_service:
-            # Strict order has its own scale of weights, and it changes with them.
-            scale = self._weighed(self.weight).customers.weight.sum() / self._total
-            value = replace(value, service=value.service * scale)
-        due = self._due() if self._out else np.zeros(len(self.off_h), dtype=bool)
-        told = replace(observation, stored_value=value)
+            scaled = replace(value, service=value.service * self._scale)
+            observation = replace(observation, stored_value=scaled)
+        due = self._due()
         if due.any():
             first = np.asarray(self.scenario.customers.tier == self.scenario.tiers[0])
-            told = replace(told, kept_on=due, spared=first)
-        return replace(self.inner.decide(told), weight=self.weight)
+            observation = replace(observation, kept_on=due, spared=first)
+        return replace(self.inner.decide(observation), weight=self.weight)
 
     def _count(self, observation: Observation) -> None:
         """Add the step before to the time off supply, and change weights if it is time."""
@@ -126,7 +124,7 @@ class Rotating:
 
     def _change(self) -> None:
         """Go on with the weights that follow from the time off supply."""
-        key = self._weight().tobytes()
+        key = self._rotated().tobytes()
         if key not in self._parts:
             memory = memory_of(self.inner, self._given)
             put_back(self.part_for(key), memory, self._given, "controller")
@@ -134,11 +132,13 @@ class Rotating:
     def part_for(self, key: bytes) -> Decider:
         """The wrapped controller of weights, as bytes; others are dropped."""
         if key not in self._parts:
-            weight = np.frombuffer(key, dtype=float)
-            self._parts = {key: self._decider_of(self._weighed(weight))}
+            site = self._weighed(np.frombuffer(key, dtype=float))
+            # Strict order has its own scale of weights, and it changes with them.
+            self._scale = float(site.customers.weight.sum()) / self._total
+            self._parts = {key: self._decider_of(site)}
         return self._parts[key]
 
-    def _weight(self) -> Floats:
+    def _rotated(self) -> Floats:
         growth = self.rules.rotation
         return rotated(self.scenario.customers, self.scenario.tiers, self.off_h, growth)
 
@@ -147,4 +147,5 @@ class Rotating:
 
     def _due(self) -> Flags:
         """Customers who are on now, because they were on for less than the minimum."""
-        return self._turns() & (self.on_h < self.rules.minimum_on_h - HOURS_EXACT)
+        short = self.on_h < self.rules.minimum_on_h - HOURS_EXACT
+        return np.asarray(self._out & self._turns() & short)

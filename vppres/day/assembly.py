@@ -91,8 +91,7 @@ def make_controller(
         return ByStepWeights(decider_of, site, scenario, options, own)
     if shares(options):
         check_fairness(options.controller)
-        chosen = {f.name: getattr(options, f.name) for f in fields(Fairness)}
-        rules = Fairness(**chosen)
+        rules = Fairness(**{f.name: getattr(options, f.name) for f in fields(Fairness)})
         return Rotating(
             decider_of,
             partial(weighed, site, scenario, options.as_record()),
