@@ -33,6 +33,7 @@ from vppres.model.beyond_paper.phases import out_of_limits
 from vppres.model.data import PhasedWindow, WindowData
 from vppres.model.linearise import Drawn
 from vppres.model.phases import PhasedPoints, phased_model
+from vppres.physics.phased_sources import farthest
 from vppres.solve.deadline import Deadline
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import Status, WindowSolution
@@ -277,12 +278,3 @@ class PhasedPlanner:
     def at_buses(self, v_pu: Floats) -> Floats:
         """Voltages of the network's buses, (W, N): of each that of the node farthest from 1 pu."""
         return farthest(v_pu, self.model.at_bus, self.solver.site.network.n_buses)
-
-
-def farthest(v_pu: Floats, at_bus: Any, n_buses: int) -> Floats:
-    """Of each bus the voltage that is farthest from 1 pu, (W, N) of (W, m)."""
-    found = np.ones((len(v_pu), n_buses))
-    for order in np.argsort(np.abs(v_pu - 1.0), axis=1).T:
-        steps = np.arange(len(v_pu))
-        found[steps, at_bus[order]] = v_pu[steps, order]
-    return found

@@ -17,7 +17,13 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Complexes, Flags, Floats, Wholes
 from vppres.model.data import WindowData
 from vppres.model.site import Site
-from vppres.physics.phased_sources import assets_of, flow_of_former, flow_of_grid, former_of
+from vppres.physics.phased_sources import (
+    assets_of,
+    flow_of_former,
+    flow_of_grid,
+    former_of,
+    measured_at,
+)
 from vppres.physics.phases import NoPhasedSolutionError, PhasedFlow, PhasedResult
 
 GRID, ISLAND = 0, 1
@@ -140,9 +146,7 @@ class PhasedModel:
     @cached_property
     def at_bus(self) -> Wholes:
         """Bus of the network at which each voltage is measured, (m,)."""
-        phases = self.flows[0].phases
-        index = self.site.network.bus_index
-        return np.array([index[phases.by_bus[bus].at] for bus, _ in self.flows[0].measured[0]])
+        return measured_at(self.flows[0].phases, self.site.network)
 
     # Set-points.
 

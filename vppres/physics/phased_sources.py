@@ -1,4 +1,7 @@
-"""The flows of a phased feeder from each of its sources: the grid, and the battery of an island."""
+"""The flows of a phased feeder from each of its sources: the grid, and the battery of an island.
+
+Its assets are customers, PV systems and batteries, in this order.
+"""
 
 from __future__ import annotations
 
@@ -6,22 +9,44 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from vppres.core.arrays import Flags
+from vppres.core.arrays import Flags, Floats, Names, Wholes
 from vppres.physics.phases import PhasedFlow
 from vppres.scenario.assets import Batteries, Customers, PVSystems
-from vppres.scenario.phases import PHASES, Phases
+from vppres.scenario.network import Network
+from vppres.scenario.phases import Phases
 
 
 def assets_of(customers: Customers, pv: PVSystems, batteries: Batteries) -> list[str]:
-    """All assets in the order of their powers: customers, PV systems, batteries."""
+    """Names of all assets."""
     return [str(name) for table in (customers, pv, batteries) for name in table.id]
+
+
+def buses_of(customers: Customers, pv: PVSystems, batteries: Batteries) -> Names:
+    """Bus of the network of each asset."""
+    return np.concatenate([customers.bus, pv.buses(customers), batteries.bus])
+
+
+def measured_at(phases: Phases, network: Network) -> Wholes:
+    """Place of the network's bus at which each voltage with limits is, (m,)."""
+    buses = [phases.by_bus[bus].at for bus, _ in phases.measured]
+    return np.array([network.bus_index[bus] for bus in buses], dtype=int)
+
+
+def farthest(v_pu: Floats, at_bus: Wholes, n_buses: int) -> Floats:
+    """Of each bus the voltage that is farthest from 1 pu, (..., N) of (..., m).
+
+    >>> farthest(np.array([[1.01, 0.98, 1.02]]), np.array([0, 0, 1]), 2)
+    array([[0.98, 1.02]])
+    """
+    order = np.argsort(np.abs(v_pu - 1.0), axis=-1)
+    found = np.ones((*v_pu.shape[:-1], n_buses))
+    np.put_along_axis(found, at_bus[order], np.take_along_axis(v_pu, order, axis=-1), axis=-1)
+    return found
 
 
 def able_formers(phases: Phases, batteries: Batteries) -> Flags:
     """Who can form an island, (B,): those that are to, with all three phases."""
-    complete = [
-        len(phases.connection(str(name)).coils.split()) == len(PHASES) for name in batteries.id
-    ]
+    complete = [phases.connection(str(name)).three_coils for name in batteries.id]
     return np.asarray(batteries.formers & np.array(complete, dtype=bool))
 
 

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
 from vppres.core.arrays import Floats, Wholes
 from vppres.core.errors import VerificationError
-from vppres.physics.phased_sources import assets_of, flow_of_grid
+from vppres.physics.phased_sources import assets_of, farthest, flow_of_grid, measured_at
 from vppres.physics.powerflow import ACPowerFlow
 from vppres.scenario.phases import Phases
 from vppres.scenario.scenario import SOFT, Scenario
+
+Solved = Callable[[Floats, Floats, Floats], Floats]
+"""Voltages of the buses, (N,), from demand (C,), its reactive power, and PV power (P,)."""
 
 MOST_STEPS = 96
 """Steps that are solved, a day of quarter hours: those with the most and the least net demand."""
@@ -44,41 +47,45 @@ def _extreme_steps(scenario: Scenario) -> Wholes:
 
 def _voltages(scenario: Scenario, steps: Wholes) -> tuple[Floats, int]:
     """AC voltages of the steps that have any, NaN in the others, and how many those are."""
+    solved = (
+        _balanced(scenario) if scenario.phases is None else _by_phase(scenario, scenario.phases)
+    )
+    usable_kw = np.minimum(scenario.pv_kw, scenario.pv.s_max_kva)
+    found = np.full((len(steps), scenario.network.n_buses), np.nan)
+    for row, t in enumerate(steps):
+        try:
+            found[row] = solved(scenario.load_kw[t], scenario.load_kvar[t], usable_kw[t])
+        except VerificationError:
+            continue
+    return found, int(np.isnan(found).any(axis=1).sum())
+
+
+def _balanced(scenario: Scenario) -> Solved:
+    """The flow of a balanced feeder."""
     net = scenario.network
-    if scenario.phases is not None:
-        return _by_phase(scenario, scenario.phases, steps)
     customer = net.place(scenario.customers.bus)
     pv = net.place(scenario.pv.buses(scenario.customers))
     flow = ACPowerFlow(net)
-    usable_kw = np.minimum(scenario.pv_kw, scenario.pv.s_max_kva)
-    found = np.full((len(steps), net.n_buses), np.nan)
-    for row, t in enumerate(steps):
-        p_kw = pv @ usable_kw[t] - customer @ scenario.load_kw[t]
-        try:
-            found[row] = flow.solve(p_kw, -(customer @ scenario.load_kvar[t])).v_pu
-        except VerificationError:
-            continue
-    return found, int(np.isnan(found).any(axis=1).sum())
+
+    def solved(load_kw: Floats, load_kvar: Floats, pv_kw: Floats) -> Floats:
+        return flow.solve(pv @ pv_kw - customer @ load_kw, -(customer @ load_kvar)).v_pu
+
+    return solved
 
 
-def _by_phase(scenario: Scenario, phases: Phases, steps: Wholes) -> tuple[Floats, int]:
+def _by_phase(scenario: Scenario, phases: Phases) -> Solved:
     """The same of a phased feeder: of each bus the voltage that is farthest from 1 pu."""
     net, b = scenario.network, scenario.batteries
     flow = flow_of_grid(phases, assets_of(scenario.customers, scenario.pv, b), net.v_slack_pu)
-    at_bus = np.array([net.bus_index[phases.by_bus[bus].at] for bus, _ in phases.measured])
-    usable_kw = np.minimum(scenario.pv_kw, scenario.pv.s_max_kva)
+    at_bus = measured_at(phases, net)
     idle = np.zeros(len(b))
-    found = np.full((len(steps), net.n_buses), np.nan)
-    for row, t in enumerate(steps):
-        p_kw = np.concatenate([scenario.load_kw[t], -usable_kw[t], idle])
-        q_kvar = np.concatenate([scenario.load_kvar[t], 0.0 * usable_kw[t], idle])
-        try:
-            v_pu = flow.v_pu(flow.solve(p_kw, q_kvar).v)
-        except VerificationError:
-            continue
-        order = np.argsort(np.abs(v_pu - 1.0))
-        found[row, at_bus[order]] = v_pu[order]
-    return found, int(np.isnan(found).any(axis=1).sum())
+
+    def solved(load_kw: Floats, load_kvar: Floats, pv_kw: Floats) -> Floats:
+        p_kw = np.concatenate([load_kw, -pv_kw, idle])
+        q_kvar = np.concatenate([load_kvar, np.zeros_like(pv_kw), idle])
+        return farthest(flow.v_pu(flow.solve(p_kw, q_kvar).v), at_bus, net.n_buses)
+
+    return solved
 
 
 def _beyond(scenario: Scenario, steps: Wholes, v_pu: Floats) -> Iterator[str]:

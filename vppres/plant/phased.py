@@ -7,15 +7,24 @@ that phase are shed, those whose service is worth least for what they take off i
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from vppres.core.arrays import Complexes, Flags, Floats
-from vppres.physics.phased_sources import able_formers, assets_of, flow_of_former, flow_of_grid
+from vppres.physics.phased_sources import (
+    able_formers,
+    assets_of,
+    buses_of,
+    farthest,
+    flow_of_former,
+    flow_of_grid,
+    measured_at,
+)
 from vppres.physics.phases import NoPhasedSolutionError, PhasedFlow, PhasedResult
 from vppres.physics.powerflow import ACPowerFlow, ACResult, NoSolutionError
-from vppres.plant.island import Balance, IslandPlant, shedding_order
+from vppres.plant.island import Balance, IslandPlant
 from vppres.plant.plant import Plant, Powers, Realised
 from vppres.scenario.scenario import Scenario
 
@@ -52,8 +61,7 @@ class PhasedPlant(Plant):
         super().__init__(*args, **options)  # type: ignore[arg-type]
         s = self.scenario
         C, P, B = len(s.customers), len(s.pv), len(s.batteries)
-        buses = [*s.customers.bus, *s.pv.buses(s.customers), *s.batteries.bus]
-        self._place = s.network.place(np.array(buses, dtype=object))
+        self._place = _place(s)
         self._customer_bus = np.arange(C)
         self._pv_bus = C + np.arange(P)
         self.battery_bus = C + P + np.arange(B)
@@ -62,6 +70,12 @@ class PhasedPlant(Plant):
     def at_buses(self, realised: Realised) -> tuple[Floats, Floats]:
         """Net injections of the network's buses, (N,) each."""
         return self._place @ realised.p_injection_kw, self._place @ realised.q_injection_kvar
+
+
+def _place(scenario: Scenario) -> Any:
+    """Powers of the network's buses of those of the assets, (N, D)."""
+    buses = buses_of(scenario.customers, scenario.pv, scenario.batteries)
+    return scenario.network.place(buses)
 
 
 class PhasedACFlow(ACPowerFlow):
@@ -88,16 +102,8 @@ class PhasedACFlow(ACPowerFlow):
             self.before_batteries + int(i): flow_of_former(phases, assets, b, int(i), *limits)
             for i in np.flatnonzero(able_formers(phases, b))
         }
-        buses = [
-            *scenario.customers.bus,
-            *scenario.pv.buses(scenario.customers),
-            *b.bus,
-        ]
-        self._place = net.place(np.array(buses, dtype=object))
-        index = net.bus_index
-        self._at_bus = np.array(
-            [index[phases.by_bus[bus].at] for bus, _ in self.grid.measured[0]], dtype=int
-        )
+        self._place = _place(scenario)
+        self._at_bus = measured_at(phases, net)
 
     @property
     def tolerance_kva(self) -> float:
@@ -137,13 +143,10 @@ class PhasedACFlow(ACPowerFlow):
         """Voltages by bus, flows of the tree without losses, and what the source gives."""
         net = self.network
         v_node = flow.v_pu(found.v)
-        v = np.ones(net.n_buses)
-        order = np.argsort(np.abs(v_node - 1.0))
-        v[self._at_bus[order]] = v_node[order]
         p_flow, q_flow = (net.downstream @ (self._place @ power) for power in (p, q))
         total = found.source_kva.sum()
         return PhasedACResult(
-            v_pu=v,
+            v_pu=farthest(v_node, self._at_bus, net.n_buses),
             p_from_kw=p_flow,
             q_from_kvar=q_flow,
             p_to_kw=p_flow,
@@ -173,39 +176,31 @@ class PhasedIslandPlant(IslandPlant):
 
         What is cut on a phase comes off that phase alone, so its excess counts for all three.
         """
-        assert isinstance(ac, PhasedACResult)
         rating = float(self.plant.scenario.batteries.s_max_kva[reference])
-        return float(3.0 * np.abs(ac.former_kva).max() - rating)
+        return float(3.0 * np.abs(_former_kva(ac)).max() - rating)
 
-    def _on_worst_phase(self, ac: ACResult) -> Floats:
-        """Share of each asset that is on the phase of the former with most power, (D,)."""
-        assert isinstance(ac, PhasedACResult)
+    def _on_phase(self, phase: int) -> Flags:
+        """Whether each asset has a coil on a phase, (D,)."""
         flow = self.flow.grid
-        worst = int(np.argmax(np.abs(ac.former_kva)))
-        phase_of = np.array([phase for _, phase in flow.phases.nodes])
-        on = np.abs(flow.coils.toarray())[:, phase_of == worst].sum(axis=1) > 0
-        on_phase: Floats = np.zeros(len(flow.assets))
-        np.add.at(on_phase, flow.asset, flow.share * on)
-        return on_phase
+        nodes = [i for i, (_, each) in enumerate(flow.phases.nodes) if each == phase]
+        coils = np.abs(flow.coils[:, nodes]).sum(axis=1) > 0
+        return np.isin(np.arange(len(flow.assets)), flow.asset[coils])
 
     def _order(self, t: int, powers: Powers, ac: ACResult) -> list[int]:
         """Customers in the order in which they are shed; others than those on the phase last."""
-        order = [c for c in shedding_order(self.plant.scenario, t) if powers.served[c]]
-        on_phase = self._on_worst_phase(ac)
-        return [c for c in order if on_phase[c] > 0] + [c for c in order if on_phase[c] == 0]
+        on_phase = self._on_phase(_worst_phase(ac))
+        return sorted(super()._order(t, powers, ac), key=lambda c: not on_phase[c])
 
     def _cut(self, t: int, powers: Powers, found: Balance) -> Powers | None:
         """What relieves an overloaded phase: less of what feeds it, else customers on it.
 
         Where nobody is left to be shed, everything but the former stops.
         """
-        ac = found.ac
-        if abs(found.left_kw) > self.tolerance_kw or not isinstance(ac, PhasedACResult):
+        if abs(found.left_kw) > self.tolerance_kw:
             return super()._cut(t, powers, found)
-        worst = int(np.argmax(np.abs(ac.former_kva)))
-        if ac.former_kva[worst].real < 0.0:
-            on_phase = self._on_worst_phase(ac) > 0.0
-            less = self._without(powers, on_phase)
+        worst = _worst_phase(found.ac)
+        if _former_kva(found.ac)[worst].real < 0.0:
+            less = self._without(powers, self._on_phase(worst))
             if less is not None:
                 return less
         everything = np.ones(len(self.flow.grid.assets), dtype=bool)
@@ -228,3 +223,14 @@ class PhasedIslandPlant(IslandPlant):
             battery_kw=powers.battery_kw - feeding,
             batt_q_kvar=np.where(batteries, 0.0, powers.batt_q_kvar),
         )
+
+
+def _former_kva(ac: ACResult) -> Complexes:
+    """What the former gives on each phase, (3,)."""
+    assert isinstance(ac, PhasedACResult)
+    return ac.former_kva
+
+
+def _worst_phase(ac: ACResult) -> int:
+    """The phase of the former with most power."""
+    return int(np.argmax(np.abs(_former_kva(ac))))

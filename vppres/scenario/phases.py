@@ -142,6 +142,11 @@ class PhaseConnection:
     p_exponent: float = 0.0
     q_exponent: float = 0.0
 
+    @property
+    def three_coils(self) -> bool:
+        """Whether it has a coil for each phase."""
+        return len(self.coils.split()) == len(PHASES)
+
 
 @dataclass(frozen=True, eq=False)
 class Phases:
@@ -414,7 +419,7 @@ def _formers(phases: Phases, batteries: Batteries) -> Iterator[Problem]:
     """Batteries that are to form an island and lack a phase."""
     for name in batteries.id[batteries.grid_forming]:
         own = phases.connection(str(name))
-        if len(own.coils.split()) < len(PHASES):
+        if not own.three_coils:
             i = phases.connections.index(own)
             yield phases.wrong(
                 "connections",

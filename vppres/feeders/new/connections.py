@@ -9,6 +9,7 @@ import pandas as pd
 
 from vppres.core.errors import InputError
 from vppres.feeders.feeder import PhasedLoad, PhasedSource
+from vppres.physics.phased_sources import former_of
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
 from vppres.scenario.phases import LINES, PHASES, PhaseConnection, Phases
@@ -79,23 +80,18 @@ def _constant(row: PhaseConnection, asset: str) -> PhaseConnection:
 def _of_battery(phases: Phases, row: PhaseConnection, asset: str) -> PhaseConnection:
     """The connection of a battery: three phases to ground where there are three and ground."""
     bus = phases.by_bus[row.bus]
-    if len(row.coils.split()) < len(PHASES) or bus.limits == LINES:
+    if not row.three_coils or bus.limits == LINES:
         return _constant(row, asset)
     return PhaseConnection(str(asset), row.bus, " ".join(PHASES), bus.kv / np.sqrt(3))
 
 
 def with_former(phases: Phases, batteries: Batteries) -> Batteries:
     """The batteries with the largest of three phases to form an island, if there is one."""
-    complete = np.array(
-        [len(phases.connection(str(each)).coils.split()) == len(PHASES) for each in batteries.id],
-        dtype=bool,
-    )
-    able = complete & (batteries.active_max_kw > 0.0)
-    if not able.any():
+    anyone = replace(batteries, grid_forming=np.ones(len(batteries), dtype=bool))
+    former = former_of(phases, anyone)
+    if former is None:
         return batteries
-    forming = np.zeros(len(batteries), dtype=bool)
-    forming[int(np.argmax(np.where(able, batteries.s_max_kva, -1.0)))] = True
-    return replace(batteries, grid_forming=forming)
+    return replace(batteries, grid_forming=np.arange(len(batteries)) == former)
 
 
 def shunts_in_islands(phases: Phases, network: Network) -> Phases:
