@@ -19,7 +19,7 @@ from scipy.sparse.linalg import splu
 
 from vppres.core.arrays import Complexes, Floats, Wholes
 from vppres.core.errors import VerificationError
-from vppres.scenario.phases import Phases, coils_of
+from vppres.scenario.phases import Phases, PhaseShunt, PhaseTransformer, coils_of
 
 TOLERANCE_PU = 1e-10
 """Largest change of a coil's voltage in the last round, as a share of its rated voltage."""
@@ -81,42 +81,63 @@ def admittances(phases: Phases, island: bool = False) -> Any:
     >>> complex(admittances(one)[0, 0])
     0.1j
     """
+    y = _of_lines(phases)
+    for unit in phases.transformers:
+        y = y + of_transformer(phases, unit)
+    for shunt in phases.shunts:
+        if not island or shunt.island != "no":
+            y = y + _of_shunt(phases, shunt)
+    return sp.csc_array(y)
+
+
+def _of_lines(phases: Phases) -> Any:
+    """Admittances of all lines: series impedances, and half of the charging at each end."""
     at = phases.node_index
-    y: Any = sp.csr_array((len(at), len(at)), dtype=complex)
-    rows, columns, values = [], [], []
+    y: Any = sp.coo_array((len(at), len(at)), dtype=complex)
+    rows, columns, values = [y.row], [y.col], [y.data]
     for line in phases.lines:
-        own = line.phases
-        series = np.linalg.inv(line.z_ohm[np.ix_(own, own)])
-        half = 0.5j * S_PER_US * line.b_us[np.ix_(own, own)]
+        own = np.ix_(line.phases, line.phases)
+        series = np.linalg.inv(line.z_ohm[own])
+        half = 0.5j * S_PER_US * line.b_us[own]
         whole = np.block([[series + half, -series], [-series, series + half]])
-        places = [at[bus, phase] for bus in (line.from_bus, line.to_bus) for phase in own]
+        places = [at[bus, phase] for bus in (line.from_bus, line.to_bus) for phase in line.phases]
         rows.append(np.repeat(places, len(places)))
         columns.append(np.tile(places, len(places)))
         values.append(whole.ravel())
-    if rows:
-        entries = np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))
-        y = sp.csr_array(entries, shape=y.shape)
-    for unit in phases.transformers:
-        sides = [
-            (incidence(phases, unit.from_bus, unit.from_coils), unit.from_kv, unit.from_tap),
-            (incidence(phases, unit.to_bus, unit.to_coils), unit.to_kv, unit.to_tap),
-        ]
-        va = unit.kva * VA_PER_KVA
-        short = va * 100.0 / (unit.r_pct + 1j * unit.x_pct)
-        turns = [b / (kv * V_PER_KV * tap) for b, kv, tap in sides]
-        through = turns[0] - turns[1]
-        y = y + (through.T @ through) * short
-        for b, kv, _ in sides:
-            floating = -0.5j * unit.ppm * 1e-6 * va / (kv * V_PER_KV) ** 2
-            ends: Any = sp.diags_array(np.asarray(abs(b).sum(axis=0)).ravel())
-            y = y + ends * floating
-    for shunt in phases.shunts:
-        if island and shunt.island == "no":
-            continue
-        b = incidence(phases, shunt.bus, shunt.coils)
-        siemens = (shunt.p_kw - 1j * shunt.q_kvar) * W_PER_KW / b.shape[0]
-        y = y + siemens / (shunt.kv * V_PER_KV) ** 2 * (b.T @ b)
-    return sp.csc_array(y)
+    entries = np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))
+    return sp.csr_array(entries, shape=y.shape)
+
+
+def of_transformer(phases: Phases, unit: PhaseTransformer) -> Any:
+    """Admittances of a transformer: its short circuit, and what goes to ground."""
+    va = unit.kva * VA_PER_KVA
+    sides = [
+        (incidence(phases, unit.from_bus, unit.from_coils), unit.from_kv * V_PER_KV, unit.from_tap),
+        (incidence(phases, unit.to_bus, unit.to_coils), unit.to_kv * V_PER_KV, unit.to_tap),
+    ]
+    first, second = (coils / (volts * tap) for coils, volts, tap in sides)
+    through = first - second
+    y = va * 100.0 / (unit.r_pct + 1j * unit.x_pct) * (through.T @ through)
+    for coils, volts, _ in sides:
+        ends: Any = sp.diags_array(abs(coils).sum(axis=0))
+        y = y + ends * (-0.5j * unit.ppm * 1e-6 * va / volts**2)
+    return y
+
+
+def _of_shunt(phases: Phases, shunt: PhaseShunt) -> Any:
+    """Admittances of a shunt."""
+    coils = incidence(phases, shunt.bus, shunt.coils)
+    siemens = (shunt.p_kw - 1j * shunt.q_kvar) * W_PER_KW / coils.shape[0]
+    return siemens / (shunt.kv * V_PER_KV) ** 2 * (coils.T @ coils)
+
+
+def measures(phases: Phases) -> Any:
+    """Voltages in pu as their limits count them of those of the nodes in V, (m, nodes)."""
+    blocks = []
+    for bus, word in phases.measured:
+        volts = V_PER_KV * phases.by_bus[bus].kv / (np.sqrt(3) if len(word) == 1 else 1.0)
+        blocks.append(incidence(phases, bus, word) / volts)
+    return sp.csr_array(sp.vstack(blocks))
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,12 +321,7 @@ class PhasedFlow:
     @cached_property
     def measured(self) -> tuple[tuple[tuple[str, str], ...], Any]:
         """Bus and phase of each voltage that is limited, and these voltages in pu of the nodes'."""
-        labels = self.phases.measured
-        blocks = []
-        for bus, word in labels:
-            volts = V_PER_KV * self.phases.by_bus[bus].kv / (np.sqrt(3) if len(word) == 1 else 1.0)
-            blocks.append(incidence(self.phases, bus, word) / volts)
-        return labels, sp.csr_array(sp.vstack(blocks))
+        return self.phases.measured, measures(self.phases)
 
     def v_pu(self, v: Complexes) -> Floats:
         """Voltages in pu as their limits count them."""

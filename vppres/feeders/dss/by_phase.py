@@ -47,9 +47,9 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
         "source": _source(),
         "lines": [_line(name) for name in engine._of("line") if engine._closed()],
         "transformers": [
-            _transformer(name, refused) for name in list(_closed_ones(engine, "transformer"))
+            _transformer(name, refused) for name in engine._of("transformer") if engine._closed()
         ],
-        "capacitors": [_capacitor(name, refused) for name in list(engine._of("capacitor"))],
+        "capacitors": [_capacitor(name, refused) for name in engine._of("capacitor")],
         "powers": list(_powers(engine, refused)),
     }
     return {"problems": refused, **tables, "v_pu": {} if refused else _voltages(engine)}
@@ -57,17 +57,12 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
 
 def _voltages(engine: Any) -> dict[str, float]:
     """Voltage to ground of each node with the powers of the file, at any voltage; {} without."""
-    for name in list(engine._of("load")):
+    for name in engine._of("load"):
         dss.Text.Command(f"edit load.{name} vminpu=0.05 vmaxpu=2")
     for kind in ("generator", "pvsystem"):
-        for name in list(engine._of(kind)):
+        for name in engine._of(kind):
             dss.Circuit.Disable(f"{kind}.{name}")
-    dss.Text.Command("set controlmode=off mode=snap tolerance=1e-11 maxiterations=1000")
-    try:
-        dss.Solution.Solve()
-    except Exception:  # the engine's own class has no public name
-        return {}
-    if not dss.Solution.Converged():
+    if not engine.solved_by_phase():
         return {}
     names = [name.lower() for name in dss.Circuit.AllNodeNames()]
     return dict(zip(names, map(float, dss.Circuit.AllBusMagPu()), strict=True))
@@ -75,12 +70,6 @@ def _voltages(engine: Any) -> dict[str, float]:
 
 def _refuse(refused: Refused, element: str, what: str, cure: str) -> None:
     refused.append({"message": f"{element} {what}", "cure": cure, "command": None})
-
-
-def _closed_ones(engine: Any, kind: str) -> Iterator[str]:
-    for name in engine._of(kind):
-        if engine._closed():
-            yield name
 
 
 def _bus(bus: str, refused: Refused) -> dict[str, Any]:
@@ -198,10 +187,13 @@ def _windings(phases: list[int], delta: bool, count: int) -> list[str]:
     if count == 1:
         return ["".join(PHASES[phase] for phase in phases[:2] if phase >= 0)]
     names = [PHASES[phase] for phase in phases[:3]]
+    return [_delta(names, NEXT), _delta(names, PREVIOUS)]
+
+
+def _delta(names: list[str], pairs: tuple[str, ...]) -> str:
+    """The coils of a delta whose conductors are these phases."""
     turn = dict(zip(PHASES, names, strict=True))
-    return [
-        " ".join(f"{turn[word[0]]}{turn[word[1]]}" for word in words) for words in (NEXT, PREVIOUS)
-    ]
+    return " ".join(turn[pair[0]] + turn[pair[1]] for pair in pairs)
 
 
 def _live(y: Any, order: list[tuple[str, int]]) -> Any:
@@ -261,39 +253,21 @@ def _load_coils(phases: list[int], delta: bool, count: int) -> str:
     live = [PHASES[phase] for phase in phases if phase >= 0]
     if not delta or len(live) == 1:
         return " ".join(live[:count])
-    if len(live) == 2:
-        return "".join(live) if count == 1 else f"{live[0]}{live[1]}"
-    turn = dict(zip(PHASES, live, strict=True))
-    return " ".join(f"{turn[word[0]]}{turn[word[1]]}" for word in NEXT)
+    return "".join(live) if len(live) == 2 else _delta(live, NEXT)
 
 
 def _powers(engine: Any, refused: Refused) -> Iterator[dict[str, Any]]:
     """Loads and generators with their coils and load models."""
     for kind in ("load", "generator", "pvsystem"):
-        for name in list(engine._of(kind)):
+        for name in engine._of(kind):
             element = f"{kind}.{name}"
-            dss.Circuit.SetActiveElement(element)
             n = dss.CktElement.NumPhases()
             ends = _nodes()
-            exponents = (0.0, 0.0)
             dss.Text.Command(f"? {element}.kv")
             kv = float(dss.Text.Result())
             dss.Text.Command(f"? {element}.conn")
             delta = dss.Text.Result().strip().lower() in ("delta", "ll")
             p_kw, q_kvar = _nominal(kind, name)
-            if kind == "load":
-                model = int(dss.Loads.Model())
-                if model == 4:
-                    exponents = (float(dss.Loads.CVRwatts()), float(dss.Loads.CVRvars()))
-                elif model in EXPONENTS:
-                    exponents = EXPONENTS[model]
-                else:
-                    _refuse(
-                        refused,
-                        element,
-                        f"has load model {model}",
-                        "Use model 1, 2, 3, 4 or 5, or import the feeder with --balance.",
-                    )
             phases = [phase for _, phase in ends]
             live = sum(phase >= 0 for phase in phases)
             # What is called a delta at one node is between that node and ground.
@@ -304,10 +278,26 @@ def _powers(engine: Any, refused: Refused) -> Iterator[dict[str, Any]]:
                 "bus": ends[0][0],
                 "coils": _load_coils(phases, delta, n),
                 "kv": rated,
-                "exponents": exponents,
+                "exponents": _exponents(name, refused) if kind == "load" else (0.0, 0.0),
                 "p_kw": p_kw,
                 "q_kvar": q_kvar,
             }
+
+
+def _exponents(name: str, refused: Refused) -> tuple[float, float]:
+    """How active and reactive power of a load follow the voltage."""
+    dss.Loads.Name(name)
+    model = int(dss.Loads.Model())
+    if model == 4:
+        return float(dss.Loads.CVRwatts()), float(dss.Loads.CVRvars())
+    if model not in EXPONENTS:
+        _refuse(
+            refused,
+            f"load.{name}",
+            f"has load model {model}",
+            "Use model 1, 2, 3, 4 or 5, or import the feeder with --balance.",
+        )
+    return EXPONENTS.get(model, (0.0, 0.0))
 
 
 def _nominal(kind: str, name: str) -> tuple[float, float]:

@@ -54,6 +54,11 @@ def settled() -> bool:
     return _solved("set mode=snapshot", "set controlmode=static", "set maxcontroliter=100")
 
 
+def solved_by_phase() -> bool:
+    """Solve with regulators and capacitors as they stand, to the last digits of each node."""
+    return _solved("set controlmode=off mode=snap tolerance=1e-11 maxiterations=1000")
+
+
 def _solved(*settings: str) -> bool:
     """Solve the circuit; whether that converged."""
     try:

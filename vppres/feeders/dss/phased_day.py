@@ -14,6 +14,9 @@ import opendssdirect as dss
 OFF = ("load", "pvsystem", "generator", "storage")
 MODELS = {(0.0, 0.0): "model=1", (1.0, 1.0): "model=5", (2.0, 2.0): "model=2"}
 ISLAND = "vppres_island"
+NOTHING_FOUND = {"v": None, "import_kw": None}
+"""Of a step without a solution."""
+
 ANY_VOLTAGE = "vminpu=0.05 vmaxpu=2"
 
 
@@ -40,14 +43,21 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
             f"new vsource.{ISLAND} bus1={job['island_bus']}.1.2.3 phases=3 basekv=1 pu=1 "
             "z1=[0,1e-9] z0=[0,1e-9] enabled=no"
         )
-    dss.Text.Command("set controlmode=off mode=snap tolerance=1e-11 maxiterations=1000")
     nodes = _nodes()
-    steps = [_solved(job, step, names, nodes) for step in job["steps"]]
+    steps = []
+    for step in job["steps"]:
+        _set(job, step, names)
+        steps.append(_found(nodes) if engine.solved_by_phase() else NOTHING_FOUND)
     return {"problems": [], "nodes": nodes, "steps": steps}
 
 
 def _nodes() -> list[str]:
     return [name.lower() for name in dss.Circuit.AllNodeNames()]
+
+
+def _found(nodes: list[str]) -> dict[str, Any]:
+    """Real and imaginary part of each node's voltage, and what the source gives."""
+    return {"v": _volts(nodes), "import_kw": -dss.Circuit.TotalPower()[0]}
 
 
 def _volts(nodes: list[str]) -> list[float]:
@@ -75,10 +85,8 @@ def _new_asset(i: int, asset: dict[str, Any]) -> str:
     return name
 
 
-def _solved(
-    job: dict[str, Any], step: dict[str, Any], names: list[str], nodes: list[str]
-) -> dict[str, Any]:
-    """Voltages of a step, real and imaginary part of each node; None where there is no solution."""
+def _set(job: dict[str, Any], step: dict[str, Any], names: list[str]) -> None:
+    """Source, capacitors and powers of a step."""
     island = step["held_v"] is not None
     for name in dss.Vsources.AllNames():
         on = (name == ISLAND) == island
@@ -94,10 +102,3 @@ def _solved(
         dss.Loads.Name(name)
         dss.Loads.kW(p_kw)
         dss.Loads.kvar(q_kvar)
-    try:
-        dss.Solution.Solve()
-    except Exception:  # the engine's own class has no public name
-        return {"v": None, "import_kw": None}
-    if not dss.Solution.Converged():
-        return {"v": None, "import_kw": None}
-    return {"v": _volts(nodes), "import_kw": -dss.Circuit.TotalPower()[0]}

@@ -8,15 +8,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Complexes, Floats
-from vppres.core.errors import InputError
+from vppres.core.arrays import Complexes
 from vppres.feeders.dss import text as dss_text
-from vppres.feeders.dss.circuit import located
-from vppres.feeders.dss.recheck import STEPS_PER_S, Recheck, Tables
-from vppres.feeders.strangers.confined import TIME_LIMIT_S, confined
-from vppres.scenario.phases import PHASES, PhaseConnection, Phases, coils_of
-
-V_PER_KV = 1000.0
+from vppres.feeders.dss.recheck import Recheck, Tables, side_by_side, solved_steps, step_table
+from vppres.physics.phases import V_PER_KV, measures
+from vppres.scenario.phases import PhaseConnection, Phases, coils_of
 
 
 def recheck_phased(run: Tables, phases: Phases, source: Path, former: str | None) -> Recheck:
@@ -48,12 +44,9 @@ def recheck_phased(run: Tables, phases: Phases, source: Path, former: str | None
         "island_bus": None if former is None else phases.connection(former).bus,
         "open": [row.bus for row in phases.shunts if row.island == "no"],
     }
-    limit_s = TIME_LIMIT_S + len(run["steps"]) / STEPS_PER_S
-    found = confined("dss/phased_day", job, source.name, limit_s)
-    if found["problems"]:
-        raise InputError([located(problem, script, source.name) for problem in found["problems"]])
+    found = solved_steps("dss/phased_day", job, script, source.name)
     voltages = _voltages(run, phases, found)
-    return Recheck(voltages, _step_table(run, found, voltages), _cause(voltages), _notes(former))
+    return Recheck(voltages, step_table(run, found, voltages), _cause(voltages), _notes(former))
 
 
 def _ids(run: Tables, table: str) -> list[str]:
@@ -83,98 +76,51 @@ def _steps(
         (pv, -(pv["self_kw"] + pv["export_kw"]), -pv["q_kvar"]),
         (batteries, batteries["charge_kw"] - batteries["discharge_kw"], -batteries["q_kvar"]),
     ]
-    tables = []
-    for column in (1, 2):
-        wide = [
-            pd.DataFrame({"time": part[0]["time"], "id": part[0]["id"], "x": part[column]})
-            for part in parts
-            if len(part[0])
-        ]
-        whole = pd.concat(wide).pivot_table(index="time", columns="id", values="x")
-        tables.append(whole[assets])
-    held = _held_v(run, phases, former)
-    own = None if former is None else assets.index(former)
-    steps = []
-    for time, outage in run["steps"][["time", "outage"]].itertuples(index=False):
-        p, q = (table.loc[time].to_numpy(float).copy() for table in tables)
-        island = bool(outage) and time in held
-        if island and own is not None:
-            p[own] = q[own] = 0.0  # the source stands for it
-        steps.append(
-            {"p_kw": p.tolist(), "q_kvar": q.tolist(), "held_v": held[time] if island else None}
-        )
-    return steps
+    frames = [
+        pd.DataFrame({"time": table["time"], "id": table["id"], "p": p_kw, "q": q_kvar})
+        for table, p_kw, q_kvar in parts
+        if len(table)
+    ]
+    wide = pd.concat(frames).pivot(index="time", columns="id").loc[run["steps"]["time"]]
+    p_kw, q_kvar = (wide[each][assets].to_numpy(float) for each in ("p", "q"))
+    held_v = _held_v(run, phases, former)
+    if former is not None:
+        island = [i for i, volts in enumerate(held_v) if volts is not None]
+        p_kw[island, assets.index(former)] = 0.0  # the source stands for it
+        q_kvar[island, assets.index(former)] = 0.0
+    return [
+        {"p_kw": p, "q_kvar": q, "held_v": volts}
+        for p, q, volts in zip(p_kw.tolist(), q_kvar.tolist(), held_v, strict=True)
+    ]
 
 
-def _held_v(run: Tables, phases: Phases, former: str | None) -> dict[Any, float]:
-    """Volts to ground of the former's bus in steps without grid that have any."""
+def _held_v(run: Tables, phases: Phases, former: str | None) -> list[float | None]:
+    """Volts to ground of the former's bus, step by step; None with grid or without any."""
+    steps = run["steps"]
     if former is None:
-        return {}
+        return [None] * len(steps)
     row = phases.by_bus[phases.connection(former).bus]
     nodes = run["nodes"][run["nodes"]["bus"] == row.bus]
-    outages = set(run["steps"].loc[run["steps"]["outage"].astype(bool), "time"])
     volts = V_PER_KV * row.kv / np.sqrt(3)
-    first = nodes.groupby("time")["v_ac_pu"].first().dropna()
-    return {time: float(v) * volts for time, v in first.items() if time in outages}
+    held = (nodes.groupby("time")["v_ac_pu"].first() * volts).reindex(steps["time"])
+    return [
+        float(v) if outage and np.isfinite(v) else None
+        for v, outage in zip(held, steps["outage"], strict=True)
+    ]
 
 
 def _voltages(run: Tables, phases: Phases, found: dict[str, Any]) -> pd.DataFrame:
-    """Voltages of both, step by step and as limits count them."""
-    place = {name: i for i, name in enumerate(found["nodes"])}
-    plan = run["nodes"].groupby("time")["v_ac_pu"].apply(np.array)
-    labels = phases.measured
-    tables = []
-    for step, (time, outage) in zip(
-        found["steps"], run["steps"][["time", "outage"]].itertuples(index=False), strict=True
-    ):
-        v: Floats = np.full(len(labels), np.nan)
-        if step["v"] is not None:
-            flat = np.array(step["v"])
-            volts: Complexes = flat[::2] + 1j * flat[1::2]
-            v = np.array([_measured(phases, place, volts, *label) for label in labels])
-        planned = plan.loc[time]
-        dark = np.isnan(planned)
-        tables.append(
-            pd.DataFrame(
-                {
-                    "time": time,
-                    "outage": bool(outage),
-                    "bus": [bus for bus, _ in labels],
-                    "phase": [phase for _, phase in labels],
-                    "v_pu": np.where(dark, np.nan, v),
-                    "v_plan_pu": planned,
-                }
-            )
-        )
-    voltages = pd.concat(tables, ignore_index=True)
-    return voltages.assign(difference_pu=voltages["v_pu"] - voltages["v_plan_pu"])
-
-
-def _measured(
-    phases: Phases, place: dict[str, int], volts: Complexes, bus: str, word: str
-) -> float:
-    """A voltage in pu as its limits count it; NaN for the source's own bus, which is not there."""
-    names = [f"{bus}.{PHASES.index(letter) + 1}" for letter in word]
-    if not all(name in place for name in names):
-        return np.nan
-    v = volts[place[names[0]]]
-    if len(names) == 2:
-        return float(abs(v - volts[place[names[1]]]) / (V_PER_KV * phases.by_bus[bus].kv))
-    return float(abs(v) * np.sqrt(3) / (V_PER_KV * phases.by_bus[bus].kv))
-
-
-def _step_table(run: Tables, found: dict[str, Any], voltages: pd.DataFrame) -> pd.DataFrame:
-    largest = voltages["difference_pu"].abs().groupby(voltages["time"]).max()
-    imported = [np.nan if s["import_kw"] is None else s["import_kw"] for s in found["steps"]]
-    return pd.DataFrame(
-        {
-            "time": run["steps"]["time"].to_numpy(),
-            "outage": run["steps"]["outage"].to_numpy(bool),
-            "import_kw": np.array(imported, dtype=float),
-            "import_plan_kw": run["steps"]["p_grid_kw"].to_numpy(float),
-            "difference_max_pu": largest.reindex(run["steps"]["time"]).to_numpy(),
-        }
-    )
+    """Voltages of both, step by step and as limits count them; none where the plan is dark."""
+    lost = [np.nan] * 2 * len(found["nodes"])
+    parts = np.array([lost if step["v"] is None else step["v"] for step in found["steps"]])
+    volts: Complexes = parts[:, ::2] + 1j * parts[:, 1::2]
+    names = [f"{bus}.{phase + 1}" for bus, phase in phases.nodes]
+    # The source's own bus is not there.
+    at_nodes = pd.DataFrame(volts.T, index=found["nodes"]).reindex(names)
+    v_pu = np.abs(measures(phases) @ at_nodes.to_numpy()).T
+    v_plan_pu = run["nodes"]["v_ac_pu"].to_numpy(float).reshape(v_pu.shape)
+    v_pu = np.where(np.isnan(v_plan_pu), np.nan, v_pu)
+    return side_by_side(run, phases.measured, v_pu, v_plan_pu)
 
 
 def _cause(voltages: pd.DataFrame) -> str:

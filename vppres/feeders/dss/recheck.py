@@ -7,7 +7,7 @@ stay at the taps that they find with the loads of the file, as in the plan.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -115,11 +115,11 @@ def recheck_opendss(run: Tables, source: Path, island_bus: BusId | None = None) 
         "island_bus": None if island_bus is None else str(island_bus),
         "constant_power": False,
     }
-    found = _day(job, script, source.name)
+    found = solved_steps("dss/day", job, script, source.name)
     _check_loads(run, found["nominal_kw"], source.name)
     voltages = _voltages(run, found, group_of)
-    steps = _step_table(run, found, voltages)
-    stiff = _day({**job, "constant_power": True}, script, source.name)
+    steps = step_table(run, found, voltages)
+    stiff = solved_steps("dss/day", {**job, "constant_power": True}, script, source.name)
     cause = _cause(voltages, _voltages(run, stiff, group_of))
     return Recheck(voltages, steps, cause, tuple(_notes(found, steps, voltages, island_bus)))
 
@@ -133,9 +133,12 @@ def _groups(source: Path) -> dict[str, str]:
     return {str(ids[i]): str(bus) for i, bus in bus_of.items()}
 
 
-def _day(job: dict[str, Any], script: dss_text.Script, name: str) -> dict[str, Any]:
+def solved_steps(
+    engine: str, job: dict[str, Any], script: dss_text.Script, name: str
+) -> dict[str, Any]:
+    """The answer of an engine to a job with steps; what is wrong with the script is raised."""
     limit_s = TIME_LIMIT_S + len(job["steps"]) / STEPS_PER_S
-    found = confined("dss/day", job, name, limit_s)
+    found = confined(engine, job, name, limit_s)
     if found["problems"]:
         raise InputError([located(problem, script, name) for problem in found["problems"]])
     return found
@@ -201,32 +204,35 @@ def _voltages(run: Tables, found: dict[str, Any], group_of: Mapping[str, str]) -
     kept = [i for i, (bus, _, node) in enumerate(nodes) if node in PHASE_NAMES and bus in group_of]
     plan = run["buses"].assign(bus=run["buses"]["bus"].astype(str))
     plan = plan.pivot_table(index="time", columns="bus", values="v_ac_pu", dropna=False)
-    tables = []
-    for step, (time, outage) in zip(
-        found["steps"], run["steps"][["time", "outage"]].itertuples(index=False), strict=True
-    ):
-        v_pu = np.full(len(nodes), np.nan) if step["v_pu"] is None else np.array(step["v_pu"])
-        planned = plan.loc[time] if time in plan.index else pd.Series(dtype=float)
-        tables.append(
-            pd.DataFrame(
-                {
-                    "time": time,
-                    "outage": bool(outage),
-                    "bus": [nodes[i][0] for i in kept],
-                    "phase": [PHASE_NAMES[nodes[i][2]] for i in kept],
-                    "v_pu": v_pu[kept],
-                    "v_plan_pu": planned.reindex([group_of[nodes[i][0]] for i in kept]).to_numpy(),
-                }
-            )
-        )
-    voltages = pd.concat(tables, ignore_index=True)
+    buses = [group_of[nodes[i][0]] for i in kept]
+    v_plan_pu = plan.reindex(index=run["steps"]["time"], columns=buses).to_numpy(float)
+    lost = [np.nan] * len(nodes)
+    v_pu = np.array([lost if step["v_pu"] is None else step["v_pu"] for step in found["steps"]])
+    labels = [(nodes[i][0], PHASE_NAMES[nodes[i][2]]) for i in kept]
     # A feeder that is dark in the plan has no voltage, whatever stands in for its source.
-    dark = voltages["outage"] & voltages["v_plan_pu"].isna()
-    voltages["v_pu"] = voltages["v_pu"].mask(dark)
-    return voltages.assign(difference_pu=voltages["v_pu"] - voltages["v_plan_pu"])
+    dark = run["steps"]["outage"].to_numpy(bool)[:, None] & np.isnan(v_plan_pu)
+    return side_by_side(run, labels, np.where(dark, np.nan, v_pu[:, kept]), v_plan_pu)
 
 
-def _step_table(run: Tables, found: dict[str, Any], voltages: pd.DataFrame) -> pd.DataFrame:
+def side_by_side(
+    run: Tables, labels: Sequence[tuple[str, str]], v_pu: Floats, v_plan_pu: Floats
+) -> pd.DataFrame:
+    """Voltages of the source and of the plan by step, (T, m), with bus and phase of each."""
+    steps = run["steps"]
+    return pd.DataFrame(
+        {
+            "time": steps["time"].repeat(len(labels)).array,
+            "outage": steps["outage"].to_numpy(bool).repeat(len(labels)),
+            "bus": [bus for bus, _ in labels] * len(steps),
+            "phase": [phase for _, phase in labels] * len(steps),
+            "v_pu": v_pu.ravel(),
+            "v_plan_pu": v_plan_pu.ravel(),
+            "difference_pu": (v_pu - v_plan_pu).ravel(),
+        }
+    )
+
+
+def step_table(run: Tables, found: dict[str, Any], voltages: pd.DataFrame) -> pd.DataFrame:
     """Import of both and the largest difference, by step."""
     largest = voltages["difference_pu"].abs().groupby(voltages["time"]).max()
     imported = [np.nan if s["import_kw"] is None else s["import_kw"] for s in found["steps"]]
