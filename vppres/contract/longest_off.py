@@ -73,12 +73,10 @@ class LongestOff:
 
     def beyond(self, served: Flags) -> Flags:
         """Steps beyond the limit under a service (W, C), shape (W, n)."""
-        found = self.asked.copy()
-        for i, (customer, steps) in enumerate(zip(self.customer, self.steps, strict=True)):
-            on = served[:, customer]
-            for t in np.flatnonzero(found[:, i]):
-                found[t, i] = not on[max(t - steps, 0) : t + 1].any()
-        return found
+        on = np.cumsum(served[:, self.customer], axis=0)
+        before = np.arange(len(on))[:, None] - self.steps - 1
+        until = np.take_along_axis(on, np.maximum(before, 0), axis=0)
+        return np.asarray(self.asked & (on == np.where(before < 0, 0, until)))
 
     def cost(self, served: Flags) -> float:
         """What a service pays for steps beyond the limits, in weighted customer hours."""

@@ -74,15 +74,13 @@ def at_random(terms: list[cp.Expression]) -> list[Floats]:
 def changed_families(page: Named, site: Site, v: Variables, p: Parameters) -> tuple[str, ...]:
     """Families of the paper that the page lacks, or states in another way."""
     paper = {name: c for name, (_, c) in constraints.made_by(site, v, p).items()}
-    both = [name for name in paper if name in page]
-    parts = [(x, y) for n in both for x, y in zip(paper[n].args, page[n].args, strict=False)]
-    values = at_random([each for pair in parts for each in pair])
-    same = dict.fromkeys(both, True)
-    number = 0
-    for name in both:
-        same[name] = type(paper[name]) is type(page[name])
-        for _ in zip(paper[name].args, page[name].args, strict=False):
-            x, y = values[2 * number], values[2 * number + 1]
-            same[name] &= x.shape == y.shape and bool(np.allclose(x, y, rtol=SAME, atol=0.0))
-            number += 1
-    return tuple(name for name in paper if not same.get(name, False))
+    return tuple(n for n, c in paper.items() if n not in page or not _says_the_same(c, page[n]))
+
+
+def _says_the_same(one: cp.Constraint, other: cp.Constraint) -> bool:
+    """Whether two constraints are of a kind and their sides have the same values."""
+    if type(one) is not type(other) or len(one.args) != len(other.args):
+        return False
+    values = at_random([*one.args, *other.args])
+    pairs = zip(values[: len(one.args)], values[len(one.args) :], strict=True)
+    return all(x.shape == y.shape and np.allclose(x, y, rtol=SAME, atol=0.0) for x, y in pairs)

@@ -358,8 +358,7 @@ class Selection:
 class Selected:
     """A selection as a problem: what of it stays the same, and how its numbers are written.
 
-    It is asked like :class:`vppres.solve.compiled.Compiled`, and composed when it is asked for the
-    first time.
+    It is composed when it is asked for the first time.
 
     Parameters
     ----------

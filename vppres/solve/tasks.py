@@ -56,7 +56,7 @@ class Setup:
     solver: str
     limits: SolveLimits
     polygon_sides: int
-    own: tuple[str, ...] = field(default_factory=lambda: _own_parts())
+    own: tuple[str, ...] = field(default_factory=_own_parts)
 
     @cached_property
     def key(self) -> str:
