@@ -121,43 +121,48 @@ class Lumping:
                         letters.append(each)
         return replace(family, rows=rows, letters=tuple(letters))
 
-    def _lumped(self, rows: Linear, name: str, lump: Lump) -> Linear | None:
-        """Rows with the sums of one letter."""
+    def _blocks(self, rows: Linear, lump: Lump) -> tuple[Wholes, Wholes] | None:
+        """Entries of each sum, (blocks, k), and its place; None if a row lacks some device."""
         k, n = lump.members.shape
-        place = np.full(max(self.sheet.size, rows.shape[1]) + 1, -1, dtype=np.int64)
+        place = np.full(rows.shape[1] + 1, -1, dtype=np.int64)
         place[lump.members.T.ravel()] = np.arange(k * n)
-        rows = rows.wider(self.sheet.size)
-        where = place[np.minimum(rows.column, len(place) - 1)]
-        where[rows.column == rows.shape[1]] = -1
+        where = place[rows.column]
         inside = np.flatnonzero(where >= 0)
-        if not len(inside):
-            return rows
-        inside = inside[np.lexsort((where[inside], rows.row[inside]))]
         if len(inside) % k:
             return None
-        blocks = inside.reshape(-1, k)
+        blocks = inside[np.lexsort((where[inside], rows.row[inside]))].reshape(-1, k)
         group = where[blocks] // k
-        same = (group == group[:, :1]).all() and (rows.row[blocks] == rows.row[blocks[:, :1]]).all()
-        if not same:
+        row = rows.row[blocks]
+        same = (group == group[:, :1]).all() and (row == row[:, :1]).all()
+        return (blocks, group[:, 0]) if same else None
+
+    def _lumped(self, rows: Linear, name: str, lump: Lump) -> Linear | None:
+        """Rows with the sums of one letter; None if some row tells devices apart."""
+        rows = rows.wider(self.sheet.size)
+        found = self._blocks(rows, lump)
+        if found is None:
             return None
-        entry, sum_column = rows.by[blocks.ravel()], lump.sums[group[:, 0]]
-        by = sp.csr_array(sp.diags_array(np.tile(1.0 / lump.weight, len(blocks))) @ entry)
+        blocks, group = found
+        if not len(blocks):
+            return rows
+        k = len(lump.members)
+        weights = sp.diags_array(np.tile(1.0 / lump.weight, len(blocks)))
+        by = sp.csr_array(weights @ rows.by[blocks.ravel()])
         uniform = _uniform(by, len(blocks), k, self.sheet.width - 1)
+        if not uniform.all() and (self.sheet.lower[lump.members] < 0.0).any():
+            return None
         signs = np.ones(len(blocks))
-        columns = sum_column.copy()
-        if not uniform.all():
-            if (self.sheet.lower[lump.members] < 0.0).any():
-                return None
-            for number in np.flatnonzero(~uniform):
-                part = sp.csr_array(by[number * k : (number + 1) * k])
-                columns[number], signs[number] = self._range(name, int(sum_column[number]), part)
+        columns = lump.sums[group]
+        for number in np.flatnonzero(~uniform).tolist():
+            part = sp.csr_array(by[number * k : (number + 1) * k])
+            columns[number], signs[number] = self._range(name, int(columns[number]), part)
         first = sp.csr_array(by[np.arange(len(blocks)) * k])
         one = _constants(signs, self.sheet.width - 1, rows.by.shape[1])
         new = sp.csr_array(
             sp.diags_array(uniform.astype(float)) @ first
             + sp.diags_array((~uniform).astype(float)) @ one
         )
-        others = np.setdiff1d(np.arange(len(rows.row)), inside)
+        others = np.setdiff1d(np.arange(len(rows.row)), blocks)
         rest = rows.wider(self.sheet.size)
         return Linear(
             np.append(rest.row[others], rows.row[blocks[:, 0]]),

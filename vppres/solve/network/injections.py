@@ -259,6 +259,20 @@ class Injections:
 
     def rows(self) -> Rows:
         """Balances, circular charging, PV systems and batteries."""
+        return Rows.joined(
+            [
+                *self._balance_rows(),
+                self._pv_rows(),
+                *self._battery_rows(),
+                *self._connection_rows(),
+                *self._terminal_rows(),
+                *self._value_rows(),
+                *self._rule_rows(),
+            ]
+        )
+
+    def _balance_rows(self) -> list[Rows]:
+        """Active and reactive balance, and circular charging."""
         at = self.at
         site = self.site
         data = self.data
@@ -286,24 +300,23 @@ class Injections:
         drawn_kvar = self.drawn.kvar.sum(axis=1)
         outside = np.hstack([at["P_grid"], at["P_exp"], at["P_ch"]])
         charging = np.append(np.ones(1 + len(site.pv)), -np.ones(len(site.batteries)))
-        through = [at["P_exp"], *(columns[:, site.owner] for columns in users)]
+        return [
+            Rows.of(active, signs, drawn_kw, drawn_kw, self.size),
+            Rows.of(reactive, kvar, drawn_kvar, drawn_kvar, self.size),
+            Rows.of(outside, charging, 0.0, np.inf, self.size),
+        ]
+
+    def _pv_rows(self) -> Rows:
+        """What PV systems give and their owners use of it."""
+        site = self.site
+        pv_kw = self.data.pv_kw
+        users = [self.at[name][:, site.owner] for name in self.demands]
+        through = [self.at["P_exp"], *users]
         owner = np.stack(through, axis=-1).reshape(-1, len(through))
-        owns = [demand.own_kw.ravel() for demand in demands.values()]
-        own = np.column_stack([np.ones(data.pv_kw.size), *owns])
-        room = np.minimum(data.pv_kw, site.pv.s_max_kva).ravel()
-        return Rows.joined(
-            [
-                Rows.of(active, signs, drawn_kw, drawn_kw, self.size),
-                Rows.of(reactive, kvar, drawn_kvar, drawn_kvar, self.size),
-                Rows.of(outside, charging, 0.0, np.inf, self.size),
-                Rows.of(owner, own, -np.inf, room, self.size),
-                *self._battery_rows(),
-                *self._connection_rows(),
-                *self._terminal_rows(),
-                *self._value_rows(),
-                *self._rule_rows(),
-            ]
-        )
+        own_kw = [demand.own_kw.ravel() for demand in self.demands.values()]
+        used = np.column_stack([np.ones(pv_kw.size), *own_kw])
+        room = np.minimum(pv_kw, site.pv.s_max_kva).ravel()
+        return Rows.of(owner, used, -np.inf, room, self.size)
 
     def _rule_rows(self) -> list[Rows]:
         """Switching rules."""
