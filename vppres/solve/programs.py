@@ -25,7 +25,10 @@ DIRECT = "highs"
 solve starts where the last one ended, which no common interface offers."""
 
 WHOLE_TOLERANCE = 1e-6
-"""By how much a bound may exceed a whole number and still be worth no more than it."""
+"""What the solver may be off by from a whole number, or a bound on one."""
+
+HALF_UNIT = 0.5
+"""What a sum of units may miss a whole number by and still be the number itself."""
 
 
 STOPPED = (

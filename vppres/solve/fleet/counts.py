@@ -22,11 +22,16 @@ from vppres.solve.fleet.cuts import Cut, Reach
 from vppres.solve.fleet.demand import DemandModel
 from vppres.solve.fleet.reach import OneBattery
 from vppres.solve.fleet.recursion import Losses, fewest_lost, is_too_much
-from vppres.solve.programs import DIRECT, PROOF, Program, ProgramSolution, add_row
+from vppres.solve.programs import (
+    DIRECT,
+    HALF_UNIT,
+    PROOF,
+    WHOLE_TOLERANCE,
+    Program,
+    ProgramSolution,
+    add_row,
+)
 from vppres.solve.result import Outcome, Status
-
-TOLERANCE = 1e-6
-"""Feasibility tolerance of the solver: what a whole number may be off by."""
 
 SERVICE_SHARE = 0.6
 """Share of the time left that service may take; the rest is for cost and a dispatch. A window that
@@ -37,9 +42,6 @@ LOSSY_GAP_SHARE = 0.4
 """Shares of the window's gap that the search for service may leave open: where service is a whole
 number, most of it, since the levels after it are exact; where PV power must be lost, less, since
 they have to weigh the loss again."""
-
-HALF_UNIT = 0.5
-"""What a whole number may miss a bound by and still be the number itself."""
 
 SPARE_CUSTOMERS = 3
 """Customers of the largest weight whom a set may lose beyond what shares of customers lose: a
@@ -298,7 +300,7 @@ class Counts:
         if not self.whole or joined or not len(layout.weight):
             return None
         everyone = int((self.able[free] * self.units).sum())
-        lost = int(np.ceil(everyone + linear.bound - self.least[0] - TOLERANCE))
+        lost = int(np.ceil(everyone + linear.bound - self.least[0] - WHOLE_TOLERANCE))
         most_lost = lost + SPARE_CUSTOMERS * int(layout.weight.max())
         units_of_step = int((self.able * self.units).sum(axis=1).max())
         if is_too_much(layout.n_steps, units_of_step, most_lost):
@@ -387,7 +389,7 @@ class Counts:
             solver = self._search(program, cuts, LOSSY_GAP_SHARE * self.gap)
             return self._found(solver, layout, deadline)
         # Below one unit a whole number is known; a window of many units needs no such proof.
-        gap = max(1.0 - TOLERANCE, share * WHOLE_GAP_SHARE * self.gap)
+        gap = max(1.0 - WHOLE_TOLERANCE, share * WHOLE_GAP_SHARE * self.gap)
         # What fewer cuts have proven holds with more: whoever serves as much is the best.
         proven = self.proven.get(block.tobytes(), -np.inf)
         solver = self._search(program, cuts, gap, proven + HALF_UNIT)
@@ -395,7 +397,7 @@ class Counts:
         if not found.status.has_answer:
             return found
         # Service is whole, so its bound may be rounded.
-        bound = max(float(np.ceil(found.bound - TOLERANCE)), proven)
+        bound = max(float(np.ceil(found.bound - WHOLE_TOLERANCE)), proven)
         self.proven[block.tobytes()] = bound
         ended = found.value <= bound + HALF_UNIT
         return replace(found, bound=bound, status=Status.OPTIMAL if ended else found.status)
@@ -499,7 +501,7 @@ class Counts:
         answer = ProgramSolution.of(solver, deadline)
         served = self.able.copy()
         if answer.status.has_answer:
-            layout.serve(served, np.floor(answer.x[layout.counts] + 2.0 * TOLERANCE))
+            layout.serve(served, np.floor(answer.x[layout.counts] + 2.0 * WHOLE_TOLERANCE))
         return _Found(
             answer.status, answer.value, answer.bound, served, answer.x[: layout.n_steps + 2]
         )

@@ -26,7 +26,7 @@ from vppres.solve.fleet.relaxation import (
     weight_grid,
     whole_price,
 )
-from vppres.solve.programs import near_linear, program_of
+from vppres.solve.programs import WHOLE_TOLERANCE, near_linear, program_of
 from vppres.solve.result import Outcome, Status
 from vppres.solve.solvers import SolverSpec, compiled_in_time, run
 from vppres.solve.task import WindowTask
@@ -35,8 +35,8 @@ WHOLE_GAP = 0.99
 """Gap of a search whose objective is a whole number: below one, the best number is known. Where the
 window's gap is many units, the search leaves its share of that open, as the counts do."""
 
-ROUNDING = 1e-6
-"""By how much a bound may exceed a whole number and still be rounded down to it."""
+UNITS_TOLERANCE = 1e-9
+"""What is taken off a sum of weights so that rounding excludes no set of exactly that service."""
 
 MOST_BINARIES = 600
 """Customers times steps up to which a window is searched with a binary for each. Beyond, that takes
@@ -124,7 +124,7 @@ class Binaries:
         outcome = search_for_set(problem, self.spec, open_units, left_s)
         if not self.data.keeps_service:
             # The objective is whole, so the bound may be rounded down.
-            outcome = replace(outcome, bound=float(np.floor(outcome.bound + ROUNDING)))
+            outcome = replace(outcome, bound=float(np.floor(outcome.bound + WHOLE_TOLERANCE)))
         self.best = set_of(problem, outcome)
         return outcome, self.best
 

@@ -15,7 +15,7 @@ from vppres.solve.dispatch import (
     cheapest_with_modes,
     keep_dispatch,
 )
-from vppres.solve.fleet.masters import Master
+from vppres.solve.fleet.masters import UNITS_TOLERANCE, Master
 from vppres.solve.forms import Form, window_problem
 from vppres.solve.result import Status
 from vppres.solve.solvers import run
@@ -33,9 +33,6 @@ numbers, so that rounding does not decide."""
 
 EVERYONE_UNITS = 0.99
 """Units below the bound on service within which nobody connected can be left out."""
-
-UNITS_TOLERANCE = 1e-9
-"""What is taken off a sum of weights so that rounding excludes no set of exactly that service."""
 
 
 def everyone_served(task: WindowTask) -> None:

@@ -20,24 +20,17 @@ from vppres.solve.dispatch import (
     with_least_reactive,
     with_tie_breakers,
 )
-from vppres.solve.fleet.masters import Master, fleets_of, master_of
+from vppres.solve.fleet.masters import UNITS_TOLERANCE, Master, fleets_of, master_of
 from vppres.solve.network.master import NetworkMaster, applies
 from vppres.solve.network.reactance import Reactance
 from vppres.solve.network.rules import rows_of_rules
-from vppres.solve.network.sets import TOLERANCE
+from vppres.solve.programs import HALF_UNIT, WHOLE_TOLERANCE
 from vppres.solve.result import Outcome, Status
 from vppres.solve.task import COST_SHARE, WindowTask
 
 SERVICE_SHARE = 0.5
 """Share of the time left for the search of a set: the other half is for its dispatch, its bound on
 cost and, where the window is small, the whole problem."""
-
-HALF_UNIT = 0.5
-"""Units of service by which the network's bound must lie below the fleet's set to say that it
-forbids the set."""
-
-UNITS_TOLERANCE = 1e-9
-"""What is taken off a sum of weights so that rounding excludes no set of exactly that service."""
 
 
 def enter_network(task: WindowTask, master: NetworkMaster | None) -> None:
@@ -165,7 +158,7 @@ class InNetwork:
         gap_gbp = cost_gap_gbp(found.terms.f2)
         if self.task.is_large or found.terms.f2 - known.cost_bound_gbp <= gap_gbp:
             return found
-        units = float(np.ceil(found.service / self.master.unit - TOLERANCE))
+        units = float(np.ceil(found.service / self.master.unit - WHOLE_TOLERANCE))
         share = COST_SHARE if self._certified(found) else SERVICE_SHARE
         deadline = self.task.deadline.part(share)
         first = found.dispatch.served
@@ -235,7 +228,7 @@ class InNetwork:
 
     def _network_cost(self, units_min: float) -> Outcome:
         """Least cost of shares of customers with so many units, in the network."""
-        return self.master.least_cost(float(np.ceil(units_min - TOLERANCE)))
+        return self.master.least_cost(float(np.ceil(units_min - WHOLE_TOLERANCE)))
 
     def cheapest(self, served: Flags) -> Candidate | None:
         """Cheapest dispatch of a set, with the tie-breakers if they find one."""

@@ -16,7 +16,7 @@ from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.scenario.network import Network
 from vppres.solve.deadline import Deadline
 from vppres.solve.network.rows import Rows
-from vppres.solve.programs import PROOF, Program, ProgramSolution
+from vppres.solve.programs import PROOF, WHOLE_TOLERANCE, Program, ProgramSolution
 
 SHARED = -1
 """Feeder of what belongs to none: the grid's columns, rows over several feeders."""
@@ -39,10 +39,6 @@ LEAST_CUT = 0.01
 
 ROOM = 1e-4
 """Units by which a cut gives way, so that no solution stands on the very tip of it."""
-
-
-FRACTION = 1e-6
-"""How far from a whole number a share is a fraction."""
 
 
 def feeder_of_buses(network: Network) -> Wholes:
@@ -125,7 +121,7 @@ class Feeders:
     def fractional(self) -> Wholes:
         """Feeders in which a binary is a fraction, in order."""
         values = self.x[self.binaries]
-        fraction = np.abs(values - np.round(values)) > FRACTION
+        fraction = np.abs(values - np.round(values)) > WHOLE_TOLERANCE
         feeders = np.unique(self.feeder[self.binaries[fraction]])
         return np.asarray(feeders[feeders != SHARED])
 

@@ -22,9 +22,11 @@ from vppres.solve.network.feeders import Feeders, feeder_of_buses
 from vppres.solve.network.program import DISC, SMALL, NetworkProgram
 from vppres.solve.network.reactance import Reactance
 from vppres.solve.network.rows import Rows, limited
-from vppres.solve.network.sets import HALF_UNIT, TOLERANCE, Known, ServiceCuts
+from vppres.solve.network.sets import Known, ServiceCuts
 from vppres.solve.programs import (
     DIRECT,
+    HALF_UNIT,
+    WHOLE_TOLERANCE,
     Program,
     ProgramSolution,
     SetOptions,
@@ -125,7 +127,11 @@ class NetworkMaster:
     def most_units(self) -> float:
         """Service that no set exceeds, in units; infinite where it was not found."""
         root = self.root[1]
-        return float(np.floor(TOLERANCE - root.bound)) if root.status == Status.OPTIMAL else np.inf
+        return (
+            float(np.floor(WHOLE_TOLERANCE - root.bound))
+            if root.status == Status.OPTIMAL
+            else np.inf
+        )
 
     def service(self, deadline: Deadline) -> tuple[Outcome, Flags | None]:
         """Most service in whole units until a deadline, whatever is curtailed for it.
@@ -141,7 +147,7 @@ class NetworkMaster:
             return root.outcome(watch.spent_s), None
         cuts = ServiceCuts(self.units)
         most = self._cut(root, cuts)
-        known = Known(np.ones(x.size), float(np.floor(most + TOLERANCE)), self._shares(root))
+        known = Known(np.ones(x.size), float(np.floor(most + WHOLE_TOLERANCE)), self._shares(root))
         known.improve(*self._carried(root))
         if self.network.is_large:
             self._close_large(known, cuts, deadline)
@@ -241,7 +247,7 @@ class NetworkMaster:
         held = np.full(len(self.units), np.nan)
         if not known.closed():
             held = self._by_feeders(cuts, deadline)
-            known.bound = max(known.most, float(np.floor(cuts.first + TOLERANCE)))
+            known.bound = max(known.most, float(np.floor(cuts.first + WHOLE_TOLERANCE)))
         known.tried = np.where(np.isnan(held), 1.0, held)
         if not known.closed() and not self._learns(known, cuts, deadline, DISC):
             return
@@ -381,7 +387,7 @@ class NetworkMaster:
 
     def _in_full(self, linear: ProgramSolution) -> Floats:
         """Who is served in full by a linear solution."""
-        return np.asarray(np.floor(linear.x[self.model.at["x"].ravel()] + TOLERANCE))
+        return np.asarray(np.floor(linear.x[self.model.at["x"].ravel()] + WHOLE_TOLERANCE))
 
     def _carried(self, linear: ProgramSolution) -> tuple[Floats, float]:
         """Who is served in full by a linear solution, and what that is worth in units."""
@@ -416,7 +422,9 @@ class NetworkMaster:
         x = self.model.at["x"]
         rows = [Rows.joined(self.network.found).part(binding)] if binding.any() else []
         counted = self._counted(self.network.with_cost(*self.lack), rows)
-        solver = counted.loaded(1.0 - TOLERANCE, enough=HALF_UNIT - at_most, more=self._options)
+        solver = counted.loaded(
+            1.0 - WHOLE_TOLERANCE, enough=HALF_UNIT - at_most, more=self._options
+        )
         if best is not None and self.data.switching is not None:
             begin_with(solver, x, best)
         found = ProgramSolution.of(solver, deadline)
@@ -512,7 +520,7 @@ class NetworkMaster:
         """Least cost of so many units."""
         columns, lack = self.lack
         size = len(self.network.program.cost)
-        enough = Rows.of(columns[None, :], -lack, units_min - TOLERANCE, np.inf, size)
+        enough = Rows.of(columns[None, :], -lack, units_min - WHOLE_TOLERANCE, np.inf, size)
         return self.network.with_cost(*self.model.price).with_rows(
             enough.matrix.tocsc(), enough.lower
         )

@@ -13,15 +13,12 @@ import scipy.sparse as sp
 
 from vppres.core.arrays import Floats
 from vppres.solve.deadline import Deadline
-from vppres.solve.programs import NO_JUMPS, Program, ProgramSolution
+from vppres.solve.programs import HALF_UNIT, NO_JUMPS, WHOLE_TOLERANCE, Program, ProgramSolution
 from vppres.solve.result import Status
 
 NEAR = 0.3
 """Units for which a set may be preferred because it is close to a linear solution. Twice as much
 must stay below one unit, or the best set would no longer be told from the next."""
-
-HALF_UNIT = 0.5
-"""What a sum of weights may miss a whole number by and still be the number itself."""
 
 CLOSE = 0.03
 """Of the units for which a set may be preferred, how many a set may lack that ends a search."""
@@ -29,9 +26,6 @@ CLOSE = 0.03
 FEW_ROWS = MappingProxyType({**NO_JUMPS, "presolve": "off"})
 """Options of the search for the next set to try: of a few dense rows, one for each set before,
 presolve took up to two thirds of the time."""
-
-TOLERANCE = 1e-6
-"""Feasibility tolerance of the solver: what a share or a whole number may be off by."""
 
 
 @dataclass
@@ -57,7 +51,7 @@ class Known:
             self.bound = self.most
         elif found.status.has_answer:
             self.tried = np.round(found.x)
-        self.bound = max(self.most, min(self.bound, float(np.floor(TOLERANCE - found.bound))))
+        self.bound = max(self.most, min(self.bound, float(np.floor(WHOLE_TOLERANCE - found.bound))))
 
     def exclude(self) -> None:
         """No set that is carried has as much as the bound."""
@@ -89,7 +83,7 @@ class ServiceCuts:
         if not self.gains:
             self.first_left = left
         self.gains.append(np.maximum(-left, 0.0))
-        self.most_units.append(most + TOLERANCE)
+        self.most_units.append(most + WHOLE_TOLERANCE)
         return most + float(self.gains[-1].sum())
 
     @property
