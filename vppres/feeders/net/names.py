@@ -25,10 +25,13 @@ def identifiers(names: Sequence[str], numbers: Sequence[object]) -> list[str]:
 
     >>> identifiers(["School", "Mill", "Mill", ""], [3, 4, 5, 6])
     ['School', 'Mill (4)', 'Mill (5)', '6']
+    >>> identifiers(["Mill", "Mill", "Mill (4)"], [4, 5, 6])
+    ['Mill (4)', 'Mill (5)', 'Mill (4) (6)']
     """
     clean = [visible(" ".join(name.split()))[:LONGEST].strip() for name in names]
-    count = Counter([*clean, *map(str, numbers)])
+    numbered = [f"{name} ({number})" for name, number in zip(clean, numbers, strict=True)]
+    count = Counter([*clean, *map(str, numbers), *numbered])
     return [
-        str(number) if not name else name if count[name] == 1 else f"{name} ({number})"
-        for name, number in zip(clean, numbers, strict=True)
+        str(number) if not name else name if count[name] == 1 else longer
+        for name, number, longer in zip(clean, numbers, numbered, strict=True)
     ]
