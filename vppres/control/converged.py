@@ -353,9 +353,9 @@ def physics_of(site: Site, data: WindowData, headroom: float) -> Physics:
     W = data.n_steps
     island = data.grid_limit_kw <= 0.0
     reference = np.zeros(W, dtype=int)
-    if b.formers.any():
-        largest = int(np.argmax(np.where(b.formers, b.s_max_kva, -1.0)))
-        reference[island] = site.network.bus_index[b.bus[largest]]
+    former = b.largest_former
+    if former is not None:
+        reference[island] = site.network.bus_index[b.bus[former]]
     share_kw = np.where(b.formers, np.minimum(headroom * b.s_max_kva, b.active_max_kw), 0.0)
     headroom_kw = np.where(island[:, None], share_kw, 0.0)
     zero = np.zeros((W, site.network.n_lines))

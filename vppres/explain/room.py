@@ -56,11 +56,8 @@ def _flows_for(step: Step, customer: int) -> tuple[Floats, Floats]:
     It comes from the grid, and in an island from the largest battery that forms it.
     """
     site = step.site
-    source = 0
-    b = site.batteries
-    if step.outage and b.formers.any():
-        largest = int(np.argmax(np.where(b.formers, b.s_max_kva, -1.0)))
-        source = site.network.bus_index[b.bus[largest]]
+    former = site.batteries.largest_former if step.outage else None
+    source = 0 if former is None else site.network.bus_index[site.batteries.bus[former]]
     place = site.customer_bus[:, [customer]].toarray().ravel()
     place[source] -= 1.0
     kw = float(step.load_kw[customer])

@@ -67,9 +67,9 @@ class Feeding:
         net = scenario.network
         b = scenario.batteries
         bus = net.slack_bus
-        if outage and mode == "physical" and b.formers.any():
+        if outage and mode == "physical" and b.largest_former is not None:
             # The island gets and gives nothing: any bus may hold the voltage that it has.
-            bus = b.bus[int(np.argmax(np.where(b.formers, b.s_max_kva, -1.0)))]
+            bus = b.bus[b.largest_former]
         v_pu = float(v_ac_pu[net.bus_index[bus]])
         dark = bool(np.isnan(v_pu))
         draws = (net.p_fixed_kw != 0) | (net.q_fixed_kvar != 0)

@@ -109,7 +109,7 @@ def former_words(scenario: Scenario, mode: str | None = None, always: bool = Fal
         for i in np.flatnonzero(b.formers)
     ]
     if b.grid_forming.any():
-        return f"The island is formed by {', '.join(names[:FORMERS_SHOWN])}{_more(names)}."
+        return f"The island is formed by {named(names, FORMERS_SHOWN)}."
     bus = b.bus[b.formers][0]
     whose = "a customer's battery" if bus in scenario.customers.bus else "a battery"
     peak_kva = float(np.hypot(scenario.load_kw, scenario.load_kvar).sum(axis=1).max())
@@ -118,12 +118,6 @@ def former_words(scenario: Scenario, mode: str | None = None, always: bool = Fal
         f"grid_forming = yes, so the one with the largest inverter forms it. The largest demand is "
         f"{peak_kva:,.4g} kVA. Mark the batteries that can form the grid in batteries.csv."
     )
-
-
-def _more(names: list[str]) -> str:
-    """How many names are not shown."""
-    left = len(names) - FORMERS_SHOWN
-    return f" and {left} more" if left > 0 else ""
 
 
 def export_words(scenario: Scenario) -> str:
