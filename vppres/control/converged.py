@@ -67,7 +67,55 @@ class _Line:
     drawn_kvar: Floats
 
 
-class ConvergedPlanner:
+class PassesPlanner:
+    """What solves a window and the passes after it.
+
+    Parameters
+    ----------
+    solver : WindowSolver
+        Solves the windows.
+    headroom : float
+        Share of a grid-forming battery's inverter rating that a plan leaves free in an island.
+    passes : int
+        Largest number of solves and AC power flows of a window.
+    """
+
+    def __init__(self, solver: WindowSolver, headroom: float, passes: int) -> None:
+        self.solver = solver
+        self.headroom = headroom
+        self.passes = passes
+
+    def nudged(self, data: WindowData) -> WindowData:
+        """The window with states of charge that miss no need by rounding."""
+        soc = np.minimum(data.soc + SOC_NUDGE, self.solver.site.batteries.soc_max)
+        return replace(data, soc=soc)
+
+    def again(
+        self,
+        data: WindowData,
+        before: WindowSolution,
+        deadline: Deadline,
+        *,
+        keeps_turns: bool,
+        decides: bool,
+    ) -> tuple[WindowSolution | None, bool]:
+        """A closer window for the set before, and whether a set was decided anew for it.
+
+        That is only where the set has no dispatch, if there may be another; None without any.
+        """
+        plan = before.dispatch
+        found = self.solver.solve_served(
+            data, plan.served, plan, keeps_turns=keeps_turns, within_s=deadline.left_s
+        )
+        if found is not None or not decides or deadline.passed:
+            return found, False
+        try:
+            return self.solver.solve(data, deadline.left_s), True
+        except (InfeasibleError, NumericalError, LimitError):
+            return None, True
+
+
+class ConvergedPlanner(PassesPlanner):
     """Plans windows that AC agrees with.
 
     Parameters
@@ -86,9 +134,7 @@ class ConvergedPlanner:
     def __init__(
         self, solver: WindowSolver, headroom: float = DEFAULT_HEADROOM, passes: int = DEFAULT_PASSES
     ) -> None:
-        self.solver = solver
-        self.headroom = headroom
-        self.passes = passes
+        super().__init__(solver, headroom, passes)
         self._known: dict[int, tuple[bool, _Line]] = {}
         self._sweeps: dict[tuple[int, bool], Sweeps] = {}
 
@@ -170,8 +216,7 @@ class ConvergedPlanner:
         calls it infeasible. SoC is not known that sharply anyway. Where an old AC point leaves no
         dispatch at all, the window is solved without losses.
         """
-        b = self.solver.site.batteries
-        nudged = replace(data, soc=np.minimum(data.soc + SOC_NUDGE, b.soc_max))
+        nudged = self.nudged(data)
         try:
             return data, self.solver.solve(data, deadline.left_s)
         except (InfeasibleError, NumericalError):
@@ -194,22 +239,15 @@ class ConvergedPlanner:
         points = self.ac_points(data, solution.dispatch)
         while passes < self.passes and not agree(data, solution.dispatch, points, network):
             closer = linearised(data, network, points)
-            before = solution.dispatch
-            again = self.solver.solve_served(
-                closer,
-                before.served,
-                before,
-                keeps_turns=passes > 1,
-                within_s=deadline.left_s,
+            more = decisions < _MAX_DECISIONS
+            again, anew = self.again(
+                closer, solution, deadline, keeps_turns=passes > 1, decides=more
             )
             if again is None:
-                if decisions == _MAX_DECISIONS or deadline.passed:
-                    break
+                break
+            if anew:
+                decided = again
                 decisions += 1
-                try:
-                    again = decided = self.solver.solve(closer, deadline.left_s)
-                except (InfeasibleError, NumericalError, LimitError):
-                    break
             data = closer
             solution = again
             passes = passes + 1

@@ -1,7 +1,6 @@
 """Windows of a phased feeder: solve, power flow by phase of the candidate, linearise, solve again.
 
-Rows of voltages are stated only for nodes that a candidate has put outside its limits. Limits give
-way to what the feeder has without control, so that a window always has a dispatch.
+Rows of voltages are stated only for nodes that a candidate has put outside its limits.
 """
 
 from __future__ import annotations
@@ -18,21 +17,19 @@ from vppres.control.converged import (
     DEFAULT_HEADROOM,
     DEFAULT_PASSES,
     FIRST_SHARE,
-    LOSS_TOLERANCE_KW,
-    SOC_NUDGE,
-    VOLTAGE_TOLERANCE_PU,
+    PassesPlanner,
     dark_steps,
     in_the_dark,
     physics_of,
     without_power,
 )
-from vppres.core.arrays import Complexes, Flags, Floats
-from vppres.core.errors import InfeasibleError, LimitError, NumericalError
+from vppres.control.phased_window import PhasedLinearisation
+from vppres.core.arrays import Floats
+from vppres.core.errors import InfeasibleError, NumericalError
 from vppres.model.beyond_paper.losses import lit_steps
 from vppres.model.beyond_paper.phases import out_of_limits
-from vppres.model.data import PhasedWindow, WindowData
-from vppres.model.linearise import Drawn
-from vppres.model.phases import PhasedPoints, phased_model
+from vppres.model.data import WindowData
+from vppres.model.phases import phased_model
 from vppres.physics.phased_sources import farthest
 from vppres.solve.deadline import Deadline
 from vppres.solve.ladder import WindowSolver
@@ -50,8 +47,11 @@ INSIDE_PU2 = 2e-5
 PASSES = 2 * DEFAULT_PASSES
 """Passes of a window: the former's phases settle later than its voltages."""
 
+MOST_DECISIONS = 4
+"""Times that the served set of a window is decided."""
 
-class PhasedPlanner:
+
+class PhasedPlanner(PassesPlanner):
     """Plans windows of a phased site that its three-phase power flow agrees with.
 
     Parameters
@@ -69,10 +69,9 @@ class PhasedPlanner:
     def __init__(
         self, solver: WindowSolver, headroom: float = DEFAULT_HEADROOM, passes: int = PASSES
     ) -> None:
-        self.solver = solver
-        self.headroom = headroom
-        self.passes = passes
+        super().__init__(solver, headroom, passes)
         self.model = phased_model(solver.site)
+        self._linearisation = PhasedLinearisation(self.model)
         self._watched: tuple[int, ...] = ()
 
     def plan(
@@ -91,79 +90,11 @@ class PhasedPlanner:
         physics = physics_of(site, whole, self.headroom)
         dark = dark_steps(site, whole)
         data = replace(without_power(whole, dark), physics=physics)
-        data = self._at_rest(data)
+        data = self._linearisation.at_rest(data, self._watched)
         deadline = Deadline(min(self.solver.limits.time_s, within_s))
         data, solution = self._decide(data, deadline.part(FIRST_SHARE))
         solution = self._converge(data, solution, deadline)
         return in_the_dark(site, whole, dark, solution, self.solver.limits)
-
-    # Where a window is linearised.
-
-    def _at_rest(self, data: WindowData) -> WindowData:
-        """The window at the AC points of everyone served that can be: its first guess."""
-        u, former = self.model.at_no_load(data.dark)
-        room = self.model.rating_kva(data.require_physics().headroom_kw)
-        phased = PhasedWindow(u, former, u, u, room, self._watched)
-        n = data.n_steps
-        nothing = np.zeros((n, self.solver.site.network.n_buses))
-        data = replace(data, phased=phased, drawn=Drawn(nothing, nothing))
-        p, q = self._without_control(data)
-        lit = lit_steps(data) & ~data.dark
-        points = self.model.points(data, p, q, lit)
-        rest = np.zeros_like(p)
-        in_island = lit_steps(data) & data.dark
-        at_rest = self.model.points(data, rest, rest, in_island)
-        data = self._at(data, p, q, points, lit & points.converged)
-        return self._at(data, rest, rest, at_rest, in_island & at_rest.converged)
-
-    def _without_control(self, data: WindowData) -> tuple[Floats, Floats]:
-        """What assets draw with everyone served, PV power as it comes and batteries idle."""
-        site = self.solver.site
-        usable = np.minimum(data.pv_kw, site.pv.s_max_kva)
-        load = np.minimum(data.load_kw.sum(axis=1), inf)[:, None]
-        given = usable.sum(axis=1)[:, None]
-        # An import-only connection takes no more PV power than is used.
-        most = load + data.export_max_kw(site)[:, None]
-        share = np.minimum(np.divide(most, given, where=given > 0, out=np.ones_like(given)), 1.0)
-        idle = np.zeros((data.n_steps, len(site.batteries)))
-        p = np.hstack([data.load_kw, -usable * share, idle])
-        q = np.hstack([data.load_kw * site.customers.q_per_p, np.zeros_like(usable), idle])
-        return p, q
-
-    def _at(
-        self, data: WindowData, p: Floats, q: Floats, points: PhasedPoints, steps: Flags
-    ) -> WindowData:
-        """The window linearised at AC points in some steps; the others stay as they are."""
-        phased, drawn = data.phased, data.drawn
-        assert phased is not None and drawn is not None
-        u, former = self.model.offsets(data, p, q, points)
-        here = steps[:, None]
-        u = np.where(here, u, phased.u_offset)
-        former = np.where(here, former, phased.former_offset)
-        kw, kvar = drawn.kw.copy(), drawn.kvar.copy()
-        at = data.require_physics().reference
-        rows = np.flatnonzero(steps)
-        kw[rows, at[rows]] = points.network_kw[rows]
-        kvar[rows, at[rows]] = points.network_kvar[rows]
-        found = replace(phased, u_offset=u, former_offset=former)
-        data = replace(data, phased=found, drawn=Drawn(kw, kvar))
-        return self._limited(data)
-
-    def _limited(self, data: WindowData) -> WindowData:
-        """Limits that give way to the voltages without control, and in an island to those at rest.
-
-        They are those of the window's own linearisation, so that this state is a dispatch of it.
-        """
-        phased = data.phased
-        assert phased is not None
-        net = self.solver.site.feeder
-        p, q = self._without_control(data)
-        p[data.dark] = q[data.dark] = 0.0
-        own = phased.u_offset + self.model.linear(data, p, q)[0]
-        low, high = np.minimum(net.v_min_pu**2, own), np.maximum(net.v_max_pu**2, own)
-        return replace(data, phased=replace(phased, u_min=low, u_max=high))
-
-    # Decisions and passes.
 
     def _decide(self, data: WindowData, deadline: Deadline) -> tuple[WindowData, WindowSolution]:
         """The served set, with rows for all nodes that it would put outside their limits."""
@@ -181,14 +112,11 @@ class PhasedPlanner:
         try:
             return self.solver.solve(data, deadline.left_s)
         except (InfeasibleError, NumericalError):
-            b = self.solver.site.batteries
-            soc = np.minimum(data.soc + SOC_NUDGE, b.soc_max)
-            return self.solver.solve(replace(data, soc=soc), deadline.left_s)
+            return self.solver.solve(self.nudged(data), deadline.left_s)
 
     def _wider(self, data: WindowData, dispatch: Dispatch) -> WindowData | None:
         """The window with rows of nodes that a dispatch puts outside; None if there are none."""
-        phased = data.phased
-        assert phased is not None
+        phased = data.require_phased()
         served = data.for_service(dispatch.served)
         p, q = self.model.drawn(served, dispatch)
         over = out_of_limits(self.solver.site, served, p, q)
@@ -210,71 +138,36 @@ class PhasedPlanner:
         passes = 1
         decisions = 1
         while True:
-            served = data.for_service(solution.dispatch.served)
-            p, q = self.model.drawn(served, solution.dispatch)
+            p, q = self._drawn(data, solution.dispatch)
             points = self.model.points(data, p, q, lit)
-            agreed = self._agree(data, p, q, points, lit)
-            closer = self._at(data, p, q, points, lit & points.converged)
+            agreed = self._linearisation.agree(data, p, q, points, lit)
+            closer = self._linearisation.at(data, p, q, points, lit & points.converged)
             wider = self._wider(closer, solution.dispatch)
             if (agreed and wider is None) or passes >= self.passes or deadline.passed:
                 break
-            closer = wider or closer
-            again = self.solver.solve_served(
-                closer,
-                solution.dispatch.served,
-                solution.dispatch,
-                keeps_turns=passes > 1,
-                within_s=deadline.left_s,
+            more = decisions < MOST_DECISIONS
+            again, anew = self.again(
+                wider or closer, solution, deadline, keeps_turns=passes > 1, decides=more
             )
             if again is None:
-                if decisions == 4:
-                    break
+                break
+            if anew:
+                decided = again
                 decisions += 1
-                try:
-                    again = decided = self.solver.solve(closer, deadline.left_s)
-                except (InfeasibleError, NumericalError, LimitError):
-                    break
-            data, solution = closer, again
+            data, solution = wider or closer, again
             passes += 1
         carried = bool(points.converged[lit].all())
-        v = np.sqrt(np.maximum(self._model_u(data, p, q), 0.0))
+        v_pu = self._linearisation.v_pu(data, p, q)
+        at_buses = farthest(v_pu, self.model.at_bus, self.solver.site.network.n_buses)
         return replace(
             decided,
             status=decided.status if carried else Status.INACCURATE,
-            dispatch=replace(solution.dispatch, v_pu=self.at_buses(v), v_node_pu=v),
+            dispatch=replace(solution.dispatch, v_pu=at_buses, v_node_pu=v_pu),
             terms=solution.terms,
             loss_kw=solution.loss_kw,
             passes=passes,
         )
 
-    def _model_u(self, data: WindowData, p: Floats, q: Floats) -> Floats:
-        """Squared voltages of the linear model, (W, m)."""
-        phased = data.phased
-        assert phased is not None
-        return phased.u_offset + self.model.linear(data, p, q)[0]
-
-    def _agree(
-        self, data: WindowData, p: Floats, q: Floats, points: PhasedPoints, lit: Flags
-    ) -> bool:
-        """Whether voltages, former and what the network draws agree in every step with power."""
-        if not lit.any():
-            return True
-        if not points.converged[lit].all():
-            return False
-        phased, drawn = data.phased, data.drawn
-        assert phased is not None and drawn is not None
-        v = np.sqrt(np.maximum(self._model_u(data, p, q), 0.0))
-        off_pu = np.abs(v - np.sqrt(points.u_pu2))[lit].max()
-        off_kw = np.abs(points.network_kw - drawn.kw.sum(axis=1))[lit].max()
-        former: Complexes = phased.former_offset + self.model.linear(data, p, q)[1]
-        island = lit & data.dark
-        off_kva = np.abs(former - points.source_kva)[island].max(initial=0.0)
-        return bool(
-            off_pu <= VOLTAGE_TOLERANCE_PU
-            and off_kw <= LOSS_TOLERANCE_KW
-            and off_kva <= LOSS_TOLERANCE_KW
-        )
-
-    def at_buses(self, v_pu: Floats) -> Floats:
-        """Voltages of the network's buses, (W, N): of each that of the node farthest from 1 pu."""
-        return farthest(v_pu, self.model.at_bus, self.solver.site.network.n_buses)
+    def _drawn(self, data: WindowData, dispatch: Dispatch) -> tuple[Floats, Floats]:
+        """What a dispatch has each asset draw, (W, D) each."""
+        return self.model.drawn(data.for_service(dispatch.served), dispatch)

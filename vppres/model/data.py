@@ -194,6 +194,18 @@ class WindowData:
             raise ModelError("A physical problem was filled with a window of the paper's mode.")
         return self.physics
 
+    def require_phased(self) -> PhasedWindow:
+        """The phases of a window that must have them.
+
+        Raises
+        ------
+        ModelError
+            If it has none.
+        """
+        if self.phased is None:
+            raise ModelError("A window of a balanced feeder has no phases.")
+        return self.phased
+
     @property
     def n_steps(self) -> int:
         """Steps W of the window."""

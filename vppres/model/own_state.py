@@ -81,12 +81,12 @@ def _own_u_pu2(site: Site, data: WindowData) -> Floats:
     exported = bus_injections(site, {"pv": spare_kw})
     flows = lossless_flows(net, exported)
     raised = -voltage_drop_pu2(net, flows, np.zeros_like(flows)) @ net.downstream
-    taken = _share(data.export_max_kw(site) + imported_kw, spare_kw.sum(axis=1))
-    allowed = _share(net.u_max_pu2 - u, raised).min(axis=1)
+    taken = share_of(data.export_max_kw(site) + imported_kw, spare_kw.sum(axis=1))
+    allowed = share_of(net.u_max_pu2 - u, raised).min(axis=1)
     return np.asarray(u + np.minimum(taken, allowed)[:, None] * raised)
 
 
-def _share(room: Floats, wanted: Floats) -> Floats:
+def share_of(room: Floats, wanted: Floats) -> Floats:
     """How much of what is wanted there is room for, 0 to 1."""
     share = np.divide(room, wanted, out=np.ones_like(wanted), where=wanted > 0.0)
     return np.clip(share, 0.0, 1.0)

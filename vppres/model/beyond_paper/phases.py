@@ -17,7 +17,7 @@ import numpy as np
 from vppres.core.arrays import Floats
 from vppres.model.beyond_paper.addition import Addition
 from vppres.model.constraints import Named
-from vppres.model.data import PhasedWindow, WindowData
+from vppres.model.data import WindowData
 from vppres.model.numerics import write
 from vppres.model.phases import GRID, ISLAND, PhasedModel, phased_model
 from vppres.model.site import Site
@@ -155,8 +155,7 @@ def _any_kva(site: Site, data: WindowData) -> float:
 
 def out_of_limits(site: Site, data: WindowData, p_kw: Floats, q_kvar: Floats) -> Floats:
     """By how much linear squared voltages leave their limits, (W, m); negative inside."""
-    phased = data.phased
-    assert isinstance(phased, PhasedWindow)
+    phased = data.require_phased()
     model = phased_model(site)
     u = phased.u_offset + model.linear(data, p_kw, q_kvar)[0]
     over = np.maximum(u - phased.u_max, phased.u_min - u)
