@@ -305,6 +305,6 @@ def test_a_recorded_day_is_shown_by_the_command(tmp_path: Path) -> None:
         "2026-11-21T12:30:00Z\nukpn INCD-2002-G: restoration about 2026-11-21T17:00:00Z (changed)"
         in (shown.stdout)
     )
-    assert "1 answers could not be read" in shown.stderr
+    assert "Answers that could not be read: 1." in shown.stderr
     empty = call("feeds", "replay", str(tmp_path), "ukpn", "--postcode", "CM4 0")
     assert "holds no recorded answers of ukpn" in empty.stderr

@@ -110,6 +110,12 @@ def test_what_are_no_weights_is_refused(tiny: Scenario, row: Any) -> None:
         vppres.run_day(tiny, HERE, weights=lambda _: row)
 
 
+def test_weights_of_every_step_leave_nothing_to_be_shared(tiny: Scenario) -> None:
+    options = replace(HERE, rotation=0.2)
+    with pytest.raises(vppres.InputError, match="Leave out the weights, or rotation"):
+        vppres.run_day(tiny, options, weights=tiny.customers.weight)
+
+
 def test_weights_need_the_controller_that_plans_anew(tiny: Scenario) -> None:
     options = replace(HERE, controller="full-horizon")
     with pytest.raises(vppres.InputError, match="are for the controller mpc"):

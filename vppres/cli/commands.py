@@ -659,7 +659,7 @@ def replay_feed(
         follower = _follower(feed, postcode, service, token)
         wrong = replay(follower, recorded(folder, follower.feed), speed, threading.Event().wait)
         if wrong:
-            typer.echo(f"{wrong} answers could not be read.", err=True)
+            typer.echo(f"Answers that could not be read: {wrong}.", err=True)
 
 
 def _follower(

@@ -89,7 +89,7 @@ def make_controller(
 
     if own is not None and own.weights is not None:
         return ByStepWeights(decider_of, site, scenario, options, own)
-    if shares(options):
+    if options.shares_supply:
         check_fairness(options.controller)
         rules = Fairness(**{f.name: getattr(options, f.name) for f in fields(Fairness)})
         return Rotating(
@@ -101,11 +101,6 @@ def make_controller(
             {Site: site, SwitchingRules: options.switching},
         )
     return decider_of(site)
-
-
-def shares(options: RunOptions) -> bool:
-    """Whether supply is shared within tiers, as the options say it."""
-    return bool(options.rotation or options.minimum_on_h)
 
 
 def check_fairness(controller: str) -> None:

@@ -177,6 +177,11 @@ class RunOptions:
             outages=own.outages if self.outages is None else self.outages,
         )
 
+    @property
+    def shares_supply(self) -> bool:
+        """Whether supply is shared within tiers."""
+        return bool(self.rotation or self.minimum_on_h)
+
     def as_record(self) -> dict[str, Any]:
         """The options as JSON can hold them."""
         return asdict(self)

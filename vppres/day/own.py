@@ -60,6 +60,13 @@ class Own:
                 "Leave out the weights, or use controller = 'mpc' of RunOptions.",
                 field="weights",
             )
+        if self.weights is not None and options.shares_supply:
+            raise InputError.of(
+                "run_day",
+                "are those of every step, so that none is left to be shared by rotation or minimum",
+                "Leave out the weights, or rotation and minimum_on_h of RunOptions.",
+                field="weights",
+            )
         if self.forecaster is not None and options.errors != ForecastErrors():
             raise InputError.of(
                 "run_day",

@@ -20,7 +20,6 @@ from vppres.control.remembered import memory_of, put_back
 from vppres.core.arrays import Floats
 from vppres.core.errors import InputError
 from vppres.core.plain import Given, from_plain, to_plain
-from vppres.day.assembly import shares
 from vppres.day.options import RunOptions
 from vppres.live.past import Past
 from vppres.model.site import Site
@@ -201,7 +200,7 @@ def _decisive(options: RunOptions) -> dict[str, Any]:
         for name, value in ((name, getattr(options, name)) for name in DECISIVE)
     }
     # Hours off supply are remembered by controllers that count them.
-    return found | {"rotation or minimum_on_h": shares(options)}
+    return found | {"rotation or minimum_on_h": options.shares_supply}
 
 
 def _check(state: Any, scenario: Scenario, options: RunOptions) -> None:
