@@ -49,9 +49,8 @@ class PhasedLinearisation:
         most = data.load_kw.sum(axis=1) + data.export_max_kw(site)
         share = share_of(most, usable.sum(axis=1))[:, None]
         idle = np.zeros((data.n_steps, len(site.batteries)))
-        p = np.hstack([data.load_kw, -usable * share, idle])
-        q = np.hstack([data.load_kw * site.customers.q_per_p, np.zeros_like(usable), idle])
-        return p, q
+        pv = (usable * share, np.zeros_like(usable))
+        return self.model.powers(data.dark, data.load_kw, pv, (idle, idle))
 
     def at(
         self, data: WindowData, p: Floats, q: Floats, points: PhasedPoints, steps: Flags

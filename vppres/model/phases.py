@@ -152,26 +152,36 @@ class PhasedModel:
 
     def drawn(self, data: WindowData, dispatch: Dispatch) -> tuple[Floats, Floats]:
         """What each asset draws in each step, (W, D) each, its former's own power left out."""
-        load = data.load_kw * dispatch.served
-        p = np.hstack(
-            [
-                load,
-                -(dispatch.pv_self_kw + dispatch.pv_export_kw),
-                dispatch.charge_kw - dispatch.discharge_kw,
-            ]
+        return self.powers(
+            data.dark,
+            load_kw=data.load_kw * dispatch.served,
+            pv=(dispatch.pv_self_kw + dispatch.pv_export_kw, dispatch.pv_q_kvar),
+            batteries=(dispatch.discharge_kw - dispatch.charge_kw, dispatch.batt_q_kvar),
         )
-        q = np.hstack(
-            [load * self.site.customers.q_per_p, -dispatch.pv_q_kvar, -dispatch.batt_q_kvar]
-        )
-        return self.without_former(p, data.dark), self.without_former(q, data.dark)
 
-    def without_former(self, values: Floats, dark: Flags) -> Floats:
-        """Powers of the assets, with nothing of the former where it is the source."""
-        if self.former_device is None:
-            return values
-        found = values.copy()
-        found[dark, self.former_device] = 0.0
-        return found
+    def powers(
+        self,
+        island: Flags,
+        load_kw: Floats,
+        pv: tuple[Floats, Floats],
+        batteries: tuple[Floats, Floats],
+    ) -> tuple[Floats, Floats]:
+        """What each asset draws, (..., D) each, nothing by the former where it is the source.
+
+        Demand is drawn; ``pv`` and ``batteries`` are the kW and kvar that they give.
+        """
+        q_kvar = load_kw * self.site.customers.q_per_p
+        p = np.concatenate([load_kw, -pv[0], -batteries[0]], axis=-1)
+        q = np.concatenate([q_kvar, -pv[1], -batteries[1]], axis=-1)
+        if self.former_device is not None:
+            p[..., self.former_device] *= ~island
+            q[..., self.former_device] *= ~island
+        return p, q
+
+    def solved(self, island: bool, p_kw: Floats, q_kvar: Floats) -> PhasedResult | None:
+        """The flow of one step; None for an island that nothing holds."""
+        source = ISLAND if island else GRID
+        return self.flows[source].solve(p_kw, q_kvar) if source < len(self.flows) else None
 
     def points(self, data: WindowData, p_kw: Floats, q_kvar: Floats, lit: Flags) -> PhasedPoints:
         """AC points of powers that assets draw, step by step; those that are not lit rest."""
@@ -181,17 +191,15 @@ class PhasedModel:
         network = np.zeros((W, 2))
         converged = np.ones(W, dtype=bool)
         for t in np.flatnonzero(lit):
-            source = ISLAND if data.dark[t] else GRID
-            if source >= len(self.flows):
-                continue
             try:
-                found = self.flows[source].solve(p_kw[t], q_kvar[t])
+                found = self.solved(bool(data.dark[t]), p_kw[t], q_kvar[t])
             except NoPhasedSolutionError:
                 converged[t] = False
                 continue
-            u[t] = self.flows[source].v_pu(found.v) ** 2
-            kva[t] = found.source_kva
-            network[t] = _beyond(found, p_kw[t], q_kvar[t])
+            if found is not None:
+                u[t] = self.flows[GRID].v_pu(found.v) ** 2
+                kva[t] = found.source_kva
+                network[t] = beyond(found, p_kw[t], q_kvar[t])
         return PhasedPoints(u, kva, network[:, 0], network[:, 1], converged)
 
     def offsets(
@@ -229,7 +237,7 @@ class PhasedModel:
         return np.asarray((self.site.batteries.s_max_kva[self.former] - kept[:, self.former]) / 3.0)
 
 
-def _beyond(found: PhasedResult, p_kw: Floats, q_kvar: Floats) -> tuple[float, float]:
+def beyond(found: PhasedResult, p_kw: Floats, q_kvar: Floats) -> tuple[float, float]:
     """Source's power beyond what assets draw at rated voltage."""
     total = found.source_kva.sum()
     return float(total.real - p_kw.sum()), float(total.imag - q_kvar.sum())

@@ -10,7 +10,7 @@ from vppres.contract.decision import Decision
 from vppres.control.step_state import StepState
 from vppres.core.arrays import Floats, Names
 from vppres.model.formulas import bus_injections, cell_kw, curtailed_kw, lossless_flows, soc_after
-from vppres.model.phases import GRID, ISLAND, phased_model
+from vppres.model.phases import beyond, phased_model
 from vppres.model.site import Site
 from vppres.physics.phases import NoPhasedSolutionError
 from vppres.scenario.source import EXACT_PU
@@ -191,13 +191,11 @@ def _balance(row: _Row, state: StepState, within: Tolerances) -> str:
     taken = float(state.load_kw @ row.served + row.charge_kw.sum() + state.drawn_kw.sum())
     given = float((state.pv_kw - curtailed).sum() + row.discharge_kw.sum())
     losses_kw = given_kw = 0.0
-    if within.losses and state.site.phases is not None:
-        found_kw = _phased_network_kw(row, curtailed, state)
+    if within.losses:
+        drawn_kw = _losses_kw if state.site.phases is None else _phased_network_kw
+        found_kw = drawn_kw(row, curtailed, state)
         losses_kw = max(found_kw, 0.0) + max(abs(found_kw), within.loss_kw)
-        given_kw = 2.0 * max(-found_kw, 0.0)  # loads that draw less at low voltage
-    elif within.losses:
-        found_kw = _losses_kw(row, curtailed, state)
-        losses_kw = found_kw + max(found_kw, within.loss_kw)
+        given_kw = 2.0 * max(-found_kw, 0.0)  # loads of a phase that draw less at low voltage
     if state.island and within.losses:  # what a plan with losses also gives the network
         net = state.site.network
         losses_kw += float(np.abs(net.drawn(np.ones(net.n_buses))[0]).sum())
@@ -214,21 +212,18 @@ def _balance(row: _Row, state: StepState, within: Tolerances) -> str:
 
 def _phased_network_kw(row: _Row, curtailed_kw: Floats, state: StepState) -> float:
     """What a phased feeder draws beyond its assets at the set-points; 0 without a solution."""
-    site = state.site
-    model = phased_model(site)
-    dark = np.array([state.island])
-    source = ISLAND if state.island else GRID
-    if source >= len(model.flows):
-        return 0.0
-    load_kw = state.load_kw * row.served
-    p_kw = np.concatenate([load_kw, curtailed_kw - state.pv_kw, row.charge_kw - row.discharge_kw])
-    q_kvar = np.concatenate([load_kw * site.customers.q_per_p, -row.pv_q_kvar, -row.batt_q_kvar])
-    p_kw, q_kvar = (model.without_former(each[None, :], dark)[0] for each in (p_kw, q_kvar))
+    model = phased_model(state.site)
+    p_kw, q_kvar = model.powers(
+        np.array(state.island),
+        load_kw=state.load_kw * row.served,
+        pv=(state.pv_kw - curtailed_kw, row.pv_q_kvar),
+        batteries=(row.discharge_kw - row.charge_kw, row.batt_q_kvar),
+    )
     try:
-        found = model.flows[source].solve(p_kw, q_kvar)
+        found = model.solved(state.island, p_kw, q_kvar)
     except NoPhasedSolutionError:
         return 0.0
-    return float(found.source_kva.sum().real - p_kw.sum())
+    return 0.0 if found is None else beyond(found, p_kw, q_kvar)[0]
 
 
 def _losses_kw(row: _Row, curtailed_kw: Floats, state: StepState) -> float:
