@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.support.command_line import call
+from vppres.contract.decision import Decision
+from vppres.contract.observation import Observation
 from vppres.core.errors import InputError
 from vppres.day.assembly import make_controller
 from vppres.day.options import RunOptions
@@ -248,6 +251,35 @@ def test_plans_keep_every_phase_of_the_former_and_every_node(circuit: Path, day:
     apart = found.groupby("outage")["difference_pu"].agg(lambda off: off.abs().max())
     assert apart[False] < 1e-6 and apart[True] < 1e-6
     assert "No reasons recorded: they are not stated for phases." in who_and_why(trajectory)
+
+
+class Everyone:
+    """All customers on in an island, whatever its former can carry."""
+
+    def __init__(self, inner: Any) -> None:
+        self.inner = inner
+
+    def horizon_steps(self, t0: int) -> range:
+        return self.inner.horizon_steps(t0)
+
+    def decide(self, observation: Observation) -> Decision:
+        found = self.inner.decide(observation)
+        served = np.ones_like(found.dispatch.served)
+        return replace(found, dispatch=replace(found.dispatch, served=served))
+
+
+@pytest.mark.daily
+def test_an_island_sheds_until_no_phase_of_its_former_is_beyond_its_rating(day: Scenario) -> None:
+    full = replace(day.batteries, soc_initial=day.batteries.soc_max)
+    evening = replace(day, batteries=full).between(16, 17)
+    options = RunOptions(horizon_h=0.0).on(evening)
+    found = Day(evening, options).run(Everyone(make_controller(evening, options)))
+    rating = evening.batteries.s_max_kva[evening.batteries.grid_forming][0]
+    kva = found.steps[[f"former_{phase}_kva" for phase in "abc"]].to_numpy(float)
+    assert found.steps["shed_kw"].item() > 0.0
+    assert kva.max() <= rating / 3 + 1e-3
+    on = found.customers["served"].to_numpy(bool)
+    assert on[found.customers["tier"] == "critical"].all() and not on.all()
 
 
 def test_phases_are_part_of_the_digest(day: Scenario) -> None:

@@ -102,17 +102,29 @@ class PassesPlanner:
         """A closer window for the set before, and whether a set was decided anew for it.
 
         That is only where the set has no dispatch, if there may be another; None without any.
+        Its seconds are those of all solves so far.
         """
         plan = before.dispatch
         found = self.solver.solve_served(
             data, plan.served, plan, keeps_turns=keeps_turns, within_s=deadline.left_s
         )
-        if found is not None or not decides or deadline.passed:
-            return found, False
+        if found is not None:
+            return after(before, found), False
+        if not decides or deadline.passed:
+            return None, False
         try:
-            return self.solver.solve(data, deadline.left_s), True
+            return after(before, self.solver.solve(data, deadline.left_s)), True
         except (InfeasibleError, NumericalError, LimitError):
             return None, True
+
+
+def after(before: WindowSolution, found: WindowSolution) -> WindowSolution:
+    """A solution with the seconds of the one before it too."""
+    return replace(
+        found,
+        solve_s=before.solve_s + found.solve_s,
+        solver_s=before.solver_s + found.solver_s,
+    )
 
 
 class ConvergedPlanner(PassesPlanner):
@@ -233,8 +245,6 @@ class ConvergedPlanner(PassesPlanner):
         network = self.solver.site.network
         decided = solution
         decisions = 1
-        solve_s = solution.solve_s
-        solver_s = solution.solver_s
         passes = 1
         points = self.ac_points(data, solution.dispatch)
         while passes < self.passes and not agree(data, solution.dispatch, points, network):
@@ -251,8 +261,6 @@ class ConvergedPlanner(PassesPlanner):
             data = closer
             solution = again
             passes = passes + 1
-            solve_s = solve_s + again.solve_s
-            solver_s = solver_s + again.solver_s
             points = self.ac_points(data, solution.dispatch)
         reached = linearised(data, network, points)
         carried = bool(points.converged[lit_steps(data)].all())
@@ -263,8 +271,8 @@ class ConvergedPlanner(PassesPlanner):
             terms=solution.terms,
             loss_kw=solution.loss_kw,
             passes=passes,
-            solve_s=solve_s,
-            solver_s=solver_s,
+            solve_s=solution.solve_s,
+            solver_s=solution.solver_s,
         )
 
     def ac_points(self, data: WindowData, dispatch: Dispatch) -> ACPoints:

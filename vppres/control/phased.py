@@ -18,6 +18,7 @@ from vppres.control.converged import (
     DEFAULT_PASSES,
     FIRST_SHARE,
     PassesPlanner,
+    after,
     dark_steps,
     in_the_dark,
     physics_of,
@@ -104,7 +105,7 @@ class PhasedPlanner(PassesPlanner):
             if wider is None or deadline.passed:
                 break
             data = wider
-            solution = self._solved(data, deadline)
+            solution = after(solution, self._solved(data, deadline))
         return data, solution
 
     def _solved(self, data: WindowData, deadline: Deadline) -> WindowSolution:
@@ -166,6 +167,8 @@ class PhasedPlanner(PassesPlanner):
             terms=solution.terms,
             loss_kw=solution.loss_kw,
             passes=passes,
+            solve_s=solution.solve_s,
+            solver_s=solution.solver_s,
         )
 
     def _drawn(self, data: WindowData, dispatch: Dispatch) -> tuple[Floats, Floats]:
