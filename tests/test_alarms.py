@@ -203,6 +203,32 @@ def test_a_critical_customer_that_will_be_off(tiny: Scenario, hours: int, priori
     assert [one.kind for one in conditions(lost)] == ["setpoint_rejected"]
 
 
+def test_a_longest_time_off_that_ends(tiny: Scenario, tmp_path: Path) -> None:
+    """Nothing is stored: the shop is off for an hour of two, for two, for three."""
+    day = site(tiny)
+    backup = np.where(day.customers.id == "shop", 2.0, np.nan)
+    day = replace(day, customers=replace(day.customers, own_backup_h=backup), pv_kw=0.0 * day.pv_kw)
+    found, shown = [], []
+    with opened(Service(day, HERE), tmp_path, SetClock(NOON)) as runner:
+        http, clock = Caller(make_app(runner, Access())), runner.clock
+        assert isinstance(clock, SetClock)
+        http.put("/v1/events/storm", DARK)
+        for hour in range(3):
+            decided(http, clock, NOON + hour * HOUR, soc=0.1)
+            alarms = http.get("/v1/alarms").json()["alarms"]
+            found.append([(a["priority"], a["text"]) for a in alarms if a["kind"] == "longest_off"])
+            off = http.get("/v1/overview").json()["plan"]["off"]
+            shown.append({one["asset"]: (one["off_h"], one["longest_off_h"]) for one in off})
+    words = "shop is off for {} h by the end of this step, {}"
+    assert found == [
+        [],
+        [("medium", words.format(2, "of 2 h, and not planned to be on in the next one."))],
+        [("high", words.format(3, "longer than its 2 h."))],
+    ]
+    assert [one["shop"] for one in shown] == [(1.0, 2.0), (2.0, 2.0), (3.0, 2.0)]
+    assert shown[0]["hospital"] == (None, None)
+
+
 def test_an_island_with_little_left(live: tuple[Caller, SetClock, Runner]) -> None:
     http, clock, runner = live
     http.put("/v1/events/storm", DARK)

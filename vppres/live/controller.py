@@ -384,7 +384,8 @@ class Controller:
         decision = replace(decision, estimated=_joined(*seen.left_out, decision.estimated))
         day = present.day(self._taken_for_true(told))
         record = day.settle(0, decision)
-        points = SetPoints.of(day.scenario, record, Foreseen.of(decision, day.scenario))
+        foreseen = Foreseen.of(decision, day.scenario)
+        points = SetPoints.of(day.scenario, record, foreseen, day.switching)
         return points, present.after(day, record)
 
     def _taken_for_true(self, told: Observation) -> Observation:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from vppres.contract.switching import SwitchingState
 from vppres.core.notebook import facts_html
 from vppres.day.inversions import inverted_now
 from vppres.day.recorder import StepRecord
@@ -40,7 +41,8 @@ class SetPoints:
     time : pandas.Timestamp
         Beginning of the step.
     customers : DataFrame
-        ``bus``, ``tier``, demand ``load_kw`` and ``load_kvar``, and whether it is ``served``.
+        ``bus``, ``tier``, demand ``load_kw`` and ``load_kvar``, and whether it is ``served``;
+        ``off_h``, for how long it is off by the end of the step, on sites with longest times off.
     batteries : DataFrame
         ``bus``, ``p_kw`` (charging positive), ``q_kvar`` (injection positive), ``soc``, the state
         of charge that was decided on, and ``soc_end``, the one that is expected after the step.
@@ -76,7 +78,13 @@ class SetPoints:
     foreseen: Foreseen
 
     @classmethod
-    def of(cls, scenario: Scenario, step: StepRecord, foreseen: Foreseen) -> SetPoints:
+    def of(
+        cls,
+        scenario: Scenario,
+        step: StepRecord,
+        foreseen: Foreseen,
+        after: SwitchingState | None = None,
+    ) -> SetPoints:
         """The set-points of a step that was decided.
 
         Parameters
@@ -87,10 +95,14 @@ class SetPoints:
             What the decision should lead to.
         foreseen : Foreseen
             The rest of its plan.
+        after : SwitchingState, optional
+            Who is off and for how long after the step.
         """
+        limited = after is not None and after.longest_off_h is not None
+        off_h = {"off_h": after.off_h} if after is not None and limited else {}
         return cls(
             time=scenario.grid.times[step.t],
-            customers=_customers(scenario, step.customers),
+            customers=_customers(scenario, {**step.customers, **off_h}),
             batteries=_batteries(scenario, step.batteries),
             pv=_pv(scenario, step.pv),
             buses=_table(scenario.network.buses, index="bus", v_ac_pu=step.buses["v_ac_pu"]),
@@ -155,6 +167,7 @@ def _customers(scenario: Scenario, columns: Mapping[str, Any]) -> pd.DataFrame:
         load_kw=columns["p_load_kw"],
         load_kvar=columns["q_load_kvar"],
         served=columns["served"],
+        **{name: columns[name] for name in ("off_h",) if name in columns},
     )
 
 

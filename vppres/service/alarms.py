@@ -58,6 +58,11 @@ KINDS = {
     "critical_off": Kind(
         0.0, 10.0, "Check the state of charge on site. Bring a generator, or switch by hand."
     ),
+    "longest_off": Kind(
+        0.0,
+        0.0,
+        "Ask the customer how long its own backup lasts. Bring a generator, or switch by hand.",
+    ),
     "island_margin": Kind(0.0, 15.0, "Bring a generator, or disconnect further customers by hand."),
     "fallback": Kind(30.0, 0.0, "Look at the reason and at the log. Check the set-points."),
     "source_lost": Kind(5.0, 5.0, "Check the source and its connection."),

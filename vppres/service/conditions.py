@@ -1,13 +1,15 @@
-"""What is wrong now and needs an operator: six kinds of conditions, each a function."""
+"""What is wrong now and needs an operator: seven kinds of conditions, each a function."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import pandas as pd
 
+from vppres.contract.longest_off import ROUNDING
 from vppres.core.text import named
 from vppres.scenario.scenario import Scenario
 from vppres.service.knowledge import GRID, Heard, Latest, refusing, soc_of
@@ -137,6 +139,7 @@ def conditions(now: Situation) -> Iterator[Condition]:
     """All that is wrong."""
     yield from _no_decision(now)
     yield from _critical_off(now)
+    yield from _longest_off(now)
     yield from _island_margin(now)
     yield from _fallback(now)
     yield from _source_lost(now)
@@ -182,6 +185,37 @@ def _critical_off(now: Situation) -> Iterator[Condition]:
             words = f"Planned: {named(sorted(later), NAMES_SHOWN)} of the first tier off supply."
             yield Condition("critical_off", "", priority, words, tuple(sorted(later)), time)
             return
+
+
+def limits_h(scenario: Scenario) -> dict[str, float]:
+    """How long customers may be off at a time in h, of those that have a limit."""
+    c = scenario.customers
+    pairs = zip(c.id, c.longest_off_h, strict=True)
+    return {str(name): float(hours) for name, hours in pairs if math.isfinite(hours)}
+
+
+def _longest_off(now: Situation) -> Iterator[Condition]:
+    """Customers are off for longer than they may be, or will be if the next step leaves them off.
+
+    One that the plan restores in the next step needs no operator.
+    """
+    plan = now.standing.plan
+    if plan is None:
+        return
+    limit_h = limits_h(now.scenario)
+    dt_h = now.scenario.grid.dt_h
+    back = {
+        name for name, on in ((plan.get("ahead") or {}).get("served", {})).items() if any(on[:1])
+    }
+    for name, off_h in plan.get("off_h", {}).items():
+        words = f"{name} is off for {off_h:g} h by the end of this step"
+        left_h = limit_h[name] - off_h
+        if left_h < -ROUNDING * dt_h:
+            words = f"{words}, longer than its {limit_h[name]:g} h."
+            yield Condition("longest_off", name, HIGH, words)
+        elif left_h < (1.0 - ROUNDING) * dt_h and name not in back:
+            words = f"{words}, of {limit_h[name]:g} h, and not planned to be on in the next one."
+            yield Condition("longest_off", name, MEDIUM, words)
 
 
 def _late_batteries(now: Situation) -> list[str]:

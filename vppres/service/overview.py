@@ -13,6 +13,7 @@ import pandas as pd
 
 from vppres.scenario.remarks import former_words
 from vppres.service.clock import written
+from vppres.service.conditions import limits_h
 from vppres.service.knowledge import GRID, MEAN, Heard, Latest, last_heard
 from vppres.service.payloads import ModeRequest
 from vppres.service.plans import points_at, refused_of
@@ -81,6 +82,7 @@ class Overview:
     def __init__(self, runner: Runner) -> None:
         self.runner = runner
         self._tiers = site_of(runner)["customers"]
+        self._longest_off_h = limits_h(runner.scenario)
         self._turn = threading.Lock()
         self._past: dict[str, dict[str, Any]] = {}
         self._made: tuple[Any, bytes] | None = None
@@ -144,14 +146,17 @@ class Overview:
                 for one in points
                 if one["kind"] == "batteries"
             },
-            "off": self._off(points, ahead),
+            "off": self._off(points, ahead, plan.get("off_h", {})),
             "ahead": None if ahead is None else {**ahead, "served": self._shares(ahead)},
         }
 
     def _off(
-        self, points: Iterable[Mapping[str, Any]], ahead: Mapping[str, Any] | None
+        self,
+        points: Iterable[Mapping[str, Any]],
+        ahead: Mapping[str, Any] | None,
+        off_h: Mapping[str, float],
     ) -> list[dict[str, Any]]:
-        """Who is off, why, and when it is meant to be on again."""
+        """Who is off, why, for how long of its longest time, and when it is meant to be on."""
         found = []
         for one in points:
             if one["kind"] != "customers" or one["served"]:
@@ -164,6 +169,8 @@ class Overview:
                     "tier": self._tiers.get(one["asset"]),
                     "reason": one["reason"],
                     "until": None if ahead is None or back is None else ahead["times"][back],
+                    "off_h": off_h.get(one["asset"]),
+                    "longest_off_h": self._longest_off_h.get(one["asset"]),
                 }
             )
         return found

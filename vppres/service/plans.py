@@ -96,6 +96,7 @@ def plan_of(
             "price_gbp_per_kwh": _price(known.measurement),
         },
         "ahead": _ahead(decision, known),
+        "off_h": _off_h(decision, scenario),
     }
 
 
@@ -265,6 +266,15 @@ def _ahead(decision: SetPoints, known: Known) -> dict[str, Any]:
         },
         "served": dict(zip(foreseen.served.columns, served.tolist(), strict=True)),
     }
+
+
+def _off_h(decision: SetPoints, scenario: Scenario) -> dict[str, float]:
+    """How long customers with a longest time off are off by the end of the step, if they are."""
+    if "off_h" not in decision.customers:
+        return {}
+    limited = np.isfinite(scenario.customers.longest_off_h)
+    off_h = decision.customers["off_h"][limited]
+    return {str(name): float(hours) for name, hours in off_h.items() if hours > 0.0}
 
 
 def inputs_digest(measured: Measurement) -> str:

@@ -254,6 +254,10 @@ function chartTable() {
       known(step.stored, percent), known(step.import, kilo), step.decided ? known(step.limit, kilo) : "\u2013"]));
 }
 
+function timeOff({ asset, off_h, longest_off_h }) {
+  return off_h === null || longest_off_h === null ? asset : `${asset} (off ${off_h} h of ${longest_off_h} h)`;
+}
+
 function showOff() {
   const { off = [], status, id } = view.overview.plan ?? {};
   const explained = view.why?.plan === id ? view.why : null;
@@ -265,7 +269,7 @@ function showOff() {
     const rows = [...groups].map(([key, ones]) => [JSON.parse(key), ones]);
     rows.sort((a, b) => view.site.tiers.indexOf(a[0][0]) - view.site.tiers.indexOf(b[0][0]));
     return [node("table", {}, ...table(["Tier", "Customers", "Why", "Estimated restoration"],
-      rows.map(([[tier, reason, until], ones]) => [tier, node("span", { class: "names" }, `${ones.length}: ${list(ones.map((one) => one.asset), 12)}`),
+      rows.map(([[tier, reason, until], ones]) => [tier, node("span", { class: "names" }, `${ones.length}: ${list(ones.map(timeOff), 12)}`),
         ones.length === 1 ? ones[0].why.words : reason, until ? view.clock.at(until, view.now) : "beyond the plan"])))];
   });
 }
