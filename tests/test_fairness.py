@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pandas as pd
@@ -111,15 +112,26 @@ def test_without_a_rule_and_with_one_that_has_no_effect_the_run_is_the_same(
     assert set(shared.customers.columns) - set(plain.customers.columns) == {ROTATED}
 
 
-def test_a_minimum_is_kept_at_the_cost_of_tiers_below_the_first(tiny: Scenario) -> None:
-    """The homes would have nothing; the shop gives way to them, the hospital does not."""
-    day = replace(tiny, load_kw=np.full(tiny.load_kw.shape, 25.0))
-    plain = vppres.run_day(day, HERE)
-    run = vppres.run_day(day, replace(HERE, minimum_on_h=16.0))  # not the shop's turn yet
-    dark = run.customers["time"].isin(tiny.grid.times[tiny.outage])
-    hours, before = (one.customers[dark].groupby("id")["served"].sum() for one in (run, plain))
-    assert before["homes"] == 0 < hours["homes"]
-    assert hours["hospital"] == before["hospital"] == 2
+@pytest.mark.parametrize("outages", ["known", "belief"])
+def test_a_minimum_takes_supply_within_its_tier_only(
+    tiny: Scenario, outages: Literal["known", "belief"]
+) -> None:
+    """The largest would have nothing. In its turn its own tier gives way, a higher one does not."""
+    dark = tiny.grid.times[tiny.outage]
+    largest = tiny.customers.id[0]  # whose turn is the first
+    served = {}
+    for tiers in (("low", "low", "low"), ("low", "critical", "high")):
+        weight = np.array([WEIGHTS[tier] for tier in tiers])
+        customers = replace(tiny.customers, tier=np.array(tiers), weight=weight)
+        load_kw = np.tile([60.0, 40.0, 40.0], (tiny.grid.n_steps, 1))
+        day = replace(tiny, customers=customers, load_kw=load_kw)
+        for hours in (0.0, 1.0):
+            run = vppres.run_day(day, replace(HERE, outages=outages, minimum_on_h=hours))
+            rows = run.customers[run.customers["time"].isin(dark)]
+            served[tiers[1], hours] = rows.groupby("id")["served"].sum()
+        assert served[tiers[1], 0.0][largest] == 0
+    assert served["low", 1.0][largest] == 1
+    assert served["critical", 1.0].equals(served["critical", 0.0])
 
 
 def test_the_memory_goes_on_over_a_restart(tiny: Scenario) -> None:

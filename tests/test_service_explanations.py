@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,6 +15,7 @@ from tests.support.asgi import Caller
 from tests.support.live_service import HERE, NOON, client, decided, readings, site, told
 from tests.support.long_days import repeated
 from vppres.day.options import RunOptions
+from vppres.day.recorder import ROTATED
 from vppres.day.simulate import run_day
 from vppres.explain.day import explain_day
 from vppres.scenario.scenario import Scenario
@@ -26,13 +28,26 @@ from vppres.service.runner import Service
 from vppres.service.serve import opened
 
 
-@pytest.mark.parametrize("outages", ["known", pytest.param("belief", marks=pytest.mark.nightly)])
+@pytest.mark.parametrize(
+    ("outages", "rotation"),
+    [
+        ("known", 0.0),
+        ("known", 0.5),
+        pytest.param("belief", 0.0, marks=pytest.mark.nightly),
+        pytest.param("belief", 0.5, marks=pytest.mark.nightly),
+    ],
+)
 def test_every_step_is_explained_as_the_run_is(
-    tiny: Scenario, tmp_path: Path, outages: Literal["known", "belief"]
+    tiny: Scenario, tmp_path: Path, outages: Literal["known", "belief"], rotation: float
 ) -> None:
-    """After a restart, with nothing remembered but what is stored."""
+    """After a restart, with nothing remembered but what is stored; weights are the plan's."""
+    if rotation:  # where there is one customer a tier, nothing rotates
+        tiny = replace(tiny, customers=replace(tiny.customers, tier=np.full(3, "low")))
+        tiny = replace(tiny, tiers=("low",))
     day = repeated(tiny, 24, "2025-07-01T00:00Z")
-    options = RunOptions(horizon_h=2.0, isolate=False, outages=outages)
+    options = RunOptions(
+        horizon_h=2.0, isolate=False, outages=outages, rotation=rotation, turn_h=1.0
+    )
     run = explain_day(run_day(day, options))
     assert run.explanations is not None and run.shadow_prices is not None
     off = 0
@@ -68,6 +83,9 @@ def test_every_step_is_explained_as_the_run_is(
                 rtol=1e-3, atol=1e-5, equal_nan=True,
             ), time  # fmt: skip
     assert off > 3
+    if rotation:
+        weight = run.customers.groupby("id")[ROTATED].nunique()
+        assert weight.max() > 1
 
 
 @pytest.fixture

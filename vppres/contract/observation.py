@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from vppres.contract.forecast import Forecast
 from vppres.contract.moves import Moves
@@ -10,7 +10,7 @@ from vppres.contract.operating_point import OperatingPoint
 from vppres.contract.stored_value import StoredValue
 from vppres.contract.switching import SwitchingData, SwitchingState
 from vppres.contract.terminal import Terminal
-from vppres.core.arrays import Flags, Floats
+from vppres.core.arrays import Flags, Floats, Wholes
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +27,22 @@ class Told:
 
     before_h: float
     battery_kw: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Turns:
+    """Customers whose turn it is to be on supply.
+
+    Parameters
+    ----------
+    due : array of bool, shape (C,)
+        Who they are.
+    rank : array of int, shape (C,)
+        Position of every customer's tier, 0 for the most important.
+    """
+
+    due: Flags
+    rank: Wholes
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,10 +79,10 @@ class Observation:
         known. The window is then the present step alone.
     guessed : bool
         Whether outages ahead in ``forecast`` are the likely ones and not known.
-    kept_on : array of bool, shape (C,), optional
-        Customers that the present step must serve; none if not given.
-    spared : array of bool, shape (C,), optional
-        Customers that must not lose service for ``kept_on``, which is let go otherwise.
+    kept_on : array of bool, shape (n, C), optional
+        Customers that the first n steps must serve; none if not given.
+    turns : Turns, optional
+        Customers that are to be served in the present step, if no higher tier loses by it.
     outage_messages : str
         Which messages about outages the belief in ``forecast`` and ``stored_value`` follows, where
         several speak of one.
@@ -94,11 +110,18 @@ class Observation:
     stored_value: StoredValue | None = None
     guessed: bool = False
     kept_on: Flags | None = None
-    spared: Flags | None = None
+    turns: Turns | None = None
     outage_messages: str = ""
     elapsed_h: float = 0.0
     soc_age_h: Floats | None = None
     told: tuple[Told, ...] = ()
+
+    def counted(self, times: float) -> Observation:
+        """The same where a weighted customer hour in an outage counts as so many."""
+        value = self.stored_value
+        if value is None or not value.as_service:
+            return self
+        return replace(self, stored_value=value.counted(times))
 
     @property
     def end(self) -> Terminal | None:
@@ -119,6 +142,6 @@ class Observation:
         n_steps = len(self.window.price_gbp_per_kwh)
         rules = None if self.switching is None else self.switching.window(n_steps)
         if self.kept_on is not None:
-            rules = rules or SwitchingData.without_rules(n_steps, len(self.kept_on))
+            rules = rules or SwitchingData.without_rules(n_steps, self.kept_on.shape[1])
             rules = rules.keeping(self.kept_on)
         return None if rules is None or rules.idle else rules

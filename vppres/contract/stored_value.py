@@ -6,7 +6,7 @@ pieces that never changes, so that a problem is compiled once.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -15,6 +15,9 @@ from vppres.core.arrays import Floats, freeze_fields
 
 PIECES = 30
 """Linear pieces of every function: the same number, so that problems keep their shape."""
+
+SHORTEST = 1e-3
+"""Least length of a piece as a share of all energy."""
 
 Ending = Literal["", "target", "value"]
 """What a window's problem says of its end: nothing, a state of charge to hold, a value."""
@@ -84,9 +87,33 @@ class StoredValue:
         >>> StoredValue([10.0, 20.0], [0.0, 1.0], 1.0, True).beside(5.0).at(15.0)
         1.0
         """
-        return StoredValue(
-            self.energy_kwh - unusable_kwh, self.service, self.gbp_per_service, self.as_service
+        return replace(self, energy_kwh=self.energy_kwh - unusable_kwh)
+
+    def counted(self, times: float) -> StoredValue:
+        """The same where a weighted customer hour counts as so many.
+
+        >>> more = StoredValue([0.0, 10.0], [0.0, 5.0], 1000.0, True).counted(4.0)
+        >>> more.at(5.0), more.marginal_gbp_per_kwh(5.0)
+        (10.0, 500.0)
+        """
+        return replace(
+            self, service=self.service * times, gbp_per_service=self.gbp_per_service / times
         )
+
+    def holding(self, energy_kwh: float, per_kwh: float) -> StoredValue:
+        """The same, but that less than an energy loses so much service for each kWh.
+
+        >>> held = StoredValue([0.0, 10.0, 20.0], [0.0, 5.0, 6.0], 1000.0, True).holding(10.0, 3.0)
+        >>> round(held.at(9.0), 9), round(held.at(20.0), 9)
+        (2.0, 6.0)
+        """
+        least, most = self.energy_kwh[[0, -1]]
+        shortest = SHORTEST * (most - least)
+        held = np.clip(energy_kwh, least + shortest, most - shortest)
+        energy = np.append(least, np.linspace(held, most, PIECES))
+        service = np.array([self.at(each) for each in energy])
+        service[0] = service[1] - per_kwh * (held - least)
+        return replace(self, energy_kwh=energy, service=service)
 
     @classmethod
     def nothing(cls) -> StoredValue:

@@ -97,9 +97,10 @@ class SwitchingData:
         )
 
     def keeping(self, served: Flags) -> SwitchingData:
-        """The rules where some customers, (C,), must be served in the first step too."""
-        first = np.arange(len(self.served_min))[:, None] == 0
-        return replace(self, served_min=self.served_min | (first & served))
+        """The rules where some customers, (n, C), must be served in the first n steps too."""
+        kept = self.served_min.copy()
+        kept[: len(served)] |= served
+        return replace(self, served_min=kept)
 
     def part(self, steps: slice) -> SwitchingData:
         """The rules of some of the window's steps."""

@@ -10,13 +10,21 @@ import numpy as np
 from vppres.contract.decision import Decision
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.moves import Moves
-from vppres.contract.observation import Observation
+from vppres.contract.observation import Observation, Turns
 from vppres.contract.operating_point import Centre
 from vppres.control.planner import OnePass, Planner, plan_with_rules, solve_info
 from vppres.control.remembered import PART
+from vppres.core.arrays import Flags
+from vppres.core.errors import SolveError
 from vppres.scenario.timegrid import TimeGrid
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import WindowSolution
+
+LEAST_KW = 0.1
+"""Demand below which a customer needs none."""
+
+ROUNDING_KWH = 1e-3
+"""Energy that a plan may leave less than another one by the solver's tolerances."""
 
 
 class MPCController:
@@ -77,8 +85,7 @@ class MPCController:
         info = solve_info(self.solver.site, solution, self.solver.compilations, relaxed)
         worth = np.nan
         if observation.stored_value is not None:
-            held_kwh = float(plan.soc[-1] @ self.solver.site.batteries.energy_kwh)
-            worth = observation.stored_value.marginal_gbp_per_kwh(held_kwh)
+            worth = observation.stored_value.marginal_gbp_per_kwh(self._held_kwh(solution))
         return Decision(plan, 0, replace(info, moved_kw=moved_kw, stored_value_gbp_per_kwh=worth))
 
     def _planned(self, observation: Observation) -> tuple[WindowSolution, bool]:
@@ -87,27 +94,62 @@ class MPCController:
         For an outage that is only likely no customer is switched off that the present step alone
         would serve.
         """
-        if observation.spared is not None:
-            return self._planned_in_turn(observation)
         found = plan_with_rules(self.planner, observation)
+        if observation.turns is not None:
+            return self._in_turn(observation, observation.turns, found[0]), found[1]
         served = found[0].dispatch.served[0]
         connected = observation.forecast.grid_limit_kw[0] > 0.0
         if served.all() or not (connected and observation.guessed):
             return found
         alone, _ = plan_with_rules(self.planner, observation, 1)
-        kept_on = np.asarray(alone.dispatch.served[0])
+        kept_on = np.asarray(alone.dispatch.served[:1])
         if not (kept_on & ~served).any():
             return found
         return plan_with_rules(self.planner, replace(observation, kept_on=kept_on))
 
-    def _planned_in_turn(self, observation: Observation) -> tuple[WindowSolution, bool]:
-        """The plan with those on whose turn it is, unless who is spared loses service by it."""
-        free = plan_with_rules(self.planner, replace(observation, kept_on=None))
-        if free[0].dispatch.served[0][observation.kept_on].all():
-            return free
-        in_turn = plan_with_rules(self.planner, observation)
-        spared_h = [one[0].dispatch.served[:, observation.spared].sum() for one in (free, in_turn)]
-        return free if spared_h[1] < spared_h[0] else in_turn
+    def _in_turn(
+        self, observation: Observation, turns: Turns, found: WindowSolution
+    ) -> WindowSolution:
+        """The plan with those on whose turn it is, one after another from the first tier on.
+
+        Customers of their own tier and of lower ones give way. What higher tiers have in the plan
+        stays, and so does the energy that is worth something to them later: a turn that would take
+        of it is left out.
+        """
+        for c in sorted(np.flatnonzero(turns.due), key=lambda c: turns.rank[c]):
+            served = found.dispatch.served
+            if served[0, c]:
+                continue
+            held = served & (turns.rank < turns.rank[c])
+            held[0] |= served[0] & turns.due & (turns.rank == turns.rank[c])
+            held[0, c] = True
+            try:
+                tried = self.planner.plan(self._keeping(observation, held, found))
+            except SolveError:
+                continue
+            spent_kwh = self._held_kwh(found) - self._held_kwh(tried)
+            if observation.stored_value is None or spent_kwh <= ROUNDING_KWH:
+                found = tried
+        return found
+
+    def _keeping(
+        self, observation: Observation, served: Flags, plan: WindowSolution
+    ) -> Observation:
+        """The observation with customers that are kept on, and the energy that a plan leaves.
+
+        Of what has a value later, a kWh less loses more than any customer is worth.
+        """
+        kept = replace(observation, kept_on=served)
+        value = observation.stored_value
+        if value is None:
+            return kept
+        load_kw = np.maximum(observation.forecast.load_kw[0], LEAST_KW)
+        dearest = float((self.solver.site.customers.weight / load_kw).max())
+        return replace(kept, stored_value=value.holding(self._held_kwh(plan), 2.0 * dearest))
+
+    def _held_kwh(self, solution: WindowSolution) -> float:
+        """Energy that a plan leaves at its end."""
+        return float(solution.dispatch.soc[-1] @ self.solver.site.batteries.energy_kwh)
 
     def _before(self, observation: Observation) -> Moves | None:
         """What the plan before had foreseen for the window, None if it does not reach it."""

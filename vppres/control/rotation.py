@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from vppres.contract.decision import Decider, Decision
-from vppres.contract.observation import Observation
+from vppres.contract.observation import Observation, Turns
 from vppres.control.remembered import PARTS, memory_of, put_back
 from vppres.core.arrays import Flags, Floats
 from vppres.core.plain import Given
@@ -72,6 +72,7 @@ class Rotating:
         self._weighed = weighed
         self._given = given
         self._total = float(weighed(scenario.customers.weight).customers.weight.sum())
+        self._rank = np.array([scenario.tiers.index(tier) for tier in scenario.customers.tier])
         self._t = -1
         self._out = False
         self._parts: dict[bytes, Decider] = {}
@@ -96,14 +97,10 @@ class Rotating:
         if observation.t0 != self._t:  # not anew within the step
             self._count(observation)
             self._t = observation.t0
-        value = observation.stored_value
-        if value is not None and value.as_service:
-            scaled = replace(value, service=value.service * self._scale)
-            observation = replace(observation, stored_value=scaled)
+        observation = observation.counted(self._scale)
         due = self._due()
         if due.any():
-            first = np.asarray(self.scenario.customers.tier == self.scenario.tiers[0])
-            observation = replace(observation, kept_on=due, spared=first)
+            observation = replace(observation, turns=Turns(due, self._rank))
         return replace(self.inner.decide(observation), weight=self.weight)
 
     def _count(self, observation: Observation) -> None:

@@ -89,9 +89,7 @@ def _weighed(trajectory: Trajectory, steps: slice) -> list[Recorded]:
     found: dict[bytes, Recorded] = {}
     for weight in rows:
         if weight.tobytes() not in found:
-            customers = replace(trajectory.scenario.customers, weight=weight)
-            scenario = replace(trajectory.scenario, customers=customers)
-            found[weight.tobytes()] = Recorded(replace(trajectory, scenario=scenario))
+            found[weight.tobytes()] = Recorded(trajectory, weight)
     return [found[weight.tobytes()] for weight in rows]
 
 

@@ -18,7 +18,7 @@ from vppres.core.arrays import Flags, Floats
 from vppres.day.forecasting import PAPER, Forecasts, named_forecasts
 from vppres.day.metrics import line_loading
 from vppres.day.outages import GridSeen, OutageView, believed_outages
-from vppres.day.priority import site_of
+from vppres.day.priority import site_of, weighed
 from vppres.day.time_off import off_before_h
 from vppres.day.trajectory import Trajectory
 from vppres.model.beyond_paper.ratings import LineRatings
@@ -48,13 +48,20 @@ class Recorded:
     ----------
     trajectory : Trajectory
         The run. Columns that only some modes write are used where they are there.
+    weight : array, shape (C,), optional
+        Weights of its plans; those of the scenario if not given.
     """
 
-    def __init__(self, trajectory: Trajectory) -> None:
+    def __init__(self, trajectory: Trajectory, weight: Floats | None = None) -> None:
         self.trajectory = trajectory
         self.scenario = trajectory.scenario
         self.options = trajectory.options
         self.site = site_of(trajectory.scenario, trajectory.options)
+        self.counted = 1.0
+        if weight is not None:
+            total = self.site.customers.weight.sum()
+            self.site = weighed(self.site, trajectory.scenario, trajectory.options, weight)
+            self.counted = float(self.site.customers.weight.sum() / total)
         self.n_steps = len(trajectory.steps)
         self.served = self._array(trajectory.customers, "served") > 0.5
         self.shed = self._array(trajectory.customers, "shed") > 0.5
@@ -227,7 +234,8 @@ class Recorded:
             self._eta_discharge[t],
             terminal=Terminal.of(self.soc_asked, forecast, ends=steps.stop == self.n_steps),
         )
-        return self._view.told(seen, self._grid_seen[t], self.scenario, t, self._forecaster)
+        told = self._view.told(seen, self._grid_seen[t], self.scenario, t, self._forecaster)
+        return told.counted(self.counted)
 
     @cached_property
     def believed(self) -> Floats:

@@ -12,7 +12,7 @@ import pandas as pd
 from vppres.contract.switching import SwitchingState
 from vppres.core.notebook import facts_html
 from vppres.day.inversions import inverted_now
-from vppres.day.recorder import StepRecord
+from vppres.day.recorder import ROTATED, StepRecord
 from vppres.day.trajectory import Feeder
 from vppres.feeders.actuate import Feeding
 from vppres.live.foreseen import Foreseen
@@ -42,7 +42,8 @@ class SetPoints:
         Beginning of the step.
     customers : DataFrame
         ``bus``, ``tier``, demand ``load_kw`` and ``load_kvar``, and whether it is ``served``;
-        ``off_h``, for how long it is off by the end of the step, on sites with longest times off.
+        ``off_h``, for how long it is off by the end of the step, on sites with longest times off;
+        ``rotated_weight``, its weight in the plan, if supply is shared within tiers.
     batteries : DataFrame
         ``bus``, ``p_kw`` (charging positive), ``q_kvar`` (injection positive), ``soc``, the state
         of charge that was decided on, and ``soc_end``, the one that is expected after the step.
@@ -167,7 +168,7 @@ def _customers(scenario: Scenario, columns: Mapping[str, Any]) -> pd.DataFrame:
         load_kw=columns["p_load_kw"],
         load_kvar=columns["q_load_kvar"],
         served=columns["served"],
-        **{name: columns[name] for name in ("off_h",) if name in columns},
+        **{name: columns[name] for name in ("off_h", ROTATED) if name in columns},
     )
 
 

@@ -30,7 +30,7 @@ class Fairness:
     turn_h : float
         Hours of an outage for which weights stay.
     minimum_on_h : float
-        Hours that each customer is on in 24 h of outage, unless the first tier loses supply by it.
+        Hours that each customer is on in 24 h of outage, unless a higher tier loses supply by it.
     """
 
     rotation: float = default_of("rotation")

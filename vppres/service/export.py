@@ -19,7 +19,7 @@ import pandas as pd
 from vppres.core.arrays import Floats
 from vppres.core.errors import InputError, Problem
 from vppres.day.options import RunOptions
-from vppres.day.recorder import Recorder, StepRecord
+from vppres.day.recorder import ROTATED, Recorder, StepRecord
 from vppres.day.trajectory import Trajectory
 from vppres.io.times import option_time
 from vppres.live.profile import Profile
@@ -200,13 +200,24 @@ def replayed(
     """The plant's answer to every stored step; batteries begin it with what was measured."""
     world = World(scenario, options)
     b = scenario.batteries
+    shared = options.on(scenario).shares_supply
     told: list[dict[str, Any]] = []
     for t, plan in enumerate(stored):
         state = world.day.state
         held = np.where(np.isfinite(soc[t]), np.clip(soc[t], b.soc_min, b.soc_max), state.soc)
         world.day.state = BatteryState(held, state.eta_charge, state.eta_discharge, state.t_cell_c)
         told = told if plan is None else plan["setpoints"]
-        yield _noted(world.obey(t, told), plan)
+        record = _noted(world.obey(t, told), plan)
+        yield _weighed(record, scenario, plan) if shared else record
+
+
+def _weighed(record: StepRecord, scenario: Scenario, plan: dict[str, Any] | None) -> StepRecord:
+    """A step with the weights of its plan; a step without a plan has those of the site."""
+    rotated = ((plan or {}).get("solve") or {}).get(ROTATED) or {}
+    c = scenario.customers
+    own = dict(zip(map(str, c.id), c.weight, strict=True))
+    weight = np.array([rotated.get(name, own[name]) for name in own], dtype=float)
+    return replace(record, customers={**record.customers, ROTATED: weight})
 
 
 def _noted(record: StepRecord, plan: dict[str, Any] | None) -> StepRecord:

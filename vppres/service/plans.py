@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from vppres.day.recorder import ROTATED
 from vppres.live.measurement import Measurement
 from vppres.live.set_points import SetPoints
 from vppres.scenario.scenario import Scenario
@@ -72,6 +73,7 @@ def plan_of(
             "seconds": _number(solve["solve_s"]),
             "stored_value_gbp_per_kwh": _number(solve.get("stored_value_gbp_per_kwh", math.nan)),
             "outage_messages": str(solve.get("outage_messages", "")) or None,
+            ROTATED: _rotated(decision),
             "levels": solve.get("levels"),
             "inverted": solve.get("inverted"),
             "fallback": fallback,
@@ -398,6 +400,13 @@ def _defaults(scenario: Scenario) -> dict[str, dict[str, dict[str, Any]]]:
         },
         "customers": {str(name): {"served": True} for name in scenario.customers.id},
     }
+
+
+def _rotated(decision: SetPoints) -> dict[str, float] | None:
+    """Weights of the customers in the plan; None where they are the site's."""
+    if ROTATED not in decision.customers:
+        return None
+    return {str(name): float(one) for name, one in decision.customers[ROTATED].items()}
 
 
 def _price(measured: Measurement) -> float | None:
