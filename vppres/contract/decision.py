@@ -74,6 +74,8 @@ class Decision:
         Measurements that were estimated and batteries that are out, in words.
     weight : array, shape (C,), optional
         The customers' weights, where they are not the site's.
+    seen : Observation, optional
+        What was taken for true, where that is not what was told.
     """
 
     dispatch: Dispatch
@@ -85,6 +87,7 @@ class Decision:
     fallback_reason: str = ""
     estimated: str = ""
     weight: Floats | None = None
+    seen: Observation | None = None
 
 
 class Decider(Protocol):

@@ -16,6 +16,7 @@ from vppres.control.planner import OnePass, Planner, plan_with_rules, solve_info
 from vppres.control.remembered import PART
 from vppres.core.arrays import Flags
 from vppres.core.errors import SolveError
+from vppres.scenario.assets import SOC_ROUNDING
 from vppres.scenario.timegrid import TimeGrid
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import WindowSolution
@@ -94,7 +95,7 @@ class MPCController:
         For an outage that is only likely no customer is switched off that the present step alone
         would serve.
         """
-        found = plan_with_rules(self.planner, observation)
+        found = self._planned_freely(observation)
         if observation.turns is not None:
             return self._in_turn(observation, observation.turns, found[0]), found[1]
         served = found[0].dispatch.served[0]
@@ -106,6 +107,28 @@ class MPCController:
         if not (kept_on & ~served).any():
             return found
         return plan_with_rules(self.planner, replace(observation, kept_on=kept_on))
+
+    def _planned_freely(self, observation: Observation) -> tuple[WindowSolution, bool]:
+        """The plan of a window, which loses nobody of the plan before to rounding.
+
+        That one charged no more than its last customer needs. So a state of charge that is as it
+        was planned may miss the need by the solver's tolerance.
+        """
+        found = plan_with_rules(self.planner, observation)
+        foreseen = self._foreseen_on(observation)
+        if foreseen is None or np.array_equal(foreseen, found[0].dispatch.served[0]):
+            return found
+        soc = np.minimum(observation.soc + SOC_ROUNDING, self.solver.site.batteries.soc_max)
+        sound = plan_with_rules(self.planner, replace(observation, soc=soc))
+        return sound if sound[0].terms.f1 > found[0].terms.f1 else found
+
+    def _foreseen_on(self, observation: Observation) -> Flags | None:
+        """Who is on now in the plan before, (C,); None if batteries are not where it has them."""
+        if self._last is None or not (ago := self._steps_since(observation)):
+            return None
+        _, plan = self._last
+        as_planned = np.abs(observation.soc - plan.soc[ago]) <= SOC_ROUNDING
+        return np.asarray(plan.served[ago]) if as_planned.all() else None
 
     def _in_turn(
         self, observation: Observation, turns: Turns, found: WindowSolution
@@ -153,11 +176,16 @@ class MPCController:
 
     def _before(self, observation: Observation) -> Moves | None:
         """What the plan before had foreseen for the window, None if it does not reach it."""
-        if self._last is None:
+        if self._last is None or not (ago := self._steps_since(observation)):
             return None
-        t0, plan = self._last
-        ago = observation.t0 - t0
-        if not 0 < ago < plan.n_steps:
-            return None
+        _, plan = self._last
         n_steps = len(observation.window.price_gbp_per_kwh)
         return Moves.of(plan.charge_kw - plan.discharge_kw, ago, n_steps, self.move_weight)
+
+    def _steps_since(self, observation: Observation) -> int:
+        """Steps since the plan before, 0 if it does not reach this one."""
+        if self._last is None:
+            return 0
+        t0, plan = self._last
+        ago = observation.t0 - t0
+        return ago if 0 < ago < plan.n_steps else 0

@@ -10,10 +10,7 @@ import pandas as pd
 
 from vppres.contract.decision import Decider, Decision
 from vppres.contract.forecast import ForecastErrors
-from vppres.contract.observation import Observation
-from vppres.control.guard.guard import GuardedController
 from vppres.control.remembered import memory_of, put_back
-from vppres.control.rotation import Rotating
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import SolveError, VppresError
 from vppres.day.assembly import make_controller
@@ -382,19 +379,11 @@ class Controller:
         told = present.observation(OutageView.create(self.scenario, self._record))
         decision = _without(self._decider.decide(told), seen.connected)
         decision = replace(decision, estimated=_joined(*seen.left_out, decision.estimated))
-        day = present.day(self._taken_for_true(told))
+        day = present.day(decision.seen or told)
         record = day.settle(0, decision)
         foreseen = Foreseen.of(decision, day.scenario)
         points = SetPoints.of(day.scenario, record, foreseen, day.switching)
         return points, present.after(day, record)
-
-    def _taken_for_true(self, told: Observation) -> Observation:
-        """What a guard made of the observation that it was told last."""
-        decider = self._decider
-        guard = decider.inner if isinstance(decider, Rotating) else decider
-        if isinstance(guard, GuardedController) and guard.known:
-            return guard.known.observation
-        return told
 
 
 def _without(decision: Decision, connected: Flags) -> Decision:

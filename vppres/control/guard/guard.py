@@ -123,7 +123,7 @@ class GuardedController:
         if self.options.protect_critical:
             decision = self._critical_first(decision, known, state)
         self._estimator.commanded(decision)
-        return replace(decision, estimated=known.estimated)
+        return replace(decision, estimated=known.estimated, seen=known.observation)
 
     def _checked_answer(self, known: Known, state: StepState) -> Decision:
         """The wrapped controller's answer, or the first fallback that passes the check."""
