@@ -120,7 +120,9 @@ class MPCController:
             return found
         soc = np.minimum(observation.soc + SOC_ROUNDING, self.solver.site.batteries.soc_max)
         sound = plan_with_rules(self.planner, replace(observation, soc=soc))
-        return sound if sound[0].terms.f1 > found[0].terms.f1 else found
+        site = self.solver.site
+        least = 0.5 * float(site.customers.weight.min()) * site.dt_h
+        return sound if sound[0].terms.f1 - found[0].terms.f1 > least else found
 
     def _foreseen_on(self, observation: Observation) -> Flags | None:
         """Who is on now in the plan before, (C,); None if batteries are not where it has them."""
