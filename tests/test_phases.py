@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tests.support.command_line import call
+from tests.support.phased_feeder import CIRCUIT, phased_day
 from vppres.contract.decision import Decision
 from vppres.contract.observation import Observation
 from vppres.core.errors import InputError
@@ -17,9 +18,6 @@ from vppres.day.assembly import make_controller
 from vppres.day.options import RunOptions
 from vppres.day.phase_figures import phase_figures
 from vppres.day.simulate import Day
-from vppres.feeders.new.options import NewScenarioOptions
-from vppres.feeders.new.scenario import write_new_scenario
-from vppres.feeders.sources import import_network
 from vppres.io import read_scenario
 from vppres.io.digest import scenario_digest
 from vppres.io.scenario_writer import write_scenario
@@ -33,35 +31,6 @@ from vppres.scenario.scenario import Scenario
 
 pytest.importorskip("opendssdirect")
 
-CIRCUIT = """clear
-new circuit.small basekv=69 pu=1.02 mvasc3=20000 mvasc1=21000
-new transformer.sub phases=3 windings=2 xhl=8
-~ wdg=1 bus=sourcebus conn=delta kv=69 kva=5000 %r=0.5
-~ wdg=2 bus=s conn=wye kv=4.16 kva=5000 %r=0.5
-new transformer.rega phases=1 xhl=0.1 kvas=[1600 1600] buses=[s.1 r.1] kvs=[2.4 2.4] %r=0.01
-new transformer.regb phases=1 xhl=0.1 kvas=[1600 1600] buses=[s.2 r.2] kvs=[2.4 2.4] %r=0.01
-~ wdg=2 tap=1.025
-new transformer.regc phases=1 xhl=0.1 kvas=[1600 1600] buses=[s.3 r.3] kvs=[2.4 2.4] %r=0.01
-~ wdg=2 tap=1.0125
-new linecode.three nphases=3 rmatrix=[0.4|0.15 0.41|0.15 0.15 0.4] basefreq=60
-~ xmatrix=[1.0|0.5 1.05|0.4 0.4 1.0] cmatrix=[9|-2 9|-1 -1 9] units=km
-new linecode.two nphases=2 rmatrix=[0.8|0.15 0.8] xmatrix=[0.9|0.3 0.9] cmatrix=[3|0 3] units=km
-new capacitor.c bus1=e phases=3 kvar=150 kv=4.16
-new line.l1 bus1=r bus2=m linecode=three length=0.5 units=km
-new line.l2 bus1=m.2.3 bus2=n.2.3 phases=2 linecode=two length=0.3 units=km
-new line.l3 bus1=m bus2=e linecode=three length=0.6 units=km
-new transformer.low phases=3 windings=2 xhl=2.7
-~ wdg=1 bus=e conn=delta kv=4.16 kva=300 %r=0.6
-~ wdg=2 bus=d conn=delta kv=0.48 kva=300 %r=0.6
-new load.a bus1=m.1 phases=1 kv=2.4 kw=260 kvar=90 model=5
-new load.b bus1=n.2 phases=1 kv=2.4 kw=90 kvar=30 model=2
-new load.bc bus1=n.2.3 phases=1 conn=delta kv=4.16 kw=120 kvar=50 model=1
-new load.e bus1=e phases=3 kv=4.16 kw=600 kvar=200 model=1
-new load.d bus1=d phases=3 conn=delta kv=0.48 kw=90 kvar=30 model=1
-set voltagebases=[69 4.16 0.48]
-calcvoltagebases
-"""
-
 
 @pytest.fixture(scope="module")
 def circuit(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -74,10 +43,7 @@ def circuit(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def day(circuit: Path) -> Scenario:
     """A scenario of it, read back from its folder."""
-    folder = circuit.parent / "small"
-    options = NewScenarioOptions(add_batteries=True, pv="sized", draw_tiers=True)
-    write_new_scenario(import_network(circuit), options, folder)
-    return read_scenario(folder)
+    return phased_day(circuit)
 
 
 def powers(day: Scenario, t: int) -> tuple[np.ndarray, np.ndarray]:
@@ -204,22 +170,11 @@ def test_options_that_are_not_stated_are_refused_by_name(
         make_controller(day, RunOptions().having(options))
 
 
-@pytest.mark.parametrize(
-    ("command", "message"),
-    [
-        (("serve",), "live controllers know balanced feeders only"),
-        (("validate", "--power-flow"), "pandapower's balanced power flow says nothing of phases"),
-    ],
-    ids=["serve", "validate"],
-)
-def test_commands_for_balanced_feeders_refuse_phases_and_leave_nothing(
-    circuit: Path, day: Scenario, command: tuple[str, ...], message: str
-) -> None:
-    before = sorted(circuit.parent.iterdir())
-    result = call(command[0], circuit.parent / "small", *command[1:])
+def test_a_balanced_power_flow_refuses_phases(circuit: Path, day: Scenario) -> None:
+    result = call("validate", circuit.parent / "small", "--power-flow")
     assert result.exit_code == 2
-    assert message in " ".join(result.stderr.split())
-    assert sorted(circuit.parent.iterdir()) == before
+    words = "pandapower's balanced power flow says nothing of phases"
+    assert words in " ".join(result.stderr.split())
 
 
 @pytest.mark.daily

@@ -16,7 +16,6 @@ from vppres.core.errors import SolveError, VppresError
 from vppres.day.assembly import make_controller
 from vppres.day.options import RunOptions
 from vppres.day.outages import KNOWN, LOOKAHEAD_H, OutageView
-from vppres.day.phased import refuse_phased
 from vppres.live.feed import Feed, extended
 from vppres.live.foreseen import Foreseen
 from vppres.live.measurement import Measurement, Seen, see, step_at
@@ -60,7 +59,6 @@ class Controller:
         state: Any = None,
         history: History | None = None,
     ) -> None:
-        refuse_phased(scenario, "live controllers")
         start = Past.before_the_day(scenario, options)
         if start.history is not None and history is not None:
             start = replace(start, history=history)

@@ -73,6 +73,8 @@ RANGES: Mapping[str, Range] = {
     "eta_discharge": _EFFICIENCY,
     "battery_kw": Range(-MAX_KW, MAX_KW, _FINITE, _CORRECT, _UNIT),
     "ordered_kw": Range(-MAX_KW, MAX_KW, _FINITE, _CORRECT, _UNIT),
+    "source_kva": _POWER,
+    "v_pu": Range(0.0, 2.0, "must lie between 0 and 2", "Give a share of the nominal voltage."),
     "import_kw": Range(-10.0 * MAX_KW, 10.0 * MAX_KW, _FINITE, _CORRECT, _UNIT),
     "online": _FLAG,
     "grid_on": _FLAG,

@@ -10,11 +10,13 @@ import numpy as np
 import pandas as pd
 
 from vppres.contract.switching import SwitchingState
+from vppres.core.arrays import Names
 from vppres.core.notebook import facts_html
 from vppres.day.inversions import inverted_now
 from vppres.day.recorder import ROTATED, StepRecord
 from vppres.day.trajectory import Feeder
 from vppres.feeders.actuate import Feeding
+from vppres.live.by_phase import ByPhase
 from vppres.live.foreseen import Foreseen
 from vppres.scenario.scenario import Scenario
 
@@ -66,6 +68,9 @@ class SetPoints:
         What holds the voltage: the grid, a battery, or nobody.
     foreseen : Foreseen
         What the plan that it is taken from foresees for the steps after it.
+    by_phase : ByPhase or None
+        Voltages and the source's power by phase; None without phases. Customers, batteries and PV
+        systems have a column ``phases`` then: a power is that of all its phases, in equal parts.
     """
 
     time: pd.Timestamp
@@ -77,6 +82,7 @@ class SetPoints:
     solve: Mapping[str, Any]
     feeding: Feeding
     foreseen: Foreseen
+    by_phase: ByPhase | None = None
 
     @classmethod
     def of(
@@ -116,6 +122,7 @@ class SetPoints:
                 np.asarray(step.buses["v_ac_pu"], dtype=float),
             ),
             foreseen=foreseen,
+            by_phase=ByPhase.of(scenario, step),
         )
 
     def apply_to(self, net: Any, feeder: Feeder) -> None:
@@ -164,6 +171,7 @@ def _customers(scenario: Scenario, columns: Mapping[str, Any]) -> pd.DataFrame:
     return _table(
         customers.id,
         bus=customers.bus,
+        **_phases(scenario, customers.id),
         tier=customers.tier,
         load_kw=columns["p_load_kw"],
         load_kvar=columns["q_load_kvar"],
@@ -177,6 +185,7 @@ def _batteries(scenario: Scenario, columns: Mapping[str, Any]) -> pd.DataFrame:
     return _table(
         scenario.batteries.id,
         bus=scenario.batteries.bus,
+        **_phases(scenario, scenario.batteries.id),
         p_kw=columns["charge_kw"] - columns["discharge_kw"],
         q_kvar=columns["q_kvar"],
         soc=columns["soc_start"],
@@ -189,11 +198,18 @@ def _pv(scenario: Scenario, columns: Mapping[str, Any]) -> pd.DataFrame:
     return _table(
         scenario.pv.id,
         bus=scenario.pv.buses(scenario.customers),
+        **_phases(scenario, scenario.pv.id),
         available_kw=columns["available_kw"],
         p_kw=columns["self_kw"] + columns["export_kw"],
         curtailed_kw=columns["curtailed_kw"],
         q_kvar=columns["q_kvar"],
     )
+
+
+def _phases(scenario: Scenario, ids: Names) -> dict[str, Any]:
+    """Phases on which assets are; nothing without phases."""
+    phases = scenario.phases
+    return {} if phases is None else {"phases": [phases.connection(str(i)).coils for i in ids]}
 
 
 def _solve(figures: Mapping[str, Any]) -> dict[str, Any]:
@@ -217,6 +233,6 @@ def _priority(scenario: Scenario, step: StepRecord) -> dict[str, str]:
     return {name: words for name, words in found.items() if words}
 
 
-def _table(names: Any, index: str = "id", **columns: Any) -> pd.DataFrame:
+def _table(names: Any, *, index: str = "id", **columns: Any) -> pd.DataFrame:
     """Columns by identifier."""
     return pd.DataFrame(columns, index=pd.Index(names, name=index))

@@ -194,7 +194,6 @@ class PhasedFlow:
         self.rated_v: Floats = np.repeat([row.kv * V_PER_KV for row in rows], counts)
         self.p_exponent: Floats = np.repeat([row.p_exponent for row in rows], counts)
         self.q_exponent: Floats = np.repeat([row.q_exponent for row in rows], counts)
-        self._last: Complexes | None = None
 
     @cached_property
     def no_load_v(self) -> Complexes:
@@ -236,15 +235,13 @@ class PhasedFlow:
         """
         p, q = np.asarray(p_kw, float), np.asarray(q_kvar, float)
         u0, _ = self._across
-        start = u0 if self._last is None else self._last
-        found = self._fixed_point(p, q, start)
+        found = self._fixed_point(p, q, u0)
         if found is None:
             u, rounds = self._newton(p, q, u0), MAX_ROUNDS
         else:
             u, rounds = found
         if u is None:
             raise NoPhasedSolutionError(self._reached(p, q))
-        self._last = u
         return self._result(p, q, u, rounds)
 
     def _fixed_point(self, p: Floats, q: Floats, u: Complexes) -> tuple[Complexes, int] | None:

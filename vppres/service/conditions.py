@@ -11,8 +11,9 @@ import pandas as pd
 
 from vppres.contract.longest_off import ROUNDING
 from vppres.core.text import named
+from vppres.live.by_phase import GRID
 from vppres.scenario.scenario import Scenario
-from vppres.service.knowledge import GRID, Heard, Latest, refusing, soc_of
+from vppres.service.knowledge import Heard, Latest, refusing, soc_of
 from vppres.service.lost import lost_customers
 from vppres.service.plans import points_at, refused_of
 from vppres.service.store import Store

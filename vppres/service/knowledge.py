@@ -19,6 +19,7 @@ from vppres.control.guard.balance import BALANCE_KW
 from vppres.core.arrays import Floats, Names
 from vppres.core.errors import InputError, Problem
 from vppres.io.messages import did_you_mean
+from vppres.live.by_phase import GRID
 from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
 from vppres.live.ranges import RANGES, ranges_of
@@ -36,6 +37,7 @@ from vppres.service.clock import written
 from vppres.service.gate import POWER_KW, RATING_SHARE
 from vppres.service.lost import lost_customers
 from vppres.service.payloads import OperatorSetpoint, Readings
+from vppres.service.phased_readings import stored, sums, wrong_phase
 from vppres.service.records import DECIDED, Event, Reading, moment, seconds, versions
 from vppres.service.statements import REFUSED
 from vppres.service.store import Store
@@ -43,7 +45,6 @@ from vppres.service.window import CAUTIOUS, Window
 
 INSTANT = ("soc", "load_kw", "pv_kw", "online", "grid_on")
 MEAN = ("battery_kw", "import_kw")
-GRID = "grid"
 EARLY_SHARE = 0.1
 """Share of a step by which clocks may be off: those of readings, and our own that is set back."""
 
@@ -144,6 +145,8 @@ def assets_of(scenario: Scenario) -> dict[str, list[str]]:
         "pv_kw": [str(name) for name in scenario.pv.id],
         "import_kw": [GRID],
         "grid_on": [GRID],
+        "source_kva": [GRID, *batteries],
+        "v_pu": [] if scenario.phases is None else list(scenario.phases.by_bus),
     }
 
 
@@ -171,6 +174,10 @@ def readings_of(
             cure = did_you_mean(one.asset, known, "Give an asset of the site.")
             problems.append(Problem(WHERE, "is not at the site", cure, None, "asset", one.asset))
             continue
+        wrong = wrong_phase(one, scenario)
+        if wrong is not None:
+            problems.append(wrong)
+            continue
         last = one.start + (len(one.values) - 1) * one.resolution
         if last >= until:
             problems.append(
@@ -193,7 +200,13 @@ def readings_of(
                 continue
             time = seconds(one.start + step * one.resolution)
             long = int(one.resolution.total_seconds())
-            good.append(Reading(one.asset, one.quantity, time, one.source, long, value))
+            quantity = stored(one.quantity, one.phase)
+            good.append(Reading(one.asset, quantity, time, one.source, long, value))
+    for found in [*sums(good, scenario)]:
+        if isinstance(found, Problem):
+            problems.append(found)
+        else:
+            good.append(found)
     return good, problems
 
 

@@ -11,11 +11,14 @@ from typing import Any, get_args
 import numpy as np
 import pandas as pd
 
+from vppres.live.by_phase import GRID
+from vppres.scenario.phases import PHASES
 from vppres.scenario.remarks import former_words
 from vppres.service.clock import written
 from vppres.service.conditions import limits_h
-from vppres.service.knowledge import GRID, MEAN, Heard, Latest, last_heard
+from vppres.service.knowledge import MEAN, Heard, Latest, last_heard
 from vppres.service.payloads import ModeRequest
+from vppres.service.phased_readings import stored
 from vppres.service.plans import points_at, refused_of
 from vppres.service.records import Reading, moment
 from vppres.service.runner import Runner
@@ -50,6 +53,7 @@ def site_of(runner: Runner) -> dict[str, Any]:
         "former": former_words(day, runner.options.mode, always=True),
         "v_min_pu": day.network.v_min_ac_pu,
         "v_max_pu": day.network.v_max_ac_pu,
+        "phases": _phases_of(runner),
         "customers": {
             str(name): str(tier)
             for name, tier in zip(day.customers.id, day.customers.tier, strict=True)
@@ -68,6 +72,15 @@ def site_of(runner: Runner) -> dict[str, Any]:
             for i, name in enumerate(b.id)
         },
     }
+
+
+def _phases_of(runner: Runner) -> dict[str, str] | None:
+    """On which phases devices are; None for a feeder without phases."""
+    phases = runner.scenario.phases
+    if phases is None:
+        return None
+    kinds = (getattr(runner.scenario, kind) for kind in ("customers", "pv", "batteries"))
+    return {str(name): phases.connection(str(name)).coils for kind in kinds for name in kind.id}
 
 
 class Overview:
@@ -208,6 +221,7 @@ class Overview:
         found = [one for one in readings if one.quantity in ("soc", "online", "grid_on")]
         means = self.runner.store.between(begun, now, MEAN)
         found += [one for one in means if one.asset == GRID]
+        found += self.runner.store.between(begun, now, [stored("source_kva", p) for p in PHASES])
         return {
             f"{one.quantity} {one.asset}": {
                 "value": one.value,

@@ -94,7 +94,10 @@ Shape = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=20)]
 Probabilities = Annotated[list[Share], Field(fail_fast=True, min_length=1, max_length=MOST_VALUES)]
 Powers = Annotated[list[Power], Field(fail_fast=True, min_length=1, max_length=MOST_VALUES)]
 
-Quantity = Literal["soc", "load_kw", "pv_kw", "battery_kw", "import_kw", "online", "grid_on"]
+Quantity = Literal[
+    "soc", "load_kw", "pv_kw", "battery_kw", "import_kw", "source_kva", "v_pu", "online", "grid_on"
+]
+Phase = Annotated[str, Field(pattern=r"^[abc]{1,2}$")]
 
 
 class Body(BaseModel):
@@ -116,11 +119,16 @@ class Readings(Body):
     ``soc``, ``load_kw``, ``pv_kw``, ``online`` and ``grid_on`` (1 or 0) hold at their time,
     ``battery_kw`` (charging positive) and ``import_kw`` are means from then on. The asset of
     ``import_kw`` and ``grid_on`` is ``grid``.
+
+    On phased feeders powers may have a ``phase``, one of those of the asset's ``phases``: those of
+    all its phases are sent in one batch. ``v_pu`` (of a bus) and ``source_kva`` (of ``grid``, or of
+    the battery that holds the island) always have one; they are means too.
     """
 
     source: Name
     asset: Name
     quantity: Quantity
+    phase: Phase | None = None
     start: Moment
     resolution: Duration
     values: Annotated[

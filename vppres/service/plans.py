@@ -15,6 +15,7 @@ import pandas as pd
 from vppres.day.recorder import ROTATED
 from vppres.live.measurement import Measurement
 from vppres.live.set_points import SetPoints
+from vppres.scenario.phases import Phases
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import written
 from vppres.service.knowledge import Known
@@ -96,6 +97,7 @@ def plan_of(
             "v_min_bus": _at_lowest(v_pu),
             "grid_limit_kw": _number(known.limits_kw.iloc[0]),
             "price_gbp_per_kwh": _price(known.measurement),
+            **_by_phase(decision),
         },
         "ahead": _ahead(decision, known),
         "off_h": _off_h(decision, scenario),
@@ -353,12 +355,15 @@ class _Speaker:
         What devices do without us, by kind and identifier.
     refused : mapping
         What is not said, and why, by kind and identifier.
+    phases : Phases or None
+        On which phases devices are.
     """
 
     begin: str
     end: str
     defaults: Mapping[str, Mapping[str, dict[str, Any]]]
     refused: Mapping[tuple[str, str], str]
+    phases: Phases | None
 
     @classmethod
     def of(
@@ -367,7 +372,7 @@ class _Speaker:
         """Of the step that begins at a time."""
         length = scenario.grid.step
         end = written(time + (1.0 + OVERLAP) * length)
-        return cls(written(time), end, _defaults(scenario), refused)
+        return cls(written(time), end, _defaults(scenario), refused, scenario.phases)
 
     def point(self, kind: str, name: str, values: Mapping[str, Any], reason: str) -> dict[str, Any]:
         """What one device is to do, until when, and what after that."""
@@ -377,6 +382,7 @@ class _Speaker:
             "id": f"{self.begin}/{kind}/{name}",
             "asset": name,
             "kind": kind,
+            **({} if self.phases is None else {"phases": self.phases.connection(name).coils}),
             **(values if stopped is None else default),
             **({"sign": _SIGNS[kind]} if kind in _SIGNS else {}),
             "valid_from": self.begin,
@@ -413,6 +419,23 @@ def _price(measured: Measurement) -> float | None:
     """Import price of the step."""
     prices = measured.price_gbp_per_kwh
     return _number(prices.iloc[0]) if isinstance(prices, pd.Series) else None
+
+
+def _by_phase(decision: SetPoints) -> dict[str, Any]:
+    """What is expected on each phase; nothing without phases, and without power."""
+    found = decision.by_phase
+    if found is None:
+        return {}
+    return {
+        "phases": {
+            "source": found.source,
+            "source_kva": {str(phase): float(kva) for phase, kva in found.source_kva.items()},
+            "rating_kva": found.rating_kva,
+            "v_pu": {phase: list(ends) for phase, ends in found.v_pu.items()},
+            "unbalance_max": _number(found.unbalance_max),
+            "nearest": vars(found.nearest),
+        }
+    }
 
 
 def _at_lowest(v_pu: pd.Series[float]) -> str | None:

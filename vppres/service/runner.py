@@ -19,7 +19,6 @@ from vppres.core.errors import InputError, StorageError
 from vppres.day.forecasting import FORECASTERS
 from vppres.day.options import RunOptions
 from vppres.day.outages import KNOWN, LOOKAHEAD_H
-from vppres.day.phased import refuse_phased
 from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
 from vppres.live.past import REMEMBERED_DAYS
@@ -93,9 +92,6 @@ class Service:
     rehearsal: bool = False
     paced: bool = False
     keep_days: float = KEEP_DAYS
-
-    def __post_init__(self) -> None:
-        refuse_phased(self.scenario, "live controllers")  # before a folder is made
 
 
 @dataclass(frozen=True)

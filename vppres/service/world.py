@@ -17,9 +17,10 @@ from vppres.core.arrays import Flags, Floats
 from vppres.day.options import RunOptions
 from vppres.day.recorder import StepRecord
 from vppres.day.simulate import Day
+from vppres.live.by_phase import GRID, ByPhase
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import written
-from vppres.service.knowledge import GRID
+from vppres.service.phased_readings import phases_of
 from vppres.service.plans import at
 
 Series = Mapping[str, Any]  # readings as ``POST /v1/telemetry`` takes them
@@ -49,19 +50,39 @@ class World:
         grid_on = float(self.scenario.grid_limit_kw[t] > 0.0)
         found = [
             *self._series("batteries", "soc", now, ids["batteries"], day.state.soc),
-            *self._series("meters", "load_kw", now, ids["customers"], self.scenario.load_kw[t]),
-            *self._series("meters", "pv_kw", now, ids["pv"], self.scenario.pv_kw[t]),
+            *self._powers("meters", "load_kw", now, ids["customers"], self.scenario.load_kw[t]),
+            *self._powers("meters", "pv_kw", now, ids["pv"], self.scenario.pv_kw[t]),
             *self._series("substation", "grid_on", now, [GRID], [grid_on]),
         ]
         if t == 0:
             return found
         begun = self.scenario.grid.times[t - 1]
         if day.battery_kw is not None:
-            found += self._series(
+            found += self._powers(
                 "batteries", "battery_kw", begun, ids["batteries"], day.battery_kw
             )
         if day.import_kw is not None:
             found += self._series("substation", "import_kw", begun, [GRID], [day.import_kw])
+        by_phase = ByPhase.of(self.scenario, self.records[-1])
+        if by_phase is not None:
+            source = by_phase.source
+            teller = "substation" if source == GRID else "batteries"
+            for phase, kva in by_phase.source_kva.items():
+                found += self._series(teller, "source_kva", begun, [source], [kva], str(phase))
+            for (bus, phase), v_pu in zip(by_phase.nodes.index, by_phase.nodes, strict=True):
+                found += self._series("meters", "v_pu", begun, [bus], [v_pu], phase)
+        return found
+
+    def _powers(
+        self, source: str, quantity: str, time: pd.Timestamp, ids: list[Any], values: Any
+    ) -> list[Series]:
+        """Powers of assets, each phase by itself where there are several."""
+        found: list[Series] = []
+        for asset, value in zip(ids, values, strict=True):
+            phases = phases_of(self.scenario, quantity, str(asset))
+            for phase in phases or (None,):
+                part = [value / max(len(phases), 1)]
+                found += self._series(source, quantity, time, [asset], part, phase)
         return found
 
     def obey(self, t: int, setpoints: Iterable[Mapping[str, Any]]) -> StepRecord:
@@ -77,7 +98,13 @@ class World:
         return self.scenario.grid.step
 
     def _series(
-        self, source: str, quantity: str, time: pd.Timestamp, ids: list[Any], values: Any
+        self,
+        source: str,
+        quantity: str,
+        time: pd.Timestamp,
+        ids: list[Any],
+        values: Any,
+        phase: str | None = None,
     ) -> list[Series]:
         """One reading for each item."""
         resolution = f"PT{round(self.scenario.grid.step_minutes * 60)}S"
@@ -86,6 +113,7 @@ class World:
                 "source": source,
                 "asset": str(asset),
                 "quantity": quantity,
+                **({} if phase is None else {"phase": phase}),
                 "start": written(time),
                 "resolution": resolution,
                 "values": [float(value)],

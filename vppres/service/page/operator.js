@@ -1,6 +1,6 @@
 // The operator's form: mode, duration and reason, with a confirmation.
 
-import { HOUR, MINUTE, MODE_WORDS, crewSays } from "./words.js";
+import { HOUR, MINUTE, MODE_WORDS, crewSays, onPhase } from "./words.js";
 
 const KINDS = { customers: "Customers", batteries: "Batteries", pv: "PV systems" };
 const NEED_END = ["hold", "manual"];
@@ -37,7 +37,7 @@ export class Operator {
     $("manual-device").replaceChildren(...["customers", "batteries", "pv"].map((kind) => {
       const group = document.createElement("optgroup");
       group.label = KINDS[kind];
-      group.append(...Object.keys(site[kind]).map((name) => new Option(name, JSON.stringify([kind, name]))));
+      group.append(...Object.keys(site[kind]).map((name) => new Option(onPhase(name, site), JSON.stringify([kind, name]))));
       return group;
     }));
     $("modes").replaceChildren(...site.modes.map((mode) => {

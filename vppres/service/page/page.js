@@ -3,7 +3,7 @@
 import { chart, meter, pastOf, stepsOf } from "./chart.js";
 import { Operator } from "./operator.js";
 import {
-  HOUR, MARKS, SiteClock, alarms, announced, attention, counted, covers, facts, grouped, kilo, lasting, list, lowest, offByTier, outage, percent, socNow, verdict, why,
+  HOUR, MARKS, SiteClock, alarms, announced, attention, counted, covers, facts, grouped, kilo, lasting, list, lowest, offByTier, onPhase, outage, percent, socNow, verdict, why,
 } from "./words.js";
 
 const EVERY_MS = 2000, PATIENCE_MS = 5000;
@@ -180,7 +180,7 @@ function figure(title, value, unit, bar, ...notes) {
 function showFigures() {
   const { plan, measured } = view.overview;
   const content = [plan, measured, view.lost, Math.floor(view.now / 60000)];
-  renew("figures", content, () => [customersFigure(), storedFigure(), importFigure(), voltageFigure()]);
+  renew("figures", content, () => [customersFigure(), storedFigure(), importFigure(), voltageFigure(), ...phasesFigure()]);
 }
 
 function customersFigure() {
@@ -234,6 +234,25 @@ function voltageFigure() {
     `${expected.v_min_bus ? `at bus ${expected.v_min_bus}; ` : ""}highest ${expected.v_max_pu.toFixed(3)}, limits ${low} to ${high}`);
 }
 
+// What the grid, or the battery that holds the island, gives on each phase; nothing for a balanced feeder.
+function phasesFigure() {
+  if (!view.site.phases) return [];
+  const found = view.overview.plan?.expected?.phases;
+  if (!found) return [figure("Phases", "\u2013", "kVA", null, "No data.")];
+  const { source, source_kva: kva, rating_kva: rating, v_pu, unbalance_max: unbalance, nearest } = found;
+  const [phase] = Object.entries(kva).sort((one, other) => other[1] - one[1])[0], most = kva[phase];
+  const bar = rating ? meter(most / (1.25 * rating), { marks: [1 / 1.25], kind: most > 1.01 * rating ? "over" : "", name: `${percent(most / rating)} of a phase's rating` }) : null;
+  const read = (name) => view.overview.measured[`source_kva/${name} ${source}`]?.value;
+  const rows = Object.entries(v_pu).map(([name, [low, high]]) =>
+    [name, name in kva ? kilo(kva[name]) : "\u2013", Number.isFinite(read(name)) ? kilo(read(name)) : "\u2013", low.toFixed(3), high.toFixed(3)]);
+  const place = nearest.at === source ? `of ${source}` : `at bus ${nearest.at}`;
+  const made = figure(source === "grid" ? "Import by phase" : `${source} by phase`, kilo(most), rating ? `of ${kilo(rating)} kVA on phase ${phase}` : `kVA on phase ${phase}`, bar,
+    `Nearest its limit: phase ${nearest.phase} ${place}, ${percent(nearest.share)}. Voltage unbalance ${(100 * unbalance).toFixed(1)}%.`);
+  made.classList.add("phases");
+  made.append(node("table", {}, ...table(["Phase", "kVA", "measured", "lowest (pu)", "highest (pu)"], rows)));
+  return [made];
+}
+
 function showChart() {
   const { plan } = view.overview, past = pastOf(view);
   const width = Math.max(300, Math.floor($("chart").clientWidth));
@@ -285,7 +304,7 @@ function showBatteries() {
     const words = power > 0.05 ? `\u25b2 charging ${power.toFixed(1)} kW` : power < -0.05 ? `\u25bc discharging ${(-power).toFixed(1)} kW` : "idle";
     const old = !reading || reading.value === null ? "no reading" : view.now - new Date(reading.at) > 1500 * view.site.step_s ? `read ${lasting(view.now - new Date(reading.at))} ago` : "";
     const notes = [point?.reason.startsWith("default") ? point.reason : "", old].filter(Boolean);
-    return node("li", {}, node("b", {}, name), node("span", { class: "n" }, soc === null ? "no data" : percent(soc)),
+    return node("li", {}, node("b", {}, onPhase(name, view.site)), node("span", { class: "n" }, soc === null ? "no data" : percent(soc)),
       meter(soc ?? 0, { kind: "store", marks: [b.soc_min, b.soc_max], name: `limits ${percent(b.soc_min)} to ${percent(b.soc_max)}` }),
       node("span", { class: "note" }, words), ...notes.map((note) => node("span", { class: "late note" }, note)));
   }));

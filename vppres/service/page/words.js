@@ -42,6 +42,12 @@ export const counted = (n, one, many = `${one}s`) => `${n.toLocaleString("en-GB"
 export const list = (names, most = NAMED_HERE) =>
   names.length <= most + 1 ? names.join(", ") : `${names.slice(0, most).join(", ")} and ${names.length - most} more`;
 
+// A device with its phase, if it is not on all three.
+export function onPhase(name, site) {
+  const coils = (site.phases?.[name] ?? "").split(" ");
+  return coils.length >= 3 || !coils[0] ? name : `${name} (phase ${coils.join(" and ")})`;
+}
+
 // The current outage, if there is one: from an event, or from the plan.
 export function outage(view) {
   const { plan, events } = view.overview;

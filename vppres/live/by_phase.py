@@ -1,0 +1,103 @@
+"""What set-points lead to on each phase of a phased feeder, and what is nearest its limit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from vppres.day.recorder import StepRecord
+from vppres.physics.phased_sources import former_of
+from vppres.scenario.phases import PHASES
+from vppres.scenario.scenario import Scenario
+
+GRID = "grid"
+
+
+@dataclass(frozen=True)
+class Nearest:
+    """What is nearest its limit: a phase of the former, or the voltage of a bus.
+
+    Parameters
+    ----------
+    phase : str
+        A phase, or a pair of phases.
+    at : str
+        The battery, or the bus.
+    share : float
+        Of its limit; a voltage's is 0 in the middle of its limits and 1 at one of them.
+    """
+
+    phase: str
+    at: str
+    share: float
+
+
+@dataclass(frozen=True, eq=False)
+class ByPhase:
+    """What an AC power flow of the set-points gives on each phase.
+
+    Parameters
+    ----------
+    nodes : Series
+        Voltages in pu by bus and phase, of pairs of phases on three wires.
+    source : str
+        ``grid``, or the battery that holds the island.
+    source_kva : Series
+        What it gives on each phase.
+    rating_kva : float or None
+        What the battery can give on each phase; None of the grid.
+    unbalance_max : float
+        Largest unbalance factor of any bus with three phases.
+    nearest : Nearest
+        What is nearest its limit.
+    """
+
+    nodes: pd.Series[float]
+    source: str
+    source_kva: pd.Series[float]
+    rating_kva: float | None
+    unbalance_max: float
+    nearest: Nearest
+
+    @classmethod
+    def of(cls, scenario: Scenario, step: StepRecord) -> ByPhase | None:
+        """Of a step that was decided; None without phases, and without power."""
+        phases = scenario.phases
+        if phases is None or step.nodes is None or np.isnan(step.nodes["v_ac_pu"]).any():
+            return None
+        index = pd.MultiIndex.from_tuples(phases.measured, names=["bus", "phase"])
+        nodes = pd.Series(step.nodes["v_ac_pu"], index, name="v_ac_pu")
+        held = not np.isnan(step.steps["former_a_kva"])
+        column = "former" if held else "import"
+        kva = pd.Series({phase: float(step.steps[f"{column}_{phase}_kva"]) for phase in PHASES})
+        source, rating_kva = GRID, None
+        former = former_of(phases, scenario.batteries) if held else None
+        if former is not None:
+            source = str(scenario.batteries.id[former])
+            rating_kva = float(scenario.batteries.s_max_kva[former]) / len(PHASES)
+        nearest = _nearest(scenario, nodes)
+        if rating_kva and kva.max() / rating_kva > nearest.share:
+            nearest = Nearest(str(kva.idxmax()), source, float(kva.max() / rating_kva))
+        unbalance = float(step.steps["unbalance_max"])
+        return cls(nodes, source, kva, rating_kva, unbalance, nearest)
+
+    @property
+    def v_pu(self) -> dict[str, tuple[float, float]]:
+        """Lowest and highest voltage of each phase, or pair of phases."""
+        by_phase = self.nodes.groupby(level="phase")
+        return {str(phase): (float(v_pu.min()), float(v_pu.max())) for phase, v_pu in by_phase}
+
+
+def _nearest(scenario: Scenario, nodes: pd.Series[float]) -> Nearest:
+    """The voltage that is nearest a limit; the grid's own bus has none."""
+    net, phases = scenario.network, scenario.phases
+    assert phases is not None
+    middle = (net.v_max_ac_pu + net.v_min_ac_pu) / 2.0
+    half = (net.v_max_ac_pu - net.v_min_ac_pu) / 2.0
+    shares = (nodes - middle).abs() / half
+    shares = shares[shares.index.get_level_values("bus") != phases.buses[0].bus]
+    worst = int(shares.argmax())
+    bus, phase = shares.index[worst]
+    return Nearest(str(phase), str(bus), float(shares.iloc[worst]))
