@@ -14,7 +14,8 @@ class Dispatch:
     ``soc`` has one row more than the steps: row 0 is the state at the beginning of the window. The
     dispatch of a form without network has NaN in place of reactive power, flows and voltages. The
     grid's power is negative where it is exported. ``v_node_pu`` are voltages by phase, in plans of
-    phased feeders.
+    phased feeders. ``share`` is the part of its demand that each customer gets, 0 where it is off;
+    None if all get it whole that are served.
     """
 
     served: Flags
@@ -32,11 +33,17 @@ class Dispatch:
     p_flow_kw: Floats
     q_flow_kvar: Floats
     v_node_pu: Floats | None = None
+    share: Floats | None = None
 
     @property
     def n_steps(self) -> int:
         """Number of steps W."""
         return len(self.p_grid_kw)
+
+    @property
+    def supplied(self) -> Flags | Floats:
+        """Part of the demand that each customer gets, (W, C)."""
+        return self.served if self.share is None else self.share
 
     def arrays(self) -> dict[str, Flags | Floats]:
         """The arrays that it has, by their names."""

@@ -477,11 +477,12 @@ def in_the_dark(
     dispatch = replace(
         plan,
         served=plan.served & ~dark[:, None],
+        share=None if plan.share is None else plan.share * ~dark[:, None],
         pv_curtailed_kw=np.where(dark[:, None], whole.pv_kw, plan.pv_curtailed_kw),
     )
     curtailed_kwh = whole.pv_kw[dark].sum() * site.dt_h
     lost = (
-        plan.served[dark] @ site.customers.weight
+        plan.supplied[dark] @ site.customers.weight
     ).sum() * site.dt_h + site.weights.lambda_curt * curtailed_kwh
     objective = solution.objective - lost
     bound = solution.bound - lost

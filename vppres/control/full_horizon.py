@@ -203,7 +203,7 @@ def _check_grid(site: Site, actual: _Actual) -> str:
     """
     plan = actual.plan
     t = actual.t
-    served = plan.served[t]
+    served = plan.supplied[t]
     # What an owner consumes cannot be curtailed.
     own = np.minimum(actual.pv_kw, site.behind_meter(actual.load_kw * served))
     curtailed = np.minimum(plan.pv_curtailed_kw[t], actual.pv_kw - own)

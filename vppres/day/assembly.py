@@ -24,6 +24,7 @@ from vppres.day.faults import FaultInjector, FaultySolver
 from vppres.day.options import RunOptions
 from vppres.day.outages import check_outages
 from vppres.day.own import ByStepWeights, Own
+from vppres.day.dimmed import check_dimmed
 from vppres.day.phased import check_phased
 from vppres.day.priority import site_of, weighed
 from vppres.model.site import Site
@@ -68,6 +69,7 @@ def make_controller(
     """
     grid = grid or scenario.grid
     options = options.on(scenario)
+    check_dimmed(scenario, options)
     check_phased(scenario, options)
     check_outages(str(options.outages), options.controller)
     site = site_of(scenario, options.as_record())

@@ -18,7 +18,7 @@ from vppres.day.phase_figures import phase_figures
 from vppres.day.reliability import fairness_figures, reliability_figures
 from vppres.day.switching_figures import switching_figures
 from vppres.day.time_off import time_off_figures, time_off_words
-from vppres.day.trajectory import OPTIONS, Trajectory
+from vppres.day.trajectory import OPTIONS, Trajectory, supplied
 from vppres.io.digest import scenario_digest
 from vppres.plant.plant import NOBODY
 from vppres.scenario.remarks import darkness, unknown_phases
@@ -165,7 +165,8 @@ def _why_off(trajectory: Trajectory, off: pd.DataFrame) -> str:
 def resilience(trajectory: Trajectory) -> float | None:
     """Weighted share of service in the outage (paper, Performance Metrics); None without outage.
 
-    ``R = sum_t sum_c w_c x(t, c) / sum_t sum_c w_c`` over the outage steps ``t``.
+    ``R = sum_t sum_c w_c x(t, c) / sum_t sum_c w_c`` over the outage steps ``t``; a dimmed customer
+    counts with its share.
     """
     rows = _customers(trajectory, outage=True)
     total = float(rows["weight"].sum())
@@ -197,7 +198,8 @@ def served_share(trajectory: Trajectory, outage: bool) -> dict[str, float | None
 
 def service_by_tier(trajectory: Trajectory) -> pd.DataFrame:
     """Share of customers served, shape (T, tiers): one row per step, one column per tier."""
-    share = trajectory.customers.pivot_table(
+    customers = trajectory.customers.assign(served=supplied(trajectory.customers))
+    share = customers.pivot_table(
         index="time", columns="tier", values="served", aggfunc="mean", observed=False
     )
     present = [tier for tier in trajectory.scenario.tiers if tier in share.columns]
@@ -214,8 +216,9 @@ def service_by_customer(trajectory: Trajectory) -> pd.DataFrame:
     """
     dt_h = trajectory.scenario.grid.dt_h
     rows = trajectory.customers
-    missing = ~rows["served"].astype(bool)
-    lost = rows.assign(unserved_h=missing * dt_h, unserved_kwh=missing * rows["p_load_kw"] * dt_h)
+    off = ~rows["served"].astype(bool)
+    lost_kw = (1.0 - supplied(rows)) * rows["p_load_kw"]
+    lost = rows.assign(unserved_h=off * dt_h, unserved_kwh=lost_kw * dt_h)
     return (
         lost.groupby("id", sort=False)
         .agg(
@@ -402,10 +405,11 @@ def versions() -> dict[str, str | None]:
 
 
 def _customers(trajectory: Trajectory, outage: bool) -> pd.DataFrame:
-    """Rows of the customers' table in the outage, or out of it."""
+    """Rows of the customers' table in the outage, or out of it; dimmed ones served in part."""
     steps = trajectory.steps
     times = steps.loc[steps["outage"] == outage, "time"]
-    return trajectory.customers[trajectory.customers["time"].isin(times)]
+    rows = trajectory.customers[trajectory.customers["time"].isin(times)]
+    return rows.assign(served=supplied(rows))
 
 
 def _imported_kw(trajectory: Trajectory) -> pd.Series:

@@ -24,8 +24,9 @@ def check_phased(scenario: Scenario, options: RunOptions) -> None:
     if scenario.phases is None:
         return
     problems = [*_not_stated(options.on(scenario))]
-    if len(scenario.customers.max_off_h):
-        problems.append(_wrong("max_off_h", "", "Leave the column of customers.csv out"))
+    for name in ("max_off_h", "share_min"):
+        if len(getattr(scenario.customers, name)):
+            problems.append(_wrong(name, "", "Leave the column of customers.csv out"))
     if problems:
         raise InputError(problems)
 

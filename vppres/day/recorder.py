@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from vppres.core.arrays import Floats, Names
 from vppres.day.phases import phases, returning_steps
-from vppres.day.trajectory import OPTIONS, Trajectory
+from vppres.day.trajectory import OPTIONS, SHARE, Trajectory
 from vppres.scenario.network import BusId
 from vppres.scenario.scenario import Scenario
 
@@ -37,6 +37,8 @@ ITEM_COLUMNS = {
 
 ROTATED = "rotated_weight"
 """Column of the customers in runs that share supply within tiers: the weights of the plans."""
+
+OPTIONAL = (ROTATED, SHARE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,10 +197,10 @@ class Recorder:
         """A table with items: identifiers repeat in every step."""
         n_steps = len(self._records)
         n_items = len(next(iter(fixed.values())))
-        rotated = [ROTATED] if ROTATED in getattr(self._records[0], name) else []
+        more = [column for column in OPTIONAL if column in getattr(self._records[0], name)]
         changing = {
             column: np.concatenate([getattr(r, name)[column] for r in self._records])
-            for column in (*ITEM_COLUMNS[name], *rotated)
+            for column in (*ITEM_COLUMNS[name], *more)
         }
         return pd.DataFrame(
             {

@@ -14,7 +14,7 @@ import pandas as pd
 
 from vppres.core.arrays import Flags, Floats
 from vppres.core.units import h_to_minutes
-from vppres.day.trajectory import Trajectory
+from vppres.day.trajectory import Trajectory, supplied
 
 
 def reliability_figures(run: Trajectory) -> dict[str, float]:
@@ -57,6 +57,7 @@ def reliability_by_tier(run: Trajectory) -> pd.DataFrame:
     c = run.scenario.customers
     dt_h = run.scenario.grid.dt_h
     off = ~_per_customer(run, "served").astype(bool)
+    given = supplied(run.customers).to_numpy(float).reshape(off.shape)
     demand_kw = _per_customer(run, "p_load_kw").astype(float)
     share = _shares_of_a_customer(run) * c.homes
     of_customers = pd.DataFrame(
@@ -66,7 +67,7 @@ def reliability_by_tier(run: Trajectory) -> pd.DataFrame:
             "interruptions": share * _losses_of_supply(off),
             "minutes_lost": share * off.sum(axis=0) * h_to_minutes(dt_h),
             "demand_kwh": demand_kw.sum(axis=0) * dt_h,
-            "unserved_kwh": (demand_kw * off).sum(axis=0) * dt_h,
+            "unserved_kwh": (demand_kw * (1.0 - given)).sum(axis=0) * dt_h,
         }
     )
     present = [tier for tier in run.scenario.tiers if (c.tier == tier).any()]

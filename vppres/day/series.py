@@ -10,7 +10,7 @@ import pandas as pd
 
 from vppres.core.arrays import Floats, Names, spans_of
 from vppres.day.metrics import line_current_a, line_loading
-from vppres.day.trajectory import Trajectory
+from vppres.day.trajectory import Trajectory, supplied
 
 
 def stored_energy_kwh(run: Trajectory) -> Floats:
@@ -29,7 +29,7 @@ def energy_limits_kwh(run: Trajectory) -> tuple[float, float]:
 
 def served_kw(run: Trajectory) -> Floats:
     """Demand of the customers that were served, shape (T,)."""
-    return per_step(run, run.customers["p_load_kw"] * run.customers["served"], run.customers)
+    return per_step(run, run.customers["p_load_kw"] * supplied(run.customers), run.customers)
 
 
 def demand_kw(run: Trajectory) -> Floats:
@@ -38,8 +38,8 @@ def demand_kw(run: Trajectory) -> Floats:
 
 
 def off_kw(run: Trajectory) -> Floats:
-    """Demand of customers that are off supply, shape (T,)."""
-    off = ~run.customers["served"].astype(bool)
+    """Demand that is off supply, of dimmed customers the rest, shape (T,)."""
+    off = 1.0 - supplied(run.customers)
     return per_step(run, run.customers["p_load_kw"] * off, run.customers)
 
 

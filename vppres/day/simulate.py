@@ -24,7 +24,7 @@ from vppres.day.options import PERFECT, RunOptions
 from vppres.day.outages import BELIEF, LIKELY, GridSeen, OutageView
 from vppres.day.own import Own
 from vppres.day.recorder import ROTATED, Recorder, StepRecord, voltage_figures
-from vppres.day.trajectory import Trajectory
+from vppres.day.trajectory import SHARE, Trajectory
 from vppres.forecasts.interface import Forecaster
 from vppres.io.python_door import check_scenario
 from vppres.model.site import Site
@@ -243,7 +243,7 @@ def _promised(plan: Dispatch | None, scenario: Scenario) -> dict[str, Any] | Non
     if plan is None or plan.n_steps < scenario.grid.n_steps:
         return None
     return {
-        "served": plan.served.tolist(),
+        "served": plan.supplied.tolist(),
         "energy_kwh": (plan.soc @ scenario.batteries.energy_kwh).tolist(),
         "p_grid_kw": plan.p_grid_kw.tolist(),
     }
@@ -267,6 +267,7 @@ def _record(
         "served": realised.served,
         "shed": done.shed,
         **({} if decision.weight is None else {ROTATED: decision.weight}),
+        **({SHARE: realised.served * realised.share} if scenario.customers.dimmable.any() else {}),
     }
     pv = {
         "available_kw": scenario.pv_kw[t],

@@ -25,7 +25,18 @@ TABLES = ("steps", "customers", "pv", "batteries", "buses", "lines")
 EXPLAINING_TABLES = ("explanations", "shadow_prices")
 PHASED_TABLES = ("nodes",)
 OPTIONAL_TABLES = (*EXPLAINING_TABLES, *PHASED_TABLES)
+SHARE = "share"
+"""Column of the customers on sites that dim some: the part of its demand that each got."""
 OPTIONS = ("controller", "horizon_h", "solver", "method", "seed")
+
+
+def supplied(customers: pd.DataFrame) -> pd.Series[Any]:
+    """The part of its demand that each customer got in each step, of the customers' table.
+
+    >>> supplied(pd.DataFrame({"served": [True, False], "share": [0.4, 0.0]})).tolist()
+    [0.4, 0.0]
+    """
+    return customers[SHARE if SHARE in customers else "served"]
 
 
 class Feeder(Protocol):
@@ -151,7 +162,7 @@ class Trajectory:
         day = self.scenario
         rows = {name: self._rows(name, t) for name in ("customers", "pv", "batteries")}
         c, pv, b = rows["customers"], rows["pv"], rows["batteries"]
-        on = c["served"].to_numpy(bool)
+        on = supplied(c).to_numpy()
         return Powers(
             _powers(
                 day.customers.id, day.customers.bus, c["p_load_kw"] * on, c["q_load_kvar"] * on

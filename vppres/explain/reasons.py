@@ -73,9 +73,9 @@ def why_not_served(step: Step, customer: int) -> Reason:
 
 def _why_off(step: Step, customer: int) -> Reason:
     """Why a customer was off supply in a step."""
-    overruled = _overruled(step, "Not supplied")
-    if overruled is not None:
-        return overruled
+    said = overruled(step, "Not supplied")
+    if said is not None:
+        return said
     if step.recorded.shed[step.t][customer]:
         why = (
             step.recorded.note(step.t, "ac_failed")
@@ -129,7 +129,7 @@ def _too_little(step: Step, customer: int, binding: Scarce) -> str:
     demand_kw = figure(float(step.load_kw[customer]))
     limits = limits_in_full(step, customer, binding)
     if len(limits) > 1:
-        *names, last = (_scarce_words(step, customer, limit) for limit in limits)
+        *names, last = (scarce_words(step, customer, limit) for limit in limits)
         return f"{', '.join(names)} and {last} do not allow its full demand of {demand_kw} kW"
     line = _line_for(step, customer, binding)
     if line is None:
@@ -137,7 +137,7 @@ def _too_little(step: Step, customer: int, binding: Scarce) -> str:
     return f"{line_words(step, line)} does not carry its {demand_kw} kW in full"
 
 
-def _scarce_words(step: Step, customer: int, binding: Scarce) -> str:
+def scarce_words(step: Step, customer: int, binding: Scarce) -> str:
     """What is scarce for a customer, by name."""
     line = _line_for(step, customer, binding)
     return SCARCE[binding] if line is None else f"the rating of {line_name(step, line)}"
@@ -170,12 +170,12 @@ def _outranked(step: Step, customer: int, binding: Scarce, gain: float) -> Reaso
         f"supplying it would cost others {hours(weight - gain, step.site.ranks)}, its own value "
         f"is {hours(weight, step.site.ranks) if step.site.ranks else figure(weight)}"
     )
-    if _someone_ranks_higher(step, customer):
+    if someone_ranks_higher(step, customer):
         return Reason(
             "priority",
             binding,
             _sentence(
-                f"Not supplied: {_scarce_words(step, customer, binding)} goes to "
+                f"Not supplied: {scarce_words(step, customer, binding)} goes to "
                 f"{FIRST[step.site.ranks is None]}; {compare}",
                 _one_more_for(step, customer, binding),
             ),
@@ -184,7 +184,7 @@ def _outranked(step: Step, customer: int, binding: Scarce, gain: float) -> Reaso
         binding,
         binding,
         _sentence(
-            f"Not supplied: {_scarce_words(step, customer, binding)} has more value elsewhere or "
+            f"Not supplied: {scarce_words(step, customer, binding)} has more value elsewhere or "
             f"later; {compare}",
             _one_more_for(step, customer, binding),
         ),
@@ -205,7 +205,7 @@ def _rationed(step: Step, customer: int, binding: Scarce) -> Reason | None:
     )
 
 
-def _someone_ranks_higher(step: Step, customer: int) -> bool:
+def someone_ranks_higher(step: Step, customer: int) -> bool:
     """Whether a customer with more weight per kW is supplied in the step."""
     per_kw = step.site.customers.weight / np.maximum(step.load_kw, 1e-9)
     return bool((per_kw[step.served] > per_kw[customer]).any())
@@ -261,9 +261,9 @@ def why_battery_moved(step: Step, battery: int) -> Reason:
     """Why a battery charged or discharged in a step."""
     power = float(step.battery_kw[battery])
     verb = "Charges" if power > 0 else "Discharges"
-    overruled = _overruled(step, verb)
-    if overruled is not None:
-        return overruled
+    said = overruled(step, verb)
+    if said is not None:
+        return said
     mismatch = float(step.recorded.battery_note(step.t, "mismatch_kw")[battery])
     if abs(mismatch) > abs(power) / 2:
         return Reason(
@@ -380,9 +380,9 @@ def _at_limit(step: Step, battery: int) -> Binding:
 
 def why_curtailed(step: Step, system: int) -> Reason:
     """Why a PV system was curtailed in a step."""
-    overruled = _overruled(step, "Curtailed")
-    if overruled is not None:
-        return overruled
+    said = overruled(step, "Curtailed")
+    if said is not None:
+        return said
     pv = step.site.pv
     available = float(step.scenario.pv_kw[step.t][system])
     if available > pv.s_max_kva[system] + MOVE_KW:
@@ -425,7 +425,7 @@ def _could_export(step: Step) -> bool:
     return float(step.scenario.export_max_kw[step.t]) > 0.0
 
 
-def _overruled(step: Step, what: str) -> Reason | None:
+def overruled(step: Step, what: str) -> Reason | None:
     """What overrides every optimisation: a blacked-out island, or a fallback."""
     if step.dark:
         return Reason("dark", "", f"{what}: the island is blacked out ({step.dark}).")

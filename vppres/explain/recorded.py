@@ -20,7 +20,7 @@ from vppres.day.metrics import line_loading
 from vppres.day.outages import GridSeen, OutageView, believed_outages
 from vppres.day.priority import site_of, weighed
 from vppres.day.time_off import off_before_h
-from vppres.day.trajectory import Trajectory
+from vppres.day.trajectory import Trajectory, supplied
 from vppres.model.beyond_paper.ratings import LineRatings
 from vppres.model.beyond_paper.table import Beyond, beyond_paper
 from vppres.model.data import WindowData
@@ -64,6 +64,7 @@ class Recorded:
             self.counted = float(self.site.customers.weight.sum() / total)
         self.n_steps = len(trajectory.steps)
         self.served = self._array(trajectory.customers, "served") > 0.5
+        self.share = supplied(trajectory.customers).to_numpy(float).reshape(self.served.shape)
         self.shed = self._array(trajectory.customers, "shed") > 0.5
         self.load_kw = self._array(trajectory.customers, "p_load_kw")
         self.charge_kw = self._array(trajectory.batteries, "charge_kw")
@@ -264,8 +265,8 @@ class Recorded:
             return None
         site = self.site
         run = self.trajectory
-        load = self.load_kw[t] * self.served[t]
-        load_q = self._array(run.customers, "q_load_kvar")[t] * self.served[t]
+        load = self.load_kw[t] * self.share[t]
+        load_q = self._array(run.customers, "q_load_kvar")[t] * self.share[t]
         pv = self._array(run.pv, "self_kw")[t] + self._array(run.pv, "export_kw")[t]
         pv_q = self._array(run.pv, "q_kvar")[t]
         p = site.pv_bus @ pv - site.customer_bus @ load - site.battery_bus @ self.battery_kw[t]

@@ -79,6 +79,7 @@ class Step:
         self.outage = bool(recorded.scenario.outage[t])
         self.load_kw = recorded.load_kw[t]
         self.served = recorded.served[t]
+        self.share = recorded.share[t]
         self.battery_kw = recorded.battery_kw[t]
 
     @cached_property

@@ -389,7 +389,9 @@ def _without(decision: Decision, connected: Flags) -> Decision:
     if connected.all():
         return decision
     served = decision.dispatch.served & connected
-    return replace(decision, dispatch=replace(decision.dispatch, served=served))
+    share = decision.dispatch.share
+    given = None if share is None else share * connected
+    return replace(decision, dispatch=replace(decision.dispatch, served=served, share=given))
 
 
 def _joined(*words: str) -> str:

@@ -14,7 +14,7 @@ from vppres.core.arrays import Names
 from vppres.core.notebook import facts_html
 from vppres.day.inversions import inverted_now
 from vppres.day.recorder import ROTATED, StepRecord
-from vppres.day.trajectory import Feeder
+from vppres.day.trajectory import SHARE, Feeder, supplied
 from vppres.feeders.actuate import Feeding
 from vppres.live.by_phase import ByPhase
 from vppres.live.foreseen import Foreseen
@@ -45,7 +45,8 @@ class SetPoints:
     customers : DataFrame
         ``bus``, ``tier``, demand ``load_kw`` and ``load_kvar``, and whether it is ``served``;
         ``off_h``, for how long it is off by the end of the step, on sites with longest times off;
-        ``rotated_weight``, its weight in the plan, if supply is shared within tiers.
+        ``rotated_weight``, its weight in the plan, if supply is shared within tiers;
+        ``share``, the part of its demand that it gets, on sites that dim customers.
     batteries : DataFrame
         ``bus``, ``p_kw`` (charging positive), ``q_kvar`` (injection positive), ``soc``, the state
         of charge that was decided on, and ``soc_end``, the one that is expected after the step.
@@ -143,7 +144,7 @@ class SetPoints:
         """
         from vppres.feeders.actuate import Powers, put_into_net
 
-        on = self.customers["served"]
+        on = supplied(self.customers)
         drawn = self.customers.assign(
             p_kw=self.customers["load_kw"] * on, q_kvar=self.customers["load_kvar"] * on
         )
@@ -176,7 +177,7 @@ def _customers(scenario: Scenario, columns: Mapping[str, Any]) -> pd.DataFrame:
         load_kw=columns["p_load_kw"],
         load_kvar=columns["q_load_kvar"],
         served=columns["served"],
-        **{name: columns[name] for name in ("off_h", ROTATED) if name in columns},
+        **{name: columns[name] for name in ("off_h", ROTATED, SHARE) if name in columns},
     )
 
 

@@ -17,7 +17,7 @@ from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import ModelError
 from vppres.model import objective, problem
 from vppres.model.beyond_paper.addition import Held
-from vppres.model.beyond_paper.table import Beyond, own_additions
+from vppres.model.beyond_paper.table import BY_HEART, Beyond
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
 from vppres.model.equations import EQUATIONS
@@ -51,7 +51,8 @@ class Statement:
         Terms of the objective as they are before they are weighted; ``own`` has what the page's
         objective, or a part of one's own, has besides.
     own : tuple of str
-        Families that neither the paper nor the package has, and ``own`` if there is such a term.
+        Families that the stages do not know which know the paper by heart, and ``own`` if there
+        is such a term.
     changed : tuple of str
         Families of the paper that the page lacks, or states in another way.
 
@@ -67,8 +68,7 @@ class Statement:
         self.n_steps = n_steps
         v = Variables.create(site, n_steps)
         self.additions = [each.create(site, v, shape) for each, shape in beyond]
-        known = [each for each, _ in beyond if each not in own_additions()]
-        self._own_parts = [each for each in self.additions if type(each) not in known]
+        self._own_parts = [each for each in self.additions if type(each) not in BY_HEART]
         p = self._with_additions(Parameters.create(site, n_steps))
         self.v = v
         self.p = p
@@ -110,7 +110,7 @@ class Statement:
         return replace(p, **values)
 
     def _own_names(self, paper: Named) -> tuple[str, ...]:
-        """Families of the page and of additions that the package does not know, and their term."""
+        """Families of the page and of additions that no stage knows by heart, and their term."""
         args = (self.site, self.v, self.p)
         named = {name: c for name, c in paper.items() if name not in EQUATIONS}
         for addition in self._own_parts:

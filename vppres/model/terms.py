@@ -41,8 +41,8 @@ class Terms:
         return now + self.f7 + self.own
 
 
-def evaluate(site: Site, data: WindowData, dispatch: Dispatch, own: float = 0.0) -> Terms:
-    """Objective terms of a dispatch, recomputed from its arrays but for ``own``."""
+def evaluate(site: Site, data: WindowData, dispatch: Dispatch, own: float | None = None) -> Terms:
+    """Objective terms of a dispatch, recomputed from its arrays, ``own`` if it is not given."""
     flow2 = dispatch.p_flow_kw**2 + dispatch.q_flow_kvar**2
     use = np.square(dispatch.pv_q_kvar / site.pv.s_max_kva).sum()
     use += np.square(dispatch.batt_q_kvar / site.batteries.s_max_kva).sum()
@@ -54,9 +54,9 @@ def evaluate(site: Site, data: WindowData, dispatch: Dispatch, own: float = 0.0)
         "f5": float(use),
         "f6": data.switching.price(dispatch.served) if data.switching else 0.0,
         "f7": 0.0,
-        "own": own,
+        "own": 0.0,
     }
     for addition, _ in beyond_paper(site, data):
         for name, value in addition.worth(site, data, dispatch).items():
             terms[name] += value
-    return Terms(**terms)
+    return Terms(**(terms if own is None else terms | {"own": own}))

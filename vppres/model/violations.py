@@ -148,7 +148,7 @@ def _grid(site: Site, data: WindowData, d: Dispatch) -> Excess:
 def _balances(site: Site, data: WindowData, d: Dispatch) -> Excess:
     """Active and reactive balance at every bus."""
     tolerance = _power_tolerance(site, data)
-    load_kw = data.load_kw * d.served
+    load_kw = data.load_kw * d.supplied
     battery_kw = d.discharge_kw - d.charge_kw
     p = bus_injections(
         site,

@@ -224,7 +224,7 @@ class IslandPlant:
 
     def _shed(self, t: int, powers: Powers, need_kw: float, ac: ACResult) -> Powers | None:
         """Customers off until the need is met, those whose service is worth least per kW first."""
-        load_kw = self.plant.load_kw(t, powers.served)
+        load_kw = self.plant.load_kw(t, powers.served) * powers.share
         order = self._order(t, powers, ac)
         if not order:
             return None
@@ -300,6 +300,7 @@ def powers_of(realised: Realised) -> Powers:
         realised.pv_q_kvar,
         realised.charge_kw - realised.discharge_kw,
         realised.batt_q_kvar,
+        realised.share,
     )
 
 

@@ -39,6 +39,7 @@ class Powers:
     """Powers of one step that all devices can deliver; a charging battery is positive.
 
     ``served`` has the shape (C,), the ``pv`` fields (P,), the batteries' (B,); kW and kvar.
+    ``share`` is the part of its demand that each customer gets if it is served.
     """
 
     served: Flags
@@ -48,13 +49,14 @@ class Powers:
     pv_q_kvar: Floats
     battery_kw: Floats
     batt_q_kvar: Floats
+    share: Floats | float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class Realised:
     """One step as it happened; powers in kW and kvar, injections (N,) positive as generation.
 
-    ``load_kw`` (C,) is the demand, served or not.
+    ``load_kw`` (C,) is the demand, served or not; ``share`` the part of it that those get who are.
     """
 
     served: Flags
@@ -70,6 +72,7 @@ class Realised:
     q_injection_kvar: Floats
     clipped_kw: float
     load_kw: Floats
+    share: Floats | float = 1.0
 
 
 class Plant:
@@ -138,7 +141,9 @@ class Plant:
         plan = decision.dispatch
         row = decision.row
         served = np.asarray(plan.served[row], dtype=bool)
-        demand_kw = self.load_kw(t, served) * served
+        share = 1.0 if plan.share is None else np.asarray(plan.share[row], dtype=float)
+        served = served & (share > 0.0)
+        demand_kw = self.load_kw(t, served) * served * share
         own, export, curtailed = self._split_pv(t, demand_kw, plan.pv_curtailed_kw[row])
         charge, discharge = self._battery_power(plan.charge_kw[row], plan.discharge_kw[row], state)
         pv = self.scenario.pv
@@ -150,7 +155,7 @@ class Plant:
             np.abs(discharge - plan.discharge_kw[row]).max(initial=0.0),
             np.abs(curtailed - plan.pv_curtailed_kw[row]).max(initial=0.0),
         )
-        powers = Powers(served, own, export, curtailed, pv_q, charge - discharge, batt_q)
+        powers = Powers(served, own, export, curtailed, pv_q, charge - discharge, batt_q, share)
         return self.realise(t, powers, state, float(clipped))
 
     def load_kw(self, t: int, served: Flags) -> Floats:
@@ -167,7 +172,10 @@ class Plant:
         discharge = np.maximum(-powers.battery_kw, 0.0)
         stored = state.eta_charge * charge - discharge / state.eta_discharge
         p, q = self._injections(
-            load_kw * powers.served, powers.pv_self_kw, powers.pv_export_kw, powers.battery_kw
+            load_kw * powers.served * powers.share,
+            powers.pv_self_kw,
+            powers.pv_export_kw,
+            powers.battery_kw,
         )
         np.add.at(q, self._pv_bus, powers.pv_q_kvar)
         np.add.at(q, self.battery_bus, powers.batt_q_kvar)
@@ -188,6 +196,7 @@ class Plant:
             q,
             clipped_kw,
             load_kw,
+            powers.share,
         )
 
     def _split_pv(

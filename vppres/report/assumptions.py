@@ -90,6 +90,12 @@ def simplifications(run: Trajectory) -> list[str]:
             f"Longest times off ({limited} of {len(day.customers)} customers) are kept where they "
             "can be, and broken by the least where not."
         )
+    dimmable = int(day.customers.dimmable.sum())
+    if dimmable:
+        sentences.append(
+            f"{dimmable} of {len(day.customers)} customers may be dimmed: of one that is, service "
+            "counts in proportion to what it gets."
+        )
     if options.get("thermal") == "off":
         sentences.append("Battery efficiencies are constant: heating is not simulated.")
     if options.get("mode", "paper") == "paper" and day.outage.any():

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from vppres.core.arrays import spans_of
 from vppres.core.text import named
 from vppres.day.series import energy_limits_kwh, outage_spans, stored_energy_kwh
-from vppres.day.trajectory import Trajectory
+from vppres.day.trajectory import Trajectory, supplied
 from vppres.report.clock import Clock
 from vppres.report.key_figures import number
 
@@ -38,9 +39,14 @@ class Event:
 
 
 def events_of(run: Trajectory) -> list[Event]:
-    """Outages, customers switched off and restored, and empty batteries, in order of time."""
+    """Outages, customers off, restored and dimmed, and empty batteries, in order of time."""
     found = sorted(
-        [*_outage_events(run), *_service_events(run), *_battery_events(run)],
+        [
+            *_outage_events(run),
+            *_service_events(run),
+            *_dimmed_events(run),
+            *_battery_events(run),
+        ],
         key=lambda entry: entry[0],
     )
     clock = Clock.of(run)
@@ -79,6 +85,16 @@ def _service_events(run: Trajectory) -> Iterator[tuple[int, str]]:
                 ]
                 who = named(names, NAMES_SHOWN)
                 yield t, f"{len(names)} {_customers(len(names))} {words}: {who}."
+
+
+def _dimmed_events(run: Trajectory) -> Iterator[tuple[int, str]]:
+    """When customers begin and end to get a part of their demand."""
+    share = supplied(run.customers).to_numpy(float).reshape(len(run.steps), -1)
+    dimmed = (share > 0.0) & (share < 1.0)
+    for c in np.flatnonzero(dimmed.any(axis=0)):
+        for first, last in spans_of(dimmed[:, c]):
+            least = share[first:last, c].min()
+            yield first, f"{run.scenario.customers.id[c]} dimmed, to {least:.0%} at the least."
 
 
 def _battery_events(run: Trajectory) -> Iterator[tuple[int, str]]:

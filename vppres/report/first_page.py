@@ -14,7 +14,7 @@ from vppres.core.units import h_to_minutes
 from vppres.day.metrics import line_current_a, line_loading, service_by_customer
 from vppres.day.reliability import reliability_by_tier
 from vppres.day.series import demand_kw, per_step, pv_available_kw, stored_energy_kwh
-from vppres.day.trajectory import Trajectory
+from vppres.day.trajectory import Trajectory, supplied
 from vppres.explain.words import DRIVERS
 from vppres.report.clock import Clock
 from vppres.report.findings import LIMIT_TOLERANCE_PU
@@ -67,9 +67,8 @@ def supply_rows(run: Trajectory, summary: Mapping[str, Any]) -> list[TierRow]:
         for tier, row in table.iterrows()
     ]
     if len(rows) > 1:
-        everyone = run.customers.loc[
-            run.customers["time"].isin(run.steps.loc[run.steps["outage"], "time"]), "served"
-        ]
+        dark = run.steps.loc[run.steps["outage"], "time"]
+        everyone = supplied(run.customers)[run.customers["time"].isin(dark)]
         share = float(everyone.mean()) if len(everyone) else None
         rows.append(_tier_row("all", table.sum(), share))
     return rows

@@ -13,7 +13,7 @@ import numpy as np
 
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.day.metrics import line_current_a, line_loading, service_by_tier
-from vppres.day.trajectory import Trajectory
+from vppres.day.trajectory import Trajectory, supplied
 from vppres.report.clock import Clock
 from vppres.report.plots.palette import cividis
 from vppres.report.tree_layout import tree_layout
@@ -124,7 +124,7 @@ def worst_step(run: Trajectory) -> int:
     Without an outage, the step with the lowest voltage.
     """
     c = run.customers
-    weighted = (c["weight"] * c["served"]).groupby(c["time"]).sum()
+    weighted = (c["weight"] * supplied(c)).groupby(c["time"]).sum()
     steps = run.steps.assign(service=weighted.reindex(run.steps["time"]).to_numpy())
     steps["service"] = steps["service"].round(9)
     if not steps["outage"].any():

@@ -33,7 +33,13 @@ class Customers:
     apart, 1 (all or nothing) if not given. ``homes`` are the customers that a connection stands for
     in interruptions and minutes lost, 1 if not given. ``max_off_h`` is how long a customer may be
     off at a time, ``own_backup_h`` how long its own backup supplies it, in h; NaN if not given, and
-    empty if no customer has one.
+    empty if no customer has one. ``share_min`` is the least share of its demand with which a
+    customer may be supplied, 1 if it may not be dimmed, and empty if none may.
+
+    Raises
+    ------
+    InputError
+        If a customer with a longest time off may be dimmed to nothing, which would count as on.
     """
 
     id: Names
@@ -45,6 +51,7 @@ class Customers:
     homes: Wholes = field(default_factory=lambda: np.empty(0, dtype=int))
     max_off_h: Floats = field(default_factory=lambda: np.empty(0))
     own_backup_h: Floats = field(default_factory=lambda: np.empty(0))
+    share_min: Floats = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
         for name in ("shed_steps", "homes"):
@@ -53,6 +60,8 @@ class Customers:
         for name in OF_TIME_OFF:
             if np.isnan(np.asarray(getattr(self, name), dtype=float)).all():
                 object.__setattr__(self, name, np.empty(0))
+        if (np.asarray(self.share_min, dtype=float) == 1.0).all():
+            object.__setattr__(self, "share_min", np.empty(0))
         freeze_fields(
             self,
             id=object,
@@ -64,7 +73,20 @@ class Customers:
             homes=int,
             max_off_h=float,
             own_backup_h=float,
+            share_min=float,
         )
+        problems = [
+            Problem(
+                f"customer {self.id[i]}",
+                "must be above 0 for a customer with a longest time off",
+                "Give the least share with which it counts as on, or leave its longest time out.",
+                field="share_min",
+                value=0.0,
+            )
+            for i in np.flatnonzero((self.least_share == 0.0) & np.isfinite(self.longest_off_h))
+        ]
+        if problems:
+            raise InputError(problems)
 
     def __len__(self) -> int:
         return len(self.id)
@@ -73,6 +95,16 @@ class Customers:
     def q_per_p(self) -> Floats:
         """Reactive load in kvar per kW of active load: ``tan(arccos(pf))``, negative if leading."""
         return np.tan(np.arccos(self.power_factor))
+
+    @property
+    def least_share(self) -> Floats:
+        """Least share of its demand with which each may be supplied, (C,)."""
+        return self.share_min if len(self.share_min) else np.ones(len(self))
+
+    @property
+    def dimmable(self) -> Flags:
+        """Customers that may be supplied with a part of their demand, (C,)."""
+        return np.asarray(self.least_share < 1.0)
 
     @property
     def longest_off_h(self) -> Floats:

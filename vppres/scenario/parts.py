@@ -43,7 +43,7 @@ def split_sheddable(scenario: Scenario) -> Scenario:
         weight=_shared(customers.weight, parts),
         **{
             name: np.repeat(getattr(customers, name), parts)
-            for name in ("bus", "tier", "power_factor", "homes", *OF_TIME_OFF)
+            for name in ("bus", "tier", "power_factor", "homes", "share_min", *OF_TIME_OFF)
             if len(getattr(customers, name))
         },
         shed_steps=np.ones(parts.sum(), dtype=int),

@@ -191,7 +191,9 @@ def _told(words: str, status: str) -> dict[str, Any]:
 def _action(one: Mapping[str, Any]) -> str:
     """What a set-point asks for, in the words of explanations; empty if nothing."""
     if one["kind"] == "customers":
-        return "" if one["served"] else "not_served"
+        if not one["served"]:
+            return "not_served"
+        return "dimmed" if one.get("share", 1.0) < 1.0 else ""
     if one["kind"] == "pv":
         return "curtail" if one["curtailed_kw"] > MOVE_KW else ""
     if abs(one["p_kw"]) <= MOVE_KW:

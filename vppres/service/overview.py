@@ -160,6 +160,11 @@ class Overview:
                 if one["kind"] == "batteries"
             },
             "off": self._off(points, ahead, plan.get("off_h", {})),
+            "dimmed": {
+                one["asset"]: one["share"]
+                for one in points
+                if one.get("served") and one.get("share", 1.0) < 1.0
+            },
             "ahead": None if ahead is None else {**ahead, "served": self._shares(ahead)},
         }
 

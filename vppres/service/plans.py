@@ -191,7 +191,8 @@ def ordered_plan(
 def _fields(kind: str, row: pd.Series[Any]) -> dict[str, Any]:
     """What a set-point of a kind says."""
     if kind == "customers":
-        return {"served": bool(row["served"])}
+        share = row.get("share", np.nan)
+        return {"served": bool(row["served"])} | ({"share": float(share)} if share >= 0.0 else {})
     names = ("p_kw", "q_kvar") if kind == "batteries" else ("p_kw", "q_kvar", "curtailed_kw")
     return {name: float(row[name]) for name in names}
 
@@ -325,7 +326,11 @@ def _set_points(
     speaker = _Speaker.of(decision.time, scenario, refused)
     batteries = _rows(decision.batteries, "p_kw", "q_kvar")
     pv = _rows(decision.pv, "p_kw", "q_kvar", "curtailed_kw")
-    customers = {str(name): {"served": bool(on)} for name, on in decision.customers.served.items()}
+    customers: dict[str, dict[str, Any]] = {
+        str(name): {"served": bool(on)} for name, on in decision.customers.served.items()
+    }
+    for name in scenario.customers.id[scenario.customers.dimmable]:
+        customers[str(name)]["share"] = float(decision.customers.loc[name, "share"])
     lost = {("customers", name): f"{LOST}{why}" for name, why in known.lost.items()}
     return [
         speaker.point(kind, name, values, lost.get((kind, name), reason))
@@ -404,7 +409,12 @@ def _defaults(scenario: Scenario) -> dict[str, dict[str, dict[str, Any]]]:
             str(name): {"p_kw": float(p_kw), "q_kvar": 0.0, "curtailed_kw": 0.0}
             for name, p_kw in zip(pv.id, pv.p_max_kw, strict=True)
         },
-        "customers": {str(name): {"served": True} for name in scenario.customers.id},
+        "customers": {
+            str(name): {"served": True} | ({"share": 1.0} if dimmable else {})
+            for name, dimmable in zip(
+                scenario.customers.id, scenario.customers.dimmable, strict=True
+            )
+        },
     }
 
 

@@ -131,6 +131,7 @@ class World:
 
         p_kw = values("batteries", "p_kw", 0.0)
         served = values("customers", "served", 1.0) > 0.0
+        dims = self.scenario.customers.dimmable.any()
         pv_q_kvar = values("pv", "q_kvar", 0.0)
         nothing = np.full((1, 1), np.nan)
         network = self.scenario.network
@@ -149,6 +150,7 @@ class World:
             v_pu=np.full((1, network.n_buses), np.nan),
             p_flow_kw=np.full((1, network.n_buses - 1), np.nan),
             q_flow_kvar=np.full((1, network.n_buses - 1), np.nan),
+            share=served * values("customers", "share", 1.0) if dims else None,
         )
 
 

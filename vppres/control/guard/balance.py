@@ -28,6 +28,7 @@ class Commanded:
     served: Flags
     pv_curtailed_kw: Floats
     battery_kw: Floats
+    share: Floats | None = None
 
     @classmethod
     def of(cls, decision: Decision) -> Commanded:
@@ -38,6 +39,7 @@ class Commanded:
             np.asarray(plan.served[row], dtype=bool),
             plan.pv_curtailed_kw[row],
             plan.charge_kw[row] - plan.discharge_kw[row],
+            None if plan.share is None else plan.share[row],
         )
 
 
@@ -95,8 +97,12 @@ def contradicts(off_kw: float, commanded: Commanded, seen: Observation, readings
     return abs(off_kw) > BALANCE_KW + BALANCE_SHARE * served_kw
 
 
-def _served(commanded: Commanded, seen: Observation) -> Flags:
-    return commanded.served if seen.served is None else seen.served
+def _served(commanded: Commanded, seen: Observation) -> Flags | Floats:
+    """Part of the demand that each customer got."""
+    on = commanded.served if seen.served is None else seen.served
+    if commanded.share is None:
+        return on
+    return on * np.where(commanded.served, commanded.share, 1.0)
 
 
 def _losses_kw(site: Site, point: OperatingPoint) -> float:

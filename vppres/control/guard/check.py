@@ -79,7 +79,7 @@ def violations(
     limits_pu = state.v_limits_pu(*(v_limits_pu or (net.v_min_pu, net.v_max_pu)))
     row = _Row.of(decision)
     found = (
-        _service(row),
+        _service(row, state),
         _battery_power(row, state, within),
         _energy(row, state, within),
         _pv(row, state, within),
@@ -93,7 +93,7 @@ def violations(
 class _Row:
     """The step's row of the plan, as floats."""
 
-    served: Floats
+    served: Floats  # a share of those that are dimmed
     curtailed_kw: Floats
     pv_q_kvar: Floats
     charge_kw: Floats
@@ -106,7 +106,7 @@ class _Row:
         plan = decision.dispatch
         row = decision.row
         return cls(
-            np.asarray(plan.served[row], dtype=float),
+            np.asarray(plan.supplied[row], dtype=float),
             plan.pv_curtailed_kw[row],
             plan.pv_q_kvar[row],
             plan.charge_kw[row],
@@ -119,7 +119,7 @@ class _Row:
 def _shapes(decision: Decision, site: Site) -> list[str]:
     """Arrays of the wrong size or with values that are not numbers."""
     sizes = {
-        "served": len(site.customers),
+        **dict.fromkeys(("served", "share"), len(site.customers)),
         "v_pu": site.network.n_buses,
         "v_node_pu": 0 if site.phases is None else len(site.phases.measured),
         **dict.fromkeys(("p_flow_kw", "q_flow_kvar"), site.network.n_lines),
@@ -140,8 +140,10 @@ def _shapes(decision: Decision, site: Site) -> list[str]:
     return found
 
 
-def _service(row: _Row) -> str:
-    partly = np.minimum(np.abs(row.served), np.abs(row.served - 1.0))
+def _service(row: _Row, state: StepState) -> str:
+    least = state.site.customers.least_share
+    partly = np.maximum(least - row.served, row.served - 1.0)
+    partly = np.minimum(np.abs(row.served), np.maximum(partly, 0.0))
     return "a customer is supplied in part" if partly.max(initial=0.0) > 1e-6 else ""
 
 

@@ -219,15 +219,18 @@ class GuardedController:
         row = known.observation.t0 - self._plan[1]
         if not 0 <= row < plan.n_steps:
             return None
+        served = np.asarray(plan.served[row], dtype=bool)
+        share = np.where(served, plan.supplied[row], 1.0)
         carried = carry(
-            state,
-            np.asarray(plan.served[row], dtype=bool),
+            replace(state, load_kw=state.load_kw * share),
+            served,
             plan.charge_kw[row] - plan.discharge_kw[row],
         )
         if carried is None or carried.shortage:
             return None
+        dimmed = None if plan.share is None else (served * share)[np.newaxis]
         decision = Decision(
-            carried.dispatch,
+            replace(carried.dispatch, share=dimmed),
             0,
             SolveInfo(status="previous_plan"),
             fallback="previous_plan",

@@ -70,7 +70,7 @@ def _steps(
 ) -> list[dict[str, Any]]:
     """What each asset draws in every step, and the voltage that a battery holds in islands."""
     customers, pv, batteries = run["customers"], run["pv"], run["batteries"]
-    served = customers["served"].astype(float)
+    served = customers.get("share", customers["served"]).astype(float)
     parts = [
         (customers, customers["p_load_kw"] * served, customers["q_load_kvar"] * served),
         (pv, -(pv["self_kw"] + pv["export_kw"]), -pv["q_kvar"]),

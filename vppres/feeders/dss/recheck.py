@@ -147,7 +147,7 @@ def solved_steps(
 def _steps(run: Tables, island_bus: BusId | None) -> list[dict[str, Any]]:
     """Demand that is served and power that is fed in, by bus, of every step."""
     customers, pv, batteries = run["customers"], run["pv"], run["batteries"]
-    served = customers["served"].astype(float)
+    served = customers.get("share", customers["served"]).astype(float)
     load = _by_bus(customers, customers["p_load_kw"] * served, customers["q_load_kvar"] * served)
     fed = _by_bus(pv, pv["self_kw"] + pv["export_kw"], pv["q_kvar"])
     discharged_kw = batteries["discharge_kw"] - batteries["charge_kw"]

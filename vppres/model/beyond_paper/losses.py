@@ -138,7 +138,7 @@ class Sweeps:
 
 def injections(site: Site, data: WindowData, dispatch: Dispatch) -> tuple[Floats, Floats]:
     """Net injections of a dispatch at all buses, without the grid's supply, (W, N) each."""
-    load = data.load_kw * dispatch.served
+    load = data.load_kw * dispatch.supplied
     through = dispatch.pv_self_kw + dispatch.pv_export_kw
     load_kvar = load * site.customers.q_per_p
     battery_kw = dispatch.discharge_kw - dispatch.charge_kw

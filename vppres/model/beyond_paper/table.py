@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from itertools import chain
 
 from vppres.model.beyond_paper.addition import Addition
+from vppres.model.beyond_paper.dimmed import DimmedDemand
 from vppres.model.beyond_paper.drawn import DrawnByNetwork
 from vppres.model.beyond_paper.export import ExportToGrid
 from vppres.model.beyond_paper.longest_off import LongestTimeOff
@@ -18,7 +19,7 @@ from vppres.model.beyond_paper.terminal import HeldAtEnd
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 
-ADDITIONS: tuple[type[Addition], ...] = (
+BY_HEART: tuple[type[Addition], ...] = (
     SwitchingModel,
     LongestTimeOff,
     PhysicalMode,
@@ -28,6 +29,10 @@ ADDITIONS: tuple[type[Addition], ...] = (
     ValueAtEnd,
     ThreePhases,
 )
+"""What the stages know that know the paper by heart."""
+
+ADDITIONS: tuple[type[Addition], ...] = (*BY_HEART, DimmedDemand)
+"""All of the package's; of others those stages know nothing, and are left out."""
 
 _OWN: list[type[Addition]] = []
 

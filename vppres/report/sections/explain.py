@@ -38,6 +38,7 @@ LIMITS = {
 }
 ACTIONS = {
     "not_served": "customer not served",
+    "dimmed": "customer dimmed",
     "restored": "customer restored in time",
     "charge": "battery charged",
     "discharge": "battery discharged",

@@ -278,10 +278,12 @@ function timeOff({ asset, off_h, longest_off_h }) {
 }
 
 function showOff() {
-  const { off = [], status, id } = view.overview.plan ?? {};
+  const { off = [], dimmed = {}, status, id } = view.overview.plan ?? {};
   const explained = view.why?.plan === id ? view.why : null;
-  renew("off-list", [off, status, explained, view.overview.now.slice(0, 13)], () => {
-    if (!off.length) return [node("p", {}, "All customers supplied.")];
+  renew("off-list", [off, dimmed, status, explained, view.overview.now.slice(0, 13)], () => {
+    const parts = Object.entries(dimmed).map(([asset, share]) => `${asset} to ${Math.round(100 * share)}%`);
+    const below = parts.length ? [node("p", {}, `Dimmed: ${list(parts, 12)}.`)] : [];
+    if (!off.length) return [node("p", {}, "All customers supplied."), ...below];
     const dark = outage(view) !== null;
     const told = off.map((one) => ({ ...one, why: why(one, explained, dark) }));
     const groups = grouped(told, (one) => JSON.stringify([one.tier, one.why.short, one.until]));
@@ -289,7 +291,7 @@ function showOff() {
     rows.sort((a, b) => view.site.tiers.indexOf(a[0][0]) - view.site.tiers.indexOf(b[0][0]));
     return [node("table", {}, ...table(["Tier", "Customers", "Why", "Estimated restoration"],
       rows.map(([[tier, reason, until], ones]) => [tier, node("span", { class: "names" }, `${ones.length}: ${list(ones.map(timeOff), 12)}`),
-        ones.length === 1 ? ones[0].why.words : reason, until ? view.clock.at(until, view.now) : "beyond the plan"])))];
+        ones.length === 1 ? ones[0].why.words : reason, until ? view.clock.at(until, view.now) : "beyond the plan"]))), ...below];
   });
 }
 

@@ -1,0 +1,30 @@
+"""Why a customer got a part of its demand."""
+
+from __future__ import annotations
+
+from vppres.explain.reasons import overruled, scarce_words, someone_ranks_higher
+from vppres.explain.step import Reason, Step
+from vppres.explain.words import one_more
+
+
+def why_dimmed(step: Step, customer: int) -> Reason:
+    """Why a customer that was on got a part of its demand."""
+    share = float(step.share[customer])
+    what = f"Dimmed to {share:.0%} of {step.load_kw[customer]:.1f} kW"
+    said = overruled(step, what)
+    if said is not None:
+        return said
+    binding = "" if step.service is None else step.scarce_for(customer)
+    if not binding:
+        words = f"{what}: neither shadow prices nor the record give a reason."
+        return Reason("unexplained", "", words)
+    scarce = scarce_words(step, customer, binding)
+    offer = one_more(step, binding)
+    more = f"; {offer}" if offer else ""
+    least = float(step.site.customers.least_share[customer])
+    if share <= least and someone_ranks_higher(step, customer):
+        words = (
+            f"{what}, its least share: {scarce} goes to customers with more weight per kW{more}."
+        )
+        return Reason("priority", binding, words)
+    return Reason(binding, binding, f"{what}: {scarce} does not suffice for more{more}.")
