@@ -46,12 +46,15 @@ kW of it is worth 100,000 GBP, so that the gap of cost would ask for the last mi
 
 HELD_REL = 1e-6
 HELD_ABS = 1e-5
-"""How much the tie-breakers may worsen cost (GBP), curtailment (kWh) and a term that the paper has
-not (weighted customer hours): what interior points need to have an inside at all."""
+"""How much the tie-breakers may worsen cost (GBP) and curtailment (kWh): what interior points need
+to have an inside at all."""
 
 CURTAILMENT_HELD_REL = 1e-7
 """The same of curtailment, which weighs more: nearly as much as all service in a sunny outage. As
 much again is what interior points may miss it by."""
+
+OWN_HELD = 1e-7
+"""The same of the page's own term, in weighted customer hours: a thousandth of the gap."""
 
 SOC_OVER = 1e-7
 """By how much a netted battery may exceed its largest SoC: the linear solver's own tolerance."""
@@ -307,7 +310,10 @@ def _solve_cost(
         outcome = run(problem, spec, gap_gbp, deadline.left_s, more=spec.of_modes)
     if not outcome.status.has_answer:
         return Attempt(outcome, None)
-    own = Own(problem.own_value(), problem.own_letters())
+    value = problem.own_value()
+    if conic and value:  # interior points end so near to the optimum, on either side
+        value -= HELD_REL * (1.0 + abs(value))
+    own = Own(value, problem.own_letters())
     return Attempt(outcome, problem.dispatch(served), problem.both_ways_kw(), own=own)
 
 
@@ -391,7 +397,7 @@ def polish(
     moves = data.moves is not None
     problem = cache.problem(TieBreakers, sheet=sheet, curtailing=curtailing, moves=moves)
     problem.hold(data, dispatch, f2_max, f3_max)
-    problem.hold_own(own.letters, own.value - HELD_REL * (1.0 + abs(own.value)))
+    problem.hold_own(own.letters, own.value - OWN_HELD * (1.0 + abs(own.value)))
     outcome = run_conic(problem, deadline.left_s)
     if outcome.status != Status.OPTIMAL:
         return Attempt(outcome, None)
