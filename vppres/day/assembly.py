@@ -20,11 +20,11 @@ from vppres.control.phased import PhasedPlanner
 from vppres.control.planner import Planner
 from vppres.control.rotation import Rotating
 from vppres.core.errors import InputError
+from vppres.day.dimmed import check_dimmed
 from vppres.day.faults import FaultInjector, FaultySolver
 from vppres.day.options import RunOptions
 from vppres.day.outages import check_outages
 from vppres.day.own import ByStepWeights, Own
-from vppres.day.dimmed import check_dimmed
 from vppres.day.phased import check_phased
 from vppres.day.priority import site_of, weighed
 from vppres.model.site import Site
