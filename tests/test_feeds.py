@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import io
-import urllib.error
+import threading
+import time
 import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from email.message import Message
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import pandas as pd
 import pytest
@@ -21,7 +21,8 @@ from tests.support.asgi import Caller
 from tests.support.command_line import call
 from tests.support.live_service import HERE, client, decided, site
 from vppres.core.errors import InputError
-from vppres.feeds.adapters import FEEDS
+from vppres.feeds import follow
+from vppres.feeds.adapters import FEEDS, Feed
 from vppres.feeds.follow import Asker, Follower, OverHTTP, recorded, replay
 from vppres.feeds.incidents import Incident, check_areas
 from vppres.scenario.scenario import Scenario
@@ -252,45 +253,137 @@ def test_a_silent_feed_is_late_and_comes_back() -> None:
 # Asking
 
 
-def test_a_feed_is_asked_once_a_minute_at_most(monkeypatch: pytest.MonkeyPatch) -> None:
-    """And with the tag of its last answer, so that an unchanged one is not sent again."""
-    asked: list[tuple[float, str | None]] = []
+class Lines(BaseHTTPRequestHandler):
+    """A feed that answers as it is told, and notes how it was asked."""
+
+    answers: ClassVar[list[tuple[int, dict[str, str], bytes]]] = []
+    asked: ClassVar[list[str | None]] = []
+
+    def do_GET(self) -> None:
+        assert self.headers["User-Agent"].startswith("vppres/")
+        self.asked.append(self.headers["If-None-Match"])
+        status, headers, body = self.answers.pop(0)
+        self.send_response(status)
+        for name, value in ({"Content-Length": str(len(body))} | headers).items():
+            self.send_header(name, value)
+        self.end_headers()
+        for byte in body:
+            self.wfile.write(bytes([byte]))
+            time.sleep(float(headers.get("Pause", 0.0)))
+
+    def log_message(self, format: str, *args: Any) -> None:
+        pass
+
+
+@pytest.fixture
+def line(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Feed, type[Lines]]]:
+    """A feed on this machine."""
+    monkeypatch.setattr(Lines, "answers", [])
+    monkeypatch.setattr(Lines, "asked", [])
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Lines)
+    threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True).start()
+    yield replace(FEEDS["ukpn"], url=f"http://127.0.0.1:{server.server_port}/"), Lines
+    server.shutdown()
+    server.server_close()
+
+
+def test_a_feed_is_asked_when_it_is_time(line: tuple[Feed, type[Lines]]) -> None:
+    """Once in its time, with the tag of its last answer; a silent one twice as late each time."""
+    feed, lines = line
     now = 0.0
+    asker = Asker(feed, 60.0, lambda: now)
+    lines.answers += [(200, {"ETag": '"one"'}, b"[]"), (304, {}, b"")]
+    lines.answers += [(503, {}, b"")] * 2 + [(429, {"Retry-After": "7200"}, b"")]
+    lines.answers += [(200, {}, b"[1]")]
+    found: list[tuple[float, str]] = []
+    while lines.answers:
+        try:
+            content = asker.ask()
+        except InputError as error:
+            found.append((now, str(error)))
+        else:
+            found += [] if content is None else [(now, content.decode())]
+        now += 10.0
+    times = [int(at / 60.0) for at, _ in found]
+    assert times == [0, 1, 2, 4, 8, 128]
+    assert [words for _, words in found[:2]] == ["[]", "[]"] and found[-1][1] == "[1]"
+    assert "feed ukpn: answers 503." in found[2][1]
+    assert "answers 429 and wants a pause of 120 min" in found[4][1]
+    assert lines.asked == [None, *['"one"'] * 5]
+    with pytest.raises(
+        InputError, match=r"every = 0\.5: asks a feed more often than once a minute"
+    ):
+        Asker(feed, 30.0)
 
-    def answer(request: urllib.request.Request, timeout: float) -> Any:
-        assert timeout > 0.0
-        assert request.get_header("User-agent", "").startswith("vppres/")
-        tag = request.get_header("If-none-match")
-        asked.append((now, tag))
-        if tag is not None:
-            raise urllib.error.HTTPError(request.full_url, 304, "", Message(), None)
-        found = io.BytesIO(b"[]")
-        found.headers = {"ETag": '"one"'}  # type: ignore[attr-defined]
-        return found
 
-    def wait(seconds: float) -> bool:
-        nonlocal now
-        now += seconds
-        return False
+def test_what_is_no_answer_is_named(
+    line: tuple[Feed, type[Lines]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    feed, lines = line
+    monkeypatch.setattr(follow, "TIMEOUT_S", 0.2)
+    monkeypatch.setattr(follow, "MOST_BYTES", 9)
+    here = {"Location": feed.url}
+    for answers, words in (
+        ([(200, {"Pause": "0.03"}, b"123456789")], "it is not done within 0.2 s"),
+        ([(200, {"Content-Length": "12"}, b"[")], "breaks off 11 bytes before the end"),
+        ([(200, {}, b"1234567890")], "it sends more than 9 bytes"),
+        ([(302, here, b""), (302, here, b"")], "answers 302"),
+        ([(302, {"Location": "http://[/"}, b"")], "does not answer"),
+        ([(301, {"Location": "file:///etc/passwd"}, b"")], "answers 301"),
+        ([(403, {}, b"")], "answers 403"),
+    ):
+        lines.answers[:] = answers
+        with pytest.raises(InputError, match=words):
+            Asker(feed, 60.0).ask()
+        assert not lines.answers
+    lines.answers[:] = [(302, here, b""), (200, {}, b"[]")]
+    assert Asker(feed, 60.0).ask() == b"[]"
+    nobody = replace(feed, url="http://127.0.0.1:1/")
+    with pytest.raises(InputError, match=r"does not answer: .*refused"):
+        Asker(nobody, 60.0).ask()
+    safe = urllib.request.Request("https://a.org/")
+    with pytest.raises(OSError, match=r"http://a\.org/, which has no encryption"):
+        follow.Redirected().redirect_request(safe, None, 302, "", {}, "http://a.org/")
 
-    monkeypatch.setattr(urllib.request, "urlopen", answer)
-    asker = Asker(FEEDS["ukpn"], wait, lambda: now)
-    assert [asker.ask() for _ in range(3)] == [b"[]"] * 3
-    assert asked == [(0.0, None), (60.0, '"one"'), (120.0, '"one"')]
 
-    def silent(*_: Any, **__: Any) -> Any:
-        raise OSError("no route")
+def test_a_feed_that_is_silent_is_late_and_the_service_may_be_gone(
+    line: tuple[Feed, type[Lines]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever fails is said; what was said before stays, and what was not put is put again."""
+    feed, lines = line
+    content = (ROOT / "ukpn" / "2026-11-21T120000Z.json").read_bytes()
+    lines.answers += [(200, {}, content), (200, {}, b"<html>"), (200, {}, content)]
+    told: list[str] = []
+    listed = Listed()
+    follower = Follower(feed, ["CM4 0"], listed, told.append)
+    now = pd.Timestamp("2026-11-21T11:00Z")
 
-    monkeypatch.setattr(urllib.request, "urlopen", silent)
-    with pytest.raises(InputError, match="does not answer: no route"):
-        asker.ask()
+    class End(threading.Event):
+        def wait(self, timeout: float | None = None) -> bool:
+            nonlocal now
+            now += pd.Timedelta(minutes=1)
+            listed.put = Listed.put.__get__(listed)  # type: ignore[method-assign]
+            if not lines.answers:
+                self.set()
+            return False
+
+    def gone(*_: Any) -> None:
+        raise OSError("the service does not answer")
+
+    monkeypatch.setattr(listed, "put", gone)
+    monkeypatch.setattr(follow, "_now", lambda: now)
+    asker = Asker(feed, 60.0, lambda: now.timestamp())
+    follow.follow(follower, asker, End())
+    assert told[0] == "the service does not answer"
+    assert "is no JSON" in told[1]
+    assert "restoration about" in told[-1] and listed.events
 
 
 def test_nothing_is_asked_unless_a_feed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: Any, **__: Any) -> Any:
         raise AssertionError("asked")
 
-    monkeypatch.setattr(urllib.request, "urlopen", refuse)
+    monkeypatch.setattr(urllib.request.OpenerDirector, "open", refuse)
     listed = call("feeds")
     assert listed.exit_code == 0
     assert [line.split(":")[0] for line in listed.stdout.splitlines()] == list(FEEDS)

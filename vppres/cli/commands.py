@@ -11,7 +11,6 @@ import json
 import signal
 import sys
 import threading
-import time
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -631,9 +630,7 @@ def feeds(
                 typer.echo(f"{one.name}: {one.operator}, {one.licence}, {one.url}")
             return
         follower = _follower(feed, postcode, service, token)
-        end = threading.Event()
-        asker = Asker(follower.feed, end.wait, time.monotonic)
-        follow(follower, asker, 60.0 * every, end, record)
+        follow(follower, Asker(follower.feed, 60.0 * every), threading.Event(), record)
 
 
 @app.command(

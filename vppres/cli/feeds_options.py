@@ -25,7 +25,7 @@ Url = Annotated[
     str | None,
     typer.Option("--service", metavar="URL", help="The service; changes are only shown without."),
 ]
-Every = Annotated[float, typer.Option(min=1.0, help="Minutes between two requests.")]
+Every = Annotated[float, typer.Option(help="Minutes between two requests, 1 at least.")]
 Record = Annotated[
     Path | None, typer.Option(metavar="DIR", help="Keep every answer in a folder, for a replay.")
 ]

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import http.client
 import threading
+import time
 import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
-from datetime import datetime
+from datetime import UTC, datetime
+from email.utils import parsedate_to_datetime
+from math import inf
 from pathlib import Path
 from typing import Any, Protocol
 from urllib.parse import quote
@@ -22,7 +25,13 @@ from vppres.service.client import Client
 from vppres.service.clock import written
 
 LEAST_S = 60.0
-"""Time between two requests at least."""
+"""Time between two requests of a feed at least."""
+
+MOST_OFTEN = 8
+"""How many times as late a silent feed is asked at most."""
+
+LOOK_S = 10.0
+"""Time between two looks at the clock: whether to ask, and whether a feed is late."""
 
 LATE = pd.Timedelta(minutes=30)
 """Age of an answer from which it is late: feeds are made anew every two to ten minutes."""
@@ -31,6 +40,9 @@ MOST_BYTES = 20_000_000
 """Of an answer; a storm's has some hundred kilobytes."""
 
 TIMEOUT_S = 30.0
+"""For a whole answer."""
+
+CHUNK_BYTES = 65_536
 STAMP = "%Y-%m-%dT%H%M%SZ"
 """Time of a recorded answer in its file name."""
 
@@ -193,89 +205,158 @@ class Follower:
         return f"{self.feed.name} late"
 
 
+class Redirected(urllib.request.HTTPRedirectHandler):
+    """Follows one redirection, which keeps the encryption if there is any."""
+
+    max_redirections = 1
+
+    def redirect_request(
+        self, req: urllib.request.Request, fp: Any, code: int, msg: str, headers: Any, newurl: str
+    ) -> urllib.request.Request | None:
+        """The request at the other address.
+
+        Raises
+        ------
+        OSError
+            If the other address has no encryption and the first one has.
+        """
+        if req.type == "https" and not newurl.startswith("https:"):
+            raise OSError(f"it moves to {newurl}, which has no encryption")
+        return super().redirect_request(req, fp, code, msg, headers, newurl)
+
+
 class Asker:
-    """Asks a feed, with what its last answer was called, and never twice within a minute.
+    """Asks a feed when it is time, with what its last answer was called.
+
+    A feed that does not answer is asked twice as late each time, at most eight times as late, and
+    not before it wants to be asked again.
 
     Parameters
     ----------
     feed : Feed
         Which one.
-    wait : callable
-        Waits for so many seconds; whether to end.
-    clock : callable
-        Time in seconds.
+    every_s : float
+        Time between two requests in s.
+    clock : callable, optional
+        Time in s.
+
+    Raises
+    ------
+    InputError
+        If it would be asked more often than once a minute.
     """
 
     def __init__(
-        self, feed: Feed, wait: Callable[[float], bool], clock: Callable[[], float]
+        self, feed: Feed, every_s: float, clock: Callable[[], float] = time.monotonic
     ) -> None:
+        if not every_s >= LEAST_S:
+            raise InputError.of(
+                "options",
+                "asks a feed more often than once a minute",
+                "Give 1 minute or more.",
+                field="every",
+                value=f"{every_s / 60.0:g}",
+            )
         self.feed = feed
-        self._wait = wait
+        self._every_s = every_s
         self._clock = clock
+        self._open = urllib.request.build_opener(Redirected).open
         self._tag: str | None = None
         self._content: bytes | None = None
-        self._asked: float | None = None
+        self._failures = 0
+        self._next_s = -inf
 
-    def ask(self) -> bytes:
-        """The answer; the one before where nothing has changed.
+    def ask(self) -> bytes | None:
+        """The answer, the one before if nothing has changed; None if it is not time to ask.
 
         Raises
         ------
         InputError
-            If there is none.
+            If there is no answer.
         """
-        if self._asked is not None:
-            self._wait(max(LEAST_S - (self._clock() - self._asked), 0.0))
-        self._asked = self._clock()
-        request = urllib.request.Request(
-            self.feed.url, headers={"User-Agent": f"vppres/{vppres.__version__}"}
-        )
-        if self._tag is not None:
-            request.add_header("If-None-Match", self._tag)
+        now_s = self._clock()
+        if now_s < self._next_s:
+            return None
+        self._failures += 1
+        self._next_s = now_s + self._every_s * min(2**self._failures, MOST_OFTEN)
         try:
-            with urllib.request.urlopen(request, timeout=TIMEOUT_S) as response:
-                content: bytes = response.read(MOST_BYTES + 1)
-                self._tag = response.headers.get("ETag")
+            self._content = self._answer()
         except urllib.error.HTTPError as error:
-            if error.code == http.client.NOT_MODIFIED and self._content is not None:
-                return self._content
-            raise _silent(self.feed, f"answers {error.code}") from error
-        except (OSError, http.client.HTTPException) as error:
+            if error.code != http.client.NOT_MODIFIED or self._content is None:
+                pause_s = _pause_s(error.headers.get("Retry-After"))
+                self._next_s = max(self._next_s, now_s + pause_s)
+                pause = f" and wants a pause of {pause_s / 60.0:.0f} min" if pause_s else ""
+                raise _silent(self.feed, f"answers {error.code}{pause}") from error
+        except (OSError, ValueError, http.client.HTTPException) as error:
             raise _silent(self.feed, f"does not answer: {error}") from error
-        if len(content) > MOST_BYTES:
-            raise _silent(self.feed, f"answers with more than {MOST_BYTES:,} bytes")
-        self._content = content
-        return content
+        self._failures = 0
+        self._next_s = now_s + self._every_s
+        return self._content
+
+    def _answer(self) -> bytes:
+        """What the feed sends now."""
+        headers = {"User-Agent": f"vppres/{vppres.__version__}"}
+        if self._tag is not None:
+            headers["If-None-Match"] = self._tag
+        request = urllib.request.Request(self.feed.url, headers=headers)
+        end_s = time.monotonic() + TIMEOUT_S
+        content = bytearray()
+        with self._open(request, timeout=TIMEOUT_S) as response:
+            while part := response.read1(CHUNK_BYTES):
+                content += part
+                if len(content) > MOST_BYTES:
+                    raise OSError(f"it sends more than {MOST_BYTES:,} bytes")
+                if time.monotonic() > end_s:
+                    raise OSError(f"it is not done within {TIMEOUT_S:g} s")
+            missing = response.length
+            if missing:
+                raise OSError(f"it breaks off {missing:,} bytes before the end")
+            self._tag = response.headers.get("ETag")
+        return bytes(content)
+
+
+def _pause_s(said: str | None) -> float:
+    """Time for which a feed does not want to be asked, 0 if it says nothing of it.
+
+    >>> _pause_s("120"), _pause_s(None), _pause_s("soon")
+    (120.0, 0.0, 0.0)
+    """
+    if said is None:
+        return 0.0
+    if said.isdecimal():
+        return float(said)
+    try:
+        until = parsedate_to_datetime(said)
+        return max((until - datetime.now(UTC)).total_seconds(), 0.0)
+    except (TypeError, ValueError):
+        return 0.0
 
 
 def follow(
-    follower: Follower,
-    asker: Asker,
-    every_s: float,
-    end: threading.Event,
-    record: Path | None = None,
+    follower: Follower, asker: Asker, end: threading.Event, record: Path | None = None
 ) -> None:
-    """Ask until the end; what fails is said and tried again, at most eight times as late."""
-    failures = 0
-    while True:
-        now = pd.Timestamp.now(tz="UTC")
+    """Ask whenever it is time, until the end; what fails is said and tried again."""
+    while not end.is_set():
+        now = _now()
         try:
             content = asker.ask()
-            if record is not None:
+            if content is not None and record is not None:
                 record.mkdir(parents=True, exist_ok=True)
                 stamp = now.strftime(STAMP)
                 (record / f"{stamp}{follower.feed.suffix}").write_bytes(content)
-            follower.hear(content, now)
-            failures = 0
+            if content is not None:
+                follower.hear(content, now)
         except (InputError, OSError) as error:
-            failures += 1
             follower.told(str(error))
         try:
-            follower.watch(pd.Timestamp.now(tz="UTC"))
+            follower.watch(now)
         except (InputError, OSError) as error:
             follower.told(str(error))
-        if end.wait(max(every_s, LEAST_S) * min(2**failures, 8)):
-            return
+        end.wait(LOOK_S)
+
+
+def _now() -> pd.Timestamp:
+    return pd.Timestamp.now(tz="UTC")
 
 
 def recorded(folder: Path, feed: Feed) -> Iterator[tuple[pd.Timestamp, bytes]]:

@@ -66,7 +66,7 @@ class Client:
         Raises
         ------
         OSError
-            If nobody answers.
+            If nobody answers, or no service does.
         """
         content = None if body is None else json.dumps(body).encode()
         begin = time.perf_counter()
@@ -81,7 +81,10 @@ class Client:
                 if attempt + 1 == ATTEMPTS:
                     raise OSError(f"{self.url} does not answer: {error}") from error
         seconds = time.perf_counter() - begin
-        return Answer(answer.status, json.loads(text) if text else None, seconds)
+        try:
+            return Answer(answer.status, json.loads(text) if text else None, seconds)
+        except ValueError as error:
+            raise OSError(f"{self.url} answers {answer.status} without JSON") from error
 
     def wanted(self, method: str, path: str, body: Any = None) -> Answer:
         """One request that must be granted.
@@ -90,6 +93,8 @@ class Client:
         ------
         InputError
             With what the service says against it.
+        OSError
+            If it does not work.
         """
         answer = self.ask(method, path, body)
         while answer.status == TOO_MANY:
@@ -97,5 +102,6 @@ class Client:
             answer = self.ask(method, path, body)
         if answer.status >= 400:
             said = answer.body.get("detail") if isinstance(answer.body, dict) else answer.body
-            raise InputError(f"{method} {path} at {self.url}: {answer.status}, {said}")
+            kind = InputError if answer.status < 500 else OSError
+            raise kind(f"{method} {path} at {self.url}: {answer.status}, {said}")
         return answer
