@@ -9,9 +9,10 @@ The set is decided anew only where the losses leave it no dispatch.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from math import inf
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -67,7 +68,18 @@ class _Line:
     drawn_kvar: Floats
 
 
-class PassesPlanner:
+class Points(Protocol):
+    """AC points of a window: whether there is one of each step."""
+
+    @property
+    def converged(self) -> Flags:
+        """Steps whose power flow has a solution, (W,)."""
+
+
+P = TypeVar("P", bound=Points)
+
+
+class PassesPlanner(ABC, Generic[P]):
     """What solves a window and the passes after it.
 
     Parameters
@@ -85,10 +97,58 @@ class PassesPlanner:
         self.headroom = headroom
         self.passes = passes
 
+    @abstractmethod
+    def ac_points(self, data: WindowData, dispatch: Dispatch) -> P:
+        """AC points of a candidate."""
+
+    @abstractmethod
+    def agrees(self, data: WindowData, dispatch: Dispatch, points: P) -> bool:
+        """Whether a candidate's window is what AC says."""
+
+    @abstractmethod
+    def closer(self, data: WindowData, dispatch: Dispatch, points: P, passes: int) -> WindowData:
+        """The window linearised at a candidate's AC points, after so many passes."""
+
     def nudged(self, data: WindowData) -> WindowData:
         """The window with states of charge that miss no need by rounding."""
         soc = np.minimum(data.soc + SOC_NUDGE, self.solver.site.batteries.soc_max)
         return replace(data, soc=soc)
+
+    def converge(
+        self, data: WindowData, solution: WindowSolution, deadline: Deadline
+    ) -> tuple[WindowData, WindowSolution]:
+        """The candidate at which model and AC meet, and the window linearised there."""
+        decided = solution
+        decisions = 1
+        passes = 1
+        points = self.ac_points(data, solution.dispatch)
+        while passes < self.passes and not self.agrees(data, solution.dispatch, points):
+            closer = self.closer(data, solution.dispatch, points, passes)
+            more = decisions < _MAX_DECISIONS
+            again, anew = self.again(
+                closer, solution, deadline, keeps_turns=passes > 1, decides=more
+            )
+            if again is None:
+                break
+            if anew:
+                decided = again
+                decisions += 1
+            data = closer
+            solution = again
+            passes = passes + 1
+            points = self.ac_points(data, solution.dispatch)
+        reached = self.closer(data, solution.dispatch, points, passes)
+        carried = bool(points.converged[lit_steps(data)].all())
+        return reached, replace(
+            decided,
+            status=decided.status if carried else Status.INACCURATE,
+            dispatch=solution.dispatch,
+            terms=solution.terms,
+            loss_kw=solution.loss_kw,
+            passes=passes,
+            solve_s=solution.solve_s,
+            solver_s=solution.solver_s,
+        )
 
     def again(
         self,
@@ -127,7 +187,7 @@ def after(before: WindowSolution, found: WindowSolution) -> WindowSolution:
     )
 
 
-class ConvergedPlanner(PassesPlanner):
+class ConvergedPlanner(PassesPlanner[ACPoints]):
     """Plans windows that AC agrees with.
 
     Parameters
@@ -183,7 +243,7 @@ class ConvergedPlanner(PassesPlanner):
             dark = dark | beyond
             start = self._at_rest(lossless(without_power(whole, dark), physics))
             data, solution = self._decide(start, start, first)
-        reached, solution = self._converge(data, solution, deadline)
+        reached, solution = self.converge(data, solution, deadline)
         self._remember(t0, reached)
         return self._in_the_dark(whole, dark, solution)
 
@@ -238,42 +298,15 @@ class ConvergedPlanner(PassesPlanner):
         except (InfeasibleError, NumericalError):
             return start, _marked("lossless", self.solver.solve(start, deadline.left_s))
 
-    def _converge(
-        self, data: WindowData, solution: WindowSolution, deadline: Deadline
-    ) -> tuple[WindowData, WindowSolution]:
-        """The candidate at which model and AC meet, and the window linearised there."""
-        network = self.solver.site.network
-        decided = solution
-        decisions = 1
-        passes = 1
-        points = self.ac_points(data, solution.dispatch)
-        while passes < self.passes and not agree(data, solution.dispatch, points, network):
-            closer = linearised(data, network, points)
-            more = decisions < _MAX_DECISIONS
-            again, anew = self.again(
-                closer, solution, deadline, keeps_turns=passes > 1, decides=more
-            )
-            if again is None:
-                break
-            if anew:
-                decided = again
-                decisions += 1
-            data = closer
-            solution = again
-            passes = passes + 1
-            points = self.ac_points(data, solution.dispatch)
-        reached = linearised(data, network, points)
-        carried = bool(points.converged[lit_steps(data)].all())
-        return reached, replace(
-            decided,
-            status=decided.status if carried else Status.INACCURATE,
-            dispatch=solution.dispatch,
-            terms=solution.terms,
-            loss_kw=solution.loss_kw,
-            passes=passes,
-            solve_s=solution.solve_s,
-            solver_s=solution.solver_s,
-        )
+    def agrees(self, data: WindowData, dispatch: Dispatch, points: ACPoints) -> bool:
+        """Whether voltages, losses and what the network draws agree with AC."""
+        return agree(data, dispatch, points, self.solver.site.network)
+
+    def closer(
+        self, data: WindowData, dispatch: Dispatch, points: ACPoints, passes: int
+    ) -> WindowData:
+        """The window linearised at AC points."""
+        return linearised(data, self.solver.site.network, points)
 
     def ac_points(self, data: WindowData, dispatch: Dispatch) -> ACPoints:
         """AC points of a candidate, in an island with its reference at the battery's bus."""

@@ -14,8 +14,11 @@ from vppres.core.arrays import Complexes, Flags, Floats
 from vppres.model.beyond_paper.losses import lit_steps
 from vppres.model.data import PhasedWindow, WindowData
 from vppres.model.linearise import Drawn
-from vppres.model.own_state import share_of
+from vppres.model.own_state import giving_way, share_of
 from vppres.model.phases import PhasedModel, PhasedPoints
+
+BINDS_PU2 = 2e-5
+"""How near its limit a squared voltage of a candidate is that the limit binds: 1e-5 pu."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,52 +27,80 @@ class PhasedLinearisation:
 
     model: PhasedModel
 
-    def at_rest(self, data: WindowData, watched: tuple[int, ...]) -> WindowData:
+    def at_rest(self, data: WindowData) -> WindowData:
         """The window at the AC points of everyone served that can be: its first guess."""
         u, former = self.model.at_no_load(data.dark)
         room = self.model.rating_kva(data.require_physics().headroom_kw)
-        phased = PhasedWindow(u, former, u, u, room, watched)
-        n = data.n_steps
-        nothing = np.zeros((n, self.model.site.network.n_buses))
+        any_u = np.full_like(u, np.inf)
+        none = np.zeros((data.n_steps, 2, u.shape[1]), dtype=bool)
+        phased = PhasedWindow(u, former, -any_u, any_u, room, none, 0.0 * former)
+        nothing = np.zeros((data.n_steps, self.model.site.network.n_buses))
         data = replace(data, phased=phased, drawn=Drawn(nothing, nothing))
         p, q = self._without_control(data)
-        lit = lit_steps(data) & ~data.dark
+        lit = lit_steps(data)
         points = self.model.points(data, p, q, lit)
-        rest = np.zeros_like(p)
-        in_island = lit_steps(data) & data.dark
-        at_rest = self.model.points(data, rest, rest, in_island)
-        data = self.at(data, p, q, points, lit & points.converged)
-        return self.at(data, rest, rest, at_rest, in_island & at_rest.converged)
+        return self.at(data, p, q, points, lit & points.converged)
 
     def _without_control(self, data: WindowData) -> tuple[Floats, Floats]:
-        """What assets draw with everyone served, PV power as it comes and batteries idle."""
+        """What assets draw without control: all are served with grid, and at rest in an island.
+
+        Batteries are idle. PV power is used behind its meter, and beyond that exported as far as
+        the connection takes it and the highest voltage allows.
+        """
         site = self.model.site
         usable = np.minimum(data.pv_kw, site.pv.s_max_kva)
-        # An import-only connection takes no more PV power than is used.
-        most = data.load_kw.sum(axis=1) + data.export_max_kw(site)
-        share = share_of(most, usable.sum(axis=1))[:, None]
-        idle = np.zeros((data.n_steps, len(site.batteries)))
-        pv = (usable * share, np.zeros_like(usable))
-        return self.model.powers(data.dark, data.load_kw, pv, (idle, idle))
+        own = np.minimum(site.behind_meter(data.load_kw), usable)
+        spare = usable - own
+        used, all_sun = self._with_sun(data, own), self._with_sun(data, usable)
+        u = data.require_phased().u_offset + self.model.linear(data, *used)[0]
+        raised = data.require_phased().u_offset + self.model.linear(data, *all_sun)[0] - u
+        room = np.where(self.model.limited, site.feeder.v_max_pu**2 - u, np.inf)
+        most = data.export_max_kw(site) + np.maximum(data.load_kw.sum(axis=1) - own.sum(axis=1), 0)
+        taken = share_of(most, spare.sum(axis=1))
+        allowed = share_of(room, raised).min(axis=1)
+        return self._with_sun(data, own + np.minimum(taken, allowed)[:, None] * spare)
+
+    def _with_sun(self, data: WindowData, pv_kw: Floats) -> tuple[Floats, Floats]:
+        """What assets draw with everyone served and so much PV power; nothing in an island."""
+        idle = np.zeros((data.n_steps, len(self.model.site.batteries)))
+        pv = (pv_kw, np.zeros_like(pv_kw))
+        p, q = self.model.powers(data.dark, data.load_kw, pv, (idle, idle))
+        with_grid = ~data.dark[:, None]
+        return p * with_grid, q * with_grid
 
     def at(
-        self, data: WindowData, p: Floats, q: Floats, points: PhasedPoints, steps: Flags
+        self,
+        data: WindowData,
+        p: Floats,
+        q: Floats,
+        points: PhasedPoints,
+        steps: Flags,
+        share: float = 1.0,
     ) -> WindowData:
-        """The window linearised at AC points in some steps; the others stay as they are."""
+        """The window linearised at AC points in some steps, or a share of the way there."""
         phased, drawn = data.require_phased(), data.drawn
         assert drawn is not None
         u, former = self.model.offsets(data, p, q, points)
-        here = steps[:, None]
-        u = np.where(here, u, phased.u_offset)
-        former = np.where(here, former, phased.former_offset)
+        moved = share * steps[:, None]
+        at = np.arange(data.n_steps), data.require_physics().reference
         kw, kvar = drawn.kw.copy(), drawn.kvar.copy()
-        at = data.require_physics().reference
-        rows = np.flatnonzero(steps)
-        kw[rows, at[rows]] = points.network_kw[rows]
-        kvar[rows, at[rows]] = points.network_kvar[rows]
-        found = replace(phased, u_offset=u, former_offset=former)
-        data = replace(data, phased=found, drawn=Drawn(kw, kvar))
-        return self._limited(data)
+        kw[at] += moved[:, 0] * (points.network_kw - kw[at])
+        kvar[at] += moved[:, 0] * (points.network_kvar - kvar[at])
+        found = replace(
+            phased,
+            u_offset=phased.u_offset + moved * (u - phased.u_offset),
+            former_offset=phased.former_offset + moved * (former - phased.former_offset),
+            bound=self._bound(data, p, q) & steps[:, None, None],
+            former_kva=np.where(steps[:, None], points.source_kva, phased.former_kva),
+        )
+        return self._limited(replace(data, phased=found, drawn=Drawn(kw, kvar)))
+
+    def _bound(self, data: WindowData, p: Floats, q: Floats) -> Flags:
+        """Limits that bind a candidate in its own window, as far as they gave way, (W, 2, m)."""
+        u = data.require_phased().u_offset + self.model.linear(data, p, q)[0]
+        ways = [each.require_phased() for each in giving_way(self.model.site, data)]
+        room = [np.stack([u - way.u_min, way.u_max - u], axis=1) for way in ways]
+        return np.asarray((np.abs(room).min(axis=0) < BINDS_PU2) & self.model.limited)
 
     def _limited(self, data: WindowData) -> WindowData:
         """Limits that give way to the voltages without control, and in an island to those at rest.
@@ -78,9 +109,7 @@ class PhasedLinearisation:
         """
         phased = data.require_phased()
         net = self.model.site.feeder
-        p, q = self._without_control(data)
-        p[data.dark] = q[data.dark] = 0.0
-        own = phased.u_offset + self.model.linear(data, p, q)[0]
+        own = phased.u_offset + self.model.linear(data, *self._without_control(data))[0]
         low, high = np.minimum(net.v_min_pu**2, own), np.maximum(net.v_max_pu**2, own)
         return replace(data, phased=replace(phased, u_min=low, u_max=high))
 

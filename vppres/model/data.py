@@ -62,8 +62,10 @@ class PhasedWindow:
         Limits.
     room_kva : array, shape (W,)
         What each phase of the former may carry in steps without grid.
-    watched : tuple of int
-        Voltages whose rows are stated.
+    bound : array of bool, shape (W, 2, m)
+        Lower and upper limits that bound the last candidate.
+    former_kva : array of complex, shape (W, 3)
+        The former's power by phase at the AC points.
     """
 
     u_offset: Floats
@@ -71,12 +73,12 @@ class PhasedWindow:
     u_min: Floats
     u_max: Floats
     room_kva: Floats
-    watched: tuple[int, ...] = ()
+    bound: Flags
+    former_kva: Complexes
 
     def part(self, steps: slice) -> PhasedWindow:
         """Some of the steps."""
-        names = ("u_offset", "former_offset", "u_min", "u_max", "room_kva")
-        return replace(self, **{name: getattr(self, name)[steps] for name in names})
+        return PhasedWindow(*(getattr(self, f.name)[steps] for f in fields(self)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ import numpy as np
 
 from vppres.core.arrays import Floats
 from vppres.model.beyond_paper.physical import at_far_ends
-from vppres.model.data import WindowData
+from vppres.model.data import PhasedWindow, WindowData
 from vppres.model.formulas import bus_injections, lossless_flows, voltage_drop_pu2
 from vppres.model.site import Site
 
@@ -26,6 +26,8 @@ def giving_way(site: Site, data: WindowData) -> list[WindowData]:
     linearisation, so that this state is one of the last window's dispatches. In an island nothing
     gives way.
     """
+    if data.phased is not None:
+        return _phases_giving_way(site, data, data.phased)
     connected = data.grid_limit_kw > 0.0
     if not site.soft_voltages or not connected.any():
         return [data]
@@ -41,6 +43,19 @@ def giving_way(site: Site, data: WindowData) -> list[WindowData]:
     if beyond_ac[:, 1:].any():
         states.append(own)
     return [replace(data, own_u_pu2=state) for state in states]
+
+
+def _phases_giving_way(site: Site, data: WindowData, phased: PhasedWindow) -> list[WindowData]:
+    """The same of voltages by phase, whose last limits the window has."""
+    net = site.feeder
+    found = [data]
+    for low, high in ((net.v_min_ac_pu, net.v_max_ac_pu), (net.v_min_pu, net.v_max_pu)):
+        last = found[0].require_phased()
+        u_min, u_max = np.maximum(last.u_min, low**2), np.minimum(last.u_max, high**2)
+        if (u_min > last.u_min).any() or (u_max < last.u_max).any():
+            tighter = replace(phased, u_min=u_min, u_max=u_max)
+            found.insert(0, replace(data, phased=tighter))
+    return found
 
 
 def with_own_state(site: Site, data: WindowData) -> WindowData:

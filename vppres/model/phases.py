@@ -136,12 +136,22 @@ class PhasedModel:
         """Voltages that have limits."""
         return len(self.flows[0].measured[0])
 
+    def nothing(self, n_steps: int) -> Floats:
+        """Power of all assets at rest, (W, D)."""
+        return np.zeros((n_steps, len(self.flows[GRID].assets)))
+
     @cached_property
     def limited(self) -> Flags:
         """Voltages that plans keep within limits: all but those of the grid's own bus."""
         labels = self.flows[0].measured[0]
         slack = self.flows[0].phases.buses[0].bus
         return np.array([bus != slack for bus, _ in labels])
+
+    @cached_property
+    def by_phase(self) -> tuple[Wholes, ...]:
+        """Places of the voltages of each phase, or of each pair of phases."""
+        names = np.array([phase for _, phase in self.flows[0].measured[0]])
+        return tuple(np.flatnonzero(names == name) for name in np.unique(names))
 
     @cached_property
     def at_bus(self) -> Wholes:

@@ -202,7 +202,7 @@ def _ratings(site: Site, data: WindowData, d: Dispatch) -> Excess:
 
 
 def _phases(site: Site, data: WindowData, d: Dispatch) -> Excess:
-    """Watched voltages by phase, and the former's phases."""
+    """Voltages by phase, and the former's phases."""
     phased = data.phased
     if phased is None:
         return {}
@@ -210,10 +210,10 @@ def _phases(site: Site, data: WindowData, d: Dispatch) -> Excess:
     p_kw, q_kvar = model.drawn(data, d)
     u, former = model.linear(data, p_kw, q_kvar)
     u = phased.u_offset + u
-    rows = list(phased.watched)
+    limited = model.limited
     over_kva = np.abs(phased.former_offset + former).max(axis=1) - phased.room_kva
     return {
-        "lowest voltage of a phase": _most(VOLTAGE_TOLERANCE_PU2, (phased.u_min - u)[:, rows]),
-        "highest voltage of a phase": _most(VOLTAGE_TOLERANCE_PU2, (u - phased.u_max)[:, rows]),
+        "lowest voltage of a phase": _most(VOLTAGE_TOLERANCE_PU2, (phased.u_min - u)[:, limited]),
+        "highest voltage of a phase": _most(VOLTAGE_TOLERANCE_PU2, (u - phased.u_max)[:, limited]),
         "phase of the former": _most(_power_tolerance(site, data), over_kva[data.dark]),
     }

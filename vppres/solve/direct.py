@@ -12,13 +12,14 @@ import clarabel
 import cvxpy as cp
 import highspy
 import numpy as np
+import scipy.sparse as sp
 from cvxpy.reductions.solvers.conic_solvers.clarabel_conif import CLARABEL
 from cvxpy.reductions.solvers.conic_solvers.highs_conif import HIGHS
 from cvxpy.settings import SOLUTION_PRESENT
 
 from vppres.core.arrays import Flags, Floats
 from vppres.solve.compiled import Numbers
-from vppres.solve.programs import begin_with
+from vppres.solve.programs import begin_with, stacked
 from vppres.solve.selection import Selected
 
 
@@ -102,14 +103,13 @@ def solve_by_clarabel(selected: Selected, options: Mapping[str, Any]) -> str:
     for name, value in options.items():
         setattr(settings, name, value)
     numbers = selected.numbers()
-    solver = clarabel.DefaultSolver(
-        numbers.squares,
-        numbers.cost,
-        numbers.rows,
-        numbers.limit,
-        _cones(selected.dims),
-        settings,
-    )
+    rows, limit, cones = numbers.rows, numbers.limit, _cones(selected.dims)
+    if selected.added is not None:
+        matrix, least = selected.added
+        more = sp.csc_array(-selected.shown(matrix))
+        rows, limit = stacked(rows, more), np.append(limit, -least)
+        cones.append(clarabel.NonnegativeConeT(len(least)))
+    solver = clarabel.DefaultSolver(numbers.squares, numbers.cost, rows, limit, cones, settings)
     found = solver.solve()
     word: str = CLARABEL.STATUS_MAP.get(str(found.status), cp.SOLVER_ERROR)
     if word in SOLUTION_PRESENT:

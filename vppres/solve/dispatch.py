@@ -25,6 +25,7 @@ from vppres.solve.certificate import NO_OWN, Candidate, Own
 from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.forms import Form, sheet_of, window_problem
 from vppres.solve.network.reactive import LeastReactive, of_network
+from vppres.solve.phases import run_in_phases
 from vppres.solve.programs import ProgramSolution, program_of
 from vppres.solve.result import Outcome, Status
 from vppres.solve.solvers import SolverSpec, run, run_conic
@@ -305,7 +306,7 @@ def _solve_cost(
     problem = window_problem(cache, data, form, conic)
     problem.fill(data, served)
     if conic:
-        outcome = run_conic(problem, deadline.left_s)
+        outcome = run_in_phases(cache.site, data, problem, served, deadline.left_s)
     else:
         outcome = run(problem, spec, gap_gbp, deadline.left_s, more=spec.of_modes)
     if not outcome.status.has_answer:
@@ -398,7 +399,7 @@ def polish(
     problem = cache.problem(TieBreakers, sheet=sheet, curtailing=curtailing, moves=moves)
     problem.hold(data, dispatch, f2_max, f3_max)
     problem.hold_own(own.letters, own.value - OWN_HELD * (1.0 + abs(own.value)))
-    outcome = run_conic(problem, deadline.left_s)
+    outcome = run_in_phases(site, data, problem, dispatch.served, deadline.left_s)
     if outcome.status != Status.OPTIMAL:
         return Attempt(outcome, None)
     better = problem.dispatch(dispatch.served)

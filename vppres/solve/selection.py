@@ -391,6 +391,8 @@ class Selected:
         self.extras = 0
         self.is_compiled = False
         self._numbers: Numbers | None = None
+        self.added: tuple[sp.csr_array, Floats] | None = None
+        """More rows for interior points, on its columns, and the least of each."""
 
     # What of it stays the same.
 
@@ -583,6 +585,10 @@ class Selected:
         cost = cost[: len(cost) - len(held)]
         self._numbers = checked(Numbers(self._squares, cost, offset, rows, limit))
         return self._numbers
+
+    def shown(self, rows: sp.csr_array) -> sp.csr_array:
+        """Rows on its columns as the solver has these."""
+        return rows
 
     def _held_values(self) -> Floats:
         """Values of the columns that are held, one after the other."""

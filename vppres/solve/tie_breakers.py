@@ -215,6 +215,18 @@ class TieBreakers(Selected):
         left = (np.ones(len(places)), places % count, begins)
         return sp.csc_array(left, shape=(count, size)), number, before
 
+    def shown(self, rows: sp.csr_array) -> sp.csr_array:
+        """Rows on its columns with one signed power for each battery."""
+        weight = np.ones(len(self.x_lower))
+        places = np.cumsum(self._y) - 1
+        if "P_ch" in self.first:
+            charging, discharging = self.at("P_ch"), self.at("P_dch")
+            weight[charging] = self._charging
+            weight[discharging] = self._charging - 1.0
+            places[discharging] = places[charging]
+        entries = (weight, (np.arange(len(weight)), places))
+        return sp.csr_array(rows @ sp.csr_array(entries, shape=(len(weight), self._y.sum())))
+
     def put(self, x: Floats) -> None:
         """Give the statement's letters the values of a solution, exactly in its modes."""
         found = np.zeros(len(self.x_lower))

@@ -11,7 +11,6 @@ from vppres.model.beyond_paper.dimmed import DimmedDemand
 from vppres.model.beyond_paper.drawn import DrawnByNetwork
 from vppres.model.beyond_paper.export import ExportToGrid
 from vppres.model.beyond_paper.longest_off import LongestTimeOff
-from vppres.model.beyond_paper.phases import ThreePhases
 from vppres.model.beyond_paper.physical import PhysicalMode
 from vppres.model.beyond_paper.stored_value import ValueAtEnd
 from vppres.model.beyond_paper.switching import SwitchingModel
@@ -27,7 +26,6 @@ BY_HEART: tuple[type[Addition], ...] = (
     DrawnByNetwork,
     HeldAtEnd,
     ValueAtEnd,
-    ThreePhases,
 )
 """What the stages know that know the paper by heart."""
 

@@ -432,6 +432,11 @@ class Injections:
         """Lowest and highest squared referred voltages, (W, N) each."""
         return self.data.u_limits_pu2(self.site.network)
 
+    @property
+    def near(self) -> list[Rows]:
+        """Limits of the network that are stated from the start."""
+        return []
+
     def voltage_rows(self, x: Floats, tolerance_pu2: float) -> list[Rows]:
         """Rows of the violated voltage limits: where no neighbour is further out."""
         net = self.site.network

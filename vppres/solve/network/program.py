@@ -18,6 +18,7 @@ from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.solve.deadline import Deadline
 from vppres.solve.network.injections import Injections
+from vppres.solve.network.phased import PhasedInjections
 from vppres.solve.network.reactance import Reactance
 from vppres.solve.network.rows import Rows, add, limited
 from vppres.solve.programs import Program, ProgramSolution
@@ -76,7 +77,8 @@ class NetworkProgram:
         data: WindowData,
         rules: Rows | None = None,
     ) -> None:
-        self.model = Injections(site, reactance, data, rules)
+        injections = Injections if data.phased is None else PhasedInjections
+        self.model = injections(site, reactance, data, rules)
         self.found: list[Rows] = []
         self.unfinished: Floats | None = None
         self.is_large = data.load_kw.size > SMALL
@@ -92,6 +94,8 @@ class NetworkProgram:
             np.arange(0),
         )
         self.program = self._in_parts(program) if self.is_large else program
+        if near := self.model.near:
+            self.found.append(self._limits(near))
 
     def _in_parts(self, program: Program) -> Program:
         """The program with reactive power given and taken apart.

@@ -53,7 +53,7 @@ def all_terms_in_network(task: WindowTask) -> None:
     If the dispatch of a set is worth less than its search says, it has violated some limit, and the
     next search knows that.
     """
-    if task.own or task.data.phased is not None or task.data.load_kw.size > SMALL:
+    if task.own or task.data.load_kw.size > SMALL:
         return
     reactance = task.cache.table(Reactance)
     terms = NetworkTerms(

@@ -1,0 +1,251 @@
+"""Limits of a window's phases as rows on a problem's columns, made where solutions violate them.
+
+Squared voltages and the former's power by phase are linear in what assets draw, which is linear in
+the columns of every problem. Few of these limits bind, and a row of them has a number for nearly
+each asset: all at once they take most of the time of a window.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from itertools import chain
+
+import numpy as np
+import scipy.sparse as sp
+
+from vppres.core.arrays import Complexes, Flags, Floats, Wholes
+from vppres.model.beyond_paper.losses import lit_steps
+from vppres.model.data import WindowData
+from vppres.model.phases import GRID, ISLAND, PhasedModel, phased_model
+from vppres.model.site import Site
+from vppres.solve.deadline import Deadline
+from vppres.solve.network.rows import Rows
+from vppres.solve.result import Outcome, Status
+from vppres.solve.selection import Selected
+from vppres.solve.solvers import run_conic
+
+SIDES = 32
+"""Sides of the polygon inside a phase's disc: it takes 0.5 % of the rating away."""
+
+LOW, HIGH = 0, 1
+"""Sides of a limit of voltages."""
+
+MOST_NEW = 4
+"""Voltages of a step and phase that get a row at once on a side, those farthest out first."""
+
+PER_PU2 = 1e3
+"""Rows of voltages are in thousandths of pu², as those of balanced feeders."""
+
+NEARLY = 0.03
+"""Share of what a phase of the former may carry that the last candidate may stay below it by for
+its sides to be rows from the start: passes move it by less."""
+
+OVER = 5e-6
+"""By how much a dispatch may miss a limit of the phases: half of what its check allows."""
+
+REACH = float(np.cos(np.pi / SIDES))
+"""Distance of a side from the middle of its disc, as a share of the radius."""
+
+SMALLEST_KVA = 1e-3
+"""Least that a phase of a former counts as carrying: a row is a share of it."""
+
+# Assets from the first one on, their columns, (W, k), and what of a column each draws.
+Term = tuple[int, Wholes, Floats | float]
+
+
+@dataclass(frozen=True, eq=False)
+class Draws:
+    """What assets draw as it follows from a problem's columns: ``by_kw @ x`` and what is known.
+
+    ``by_kw`` and ``by_kvar`` are (W * D, n), one step after the other; ``kw`` and ``kvar`` (W, D).
+    """
+
+    by_kw: sp.csr_array
+    by_kvar: sp.csr_array
+    kw: Floats
+    kvar: Floats
+
+    @classmethod
+    def of(
+        cls,
+        model: PhasedModel,
+        data: WindowData,
+        size: int,
+        active: Iterable[Term],
+        reactive: Iterable[Term],
+        known: tuple[Floats, Floats],
+    ) -> Draws:
+        """Sums of columns; what the former gives as a source is no draw."""
+        by_kw, by_kvar = (_sums(model, data, size, terms) for terms in (active, reactive))
+        return cls(by_kw, by_kvar, *known)
+
+    @classmethod
+    def of_problem(cls, site: Site, data: WindowData, problem: Selected, served: Flags) -> Draws:
+        """Those of a selection of the statement, for a served set."""
+        model = phased_model(site)
+        pv = len(site.customers)
+        batteries = pv + len(site.pv)
+        rest = np.zeros((data.n_steps, len(site.batteries)))
+        all_sun = (data.pv_kw, np.zeros_like(data.pv_kw))
+        known = model.powers(data.dark, data.load_kw * served, all_sun, (rest, rest))
+
+        def terms(letters: dict[str, tuple[int, float]]) -> list[Term]:
+            there = [name for name in letters if name in problem.first]
+            return [(letters[name][0], problem.at(name), letters[name][1]) for name in there]
+
+        active = {"P_curt": (pv, 1.0), "P_ch": (batteries, 1.0), "P_dch": (batteries, -1.0)}
+        reactive = {"Q_pv": (pv, -1.0), "Q_batt": (batteries, -1.0)}
+        size = len(problem.x_lower)
+        return cls.of(model, data, size, terms(active), terms(reactive), known)
+
+    def at(self, x: Floats) -> tuple[Floats, Floats]:
+        """What assets draw in a solution, (W, D) each."""
+        kw = self.kw + (self.by_kw @ x).reshape(self.kw.shape)
+        return kw, self.kvar + (self.by_kvar @ x).reshape(self.kvar.shape)
+
+
+def _sums(model: PhasedModel, data: WindowData, size: int, terms: Iterable[Term]) -> sp.csr_array:
+    """What columns add to the power of each asset and step, (W * D, n)."""
+    count = len(model.flows[GRID].assets)
+    shown = np.ones((data.n_steps, count), dtype=bool)
+    if model.former_device is not None:
+        shown[data.dark, model.former_device] = False
+    found = sp.csr_array((data.n_steps * count, size))
+    for first, columns, factor in terms:
+        steps, places = np.indices(columns.shape)
+        values = np.broadcast_to(factor, columns.shape) * shown[steps, first + places]
+        rows = steps * count + first + places
+        entries = (values.ravel(), (rows.ravel(), columns.ravel()))
+        found = found + sp.csr_array(sp.coo_array(entries, shape=found.shape))
+    return found
+
+
+class PhaseLimits:
+    """Limits of a window's voltages by phase and of its former's phases.
+
+    Parameters
+    ----------
+    site : Site
+        Fixed data.
+    data : WindowData
+        The window, with phases.
+    draws : Draws
+        What assets draw by a problem's columns.
+    """
+
+    def __init__(self, site: Site, data: WindowData, draws: Draws) -> None:
+        self.model = phased_model(site)
+        self.data = data
+        self.draws = draws
+        self.phased = data.require_phased()
+        self.limited = self.model.limited & lit_steps(data)[:, None]
+        self.source = np.where(data.dark, len(self.model.flows) - 1, GRID)
+
+    @property
+    def near(self) -> list[Rows]:
+        """Rows of limits that bound the last candidate or, of the former, nearly did."""
+        bound = [self._voltages(side, self.phased.bound[:, side]) for side in (LOW, HIGH)]
+        return [*chain(*bound), *self._former(self.phased.former_kva, -NEARLY)]
+
+    def exceeded(self, x: Floats, over: float) -> list[Rows]:
+        """Rows of limits that a solution exceeds by more than so many pu², or such a share."""
+        u, former = self.model.linear(self.data, *self.draws.at(x))
+        u = self.phased.u_offset + u
+        sides = ((LOW, self.phased.u_min - u), (HIGH, u - self.phased.u_max))
+        worst = [self._voltages(side, self._worst(beyond, over)) for side, beyond in sides]
+        return [*chain(*worst), *self._former(self.phased.former_offset + former, over)]
+
+    def _worst(self, beyond: Floats, over: float) -> Flags:
+        """The voltages farthest beyond a limit in each step and phase, (W, m)."""
+        found = np.zeros(beyond.shape, dtype=bool)
+        beyond = np.where(self.limited, beyond, -np.inf)
+        for places in self.model.by_phase:
+            order = np.argsort(-beyond[:, places], axis=1, kind="stable")
+            worst = places[order[:, :MOST_NEW]]
+            np.put_along_axis(
+                found, worst, np.take_along_axis(beyond, worst, axis=1) > over, axis=1
+            )
+        return found
+
+    def _voltages(self, side: int, which: Flags) -> list[Rows]:
+        """Rows of some limits, (W, m), on a side."""
+        steps, nodes = np.nonzero(which)
+        limit = (self.phased.u_min, self.phased.u_max)[side]
+        scale = (PER_PU2, -PER_PU2)[side]
+        of_p, of_q = (np.stack(each) for each in self._slopes_of_voltages)
+        source = self.source[steps]
+        least = scale * (limit - self.phased.u_offset)[steps, nodes]
+        slopes = (scale * of_p[source, nodes], scale * of_q[source, nodes])
+        return self._rows(steps, *slopes, least)
+
+    @property
+    def _slopes_of_voltages(self) -> tuple[list[Floats], list[Floats]]:
+        slopes = self.model.slopes
+        return [s.u_p for s in slopes], [s.u_q for s in slopes]
+
+    def _former(self, kva: Complexes, over: float) -> list[Rows]:
+        """Of each phase beyond its polygon the side it is farthest beyond, and those beside.
+
+        Rows are in shares of what the phase may carry.
+        """
+        if self.model.former is None or not self.data.dark.any():
+            return []
+        slopes = self.model.slopes[ISLAND]
+        room = np.maximum(REACH * self.phased.room_kva, SMALLEST_KVA)[:, None]
+        towards = np.exp(-2j * np.pi * np.arange(SIDES) / SIDES)
+        side = np.round(np.angle(kva) * SIDES / (2.0 * np.pi)).astype(int) % SIDES
+        share = np.real(kva * towards[side]) / room
+        steps, phases = np.nonzero((share > 1.0 + over) & self.data.dark[:, None])
+        found = []
+        for beside in (0, 1, -1):
+            turn = towards[(side[steps, phases] + beside) % SIDES] / room[steps, 0]
+            by_p = -np.real(turn[:, None] * slopes.former_p[phases])
+            by_q = -np.real(turn[:, None] * slopes.former_q[phases])
+            least = np.real(turn * self.phased.former_offset[steps, phases]) - 1.0
+            found += self._rows(steps, by_p, by_q, least)
+        return found
+
+    def _rows(self, steps: Wholes, by_p: Floats, by_q: Floats, least: Floats) -> list[Rows]:
+        """Rows ``by_p @ p + by_q @ q >= least`` of what assets draw in some steps, (R, D) each."""
+        if not len(steps):
+            return []
+        count = by_p.shape[1]
+        columns = steps[:, None] * count + np.arange(count)
+        rows = np.broadcast_to(np.arange(len(steps))[:, None], columns.shape)
+        draws = self.draws
+        shape = (len(steps), draws.kw.size)
+        of_p, of_q = (
+            sp.csr_array((each.ravel(), (rows.ravel(), columns.ravel())), shape=shape)
+            for each in (by_p, by_q)
+        )
+        matrix = sp.csr_array(of_p @ draws.by_kw + of_q @ draws.by_kvar)
+        least = least - of_p @ draws.kw.ravel() - of_q @ draws.kvar.ravel()
+        return [Rows(matrix, least, np.full(len(steps), np.inf))]
+
+
+def run_in_phases(
+    site: Site, data: WindowData, problem: Selected, served: Flags, time_s: float
+) -> Outcome:
+    """Solve a problem by interior points, within the limits of a phased window's phases.
+
+    Limits that a solution exceeds are added until none is.
+    """
+    if data.phased is None:
+        return run_conic(problem, time_s)
+    deadline = Deadline(time_s)
+    problem.compile()
+    limits = PhaseLimits(site, data, Draws.of_problem(site, data, problem, served))
+    rows = limits.near
+    while True:
+        problem.added = None
+        if rows:
+            joined = Rows.joined(rows)
+            problem.added = joined.matrix, joined.lower
+        outcome = run_conic(problem, deadline.left_s)
+        new = limits.exceeded(problem.x, OVER) if outcome.status == Status.OPTIMAL else []
+        if not new or deadline.passed:
+            problem.added = None
+            status = Status.NO_ANSWER if new else outcome.status
+            return replace(outcome, status=status, solve_s=deadline.spent_s)
+        rows += new
