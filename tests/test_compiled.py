@@ -11,14 +11,17 @@ from vppres.core.errors import NumericalError
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
 from vppres.solve.cache import ModelCache
-from vppres.solve.compiled import affine
+from vppres.solve.compiled import affine, joined
 from vppres.solve.forms import Form, window_problem
 from vppres.solve.result import Status
 from vppres.solve.solvers import find_solver, run, run_conic
 
 
-@pytest.mark.parametrize("kind", ["equal", "most", "cone"])
-def test_a_constraint_has_cvxpys_values_whatever_its_parameters(kind: str) -> None:
+@pytest.mark.parametrize(
+    ("kind", "joins"),
+    [("equal", False), ("most", False), ("equal", True), ("most", True), ("cone", True)],
+)
+def test_a_constraint_has_cvxpys_values_whatever_its_parameters(kind: str, joins: bool) -> None:
     x, y = cp.Variable((2, 3), nonneg=True), cp.Variable(2)
     price, most = cp.Parameter(3, nonneg=True), cp.Parameter(nonneg=True)
     left = x @ price - 2.0 * y
@@ -27,7 +30,7 @@ def test_a_constraint_has_cvxpys_values_whatever_its_parameters(kind: str) -> No
         "most": left <= most * np.ones(2),
         "cone": cp.SOC(most * np.ones(2), cp.vstack([x @ price, y]), axis=0),
     }[kind]
-    found = affine(constraint)
+    found = affine(joined([constraint]) if joins else constraint)
     rng = np.random.default_rng(0)
     for leaf in (x, y, price, most):
         leaf.save_value(rng.uniform(0.5, 1.5, leaf.shape))

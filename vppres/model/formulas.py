@@ -109,7 +109,7 @@ def bus_injections(site: Site, given: Mapping[Devices, Floats]) -> Floats:
     array, shape (..., N)
     """
     bus = {"pv": site.pv_bus, "batteries": site.battery_bus, "customers": site.customer_bus}
-    first, *others = (power @ bus[devices].T for devices, power in given.items())
+    first, *others = ((bus[devices] @ power.T).T for devices, power in given.items())
     return np.asarray(sum(others, start=first))
 
 

@@ -74,13 +74,19 @@ def at_random(terms: list[cp.Expression]) -> list[Floats]:
 def changed_families(page: Named, site: Site, v: Variables, p: Parameters) -> tuple[str, ...]:
     """Families of the paper that the page lacks, or states in another way."""
     paper = {name: c for name, (_, c) in constraints.made_by(site, v, p).items()}
-    return tuple(n for n, c in paper.items() if n not in page or not _says_the_same(c, page[n]))
+    there = {name: c for name, c in paper.items() if _is_alike(c, page.get(name))}
+    sides = [side for n in there for side in (*paper[n].args, *page[n].args)]
+    values = iter(at_random(sides))
+    same = set()
+    for name, constraint in there.items():
+        one, other = ([next(values) for _ in constraint.args] for _ in range(2))
+        if all(np.allclose(x, y, rtol=SAME, atol=0.0) for x, y in zip(one, other, strict=True)):
+            same.add(name)
+    return tuple(name for name in paper if name not in same)
 
 
-def _says_the_same(one: cp.Constraint, other: cp.Constraint) -> bool:
-    """Whether two constraints are of a kind and their sides have the same values."""
-    if type(one) is not type(other) or len(one.args) != len(other.args):
+def _is_alike(one: cp.Constraint, other: cp.Constraint | None) -> bool:
+    """Whether two constraints are of a kind, and their sides of a shape."""
+    if other is None or type(one) is not type(other):
         return False
-    values = at_random([*one.args, *other.args])
-    pairs = zip(values[: len(one.args)], values[len(one.args) :], strict=True)
-    return all(x.shape == y.shape and np.allclose(x, y, rtol=SAME, atol=0.0) for x, y in pairs)
+    return [side.shape for side in one.args] == [side.shape for side in other.args]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cached_property
 
 import cvxpy as cp
 import numpy as np
@@ -25,6 +26,9 @@ from vppres.model.implied import IMPLIED
 from vppres.model.own_page import changed_families, own_term
 from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
+
+NETWORK = frozenset({"P_flow", "Q_flow", "u", "Q_pv", "Q_batt"})
+"""The paper's letters that a relaxation without the network has not."""
 
 
 class Statement:
@@ -53,6 +57,8 @@ class Statement:
     own : tuple of str
         Families that the stages do not know which know the paper by heart, and ``own`` if there
         is such a term.
+    rules : set of str
+        Families on service alone, which a known service meets or does not.
     changed : tuple of str
         Families of the paper that the page lacks, or states in another way.
 
@@ -73,6 +79,8 @@ class Statement:
         self.v = v
         self.p = p
         paper = problem.paper_constraints(site, v, p)
+        self.rules: frozenset[str] = frozenset()
+        self._own_families: Named = {}
         self.families = self._families(paper)
         self.implied: Named = {}
         for family in IMPLIED:
@@ -111,10 +119,8 @@ class Statement:
 
     def _own_names(self, paper: Named) -> tuple[str, ...]:
         """Families of the page and of additions that no stage knows by heart, and their term."""
-        args = (self.site, self.v, self.p)
         named = {name: c for name, c in paper.items() if name not in EQUATIONS}
-        for addition in self._own_parts:
-            named |= addition.families(*args)
+        named |= self._own_families
         for name, constraint in named.items():
             if not _is_linear(constraint):
                 raise ModelError(
@@ -129,7 +135,12 @@ class Statement:
         named = paper
         for addition in self.additions:
             kept = {n: c for n, c in named.items() if n not in addition.replaces}
-            named = kept | addition.families(*args)
+            more = addition.families(*args)
+            named = kept | more
+            if addition in self._own_parts:
+                self._own_families |= more
+            elif addition.rules:
+                self.rules |= more.keys()
         return named
 
     def _terms(self) -> dict[str, cp.Expression]:
@@ -148,19 +159,16 @@ class Statement:
                 terms[name] = terms[name] + term if name in terms else term
         return terms
 
+    @cached_property
+    def network_letters(self) -> frozenset[str]:
+        """Letters that a relaxation without the network has not."""
+        return NETWORK.union(self.named("of_network"))
+
     @property
     def own_letters(self) -> frozenset[str]:
         """Letters that the families and the term of one's own use."""
         parts = [self.terms[name] if name == "own" else self.families[name] for name in self.own]
         return frozenset(x.name() for part in parts for x in part.variables())
-
-    @property
-    def rules(self) -> frozenset[str]:
-        """Families on service alone, which a known service meets or does not."""
-        args = (self.site, self.v, self.p)
-        of_rules = (each for each in self.additions if each.rules and each not in self._own_parts)
-        named = (each.families(*args) for each in of_rules)
-        return frozenset(name for families in named for name in families)
 
     def named(self, kind: str) -> tuple[str, ...]:
         """Letters or families that additions name as of a kind, of those that there are."""

@@ -166,10 +166,10 @@ def _balances(site: Site, data: WindowData, d: Dispatch) -> Excess:
     if data.physics is not None:
         p = p - at_far_ends(data.physics.loss_kw)
         q = q - at_far_ends(data.physics.loss_kvar)
-    incidence = site.network.incidence.T
+    incidence = site.network.incidence
     return {
-        "active balance": _most(tolerance, np.abs(p + d.p_flow_kw @ incidence)),
-        "reactive balance": _most(tolerance, np.abs(q + d.q_flow_kvar @ incidence)),
+        "active balance": _most(tolerance, np.abs(p + (incidence @ d.p_flow_kw.T).T)),
+        "reactive balance": _most(tolerance, np.abs(q + (incidence @ d.q_flow_kvar.T).T)),
     }
 
 

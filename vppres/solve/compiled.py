@@ -45,8 +45,8 @@ class Affine:
     ----------
     rows : Linear
         Equalities, then limits from above, on columns and parameters of its own.
-    equalities, cones : int
-        How many rows are equalities; of how many cones the rows are radius and vector in turn.
+    equalities : int
+        How many rows are equalities.
     first : dict
         First column of each variable, by cvxpy's number of it.
     parameters : list
@@ -59,7 +59,6 @@ class Affine:
 
     rows: Linear
     equalities: int
-    cones: int
     first: dict[int, int]
     parameters: list[tuple[cp.Parameter, int]]
     width: int
@@ -67,18 +66,28 @@ class Affine:
     upper: Floats
 
 
-def affine(constraint: cp.Constraint) -> Affine:
-    """Compile a constraint by itself; a second-order cone as the rows that lie in it."""
-    cones = 0
+def rows_of(constraint: cp.Constraint) -> cp.Expression:
+    """What an affine constraint has at zero or above, row by row; of a cone what lies in it."""
     if isinstance(constraint, cp.SOC):
         radius, vector = constraint.args
-        cones = radius.size
-        inside = cp.vstack([cp.reshape(radius, (1, cones), order="F"), vector])
-        constraint = inside >= 0
+        found = cp.vstack([cp.reshape(radius, (1, radius.size), order="F"), vector])
+    else:
+        left, right = constraint.args
+        found = right - left
+    return cp.vec(found, order="F")
+
+
+def joined(constraints: list[cp.Constraint]) -> cp.Constraint:
+    """The rows of affine constraints one after the other, as those of one constraint."""
+    return cp.hstack([rows_of(each) for each in constraints]) >= 0
+
+
+def affine(constraint: cp.Constraint) -> Affine:
+    """Compile a constraint by itself."""
     if not constraint.size:
         none = np.zeros(0, dtype=np.int64)
         rows = Linear(none, none, sp.csr_array((0, 1)), (0, 0))
-        return Affine(rows, 0, cones, {}, [], 1, np.zeros(0), np.zeros(0))
+        return Affine(rows, 0, {}, [], 1, np.zeros(0), np.zeros(0))
     problem = cp.Problem(cp.Minimize(0), [constraint])
     data, chain, _ = problem.get_problem_data(cp.HIGHS, canon_backend=COMPILER)
     program = data["param_prob"]
@@ -93,8 +102,7 @@ def affine(constraint: cp.Constraint) -> Affine:
     lower, upper = _bounds(program, size)
     return Affine(
         rows,
-        equalities=0 if cones else data["dims"].zero,
-        cones=cones,
+        equalities=data["dims"].zero,
         first=_first_columns(problem, program, chain.compose_var_id_map()),
         parameters=[(p, first[p.id]) for p in program.parameters],
         width=program.total_param_size + 1,

@@ -23,10 +23,6 @@ Mode = Literal["integer", "relaxed", "fixed"]
 
 DISCS = ("battery_inverter_capacity", "pv_inverter_capacity")
 
-NETWORK = frozenset({"P_flow", "Q_flow", "u", "Q_pv", "Q_batt"})
-"""The paper's letters that a relaxation without the network has not."""
-
-
 WITHOUT_NETWORK = (
     "battery_charge_rating",
     "battery_discharge_rating",
@@ -113,11 +109,6 @@ def with_discs(found: Selection, names: list[str], polygon: Polygon | None) -> S
     return found
 
 
-def network_letters(sheet: Sheet) -> frozenset[str]:
-    """Letters that a relaxation without the network has not."""
-    return NETWORK.union(sheet.statement.named("of_network"))
-
-
 def without_network(found: Selection, names: list[str]) -> Selection:
     """A relaxation: families that use a letter of the network are left out.
 
@@ -125,7 +116,7 @@ def without_network(found: Selection, names: list[str]) -> Selection:
     """
     sheet = found.sheet
     families = sheet.statement.families
-    left_out = network_letters(sheet)
+    left_out = sheet.statement.network_letters
     kept = [n for n in names if not left_out & {x.name() for x in families[n].variables()}]
     known = [name for name in kept if name in ORDER]
     found = found.keep(*known)
@@ -153,7 +144,7 @@ def with_level(found: Selection, level: Level) -> Selection:
 
 def form_problem(site: Site, sheet: Sheet, form: Form, conic: bool) -> Selected:
     """A form of the problem as a solver is asked for it."""
-    without = frozenset() if form.network else network_letters(sheet)
+    without = frozenset() if form.network else sheet.statement.network_letters
     return Selected(sheet, partial(select_form, form=form), conic, without)
 
 

@@ -68,6 +68,13 @@ class Linear:
         column = np.where(self.column == self.shape[1], size, self.column)
         return replace(self, column=column, shape=(self.shape[0], size))
 
+    def between(self, first: int, end: int) -> Linear:
+        """The rows from one on to before another."""
+        inside = (self.row >= first) & (self.row < end)
+        by = sp.csr_array(self.by[inside])
+        shape = (end - first, self.shape[1])
+        return Linear(self.row[inside] - first, self.column[inside], by, shape)
+
     def taken(self, rows: Wholes) -> Linear:
         """Some rows, in the order given."""
         count = len(rows)

@@ -16,6 +16,8 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
+from cvxpy.constraints.nonpos import Inequality
+from cvxpy.constraints.zero import Equality
 
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats, Wholes
@@ -24,7 +26,7 @@ from vppres.model.data import WindowData
 from vppres.model.polygons import Polygon
 from vppres.model.site import Site
 from vppres.model.statement import Statement
-from vppres.solve.compiled import Affine, Numbers, affine, checked
+from vppres.solve.compiled import Affine, Numbers, affine, checked, joined
 from vppres.solve.linear import Linear
 
 ORDER = (
@@ -92,8 +94,10 @@ class Sheet:
         self.lower = np.zeros(0)
         self.upper = np.zeros(0)
         self.whole: dict[str, bool] = {}
+        statement = self.statement
+        terms = {_of_term(name): term == 0.0 for name, term in statement.terms.items()}
+        self._constraints = {**statement.families, **statement.implied, **terms}
         self._families: dict[str, tuple[Family, ...]] = {}
-        self._terms: dict[str, Family] = {}
         for name, x in self.statement.letters.items():
             self._add_letter(name, x.shape, *_bounds(x), _is_whole(x))
 
@@ -148,8 +152,7 @@ class Sheet:
     def parts(self, name: str) -> tuple[Family, ...]:
         """A family's rows, equalities apart from limits."""
         if name not in self._families:
-            constraint = {**self.statement.families, **self.statement.implied}[name]
-            self._families[name] = self._compiled(name, constraint)
+            self._compile_with(name)
         return self._families[name]
 
     def family(self, name: str) -> Family:
@@ -157,13 +160,42 @@ class Sheet:
         (found,) = self.parts(name)
         return found
 
-    def _compiled(self, name: str, constraint: cp.Constraint) -> tuple[Family, ...]:
+    def _compile_with(self, name: str) -> None:
+        """Compile a family, and in one go all others that need the network, or do not, as it does.
+
+        A call of cvxpy takes much longer than the rows of a family do. One that is not affine gets
+        columns of its own, and is compiled alone.
+        """
+        constraint = self._constraints[name]
+        if not _joins(constraint):
+            self._families[name] = self._alone(name, constraint)
+            return
+        in_network = self._needs_network(name)
+        named = {
+            each: other
+            for each, other in self._constraints.items()
+            if _joins(other) and self._needs_network(each) == in_network
+        }
+        rows = self._placed(name, affine(joined([c for c in named.values() if c.size])))
+        first = 0
+        for each, other in named.items():
+            size = other.size
+            part = rows.between(first, first + size)
+            self._families[each] = (Family(each, part, *_kind(other), _letters(other)),)
+            first += size
+
+    def _needs_network(self, name: str) -> bool:
+        """Whether a family has letters of the network; the balance, summed over buses, has none."""
+        if name == "active_power_balance":
+            return False
+        return bool(self.statement.network_letters.intersection(_letters(self._constraints[name])))
+
+    def _alone(self, name: str, constraint: cp.Constraint) -> tuple[Family, ...]:
+        """Rows of a constraint that is compiled by itself."""
         found = affine(constraint)
         rows = self._placed(name, found)
-        letters = tuple(dict.fromkeys(x.name() for x in constraint.variables()))
+        letters = _letters(constraint)
         letters += tuple(each for each in self.columns if each.startswith(f"{name} "))
-        if isinstance(constraint, cp.SOC):
-            return (Family(name, rows, CONE, (3, found.cones), letters),)
         total = rows.shape[0]
         equal, most = np.arange(found.equalities), np.arange(found.equalities, total)
         if not len(most) or not len(equal):
@@ -204,12 +236,7 @@ class Sheet:
 
     def term(self, name: str) -> Family:
         """A linear term of the objective as one row; its limit is what it has besides, negative."""
-        if name not in self._terms:
-            term = self.statement.terms[name]
-            rows = self._placed(name, affine(term == 0.0))
-            letters = tuple(dict.fromkeys(x.name() for x in term.variables()))
-            self._terms[name] = Family(name, rows, EQUAL, (1,), letters)
-        return self._terms[name]
+        return replace(self.family(_of_term(name)), name=name, shape=(1,))
 
 
 @dataclass(frozen=True, eq=False)
@@ -391,6 +418,7 @@ class Selected:
         self.extras = 0
         self.is_compiled = False
         self._numbers: Numbers | None = None
+        self._at: dict[str, Wholes] = {}
         self.added: tuple[sp.csr_array, Floats] | None = None
         """More rows for interior points, on its columns, and the least of each."""
 
@@ -613,10 +641,12 @@ class Selected:
 
     def at(self, name: str) -> Wholes:
         """Columns of a letter in its shape."""
-        shape = self.sheet.columns[name].shape
-        size = int(np.prod(shape))
-        first = self.first[name] if size else 0
-        return first + np.arange(size).reshape(shape, order="F")
+        if name not in self._at:
+            shape = self.sheet.columns[name].shape
+            size = int(np.prod(shape))
+            first = self.first[name] if size else 0
+            self._at[name] = first + np.arange(size).reshape(shape, order="F")
+        return self._at[name]
 
     def value_of(self, name: str) -> Floats:
         """Values of a letter in the last solution, in its shape."""
@@ -647,20 +677,16 @@ class Selected:
         assert n is not None
         least = float(n.cost @ x + n.squares.diagonal() @ (x * x) / 2.0) + n.offset
         self.value = -least if self.maximises else least
-        letters = self.statement.letters
         self.x = x
+        within = np.clip(x, self.x_lower, self.x_upper)
+        within[self.whole] = np.round(within[self.whole])
         values = {}
-        for name in letters:
-            shape = letters[name].shape
+        for name, letter in self.statement.letters.items():
             if name in self.first and name not in self._held:
-                value = x[self.at(name)]
-                low, high = (limit.reshape(shape, order="F") for limit in self._limits(name))
-                value = np.clip(value, low, high)
-                if self.sheet.whole[name] and name not in self.selection.relaxed:
-                    value = np.round(value)
+                values[name] = within[self.at(name)]
             else:
-                value = np.broadcast_to(self.held.get(name, np.nan), shape).astype(float)
-            values[name] = value
+                value = self.held.get(name, np.nan)
+                values[name] = np.broadcast_to(value, letter.shape).astype(float)
         self.statement.put(values)
 
 
@@ -671,6 +697,30 @@ class Dims:
     zero: int
     nonneg: int
     soc: list[int]
+
+
+def _of_term(name: str) -> str:
+    """Name of the row of a term: no family has it."""
+    return f"term {name}"
+
+
+def _letters(constraint: cp.Constraint) -> tuple[str, ...]:
+    """Letters in the order of their use."""
+    return tuple(dict.fromkeys(x.name() for x in constraint.variables()))
+
+
+def _joins(constraint: cp.Constraint) -> bool:
+    """Whether a constraint is compiled with others: all of its columns are letters."""
+    known = isinstance(constraint, cp.SOC | Equality | Inequality)
+    return known and all(each.is_affine() for each in constraint.args)
+
+
+def _kind(constraint: cp.Constraint) -> tuple[str, tuple[int, ...]]:
+    """Kind and shape of its rows."""
+    if isinstance(constraint, cp.SOC):
+        return CONE, (3, constraint.args[0].size)
+    kind = EQUAL if isinstance(constraint, Equality) else MOST
+    return kind, tuple(constraint.shape)
 
 
 def _flat(columns: Wholes) -> Wholes:

@@ -14,7 +14,7 @@ from vppres.model.site import Site
 from vppres.solve.cache import ModelCache
 from vppres.solve.certificate import Certificate, CostRange
 from vppres.solve.deadline import Deadline
-from vppres.solve.forms import network_letters, own_of, sheet_of
+from vppres.solve.forms import own_of, sheet_of
 from vppres.solve.result import SolveLimits, WindowSolution
 from vppres.solve.solvers import SolverSpec
 
@@ -108,7 +108,7 @@ class WindowTask:
     def own_in_network(self) -> bool:
         """Whether any of them needs the network, or what follows from the paper may not hold."""
         sheet = sheet_of(self.cache, self.data)
-        return bool(self.changed or sheet.statement.own_letters & network_letters(sheet))
+        return bool(self.changed or sheet.statement.own_letters & sheet.statement.network_letters)
 
     @cached_property
     def everyone(self) -> float:

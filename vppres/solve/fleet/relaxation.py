@@ -24,7 +24,7 @@ from vppres.model.formulas import charge_to_kw, discharge_to_kw
 from vppres.model.numerics import objective_scale
 from vppres.model.site import Site
 from vppres.solve.cache import ModelCache
-from vppres.solve.forms import network_letters, sheet_of
+from vppres.solve.forms import sheet_of
 from vppres.solve.linear import Linear
 from vppres.solve.lumping import Lumping, eliminated
 from vppres.solve.selection import EQUAL, MOST, Family, Selected, Selection, Sheet
@@ -72,7 +72,7 @@ class Fleet:
         self.site = site
         self.sheet = sheet
         self.lumped = lumped
-        self.left_out = network_letters(sheet) | {"Q_grid"}
+        self.left_out = sheet.statement.network_letters | {"Q_grid"}
         self.grid = weight_grid(site.customers.weight * site.dt_h)
         b = site.batteries
         pv = np.ones(len(site.pv))
