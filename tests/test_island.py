@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
@@ -23,10 +23,11 @@ from vppres.plant.island import (
     NO_SOLUTION,
     IslandPlant,
     Settled,
+    curtailed,
     share_out,
     shedding_order,
 )
-from vppres.plant.plant import BatteryState, Plant
+from vppres.plant.plant import BatteryState, Plant, Powers
 from vppres.scenario.assets import Batteries
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import Scenario
@@ -93,6 +94,15 @@ def test_reactive_mismatch_is_the_references_own(tiny: Scenario) -> None:
     assert done.realised.batt_q_kvar == pytest.approx([demand + lost - 2.0, 2.0], abs=1e-5)
 
 
+def test_the_reference_is_the_largest_inverter_that_has_energy(tiny: Scenario) -> None:
+    day = both_form(replace(tiny, load_kw=tiny.load_kw * 0.3))
+    done = settle(day, decision(day, batt_q_kvar=[2.0, 0.0]), state([0.15, 0.85]))
+    demand = day.load_kvar[T].sum()
+    lost = (done.ac.q_from_kvar - done.ac.q_to_kvar).sum()
+    assert done.realised.batt_q_kvar == pytest.approx([2.0, demand + lost - 2.0], abs=1e-5)
+    assert done.ac.v_pu[3] == pytest.approx(1.0, abs=1e-12)
+
+
 def test_missing_power_sheds_the_least_weight_per_kw_of_the_lowest_tier(tiny: Scenario) -> None:
     # 47.5 + 48 kW planned, 30 kW more from the battery that holds the grid, 156 kW asked for.
     day = replace(tiny, customers=replace(tiny.customers, power_factor=np.ones(3)))
@@ -144,6 +154,19 @@ def test_surplus_of_other_batteries_stops_their_discharge(tiny: Scenario) -> Non
     assert not done.dark
 
 
+def test_what_is_exported_is_curtailed_before_what_customers_use() -> None:
+    zeros = np.zeros(2)
+    exporting = Powers(np.array([True]), np.array([4.0, 2.0]), np.array([6.0, 2.0]), *[zeros] * 4)
+    left = curtailed(exporting, 4.0)
+    assert (left.pv_self_kw == exporting.pv_self_kw).all()
+    assert left.pv_export_kw == pytest.approx([3.0, 1.0])
+    assert left.pv_curtailed_kw == pytest.approx([3.0, 1.0])
+    used = curtailed(replace(exporting, pv_export_kw=zeros), 3.0)
+    assert (used.pv_export_kw == 0.0).all()
+    assert used.pv_self_kw == pytest.approx([2.0, 1.0])
+    assert used.pv_curtailed_kw == pytest.approx([2.0, 1.0])
+
+
 def dark_and_empty(scenario: Scenario, done: Settled) -> bool:
     """Nobody served, nothing generated, no voltage, and the batteries as they were."""
     r = done.realised
@@ -151,6 +174,9 @@ def dark_and_empty(scenario: Scenario, done: Settled) -> bool:
         done.dark
         and not r.served.any()
         and np.isnan(done.ac.v_pu).all()
+        and done.ac.v_pu.shape == (scenario.network.n_buses,)
+        and not np.concatenate([np.r_[flow] for flow in astuple(done.ac)[1:-1]]).any()
+        and (done.mismatch_kw == 0.0).all()
         and (r.pv_curtailed_kw == scenario.pv_kw[T]).all()
         and not (r.charge_kw + r.discharge_kw + np.abs(r.p_injection_kw).sum()).any()
     )
