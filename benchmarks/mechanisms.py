@@ -93,11 +93,6 @@ MECHANISMS = (
         {"ladder.fleets_of": every_battery, "fleet.all_terms.fleets_of": every_battery},
         ("fleet.masters.fleets_of",),
     ),
-    Mechanism(
-        "MIP start near the LP relaxation",
-        {"fleet.masters.near_linear": nothing},
-        ("programs.near_linear",),
-    ),
     Mechanism("all terms of the fleet", {"ladder.all_terms": nothing}, ("fleet.all_terms",)),
     Mechanism(
         "battery modes",

@@ -42,7 +42,6 @@ from vppres.solve.programs import (
     SUMS_KEPT,
     ProgramSolution,
     begin_with,
-    near_linear,
     program_of,
     stacked,
     with_sums,
@@ -92,26 +91,6 @@ def test_sums_to_branch_on_change_no_optimum(seed: int) -> None:
     assert (summed.value, summed.bound) == pytest.approx((plain.value, plain.bound), abs=1e-6)
     chosen, sums = np.split(summed.x, [len(program.cost)])
     np.testing.assert_allclose(sums, [chosen[group].sum() for group in groups], atol=1e-6)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_answer_near_the_linear_solution_keeps_what_is_whole_there(seed: int) -> None:
-    program = knapsack(seed)
-    best = ProgramSolution.of(program.loaded(), Deadline(TIME_S))
-    linear = ProgramSolution.of(program.by_shares().loaded(), Deadline(TIME_S)).x
-    near = near_linear(program, 0.0, Deadline(TIME_S))
-    assert near is not None
-    whole = np.abs(linear - np.round(linear)) < 1e-6
-    assert 0 < np.count_nonzero(~whole) <= 3  # one for each budget at most
-    np.testing.assert_allclose(near[whole], linear[whole], atol=1e-6)
-    np.testing.assert_allclose(near, np.round(near), atol=1e-6)
-    assert (program.rows @ near <= program.upper + 1e-6).all()
-    assert best.value <= program.cost @ near + 1e-6
-
-
-def test_nothing_is_near_a_program_without_an_answer() -> None:
-    program = knapsack(0)
-    assert near_linear(replace(program, upper=-program.upper), 0.0, Deadline(TIME_S)) is None
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -93,9 +93,6 @@ SEARCH_UNSTORED = MappingProxyType({**SEARCH_OF_SETS, "mip_heuristic_run_rins": 
 """Options for a search for sets with switching rules where nothing can be stored: many nodes are
 needed there, and sums to branch on. Of 13 windows three more stayed open without them."""
 
-NEAR_NODES = 100
-"""Nodes of a search near a linear solution."""
-
 
 @dataclass(frozen=True, eq=False)
 class Program:
@@ -273,24 +270,6 @@ def add_row(
 ) -> None:
     """Add a row to a solver, which keeps its basis."""
     solver.addRow(lower, upper, len(columns), columns.astype(np.int32), values)
-
-
-def near_linear(program: Program, gap_abs: float, deadline: Deadline) -> Floats | None:
-    """An answer in which whatever is whole in the linear solution stays what it is there.
-
-    Few columns are left to decide, so that it takes next to no time, and a search that begins with
-    it has little to improve: RENS (doi:10.1007/s12532-013-0060-9). HiGHS's own comes after cuts and
-    may take as long as the search. None where there is no such answer.
-    """
-    linear = ProgramSolution.of(program.by_shares().loaded(), deadline)
-    if linear.status != Status.OPTIMAL:
-        return None
-    values = linear.x[program.integer]
-    is_whole = np.abs(values - np.round(values)) < WHOLE_TOLERANCE
-    decided = program.integer[is_whole]
-    near = program.with_held(decided, np.round(values[is_whole]))
-    found = ProgramSolution.of(near.loaded(gap_abs, NEAR_NODES, more=PROOF), deadline)
-    return found.x if found.status.has_answer else None
 
 
 def begin_with(solver: highspy.Highs, columns: Wholes, values: Floats | Flags) -> None:

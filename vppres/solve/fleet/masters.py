@@ -26,9 +26,9 @@ from vppres.solve.fleet.relaxation import (
     weight_grid,
     whole_price,
 )
-from vppres.solve.programs import WHOLE_TOLERANCE, near_linear, program_of
+from vppres.solve.programs import WHOLE_TOLERANCE
 from vppres.solve.result import Outcome, Status
-from vppres.solve.solvers import SolverSpec, compiled_in_time, run
+from vppres.solve.solvers import SolverSpec, run
 from vppres.solve.task import WindowTask
 
 WHOLE_GAP = 0.99
@@ -43,10 +43,8 @@ MOST_BINARIES = 600
 a second and more; whole numbers for each weight are fewer, and cuts stand for the fleet."""
 
 MANY_BINARIES = 150
-"""Binaries from which on a search begins with a set: with fewer that takes as long as itself."""
-
-NEAR_SHARE = 0.1
-"""Share of the time left in which it is looked for."""
+"""Binaries from which on a search begins with a known set: with fewer that takes as long as
+itself."""
 
 ALIKE = 1e-4
 """Spread of efficiencies up to which the fleet is lumped into one battery first: beyond it, one
@@ -169,7 +167,7 @@ def search_for_set(
     first: Flags | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> Outcome:
-    """How a search for a set ended that begins with a known one, or with one near the linear set.
+    """How a search for a set ended that begins with a known one, where there is any.
 
     ``scale`` is a factor in the problem's objective as in ``run``. A search of few binaries begins
     with nothing, and has the solver's options for any set; others have these if ``options`` is
@@ -178,16 +176,9 @@ def search_for_set(
     x = problem.sheet.columns["x_served"]
     if x.size < MANY_BINARIES:
         return run(problem, spec, gap_abs, time_s, scale, spec.of_sets)
-    deadline = Deadline(time_s)
-    asks = first is None and len(spec.of_sets) > 0
-    if asks and compiled_in_time(problem, deadline):
-        near = near_linear(program_of(problem), gap_abs * scale, deadline.part(NEAR_SHARE))
-        if near is not None:
-            first = near[problem.at("x_served")] > 0.5
     start = None if first is None else Start("x_served", first)
     more = spec.of_sets if options is None else options
-    outcome = run(problem, spec, gap_abs, deadline.left_s, scale, more, start)
-    return replace(outcome, solve_s=deadline.spent_s)
+    return run(problem, spec, gap_abs, time_s, scale, more, start)
 
 
 def master_of(task: WindowTask, lumped: bool, deadline: Deadline) -> Master | None:
