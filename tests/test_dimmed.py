@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +14,7 @@ import pytest
 from experiments.random_feeders import random_window
 from tests.support.live_service import HERE, NOON, client, decided, said, site
 from tests.support.small_windows import DARK, OPEN, battery, two_buses, window, with_pv
-from vppres import InputError, RunOptions, explain_day, run_day, summarise
+from vppres import Controller, InputError, Measurement, RunOptions, explain_day, run_day, summarise
 from vppres.contract.decision import Decision
 from vppres.control.guard.check import violations
 from vppres.control.step_state import StepState
@@ -114,6 +115,56 @@ def test_many_that_may_be_dimmed_never_outweigh_a_critical_one_in_strict_order()
     assert answer.dispatch.supplied[0, 1:].sum() == pytest.approx(1.0, abs=1e-3)
 
 
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    ("recover_h", "limit_kw", "service"),
+    [
+        (np.nan, OPEN, 5.5),  # 15 kWh of 20 in the dark, then four hours with grid
+        (1.0, OPEN, 6.0),
+        (1.0, 12.0, 5.7),  # an hour of 2 kW besides
+        (2.0, 12.0, 6.0),  # dimmed in the third hour too, and three hours of 2 kW besides or less
+        (0.9, OPEN, 5.5),  # less than a step
+    ],
+)
+def test_what_is_caught_up_counts_again(
+    method: str, recover_h: float, limit_kw: float, service: float
+) -> None:
+    day = dark_then_open(recover_h, limit_kw)
+    answer = WindowSolver(Site.of(day), method).solve(window(day))
+    share = answer.dispatch.supplied.astype(float)[:, 0]
+    assert share.sum() == pytest.approx(service, abs=1e-4)
+    assert answer.objective == pytest.approx(service, abs=2e-2)  # less the cost of import
+    assert answer.status == "optimal"
+
+
+def dark_then_open(recover_h: float, limit_kw: float) -> Scenario:
+    """Two dark hours with 15 of 20 kWh, and four with so much import."""
+    day = two_buses([[10.0]] * 6, [1.0], [DARK] * 2 + [limit_kw] * 4)
+    stored = battery(energy_kwh=15.0 / 0.7 / 0.95, p_max_kw=1e3, s_max_kva=1e3)
+    day = replace(day, batteries=replace(stored, soc_initial=stored.soc_max))
+    return replace(day, customers=replace(day.customers, share_min=[0.5], recover_h=[recover_h]))
+
+
+def test_what_is_owed_survives_a_restart() -> None:
+    """Steps one by one know what the steps before left, and day and service agree."""
+    day = dark_then_open(2.0, OPEN)
+    options = RunOptions(horizon_h=2.0, isolate=False)
+    whole = run_day(day, options).customers["share"].to_numpy()
+    assert whole.sum() == pytest.approx(6.0, abs=1e-3)
+    controller = Controller.of(day, options)
+    soc, found = {"b0": float(day.batteries.soc_initial[0])}, []
+    for time in day.grid.times:
+        state = json.loads(json.dumps(controller.state(), allow_nan=False))
+        controller = Controller.of(day, options, state=state)
+        step = controller.step(Measurement(time, soc))
+        soc = dict(step.batteries["soc_end"])
+        found.append(step.customers.loc["c0", "share"])
+    assert found == pytest.approx(whole, abs=1e-3)
+    told = explain_day(run_day(day, options)).explanations
+    assert told is not None
+    assert set(told.loc[told["action"] == "caught_up", "driver"]) == {"recovery"}
+
+
 @pytest.mark.monolith
 @pytest.mark.parametrize("seed", range(40))
 def test_methods_agree_on_random_windows(seed: int) -> None:
@@ -122,7 +173,9 @@ def test_methods_agree_on_random_windows(seed: int) -> None:
     count = len(scenario.customers)
     least = np.where(rng.random(count) < 0.5, rng.choice([0.0, 0.3, 0.7], count), 1.0)
     least[rng.integers(count)] = 0.2
-    day_site = Site.of(dimmable(scenario, *least))
+    recover_h = np.where((rng.random(count) < 0.5) & (least < 1.0), scenario.grid.dt_h, np.nan)
+    day = dimmable(scenario, *least)
+    day_site = Site.of(replace(day, customers=replace(day.customers, recover_h=recover_h)))
     one, other = (WindowSolver(day_site, method).solve(data) for method in METHODS)
     gap = 1e-4 * max(abs(other.objective), 0.01) + 1e-6
     assert one.objective == pytest.approx(other.objective, abs=2.0 * gap)
@@ -233,6 +286,8 @@ def test_the_column_is_read_and_written(tiny: Scenario, tmp_path: Path) -> None:
 def test_what_cannot_be_dimmed_is_refused(tiny: Scenario) -> None:
     with pytest.raises(InputError, match=r"customer shop.*share_min.*above 0.*longest time off"):
         replace(tiny.customers, share_min=[1.0, 0.0, 1.0], max_off_h=[np.nan, 2.0, np.nan])
+    with pytest.raises(InputError, match=r"customer shop.*recover_h.*not dimmed"):
+        replace(tiny.customers, recover_h=[np.nan, 2.0, np.nan])
     cold = RunOptions(switching=SwitchingRules(cold_load_factor=2.0, cold_load_h=1.0))
     with pytest.raises(InputError, match=r"cold_load_factor.*may be dimmed"):
         run_day(dimmable(tiny, 1.0, 0.5, 1.0), cold)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from vppres.contract.forecast import Forecast
 from vppres.contract.moves import Moves
 from vppres.contract.operating_point import OperatingPoint
+from vppres.contract.owed import Owed
 from vppres.contract.stored_value import StoredValue
 from vppres.contract.switching import SwitchingData, SwitchingState
 from vppres.contract.terminal import Terminal
@@ -90,6 +91,8 @@ class Observation:
         How much of the step is over, where it is decided anew; states are those of that moment.
     soc_age_h : array, shape (B,), optional
         How old the state of charge is; of now if not given.
+    owed : Owed, optional
+        What dimmed customers may still catch up; None if none does.
     told : tuple of Told
         What batteries were told since the last decision, where it was something else.
     """
@@ -115,6 +118,7 @@ class Observation:
     elapsed_h: float = 0.0
     soc_age_h: Floats | None = None
     told: tuple[Told, ...] = ()
+    owed: Owed | None = None
 
     def counted(self, times: float) -> Observation:
         """The same where a weighted customer hour in an outage counts as so many."""

@@ -39,7 +39,7 @@ def demand_kw(run: Trajectory) -> Floats:
 
 def off_kw(run: Trajectory) -> Floats:
     """Demand that is off supply, of dimmed customers the rest, shape (T,)."""
-    off = 1.0 - supplied(run.customers)
+    off = np.maximum(1.0 - supplied(run.customers), 0.0)
     return per_step(run, run.customers["p_load_kw"] * off, run.customers)
 
 

@@ -14,6 +14,7 @@ from vppres.contract.dispatch import Dispatch
 from vppres.contract.forecast import ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import OperatingPoint
+from vppres.contract.owed import Owed
 from vppres.contract.switching import SwitchingState
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
@@ -128,6 +129,7 @@ class Day:
         self.battery_kw: Floats | None = None
         self.import_kw: float | None = None
         self.served: Flags | None = None
+        self.owed = Owed.of(scenario.customers, scenario.grid.dt_h)
         self.outages = OutageView.create(scenario, self.options.as_record())
         self.grid_seen = GridSeen()
         self.outage_messages = ""
@@ -148,6 +150,7 @@ class Day:
             battery_kw=self.battery_kw,
             import_kw=self.import_kw,
             served=self.served,
+            owed=self.owed,
             terminal=Terminal.of(
                 self.options.soc_end, forecast, ends=steps.stop == self.scenario.grid.n_steps
             ),
@@ -208,6 +211,10 @@ class Day:
         self.state = self.plant.advance(t, self.state, realised)
         if self.switching is not None:
             self.switching = self.switching.advance(realised.served)
+        if self.owed is not None:
+            self.owed = self.owed.after(
+                realised.load_kw, np.asarray(realised.served * realised.share, dtype=float)
+            )
         return record
 
     def carry_out(self, t: int, decision: Decision) -> Settled:

@@ -12,7 +12,7 @@ from vppres.core.arrays import Floats
 from vppres.day.phased import refuse_phased
 from vppres.day.recorder import ROTATED
 from vppres.day.trajectory import Trajectory
-from vppres.explain.dimmed import why_dimmed
+from vppres.explain.dimmed import why_caught_up, why_dimmed
 from vppres.explain.prices import WORTH, WORTH_GBP, day_prices, step_prices
 from vppres.explain.reasons import why_battery_moved, why_curtailed, why_not_served, why_restored
 from vppres.explain.recorded import MOVE_KW, Recorded
@@ -106,6 +106,10 @@ def _actions(step: Step) -> list[Row]:
     rows += [
         _row("customer", site.customers.id[c], "dimmed", why_dimmed(step, c))
         for c in np.flatnonzero(step.served & (step.share < 1.0)).tolist()
+    ]
+    rows += [
+        _row("customer", site.customers.id[c], "caught_up", why_caught_up(step, c))
+        for c in np.flatnonzero(step.share > 1.0).tolist()
     ]
     rows += [
         _row("customer", site.customers.id[c], "restored", why_restored(step, c))

@@ -1,4 +1,4 @@
-"""Why a customer got a part of its demand."""
+"""Why a customer got a part of its demand, or more than it."""
 
 from __future__ import annotations
 
@@ -28,3 +28,9 @@ def why_dimmed(step: Step, customer: int) -> Reason:
         )
         return Reason("priority", binding, words)
     return Reason(binding, binding, f"{what}: {scarce} does not suffice for more{more}.")
+
+
+def why_caught_up(step: Step, customer: int) -> Reason:
+    """Why a customer got more than its demand."""
+    more_kw = (step.share[customer] - 1.0) * step.load_kw[customer]
+    return Reason("recovery", "", f"Gets {more_kw:.1f} kW besides: it catches up what it lacked.")

@@ -13,6 +13,7 @@ from vppres.contract.decision import batteries_out
 from vppres.contract.forecast import Forecast, ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import OperatingPoint
+from vppres.contract.owed import Owed
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
 from vppres.day.forecasting import PAPER, Forecasts, named_forecasts
@@ -89,6 +90,17 @@ class Recorded:
     def off_before_h(self) -> Floats:
         """How long each customer had been off at the beginning of each step in h, (T, C)."""
         return off_before_h(self.served, self.scenario.grid.dt_h)
+
+    @cached_property
+    def _owed(self) -> list[Owed | None]:
+        """What could still be caught up at the beginning of each step."""
+        none = Owed.of(self.site.customers, self.site.dt_h)
+        if none is None:
+            return [None] * self.n_steps
+        owed = [none]
+        for load_kw, share in zip(self.load_kw, self.share, strict=True):
+            owed.append(owed[-1].after(load_kw, share))
+        return [*owed]
 
     @property
     def n_seen(self) -> int:
@@ -233,6 +245,7 @@ class Recorded:
             self.soc_start[t],
             self._eta_charge[t],
             self._eta_discharge[t],
+            owed=self._owed[t],
             terminal=Terminal.of(self.soc_asked, forecast, ends=steps.stop == self.n_steps),
         )
         told = self._view.told(seen, self._grid_seen[t], self.scenario, t, self._forecaster)

@@ -26,6 +26,7 @@ Driver = (
         "priority",
         "switching_rule",
         "longest_off",
+        "recovery",
         "price",
         "preparation",
         "surplus",

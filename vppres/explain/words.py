@@ -43,6 +43,7 @@ DRIVERS = {
     "priority": "priority",
     "switching_rule": "switching rule",
     "longest_off": "longest time off",
+    "recovery": "catching up",
     "price": "price",
     "preparation": "preparation",
     "surplus": "PV surplus",

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.contract.operating_point import OperatingPoint
+from vppres.contract.owed import Owed
 from vppres.contract.switching import SwitchingState
 from vppres.control.remembered import memory_of, put_back
 from vppres.core.arrays import Complexes, Flags, Floats
@@ -48,6 +49,8 @@ class Past:
         Solutions by the position of the source's bus, from which the next power flow starts.
     grid_seen : GridSeen
         Outages so far.
+    owed : Owed or None
+        What dimmed customers may still catch up.
     """
 
     t: int
@@ -58,13 +61,14 @@ class Past:
     history: History | None
     voltages: dict[int, Complexes]
     grid_seen: GridSeen = field(default_factory=GridSeen)
+    owed: Owed | None = None
 
     @classmethod
     def before_the_day(cls, scenario: Scenario, options: RunOptions) -> Past:
         """Before the first step: everyone has been served for long."""
         day = Day(scenario, options)
         history = None if options.forecaster == PAPER else history_before(scenario)
-        return cls(-1, None, day.switching, day.plant.cold_load, None, history, {})
+        return cls(-1, None, day.switching, day.plant.cold_load, None, history, {}, owed=day.owed)
 
     def with_measured(self, start: pd.Timestamp, load_kw: Floats, pv_kw: Floats) -> History | None:
         """The history with a step, (C,) and (P,); None where no forecaster learns from it."""
@@ -73,6 +77,13 @@ class Past:
         return self.history.followed_by(start, load_kw[np.newaxis], pv_kw[np.newaxis]).last_days(
             REMEMBERED_DAYS
         )
+
+    def owed_at(self, t: int) -> Owed | None:
+        """What may still be caught up at a step; in steps between nothing was."""
+        owed = self.owed
+        for _ in range(self.t + 1, t):
+            owed = owed and owed.after(np.zeros(len(owed.steps)), np.ones(len(owed.steps)))
+        return owed
 
     def held_until(self, t: int) -> tuple[SwitchingState | None, ColdLoad]:
         """Switching state and cold load at a step, set-points held over those in between."""
@@ -94,6 +105,7 @@ class Past:
             "served": to_plain(self.served, given),
             "voltages": to_plain(self.voltages, given),
             "grid_seen": to_plain(self.grid_seen, given),
+            "owed": to_plain(self.owed, given),
         }
 
     def read(self, plain: Any, history: History | None, given: Given, where: str) -> Past:
@@ -113,6 +125,7 @@ class Past:
             "switching": SwitchingState | None,
             "served": Flags | None,
             "voltages": dict[int, Complexes],
+            "owed": Owed | None,
         }
         values = {
             name: from_plain(kind, found.get(name), f"{where}.{name}", given)

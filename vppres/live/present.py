@@ -143,6 +143,7 @@ class Present:
             online=seen.online,
             import_kw=seen.import_kw,
             served=self.past.served,
+            owed=self.past.owed_at(self.t),
             terminal=Terminal.of(self.options.soc_end, forecast, ends=self.ends),
             elapsed_h=seen.elapsed_h,
             soc_age_h=seen.soc_age_h,
@@ -160,6 +161,7 @@ class Present:
         day.state = BatteryState(known.soc, known.eta_charge, known.eta_discharge, t_ref_c)
         day.outage_messages = known.outage_messages
         day.switching = self.switching
+        day.owed = self.past.owed_at(self.t)
         day.ac.go_on_from(self.past.voltages)
         day.plant.cold_load = self.cold_load
         return day
@@ -183,6 +185,7 @@ class Present:
             history=self._learned(day.scenario),
             voltages=day.ac.found,
             grid_seen=self.grid_seen,
+            owed=day.owed,
         )
 
     def _learned(self, believed: Scenario) -> History | None:

@@ -10,6 +10,7 @@ from vppres.contract.export import Export
 from vppres.contract.moves import Moves
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
+from vppres.contract.owed import Owed
 from vppres.contract.stored_value import Ending, StoredValue
 from vppres.contract.switching import SwitchingData
 from vppres.contract.terminal import Terminal
@@ -122,6 +123,8 @@ class WindowData:
         Largest flow of each line; None, the paper, has no ratings.
     phased : PhasedWindow, optional
         Voltages and former by phase; None for a balanced feeder.
+    owed : Owed, optional
+        What dimmed customers may catch up from before the window; None for nothing.
     """
 
     load_kw: Floats
@@ -142,6 +145,7 @@ class WindowData:
     own_u_pu2: Floats | None = None
     flow_max_kva: Floats | None = None
     phased: PhasedWindow | None = None
+    owed: Owed | None = None
 
     @classmethod
     def of(cls, observation: Observation, site: Site, centre: Centre) -> WindowData:
@@ -168,6 +172,7 @@ class WindowData:
             drawn=drawn_by(site.network, None if point is None else point.v_pu, island),
             terminal=observation.end if stores else None,
             stored_value=observation.stored_value if stores else None,
+            owed=observation.owed,
         )
 
     def with_sound_soc(self, batteries: Batteries) -> WindowData:

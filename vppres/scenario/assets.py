@@ -23,6 +23,9 @@ NO_POWER_KW = 1e-3
 OF_TIME_OFF = ("max_off_h", "own_backup_h")
 """Columns of customers that say how long they may be off."""
 
+OF_HOURS = (*OF_TIME_OFF, "recover_h")
+"""Columns of customers that are NaN if not given, and empty if no customer has one."""
+
 
 @dataclass(frozen=True, eq=False)
 class Customers:
@@ -34,12 +37,14 @@ class Customers:
     in interruptions and minutes lost, 1 if not given. ``max_off_h`` is how long a customer may be
     off at a time, ``own_backup_h`` how long its own backup supplies it, in h; NaN if not given, and
     empty if no customer has one. ``share_min`` is the least share of its demand with which a
-    customer may be supplied, 1 if it may not be dimmed, and empty if none may.
+    customer may be supplied, 1 if it may not be dimmed, and empty if none may; ``recover_h`` the
+    hours in which it catches up what it was not given, NaN if it does not, and empty if none does.
 
     Raises
     ------
     InputError
-        If a customer with a longest time off may be dimmed to nothing, which would count as on.
+        If a customer with a longest time off may be dimmed to nothing, which would count as on, or
+        one that is not dimmed is to catch up.
     """
 
     id: Names
@@ -52,12 +57,13 @@ class Customers:
     max_off_h: Floats = field(default_factory=lambda: np.empty(0))
     own_backup_h: Floats = field(default_factory=lambda: np.empty(0))
     share_min: Floats = field(default_factory=lambda: np.empty(0))
+    recover_h: Floats = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
         for name in ("shed_steps", "homes"):
             if len(getattr(self, name)) == 0:
                 object.__setattr__(self, name, np.ones(len(self.id), dtype=int))
-        for name in OF_TIME_OFF:
+        for name in OF_HOURS:
             if np.isnan(np.asarray(getattr(self, name), dtype=float)).all():
                 object.__setattr__(self, name, np.empty(0))
         if (np.asarray(self.share_min, dtype=float) == 1.0).all():
@@ -74,6 +80,7 @@ class Customers:
             max_off_h=float,
             own_backup_h=float,
             share_min=float,
+            recover_h=float,
         )
         problems = [
             Problem(
@@ -84,6 +91,16 @@ class Customers:
                 value=0.0,
             )
             for i in np.flatnonzero((self.least_share == 0.0) & np.isfinite(self.longest_off_h))
+        ]
+        problems += [
+            Problem(
+                f"customer {self.id[i]}",
+                "has no meaning for a customer that is not dimmed",
+                "Give a share_min below 1, or leave recover_h out.",
+                field="recover_h",
+                value=float(self.recovery_h[i]),
+            )
+            for i in np.flatnonzero((self.recovery_h > 0.0) & ~self.dimmable)
         ]
         if problems:
             raise InputError(problems)
@@ -105,6 +122,11 @@ class Customers:
     def dimmable(self) -> Flags:
         """Customers that may be supplied with a part of their demand, (C,)."""
         return np.asarray(self.least_share < 1.0)
+
+    @property
+    def recovery_h(self) -> Floats:
+        """Hours in which each catches up what it was not given, 0 if it does not, (C,)."""
+        return np.nan_to_num(self.recover_h) if len(self.recover_h) else np.zeros(len(self))
 
     @property
     def longest_off_h(self) -> Floats:

@@ -108,7 +108,8 @@ class TieBreakers(Selected):
             by = [sheet.family(name) for name in OF_PV]
             parts = tuple(eliminated(sheet, parts, ("P_self", "P_exp"), by))
         order = ("P_grid", "P_curt")
-        return replace(found, parts=parts, squares=squares_of(site), order=order)
+        calm = {name: np.ones(sheet.columns[name].shape[-1]) for name in named("calm")}
+        return replace(found, parts=parts, squares=squares_of(site) | calm, order=order)
 
     def _disc(self, found: Selection, name: str, sides: int) -> Selection:
         """Discs, or polygons for large windows; what data leaves of a disc is an interval."""

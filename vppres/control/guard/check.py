@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vppres.contract.decision import Decision
+from vppres.contract.owed import MOST_SHARE
 from vppres.control.step_state import StepState
 from vppres.core.arrays import Floats, Names
 from vppres.model.formulas import bus_injections, cell_kw, curtailed_kw, lossless_flows, soc_after
@@ -142,7 +143,8 @@ def _shapes(decision: Decision, site: Site) -> list[str]:
 
 def _service(row: _Row, state: StepState) -> str:
     least = state.site.customers.least_share
-    partly = np.maximum(least - row.served, row.served - 1.0)
+    most = np.where(state.site.customers.recovery_h > 0.0, MOST_SHARE, 1.0)
+    partly = np.maximum(least - row.served, row.served - most)
     partly = np.minimum(np.abs(row.served), np.maximum(partly, 0.0))
     return "a customer is supplied in part" if partly.max(initial=0.0) > 1e-6 else ""
 

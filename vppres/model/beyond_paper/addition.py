@@ -54,6 +54,8 @@ class Addition:
     by_dispatch, at_least, met : tuple of str
         Its letters that the tie-breakers hold and those that they bound below, by
         :meth:`of_dispatch`; its families that hold by that.
+    calm : tuple of str
+        Its letters between 0 and 1 of which the tie-breakers minimise the squares, as kW of loss.
     """
 
     replaces: ClassVar[tuple[str, ...]] = ()
@@ -65,6 +67,7 @@ class Addition:
     by_dispatch: ClassVar[tuple[str, ...]] = ()
     at_least: ClassVar[tuple[str, ...]] = ()
     met: ClassVar[tuple[str, ...]] = ()
+    calm: ClassVar[tuple[str, ...]] = ()
 
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:

@@ -39,6 +39,7 @@ LIMITS = {
 ACTIONS = {
     "not_served": "customer not served",
     "dimmed": "customer dimmed",
+    "caught_up": "customer caught up",
     "restored": "customer restored in time",
     "charge": "battery charged",
     "discharge": "battery discharged",
