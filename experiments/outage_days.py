@@ -340,6 +340,16 @@ def by_several_names(day: OutageDay, seed: int, climate: OutageClimate | None = 
     return replace(day, warnings=tuple(messages))
 
 
+def before_the_onset(day: OutageDay) -> OutageDay:
+    """The day without any estimate of the end of an outage that has begun."""
+    kept = [
+        one
+        for one in day.warnings
+        if one.all_clear or one.onset_likely is None or one.issued_at < one.onset_likely
+    ]
+    return replace(day, warnings=tuple(kept))
+
+
 def with_notices(day: OutageDay, midnight: pd.Timestamp, seed: int) -> OutageDay:
     """The day with a crew's notices: an hour before the end in most cases, else rarely in vain."""
     rng = np.random.default_rng([seed, 1544])

@@ -2,7 +2,8 @@
 
 ``python -m experiments.uncertain --days 240``, ``--part cigre`` on another feeder, ``--part wrong``
 with beliefs that are wrong about durations, ``--part names`` with estimates of restoration under
-another name than the warning, of which some are wrong, and with a crew's notices.
+another name than the warning, of which some are wrong, and with a crew's notices; ``--part notice``
+on days whose lengths differ more, with estimates and without.
 """
 
 from __future__ import annotations
@@ -24,7 +25,9 @@ from experiments.outage_days import (
     FALSE_SHARE,
     NOTICE_H,
     NOTICE_SHARE,
+    OutageClimate,
     OutageDay,
+    before_the_onset,
     biased,
     by_several_names,
     draw_outage_day,
@@ -61,7 +64,7 @@ from vppres.scenario.scenario import Scenario
 from vppres.studies.drawing import draw_grid, save_figure
 from vppres.studies.side_by_side import Where
 
-Part = Literal["heatwave", "cigre", "wrong", "names"]
+Part = Literal["heatwave", "cigre", "wrong", "names", "notice"]
 
 TWO_STAGE = "two-stage"
 POLICIES = {
@@ -82,6 +85,11 @@ OF_NAMES = {
     "known": "the exact window, H = 5 h",
 }
 """Policies of the part ``names``."""
+
+SHARP, SILENT = "estimates within a fifth", "no estimates"
+VARIED = OutageClimate(duration_median_h=3.0, duration_sigma=1.2, restoration_sign=0.2)
+"""Days of the part ``notice``: of lengths that nobody knows before the onset. In those of the part
+``names`` they are known better than an estimate says them."""
 
 SCENARIOS = 8
 """Futures that the yardstick of two stages samples in every step."""
@@ -269,10 +277,26 @@ def wrong_day(seed: int) -> list[Run]:
 
 def names_day(seed: int) -> list[Run]:
     """Estimates under another name, on one day of the paper's feeder."""
+    return _of_names(by_several_names(draw_outage_day(seed, heatwave().grid.start), seed), "", seed)
+
+
+def notice_day(seed: int) -> list[Run]:
+    """What names and notices are worth where lengths differ much, on a day with an outage."""
+    drawn = draw_outage_day(seed, heatwave().grid.start, VARIED)
+    if not drawn.outages:
+        return []
+    named = by_several_names(drawn, seed, VARIED)
+    runs = _of_names(named, SHARP, seed, VARIED)
+    return runs + _of_names(before_the_onset(named), SILENT, seed, VARIED)
+
+
+def _of_names(
+    day: OutageDay, kind: str, seed: int, climate: OutageClimate | None = None
+) -> list[Run]:
+    """The policies of the part ``names`` on a day."""
     base = heatwave()
-    day = by_several_names(draw_outage_day(seed, base.grid.start), seed)
-    scenario = with_outage_day(base, day)
-    told = with_outage_day(base, with_notices(day, base.grid.start, seed))
+    scenario = with_outage_day(base, day, climate)
+    told = with_outage_day(base, with_notices(day, base.grid.start, seed), climate)
     told = replace(
         told,
         outage_statistics=replace(
@@ -283,7 +307,7 @@ def names_day(seed: int) -> list[Run]:
         ),
     )
     return [
-        _run(told if policy == NOTICE else scenario, day, policy, "", seed) for policy in OF_NAMES
+        _run(told if policy == NOTICE else scenario, day, policy, kind, seed) for policy in OF_NAMES
     ]
 
 
@@ -353,13 +377,14 @@ def worst(resilience: Floats) -> float:
     return float(np.sort(resilience)[:count].mean())
 
 
-def closed(runs: Sequence[Run], policy: str) -> Estimate:
+def closed(runs: Sequence[Run], policy: str, wrong: str = "") -> Estimate:
     """Share of the gap from the likely outage to the known one that a policy closes.
 
     The interval is the bootstrap's, over paired days.
     """
     columns = [
-        paired(runs, name, "", lambda run: run.resilience) for name in ("likely", policy, "known")
+        paired(runs, name, wrong, lambda run: run.resilience)
+        for name in ("likely", policy, "known")
     ]
     likely, mine, known = columns
     rng = np.random.default_rng(0)
@@ -469,6 +494,29 @@ def _names_text(runs: Sequence[Run]) -> str:
     return "\n\n".join([_policies_text(runs, OF_NAMES), *gains])
 
 
+def _notice_text(runs: Sequence[Run]) -> str:
+    """What the last message and a notice gain on days of each kind, day by day."""
+    rows = []
+    for kind in (SHARP, SILENT):
+        found = {name: paired(runs, name, kind, lambda run: run.resilience) for name in OF_NAMES}
+        shares = [closed(runs, name, kind).text(".2f") for name in (BY_NAME, "belief", NOTICE)]
+        by_last, by_notice = (
+            Estimate.of(found[one] - found[other]).text("+.4f")
+            for one, other in (("belief", BY_NAME), (NOTICE, "belief"))
+        )
+        rows.append((kind, len(found["belief"]), *shares, by_last, by_notice))
+    head = (
+        "days",
+        "number",
+        "closed by name",
+        "by the last message",
+        "with notices",
+        "R by the last message",
+        "R by notices",
+    )
+    return markdown_table(head, rows)
+
+
 def _wrong_text(runs: Sequence[Run]) -> str:
     """The table of wrong beliefs."""
     outages = with_outage(runs)
@@ -518,7 +566,7 @@ def _write(part: Part, runs: Sequence[Run], wall_s: float, folder: Path) -> Path
     name = f"uncertain-{part}"
     days = len({run.seed for run in runs})
     outages = len({run.seed for run in with_outage(runs)})
-    texts = {"wrong": _wrong_text, "names": _names_text}
+    texts = {"wrong": _wrong_text, "names": _names_text, "notice": _notice_text}
     parts = [texts[part](runs)] if part in texts else [_policies_text(runs), _kinds_text(runs)]
     if part not in texts:
         save_figure(figure(runs), folder / name)
@@ -546,6 +594,7 @@ PARTS: dict[Part, Study[list[Run]]] = {
     "cigre": Study(cigre_day, _writer("cigre"), width=TABLE_WIDTH),
     "wrong": Study(wrong_day, _writer("wrong"), width=TABLE_WIDTH),
     "names": Study(names_day, _writer("names"), width=TABLE_WIDTH),
+    "notice": Study(notice_day, _writer("notice"), width=TABLE_WIDTH),
 }
 
 

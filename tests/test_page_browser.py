@@ -367,6 +367,7 @@ def test_an_outage_and_what_goes_wrong_in_it(
             row = page.locator("#off-list", has_text=shown[1:])
             row.wait_for(timeout=100_000)
         assert words and "planned:" not in watcher.text("#off-list")
+        assert said[0]["step"]["words"] in watcher.text("#off-list")
         attention = watcher.text("#attention-list")
         assert "Less than 10% of the usable energy is left, and there is no grid." in attention
         assert "missed" in watcher.text("#steps-list")

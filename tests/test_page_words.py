@@ -48,10 +48,13 @@ def told(http: Caller, folder: Path) -> dict[str, Any]:
 
 
 CREW = """
-import { SiteClock, announced, crewSays } from "./words.mjs";
+import { SiteClock, announced, crewSays, facts } from "./words.mjs";
 const view = { clock: new SiteClock("Europe/London"), now: new Date("2026-07-01T14:20:00Z") };
 const said = %s.map((text) => crewSays(text, view));
-console.log(JSON.stringify({ said, words: said.map((body) => body && announced(body, view)) }));
+const plan = { start: "2026-07-01T14:00:00Z", off: [] };
+const overview = { plan, events: { crew: said[0] } };
+const first = facts({ ...view, site: { customers: {} }, overview });
+console.log(JSON.stringify({ said, first, words: said.map((body) => body && announced(body, view)) }));
 """
 
 
@@ -79,6 +82,7 @@ def test_what_a_crew_says_is_one_field(tmp_path: Path) -> None:
     expected = [{"type": "restoration", "source": "operator", **each} for each in times]
     assert done["said"] == [*expected, None, None]
     assert done["words"][0] == "Restoration not before 16:00, about 18:00"
+    assert "Announced: restoration not before 16:00, about 18:00 (crew)." in done["first"]
 
 
 def test_the_first_lines_tell_what_is_announced_and_ordered(tiny: Scenario, tmp_path: Path) -> None:

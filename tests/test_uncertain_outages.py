@@ -328,12 +328,12 @@ def test_what_is_kept_is_said_with_numbers_that_a_second_solve_confirms(tiny: Sc
     recorded = Recorded(run)
     b, c = tiny.batteries, tiny.customers
     other = WindowSolver(recorded.site, method="monolithic")
-    told = [t for t in range(6) if "is kept until" in words[t]]
+    told = [t for t in range(6) if "energy is kept until" in words[t]]
     assert {1, 2, 3} <= set(told)
     for t in told:
         found = re.search(
-            r"([0-9]+)% is kept until (\S+) because .* (\S+) with ([0-9]+)%; it costs (?:£([0-9]+)|"
-            r"nothing) in this step; it covers hospital for ([0-9.]+) h",
+            r"([0-9]+)% of the usable energy is kept until (\S+) because .* (\S+) with ([0-9]+)%; it "
+            r"costs (?:£([0-9]+)|nothing) in this step; it covers hospital for ([0-9.]+) h",
             words[t],
         )
         assert found is not None

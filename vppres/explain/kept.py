@@ -59,7 +59,7 @@ class Kept:
         may = "the outage may last to" if out else "an outage is possible up to"
         costs = in_pounds(self.gbp, ",.0f") if self.gbp >= LEAST_GBP else "nothing"
         return (
-            f"{self.share:.0%} is kept until {end} because {may} {until} with "
+            f"{self.share:.0%} of the usable energy is kept until {end} because {may} {until} with "
             f"{self.probability:.0%}; it costs {costs} in this step; it covers {self.covers} for "
             f"{figure(self.hours)} h."
         )

@@ -49,7 +49,8 @@ async function look() {
 let asking = false;
 async function learnWhy() {
   const { plan } = view.overview;
-  if (asking || !plan?.off.length || view.why?.plan === plan.id) return;
+  const keeps = (plan?.solve?.stored_value_gbp_per_kwh ?? null) !== null;
+  if (asking || !(plan?.off.length || keeps) || view.why?.plan === plan.id) return;
   asking = true;
   try {
     view.why = await ask("v1/explanations", {}, WHY_PATIENCE_MS);
@@ -283,7 +284,10 @@ function showOff() {
   renew("off-list", [off, dimmed, status, explained, view.overview.now.slice(0, 13)], () => {
     const parts = Object.entries(dimmed).map(([asset, share]) => `${asset} to ${Math.round(100 * share)}%`);
     const below = parts.length ? [node("p", {}, `Dimmed: ${list(parts, 12)}.`)] : [];
-    if (!off.length) return [node("p", {}, "All customers supplied."), ...below];
+    // Without a phase it is the plan's words again.
+    const step = explained?.phase ? explained.step.words : off.length ? "" : "All customers supplied.";
+    if (step) below.unshift(node("p", {}, step));
+    if (!off.length) return below;
     const dark = outage(view) !== null;
     const told = off.map((one) => ({ ...one, why: why(one, explained, dark) }));
     const groups = grouped(told, (one) => JSON.stringify([one.tier, one.why.short, one.until]));

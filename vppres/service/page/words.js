@@ -78,6 +78,7 @@ function unawareOfLoss(view) {
   return read?.value === 0 && plan?.grid?.available === true && new Date(read.at) >= new Date(plan.valid_from ?? plan.start);
 }
 
+const OF_OUTAGES = ["outage", "outage_belief", "restoration"];
 const MOMENT = /\d{4}-\d\d-\d\dT[\d:.]+Z/g;
 
 // What is measured, what is announced and what is ordered, each with its time.
@@ -86,7 +87,7 @@ export function facts(view) {
   const { plan, events } = view.overview, read = gridReading(view);
   const at = (time) => view.clock.at(time, view.now);
   const measured = read ? `grid ${read.value ? "on" : "lost"} at ${at(read.at)} (${read.source})` : "the grid is not measured";
-  const outages = Object.entries(events).filter(([, event]) => event.type === "outage" && !(event.end && new Date(event.end) <= view.now));
+  const outages = Object.entries(events).filter(([, event]) => OF_OUTAGES.includes(event.type) && !(event.end && new Date(event.end) <= view.now));
   const told = outages.map(([name, event]) => `${announced(event, view).toLowerCase()} (${name})`);
   const all = Object.keys(view.site.customers).length, off = (plan.off ?? []).length;
   const why = plan.anew ? ` (${plan.anew.replace(MOMENT, (time) => at(time))})` : "";
