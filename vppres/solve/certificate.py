@@ -26,14 +26,14 @@ demand knows, and a tenth of a penny where there is next to no cost."""
 
 
 @dataclass(frozen=True, eq=False)
-class Own:
+class OwnValues:
     """What a solution says of what only the page has: its term of F, and its letters."""
 
     value: float = 0.0
     letters: Mapping[str, Floats] = field(default_factory=dict)
 
 
-NO_OWN = Own()
+NO_OWN_VALUES = OwnValues()
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +74,7 @@ class Candidate:
         dispatch: Dispatch,
         slack_gbp: float,
         in_network: bool,
-        own: Own = NO_OWN,
+        own: OwnValues = NO_OWN_VALUES,
     ) -> Candidate:
         """A dispatch whose set costs at most ``slack_gbp`` less than the dispatch does."""
         terms = evaluate(site, data, dispatch, own.value)
@@ -84,7 +84,7 @@ class Candidate:
         return cls(dispatch, terms, service, value, cost_gbp, in_network, own.letters)
 
     def carried_by(
-        self, site: Site, data: WindowData, dispatch: Dispatch, own: Own = NO_OWN
+        self, site: Site, data: WindowData, dispatch: Dispatch, own: OwnValues = NO_OWN_VALUES
     ) -> Candidate:
         """The same set and cost in the network, with a dispatch that carries them."""
         terms = evaluate(site, data, dispatch, own.value)

@@ -21,10 +21,10 @@ from vppres.model.site import Site
 from vppres.model.terms import evaluate
 from vppres.model.violations import broken
 from vppres.solve.cache import ModelCache
-from vppres.solve.certificate import NO_OWN, Candidate, Own
+from vppres.solve.certificate import NO_OWN_VALUES, Candidate, OwnValues
 from vppres.solve.deadline import Deadline, Stopwatch
-from vppres.solve.forms import Form, sheet_of, window_problem
-from vppres.solve.network.reactive import LeastReactive, of_network
+from vppres.solve.forms import Form, sheet_of, sheet_of_draws, window_problem
+from vppres.solve.network.reactive import LeastReactive
 from vppres.solve.phases import run_in_phases
 from vppres.solve.programs import ProgramSolution, program_of
 from vppres.solve.result import Outcome, Status
@@ -38,7 +38,7 @@ POLYGON_SIDES = 16
 FINER = 4
 """Times as many sides of polygons where usual ones decide: a sixteenth of the error."""
 
-COST_GAP_GBP = 1e-4
+DISPATCH_GAP_GBP = 1e-4
 """Gap of a dispatch's cost: far below any price difference that a dispatch could exploit."""
 
 CURTAILED_GAP_SHARE = 0.2
@@ -84,7 +84,7 @@ class Attempt:
     dispatch: Dispatch | None
     both_kw: Floats = field(default_factory=lambda: np.zeros(1))
     wasteful: bool = False
-    own: Own = NO_OWN
+    own: OwnValues = NO_OWN_VALUES
 
 
 # From a served set to a candidate.
@@ -185,7 +185,7 @@ def cheapest(
 def with_tie_breakers(task: WindowTask, found: Candidate) -> Candidate | None:
     """The dispatch that the tie-breakers prefer, None if the network forbids its cost."""
     data = task.data.for_service(found.dispatch.served)
-    own = Own(found.terms.own, found.letters)
+    own = OwnValues(found.terms.own, found.letters)
     attempt = polish(task.cache, data, found.dispatch, task.answer_by(), own)
     task.certificate.note("tie_breakers", attempt.outcome)
     return carried(task, data, found, attempt)
@@ -270,7 +270,7 @@ def solve_cost(
         return replace(attempt, dispatch=None, wasteful=True)
     first_s = attempt.outcome.solve_s
     integer = replace(form, exclusivity="integer")
-    gap_gbp = max(COST_GAP_GBP, curtailed_gap_gbp) if curtailing else COST_GAP_GBP
+    gap_gbp = max(DISPATCH_GAP_GBP, curtailed_gap_gbp) if curtailing else DISPATCH_GAP_GBP
     exclusive = _solve_cost(cache, asked, served, spec, integer, deadline, gap_gbp)
     both_s = first_s + exclusive.outcome.solve_s
     if exclusive.outcome.status == Status.INFEASIBLE and integer.polygon_sides:
@@ -295,7 +295,7 @@ def _solve_cost(
     spec: SolverSpec,
     form: Form,
     deadline: Deadline,
-    gap_gbp: float = COST_GAP_GBP,
+    gap_gbp: float = DISPATCH_GAP_GBP,
 ) -> Attempt:
     """One solve of a form of the cost level; the gap is that of a search for modes."""
     if deadline.passed:
@@ -314,7 +314,7 @@ def _solve_cost(
     value = problem.own_value()
     if conic and value:  # interior points end so near to the optimum, on either side
         value -= HELD_REL * (1.0 + abs(value))
-    own = Own(value, problem.own_letters())
+    own = OwnValues(value, problem.own_letters())
     return Attempt(outcome, problem.dispatch(served), problem.both_ways_kw(), own=own)
 
 
@@ -343,7 +343,7 @@ def _with_modes(
     if found.status != Status.OPTIMAL:
         return Attempt(outcome, None)
     problem.put(found.x)
-    own = Own(problem.own_value(), problem.own_letters())
+    own = OwnValues(problem.own_value(), problem.own_letters())
     return Attempt(outcome, problem.dispatch(served), own=own)
 
 
@@ -376,7 +376,7 @@ def polish(
     data: WindowData,
     dispatch: Dispatch,
     deadline: Deadline,
-    own: Own = NO_OWN,
+    own: OwnValues = NO_OWN_VALUES,
 ) -> Attempt:
     """Minimise the tie-breakers with service, cost and curtailment held.
 
@@ -408,7 +408,9 @@ def polish(
     f2_after = after.f2 - sheet.statement.held(data, better).gbp
     missed_kwh = CURTAILMENT_HELD_REL * terms.f3 + HELD_ABS
     kept = f2_after <= f2_max + HELD_ABS and after.f3 <= f3_max + missed_kwh
-    return Attempt(outcome, better if kept else None, own=Own(problem.own_value(), own.letters))
+    return Attempt(
+        outcome, better if kept else None, own=OwnValues(problem.own_value(), own.letters)
+    )
 
 
 def least_reactive(
@@ -419,9 +421,7 @@ def least_reactive(
     A step without an answer, or for which there is no time, keeps the reactive power that it has.
     """
     watch = Stopwatch()
-    # Nothing of the window but its network has a part in it.
-    seen = of_network(data)
-    model = cache.problem(LeastReactive, sheet=sheet_of(cache, seen.first(1)))
+    model = cache.problem(LeastReactive, sheet=sheet_of_draws(cache, data))
     changed = dispatch
     status = Status.OPTIMAL
     solver = "none"
@@ -429,7 +429,7 @@ def least_reactive(
         if deadline.passed:
             status = Status.TIME_LIMIT
             break
-        model.hold(seen, dispatch, t)
+        model.hold(data, dispatch, t)
         outcome = run_conic(model, deadline.left_s)
         solver = outcome.solver
         if outcome.status == Status.OPTIMAL:

@@ -154,6 +154,13 @@ def sheet_of(cache: ModelCache, data: WindowData) -> Sheet:
     return cache.problem(sheet_of_page, n_steps=data.n_steps, beyond=beyond, page=page())
 
 
+def sheet_of_draws(cache: ModelCache, data: WindowData) -> Sheet:
+    """The compiled statement of one step with nothing beyond the paper but what draws power."""
+    found = beyond_paper(cache.site, data)
+    beyond = tuple((each, shape) for each, shape in found if each.draws)
+    return cache.problem(sheet_of_page, n_steps=1, beyond=beyond, page=page())
+
+
 def sheet_of_page(site: Site, n_steps: int, beyond: Beyond, page: tuple[object, ...]) -> Sheet:
     """The compiled statement of the page as it is."""
     return Sheet(site, n_steps, beyond)

@@ -30,9 +30,10 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags
 from vppres.core.errors import InputError, SolverLostError
 from vppres.core.parent import command
-from vppres.model.beyond_paper.longest_off import longest_off_of
+from vppres.model.beyond_paper.table import beyond_paper
 from vppres.model.data import WindowData
 from vppres.model.site import Site
+from vppres.solve.cache import SITES_KEPT
 from vppres.solve.dispatch import POLYGON_SIDES
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import SolveLimits, WindowSolution
@@ -41,16 +42,16 @@ from vppres.solve.tasks import OUT_OF_MEMORY, Channel, Reply, Setup, Start, Task
 SUPPORTED = os.name == "posix"
 """Whether this system has what isolation needs: inherited sockets and ``SIGKILL``."""
 
-GRACE_S = 1.0
-GRACE_S_PER_BUS = 1.5e-3
+LATE_S = 1.0
+LATE_S_PER_BUS = 1.5e-3
 """What an answer may take beyond the window's time limit.
 
 A solver looks at its clock between iterations, and what it found is still put into the network and
 sent: half a second on 33 buses, two on 1,000. The rest is for a machine that is busy.
 """
 
-COMPILE_S = 2.0
-COMPILE_S_PER_ENTRY = 2e-3
+FIRST_S = 2.0
+FIRST_S_PER_ENTRY = 2e-3
 """What a process may take longer over its first window of a kind, which it compiles.
 
 An entry is a bus in a step. Compiling took 0.2 s for 33 buses and 6 steps, and 3 s for 1,021.
@@ -64,9 +65,6 @@ REPLAY_S = 5.0
 
 MEMORY_SHARE = 0.5
 """Share of the memory there is that a solver may allocate: the controller has to live as well."""
-
-SITES_KEPT = 3
-"""Sites of which a process keeps compiled problems, as ``shared_cache`` does."""
 
 LOG_READ = 20_000
 """How much of what a process wrote goes into the note of its error, in bytes."""
@@ -510,16 +508,18 @@ class IsolatedSolver(WindowSolver):
             Time that the solver may take, in s, where that is less than its limit.
         """
         buses = self.site.network.n_buses
-        seconds = self.limits.at_most(within_s).time_s + GRACE_S + GRACE_S_PER_BUS * buses
+        seconds = self.limits.at_most(within_s).time_s + LATE_S + LATE_S_PER_BUS * buses
         if compiled:
             return seconds
-        return seconds + COMPILE_S + COMPILE_S_PER_ENTRY * buses * data.n_steps
+        return seconds + FIRST_S + FIRST_S_PER_ENTRY * buses * data.n_steps
 
     def _ask(self, method: str, data: WindowData, *args: Any, within_s: float = math.inf) -> Any:
         """Call a method of the solver in the other process."""
         task = Task(self._setup.key, method, (data, *args), self._setup)
         reply = self._from().ask(
-            task, _kind(method, data), lambda compiled: self.deadline_s(data, compiled, within_s)
+            task,
+            _kind(self.site, method, data),
+            lambda compiled: self.deadline_s(data, compiled, within_s),
         )
         if reply.error is not None:
             raise reply.error
@@ -531,8 +531,6 @@ class IsolatedSolver(WindowSolver):
         return self._workers or shared_workers()
 
 
-def _kind(method: str, data: WindowData) -> tuple[object, ...]:
+def _kind(site: Site, method: str, data: WindowData) -> tuple[object, ...]:
     """What of a task decides on the problems that it needs."""
-    rules = None if data.switching is None else data.switching.steps
-    limited = longest_off_of(data) is not None
-    return method, data.n_steps, data.physical, rules, limited, data.moves is not None
+    return method, data.n_steps, beyond_paper(site, data), data.moves is not None

@@ -41,6 +41,8 @@ class Addition:
     ----------
     replaces : tuple of str
         Families of the paper that it states anew, or that do not hold with it.
+    draws : bool
+        Whether it takes power at the buses whatever is decided.
     rules : bool
         Whether all of its families limit service alone: a known service meets them or does not.
     directions : tuple of str
@@ -59,6 +61,7 @@ class Addition:
     """
 
     replaces: ClassVar[tuple[str, ...]] = ()
+    draws: ClassVar[bool] = False
     rules: ClassVar[bool] = False
     directions: ClassVar[tuple[str, ...]] = ()
     of_network: ClassVar[tuple[str, ...]] = ()

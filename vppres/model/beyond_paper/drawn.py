@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 from dataclasses import dataclass
-from typing import Self
+from typing import ClassVar, Self
 
 import cvxpy as cp
 
@@ -18,6 +18,8 @@ from vppres.model.variables import Variables
 @dataclass(frozen=True, eq=False)
 class DrawnByNetwork(Addition):
     """Demand of the network at its buses, (W, N) each; negative for what gives power."""
+
+    draws: ClassVar[bool] = True
 
     P_drawn: cp.Parameter
     Q_drawn: cp.Parameter

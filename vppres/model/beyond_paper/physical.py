@@ -45,6 +45,7 @@ class PhysicalMode(Addition):
     SoC_min: cp.Parameter
 
     replaces: ClassVar[tuple[str, ...]] = ("voltage_slack",)
+    draws: ClassVar[bool] = True
 
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:

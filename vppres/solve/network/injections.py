@@ -21,6 +21,7 @@ from vppres.model.linearise import Drawn
 from vppres.model.site import Site
 from vppres.solve.network.reactance import Reactance
 from vppres.solve.network.rows import Rows
+from vppres.solve.network.rules import LETTERS
 
 SOLVER_KVA = 5e-7
 """By how much a disc may be exceeded in any case: a solver meets its tangents no better, and of an
@@ -93,8 +94,8 @@ class Injections:
     data : WindowData
         The window; losses of physical mode are a demand of the network.
     rules : Rows, optional
-        Rows of its switching rules on ``x``, ``on``, ``off``, ``cold`` and ``beyond`` side by side,
-        all steps of a customer one after the other.
+        Rows of its switching rules on the columns of ``LETTERS`` side by side, all steps of a
+        customer one after the other.
     """
 
     def __init__(
@@ -322,7 +323,7 @@ class Injections:
         """Switching rules."""
         if self.rules is None:
             return []
-        columns = [self.at[name].ravel(order="F") for name in ("x", "on", "off", "cold", "beyond")]
+        columns = [self.at[name].ravel(order="F") for name in LETTERS]
         places = np.concatenate(columns)
         rows = self.rules.matrix.tocoo()
         matrix = sp.csr_array(

@@ -101,11 +101,6 @@ class LeastReactive(Selected):
         return replace(dispatch, **arrays)
 
 
-def of_network(data: WindowData) -> WindowData:
-    """The window with nothing beyond the paper but what the network has: losses and draws."""
-    return replace(data, switching=None, export=None, terminal=None, stored_value=None)
-
-
 def _holds_voltage(constraint: cp.Constraint) -> bool:
     """Whether a family says where the voltage is held."""
     letters = {x.name() for x in constraint.variables()}

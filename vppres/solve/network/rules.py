@@ -12,11 +12,18 @@ from vppres.solve.linear import Linear
 from vppres.solve.network.rows import Rows
 from vppres.solve.selection import EQUAL
 
-LETTERS = ("x_served", "y_on", "y_off", "z_cold", "beyond")
+LETTERS = {
+    "x": "x_served",
+    "on": "y_on",
+    "off": "y_off",
+    "cold": "z_cold",
+    "beyond": "beyond",
+}
+"""The statement's letters of the columns of a window in the network that rules join."""
 
 
 def rows_of_rules(cache: ModelCache, data: WindowData) -> Rows | None:
-    """Rows of a window's switching rules on x, on, off, cold and beyond side by side, if any.
+    """Rows of a window's switching rules on the columns of ``LETTERS`` side by side, if any.
 
     The steps of a customer come in turn.
     """
@@ -36,6 +43,6 @@ def rows_of_rules(cache: ModelCache, data: WindowData) -> Rows | None:
     upper = np.zeros(rows.shape[0])
     upper[rows.row[~inside]] = entries[~inside]
     equal = np.concatenate([np.full(p.rows.shape[0], p.kind == EQUAL) for p in parts])
-    letters = [name for name in LETTERS if name in sheet.columns]
+    letters = [name for name in LETTERS.values() if name in sheet.columns]
     places = np.concatenate([np.ravel(sheet.columns[name], order="F") for name in letters])
     return Rows(sp.csr_array(matrix[:, places]), np.where(equal, upper, -np.inf), upper)
