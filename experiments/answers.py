@@ -12,6 +12,7 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -45,8 +46,11 @@ def of_a_processor(service: Service) -> dict[str, Any]:
     world = World(scenario, service.options)
     steps_s = []
     readings_s = []
-    with TemporaryDirectory() as folder, opened(service, Path(folder)) as runner:
-        client = Within(make_app(runner, Access()))
+    with (
+        TemporaryDirectory() as folder,
+        opened(service, Path(folder)) as runner,
+        closing(Within(make_app(runner, Access()))) as client,
+    ):
         for t, now in enumerate(scenario.grid.times):
             readings = {"series": world.readings(t)}
             readings_s.append(client.wanted("POST", "/v1/telemetry", readings).seconds)

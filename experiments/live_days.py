@@ -13,6 +13,7 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import asdict, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -92,8 +93,9 @@ def judged(service: Service, come: Scenario, play: Play) -> dict[str, Any]:
     with (
         TemporaryDirectory() as folder,
         opened(service, Path(folder), SetClock(come.grid.start)) as runner,
+        closing(Within(make_app(runner, Access()))) as http,
     ):
-        player = _Judged(World(come, service.options), Within(make_app(runner, Access())), play)
+        player = _Judged(World(come, service.options), http, play)
         player.judge = Judge(runner)
         found = player.play().summary()
     shed = player.judge.found

@@ -1,6 +1,6 @@
 """Random days of a live service: bad telemetry, events at any second, outages without notice.
 
-``python -m experiments.random_live_days --days 100`` plays a day on a random feeder in steps of a
+``python -m experiments.random_live_days --days 100`` plays days on random feeders in steps of a
 quarter of an hour, while the service decides by the hour and anew whenever something changes.
 Readings are lost, late, contradictory or impossible; devices reject; outages begin and end at any
 second, announced or not. Every plan is judged by what was readable when it was made:
@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -27,7 +28,7 @@ import typer
 
 from experiments.random_days import small_day
 from experiments.report import machine
-from experiments.seeds import PATIENT, Study
+from experiments.seeds import PATIENT, STUDIES, Days, FirstSeed, Jobs, Results, Span, Study
 from experiments.shedding import Judge
 from experiments.tables import markdown_table, write_pages
 from experiments.within import Within
@@ -43,10 +44,14 @@ from vppres.service.clock import SetClock, written
 from vppres.service.runner import Service
 from vppres.service.serve import opened
 from vppres.service.world import Series, World, critical_off
+from vppres.studies.side_by_side import Where
 
 OPTIONS = RunOptions(horizon_h=4.0, isolate=False, priority="strict", limits=PATIENT)
 START = pd.Timestamp("2026-11-21T00:00Z")
 QUARTERS = 96
+DAYS_IN_A_ROW = 5
+"""Of a feeder: a service compiles its windows once for all of them."""
+
 QUARTER = pd.Timedelta(minutes=15)
 LOST, LATE, IMPOSSIBLE, CONTRADICTED, REJECTED = 0.2, 0.1, 0.02, 0.05, 0.02
 """Shares of readings, the last one of set-points of an hour."""
@@ -64,7 +69,9 @@ class LiveDay:
     Parameters
     ----------
     seed : int
-        Its seed.
+        Of its feeder.
+    day : int
+        Which one in a row.
     plans, anew : int
         Plans, and those of them that were made within a step.
     lost, refused, rejected : int
@@ -87,6 +94,7 @@ class LiveDay:
     """
 
     seed: int
+    day: int = 0
     plans: int = 0
     anew: int = 0
     lost: int = 0
@@ -126,33 +134,37 @@ def site_of(seed: int) -> Scenario:
 
 
 def truth_of(site: Scenario, rng: np.random.Generator) -> Scenario:
-    """The day that comes, in quarters of an hour."""
+    """The days that come, in quarters of an hour."""
+
+    def days(values: Any) -> Any:
+        return np.concatenate([values] * DAYS_IN_A_ROW)
 
     def moved(values: Any) -> Any:
-        hourly = values * rng.uniform(0.85, 1.15, values.shape)
-        return hourly.repeat(4, axis=0)
+        hourly = days(values)
+        return (hourly * rng.uniform(0.85, 1.15, hourly.shape)).repeat(4, axis=0)
 
-    dark = np.zeros(QUARTERS, dtype=bool)
-    for begin in rng.integers(4, QUARTERS - 8, rng.integers(1, 4)).tolist():
-        dark[begin : begin + int(rng.integers(3, 25))] = True
+    dark = np.zeros((DAYS_IN_A_ROW, QUARTERS), dtype=bool)
+    for day in dark:
+        for begin in rng.integers(4, QUARTERS - 8, rng.integers(1, 4)).tolist():
+            day[begin : begin + int(rng.integers(3, 25))] = True
     return replace(
         site,
-        grid=TimeGrid(START, 15.0, QUARTERS),
+        grid=TimeGrid(START, 15.0, dark.size),
         load_kw=moved(site.load_kw),
         pv_kw=np.minimum(moved(site.pv_kw), site.pv.p_max_kw),
-        price_gbp_per_kwh=site.price_gbp_per_kwh.repeat(4),
-        temperature_c=site.temperature_c.repeat(4),
-        grid_limit_kw=np.where(dark, 0.0, np.inf),
+        price_gbp_per_kwh=days(site.price_gbp_per_kwh).repeat(4),
+        temperature_c=days(site.temperature_c).repeat(4),
+        grid_limit_kw=np.where(dark.ravel(), 0.0, np.inf),
     )
 
 
 class Player:
-    """Plays a day against a service in this process.
+    """Plays days against a service in this process.
 
     Parameters
     ----------
     seed : int
-        Of the day.
+        Of the feeder.
     runner : Runner
         The service.
     come : Scenario
@@ -162,23 +174,29 @@ class Player:
     """
 
     def __init__(self, seed: int, runner: Any, come: Scenario, rng: np.random.Generator) -> None:
+        self.seed = seed
         self.runner = runner
         self.come = come
         self.world = World(come, OPTIONS)
         self.http = Within(make_app(runner, Access()))
         self.rng = rng
         self.judge = Judge(runner)
-        self.found = LiveDay(seed)
+        self.found: LiveDay
         self._late: dict[int, list[Series]] = {}
         self._fresh: dict[str, float] = {}
         self._known_off = False
 
-    def play(self) -> LiveDay:
-        """The day."""
-        found = self.found
+    def play(self) -> list[LiveDay]:
+        """The days."""
+        with closing(self.http):
+            return [self._day(day) for day in range(DAYS_IN_A_ROW)]
+
+    def _day(self, day: int) -> LiveDay:
+        found = self.found = LiveDay(self.seed, day)
         dark = self.come.grid_limit_kw <= 0.0
-        found.outage_h = float(dark.sum()) / 4.0
-        for q in range(QUARTERS):
+        quarters = range(day * QUARTERS, (day + 1) * QUARTERS)
+        found.outage_h = float(dark[quarters].sum()) / 4.0
+        for q in quarters:
             begin = START + q * QUARTER
             changed = q > 0 and dark[q] != dark[q - 1]
             self._announce(q, dark)
@@ -201,12 +219,12 @@ class Player:
         return found
 
     def _clock(self, time: pd.Timestamp) -> None:
-        self.http.wanted("PUT", "/v1/clock", {"now": written(time)})
+        self.runner.set_clock(time)
 
     def _announce(self, q: int, dark: Any) -> None:
         """Of every other outage an hour or more before, with an end that may be wrong."""
         ahead = q + int(self.rng.integers(4, 12))
-        if ahead < QUARTERS and dark[ahead] and not dark[ahead - 1] and self.rng.random() < 0.5:
+        if ahead < len(dark) and dark[ahead] and not dark[ahead - 1] and self.rng.random() < 0.5:
             start = START + ahead * QUARTER + pd.Timedelta(seconds=int(self.rng.integers(0, 900)))
             end = start + pd.Timedelta(minutes=int(self.rng.integers(30, 400)))
             body = {"type": "outage", "start": written(start), "end": written(end)}
@@ -327,8 +345,8 @@ class Player:
                 self.found.disbelieved.append(found)
 
 
-def run_one(seed: int) -> LiveDay:
-    """A day of a seed."""
+def run_one(seed: int) -> list[LiveDay]:
+    """The days of a feeder."""
     rng = np.random.default_rng([seed, 3901])
     site = site_of(seed)
     come = truth_of(site, rng)
@@ -337,8 +355,9 @@ def run_one(seed: int) -> LiveDay:
         return Player(seed, runner, come, rng).play()
 
 
-def write_report(days: Sequence[LiveDay], wall_s: float, folder: Path) -> Path:
+def write_report(feeders: Sequence[list[LiveDay]], wall_s: float, folder: Path) -> Path:
     """Write ``random_live_days.json``, ``.md`` and ``.html``; returns the Markdown file."""
+    days = [day for feeder in feeders for day in feeder]
     anew_s = [each for day in days for each in day.anew_s]
     rows = [
         ("days", len(days)),
@@ -356,7 +375,7 @@ def write_report(days: Sequence[LiveDay], wall_s: float, folder: Path) -> Path:
         ("CPU time of a plan made anew, median (s)", f"{np.median(anew_s or [0.0]):.3f}"),
         ("CPU time of a plan made anew, largest (s)", f"{max(anew_s, default=0.0):.3f}"),
     ]
-    wrong = [f"- day {day.seed}: {words}" for day in days for words in day.wrong]
+    wrong = [f"- feeder {day.seed}, day {day.day}: {words}" for day in days for words in day.wrong]
     text = "\n\n".join(
         [
             markdown_table(("quantity", "value"), rows),
@@ -368,11 +387,17 @@ def write_report(days: Sequence[LiveDay], wall_s: float, folder: Path) -> Path:
     return write_pages(folder, "random_live_days", "Random days of a live service", text, record)
 
 
-STUDY = Study(run_one, write_report, lambda day: day.wrong)
-
-main = STUDY.command(
-    days=100, words="Play random days against a live service, and judge every plan."
+STUDY = Study(
+    run_one, write_report, lambda feeder: [wrong for day in feeder for wrong in day.wrong]
 )
+
+
+def main(
+    days: Days = 100, seed: FirstSeed = 0, jobs: Jobs = -1, results: Results = STUDIES
+) -> None:
+    """Play random days against a live service, and judge every plan."""
+    feeders = -(-days // DAYS_IN_A_ROW)
+    STUDY.play(Span(seed, feeders), Where(jobs), results)
 
 
 if __name__ == "__main__":

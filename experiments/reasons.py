@@ -3,7 +3,7 @@
 On random days reasons are drawn, and each window is solved again from the recorded state, with the
 customer before all others. A reason is true if that plan is worth no more than the one of the run.
 If it calls limits too small for the customer, it is on supply once they are out of the way, at no
-loss to those who are; or what others gain is worth as much as its supply.
+loss to those who are; or what others gain is worth as much as its supply. Finished days are kept.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import typer
 from numpy.random import Generator
 
 from experiments.random_days import small_day
-from experiments.seeds import PATIENT, STUDIES, FirstSeed, Results
+from experiments.seeds import PATIENT, STUDIES, FirstSeed, Kept, Results, by_name
 from experiments.tables import markdown_table, write_pages
 from vppres.control.converged import ConvergedPlanner
 from vppres.control.planner import OnePass
@@ -38,6 +38,9 @@ from vppres.model.site import Site
 from vppres.scenario.scenario import LIMIT, SOFT, Scenario
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import WindowSolution
+
+MOST = 4
+"""Reasons of a day: more days say more than more reasons of one."""
 
 PLENTY = 5.0
 TOLERANCE = 1e-3
@@ -110,6 +113,11 @@ def checked(seed: int, most: int) -> list[Checked]:
     ]
     drawn = rng.permutation(len(actions))[:most]
     return [_checked(seed, options, *actions[i]) for i in sorted(drawn.tolist())]
+
+
+def of_a_day(seed: int) -> list[Checked]:
+    """A few reasons of a day, checked."""
+    return checked(seed, MOST)
 
 
 def _checked(seed: int, options: RunOptions, step: Step, customer: int) -> Checked:
@@ -228,15 +236,17 @@ def _gain(site: Site, solution: WindowSolution) -> float:
     return float(served.sum() - lost) * site.dt_h
 
 
-def main(
-    reasons: int = 300, first_seed: FirstSeed = 0, most: int = 4, results: Results = STUDIES
-) -> None:
+def main(reasons: int = 300, first_seed: FirstSeed = 0, results: Results = STUDIES) -> None:
     """Check drawn reasons of random days by solving again."""
     begin = time.process_time()
+    kept = Kept(by_name(of_a_day), results / "days")
     found: list[Checked] = []
     seed = first_seed
     while len(found) < reasons:
-        new = checked(seed, most)
+        new = kept.get(seed)
+        if new is None:
+            new = of_a_day(seed)
+            kept.put(seed, new)
         found += new
         typer.echo(f"day {seed}: {len(new)} reasons, {sum(bool(one.wrong) for one in new)} wrong")
         for one in new:

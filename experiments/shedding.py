@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from experiments.seeds import PATIENT
 from vppres.control.guard.guard import GuardedController
 from vppres.control.guard.partial_fleet import reduced_observation, site_with
 from vppres.core.arrays import Flags
@@ -88,9 +89,8 @@ class Judge:
         known = guard.known
         key = known.online.tobytes()
         if key not in self._solvers:
-            self._solvers[key] = WindowSolver(
-                _first_alone(site_with(guard.site, known.online), first)
-            )
+            site = _first_alone(site_with(guard.site, known.online), first)
+            self._solvers[key] = WindowSolver(site, limits=PATIENT)
         solver = self._solvers[key]
         seen = reduced_observation(known.observation, known.online, guard.site.batteries)
         window = WindowData.of(replace(seen, stored_value=None), solver.site, guard.options.centre)

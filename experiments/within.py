@@ -58,14 +58,16 @@ class Within(Client):
     def __init__(self, app: Any) -> None:
         self.app = app
         self.url = "this process"
+        self._loop = asyncio.Runner()
 
     def close(self) -> None:
-        """There is no connection."""
+        """End the event loop."""
+        self._loop.close()
 
     def ask(self, method: str, path: str, body: Any = None) -> Answer:
         """One request; its time is the processor's, that of threads and not of other processes."""
         content = b"" if body is None else json.dumps(body).encode()
         begin = time.process_time()
-        status, _, text = asyncio.run(ask(self.app, Request(method, path, JSON, content)))
+        status, _, text = self._loop.run(ask(self.app, Request(method, path, JSON, content)))
         used_s = time.process_time() - begin
         return Answer(status, json.loads(text) if text else None, used_s)

@@ -444,10 +444,13 @@ def test_the_state_of_a_service_does_not_depend_on_where_it_is_started(
     site, other = tmp_path / "site", tmp_path / "other"
     for folder in (site, other):
         folder.mkdir()
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
     monkeypatch.chdir(tmp_path)
     here = cli._state_place("site", "feeder", None)
+    packaged = cli._state_place("uk-heatwave-2022", "uk", None)
     monkeypatch.chdir(other)
     assert cli._state_place("../site", "feeder", None) == here == str(tmp_path / "feeder.live")
-    assert cli._state_place("uk-heatwave-2022", "uk", None) == str(other / "uk.live")
+    assert cli._state_place("uk-heatwave-2022", "uk", None) == packaged
+    assert packaged == str(tmp_path / "config" / "vppres" / "uk.live")
     assert cli._state_place("../site", "feeder", "state") == str(other / "state")
     assert cli._state_place("../site", "feeder", "postgresql://a@b/c") == "postgresql://a@b/c"

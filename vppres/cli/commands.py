@@ -496,10 +496,10 @@ def serve(
 
 
 def _state_place(scenario: str, name: str, state: str | None) -> str:
-    """Where a service keeps its state: as given, beside the scenario's folder, or here.
+    """Where a service keeps its state: as given, beside the scenario's folder, or with the user's.
 
-    A folder is named in full, so that a start from another directory finds the same one, or shows
-    that it does not. That of a scenario folder does not depend on the directory of the start.
+    Packaged scenarios have no folder that is written to. Unless a folder is given, the place does
+    not depend on the directory of the start.
     """
     from vppres.io.find import packaged_scenarios
 
@@ -507,7 +507,7 @@ def _state_place(scenario: str, name: str, state: str | None) -> str:
         address = state.startswith("postgresql://")
         return state if address else str(Path(state).resolve())
     if scenario in packaged_scenarios():
-        return str(Path(f"{name}.live").resolve())
+        return str(Path(typer.get_app_dir("vppres"), f"{name}.live"))
     folder = Path(scenario).resolve()
     return str(folder.with_name(f"{name}.live"))
 
