@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time as machine
 from collections.abc import Iterator
 from contextlib import nullcontext
@@ -13,7 +14,7 @@ import pytest
 
 from tests.support.asgi import Caller
 from tests.support.live_service import HERE, NOON, decided, heard, readings, said, site
-from vppres.core.errors import InputError
+from vppres.core.errors import InputError, StorageError
 from vppres.scenario.scenario import Scenario
 from vppres.service.access import Access
 from vppres.service.announced import check_not_over
@@ -163,6 +164,43 @@ def test_the_loop_answers_a_lost_grid_within_seconds(
     finally:
         loop.end()
     assert not loop.is_alive()
+
+
+def test_the_loop_tries_a_new_plan_again_that_could_not_be_kept(
+    live: tuple[Caller, SetClock, Runner], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, _, runner = live
+    done = threading.Event()
+    tries = []
+
+    def anew() -> None:
+        tries.append(runner.changes.new.is_set())
+        runner.changes.new.clear()
+        if len(tries) == 1:
+            raise StorageError("the disk is full")
+        runner.changes.known(runner.changes.reasons)
+        done.set()
+
+    monkeypatch.setattr(runner, "anew", anew)
+    monkeypatch.setattr("vppres.service.loop.RETRY_S", 0.01)
+    loop = Loop(runner)
+    loop.start()
+    runner.changes.note("event storm")
+    assert done.wait(20.0)
+    loop.end()
+
+
+def test_a_change_at_the_moment_of_a_plan_is_seen_once_the_clock_goes_on(
+    live: tuple[Caller, SetClock, Runner],
+) -> None:
+    http, _, runner = live
+    http.post("/v1/telemetry", grid(0.0))
+    assert runner.anew() is not None
+    http.put("/v1/events/storm", {"type": "outage", "start": "2026-11-21T12:00:00Z"})
+    assert runner.anew() is None and not runner.changes.new.is_set()
+    runner.set_clock(LATER + pd.Timedelta("1min"))
+    assert runner.changes.new.is_set()
+    assert runner.anew() is not None
 
 
 def test_a_step_that_is_not_decided_yet_is_left_to_its_own_plan(

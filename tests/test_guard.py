@@ -537,6 +537,19 @@ def test_a_reading_that_comes_late_counts_from_when_it_was_read(tiny: Scenario) 
     assert older.soc == pytest.approx(late.soc) and not older.trusted.any()
 
 
+def test_a_reading_is_new_once_however_often_its_age_is_told(tiny: Scenario) -> None:
+    """Each is 13 minutes before a step and told every minute; ages in hours are rounded."""
+    moved = Moved.nothing(2)
+    read_h = -13.0 / 60.0
+    soc = SocReckoning.start(Site.of(tiny)).after(SOC_NOW, np.full(2, read_h), 0.0, moved)
+    assert soc.trusted.all()
+    for minute in range(1, 200):
+        now_h = minute / 60.0
+        age_h = (minute + 13) / 60.0
+        soc = soc.after(SOC_NOW, np.full(2, now_h - age_h), now_h, moved)
+        assert not soc.trusted.any()
+
+
 @pytest.mark.parametrize(("then", "believed"), [(0.3, True), (0.36, False)])
 def test_a_state_of_charge_that_jumps_is_believed_if_the_next_bears_it_out(
     tiny: Scenario, then: float, believed: bool

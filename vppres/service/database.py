@@ -88,8 +88,14 @@ class InFolder:
             cure = "Give the place with --state, as for the service."
             raise InputError.of(self.name, "holds no state of a service", cure)
         if not reading:
-            folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-            self._lock = _locked(folder)
+            try:
+                folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+                self._lock = _locked(folder)
+            except OSError as error:
+                problem = f"cannot be written to: {error.strerror}"
+                raise InputError.of(
+                    self.name, problem, "Give another folder with --state."
+                ) from error
         self._file = folder / "service.db"
         self.engine = sa.create_engine(f"sqlite:///{self._file}", connect_args={"timeout": BUSY_S})
         sa.event.listen(self.engine, "connect", _durable)

@@ -13,7 +13,7 @@ from vppres.core.errors import VppresError
 from vppres.service.runner import Runner
 
 RETRY_S = 5.0
-"""After which a step that could not be kept is tried again."""
+"""After which a step or a new plan that could not be kept is tried again."""
 
 SETTLE_S = 0.5
 """What else changes within this time is decided in one go, and a second source may speak."""
@@ -43,9 +43,13 @@ class Loop(threading.Thread):
         self._guarded(self.runner.look)
         while not self._end.is_set():
             self._guarded(self.runner.check_alarms)
-            changed = self.runner.changes.new.wait(min(self._once(), LONGEST_WAIT_S))
-            if changed and not self._end.wait(SETTLE_S) and not self._guarded(self.runner.anew):
+            changes = self.runner.changes
+            changes.new.wait(min(self._once(), LONGEST_WAIT_S))
+            if not changes.reasons or self._end.wait(SETTLE_S):
+                continue
+            if not self._guarded(self.runner.anew):
                 self._end.wait(RETRY_S)
+                changes.new.set()
 
     def end(self) -> None:
         """Stop after the present step."""

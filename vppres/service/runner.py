@@ -259,6 +259,8 @@ class Runner:
         self.clock.set(time)
         if self._state is None:  # nothing was decided yet: it begins here
             self._controller = self._restored()
+        if self.changes.reasons:  # a plan of the same moment could not be told from the one before
+            self.changes.new.set()
         self.check_alarms()
 
     def begun(self, time: pd.Timestamp) -> pd.Timestamp:

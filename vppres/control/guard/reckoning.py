@@ -24,6 +24,9 @@ A battery's own gauge may be set right, and then goes on from there. It is belie
 reading bears it out; that of another battery, or one that drifts, does not.
 """
 
+SAME_MOMENT_H = 1.0 / 3600.0
+"""Readings less apart than a second are the same one: times since the first step are rounded."""
+
 SOC_MARGIN = 0.05
 """A state of charge further outside the battery's limits than this is no measurement."""
 
@@ -105,7 +108,7 @@ class SocReckoning:
         plausible = (
             np.isfinite(seen) & (seen >= b.soc_min - SOC_MARGIN) & (seen <= b.soc_max + SOC_MARGIN)
         )
-        newer = plausible & ~(read_h <= self.read_h)  # also before the first
+        newer = plausible & ~(read_h <= self.read_h + SAME_MOMENT_H)  # also before the first
         # A reading just outside would leave a window without any feasible dispatch.
         inside = np.clip(np.clip(seen, b.soc_min, b.soc_max) + since.share, b.soc_min, b.soc_max)
         on_from_reading = np.abs(inside - self.reading - lately.share) <= SOC_TOLERANCE

@@ -101,7 +101,7 @@ const shortened = (name) => (name.length > 10 ? `${name.slice(0, 9)}\u2026` : na
 
 function drawImport(svg, top, steps, x, width) {
   const drawn = steps.map((step) => step.import ?? 0);
-  const most = rounded(Math.max(...drawn, 1)), least = 0 - rounded(Math.max(...drawn.map((value) => -1 - value), 0));
+  const most = rounded(Math.max(...drawn, 2)), least = 0 - rounded(Math.max(...drawn.map((value) => -1 - value), 0));
   const row = { name: "import (kW)", top, kind: "import", most, least, label: kilo };
   drawRow(svg, row, steps.map((step) => [[step.begin, step.import], [step.end, step.import]]), steps, x, width);
   const y = (value) => top + ROW * (1 - (value - least) / (most - least));

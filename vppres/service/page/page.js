@@ -3,7 +3,7 @@
 import { chart, meter, pastOf, stepsOf } from "./chart.js";
 import { Operator } from "./operator.js";
 import {
-  HOUR, MARKS, SiteClock, alarms, announced, attention, counted, covers, facts, grouped, kilo, lasting, list, lowest, offByTier, onPhase, outage, percent, socNow, verdict, why,
+  HOUR, MARKS, SiteClock, alarms, announced, attention, counted, covers, facts, grouped, kilo, lasting, lateBy, list, lowest, offByTier, onPhase, outage, percent, socNow, verdict, why,
 } from "./words.js";
 
 const EVERY_MS = 2000, PATIENCE_MS = 5000;
@@ -179,8 +179,8 @@ function figure(title, value, unit, bar, ...notes) {
 }
 
 function showFigures() {
-  const { plan, measured } = view.overview;
-  const content = [plan, measured, view.lost, Math.floor(view.now / 60000)];
+  const { plan, measured, sources } = view.overview;
+  const content = [plan, measured, sources, view.lost, Math.floor(view.now / 60000)];
   renew("figures", content, () => [customersFigure(), storedFigure(), importFigure(), voltageFigure(), ...phasesFigure()]);
 }
 
@@ -206,10 +206,10 @@ function storedFigure() {
   }
   if (!all) return figure("Stored energy", "\u2013", "kWh", null, "No battery data.");
   const power = discharged > 0.5 ? `discharging ${kilo(discharged)} kW` : discharged < -0.5 ? `charging ${kilo(-discharged)} kW` : "idle";
-  const low = lowest(view);
+  const low = lowest(view), late = Math.max(...Object.keys(view.site.batteries).map((name) => lateBy(view, name) ?? 0));
   return figure("Stored energy", kilo(held), `kWh, ${percent(held / all)}`,
     meter(held / all, { kind: "store", marks: [least / all], name: `${percent(held / all)}, lower limit ${percent(least / all)}` }),
-    `${kilo(usable)} kWh above the lower limit; ${power}`, low && low.share < held / all - 0.005 ? `planned: ${percent(low.share)} at ${view.clock.at(low.time, view.now)}` : "");
+    `${kilo(usable)} kWh above the lower limit; ${power}`, late ? `read up to ${lasting(late)} ago` : "", low && low.share < held / all - 0.005 ? `planned: ${percent(low.share)} at ${view.clock.at(low.time, view.now)}` : "");
 }
 
 function importFigure() {
@@ -301,14 +301,15 @@ function showOff() {
 
 function showBatteries() {
   document.getElementById("batteries-former").textContent = view.site.former;
-  const { plan, measured } = view.overview;
+  const { plan, measured, sources } = view.overview;
   const all = Object.entries(view.site.batteries);
-  const key = [plan?.batteries, all.map(([name]) => measured[`soc ${name}`]), plan?.expected?.soc, Math.floor(view.now / 60000)];
+  const key = [plan?.batteries, sources, all.map(([name]) => measured[`soc ${name}`]), plan?.expected?.soc, Math.floor(view.now / 60000)];
   renew("batteries-list", key, () => all.map(([name, b]) => {
     const soc = socNow(view, name), point = plan?.batteries[name], reading = measured[`soc ${name}`];
     const power = point?.p_kw ?? 0;
     const words = power > 0.05 ? `\u25b2 charging ${power.toFixed(1)} kW` : power < -0.05 ? `\u25bc discharging ${(-power).toFixed(1)} kW` : "idle";
-    const old = !reading || reading.value === null ? "no reading" : view.now - new Date(reading.at) > 1500 * view.site.step_s ? `read ${lasting(view.now - new Date(reading.at))} ago` : "";
+    const late = lateBy(view, name);
+    const old = !reading || reading.value === null ? "no reading" : late === null ? "" : `read ${lasting(late)} ago`;
     const notes = [point?.reason.startsWith("default") ? point.reason : "", old].filter(Boolean);
     return node("li", {}, node("b", {}, onPhase(name, view.site)), node("span", { class: "n" }, soc === null ? "no data" : percent(soc)),
       meter(soc ?? 0, { kind: "store", marks: [b.soc_min, b.soc_max], name: `limits ${percent(b.soc_min)} to ${percent(b.soc_max)}` }),

@@ -217,7 +217,7 @@ export function attention(view) {
   const at = (time) => view.clock.at(time, view.now);
   const found = [];
   const say = (level, text) => found.push([level, text]);
-  if (plan?.unaware_of?.length) say(WARNING, `The plan does not know yet: ${list(plan.unaware_of)}.`);
+  if (plan?.unaware_of?.length) say(WARNING, `The plan does not know yet: ${list(plan.unaware_of).replace(MOMENT, (time) => at(time))}.`);
   if (plan?.solve) {
     if (plan.solve.inverted) say(WARNING, `Tier order is not kept: ${plan.solve.inverted}.`);
     if (plan.solve.correction_reason) say(NOTE, `The plan was corrected: ${plan.solve.correction_reason}.`);
@@ -241,10 +241,17 @@ export function grouped(items, key) {
   return groups;
 }
 
-// The measured value if it is newer than the plan, else the expected one.
+// The measured value, or the expected one where nothing was read.
 export function socNow(view, name) {
   const reading = view.overview.measured[`soc ${name}`];
   return reading?.value ?? view.overview.plan?.expected?.soc[name] ?? null;
+}
+
+// How long ago the state of charge of a battery was read, in ms; null if that is not late by its own period.
+export function lateBy(view, name) {
+  const reading = view.overview.measured[`soc ${name}`];
+  const late = view.overview.sources.some((source) => [...source.stale, ...source.lost].includes(`soc of ${name}`));
+  return late && reading ? view.now - new Date(reading.at) : null;
 }
 
 const CANNOT = "cannot be supplied";
