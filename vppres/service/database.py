@@ -92,10 +92,9 @@ class InFolder:
                 folder.mkdir(parents=True, exist_ok=True, mode=0o700)
                 self._lock = _locked(folder)
             except OSError as error:
-                problem = f"cannot be written to: {error.strerror}"
-                raise InputError.of(
-                    self.name, problem, "Give another folder with --state."
-                ) from error
+                message = f"cannot be written to: {error.strerror}"
+                cure = "Give another folder with --state."
+                raise InputError.of(self.name, message, cure) from error
         self._file = folder / "service.db"
         self.engine = sa.create_engine(f"sqlite:///{self._file}", connect_args={"timeout": BUSY_S})
         sa.event.listen(self.engine, "connect", _durable)
