@@ -18,6 +18,9 @@ from vppres.day.assembly import make_controller
 from vppres.day.options import RunOptions
 from vppres.day.phase_figures import phase_figures
 from vppres.day.simulate import Day
+from vppres.day.trajectory import Trajectory
+from vppres.explain.day import explain_day
+from vppres.explain.recorded import Recorded
 from vppres.io import read_scenario
 from vppres.io.digest import scenario_digest
 from vppres.io.scenario_writer import write_scenario
@@ -28,6 +31,8 @@ from vppres.report.first_page import who_and_why
 from vppres.report.rechecked import recheck_run
 from vppres.scenario.phases import PhaseBus, PhaseConnection, PhaseLine, Phases
 from vppres.scenario.scenario import Scenario
+from vppres.solve.shadow_price_model import PricedTerms, ShadowPriceModel
+from vppres.solve.shadow_prices import price_window
 
 pytest.importorskip("opendssdirect")
 
@@ -205,7 +210,33 @@ def test_plans_keep_every_phase_of_the_former_and_every_node(circuit: Path, day:
     found = recheck_run(trajectory, circuit).voltages
     apart = found.groupby("outage")["difference_pu"].agg(lambda off: off.abs().max())
     assert apart[False] < 1e-6 and apart[True] < 1e-6
-    assert "No reasons recorded: they are not stated for phases." in who_and_why(trajectory)
+    explained = explain_day(trajectory)
+    assert explained.explanations is not None
+    off = explained.explanations[explained.explanations["action"] == "not_served"]
+    assert "phase" in set(off["driver"])
+    assert off["words"].str.contains("phase [abc] of be").any()
+    assert "phase rating" in " ".join(who_and_why(explained))
+    check_price_of_a_phase(trajectory)
+
+
+def check_price_of_a_phase(trajectory: Trajectory) -> None:
+    """One more kVA on all phases of the former buys what their shadow prices add up to."""
+    recorded = Recorded(trajectory)
+    model = ShadowPriceModel(recorded.site, recorded.n_seen, recorded.beyond)
+    window = recorded.seen(0)
+    held = recorded.held(0, window.n_steps)
+    terms = PricedTerms(1.0, 0.0, recorded.site.weights.lambda_curt)
+    phased = window.require_phased()
+    values = {}
+    for change in (-0.01, 0.0, 0.01):
+        room = phased.room_kva + change * (np.arange(window.n_steps) == 0)
+        other = replace(window, phased=replace(phased, room_kva=room))
+        answer = price_window(model, other, held, terms)
+        assert answer is not None
+        values[change] = answer
+    slope = (values[0.01].value - values[-0.01].value) / 0.02
+    assert values[0.0].prices.former_phase.sum() == pytest.approx(slope, rel=1e-3)
+    assert slope > 0.0
 
 
 class Everyone:

@@ -746,8 +746,6 @@ def scenarios(as_json: Json = False) -> None:
 
 def _explained(done: Trajectory) -> Trajectory:
     """A finished day with the reasons of its actions and the shadow prices."""
-    if done.scenario.phases is not None:
-        return done  # reasons are stated for balanced feeders only
     from vppres.explain.day import explain_day
 
     return explain_day(done)

@@ -56,19 +56,3 @@ def _wrong(field: str, value: object, cure: str) -> Problem:
         field=field,
         value=value,
     )
-
-
-def refuse_phased(scenario: Scenario, what: str) -> None:
-    """Refuse something that knows balanced feeders only.
-
-    Raises
-    ------
-    InputError
-        If the scenario has phases.
-    """
-    if scenario.phases is not None:
-        raise InputError.of(
-            "phase_buses.csv",
-            f"is there: {what} know balanced feeders only",
-            f"Do without, or {BALANCED}.",
-        )

@@ -9,7 +9,6 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Floats
-from vppres.day.phased import refuse_phased
 from vppres.day.recorder import ROTATED
 from vppres.day.trajectory import Trajectory
 from vppres.explain.dimmed import why_caught_up, why_dimmed
@@ -18,6 +17,7 @@ from vppres.explain.reasons import why_battery_moved, why_curtailed, why_not_ser
 from vppres.explain.recorded import MOVE_KW, Recorded
 from vppres.explain.step import Reason, Step
 from vppres.explain.summary import why_step
+from vppres.scenario.phases import PHASES
 from vppres.solve.shadow_price_model import ShadowPriceModel
 from vppres.solve.shadow_prices import ShadowPrices
 
@@ -47,7 +47,6 @@ def explain_day(trajectory: Trajectory) -> Trajectory:
         The same run with the tables ``explanations`` and ``shadow_prices``, which
         :func:`vppres.report.run_folder.write_run` writes and ``docs/explanations.md`` defines.
     """
-    refuse_phased(trajectory.scenario, "reasons and shadow prices")
     explanations: list[Row] = []
     prices: list[Row] = []
     for step in steps_of(trajectory):
@@ -180,6 +179,7 @@ def _families(step: Step) -> list[tuple[str, str, Floats]]:
         ("battery_discharging", "kW", b),
         ("battery_inverter", "kVA", b),
         ("pv_inverter", "kVA", pv),
+        ("former_phase", "kVA", np.array([*PHASES] if site.phases else [], dtype=object)),
         ("voltage_floor", "0.001 pu", buses),
         ("voltage_ceiling", "0.001 pu", buses),
         ("line_rating", "kVA", lines),

@@ -12,7 +12,7 @@ import numpy as np
 from vppres.core.text import named
 from vppres.explain.prices import WORTH
 from vppres.explain.recorded import MOVE_KW
-from vppres.explain.room import limits_in_full, overloaded_line
+from vppres.explain.room import limits_in_full, overloaded_line, overloaded_phase
 from vppres.explain.step import Binding, Reason, Scarce, Step
 from vppres.explain.words import (
     DRIVERS,
@@ -24,6 +24,7 @@ from vppres.explain.words import (
     line_words,
     money,
     one_more,
+    phase_name,
     pounds,
     stored_worth_gbp,
 )
@@ -131,25 +132,33 @@ def _too_little(step: Step, customer: int, binding: Scarce) -> str:
     if len(limits) > 1:
         *names, last = (scarce_words(step, customer, limit) for limit in limits)
         return f"{', '.join(names)} and {last} do not allow its full demand of {demand_kw} kW"
-    line = _line_for(step, customer, binding)
-    if line is None:
+    which = _which_for(step, customer, binding)
+    if which is None:
         return TOO_LITTLE[binding]
-    return f"{line_words(step, line)} does not carry its {demand_kw} kW in full"
+    if binding == "phase":
+        return f"{phase_name(step, which)} would be overloaded by its {demand_kw} kW"
+    return f"{line_words(step, which)} does not carry its {demand_kw} kW in full"
 
 
 def scarce_words(step: Step, customer: int, binding: Scarce) -> str:
     """What is scarce for a customer, by name."""
-    line = _line_for(step, customer, binding)
-    return SCARCE[binding] if line is None else f"the rating of {line_name(step, line)}"
+    which = _which_for(step, customer, binding)
+    if which is None:
+        return SCARCE[binding]
+    named_in = phase_name if binding == "phase" else line_name
+    return f"the rating of {named_in(step, which)}"
 
 
 def _one_more_for(step: Step, customer: int, binding: Scarce) -> str:
     """The value of one more unit of what limits a customer."""
-    return one_more(step, binding, _line_for(step, customer, binding))
+    return one_more(step, binding, _which_for(step, customer, binding))
 
 
-def _line_for(step: Step, customer: int, binding: Scarce) -> int | None:
-    """The line whose rating limits a customer; None if another limit does."""
+def _which_for(step: Step, customer: int, binding: Scarce) -> int | None:
+    """The line or the former's phase whose rating limits a customer; None if another limit does."""
+    if binding == "phase":
+        phase = overloaded_phase(step, customer)
+        return step.full_phase(customer) if phase is None else phase
     if binding != "rating":
         return None
     line = overloaded_line(step, customer)
@@ -239,6 +248,10 @@ def _from_the_record(step: Step, customer: int) -> Reason:
     if line is not None:
         words = f"Not supplied: {line_words(step, line)} is at its limit in the record."
         return Reason("rating", "rating", words)
+    phase = overloaded_phase(step, customer)
+    if phase is not None:
+        words = f"Not supplied: {phase_name(step, phase)} would be overloaded."
+        return Reason("phase", "phase", words)
     limits = step.limits
     found: tuple[tuple[bool, Scarce], ...] = (
         (step.outage and len(limits.empty) > 0 and bool(limits.empty.all()), "energy"),
@@ -305,7 +318,24 @@ def _discharge_in_island(step: Step, battery: int) -> Reason:
             "Discharges: supplies customers; a kWh kept for later would be worth "
             f"{hours(worth, step.site.ranks)}.",
         )
+    phase = _relieved_phase(step, battery)
+    if phase is not None:
+        return Reason("phase", "phase", f"Discharges: relieves {phase_name(step, phase)}.")
     return Reason("supply", "", "Discharges: supplies customers; no limit binds.")
+
+
+def _relieved_phase(step: Step, battery: int) -> int | None:
+    """The former's phase that a battery's discharge is worth most on; None if it is none."""
+    phases = None if step.service is None else step.service.phases
+    if phases is None or battery == step.site.batteries.largest_former:
+        return None
+    cost = phases.active[:, _place(step, battery)]
+    return int(np.argmax(cost)) if cost.max() > WORTH else None
+
+
+def _place(step: Step, battery: int) -> int:
+    """Place of a battery among the assets of a phased feeder."""
+    return len(step.site.customers) + len(step.site.pv) + battery
 
 
 def _move_with_grid(step: Step, battery: int, verb: str) -> Reason:
@@ -347,8 +377,11 @@ def _voltage_decides(step: Step, battery: int) -> bool:
         return False
     bound = max(prices.voltage_floor.max(initial=0.0), prices.voltage_ceiling.max(initial=0.0))
     base = float(prices.active[0])
-    by_voltage = prices.active - prices.line_active
-    above = float((step.site.battery_bus.T @ by_voltage)[battery]) - base
+    if prices.phases is None:
+        by_voltage = prices.active - prices.line_active
+        above = float((step.site.battery_bus.T @ by_voltage)[battery]) - base
+    else:
+        above = float(prices.phases.by_voltage[_place(step, battery)])
     # A discharge helps where power is worth more than at the slack bus, a charge where less.
     helps = above * -np.sign(step.battery_kw[battery])
     return bound > WORTH and bool(helps > OFF_PRICE * max(abs(base), WORTH))

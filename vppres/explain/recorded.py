@@ -15,17 +15,21 @@ from vppres.contract.observation import Observation
 from vppres.contract.operating_point import OperatingPoint
 from vppres.contract.owed import Owed
 from vppres.contract.terminal import Terminal
-from vppres.core.arrays import Flags, Floats
+from vppres.control.converged import physics_of
+from vppres.control.phased_window import PhasedLinearisation
+from vppres.core.arrays import Complexes, Flags, Floats
 from vppres.day.forecasting import PAPER, Forecasts, named_forecasts
 from vppres.day.metrics import line_loading
 from vppres.day.outages import GridSeen, OutageView, believed_outages
 from vppres.day.priority import site_of, weighed
 from vppres.day.time_off import off_before_h
 from vppres.day.trajectory import Trajectory, supplied
+from vppres.model.beyond_paper.phases import ThreePhases
 from vppres.model.beyond_paper.ratings import LineRatings
 from vppres.model.beyond_paper.table import Beyond, beyond_paper
 from vppres.model.data import WindowData
 from vppres.model.own_state import with_own_state
+from vppres.model.phases import GRID, ISLAND, phased_model
 from vppres.model.ratings import with_ratings
 from vppres.scenario.rules import SwitchingRules
 from vppres.solve.ladder import WindowSolver
@@ -33,6 +37,9 @@ from vppres.solve.shadow_price_model import Held
 
 MOVE_KW = 1.0
 """Smallest power of a battery, or of curtailment, that counts as an action."""
+
+NEAR_PU = 0.01
+"""How far inside its limits a voltage may limit what was decided."""
 
 NEARLY_ALL = 1.0 - 1e-4
 """Largest share of a customer that was not served. In full, the limits of its PV system's export
@@ -151,7 +158,12 @@ class Recorded:
         seen = self.seen(t)
         ratings = LineRatings.shape(self.site, seen)
         rated = () if ratings is None else ((LineRatings, ratings),)
-        return (*beyond_paper(self.site, seen), *rated)
+        if self.site.phases is None:
+            return (*beyond_paper(self.site, seen), *rated)
+        # One problem is compiled for all steps, with grid and without.
+        both = (ThreePhases, (self.near_limits, (GRID, ISLAND)))
+        others = (one for one in beyond_paper(self.site, seen) if one[0] is not ThreePhases)
+        return (*others, both)
 
     def left_out(self, t: int) -> Flags:
         """Batteries that could not be used in a step, shape (B,)."""
@@ -173,8 +185,56 @@ class Recorded:
             load_kw=np.vstack([self.load_kw[t], data.load_kw[1:]]),
             soc=np.where(self.left_out(t), empty, self.soc_start[t]),
         )
+        if self.site.phases is not None:
+            return self._by_phase(t, seen)
         seen = with_own_state(self.site, seen)
         return with_ratings(self.site, seen) if self.site.rated else seen
+
+    @cached_property
+    def near_limits(self) -> tuple[int, ...]:
+        """Voltages by phase that came near a limit in any step of the run."""
+        net = self.site.feeder
+        v_pu = np.nan_to_num(self.v_node_pu, nan=1.0)
+        inside = np.minimum(v_pu - net.v_min_pu, net.v_max_pu - v_pu).min(axis=0)
+        near = (inside < NEAR_PU) & phased_model(self.site).limited
+        return tuple(np.flatnonzero(near).tolist())
+
+    @cached_property
+    def v_node_pu(self) -> Floats:
+        """AC voltages by phase, (T, m)."""
+        assert self.trajectory.nodes is not None
+        return self._array(self.trajectory.nodes, "v_ac_pu")
+
+    def former_kva(self, t: int) -> Complexes:
+        """What the former gave on each phase in a step of an island, (3,)."""
+        (p,), (q,) = self.drawn(t)
+        found = phased_model(self.site).solved(True, p, q)
+        assert found is not None
+        return found.source_kva
+
+    def drawn(self, t: int) -> tuple[Floats, Floats]:
+        """What assets of a phased feeder drew in a step, (1, D) each, the former's own left out."""
+        run = self.trajectory
+        pv_kw = self._array(run.pv, "self_kw") + self._array(run.pv, "export_kw")
+        pv_kvar = self._array(run.pv, "q_kvar")
+        row = slice(t, t + 1)
+        return phased_model(self.site).powers(
+            self.scenario.outage[row],
+            load_kw=(self.load_kw * self.served)[row],
+            pv=(pv_kw[row], pv_kvar[row]),
+            batteries=(-self.battery_kw[row], self.batt_q_kvar[row]),
+        )
+
+    def _by_phase(self, t: int, seen: WindowData) -> WindowData:
+        """A window of a phased feeder, its first step linearised at what was recorded."""
+        physics = physics_of(self.site, seen, float(self.options["headroom"]))
+        at = PhasedLinearisation(phased_model(self.site))
+        data = at.at_rest(replace(seen, physics=physics), self.near_limits)
+        p, q = (np.pad(one, [(0, data.n_steps - 1), (0, 0)]) for one in self.drawn(t))
+        first = np.arange(data.n_steps) == 0
+        first &= np.isfinite(self.v_ac_pu[t]).all()
+        points = at.model.points(data, p, q, first)
+        return at.at(data, p, q, points, first & points.converged)
 
     def observation(self, t: int) -> Observation:
         """What the controller was told of that window."""

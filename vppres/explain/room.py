@@ -11,7 +11,9 @@ import numpy as np
 from vppres.core.arrays import Floats
 from vppres.explain.prices import WORTH
 from vppres.explain.step import Binding, Scarce, Step
+from vppres.model.data import PhasedWindow
 from vppres.model.formulas import lossless_flows, voltage_drop_pu2
+from vppres.model.phases import GRID, ISLAND, phased_model
 
 
 def limits_in_full(step: Step, customer: int, binding: Binding) -> list[Scarce]:
@@ -33,7 +35,9 @@ def limits_in_full(step: Step, customer: int, binding: Binding) -> list[Scarce]:
         priced.add("energy")
     if overloaded_line(step, customer) is not None:
         priced.add("rating")
-    if _under_voltage(step, *_flows_for(step, customer)):
+    if overloaded_phase(step, customer) is not None:
+        priced.add("phase")
+    if _under_voltage(step, customer):
         priced.add("voltage")
     return sorted(priced, key=lambda name: (name != binding, name))
 
@@ -50,6 +54,26 @@ def overloaded_line(step: Step, customer: int) -> int | None:
     return int(np.argmax(share)) if share.max(initial=0.0) > 1.0 else None
 
 
+def overloaded_phase(step: Step, customer: int) -> int | None:
+    """The former's phase that all demand of a customer would take furthest beyond its room."""
+    phased = step.levels.window.phased
+    if phased is None or not step.outage or step.dark:
+        return None
+    model = phased_model(step.site)
+    slopes = model.slopes[ISLAND]
+    kw, kvar = _demand(step, customer)
+    now = step.recorded.former_kva(step.t)
+    more = np.abs(now + slopes.former_p[:, customer] * kw + slopes.former_q[:, customer] * kvar)
+    share = np.where(more > np.abs(now), more / phased.room_kva[0], 0.0)
+    return int(np.argmax(share)) if share.max() > 1.0 else None
+
+
+def _demand(step: Step, customer: int) -> tuple[float, float]:
+    """Demand of a customer in kW and kvar."""
+    kw = float(step.load_kw[customer])
+    return kw, kw * float(step.site.customers.q_per_p[customer])
+
+
 def _flows_for(step: Step, customer: int) -> tuple[Floats, Floats]:
     """What the supply of a customer adds to the flows of the lines, in kW and kvar, (L,) each.
 
@@ -60,13 +84,15 @@ def _flows_for(step: Step, customer: int) -> tuple[Floats, Floats]:
     source = 0 if former is None else site.network.bus_index[site.batteries.bus[former]]
     place = site.customer_bus[:, [customer]].toarray().ravel()
     place[source] -= 1.0
-    kw = float(step.load_kw[customer])
-    kvar = kw * float(site.customers.q_per_p[customer])
-    return tuple(lossless_flows(site.network, -place[None, :] * size)[0] for size in (kw, kvar))
+    demand = _demand(step, customer)
+    return tuple(lossless_flows(site.network, -place[None, :] * size)[0] for size in demand)
 
 
-def _under_voltage(step: Step, kw: Floats, kvar: Floats) -> bool:
-    """Whether a voltage would fall below what plans allow with more flow."""
+def _under_voltage(step: Step, customer: int) -> bool:
+    """Whether a voltage would fall below what plans allow with the demand of a customer."""
+    if step.levels.window.phased is not None:
+        return _node_under_voltage(step, step.levels.window.phased, customer)
+    kw, kvar = _flows_for(step, customer)
     net = step.site.network
     drop = voltage_drop_pu2(net, kw[None, :], kvar[None, :]) @ net.downstream
     fall = np.asarray(drop)[0]
@@ -75,3 +101,13 @@ def _under_voltage(step: Step, kw: Floats, kvar: Floats) -> bool:
     after = before - (fall - fall[held])
     lowest = step.levels.window.u_limits_pu2(net)[0][0]
     return bool(((after < lowest) & (after < before)).any())
+
+
+def _node_under_voltage(step: Step, phased: PhasedWindow, customer: int) -> bool:
+    """The same of the nodes of a phased feeder."""
+    model = phased_model(step.site)
+    slopes = model.slopes[ISLAND if step.outage else GRID]
+    kw, kvar = _demand(step, customer)
+    change = slopes.u_p[:, customer] * kw + slopes.u_q[:, customer] * kvar
+    after = step.recorded.v_node_pu[step.t] ** 2 + change
+    return bool(((after < phased.u_min[0]) & (change < 0.0) & model.limited).any())

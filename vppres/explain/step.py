@@ -18,7 +18,7 @@ from vppres.explain.prices import WORTH, StepPrices
 from vppres.explain.recorded import Limits, Recorded
 from vppres.solve.shadow_prices import ShadowPrices
 
-Scarce = Literal["energy", "power", "voltage", "inverter", "rating", "grid"]
+Scarce = Literal["energy", "power", "voltage", "inverter", "rating", "phase", "grid"]
 # docs/explanations.md defines them: "grid" limits the import, and the export of what is curtailed.
 Driver = (
     Scarce
@@ -210,7 +210,7 @@ class Step:
         if self.service is None:
             return {
                 name: np.zeros(count)
-                for name in ("energy", "power", "inverter", "grid", "rating", "voltage")
+                for name in ("energy", "power", "inverter", "grid", "rating", "phase", "voltage")
             }
         p = self.service
         bus = self.site.customer_bus
@@ -228,8 +228,35 @@ class Step:
             "inverter": inverter,
             "grid": share["grid"] * system,
             "rating": np.maximum(rating, 0.0),
-            "voltage": np.maximum(beyond - rating, 0.0),
+            "phase": np.maximum(self.phase_cost.sum(axis=0), 0.0),
+            "voltage": np.maximum(beyond - rating, 0.0) + self._node_cost,
         }
+
+    @cached_property
+    def phase_cost(self) -> Floats:
+        """What the former's phases make of the cost of each customer, (3, C); 0 without phases."""
+        phases = None if self.service is None else self.service.phases
+        if phases is None:
+            return np.zeros((3, len(self.load_kw)))
+        n = len(self.load_kw)
+        kvar = self.load_kw * self.site.customers.q_per_p
+        return np.asarray(phases.active[:, :n] * self.load_kw + phases.reactive[:, :n] * kvar)
+
+    @property
+    def _node_cost(self) -> Floats:
+        """What voltage limits of nodes make of it, (C,)."""
+        phases = None if self.service is None else self.service.phases
+        if phases is None:
+            return np.zeros(len(self.load_kw))
+        n = len(self.load_kw)
+        kvar = self.load_kw * self.site.customers.q_per_p
+        cost = phases.by_voltage[:n] * self.load_kw + phases.by_voltage_kvar[:n] * kvar
+        return np.asarray(np.maximum(cost, 0.0))
+
+    def full_phase(self, customer: int) -> int | None:
+        """The former's phase that costs most of what supplying a customer does; None if none."""
+        cost = self.phase_cost[:, customer]
+        return int(np.argmax(cost)) if cost.max() > WORTH else None
 
     @cached_property
     def loading(self) -> Floats:

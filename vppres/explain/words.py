@@ -8,6 +8,7 @@ from vppres.core.arrays import Floats, Names
 from vppres.core.text import in_pounds
 from vppres.explain.prices import WORTH, WORTH_GBP
 from vppres.explain.step import Binding, Step
+from vppres.scenario.phases import PHASES
 from vppres.scenario.priority import Ranks
 
 LEAST_SHARE = 0.01
@@ -18,6 +19,7 @@ SCARCE: dict[Binding, str] = {
     "power": "battery power",
     "inverter": "inverter rating",
     "rating": "the rating of a line",
+    "phase": "the rating of a phase",
     "voltage": "the voltage limit",
     "grid": "the grid limit",
     "": "nothing",
@@ -28,6 +30,7 @@ TOO_LITTLE: dict[Binding, str] = {
     "power": "not enough battery power to supply it in full",
     "inverter": "not enough inverter rating to supply it in full",
     "rating": "the rating of a line does not allow its full demand",
+    "phase": "a phase of the grid-forming battery would be overloaded",
     "voltage": "the voltage limit does not allow its full demand",
     "grid": "the grid limit does not allow its full demand",
     "": "nothing binds",
@@ -38,6 +41,7 @@ DRIVERS = {
     "power": "battery power",
     "inverter": "inverter rating",
     "rating": "line rating",
+    "phase": "phase rating",
     "voltage": "voltage limit",
     "grid": "grid limit",
     "priority": "priority",
@@ -89,17 +93,18 @@ def pounds(value: float) -> str:
     return in_pounds(value, ".0f" if value >= 10.0 else ".2f")
 
 
-def one_more(step: Step, binding: Binding, line: int | None = None) -> str:
+def one_more(step: Step, binding: Binding, which: int | None = None) -> str:
     """The value of one more unit of the binding limit, without a full stop; empty if none.
 
-    Of ratings that of a line, the most valuable one if none is given.
+    Of ratings that of a line or a phase, the most valuable one if none is given.
     """
     p = step.service
     if p is None:
         return ""
     b = step.site.batteries
     buses = step.scenario.network.buses
-    full = int(np.argmax(p.line_rating)) if line is None else line
+    rated = p.former_phase if binding == "phase" else p.line_rating
+    full = int(np.argmax(rated)) if which is None and len(rated) else which or 0
     offers: dict[Binding, tuple[float, str]] = {
         "energy": (_most(p.stored_energy), "one more stored kWh"),
         "power": _first(
@@ -123,7 +128,12 @@ def one_more(step: Step, binding: Binding, line: int | None = None) -> str:
         "rating": (
             float(p.line_rating[full]),
             f"one more kVA through {line_name(step, full)}",
-        ),
+        )
+        if binding == "rating"
+        else (0.0, ""),
+        "phase": (float(p.former_phase[full]), f"one more kVA on {phase_name(step, full)}")
+        if binding == "phase"
+        else (0.0, ""),
         "grid": (p.grid, "one more kW from the grid"),
     }
     value, what = offers.get(binding, (0.0, ""))
@@ -140,6 +150,13 @@ def line_name(step: Step, line: int) -> str:
     net = step.scenario.network
     kind = "line" if net.ratio[line] == 1.0 else "transformer"
     return f"the {kind} from {net.from_bus[line]} to {net.to_bus[line]}"
+
+
+def phase_name(step: Step, phase: int) -> str:
+    """A phase of the battery that holds the island."""
+    former = step.site.batteries.largest_former
+    name = "the grid-forming battery" if former is None else step.site.batteries.id[former]
+    return f"phase {PHASES[phase]} of {name}"
 
 
 def hours(value: float, ranks: Ranks | None) -> str:

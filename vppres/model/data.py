@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -48,6 +49,11 @@ class Physics:
         """Some of the steps."""
         return Physics(*(getattr(self, f.name)[steps] for f in fields(self)))
 
+    def followed_by_nothing(self, n_steps: int) -> Physics:
+        """The same with steps behind it that lose nothing and keep nothing."""
+        values = (getattr(self, f.name) for f in fields(self))
+        return Physics(*(np.pad(v, [(0, n_steps), (0, 0)][: v.ndim]) for v in values))
+
 
 @dataclass(frozen=True, eq=False)
 class PhasedWindow:
@@ -80,6 +86,16 @@ class PhasedWindow:
     def part(self, steps: slice) -> PhasedWindow:
         """Some of the steps."""
         return PhasedWindow(*(getattr(self, f.name)[steps] for f in fields(self)))
+
+    def followed_by_rest(self, n_steps: int) -> PhasedWindow:
+        """The same with steps behind it in which no voltage and no phase limits anything."""
+        rest = {"u_offset": 1.0, "former_offset": 0.0, "u_min": 0.0, "u_max": 2.0, "room_kva": 1.0}
+        longer: dict[str, Any] = {}
+        for name, value in rest.items():
+            rows = getattr(self, name)
+            width = [(0, n_steps), (0, 0)][: rows.ndim]
+            longer[name] = np.pad(rows, width, constant_values=value)
+        return replace(self, **longer)
 
 
 @dataclass(frozen=True, eq=False)

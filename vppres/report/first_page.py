@@ -116,9 +116,7 @@ def who_and_why(run: Trajectory) -> list[str]:
 def _reasons(run: Trajectory) -> Iterator[str]:
     """What left customers without supply, most frequent first."""
     if run.explanations is None:
-        phased = run.scenario.phases is not None
-        why = "they are not stated for phases" if phased else "the run used --no-explain"
-        yield f"No reasons recorded: {why}."
+        yield "No reasons recorded: the run used --no-explain."
         return
     out = run.explanations[run.explanations["action"] == "not_served"]
     counts = out["driver"].value_counts()

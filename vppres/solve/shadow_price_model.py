@@ -74,6 +74,7 @@ class ShadowPriceModel(Selected):
     def __init__(self, site: Site, n_steps: int, beyond: Beyond = ()) -> None:
         self.site = site
         self.n_steps = n_steps
+        self.beyond = beyond
         self.sides = disc_sides(site, n_steps)
         super().__init__(Sheet(site, n_steps, beyond), self._selected, conic=True)
 
@@ -133,6 +134,8 @@ def _padded(data: WindowData, missing: int) -> WindowData:
         drawn=data.drawn and Drawn(_rows(data.drawn.kw, missing), _rows(data.drawn.kvar, missing)),
         own_u_pu2=None if data.own_u_pu2 is None else _rows(data.own_u_pu2, missing),
         flow_max_kva=_followed_by_last(data.flow_max_kva, missing),
+        physics=data.physics and data.physics.followed_by_nothing(missing),
+        phased=data.phased and data.phased.followed_by_rest(missing),
     )
 
 

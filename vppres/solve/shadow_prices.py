@@ -14,6 +14,7 @@ import numpy as np
 from vppres.core.arrays import Floats
 from vppres.model.beyond_paper.ratings import FAMILY, rated_lines
 from vppres.model.data import WindowData
+from vppres.solve.phase_prices import PhasePrices
 from vppres.solve.result import Status
 from vppres.solve.shadow_price_model import Held, PricedTerms, ShadowPriceModel
 from vppres.solve.solvers import run_conic
@@ -51,6 +52,8 @@ class ShadowPrices:
         For 1 kW or 1 kvar put into each bus throughout the step.
     service : array, shape (C,)
         For serving each customer in the step: its weight less what its supply is worth to others.
+    phases : PhasePrices or None
+        What phases make of these prices; None for a balanced feeder.
     """
 
     stored_energy: Floats
@@ -70,6 +73,12 @@ class ShadowPrices:
     active: Floats
     reactive: Floats
     service: Floats
+    phases: PhasePrices | None = None
+
+    @property
+    def former_phase(self) -> Floats:
+        """For 1 kVA more on each phase of the former, (3,); none of a balanced feeder."""
+        return np.zeros(0) if self.phases is None else self.phases.former
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,6 +158,7 @@ def _prices(model: ShadowPriceModel) -> ShadowPrices:
     # A demand on the right of the balance costs what an injection gains.
     active = -dual("active_power_balance")[0]
     line_rating, *at_buses = _of_lines(model)
+    phases = PhasePrices.of(model)
     rho_dt = -model.factors["f2"] * model.statement.p.rho_dt.value[0]
     return ShadowPrices(
         stored_energy=dual("battery_soc_start") / energy_kwh,
@@ -159,8 +169,12 @@ def _prices(model: ShadowPriceModel) -> ShadowPrices:
         battery_discharging=dual("battery_discharge_rated")[0] * (1.0 - mode),
         battery_inverter=_of_discs(model, "battery_inverter_capacity"),
         pv_inverter=_of_discs(model, "pv_inverter_capacity"),
-        voltage_floor=_per_milli_pu(dual("voltage_min")[0], net.v_min_pu, net.bus_ratio),
-        voltage_ceiling=_per_milli_pu(dual("voltage_max")[0], net.v_max_pu, net.bus_ratio),
+        voltage_floor=_per_milli_pu(dual("voltage_min")[0], net.v_min_pu, net.bus_ratio)
+        if phases is None
+        else phases.floor,
+        voltage_ceiling=_per_milli_pu(dual("voltage_max")[0], net.v_max_pu, net.bus_ratio)
+        if phases is None
+        else phases.ceiling,
         line_rating=line_rating,
         line_active=at_buses[0],
         line_reactive=at_buses[1],
@@ -170,6 +184,7 @@ def _prices(model: ShadowPriceModel) -> ShadowPrices:
         active=active,
         reactive=-dual("reactive_power_balance")[0],
         service=(dual("service_max") - dual("service_min"))[0],
+        phases=phases,
     )
 
 
