@@ -24,12 +24,11 @@ from vppres.day.outages import GridSeen, OutageView, believed_outages
 from vppres.day.priority import site_of, weighed
 from vppres.day.time_off import off_before_h
 from vppres.day.trajectory import Trajectory, supplied
-from vppres.model.beyond_paper.phases import ThreePhases
 from vppres.model.beyond_paper.ratings import LineRatings
 from vppres.model.beyond_paper.table import Beyond, beyond_paper
 from vppres.model.data import WindowData
 from vppres.model.own_state import with_own_state
-from vppres.model.phases import GRID, ISLAND, phased_model
+from vppres.model.phases import phased_model
 from vppres.model.ratings import with_ratings
 from vppres.scenario.rules import SwitchingRules
 from vppres.solve.ladder import WindowSolver
@@ -37,9 +36,6 @@ from vppres.solve.shadow_price_model import Held
 
 MOVE_KW = 1.0
 """Smallest power of a battery, or of curtailment, that counts as an action."""
-
-NEAR_PU = 0.01
-"""How far inside its limits a voltage may limit what was decided."""
 
 NEARLY_ALL = 1.0 - 1e-4
 """Largest share of a customer that was not served. In full, the limits of its PV system's export
@@ -158,12 +154,7 @@ class Recorded:
         seen = self.seen(t)
         ratings = LineRatings.shape(self.site, seen)
         rated = () if ratings is None else ((LineRatings, ratings),)
-        if self.site.phases is None:
-            return (*beyond_paper(self.site, seen), *rated)
-        # One problem is compiled for all steps, with grid and without.
-        both = (ThreePhases, (self.near_limits, (GRID, ISLAND)))
-        others = (one for one in beyond_paper(self.site, seen) if one[0] is not ThreePhases)
-        return (*others, both)
+        return (*beyond_paper(self.site, seen), *rated)
 
     def left_out(self, t: int) -> Flags:
         """Batteries that could not be used in a step, shape (B,)."""
@@ -189,15 +180,6 @@ class Recorded:
             return self._by_phase(t, seen)
         seen = with_own_state(self.site, seen)
         return with_ratings(self.site, seen) if self.site.rated else seen
-
-    @cached_property
-    def near_limits(self) -> tuple[int, ...]:
-        """Voltages by phase that came near a limit in any step of the run."""
-        net = self.site.feeder
-        v_pu = np.nan_to_num(self.v_node_pu, nan=1.0)
-        inside = np.minimum(v_pu - net.v_min_pu, net.v_max_pu - v_pu).min(axis=0)
-        near = (inside < NEAR_PU) & phased_model(self.site).limited
-        return tuple(np.flatnonzero(near).tolist())
 
     @cached_property
     def v_node_pu(self) -> Floats:
@@ -229,7 +211,7 @@ class Recorded:
         """A window of a phased feeder, its first step linearised at what was recorded."""
         physics = physics_of(self.site, seen, float(self.options["headroom"]))
         at = PhasedLinearisation(phased_model(self.site))
-        data = at.at_rest(replace(seen, physics=physics), self.near_limits)
+        data = at.at_rest(replace(seen, physics=physics))
         p, q = (np.pad(one, [(0, data.n_steps - 1), (0, 0)]) for one in self.drawn(t))
         first = np.arange(data.n_steps) == 0
         first &= np.isfinite(self.v_ac_pu[t]).all()

@@ -89,13 +89,13 @@ class PhasedWindow:
 
     def followed_by_rest(self, n_steps: int) -> PhasedWindow:
         """The same with steps behind it in which no voltage and no phase limits anything."""
-        rest = {"u_offset": 1.0, "former_offset": 0.0, "u_min": 0.0, "u_max": 2.0, "room_kva": 1.0}
+        rest = {"u_offset": 1.0, "u_max": 2.0, "room_kva": 1.0}
         longer: dict[str, Any] = {}
-        for name, value in rest.items():
-            rows = getattr(self, name)
-            width = [(0, n_steps), (0, 0)][: rows.ndim]
-            longer[name] = np.pad(rows, width, constant_values=value)
-        return replace(self, **longer)
+        for f in fields(self):
+            rows = getattr(self, f.name)
+            width = [(0, n_steps), *[(0, 0)] * (rows.ndim - 1)]
+            longer[f.name] = np.pad(rows, width, constant_values=rest.get(f.name, 0.0))
+        return PhasedWindow(**longer)
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from vppres.core.arrays import Floats
-from vppres.model.beyond_paper.phases import SIDES, ThreePhases
-from vppres.model.phases import GRID, ISLAND, PhasedModel, phased_model
+from vppres.model.phases import GRID, phased_model
 from vppres.scenario.phases import PHASES
+from vppres.solve.phases import HIGH, LOW, OF_FORMER, PER_PU2, SMALLEST_KVA
 from vppres.solve.shadow_price_model import ShadowPriceModel
 
 
@@ -27,7 +26,7 @@ class PhasePrices:
     by_voltage, by_voltage_kvar : array, shape (D,)
         What voltage limits make of it.
     floor, ceiling : array, shape (N,)
-        For limits 0.001 pu further out at the most valuable node of each bus.
+        For limits 0.001 pu further out at all nodes of each bus.
     """
 
     former: Floats
@@ -41,59 +40,39 @@ class PhasePrices:
     @classmethod
     def of(cls, model: ShadowPriceModel) -> PhasePrices | None:
         """Prices of the first step; None for a balanced feeder."""
-        if model.site.phases is None:
+        if model.site.phases is None or model.data is None:
             return None
         phased = phased_model(model.site)
-        shape: Any = dict(model.beyond)[ThreePhases]
-        watched: tuple[int, ...] = shape[0]
-        low, high = (_of_nodes(model, phased, list(watched), end) for end in ("min", "max"))
-        former, active, reactive = _of_former(model, phased)
         net = model.site.feeder
+        room = float(model.data.require_phased().room_kva[0])
+        per_unit = {
+            LOW: PER_PU2 * 2.0 * net.v_min_pu * 1e-3,
+            HIGH: PER_PU2 * 2.0 * net.v_max_pu * 1e-3,
+            OF_FORMER: 1.0 / max(room, SMALLEST_KVA),
+        }
+        sizes = {LOW: net.n_buses, HIGH: net.n_buses, OF_FORMER: len(PHASES)}
+        value = {side: np.zeros(size) for side, size in sizes.items()}
+        by_phase = np.zeros((2, len(PHASES), len(phased.flows[GRID].assets)))
+        by_voltage = np.zeros((2, by_phase.shape[2]))
+        first = len(model.duals) - sum(len(rows.steps) for rows in model.phase_rows)
+        for rows in model.phase_rows:
+            dual = np.maximum(model.duals[first : first + len(rows.steps)], 0.0)
+            first += len(rows.steps)
+            dual = np.where(rows.steps == 0, dual, 0.0)
+            former = rows.side == OF_FORMER
+            places = rows.places if former else phased.at_bus[rows.places]
+            np.add.at(value[rows.side], places, dual * per_unit[rows.side])
+            costs = -np.stack([rows.by_p, rows.by_q]) * dual[:, None]
+            if former:
+                np.add.at(by_phase.swapaxes(0, 1), rows.places, costs.swapaxes(0, 1))
+            else:
+                by_voltage += costs.sum(axis=1)
         return cls(
-            former,
-            active,
-            reactive,
-            high[1] - low[1],
-            high[2] - low[2],
-            _at_buses(phased, low[0] * 2.0 * net.v_min_pu * 1e-3),
-            _at_buses(phased, high[0] * 2.0 * net.v_max_pu * 1e-3),
+            value[OF_FORMER],
+            active=by_phase[0],
+            reactive=by_phase[1],
+            by_voltage=by_voltage[0],
+            by_voltage_kvar=by_voltage[1],
+            floor=value[LOW],
+            ceiling=value[HIGH],
         )
-
-
-def _of_nodes(
-    model: ShadowPriceModel, phased: PhasedModel, watched: list[int], end: str
-) -> tuple[Floats, Floats, Floats]:
-    """Value of a limit of each node, (m,), and what its voltages cost per kW and kvar, (D,)."""
-    value = np.zeros(phased.n_measured)
-    n_assets = len(phased.flows[GRID].assets)
-    kw, kvar = np.zeros(n_assets), np.zeros(n_assets)
-    for source, slopes in enumerate(phased.slopes):
-        name = f"node_voltage_{end}_{source}"
-        if name not in model.rows_of:
-            continue
-        worth = np.maximum(model.dual(name)[0], 0.0)
-        value[watched] += worth
-        kw += worth @ slopes.u_p[watched]
-        kvar += worth @ slopes.u_q[watched]
-    return value, kw, kvar
-
-
-def _of_former(model: ShadowPriceModel, phased: PhasedModel) -> tuple[Floats, Floats, Floats]:
-    """Value of 1 kVA on each phase, and what they cost per kW and kvar of each asset, (3, D)."""
-    n_assets = len(phased.flows[GRID].assets)
-    if "former_phases" not in model.rows_of:
-        nothing = np.zeros((len(PHASES), n_assets))
-        return np.zeros(len(PHASES)), nothing, nothing
-    worth = np.maximum(model.dual("former_phases")[0].reshape(len(PHASES), SIDES), 0.0)
-    angles = 2.0 * np.pi * np.arange(SIDES) / SIDES
-    turned = (worth @ np.exp(-1j * angles))[:, None]
-    slopes = phased.slopes[ISLAND]
-    active, reactive = ((turned * by).real for by in (slopes.former_p, slopes.former_q))
-    return worth.sum(axis=1) * np.cos(np.pi / SIDES), active, reactive
-
-
-def _at_buses(phased: PhasedModel, values: Floats) -> Floats:
-    """The largest value of the nodes of each bus of the network, (N,)."""
-    found = np.zeros(phased.site.network.n_buses)
-    np.maximum.at(found, phased.at_bus, values)
-    return found

@@ -8,7 +8,7 @@ each asset: all at once they take most of the time of a window.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import chain
 
 import numpy as np
@@ -30,6 +30,9 @@ SIDES = 32
 
 LOW, HIGH = 0, 1
 """Sides of a limit of voltages."""
+
+OF_FORMER = 2
+"""What rows of the former's phases have for a side."""
 
 MOST_NEW = 4
 """Voltages of a step and phase that get a row at once on a side, those farthest out first."""
@@ -81,21 +84,34 @@ class Draws:
         return cls(by_kw, by_kvar, *known)
 
     @classmethod
-    def of_problem(cls, site: Site, data: WindowData, problem: Selected, served: Flags) -> Draws:
-        """Those of a selection of the statement, for a served set."""
+    def of_problem(
+        cls, site: Site, data: WindowData, problem: Selected, served: Flags | None
+    ) -> Draws:
+        """Those of a selection of the statement, for a served set if service is held."""
         model = phased_model(site)
         pv = len(site.customers)
         batteries = pv + len(site.pv)
         rest = np.zeros((data.n_steps, len(site.batteries)))
         all_sun = (data.pv_kw, np.zeros_like(data.pv_kw))
-        known = model.powers(data.dark, data.load_kw * served, all_sun, (rest, rest))
+        held = 0.0 if served is None else served
+        known = model.powers(data.dark, data.load_kw * held, all_sun, (rest, rest))
 
-        def terms(letters: dict[str, tuple[int, float]]) -> list[Term]:
+        def terms(letters: dict[str, tuple[int, Floats | float]]) -> list[Term]:
             there = [name for name in letters if name in problem.first]
             return [(letters[name][0], problem.at(name), letters[name][1]) for name in there]
 
-        active = {"P_curt": (pv, 1.0), "P_ch": (batteries, 1.0), "P_dch": (batteries, -1.0)}
-        reactive = {"Q_pv": (pv, -1.0), "Q_batt": (batteries, -1.0)}
+        active: dict[str, tuple[int, Floats | float]] = {
+            "P_curt": (pv, 1.0),
+            "P_ch": (batteries, 1.0),
+            "P_dch": (batteries, -1.0),
+        }
+        reactive: dict[str, tuple[int, Floats | float]] = {
+            "Q_pv": (pv, -1.0),
+            "Q_batt": (batteries, -1.0),
+        }
+        if served is None:
+            active["x_served"] = 0, data.load_kw
+            reactive["x_served"] = 0, data.load_kw * site.customers.q_per_p
         size = len(problem.x_lower)
         return cls.of(model, data, size, terms(active), terms(reactive), known)
 
@@ -121,6 +137,22 @@ def _sums(model: PhasedModel, data: WindowData, size: int, terms: Iterable[Term]
     return found
 
 
+@dataclass(frozen=True, eq=False)
+class PhaseRows(Rows):
+    """Rows of limits of phases, with what they limit.
+
+    ``steps`` (R,) are those of the rows; ``by_p`` and ``by_q`` (R, D) what a kW and a kvar that an
+    asset draws add to them. ``places`` (R,) are voltages or phases, and ``side`` is which: ``LOW``
+    or ``HIGH`` of voltages, ``OF_FORMER`` of the former's phases.
+    """
+
+    steps: Wholes = field(default_factory=lambda: np.zeros(0, dtype=int))
+    places: Wholes = field(default_factory=lambda: np.zeros(0, dtype=int))
+    side: int = LOW
+    by_p: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+    by_q: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+
+
 class PhaseLimits:
     """Limits of a window's voltages by phase and of its former's phases.
 
@@ -143,12 +175,12 @@ class PhaseLimits:
         self.source = np.where(data.dark, len(self.model.flows) - 1, GRID)
 
     @property
-    def near(self) -> list[Rows]:
+    def near(self) -> list[PhaseRows]:
         """Rows of limits that bound the last candidate or, of the former, nearly did."""
         bound = [self._voltages(side, self.phased.bound[:, side]) for side in (LOW, HIGH)]
         return [*chain(*bound), *self._former(self.phased.former_kva, -NEARLY)]
 
-    def exceeded(self, x: Floats, over: float) -> list[Rows]:
+    def exceeded(self, x: Floats, over: float) -> list[PhaseRows]:
         """Rows of limits that a solution exceeds by more than so many pu², or such a share."""
         u, former = self.model.linear(self.data, *self.draws.at(x))
         u = self.phased.u_offset + u
@@ -168,7 +200,7 @@ class PhaseLimits:
             )
         return found
 
-    def _voltages(self, side: int, which: Flags) -> list[Rows]:
+    def _voltages(self, side: int, which: Flags) -> list[PhaseRows]:
         """Rows of some limits, (W, m), on a side."""
         steps, nodes = np.nonzero(which)
         limit = (self.phased.u_min, self.phased.u_max)[side]
@@ -177,14 +209,14 @@ class PhaseLimits:
         source = self.source[steps]
         least = scale * (limit - self.phased.u_offset)[steps, nodes]
         slopes = (scale * of_p[source, nodes], scale * of_q[source, nodes])
-        return self._rows(steps, *slopes, least)
+        return self._rows(steps, *slopes, least, nodes, side)
 
     @property
     def _slopes_of_voltages(self) -> tuple[list[Floats], list[Floats]]:
         slopes = self.model.slopes
         return [s.u_p for s in slopes], [s.u_q for s in slopes]
 
-    def _former(self, kva: Complexes, over: float) -> list[Rows]:
+    def _former(self, kva: Complexes, over: float) -> list[PhaseRows]:
         """Of each phase beyond its polygon the side it is farthest beyond, and those beside.
 
         Rows are in shares of what the phase may carry.
@@ -203,10 +235,18 @@ class PhaseLimits:
             by_p = -np.real(turn[:, None] * slopes.former_p[phases])
             by_q = -np.real(turn[:, None] * slopes.former_q[phases])
             least = np.real(turn * self.phased.former_offset[steps, phases]) - 1.0
-            found += self._rows(steps, by_p, by_q, least)
+            found += self._rows(steps, by_p, by_q, least, phases, OF_FORMER)
         return found
 
-    def _rows(self, steps: Wholes, by_p: Floats, by_q: Floats, least: Floats) -> list[Rows]:
+    def _rows(
+        self,
+        steps: Wholes,
+        by_p: Floats,
+        by_q: Floats,
+        least: Floats,
+        places: Wholes,
+        side: int,
+    ) -> list[PhaseRows]:
         """Rows ``by_p @ p + by_q @ q >= least`` of what assets draw in some steps, (R, D) each."""
         if not len(steps):
             return []
@@ -221,26 +261,38 @@ class PhaseLimits:
         )
         matrix = sp.csr_array(of_p @ draws.by_kw + of_q @ draws.by_kvar)
         least = least - of_p @ draws.kw.ravel() - of_q @ draws.kvar.ravel()
-        return [Rows(matrix, least, np.full(len(steps), np.inf))]
+        most = np.full(len(steps), np.inf)
+        return [
+            PhaseRows(
+                matrix, least, most, steps=steps, places=places, side=side, by_p=by_p, by_q=by_q
+            )
+        ]
 
 
 def run_in_phases(
-    site: Site, data: WindowData, problem: Selected, served: Flags, time_s: float
+    site: Site,
+    data: WindowData,
+    problem: Selected,
+    served: Flags | None,
+    time_s: float,
+    rows: list[PhaseRows] | None = None,
 ) -> Outcome:
     """Solve a problem by interior points, within the limits of a phased window's phases.
 
-    Limits that a solution exceeds are added until none is.
+    Limits that a solution exceeds are added until none is. They are in ``rows`` then, and their
+    duals behind the problem's own.
     """
     if data.phased is None:
         return run_conic(problem, time_s)
     deadline = Deadline(time_s)
     problem.compile()
     limits = PhaseLimits(site, data, Draws.of_problem(site, data, problem, served))
-    rows = limits.near
+    rows = [] if rows is None else rows
+    rows += limits.near
     while True:
         problem.added = None
         if rows:
-            joined = Rows.joined(rows)
+            joined = Rows.joined([*rows])
             problem.added = joined.matrix, joined.lower
         outcome = run_conic(problem, deadline.left_s)
         new = limits.exceeded(problem.x, OVER) if outcome.status == Status.OPTIMAL else []

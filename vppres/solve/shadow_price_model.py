@@ -21,6 +21,7 @@ from vppres.model.numerics import disc_sides
 from vppres.model.polygons import Polygon
 from vppres.model.site import Site
 from vppres.solve.forms import in_order, with_discs
+from vppres.solve.phases import PhaseRows
 from vppres.solve.selection import Family, Selected, Selection, Sheet
 
 RATED = {
@@ -74,7 +75,8 @@ class ShadowPriceModel(Selected):
     def __init__(self, site: Site, n_steps: int, beyond: Beyond = ()) -> None:
         self.site = site
         self.n_steps = n_steps
-        self.beyond = beyond
+        self.data: WindowData | None = None
+        self.phase_rows: list[PhaseRows] = []
         self.sides = disc_sides(site, n_steps)
         super().__init__(Sheet(site, n_steps, beyond), self._selected, conic=True)
 
@@ -95,7 +97,8 @@ class ShadowPriceModel(Selected):
     def price(self, data: WindowData, held: Held, priced: PricedTerms) -> None:
         """Write a window's data, padded to the compiled length, and what is held and priced."""
         missing = self.n_steps - data.n_steps
-        self.fill(_padded(data, missing))
+        self.data = _padded(data, missing)
+        self.fill(self.data)
         self.compile()
         self.factors.update(f1=priced.service, f2=-priced.cost, f3=-priced.curtailment)
         for name in {"f7", "own"} & self.factors.keys():

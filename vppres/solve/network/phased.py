@@ -46,8 +46,8 @@ class PhasedInjections(Injections):
     @property
     def near(self) -> list[Rows]:
         """Rows of limits that the last candidate nearly reached."""
-        return self.limits.near
+        return [*self.limits.near]
 
     def voltage_rows(self, x: Floats, tolerance_pu2: float) -> list[Rows]:
         """Rows of the voltages and of the former's phases that exceed their limits."""
-        return self.limits.exceeded(x, tolerance_pu2)
+        return [*self.limits.exceeded(x, tolerance_pu2)]
