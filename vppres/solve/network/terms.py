@@ -117,6 +117,7 @@ class NetworkTerms(NetworkProgram):
         self.unit = unit
         self.lost = site.weights.lambda_curt * site.dt_h * float(data.pv_kw.sum())
         self.program = _with_turns(replace(self.program, cost=self._cost() / unit), self._turns())
+        self.found = [rows.wider(len(self.program.cost)) for rows in self.found]
         turns = np.arange(self.model.size, len(self.program.cost))
         by_rules = [self.model.at[name].ravel() for name in ("on", "off", "cold")]
         self.chosen = np.concatenate([self.model.at["x"].ravel(), turns])
