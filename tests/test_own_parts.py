@@ -15,6 +15,7 @@ from vppres.contract.observation import Observation
 from vppres.control.baselines import IdleController
 from vppres.control.mpc import MPCController
 from vppres.day.options import RunOptions
+from vppres.day.recorder import ROTATED
 from vppres.forecasts.interface import LoadAndPV
 from vppres.model.site import Site
 from vppres.scenario.history import History
@@ -83,6 +84,7 @@ def test_weights_decide_who_is_on(tiny: Scenario) -> None:
         run = vppres.run_day(tiny, replace(HERE, priority="weights"), weights=by_step)
         on = run.customers[run.customers["time"].isin(dark)].groupby("id")["served"].mean()
         assert on[favourite] == on.max() > 0.0
+        np.testing.assert_array_equal(run.customers[ROTATED], by_step.ravel())
 
 
 def test_what_a_controller_remembers_goes_on_with_other_weights(

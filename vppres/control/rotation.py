@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
 
-from vppres.contract.decision import Decider, Decision
+from vppres.contract.decision import Decision
 from vppres.contract.observation import Observation, Turns
-from vppres.control.remembered import PARTS, memory_of, put_back
+from vppres.control.by_weight import ByWeight
+from vppres.control.remembered import PART
 from vppres.core.arrays import Flags, Floats
-from vppres.core.plain import Given
-from vppres.model.site import Site
 from vppres.scenario.fairness import Fairness, rotated, turns
 from vppres.scenario.scenario import Scenario
 
@@ -22,25 +20,20 @@ HOURS_EXACT = 1e-9
 
 
 class Rotating:
-    """Wraps a controller whose customers weigh more the longer they were off supply in outages.
+    """Changes the weights of customers, which weigh more the longer they were off in outages.
 
-    Weights change while there is grid, and in an outage after each turn. For each set of them the
-    controller is made anew, with its compiled problems; the one before is dropped.
+    Weights change while there is grid, and in an outage after each turn.
 
     Parameters
     ----------
-    decider_of : callable
-        Makes the wrapped controller of a site.
-    weighed : callable
-        The site with other weights, (C,).
+    controllers : ByWeight
+        Decides with the present weights.
     scenario : Scenario
         Its customers and tiers.
     rules : Fairness
         How supply is shared.
     off_h : array, shape (C,)
         Hours off supply before the first step.
-    given : mapping
-        What a memory does not hold, by type.
     """
 
     REMEMBERED: ClassVar[dict[str, Any]] = {
@@ -50,17 +43,11 @@ class Rotating:
         "turn_h": float,
         "_t": int,
         "_out": bool,
-        "_parts": PARTS,
+        "_controllers": PART,
     }
 
     def __init__(
-        self,
-        decider_of: Callable[[Site], Decider],
-        weighed: Callable[[Floats], Site],
-        scenario: Scenario,
-        rules: Fairness,
-        off_h: Floats,
-        given: Given,
+        self, controllers: ByWeight, scenario: Scenario, rules: Fairness, off_h: Floats
     ) -> None:
         self.scenario = scenario
         self.rules = rules
@@ -68,40 +55,25 @@ class Rotating:
         self.on_h = np.zeros(len(off_h))  # since a customer's last turn
         self.out_h = 0.0
         self.turn_h = 0.0
-        self._decider_of = decider_of
-        self._weighed = weighed
-        self._given = given
-        self._total = float(weighed(scenario.customers.weight).customers.weight.sum())
         self._rank = np.array([scenario.tiers.index(tier) for tier in scenario.customers.tier])
         self._t = -1
         self._out = False
-        self._parts: dict[bytes, Decider] = {}
-        self.part_for(self._rotated().tobytes())
-
-    @property
-    def inner(self) -> Decider:
-        """The wrapped controller with the present weights."""
-        return next(iter(self._parts.values()))
-
-    @property
-    def weight(self) -> Floats:
-        """The present weights, (C,)."""
-        return np.frombuffer(next(iter(self._parts)), dtype=float)
+        self._controllers = controllers
+        self._change()
 
     def horizon_steps(self, t0: int) -> range:
-        """Those of the wrapped controller."""
-        return self.inner.horizon_steps(t0)
+        """Those of its controllers."""
+        return self._controllers.horizon_steps(t0)
 
     def decide(self, observation: Observation) -> Decision:
         """The decision with the weights of the step, and with those on whose turn it is."""
         if observation.t0 != self._t:  # not anew within the step
             self._count(observation)
             self._t = observation.t0
-        observation = observation.counted(self._scale)
         due = self._due()
         if due.any():
             observation = replace(observation, turns=Turns(due, self._rank))
-        return replace(self.inner.decide(observation), weight=self.weight)
+        return self._controllers.decide(observation)
 
     def _count(self, observation: Observation) -> None:
         """Add the step before to the time off supply, and change weights if it is time."""
@@ -121,23 +93,10 @@ class Rotating:
 
     def _change(self) -> None:
         """Go on with the weights that follow from the time off supply."""
-        key = self._rotated().tobytes()
-        if key not in self._parts:
-            memory = memory_of(self.inner, self._given)
-            put_back(self.part_for(key), memory, self._given, "controller")
-
-    def part_for(self, key: bytes) -> Decider:
-        """The wrapped controller of weights, as bytes; others are dropped."""
-        if key not in self._parts:
-            site = self._weighed(np.frombuffer(key, dtype=float))
-            # Strict order has its own scale of weights, and it changes with them.
-            self._scale = float(site.customers.weight.sum()) / self._total
-            self._parts = {key: self._decider_of(site)}
-        return self._parts[key]
-
-    def _rotated(self) -> Floats:
-        growth = self.rules.rotation
-        return rotated(self.scenario.customers, self.scenario.tiers, self.off_h, growth)
+        c = self.scenario.customers
+        self._controllers.change_to(
+            rotated(c, self.scenario.tiers, self.off_h, self.rules.rotation)
+        )
 
     def _turns(self) -> Flags:
         return turns(len(self.off_h), self.out_h, self.rules.minimum_on_h)

@@ -10,6 +10,7 @@ import numpy as np
 
 from vppres.contract.decision import Decider
 from vppres.control.baselines import IdleController, ReserveController
+from vppres.control.by_weight import ByWeight
 from vppres.control.converged import ConvergedPlanner
 from vppres.control.full_horizon import FullHorizonController
 from vppres.control.guard.check import Tolerances
@@ -89,19 +90,21 @@ def make_controller(
             return controller_of(whole)
         return GuardedController(controller_of, solver_of, whole, _guard_options(scenario, options))
 
+    def controllers() -> ByWeight:
+        return ByWeight(
+            decider_of,
+            partial(weighed, site, scenario, options.as_record()),
+            scenario.customers.weight,
+            {Site: site, SwitchingRules: options.switching},
+        )
+
     if own is not None and own.weights is not None:
-        return ByStepWeights(decider_of, site, scenario, options, own)
+        return ByStepWeights(controllers(), own, scenario.customers.weight)
     if options.shares_supply:
         check_fairness(options.controller)
         rules = Fairness(**{f.name: getattr(options, f.name) for f in fields(Fairness)})
-        return Rotating(
-            decider_of,
-            partial(weighed, site, scenario, options.as_record()),
-            scenario,
-            rules,
-            hours_off(scenario.interruptions, scenario.customers.id),
-            {Site: site, SwitchingRules: options.switching},
-        )
+        off_h = hours_off(scenario.interruptions, scenario.customers.id)
+        return Rotating(controllers(), scenario, rules, off_h)
     return decider_of(site)
 
 

@@ -12,15 +12,12 @@ from numpy.typing import ArrayLike
 from vppres.contract.decision import Decider, Decision
 from vppres.contract.forecast import ForecastErrors
 from vppres.contract.observation import Observation
-from vppres.control.remembered import memory_of, put_back
+from vppres.control.by_weight import ByWeight
 from vppres.core.arrays import Floats
 from vppres.core.errors import InputError
 from vppres.day.options import RunOptions
-from vppres.day.priority import weighed
 from vppres.forecasts.interface import Forecaster
 from vppres.model.site import Site
-from vppres.scenario.rules import SwitchingRules
-from vppres.scenario.scenario import Scenario
 
 MPC = "mpc"
 
@@ -106,59 +103,30 @@ class Own:
 class ByStepWeights:
     """A controller whose customers have other weights from step to step.
 
-    For each set of weights there is a controller, with its guard and compiled problems; what one
-    remembers of the step before goes on to the next.
-
     Parameters
     ----------
-    decider_of : callable
-        Makes the controller of a site.
-    site : Site
-        The site.
-    scenario : Scenario
-        Its tiers, of which the order of strict priority follows.
-    options : RunOptions
-        Of the run.
+    controllers : ByWeight
+        Decides with the weights of a step.
     own : Own
         Has the weights.
+    weight : array, shape (C,)
+        Those before the first step.
     """
 
-    def __init__(
-        self,
-        decider_of: Callable[[Site], Decider],
-        site: Site,
-        scenario: Scenario,
-        options: RunOptions,
-        own: Own,
-    ) -> None:
-        self.decider_of = decider_of
-        self.site = site
-        self.scenario = scenario
-        self.options = options
-        self.own = own
-        self._last = decider_of(site)
-        self._controllers: dict[bytes, Decider] = {}
+    def __init__(self, controllers: ByWeight, own: Own, weight: Floats) -> None:
+        self._controllers = controllers
+        self._own = own
+        self._controllers.change_to(weight)
 
     def horizon_steps(self, t0: int) -> range:
         """Those of its controllers."""
-        return self._last.horizon_steps(t0)
+        return self._controllers.horizon_steps(t0)
 
     def decide(self, observation: Observation) -> Decision:
         """The decision with the weights of the step."""
-        weight = self.own.weights_at(observation, len(self.site.customers))
-        key = weight.tobytes()
-        if key not in self._controllers:
-            self._controllers[key] = self.decider_of(self._weighed(weight))
-        chosen = self._controllers[key]
-        if chosen is not self._last:
-            given = {Site: self.site, SwitchingRules: self.options.switching}
-            put_back(chosen, memory_of(self._last, given), given, "controller")
-        self._last = chosen
-        return chosen.decide(observation)
-
-    def _weighed(self, weight: Floats) -> Site:
-        """The site with other weights, in the run's order of the tiers."""
-        return weighed(self.site, self.scenario, self.options.as_record(), weight)
+        weight = self._own.weights_at(observation, len(self._controllers.weight))
+        self._controllers.change_to(weight)
+        return self._controllers.decide(observation)
 
 
 def _name(part: Any) -> str:
