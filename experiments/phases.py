@@ -104,7 +104,7 @@ FORMER_HOURS = 2.0
 BATTERIES = 8
 """Batteries of a scenario, the former among them; the others hold what all others did."""
 
-LIMIT_S = 600.0
+LIMIT_S = 120.0
 """Time limit of a window: tables are made on machines that do other things too."""
 
 DAYS = {"usual": (1.0, 1.0), "little sun": (1.3, 0.3), "much sun": (0.6, 1.6)}

@@ -18,6 +18,7 @@ from vppres.control.converged import (
     without_power,
 )
 from vppres.control.phased_window import PhasedLinearisation
+from vppres.core.arrays import Flags
 from vppres.core.errors import InfeasibleError, NumericalError
 from vppres.model.beyond_paper.losses import lit_steps
 from vppres.model.data import WindowData
@@ -65,18 +66,24 @@ class PhasedPlanner(PassesPlanner[PhasedPoints]):
         SolveError
             If no dispatch was found.
         """
+        whole, dark, data = self.begun(observation, n_steps)
+        deadline = Deadline(min(self.solver.limits.time_s, within_s))
+        solution = self._decide(data, deadline.part(FIRST_SHARE))
+        data, solution = self.converge(data, solution, deadline)
+        solution = self._with_voltages(data, solution)
+        return in_the_dark(self.solver.site, whole, dark, solution, self.solver.limits)
+
+    def begun(
+        self, observation: Observation, n_steps: int | None = None
+    ) -> tuple[WindowData, Flags, WindowData]:
+        """The observed window, its steps without power, and the window that is solved first."""
         site = self.solver.site
         whole = WindowData.of(observation, site, "none")
         whole = whole if n_steps is None else whole.first(n_steps)
         physics = physics_of(site, whole, self.headroom)
         dark = dark_steps(site, whole)
         data = replace(without_power(whole, dark), physics=physics)
-        data = self._linearisation.at_rest(data)
-        deadline = Deadline(min(self.solver.limits.time_s, within_s))
-        solution = self._decide(data, deadline.part(FIRST_SHARE))
-        data, solution = self.converge(data, solution, deadline)
-        solution = self._with_voltages(data, solution)
-        return in_the_dark(site, whole, dark, solution, self.solver.limits)
+        return whole, dark, self._linearisation.at_rest(data)
 
     def _decide(self, data: WindowData, deadline: Deadline) -> WindowSolution:
         """The first candidate; states of charge that miss a need by rounding are nudged."""

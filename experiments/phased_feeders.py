@@ -1,0 +1,237 @@
+"""Small random feeders with phases, and a plain statement of their whole problem.
+
+``python -m experiments.phased_feeders --cases 50`` decides a window of each as plans do, and as one
+problem with a row for each limit of each node and each side of each phase of the former, for HiGHS.
+Inverters' discs are polygons there, around the discs and inside them: what they allow brackets the
+optimum.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import replace
+from typing import NamedTuple
+
+import cvxpy as cp
+import numpy as np
+from numpy.random import Generator
+
+from experiments.random_feeders import random_scenario
+from vppres.control.phased import PhasedPlanner
+from vppres.core.arrays import Floats
+from vppres.core.errors import SolveError
+from vppres.day.assembly import make_controller
+from vppres.day.options import RunOptions
+from vppres.day.priority import site_of
+from vppres.day.simulate import Day
+from vppres.model.beyond_paper.losses import lit_steps
+from vppres.model.data import WindowData
+from vppres.model.phases import phased_model
+from vppres.model.site import Site
+from vppres.scenario.phases import PhaseBus, PhaseConnection, PhaseLine, Phases
+from vppres.scenario.scenario import ControllerDefaults, Scenario
+from vppres.solve.ladder import WindowSolver
+from vppres.solve.phases import SIDES
+from vppres.solve.result import WindowSolution
+
+SIDES_OF_INVERTERS = 64
+"""Sides of the polygons around and inside the inverters' discs: 0.12 % apart."""
+
+MUTUAL = 0.35
+"""Impedance between two phases as a share of a phase's own."""
+
+COILS = ("a", "b", "c", "ab", "bc", "a b", "a b c", "ab bc ca")
+WYE = "a b c"
+
+
+def in_phases(scenario: Scenario, rng: Generator | None = None) -> Scenario:
+    """A scenario stated in three phases; with a generator, on phases that it draws.
+
+    The battery that may form an island has all three phases, and its lines have the impedance of
+    the balanced feeder in positive sequence.
+    """
+    net = scenario.network
+    own = (net.r_ohm + 1j * net.x_ohm) / (1.0 - MUTUAL)
+    shape = np.full((3, 3), MUTUAL) + (1.0 - MUTUAL) * np.eye(3)
+    ends = zip(net.from_bus, net.to_bus, own, strict=True)
+    lines = [PhaseLine(str(a), str(b), z * shape, np.zeros((3, 3))) for a, b, z in ends]
+    buses = [PhaseBus(str(bus), bus, net.base_kv, WYE) for bus in net.bus_index]
+    coils = dict.fromkeys(scenario.customers.id, WYE) | dict.fromkeys(scenario.batteries.id, WYE)
+    if rng is not None:
+        former = scenario.batteries.grid_forming
+        drawn = [*scenario.customers.id, *scenario.batteries.id[~former]]
+        coils |= {name: str(rng.choice(COILS)) for name in drawn}
+    at = dict(zip(scenario.customers.id, scenario.customers.bus, strict=True))
+    at |= dict(zip(scenario.batteries.id, scenario.batteries.bus, strict=True))
+    owner = dict(zip(scenario.pv.id, scenario.pv.customer, strict=True))
+    rows = []
+    for name in (*scenario.customers.id, *scenario.pv.id, *scenario.batteries.id):
+        asset = owner.get(name, name)
+        between = len(coils[asset].split()[0]) > 1
+        kv = net.base_kv if between else net.base_kv / np.sqrt(3.0)
+        rows.append(PhaseConnection(name, str(at[asset]), coils[asset], kv))
+    return replace(scenario, phases=Phases(tuple(buses), tuple(lines), connections=tuple(rows)))
+
+
+def random_phased(seed: int) -> Scenario:
+    """A random day of a few steps on an unbalanced feeder; a battery forms the island."""
+    return in_phases(with_a_former(random_scenario(seed)), np.random.default_rng([seed, 44]))
+
+
+def with_a_former(scenario: Scenario) -> Scenario:
+    """The scenario in physical mode, with its largest battery as the one that forms an island."""
+    b = scenario.batteries
+    largest = np.arange(len(b)) == (np.argmax(b.s_max_kva) if len(b) else 0)
+    mode = ControllerDefaults(mode="physical")
+    return replace(scenario, controller=mode, batteries=replace(b, grid_forming=largest))
+
+
+class Decided(NamedTuple):
+    """A window's data, what the method found of it, and the site."""
+
+    site: Site
+    data: WindowData
+    found: WindowSolution
+
+
+def decided(scenario: Scenario) -> Decided:
+    """The first window of a day over all of its steps, decided at its first linearisation."""
+    hours = (scenario.grid.n_steps - 1) * scenario.grid.dt_h
+    options = RunOptions(horizon_h=hours).on(scenario)
+    site = site_of(scenario, options.as_record())
+    solver = WindowSolver(site, limits=options.limits)
+    day = Day(scenario, options)
+    seen = day.observe(make_controller(scenario, options), 0)
+    _, _, data = PhasedPlanner(solver).begun(seen)
+    return Decided(site, data, solver.solve(data))
+
+
+def plainly(site: Site, data: WindowData, inside: bool) -> float:
+    """The most that F can be without its tie-breakers, with all rows stated at once.
+
+    -inf if there is no dispatch.
+    """
+    b, pv, customers = site.batteries, site.pv, site.customers
+    W, C, P, B = data.n_steps, len(customers), len(pv), len(b)
+    x = cp.Variable((W, C), boolean=True)
+    exported = cp.Variable((W, P), nonneg=True)
+    charge, discharge = (cp.Variable((W, B), nonneg=True) for _ in range(2))
+    charging = cp.Variable((W, B), boolean=True)
+    energy = cp.Variable((W, B))
+    q_pv, q_batt = cp.Variable((W, P)), cp.Variable((W, B))
+    imported, q_grid = cp.Variable(W, nonneg=True), cp.Variable(W)
+    own = cp.multiply(data.self_limit_kw(site), x[:, site.owner])
+    through = own + exported
+    net = charge - discharge
+    most = data.active_max_kw(b)
+    before = (
+        cp.vstack([(b.energy_kwh * data.soc)[None, :], energy[:-1]])
+        if W > 1
+        else ((b.energy_kwh * data.soc)[None, :])
+    )
+    stored = cp.multiply(charge, np.tile(data.eta_charge, (W, 1))) - cp.multiply(
+        discharge, np.tile(1.0 / data.eta_discharge, (W, 1))
+    )
+    physics = data.require_physics()
+    assert data.drawn is not None
+    kvar = data.load_kw * customers.q_per_p
+    rows = [
+        through <= data.pv_kw,
+        charge <= cp.multiply(most, charging),
+        discharge <= cp.multiply(most, 1 - charging),
+        energy == before + site.dt_h * stored,
+        energy >= data.soc_min(b) * b.energy_kwh,
+        energy <= np.tile(b.soc_max * b.energy_kwh, (W, 1)),
+        imported <= np.minimum(data.grid_p_max_kw(site), 1e6),
+        cp.abs(q_grid) <= data.grid_q_max_kvar(site),
+        imported + cp.sum(exported, axis=1) >= cp.sum(charge, axis=1),
+        imported + cp.sum(through, axis=1)
+        == cp.sum(net, axis=1)
+        + cp.sum(cp.multiply(data.load_kw, x), axis=1)
+        + data.drawn.kw.sum(axis=1),
+        q_grid + cp.sum(q_pv, axis=1) + cp.sum(q_batt, axis=1)
+        == cp.sum(cp.multiply(kvar, x), axis=1) + data.drawn.kvar.sum(axis=1),
+        *_discs(through, q_pv, np.tile(pv.s_max_kva, (W, 1)), inside),
+        *_discs(net, q_batt, b.s_max_kva - physics.headroom_kw, inside),
+    ]
+    p = cp.hstack([cp.multiply(data.load_kw, x), -through, net])
+    q = cp.hstack([cp.multiply(kvar, x), -q_pv, -q_batt])
+    rows += _phases(site, data, p, q)
+    w = site.weights
+    curtailed = cp.sum(data.pv_kw - through)
+    worth = (
+        cp.sum(x @ customers.weight)
+        - w.lambda_grid * (data.price_gbp_per_kwh @ imported)
+        - w.lambda_curt * curtailed
+    )
+    problem = cp.Problem(cp.Maximize(site.dt_h * worth), rows)
+    problem.solve(solver=cp.HIGHS, mip_rel_gap=1e-7, mip_abs_gap=1e-6)
+    return -np.inf if problem.value is None else float(problem.value)
+
+
+def _discs(p: cp.Expression, q: cp.Expression, radius: Floats, inside: bool) -> list[cp.Constraint]:
+    """Polygons in place of discs."""
+    reach = np.cos(np.pi / SIDES_OF_INVERTERS) if inside else 1.0
+    angles = 2.0 * np.pi * np.arange(SIDES_OF_INVERTERS) / SIDES_OF_INVERTERS
+    return [np.cos(a) * p + np.sin(a) * q <= reach * radius for a in angles]
+
+
+def _phases(
+    site: Site, data: WindowData, p: cp.Expression, q: cp.Expression
+) -> list[cp.Constraint]:
+    """Voltages of all nodes, and the former's phases, in all steps with power."""
+    model = phased_model(site)
+    phased = data.require_phased()
+    found: list[cp.Constraint] = []
+    for t in np.flatnonzero(lit_steps(data)):
+        island = bool(data.dark[t])
+        slopes = model.slopes[int(island)]
+        draws = np.ones(p.shape[1])
+        if island:
+            draws[model.former_device] = 0.0
+        p_t, q_t = cp.multiply(p[t], draws), cp.multiply(q[t], draws)
+        u = phased.u_offset[t] + slopes.u_p @ p_t + slopes.u_q @ q_t
+        limited = np.flatnonzero(model.limited)
+        found += [u[limited] >= phased.u_min[t][limited], u[limited] <= phased.u_max[t][limited]]
+        if not island:
+            continue
+        for angle in 2.0 * np.pi * np.arange(SIDES) / SIDES:
+            turn = np.exp(-1j * angle)
+            by_p, by_q = np.real(turn * slopes.former_p), np.real(turn * slopes.former_q)
+            rest = np.real(turn * phased.former_offset[t])
+            room = np.cos(np.pi / SIDES) * phased.room_kva[t]
+            found.append(rest + by_p @ p_t + by_q @ q_t <= room)
+    return found
+
+
+def compared(seed: int) -> str:
+    """A row of the table; the last word says whether the optimum is met to the gap."""
+    scenario = random_phased(seed)
+    try:
+        site, data, found = decided(scenario)
+    except SolveError as error:
+        return f"| {seed} | {type(error).__name__} | | | | no answer |"
+    inner, outer = plainly(site, data, inside=True), plainly(site, data, inside=False)
+    gap = max(5e-3, 1e-4 * abs(found.objective))
+    meets = inner - gap <= found.objective <= outer + 1e-6 and found.bound >= inner - 1e-6
+    values = f"{found.objective:.6f} | {found.bound:.6f} | {inner:.6f} | {outer:.6f}"
+    return f"| {seed} | {values} | {'equal' if meets else 'differs'} |"
+
+
+def main() -> int:
+    """Print a row for each case."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cases", type=int, default=50)
+    parser.add_argument("--first", type=int, default=0)
+    given = parser.parse_args()
+    sys.stdout.write("| case | F | its bound | plainly, inside discs | around them | |\n")
+    sys.stdout.write("| --- " * 6 + "|\n")
+    for seed in range(given.first, given.first + given.cases):
+        sys.stdout.write(f"{compared(seed)}\n")
+        sys.stdout.flush()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
