@@ -114,6 +114,26 @@ class PassesPlanner(ABC, Generic[P]):
         soc = np.minimum(data.soc + SOC_NUDGE, self.solver.site.batteries.soc_max)
         return replace(data, soc=soc)
 
+    def decide(
+        self, data: WindowData, start: WindowData, deadline: Deadline
+    ) -> tuple[WindowData, WindowSolution]:
+        """Served set and first candidate; the stages say where it took a second attempt.
+
+        A plan that lived on exactly the energy it had charged may miss it by the solvers' tolerance
+        one step later: the search with binaries finds its served set again, the linear problem
+        calls it infeasible. SoC is not known that sharply anyway. Where an old AC point leaves no
+        dispatch at all, the window is solved as it was before one was put in.
+        """
+        nudged = self.nudged(data)
+        try:
+            return data, self.solver.solve(data, deadline.left_s)
+        except (InfeasibleError, NumericalError):
+            pass
+        try:
+            return nudged, _marked("nudged", self.solver.solve(nudged, deadline.left_s))
+        except (InfeasibleError, NumericalError):
+            return start, _marked("lossless", self.solver.solve(start, deadline.left_s))
+
     def converge(
         self, data: WindowData, solution: WindowSolution, deadline: Deadline
     ) -> tuple[WindowData, WindowSolution]:
@@ -235,14 +255,14 @@ class ConvergedPlanner(PassesPlanner[ACPoints]):
         deadline = Deadline(min(self.solver.limits.time_s, within_s))
         first = deadline.part(FIRST_SHARE)
         try:
-            data, solution = self._decide(self._guessed(t0, start), start, first)
+            data, solution = self.decide(self._guessed(t0, start), start, first)
         except InfeasibleError:
             beyond = self._beyond_batteries(start, first)
             if not beyond.any():
                 raise
             dark = dark | beyond
             start = self._at_rest(lossless(without_power(whole, dark), physics))
-            data, solution = self._decide(start, start, first)
+            data, solution = self.decide(start, start, first)
         reached, solution = self.converge(data, solution, deadline)
         self._remember(t0, reached)
         return self._in_the_dark(whole, dark, solution)
@@ -277,26 +297,6 @@ class ConvergedPlanner(PassesPlanner[ACPoints]):
     ) -> WindowSolution:
         """The solution with what the dark steps lose, called optimal if it is then still."""
         return in_the_dark(self.solver.site, whole, dark, solution, self.solver.limits)
-
-    def _decide(
-        self, data: WindowData, start: WindowData, deadline: Deadline
-    ) -> tuple[WindowData, WindowSolution]:
-        """Served set and first candidate; the stages say where it took a second attempt.
-
-        A plan that lived on exactly the energy it had charged may miss it by the solvers' tolerance
-        one step later: the search with binaries finds its served set again, the linear problem
-        calls it infeasible. SoC is not known that sharply anyway. Where an old AC point leaves no
-        dispatch at all, the window is solved without losses.
-        """
-        nudged = self.nudged(data)
-        try:
-            return data, self.solver.solve(data, deadline.left_s)
-        except (InfeasibleError, NumericalError):
-            pass
-        try:
-            return nudged, _marked("nudged", self.solver.solve(nudged, deadline.left_s))
-        except (InfeasibleError, NumericalError):
-            return start, _marked("lossless", self.solver.solve(start, deadline.left_s))
 
     def agrees(self, data: WindowData, dispatch: Dispatch, points: ACPoints) -> bool:
         """Whether voltages, losses and what the network draws agree with AC."""

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import inf
+from typing import Any, ClassVar
+
+import numpy as np
 
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.observation import Observation
@@ -18,11 +21,10 @@ from vppres.control.converged import (
     without_power,
 )
 from vppres.control.phased_window import PhasedLinearisation
-from vppres.core.arrays import Flags
-from vppres.core.errors import InfeasibleError, NumericalError
+from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.beyond_paper.losses import lit_steps
 from vppres.model.data import WindowData
-from vppres.model.phases import PhasedPoints, phased_model
+from vppres.model.phases import GRID, ISLAND, PhasedPoints, phased_model
 from vppres.physics.phased_sources import farthest
 from vppres.solve.deadline import Deadline
 from vppres.solve.ladder import WindowSolver
@@ -34,6 +36,9 @@ PASSES = 2 * DEFAULT_PASSES
 FIRST_DAMPED = 3
 """Pass after which a window moves only halfway to the AC points: two candidates whose reactive
 power differs may follow each other for ever otherwise."""
+
+NO_POWER = -1
+"""What a step without power is, beside the sources of the others."""
 
 
 class PhasedPlanner(PassesPlanner[PhasedPoints]):
@@ -49,12 +54,17 @@ class PhasedPlanner(PassesPlanner[PhasedPoints]):
         Largest number of solves and power flows of a window.
     """
 
+    REMEMBERED: ClassVar[dict[str, Any]] = {
+        "_last": tuple[int, np.ndarray, np.ndarray, np.ndarray] | None
+    }
+
     def __init__(
         self, solver: WindowSolver, headroom: float = DEFAULT_HEADROOM, passes: int = PASSES
     ) -> None:
         super().__init__(solver, headroom, passes)
         self.model = phased_model(solver.site)
         self._linearisation = PhasedLinearisation(self.model)
+        self._last: tuple[int, Wholes, Floats, Floats] | None = None
 
     def plan(
         self, observation: Observation, n_steps: int | None = None, within_s: float = inf
@@ -66,10 +76,12 @@ class PhasedPlanner(PassesPlanner[PhasedPoints]):
         SolveError
             If no dispatch was found.
         """
-        whole, dark, data = self.begun(observation, n_steps)
+        whole, dark, start = self.begun(observation, n_steps)
+        data = self._guessed(observation.t0, start)
         deadline = Deadline(min(self.solver.limits.time_s, within_s))
-        solution = self._decide(data, deadline.part(FIRST_SHARE))
+        data, solution = self.decide(data, start, deadline.part(FIRST_SHARE))
         data, solution = self.converge(data, solution, deadline)
+        self._remember(observation.t0, data, solution.dispatch)
         solution = self._with_voltages(data, solution)
         return in_the_dark(self.solver.site, whole, dark, solution, self.solver.limits)
 
@@ -85,12 +97,29 @@ class PhasedPlanner(PassesPlanner[PhasedPoints]):
         data = replace(without_power(whole, dark), physics=physics)
         return whole, dark, self._linearisation.at_rest(data)
 
-    def _decide(self, data: WindowData, deadline: Deadline) -> WindowSolution:
-        """The first candidate; states of charge that miss a need by rounding are nudged."""
-        try:
-            return self.solver.solve(data, deadline.left_s)
-        except (InfeasibleError, NumericalError):
-            return self.solver.solve(self.nudged(data), deadline.left_s)
+    def _guessed(self, t0: int, start: WindowData) -> WindowData:
+        """The window at the plan before, or in steps that this had not at its last step like them.
+
+        A plan at rest has no losses, and its first set may be one too many.
+        """
+        if self._last is None:
+            return start
+        begin, kinds, p, q = self._last
+        rows = np.full(start.n_steps, NO_POWER)
+        for row, kind in enumerate(_kinds(start)):
+            alike = np.flatnonzero(kinds == kind)
+            same = alike[alike == t0 + row - begin]
+            if kind != NO_POWER and len(alike):
+                rows[row] = [*alike, *same][-1]
+        known = rows != NO_POWER
+        p, q = p[rows], q[rows]
+        points = self.model.points(start, p, q, known)
+        return self._linearisation.at(start, p, q, points, known & points.converged)
+
+    def _remember(self, t0: int, data: WindowData, plan: Dispatch) -> None:
+        """Keep what assets draw in a plan, and what its steps are."""
+        p, q = self.model.drawn(data.for_service(plan.served), plan)
+        self._last = t0, _kinds(data), p, q
 
     def ac_points(self, data: WindowData, dispatch: Dispatch) -> PhasedPoints:
         """AC points of a candidate, step by step."""
@@ -118,3 +147,8 @@ class PhasedPlanner(PassesPlanner[PhasedPoints]):
         v_pu = self._linearisation.v_pu(data, p, q)
         at_buses = farthest(v_pu, self.model.at_bus, self.solver.site.network.n_buses)
         return replace(solution, dispatch=replace(plan, v_pu=at_buses, v_node_pu=v_pu))
+
+
+def _kinds(data: WindowData) -> Wholes:
+    """What holds the voltage of each step, (W,)."""
+    return np.where(lit_steps(data), np.where(data.dark, ISLAND, GRID), NO_POWER)

@@ -1,0 +1,63 @@
+"""Windows of phased feeders: against a plain statement, and balanced feeders stated in phases."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from experiments.phased_feeders import decided, in_phases, plainly, random_phased, with_a_former
+from experiments.random_feeders import random_scenario
+from vppres.contract.decision import Decision
+from vppres.day.assembly import make_controller
+from vppres.day.options import RunOptions
+from vppres.day.simulate import Day
+from vppres.model.beyond_paper.losses import lit_steps
+from vppres.model.data import WindowData
+from vppres.model.phases import phased_model
+from vppres.model.site import Site
+from vppres.scenario.scenario import Scenario
+from vppres.solve.result import WindowSolution
+
+BINDING = (15, 18)
+"""Seeds of windows in which voltages by phase bind, and the phases of an island's former."""
+
+
+def first_plan(scenario: Scenario) -> Decision:
+    """What the first window of a day decides for all of its steps."""
+    hours = (scenario.grid.n_steps - 1) * scenario.grid.dt_h
+    options = RunOptions(horizon_h=hours).on(scenario)
+    controller = make_controller(scenario, options)
+    return controller.decide(Day(scenario, options).observe(controller, 0))
+
+
+def nearest(site: Site, data: WindowData, found: WindowSolution) -> float:
+    """How near an answer is to a limit of the phases: in pu², or as a share of the former's."""
+    model, phased = phased_model(site), data.require_phased()
+    u, former = model.linear(data, *model.drawn(data, found.dispatch))
+    u = (phased.u_offset + u)[lit_steps(data)][:, model.limited]
+    low, high = (each[lit_steps(data)][:, model.limited] for each in (phased.u_min, phased.u_max))
+    island = data.dark & lit_steps(data)
+    kva = np.abs(phased.former_offset + former)[island].max(axis=1)
+    rooms = (u - low, high - u, 1.0 - kva / phased.room_kva[island])
+    return min(float(np.min(room, initial=1.0)) for room in rooms)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("seed", BINDING)
+def test_windows_equal_a_plain_statement_of_the_whole_problem(seed: int) -> None:
+    site, data, found = decided(random_phased(seed))
+    assert nearest(site, data, found) < 0.01
+    inside, around = plainly(site, data, inside=True), plainly(site, data, inside=False)
+    gap = max(5e-3, 1e-4 * abs(found.objective))
+    assert inside - gap <= found.objective <= around + 1e-6
+    assert found.bound >= inside - 1e-6
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_a_balanced_feeder_stated_in_phases_has_the_balanced_plan(seed: int) -> None:
+    balanced = with_a_former(random_scenario(seed))
+    plan = first_plan(balanced).dispatch
+    found = first_plan(in_phases(balanced)).dispatch
+    assert (found.served == plan.served).all()
+    np.testing.assert_allclose(found.p_grid_kw, plan.p_grid_kw, atol=0.5)
+    np.testing.assert_allclose(found.v_pu, plan.v_pu, atol=1e-4)
