@@ -21,6 +21,7 @@ from vppres.control.step_state import StepState
 from vppres.day.metrics import service_by_customer
 from vppres.io import read_scenario, write_scenario
 from vppres.io.digest import scenario_digest
+from vppres.io.python_door import check_scenario
 from vppres.model.site import Site
 from vppres.model.violations import broken
 from vppres.plant.plant import Plant
@@ -149,8 +150,12 @@ def test_what_is_owed_survives_a_restart() -> None:
     """Steps one by one know what the steps before left, and day and service agree."""
     day = dark_then_open(2.0, OPEN)
     options = RunOptions(horizon_h=2.0, isolate=False)
-    whole = run_day(day, options).customers["share"].to_numpy()
+    run = run_day(day, options)
+    whole = run.customers["share"].to_numpy()
     assert whole.sum() == pytest.approx(6.0, abs=1e-3)
+    assert (whole[2:] >= 1.0).all()  # nobody is dimmed where the grid gives all
+    assert summarise(run)["resilience"] == pytest.approx(0.75, abs=1e-3)
+    assert summarise(run)["energy_not_supplied_kwh"] == pytest.approx(0.0, abs=1e-2)
     controller = Controller.of(day, options)
     soc, found = {"b0": float(day.batteries.soc_initial[0])}, []
     for time in day.grid.times:
@@ -160,7 +165,7 @@ def test_what_is_owed_survives_a_restart() -> None:
         soc = dict(step.batteries["soc_end"])
         found.append(step.customers.loc["c0", "share"])
     assert found == pytest.approx(whole, abs=1e-3)
-    told = explain_day(run_day(day, options)).explanations
+    told = explain_day(run).explanations
     assert told is not None
     assert set(told.loc[told["action"] == "caught_up", "driver"]) == {"recovery"}
 
@@ -269,11 +274,14 @@ def test_a_service_sends_the_share(tiny: Scenario, tmp_path: Path) -> None:
 
 def test_the_column_is_read_and_written(tiny: Scenario, tmp_path: Path) -> None:
     day = dimmable(tiny, 1.0, 0.25, 1.0)
-    day = replace(day, customers=replace(day.customers, shed_steps=[1, 2, 1]))
+    more = {"shed_steps": [1, 2, 1], "recover_h": [np.nan, 2.0, np.nan]}
+    day = replace(day, customers=replace(day.customers, **more))
+    check_scenario(day)
     write_scenario(day, tmp_path / "day")
     again = read_scenario(tmp_path / "day")
     assert again.customers.least_share.tolist() == [1.0, 0.25, 1.0]
     assert scenario_digest(again) == scenario_digest(day)
+    assert again.customers.recovery_h.tolist() == [0.0, 2.0, 0.0]
     assert split_sheddable(again).customers.least_share.tolist() == [1.0, 0.25, 0.25, 1.0]
     write_scenario(tiny, tmp_path / "plain")
     assert "share" not in (tmp_path / "plain" / "customers.csv").read_text("utf-8")

@@ -166,7 +166,7 @@ def resilience(trajectory: Trajectory) -> float | None:
     """Weighted share of service in the outage (paper, Performance Metrics); None without outage.
 
     ``R = sum_t sum_c w_c x(t, c) / sum_t sum_c w_c`` over the outage steps ``t``; a dimmed customer
-    counts with its share.
+    counts with its share, and what it catches up does not.
     """
     rows = _customers(trajectory, outage=True)
     total = float(rows["weight"].sum())
@@ -198,7 +198,8 @@ def served_share(trajectory: Trajectory, outage: bool) -> dict[str, float | None
 
 def service_by_tier(trajectory: Trajectory) -> pd.DataFrame:
     """Share of customers served, shape (T, tiers): one row per step, one column per tier."""
-    customers = trajectory.customers.assign(served=supplied(trajectory.customers))
+    served = supplied(trajectory.customers).clip(upper=1)
+    customers = trajectory.customers.assign(served=served)
     share = customers.pivot_table(
         index="time", columns="tier", values="served", aggfunc="mean", observed=False
     )
@@ -409,7 +410,7 @@ def _customers(trajectory: Trajectory, outage: bool) -> pd.DataFrame:
     steps = trajectory.steps
     times = steps.loc[steps["outage"] == outage, "time"]
     rows = trajectory.customers[trajectory.customers["time"].isin(times)]
-    return rows.assign(served=supplied(rows))
+    return rows.assign(served=supplied(rows).clip(upper=1))
 
 
 def _imported_kw(trajectory: Trajectory) -> pd.Series:

@@ -13,11 +13,11 @@ from vppres.core.errors import InputError, Problem
 from vppres.core.text import flaw_of_name
 from vppres.io import schema
 from vppres.io.messages import few, folded, shown
-from vppres.scenario.assets import OF_TIME_OFF
+from vppres.scenario.assets import OF_HOURS
 from vppres.scenario.scenario import Scenario
 
 # Attributes that may have no value (a temperature at the start), or no limit.
-_MAY_BE_NAN = {*OF_TIME_OFF, "t_initial_c"}
+_MAY_BE_NAN = {*OF_HOURS, "t_initial_c"}
 _MAY_BE_INFINITE = {"i_max_a", "grid_limit_kw", "export_limit_kw"}
 
 

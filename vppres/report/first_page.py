@@ -68,7 +68,7 @@ def supply_rows(run: Trajectory, summary: Mapping[str, Any]) -> list[TierRow]:
     ]
     if len(rows) > 1:
         dark = run.steps.loc[run.steps["outage"], "time"]
-        everyone = supplied(run.customers)[run.customers["time"].isin(dark)]
+        everyone = supplied(run.customers).clip(upper=1)[run.customers["time"].isin(dark)]
         share = float(everyone.mean()) if len(everyone) else None
         rows.append(_tier_row("all", table.sum(), share))
     return rows

@@ -57,6 +57,8 @@ class DimmedDemand(Addition):
         What each may catch up in a step, as power.
     P_valid : cvxpy.Parameter, shape (W, m)
         The same of what it lacks from before the window.
+    limited : cvxpy.Parameter, shape (W, m)
+        1 for a step with a limit of import: only there is it dimmed to catch up.
     """
 
     calm: ClassVar[tuple[str, ...]] = ("dimmed",)
@@ -71,6 +73,7 @@ class DimmedDemand(Addition):
     catches: cp.Variable
     P_owed: cp.Variable
     P_valid: cp.Parameter
+    limited: cp.Parameter
 
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
@@ -100,6 +103,7 @@ class DimmedDemand(Addition):
             cp.Variable((W, len(steps)), name="catches", boolean=True),
             cp.Variable((W, len(steps)), name="P_owed", nonneg=True),
             cp.Parameter((W, len(steps)), name="P_valid", nonneg=True),
+            cp.Parameter((W, len(steps)), name="import_limited", nonneg=True),
         )
 
     @property
@@ -137,6 +141,7 @@ class DimmedDemand(Addition):
             "caught_up_within_service": self.caught_up <= (MOST_SHARE - 1.0) * x,
             "catches_up": self.caught_up <= (MOST_SHARE - 1.0) * self.catches,
             "or_is_dimmed": dimmed <= 1 - self.catches,
+            "dimmed_if_limited": dimmed <= self.limited,
             "caught_up_of_owed": taken <= self.P_owed,
             "owed_lapses": self.P_owed <= self.P_valid + cp.vstack(lasting).T,
         }
@@ -156,6 +161,8 @@ class DimmedDemand(Addition):
         if self.steps:
             owed = data.owed or Owed.of(site.customers, site.dt_h)
             assert owed is not None
+            limited = np.isfinite(data.grid_limit_kw).astype(float)
+            write(self.limited, np.tile(limited[:, None], len(self.steps)))
             write(self.P_valid, owed.valid(data.n_steps)[:, self.customer] @ self.catching.T)
 
     @classmethod
