@@ -22,13 +22,14 @@ from vppres.day.trajectory import Trajectory
 from vppres.explain.day import explain_day, steps_of
 from vppres.explain.prices import day_prices, step_prices
 from vppres.explain.recorded import Recorded
-from vppres.explain.words import figure
+from vppres.explain.words import figure, hours
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.report.finished import read_finished, rewrite_report
 from vppres.report.run_folder import write_run
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
+from vppres.scenario.priority import Ranks
 from vppres.scenario.scenario import HARD, REPORT, ControllerDefaults, Scenario
 from vppres.scenario.timegrid import TimeGrid
 from vppres.solve.shadow_price_model import Held, PricedTerms, ShadowPriceModel
@@ -649,3 +650,13 @@ def test_the_cost_of_a_supply_to_others_by_hand(sun_kw: float) -> None:
     assert answer.served_share[0, 1] == pytest.approx(0.0, abs=1e-5)
     # What the second takes, its own sun included, is 30 kWh less for the first's 60 kWh later.
     assert answer.prices.service[1] == pytest.approx(0.3 - 30.0 / 60.0, rel=1e-4)
+
+
+def test_a_tier_that_is_supplied_whole_loses_no_part_of_a_customer_hour() -> None:
+    """With 120 customer hours of the second tier in a window, 1.3 of them are 1% of the first."""
+    ranks = Ranks(
+        ("critical", "high"), np.array([0, 1]), np.ones(2, dtype=int), np.array([120.0, 1.0])
+    )
+    assert hours(1.3, ranks, np.array([1])) == "1.3 customer hours of tier high"
+    assert hours(1.3, ranks, np.array([0, 1])) == "0.011 customer hours of tier critical"
+    assert hours(240.0, ranks, np.array([1])) == "2 customer hours of tier critical"

@@ -19,13 +19,14 @@ from vppres.explain.words import (
     SCARCE,
     TOO_LITTLE,
     figure,
-    hours,
+    hours_of,
     line_name,
     line_words,
     money,
     one_more,
     phase_name,
     pounds,
+    service_words,
     stored_worth_gbp,
 )
 
@@ -99,14 +100,14 @@ def _why_off(step: Step, customer: int) -> Reason:
             "switching_rule",
             binding,
             "Not supplied: a switching rule keeps it off; "
-            f"supplying it would be worth {hours(gain, step.site.ranks)}.",
+            f"supplying it would be worth {service_words(step, gain)}.",
         )
     if step.recorded.options["controller"] in RULES and gain > WORTH:
         return Reason(
             "rule",
             binding,
             f"Not supplied: the fixed rule of controller {step.recorded.options['controller']} "
-            f"leaves it off; supplying it would be worth {hours(gain, step.site.ranks)}.",
+            f"leaves it off; supplying it would be worth {service_words(step, gain)}.",
         )
     restored = np.flatnonzero(step.ended & step.served)
     if binding and gain > WORTH and len(restored):
@@ -175,17 +176,17 @@ def _outranked(step: Step, customer: int, binding: Scarce, gain: float) -> Reaso
     if rationed is not None:
         return rationed
     weight = float(step.site.customers.weight[customer]) * step.site.dt_h
-    compare = (
-        f"supplying it would cost others {hours(weight - gain, step.site.ranks)}, its own value "
-        f"is {hours(weight, step.site.ranks) if step.site.ranks else figure(weight)}"
-    )
+    ranks = step.site.ranks
+    own = figure(weight) if ranks is None else hours_of(weight, ranks, int(ranks.tier[customer]))
+    lost = service_words(step, weight - gain)
+    compare = f"supplying it would cost others {lost}, its own value is {own}"
     if someone_ranks_higher(step, customer):
         return Reason(
             "priority",
             binding,
             _sentence(
                 f"Not supplied: {scarce_words(step, customer, binding)} goes to "
-                f"{FIRST[step.site.ranks is None]}; {compare}",
+                f"{FIRST[ranks is None]}; {compare}",
                 _one_more_for(step, customer, binding),
             ),
         )
@@ -316,7 +317,7 @@ def _discharge_in_island(step: Step, battery: int) -> Reason:
             "energy",
             "energy",
             "Discharges: supplies customers; a kWh kept for later would be worth "
-            f"{hours(worth, step.site.ranks)}.",
+            f"{service_words(step, worth)}.",
         )
     phase = _relieved_phase(step, battery)
     if phase is not None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 from vppres.explain.kept import why_kept
 from vppres.explain.prices import WORTH
 from vppres.explain.step import Driver, Reason, Step
-from vppres.explain.words import SCARCE, figure, hours, money, one_more
+from vppres.explain.words import SCARCE, figure, money, one_more, service_words
 
 
 def why_step(step: Step) -> Reason:
@@ -74,7 +74,7 @@ def _worth(step: Step) -> str:
         return worth
     return (
         f"{worth} One more kWh of battery capacity would add "
-        f"{hours(headroom, step.site.ranks)} in the outage."
+        f"{service_words(step, headroom)} in the outage."
     )
 
 

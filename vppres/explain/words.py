@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from vppres.core.arrays import Floats, Names
+from vppres.core.arrays import Floats, Names, Wholes
 from vppres.core.text import in_pounds
-from vppres.explain.prices import WORTH, WORTH_GBP
+from vppres.explain.prices import WHOLE, WORTH, WORTH_GBP
 from vppres.explain.step import Binding, Step
 from vppres.scenario.phases import PHASES
 from vppres.scenario.priority import Ranks
@@ -137,7 +137,7 @@ def one_more(step: Step, binding: Binding, which: int | None = None) -> str:
         "grid": (p.grid, "one more kW from the grid"),
     }
     value, what = offers.get(binding, (0.0, ""))
-    return f"{what} would add {hours(value, step.site.ranks)}" if value > WORTH else ""
+    return f"{what} would add {service_words(step, value)}" if value > WORTH else ""
 
 
 def line_words(step: Step, line: int) -> str:
@@ -159,16 +159,45 @@ def phase_name(step: Step, phase: int) -> str:
     return f"phase {PHASES[phase]} of {name}"
 
 
-def hours(value: float, ranks: Ranks | None) -> str:
+def service_words(step: Step, value: float) -> str:
+    """Service of a step in words, in strict order in customer hours of a tier that is rationed."""
+    ranks = step.site.ranks
+    service = step.levels.service
+    if ranks is None or service is None:
+        return hours(value, ranks)
+    share = service.served_share
+    in_part = ((share > WHOLE) & (share < 1.0 - WHOLE)).any(axis=0)
+    return hours(value, ranks, ranks.tier[in_part])
+
+
+def hours(value: float, ranks: Ranks | None, rationed: Wholes | None = None) -> str:
     """Service in words: weighted customer hours, in strict order those of the tier it is about.
 
+    Parameters
+    ----------
+    value : float
+        In weighted customer hours.
+    ranks : Ranks, optional
+        The strict order.
+    rationed : array of int, optional
+        Tiers that are supplied in part: of the others no part of a customer hour is lost.
+
+    Examples
+    --------
     >>> hours(0.21, None)
     '0.21 weighted customer hours'
     """
     if ranks is None:
         return f"{figure(value)} weighted customer hours"
-    about = np.flatnonzero(ranks.worth * LEAST_SHARE <= value)
-    tier = int(about[0]) if len(about) else len(ranks.tiers) - 1
+    about = ranks.worth * LEAST_SHARE <= value
+    if rationed is not None and len(rationed):
+        about &= np.isin(np.arange(len(ranks.tiers)), rationed) | (ranks.worth <= value)
+    tier = int(np.argmax(about)) if about.any() else len(ranks.tiers) - 1
+    return hours_of(value, ranks, tier)
+
+
+def hours_of(value: float, ranks: Ranks, tier: int) -> str:
+    """A value of the strict order in customer hours of one tier."""
     return f"{figure(value / ranks.worth[tier])} customer hours of tier {ranks.tiers[tier]}"
 
 
