@@ -164,7 +164,6 @@ def test_connections_that_cannot_be(day: Scenario, change: dict[str, str], messa
     [
         ({"mode": "paper"}, "mode"),
         ({"controller": "full-horizon"}, "controller"),
-        ({"priority": "strict"}, "priority"),
         ({"voltage_limits": "hard"}, "voltage_limits"),
     ],
 )

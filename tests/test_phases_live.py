@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from tests.support.phased_feeder import CIRCUIT, phased_day
@@ -64,6 +65,20 @@ def test_a_live_controller_decides_as_the_run_does(evening: Scenario) -> None:
         controller = Controller.of(evening, OPTIONS, state=state)
     assert points.batteries["phases"]["bbc"] == "bc"
     assert points.customers["phases"]["ce"] == "a b c"
+
+
+def test_strict_order_gives_up_headroom_of_phases_for_the_first_tier(evening: Scenario) -> None:
+    of_first = evening.customers.id == "cbc"
+    tier = np.where(of_first, "critical", "low").astype(object)
+    customers = replace(evening.customers, tier=tier)
+    load_kw = evening.load_kw * np.where(of_first, 2.1, 1.0)
+    step = replace(evening, customers=customers, load_kw=load_kw).between(1, 2)
+    run = run_day(step, replace(OPTIONS, priority="strict"))
+    kva = run.steps[[f"former_{p}_kva" for p in "abc"]].to_numpy(float).max()
+    third = float(step.batteries.s_max_kva[step.batteries.grid_forming][0]) / 3.0
+    assert run.customers.set_index("id")["served"]["cbc"]
+    assert 0.9 * third < kva <= third
+    assert run.steps["levels"].iloc[0].startswith("critical 1/1")
 
 
 def test_a_service_hears_and_orders_by_phase(

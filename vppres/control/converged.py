@@ -98,6 +98,12 @@ class PassesPlanner(ABC, Generic[P]):
         self.passes = passes
 
     @abstractmethod
+    def plan(
+        self, observation: Observation, n_steps: int | None = None, within_s: float = inf
+    ) -> WindowSolution:
+        """Solution of the observed window, or of its first steps."""
+
+    @abstractmethod
     def ac_points(self, data: WindowData, dispatch: Dispatch) -> P:
         """AC points of a candidate."""
 

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, ClassVar
 
 from vppres.contract.observation import Observation
-from vppres.control.converged import DEFAULT_HEADROOM, ConvergedPlanner
+from vppres.control.converged import PassesPlanner
 from vppres.control.remembered import PART
-from vppres.core.errors import InfeasibleError, SolveError
+from vppres.core.errors import InfeasibleError, NumericalError, SolveError
 from vppres.solve.deadline import Deadline
-from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import WindowSolution
 
 RELEASED = "headroom_released"
@@ -22,17 +22,18 @@ class HeadroomPlanner:
 
     Parameters
     ----------
-    solver : WindowSolver
-        Solves the windows of a site in strict order.
-    headroom : float, optional
-        Share of a grid-forming battery's inverter rating that a plan leaves free in an island.
+    planner_of : callable
+        Makes the planner of a site in strict order that leaves so much of the rating of
+        grid-forming batteries free in an island.
+    headroom : float
+        That share.
     """
 
     REMEMBERED: ClassVar[dict[str, Any]] = {"kept": PART, "released": PART}
 
-    def __init__(self, solver: WindowSolver, headroom: float = DEFAULT_HEADROOM) -> None:
-        self.kept = ConvergedPlanner(solver, headroom)
-        self.released = ConvergedPlanner(solver, 0.0)
+    def __init__(self, planner_of: Callable[[float], PassesPlanner[Any]], headroom: float) -> None:
+        self.kept = planner_of(headroom)
+        self.released = planner_of(0.0)
 
     def plan(self, observation: Observation, n_steps: int | None = None) -> WindowSolution:
         """Solution of the observed window, or of its first steps.
@@ -45,7 +46,7 @@ class HeadroomPlanner:
         deadline = Deadline(self.kept.solver.limits.time_s)
         try:
             kept = self.kept.plan(observation, n_steps)
-        except InfeasibleError:
+        except (InfeasibleError, NumericalError):
             return _marked(self.released.plan(observation, n_steps, deadline.left_s))
         if self._first_tier(kept) == self._whole_first_tier(kept) or deadline.passed:
             return kept

@@ -178,8 +178,7 @@ def _planner(solver: WindowSolver, options: RunOptions) -> Planner | None:
     if options.mode != "physical":
         return None
     assert options.headroom is not None
-    if solver.site.phases is not None:
-        return PhasedPlanner(solver, options.headroom)
-    strict = options.priority == STRICT and options.headroom > 0.0
-    kind = HeadroomPlanner if strict else ConvergedPlanner
+    kind = ConvergedPlanner if solver.site.phases is None else PhasedPlanner
+    if options.priority == STRICT and options.headroom > 0.0:
+        return HeadroomPlanner(partial(kind, solver), options.headroom)
     return kind(solver, options.headroom)

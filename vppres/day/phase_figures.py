@@ -25,10 +25,11 @@ def phase_figures(trajectory: Trajectory) -> dict[str, float | int | None]:
     rating_kva = None if former is None else float(batteries.s_max_kva[former]) / len(PHASES)
     kva = steps[[f"former_{phase}_kva" for phase in PHASES]].to_numpy(float)
     held = not np.isnan(kva).all()
+    unbalance = steps["unbalance_max"]
     return {
         "node_steps": len(v_pu),
         "node_steps_outside_ac": int(((v_pu < net.v_min_ac_pu) | (v_pu > net.v_max_ac_pu)).sum()),
-        "unbalance_max": float(steps["unbalance_max"].max()),
+        "unbalance_max": float(unbalance.max()) if unbalance.notna().any() else None,
         "former_phase_rating_kva": rating_kva,
         "former_phase_max_kva": float(np.nanmax(kva)) if held else None,
     }

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 
 from vppres.core.errors import InputError, Problem
 from vppres.day.options import RunOptions
-from vppres.scenario.priority import STRICT
 from vppres.scenario.scenario import HARD, Scenario
 
 CONTROLLERS = ("mpc",)
@@ -37,8 +36,6 @@ def _not_stated(options: RunOptions) -> Iterator[Problem]:
         yield _wrong("mode", options.mode, "Use physical")
     if options.controller not in CONTROLLERS:
         yield _wrong("controller", options.controller, "Use mpc")
-    if options.priority == STRICT:
-        yield _wrong("priority", options.priority, "Use weights")
     if options.voltage_limits == HARD:
         yield _wrong("voltage_limits", options.voltage_limits, "Use soft")
     for name in ("rotation", "minimum_on_h"):

@@ -22,10 +22,9 @@ def site_of(scenario: Scenario, options: Mapping[str, Any]) -> Site:
     options : mapping
         Of the run, as they are recorded.
     """
-    if scenario.phases is not None:
-        return Site.of(scenario)
-    soft = options.get("voltage_limits") == SOFT
-    rated = options.get("ratings") == LIMIT and scenario.network.has_ratings
+    balanced = scenario.phases is None
+    soft = balanced and options.get("voltage_limits") == SOFT
+    rated = balanced and options.get("ratings") == LIMIT and scenario.network.has_ratings
     site = replace(Site.of(scenario), soft_voltages=soft, rated=rated)
     ranks = ranks_of(scenario, options)
     return site if ranks is None else site.ranked(ranks, longest_window(scenario, options))

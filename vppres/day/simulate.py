@@ -29,7 +29,7 @@ from vppres.day.trajectory import SHARE, Trajectory
 from vppres.forecasts.interface import Forecaster
 from vppres.io.python_door import check_scenario
 from vppres.model.site import Site
-from vppres.physics.powerflow import ACPowerFlow
+from vppres.physics.powerflow import ACPowerFlow, ACResult
 from vppres.plant.collapse import realise
 from vppres.plant.island import IslandPlant, Settled
 from vppres.plant.phased import PhasedACFlow, PhasedACResult, PhasedIslandPlant, PhasedPlant
@@ -317,8 +317,9 @@ def _record(
     if options.outages == BELIEF:
         steps["stored_value_gbp_per_kwh"] = decision.info.stored_value_gbp_per_kwh
     nodes = None
-    if isinstance(done.ac, PhasedACResult):
+    if scenario.phases is not None:
         steps |= _by_phase(done.ac, held_by_batteries)
+    if isinstance(done.ac, PhasedACResult):
         v_ac_pu = done.ac.v_node_pu
         planned = np.full_like(v_ac_pu, np.nan) if plan.v_node_pu is None else plan.v_node_pu[row]
         nodes = {"v_model_pu": planned, "v_ac_pu": v_ac_pu}
@@ -326,10 +327,12 @@ def _record(
     return StepRecord(t, steps, customers, pv, batteries, buses, lines, nodes)
 
 
-def _by_phase(ac: PhasedACResult, held_by_batteries: bool) -> dict[str, float]:
-    """What the source gives on each phase, and the largest unbalance factor."""
+def _by_phase(ac: ACResult, held_by_batteries: bool) -> dict[str, float]:
+    """What the source gives on each phase, and the largest unbalance factor; NaN in the dark."""
     source = "former" if held_by_batteries else "import"
     found = {f"{each}_{p}_kva": np.nan for each in ("former", "import") for p in PHASES}
+    if not isinstance(ac, PhasedACResult):
+        return {**found, "unbalance_max": np.nan}
     found |= {f"{source}_{p}_kva": abs(s) for p, s in zip(PHASES, ac.former_kva, strict=True)}
     return {**found, "unbalance_max": ac.unbalance}
 

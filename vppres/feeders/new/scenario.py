@@ -114,7 +114,7 @@ def _built(feeder: ImportedFeeder, options: NewScenarioOptions) -> tuple[Scenari
         export_limit_kw=np.array(options.export_limit_kw),
         export_price_gbp_per_kwh=np.array(options.export_price_gbp_per_kwh),
         controller=ControllerDefaults(mode="physical"),
-        priority=Priority(STRICT) if phases is None else Priority(),
+        priority=Priority(STRICT),
         phases=phases,
     )
     notes = (*assets.notes, *switched, *series.notes, *_told_constants(series))
