@@ -36,8 +36,8 @@ class Turns:
 
     Parameters
     ----------
-    due : array of bool, shape (C,)
-        Who they are.
+    due : array of bool, shape (W, C)
+        Who they are in each step of a window.
     rank : array of int, shape (C,)
         Position of every customer's tier, 0 for the most important.
     """
@@ -83,7 +83,7 @@ class Observation:
     kept_on : array of bool, shape (n, C), optional
         Customers that the first n steps must serve; none if not given.
     turns : Turns, optional
-        Customers that are to be served in the present step, if no higher tier loses by it.
+        Customers that are to be served in the window, if no higher tier loses by it.
     outage_messages : str
         Which messages about outages the belief in ``forecast`` and ``stored_value`` follows, where
         several speak of one.

@@ -141,21 +141,29 @@ class MPCController:
         stays, and so does the energy that is worth something to them later: a turn that would take
         of it is left out.
         """
-        for c in sorted(np.flatnonzero(turns.due), key=lambda c: turns.rank[c]):
+        kept = np.zeros(turns.due.shape, dtype=bool)
+        waiting = np.flatnonzero(turns.due.any(axis=0))
+        for c in sorted(waiting, key=lambda c: turns.rank[c]):
+            own = turns.due & (np.arange(len(turns.rank)) == c)
             served = found.dispatch.served
-            if served[0, c]:
-                continue
-            held = served & (turns.rank < turns.rank[c])
-            held[0] |= served[0] & turns.due & (turns.rank == turns.rank[c])
-            held[0, c] = True
-            try:
-                tried = self.planner.plan(self._keeping(observation, held, found))
-            except SolveError:
-                continue
-            spent_kwh = self._held_kwh(found) - self._held_kwh(tried)
-            if observation.stored_value is None or spent_kwh <= ROUNDING_KWH:
+            if not served[own].all():
+                higher = served & (turns.rank < turns.rank[c])
+                asked = self._keeping(observation, kept | own | higher, found)
+                tried = self._allowed(asked, found)
+                if tried is None:
+                    continue
                 found = tried
+            kept |= own
         return found
+
+    def _allowed(self, asked: Observation, before: WindowSolution) -> WindowSolution | None:
+        """The plan that is asked for, if there is one that leaves as much energy for later."""
+        try:
+            found = self.planner.plan(asked)
+        except SolveError:
+            return None
+        spent_kwh = self._held_kwh(before) - self._held_kwh(found)
+        return found if asked.stored_value is None or spent_kwh <= ROUNDING_KWH else None
 
     def _keeping(
         self, observation: Observation, served: Flags, plan: WindowSolution

@@ -70,7 +70,7 @@ class Rotating:
         if observation.t0 != self._t:  # not anew within the step
             self._count(observation)
             self._t = observation.t0
-        due = self._due()
+        due = self._due(observation)
         if due.any():
             observation = replace(observation, turns=Turns(due, self._rank))
         return self._controllers.decide(observation)
@@ -98,10 +98,17 @@ class Rotating:
             rotated(c, self.scenario.tiers, self.off_h, self.rules.rotation)
         )
 
-    def _turns(self) -> Flags:
-        return turns(len(self.off_h), self.out_h, self.rules.minimum_on_h)
+    def _turns(self, steps_ahead: int = 0) -> Flags:
+        """Whose turn it is, or will be if the outage lasts, (C,)."""
+        out_h = self.out_h + steps_ahead * self.scenario.grid.dt_h
+        return turns(len(self.off_h), out_h, self.rules.minimum_on_h)
 
-    def _due(self) -> Flags:
-        """Customers who are on now, because they were on for less than the minimum."""
+    def _due(self, observation: Observation) -> Flags:
+        """Customers who are on in their turn, (W, C): they were on for less than the minimum.
+
+        Turns that come later in the outage are planned for.
+        """
+        out = np.logical_and.accumulate(observation.window.grid_limit_kw <= 0.0)
+        in_turn = np.array([self._turns(k) for k in range(len(out))])
         short = self.on_h < self.rules.minimum_on_h - HOURS_EXACT
-        return np.asarray(self._out & self._turns() & short)
+        return np.asarray(in_turn & out[:, None] & short)
