@@ -195,17 +195,12 @@ def _check_across(content: _Folder, rows: _Rows) -> list[Problem]:
         problems += checks.check_known(
             customers, "tier", content.settings.tiers, f"is not a tier of {SCENARIO_FILE}"
         )
-    if customers and pv:
-        problems += checks.check_known(
-            pv,
-            "customer",
-            customers.column("id").values(),
-            f"is not a customer of {customers.file}",
-        )
-    if customers and content.outages and "customer" in content.outages.names:
-        known = [*customers.column("id").values(), ""]
+    if customers:
+        known = customers.column("id").values()
         message = f"is not a customer of {customers.file}"
-        problems += checks.check_known(content.outages, "customer", known, message)
+        for table in (pv, content.outages):
+            if table:
+                problems += checks.check_known(table, "customer", known, message)
     for table in (customers, pv):
         if customers and table:
             problems += checks.check_parts(table, rows.customers)
