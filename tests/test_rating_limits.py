@@ -17,6 +17,9 @@ from vppres.explain.day import explain_day
 from vppres.feeders import import_network
 from vppres.feeders.new.options import NewScenarioOptions
 from vppres.feeders.new.scenario import new_scenario
+from vppres.model.beyond_paper.ratings import LineRatings
+from vppres.model.site import Site
+from vppres.model.statement import Statement
 from vppres.report.findings import findings
 from vppres.scenario.scenario import LIMIT, REPORT, Scenario
 
@@ -62,6 +65,14 @@ def test_currents_stay_within_ratings(batteries: bool) -> None:
         assert len(by_rating) > len(off) / 2
         assert by_rating["words"].str.contains("line from [0-9]+ to [0-9]+").all()
         assert not (off["driver"] == "unexplained").any()
+
+
+def test_shadow_prices_state_the_ratings_of_lines(tiny: Scenario) -> None:
+    rated = replace(tiny.network, i_max_a=np.full(tiny.network.n_lines, 100.0))
+    site = Site.of(replace(tiny, network=rated))
+    priced = Statement(site, 1, ((LineRatings, True),))
+    assert "line_rating" in priced.families
+    assert priced.own == ()  # every stage of the prices knows them
 
 
 def test_ratings_that_bind_nothing_change_nothing() -> None:

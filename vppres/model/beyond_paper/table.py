@@ -12,13 +12,14 @@ from vppres.model.beyond_paper.drawn import DrawnByNetwork
 from vppres.model.beyond_paper.export import ExportToGrid
 from vppres.model.beyond_paper.longest_off import LongestTimeOff
 from vppres.model.beyond_paper.physical import PhysicalMode
+from vppres.model.beyond_paper.ratings import LineRatings
 from vppres.model.beyond_paper.stored_value import ValueAtEnd
 from vppres.model.beyond_paper.switching import SwitchingModel
 from vppres.model.beyond_paper.terminal import HeldAtEnd
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 
-BY_HEART: tuple[type[Addition], ...] = (
+OF_WINDOWS: tuple[type[Addition], ...] = (
     SwitchingModel,
     LongestTimeOff,
     PhysicalMode,
@@ -27,9 +28,12 @@ BY_HEART: tuple[type[Addition], ...] = (
     HeldAtEnd,
     ValueAtEnd,
 )
-"""What the stages know that know the paper by heart."""
+"""What the stages of a window know that know the paper by heart."""
 
-ADDITIONS: tuple[type[Addition], ...] = (*BY_HEART, DimmedDemand)
+BY_HEART: tuple[type[Addition], ...] = (*OF_WINDOWS, LineRatings)
+"""The same, and what shadow prices alone state: ratings, whose rows windows make by hand."""
+
+ADDITIONS: tuple[type[Addition], ...] = (*OF_WINDOWS, DimmedDemand)
 """All of the package's; of others those stages know nothing, and are left out."""
 
 _OWN: list[type[Addition]] = []
