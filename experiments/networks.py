@@ -19,7 +19,7 @@ from typing import Annotated, Any
 import typer
 
 from experiments.seeds import STUDIES
-from experiments.tables import markdown_table, write_pages
+from experiments.tables import markdown_table, put_into, write_pages
 from vppres.core.errors import InputError, VppresError
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
@@ -228,13 +228,6 @@ def _written(value: float) -> str:
     return "< 1e-6" if value < 1e-6 else f"{value:.1g}" if value < 1e-3 else f"{value:.4f}"
 
 
-def put_into(page: Path, text: str) -> None:
-    """Replace what stands between the marks of a page."""
-    before, _, rest = page.read_text("utf-8").partition(BEGIN)
-    _, _, after = rest.partition(END)
-    atomic_write_text(page, f"{before}{BEGIN}\n\n{text}\n\n{END}{after}")
-
-
 def kept_or_tried(candidate: Candidate, kept: Path) -> Outcome:
     """The outcome that a former run kept, or that of an attempt, kept for the next."""
     file = kept / f"{re.sub(r'[^A-Za-z0-9.-]+', '-', candidate.label)}.json"
@@ -269,7 +262,7 @@ def main(
     record = {"networks": [asdict(outcome) for outcome in outcomes]}
     write_pages(results, "networks", "Published networks", text, record)
     if page is not None:
-        put_into(page, text)
+        put_into(page, text, BEGIN, END)
 
 
 if __name__ == "__main__":

@@ -13,11 +13,13 @@ import sys
 import tempfile
 import time
 from dataclasses import fields, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from experiments.tables import put_into
 from vppres.contract.decision import Decider, Decision
 from vppres.contract.observation import Observation
 from vppres.core.errors import VerificationError, VppresError
@@ -111,25 +113,55 @@ DAYS = {"usual": (1.0, 1.0), "little sun": (1.3, 0.3), "much sun": (0.6, 1.6)}
 """Factors of load and sun."""
 
 
-def loops(folder: Path, names: list[str], days: list[str]) -> None:
-    """Print a row for each feeder and day: planned by phase, and as its balanced equivalent."""
-    say(
-        "| feeder | day | plan | R planned | R | former's worst phase as planned, of its rating | "
-        "hours over it | blacked out, h | node-hours outside | V, pu | off plan, pu | "
-        "CPU of a window, s: median, most | windows not certified |"
-    )
-    say("| --- " * 13 + "|")
+BEGIN, END = "<!-- phases: begin -->", "<!-- phases: end -->"
+
+COLUMNS = (
+    "feeder",
+    "day",
+    "plan",
+    "R planned",
+    "R",
+    "former's worst phase as planned, of its rating",
+    "hours over it",
+    "blacked out, h",
+    "node-hours outside",
+    "V, pu",
+    "off plan, pu",
+    "CPU of a window, s: median, most",
+    "windows not certified",
+)
+
+
+def loops(folder: Path, names: list[str], days: list[str], kept: Path | None) -> str:
+    """The table with a row for each feeder and day: planned by phase, and as balanced equivalent.
+
+    Rows that a file of them has are not run again; those that are run are added to it.
+    """
+    rows = kept.read_text("utf-8").splitlines() if kept is not None and kept.is_file() else []
+    table = [f"| {' | '.join(COLUMNS)} |", "| --- " * len(COLUMNS) + "|"]
     for name in names:
-        scenario = _scenario(folder / FEEDERS[name])
         for day in days:
             for plan in ("by phase", "balanced"):
-                try:
-                    row = _loop(_of_day(scenario, day), plan == "balanced")
-                except VppresError as error:
-                    row = f"{type(error).__name__}: {error}"
-                say(f"| IEEE {name} | {day} | {plan} | {row} |")
+                key = f"| IEEE {name} | {day} | {plan} |"
+                row = next((each for each in rows if each.startswith(key)), None)
+                row = row or f"{key} {_tried(folder / FEEDERS[name], day, plan)} |"
+                say(row)
+                table.append(row)
+                if kept is not None and row not in rows:
+                    rows.append(row)
+                    kept.write_text("".join(f"{each}\n" for each in rows), "utf-8")
+    return "\n".join(table)
 
 
+def _tried(file: Path, day: str, plan: str) -> str:
+    """A loop, or why there is none."""
+    try:
+        return _loop(_of_day(_scenario(file), day), plan == "balanced")
+    except VppresError as error:
+        return f"{type(error).__name__}: {error}"
+
+
+@cache
 def _scenario(file: Path) -> Scenario:
     """A first scenario of a circuit, with a battery that can hold its island."""
     options = NewScenarioOptions(pv="sized", draw_tiers=True, add_batteries=True)
@@ -246,11 +278,15 @@ def main() -> int:
     parser.add_argument("--loops", type=Path)
     parser.add_argument("--feeders", nargs="*", default=[*FEEDERS])
     parser.add_argument("--days", nargs="*", default=[*DAYS])
+    parser.add_argument("--rows", type=Path, help="file of the rows so far")
+    parser.add_argument("--page", type=Path, help="page whose table is written anew")
     given = parser.parse_args()
     if given.verify:
         verify(given.verify, given.feeders)
     if given.loops:
-        loops(given.loops, given.feeders, given.days)
+        table = loops(given.loops, given.feeders, given.days, given.rows)
+        if given.page:
+            put_into(given.page, table, BEGIN, END)
     return 0
 
 

@@ -80,3 +80,10 @@ def template_environment(templates: Path, figures: Path, escape: bool) -> Enviro
 
     environment.globals["embedded"] = embedded
     return environment
+
+
+def put_into(page: Path, text: str, begin: str, end: str) -> None:
+    """Replace what stands between two marks of a page."""
+    before, _, rest = page.read_text("utf-8").partition(begin)
+    _, _, after = rest.partition(end)
+    atomic_write_text(page, f"{before}{begin}\n\n{text}\n\n{end}{after}")

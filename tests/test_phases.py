@@ -164,6 +164,7 @@ def test_connections_that_cannot_be(day: Scenario, change: dict[str, str], messa
     [
         ({"mode": "paper"}, "mode"),
         ({"controller": "full-horizon"}, "controller"),
+        ({"method": "monolithic"}, "method"),
         ({"voltage_limits": "hard"}, "voltage_limits"),
     ],
 )

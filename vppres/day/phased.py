@@ -9,6 +9,7 @@ from vppres.day.options import RunOptions
 from vppres.scenario.scenario import HARD, Scenario
 
 CONTROLLERS = ("mpc",)
+DECOMPOSED = "decomposed"
 BALANCED = "remove the folder's phase_*.csv for its balanced equivalent"
 
 
@@ -36,6 +37,8 @@ def _not_stated(options: RunOptions) -> Iterator[Problem]:
         yield _wrong("mode", options.mode, "Use physical")
     if options.controller not in CONTROLLERS:
         yield _wrong("controller", options.controller, "Use mpc")
+    if options.method != DECOMPOSED:
+        yield _wrong("method", options.method, f"Use {DECOMPOSED}")
     if options.voltage_limits == HARD:
         yield _wrong("voltage_limits", options.voltage_limits, "Use soft")
     for name in ("rotation", "minimum_on_h"):

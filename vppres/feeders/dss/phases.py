@@ -27,9 +27,10 @@ from vppres.scenario.phases import (
     PhaseTransformer,
 )
 
-THREE_WIRE = 1e4
+THREE_WIRE = 1e3
 """Impedance to ground over that between phases from which a bus has three wires: what earths it
-there is a millionth of a rating; a stiff source with a weak neutral has a ratio of some hundred."""
+there is the charging of cables, or a millionth of a rating. A stiff source with a weak neutral has
+a ratio of some hundred."""
 
 HELD = "the source"
 
