@@ -21,6 +21,7 @@ from vppres.contract.switching import RuleSteps
 from vppres.core.errors import InputError, ModelError
 from vppres.model import problem
 from vppres.model.beyond_paper.addition import Addition
+from vppres.model.beyond_paper.dimmed import DimmedDemand
 from vppres.model.beyond_paper.longest_off import LongestTimeOff
 from vppres.model.beyond_paper.switching import SwitchingModel
 from vppres.model.beyond_paper.table import ADDITIONS, beyond_paper, own_parts
@@ -266,7 +267,11 @@ def test_what_is_not_linear_is_refused_by_name(
 # One file for one thing.
 
 
-SHAPES = {SwitchingModel: RuleSteps(2, 2, 2), LongestTimeOff: ((0, 1),)}
+SHAPES = {
+    SwitchingModel: RuleSteps(2, 2, 2),
+    LongestTimeOff: ((0, 1),),
+    DimmedDemand: (2, 0),
+}
 """What problems are compiled for, of additions that have more than one shape."""
 
 AS_ARRAYS = {"injections.py", "rules.py", "terms.py", "master.py", "cheapest.py"}
@@ -274,7 +279,8 @@ AS_ARRAYS = {"injections.py", "rules.py", "terms.py", "master.py", "cheapest.py"
 
 
 def test_no_method_names_what_is_beyond_the_paper(tiny: Scenario) -> None:
-    site = Site.of(tiny)
+    dimmed = replace(tiny.customers, share_min=[0.5, 0.5, 1.0])
+    site = Site.of(replace(tiny, customers=dimmed))
     paper = Statement(site, 2)
     beyond = Statement(site, 2, tuple((each, SHAPES.get(each, True)) for each in ADDITIONS))
     names = (beyond.letters.keys() | beyond.families.keys()) - paper.letters.keys()

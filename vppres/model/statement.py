@@ -79,6 +79,7 @@ class Statement:
         self.v = v
         self.p = p
         paper = problem.paper_constraints(site, v, p)
+        self._written: tuple[WindowData, Floats] | None = None
         self.rules: frozenset[str] = frozenset()
         self._own_families: Named = {}
         self.families = self._families(paper)
@@ -185,12 +186,19 @@ class Statement:
         )
 
     def write(self, data: WindowData) -> Floats:
-        """All parameters of a window one after the other, with a 1 behind them."""
+        """All parameters of a window one after the other, with a 1 behind them.
+
+        Problems of a window are written with the same numbers, one after the other.
+        """
+        if self._written is not None and self._written[0] is data:
+            return self._written[1]
         self.p.fill(self.site, data)
         for addition in self.additions:
             addition.fill(self.site, data)
         values = [np.ravel(q.value, order="F") for q in self.parameters]
-        return np.concatenate([*values, np.ones(1)])
+        numbers = np.concatenate([*values, np.ones(1)])
+        self._written = data, numbers
+        return numbers
 
     def dispatch(self, served: Flags | None = None) -> Dispatch:
         """The letters' values as a dispatch, of a served set if service is held."""

@@ -628,14 +628,18 @@ class Selected:
         return np.concatenate([np.zeros(0), *values])
 
     @cached_property
+    def _absent(self) -> dict[str, Floats]:
+        """No values of the letters that are no columns."""
+        letters = self.statement.letters.items()
+        return {name: np.full(x.shape, np.nan) for name, x in letters if name not in self.first}
+
+    @cached_property
     def _squares(self) -> sp.csc_array:
         """Twice the weights of squares, by columns."""
         weights = np.zeros(len(self.x_lower))
         for name, weight in self.selection.squares.items():
             weights[self.at(name)] = 2.0 * weight
-        diagonal = sp.csc_array(sp.diags_array(weights))
-        diagonal.eliminate_zeros()
-        return diagonal
+        return diagonal_of(weights)
 
     # What a solution says.
 
@@ -680,13 +684,13 @@ class Selected:
         self.x = x
         within = np.clip(x, self.x_lower, self.x_upper)
         within[self.whole] = np.round(within[self.whole])
-        values = {}
-        for name, letter in self.statement.letters.items():
-            if name in self.first and name not in self._held:
+        values = dict(self._absent)
+        for name in self.first:
+            if name in self.statement.letters:
                 values[name] = within[self.at(name)]
-            else:
-                value = self.held.get(name, np.nan)
-                values[name] = np.broadcast_to(value, letter.shape).astype(float)
+        for name, value in self.held.items():
+            if name in self._absent:
+                values[name] = np.broadcast_to(value, self._absent[name].shape).astype(float)
         self.statement.put(values)
 
 
@@ -697,6 +701,13 @@ class Dims:
     zero: int
     nonneg: int
     soc: list[int]
+
+
+def diagonal_of(values: Floats) -> sp.csc_array:
+    """A square array with values on its diagonal, those that are not zero."""
+    there = np.flatnonzero(values)
+    begins = np.append(0, np.cumsum(values != 0.0))
+    return sp.csc_array((values[there], there, begins), shape=(len(values), len(values)))
 
 
 def _of_term(name: str) -> str:

@@ -24,7 +24,7 @@ from vppres.model.site import Site
 from vppres.solve.compiled import Numbers
 from vppres.solve.forms import DISCS, in_order
 from vppres.solve.lumping import eliminated
-from vppres.solve.selection import Selected, Selection, Sheet
+from vppres.solve.selection import Selected, Selection, Sheet, diagonal_of
 
 SHARPER_VOLTAGE = 1e2
 SHARPER_ENERGY = 1e4
@@ -180,9 +180,7 @@ class TieBreakers(Selected):
             P_batt = (np.cumsum(self._y) - 1)[self.at("P_ch")]
             diagonal[P_batt] += 2.0 * factor**2
             cost[P_batt] -= 2.0 * factor * value
-        squares = sp.csc_array(sp.diags_array(diagonal))
-        squares.eliminate_zeros()
-        return Numbers(squares, cost, n.offset, rows, n.limit)
+        return Numbers(diagonal_of(diagonal), cost, n.offset, rows, n.limit)
 
     @cached_property
     def _turned(self) -> Flags:
