@@ -149,7 +149,10 @@ def dark_then_open(recover_h: float, limit_kw: float) -> Scenario:
 def test_what_is_owed_survives_a_restart() -> None:
     """Steps one by one know what the steps before left, and day and service agree."""
     day = dark_then_open(2.0, OPEN)
-    options = RunOptions(horizon_h=2.0, isolate=False,)
+    options = RunOptions(
+        horizon_h=2.0,
+        isolate=False,
+    )
     run = run_day(day, options)
     whole = run.customers["share"].to_numpy()
     assert whole.sum() == pytest.approx(6.0, abs=1e-3)
