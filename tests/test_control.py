@@ -16,9 +16,13 @@ from experiments.garbage import beyond_limits, run_one
 from experiments.threads import differing
 from vppres import Controller, InputError, Measurement, RunOptions, Scenario
 from vppres.contract.forecast import ForecastErrors
+from vppres.contract.observation import Observation
+from vppres.control.mpc import MPCController
 from vppres.core.errors import LimitError, SolveError, VerificationError
+from vppres.day.assembly import make_controller
+from vppres.day.simulate import Day
 from vppres.scenario.rules import SwitchingRules
-from vppres.solve.result import SolveLimits
+from vppres.solve.result import SolveLimits, WindowSolution
 
 SOC = {"big": 0.5, "small": 0.5}
 
@@ -592,3 +596,29 @@ def test_set_points_beyond_a_limit_are_seen(tiny: Scenario) -> None:
         "pv disc by nan",
         "pv sign by nan",
     ]
+
+
+def test_rounding_loses_nobody_of_the_plan_before(tiny: Scenario) -> None:
+    """A state of charge as planned may miss the need of the last customer by a tolerance."""
+    options = RunOptions(horizon_h=1.0, guard=False).on(tiny)
+    controller = make_controller(tiny, options)
+    assert isinstance(controller, MPCController)
+    day = Day(tiny, options)
+    day.step(controller, 0)
+    really = controller.planner
+    now = day.observe(controller, 1)
+
+    class Missing:
+        """Plans nobody with the state of charge as it is."""
+
+        def plan(self, observation: Observation, n_steps: int | None = None) -> WindowSolution:
+            found = really.plan(observation, n_steps)
+            if not np.array_equal(observation.soc, now.soc):
+                return found
+            nobody = replace(found.dispatch, served=np.zeros_like(found.dispatch.served))
+            return replace(found, dispatch=nobody, terms=replace(found.terms, f1=0.0))
+
+    controller.planner = Missing()
+    assert controller.decide(now).dispatch.served[0].all()
+    controller._last = None
+    assert not controller.decide(now).dispatch.served[0].any()
