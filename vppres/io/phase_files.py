@@ -36,6 +36,9 @@ MODELS = {
 """Tables by the last word of their file's name."""
 
 MUST = ("buses", "lines", "connections")
+LARGEST_CONDITION = 1e12
+"""Condition of a line's impedance beyond which rounding decides its currents."""
+
 BUSES_FIRST = "Give all tables of a phased feeder, or remove them all for a balanced one."
 
 
@@ -100,38 +103,51 @@ def _line(row: Any) -> PhaseLine:
 
 
 def _lines_wrong(rows: dict[int, Any]) -> list[Problem]:
-    """Entries of phases that a line lacks, and impedances that cannot be inverted."""
+    """Of each line entries of phases that it lacks, or else an impedance without currents."""
     problems = []
     for place, row in rows.items():
         own = [i for i in range(3) if getattr(row, _names(i, i)[0]) is not None]
-        for i, j in TRIANGLE:
-            for name in _names(i, j):
-                value = getattr(row, name)
-                if value is not None and not {i, j} <= {*own}:
-                    lacking = next(k for k in (i, j) if k not in own)
-                    problems.append(
-                        Problem(
-                            _file("lines"),
-                            f"is given, and phase {PHASES[lacking]} has no resistance",
-                            f"Give {_names(lacking, lacking)[0]} too, or leave both empty.",
-                            row=place,
-                            field=name,
-                            value=value,
-                        )
-                    )
-        z = _line(row).z_ohm[np.ix_(own, own)]
-        if own and not problems and np.linalg.cond(z) > 1e12:
+        problems += _lacking(place, row, own) or _without_current(place, row, own)
+    return problems
+
+
+def _lacking(place: int, row: Any, own: list[int]) -> list[Problem]:
+    """Entries of phases that a line lacks."""
+    entries = [((i, j), name) for i, j in TRIANGLE for name in _names(i, j)]
+    problems = []
+    for phases, name in entries:
+        lacking = [phase for phase in phases if phase not in own]
+        value = getattr(row, name)
+        if lacking and value is not None:
             problems.append(
                 Problem(
                     _file("lines"),
-                    "has an impedance that no current can be found for",
-                    "Give a resistance above 0 on each phase, and mutual ones below it.",
+                    f"is given, and phase {PHASES[lacking[0]]} has no resistance",
+                    f"Give {_names(lacking[0], lacking[0])[0]} too, or leave both empty.",
                     row=place,
-                    field=_names(own[0], own[0])[0],
-                    value=getattr(row, _names(own[0], own[0])[0]),
+                    field=name,
+                    value=value,
                 )
             )
     return problems
+
+
+def _without_current(place: int, row: Any, own: list[int]) -> list[Problem]:
+    """An impedance that cannot be inverted."""
+    z = _line(row).z_ohm[np.ix_(own, own)]
+    if not own or np.linalg.cond(z) <= LARGEST_CONDITION:
+        return []
+    first = _names(own[0], own[0])[0]
+    return [
+        Problem(
+            _file("lines"),
+            "has an impedance that no current can be found for",
+            "Give a resistance above 0 on each phase, and mutual ones below it.",
+            row=place,
+            field=first,
+            value=getattr(row, first),
+        )
+    ]
 
 
 def phase_frames(phases: Phases) -> dict[str, pd.DataFrame]:

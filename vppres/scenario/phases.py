@@ -221,6 +221,20 @@ class Phases:
 
     def _wrong(self) -> list[Problem]:
         """Names, phases and coils that there are not."""
+        problems, known = self._buses_wrong()
+        for i, line in enumerate(self.lines):
+            for name in ("from_bus", "to_bus"):
+                bus = getattr(line, name)
+                problems += self._phases_at(known, "lines", i, name, bus, line.phases)
+        for i, unit in enumerate(self.transformers):
+            problems += self._transformer_wrong(known, i, unit)
+        for table in ("shunts", "connections"):
+            for i, row in enumerate(getattr(self, table)):
+                problems += self._coils_at(known, table, i, "bus", row.bus, row.coils)
+        return problems
+
+    def _buses_wrong(self) -> tuple[list[Problem], dict[str, set[int]]]:
+        """What is wrong with buses, and the phases of those that are right."""
         problems: list[Problem] = []
         known: dict[str, set[int]] = {}
         for i, row in enumerate(self.buses):
@@ -237,32 +251,23 @@ class Phases:
             problems.append(
                 self.wrong("buses", 0, "phases", "", "must be a b c for the source's bus")
             )
-        for i, line in enumerate(self.lines):
-            for name in ("from_bus", "to_bus"):
-                problems += self._phases_at(
-                    known, "lines", i, name, getattr(line, name), line.phases
-                )
-        for i, unit in enumerate(self.transformers):
-            ends = []
-            for end in ("from", "to"):
-                bus, coils = getattr(unit, f"{end}_bus"), getattr(unit, f"{end}_coils")
-                found = self._coils_at(known, "transformers", i, f"{end}_bus", bus, coils)
-                problems += found
-                ends.append(0 if found else len(coils_of(coils)))
-            if 0 not in ends and ends[0] != ends[1]:
-                problems.append(
-                    self.wrong(
-                        "transformers",
-                        i,
-                        "to_coils",
-                        unit.to_coils,
-                        f"must have {ends[0]} coils, as from_coils",
-                    )
-                )
-        for table in ("shunts", "connections"):
-            for i, row in enumerate(getattr(self, table)):
-                problems += self._coils_at(known, table, i, "bus", row.bus, row.coils)
-        return problems
+        return problems, known
+
+    def _transformer_wrong(
+        self, known: dict[str, set[int]], i: int, unit: PhaseTransformer
+    ) -> list[Problem]:
+        """What is wrong with the coils of a transformer."""
+        problems = []
+        for end in ("from", "to"):
+            bus, coils = getattr(unit, f"{end}_bus"), getattr(unit, f"{end}_coils")
+            problems += self._coils_at(known, "transformers", i, f"{end}_bus", bus, coils)
+        if problems:
+            return problems
+        count = len(coils_of(unit.from_coils))
+        if len(coils_of(unit.to_coils)) == count:
+            return []
+        reason = f"must have {count} coils, as from_coils"
+        return [self.wrong("transformers", i, "to_coils", unit.to_coils, reason)]
 
     def _coils_at(
         self, known: dict[str, set[int]], table: str, i: int, name: str, bus: str, words: str
