@@ -25,11 +25,18 @@ from vppres.io import read_scenario
 from vppres.io.digest import scenario_digest
 from vppres.io.scenario_writer import write_scenario
 from vppres.model.phases import Slopes
+from vppres.physics.phased_loading import Loadings
 from vppres.physics.phased_sources import assets_of, flow_of_former, flow_of_grid, former_of
 from vppres.physics.phases import NoPhasedSolutionError, PhasedFlow
-from vppres.report.first_page import who_and_why
+from vppres.report.first_page import limit_rows, who_and_why
 from vppres.report.rechecked import recheck_run
-from vppres.scenario.phases import PhaseBus, PhaseConnection, PhaseLine, Phases
+from vppres.scenario.phases import (
+    PhaseBus,
+    PhaseConnection,
+    PhaseLine,
+    Phases,
+    PhaseTransformer,
+)
 from vppres.scenario.scenario import Scenario
 from vppres.solve.shadow_price_model import PricedTerms, ShadowPriceModel
 from vppres.solve.shadow_prices import price_window
@@ -142,6 +149,23 @@ def test_turned_phases_turn_the_answer() -> None:
     np.testing.assert_allclose(found[1].source_kva, np.roll(found[0].source_kva, 1), rtol=1e-9)
 
 
+def test_loadings_are_currents_over_ratings() -> None:
+    z = np.full((3, 3), 0.1 + 0.3j) + np.diag([0.3, 0.3, 0.3])
+    buses = [PhaseBus(name, i, 4.16, "a b c") for i, name in enumerate("sem")]
+    unit = PhaseTransformer("t", "e", "a b c", 2.4, "m", "a b c", 2.4, 250.0, 1.0, 4.0, ppm=0.0)
+    line = PhaseLine("s", "e", z, np.zeros((3, 3)), i_max_a=100.0)
+    load = PhaseConnection("x", "m", "b", 2.4)
+    phases = Phases(tuple(buses), (line,), (unit,), connections=(load,))
+    flow = PhasedFlow(phases, ["x"], "s", 1.0)
+    found = flow.solve(np.array([200.0]), np.array([80.0]))
+    loadings = Loadings.of(phases)
+    share = dict(zip(loadings.names, loadings.at(found.v), strict=True))
+    amps = np.hypot(200.0, 80.0) * 1e3 / np.abs(found.coil_v[0])
+    assert share["line from s to e, phase b"] == pytest.approx(amps / 100.0)
+    assert share["transformer t, b"] == pytest.approx(amps * 2.4 / 250.0)
+    assert share["line from s to e, phase a"] == pytest.approx(0.0, abs=1e-9)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -201,6 +225,8 @@ def test_plans_keep_every_phase_of_the_former_and_every_node(circuit: Path, day:
     assert (steps["shed_kw"] == 0.0).all()
     assert steps["v_error_pu"].max() < 1e-4
     figures = phase_figures(trajectory)
+    assert 0.0 < figures["loading_max"] < 1.0 and "transformer" in figures["loading_at"]
+    assert [row.what for row in limit_rows(trajectory)][2].startswith("Largest loading")
     assert figures["former_phase_rating_kva"] == pytest.approx(rating / 3)
     assert figures["former_phase_max_kva"] == pytest.approx(kva[dark].max())
     assert figures["node_steps_outside_ac"] == 0

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from vppres.day.trajectory import Trajectory
 
 
-def phase_figures(trajectory: Trajectory) -> dict[str, float | int | None]:
+def phase_figures(trajectory: Trajectory) -> dict[str, float | int | str | None]:
     """Keys of ``summary.json`` that only phased feeders have; nothing for others."""
     nodes, phases = trajectory.nodes, trajectory.scenario.phases
     if nodes is None or phases is None:
@@ -25,11 +25,14 @@ def phase_figures(trajectory: Trajectory) -> dict[str, float | int | None]:
     rating_kva = None if former is None else float(batteries.s_max_kva[former]) / len(PHASES)
     kva = steps[[f"former_{phase}_kva" for phase in PHASES]].to_numpy(float)
     held = not np.isnan(kva).all()
-    unbalance = steps["unbalance_max"]
+    unbalance, loading = steps["unbalance_max"], steps["loading_max"]
+    fullest = int(loading.argmax()) if loading.notna().any() else None
     return {
         "node_steps": len(v_pu),
         "node_steps_outside_ac": int(((v_pu < net.v_min_ac_pu) | (v_pu > net.v_max_ac_pu)).sum()),
         "unbalance_max": float(unbalance.max()) if unbalance.notna().any() else None,
+        "loading_max": None if fullest is None else float(loading.iloc[fullest]),
+        "loading_at": None if fullest is None else str(steps["loading_at"].iloc[fullest]),
         "former_phase_rating_kva": rating_kva,
         "former_phase_max_kva": float(np.nanmax(kva)) if held else None,
     }

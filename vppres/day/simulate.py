@@ -327,14 +327,17 @@ def _record(
     return StepRecord(t, steps, customers, pv, batteries, buses, lines, nodes)
 
 
-def _by_phase(ac: ACResult, held_by_batteries: bool) -> dict[str, float]:
-    """What the source gives on each phase, and the largest unbalance factor; NaN in the dark."""
+def _by_phase(ac: ACResult, held_by_batteries: bool) -> dict[str, Any]:
+    """What the source gives by phase, unbalance, and the fullest phase; NaN in the dark."""
     source = "former" if held_by_batteries else "import"
-    found = {f"{each}_{p}_kva": np.nan for each in ("former", "import") for p in PHASES}
+    found: dict[str, Any] = {
+        f"{each}_{p}_kva": np.nan for each in ("former", "import") for p in PHASES
+    }
     if not isinstance(ac, PhasedACResult):
-        return {**found, "unbalance_max": np.nan}
+        return {**found, "unbalance_max": np.nan, "loading_max": np.nan, "loading_at": ""}
     found |= {f"{source}_{p}_kva": abs(s) for p, s in zip(PHASES, ac.former_kva, strict=True)}
-    return {**found, "unbalance_max": ac.unbalance}
+    loading = {"loading_max": ac.loading, "loading_at": ac.loading_at}
+    return {**found, "unbalance_max": ac.unbalance, **loading}
 
 
 def _supply(

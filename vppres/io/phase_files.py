@@ -99,7 +99,8 @@ def _line(row: Any) -> PhaseLine:
             r, x, charging = (getattr(row, name) or 0.0 for name in _names(i, j))
             z[i, j] = z[j, i] = r + 1j * x
             b[i, j] = b[j, i] = charging
-    return PhaseLine(row.from_bus, row.to_bus, z, b)
+    i_max_a = np.nan if row.i_max_a is None else row.i_max_a
+    return PhaseLine(row.from_bus, row.to_bus, z, b, i_max_a)
 
 
 def _lines_wrong(rows: dict[int, Any]) -> list[Problem]:
@@ -169,4 +170,5 @@ def _line_row(line: PhaseLine) -> dict[str, Any]:
     for part, values in enumerate(parts):
         for i, j in TRIANGLE:
             row[_names(i, j)[part]] = float(values[i, j]) if {i, j} <= own else None
+    row["i_max_a"] = None if np.isnan(line.i_max_a) else line.i_max_a
     return row

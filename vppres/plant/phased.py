@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vppres.core.arrays import Complexes, Flags, Floats
+from vppres.physics.phased_loading import Loadings
 from vppres.physics.phased_sources import (
     able_formers,
     assets_of,
@@ -44,11 +45,15 @@ class PhasedACResult(ACResult):
         What the source gives on each phase, its own set-point included.
     unbalance : float
         Largest unbalance factor of any bus with three phases.
+    loading, loading_at : float and str
+        Largest current of a phase as a share of the rating of its line or transformer, and where.
     """
 
     v_node_pu: Floats = field(default_factory=lambda: np.zeros(0))
     former_kva: Complexes = field(default_factory=lambda: np.zeros(3, dtype=complex))
     unbalance: float = np.nan
+    loading: float = np.nan
+    loading_at: str = ""
 
 
 class PhasedPlant(Plant):
@@ -104,6 +109,7 @@ class PhasedACFlow(ACPowerFlow):
         }
         self._place = _place(scenario)
         self._at_bus = measured_at(phases, net)
+        self.loadings = Loadings.of(phases)
 
     @property
     def tolerance_kva(self) -> float:
@@ -145,6 +151,8 @@ class PhasedACFlow(ACPowerFlow):
         v_node = flow.v_pu(found.v)
         p_flow, q_flow = (net.downstream @ (self._place @ power) for power in (p, q))
         total = found.source_kva.sum()
+        loading = self.loadings.at(found.v)
+        fullest = int(loading.argmax()) if len(loading) else None
         return PhasedACResult(
             v_pu=farthest(v_node, self._at_bus, net.n_buses),
             p_from_kw=p_flow,
@@ -157,6 +165,8 @@ class PhasedACFlow(ACPowerFlow):
             v_node_pu=v_node,
             former_kva=found.source_kva,
             unbalance=float(flow.unbalance(found.v).max(initial=0.0)),
+            loading=np.nan if fullest is None else float(loading[fullest]),
+            loading_at="" if fullest is None else self.loadings.names[fullest],
         )
 
 

@@ -12,6 +12,7 @@ import pandas as pd
 from vppres.core.text import named
 from vppres.core.units import h_to_minutes
 from vppres.day.metrics import line_current_a, line_loading, service_by_customer
+from vppres.day.phase_figures import phase_figures
 from vppres.day.reliability import reliability_by_tier
 from vppres.day.series import demand_kw, per_step, pv_available_kw, stored_energy_kwh
 from vppres.day.trajectory import Trajectory, supplied
@@ -19,6 +20,7 @@ from vppres.explain.words import DRIVERS
 from vppres.report.clock import Clock
 from vppres.report.findings import LIMIT_TOLERANCE_PU
 from vppres.report.key_figures import amount, number
+from vppres.scenario.phases import PHASES
 from vppres.scenario.remarks import former_words
 from vppres.scenario.scenario import DEFAULT_VOLL_GBP_PER_KWH
 
@@ -155,7 +157,34 @@ def energy_rows(run: Trajectory, summary: Mapping[str, Any]) -> list[tuple[str, 
 
 def limit_rows(run: Trajectory) -> list[LimitRow]:
     """Lowest and highest voltage, and the line nearest to its rating."""
-    return [*_voltage_rows(run), *_line_rows(run)]
+    lines = _line_rows if run.scenario.phases is None else _phase_rows
+    return [*_voltage_rows(run), *lines(run)]
+
+
+def _phase_rows(run: Trajectory) -> Iterator[LimitRow]:
+    """The phase of a line or transformer that is nearest to its rating, and that of the former."""
+    found = phase_figures(run)
+    loading = run.steps["loading_max"]
+    if found["loading_max"] is not None:
+        t = int(loading.argmax())
+        yield LimitRow(
+            "Largest loading of a phase",
+            f"{loading.iloc[t]:.0%}",
+            f"{found['loading_at']}, {Clock.of(run).words(run.steps['time'].iloc[t])}",
+            "rating",
+            bool(loading.iloc[t] > 1.0),
+        )
+    most, rating = found["former_phase_max_kva"], found["former_phase_rating_kva"]
+    if most is not None and rating is not None:
+        kva = run.steps[[f"former_{phase}_kva" for phase in PHASES]].max(axis=1)
+        t = int(kva.argmax())
+        yield LimitRow(
+            "Largest power of a former's phase",
+            f"{kva.iloc[t]:,.0f} kVA",
+            Clock.of(run).words(run.steps["time"].iloc[t]),
+            f"{rating:,.0f} kVA",
+            bool(kva.iloc[t] > float(rating) + 1.0),
+        )
 
 
 def _voltage_rows(run: Trajectory) -> Iterator[LimitRow]:

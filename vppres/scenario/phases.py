@@ -78,12 +78,16 @@ class PhaseBus:
 
 @dataclass(frozen=True, eq=False)
 class PhaseLine:
-    """A line: impedance in ohm and charging in microsiemens, (3, 3); NaN for phases it lacks."""
+    """A line: impedance in ohm and charging in microsiemens, (3, 3); NaN for phases it lacks.
+
+    ``i_max_a`` is what each phase may carry, NaN without a rating.
+    """
 
     from_bus: str
     to_bus: str
     z_ohm: Complexes
     b_us: Floats
+    i_max_a: float = np.nan
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "z_ohm", freeze(self.z_ohm, complex))
@@ -177,7 +181,9 @@ class Phases:
             raise InputError(problems)
 
     def __repr__(self) -> str:
-        lines = [(x.from_bus, x.to_bus, x.z_ohm.tolist(), x.b_us.tolist()) for x in self.lines]
+        lines = [
+            (x.from_bus, x.to_bus, x.z_ohm.tolist(), x.b_us.tolist(), x.i_max_a) for x in self.lines
+        ]
         return repr((self.buses, lines, self.transformers, self.shunts, self.connections))
 
     @cached_property

@@ -45,7 +45,7 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
     tables = {
         "buses": [_bus(bus, refused) for bus in dss.Circuit.AllBusNames()],
         "source": _source(),
-        "lines": [_line(name) for name in engine._of("line") if engine._closed()],
+        "lines": [_line(name, engine) for name in engine._of("line") if engine._closed()],
         "transformers": [
             _transformer(name, refused) for name in engine._of("transformer") if engine._closed()
         ],
@@ -119,7 +119,7 @@ def _source() -> dict[str, Any]:
     return {"bus": bus, "kv": base_kv, "v_pu": v_pu, "phases": phases, "z": _complex(z)}
 
 
-def _line(name: str) -> dict[str, Any]:
+def _line(name: str, engine: Any) -> dict[str, Any]:
     """Ends, phases, impedance and charging of a line, as OpenDSS's own matrix has them."""
     dss.Circuit.SetActiveElement(f"line.{name}")
     ends = _nodes()
@@ -135,6 +135,7 @@ def _line(name: str) -> dict[str, Any]:
         "to_phases": [phase for _, phase in ends[n:]],
         "z": _complex(np.linalg.inv(series)),
         "b_us": (charging * US_PER_S).tolist(),
+        "i_max_a": engine.rated_amps(dss.CktElement.NormalAmps()),
     }
 
 

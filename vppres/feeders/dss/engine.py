@@ -296,7 +296,7 @@ def _lines() -> Iterator[dict[str, Any]]:
             "end": end,
             "closed": closed,
             "length": dss.Lines.Length(),
-            "amps": _rated_amps(dss.Lines.NormAmps()),
+            "amps": rated_amps(dss.Lines.NormAmps()),
             "phases": dss.Lines.Phases(),
             "r": [float(r) for r in dss.Lines.RMatrix()],
             "x": [float(x) for x in dss.Lines.XMatrix()],
@@ -304,7 +304,7 @@ def _lines() -> Iterator[dict[str, Any]]:
         }
 
 
-def _rated_amps(amps: float) -> float | None:
+def rated_amps(amps: float) -> float | None:
     """The rating of a line, None where it is what OpenDSS gives to lines without one."""
     return None if amps == DEFAULT_AMPS else float(amps)
 

@@ -94,7 +94,7 @@ def _notes(source: PhasedSource) -> list[str]:
     wires = [row.bus for row in phases.buses if row.limits == LINES]
     notes = [
         f"The feeder keeps its phases: {len(phases.nodes)} nodes at {len(phases.buses)} buses. "
-        "Ratings of its lines are left out: no phase is held to them."
+        "Ratings of its lines and transformers are reported, and no phase is held to them."
     ]
     if wires:
         notes.append(
@@ -134,6 +134,7 @@ def _phases(found: Mapping[str, Any], at: Mapping[str, BusId], slack: BusId) -> 
             line["to_bus"],
             _whole(_of(line["z"]), line["from_phases"]),
             _whole(np.array(line["b_us"]), line["from_phases"]).real,
+            np.nan if line["i_max_a"] is None else line["i_max_a"],
         )
         for line in found["lines"]
         if line["from_bus"] in at

@@ -1,0 +1,74 @@
+"""Currents of a phased feeder's lines and transformers, as shares of their ratings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from vppres.core.arrays import Complexes, Floats
+from vppres.physics.phases import S_PER_US, V_PER_KV, incidence
+from vppres.scenario.phases import PHASES, PhaseLine, Phases, PhaseTransformer
+
+
+@dataclass(frozen=True, eq=False)
+class Loadings:
+    """Shares of ratings that voltages of the nodes lead to.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Lines by their ends and phase, and transformers by their coils; those that have a rating.
+    per_volt : sparse array of complex, shape (k, nodes)
+        Current over rating of each, of the voltages of the nodes in V.
+    """
+
+    names: tuple[str, ...]
+    per_volt: Any
+
+    @classmethod
+    def of(cls, phases: Phases) -> Loadings:
+        """Those of all lines and transformers with a rating."""
+        rated = [line for line in phases.lines if np.isfinite(line.i_max_a)]
+        blocks = [_of_line(phases, line) for line in rated]
+        blocks += [_of_transformer(phases, unit) for unit in phases.transformers]
+        names = [
+            f"line from {line.from_bus} to {line.to_bus}, phase {PHASES[phase]}"
+            for line in rated
+            for phase in line.phases
+        ]
+        names += [
+            f"transformer {unit.id}, {word}"
+            for unit in phases.transformers
+            for word in unit.to_coils.split()
+        ]
+        empty = sp.csr_array((0, len(phases.nodes)), dtype=complex)
+        return cls(tuple(names), sp.csr_array(sp.vstack([empty, *blocks])))
+
+    def at(self, v: Complexes) -> Floats:
+        """Shares of the ratings, (k,)."""
+        return np.asarray(np.abs(self.per_volt @ v))
+
+
+def _of_line(phases: Phases, line: PhaseLine) -> Any:
+    """Current at the sending end of each phase."""
+    at = phases.node_index
+    own = np.ix_(line.phases, line.phases)
+    series = np.linalg.inv(line.z_ohm[own])
+    entries = np.hstack([series + 0.5j * S_PER_US * line.b_us[own], -series]) / line.i_max_a
+    places = [at[bus, phase] for bus in (line.from_bus, line.to_bus) for phase in line.phases]
+    rows = np.repeat(np.arange(len(line.phases)), len(places))
+    columns = np.tile(places, len(line.phases))
+    return sp.csr_array((entries.ravel(), (rows, columns)), shape=(len(line.phases), len(at)))
+
+
+def _of_transformer(phases: Phases, unit: PhaseTransformer) -> Any:
+    """Current through each pair of coils, without what magnetises them."""
+    sides = ((unit.from_bus, unit.from_coils), (unit.to_bus, unit.to_coils))
+    volts = (unit.from_kv * unit.from_tap * V_PER_KV, unit.to_kv * unit.to_tap * V_PER_KV)
+    first, second = (
+        incidence(phases, *side) / across for side, across in zip(sides, volts, strict=True)
+    )
+    return 100.0 / (unit.r_pct + 1j * unit.x_pct) * (first - second)
