@@ -54,9 +54,7 @@ class PhasedPlanner(PassesPlanner[PhasedPoints]):
         Largest number of solves and power flows of a window.
     """
 
-    REMEMBERED: ClassVar[dict[str, Any]] = {
-        "_last": tuple[int, np.ndarray, np.ndarray, np.ndarray] | None
-    }
+    REMEMBERED: ClassVar[dict[str, Any]] = {"_last": tuple[int, Wholes, Floats, Floats] | None}
 
     def __init__(
         self, solver: WindowSolver, headroom: float = DEFAULT_HEADROOM, passes: int = PASSES
