@@ -24,7 +24,7 @@ def check_phased(scenario: Scenario, options: RunOptions) -> None:
     if scenario.phases is None:
         return
     problems = [*_not_stated(options.on(scenario))]
-    for name in ("max_off_h", "share_min"):
+    for name in ("max_off_h", "own_backup_h", "share_min"):
         if len(getattr(scenario.customers, name)):
             problems.append(_wrong(name, "", "Leave the column of customers.csv out"))
     if problems:
