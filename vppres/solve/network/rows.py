@@ -35,10 +35,13 @@ class Rows:
     ) -> Rows:
         """Rows of equal length: ``columns`` and ``values`` have shape (R, k)."""
         count, width = columns.shape
-        entries = np.broadcast_to(values, columns.shape).astype(float).ravel()
-        begins = width * np.arange(count + 1)
-        matrix = sp.csr_array((entries, columns.ravel(), begins), shape=(count, size))
-        matrix.sort_indices()
+        matrix = sp.csr_array(
+            (
+                np.broadcast_to(values, columns.shape).astype(float).ravel(),
+                (np.repeat(np.arange(count), width), columns.ravel()),
+            ),
+            shape=(count, size),
+        )
         return cls(
             matrix,
             np.broadcast_to(lower, count).astype(float),
