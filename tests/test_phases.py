@@ -28,6 +28,7 @@ from vppres.model.phases import Slopes
 from vppres.physics.phased_loading import Loadings
 from vppres.physics.phased_sources import assets_of, flow_of_former, flow_of_grid, former_of
 from vppres.physics.phases import NoPhasedSolutionError, PhasedFlow
+from vppres.report.findings import findings
 from vppres.report.first_page import limit_rows, who_and_why
 from vppres.report.rechecked import recheck_run
 from vppres.scenario.phases import (
@@ -227,6 +228,8 @@ def test_plans_keep_every_phase_of_the_former_and_every_node(circuit: Path, day:
     figures = phase_figures(trajectory)
     assert 0.0 < figures["loading_max"] < 1.0 and "transformer" in figures["loading_at"]
     assert [row.what for row in limit_rows(trajectory)][2].startswith("Largest loading")
+    fuller = replace(trajectory, steps=steps.assign(loading_max=1.2))
+    assert any("A phase above its rating in 3 steps" in words for words in findings(fuller))
     assert figures["former_phase_rating_kva"] == pytest.approx(rating / 3)
     assert figures["former_phase_max_kva"] == pytest.approx(kva[dark].max())
     assert figures["node_steps_outside_ac"] == 0

@@ -58,7 +58,10 @@ def _voltages(run: Trajectory) -> Iterator[str]:
 
 
 def _loadings(run: Trajectory) -> Iterator[str]:
-    """Lines above their rating."""
+    """Lines above their rating, by phase if there are phases."""
+    if run.scenario.phases is not None:
+        yield from _phases_loaded(run)
+        return
     loading = np.nan_to_num(line_loading(run))
     if (loading > 1.0).any():
         t, line = np.unravel_index(int(loading.argmax()), loading.shape)
@@ -67,6 +70,18 @@ def _loadings(run: Trajectory) -> Iterator[str]:
             f"Lines above their rating in {counted_steps(int((loading > 1).any(axis=1).sum()))}: "
             f"at most {loading.max():.0%}, line {net.from_bus[line]} to {net.to_bus[line]}, "
             f"{_time(run, run.steps['time'].iloc[int(t)])}."
+        )
+
+
+def _phases_loaded(run: Trajectory) -> Iterator[str]:
+    """Phases of lines and transformers above their rating."""
+    loading = run.steps["loading_max"].fillna(0.0)
+    if (loading > 1.0).any():
+        t = int(loading.argmax())
+        yield (
+            f"A phase above its rating in {counted_steps(int((loading > 1.0).sum()))}: at most "
+            f"{loading.iloc[t]:.0%}, {run.steps['loading_at'].iloc[t]}, "
+            f"{_time(run, run.steps['time'].iloc[t])}."
         )
 
 
