@@ -33,7 +33,8 @@ from vppres.solve.fleet.rungs import service_then_cost
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.network.cheapest import CheapestDispatch
 from vppres.solve.network.injections import Injections
-from vppres.solve.network.master import DISCS, VERIFIED_DISC, NetworkMaster
+from vppres.solve.network.master import DISCS, NetworkMaster
+from vppres.solve.network.program import FINER_DISC
 from vppres.solve.network.reactance import Reactance
 from vppres.solve.network.rules import rows_of_rules
 from vppres.solve.programs import (
@@ -419,7 +420,7 @@ def test_with_rules_the_best_set_is_put_to_the_discs_until_one_has_a_dispatch(
     monkeypatch.setattr(NetworkMaster, "_put_to_discs", watched)
     monkeypatch.setattr("vppres.solve.network.master.DISCS", (0.1, *DISCS[1:]))
     answer = WindowSolver(site).solve(data)
-    assert put_to == [VERIFIED_DISC]
+    assert put_to == [FINER_DISC]
     assert "network_dispatch[highs]:infeasible" not in answer.stages
     assert alone.status == answer.status == Status.OPTIMAL
     assert answer.objective == pytest.approx(alone.objective, abs=alone.gap_abs + answer.gap_abs)

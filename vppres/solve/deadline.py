@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import time
 
+HALF = 0.5
+"""Share of the time left for a search after which others have to follow."""
+
 LEAST_S = 0.01
 """Least time limit that is handed to a solver: some take zero for none."""
 

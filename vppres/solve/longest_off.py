@@ -11,11 +11,8 @@ from dataclasses import replace
 from vppres.core.errors import LimitError, NumericalError, SolveError
 from vppres.model.data import WindowData
 from vppres.solve.apart import SolveStep, better
-from vppres.solve.deadline import Deadline
+from vppres.solve.deadline import HALF, Deadline
 from vppres.solve.result import SolveLimits, Status, WindowSolution
-
-RELAXED_SHARE = 0.5
-"""Share of the time for the window without the limits: the other half is for that with them."""
 
 
 def solve_with_limits(
@@ -43,7 +40,7 @@ def solve_with_limits(
     freed = replace(rules, longest_off=None)
     relaxed = replace(data, switching=None if freed.idle else freed)
     try:
-        free = without(relaxed, limits.at_most(RELAXED_SHARE * limits.time_s))
+        free = without(relaxed, limits.at_most(HALF * limits.time_s))
     except (LimitError, NumericalError):
         # It says nothing then, and the other half of the time may be enough.
         return within(data, limits.at_most(deadline.left_s))

@@ -30,6 +30,9 @@ WHOLE_TOLERANCE = 1e-6
 HALF_UNIT = 0.5
 """What a sum of units may miss a whole number by and still be the number itself."""
 
+GAP_SHARE = 0.8
+"""Share of the window's gap that a search for a set may leave open: what follows it, a dispatch and
+its tie-breakers, needs little of it."""
 
 STOPPED = (
     highspy.HighsModelStatus.kInterrupt,

@@ -12,11 +12,9 @@ from vppres.model.numerics import objective_scale
 from vppres.solve.dispatch import keep_dispatch
 from vppres.solve.fleet.masters import fleets_of, search_for_set
 from vppres.solve.fleet.relaxation import fleet_of, fleet_problem
+from vppres.solve.programs import GAP_SHARE
 from vppres.solve.result import Status
 from vppres.solve.task import WindowTask
-
-GAP_SHARE = 0.8
-"""Share of the window's gap that a search may leave open; the rest is for the tie-breakers."""
 
 
 def all_terms(task: WindowTask) -> None:

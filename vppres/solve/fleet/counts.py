@@ -24,6 +24,7 @@ from vppres.solve.fleet.reach import OneBattery
 from vppres.solve.fleet.recursion import Losses, fewest_lost, is_too_much
 from vppres.solve.programs import (
     DIRECT,
+    GAP_SHARE,
     HALF_UNIT,
     PROOF,
     WHOLE_TOLERANCE,
@@ -37,11 +38,9 @@ SERVICE_SHARE = 0.6
 """Share of the time left that service may take; the rest is for cost and a dispatch. A window that
 spends it all here keeps the set of the linear solution, which is seldom more than 1 % off."""
 
-WHOLE_GAP_SHARE = 0.8
 LOSSY_GAP_SHARE = 0.4
-"""Shares of the window's gap that the search for service may leave open: where service is a whole
-number, most of it, since the levels after it are exact; where PV power must be lost, less, since
-they have to weigh the loss again."""
+"""Share of the window's gap that the search for service may leave open where PV power must be lost:
+the levels after it have to weigh the loss again."""
 
 SPARE_CUSTOMERS = 3
 """Customers of the largest weight whom a set may lose beyond what shares of customers lose: a
@@ -389,7 +388,7 @@ class Counts:
             solver = self._search(program, cuts, LOSSY_GAP_SHARE * self.gap)
             return self._found(solver, layout, deadline)
         # Below one unit a whole number is known; a window of many units needs no such proof.
-        gap = max(1.0 - WHOLE_TOLERANCE, share * WHOLE_GAP_SHARE * self.gap)
+        gap = max(1.0 - WHOLE_TOLERANCE, share * GAP_SHARE * self.gap)
         # What fewer cuts have proven holds with more: whoever serves as much is the best.
         proven = self.proven.get(block.tobytes(), -np.inf)
         solver = self._search(program, cuts, gap, proven + HALF_UNIT)

@@ -17,7 +17,7 @@ from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import Deadline
 from vppres.solve.direct import Start
 from vppres.solve.dispatch import eased
-from vppres.solve.fleet.counts import LOSSY_GAP_SHARE, WHOLE_GAP_SHARE, Counts
+from vppres.solve.fleet.counts import LOSSY_GAP_SHARE, Counts
 from vppres.solve.fleet.demand import DemandModel
 from vppres.solve.fleet.relaxation import (
     FleetProblem,
@@ -26,7 +26,7 @@ from vppres.solve.fleet.relaxation import (
     weight_grid,
     whole_price,
 )
-from vppres.solve.programs import WHOLE_TOLERANCE
+from vppres.solve.programs import GAP_SHARE, WHOLE_TOLERANCE
 from vppres.solve.result import Outcome, Status
 from vppres.solve.solvers import SolverSpec, run
 from vppres.solve.task import WindowTask
@@ -115,7 +115,7 @@ class Binaries:
         """Most service in units, f3 rounded in favour to a whole number, and a set that has it."""
         problem = fleet_problem(self.cache, self.data, self.lumped, integer=True, goal="service")
         problem.write(self.data, all_connected=True)
-        open_units = max(WHOLE_GAP, WHOLE_GAP_SHARE * gap)
+        open_units = max(WHOLE_GAP, GAP_SHARE * gap)
         if self.data.keeps_service:
             open_units = LOSSY_GAP_SHARE * gap
         left_s = self.deadline.left_s

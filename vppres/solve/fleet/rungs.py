@@ -15,8 +15,9 @@ from vppres.solve.dispatch import (
     cheapest_with_modes,
     keep_dispatch,
 )
-from vppres.solve.fleet.masters import UNITS_TOLERANCE, Master
+from vppres.solve.fleet.masters import UNITS_TOLERANCE, WHOLE_GAP, Master
 from vppres.solve.forms import Form, window_problem
+from vppres.solve.programs import HALF_UNIT
 from vppres.solve.result import Status
 from vppres.solve.solvers import run
 from vppres.solve.task import COST_SHARE, WindowTask
@@ -26,13 +27,6 @@ NOTHING_LOST = 1e-6
 
 MODES_GAP_SHARE = 0.5
 """The same of the search with the modes of all batteries, which also leaves cost to its gap."""
-
-ADMITTED_UNITS = 0.5
-"""Units below the best service down to which cheaper sets are looked for: between two whole
-numbers, so that rounding does not decide."""
-
-EVERYONE_UNITS = 0.99
-"""Units below the bound on service within which nobody connected can be left out."""
 
 
 def everyone_served(task: WindowTask) -> None:
@@ -71,8 +65,8 @@ def _cost_level(task: WindowTask, master: Master) -> None:
     assert best is not None
     unit = master.unit
     needed = known.least_service_of_better()
-    admitted = max(needed, best.service - ADMITTED_UNITS * unit)
-    everyone = known.service_bound - admitted < EVERYONE_UNITS * unit
+    admitted = max(needed, best.service - HALF_UNIT * unit)
+    everyone = known.service_bound - admitted < WHOLE_GAP * unit
     whole_time = master.deadline
     if known.certified:
         master.deadline = whole_time.part(COST_SHARE)

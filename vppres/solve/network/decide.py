@@ -12,7 +12,7 @@ import numpy as np
 
 from vppres.core.arrays import Flags
 from vppres.solve.certificate import Candidate, cost_gap_gbp
-from vppres.solve.deadline import Deadline
+from vppres.solve.deadline import HALF, Deadline
 from vppres.solve.dispatch import (
     in_network,
     net_modes,
@@ -27,10 +27,6 @@ from vppres.solve.network.rules import rows_of_rules
 from vppres.solve.programs import HALF_UNIT, WHOLE_TOLERANCE
 from vppres.solve.result import Outcome, Status
 from vppres.solve.task import COST_SHARE, WindowTask
-
-SERVICE_SHARE = 0.5
-"""Share of the time left for the search of a set: the other half is for its dispatch, its bound on
-cost and, where the window is small, the whole problem."""
 
 
 def enter_network(task: WindowTask, master: NetworkMaster | None) -> None:
@@ -138,7 +134,7 @@ class InNetwork:
         least the bound, and none serves more than the bound on service.
         """
         known = self.task.certificate
-        search = self.task.deadline.part(SERVICE_SHARE)
+        search = self.task.deadline.part(HALF)
         outcome, served = self.master.service(search)
         known.note("network_service", outcome)
         if served is None:
@@ -159,7 +155,7 @@ class InNetwork:
         if self.task.is_large or found.terms.f2 - known.cost_bound_gbp <= gap_gbp:
             return found
         units = float(np.ceil(found.service / self.master.unit - WHOLE_TOLERANCE))
-        share = COST_SHARE if self._certified(found) else SERVICE_SHARE
+        share = COST_SHARE if self._certified(found) else HALF
         deadline = self.task.deadline.part(share)
         first = found.dispatch.served
         outcome, served = self.master.cost_level(units, first, found.terms.f2, gap_gbp, deadline)

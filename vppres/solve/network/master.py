@@ -15,11 +15,11 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.data import WindowData
 from vppres.model.site import Site
-from vppres.solve.deadline import Deadline, Stopwatch
+from vppres.solve.deadline import HALF, Deadline, Stopwatch
 from vppres.solve.fleet.relaxation import weight_grid, whole_price
 from vppres.solve.network.cheapest import EXACT_DISC, INSIDE, CheapestDispatch
 from vppres.solve.network.feeders import Feeders, feeder_of_buses
-from vppres.solve.network.program import DISC, SMALL, NetworkProgram
+from vppres.solve.network.program import DISC, FINER_DISC, SMALL, NetworkProgram
 from vppres.solve.network.reactance import Reactance
 from vppres.solve.network.rows import Rows, limited
 from vppres.solve.network.sets import Known, ServiceCuts
@@ -36,11 +36,7 @@ from vppres.solve.programs import (
 )
 from vppres.solve.result import Outcome, Status
 
-VERIFIED_DISC = 1e-4
-"""Share of its radius by which the best set of a large window may exceed a disc, between that of a
-bound and that of a dispatch: trades rounds for sets that have no dispatch."""
-
-DISCS = (DISC, VERIFIED_DISC, EXACT_DISC)
+DISCS = (DISC, FINER_DISC, EXACT_DISC)
 """The shares one after the other: a set that the second admits may need the little that it does."""
 
 COST_NODES = 100
@@ -55,9 +51,6 @@ FREE_TRIES = 6
 NEARLY = 1e-4
 """Units by which the network may carry less than a set and still be asked for its dispatch: bounds
 that are as tight find the same set again."""
-
-FEEDERS_SHARE = 0.5
-"""Share of the time of the search for the most service that feeders' own searches may take."""
 
 
 def applies(site: Site, data: WindowData) -> bool:
@@ -226,7 +219,7 @@ class NetworkMaster:
         of_column = self.model.feeders(feeder_of_buses(self.site.network))[self.model.origin]
         program = limited(self.network.with_cost(*self.lack), self.network.found)
         feeders = Feeders(program, self.root[1], of_column, x)
-        end = deadline.part(FEEDERS_SHARE)
+        end = deadline.part(HALF)
         for number in feeders.fractional:
             if end.passed:
                 break

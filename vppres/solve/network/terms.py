@@ -20,12 +20,13 @@ from vppres.solve.certificate import Candidate
 from vppres.solve.deadline import Deadline, Stopwatch
 from vppres.solve.dispatch import polished
 from vppres.solve.network.cheapest import EXACT_DISC
-from vppres.solve.network.program import SMALL, NetworkProgram
+from vppres.solve.network.program import FINER_DISC, SMALL, NetworkProgram
 from vppres.solve.network.reactance import Reactance
 from vppres.solve.network.rows import Rows, limited
 from vppres.solve.network.rules import rows_of_rules
 from vppres.solve.programs import (
     DIRECT,
+    GAP_SHARE,
     Program,
     ProgramSolution,
     SetOptions,
@@ -34,13 +35,6 @@ from vppres.solve.programs import (
 )
 from vppres.solve.result import Outcome, Status
 from vppres.solve.task import SMALLER, WindowTask
-
-DISC = 1e-4
-"""Share of its radius by which a disc may be exceeded in a search."""
-
-SET_GAP = 0.8
-"""Part of the window's gap that the search may leave open: a dispatch within the discs and its
-tie-breakers need little of it."""
 
 # Pairs of columns of which one is zero, each with its largest value. (A docstring here would make
 # the documentation's builder take the tuple for a signature.)
@@ -164,13 +158,13 @@ class NetworkTerms(NetworkProgram):
         The linear relaxation is solved before: most limits that ever bind have a violation there.
         """
         watch = Stopwatch()
-        linear = self.until_carried(self.loaded(self.program), deadline, DISC)
+        linear = self.until_carried(self.loaded(self.program), deadline, FINER_DISC)
         if linear.status != Status.OPTIMAL:
             return linear.outcome(watch.spent_s), np.zeros(0)
         program = limited(replace(self.program, integer=self.whole), self.found)
         alike = columns_of_alike(self.model.at["x"], self.site.customers.weight)
         options = SetOptions.of(self.site, self.data).of_sets
-        solver = with_sums(program, alike).loaded(SET_GAP * gap / self.unit, more=options)
+        solver = with_sums(program, alike).loaded(GAP_SHARE * gap / self.unit, more=options)
         found = ProgramSolution.of(solver, deadline)
         outcome = Outcome(
             found.status,
