@@ -203,6 +203,7 @@ def test_a_critical_customer_that_will_be_off(tiny: Scenario, hours: int, priori
     assert [one.kind for one in conditions(lost)] == ["setpoint_rejected"]
 
 
+@pytest.mark.daily
 def test_a_longest_time_off_that_ends(tiny: Scenario, tmp_path: Path) -> None:
     """Nothing is stored: the shop is off for an hour of two, for two, for three."""
     day = site(tiny)

@@ -238,6 +238,7 @@ def site_state(day: Scenario) -> StepState:
 # Days.
 
 
+@pytest.mark.daily
 def test_a_day_counts_shares_and_says_why() -> None:
     day = dark_hours(15.0, [1.0], 0.5)
     run = explain_day(run_day(day, RunOptions(horizon_h=1.0)))

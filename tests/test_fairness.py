@@ -112,6 +112,7 @@ def test_without_a_rule_and_with_one_that_has_no_effect_the_run_is_the_same(
     assert set(shared.customers.columns) - set(plain.customers.columns) == {ROTATED}
 
 
+@pytest.mark.daily
 @pytest.mark.parametrize("outages", ["known", "belief"])
 def test_a_minimum_takes_supply_within_its_tier_only(
     tiny: Scenario, outages: Literal["known", "belief"]

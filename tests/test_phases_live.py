@@ -46,6 +46,7 @@ def evening(day: Scenario) -> Scenario:
     return day.between(16, 19)
 
 
+@pytest.mark.daily
 def test_a_live_controller_decides_as_the_run_does(evening: Scenario) -> None:
     run = run_day(evening, OPTIONS)
     controller = Controller.of(evening, OPTIONS)
@@ -81,6 +82,7 @@ def test_strict_order_gives_up_headroom_of_phases_for_the_first_tier(evening: Sc
     assert run.steps["levels"].iloc[0].startswith("critical 1/1")
 
 
+@pytest.mark.daily
 def test_a_service_hears_and_orders_by_phase(
     day: Scenario, evening: Scenario, tmp_path: Path
 ) -> None:
