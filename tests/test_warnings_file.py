@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -93,8 +94,9 @@ def test_folders_without_keep_their_digest(tiny: Scenario, tiny_folder: Path) ->
         replace(tiny, warnings=(warning,)),
         replace(tiny, outage_statistics=OutageStatistics("none")),
         replace(tiny, controller=replace(tiny.controller, outages="likely")),
+        replace(tiny, customers=replace(tiny.customers, share_min=np.array([0.5, 1.0, 1.0]))),
     ]
-    assert len({plain, *map(scenario_digest, changed)}) == 4
+    assert len({plain, *map(scenario_digest, changed)}) == 5
 
 
 @pytest.mark.parametrize(

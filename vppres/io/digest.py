@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vppres.scenario.assets import OF_TIME_OFF, PV, Customers, PVSystems
+from vppres.scenario.assets import OPTIONAL, PV, Customers, PVSystems
 from vppres.scenario.fairness import Fairness
 from vppres.scenario.network import BUS_DRAWS, Network
 from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
@@ -63,9 +63,9 @@ def _canonical(value: Any) -> Any:
         # So do customers that each stand for one.
         if isinstance(value, Customers) and (value.homes == 1).all():
             left_out = left_out | {"homes"}
-        # And customers that may be off for any time.
+        # And customers that may be off for any time, and are not dimmed.
         if isinstance(value, Customers):
-            left_out = left_out | {name for name in OF_TIME_OFF if not len(getattr(value, name))}
+            left_out = left_out | {name for name in OPTIONAL if not len(getattr(value, name))}
         # Hard limits are those from before there were others.
         if isinstance(value, ControllerDefaults) and value.voltage_limits == HARD:
             left_out = left_out | {"voltage_limits"}

@@ -26,6 +26,9 @@ OF_TIME_OFF = ("max_off_h", "own_backup_h")
 OF_HOURS = (*OF_TIME_OFF, "recover_h")
 """Columns of customers that are NaN if not given, and empty if no customer has one."""
 
+OPTIONAL = ("share_min", *OF_HOURS)
+"""Columns of customers that are empty if no customer has one."""
+
 
 @dataclass(frozen=True, eq=False)
 class Customers:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from vppres.core.arrays import Floats, Names, Wholes
-from vppres.scenario.assets import OF_HOURS
+from vppres.scenario.assets import OPTIONAL
 from vppres.scenario.scenario import Scenario
 
 
@@ -43,7 +43,7 @@ def split_sheddable(scenario: Scenario) -> Scenario:
         weight=_shared(customers.weight, parts),
         **{
             name: np.repeat(getattr(customers, name), parts)
-            for name in ("bus", "tier", "power_factor", "homes", "share_min", *OF_HOURS)
+            for name in ("bus", "tier", "power_factor", "homes", *OPTIONAL)
             if len(getattr(customers, name))
         },
         shed_steps=np.ones(parts.sum(), dtype=int),
