@@ -32,6 +32,6 @@ def test_a_moment_says_what_is_wrong() -> None:
     moment = Moment("2026-11-21T18:13:00Z", "grid lost", 1.0, plan, ["nobody is on"])
     assert critical(day) == {"hospital"}
     assert moment.line(day) == (
-        "2026-11-21T18:13:00Z grid lost: ok, 1 off, of the first tier 1, after 1.0 s. "
-        "WRONG: nobody is on"
+        "2026-11-21T18:13:00Z grid lost: ok, 1 off, of the first tier 1, after 1.0 s, "
+        "1.0 s of them beside the solver. WRONG: nobody is on"
     )
