@@ -13,11 +13,18 @@ import pytest
 
 from experiments.random_feeders import random_window
 from tests.support.live_service import HERE, NOON, client, decided, said, site
-from tests.support.small_windows import DARK, OPEN, battery, two_buses, window, with_pv
+from tests.support.small_windows import (
+    DARK,
+    OPEN,
+    battery,
+    first_step,
+    two_buses,
+    window,
+    with_pv,
+)
 from vppres import Controller, InputError, Measurement, RunOptions, explain_day, run_day, summarise
 from vppres.contract.decision import Decision
 from vppres.control.guard.check import violations
-from vppres.control.step_state import StepState
 from vppres.day.metrics import service_by_customer
 from vppres.io import read_scenario, write_scenario
 from vppres.io.digest import scenario_digest
@@ -212,27 +219,11 @@ def test_the_plant_supplies_the_share_of_the_real_demand(tiny: Scenario) -> None
 
 def test_the_guard_refuses_less_than_the_least_share(tiny: Scenario) -> None:
     day = dimmable(tiny, 1.0, 0.5, 1.0)
-    observed = site_state(day)
+    observed = first_step(day, window(day))
     plan = WindowSolver(observed.site).solve(window(day)).dispatch
     assert violations(Decision(plan), observed) == []
     below = replace(plan, share=plan.supplied * np.array([1.0, 0.4, 1.0]))
     assert "a customer is supplied in part" in violations(Decision(below), observed)
-
-
-def site_state(day: Scenario) -> StepState:
-    """The first step of a day, with what its window has."""
-    data = window(day)
-    return StepState(
-        Site.of(day),
-        data.load_kw[0],
-        data.pv_kw[0],
-        float(data.grid_limit_kw[0]),
-        data.soc,
-        data.eta_charge,
-        data.eta_discharge,
-        data.delta_pu2[0],
-        np.ones(len(data.soc), dtype=bool),
-    )
 
 
 # Days.

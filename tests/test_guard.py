@@ -17,6 +17,7 @@ from experiments.random_feeders import random_window
 from tests.support.dispatch_check import check_dispatch
 from tests.support.made_up_runs import small_scenario
 from tests.support.set_points import decision
+from tests.support.small_windows import first_step
 from vppres.contract.decision import Decider, Decision
 from vppres.contract.forecast import Forecaster, ForecastErrors
 from vppres.contract.observation import Observation
@@ -54,18 +55,7 @@ SEEDS = st.integers(0, 10_000)
 def state_of(seed: int, stressed: bool = False) -> tuple[Scenario, StepState]:
     """The first step of a random window."""
     scenario, data = random_window(seed, stressed)
-    every = np.ones(len(scenario.batteries), dtype=bool)
-    return scenario, StepState(
-        Site.of(scenario),
-        data.load_kw[0],
-        data.pv_kw[0],
-        float(data.grid_limit_kw[0]),
-        data.soc,
-        data.eta_charge,
-        data.eta_discharge,
-        data.delta_pu2[0],
-        every,
-    )
+    return scenario, first_step(scenario, data)
 
 
 def window_of(state: StepState) -> WindowData:

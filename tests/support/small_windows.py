@@ -10,7 +10,9 @@ import pandas as pd
 
 from experiments.usual_battery import USUAL_BATTERY
 from vppres.contract.export import Export
+from vppres.control.step_state import StepState
 from vppres.model.data import WindowData
+from vppres.model.site import Site
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import HARD, REPORT, ControllerDefaults, Scenario
@@ -106,4 +108,19 @@ def replace_slack(network: Network, v_slack_pu: float) -> Network:
         network.slack_bus,
         network.base_kv,
         v_slack_pu=v_slack_pu,
+    )
+
+
+def first_step(scenario: Scenario, data: WindowData) -> StepState:
+    """What a guard knows in the first step of a window, all batteries there."""
+    return StepState(
+        Site.of(scenario),
+        data.load_kw[0],
+        data.pv_kw[0],
+        float(data.grid_limit_kw[0]),
+        data.soc,
+        data.eta_charge,
+        data.eta_discharge,
+        data.delta_pu2[0],
+        np.ones(len(data.soc), dtype=bool),
     )

@@ -126,9 +126,10 @@ class MPCController:
 
     def _foreseen_on(self, observation: Observation) -> Flags | None:
         """Who is on now in the plan before, (C,); None if batteries are not where it has them."""
-        if self._last is None or not (ago := self._steps_since(observation)):
+        before = self._plan_before(observation)
+        if before is None:
             return None
-        _, plan = self._last
+        plan, ago = before
         as_planned = np.abs(observation.soc - plan.soc[ago]) <= SOC_ROUNDING
         return np.asarray(plan.served[ago]) if as_planned.all() else None
 
@@ -186,16 +187,17 @@ class MPCController:
 
     def _before(self, observation: Observation) -> Moves | None:
         """What the plan before had foreseen for the window, None if it does not reach it."""
-        if self._last is None or not (ago := self._steps_since(observation)):
+        before = self._plan_before(observation)
+        if before is None:
             return None
-        _, plan = self._last
+        plan, ago = before
         n_steps = len(observation.window.price_gbp_per_kwh)
         return Moves.of(plan.charge_kw - plan.discharge_kw, ago, n_steps, self.move_weight)
 
-    def _steps_since(self, observation: Observation) -> int:
-        """Steps since the plan before, 0 if it does not reach this one."""
+    def _plan_before(self, observation: Observation) -> tuple[Dispatch, int] | None:
+        """The plan before and which of its steps is now; None if it does not reach it."""
         if self._last is None:
-            return 0
+            return None
         t0, plan = self._last
         ago = observation.t0 - t0
-        return ago if 0 < ago < plan.n_steps else 0
+        return (plan, ago) if 0 < ago < plan.n_steps else None

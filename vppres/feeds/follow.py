@@ -8,6 +8,7 @@ import time
 import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from email.utils import parsedate_to_datetime
 from math import inf
@@ -308,9 +309,8 @@ class Asker:
                     raise OSError(f"it sends more than {MOST_BYTES:,} bytes")
                 if time.monotonic() > end_s:
                     raise OSError(f"it is not done within {TIMEOUT_S:g} s")
-            missing = response.length
-            if missing:
-                raise OSError(f"it breaks off {missing:,} bytes before the end")
+            if response.length:
+                raise OSError(f"it breaks off {response.length:,} bytes before the end")
             self._tag = response.headers.get("ETag")
         return bytes(content)
 
@@ -338,21 +338,26 @@ def follow(
     """Ask whenever it is time, until the end; what fails is said and tried again."""
     while not end.is_set():
         now = _now()
-        try:
+        with _failures_told(follower):
             content = asker.ask()
-            if content is not None and record is not None:
-                record.mkdir(parents=True, exist_ok=True)
-                stamp = now.strftime(STAMP)
-                (record / f"{stamp}{follower.feed.suffix}").write_bytes(content)
             if content is not None:
+                if record is not None:
+                    record.mkdir(parents=True, exist_ok=True)
+                    stamp = now.strftime(STAMP)
+                    (record / f"{stamp}{follower.feed.suffix}").write_bytes(content)
                 follower.hear(content, now)
-        except (InputError, OSError) as error:
-            follower.told(str(error))
-        try:
+        with _failures_told(follower):
             follower.watch(now)
-        except (InputError, OSError) as error:
-            follower.told(str(error))
         end.wait(LOOK_S)
+
+
+@contextmanager
+def _failures_told(follower: Follower) -> Iterator[None]:
+    """What a feed, a service or a disk refuses ends nothing."""
+    try:
+        yield
+    except (InputError, OSError) as error:
+        follower.told(str(error))
 
 
 def _now() -> pd.Timestamp:

@@ -43,14 +43,14 @@ def phases_of(scenario: Scenario, quantity: str, asset: str) -> list[str]:
 
 def wrong_phase(one: Readings, scenario: Scenario) -> Problem | None:
     """What is wrong with the phase of readings."""
-    by_phase = one.quantity in ALWAYS
-    if one.phase is None and not by_phase:
+    needed = one.quantity in ALWAYS
+    if one.phase is None and not needed:
         return None
-    known = phases_of(scenario, one.quantity, one.asset)
-    if one.phase in known and (by_phase or one.quantity in SUMMED):
+    allowed = needed or one.quantity in SUMMED
+    known = phases_of(scenario, one.quantity, one.asset) if allowed else []
+    if one.phase in known:
         return None
-    there = by_phase or one.quantity in SUMMED
-    cure = f"Give one of {', '.join(known)}." if there and known else "Leave the phase out."
+    cure = f"Give one of {', '.join(known)}." if known else "Leave the phase out."
     field = f"phase of {one.quantity} of {one.asset}"
     return Problem(WHERE, "is no phase of it", cure, None, field, str(one.phase))
 
