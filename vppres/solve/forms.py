@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
 
@@ -16,7 +16,7 @@ from vppres.model.polygons import Polygon
 from vppres.model.problem import page
 from vppres.model.site import Site
 from vppres.solve.cache import ModelCache
-from vppres.solve.selection import EQUAL, ORDER, Selected, Selection, Sheet
+from vppres.solve.selection import EQUAL, ORDER, Family, Selected, Selection, Sheet
 
 Level = Literal["service", "cost"]
 Mode = Literal["integer", "relaxed", "fixed"]
@@ -120,10 +120,17 @@ def without_network(found: Selection, names: list[str]) -> Selection:
     kept = [n for n in names if not left_out & {x.name() for x in families[n].variables()}]
     known = [name for name in kept if name in ORDER]
     found = found.keep(*known)
-    W, N = sheet.family("active_power_balance").shape
-    over_buses = sp.csr_array(np.tile(np.eye(W), N))
-    found = found.combine("active_power_balance", over_buses, EQUAL, (W,), "total_power_balance")
+    found = replace(found, parts=(*found.parts, total_balance(sheet)))
     return found.keep(*WITHOUT_NETWORK).keep(*(n for n in kept if n not in ORDER))
+
+
+def total_balance(sheet: Sheet) -> Family:
+    """Sum of the active balances over the buses: flows cancel."""
+    family = sheet.family("active_power_balance")
+    W, N = family.shape
+    rows = family.rows.times(sp.csr_array(np.tile(np.eye(W), N)))
+    letters = tuple(each for each in family.letters if sheet.used(each, rows))
+    return Family("total_power_balance", rows, EQUAL, (W,), letters)
 
 
 def with_level(found: Selection, level: Level) -> Selection:

@@ -108,6 +108,13 @@ class Linear:
         column, row = np.divmod(places[stays], max(rows, 1))
         return Linear(row, column, sp.csr_array(by[stays]), (rows, columns))
 
+    def plus(self, other: Linear) -> Linear:
+        """The rows of both added up, one by one."""
+        size = max(self.shape[1], other.shape[1])
+        each = sp.eye_array(self.shape[0])
+        both = sp.csr_array(sp.hstack([each, each]))
+        return Linear.stacked([self.wider(size), other.wider(size)]).times(both)
+
     def constants(self, of: int) -> sp.csr_array:
         """The matrix of what no parameter changes; ``of`` is the number of the value 1."""
         inside = self.column < self.shape[1]

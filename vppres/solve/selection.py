@@ -68,6 +68,14 @@ class Family:
     shape: tuple[int, ...]
     letters: tuple[str, ...]
 
+    def with_column(self, column: int, value: float, letter: str, limit: float = 0.0) -> Family:
+        """The same with a column more in each row, and something added to each limit."""
+        count, size = self.rows.shape
+        places = np.arange(count), np.full(count, column)
+        matrix = sp.coo_array((np.full(count, value), places), shape=(count, max(size, column + 1)))
+        more = Linear.constant(matrix, np.full(count, limit), self.rows.by.shape[1])
+        return replace(self, rows=self.rows.plus(more), letters=(*self.letters, letter))
+
 
 class Sheet:
     """The statement of a site and number of steps, compiled as far as it is asked for.
@@ -238,6 +246,16 @@ class Sheet:
         """A linear term of the objective as one row; its limit is what it has besides, negative."""
         return replace(self.family(_of_term(name)), name=name, shape=(1,))
 
+    def limit_of(self, name: str, sums: Mapping[str, float]) -> Family:
+        """Rows that limit a sum of letters with factors; a window writes the limits."""
+        columns = [_flat(self.columns[letter]) for letter in sums]
+        count = len(columns[0])
+        values = np.repeat(list(sums.values()), count)
+        places = np.tile(np.arange(count), len(columns)), np.concatenate(columns)
+        matrix = sp.coo_array((values, places), shape=(count, self.size))
+        rows = Linear.constant(matrix, np.zeros(count), self.width)
+        return Family(name, rows, MOST, self.columns[next(iter(sums))].shape, tuple(sums))
+
 
 @dataclass(frozen=True, eq=False)
 class Selection:
@@ -279,14 +297,12 @@ class Selection:
         more = [part for name in names for part in self.sheet.parts(name)]
         return replace(self, parts=(*self.parts, *more))
 
-    def combine(
-        self, name: str, R: Any, kind: str, shape: tuple[int, ...], as_: str = ""
-    ) -> Selection:
+    def combine(self, name: str, R: Any, kind: str, shape: tuple[int, ...]) -> Selection:
         """The same with combinations of a family's rows."""
         family = self.sheet.family(name)
         rows = family.rows.times(R)
         letters = tuple(each for each in family.letters if self.sheet.used(each, rows))
-        part = Family(as_ or name, rows, kind, shape, letters)
+        part = Family(name, rows, kind, shape, letters)
         return replace(self, parts=(*self.parts, part))
 
     def scale(self, name: str, factor: float) -> Selection:
@@ -297,15 +313,7 @@ class Selection:
 
     def limit(self, name: str, sums: Mapping[str, float]) -> Selection:
         """The same with rows that limit a sum of letters from above; a window writes the limits."""
-        sheet = self.sheet
-        columns = [_flat(sheet.columns[letter]) for letter in sums]
-        count = len(columns[0])
-        values = np.repeat(list(sums.values()), count)
-        places = np.tile(np.arange(count), len(columns)), np.concatenate(columns)
-        matrix = sp.coo_array((values, places), shape=(count, sheet.size))
-        rows = Linear.constant(matrix, np.zeros(count), sheet.width)
-        shape = sheet.columns[next(iter(sums))].shape
-        return replace(self, parts=(*self.parts, Family(name, rows, MOST, shape, tuple(sums))))
+        return replace(self, parts=(*self.parts, self.sheet.limit_of(name, sums)))
 
     def limit_term(self, name: str, sign: float = 1.0) -> Selection:
         """The same with a row that limits a term from above; a window writes the limit.

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-import scipy.sparse as sp
-
 from vppres.model.beyond_paper.table import beyond_paper
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.solve.dispatch import POLYGON_SIDES
 from vppres.solve.forms import Form, select_form
-from vppres.solve.linear import Linear
-from vppres.solve.selection import EQUAL, Family, Selected, Selection, Sheet
+from vppres.solve.selection import Selected, Selection, Sheet
 from vppres.solve.solvers import run_conic
 
 ELASTIC_TIME_S = 20.0
@@ -52,19 +48,9 @@ def _elastic(sheet: Sheet) -> Selection:
     slack = sheet.new_letter("slack", (1,))
     form = Form("service", "relaxed", "relaxed", POLYGON_SIDES, outer=True)
     found = select_form(sheet, form)
-    parts = [_giving(sheet, p, slack) if p.name in GIVING else p for p in found.parts]
-    one = sp.coo_array(([1.0], ([0], slack)), shape=(1, sheet.size))
-    term = Family("slack", Linear.constant(one, np.zeros(1), sheet.width), EQUAL, (1,), ("slack",))
+    parts = [
+        part.with_column(int(slack[0]), -1.0, "slack") if part.name in GIVING else part
+        for part in found.parts
+    ]
+    term = sheet.limit_of("slack", {"slack": 1.0})
     return replace(found, parts=tuple(parts), terms=((term, 1.0),), maximises=False)
-
-
-def _giving(sheet: Sheet, family: Family, slack: np.ndarray) -> Family:
-    """A family whose limits all give by the slack."""
-    rows = family.rows.wider(sheet.size)
-    count = rows.shape[0]
-    places = np.arange(count), np.full(count, slack[0])
-    gives = sp.coo_array((-np.ones(count), places), shape=rows.shape)
-    more = Linear.constant(gives, np.zeros(count), sheet.width)
-    both = sp.csr_array(sp.hstack([sp.eye_array(count), sp.eye_array(count)]))
-    joined = Linear.stacked([rows, more]).times(both)
-    return replace(family, rows=joined, letters=(*family.letters, "slack"))

@@ -12,7 +12,7 @@ from vppres.core.arrays import Flags
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.solve.certificate import CostRange
-from vppres.solve.fleet.relaxation import Fleet, rank, with_column
+from vppres.solve.fleet.relaxation import Fleet, rank
 from vppres.solve.linear import Linear
 from vppres.solve.selection import MOST, Family, Selected, Selection, Sheet
 
@@ -102,8 +102,7 @@ def _largest(site: Site, data: WindowData) -> float:
 def _select(sheet: Sheet, fleet: Fleet) -> Selection:
     """The fleet's rows with one demand for all customers."""
     site = fleet.site
-    W = sheet.n_steps
-    load = sheet.new_letter("load", (W,))
+    sheet.new_letter("load", (sheet.n_steps,))
     lost = sheet.new_letter("lost", (1,), -np.inf if "f7" in sheet.statement.terms else 0.0)
     spent = sheet.new_letter("spent", (1,), -np.inf)
     named = {name: family for name, family in fleet.joined.items() if name != "pv_self_consumption"}
@@ -111,16 +110,11 @@ def _select(sheet: Sheet, fleet: Fleet) -> Selection:
         if name in named:
             named[name] = _with_load(sheet, named[name])
     parts = fleet.put_in(named, ("pv_balance",), ("P_exp",))
-    parts.append(fleet.limit_of("demand_of_all", "load", 1.0))
+    parts.append(sheet.limit_of("demand_of_all", {"load": 1.0}))
     if len(site.pv):
-        parts.append(fleet.limit_of("curtailment_min", "all P_curt", -1.0))
-        own = sheet.columns["all P_self"]
-        parts.append(fleet.limit_of("own_of_all", "all P_self", 1.0))
-        entries = np.append(np.ones(W), -np.ones(W))
-        places = np.tile(np.arange(W), 2), np.append(load, own)
-        rows = sp.coo_array((entries, places), shape=(W, sheet.size))
-        some = Linear.constant(rows, np.zeros(W), sheet.width)
-        parts.append(Family("own_of_some", some, MOST, (W,), ("load", "all P_self")))
+        parts.append(sheet.limit_of("curtailment_min", {"all P_curt": -1.0}))
+        parts.append(sheet.limit_of("own_of_all", {"all P_self": 1.0}))
+        parts.append(sheet.limit_of("own_of_some", {"load": 1.0, "all P_self": -1.0}))
     parts += fleet.lumping.range_rows()
     if fleet.groups:
         parts += fleet.first_step((fleet.name_of("P_ch"), fleet.name_of("P_dch")))
@@ -129,9 +123,9 @@ def _select(sheet: Sheet, fleet: Fleet) -> Selection:
     loss = fleet.sum_of_terms(
         "lost", MOST, ("f3", site.weights.lambda_curt / unit), ("f7", -1.0 / unit)
     )
-    parts.append(with_column(loss, int(lost[0]), -1.0, "lost"))
+    parts.append(loss.with_column(int(lost[0]), -1.0, "lost"))
     cost = fleet.sum_of_terms("spent", MOST, ("f2", 1.0))
-    parts.append(with_column(cost, int(spent[0]), -1.0, "spent"))
+    parts.append(cost.with_column(int(spent[0]), -1.0, "spent"))
     found = Selection(sheet, tuple(parts), order=("load", "lost", "spent"))
     return found.relaxed_to_shares(sheet.statement.named("directions"))
 
@@ -140,13 +134,7 @@ def _with_load(sheet: Sheet, family: Family) -> Family:
     """A family with the demand of all customers in the place of theirs, one row for each step."""
     rows = family.rows.wider(sheet.size)
     others = ~np.isin(rows.column, sheet.columns["x_served"])
-    W = sheet.n_steps
-    places = (np.arange(W), sheet.columns["load"])
-    more = Linear.constant(
-        sp.coo_array((-np.ones(W), places), shape=(W, sheet.size)), np.zeros(W), sheet.width
-    )
     kept = Linear(rows.row[others], rows.column[others], sp.csr_array(rows.by[others]), rows.shape)
-    both = sp.csr_array(sp.hstack([sp.eye_array(W), sp.eye_array(W)]))
+    joined = kept.plus(sheet.limit_of("load", {"load": -1.0}).rows)
     letters = tuple(name for name in family.letters if name != "x_served")
-    joined = Linear.stacked([kept, more]).times(both)
     return replace(family, rows=joined, letters=(*letters, "load"))

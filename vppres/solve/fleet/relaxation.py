@@ -24,7 +24,7 @@ from vppres.model.formulas import charge_to_kw, discharge_to_kw
 from vppres.model.numerics import objective_scale
 from vppres.model.site import Site
 from vppres.solve.cache import ModelCache
-from vppres.solve.forms import sheet_of
+from vppres.solve.forms import sheet_of, total_balance
 from vppres.solve.linear import Linear
 from vppres.solve.lumping import Lumping, eliminated
 from vppres.solve.selection import EQUAL, MOST, Family, Selected, Selection, Sheet
@@ -109,7 +109,7 @@ class Fleet:
         """All families without letters of the network, on sums; what tells devices apart goes."""
         sheet = self.sheet
         statement = sheet.statement
-        found = [self._balance()]
+        found = [total_balance(sheet)]
         for name, constraint in {**statement.families, **statement.implied}.items():
             used = {x.name() for x in constraint.variables()}
             beyond = name in statement.families or name in statement.implied_beyond
@@ -133,21 +133,10 @@ class Fleet:
         inside = (rows.by[np.isin(rows.column, columns)] for rows in every)
         return all((by.indices == sheet.width - 1).all() for by in inside)
 
-    def _balance(self) -> Family:
-        """Sum of the active balances over the buses: flows cancel."""
-        family = self.sheet.family("active_power_balance")
-        W, N = family.shape
-        rows = family.rows.times(sp.csr_array(np.tile(np.eye(W), N)))
-        letters = tuple(each for each in family.letters if self.sheet.used(each, rows))
-        return Family("total_power_balance", rows, EQUAL, (W,), letters)
-
     def _one_mode_at_a_time(self) -> Family:
         """Charging and discharging share a battery's power; with its mode they cancel."""
         charge, discharge = (self.sheet.family(name) for name in MODES)
-        count = charge.rows.shape[0]
-        both = sp.csr_array(sp.hstack([sp.eye_array(count), sp.eye_array(count)]))
-        size = self.sheet.size
-        rows = Linear.stacked([charge.rows.wider(size), discharge.rows.wider(size)]).times(both)
+        rows = charge.rows.plus(discharge.rows)
         return Family("battery_power", rows, MOST, charge.shape, ("P_ch", "P_dch"))
 
     def _over_devices(self, family: Family) -> Family:
@@ -178,28 +167,14 @@ class Fleet:
 
     def _joined(self, named: dict[str, Family]) -> dict[str, Family]:
         """The same with what keeps export above zero, and circular charging in other words."""
-        size = self.sheet.size
         if "circular_charging" in named:
             # With the balance it says that no battery discharges into another.
             circle, balance = named["circular_charging"], named["total_power_balance"]
-            count = circle.rows.shape[0]
-            both = sp.csr_array(sp.hstack([sp.eye_array(count), sp.eye_array(count)]))
-            rows = Linear.stacked([circle.rows.wider(size), balance.rows.wider(size)]).times(both)
+            rows = circle.rows.plus(balance.rows)
             letters = tuple(dict.fromkeys((*balance.letters, *circle.letters)))
             named["circular_charging"] = replace(circle, rows=rows, letters=letters)
         if len(self.site.pv):
-            P_exp = self.sheet.columns["all P_exp"]
-            none = Linear.constant(
-                sp.coo_array(
-                    (-np.ones(len(P_exp)), (np.arange(len(P_exp)), P_exp)),
-                    shape=(len(P_exp), size),
-                ),
-                np.zeros(len(P_exp)),
-                self.sheet.width,
-            )
-            named["curtailment_max"] = Family(
-                "curtailment_max", none, MOST, P_exp.shape, ("all P_exp",)
-            )
+            named["curtailment_max"] = self.sheet.limit_of("curtailment_max", {"all P_exp": -1.0})
         return named
 
     def put_in(
@@ -272,16 +247,6 @@ class Fleet:
         too_much = data.self_limit_kw(self.site) > self.site.pv.s_max_kva + 1e-9
         return np.where(too_much @ self.site.pv_customer.T > 0, 0.0, 1.0)
 
-    def limit_of(self, name: str, letter: str, sign: float) -> Family:
-        """Rows that limit a letter from above or below; a window writes the limits."""
-        columns = np.ravel(self.sheet.columns[letter], order="F")
-        count = len(columns)
-        matrix = sp.coo_array(
-            (np.full(count, sign), (np.arange(count), columns)), shape=(count, self.sheet.size)
-        )
-        rows = Linear.constant(matrix, np.zeros(count), self.sheet.width)
-        return Family(name, rows, MOST, self.sheet.columns[letter].shape, (letter,))
-
     def sum_of_terms(self, name: str, kind: str, *terms: tuple[str, float]) -> Family:
         """A row of terms with factors, those that there are, on sums."""
         there = [(t, f) for t, f in terms if t in self.terms]
@@ -350,10 +315,10 @@ def _select(sheet: Sheet, fleet: Fleet, integer: bool, goal: Goal) -> Selection:
     site = fleet.site
     found = Selection(sheet)
     parts = [*fleet.families.values()]
-    parts += [fleet.limit_of("service_max", "x_served", 1.0)]
-    parts += [fleet.limit_of("service_min", "x_served", -1.0)]
+    parts.append(sheet.limit_of("service_max", {"x_served": 1.0}))
+    parts.append(sheet.limit_of("service_min", {"x_served": -1.0}))
     if len(site.pv):
-        parts.append(fleet.limit_of("curtailment_min", "all P_curt", -1.0))
+        parts.append(sheet.limit_of("curtailment_min", {"all P_curt": -1.0}))
     parts += fleet.lumping.range_rows()
     if fleet.groups:
         parts += fleet.first_step((fleet.name_of("P_ch"), fleet.name_of("P_dch")))
@@ -392,10 +357,10 @@ def _with_goal(found: Selection, fleet: Fleet, integer: bool, goal: Goal) -> Sel
     # The penalty of curtailment is rounded down to a whole number, so that the optimum stays an
     # upper bound and a solver may round its own, which is most of the proof.
     lost = fleet.sum_of_terms("penalty", MOST, ("f3", site.weights.lambda_curt / unit))
-    rounded = with_column(lost, int(penalty[0]), -1.0, "penalty", limit=1.0)
+    rounded = lost.with_column(int(penalty[0]), -1.0, "penalty", limit=1.0)
     others = [(name, factor / unit) for name, factor in fleet.service if name in ("f6", "f7")]
     units = _rounded(fleet.sum_of_terms("units", EQUAL, ("f1", 1.0 / unit)))
-    terms = [(with_column(units, int(penalty[0]), -1.0, "penalty"), 1.0)]
+    terms = [(units.with_column(int(penalty[0]), -1.0, "penalty"), 1.0)]
     if any(name in sheet.statement.terms for name, _ in others):
         terms.append((fleet.sum_of_terms("others", EQUAL, *others), 1.0))
     found = replace(found, parts=(*parts, rounded), terms=tuple(terms), maximises=True)
@@ -432,22 +397,6 @@ def rank(family: Family) -> int:
     return ORDER.index(family.name) if family.name in ORDER else len(ORDER)
 
 
-def with_column(
-    family: Family, column: int, value: float, letter: str, limit: float = 0.0
-) -> Family:
-    """A single row with a column more, and something added to its limit."""
-    rows = family.rows
-    size = max(rows.shape[1], column + 1)
-    rows = rows.wider(size)
-    more = Linear.constant(
-        sp.coo_array(([value], ([0], [column])), shape=(1, size)),
-        np.array([limit]),
-        rows.by.shape[1],
-    )
-    both = Linear.stacked([rows, more]).times(sp.csr_array(np.ones((1, 2))))
-    return replace(family, rows=both, letters=(*family.letters, letter))
-
-
 def _rounded(family: Family) -> Family:
     """A row with factors that are whole numbers but for rounding."""
     by = family.rows.by.copy()
@@ -462,21 +411,16 @@ def counts_of_alike(fleet: Fleet) -> list[Family]:
     for each.
     """
     sheet = fleet.sheet
-    x = sheet.columns["x_served"]
     weights, kind = np.unique(fleet.site.customers.weight, return_inverse=True)
     alike = kind[:, None] == np.arange(len(weights))
     shared = alike[:, alike.sum(axis=0) > 1].astype(float)
     if not shared.size:
         return []
-    W, K = x.shape[0], shared.shape[1]
-    counts = sheet.new_letter("counts", (W, K), -np.inf, whole=True)
-    step, customer, k = (each.ravel() for each in np.indices((W, *shared.shape)))
-    used = shared[customer, k] > 0.0
-    row = np.append((k * W + step)[used], np.arange(W * K))
-    column = np.append(x[step[used], customer[used]], np.ravel(counts, order="F"))
-    value = np.append(-np.ones(used.sum()), np.ones(W * K))
-    matrix = sp.coo_array((value, (row, column)), shape=(W * K, sheet.size))
-    rows = Linear.constant(matrix, np.zeros(W * K), sheet.width)
+    W, K = sheet.n_steps, shared.shape[1]
+    sheet.new_letter("counts", (W, K), -np.inf, whole=True)
+    served = sheet.limit_of("served", {"x_served": -1.0}).rows
+    served = served.times(sp.kron(shared.T, sp.eye_array(W)))
+    rows = served.plus(sheet.limit_of("counts", {"counts": 1.0}).rows)
     return [Family("counts_of_alike", rows, EQUAL, (W, K), ("x_served", "counts"))]
 
 
