@@ -151,7 +151,26 @@ def what_is_wrong(step: Step, customer: int, reason: Reason) -> str:
         return _with_plenty(step, customer, limits, gain)
     if reason.driver == "unexplained":
         return "there is none"
-    return ""
+    return _kept_for_nobody(step, customer) if " kept for " in reason.words else ""
+
+
+def _kept_for_nobody(step: Step, customer: int) -> str:
+    """Whether nobody loses later though the customer is on beside all that are on in the step."""
+    recorded = step.recorded
+    held = {int(c): 1 for c in np.flatnonzero(step.served)} | {customer: 1}
+    plan = _solved(recorded, step.t, recorded.site, held)
+    if plan is None or not plan.dispatch.served[0, list(held)].all():
+        return "the customer could not be on now, so energy is not kept"
+    before = _solved(recorded, step.t, recorded.site, {})
+    assert before is not None
+    lost = _later(recorded.site, before) - _later(recorded.site, plan)
+    least = TOLERANCE * float(recorded.site.customers.weight.min())
+    return "" if lost > least else "energy is kept for later, and nobody loses it then"
+
+
+def _later(site: Site, solution: WindowSolution) -> float:
+    """Service of a plan behind its first step, in weighted customers times steps."""
+    return float((solution.dispatch.served[1:] @ site.customers.weight).sum())
 
 
 def _with_plenty(step: Step, customer: int, limits: Sequence[str], gain: float) -> str:

@@ -140,8 +140,11 @@ def days(folder: Path, only: str, seeds: int) -> Iterator[Day]:
         if feeder is None or feeder.network.n_buses > MOST_BUSES:
             continue
         for seed in range(seeds):
+            day = random_day(feeder, seed)
             for rule in RULES:
-                found = ran(candidate.label, random_day(feeder, seed), seed, rule)
+                if rule == "hard" and day.phases is not None:
+                    continue  # of a phased feeder only soft limits are stated
+                found = ran(candidate.label, day, seed, rule)
                 typer.echo(" ".join(map(str, asdict(found).values())))
                 yield found
 
@@ -151,10 +154,11 @@ def row(label: str, found: list[Day]) -> tuple[str, ...]:
     cells = [label, str(found[0].customers)]
     for rule in RULES:
         of_rule = [day for day in found if day.rule == rule]
+        lowest = min((day.v_min_pu for day in of_rule), default=float("nan"))
         loadings = [day.loading for day in of_rule if day.loading is not None]
         cells += [
             ", ".join(str(day.off) for day in of_rule),
-            f"{min(day.v_min_pu for day in of_rule):.3f}",
+            f"{lowest:.3f}",
             f"{max(loadings):.3f}" if loadings else "none",
         ]
     new = [day for day in found if day.rule == "new"]

@@ -501,6 +501,23 @@ def test_energy_goes_to_who_counts_more() -> None:
     assert whole["words"].startswith("Not supplied: not enough stored energy")
 
 
+@pytest.mark.parametrize(("rule", "end"), [("weights", 3), ("strict", 3), ("strict", 4)])
+def test_energy_that_is_kept_for_more_of_them_later_says_for_whom(rule: str, end: int) -> None:
+    """72 kWh: both of a tier now, or the second now and both twice later."""
+    day = island(energy_kwh=72.0, steps=end)
+    customers = replace(day.customers, tier=["critical", "critical"], weight=[1.0, 0.9])
+    load_kw = np.array([[60.0, 10.0], [20.0, 10.0], [20.0, 10.0], [5.0, 5.0]])[:end]
+    limits_kw = np.where(np.arange(end) < 3, 0.0, np.inf)
+    day = replace(day, customers=customers, load_kw=load_kw, grid_limit_kw=limits_kw)
+    run = explain_day(run_day(day, RunOptions(horizon_h=end - 1.0, priority=rule)))
+    reasons, _ = tables(run)
+    out = reasons[reasons["action"] == "not_served"].iloc[0]
+    assert out["id"] == "first" and out["time"] == day.grid.start
+    grid = "before which no grid is expected" if end == 3 else "when the grid is expected"
+    kept = f"kept for first, second (critical) up to 03:00, {grid}"
+    assert kept in out["words"]
+
+
 def test_a_battery_that_holds_the_voltage_says_so() -> None:
     # The second hour is dear, but in the first the line to the second carries 17 of its 30 kW.
     day = island(energy_kwh=30.0, inverter_kva=25.0, r_ohm=3.0, steps=2)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from vppres.explain.reasons import overruled, scarce_words, someone_ranks_higher
+from vppres.explain.reasons import FIRST, overruled, scarce_words, someone_ranks_higher
 from vppres.explain.step import Reason, Step
 from vppres.explain.words import one_more
 
@@ -23,9 +23,8 @@ def why_dimmed(step: Step, customer: int) -> Reason:
     more = f"; {offer}" if offer else ""
     least = float(step.site.customers.least_share[customer])
     if share <= least and someone_ranks_higher(step, customer):
-        words = (
-            f"{what}, its least share: {scarce} goes to customers with more weight per kW{more}."
-        )
+        first = FIRST[step.site.ranks is None]
+        words = f"{what}, its least share: {scarce} goes to {first}{more}."
         return Reason("priority", binding, words)
     return Reason(binding, binding, f"{what}: {scarce} does not suffice for more{more}.")
 

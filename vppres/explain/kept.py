@@ -1,14 +1,15 @@
-"""Why energy is kept for a possible outage: how much, how likely, its cost and what it covers."""
+"""Why energy is kept: for later hours of an outage, and for a possible outage at what cost."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 
 from vppres.core.errors import SolveError
-from vppres.core.text import in_pounds
+from vppres.core.text import in_pounds, named
 from vppres.explain.step import Step
 from vppres.explain.words import figure
 
@@ -20,6 +21,71 @@ LEAST_GBP = 0.5
 
 NAMED = 2
 """Customers that are named; of more their number and tier."""
+
+NAMES_SHOWN = 3
+"""Customers named of those whose later hours energy is kept for."""
+
+MOSTLY = 0.5
+"""Share of its demand from which the relaxed window counts a customer as on."""
+
+
+def kept_words(names: Sequence[str], tiers: Sequence[str], until: str, grid_back: bool) -> str:
+    """For whom and up to when energy is kept.
+
+    Parameters
+    ----------
+    names, tiers : sequence of str
+        Customers that are on later, and the tier of each, the most important ones first.
+    until : str
+        End of the last step in which one of them is on.
+    grid_back : bool
+        Whether the grid is expected then.
+
+    Examples
+    --------
+    >>> kept_words(["clinic", "shop"], ["critical", "low"], "18:00", grid_back=False)
+    'kept for clinic (critical) and 1 of lower tiers up to 18:00, before which no grid is expected'
+    """
+    first = [name for name, tier in zip(names, tiers, strict=True) if tier == tiers[0]]
+    lower = len(names) - len(first)
+    more = f" and {lower} of lower tiers" if lower else ""
+    grid = "when the grid is expected" if grid_back else "before which no grid is expected"
+    who = f"{named(first, NAMES_SHOWN)} ({tiers[0]}){more}"
+    return f"kept for {who} up to {until}, {grid}"
+
+
+def kept_for(step: Step, customer: int) -> str:
+    """For whom energy is kept that a customer could have now; empty if that is not so.
+
+    They count at least as much per kW in a later step of the outage, in strict order by tier.
+    """
+    service = step.levels.service
+    demand_kw = float(step.load_kw[customer])
+    if service is None or step.dark_steps < 2 or step.spare_kw < demand_kw:
+        return ""
+    if step.kept_kwh[0] < demand_kw * step.site.dt_h:
+        return ""
+    later = slice(1, step.dark_steps)
+    c = step.site.customers
+    if step.site.ranks is None:
+        per_kw = c.weight / np.maximum(step.levels.window.load_kw[later], 1e-9)
+        first = per_kw >= c.weight[customer] / max(demand_kw, 1e-9)
+    else:
+        tier = step.site.ranks.tier
+        first = np.broadcast_to(tier <= tier[customer], service.served_share[later].shape)
+    on = first & (service.served_share[later] >= MOSTLY)
+    if not on.any():
+        return ""
+    last = int(np.flatnonzero(on.any(axis=1))[-1]) + 1
+    rank = [step.scenario.tiers.index(tier) for tier in c.tier]
+    who = sorted(np.flatnonzero(on.any(axis=0)).tolist(), key=lambda one: rank[one])
+    grid = step.scenario.grid
+    return kept_words(
+        [str(c.id[one]) for one in who],
+        [str(c.tier[one]) for one in who],
+        f"{grid.local(grid.times[step.t] + (last + 1) * grid.step):%H:%M}",
+        grid_back=last + 1 == step.dark_steps < step.levels.window.n_steps,
+    )
 
 
 @dataclass(frozen=True)

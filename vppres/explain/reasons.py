@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from vppres.core.text import named
+from vppres.explain.kept import kept_for
 from vppres.explain.prices import WORTH
 from vppres.explain.recorded import MOVE_KW
 from vppres.explain.room import limits_in_full, overloaded_line, overloaded_phase
@@ -135,7 +136,8 @@ def _too_little(step: Step, customer: int, binding: Scarce) -> str:
         return f"{', '.join(names)} and {last} do not allow its full demand of {demand_kw} kW"
     which = _which_for(step, customer, binding)
     if which is None:
-        return TOO_LITTLE[binding]
+        kept = kept_for(step, customer) if binding == "energy" else ""
+        return f"{TOO_LITTLE[binding]}{f': it is {kept}' if kept else ''}"
     if binding == "phase":
         return f"{phase_name(step, which)} would be overloaded by its {demand_kw} kW"
     return f"{line_words(step, which)} does not carry its {demand_kw} kW in full"
@@ -180,22 +182,19 @@ def _outranked(step: Step, customer: int, binding: Scarce, gain: float) -> Reaso
     own = figure(weight) if ranks is None else hours_of(weight, ranks, int(ranks.tier[customer]))
     lost = service_words(step, weight - gain)
     compare = f"supplying it would cost others {lost}, its own value is {own}"
-    if someone_ranks_higher(step, customer):
-        return Reason(
-            "priority",
-            binding,
-            _sentence(
-                f"Not supplied: {scarce_words(step, customer, binding)} goes to "
-                f"{FIRST[ranks is None]}; {compare}",
-                _one_more_for(step, customer, binding),
-            ),
-        )
+    is_outranked = someone_ranks_higher(step, customer)
+    kept = kept_for(step, customer) if binding == "energy" else ""
+    if kept:
+        where = f"is {kept}"
+    elif is_outranked:
+        where = f"goes to {FIRST[ranks is None]}"
+    else:
+        where = "has more value elsewhere or later"
     return Reason(
-        binding,
+        "priority" if is_outranked else binding,
         binding,
         _sentence(
-            f"Not supplied: {scarce_words(step, customer, binding)} has more value elsewhere or "
-            f"later; {compare}",
+            f"Not supplied: {scarce_words(step, customer, binding)} {where}; {compare}",
             _one_more_for(step, customer, binding),
         ),
     )

@@ -113,20 +113,32 @@ class Step:
         spare_kw = np.maximum(most_kw + self.battery_kw, 0.0).sum()
         return float(spare_kw + self.recorded.curtailed_kw[self.t].sum())
 
-    @cached_property
+    @property
     def spare_kwh(self) -> float:
         """Energy that batteries keep beyond their reserve, in the outage's step with the least."""
-        if not self.outage:
-            return np.inf
+        return float(self.kept_kwh.min(initial=np.inf))
+
+    @cached_property
+    def kept_kwh(self) -> Floats:
+        """Energy that batteries keep beyond their reserve at the end of each step of the outage.
+
+        The first is this step; empty with grid.
+        """
         window = self.levels.window
         b = self.site.batteries
         lowest = np.broadcast_to(b.soc_min, (window.n_steps, len(b)))
         if self.recorded.options.get("mode") == "physical":
             headroom = float(self.recorded.options["headroom"])
             lowest = lowest + physics_of(self.site, window, headroom).soc_reserve
-        steps = np.flatnonzero(np.logical_and.accumulate(window.grid_limit_kw <= 0.0))
+        steps = np.arange(self.dark_steps)
         kept = np.maximum(self.recorded.soc_end[self.t + steps] - lowest[steps], 0.0)
-        return float((kept @ (b.energy_kwh * window.eta_discharge)).min(initial=np.inf))
+        return np.asarray(kept @ (b.energy_kwh * window.eta_discharge))
+
+    @property
+    def dark_steps(self) -> int:
+        """Steps of the window without grid, from this one on until it is back."""
+        dark = self.levels.window.grid_limit_kw <= 0.0
+        return int(np.logical_and.accumulate(dark).sum()) if self.outage else 0
 
     @property
     def service(self) -> ShadowPrices | None:

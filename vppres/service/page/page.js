@@ -3,7 +3,7 @@
 import { chart, meter, pastOf, stepsOf } from "./chart.js";
 import { Operator } from "./operator.js";
 import {
-  HOUR, MARKS, SiteClock, alarms, announced, attention, counted, covers, facts, grouped, kilo, lasting, lateBy, list, lowest, offByTier, onPhase, outage, percent, socNow, verdict, why,
+  HOUR, MARKS, SiteClock, alarms, announced, attention, counted, covers, facts, grouped, kilo, lasting, lateBy, list, lowest, offByTier, onPhase, percent, socNow, verdict, why,
 } from "./words.js";
 
 const EVERY_MS = 2000, PATIENCE_MS = 5000;
@@ -288,8 +288,7 @@ function showOff() {
     const step = explained?.phase ? explained.step.words : off.length ? "" : "All customers supplied.";
     if (step) below.unshift(node("p", {}, step));
     if (!off.length) return below;
-    const dark = outage(view) !== null;
-    const told = off.map((one) => ({ ...one, why: why(one, explained, dark) }));
+    const told = off.map((one) => ({ ...one, why: why(one, explained) }));
     const groups = grouped(told, (one) => JSON.stringify([one.tier, one.why.short, one.until]));
     const rows = [...groups].map(([key, ones]) => [JSON.parse(key), ones]);
     rows.sort((a, b) => view.site.tiers.indexOf(a[0][0]) - view.site.tiers.indexOf(b[0][0]));

@@ -259,19 +259,19 @@ const REASONS = { plan: "planned", corrected: "planned, then corrected", critica
 
 // The reason of a customer off supply: the service's explanation if it is there, else the plan's.
 // The short form leaves out the figures of a single customer, which follow a semicolon.
-export function why(one, explained, dark) {
+export function why(one, explained) {
   const told = explained?.phase ? explained.reasons : []; // without a phase it is the plan's words again
   const said = told.find((reason) => reason.kind === "customers" && reason.asset === one.asset);
-  const words = said ? capital(said.words.replace(/^Not supplied: /, "")) : planned(one.reason, dark);
+  const words = said ? capital(said.words.replace(/^Not supplied: /, "")) : planned(one.reason, explained !== null);
   return { words, short: said ? words.split("; ")[0].replace(/\.$/, "") : words };
 }
 
-function planned(reason, dark) {
+function planned(reason, answered) {
   const [kind, ...rest] = reason.split(": ");
   if (kind === "default") return rest.length ? `default: ${rest.join(": ")}` : "default";
   if (kind === CANNOT) return reason;
   const words = REASONS[kind] ?? `fallback ${kind.replaceAll("_", " ")}`;
-  return kind === "plan" && dark ? "planned: not enough supply in the outage" : words;
+  return kind === "plan" && !answered ? "planned; the reason follows" : words;
 }
 
 // An event in a sentence, whatever its kind.
