@@ -432,8 +432,12 @@ def agree(data: WindowData, dispatch: Dispatch, points: ACPoints, network: Netwo
     return bool(off_pu <= VOLTAGE_TOLERANCE_PU and off_kw <= LOSS_TOLERANCE_KW)
 
 
-def physics_of(site: Site, data: WindowData, headroom: float) -> Physics:
-    """Reference, headroom and reserve of a window, without losses."""
+def physics_of(site: Site, data: WindowData, headroom: float, open_kw: float = 0.0) -> Physics:
+    """Reference, headroom and reserve of a window, without losses.
+
+    ``open_kw`` is what passes may leave open between a plan and AC: a former has it left to the end
+    of an outage.
+    """
     b = site.batteries
     W = data.n_steps
     island = data.grid_limit_kw <= 0.0
@@ -444,10 +448,11 @@ def physics_of(site: Site, data: WindowData, headroom: float) -> Physics:
     share_kw = np.where(b.formers, np.minimum(headroom * b.s_max_kva, b.active_max_kw), 0.0)
     headroom_kw = np.where(island[:, None], share_kw, 0.0)
     zero = np.zeros((W, site.network.n_lines))
-    return Physics(zero, zero, reference, headroom_kw, _reserve(site, data, headroom_kw))
+    left_kw = np.minimum(headroom_kw, open_kw)
+    return Physics(zero, zero, reference, headroom_kw, _reserve(site, data, headroom_kw, left_kw))
 
 
-def _reserve(site: Site, data: WindowData, headroom_kw: Floats) -> Floats:
+def _reserve(site: Site, data: WindowData, headroom_kw: Floats, left_kw: Floats) -> Floats:
     """Reserve for the headroom of the island steps that remain, as far as it can be had."""
     b = site.batteries
     dt_h = site.dt_h
@@ -459,7 +464,7 @@ def _reserve(site: Site, data: WindowData, headroom_kw: Floats) -> Floats:
         later = np.where(headroom_kw[t] > 0, later + headroom_kw[t] * dt_h, 0.0)
         # In strict order nothing is kept behind the last step of an outage that ends in the window.
         released = site.ranks is not None and t + 1 < data.n_steps
-        kept_kwh = after if released else later
+        kept_kwh = after + left_kw[t] * dt_h if released else later
         wanted[t] = np.minimum(
             kept_kwh / (data.eta_discharge * b.energy_kwh), LARGEST_RESERVE * usable
         )

@@ -14,6 +14,7 @@ from vppres.control.converged import (
     DEFAULT_HEADROOM,
     DEFAULT_PASSES,
     FIRST_SHARE,
+    LOSS_TOLERANCE_KW,
     PassesPlanner,
     dark_steps,
     in_the_dark,
@@ -90,7 +91,7 @@ class PhasedPlanner(PassesPlanner[PhasedPoints]):
         site = self.solver.site
         whole = WindowData.of(observation, site, "none")
         whole = whole if n_steps is None else whole.first(n_steps)
-        physics = physics_of(site, whole, self.headroom)
+        physics = physics_of(site, whole, self.headroom, LOSS_TOLERANCE_KW)
         dark = dark_steps(site, whole)
         data = replace(without_power(whole, dark), physics=physics)
         return whole, dark, self._linearisation.at_rest(data)

@@ -19,9 +19,11 @@ BELOW_ZERO = 1e-8
 def disc_sides(site: Site, n_steps: int) -> int:
     """Sides of the discs in problems without binaries: 0 for cones, polygons for large windows.
 
-    Inscribed polygons cost 0.01 % of f4. Answers of long windows are theirs.
+    Inscribed polygons cost 0.01 % of f4. Answers of long windows are theirs. With phases they cost
+    whole sets: what the former's phases leave may need all that inverters can give.
     """
-    return 0 if site.network.n_buses * n_steps <= LARGEST_WITH_CONES else SIDES_BEYOND
+    small = site.network.n_buses * n_steps <= LARGEST_WITH_CONES
+    return 0 if small or site.phases is not None else SIDES_BEYOND
 
 
 def cost_scale(site: Site) -> float:

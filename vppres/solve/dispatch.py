@@ -213,11 +213,21 @@ def polished(task: WindowTask, found: Candidate) -> Candidate | None:
 
     What only minimises cost has any reactive power that the discs allow. Its losses would be the
     next pass's in physical mode, and from there it may never agree with AC. The least reactive
-    power knows the paper's rows alone.
+    power knows the paper's rows alone: with phases the dispatch stays as it is then.
     """
-    if task.own:
-        return with_tie_breakers(task, found)
-    return with_tie_breakers(task, found) or with_least_reactive(task, found)
+    better = with_tie_breakers(task, found)
+    if better is not None or task.own:
+        return better
+    if task.data.phased is not None:
+        return as_it_is(task, found)
+    return with_least_reactive(task, found)
+
+
+def as_it_is(task: WindowTask, found: Candidate) -> Candidate | None:
+    """A dispatch of the network with the reactive power that it has."""
+    data = task.data.for_service(found.dispatch.served)
+    known = Outcome(Status.OPTIMAL, np.nan, np.nan, 0.0)
+    return carried(task, data, found, Attempt(known, found.dispatch))
 
 
 def with_least_reactive(task: WindowTask, found: Candidate) -> Candidate | None:

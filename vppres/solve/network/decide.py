@@ -238,4 +238,6 @@ class InNetwork:
         if not fits:
             return None
         cheapest = Candidate.of(task.site, data, netted, 0.0, in_network=False)
-        return with_least_reactive(task, cheapest) if task.is_large else polished(task, cheapest)
+        if task.is_large and data.phased is None:
+            return with_least_reactive(task, cheapest)
+        return polished(task, cheapest)
