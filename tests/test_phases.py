@@ -17,7 +17,7 @@ from vppres.core.errors import InputError
 from vppres.day.assembly import make_controller
 from vppres.day.options import RunOptions
 from vppres.day.phase_figures import phase_figures
-from vppres.day.simulate import Day
+from vppres.day.simulate import Day, run_day
 from vppres.day.trajectory import Trajectory
 from vppres.explain.day import explain_day
 from vppres.explain.recorded import Recorded
@@ -105,7 +105,7 @@ def test_folder_reads_back_equal(day: Scenario, tmp_path: Path) -> None:
 def test_slopes_are_derivatives_at_no_load(day: Scenario) -> None:
     small = 1e-3
     for flow in flows(day):
-        slopes = Slopes.of(flow)
+        slopes = Slopes.of(flow, Loadings.of(flow.phases))
         count = len(flow.assets)
         for asset in range(0, count, 3):
             p = np.zeros(count)
@@ -266,6 +266,24 @@ def check_price_of_a_phase(trajectory: Trajectory) -> None:
     slope = (values[0.01].value - values[-0.01].value) / 0.02
     assert values[0.0].prices.former_phase.sum() == pytest.approx(slope, rel=1e-3)
     assert slope > 0.0
+
+
+@pytest.mark.daily
+def test_currents_of_phases_stay_within_ratings(day: Scenario) -> None:
+    assert day.phases is not None
+    lines = tuple(replace(line, i_max_a=100.0) for line in day.phases.lines)
+    late = replace(day, phases=replace(day.phases, lines=lines)).between(18, 20)
+    reported = run_day(late, RunOptions(horizon_h=1.0, ratings="report"))
+    assert reported.steps["loading_max"].min() > 1.5
+    kept = run_day(late, RunOptions(horizon_h=1.0))
+    assert kept.steps["loading_max"].between(0.9, 1.0).all()
+    assert kept.customers["served"].mean() > 0.5
+    told = explain_day(kept)
+    assert told.explanations is not None and told.shadow_prices is not None
+    off = told.explanations[told.explanations["action"] == "not_served"]
+    assert (off["binding"] == "rating").all()
+    assert off["words"].str.contains("the line from r to m, phase").any()
+    assert "line_rating" in set(told.shadow_prices["constraint"])
 
 
 class Everyone:

@@ -16,6 +16,7 @@ from vppres.model.data import PhasedWindow, WindowData
 from vppres.model.linearise import Drawn
 from vppres.model.own_state import giving_way, share_of
 from vppres.model.phases import PhasedModel, PhasedPoints
+from vppres.model.ratings import loading_of_phases
 
 BINDS_PU2 = 2e-5
 """How near its limit a squared voltage of a candidate is that the limit binds: 1e-5 pu."""
@@ -29,11 +30,14 @@ class PhasedLinearisation:
 
     def at_rest(self, data: WindowData) -> WindowData:
         """The window at the AC points of everyone served that can be: its first guess."""
-        u, former = self.model.at_no_load(data.dark)
+        u, former, currents = self.model.at_no_load(data.dark)
         room = self.model.rating_kva(data.require_physics().headroom_kw)
         any_u = np.full_like(u, np.inf)
         none = np.zeros((data.n_steps, 2, u.shape[1]), dtype=bool)
-        phased = PhasedWindow(u, former, -any_u, any_u, room, none, 0.0 * former)
+        any_current = np.full(currents.shape, np.inf)
+        phased = PhasedWindow(
+            u, former, -any_u, any_u, room, none, 0.0 * former, currents, any_current
+        )
         nothing = np.zeros((data.n_steps, self.model.site.network.n_buses))
         data = replace(data, phased=phased, drawn=Drawn(nothing, nothing))
         p, q = self._without_control(data)
@@ -81,6 +85,7 @@ class PhasedLinearisation:
         phased, drawn = data.require_phased(), data.drawn
         assert drawn is not None
         u, former = self.model.offsets(data, p, q, points)
+        currents = points.currents - self.model.currents(data, p, q)
         moved = share * steps[:, None]
         at = np.arange(data.n_steps), data.require_physics().reference
         kw, kvar = drawn.kw.copy(), drawn.kvar.copy()
@@ -90,6 +95,7 @@ class PhasedLinearisation:
             phased,
             u_offset=phased.u_offset + moved * (u - phased.u_offset),
             former_offset=phased.former_offset + moved * (former - phased.former_offset),
+            current_offset=phased.current_offset + moved * (currents - phased.current_offset),
             bound=self._bound(data, p, q) & steps[:, None, None],
             former_kva=np.where(steps[:, None], points.source_kva, phased.former_kva),
         )
@@ -121,7 +127,10 @@ class PhasedLinearisation:
     def agree(
         self, data: WindowData, p: Floats, q: Floats, points: PhasedPoints, lit: Flags
     ) -> bool:
-        """Whether voltages, former and what the network draws agree in every step with power."""
+        """Whether voltages, former and what the network draws agree in every step with power.
+
+        No current that a plan keeps within its rating may be beyond it.
+        """
         if not lit.any():
             return True
         if not points.converged[lit].all():
@@ -131,10 +140,13 @@ class PhasedLinearisation:
         off_pu = np.abs(self.v_pu(data, p, q) - np.sqrt(points.u_pu2))[lit].max()
         off_kw = np.abs(points.network_kw - drawn.kw.sum(axis=1))[lit].max()
         former: Complexes = phased.former_offset + self.model.linear(data, p, q)[1]
+        held = loading_of_phases(self.model.site, data, p, q) <= 1.0
+        over = (held & (np.abs(points.currents) > 1.0))[lit]
         island = lit & data.dark
         off_kva = np.abs(former - points.source_kva)[island].max(initial=0.0)
         return bool(
             off_pu <= VOLTAGE_TOLERANCE_PU
             and off_kw <= LOSS_TOLERANCE_KW
             and off_kva <= LOSS_TOLERANCE_KW
+            and not over.any()
         )

@@ -24,7 +24,8 @@ def site_of(scenario: Scenario, options: Mapping[str, Any]) -> Site:
     """
     balanced = scenario.phases is None
     soft = balanced and options.get("voltage_limits") == SOFT
-    rated = balanced and options.get("ratings") == LIMIT and scenario.network.has_ratings
+    feeder = scenario.phases or scenario.network
+    rated = options.get("ratings") == LIMIT and feeder.has_ratings
     site = replace(Site.of(scenario), soft_voltages=soft, rated=rated)
     ranks = ranks_of(scenario, options)
     return site if ranks is None else site.ranked(ranks, longest_window(scenario, options))

@@ -17,6 +17,7 @@ from vppres.explain.reasons import why_battery_moved, why_curtailed, why_not_ser
 from vppres.explain.recorded import MOVE_KW, Recorded
 from vppres.explain.step import Reason, Step
 from vppres.explain.summary import why_step
+from vppres.model.phases import phased_model
 from vppres.scenario.phases import PHASES
 from vppres.solve.shadow_price_model import ShadowPriceModel
 from vppres.solve.shadow_prices import ShadowPrices
@@ -169,6 +170,8 @@ def _families(step: Step) -> list[tuple[str, str, Floats]]:
     buses = net.buses
     ends = zip(net.from_bus, net.to_bus, strict=True)
     lines = np.array([f"{above} to {below}" for above, below in ends], dtype=object)
+    if site.phases is not None:
+        lines = np.array(phased_model(site).loadings.names, dtype=object)
     b = site.batteries.id
     pv = site.pv.id
     return [

@@ -392,7 +392,11 @@ def _relieved_line(step: Step, battery: int) -> int | None:
     prices = step.service if step.scarce == "rating" else step.cost
     if prices is None:
         return None
-    worth = float((step.site.battery_bus.T @ prices.line_active)[battery])
+    if prices.phases is None:
+        worth = float((step.site.battery_bus.T @ prices.line_active)[battery])
+    else:
+        batteries = prices.phases.rated_active[:, len(step.site.customers) + len(step.site.pv) :]
+        worth = float(batteries.sum(axis=0)[battery])
     helps = worth * -np.sign(step.battery_kw[battery])
     if helps <= OFF_PRICE * max(abs(float(prices.active[0])), WORTH):
         return None

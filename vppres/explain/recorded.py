@@ -194,6 +194,17 @@ class Recorded:
         assert found is not None
         return found.source_kva
 
+    def currents(self, t: int) -> Complexes:
+        """Currents of a phased feeder in a step as shares of their ratings, (k,)."""
+        model = phased_model(self.site)
+        island = bool(self.scenario.outage[t])
+        nothing = np.zeros(len(model.loadings.names), dtype=complex)
+        if not np.isfinite(self.v_ac_pu[t]).all():
+            return nothing
+        (p,), (q,) = self.drawn(t)
+        found = model.solved(island, p, q)
+        return nothing if found is None else model.loadings.currents(found.v)
+
     def drawn(self, t: int) -> tuple[Floats, Floats]:
         """What assets of a phased feeder drew in a step, (1, D) each, the former's own left out."""
         run = self.trajectory
@@ -216,7 +227,8 @@ class Recorded:
         first = np.arange(data.n_steps) == 0
         first &= np.isfinite(self.v_ac_pu[t]).all()
         points = at.model.points(data, p, q, first)
-        return at.at(data, p, q, points, first & points.converged)
+        found = at.at(data, p, q, points, first & points.converged)
+        return with_ratings(self.site, found) if self.site.rated else found
 
     def observation(self, t: int) -> Observation:
         """What the controller was told of that window."""

@@ -43,7 +43,12 @@ def limits_in_full(step: Step, customer: int, binding: Binding) -> list[Scarce]:
 
 
 def overloaded_line(step: Step, customer: int) -> int | None:
-    """The line that the whole demand of a customer would take furthest beyond its rating."""
+    """The line that the whole demand of a customer would take furthest beyond its rating.
+
+    Of a phased feeder a phase of it.
+    """
+    if step.site.phases is not None:
+        return _overloaded_current(step, customer)
     most_kva = step.levels.window.flow_max_kva
     if most_kva is None:
         return None
@@ -52,6 +57,19 @@ def overloaded_line(step: Step, customer: int) -> int | None:
     more = np.hypot(now_kw + kw, now_kvar + kvar)
     share = np.where(more > np.hypot(now_kw, now_kvar), more / most_kva[0], 0.0)
     return int(np.argmax(share)) if share.max(initial=0.0) > 1.0 else None
+
+
+def _overloaded_current(step: Step, customer: int) -> int | None:
+    """The same of the currents of a phased feeder."""
+    model = phased_model(step.site)
+    if step.dark or not model.loadings.names:
+        return None
+    slopes = model.slopes[ISLAND if step.outage else GRID]
+    kw, kvar = _demand(step, customer)
+    now = step.recorded.currents(step.t)
+    more = np.abs(now + slopes.current_p[:, customer] * kw + slopes.current_q[:, customer] * kvar)
+    share = np.where(more > np.abs(now), more, 0.0)
+    return int(np.argmax(share)) if share.max() > 1.0 else None
 
 
 def overloaded_phase(step: Step, customer: int) -> int | None:

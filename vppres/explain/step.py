@@ -16,6 +16,8 @@ from vppres.day.metrics import AT_RATING
 from vppres.day.phases import Phase
 from vppres.explain.prices import WORTH, StepPrices
 from vppres.explain.recorded import Limits, Recorded
+from vppres.model.phases import GRID, ISLAND, phased_model
+from vppres.physics.phased_sources import buses_of
 from vppres.solve.shadow_prices import ShadowPrices
 
 Scarce = Literal["energy", "power", "voltage", "inverter", "rating", "phase", "grid"]
@@ -40,6 +42,10 @@ Driver = (
     ]
 )
 Binding = Scarce | Literal[""]
+
+ON_THE_WAY = 0.25
+"""kVA through a phase of a line by a kW of an asset from which it is on the asset's way: a third of
+what has three phases."""
 
 EXPORT_LIMIT_KW = 1.0
 EXPORT_LIMIT_SHARE = 0.01
@@ -239,7 +245,7 @@ class Step:
             "power": share["power"] * system,
             "inverter": inverter,
             "grid": share["grid"] * system,
-            "rating": np.maximum(rating, 0.0),
+            "rating": np.maximum(rating, 0.0) + self.rated_cost.sum(axis=0),
             "phase": np.maximum(self.phase_cost.sum(axis=0), 0.0),
             "voltage": np.maximum(beyond - rating, 0.0) + self._node_cost,
         }
@@ -253,6 +259,17 @@ class Step:
         n = len(self.load_kw)
         kvar = self.load_kw * self.site.customers.q_per_p
         return np.asarray(phases.active[:, :n] * self.load_kw + phases.reactive[:, :n] * kvar)
+
+    @cached_property
+    def rated_cost(self) -> Floats:
+        """What ratings of phases make of the cost of each customer, (k, C)."""
+        phases = None if self.service is None else self.service.phases
+        n = len(self.load_kw)
+        if phases is None:
+            return np.zeros((0, n))
+        kvar = self.load_kw * self.site.customers.q_per_p
+        cost = phases.rated_active[:, :n] * self.load_kw + phases.rated_reactive[:, :n] * kvar
+        return np.asarray(np.maximum(cost, 0.0))
 
     @property
     def _node_cost(self) -> Floats:
@@ -272,7 +289,12 @@ class Step:
 
     @cached_property
     def loading(self) -> Floats:
-        """AC current of each line as a share of its rating, (L,); 0 for a line without one."""
+        """AC current of each line as a share of its rating, (L,); 0 for a line without one.
+
+        Of a phased feeder that of each phase of a line with a rating, (k,).
+        """
+        if self.site.phases is not None:
+            return np.abs(self.recorded.currents(self.t))
         return np.asarray(np.nan_to_num(self.recorded.loading[self.t]))
 
     def full_line(self, bus: str) -> int | None:
@@ -281,12 +303,24 @@ class Step:
         None if no line on the way is at its rating.
         """
         net = self.scenario.network
-        on_way = net.downstream[:, [net.bus_index[bus]]].toarray().ravel() > 0.0
-        worth = np.zeros(net.n_lines) if self.service is None else self.service.line_rating * on_way
+        if self.site.phases is None:
+            on_way = net.downstream[:, [net.bus_index[bus]]].toarray().ravel() > 0.0
+        else:
+            on_way = self._phases_towards(bus)
+        worth = 0.0 * on_way if self.service is None else self.service.line_rating * on_way
         if worth.max(initial=0.0) > WORTH:
             return int(np.argmax(worth))
         load = self.loading * on_way
         return int(np.argmax(load)) if load.max(initial=0.0) > AT_RATING else None
+
+    def _phases_towards(self, bus: str) -> Flags:
+        """Currents of a phased feeder that carry most of what an asset of a bus draws, (k,)."""
+        model = phased_model(self.site)
+        s = self.site
+        at = buses_of(s.customers, s.pv, s.batteries) == bus
+        slopes = model.slopes[ISLAND if self.outage and model.former is not None else GRID]
+        through = np.abs(slopes.current_p[:, at]) * model.loadings.kva[:, None]
+        return np.asarray(through.max(axis=1, initial=0.0) > ON_THE_WAY)
 
     def scarce_for(self, customer: int) -> Binding:
         """What most limits the supply of a customer, empty if nothing does."""

@@ -8,6 +8,7 @@ from vppres.core.arrays import Floats, Names, Wholes
 from vppres.core.text import in_pounds
 from vppres.explain.prices import WHOLE, WORTH, WORTH_GBP
 from vppres.explain.step import Binding, Step
+from vppres.model.phases import phased_model
 from vppres.scenario.phases import PHASES
 from vppres.scenario.priority import Ranks
 
@@ -146,7 +147,9 @@ def line_words(step: Step, line: int) -> str:
 
 
 def line_name(step: Step, line: int) -> str:
-    """A line or transformer with the buses at its ends."""
+    """A line or transformer with the buses at its ends, of a phased feeder with its phase."""
+    if step.site.phases is not None:
+        return f"the {phased_model(step.site).loadings.names[line]}"
     net = step.scenario.network
     kind = "line" if net.ratio[line] == 1.0 else "transformer"
     return f"the {kind} from {net.from_bus[line]} to {net.to_bus[line]}"

@@ -73,6 +73,10 @@ class PhasedWindow:
         Lower and upper limits that bound the last candidate.
     former_kva : array of complex, shape (W, 3)
         The former's power by phase at the AC points.
+    current_offset : array of complex, shape (W, k)
+        Currents that have a rating, as shares of it, with nothing drawn that meet the AC points.
+    current_max : array, shape (W, k)
+        Their limits; infinite where nothing limits them.
     """
 
     u_offset: Floats
@@ -82,6 +86,8 @@ class PhasedWindow:
     room_kva: Floats
     bound: Flags
     former_kva: Complexes
+    current_offset: Complexes
+    current_max: Floats
 
     def part(self, steps: slice) -> PhasedWindow:
         """Some of the steps."""
@@ -89,7 +95,7 @@ class PhasedWindow:
 
     def followed_by_rest(self, n_steps: int) -> PhasedWindow:
         """The same with steps behind it in which no voltage and no phase limits anything."""
-        rest = {"u_offset": 1.0, "u_max": 2.0, "room_kva": 1.0}
+        rest = {"u_offset": 1.0, "u_max": 2.0, "room_kva": 1.0, "current_max": np.inf}
         longer: dict[str, Any] = {}
         for f in fields(self):
             rows = getattr(self, f.name)

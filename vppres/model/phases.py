@@ -17,6 +17,7 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Complexes, Flags, Floats, Wholes
 from vppres.model.data import WindowData
 from vppres.model.site import Site
+from vppres.physics.phased_loading import Loadings
 from vppres.physics.phased_sources import (
     assets_of,
     flow_of_former,
@@ -35,18 +36,22 @@ class Slopes:
     """What one source's quantities change by per kW and kvar that each asset draws.
 
     ``u_p`` and ``u_q`` are of squared voltages, (m, D); ``former_p`` and ``former_q`` of the
-    source's complex power by phase, (3, D). ``u_0`` and ``former_0`` are at no load.
+    source's complex power by phase, (3, D); ``current_p`` and ``current_q`` of the currents that
+    have a rating, as shares of it, (k, D). ``u_0``, ``former_0`` and ``current_0`` are at no load.
     """
 
     u_p: Floats
     u_q: Floats
     former_p: Complexes
     former_q: Complexes
+    current_p: Complexes
+    current_q: Complexes
     u_0: Floats
     former_0: Complexes
+    current_0: Complexes
 
     @classmethod
-    def of(cls, flow: PhasedFlow) -> Slopes:
+    def of(cls, flow: PhasedFlow, loadings: Loadings) -> Slopes:
         """Slopes around no load, with load models at the voltages there."""
         w = flow.no_load_v
         across = flow.coils @ w
@@ -55,20 +60,25 @@ class Slopes:
         q = _by_asset(flow, ratio**flow.q_exponent)
         measured = flow.measured[1]
         at = measured @ w
-        drops = np.conj(at)[:, None] * (measured @ (flow.drop / np.conj(across)[None, :]))
+        drop = flow.drop / np.conj(across)[None, :]
+        drops = np.conj(at)[:, None] * (measured @ drop)
         # A coil that draws S takes drop conj(S / U) off the voltage: kW are thousands of watts.
         u_p = -2000.0 * np.real(drops)
         u_q = -2000.0 * np.imag(drops)
         currents = (flow.coils.T - flow.y @ flow.drop)[flow.held]
         power = flow.v_held[:, None] * np.conj(np.asarray(currents)) / across[None, :]
+        through: Complexes = np.asarray(loadings.per_volt @ drop)
         no_load = flow.v_held * np.conj((flow.y @ w)[flow.held]) / 1000.0
         return cls(
             u_p=np.asarray(u_p @ p),
             u_q=np.asarray(u_q @ q),
             former_p=power @ p,
             former_q=1j * power @ q,
+            current_p=-1000.0 * through @ p,
+            current_q=1000.0j * through @ q,
             u_0=np.abs(at) ** 2,
             former_0=no_load,
+            current_0=loadings.currents(w),
         )
 
 
@@ -83,12 +93,14 @@ def _by_asset(flow: PhasedFlow, factor: Floats) -> Floats:
 class PhasedPoints:
     """AC points of W steps: squared voltages (W, m), source's kVA (W, 3), what the network draws.
 
+    ``currents`` are shares of their ratings, (W, k).
     ``network_kw`` and ``network_kvar`` are the source's power beyond what assets draw at rated
     voltage: losses, capacitors, and loads that follow the voltage.
     """
 
     u_pu2: Floats
     source_kva: Complexes
+    currents: Complexes
     network_kw: Floats
     network_kvar: Floats
     converged: Flags
@@ -99,11 +111,13 @@ class PhasedModel:
     """A site's three phases, with the grid as source and with its former.
 
     ``flows`` and ``slopes`` are those of the grid and, if there is a former, of the island.
+    ``loadings`` are of the currents that plans limit.
     """
 
     site: Site
     flows: tuple[PhasedFlow, ...]
     former: int | None
+    loadings: Loadings
 
     @classmethod
     def of(cls, site: Site) -> PhasedModel:
@@ -117,12 +131,13 @@ class PhasedModel:
         flows = [flow_of_grid(phases, names, net.v_slack_pu)]
         if former is not None:
             flows.append(flow_of_former(phases, names, site.batteries, former, *limits))
-        return cls(site, tuple(flows), former)
+        loadings = Loadings.of(phases) if site.rated else Loadings.none(phases)
+        return cls(site, tuple(flows), former, loadings)
 
     @cached_property
     def slopes(self) -> tuple[Slopes, ...]:
         """Slopes of each source."""
-        return tuple(Slopes.of(flow) for flow in self.flows)
+        return tuple(Slopes.of(flow, self.loadings) for flow in self.flows)
 
     @cached_property
     def former_device(self) -> int | None:
@@ -198,6 +213,7 @@ class PhasedModel:
         W, m = data.n_steps, self.n_measured
         u = np.ones((W, m))
         kva: Complexes = np.zeros((W, 3), dtype=complex)
+        currents: Complexes = np.zeros((W, len(self.loadings.names)), dtype=complex)
         network = np.zeros((W, 2))
         converged = np.ones(W, dtype=bool)
         for t in np.flatnonzero(lit):
@@ -209,8 +225,9 @@ class PhasedModel:
             if found is not None:
                 u[t] = self.flows[GRID].v_pu(found.v) ** 2
                 kva[t] = found.source_kva
+                currents[t] = self.loadings.currents(found.v)
                 network[t] = beyond(found, p_kw[t], q_kvar[t])
-        return PhasedPoints(u, kva, network[:, 0], network[:, 1], converged)
+        return PhasedPoints(u, kva, currents, network[:, 0], network[:, 1], converged)
 
     def offsets(
         self, data: WindowData, p_kw: Floats, q_kvar: Floats, points: PhasedPoints
@@ -231,14 +248,25 @@ class PhasedModel:
                 former[steps] = p_kw[steps] @ s.former_p.T + q_kvar[steps] @ s.former_q.T
         return u, former
 
-    def at_no_load(self, dark: Flags) -> tuple[Floats, Complexes]:
-        """Offsets at no load, (W, m) and (W, 3)."""
+    def currents(self, data: WindowData, p_kw: Floats, q_kvar: Floats) -> Complexes:
+        """What powers change of the currents that have a rating, as shares of it, (W, k)."""
+        found: Complexes = np.zeros((data.n_steps, len(self.loadings.names)), dtype=complex)
+        for source, steps in ((GRID, ~data.dark), (ISLAND, data.dark)):
+            if source < len(self.flows) and steps.any():
+                s = self.slopes[source]
+                found[steps] = p_kw[steps] @ s.current_p.T + q_kvar[steps] @ s.current_q.T
+        return found
+
+    def at_no_load(self, dark: Flags) -> tuple[Floats, Complexes, Complexes]:
+        """Offsets at no load, (W, m), (W, 3) and (W, k)."""
         u = np.tile(self.slopes[GRID].u_0, (len(dark), 1))
         former = np.zeros((len(dark), 3), dtype=complex)
+        currents = np.tile(self.slopes[GRID].current_0, (len(dark), 1))
         if len(self.flows) > ISLAND:
             u[dark] = self.slopes[ISLAND].u_0
             former[dark] = self.slopes[ISLAND].former_0
-        return u, former
+            currents[dark] = self.slopes[ISLAND].current_0
+        return u, former, currents
 
     def rating_kva(self, kept: Floats) -> Floats:
         """What each phase of the former may carry in each step, (W,), less what is kept free."""

@@ -11,6 +11,7 @@ from vppres.core.arrays import Flags, Floats
 from vppres.core.units import a_to_kva
 from vppres.model.data import WindowData
 from vppres.model.own_state import u_without_sun_pu2
+from vppres.model.phases import phased_model
 from vppres.model.site import Site
 
 KEPT_SHARE = 1e-3
@@ -24,8 +25,12 @@ def with_ratings(site: Site, data: WindowData) -> WindowData:
     """A window whose flows keep the currents of its lines within their ratings.
 
     A current is larger the lower the voltage: what counts is the voltage at the sending end with
-    everyone served and no sun, and in an island the lowest that plans allow.
+    everyone served and no sun, and in an island the lowest that plans allow. Currents of phases
+    are linear themselves.
     """
+    if data.phased is not None:
+        most = np.full(data.phased.current_offset.shape, 1.0 - KEPT_SHARE)
+        return replace(data, phased=replace(data.phased, current_max=most))
     net = site.network
     v_pu = net.v_pu(u_without_sun_pu2(site, data))
     v_pu = np.where(data.dark[:, None], net.v_min_pu, v_pu)
@@ -33,10 +38,22 @@ def with_ratings(site: Site, data: WindowData) -> WindowData:
     return replace(data, flow_max_kva=(1.0 - KEPT_SHARE) * most_kva)
 
 
-def overloaded(data: WindowData, dispatch: Dispatch, by: float = 0.0) -> Flags:
-    """Lines whose flow is above what the window allows by more than a share of it, (W, L)."""
+def overloaded(site: Site, data: WindowData, dispatch: Dispatch, by: float = 0.0) -> Flags:
+    """Lines whose flow is above what the window allows by more than a share of it, (W, L).
+
+    Of a phased feeder, currents of the phases of its lines and of its transformers, (W, k).
+    """
+    if data.phased is not None:
+        drawn = phased_model(site).drawn(data.for_service(dispatch.served), dispatch)
+        return loading_of_phases(site, data, *drawn) > data.phased.current_max * (1.0 + by)
     size = np.hypot(dispatch.p_flow_kw, dispatch.q_flow_kvar)
     return np.asarray(size > limit_kva(data) * (1.0 + by))
+
+
+def loading_of_phases(site: Site, data: WindowData, p_kw: Floats, q_kvar: Floats) -> Floats:
+    """Currents of a phased feeder as shares of their ratings, (W, k), of what assets draw."""
+    offset = data.require_phased().current_offset
+    return np.abs(offset + phased_model(site).currents(data, p_kw, q_kvar))
 
 
 def limit_kva(data: WindowData) -> Floats | float:

@@ -27,6 +27,9 @@ rating, which is far below what a meter reads and ten times what the solvers lea
 VOLTAGE_TOLERANCE_PU2 = 1e-5
 """By how much a squared voltage may miss a limit, in pu²: about 5e-6 pu."""
 
+RATING_TOLERANCE = 1e-5
+"""The same of a current by phase, as a share of its rating."""
+
 Excess = dict[str, float]
 """What each family of rows is exceeded by at most, as a multiple of its tolerance."""
 
@@ -210,10 +213,12 @@ def _phases(site: Site, data: WindowData, d: Dispatch) -> Excess:
     p_kw, q_kvar = model.drawn(data, d)
     u, former = model.linear(data, p_kw, q_kvar)
     u = phased.u_offset + u
+    currents = np.abs(phased.current_offset + model.currents(data, p_kw, q_kvar))
     limited = model.limited
     over_kva = np.abs(phased.former_offset + former).max(axis=1) - phased.room_kva
     return {
         "lowest voltage of a phase": _most(VOLTAGE_TOLERANCE_PU2, (phased.u_min - u)[:, limited]),
         "highest voltage of a phase": _most(VOLTAGE_TOLERANCE_PU2, (u - phased.u_max)[:, limited]),
         "phase of the former": _most(_power_tolerance(site, data), over_kva[data.dark]),
+        "rating of a phase": _most(RATING_TOLERANCE, currents - phased.current_max),
     }

@@ -23,10 +23,13 @@ class Loadings:
         Lines by their ends and phase, and transformers by their coils; those that have a rating.
     per_volt : sparse array of complex, shape (k, nodes)
         Current over rating of each, of the voltages of the nodes in V.
+    kva : array, shape (k,)
+        What each carries at its rating and nominal voltage.
     """
 
     names: tuple[str, ...]
     per_volt: Any
+    kva: Floats
 
     @classmethod
     def of(cls, phases: Phases) -> Loadings:
@@ -45,11 +48,28 @@ class Loadings:
             for word in unit.to_coils.split()
         ]
         empty = sp.csr_array((0, len(phases.nodes)), dtype=complex)
-        return cls(tuple(names), sp.csr_array(sp.vstack([empty, *blocks])))
+        kva = [_line_kva(phases, line) for line in rated for _ in line.phases]
+        kva += [unit.kva for unit in phases.transformers for _ in unit.to_coils.split()]
+        return cls(tuple(names), sp.csr_array(sp.vstack([empty, *blocks])), np.array(kva))
+
+    @classmethod
+    def none(cls, phases: Phases) -> Loadings:
+        """Those of a feeder whose ratings count nothing."""
+        nothing = sp.csr_array((0, len(phases.nodes)), dtype=complex)
+        return cls((), nothing, np.zeros(0))
 
     def at(self, v: Complexes) -> Floats:
         """Shares of the ratings, (k,)."""
-        return np.asarray(np.abs(self.per_volt @ v))
+        return np.abs(self.currents(v))
+
+    def currents(self, v: Complexes) -> Complexes:
+        """Currents as shares of the ratings, (k,)."""
+        return np.asarray(self.per_volt @ v)
+
+
+def _line_kva(phases: Phases, line: PhaseLine) -> float:
+    """What a phase of a line carries at its rating."""
+    return float(line.i_max_a * phases.by_bus[line.from_bus].kv / np.sqrt(3))
 
 
 def _of_line(phases: Phases, line: PhaseLine) -> Any:

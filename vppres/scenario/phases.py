@@ -191,6 +191,12 @@ class Phases:
         """Digest of the content."""
         return hashlib.sha256(repr(self).encode()).hexdigest()
 
+    @property
+    def has_ratings(self) -> bool:
+        """Whether the current of any line or transformer has a limit."""
+        rated = [line for line in self.lines if np.isfinite(line.i_max_a)]
+        return bool(rated or self.transformers)
+
     @cached_property
     def nodes(self) -> list[tuple[str, int]]:
         """Bus and phase of each node, those of the source first."""

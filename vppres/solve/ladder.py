@@ -147,7 +147,7 @@ class WindowSolver:
         if not self.site.rated or deadline.passed:
             return found
         limited = with_ratings(self.site, data)
-        if not overloaded(limited, found.dispatch).any():
+        if not overloaded(self.site, limited, found.dispatch).any():
             return found
         limits = self.limits.at_most(deadline.left_s)
         kept = decided_within(self._task(limited, limits))
@@ -247,11 +247,11 @@ class WindowSolver:
             return None
         found = task.solution()
         limited = with_ratings(self.site, data) if self.site.rated else data
-        if not overloaded(limited, found.dispatch).any():
+        if not overloaded(self.site, limited, found.dispatch).any():
             return found
         kept = served_within(self._task(limited, limits), served)
         # A plan that exceeded ratings already has no set within them.
-        exceeded = before is None or overloaded(limited, before, MOVED_SHARE).any()
+        exceeded = before is None or overloaded(self.site, limited, before, MOVED_SHARE).any()
         return found if kept is None and exceeded else kept
 
     @one_at_a_time

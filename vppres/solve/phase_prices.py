@@ -1,4 +1,4 @@
-"""Duals of a phased feeder's rows: what its voltages and its former's phases make of a price."""
+"""Duals of a phased feeder's rows: what voltages, ratings and its former make of a price."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from vppres.core.arrays import Floats
 from vppres.model.phases import GRID, phased_model
 from vppres.scenario.phases import PHASES
-from vppres.solve.phases import HIGH, LOW, OF_FORMER, PER_PU2, SMALLEST_KVA
+from vppres.solve.phases import HIGH, LOW, OF_FORMER, OF_RATING, PER_PU2, SMALLEST_KVA
 from vppres.solve.shadow_price_model import ShadowPriceModel
 
 
@@ -23,6 +23,10 @@ class PhasePrices:
         For 1 kVA more on each phase of the former.
     active, reactive : array, shape (3, D)
         What phases of the former make of the price of 1 kW or 1 kvar at each asset.
+    rating : array, shape (k,)
+        For 1 kVA more through each phase of a line, or pair of coils, that has a rating.
+    rated_active, rated_reactive : array, shape (k, D)
+        What ratings make of the price of 1 kW or 1 kvar at each asset.
     by_voltage, by_voltage_kvar : array, shape (D,)
         What voltage limits make of it.
     floor, ceiling : array, shape (N,)
@@ -32,6 +36,9 @@ class PhasePrices:
     former: Floats
     active: Floats
     reactive: Floats
+    rating: Floats
+    rated_active: Floats
+    rated_reactive: Floats
     by_voltage: Floats
     by_voltage_kvar: Floats
     floor: Floats
@@ -45,32 +52,40 @@ class PhasePrices:
         phased = phased_model(model.site)
         net = model.site.feeder
         room = float(model.data.require_phased().room_kva[0])
-        per_unit = {
+        per_unit: dict[int, Floats | float] = {
             LOW: PER_PU2 * 2.0 * net.v_min_pu * 1e-3,
             HIGH: PER_PU2 * 2.0 * net.v_max_pu * 1e-3,
             OF_FORMER: 1.0 / max(room, SMALLEST_KVA),
+            OF_RATING: 1.0 / phased.loadings.kva,
         }
-        sizes = {LOW: net.n_buses, HIGH: net.n_buses, OF_FORMER: len(PHASES)}
+        sizes = {
+            LOW: net.n_buses,
+            HIGH: net.n_buses,
+            OF_FORMER: len(PHASES),
+            OF_RATING: len(phased.loadings.kva),
+        }
+        assets = len(phased.flows[GRID].assets)
         value = {side: np.zeros(size) for side, size in sizes.items()}
-        by_phase = np.zeros((2, len(PHASES), len(phased.flows[GRID].assets)))
-        by_voltage = np.zeros((2, by_phase.shape[2]))
+        costs = {side: np.zeros((size, 2, assets)) for side, size in sizes.items()}
         first = len(model.duals) - sum(len(rows.steps) for rows in model.phase_rows)
         for rows in model.phase_rows:
             dual = np.maximum(model.duals[first : first + len(rows.steps)], 0.0)
             first += len(rows.steps)
             dual = np.where(rows.steps == 0, dual, 0.0)
-            former = rows.side == OF_FORMER
-            places = rows.places if former else phased.at_bus[rows.places]
-            np.add.at(value[rows.side], places, dual * per_unit[rows.side])
-            costs = -np.stack([rows.by_p, rows.by_q]) * dual[:, None]
-            if former:
-                np.add.at(by_phase.swapaxes(0, 1), rows.places, costs.swapaxes(0, 1))
-            else:
-                by_voltage += costs.sum(axis=1)
+            places = phased.at_bus[rows.places] if rows.side in (LOW, HIGH) else rows.places
+            np.add.at(value[rows.side], places, dual)
+            by_asset = -np.stack([rows.by_p, rows.by_q], axis=1) * dual[:, None, None]
+            np.add.at(costs[rows.side], places, by_asset)
+        value = {side: each * per_unit[side] for side, each in value.items()}
+        by_voltage = costs[LOW].sum(axis=0) + costs[HIGH].sum(axis=0)
+        of_former, of_rating = (costs[side].swapaxes(0, 1) for side in (OF_FORMER, OF_RATING))
         return cls(
             value[OF_FORMER],
-            active=by_phase[0],
-            reactive=by_phase[1],
+            active=of_former[0],
+            reactive=of_former[1],
+            rating=value[OF_RATING],
+            rated_active=of_rating[0],
+            rated_reactive=of_rating[1],
             by_voltage=by_voltage[0],
             by_voltage_kvar=by_voltage[1],
             floor=value[LOW],

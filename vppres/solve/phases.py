@@ -1,8 +1,8 @@
 """Limits of a window's phases as rows on a problem's columns, made where solutions violate them.
 
-Squared voltages and the former's power by phase are linear in what assets draw, which is linear in
-the columns of every problem. Few of these limits bind, and a row of them has a number for nearly
-each asset: all at once they take most of the time of a window.
+Squared voltages, the former's power by phase and currents are linear in what assets draw, which is
+linear in the columns of every problem. Few of these limits bind, and a row of them has a number
+for nearly each asset: all at once they take most of the time of a window.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import scipy.sparse as sp
 from vppres.core.arrays import Complexes, Flags, Floats, Wholes
 from vppres.model.beyond_paper.losses import lit_steps
 from vppres.model.data import WindowData
-from vppres.model.phases import GRID, ISLAND, PhasedModel, phased_model
+from vppres.model.phases import GRID, PhasedModel, phased_model
 from vppres.model.site import Site
 from vppres.solve.deadline import Deadline
 from vppres.solve.network.rows import Rows
@@ -31,11 +31,12 @@ SIDES = 32
 LOW, HIGH = 0, 1
 """Sides of a limit of voltages."""
 
-OF_FORMER = 2
-"""What rows of the former's phases have for a side."""
+OF_FORMER, OF_RATING = 2, 3
+"""What rows of the former's phases, and of currents that have a rating, have for a side."""
 
 MOST_NEW = 4
-"""Voltages of a step and phase that get a row at once on a side, those farthest out first."""
+"""Voltages of a step and phase, and currents of a step, that get a row at once on a side, those
+farthest out first."""
 
 PER_PU2 = 1e3
 """Rows of voltages are in thousandths of pu², as those of balanced feeders."""
@@ -46,6 +47,9 @@ its sides to be rows from the start: passes move it by less."""
 
 OVER = 5e-6
 """By how much a dispatch may miss a limit of the phases: half of what its check allows."""
+
+TOWARDS = np.exp(-2j * np.pi * np.arange(SIDES) / SIDES)
+"""Turns of a value by which its real part is what it has towards a side."""
 
 REACH = float(np.cos(np.pi / SIDES))
 """Distance of a side from the middle of its disc, as a share of the radius."""
@@ -142,8 +146,8 @@ class PhaseRows(Rows):
     """Rows of limits of phases, with what they limit.
 
     ``steps`` (R,) are those of the rows; ``by_p`` and ``by_q`` (R, D) what a kW and a kvar that an
-    asset draws add to them. ``places`` (R,) are voltages or phases, and ``side`` is which: ``LOW``
-    or ``HIGH`` of voltages, ``OF_FORMER`` of the former's phases.
+    asset draws add to them. ``places`` (R,) are voltages, phases or currents, and ``side`` is
+    which: ``LOW`` or ``HIGH`` of voltages, ``OF_FORMER`` or ``OF_RATING``.
     """
 
     steps: Wholes = field(default_factory=lambda: np.zeros(0, dtype=int))
@@ -154,7 +158,7 @@ class PhaseRows(Rows):
 
 
 class PhaseLimits:
-    """Limits of a window's voltages by phase and of its former's phases.
+    """Limits of a window's voltages by phase, of its former's phases and of currents.
 
     Parameters
     ----------
@@ -182,11 +186,13 @@ class PhaseLimits:
 
     def exceeded(self, x: Floats, over: float) -> list[PhaseRows]:
         """Rows of limits that a solution exceeds by more than so many pu², or such a share."""
-        u, former = self.model.linear(self.data, *self.draws.at(x))
+        drawn = self.draws.at(x)
+        u, former = self.model.linear(self.data, *drawn)
         u = self.phased.u_offset + u
         sides = ((LOW, self.phased.u_min - u), (HIGH, u - self.phased.u_max))
         worst = [self._voltages(side, self._worst(beyond, over)) for side, beyond in sides]
-        return [*chain(*worst), *self._former(self.phased.former_offset + former, over)]
+        former = self.phased.former_offset + former
+        return [*chain(*worst), *self._former(former, over), *self._rated(drawn, over)]
 
     def _worst(self, beyond: Floats, over: float) -> Flags:
         """The voltages farthest beyond a limit in each step and phase, (W, m)."""
@@ -217,25 +223,59 @@ class PhaseLimits:
         return [s.u_p for s in slopes], [s.u_q for s in slopes]
 
     def _former(self, kva: Complexes, over: float) -> list[PhaseRows]:
-        """Of each phase beyond its polygon the side it is farthest beyond, and those beside.
-
-        Rows are in shares of what the phase may carry.
-        """
+        """Rows of each phase of the former that is beyond its polygon."""
         if self.model.former is None or not self.data.dark.any():
             return []
-        slopes = self.model.slopes[ISLAND]
-        room = np.maximum(REACH * self.phased.room_kva, SMALLEST_KVA)[:, None]
-        towards = np.exp(-2j * np.pi * np.arange(SIDES) / SIDES)
-        side = np.round(np.angle(kva) * SIDES / (2.0 * np.pi)).astype(int) % SIDES
-        share = np.real(kva * towards[side]) / room
-        steps, phases = np.nonzero((share > 1.0 + over) & self.data.dark[:, None])
+        room = np.maximum(self.phased.room_kva, SMALLEST_KVA)
+        room = np.where(self.data.dark, room, np.inf)[:, None]
+        slopes = [(s.former_p, s.former_q) for s in self.model.slopes]
+        beyond = self._beyond(kva, room) > over
+        return self._sides(kva, self.phased.former_offset, room, slopes, beyond, OF_FORMER)
+
+    def _rated(self, drawn: tuple[Floats, Floats], over: float) -> list[PhaseRows]:
+        """Rows of the currents farthest beyond their ratings in each step."""
+        room = self.phased.current_max
+        if not np.isfinite(room).any():
+            return []
+        offset = self.phased.current_offset
+        currents = offset + self.model.currents(self.data, *drawn)
+        beyond = self._beyond(currents, room)
+        least = -np.sort(-beyond, axis=1)[:, :MOST_NEW][:, -1:]
+        slopes = [(s.current_p, s.current_q) for s in self.model.slopes]
+        farthest = (beyond > over) & (beyond >= least)
+        return self._sides(currents, offset, room, slopes, farthest, OF_RATING)
+
+    @staticmethod
+    def _beyond(at: Complexes, room: Floats) -> Floats:
+        """How far values are beyond the polygons inside their discs, as a share of these."""
+        side = np.round(np.angle(at) * SIDES / (2.0 * np.pi)).astype(int) % SIDES
+        return np.asarray(np.real(at * TOWARDS[side]) / (REACH * room) - 1.0)
+
+    def _sides(
+        self,
+        at: Complexes,
+        offset: Complexes,
+        room: Floats,
+        slopes: list[tuple[Complexes, Complexes]],
+        which: Flags,
+        kind: int,
+    ) -> list[PhaseRows]:
+        """Of some discs, (W, k), the side of its polygon that a value is at, and those beside.
+
+        Rows are in shares of what the disc allows.
+        """
+        of_p, of_q = (np.stack(each) for each in zip(*slopes, strict=True))
+        steps, places = np.nonzero(which)
+        radius = REACH * np.broadcast_to(room, at.shape)[steps, places]
+        side = np.round(np.angle(at[steps, places]) * SIDES / (2.0 * np.pi)).astype(int)
+        source = self.source[steps]
         found = []
         for beside in (0, 1, -1):
-            turn = towards[(side[steps, phases] + beside) % SIDES] / room[steps, 0]
-            by_p = -np.real(turn[:, None] * slopes.former_p[phases])
-            by_q = -np.real(turn[:, None] * slopes.former_q[phases])
-            least = np.real(turn * self.phased.former_offset[steps, phases]) - 1.0
-            found += self._rows(steps, by_p, by_q, least, phases, OF_FORMER)
+            turn = TOWARDS[(side + beside) % SIDES] / radius
+            by_p = -np.real(turn[:, None] * of_p[source, places])
+            by_q = -np.real(turn[:, None] * of_q[source, places])
+            least = np.real(turn * offset[steps, places]) - 1.0
+            found += self._rows(steps, by_p, by_q, least, places, kind)
         return found
 
     def _rows(

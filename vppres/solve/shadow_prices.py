@@ -43,7 +43,7 @@ class ShadowPrices:
     voltage_floor, voltage_ceiling : array, shape (N,)
         For a limit that lies 0.001 pu further out, at each bus.
     line_rating : array, shape (L,)
-        For 1 kVA more through each line.
+        For 1 kVA more through each line; of a phased feeder through each phase of one, (k,).
     line_active, line_reactive : array, shape (N,)
         What ratings of lines make of the price of 1 kW or 1 kvar at each bus.
     grid : float
@@ -177,7 +177,7 @@ def _prices(model: ShadowPriceModel) -> ShadowPrices:
         voltage_ceiling=_per_milli_pu(dual("voltage_max")[0], net.v_max_pu, net.bus_ratio)
         if phases is None
         else phases.ceiling,
-        line_rating=line_rating,
+        line_rating=line_rating if phases is None else phases.rating,
         line_active=at_buses[0],
         line_reactive=at_buses[1],
         # In an outage the limit meets the bound of 0 from the other side, and its own dual is not
