@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from vppres.core.arrays import Floats
-from vppres.model.beyond_paper.physical import at_far_ends
+from vppres.model.beyond_paper.physical import taken_by_network
 from vppres.model.data import PhasedWindow, WindowData
 from vppres.model.formulas import bus_injections, lossless_flows, voltage_drop_pu2
 from vppres.model.site import Site
@@ -77,12 +77,9 @@ def _from_grid(site: Site, data: WindowData) -> tuple[Floats, Floats, Floats]:
     own_kw = np.minimum(site.behind_meter(load_kw), usable_kw)
     p_kw = bus_injections(site, {"pv": own_kw, "customers": -load_kw})
     q_kvar = bus_injections(site, {"customers": -load_kvar})
-    if data.drawn is not None:
-        p_kw = p_kw - data.drawn.kw
-        q_kvar = q_kvar - data.drawn.kvar
-    if data.physics is not None:
-        p_kw = p_kw - at_far_ends(data.physics.loss_kw)
-        q_kvar = q_kvar - at_far_ends(data.physics.loss_kvar)
+    taken = taken_by_network(site, data)
+    p_kw -= taken.kw
+    q_kvar -= taken.kvar
     flows = lossless_flows(net, p_kw), lossless_flows(net, q_kvar)
     rise = data.delta_pu2 - voltage_drop_pu2(net, *flows)
     u = net.v_slack_pu**2 + rise @ net.downstream

@@ -12,9 +12,10 @@ import numpy as np
 
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Floats
-from vppres.model.beyond_paper.physical import at_far_ends
+from vppres.model.beyond_paper.losses import injections
+from vppres.model.beyond_paper.physical import taken_by_network
 from vppres.model.data import WindowData
-from vppres.model.formulas import bus_injections, cell_kw, soc_after, voltage_drop_pu2
+from vppres.model.formulas import cell_kw, soc_after, voltage_drop_pu2
 from vppres.model.phases import phased_model
 from vppres.model.site import Site
 from vppres.scenario.assets import SOC_ROUNDING
@@ -151,24 +152,12 @@ def _grid(site: Site, data: WindowData, d: Dispatch) -> Excess:
 def _balances(site: Site, data: WindowData, d: Dispatch) -> Excess:
     """Active and reactive balance at every bus."""
     tolerance = _power_tolerance(site, data)
-    load_kw = data.load_kw * d.supplied
-    battery_kw = d.discharge_kw - d.charge_kw
-    p = bus_injections(
-        site,
-        {"pv": d.pv_self_kw + d.pv_export_kw, "batteries": battery_kw, "customers": -load_kw},
-    )
-    load_kvar = load_kw * site.customers.q_per_p
-    q = bus_injections(
-        site, {"pv": d.pv_q_kvar, "batteries": d.batt_q_kvar, "customers": -load_kvar}
-    )
+    p, q = injections(site, data, d)
     p[:, 0] += d.p_grid_kw
     q[:, 0] += d.q_grid_kvar
-    if data.drawn is not None:
-        p = p - data.drawn.kw
-        q = q - data.drawn.kvar
-    if data.physics is not None:
-        p = p - at_far_ends(data.physics.loss_kw)
-        q = q - at_far_ends(data.physics.loss_kvar)
+    taken = taken_by_network(site, data)
+    p -= taken.kw
+    q -= taken.kvar
     incidence = site.network.incidence
     return {
         "active balance": _most(tolerance, np.abs(p + (incidence @ d.p_flow_kw.T).T)),

@@ -19,6 +19,7 @@ from vppres.core.arrays import Floats
 from vppres.model.beyond_paper.addition import Addition
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
+from vppres.model.linearise import Drawn
 from vppres.model.numerics import write
 from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
@@ -127,6 +128,18 @@ class PhysicalMode(Addition):
             "headroom_charge": v.P_batt <= self.P_room,
             "headroom_discharge": -v.P_batt <= self.P_room,
         }
+
+
+def taken_by_network(site: Site, data: WindowData) -> Drawn:
+    """What the network takes at each bus: what it draws itself, and losses where lines end."""
+    nothing = np.zeros((data.n_steps, site.network.n_buses))
+    found = data.drawn or Drawn(nothing, nothing)
+    physics = data.physics
+    if physics is None:
+        return found
+    return Drawn(
+        found.kw + at_far_ends(physics.loss_kw), found.kvar + at_far_ends(physics.loss_kvar)
+    )
 
 
 def at_far_ends(loss: Floats) -> Floats:

@@ -6,6 +6,7 @@ and few inverter discs bind, so their rows are made where a solution violates th
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,10 +15,9 @@ import scipy.sparse as sp
 
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats, Wholes
-from vppres.model.beyond_paper.physical import at_far_ends
-from vppres.model.data import Physics, WindowData
+from vppres.model.beyond_paper.physical import taken_by_network
+from vppres.model.data import WindowData
 from vppres.model.formulas import lossless_flows
-from vppres.model.linearise import Drawn
 from vppres.model.site import Site
 from vppres.solve.network.reactance import Reactance
 from vppres.solve.network.rows import Rows
@@ -30,6 +30,10 @@ inverter of 1 W would be asked for ever."""
 
 FLOW = 1e-6
 """Share of its limit by which a line's flow may exceed it: the tolerance of a linear solver."""
+
+
+# Columns of devices, (W, k), their buses, (k,), and what a unit of a column gives in kW or kvar.
+Given = tuple[Wholes, Wholes, Floats | float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +116,7 @@ class Injections:
         limits = None if data.switching is None else data.switching.longest_off
         switched = data.switching is not None and not data.switching.only_time_off
         self.size = 0
-        self.at = {}
+        self.at: dict[str, Wholes] = {}
         for name, width in {
             "x": C,
             "P_ch": B,
@@ -141,25 +145,37 @@ class Injections:
         self.demands = {"x": self.usual}
         if self.at["cold"].size:
             self.demands["cold"] = Demand.of(site, data.all_cold()).beyond(self.usual)
-        nothing = np.zeros((W, site.network.n_buses))
-        self.drawn = data.drawn or Drawn(nothing, nothing)
+        self.drawn = taken_by_network(site, data)
         b = site.batteries
         self.active_kw = data.active_max_kw(b)
         self.radius_kva: Floats = np.tile(b.s_max_kva, (W, 1))
-        self.soc_min = data.soc_min(b)
         self.reference: Wholes = np.zeros(W, dtype=np.int64)
         if data.physics is not None:
-            self._in_physical_mode(data.physics)
+            self.radius_kva = b.s_max_kva - data.physics.headroom_kw
+            self.reference = data.physics.reference
 
-    def _in_physical_mode(self, physics: Physics) -> None:
-        """Losses as a demand, batteries less their headroom, and the bus that holds the voltage."""
-        b = self.site.batteries
-        self.drawn = Drawn(
-            self.drawn.kw + at_far_ends(physics.loss_kw),
-            self.drawn.kvar + at_far_ends(physics.loss_kvar),
-        )
-        self.radius_kva = b.s_max_kva - physics.headroom_kw
-        self.reference = physics.reference
+    @cached_property
+    def active(self) -> list[Given]:
+        """What devices give of active power."""
+        at = self.at
+        reach = self.reactance
+        return [
+            *((at[name], reach.customer, -each.net_kw) for name, each in self.demands.items()),
+            (at["P_dch"], reach.battery, 1.0),
+            (at["P_ch"], reach.battery, -1.0),
+            (at["P_exp"], reach.pv, 1.0),
+        ]
+
+    @cached_property
+    def reactive(self) -> list[Given]:
+        """What they give of reactive power."""
+        at = self.at
+        reach = self.reactance
+        return [
+            *((at[name], reach.customer, -each.kvar) for name, each in self.demands.items()),
+            (at["Q_batt"], reach.battery, 1.0),
+            (at["Q_pv"], reach.pv, 1.0),
+        ]
 
     def bounds(self) -> tuple[Floats, Floats]:
         """Limits of the columns."""
@@ -171,7 +187,7 @@ class Injections:
             "x": (0.0, 1.0),
             "P_ch": (0.0, self.active_kw),
             "P_dch": (0.0, self.active_kw),
-            "energy": (self.soc_min * b.energy_kwh, b.soc_max * b.energy_kwh),
+            "energy": (data.soc_min(b) * b.energy_kwh, b.soc_max * b.energy_kwh),
             "Q_batt": (-self.radius_kva, self.radius_kva),
             "P_exp": (0.0, data.pv_kw),
             "Q_pv": (-site.pv.s_max_kva, site.pv.s_max_kva),
@@ -275,37 +291,28 @@ class Injections:
     def _balance_rows(self) -> list[Rows]:
         """Active and reactive balance, and circular charging."""
         at = self.at
-        site = self.site
-        data = self.data
-        demands = self.demands
-        users = [at[name] for name in demands]
-        active = np.hstack(
-            [at["P_grid"], at["P_exp"], at["P_dch"], at["P_ch"], *users, at["P_out"]]
-        )
-        signs = np.hstack(
-            [
-                np.ones((data.n_steps, 1 + len(site.pv) + len(site.batteries))),
-                -np.ones((data.n_steps, len(site.batteries))),
-                *(-demand.net_kw for demand in demands.values()),
-                -np.ones(at["P_out"].shape),
-            ]
-        )
-        reactive = np.hstack([at["Q_grid"], at["Q_pv"], at["Q_batt"], *users])
-        kvar = np.hstack(
-            [
-                np.ones((data.n_steps, 1 + len(site.pv) + len(site.batteries))),
-                *(-demand.kvar for demand in demands.values()),
-            ]
-        )
+        active = [(columns, each) for columns, _, each in self.active]
+        reactive = [(columns, each) for columns, _, each in self.reactive]
         drawn_kw = self.drawn.kw.sum(axis=1)
         drawn_kvar = self.drawn.kvar.sum(axis=1)
-        outside = np.hstack([at["P_grid"], at["P_exp"], at["P_ch"]])
-        charging = np.append(np.ones(1 + len(site.pv)), -np.ones(len(site.batteries)))
+        grid = [(at["P_grid"], 1.0), (at["P_out"], -1.0)]
+        outside = [(at["P_grid"], 1.0), (at["P_exp"], 1.0), (at["P_ch"], -1.0)]
         return [
-            Rows.of(active, signs, drawn_kw, drawn_kw, self.size),
-            Rows.of(reactive, kvar, drawn_kvar, drawn_kvar, self.size),
-            Rows.of(outside, charging, 0.0, np.inf, self.size),
+            self._sums([*grid, *active], drawn_kw, drawn_kw),
+            self._sums([(at["Q_grid"], 1.0), *reactive], drawn_kvar, drawn_kvar),
+            self._sums(outside, 0.0, np.inf),
         ]
+
+    def _sums(
+        self,
+        terms: Sequence[tuple[Wholes, Floats | float]],
+        lower: Floats | float,
+        upper: Floats | float,
+    ) -> Rows:
+        """A row for each step over all columns of some letters, with their factors."""
+        columns = np.hstack([places for places, _ in terms])
+        values = np.hstack([np.broadcast_to(factor, places.shape) for places, factor in terms])
+        return Rows.of(columns, values, lower, upper, self.size)
 
     def _pv_rows(self) -> Rows:
         """What PV systems give and their owners use of it."""
@@ -401,31 +408,17 @@ class Injections:
 
     def _injected(self, x: Floats) -> tuple[Floats, Floats]:
         """Active and reactive injections of a solution, the grid's left out, (W, N) each."""
-        at = self.at
-        reach = self.reactance
         p, q = (np.zeros((self.data.n_steps, self.site.network.n_buses)) for _ in range(2))
         steps = np.arange(self.data.n_steps)[:, None]
-        used = [
-            (power, reach.customer, -kw * x[at[name]])
-            for name, demand in self.demands.items()
-            for power, kw in ((p, demand.net_kw), (q, demand.kvar))
-        ]
-        for power, bus, kw in (
-            *used,
-            (p, reach.battery, x[at["P_dch"]] - x[at["P_ch"]]),
-            (q, reach.battery, x[at["Q_batt"]]),
-            (p, reach.pv, x[at["P_exp"]]),
-            (q, reach.pv, x[at["Q_pv"]]),
-        ):
-            np.add.at(power, (steps, bus[None, :]), kw)
+        for power, given in ((p, self.active), (q, self.reactive)):
+            for columns, bus, each in given:
+                np.add.at(power, (steps, bus[None, :]), each * x[columns])
         return p, q
 
     @cached_property
     def _empty_u(self) -> Floats:
         """Squared voltages without any device, (W, N)."""
         empty = self.site.network.v_slack_pu**2 + self.reactance.along(self.data.delta_pu2)
-        if self.data.drawn is None and self.data.physics is None:
-            return np.asarray(empty)
         return np.asarray(empty - self.reactance.raised(0.0, self.drawn.kw, self.drawn.kvar))
 
     @cached_property
@@ -474,26 +467,13 @@ class Injections:
 
     def _sum_of_injections(self, t: int, per_kw: Floats, per_kvar: Floats) -> tuple[Wholes, Floats]:
         """Columns (1, k) and values (k,) of a sum of what a step's buses are given, (N,) each."""
-        at = self.at
-        reach = self.reactance
-        columns = np.concatenate(
-            [at[name][t] for name in (*self.demands, "P_dch", "P_ch", "Q_batt", "P_exp", "Q_pv")]
-        )
-        values = np.concatenate(
-            [
-                *(
-                    -per_kw[reach.customer] * demand.net_kw[t]
-                    - per_kvar[reach.customer] * demand.kvar[t]
-                    for demand in self.demands.values()
-                ),
-                per_kw[reach.battery],
-                -per_kw[reach.battery],
-                per_kvar[reach.battery],
-                per_kw[reach.pv],
-                per_kvar[reach.pv],
-            ]
-        )
-        used = np.abs(values) > 0.0
+        parts = [
+            (columns[t], per[bus] * np.broadcast_to(each, columns.shape)[t])
+            for per, given in ((per_kw, self.active), (per_kvar, self.reactive))
+            for columns, bus, each in given
+        ]
+        columns, values = (np.concatenate(each) for each in zip(*parts, strict=True))
+        used = values != 0.0
         return columns[used][None, :], values[used]
 
     def flow_rows(self, x: Floats) -> list[Rows]:

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from vppres.core.arrays import Floats
+from vppres.core.arrays import Floats, Wholes
 from vppres.model.formulas import lossless_flows, voltage_drop_pu2
 from vppres.model.site import Site
 
@@ -28,9 +28,9 @@ class Reactance:
             per_kw = 2.0 * (fed.T * net.r_pu2_per_kw) @ fed
             per_kvar = 2.0 * (fed.T * net.x_pu2_per_kvar) @ fed
             self.tables = per_kw, per_kvar, fed
-        self.customer = site.customer_bus.tocoo().row[site.customer_bus.tocoo().col.argsort()]
-        self.battery = site.battery_bus.tocoo().row[site.battery_bus.tocoo().col.argsort()]
-        self.pv = site.pv_bus.tocoo().row[site.pv_bus.tocoo().col.argsort()]
+        self.customer = _buses_of(site.customer_bus)
+        self.battery = _buses_of(site.battery_bus)
+        self.pv = _buses_of(site.pv_bus)
 
     def row(self, bus: int) -> tuple[Floats, Floats]:
         """Squared voltage of a bus per kW and kvar injected at every bus, (N,) each."""
@@ -60,3 +60,8 @@ class Reactance:
         """Sum of what lines (W, L) add on the way to each bus, (W, N)."""
         fed = self._paths if self.tables is None else self.tables[2]
         return np.asarray(rise_pu2 @ fed)
+
+
+def _buses_of(places: sp.csr_array) -> Wholes:
+    """Bus of each device, (k,), by a matrix (N, k) of ones."""
+    return np.asarray(sp.csc_array(places).indices, dtype=np.int64)
