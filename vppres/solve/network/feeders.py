@@ -15,7 +15,6 @@ import scipy.sparse as sp
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.scenario.network import Network
 from vppres.solve.deadline import Deadline
-from vppres.solve.network.rows import Rows
 from vppres.solve.programs import PROOF, WHOLE_TOLERANCE, Program, ProgramSolution
 
 SHARED = -1
@@ -34,11 +33,8 @@ GAP = 0.05
 SEARCH = MappingProxyType({**PROOF, "mip_heuristic_run_root_reduced_cost": False})
 """How HiGHS searches a feeder: for the bound."""
 
-LEAST_CUT = 0.01
-"""Units that a cut must take from a linear solution to be worth a dense row."""
-
 ROOM = 1e-4
-"""Units by which a cut gives way, so that no solution stands on the very tip of it."""
+"""Units by which what a search proves gives way: a solver's bound is one within its tolerance."""
 
 
 def feeder_of_buses(network: Network) -> Wholes:
@@ -76,16 +72,13 @@ class Found:
         Positions among all binaries of those of the feeder.
     served : array
         Their values in its answer, NaN without one.
-    cut : Rows or None
-        What it proves of the columns of the program.
     raised : float
-        By how much the cut lies above what the feeder costs at least without binaries, 0 without.
+        By how much it costs at least more than without binaries.
     """
 
     binaries: Wholes
     served: Floats
-    cut: Rows | None
-    raised: float = 0.0
+    raised: float
 
 
 class Feeders:
@@ -141,11 +134,8 @@ class Feeders:
         answered = found.status.has_answer
         served = np.round(found.x[binary]) if answered else np.full(len(places), np.nan)
         bound = min(found.bound, least + MOST_LOST)
-        if not bound > least + LEAST_CUT:
-            return Found(places, served, None)
-        size = len(self.cost)
-        cut = Rows.of(columns[None, :], self.cost[columns], bound - ROOM, np.inf, size)
-        return Found(places, served, cut, bound - ROOM - least)
+        raised = bound - ROOM - least
+        return Found(places, served, raised if raised > 0.0 else 0.0)
 
     def _least(self, columns: Wholes, rows: Wholes) -> float:
         """What a feeder costs at least without binaries, by weak duality."""
