@@ -80,7 +80,6 @@ def test_reactive_power_in_two_parts_proves_the_same(
 
     value, tangents = service()
     monkeypatch.setattr("vppres.solve.network.program.SMALL", 0)
-    monkeypatch.setattr("vppres.solve.network.program.FEW_DISCS", 0)
     parted, fewer = service()
     # Discs are met to a tolerance only, so the same bound comes out to within it.
     assert parted == pytest.approx(value, rel=1e-5)
@@ -109,27 +108,3 @@ def test_a_huge_window_is_answered_without_the_tie_breakers(
     assert answer.objective <= usual.bound + 1e-6
     assert answer.bound >= usual.objective - 1e-6
     assert answer.gap < 1e-3
-
-
-def test_few_tangents_come_with_those_beside_them(packaged: Scenario) -> None:
-    """Any point beside a tangent's is within the tolerance up to the tangents' crossings."""
-    site = Site.of(packaged)
-    model = NetworkMaster(
-        site, Reactance(site), window(packaged, slice(18, 20)), Deadline(1.0)
-    ).model
-    columns = model.at["Q_batt"][0, :1]
-    x = np.zeros(model.size)
-    radius = site.batteries.s_max_kva[0]
-    x[columns] = 1.5 * radius
-    alone = model.disc_rows(x, 2e-3)
-    assert [len(rows.lower) for rows in alone] == [1]
-    beside = model.disc_rows(x, 2e-3, few=1)
-    assert len(beside) == 3
-    np.testing.assert_array_equal(beside[0].matrix.toarray(), alone[0].matrix.toarray())
-    reach = np.vstack([rows.matrix.toarray() for rows in beside])
-    discharge = model.at["P_dch"][0, 0]
-    for angle in np.linspace(-0.126, 0.126, 201):
-        point = np.array([np.sin(angle), np.cos(angle)]) * 1.002 * radius * 1.0001
-        x[discharge], x[columns[0]] = point
-        over = reach @ x - (1.0 * radius)
-        assert (over > 0.0).any()

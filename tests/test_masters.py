@@ -31,7 +31,6 @@ from vppres.solve.fleet.demand import DemandModel
 from vppres.solve.fleet.masters import Binaries, demand_of
 from vppres.solve.fleet.rungs import service_then_cost
 from vppres.solve.ladder import WindowSolver
-from vppres.solve.network.cheapest import CheapestDispatch
 from vppres.solve.network.injections import Injections
 from vppres.solve.network.master import DISCS, NetworkMaster
 from vppres.solve.network.program import FINER_DISC
@@ -47,7 +46,7 @@ from vppres.solve.programs import (
     stacked,
     with_sums,
 )
-from vppres.solve.result import Outcome, SolveLimits, Status
+from vppres.solve.result import SolveLimits, Status
 from vppres.solve.solvers import find_solver
 from vppres.solve.task import COST_SHARE, NETWORK_RESERVE, WindowTask
 
@@ -438,68 +437,6 @@ def test_dispatch_in_the_network_keeps_the_sun_it_can(packaged: Scenario) -> Non
     assert dispatch is not None
     # Everything is free here: only what has a value is a reason to pass the sun on.
     assert dispatch.pv_curtailed_kw.sum() == pytest.approx(0.0, abs=1e-3)
-
-
-@pytest.mark.parametrize("small", [0, 2000])
-def test_a_dispatch_goes_on_where_its_tangents_are_let_out(
-    packaged: Scenario, monkeypatch: pytest.MonkeyPatch, small: int
-) -> None:
-    """What has no dispatch well within the discs has the one that is found at once closer to them.
-
-    With nine tenths of the discs gone nobody can be supplied in the dark.
-    """
-    monkeypatch.setattr("vppres.solve.network.program.SMALL", small)
-    site = Site.of(packaged)
-    data = day_window(packaged, 10, 4, 0.3)
-    master = NetworkMaster(site, Reactance(site), data, Deadline(TIME_S))
-    served = master.service(Deadline(TIME_S))[1]
-    assert served is not None
-
-    def cheapest(*shares: float) -> Outcome:
-        found = CheapestDispatch(site, data, master.network)
-        return found.of(served, Deadline(TIME_S), shares)[0]
-
-    assert cheapest(0.9).status == Status.INFEASIBLE
-    at_once = cheapest(3e-4)
-    assert at_once.status == Status.OPTIMAL
-    assert cheapest(0.9, 3e-4).value == pytest.approx(at_once.value, rel=1e-6)
-
-
-@pytest.mark.parametrize("first", [10, 18])
-def test_a_large_dispatch_is_near_what_serves_its_set(
-    packaged: Scenario, monkeypatch: pytest.MonkeyPatch, first: int
-) -> None:
-    """Primal steps from there lead where the way from nothing leads, with and without a price."""
-    monkeypatch.setattr("vppres.solve.network.program.SMALL", 0)
-    heavy = replace(packaged, load_kw=packaged.load_kw * 1.3)
-    site = Site.of(heavy)
-    data = day_window(heavy, first, 4, 0.3)
-    master = NetworkMaster(site, Reactance(site), data, Deadline(TIME_S))
-    served = master.service(Deadline(TIME_S))[1]
-    assert served is not None
-    near = master._near
-    assert near is not None
-    answers = [
-        CheapestDispatch(site, data, master.network, begin).of(served, Deadline(TIME_S))[0]
-        for begin in (near, None)
-    ]
-    assert [answer.status for answer in answers] == [Status.OPTIMAL] * 2
-    assert answers[0].value == pytest.approx(answers[1].value, rel=1e-6, abs=1e-3)
-
-
-def test_a_basis_without_all_limits_is_not_near(
-    packaged: Scenario, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("vppres.solve.network.program.SMALL", 0)
-    heavy = replace(packaged, load_kw=packaged.load_kw * 1.3)
-    site = Site.of(heavy)
-    data = day_window(heavy, 10, 4, 0.3)
-    master = NetworkMaster(site, Reactance(site), data, Deadline(TIME_S))
-    assert master._near is not None
-    before = master.network.limits
-    assert master.least_cost(master.most_units - 1.0).status == Status.OPTIMAL
-    assert master.network.limits > before
-    assert master._near is None
 
 
 def test_a_search_for_cheaper_sets_knows_what_binds_where_shares_cost_least(

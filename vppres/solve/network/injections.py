@@ -66,16 +66,6 @@ class Demand:
         )
 
 
-def rotated(cos: Floats, sin: Floats, angle: float) -> tuple[Floats, Floats]:
-    """Points of the unit circle turned by an angle in radians.
-
-    >>> x, y = rotated(np.ones(1), np.zeros(1), np.pi / 2)
-    >>> x.round(9).tolist(), y.tolist()
-    ([0.0], [1.0])
-    """
-    return cos * np.cos(angle) - sin * np.sin(angle), sin * np.cos(angle) + cos * np.sin(angle)
-
-
 class Injections:
     """A window's variables as columns, and its constraints as rows.
 
@@ -259,20 +249,6 @@ class Injections:
             for name in names:
                 found[self.at[name]] = of_bus[bus] if self.at[name].size else -1
         return found
-
-    def start(self) -> tuple[Wholes, Wholes]:
-        """Columns with the rows that determine them where nothing is stored and no sun is lost.
-
-        Rows count as in :meth:`rows`: balances, then PV systems, then energies.
-        """
-        W = self.data.n_steps
-        open_ = np.flatnonzero(self.data.grid_limit_kw > 0.0)
-        pv = self.at["P_exp"].ravel()
-        energy = self.at["energy"].ravel()
-        grid = self.at["P_grid"][open_, 0], self.at["Q_grid"][open_, 0]
-        columns = np.concatenate([*grid, pv, energy])
-        devices = 3 * W + np.arange(len(pv) + len(energy))
-        return columns, np.concatenate([open_, W + open_, devices])
 
     def rows(self) -> Rows:
         """Balances, circular charging, PV systems and batteries."""
@@ -498,56 +474,39 @@ class Injections:
             )
         return found
 
-    def disc_rows(
-        self, x: Floats, tolerance: float, inside: float = 0.0, few: int = 0
-    ) -> list[Rows]:
-        """Tangents of the inverters' discs that are exceeded by more than a share of the radius.
-
-        The tangents may lie inside by another share, so that few of them end within the disc. Where
-        no more than ``few`` discs are exceeded, both neighbours of a tangent come with it: those
-        at an angle from which on no point between exceeds the disc by more than the tolerance.
-        """
+    def disc_rows(self, x: Floats, tolerance: float) -> list[Rows]:
+        """Tangents of the inverters' discs that are exceeded by more than a share of the radius."""
         at = self.at
-        site = self.site
-        net_kw = x[at["P_ch"]] - x[at["P_dch"]]
-        own = {name: at[name][:, site.owner] for name in self.demands}
-        through = x[at["P_exp"]]
-        for name, demand in self.demands.items():
-            through = through + demand.own_kw * x[own[name]]
-        turn = 2.0 * np.arccos((1.0 - inside) / (1.0 + tolerance))
-        tangents = []
-        inverters: list[tuple[Floats, Wholes, Floats, list[tuple[Wholes, Floats | float]]]] = [
-            (
-                net_kw,
-                at["Q_batt"],
-                self.radius_kva,
-                [(at["P_ch"], 1.0), (at["P_dch"], -1.0)],
-            ),
-            (
-                through,
-                at["Q_pv"],
-                site.pv.s_max_kva,
-                [(at["P_exp"], 1.0), *((own[n], d.own_kw) for n, d in self.demands.items())],
+        owner = self.site.owner
+        net = [(at["P_ch"], 1.0), (at["P_dch"], -1.0)]
+        own = [(at[name][:, owner], demand.own_kw) for name, demand in self.demands.items()]
+        return [
+            *self._tangents(x, tolerance, net, at["Q_batt"], self.radius_kva),
+            *self._tangents(
+                x, tolerance, [(at["P_exp"], 1.0), *own], at["Q_pv"], self.site.pv.s_max_kva
             ),
         ]
-        for p, q, radius, pieces in inverters:
-            size = np.hypot(p, x[q])
-            out = size > np.maximum(radius * (1.0 + tolerance), radius + SOLVER_KVA)
-            if not out.any():
-                continue
-            cos = p[out] / size[out]
-            sin = x[q][out] / size[out]
-            points = [(cos, sin)]
-            if out.sum() <= few:
-                points += [rotated(cos, sin, -turn), rotated(cos, sin, turn)]
-            columns = np.column_stack([*(c[out] for c, _ in pieces), q[out]])
-            limit = (1.0 - inside) * np.broadcast_to(radius, p.shape)[out]
-            for cos, sin in points:
-                values = np.column_stack(
-                    [*(cos * np.broadcast_to(f, p.shape)[out] for _, f in pieces), sin]
-                )
-                tangents.append(Rows.of(columns, values, -np.inf, limit, self.size))
-        return tangents
+
+    def _tangents(
+        self,
+        x: Floats,
+        tolerance: float,
+        active: Sequence[tuple[Wholes, Floats | float]],
+        reactive: Wholes,
+        radius: Floats,
+    ) -> list[Rows]:
+        """The same of discs of sums of active columns with factors, and of reactive columns."""
+        p = np.sum([factor * x[columns] for columns, factor in active], axis=0)
+        size = np.hypot(p, x[reactive])
+        out = size > np.maximum(radius * (1.0 + tolerance), radius + SOLVER_KVA)
+        if not out.any():
+            return []
+        cos = p[out] / size[out]
+        sin = x[reactive][out] / size[out]
+        columns = np.column_stack([*(each[out] for each, _ in active), reactive[out]])
+        factors = [cos * np.broadcast_to(factor, p.shape)[out] for _, factor in active]
+        limit = np.broadcast_to(radius, p.shape)[out]
+        return [Rows.of(columns, np.column_stack([*factors, sin]), -np.inf, limit, self.size)]
 
     def clipped(self, x: Floats, tolerance_pu2: float) -> Floats | None:
         """A solution with what exceeds the discs moved to other inverters and the grid.

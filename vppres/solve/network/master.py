@@ -17,7 +17,7 @@ from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.solve.deadline import HALF, Deadline, Stopwatch
 from vppres.solve.fleet.relaxation import weight_grid, whole_price
-from vppres.solve.network.cheapest import EXACT_DISC, INSIDE, CheapestDispatch
+from vppres.solve.network.cheapest import EXACT_DISC, CheapestDispatch
 from vppres.solve.network.feeders import Feeders, feeder_of_buses
 from vppres.solve.network.program import DISC, FINER_DISC, SMALL, NetworkProgram
 from vppres.solve.network.reactance import Reactance
@@ -112,8 +112,6 @@ class NetworkMaster:
     def root(self) -> tuple[highspy.Highs, ProgramSolution]:
         """Most service of shares of customers, and the solver that found it."""
         solver = self.network.loaded(self.network.with_cost(*self.lack))
-        if self.network.is_large:
-            self.network.start(solver)
         return solver, self._until_carried(solver, self.deadline)
 
     @property
@@ -246,8 +244,7 @@ class NetworkMaster:
             return
         for over, finer in pairwise(DISCS):
             self._reach(known, cuts, held, deadline, over)
-            inside = INSIDE[:1] if over == DISC else INSIDE
-            if known.best is None or self._has_dispatch(known.best, inside):
+            if known.best is None or self._has_dispatch(known.best):
                 return
             if self._put_to_discs(known, cuts, finer) is None:
                 return
@@ -361,7 +358,7 @@ class NetworkMaster:
         solver.changeColsBounds(len(x), x.astype(np.int32), np.zeros(len(x)), served)
         linear = self._until_carried(solver, self.deadline, over, worth=worth)
         if linear.status == Status.NUMERICAL and again is not None:
-            self.network.start(solver)
+            solver.clearSolver()
             linear = self._until_carried(solver, again, over, worth=worth)
         return linear
 
@@ -518,9 +515,7 @@ class NetworkMaster:
             enough.matrix.tocsc(), enough.lower
         )
 
-    def cheapest(
-        self, served: Flags, deadline: Deadline, inside: tuple[float, ...] = ()
-    ) -> tuple[Outcome, Dispatch | None]:
+    def cheapest(self, served: Flags, deadline: Deadline) -> tuple[Outcome, Dispatch | None]:
         """Cheapest dispatch of a served set, within the discs.
 
         With the set its rules are met, and what it draws is known.
@@ -529,32 +524,20 @@ class NetworkMaster:
             _, outcome, dispatch = self._dispatched
             return outcome, dispatch
         if self.data.switching is None:
-            way = CheapestDispatch(self.site, self.data, self.network, self._near)
+            way = CheapestDispatch(self.site, self.data, self.network)
         else:
             data = replace(self.data.for_service(served), switching=None)
             network = NetworkProgram(self.site, self.model.reactance, data)
             way = CheapestDispatch(self.site, data, network)
-        outcome, dispatch = way.of(served, deadline, inside)
+        outcome, dispatch = way.of(served, deadline)
         if outcome.status == Status.OPTIMAL:
             self._dispatched = served, outcome, dispatch
         return outcome, dispatch
 
-    @property
-    def _near(self) -> highspy.HighsBasis | None:
-        """Basis at which the set that was tried last is served, in a large window.
-
-        None where other problems have found limits that its solver does not know.
-        """
-        if not self.network.is_large:
-            return None
-        solver = self.root[0]
-        knows_all = solver.getNumRow() == len(self.network.program.lower) + self.network.limits
-        return solver.getBasis() if knows_all else None
-
-    def _has_dispatch(self, best: Floats, inside: tuple[float, ...] = ()) -> bool:
+    def _has_dispatch(self, best: Floats) -> bool:
         """Whether a set has a dispatch by shares within the discs, which is kept."""
         served = best.reshape(self.model.at["x"].shape) > 0.5
-        return self.cheapest(served, self.deadline, inside)[0].status == Status.OPTIMAL
+        return self.cheapest(served, self.deadline)[0].status == Status.OPTIMAL
 
     def _until_carried(
         self,

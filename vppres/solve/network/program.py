@@ -7,6 +7,7 @@ violates them, so every solution on the way is one of a relaxation.
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import replace
 
 import highspy
@@ -42,11 +43,6 @@ sets that have no dispatch."""
 SETTLED = 1e-3
 """By how much a relaxation of a large window must still change for its limits to be looked for on:
 most of the rounds add a handful of tangents that change nothing."""
-
-
-FEW_DISCS = 300
-"""Exceeded discs up to which a tangent of a large window's dispatch comes with both its neighbours:
-most of the rounds add a few hundred and less, each beside the one before."""
 
 
 SMALL = 2000
@@ -127,26 +123,12 @@ class NetworkProgram:
         """How many limits of the network are known."""
         return sum(len(rows.lower) for rows in self.found)
 
-    def _add(self, solver: highspy.Highs, found: list[Rows], inside: float) -> None:
-        """Add limits on the model's columns to a solver, and to those that are known."""
-        if found:
-            rows = replace(self._limits(found), inside=inside)
-            self.found.append(rows)
-            add(solver, rows)
-
-    def let_out(self, solver: highspy.Highs, inside: float) -> None:
-        """Move known tangents that lie further inside their discs out to a share, in a solver too.
-
-        It goes on from where it was, which is near where it will end.
-        """
-        end = len(self.program.lower)
-        for number, rows in enumerate(self.found):
-            begin, end = end, end + len(rows.lower)
-            if rows.inside > inside:
-                out = rows.let_out(inside)
-                self.found[number] = out
-                which = np.arange(begin, end, dtype=np.int32)
-                solver.changeRowsBounds(len(which), which, out.lower, out.upper)
+    def apart(self) -> NetworkProgram:
+        """The same with limits of its own from here on."""
+        other = copy(self)
+        other.found = list(self.found)
+        other.unfinished = None
+        return other
 
     def _limits(self, found: list[Rows]) -> Rows:
         """Rows on the model's columns as rows on the program's."""
@@ -175,31 +157,11 @@ class NetworkProgram:
         """Least cost of a set."""
         return self.with_cost(*self.model.price).with_held(self.model.at["x"], served)
 
-    def start(self, solver: highspy.Highs) -> None:
-        """Let a solver begin with idle batteries, all PV power and everyone served.
-
-        From there the energies need no steps; from nothing they take a third of them all.
-        """
-        columns, rows = self.model.start()
-        kinds = highspy.HighsBasisStatus
-        of_columns = np.full(solver.getNumCol(), kinds.kLower, dtype=object)
-        of_columns[self.model.at["x"]] = kinds.kUpper
-        of_columns[columns] = kinds.kBasic
-        of_rows = np.full(solver.getNumRow(), kinds.kBasic, dtype=object)
-        of_rows[rows] = kinds.kUpper
-        of_rows[rows[np.isfinite(self.program.lower[rows])]] = kinds.kLower
-        basis = highspy.HighsBasis()
-        basis.col_status = of_columns.tolist()
-        basis.row_status = of_rows.tolist()
-        basis.valid = True
-        solver.setBasis(basis)
-
     def until_carried(
         self,
         solver: highspy.Highs,
         deadline: Deadline,
         over: float = DISC,
-        inside: float = 0.0,
         enough: Callable[[ProgramSolution], bool] = lambda _: False,
     ) -> ProgramSolution:
         """Solve, add the limits that are violated, and again until none is.
@@ -208,7 +170,6 @@ class NetworkProgram:
         solver that meets limits only within a tolerance may violate the same ones for ever: then
         time ends it.
         """
-        few = FEW_DISCS if self.is_large and over < DISC else 0
         settled = SETTLED if self.is_large and over >= DISC else 0.0
         before = np.inf
         while True:
@@ -219,12 +180,16 @@ class NetworkProgram:
                 return answer
             before = answer.value
             x = self.columns(answer)
-            voltages = self.model.voltage_rows(x, VOLTAGE_PU2) + self.model.flow_rows(x)
-            tangents = self.model.disc_rows(x, over, inside, few)
-            if not voltages and not tangents:
+            violated = [
+                *self.model.voltage_rows(x, VOLTAGE_PU2),
+                *self.model.flow_rows(x),
+                *self.model.disc_rows(x, over),
+            ]
+            if not violated:
                 return answer
             if deadline.passed:
                 self.unfinished = x
                 return replace(answer, status=Status.NO_ANSWER)
-            self._add(solver, voltages, 0.0)
-            self._add(solver, tangents, inside)
+            rows = self._limits(violated)
+            self.found.append(rows)
+            add(solver, rows)

@@ -14,15 +14,11 @@ from vppres.solve.programs import Program
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Rows ``lower <= matrix @ x <= upper``.
-
-    ``inside`` is the share by which they lie inside discs, if they are tangents of these.
-    """
+    """Rows ``lower <= matrix @ x <= upper``."""
 
     matrix: sp.csr_array
     lower: Floats
     upper: Floats
-    inside: float = 0.0
 
     @classmethod
     def of(
@@ -57,10 +53,6 @@ class Rows:
         m = self.matrix
         shape = (m.shape[0], size)
         return replace(self, matrix=sp.csr_array((m.data, m.indices, m.indptr), shape=shape))
-
-    def let_out(self, inside: float) -> Rows:
-        """Tangents of the same discs that lie inside by another share."""
-        return replace(self, upper=self.upper * (1.0 - inside) / (1.0 - self.inside), inside=inside)
 
     @classmethod
     def joined(cls, parts: list[Rows]) -> Rows:
