@@ -12,6 +12,12 @@ from vppres.model.site import Site
 LARGEST_WITH_CONES = 400
 SIDES_BEYOND = 16
 
+ROUNDING = 1e-9
+"""What a sum of powers, energies or weights may be off by."""
+
+SAME = 1e-12
+"""Share by which numbers may differ and still be the same: rounding of products."""
+
 BELOW_ZERO = 1e-8
 """What a value may be below zero by where it may not be negative: rounding, as cvxpy has it."""
 

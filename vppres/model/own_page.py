@@ -13,11 +13,9 @@ from vppres.core.arrays import Floats
 from vppres.core.errors import ModelError
 from vppres.model import constraints, objective
 from vppres.model.constraints import Named
+from vppres.model.numerics import SAME
 from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
-
-SAME = 1e-12
-"""Share by which two values of one term may differ: rounding."""
 
 
 def own_term(F: cp.Expression, site: Site, v: Variables, p: Parameters) -> cp.Expression | None:

@@ -22,7 +22,7 @@ from vppres.model.terms import evaluate
 from vppres.model.violations import broken
 from vppres.solve.cache import ModelCache
 from vppres.solve.certificate import NO_OWN_VALUES, Candidate, OwnValues
-from vppres.solve.deadline import Deadline, Stopwatch
+from vppres.solve.deadline import HALF, Deadline, Stopwatch
 from vppres.solve.forms import Form, sheet_of, sheet_of_draws, window_problem
 from vppres.solve.network.reactive import LeastReactive
 from vppres.solve.phases import run_in_phases
@@ -65,10 +65,6 @@ EASED_KWH = 1e-5
 step of an hour, since a few batteries may lack what the fleet misses. A plan that lives on exactly
 the energy it has charged misses it by rounding one step later, and a set that lacks so little is
 served."""
-
-NETWORK_SHARE = 1.0 / 3.0
-"""Share of the time left for the cheapest dispatch in the network. A large network may need long to
-find that there is none, so it may not take all of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +165,8 @@ def cheapest(
     task: WindowTask, name: str, served: Flags, form: Form, modes_later: bool = False
 ) -> Candidate | None:
     """Cheapest dispatch of a served set in a form of the cost level."""
-    deadline = task.answer_by(NETWORK_SHARE if form.network else 1.0)
+    # A large network may need long to find that there is none.
+    deadline = task.answer_by(HALF if form.network else 1.0)
     # What a restoration adds to the demand is known with the service.
     data = task.data.for_service(served)
     gap_gbp = CURTAILED_GAP_SHARE * task.gap_to_best * cost_scale(task.site)

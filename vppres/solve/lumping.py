@@ -16,14 +16,12 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from vppres.core.arrays import Flags, Floats, Wholes
+from vppres.model.numerics import SAME
 from vppres.solve.linear import Linear
 from vppres.solve.selection import MOST, Family, Sheet
 
 DIGITS = 14
 """Digits of a factor that its products keep."""
-
-SAME = 1e-12
-"""Share by which factors may differ and still be the same: rounding of products."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,8 @@ import numpy as np
 from vppres.core.arrays import Floats
 from vppres.model.phases import GRID, phased_model
 from vppres.scenario.phases import PHASES
-from vppres.solve.phases import HIGH, LOW, OF_FORMER, OF_RATING, PER_PU2, SMALLEST_KVA
+from vppres.solve.network.rows import PER_PU2
+from vppres.solve.phases import HIGH, LOW, OF_FORMER, OF_RATING, SMALLEST_KVA
 from vppres.solve.shadow_price_model import ShadowPriceModel
 
 

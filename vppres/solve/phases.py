@@ -19,8 +19,9 @@ from vppres.model.beyond_paper.losses import lit_steps
 from vppres.model.data import WindowData
 from vppres.model.phases import GRID, PhasedModel, phased_model
 from vppres.model.site import Site
-from vppres.solve.deadline import Deadline
-from vppres.solve.network.rows import Rows
+from vppres.model.violations import VOLTAGE_TOLERANCE_PU2
+from vppres.solve.deadline import HALF, Deadline
+from vppres.solve.network.rows import PER_PU2, Rows
 from vppres.solve.result import Outcome, Status
 from vppres.solve.selection import Selected
 from vppres.solve.solvers import run_conic
@@ -38,14 +39,11 @@ MOST_NEW = 4
 """Voltages of a step and phase, and currents of a step, that get a row at once on a side, those
 farthest out first."""
 
-PER_PU2 = 1e3
-"""Rows of voltages are in thousandths of pu², as those of balanced feeders."""
-
 NEARLY = 0.03
 """Share of what a phase of the former may carry that the last candidate may stay below it by for
 its sides to be rows from the start: passes move it by less."""
 
-OVER = 5e-6
+OVER = HALF * VOLTAGE_TOLERANCE_PU2
 """By how much a dispatch may miss a limit of the phases: half of what its check allows."""
 
 TOWARDS = np.exp(-2j * np.pi * np.arange(SIDES) / SIDES)

@@ -27,6 +27,9 @@ solve starts where the last one ended, which no common interface offers."""
 WHOLE_TOLERANCE = 1e-6
 """What the solver may be off by from a whole number, or a bound on one."""
 
+WHOLE_GAP = 1.0 - WHOLE_TOLERANCE
+"""Gap of a search whose objective is a whole number: below one, the best number is known."""
+
 HALF_UNIT = 0.5
 """What a sum of units may miss a whole number by and still be the number itself."""
 

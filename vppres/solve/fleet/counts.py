@@ -27,6 +27,7 @@ from vppres.solve.programs import (
     GAP_SHARE,
     HALF_UNIT,
     PROOF,
+    WHOLE_GAP,
     WHOLE_TOLERANCE,
     Program,
     ProgramSolution,
@@ -388,7 +389,7 @@ class Counts:
             solver = self._search(program, cuts, LOSSY_GAP_SHARE * self.gap)
             return self._found(solver, layout, deadline)
         # Below one unit a whole number is known; a window of many units needs no such proof.
-        gap = max(1.0 - WHOLE_TOLERANCE, share * GAP_SHARE * self.gap)
+        gap = max(WHOLE_GAP, share * GAP_SHARE * self.gap)
         # What fewer cuts have proven holds with more: whoever serves as much is the best.
         proven = self.proven.get(block.tobytes(), -np.inf)
         solver = self._search(program, cuts, gap, proven + HALF_UNIT)

@@ -8,6 +8,7 @@ import highspy
 import numpy as np
 
 from vppres.core.arrays import Flags, Floats
+from vppres.model.numerics import SAME
 from vppres.solve.deadline import Deadline
 from vppres.solve.fleet.demand import DemandModel
 from vppres.solve.programs import ProgramSolution, add_row, program_of
@@ -15,10 +16,6 @@ from vppres.solve.result import Status
 
 VIOLATED_KW = 2e-6
 """By how much a point must violate a cut to count as cut off: what programs are solved to."""
-
-
-NO_PRICE = 1e-12
-"""Share of a cut's largest weight below which that of loss or cost is a dual's rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +103,7 @@ class Reach:
         if size == 0.0:
             return answer.status, None
         # A loss or cost of next to no price would join the whole window, and service be no number.
-        weights[-2:][np.abs(weights[-2:]) < NO_PRICE * size] = 0.0
+        weights[-2:][np.abs(weights[-2:]) < SAME * size] = 0.0
         most = self._most(weights, answer.row_dual[: self.asked[0]])
         # One that can have a single value alone has any price.
         most -= float(weights[self.constant] @ point[self.constant])

@@ -26,17 +26,10 @@ from vppres.solve.fleet.relaxation import (
     weight_grid,
     whole_price,
 )
-from vppres.solve.programs import GAP_SHARE, WHOLE_TOLERANCE
+from vppres.solve.programs import GAP_SHARE, WHOLE_GAP, WHOLE_TOLERANCE
 from vppres.solve.result import Outcome, Status
 from vppres.solve.solvers import SolverSpec, run
 from vppres.solve.task import WindowTask
-
-WHOLE_GAP = 0.99
-"""Gap of a search whose objective is a whole number: below one, the best number is known. Where the
-window's gap is many units, the search leaves its share of that open, as the counts do."""
-
-UNITS_TOLERANCE = 1e-9
-"""What is taken off a sum of weights so that rounding excludes no set of exactly that service."""
 
 MOST_BINARIES = 600
 """Customers times steps up to which a window is searched with a binary for each. Beyond, that takes

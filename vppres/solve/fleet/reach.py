@@ -8,10 +8,8 @@ import numpy as np
 
 from vppres.core.arrays import Floats
 from vppres.model.data import WindowData
+from vppres.model.numerics import ROUNDING
 from vppres.model.site import Site
-
-ROUNDING = 1e-9
-"""Share of demand that may be missing: rounding of sums."""
 
 LEAST_EFFICIENCY = 0.01
 """Of a fleet without batteries, which has no power either; no battery has less."""

@@ -21,7 +21,7 @@ import scipy.sparse as sp
 from vppres.core.arrays import Floats
 from vppres.model.data import WindowData
 from vppres.model.formulas import charge_to_kw, discharge_to_kw
-from vppres.model.numerics import objective_scale
+from vppres.model.numerics import ROUNDING, SAME, objective_scale
 from vppres.model.site import Site
 from vppres.solve.cache import ModelCache
 from vppres.solve.forms import sheet_of, total_balance
@@ -244,7 +244,7 @@ class Fleet:
 
     def able(self, data: WindowData) -> Floats:
         """1 for who can be served: not an owner whose self-consumption exceeds its inverter."""
-        too_much = data.self_limit_kw(self.site) > self.site.pv.s_max_kva + 1e-9
+        too_much = data.self_limit_kw(self.site) > self.site.pv.s_max_kva + ROUNDING
         return np.where(too_much @ self.site.pv_customer.T > 0, 0.0, 1.0)
 
     def sum_of_terms(self, name: str, kind: str, *terms: tuple[str, float]) -> Family:
@@ -440,7 +440,7 @@ def fleet_problem(
 def whole_price(data: WindowData, grid: float) -> bool:
     """Whether an off/on pair costs a multiple of the weights' grid, or nothing."""
     pair = 0.0 if data.switching is None else data.switching.price_of_pair
-    return pair == 0.0 or (grid > 0 and abs(pair / grid - round(pair / grid)) < 1e-9)
+    return pair == 0.0 or (grid > 0 and abs(pair / grid - round(pair / grid)) < ROUNDING)
 
 
 MOST_PARTS = 10_000
@@ -462,7 +462,7 @@ def weight_grid(weights: Floats) -> float:
     common = math.lcm(*(part.denominator for part in parts))
     unit = Fraction(math.gcd(*(int(part * common) for part in parts)), common)
     exact = all(
-        math.isclose(float(part), w, rel_tol=1e-12, abs_tol=1e-12)
+        math.isclose(float(part), w, rel_tol=SAME, abs_tol=SAME)
         for part, w in zip(parts, [w for w in np.unique(weights) if w > 0], strict=True)
     )
     return float(unit) if exact and max(parts) / unit <= MOST_UNITS else 0.0

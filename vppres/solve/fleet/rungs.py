@@ -9,15 +9,15 @@ from functools import partial
 
 import numpy as np
 
-from vppres.model.numerics import objective_scale
+from vppres.model.numerics import ROUNDING, objective_scale
 from vppres.solve.certificate import cost_gap_gbp
 from vppres.solve.dispatch import (
     cheapest_with_modes,
     keep_dispatch,
 )
-from vppres.solve.fleet.masters import UNITS_TOLERANCE, WHOLE_GAP, Master
+from vppres.solve.fleet.masters import Master
 from vppres.solve.forms import Form, window_problem
-from vppres.solve.programs import HALF_UNIT
+from vppres.solve.programs import HALF_UNIT, WHOLE_GAP
 from vppres.solve.result import Status
 from vppres.solve.solvers import run
 from vppres.solve.task import COST_SHARE, WindowTask
@@ -65,13 +65,14 @@ def _cost_level(task: WindowTask, master: Master) -> None:
     assert best is not None
     unit = master.unit
     needed = known.least_service_of_better()
+    # Rounding must exclude no set of exactly that service.
     admitted = max(needed, best.service - HALF_UNIT * unit)
     everyone = known.service_bound - admitted < WHOLE_GAP * unit
     whole_time = master.deadline
     if known.certified:
         master.deadline = whole_time.part(COST_SHARE)
     outcome, served = master.cost(
-        (admitted - UNITS_TOLERANCE) / unit, everyone, best.terms.f2, cost_gap_gbp(best.terms.f2)
+        (admitted - ROUNDING) / unit, everyone, best.terms.f2, cost_gap_gbp(best.terms.f2)
     )
     master.deadline = whole_time
     known.note("cost_level", outcome)
@@ -81,7 +82,7 @@ def _cost_level(task: WindowTask, master: Master) -> None:
     bound = known.worth(known.service_bound, known.cost_bound_gbp)
     if admitted > needed:
         # Costs of sets that serve less: the linear relaxation is enough.
-        least, _ = master.cost((needed - UNITS_TOLERANCE) / unit, False, np.inf, np.inf)
+        least, _ = master.cost((needed - ROUNDING) / unit, False, np.inf, np.inf)
         known.note("least_cost", least)
         bound = max(bound, known.worth(admitted, known.least_cost_gbp(least)))
     known.bound = max(bound, best.value)

@@ -9,14 +9,16 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.data import WindowData
 from vppres.model.site import Site
-from vppres.solve.deadline import Deadline, Stopwatch
+from vppres.model.violations import POWER_TOLERANCE_REL
+from vppres.solve.deadline import HALF, Deadline, Stopwatch
 from vppres.solve.dispatch import net_modes
-from vppres.solve.network.program import VOLTAGE_PU2, NetworkProgram
+from vppres.solve.network.program import NetworkProgram
+from vppres.solve.network.rows import SOLVED
 from vppres.solve.programs import ProgramSolution
 from vppres.solve.result import Outcome, Status
 
-EXACT_DISC = 5e-6
-"""The same in a dispatch, whose discs are checked."""
+EXACT_DISC = HALF * POWER_TOLERANCE_REL
+"""The same in a dispatch: half of what its check allows."""
 
 
 BOTH_WAYS_KW = 1e-4
@@ -73,7 +75,7 @@ class CheapestDispatch:
     def _clipped(self) -> Floats | None:
         """Of a large window whose time ran out, the last solution made to meet the discs."""
         last = self.network.unfinished if self.network.is_large else None
-        return None if last is None else self.model.clipped(last, VOLTAGE_PU2)
+        return None if last is None else self.model.clipped(last, SOLVED)
 
     @property
     def _worth_of_sun(self) -> float:

@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from vppres.core.arrays import Flags
+from vppres.model.numerics import ROUNDING
 from vppres.solve.certificate import Candidate, cost_gap_gbp
 from vppres.solve.deadline import HALF, Deadline
 from vppres.solve.dispatch import (
@@ -20,7 +21,7 @@ from vppres.solve.dispatch import (
     with_least_reactive,
     with_tie_breakers,
 )
-from vppres.solve.fleet.masters import UNITS_TOLERANCE, Master, fleets_of, master_of
+from vppres.solve.fleet.masters import Master, fleets_of, master_of
 from vppres.solve.network.master import NetworkMaster, applies
 from vppres.solve.network.reactance import Reactance
 from vppres.solve.network.rules import rows_of_rules
@@ -177,8 +178,8 @@ class InNetwork:
         known = self.task.certificate
         unit = self.master.unit
         needed = found.value + known.lambda_grid * known.cost.least_gbp
-        enough = (needed - UNITS_TOLERANCE) / unit
-        served = (found.service - UNITS_TOLERANCE) / unit
+        enough = (needed - ROUNDING) / unit
+        served = (found.service - ROUNDING) / unit
         known.cost_bound_gbp = -np.inf  # until now that of sets without the network
         bounds = (("least_cost", self._fleet_cost), ("network_least_cost", self._network_cost))
         for name, least in bounds:

@@ -20,16 +20,12 @@ from vppres.model.data import WindowData
 from vppres.model.formulas import lossless_flows
 from vppres.model.site import Site
 from vppres.solve.network.reactance import Reactance
-from vppres.solve.network.rows import Rows
+from vppres.solve.network.rows import PER_PU2, SOLVED, Rows
 from vppres.solve.network.rules import LETTERS
 
 SOLVER_KVA = 5e-7
 """By how much a disc may be exceeded in any case: a solver meets its tangents no better, and of an
 inverter of 1 W would be asked for ever."""
-
-
-FLOW = 1e-6
-"""Share of its limit by which a line's flow may exceed it: the tolerance of a linear solver."""
 
 
 # Columns of devices, (W, k), their buses, (k,), and what a unit of a column gives in kW or kvar.
@@ -438,7 +434,7 @@ class Injections:
             )
         columns, values = self._sum_of_injections(t, r, x)
         limit = self._u_limits_pu2[0 if sign > 0 else 1][t, bus]
-        scale = 1e3 * sign
+        scale = PER_PU2 * sign
         return Rows.of(columns, scale * values, scale * (limit - empty), np.inf, self.size)
 
     def _sum_of_injections(self, t: int, per_kw: Floats, per_kvar: Floats) -> tuple[Wholes, Floats]:
@@ -463,7 +459,7 @@ class Injections:
         q_flow = lossless_flows(net, q - self.drawn.kvar)
         size = np.hypot(p_flow, q_flow)
         found = []
-        for t, line in zip(*np.nonzero(size > most * (1.0 + FLOW)), strict=True):
+        for t, line in zip(*np.nonzero(size > most * (1.0 + SOLVED)), strict=True):
             cos, sin = p_flow[t, line] / size[t, line], q_flow[t, line] / size[t, line]
             fed = net.downstream[[int(line)]].toarray()[0]
             columns, values = self._sum_of_injections(int(t), -cos * fed, -sin * fed)

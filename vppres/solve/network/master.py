@@ -26,6 +26,7 @@ from vppres.solve.network.sets import Known, ServiceCuts
 from vppres.solve.programs import (
     DIRECT,
     HALF_UNIT,
+    WHOLE_GAP,
     WHOLE_TOLERANCE,
     Program,
     ProgramSolution,
@@ -412,9 +413,7 @@ class NetworkMaster:
         x = self.model.at["x"]
         rows = [Rows.joined(self.network.found).part(binding)] if binding.any() else []
         counted = self._counted(self.network.with_cost(*self.lack), rows)
-        solver = counted.loaded(
-            1.0 - WHOLE_TOLERANCE, enough=HALF_UNIT - at_most, more=self._options
-        )
+        solver = counted.loaded(WHOLE_GAP, enough=HALF_UNIT - at_most, more=self._options)
         if best is not None and self.data.switching is not None:
             begin_with(solver, x, best)
         found = ProgramSolution.of(solver, deadline)

@@ -21,14 +21,9 @@ from vppres.solve.deadline import Deadline
 from vppres.solve.network.injections import Injections
 from vppres.solve.network.phased import PhasedInjections
 from vppres.solve.network.reactance import Reactance
-from vppres.solve.network.rows import Rows, add, limited
+from vppres.solve.network.rows import SOLVED, Rows, add, limited
 from vppres.solve.programs import Program, ProgramSolution
 from vppres.solve.result import Status
-
-VOLTAGE_PU2 = 1e-6
-"""By how much a squared voltage may miss its limit in a relaxation: 5e-7 pu, the tolerance to which
-a linear solver meets its rows."""
-
 
 DISC = 2e-3
 """Share of its radius by which a disc may be exceeded in a relaxation: a bound need not be sharp
@@ -181,7 +176,7 @@ class NetworkProgram:
             before = answer.value
             x = self.columns(answer)
             violated = [
-                *self.model.voltage_rows(x, VOLTAGE_PU2),
+                *self.model.voltage_rows(x, SOLVED),
                 *self.model.flow_rows(x),
                 *self.model.disc_rows(x, over),
             ]
