@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -200,11 +201,17 @@ def test_options_that_are_not_stated_are_refused_by_name(
         make_controller(day, RunOptions().having(options))
 
 
-def test_a_balanced_power_flow_refuses_phases(circuit: Path, day: Scenario) -> None:
-    result = call("validate", circuit.parent / "small", "--power-flow")
-    assert result.exit_code == 2
-    words = "pandapower's balanced power flow says nothing of phases"
-    assert words in " ".join(result.stderr.split())
+def test_validate_shows_the_power_flow_by_phase(circuit: Path, day: Scenario) -> None:
+    result = call("validate", circuit.parent / "small", "--power-flow", "--json")
+    assert result.exit_code == 0
+    found = json.loads(result.stdout)["power_flow"]
+    assert found["mismatch_kva"] < 1e-3 and found["unsolved"] == 0
+    grid, _ = flows(day)
+    busiest = grid.solve(*powers(day, int(day.load_kw.sum(axis=1).argmax())))
+    assert found["v_min_pu"]["value"] <= grid.v_pu(busiest.v).min() + 1e-9
+    assert found["unbalance"]["value"] >= grid.unbalance(busiest.v).max() - 1e-9
+    told = call("validate", circuit.parent / "small", "--power-flow").stdout
+    assert "- Largest loading of a phase: " in told and "phase" in found["v_min_pu"]["at"]
 
 
 @pytest.mark.daily

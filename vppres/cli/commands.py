@@ -58,6 +58,7 @@ from vppres.core.errors import InputError, Problem, VerificationError
 if TYPE_CHECKING:
     from vppres.day.trajectory import Trajectory
     from vppres.feeders.cross_check import CrossCheck
+    from vppres.feeders.phased_check import PhasedCheck
     from vppres.feeds.follow import Follower
     from vppres.scenario.scenario import Scenario
     from vppres.studies.sweep import SweepRow
@@ -191,8 +192,8 @@ def validate(
         bool,
         typer.Option(
             "--power-flow",
-            help="Also compare the AC power flow with pandapower's; the status is 1 if they "
-            "differ.",
+            help="Also compare the AC power flow with pandapower's; of a phased feeder, show its "
+            "own by phase. The status is 1 if they differ, or currents do not add up.",
         ),
     ] = False,
     as_json: Json = False,
@@ -209,7 +210,7 @@ def validate(
         folder = find_scenario(scenario)
         problems: tuple[Problem | str, ...] = ()
         content: dict[str, Any] | None = None
-        check: CrossCheck | None = None
+        check: CrossCheck | PhasedCheck | None = None
         try:
             day = read_scenario(folder)
             content = content_of(day)
@@ -235,8 +236,12 @@ def validate(
         raise typer.Exit(VerificationError.exit_status)
 
 
-def _cross_check(day: Scenario) -> CrossCheck:
-    """The scenario's AC power flow against pandapower's, which is loaded for it."""
+def _cross_check(day: Scenario) -> CrossCheck | PhasedCheck:
+    """The scenario's AC power flow against pandapower's, which is loaded for it; else by phase."""
+    if day.phases is not None:
+        from vppres.feeders.phased_check import phased_check
+
+        return phased_check(day, day.phases)
     from vppres.feeders.cross_check import cross_check
 
     return cross_check(day)

@@ -199,20 +199,20 @@ def extreme_steps(scenario: Scenario) -> Iterator[tuple[Floats, Floats]]:
     """
     load_kw = scenario.load_kw
     given_kw = scenario.pv_kw
-    net_kw = load_kw.sum(axis=1) - given_kw.sum(axis=1)
-    steps = {
-        int(load_kw.sum(axis=1).argmax()),
-        int(load_kw.sum(axis=1).argmin()),
-        int(net_kw.argmin()),
-        int(net_kw.argmax()),
-    }
     network = scenario.network
     at_customer = network.place(scenario.customers.bus)
     at_pv = network.place(scenario.pv.buses(scenario.customers))
-    for t in sorted(steps):
+    for t in extreme_times(scenario):
         p_kw = at_pv @ given_kw[t] - at_customer @ load_kw[t]
         q_kvar = -(at_customer @ (load_kw[t] * scenario.customers.q_per_p))
         yield p_kw, q_kvar
+
+
+def extreme_times(scenario: Scenario) -> list[int]:
+    """Steps with the largest and least demand, in all and less generation."""
+    load_kw = scenario.load_kw.sum(axis=1)
+    net_kw = load_kw - scenario.pv_kw.sum(axis=1)
+    return sorted({int(each) for kw in (load_kw, net_kw) for each in (kw.argmax(), kw.argmin())})
 
 
 def _difference(

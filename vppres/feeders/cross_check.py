@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from vppres.core.arrays import Floats
-from vppres.core.errors import InputError, VerificationError
+from vppres.core.errors import VerificationError
 from vppres.core.units import kw_to_mw
 from vppres.feeders.closeness import extreme_steps
 from vppres.feeders.net.empty_net import empty_net
@@ -61,12 +61,6 @@ class CrossCheck:
 
 def cross_check(scenario: Scenario) -> CrossCheck:
     """Solve the steps of largest and least demand and generation in both power flows."""
-    if scenario.phases is not None:
-        raise InputError.of(
-            "phase_buses.csv",
-            "is there: pandapower's balanced power flow says nothing of phases",
-            "Check a run with 'vppres recheck' on its OpenDSS script.",
-        )
     flow = ACPowerFlow(scenario.network)
     found = []
     for p_kw, q_kvar in extreme_steps(scenario):

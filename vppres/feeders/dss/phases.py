@@ -94,7 +94,7 @@ def _notes(source: PhasedSource) -> list[str]:
     wires = [row.bus for row in phases.buses if row.limits == LINES]
     notes = [
         f"The feeder keeps its phases: {len(phases.nodes)} nodes at {len(phases.buses)} buses. "
-        "Ratings of its lines and transformers are reported, and no phase is held to them."
+        "Plans keep each phase of its lines and transformers within its rating."
     ]
     if wires:
         notes.append(
