@@ -14,7 +14,7 @@ from vppres.model.site import Site
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import Scenario
 from vppres.solve.deadline import Deadline
-from vppres.solve.dispatch import net_modes
+from vppres.solve.netting import net_modes
 from vppres.solve.network.feeders import SHARED, Feeders, feeder_of_buses, feeder_of_rows
 from vppres.solve.network.master import NetworkMaster
 from vppres.solve.network.reactance import Reactance

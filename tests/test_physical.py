@@ -48,9 +48,10 @@ from vppres.scenario.remarks import remarks
 from vppres.scenario.scenario import Scenario
 from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import Deadline
-from vppres.solve.dispatch import least_reactive, net_modes
+from vppres.solve.dispatch import least_reactive
 from vppres.solve.fleet.relaxation import fleet_problem
 from vppres.solve.ladder import WindowSolver
+from vppres.solve.netting import net_modes
 from vppres.solve.network.master import NetworkMaster, applies
 from vppres.solve.network.reactance import Reactance
 from vppres.solve.network.reactive import LeastReactive

@@ -17,9 +17,7 @@ from vppres.model.linearise import Drawn
 from vppres.model.own_state import giving_way, share_of
 from vppres.model.phases import PhasedModel, PhasedPoints
 from vppres.model.ratings import loading_of_phases
-
-BINDS_PU2 = 2e-5
-"""How near its limit a squared voltage of a candidate is that the limit binds: 1e-5 pu."""
+from vppres.solve.phases import BINDS_PU2
 
 
 @dataclass(frozen=True, eq=False)

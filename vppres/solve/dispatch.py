@@ -15,7 +15,6 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats
 from vppres.model.beyond_paper.export import net_exchange
 from vppres.model.data import WindowData
-from vppres.model.formulas import cell_kw, soc_after
 from vppres.model.numerics import cost_scale, disc_sides
 from vppres.model.site import Site
 from vppres.model.terms import evaluate
@@ -24,8 +23,12 @@ from vppres.solve.cache import ModelCache
 from vppres.solve.certificate import NO_OWN_VALUES, Candidate, OwnValues
 from vppres.solve.deadline import HALF, Deadline, Stopwatch
 from vppres.solve.forms import Form, sheet_of, sheet_of_draws, window_problem
+from vppres.solve.netting import SOC_OVER, net_modes, soc_path
+from vppres.solve.network.cheapest import CheapestDispatch
+from vppres.solve.network.program import NetworkProgram
+from vppres.solve.network.reactance import Reactance
 from vppres.solve.network.reactive import LeastReactive
-from vppres.solve.phases import run_in_phases
+from vppres.solve.phases import near_to, run_in_phases
 from vppres.solve.programs import ProgramSolution, program_of
 from vppres.solve.result import Outcome, Status
 from vppres.solve.solvers import SolverSpec, run, run_conic
@@ -56,9 +59,6 @@ much again is what interior points may miss it by."""
 
 OWN_HELD = 1e-7
 """The same of the page's own term, in weighted customer hours: a thousandth of the gap."""
-
-SOC_OVER = 1e-7
-"""By how much a netted battery may exceed its largest SoC: the linear solver's own tolerance."""
 
 EASED_KWH = 1e-5
 """Energy by which every battery may miss what a set needs: five times what the masters accept in a
@@ -156,9 +156,32 @@ def cheapest_with_modes(
 
 def in_network(task: WindowTask, served: Flags) -> Candidate | None:
     """Cheapest dispatch of a served set in the network, with the true discs."""
+    if task.data.phased is not None and not task.own:
+        found, proven = _by_rows(task, served)
+        if found is not None or proven:
+            return found
     form = cost_form(task.sides, network=True)
     found = cheapest(task, "network_cost", served, form)
     return found and polished(task, found)
+
+
+def _by_rows(task: WindowTask, served: Flags) -> tuple[Candidate | None, bool]:
+    """The same by a linear problem that gets rows as they are needed, for windows with phases.
+
+    None where batteries would have to take turns, and where it is proven that there is none.
+    """
+    data = replace(task.data.for_service(served), switching=None)
+    program = NetworkProgram(task.site, task.cache.table(Reactance), data)
+    way = CheapestDispatch(task.site, data, program)
+    outcome, dispatch = way.of(served, task.answer_by(HALF))
+    task.certificate.note("network_dispatch", outcome)
+    if dispatch is None:
+        return None, outcome.status == Status.INFEASIBLE
+    netted, fits = net_modes(task.site, data, dispatch)
+    if not fits:
+        return None, False
+    found = Candidate.of(task.site, data, netted, 0.0, in_network=False)
+    return polished(task, found), False
 
 
 def cheapest(
@@ -354,27 +377,6 @@ def _with_modes(
     return Attempt(outcome, problem.dispatch(served), own=own)
 
 
-def net_modes(site: Site, data: WindowData, dispatch: Dispatch) -> tuple[Dispatch, bool]:
-    """Cancel charging against simultaneous discharging, and say whether every battery can take it.
-
-    The net power stays, so no balance changes; what used to be lost is stored, so only the upper
-    SoC limit can forbid it.
-    """
-    net = dispatch.charge_kw - dispatch.discharge_kw
-    charge = np.maximum(net, 0.0)
-    discharge = np.maximum(-net, 0.0)
-    soc = soc_path(site, data, charge, discharge)
-    netted = replace(dispatch, charge_kw=charge, discharge_kw=discharge, soc=soc)
-    return netted, bool((soc <= site.batteries.soc_max + SOC_OVER).all())
-
-
-def soc_path(site: Site, data: WindowData, charge_kw: Floats, discharge_kw: Floats) -> Floats:
-    """State of charge before every step and after the last, shape (W + 1, B)."""
-    stored_kw = cell_kw(charge_kw, discharge_kw, data.eta_charge, data.eta_discharge)
-    total_kw = np.cumsum(stored_kw, axis=0)
-    return np.vstack([data.soc, soc_after(data.soc, total_kw, site.batteries, site.dt_h)])
-
-
 # Tie-breakers.
 
 
@@ -406,7 +408,8 @@ def polish(
     problem = cache.problem(TieBreakers, sheet=sheet, curtailing=curtailing, moves=moves)
     problem.hold(data, dispatch, f2_max, f3_max)
     problem.hold_own(own.letters, own.value - OWN_HELD * (1.0 + abs(own.value)))
-    outcome = run_in_phases(site, data, problem, dispatch.served, deadline.left_s)
+    near = near_to(site, data, dispatch)
+    outcome = run_in_phases(site, near, problem, dispatch.served, deadline.left_s)
     if outcome.status != Status.OPTIMAL:
         return Attempt(outcome, None)
     better = problem.dispatch(dispatch.served)

@@ -14,6 +14,7 @@ from itertools import chain
 import numpy as np
 import scipy.sparse as sp
 
+from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Complexes, Flags, Floats, Wholes
 from vppres.model.beyond_paper.losses import lit_steps
 from vppres.model.data import WindowData
@@ -38,6 +39,9 @@ OF_FORMER, OF_RATING = 2, 3
 MOST_NEW = 4
 """Voltages of a step and phase, and currents of a step, that get a row at once on a side, those
 farthest out first."""
+
+BINDS_PU2 = 2e-5
+"""How near its limit a squared voltage of a candidate is that the limit binds: 1e-5 pu."""
 
 NEARLY = 0.03
 """Share of what a phase of the former may carry that the last candidate may stay below it by for
@@ -305,6 +309,24 @@ class PhaseLimits:
                 matrix, least, most, steps=steps, places=places, side=side, by_p=by_p, by_q=by_q
             )
         ]
+
+
+def near_to(site: Site, data: WindowData, dispatch: Dispatch) -> WindowData:
+    """A window that knows which limits bind a dispatch in the network too, as far as it has phases.
+
+    These are rows of its next problem from the start.
+    """
+    phased = data.phased
+    if phased is None or np.isnan(dispatch.batt_q_kvar).any():
+        return data
+    model = phased_model(site)
+    u, former = model.linear(data, *model.drawn(data, dispatch))
+    u = phased.u_offset + u
+    room = np.abs(np.stack([u - phased.u_min, phased.u_max - u], axis=1))
+    limited = (model.limited & lit_steps(data)[:, None])[:, None, :]
+    bound = phased.bound | ((room < BINDS_PU2) & limited)
+    kva = phased.former_offset + former
+    return replace(data, phased=replace(phased, bound=bound, former_kva=kva))
 
 
 def run_in_phases(

@@ -11,7 +11,7 @@ from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.model.violations import POWER_TOLERANCE_REL
 from vppres.solve.deadline import HALF, Deadline, Stopwatch
-from vppres.solve.dispatch import net_modes
+from vppres.solve.netting import net_modes
 from vppres.solve.network.program import NetworkProgram
 from vppres.solve.network.rows import SOLVED
 from vppres.solve.programs import ProgramSolution
