@@ -112,6 +112,34 @@ def test_what_are_no_weights_is_refused(tiny: Scenario, row: Any) -> None:
         vppres.run_day(tiny, HERE, weights=lambda _: row)
 
 
+class Incomplete:
+    def __init__(self, site: object = None) -> None:
+        self.site = site
+
+    def horizon_steps(self, t0: int) -> range:
+        return range(t0, t0 + 1)
+
+    def forecast(self, history: History, issued_at: pd.Timestamp, steps: int) -> LoadAndPV:
+        return LoadAndPV(issued_at, history.step_minutes, history.load_kw, history.pv_kw)
+
+
+@pytest.mark.parametrize(
+    ("part", "words"),
+    [
+        ({"controller": Incomplete()}, "controller = .*Give the class"),
+        ({"controller": Incomplete}, "controller = .*lacks the method decide"),
+        ({"forecaster": Incomplete}, "forecaster = .*Give an object"),
+        ({"forecaster": Incomplete()}, r"load_kw = \(\d, 3\): must have the shape \(paths, 1, 3\)"),
+        ({"forecaster": object()}, "forecaster = .*must have a method forecast"),
+    ],
+)
+def test_what_is_no_controller_or_forecaster_is_refused(
+    tiny: Scenario, part: dict[str, Any], words: str
+) -> None:
+    with pytest.raises(vppres.InputError, match=words):
+        vppres.run_day(tiny, HERE, **part)
+
+
 def test_weights_of_every_step_leave_nothing_to_be_shared(tiny: Scenario) -> None:
     options = replace(HERE, rotation=0.2)
     with pytest.raises(vppres.InputError, match="Leave out the weights, or rotation"):

@@ -81,9 +81,8 @@ def make_controller(
         return solver if faults is None else FaultySolver(solver, faults)
 
     def controller_of(part: Site) -> Decider:
-        if own is not None and own.controller is not None:
-            return own.controller(part)
-        return _plain_controller(part, grid, scenario.tiers, options, solver_of)
+        made = None if own is None else own.made_controller(part)
+        return made or _plain_controller(part, grid, scenario.tiers, options, solver_of)
 
     def decider_of(whole: Site) -> Decider:
         if not options.guard:

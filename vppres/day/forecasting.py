@@ -151,12 +151,30 @@ class MeasuredForecasts:
             grid.start, self.scenario.load_kw[: t0 + 1], self.scenario.pv_kw[: t0 + 1]
         ).last_days(MEMORY_DAYS + n_steps * grid.dt_h / 24.0)
         found = self.forecaster.forecast(known, grid.start + (t0 + 1) * known.step, n_steps)
+        self._check(found, t0, n_steps)
         unknown = found.basis in ("recent values", "nothing")
         self.bases[t0] = OWN_SERIES if unknown else found.basis
         if not unknown:
             return found
         none = np.full_like
         return replace(found, load_kw=none(found.load_kw, np.nan), pv_kw=none(found.pv_kw, np.nan))
+
+    def _check(self, found: LoadAndPV, t0: int, n_steps: int) -> None:
+        """Refuse a forecast of other steps or items, as one's own forecaster may give."""
+        shapes = [
+            ("load_kw", n_steps, len(self.scenario.customers)),
+            ("pv_kw", n_steps, len(self.scenario.pv)),
+        ]
+        for name, steps, items in shapes:
+            shape = np.shape(getattr(found, name, None))
+            if len(shape) != 3 or shape[1:] != (steps, items):
+                raise InputError.of(
+                    f"forecast after step {t0}",
+                    f"must have the shape (paths, {steps}, {items})",
+                    "Return a LoadAndPV with an axis for paths, steps and items each.",
+                    field=name,
+                    value=str(shape),
+                )
 
 
 def history_before(scenario: Scenario) -> History:

@@ -43,7 +43,7 @@ class Own:
     weights: Callable[[Observation], ArrayLike] | ArrayLike | None = None
 
     def check(self, options: RunOptions) -> None:
-        """Refuse what would have no effect.
+        """Refuse what would have no effect, and parts that lack their methods.
 
         Raises
         ------
@@ -64,6 +64,24 @@ class Own:
                 "Leave out the weights, or rotation and minimum_on_h of RunOptions.",
                 field="weights",
             )
+        if self.controller is not None and not callable(self.controller):
+            raise InputError.of(
+                "run_day",
+                "is called with the site, once for each set of batteries that is in use",
+                "Give the class, or a function that makes a controller of a site.",
+                field="controller",
+                value=_name(self.controller),
+            )
+        forecast = getattr(self.forecaster, "forecast", None)
+        is_class = isinstance(self.forecaster, type)
+        if self.forecaster is not None and (is_class or not callable(forecast)):
+            raise InputError.of(
+                "run_day",
+                "must have a method forecast(history, issued_at, steps)",
+                "Give an object, Persistence(), not its class.",
+                field="forecaster",
+                value=_name(self.forecaster),
+            )
         if self.forecaster is not None and options.errors != ForecastErrors():
             raise InputError.of(
                 "run_day",
@@ -71,6 +89,28 @@ class Own:
                 "Leave out biases and errors.",
                 field="forecaster",
             )
+
+    def made_controller(self, site: Site) -> Decider | None:
+        """The controller of a site, checked; None if the package's decides.
+
+        Raises
+        ------
+        InputError
+            If it lacks one of its methods.
+        """
+        if self.controller is None:
+            return None
+        made = self.controller(site)
+        for method in ("horizon_steps", "decide"):
+            if not callable(getattr(made, method, None)):
+                raise InputError.of(
+                    "run_day",
+                    f"lacks the method {method}",
+                    "It needs horizon_steps(t0) and decide(observation).",
+                    field="controller",
+                    value=_name(self.controller),
+                )
+        return made
 
     def record(self) -> dict[str, Any]:
         """What is its own, by name, for the run's options."""
