@@ -220,7 +220,7 @@ def test_a_critical_customer_off_with_energy_kept_says_for_whom(
     heard = [Heard(name, "soc", "scada", 0, "ok") for name in ("big", "small")]
     now = Situation(NOON, tiny, standing, heard, {"big": 0.5}, is_dark, {})
     [text] = [one.text for one in conditions(now) if one.kind == "critical_off"]
-    kept = ", while 31% of the usable energy is kept for hospital (critical) up to 15:00, "
+    kept = ", while 31% of the usable energy is kept for later hours of hospital (critical) up to 15:00, "
     expected = f"{kept}when the grid is expected" if soc == 0.5 and is_dark else ""
     assert text == f"hospital of the first tier off supply{expected}."
 

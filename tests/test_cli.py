@@ -446,11 +446,11 @@ def test_the_state_of_a_service_does_not_depend_on_where_it_is_started(
         folder.mkdir()
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
     monkeypatch.chdir(tmp_path)
-    here = cli._state_place("site", "feeder", None)
-    packaged = cli._state_place("uk-heatwave-2022", "uk", None)
+    here = cli._state_place("site", None)
+    packaged = cli._state_place("uk-heatwave-2022", None)
     monkeypatch.chdir(other)
-    assert cli._state_place("../site", "feeder", None) == here == str(tmp_path / "feeder.live")
-    assert cli._state_place("uk-heatwave-2022", "uk", None) == packaged
-    assert packaged == str(tmp_path / "config" / "vppres" / "uk.live")
-    assert cli._state_place("../site", "feeder", "state") == str(other / "state")
-    assert cli._state_place("../site", "feeder", "postgresql://a@b/c") == "postgresql://a@b/c"
+    assert cli._state_place("../site", None) == here == str(tmp_path / "site.live")
+    assert cli._state_place("uk-heatwave-2022", None) == packaged
+    assert packaged == str(tmp_path / "config" / "vppres" / "uk-heatwave-2022.live")
+    assert cli._state_place("../site", "state") == str(other / "state")
+    assert cli._state_place("../site", "postgresql://a@b/c") == "postgresql://a@b/c"

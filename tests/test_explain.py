@@ -514,7 +514,7 @@ def test_energy_that_is_kept_for_more_of_them_later_says_for_whom(rule: str, end
     out = reasons[reasons["action"] == "not_served"].iloc[0]
     assert out["id"] == "first" and out["time"] == day.grid.start
     grid = "before which no grid is expected" if end == 3 else "when the grid is expected"
-    kept = f"kept for first, second (critical) up to 03:00, {grid}"
+    kept = f"kept for later hours of first, second (critical) up to 03:00, {grid}"
     assert kept in out["words"]
 
 

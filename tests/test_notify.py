@@ -79,6 +79,7 @@ class Server:
         Server.said.append((user, password))
 
     def send_message(self, mail: EmailMessage) -> None:
+        assert mail["Date"] and mail["Message-ID"]
         Server.said.append((mail["From"], mail["To"], mail["Subject"], mail.get_content().strip()))
 
 

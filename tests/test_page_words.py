@@ -97,7 +97,7 @@ def test_the_first_lines_tell_what_is_announced_and_ordered(tiny: Scenario, tmp_
         assert physical.startswith("The island is formed by big at bus")
         assert http.get("/v1/site").json()["former"] == ""
         assert calm["facts"] == (
-            "Measured: grid on at 12:00 (scada). Announced: no outage. "
+            "Measured: grid on, read at 12:00 (scada). Announced: no outage. "
             "Ordered at 12:00: 3 of 3 customers connected."
         )
         later = NOON + pd.Timedelta("13min")
@@ -106,7 +106,7 @@ def test_the_first_lines_tell_what_is_announced_and_ordered(tiny: Scenario, tmp_
         lost = told(http, tmp_path)
         assert lost["verdict"][:2] == [
             "alarm",
-            "Grid lost at 12:13. The plan of 12:00 does not know it: supply is uncertain.",
+            "Grid lost, read at 12:13. The plan of 12:00 does not know it: supply is uncertain.",
         ]
         unaware = "The plan does not know yet: grid lost at 12:13 (scada)."
         assert ["warning", unaware] in lost["attention"]
@@ -115,7 +115,7 @@ def test_the_first_lines_tell_what_is_announced_and_ordered(tiny: Scenario, tmp_
         held = told(http, tmp_path)
         assert "off supply" in held["verdict"][1] and "Outage" in held["verdict"][1]
         assert held["facts"].startswith(
-            "Measured: grid lost at 12:13 (scada). Announced: no outage."
+            "Measured: grid lost, read at 12:13 (scada). Announced: no outage."
         )
         assert "Ordered at 12:13 (grid lost" in held["facts"]
         clock.set(clock.now() + pd.Timedelta("1min"))

@@ -488,7 +488,7 @@ def serve(
             from vppres.service.runner import Service
         day = load_scenario(scenario)
         served = Service(day, run_options(day, context.obj), rehearse, paced, keep_days)
-        folder = _state_place(scenario, day.name, state)
+        folder = _state_place(scenario, state)
         if add_token is not None:
             typer.echo(service.add_token(served, folder, add_token, token_days))
             return
@@ -500,7 +500,7 @@ def serve(
         service.serve(served, folder, address, typer.echo, notify or ())
 
 
-def _state_place(scenario: str, name: str, state: str | None) -> str:
+def _state_place(scenario: str, state: str | None) -> str:
     """Where a service keeps its state: as given, beside the scenario's folder, or with the user's.
 
     Packaged scenarios have no folder that is written to. Unless a folder is given, the place does
@@ -512,9 +512,9 @@ def _state_place(scenario: str, name: str, state: str | None) -> str:
         address = state.startswith("postgresql://")
         return state if address else str(Path(state).resolve())
     if scenario in packaged_scenarios():
-        return str(Path(typer.get_app_dir("vppres"), f"{name}.live"))
+        return str(Path(typer.get_app_dir("vppres"), f"{scenario}.live"))
     folder = Path(scenario).resolve()
-    return str(folder.with_name(f"{name}.live"))
+    return str(folder.with_name(f"{folder.name}.live"))
 
 
 @app.command(
@@ -547,7 +547,7 @@ def export(
         check_target(out)
         day = load_scenario(scenario)
         served = Service(day, run_options(day, context.obj))
-        run = past.export(served, _state_place(scenario, day.name, state), begin, end)
+        run = past.export(served, _state_place(scenario, state), begin, end)
         if explain:
             run = _explained(run)
         summary = _written(run, out, False, ())

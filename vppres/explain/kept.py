@@ -43,15 +43,15 @@ def kept_words(names: Sequence[str], tiers: Sequence[str], until: str, grid_back
 
     Examples
     --------
-    >>> kept_words(["clinic", "shop"], ["critical", "low"], "18:00", grid_back=False)
-    'kept for clinic (critical) and 1 of lower tiers up to 18:00, before which no grid is expected'
+    >>> kept_words(["clinic", "lab"], ["critical", "critical"], "18:00", grid_back=True)
+    'kept for later hours of clinic, lab (critical) up to 18:00, when the grid is expected'
     """
     first = [name for name, tier in zip(names, tiers, strict=True) if tier == tiers[0]]
     lower = len(names) - len(first)
     more = f" and {lower} of lower tiers" if lower else ""
     grid = "when the grid is expected" if grid_back else "before which no grid is expected"
     who = f"{named(first, NAMES_SHOWN)} ({tiers[0]}){more}"
-    return f"kept for {who} up to {until}, {grid}"
+    return f"kept for later hours of {who} up to {until}, {grid}"
 
 
 def kept_for(step: Step, customer: int) -> str:

@@ -201,7 +201,9 @@ def hours(value: float, ranks: Ranks | None, rationed: Wholes | None = None) -> 
 
 def hours_of(value: float, ranks: Ranks, tier: int) -> str:
     """A value of the strict order in customer hours of one tier."""
-    return f"{figure(value / ranks.worth[tier])} customer hours of tier {ranks.tiers[tier]}"
+    count = figure(value / ranks.worth[tier])
+    hours = "customer hour" if count == "1" else "customer hours"
+    return f"{count} {hours} of tier {ranks.tiers[tier]}"
 
 
 def stored_worth_gbp(step: Step, battery: int) -> float | None:

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from email.message import EmailMessage
+from email.utils import localtime, make_msgid
 from typing import Any
 from urllib.parse import SplitResult, parse_qs, unquote, urlsplit
 
@@ -165,6 +166,8 @@ def _mail(parts: SplitResult) -> Send:
     def send(message: dict[str, Any]) -> None:
         mail = EmailMessage()
         mail["From"], mail["To"] = sender, to
+        mail["Date"] = localtime()
+        mail["Message-ID"] = make_msgid(domain=host)
         mail["Subject"] = visible(message["text"].splitlines()[0])
         mail.set_content(message["text"])
         context = ssl.create_default_context()

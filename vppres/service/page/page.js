@@ -3,7 +3,7 @@
 import { chart, meter, pastOf, stepsOf } from "./chart.js";
 import { Operator } from "./operator.js";
 import {
-  HOUR, MARKS, SiteClock, alarms, announced, attention, counted, covers, facts, grouped, kilo, lasting, lateBy, list, lowest, offByTier, onPhase, percent, socNow, verdict, why,
+  HOUR, MARKS, SiteClock, alarms, announced, attention, counted, covers, facts, grouped, isUncertain, kilo, lasting, lateBy, list, lowest, offByTier, onPhase, percent, socNow, unawareOfLoss, verdict, why,
 } from "./words.js";
 
 const EVERY_MS = 2000, PATIENCE_MS = 5000;
@@ -180,7 +180,7 @@ function figure(title, value, unit, bar, ...notes) {
 
 function showFigures() {
   const { plan, measured, sources } = view.overview;
-  const content = [plan, measured, sources, view.lost, Math.floor(view.now / 60000)];
+  const content = [plan, measured, sources, view.lost, isUncertain(view), Math.floor(view.now / 60000)];
   renew("figures", content, () => [customersFigure(), storedFigure(), importFigure(), voltageFigure(), ...phasesFigure()]);
 }
 
@@ -189,8 +189,8 @@ function customersFigure() {
   const n = Object.values(off).reduce((a, b) => a + b, 0);
   const tiers = view.site.tiers.map((tier) => [tier, all.filter((one) => one === tier).length]).filter(([, many]) => many);
   const notes = tiers.map(([tier, many]) => `${tier} ${many - off[tier]} of ${many}`);
-  return figure("Customers supplied", String(all.length - n), `of ${all.length}`,
-    meter((all.length - n) / all.length, { rest: "over", name: `${all.length - n} of ${all.length} customers supplied` }), notes.join(" \u00b7 "));
+  return figure(isUncertain(view) ? "Customers connected" : "Customers supplied", String(all.length - n), `of ${all.length}`,
+    meter((all.length - n) / all.length, { rest: "over", name: `${all.length - n} of ${all.length} customers connected` }), notes.join(" \u00b7 "), isUncertain(view) ? "Supply is uncertain." : "");
 }
 
 function storedFigure() {
@@ -216,6 +216,7 @@ function importFigure() {
   const expected = view.overview.plan?.expected, reading = view.overview.measured["import_kw grid"];
   const limit = expected?.grid_limit_kw ?? null;
   const value = expected?.import_kw ?? reading?.value ?? null;
+  if (unawareOfLoss(view)) return figure("Import", "0", "kW", null, "no grid, measured");
   if (value === null) return figure("Import", "\u2013", "kW", null, "No data.");
   const marks = limit ? [1 / 1.25] : [];
   const bar = limit ? meter(value / (1.25 * limit), { marks, kind: value > 1.01 * limit ? "over" : "", name: `${percent(value / limit)} of the limit` }) : null;
@@ -227,6 +228,7 @@ function importFigure() {
 function voltageFigure() {
   const { v_min_pu: low, v_max_pu: high } = view.site;
   const expected = view.overview.plan?.expected;
+  if (unawareOfLoss(view)) return figure("Lowest voltage", "\u2013", "pu", null, "The plan counts on the grid.");
   if (!expected || expected.v_min_pu === null) return figure("Lowest voltage", "\u2013", "pu", null, "No data.");
   const span = high - low, place = (value) => (value - low + 0.15 * span) / (1.3 * span);
   const inside = expected.v_min_pu >= low && expected.v_max_pu <= high;
@@ -263,7 +265,7 @@ function showChart() {
 
 function table(heads, rows) {
   return [node("thead", {}, node("tr", {}, ...heads.map((head) => node("th", { scope: "col" }, head)))),
-    node("tbody", {}, ...rows.map(([first, ...rest]) => node("tr", {}, node("th", { scope: "row" }, first), ...rest.map((cell) => node("td", {}, cell)))))];
+    node("tbody", {}, ...rows.map(([first, ...rest]) => node("tr", {}, node("th", { scope: "row" }, first), ...rest.map((cell, i) => node("td", { "data-head": heads[i + 1] }, cell)))))];
 }
 
 function chartTable() {
@@ -281,11 +283,11 @@ function timeOff({ asset, off_h, longest_off_h }) {
 function showOff() {
   const { off = [], dimmed = {}, status, id } = view.overview.plan ?? {};
   const explained = view.why?.plan === id ? view.why : null;
-  renew("off-list", [off, dimmed, status, explained, view.overview.now.slice(0, 13)], () => {
+  renew("off-list", [off, dimmed, status, isUncertain(view), explained, view.overview.now.slice(0, 13)], () => {
     const parts = Object.entries(dimmed).map(([asset, share]) => `${asset} to ${Math.round(100 * share)}%`);
     const below = parts.length ? [node("p", {}, `Dimmed: ${list(parts, 12)}.`)] : [];
     // Without a phase it is the plan's words again.
-    const step = explained?.phase ? explained.step.words : off.length ? "" : "All customers supplied.";
+    const step = explained?.phase ? explained.step.words : off.length ? "" : isUncertain(view) ? "Supply is uncertain until there is a new plan." : "All customers supplied.";
     if (step) below.unshift(node("p", {}, step));
     if (!off.length) return below;
     const told = off.map((one) => ({ ...one, why: why(one, explained) }));

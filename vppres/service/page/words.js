@@ -73,10 +73,13 @@ export function offByTier(view) {
 const gridReading = (view) => view.overview.measured?.["grid_on grid"] ?? null;
 
 // Whether the grid was read to be lost after the plan was made that counts on it.
-function unawareOfLoss(view) {
+export function unawareOfLoss(view) {
   const { plan } = view.overview, read = gridReading(view);
   return read?.value === 0 && plan?.grid?.available === true && new Date(read.at) >= new Date(plan.valid_from ?? plan.start);
 }
+
+// Whether supply is uncertain: the plan counts on a grid that is lost, or has ended.
+export const isUncertain = (view) => unawareOfLoss(view) || view.overview.ahead_s <= 0;
 
 const OF_OUTAGES = ["outage", "outage_belief", "restoration"];
 const MOMENT = /\d{4}-\d\d-\d\dT[\d:.]+Z/g;
@@ -86,7 +89,7 @@ export function facts(view) {
   if (!view.site || !view.overview?.plan) return "";
   const { plan, events } = view.overview, read = gridReading(view);
   const at = (time) => view.clock.at(time, view.now);
-  const measured = read ? `grid ${read.value ? "on" : "lost"} at ${at(read.at)} (${read.source})` : "the grid is not measured";
+  const measured = read ? `grid ${read.value ? "on" : "lost"}, read at ${at(read.at)} (${read.source})` : "the grid is not measured";
   const outages = Object.entries(events).filter(([, event]) => OF_OUTAGES.includes(event.type) && !(event.end && new Date(event.end) <= view.now));
   const told = outages.map(([name, event]) => `${announced(event, view).toLowerCase()} (${name})`);
   const all = Object.keys(view.site.customers).length, off = (plan.off ?? []).length;
@@ -106,7 +109,7 @@ export function verdict(view) {
   if (!plan) return [WARNING, "No step has been decided yet.", "Devices use default set-points until the first plan."];
   const uncertain = outage(view) || gridReading(view)?.value === 0 ? " There is no grid: supply is uncertain." : "";
   if (ahead_s <= 0) return [ALARM, `The plan ended at ${at(new Date(new Date(plan.start).getTime() + view.site.step_s * 1000))}, and there is no new one.${uncertain}`, ends];
-  if (unawareOfLoss(view)) return [ALARM, `Grid lost at ${at(gridReading(view).at)}. The plan of ${at(plan.valid_from ?? plan.start)} does not know it: supply is uncertain.`, "A new plan follows."];
+  if (unawareOfLoss(view)) return [ALARM, `Grid lost, read at ${at(gridReading(view).at)}. The plan of ${at(plan.valid_from ?? plan.start)} does not know it: supply is uncertain.`, "A new plan follows."];
   if (plan.status === "failed") return [ALARM, "No plan for this step. It is decided by rule.", plan.reason];
   if (plan.status === "missed") return [WARNING, `This step was missed. Devices use default set-points.${uncertain}`, plan.reason];
   const off = offByTier(view), n = Object.values(off).reduce((a, b) => a + b, 0);
