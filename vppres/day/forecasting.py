@@ -166,7 +166,7 @@ class MeasuredForecasts:
             ("pv_kw", n_steps, len(self.scenario.pv)),
         ]
         for name, steps, items in shapes:
-            shape = np.shape(getattr(found, name, None))
+            shape = np.asarray(getattr(found, name, None)).shape
             if len(shape) != 3 or shape[1:] != (steps, items):
                 raise InputError.of(
                     f"forecast after step {t0}",
