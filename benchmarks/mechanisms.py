@@ -115,11 +115,6 @@ MECHANISMS = (
         ("network.decide.InNetwork._cheaper", "network.master.NetworkMaster.cost_level"),
     ),
     Mechanism(
-        "all terms in the network",
-        {"ladder.all_terms_in_network": nothing},
-        ("network.terms",),
-    ),
-    Mechanism(
         "options of HiGHS",
         {
             "programs.SetOptions.of": no_options,
@@ -132,10 +127,7 @@ MECHANISMS = (
     ),
     Mechanism(
         "sums to branch on",
-        {
-            "network.master.columns_of_alike": no_groups,
-            "network.terms.columns_of_alike": no_groups,
-        },
+        {"network.master.columns_of_alike": no_groups},
         ("programs.columns_of_alike", "programs.with_sums"),
     ),
     Mechanism(

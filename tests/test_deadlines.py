@@ -181,10 +181,6 @@ def test_no_time_to_compile_is_no_numerical_trouble(monkeypatch: pytest.MonkeyPa
     solver = WindowSolver(Site.of(packaged()), limits=SolveLimits(time_s=30.0))
     solver.cache = ModelCache(solver.site)
     data = window_data(instance("o040"))
-    answer = solver.solve(data)
-    assert "network_terms[highs]" in answer.stages  # arrays alone: nothing is compiled for it
-    assert answer.status == Status.OPTIMAL
-    monkeypatch.setattr("vppres.solve.network.terms.SMALL", 0)
     with pytest.raises(LimitError, match="was not solved before the time limit"):
         solver.solve(data)
 

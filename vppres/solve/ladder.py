@@ -38,7 +38,6 @@ from vppres.solve.forms import own_of
 from vppres.solve.longest_off import solve_with_limits
 from vppres.solve.network.decide import decide_at_once, enter_network, network_master
 from vppres.solve.network.rated import decided_within, served_within
-from vppres.solve.network.terms import all_terms_in_network
 from vppres.solve.result import SolveLimits, WindowSolution
 from vppres.solve.slack import least_slack
 from vppres.solve.solvers import SolverSpec, find_solver
@@ -188,8 +187,6 @@ class WindowSolver:
                 keep_a_steady_set(task)
             if worth_an_answer(task):
                 without_binaries(task)
-            if worth_the_whole(task):
-                all_terms_in_network(task)
             if worth_the_whole(task) and not task.certificate.ran("relaxed"):
                 without_binaries(task)
         if worth_the_whole(task):
