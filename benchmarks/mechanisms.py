@@ -121,7 +121,6 @@ MECHANISMS = (
             "solvers.SetOptions.of": no_options,
             "programs.PROOF": {},
             "fleet.counts.PROOF": {},
-            "network.sets.FEW_ROWS": {},
             "network.feeders.SEARCH": {},
         },
     ),

@@ -37,7 +37,6 @@ from vppres.solve.network.program import FINER_DISC
 from vppres.solve.network.reactance import Reactance
 from vppres.solve.network.rules import rows_of_rules
 from vppres.solve.programs import (
-    NO_SETS_OF_THEIR_OWN,
     PROOF,
     SUMS_KEPT,
     ProgramSolution,
@@ -99,7 +98,7 @@ def test_search_begins_with_what_it_is_given(seed: int) -> None:
     program = knapsack(seed)
     best = ProgramSolution.of(program.loaded(), Deadline(TIME_S))
     known = np.arange(20)
-    blind = {"mip_heuristic_effort": 0.0, "presolve": "off", **NO_SETS_OF_THEIR_OWN}
+    blind = {"mip_heuristic_effort": 0.0, "presolve": "off", **PROOF}
     solver = program.loaded(most_nodes=0, more=blind)
     begin_with(solver, known, best.x[known])
     assert ProgramSolution.of(solver, Deadline(TIME_S)).value == pytest.approx(best.value)

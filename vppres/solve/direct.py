@@ -18,8 +18,7 @@ from cvxpy.reductions.solvers.conic_solvers.highs_conif import HIGHS
 from cvxpy.settings import SOLUTION_PRESENT
 
 from vppres.core.arrays import Flags, Floats
-from vppres.solve.compiled import Numbers
-from vppres.solve.programs import begin_with, stacked
+from vppres.solve.programs import begin_with, program_of, stacked
 from vppres.solve.selection import Selected
 
 
@@ -49,8 +48,7 @@ def solve_by_highs(
     for name, value in options.items():
         if solver.setOptionValue(name, value) == highspy.HighsStatus.kError:
             raise ValueError(f"HiGHS does not take {value!r} for its option {name}.")
-    numbers = selected.numbers()
-    solver.passModel(_model(selected, numbers))
+    solver.passModel(program_of(selected).model)
     if start is not None:
         begin_with(solver, selected.at(start.letter), start.values)
     solver.run()
@@ -58,29 +56,7 @@ def solve_by_highs(
     if word in SOLUTION_PRESENT:
         selected.put(np.array(solver.getSolution().col_value))
     info = solver.getInfo()
-    return word, info, info.objective_function_value + numbers.offset
-
-
-def _model(selected: Selected, numbers: Numbers) -> highspy.HighsModel:
-    """A problem in HiGHS's own form."""
-    model = highspy.HighsModel()
-    lp = model.lp_
-    lp.num_row_, lp.num_col_ = numbers.rows.shape
-    lp.col_cost_ = numbers.cost
-    lp.row_lower_ = selected.row_lower(numbers.limit)
-    lp.row_upper_ = numbers.limit
-    lp.a_matrix_.format_ = highspy.MatrixFormat.kColwise
-    lp.a_matrix_.start_ = numbers.rows.indptr
-    lp.a_matrix_.index_ = numbers.rows.indices
-    lp.a_matrix_.value_ = numbers.rows.data
-    if len(selected.whole):
-        kinds = [highspy.HighsVarType.kContinuous] * len(numbers.cost)
-        for column in selected.whole:
-            kinds[column] = highspy.HighsVarType.kInteger
-        lp.integrality_ = kinds
-    lp.col_lower_ = selected.x_lower
-    lp.col_upper_ = selected.x_upper
-    return model
+    return word, info, info.objective_function_value + selected.offset
 
 
 def _cones(dims: Any) -> list[Any]:

@@ -57,18 +57,16 @@ NO_JUMPS = MappingProxyType({"mip_heuristic_run_feasibility_jump": False})
 """Options for a search whose first linear solution is nearly an answer: HiGHS does not jump about
 for one before it, which in small searches takes half of their time."""
 
-NO_SETS_OF_THEIR_OWN = MappingProxyType(
+PROOF = MappingProxyType(
     {
         **NO_JUMPS,
         "mip_heuristic_run_rins": False,
         "mip_heuristic_run_rens": False,
+        "mip_allow_restart": False,
     }
 )
-"""Options for a search whose rounding finds answers at once: HiGHS solves no problem within the
-problem to find one."""
-
-PROOF = MappingProxyType({**NO_SETS_OF_THEIR_OWN, "mip_allow_restart": False})
-"""Options for a search whose time goes into the proof: nor does it begin again at the root."""
+"""Options for a search whose time goes into the proof: rounding finds answers at once, so HiGHS
+solves no problem within the problem to find one, nor does it begin again at the root."""
 
 SUMS_KEPT = sum(1 << rule for rule in (8, 9, 12))
 """HiGHS's rules of presolve that replace a whole number by the sum that it stands for, and leave
@@ -149,6 +147,11 @@ class Program:
         left: Floats = self.cost - self._by_columns @ prices
         return float(prices[used] @ limits[used]), left
 
+    def least(self, prices: Floats) -> float:
+        """What any x within its bounds costs at least, by any prices of the rows."""
+        worth, left = self.priced(prices)
+        return worth + float(np.minimum(left * self.x_lower, left * self.x_upper).sum())
+
     @cached_property
     def _by_columns(self) -> sp.csr_array:
         """The rows' transpose: turning them takes longer than a product with them."""
@@ -203,7 +206,7 @@ class Program:
         for name, value in options.items():
             solver.setOptionValue(name, value)
         # A solver that refused its model crashes at the next call.
-        if solver.passModel(self._model()) == highspy.HighsStatus.kError:
+        if solver.passModel(self.model) == highspy.HighsStatus.kError:
             raise NumericalError(
                 "HiGHS refuses a problem: its coefficients are not finite or too "
                 "large. Check the data for extreme values."
@@ -215,7 +218,8 @@ class Program:
         light = self.rows.nnz <= LIGHT
         return self.by_shares().loaded(more={"presolve": "off"} if light else {})
 
-    def _model(self) -> highspy.HighsModel:
+    @property
+    def model(self) -> highspy.HighsModel:
         """The program in HiGHS's own form."""
         model = highspy.HighsModel()
         lp = model.lp_

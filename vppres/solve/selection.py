@@ -622,6 +622,12 @@ class Selected:
         self._numbers = checked(Numbers(self._squares, cost, offset, rows, limit))
         return self._numbers
 
+    @property
+    def offset(self) -> float:
+        """What the objective of the window that was written last has besides, as a minimum."""
+        assert self._numbers is not None
+        return self._numbers.offset
+
     def shown(self, rows: sp.csr_array) -> sp.csr_array:
         """Rows on its columns as the solver has these."""
         return rows
@@ -687,7 +693,7 @@ class Selected:
         """Give the statement's letters, and the problem, the values of a solution."""
         n = self._numbers
         assert n is not None
-        least = float(n.cost @ x + n.squares.diagonal() @ (x * x) / 2.0) + n.offset
+        least = float(n.cost @ x + n.squares.diagonal() @ (x * x) / 2.0) + self.offset
         self.value = -least if self.maximises else least
         self.x = x
         within = np.clip(x, self.x_lower, self.x_upper)

@@ -126,8 +126,8 @@ class Feeders:
         columns = np.flatnonzero(self.feeder == number)
         rows = np.flatnonzero(self.of_row == number)
         binary = np.isin(columns, self.binaries)
-        least = self._least(columns, rows)
         program = self._own(columns, rows, binary)
+        least = program.least(self.prices[rows])
         solver = program.loaded(GAP, NODES, more=SEARCH)
         found = ProgramSolution.of(solver, deadline)
         places = np.flatnonzero(self.feeder[self.binaries] == number)
@@ -136,15 +136,6 @@ class Feeders:
         bound = min(found.bound, least + MOST_LOST)
         raised = bound - ROOM - least
         return Found(places, served, raised if raised > 0.0 else 0.0)
-
-    def _least(self, columns: Wholes, rows: Wholes) -> float:
-        """What a feeder costs at least without binaries, by weak duality."""
-        prices = self.prices[rows]
-        limits = np.where(prices > 0.0, self.program.lower[rows], self.program.upper[rows])
-        used = prices != 0.0
-        left = self.reduced[columns]
-        ends = left * self.program.x_lower[columns], left * self.program.x_upper[columns]
-        return float(prices[used] @ limits[used] + np.minimum(*ends).sum())
 
     def _own(self, columns: Wholes, rows: Wholes, binary: Flags) -> Program:
         """A feeder's problem; binaries that would cost too much to change are decided."""

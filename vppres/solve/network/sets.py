@@ -6,14 +6,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 import scipy.sparse as sp
 
 from vppres.core.arrays import Floats
 from vppres.solve.deadline import Deadline
-from vppres.solve.programs import HALF_UNIT, NO_JUMPS, WHOLE_TOLERANCE, Program, ProgramSolution
+from vppres.solve.programs import HALF_UNIT, WHOLE_TOLERANCE, Program, ProgramSolution
 from vppres.solve.result import Status
 
 NEAR = 0.3
@@ -22,10 +21,6 @@ must stay below one unit, or the best set would no longer be told from the next.
 
 CLOSE = 0.03
 """Of the units for which a set may be preferred, how many a set may lack that ends a search."""
-
-FEW_ROWS = MappingProxyType({**NO_JUMPS, "presolve": "off"})
-"""Options of the search for the next set to try: of a few dense rows, one for each set before,
-presolve took up to two thirds of the time."""
 
 
 @dataclass
