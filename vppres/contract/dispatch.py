@@ -15,7 +15,8 @@ class Dispatch:
     dispatch of a form without network has NaN in place of reactive power, flows and voltages. The
     grid's power is negative where it is exported. ``v_node_pu`` are voltages by phase, in plans of
     phased feeders. ``share`` is the part of its demand that each customer gets, 0 where it is off;
-    None if all get it whole that are served.
+    None if all get it whole that are served. ``ev_kw`` is the power of each charger of vehicles,
+    negative to discharge; None if no vehicle is plugged in.
     """
 
     served: Flags
@@ -34,6 +35,7 @@ class Dispatch:
     q_flow_kvar: Floats
     v_node_pu: Floats | None = None
     share: Floats | None = None
+    ev_kw: Floats | None = None
 
     @property
     def n_steps(self) -> int:

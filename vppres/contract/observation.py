@@ -8,6 +8,7 @@ from vppres.contract.forecast import Forecast
 from vppres.contract.moves import Moves
 from vppres.contract.operating_point import OperatingPoint
 from vppres.contract.owed import Owed
+from vppres.contract.plugged import Plugged
 from vppres.contract.stored_value import StoredValue
 from vppres.contract.switching import SwitchingData, SwitchingState
 from vppres.contract.terminal import Terminal
@@ -73,6 +74,8 @@ class Observation:
         balance lacks.
     served : array of bool, shape (C,), optional
         Who was really served in the step before; as decided if not given.
+    ev_kw : array, shape (K,), optional
+        Measured power of each charger in the step before, negative where discharged.
     terminal : Terminal, optional
         What batteries are to hold at the end of the window, where nothing is known behind it.
     stored_value : StoredValue, optional
@@ -93,6 +96,8 @@ class Observation:
         How old the state of charge is; of now if not given.
     owed : Owed, optional
         What dimmed customers may still catch up; None if none does.
+    plugged : Plugged, optional
+        Vehicles that are plugged in or announced; None if there is no charger.
     told : tuple of Told
         What batteries were told since the last decision, where it was something else.
     """
@@ -119,6 +124,8 @@ class Observation:
     soc_age_h: Floats | None = None
     told: tuple[Told, ...] = ()
     owed: Owed | None = None
+    plugged: Plugged | None = None
+    ev_kw: Floats | None = None
 
     def counted(self, times: float) -> Observation:
         """The same where a weighted customer hour in an outage counts as so many."""

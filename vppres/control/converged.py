@@ -504,6 +504,7 @@ def without_power(data: WindowData, dark: Flags) -> WindowData:
         pv_kw=data.pv_kw * lit,
         drawn=data.drawn and data.drawn.where(~dark),
         switching=data.switching and data.switching.in_the_dark(dark),
+        plugged=data.plugged and replace(data.plugged, here=data.plugged.here & lit),
     )
 
 
@@ -522,6 +523,7 @@ def in_the_dark(
         plan,
         served=plan.served & ~dark[:, None],
         share=None if plan.share is None else plan.share * ~dark[:, None],
+        ev_kw=None if plan.ev_kw is None else plan.ev_kw * ~dark[:, None],
         pv_curtailed_kw=np.where(dark[:, None], whole.pv_kw, plan.pv_curtailed_kw),
     )
     curtailed_kwh = whole.pv_kw[dark].sum() * site.dt_h

@@ -11,6 +11,7 @@ import numpy as np
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
+from vppres.contract.plugged import Plugged
 from vppres.core.arrays import Flags, Floats
 from vppres.model.data import WindowData
 from vppres.model.formulas import (
@@ -50,6 +51,8 @@ class StepState:
         Voltages that the feeder has without control, where limits give way to them.
     due : array of bool, shape (C,), optional
         Customers whose longest time off has ended; None where none has one.
+    plugged : Plugged, optional
+        Vehicles that are plugged in; None if there is no charger.
     """
 
     site: Site
@@ -65,6 +68,7 @@ class StepState:
     drawn: Drawn | None = None
     own_v_pu: Floats | None = None
     due: Flags | None = None
+    plugged: Plugged | None = None
 
     @classmethod
     def of(
@@ -90,6 +94,7 @@ class StepState:
             now.drawn,
             own,
             None if seen.switching is None else seen.switching.due,
+            now.plugged,
         )
 
     @property

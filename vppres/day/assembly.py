@@ -28,6 +28,7 @@ from vppres.day.outages import check_outages
 from vppres.day.own import ByStepWeights, Own
 from vppres.day.phased import check_phased
 from vppres.day.priority import site_of, weighed
+from vppres.day.vehicles import check_vehicles
 from vppres.model.site import Site
 from vppres.scenario.fairness import Fairness, hours_off
 from vppres.scenario.priority import STRICT
@@ -72,6 +73,7 @@ def make_controller(
     options = options.on(scenario)
     check_dimmed(scenario, options)
     check_phased(scenario, options)
+    check_vehicles(scenario, options)
     check_outages(str(options.outages), options.controller)
     site = site_of(scenario, options.as_record())
     make = make_solver or _solver_maker(options)

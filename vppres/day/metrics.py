@@ -19,6 +19,7 @@ from vppres.day.reliability import fairness_figures, reliability_figures
 from vppres.day.switching_figures import switching_figures
 from vppres.day.time_off import time_off_figures, time_off_words
 from vppres.day.trajectory import OPTIONS, Trajectory, supplied
+from vppres.day.vehicles import vehicle_figures, vehicle_words
 from vppres.io.digest import scenario_digest
 from vppres.plant.plant import NOBODY
 from vppres.scenario.remarks import darkness, unknown_phases
@@ -64,6 +65,7 @@ def summarise(trajectory: Trajectory) -> dict[str, Any]:
         "import_above_limit_max_kw": import_above_limit_max_kw(trajectory),
         **switching_figures(trajectory),
         **time_off_figures(trajectory),
+        **vehicle_figures(trajectory),
         "corrections": int(trajectory.steps["corrected"].sum()),
         **operation_figures(trajectory),
         **reliability_figures(trajectory),
@@ -92,6 +94,7 @@ def cautions(trajectory: Trajectory) -> list[str]:
     return [
         *([off] if off else []),
         *time_off_words(trajectory),
+        *vehicle_words(trajectory),
         *unknown_phases(trajectory.scenario),
         *_blackouts(trajectory),
         *inversion_words(trajectory),

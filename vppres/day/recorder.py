@@ -69,6 +69,8 @@ class StepRecord:
     lines: Mapping[str, Floats]
     nodes: Mapping[str, Floats] | None = None
     """Voltages by phase of the optimisation and of the AC power flow; None without phases."""
+    vehicles: Mapping[str, NDArray[Any]] | None = None
+    """What each charger did and how its vehicle is, (K,) each; None without chargers."""
 
 
 def voltage_figures(v_model_pu: Floats, v_ac_pu: Floats) -> dict[str, float]:
@@ -146,6 +148,7 @@ class Recorder:
             options=dict(options),
             planned=planned,
             nodes=self._nodes(),
+            vehicles=self._vehicles(),
         )
 
     def _check_shapes(self, step: StepRecord) -> None:
@@ -190,6 +193,23 @@ class Recorder:
                 "bus": [bus for bus, _ in labels] * len(found),
                 "phase": [phase for _, phase in labels] * len(found),
                 **{name: np.concatenate([nodes[name] for nodes in found]) for name in dark},
+            }
+        )
+
+    def _vehicles(self) -> pd.DataFrame | None:
+        """A row for each step and charger; None without chargers."""
+        day = self._scenario
+        if not len(day.chargers):
+            return None
+        names = day.chargers.id
+        buses = _bus_labels(day.chargers.buses(day.customers))
+        found = [record.vehicles or {} for record in self._records]
+        return pd.DataFrame(
+            {
+                "time": self._times().repeat(len(names)),
+                "charger": np.tile(names, len(found)),
+                "bus": np.tile(buses, len(found)),
+                **{name: np.concatenate([each[name] for each in found]) for name in found[0]},
             }
         )
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from vppres.contract.decision import Decider, Decision, SolveInfo
 from vppres.contract.dispatch import Dispatch
@@ -15,6 +15,7 @@ from vppres.contract.forecast import ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import OperatingPoint
 from vppres.contract.owed import Owed
+from vppres.contract.plugged import Plugged
 from vppres.contract.switching import SwitchingState
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
@@ -26,6 +27,7 @@ from vppres.day.outages import BELIEF, LIKELY, GridSeen, OutageView
 from vppres.day.own import Own
 from vppres.day.recorder import ROTATED, Recorder, StepRecord, voltage_figures
 from vppres.day.trajectory import SHARE, Trajectory
+from vppres.day.vehicles import check_parts
 from vppres.forecasts.interface import Forecaster
 from vppres.io.python_door import check_scenario
 from vppres.model.site import Site
@@ -33,13 +35,16 @@ from vppres.physics.powerflow import ACPowerFlow, ACResult
 from vppres.plant.collapse import realise
 from vppres.plant.island import IslandPlant, Settled
 from vppres.plant.phased import PhasedACFlow, PhasedACResult, PhasedIslandPlant, PhasedPlant
-from vppres.plant.plant import CLIP_TOLERANCE_KW, BatteryState, Plant
+from vppres.plant.plant import CLIP_TOLERANCE_KW, BatteryState, Plant, Realised
 from vppres.scenario.parts import parts_record, split_sheddable
 from vppres.scenario.phases import PHASES
 from vppres.scenario.priority import STRICT
 from vppres.scenario.scenario import Scenario
 
 Progress = Callable[[int, int], None]
+
+SHORT_KWH = 1e-3
+"""Energy that a vehicle may lack without being short: the rounding of plans."""
 
 
 def run_day(
@@ -88,6 +93,7 @@ def run_day(
     own = Own(controller, forecaster, weights)
     own.check(options)
     check_scenario(scenario)
+    check_parts(scenario)
     divided = split_sheddable(scenario)
     injector = None if faults is None else FaultInjector(faults, divided)
     decider = make_controller(divided, options, injector, own=own)
@@ -129,6 +135,7 @@ class Day:
         self.battery_kw: Floats | None = None
         self.import_kw: float | None = None
         self.served: Flags | None = None
+        self.ev_kw: Floats | None = None
         self.owed = Owed.of(scenario.customers, scenario.grid.dt_h)
         self.outages = OutageView.create(scenario, self.options.as_record())
         self.grid_seen = GridSeen()
@@ -150,7 +157,9 @@ class Day:
             battery_kw=self.battery_kw,
             import_kw=self.import_kw,
             served=self.served,
+            ev_kw=self.ev_kw,
             owed=self.owed,
+            plugged=self.plugged(steps),
             terminal=Terminal.of(
                 self.options.soc_end, forecast, ends=steps.stop == self.scenario.grid.n_steps
             ),
@@ -160,6 +169,14 @@ class Day:
         seen = self.outages.told(seen, self.grid_seen, self.scenario, t, self.forecaster)
         self.outage_messages = seen.outage_messages
         return seen if self.faults is None else self.faults.observe(seen)
+
+    def plugged(self, steps: range) -> Plugged | None:
+        """Vehicles that are known at the beginning of a window; None without chargers."""
+        day = self.scenario
+        if not len(day.chargers):
+            return None
+        held_kwh = self.plant.garage.held_kwh(steps.start)
+        return Plugged.of(day.chargers, day.sessions, day.grid, steps, held_kwh)
 
     def run(self, controller: Decider, progress: Progress | None = None) -> Trajectory:
         """All steps of the day, and their record."""
@@ -186,12 +203,13 @@ class Day:
         """What comes of a decision; the day is at the step after it."""
         done = self.carry_out(t, decision)
         realised = done.realised
+        vehicles = _vehicles(self.plant, t, realised)
         result = done.ac
         record = _record(self.scenario, t, decision, self.state, done, self.options)
         steps = {**record.steps, **basis_of(self.forecaster, t)}
         if self.options.outages in (BELIEF, LIKELY):
             steps["outage_messages"] = self.outage_messages
-        record = replace(record, steps=steps)
+        record = replace(record, steps=steps, vehicles=vehicles)
         self.operating_point = (
             None
             if done.dark
@@ -208,6 +226,7 @@ class Day:
         metered = not (self._held_by_batteries(t) or done.ac_failed)
         self.import_kw = result.p_slack_kw if metered else None
         self.served = realised.served
+        self.ev_kw = np.broadcast_to(realised.ev_kw, len(self.scenario.chargers))
         self.state = self.plant.advance(t, self.state, realised)
         if self.switching is not None:
             self.switching = self.switching.advance(realised.served)
@@ -243,6 +262,38 @@ def _with_phases(plant: Plant) -> tuple[ACPowerFlow, ACPowerFlow, IslandPlant]:
     """The same of a phased feeder."""
     flow = PhasedACFlow(plant.scenario)
     return flow, flow, PhasedIslandPlant(plant, flow)
+
+
+def _vehicles(plant: Plant, t: int, realised: Realised) -> dict[str, NDArray[Any]] | None:
+    """What chargers did in a step, and what vehicles lack that leave then; None without any."""
+    day = plant.scenario
+    if not len(day.chargers):
+        return None
+    power_kw = np.broadcast_to(realised.ev_kw, len(day.chargers))
+    session = day.session_at[t]
+    here = session >= 0
+    end_kwh = plant.garage.after_kwh(t, power_kw)
+    _, after = day.sessions.steps(day.grid)
+    found: dict[str, NDArray[Any]] = {
+        "vehicle": np.full(len(session), "", dtype=object),
+        "tier": np.full(len(session), "", dtype=object),
+        "plugged": here,
+        "p_kw": power_kw,
+        "energy_start_kwh": plant.garage.held_kwh(t),
+        "energy_end_kwh": end_kwh,
+        "needed_kwh": np.full(len(session), np.nan),
+        "leaves": np.zeros(len(session), dtype=bool),
+        "short_kwh": np.zeros(len(session)),
+    }
+    row = session[here]
+    found["vehicle"][here] = day.sessions.vehicle[row]
+    found["tier"][here] = day.sessions.tier[row]
+    found["needed_kwh"][here] = day.sessions.needed_kwh[row]
+    found["leaves"][here] = after[row] == t + 1
+    lacks_kwh = found["needed_kwh"] - end_kwh
+    short = found["leaves"] & (lacks_kwh > SHORT_KWH)
+    found["short_kwh"][short] = lacks_kwh[short]
+    return found
 
 
 def _promised(plan: Dispatch | None, scenario: Scenario) -> dict[str, Any] | None:

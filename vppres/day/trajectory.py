@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 TABLES = ("steps", "customers", "pv", "batteries", "buses", "lines")
 EXPLAINING_TABLES = ("explanations", "shadow_prices")
 PHASED_TABLES = ("nodes",)
-OPTIONAL_TABLES = (*EXPLAINING_TABLES, *PHASED_TABLES)
+VEHICLES = "vehicles"
+OPTIONAL_TABLES = (*EXPLAINING_TABLES, *PHASED_TABLES, VEHICLES)
 SHARE = "share"
 """Column of the customers on sites that dim some: the part of its demand that each got."""
 OPTIONS = ("controller", "horizon_h", "solver", "method", "seed")
@@ -71,6 +72,8 @@ class Trajectory:
         :func:`vppres.explain.day.explain_day` makes them.
     nodes : DataFrame, optional
         Voltages by phase of a phased feeder.
+    vehicles : DataFrame, optional
+        What chargers of electric vehicles did, one row per step and charger.
     """
 
     scenario: Scenario
@@ -85,6 +88,7 @@ class Trajectory:
     explanations: pd.DataFrame | None = None
     shadow_prices: pd.DataFrame | None = None
     nodes: pd.DataFrame | None = None
+    vehicles: pd.DataFrame | None = None
 
     @property
     def imported_kw(self) -> Floats:

@@ -102,6 +102,8 @@ def _unsaid(scenario: Scenario) -> set[str]:
         "headroom": scenario.headroom != Headroom(),
         "fairness": scenario.fairness != Fairness(),
         "interruptions": bool(scenario.interruptions),
+        "chargers": bool(len(scenario.chargers)),
+        "sessions": bool(len(scenario.chargers)),
     }
     return {name for name, told in said.items() if not told}
 

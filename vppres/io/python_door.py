@@ -15,9 +15,10 @@ from vppres.io import schema
 from vppres.io.messages import few, folded, shown
 from vppres.scenario.assets import OF_HOURS
 from vppres.scenario.scenario import Scenario
+from vppres.scenario.vehicles import OF_SESSIONS
 
 # Attributes that may have no value (a temperature at the start), or no limit.
-_MAY_BE_NAN = {*OF_HOURS, "t_initial_c"}
+_MAY_BE_NAN = {*OF_HOURS, "t_initial_c", *OF_SESSIONS}
 _MAY_BE_INFINITE = {"i_max_a", "grid_limit_kw", "export_limit_kw"}
 
 
@@ -57,6 +58,8 @@ def _names(scenario: Scenario) -> Iterator[Problem]:
         ("customers", "tier", customers.tier),
         ("pv", "id", pv.id),
         ("batteries", "id", batteries.id),
+        ("chargers", "id", scenario.chargers.id),
+        ("sessions", "vehicle", scenario.sessions.vehicle),
         ("network", "buses", scenario.network.buses),
         ("scenario", "tiers", scenario.tiers),
     ]
@@ -79,6 +82,8 @@ def _numbers(scenario: Scenario) -> Iterator[Problem]:
         ("customers", scenario.customers, schema.CustomerRow),
         ("pv", scenario.pv, schema.PVRow),
         ("batteries", scenario.batteries, schema.BatteryRow),
+        ("chargers", scenario.chargers, schema.ChargerRow),
+        ("sessions", scenario.sessions, schema.SessionRow),
         ("load_kw", scenario, schema.LoadSeries),
         ("pv_kw", scenario, schema.PVSeries),
         ("system", scenario, schema.SystemSeries),

@@ -22,6 +22,7 @@ from vppres.io.phase_files import read_phases
 from vppres.io.series import TIME, check_times, read_values
 from vppres.io.settings import SCENARIO_FILE, Settings, read_settings
 from vppres.io.tables import Table, check_columns, no_table, read_rows, read_table
+from vppres.io.vehicle_rows import chargers_of, check_vehicles, sessions_of
 from vppres.io.warning_rows import read_warnings
 from vppres.scenario.assets import OF_TIME_OFF, Batteries, Customers, PVSystems
 from vppres.scenario.fairness import Fairness, Interruption
@@ -44,6 +45,8 @@ _OPTIONAL: dict[str, type[BaseModel]] = {
     "buses": schema.BusRow,
     "pv": schema.PVRow,
     "batteries": schema.BatteryRow,
+    "ev_chargers": schema.ChargerRow,
+    "ev_sessions": schema.SessionRow,
     "warnings": schema.WarningRow,
     "outages": schema.OutageRow,
 }
@@ -60,6 +63,8 @@ class _Folder:
     customers: Table | None
     pv: Table | None
     batteries: Table | None
+    ev_chargers: Table | None
+    ev_sessions: Table | None
     load_kw: Table | None
     pv_kw: Table | None
     system: Table | None
@@ -78,6 +83,8 @@ class _Rows:
     customers: dict[int, schema.Row]
     pv: dict[int, schema.Row]
     batteries: dict[int, schema.Row]
+    chargers: dict[int, schema.Row]
+    sessions: dict[int, schema.Row]
     warnings: dict[int, OutageWarning]
     outages: dict[int, Interruption]
 
@@ -157,15 +164,19 @@ def _read_all_rows(content: _Folder) -> tuple[_Rows, list[Problem]]:
     customers, customer_problems = read_rows(content.customers, schema.CustomerRow)
     pv, pv_problems = read_rows(content.pv, schema.PVRow)
     batteries, battery_problems = read_rows(content.batteries, schema.BatteryRow)
+    chargers, charger_problems = read_rows(content.ev_chargers, schema.ChargerRow)
+    sessions, session_problems = read_rows(content.ev_sessions, schema.SessionRow)
     warnings, warning_problems = read_warnings(content.warnings)
     outages, outage_problems = read_interruptions(content.outages)
     return (
-        _Rows(lines, buses, customers, pv, batteries, warnings, outages),
+        _Rows(lines, buses, customers, pv, batteries, chargers, sessions, warnings, outages),
         line_problems
         + bus_problems
         + customer_problems
         + pv_problems
         + battery_problems
+        + charger_problems
+        + session_problems
         + warning_problems
         + outage_problems,
     )
@@ -178,14 +189,16 @@ def _check_across(content: _Folder, rows: _Rows) -> list[Problem]:
     customers = content.customers
     pv = content.pv
     batteries = content.batteries
-    problems = [p for table in (customers, pv, batteries) if table for p in checks.check_ids(table)]
+    chargers = content.ev_chargers
+    named = (customers, pv, batteries, chargers)
+    problems = [p for table in named if table for p in checks.check_ids(table)]
     if buses:
         problems += checks.check_once(buses, "bus", "Give each bus one row.")
     if lines:
         problems += _check_network(lines, content.settings.slack_bus)
         problems += [
             p
-            for table in (buses, customers, pv, batteries)
+            for table in (buses, customers, pv, batteries, chargers)
             if table
             for p in checks.check_buses(table, lines)
         ]
@@ -198,7 +211,7 @@ def _check_across(content: _Folder, rows: _Rows) -> list[Problem]:
     if customers:
         known = customers.column("id").values()
         message = f"is not a customer of {customers.file}"
-        for table in (pv, content.outages):
+        for table in (pv, chargers, content.outages):
             if table:
                 problems += checks.check_known(table, "customer", known, message)
     for table in (customers, pv):
@@ -207,6 +220,10 @@ def _check_across(content: _Folder, rows: _Rows) -> list[Problem]:
     if pv:
         problems += checks.check_places(pv) + checks.check_one_pv_each(pv)
         problems += checks.check_pv_ratings(pv.file, rows.pv)
+    if chargers and content.ev_sessions:
+        tables = (chargers, content.ev_sessions)
+        tiers = content.settings.tiers or {}
+        problems += check_vehicles(*tables, rows.chargers, rows.sessions, tiers)
     if batteries:
         problems += checks.check_batteries(batteries.file, rows.batteries)
     return problems
@@ -374,6 +391,8 @@ def _assemble(
         interruptions=tuple(rows.outages.values()),
         outage_statistics=OutageStatistics(**file.outage_statistics.model_dump()),
         phases=phases,
+        chargers=chargers_of(rows.chargers, read_bus),
+        sessions=sessions_of(rows.sessions, file.tiers),
     )
 
 

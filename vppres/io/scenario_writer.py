@@ -22,6 +22,7 @@ from vppres.io.phase_files import phase_frames
 from vppres.io.series import TIME
 from vppres.io.settings import SCENARIO_FILE, outage_intervals
 from vppres.io.times import iso
+from vppres.io.vehicle_rows import vehicle_frames
 from vppres.scenario.assets import PV, Batteries, Customers, PVSystems
 from vppres.scenario.fairness import Fairness, Interruption
 from vppres.scenario.history import History
@@ -197,6 +198,7 @@ def _frames(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, pd.
             frames["customers"] = frames["customers"].drop(columns=name)
     if scenario.phases is not None:
         frames |= phase_frames(scenario.phases)
+    frames |= vehicle_frames(scenario.chargers, scenario.sessions)
     return frames
 
 

@@ -12,6 +12,7 @@ from vppres.contract.moves import Moves
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
 from vppres.contract.owed import Owed
+from vppres.contract.plugged import Plugged
 from vppres.contract.stored_value import Ending, StoredValue
 from vppres.contract.switching import SwitchingData
 from vppres.contract.terminal import Terminal
@@ -147,6 +148,8 @@ class WindowData:
         Voltages and former by phase; None for a balanced feeder.
     owed : Owed, optional
         What dimmed customers may catch up from before the window; None for nothing.
+    plugged : Plugged, optional
+        Vehicles that are plugged in; None if there is no charger.
     """
 
     load_kw: Floats
@@ -168,6 +171,7 @@ class WindowData:
     flow_max_kva: Floats | None = None
     phased: PhasedWindow | None = None
     owed: Owed | None = None
+    plugged: Plugged | None = None
 
     @classmethod
     def of(cls, observation: Observation, site: Site, centre: Centre) -> WindowData:
@@ -195,6 +199,7 @@ class WindowData:
             terminal=observation.end if stores else None,
             stored_value=observation.stored_value if stores else None,
             owed=observation.owed,
+            plugged=observation.plugged and observation.plugged.part(slice(n_steps)),
         )
 
     def with_sound_soc(self, batteries: Batteries) -> WindowData:
@@ -264,6 +269,7 @@ class WindowData:
             own_u_pu2=None if self.own_u_pu2 is None else self.own_u_pu2[steps],
             flow_max_kva=None if self.flow_max_kva is None else self.flow_max_kva[steps],
             phased=self.phased and self.phased.part(steps),
+            plugged=self.plugged and self.plugged.part(steps),
         )
 
     def u_limits_pu2(self, network: Network) -> tuple[Floats, Floats]:
@@ -369,6 +375,8 @@ class WindowData:
         """
         load_kw = self.all_cold().load_kw.sum(axis=1)
         useful = load_kw + site.batteries.p_max_kw.sum() + self.network_kw
+        if self.plugged is not None:
+            useful = useful + self.plugged.here @ site.chargers.p_charge_kw
         return np.asarray(np.minimum(np.maximum(self.grid_limit_kw, 0.0), useful))
 
     @property
@@ -394,6 +402,8 @@ class WindowData:
         possible = self.pv_kw.sum(axis=1) + site.batteries.p_max_kw.sum()
         if self.drawn is not None:  # a fixed demand may be negative
             possible = possible + np.maximum(-self.drawn.kw.sum(axis=1), 0.0)
+        if self.plugged is not None:
+            possible = possible + self.plugged.here @ site.chargers.p_discharge_kw
         connected = self.grid_limit_kw > 0.0
         return np.where(connected, np.minimum(self.export.limit_kw, possible), 0.0)
 

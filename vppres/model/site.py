@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -14,6 +15,7 @@ from vppres.scenario.network import Network
 from vppres.scenario.phases import Phases
 from vppres.scenario.priority import Ranks
 from vppres.scenario.scenario import ObjectiveWeights, Scenario
+from vppres.scenario.vehicles import Chargers
 
 LESS_THAN_A_UNIT = 0.5
 """What all curtailment of a window counts at most in strict order: rounded to whole units, a bound
@@ -71,6 +73,7 @@ class Site:
     rated: bool = False
     phases: Phases | None = None
     limits_of: Network | None = None
+    chargers: Chargers = field(default_factory=Chargers)
 
     @classmethod
     def of(cls, scenario: Scenario) -> Site:
@@ -88,6 +91,7 @@ class Site:
             scenario.batteries,
             scenario.objective,
             scenario.grid.dt_h,
+            chargers=scenario.chargers,
         )
 
     def ranked(self, ranks: Ranks, n_steps: int) -> Site:
@@ -131,12 +135,13 @@ class Site:
     @cached_property
     def key(self) -> str:
         """Digest of the content: sites of equal content have equal problems."""
-        ranks = () if self.ranks is None else (self.ranks,)
+        more: list[Any] = [] if self.ranks is None else [self.ranks]
+        more += [self.chargers] if len(self.chargers) else []
         rules = " soft" * self.soft_voltages + " rated" * self.rated
         if self.phases is not None:
             rules += f" {self.phases.key} {content_key(self.feeder)}"
         return f"{self.dt_h}{rules} " + content_key(
-            self.weights, self.network, self.customers, self.pv, self.batteries, *ranks
+            self.weights, self.network, self.customers, self.pv, self.batteries, *more
         )
 
     @cached_property
@@ -148,6 +153,11 @@ class Site:
     def battery_bus(self) -> sp.csr_array:
         """Shape (N, B): places batteries on their buses."""
         return self.network.place(self.batteries.bus)
+
+    @cached_property
+    def charger_bus(self) -> sp.csr_array:
+        """Shape (N, K): places chargers of vehicles on their buses."""
+        return self.network.place(self.chargers.buses(self.customers))
 
     @cached_property
     def owner(self) -> Wholes:

@@ -62,6 +62,7 @@ def excesses(site: Site, data: WindowData, dispatch: Dispatch) -> Excess:
         _voltages,
         _ratings,
         _phases,
+        _vehicles,
     )
     rules = 0.0 if data.switching is None else float(data.switching.broken(dispatch.served).sum())
     found = {"switching rules": 2.0 * rules}
@@ -210,4 +211,27 @@ def _phases(site: Site, data: WindowData, d: Dispatch) -> Excess:
         "highest voltage of a phase": _most(VOLTAGE_TOLERANCE_PU2, (u - phased.u_max)[:, limited]),
         "phase of the former": _most(_power_tolerance(site, data), over_kva[data.dark]),
         "rating of a phase": _most(RATING_TOLERANCE, currents - phased.current_max),
+    }
+
+
+def _vehicles(site: Site, data: WindowData, d: Dispatch) -> Excess:
+    """Powers of chargers, and the energy of vehicles."""
+    plugged = data.plugged
+    if plugged is None or d.ev_kw is None:
+        return {}
+    chargers = site.chargers
+    energy_kwh = plugged.energy_kwh(d.ev_kw, chargers, site.dt_h)
+    owner_on = d.served[:, chargers.owner(site.customers)]
+    on = plugged.here & (chargers.alone | owner_on)
+    return {
+        "charger": _most(
+            _power_tolerance(site, data),
+            d.ev_kw - on * chargers.p_charge_kw,
+            -d.ev_kw - on * chargers.p_discharge_kw,
+        ),
+        "vehicle": _most(
+            _power_tolerance(site, data) * site.dt_h,
+            energy_kwh - plugged.full_kwh,
+            (plugged.lowest_kwh - energy_kwh)[plugged.here],
+        ),
     }

@@ -71,8 +71,12 @@ def _settled(decision: Decision, realised: Realised, ac: ACResult, ac_failed: st
 
 
 def _reduced(scenario: Scenario, t: int, decision: Decision) -> Iterator[tuple[str, Decision]]:
-    """The decision, then without ever more tiers, then without any power at all."""
+    """The decision, then without vehicles and ever more tiers, then without any power at all."""
     yield NOBODY, decision
+    if decision.dispatch.ev_kw is not None:
+        idle = _with_row(decision.dispatch.ev_kw, decision.row, 0.0)
+        decision = replace(decision, dispatch=replace(decision.dispatch, ev_kw=idle))
+        yield NOBODY, decision
     served = np.array(decision.dispatch.served[decision.row], dtype=bool)
     for tier in reversed(scenario.tiers):
         served = served & (scenario.customers.tier != tier)

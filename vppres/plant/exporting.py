@@ -1,8 +1,8 @@
 """The export limiter of a connection: what is beyond the limit does not leave the feeder.
 
-It reads the meter at the grid, so losses are on its side. Batteries that discharge are held back
-first, which loses nothing; then PV power that nobody uses is curtailed. An import-only connection
-has no limiter: what its meter shows is the paper's business.
+It reads the meter at the grid, so losses are on its side. Vehicles and batteries that discharge are
+held back first, which loses nothing; then PV power that nobody uses is curtailed. An import-only
+connection has no limiter: what its meter shows is the paper's business.
 """
 
 from __future__ import annotations
@@ -57,6 +57,7 @@ def within_export_limit(
         moved = float(
             np.abs(held.battery_kw - realised.charge_kw + realised.discharge_kw).max(initial=0.0)
         )
+        moved = max(moved, float(np.max(np.abs(held.ev_kw - realised.ev_kw), initial=0.0)))
         moved = max(
             moved, float((held.pv_curtailed_kw - realised.pv_curtailed_kw).max(initial=0.0))
         )
@@ -69,9 +70,15 @@ def within_export_limit(
 
 def _held_back(powers: Powers, excess_kw: float) -> Powers:
     """Discharge less, then curtail what PV systems export; what owners use stays."""
+    ev_kw = np.asarray(powers.ev_kw)
+    back = np.maximum(-ev_kw, 0.0)
+    if back.sum() > 0.0:
+        off = part_of(back, excess_kw)
+        powers = replace(powers, ev_kw=ev_kw + off)
+        excess_kw -= float(off.sum())
     discharging = np.maximum(-powers.battery_kw, 0.0)
     less = np.zeros_like(discharging)
-    if discharging.sum() > 0.0:
+    if discharging.sum() > 0.0 and excess_kw > 0.0:
         less = part_of(discharging, excess_kw)
     held = replace(powers, battery_kw=powers.battery_kw + less)
     left_kw = excess_kw - float(less.sum())

@@ -125,7 +125,8 @@ class IslandPlant:
             return self._dark(t, planned, state, reason)
         set_points = powers = powers_of(planned)
         # Every round sheds, stops or curtails something, so this is more than can be needed.
-        for _ in range(2 * (len(planned.served) + len(planned.pv_self_kw)) + 20):
+        devices = len(planned.served) + len(planned.pv_self_kw) + np.size(planned.ev_kw)
+        for _ in range(2 * devices + 20):
             try:
                 found = self._balance(t, powers, state, able)
             except NoSolutionError:
@@ -209,12 +210,20 @@ class IslandPlant:
         """One more protective action, None if there is none left."""
         need_kw = max(found.left_kw, found.excess_kvar) + CUT_MARGIN_KW
         others = ~self.formers
+        ev_kw = np.asarray(powers.ev_kw)
         if found.left_kw >= -self.tolerance_kw:
+            # Vehicles come before batteries, and both before customers.
+            vehicles = np.maximum(ev_kw, 0.0)
+            if found.left_kw > self.tolerance_kw and vehicles.sum() > 0:
+                return replace(powers, ev_kw=ev_kw - part_of(vehicles, need_kw))
             charging = np.where(others, np.maximum(powers.battery_kw, 0.0), 0.0)
             if found.left_kw > self.tolerance_kw and charging.sum() > 0:
                 return replace(powers, battery_kw=powers.battery_kw - part_of(charging, need_kw))
             return self._shed(t, powers, need_kw, found.ac)
         surplus_kw = -found.left_kw + CUT_MARGIN_KW
+        vehicles = np.maximum(-ev_kw, 0.0)
+        if vehicles.sum() > 0:
+            return replace(powers, ev_kw=ev_kw + part_of(vehicles, surplus_kw))
         if (powers.pv_export_kw + powers.pv_self_kw).sum() > 0:
             return curtailed(powers, surplus_kw)
         discharging = np.where(others, np.maximum(-powers.battery_kw, 0.0), 0.0)
@@ -234,8 +243,10 @@ class IslandPlant:
         served[order[:count]] = False
         # The PV systems of those who are off feed the island with all they have.
         own = np.where(served[self.plant.owner], powers.pv_self_kw, 0.0)
+        ev_kw = np.where(self.plant.garage.on(served), powers.ev_kw, 0.0)
         return replace(
             powers,
+            ev_kw=ev_kw,
             served=served,
             pv_self_kw=own,
             pv_export_kw=powers.pv_export_kw + powers.pv_self_kw - own,
@@ -301,6 +312,7 @@ def powers_of(realised: Realised) -> Powers:
         realised.charge_kw - realised.discharge_kw,
         realised.batt_q_kvar,
         realised.share,
+        realised.ev_kw,
     )
 
 

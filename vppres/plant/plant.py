@@ -14,6 +14,7 @@ from vppres.contract.decision import Decision
 from vppres.core.arrays import Flags, Floats
 from vppres.physics.cold_load import ColdLoad
 from vppres.physics.thermal import Power, ThermalScheme, advance, initial_state
+from vppres.plant.vehicles import Garage
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 
@@ -39,7 +40,8 @@ class Powers:
     """Powers of one step that all devices can deliver; a charging battery is positive.
 
     ``served`` has the shape (C,), the ``pv`` fields (P,), the batteries' (B,); kW and kvar.
-    ``share`` is the part of its demand that each customer gets if it is served.
+    ``share`` is the part of its demand that each customer gets if it is served, ``ev_kw`` (K,) the
+    power of each charger of vehicles.
     """
 
     served: Flags
@@ -50,6 +52,7 @@ class Powers:
     battery_kw: Floats
     batt_q_kvar: Floats
     share: Floats | float = 1.0
+    ev_kw: Floats | float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +60,7 @@ class Realised:
     """One step as it happened; powers in kW and kvar, injections (N,) positive as generation.
 
     ``load_kw`` (C,) is the demand, served or not; ``share`` the part of it that those get who are.
+    ``ev_kw`` (K,) is the power of each charger.
     """
 
     served: Flags
@@ -73,6 +77,7 @@ class Realised:
     clipped_kw: float
     load_kw: Floats
     share: Floats | float = 1.0
+    ev_kw: Floats | float = 0.0
 
 
 class Plant:
@@ -100,6 +105,10 @@ class Plant:
             rules or SwitchingRules(), scenario.grid.dt_h, len(scenario.customers)
         )
         index = scenario.network.bus_index
+        self.garage = Garage(scenario)
+        self._charger_bus = np.array(
+            [index[b] for b in scenario.chargers.buses(scenario.customers)], dtype=int
+        )
         self._customer_bus = np.array([index[b] for b in scenario.customers.bus], dtype=int)
         self.battery_bus = np.array([index[b] for b in scenario.batteries.bus], dtype=int)
         self.owner = scenario.pv.owner(scenario.customers)
@@ -123,6 +132,7 @@ class Plant:
     def advance(self, t: int, state: BatteryState, realised: Realised) -> BatteryState:
         """State before the step after ``t``."""
         self.cold_load.advance(realised.served)
+        self.garage.advance(t, np.broadcast_to(realised.ev_kw, len(self.garage.kwh)))
         power = Power(realised.charge_kw, realised.discharge_kw)
         thermal = advance(
             self.scenario.batteries,
@@ -155,7 +165,10 @@ class Plant:
             np.abs(discharge - plan.discharge_kw[row]).max(initial=0.0),
             np.abs(curtailed - plan.pv_curtailed_kw[row]).max(initial=0.0),
         )
-        powers = Powers(served, own, export, curtailed, pv_q, charge - discharge, batt_q, share)
+        ev_kw = np.zeros(len(self.garage.kwh)) if plan.ev_kw is None else plan.ev_kw[row]
+        ev_kw = self.garage.possible_kw(t, ev_kw, served)
+        net_kw = charge - discharge
+        powers = Powers(served, own, export, curtailed, pv_q, net_kw, batt_q, share, ev_kw)
         return self.realise(t, powers, state, float(clipped))
 
     def load_kw(self, t: int, served: Flags) -> Floats:
@@ -177,6 +190,8 @@ class Plant:
             powers.pv_export_kw,
             powers.battery_kw,
         )
+        ev_kw = np.where(self.garage.on(powers.served), powers.ev_kw, 0.0)
+        np.add.at(p, self._charger_bus, -ev_kw)
         np.add.at(q, self._pv_bus, powers.pv_q_kvar)
         np.add.at(q, self.battery_bus, powers.batt_q_kvar)
         soc_end = np.clip(
@@ -197,6 +212,7 @@ class Plant:
             clipped_kw,
             load_kw,
             powers.share,
+            ev_kw,
         )
 
     def _split_pv(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Flags, Floats, freeze_fields
+from vppres.core.arrays import Flags, Floats, Wholes, freeze_fields
 from vppres.core.notebook import facts_html
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.fairness import Fairness, Interruption
@@ -21,6 +21,7 @@ from vppres.scenario.phases import Phases, check_phases
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.source import Source
 from vppres.scenario.timegrid import TimeGrid
+from vppres.scenario.vehicles import Chargers, Sessions, sessions_by_step
 
 DEFAULT_VOLL_GBP_PER_KWH = 16.94
 """Value of lost load of British homes and small businesses on a winter weekday's peak, in prices of
@@ -158,6 +159,8 @@ class Scenario:
         What was measured before the first step, for forecasters that learn from it.
     phases : Phases, optional
         The three phases of the feeder; None for a balanced one.
+    chargers, sessions : Chargers, Sessions
+        Chargers of electric vehicles, and when which vehicle is plugged in.
     """
 
     name: str
@@ -188,6 +191,8 @@ class Scenario:
     interruptions: tuple[Interruption, ...] = ()
     history: History | None = None
     phases: Phases | None = None
+    chargers: Chargers = field(default_factory=Chargers)
+    sessions: Sessions = field(default_factory=Sessions)
 
     def __post_init__(self) -> None:
         if self.phases is not None:
@@ -230,6 +235,11 @@ class Scenario:
     def load_kvar(self) -> Floats:
         """Reactive demand of each customer if served, shape (T, C)."""
         return self.load_kw * self.customers.q_per_p
+
+    @cached_property
+    def session_at(self) -> Wholes:
+        """Which session each charger has in each step, (T, K); -1 for none."""
+        return sessions_by_step(self.chargers, self.sessions, self.grid)
 
     @property
     def series(self) -> dict[str, Floats]:

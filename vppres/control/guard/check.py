@@ -10,7 +10,14 @@ from vppres.contract.decision import Decision
 from vppres.contract.owed import MOST_SHARE
 from vppres.control.step_state import StepState
 from vppres.core.arrays import Floats, Names
-from vppres.model.formulas import bus_injections, cell_kw, curtailed_kw, lossless_flows, soc_after
+from vppres.model.formulas import (
+    Devices,
+    bus_injections,
+    cell_kw,
+    curtailed_kw,
+    lossless_flows,
+    soc_after,
+)
 from vppres.model.phases import beyond, phased_model
 from vppres.model.site import Site
 from vppres.physics.phases import NoPhasedSolutionError
@@ -78,10 +85,11 @@ def violations(
         return odd
     net = state.site.network
     limits_pu = state.v_limits_pu(*(v_limits_pu or (net.v_min_pu, net.v_max_pu)))
-    row = _Row.of(decision)
+    row = _Row.of(decision, state.site)
     found = (
         _service(row, state),
         _battery_power(row, state, within),
+        _chargers(row, state, within),
         _energy(row, state, within),
         _pv(row, state, within),
         _balance(row, state, within),
@@ -101,11 +109,13 @@ class _Row:
     discharge_kw: Floats
     batt_q_kvar: Floats
     v_pu: Floats
+    ev_kw: Floats
 
     @classmethod
-    def of(cls, decision: Decision) -> _Row:
+    def of(cls, decision: Decision, site: Site) -> _Row:
         plan = decision.dispatch
         row = decision.row
+        idle = np.zeros(len(site.chargers))
         return cls(
             np.asarray(plan.supplied[row], dtype=float),
             plan.pv_curtailed_kw[row],
@@ -114,6 +124,7 @@ class _Row:
             plan.discharge_kw[row],
             plan.batt_q_kvar[row],
             plan.v_pu[row],
+            idle if plan.ev_kw is None else plan.ev_kw[row],
         )
 
 
@@ -122,6 +133,7 @@ def _shapes(decision: Decision, site: Site) -> list[str]:
     sizes = {
         **dict.fromkeys(("served", "share"), len(site.customers)),
         "v_pu": site.network.n_buses,
+        "ev_kw": len(site.chargers),
         "v_node_pu": 0 if site.phases is None else len(site.phases.measured),
         **dict.fromkeys(("p_flow_kw", "q_flow_kvar"), site.network.n_lines),
         **dict.fromkeys(("charge_kw", "discharge_kw", "batt_q_kvar", "soc"), len(site.batteries)),
@@ -168,6 +180,19 @@ def _battery_power(row: _Row, state: StepState, within: Tolerances) -> str:
     return _worst("battery power", b.id, beyond - slack, beyond, "kVA")
 
 
+def _chargers(row: _Row, state: StepState, within: Tolerances) -> str:
+    """Ratings of chargers; none moves power without a vehicle, or for a customer that is off."""
+    chargers = state.site.chargers
+    if state.plugged is None:
+        return ""
+    owner_on = row.served[chargers.owner(state.site.customers)] > 0.0
+    on = state.plugged.here[0] & (chargers.alone | owner_on)
+    most_kw = on * chargers.p_charge_kw
+    beyond = np.maximum(row.ev_kw - most_kw, -row.ev_kw - on * chargers.p_discharge_kw)
+    slack = within.power_kw + within.power_share * chargers.p_charge_kw
+    return _worst("charger power", chargers.id, beyond - slack, beyond, "kW")
+
+
 def _energy(row: _Row, state: StepState, within: Tolerances) -> str:
     """State of charge at the end of the step."""
     b = state.site.batteries
@@ -193,6 +218,7 @@ def _balance(row: _Row, state: StepState, within: Tolerances) -> str:
     served_kw = state.load_kw * row.served
     curtailed = curtailed_kw(state.site, row.curtailed_kw, state.pv_kw, served_kw)
     taken = float(state.load_kw @ row.served + row.charge_kw.sum() + state.drawn_kw.sum())
+    taken += float(row.ev_kw.sum())
     given = float((state.pv_kw - curtailed).sum() + row.discharge_kw.sum())
     losses_kw = given_kw = 0.0
     if within.losses:
@@ -235,14 +261,14 @@ def _losses_kw(row: _Row, curtailed_kw: Floats, state: StepState) -> float:
     site = state.site
     net = site.network
     load_kw = state.load_kw * row.served
-    p_kw = bus_injections(
-        site,
-        {
-            "pv": state.pv_kw - curtailed_kw,
-            "batteries": row.discharge_kw - row.charge_kw,
-            "customers": -load_kw,
-        },
-    )
+    given: dict[Devices, Floats] = {
+        "pv": state.pv_kw - curtailed_kw,
+        "batteries": row.discharge_kw - row.charge_kw,
+        "customers": -load_kw,
+    }
+    if len(site.chargers):
+        given["chargers"] = -row.ev_kw
+    p_kw = bus_injections(site, given)
     q_kvar = bus_injections(
         site,
         {

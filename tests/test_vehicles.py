@@ -1,0 +1,410 @@
+"""Electric vehicles: hand-solved windows, methods against each other, plant, days, messages."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from experiments.random_feeders import random_window
+from tests.support.small_windows import (
+    DARK,
+    OPEN,
+    battery,
+    first_step,
+    two_buses,
+    window,
+    with_pv,
+)
+from vppres import InputError, RunOptions, run_day, summarise
+from vppres.contract.decision import Decision
+from vppres.contract.plugged import Plugged
+from vppres.control.guard.check import violations
+from vppres.day.metrics import cautions
+from vppres.io import read_scenario, write_scenario
+from vppres.io.digest import scenario_digest
+from vppres.io.python_door import check_scenario
+from vppres.model.data import WindowData
+from vppres.model.site import Site
+from vppres.model.violations import broken
+from vppres.plant.plant import Plant
+from vppres.scenario.scenario import Scenario
+from vppres.scenario.vehicles import Chargers, Sessions
+from vppres.solve.ladder import METHODS, WindowSolver
+
+
+def chargers(count: int = 1, **more: Any) -> Chargers:
+    """Chargers that stand alone at bus 2: 7.4 kW, efficiency 0.92, one way."""
+    values: dict[str, Any] = {
+        "id": [f"k{i}" for i in range(count)],
+        "bus": [2] * count,
+        "customer": [""] * count,
+        "p_charge_kw": 7.4,
+        "p_charge_min_kw": 0.0,
+        "p_discharge_kw": 0.0,
+        "eta_charge": 0.92,
+        "eta_discharge": 0.92,
+    } | more
+    return Chargers(**{k: np.broadcast_to(np.asarray(v), count) for k, v in values.items()})
+
+
+def plugged_in(day: Scenario, *hours: tuple[float, float], **more: Any) -> Scenario:
+    """The day with a vehicle of 60 kWh at each charger between these hours: 30 %, needs 80 %."""
+    count = len(hours)
+    times = [[day.grid.start + pd.Timedelta(hours=h) for h in each] for each in zip(*hours, strict=True)]
+    values: dict[str, Any] = {
+        "charger": day.chargers.id[:count],
+        "vehicle": [f"car{i}" for i in range(count)],
+        "capacity_kwh": 60.0,
+        "soc_at_plug_in": 0.3,
+        "soc_needed": 0.8,
+        "energy_needed_kwh": np.nan,
+        "v2g_soc_floor": np.nan,
+        "tier": "critical",
+        "weight": 1.0,
+        "announced": True,
+    } | more
+    values = {k: np.broadcast_to(np.asarray(v), count) for k, v in values.items()}
+    plug_in, plug_out = (np.array(each, dtype=object) for each in times)
+    return replace(day, sessions=Sessions(plug_in=plug_in, plug_out=plug_out, **values))
+
+
+def known(day: Scenario) -> WindowData:
+    """All steps as one window, with the vehicles that are known in the first."""
+    steps = range(day.grid.n_steps)
+    held_kwh = np.zeros(len(day.chargers))
+    return replace(
+        window(day), plugged=Plugged.of(day.chargers, day.sessions, day.grid, steps, held_kwh)
+    )
+
+
+def evening(limit_kw: float, steps: int = 14, **more: Any) -> Scenario:
+    """A car from 18:00 to 07:00, in a day whose first step is at 18:00."""
+    day = two_buses([[1.0]] * steps, [1.0], [limit_kw] * steps)
+    return plugged_in(replace(day, chargers=chargers(**more)), (0, 13))
+
+
+# Hand-solved windows.
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_car_charges_at_once_what_it_needs(method: str) -> None:
+    """32.61 kWh in 4.41 h, in the first hours since all cost the same."""
+    day = evening(OPEN)
+    answer = WindowSolver(Site.of(day), method).solve(known(day))
+    assert answer.dispatch.ev_kw is not None
+    power_kw = answer.dispatch.ev_kw[:, 0]
+    assert power_kw.sum() == pytest.approx(30.0 / 0.92, abs=1e-4)
+    assert power_kw[:4] == pytest.approx(7.4)
+    assert power_kw.sum() / 7.4 == pytest.approx(4.41, abs=5e-3)
+    assert power_kw[5:].max() == pytest.approx(0.0, abs=1e-6)
+    assert answer.status == "optimal"
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_departure_in_an_outage_is_short_and_feasible(method: str) -> None:
+    day = evening(DARK)
+    data = known(day)
+    answer = WindowSolver(Site.of(day), method).solve(data)
+    assert answer.status == "optimal"
+    assert data.plugged is not None and answer.dispatch.ev_kw is not None
+    energy_kwh = data.plugged.energy_kwh(answer.dispatch.ev_kw, day.chargers, 1.0)
+    assert data.plugged.short_kwh(energy_kwh).sum() == pytest.approx(30.0)
+    assert answer.objective == pytest.approx(-0.5 * 30.0 / 60.0)  # half a step for 60 kWh
+
+
+def test_a_car_charges_in_the_cheap_hours() -> None:
+    day = evening(OPEN)
+    price = np.where(np.arange(14) >= 8, 0.1, 0.3)
+    day = replace(day, price_gbp_per_kwh=price)
+    power_kw = WindowSolver(Site.of(day)).solve(known(day)).dispatch.ev_kw
+    assert power_kw is not None
+    assert power_kw[8:13].sum() == pytest.approx(30.0 / 0.92, abs=1e-4)
+
+
+def test_a_charger_of_a_customer_that_is_off_does_not_charge() -> None:
+    """20 kWh for a home of 10 kW in two of three hours; the third leaves nothing for its car."""
+    day = two_buses([[10.0]] * 3, [1.0], [12.0, DARK, 5.0])
+    own = chargers(customer="c0", bus=None)
+    day = plugged_in(replace(day, chargers=own), (0, 3))
+    answer = WindowSolver(Site.of(day)).solve(known(day))
+    assert answer.dispatch.served[:, 0].tolist() == [True, False, False]
+    assert answer.dispatch.ev_kw is not None
+    assert answer.dispatch.ev_kw[:, 0] == pytest.approx([2.0, 0.0, 0.0], abs=1e-5)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_car_that_never_leaves_is_a_battery(method: str) -> None:
+    """The same service and cost, with a sunny noon, an outage and prices that pay for storing."""
+    limits = [OPEN] * 4 + [DARK] * 4
+    load = [[6.0, 5.0]] * 8
+    day = two_buses(load, [1.0, 2.0], limits, [0.1, 0.3, 0.1, 0.3] + [0.3] * 4)
+    day = with_pv(day, [0, 5, 20, 30, 20, 0, 0, 0])
+    stored = replace(battery(energy_kwh=40.0, p_max_kw=9.0, s_max_kva=1e3), soc_initial=[0.5])
+    one = replace(day, batteries=stored)
+    b = one.batteries
+    usable = float((b.soc_max - b.soc_min)[0] * 40.0)
+    two_way = chargers(
+        p_charge_kw=9.0,
+        p_discharge_kw=9.0,
+        eta_charge=b.eta_charge,
+        eta_discharge=b.eta_discharge,
+    )
+    soc = float((0.5 - b.soc_min[0]) * 40.0 / usable)
+    other = plugged_in(
+        replace(day, chargers=two_way),
+        (-1, 9),
+        capacity_kwh=usable,
+        soc_at_plug_in=soc,
+        soc_needed=0.0,
+        v2g_soc_floor=0.0,
+    )
+    # Without a need, what it lacks at the end of the window counts nothing.
+    data = known(other)
+    assert data.plugged is not None
+    data = replace(data, plugged=replace(data.plugged, line_kwh=0.0 * data.plugged.line_kwh))
+    by_battery = WindowSolver(Site.of(one), method).solve(window(one))
+    by_car = WindowSolver(Site.of(other), method).solve(data)
+    assert (by_car.dispatch.served == by_battery.dispatch.served).all()
+    assert by_car.terms.f1 == by_battery.terms.f1
+    assert by_car.terms.f2 == pytest.approx(by_battery.terms.f2, abs=2e-3)
+    assert by_car.terms.f3 == pytest.approx(by_battery.terms.f3, abs=1e-4)
+    assert by_car.objective == pytest.approx(by_battery.objective, rel=1e-6)
+    assert not broken(Site.of(other), data, by_car.dispatch)
+
+
+def test_the_floor_holds_what_a_car_keeps() -> None:
+    """FlexMeasures' tutorial: 60 kWh, never below 25 %, 95 % at 08:00; it supplies a dark evening.
+
+    It comes with 51 kWh, and may give 36 of them: 33.12 kWh for a home of 6 kW.
+    """
+    day = two_buses([[6.0]] * 14, [1.0], [DARK] * 6 + [OPEN] * 8)
+    two_way = chargers(p_discharge_kw=7.4)
+    session = {"soc_at_plug_in": 0.85, "soc_needed": 0.95, "v2g_soc_floor": 0.25}
+    day = plugged_in(replace(day, chargers=two_way), (0, 14), **session)
+    data = known(day)
+    answer = WindowSolver(Site.of(day)).solve(data)
+    assert data.plugged is not None and answer.dispatch.ev_kw is not None
+    energy_kwh = data.plugged.energy_kwh(answer.dispatch.ev_kw, day.chargers, 1.0)[:, 0]
+    assert energy_kwh.min() >= 15.0 - 1e-6
+    assert energy_kwh[-1] == pytest.approx(57.0, abs=1e-4)
+    assert answer.dispatch.served[:6].sum() == 5
+
+
+def test_a_thousand_cars_never_outweigh_one_customer() -> None:
+    """A kW goes to a customer of the least weight, and with grid each car has its energy."""
+    count = 1000
+    for limit_kw, charged in ((20.0, False), (OPEN, True)):
+        day = two_buses([[20.0]] * 5, [1.0], [limit_kw] * 5)
+        day = replace(day, chargers=chargers(count))
+        day = plugged_in(day, *[(0, 5)] * count, weight=1000.0, soc_needed=0.8)
+        answer = WindowSolver(Site.of(day)).solve(known(day))
+        assert answer.dispatch.served.all()
+        assert answer.dispatch.ev_kw is not None
+        charged_kwh = answer.dispatch.ev_kw.sum() * 0.92
+        assert charged_kwh == pytest.approx(30.0 * count if charged else 0.0, abs=0.1)
+
+
+@pytest.mark.parametrize("tiers", [("critical", "low"), ("low", "critical")])
+def test_the_tier_says_which_car_goes_first(tiers: tuple[str, str]) -> None:
+    day = replace(two_buses([[1.0]] * 2, [1.0], [6.0] * 2), chargers=chargers(2))
+    weight = [5.0 if tier == "critical" else 1.0 for tier in tiers]
+    day = plugged_in(day, (0, 2), (0, 2), tier=tiers, weight=weight)
+    power_kw = WindowSolver(Site.of(day)).solve(known(day)).dispatch.ev_kw
+    assert power_kw is not None
+    first = tiers.index("critical")
+    assert power_kw.sum(axis=0)[first] == pytest.approx(10.0, abs=1e-4)
+
+
+def test_what_is_known_of_sessions() -> None:
+    """Plugged-in and announced vehicles; a need behind the window is on the line to departure."""
+    day = two_buses([[1.0]] * 8, [1.0], [OPEN] * 8)
+    day = replace(day, chargers=chargers(3))
+    day = plugged_in(day, (1.5, 5.0), (0.0, 12.0), (2.0, 5.0), announced=[True, False, False])
+    seen = Plugged.of(day.chargers, day.sessions, day.grid, range(1, 7), np.array([0, 19.0, 0]))
+    assert seen.here.sum(axis=0).tolist() == [3, 6, 0]  # whole hours from 02:00 on
+    assert seen.held_kwh.sum(axis=0) == pytest.approx([18.0, 19.0, 0.0])
+    assert seen.needed_kwh[3, 0] == pytest.approx(48.0)
+    assert seen.needed_kwh[5, 1] == pytest.approx(18.0 + 30.0 * 7 / 12)
+    assert seen.part(slice(2)).needed_kwh[1, 1] == pytest.approx(18.0 + 30.0 * 3 / 12)
+
+
+@pytest.mark.monolith
+@pytest.mark.parametrize("seed", range(60))
+def test_methods_agree_on_random_windows(seed: int) -> None:
+    scenario, data = random_window(seed, stressed=seed % 2 > 0)
+    day = with_random_vehicles(scenario, seed)
+    steps = range(day.grid.n_steps)
+    rng = np.random.default_rng([seed, 13])
+    held_kwh = rng.uniform(0.0, 10.0, len(day.chargers))
+    data = replace(data, plugged=Plugged.of(day.chargers, day.sessions, day.grid, steps, held_kwh))
+    day_site = Site.of(day)
+    one, other = (WindowSolver(day_site, method).solve(data) for method in METHODS)
+    gap = 1e-4 * max(abs(other.objective), 0.01) + 1e-6
+    assert one.objective == pytest.approx(other.objective, abs=2.0 * gap)
+    assert min(one.bound, other.bound) >= max(one.objective, other.objective) - gap
+    assert not broken(day_site, data, one.dispatch)
+
+
+def with_random_vehicles(scenario: Scenario, seed: int) -> Scenario:
+    """The day with up to five chargers, some two-way and some alone, and a session each."""
+    rng = np.random.default_rng([seed, 12])
+    count = int(rng.integers(1, 6))
+    alone = rng.random(count) < 0.4
+    owner = rng.choice(scenario.customers.id, count)
+    customer = np.where(alone, "", owner).astype(object)
+    bus = np.where(alone, rng.choice(np.array(scenario.network.buses, dtype=object), count), None)
+    back_kw = np.where(rng.random(count) < 0.5, rng.uniform(1.0, 11.0, count), 0.0)
+    day = replace(
+        scenario,
+        chargers=chargers(
+            count,
+            customer=customer,
+            bus=bus,
+            p_charge_kw=rng.uniform(1.0, 22.0, count),
+            p_discharge_kw=back_kw,
+        ),
+    )
+    n_steps = scenario.grid.n_steps
+    begin = rng.integers(-2, n_steps, count)
+    hours = begin * scenario.grid.dt_h
+    ends = (begin + rng.integers(1, n_steps + 4, count)) * scenario.grid.dt_h
+    held = rng.uniform(0.1, 0.9, count)
+    return plugged_in(
+        day,
+        *zip(hours, ends, strict=True),
+        capacity_kwh=rng.uniform(10.0, 80.0, count),
+        soc_at_plug_in=held,
+        soc_needed=rng.uniform(held, 1.0),
+        v2g_soc_floor=np.where(rng.random(count) < 0.5, rng.uniform(0.0, 1.0, count), np.nan),
+        weight=rng.choice([1.0, 2.5, 10.0], count),
+    )
+
+
+# The step: plant and guard.
+
+
+def test_the_plant_is_exact_and_knows_what_chargers_cannot_do() -> None:
+    day = evening(OPEN, p_charge_min_kw=1.4, p_discharge_kw=5.0)
+    dark = replace(day, grid_limit_kw=[DARK] * 14)
+    on = np.ones(1, dtype=bool)
+    for each, wanted, done in (
+        (day, 20.0, 7.4),
+        (day, 1.0, 1.4),  # less is not to be had
+        (dark, 1.0, 0.0),
+        (day, -3.0, 0.0),  # below its floor
+    ):
+        garage = Plant(each).garage
+        power_kw = garage.possible_kw(0, np.array([wanted]), on)
+        assert power_kw == pytest.approx([done])
+        expected = 18.0 + 0.92 * done
+        assert garage.after_kwh(0, power_kw)[0] == pytest.approx(expected, abs=1e-12)
+    garage = Plant(day).garage
+    for t in range(13):
+        garage.advance(t, garage.possible_kw(t, np.array([7.4]), on))
+    assert garage.kwh == pytest.approx([60.0], abs=1e-9)  # full, and no more
+    assert garage.held_kwh(13) == pytest.approx([0.0])  # gone
+    assert garage.possible_kw(13, np.array([7.4]), on) == pytest.approx([0.0])
+
+
+def test_the_guard_refuses_power_without_a_vehicle() -> None:
+    day = evening(OPEN)
+    data = known(day)
+    observed = replace(first_step(day, data), plugged=data.plugged)
+    plan = WindowSolver(observed.site).solve(data).dispatch
+    assert violations(Decision(plan), observed) == []
+    assert plan.ev_kw is not None
+    more = replace(plan, ev_kw=plan.ev_kw + 1.0)
+    assert "charger power: k0 by 1 kW" in violations(Decision(more), observed)
+    away = replace(observed, plugged=Plugged.none(1, 1))
+    assert "charger power: k0 by 7.4 kW" in violations(Decision(plan), away)
+
+
+# Days.
+
+
+@pytest.mark.parametrize("mode", ["paper", "physical"])
+def test_a_day_says_who_left_short(mode: str) -> None:
+    """Two hours of grid, then an outage; what is stored is for the home."""
+    day = two_buses([[1.0]] * 6, [1.0], [OPEN] * 2 + [DARK] * 4)
+    stored = battery(energy_kwh=20.0, p_max_kw=20.0, s_max_kva=100.0)
+    day = replace(day, batteries=stored, chargers=chargers())
+    day = plugged_in(day, (0, 5), soc_needed=0.8)
+    run = run_day(day, RunOptions(mode=mode, horizon_h=5.0, isolate=False))
+    figures = summarise(run)["vehicles"]
+    assert figures["departures"] == figures["left_short"] == 1
+    assert figures["charged_kwh"] == pytest.approx(14.8, abs=1e-3)
+    assert figures["missed_kwh"] == pytest.approx(30.0 - 14.8 * 0.92, abs=1e-3)
+    assert figures["missed_kwh_by_tier"] == {"critical": figures["missed_kwh"]}
+    assert cautions(run)[0].startswith("1 of 1 vehicles left short of 16.4 kWh in all: car0")
+    assert run.vehicles is not None
+    assert run.vehicles["energy_end_kwh"].iloc[4] == pytest.approx(18.0 + 14.8 * 0.92, abs=1e-3)
+
+
+# Files and messages.
+
+
+def test_the_tables_are_read_and_written(tiny: Scenario, tmp_path: Path) -> None:
+    some = chargers(2, customer=["shop", ""], bus=[None, tiny.network.buses[1]])
+    day = plugged_in(replace(tiny, chargers=some), (0.5, 3), (1, 9), tier="low")
+    check_scenario(day)
+    write_scenario(day, tmp_path / "day")
+    again = read_scenario(tmp_path / "day")
+    assert scenario_digest(again) == scenario_digest(day)
+    assert (again.session_at == day.session_at).all()
+    write_scenario(tiny, tmp_path / "plain")
+    assert not list((tmp_path / "plain").glob("ev_*"))
+    assert scenario_digest(read_scenario(tmp_path / "plain")) == scenario_digest(tiny)
+
+
+@pytest.mark.parametrize(
+    ("file", "before", "after", "message"),
+    [
+        ("ev_chargers", "k0,,2", "k0,nobody,", r"ev_chargers.csv, row 2.*customer.*nobody"),
+        ("ev_chargers", "k0,,2", "k0,,", r"row 2.*neither a customer nor a bus"),
+        ("ev_chargers", "7.4,0.0", "7.4,9.0", r"p_charge_min_kw.*9.*p_charge_kw \(7.4\)"),
+        ("ev_sessions", "k0,car0", "k7,car0", r"ev_sessions.csv, row 2.*charger.*k7"),
+        ("ev_sessions", ",0.8,", ",,", r"row 2.*soc_needed.*energy_needed_kwh"),
+        ("ev_sessions", "T02:00", "T00:00", r"row 2.*plug_out.*does not come after plug_in"),
+        ("ev_sessions", "critical", "none", r"row 2.*tier.*none.*not a tier"),
+    ],
+)
+def test_mistakes_are_named(
+    tmp_path: Path, file: str, before: str, after: str, message: str
+) -> None:
+    day = plugged_in(replace(evening(OPEN), tiers=("critical",)), (0, 2))
+    write_scenario(day, tmp_path / "day")
+    path = tmp_path / "day" / f"{file}.csv"
+    text = path.read_text("utf-8")
+    assert before in text
+    path.write_text(text.replace(before, after, 1), "utf-8")
+    with pytest.raises(InputError, match=message):
+        read_scenario(tmp_path / "day")
+
+
+def test_two_vehicles_at_a_charger_at_a_time_are_refused(tmp_path: Path) -> None:
+    day = replace(evening(OPEN), tiers=("critical",))
+    twice = plugged_in(replace(day, chargers=chargers(2)), (0, 3), (2, 4), charger="k0")
+    write_scenario(twice, tmp_path / "day")
+    with pytest.raises(InputError, match=r"row 3.*plug_in.*before the vehicle of row 2 has left"):
+        read_scenario(tmp_path / "day")
+
+
+def test_what_plans_no_vehicles_is_refused() -> None:
+    day = evening(OPEN)
+    with pytest.raises(InputError, match=r"controller.*idle.*plans no vehicles.*Use mpc"):
+        run_day(day, RunOptions(controller="idle"))
+    dear = replace(day, price_gbp_per_kwh=np.full(14, 1e4))
+    with pytest.raises(InputError, match=r"lambda_grid.*makes energy dearer than.*at most"):
+        run_day(dear)
+    parts = replace(
+        day,
+        chargers=chargers(customer="c0", bus=None),
+        customers=replace(day.customers, shed_steps=[2]),
+    )
+    with pytest.raises(InputError, match=r"customer.*c0.*switched in parts.*charger k0"):
+        run_day(parts)

@@ -1,0 +1,159 @@
+"""Vehicles that are plugged in over the steps of a window: arrays, by charger.
+
+:mod:`vppres.model.beyond_paper.vehicles` states a problem with them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Self
+
+import numpy as np
+
+from vppres.core.arrays import Flags, Floats
+from vppres.scenario.timegrid import TimeGrid
+from vppres.scenario.vehicles import Chargers, Sessions
+
+
+@dataclass(frozen=True, eq=False)
+class Plugged:
+    """What is known of vehicles in W steps at K chargers, (W, K) each; energies in kWh.
+
+    Parameters
+    ----------
+    here : array of bool
+        Steps in which a vehicle is plugged in.
+    stays : array of bool
+        Steps that begin with the vehicle of the step before.
+    held_kwh : array
+        Energy in the vehicle of which it is the first step of the window, otherwise 0.
+    full_kwh, floor_kwh : array
+        Energy that it holds at most, and below which it is not discharged.
+    line_kwh : array
+        Energy at the end of the step on the straight line from what it holds at plug-in to what it
+        needs at departure.
+    weight : array
+        Weight of its tier.
+    """
+
+    here: Flags
+    stays: Flags
+    held_kwh: Floats
+    full_kwh: Floats
+    floor_kwh: Floats
+    line_kwh: Floats
+    weight: Floats
+
+    @classmethod
+    def none(cls, n_steps: int, n_chargers: int) -> Self:
+        """Nobody is plugged in."""
+        shape = (n_steps, n_chargers)
+        flags = (np.zeros(shape, dtype=bool) for _ in range(2))
+        return cls(*flags, *(np.zeros(shape) for _ in range(5)))
+
+    @classmethod
+    def of(
+        cls,
+        chargers: Chargers,
+        sessions: Sessions,
+        grid: TimeGrid,
+        steps: range,
+        now_kwh: Floats,
+        all_known: bool = False,
+    ) -> Self:
+        """The vehicles of a window that are known when it begins.
+
+        They are those that are plugged in then, and those that are announced.
+
+        Parameters
+        ----------
+        chargers, sessions, grid
+            Of the scenario.
+        steps : range
+            Steps of the window.
+        now_kwh : array, shape (K,)
+            Energy of the vehicles that have been plugged in before.
+        all_known : bool, optional
+            Whether all sessions are known.
+        """
+        found = cls.none(len(steps), len(chargers))
+        column = {name: k for k, name in enumerate(chargers.id)}
+        first, after = sessions.steps(grid)
+        known = sessions.announced | (first <= steps.start) | all_known
+        for s in np.flatnonzero(known & (first < steps.stop) & (after > steps.start)):
+            k = column[sessions.charger[s]]
+            begin = max(first[s], steps.start) - steps.start
+            end = min(after[s], steps.stop) - steps.start
+            inside = slice(begin, end)
+            held_kwh = sessions.held_kwh[s]
+            over = np.arange(steps.start + begin, steps.start + end) + 1 - first[s]
+            grown = over / (after[s] - first[s])
+            before = max(first[s], 0) < steps.start
+            found.here[inside, k] = True
+            found.stays[begin + 1 : end, k] = True
+            found.held_kwh[begin, k] = now_kwh[k] if before else held_kwh
+            found.full_kwh[inside, k] = sessions.full_kwh[s]
+            found.floor_kwh[inside, k] = sessions.floor_kwh[s]
+            found.line_kwh[inside, k] = held_kwh + grown * (sessions.needed_kwh[s] - held_kwh)
+            found.weight[inside, k] = sessions.weight[s]
+        return found
+
+    def __len__(self) -> int:
+        return len(self.here)
+
+    def part(self, steps: slice) -> Self:
+        """The first steps of the window, by a slice."""
+        return type(self)(*(getattr(self, f.name)[steps] for f in fields(self)))
+
+    @property
+    def due(self) -> Flags:
+        """Last steps of the vehicles: before they leave, or of the window, (W, K)."""
+        return self.here & ~np.vstack([self.stays[1:], np.zeros_like(self.stays[:1])])
+
+    @property
+    def needed_kwh(self) -> Floats:
+        """Energy that each vehicle is to have at the end of its last step, otherwise 0, (W, K).
+
+        One that leaves after the window is to have its part of what it needs by then.
+        """
+        return np.where(self.due, self.line_kwh, 0.0)
+
+    @property
+    def lowest_kwh(self) -> Floats:
+        """Energy below which each vehicle may not come, (W, K).
+
+        It is its floor, or what it holds at first if that is less.
+        """
+        held = np.zeros(self.held_kwh.shape[1])
+        rows = []
+        for stays, begins_kwh in zip(self.stays, self.held_kwh, strict=True):
+            held = np.where(stays, held, begins_kwh)
+            rows.append(held)
+        return np.minimum(self.floor_kwh, np.array(rows).reshape(self.floor_kwh.shape))
+
+    def energy_kwh(self, power_kw: Floats, chargers: Chargers, dt_h: float) -> Floats:
+        """Energy at the end of each step, (W, K), of a power that is negative to discharge."""
+        stored_kw = chargers.eta_charge * np.maximum(power_kw, 0.0)
+        stored_kw = stored_kw - np.maximum(-power_kw, 0.0) / chargers.eta_discharge
+        held = np.zeros(len(chargers))
+        rows = []
+        for t, stays in enumerate(self.stays):
+            held = np.where(stays, held, self.held_kwh[t]) + dt_h * stored_kw[t]
+            rows.append(held)
+        return np.array(rows).reshape(power_kw.shape)
+
+    def short_kwh(self, energy_kwh: Floats) -> Floats:
+        """What each vehicle lacks when it leaves, (W, K)."""
+        return np.maximum(self.needed_kwh - energy_kwh, 0.0)
+
+    def price(self, least_weight: float, dt_h: float) -> Floats:
+        """Price of a kWh that a vehicle lacks, in weighted customer hours, (W, K).
+
+        It is in proportion to the weight of its tier. All vehicles of the window without any of
+        the energy that they hold at most count half a step of the customer of this least weight:
+        no service is given up for vehicles.
+        """
+        weight = np.where(self.due, self.weight, 0.0)
+        total = float((weight * self.full_kwh).sum())
+        scale = 0.5 * least_weight * dt_h / total if total else 0.0
+        return scale * weight

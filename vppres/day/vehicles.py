@@ -1,0 +1,142 @@
+"""What plans with electric vehicles do not state, refused by name; and figures of vehicles."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from vppres.core.errors import InputError
+from vppres.day.options import RunOptions
+from vppres.day.trajectory import Trajectory
+from vppres.scenario.scenario import Scenario
+
+CONTROLLER = "mpc"
+
+NAMED = 5
+"""Vehicles that a sentence names."""
+
+DEARER = 2.0
+"""How much dearer a kWh that a vehicle misses must be than any energy that it could be given."""
+
+
+def check_vehicles(scenario: Scenario, options: RunOptions) -> None:
+    """Refuse what plans with chargers cannot hold.
+
+    Raises
+    ------
+    InputError
+        For feeders with phases, customers in parts that have a charger, controllers that plan no
+        vehicles, and prices beside which missed energy would count nothing.
+    """
+    chargers = scenario.chargers
+    if not len(chargers):
+        return
+    if scenario.phases is not None:
+        raise _refused(
+            "ev_chargers.csv",
+            "is not stated for feeders with phases",
+            "Remove the file, or the phase_*.csv for the balanced equivalent.",
+        )
+    if options.controller != CONTROLLER:
+        raise InputError.of(
+            "options",
+            "plans no vehicles",
+            f"Use {CONTROLLER}, or remove ev_chargers.csv.",
+            field="controller",
+            value=options.controller,
+        )
+    _check_price(scenario)
+
+
+def check_parts(scenario: Scenario) -> None:
+    """Refuse a charger of a customer that is switched in parts: it is not said with which.
+
+    Raises
+    ------
+    InputError
+        If there is one.
+    """
+    parts = dict(zip(scenario.customers.id, scenario.customers.shed_steps, strict=True))
+    for charger, customer in zip(scenario.chargers.id, scenario.chargers.customer, strict=True):
+        if parts.get(customer, 1) > 1:
+            raise InputError.of(
+                "ev_chargers.csv",
+                "is switched in parts (shed_steps)",
+                f"Give charger {charger} a bus instead, or the customer a shed_steps of 1.",
+                field="customer",
+                value=customer,
+            )
+
+
+def _check_price(scenario: Scenario) -> None:
+    """Whether a missed kWh is dearer than any energy, however many vehicles share the price."""
+    sessions = scenario.sessions
+    total = float((sessions.weight * sessions.full_kwh).sum())
+    if not total:
+        return
+    chargers = scenario.chargers
+    least_weight = float(scenario.customers.weight.min())
+    missed = 0.5 * least_weight * scenario.grid.dt_h * float(sessions.weight.min()) / total
+    dearest = float(np.abs(scenario.price_gbp_per_kwh).max()) / float(chargers.eta_charge.min())
+    if missed < DEARER * scenario.objective.lambda_grid * dearest:
+        most = missed / DEARER / dearest
+        raise _refused(
+            "scenario.toml",
+            f"makes energy dearer than what {len(sessions)} sessions of vehicles may count",
+            f"Give at most {most:.1e}, or fewer sessions.",
+            "objective.lambda_grid",
+            scenario.objective.lambda_grid,
+        )
+
+
+def _refused(
+    where: str, message: str, cure: str, field: str = "", value: object = None
+) -> InputError:
+    return InputError.of(where, message, cure, field=field or None, value=value)
+
+
+def vehicle_figures(trajectory: Trajectory) -> dict[str, Any]:
+    """Energy that vehicles were given and missed, and how many left short; empty without any.
+
+    Returns
+    -------
+    dict
+        ``vehicles``: departures, those that were short, missed energy in kWh in all and by tier,
+        energy that was charged and given back at the connection in kWh.
+    """
+    rows = trajectory.vehicles
+    if rows is None:
+        return {}
+    day = trajectory.scenario
+    dt_h = day.grid.dt_h
+    left = rows[rows["leaves"]]
+    by_tier = left.groupby("tier")["short_kwh"].sum()
+    return {
+        "vehicles": {
+            "departures": len(left),
+            "left_short": int((left["short_kwh"] > 0.0).sum()),
+            "missed_kwh": float(left["short_kwh"].sum()),
+            "missed_kwh_by_tier": {
+                tier: float(by_tier[tier]) for tier in day.tiers if tier in by_tier
+            },
+            "charged_kwh": float(rows["p_kw"].clip(lower=0.0).sum()) * dt_h,
+            "given_back_kwh": float((-rows["p_kw"]).clip(lower=0.0).sum()) * dt_h,
+        }
+    }
+
+
+def vehicle_words(trajectory: Trajectory) -> list[str]:
+    """How many vehicles left with less than they need, in a sentence; none if all have enough."""
+    figures = vehicle_figures(trajectory).get("vehicles", {})
+    if not figures.get("left_short"):
+        return []
+    rows = trajectory.vehicles
+    assert rows is not None
+    short = rows[rows["short_kwh"] > 0.0].sort_values("short_kwh", ascending=False, kind="stable")
+    names = [f"{row.vehicle} {row.short_kwh:.1f} kWh" for row in short.head(NAMED).itertuples()]
+    more = f" and {len(short) - NAMED} more" if len(short) > NAMED else ""
+    return [
+        f"{figures['left_short']} of {figures['departures']} vehicles left short of "
+        f"{figures['missed_kwh']:.1f} kWh in all: {', '.join(names)}{more}."
+    ]

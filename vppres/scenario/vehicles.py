@@ -1,0 +1,161 @@
+"""Chargers of electric vehicles and the times in which a vehicle is plugged in: frozen tables.
+
+A site without chargers has tables of length 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+
+import numpy as np
+
+from vppres.core.arrays import Flags, Floats, Names, Wholes, freeze_fields
+from vppres.scenario.assets import Customers
+from vppres.scenario.timegrid import TimeGrid
+
+NO_CAR = -1
+"""Session of a charger at which no vehicle is plugged in."""
+
+OF_SESSIONS = (
+    "capacity_kwh",
+    "soc_at_plug_in",
+    "soc_needed",
+    "energy_needed_kwh",
+    "v2g_soc_floor",
+)
+"""Columns of sessions that are NaN if not given."""
+
+ROUNDING = 1e-9
+"""Share of a step by which a time may miss its beginning."""
+
+
+def _none() -> Floats:
+    return np.empty(0)
+
+
+def _nobody() -> Names:
+    return np.empty(0, dtype=object)
+
+
+@dataclass(frozen=True, eq=False)
+class Chargers:
+    """Chargers of vehicles, shape (K,) each.
+
+    ``customer`` is the customer behind whose switch a charger is; one that stands alone has none
+    (empty text) and names its ``bus``, others have None there. ``p_discharge_kw`` is 0 for a
+    charger that only charges. Chargers have a power factor of 1.
+    """
+
+    id: Names = field(default_factory=_nobody)
+    bus: Names = field(default_factory=_nobody)
+    customer: Names = field(default_factory=_nobody)
+    p_charge_kw: Floats = field(default_factory=_none)
+    p_charge_min_kw: Floats = field(default_factory=_none)
+    p_discharge_kw: Floats = field(default_factory=_none)
+    eta_charge: Floats = field(default_factory=_none)
+    eta_discharge: Floats = field(default_factory=_none)
+
+    def __post_init__(self) -> None:
+        names = {"id": object, "bus": object, "customer": object}
+        freeze_fields(self, **{f.name: names.get(f.name, float) for f in fields(self)})
+
+    def __len__(self) -> int:
+        return len(self.id)
+
+    @property
+    def alone(self) -> Flags:
+        """Chargers without a customer, (K,)."""
+        return np.array([customer == "" for customer in self.customer], dtype=bool)
+
+    @property
+    def two_way(self) -> Flags:
+        """Chargers that discharge vehicles too, (K,)."""
+        return np.asarray(self.p_discharge_kw > 0.0)
+
+    def owner(self, customers: Customers) -> Wholes:
+        """Position of each charger's customer, 0 for one that stands alone (:attr:`alone`)."""
+        position = {"": 0, **{c: i for i, c in enumerate(customers.id)}}
+        return np.array([position[c] for c in self.customer], dtype=int)
+
+    def buses(self, customers: Customers) -> Names:
+        """Bus of each charger, (K,): its own or its customer's."""
+        if not len(self):
+            return self.bus
+        return np.where(self.alone, self.bus, customers.bus[self.owner(customers)]).astype(object)
+
+
+@dataclass(frozen=True, eq=False)
+class Sessions:
+    """Times in which a vehicle is plugged in, shape (S,) each, as the file says them.
+
+    Times are of type :class:`pandas.Timestamp`. Numbers are NaN where the file has none;
+    :attr:`held_kwh` and the properties beside it say what follows in kWh.
+    """
+
+    charger: Names = field(default_factory=_nobody)
+    vehicle: Names = field(default_factory=_nobody)
+    plug_in: Names = field(default_factory=_nobody)
+    plug_out: Names = field(default_factory=_nobody)
+    capacity_kwh: Floats = field(default_factory=_none)
+    soc_at_plug_in: Floats = field(default_factory=_none)
+    soc_needed: Floats = field(default_factory=_none)
+    energy_needed_kwh: Floats = field(default_factory=_none)
+    v2g_soc_floor: Floats = field(default_factory=_none)
+    tier: Names = field(default_factory=_nobody)
+    weight: Floats = field(default_factory=_none)
+    announced: Flags = field(default_factory=lambda: np.empty(0, dtype=bool))
+
+    def __post_init__(self) -> None:
+        others = dict.fromkeys(("charger", "vehicle", "plug_in", "plug_out", "tier"), object)
+        types = {**others, "announced": bool}
+        freeze_fields(self, **{f.name: types.get(f.name, float) for f in fields(self)})
+
+    def __len__(self) -> int:
+        return len(self.charger)
+
+    @property
+    def by_energy(self) -> Flags:
+        """Sessions of vehicles that tell no state of charge, but the energy that they need."""
+        return ~np.isnan(self.energy_needed_kwh)
+
+    @property
+    def held_kwh(self) -> Floats:
+        """Energy in the vehicle when it is plugged in; counted from 0 if it tells none."""
+        return np.where(self.by_energy, 0.0, self.soc_at_plug_in * self.capacity_kwh)
+
+    @property
+    def needed_kwh(self) -> Floats:
+        """Energy that it is to have when it leaves."""
+        soc_kwh = self.soc_needed * self.capacity_kwh
+        return np.where(self.by_energy, self.energy_needed_kwh, soc_kwh)
+
+    @property
+    def full_kwh(self) -> Floats:
+        """Energy that it holds at most."""
+        return np.where(self.by_energy, self.energy_needed_kwh, self.capacity_kwh)
+
+    @property
+    def floor_kwh(self) -> Floats:
+        """Energy below which it is not discharged: what it needs, if nothing else is said."""
+        said = self.v2g_soc_floor * self.full_kwh
+        return np.where(np.isnan(self.v2g_soc_floor), self.needed_kwh, said)
+
+    def steps(self, grid: TimeGrid) -> tuple[Wholes, Wholes]:
+        """First step of each session and the one after its last, (S,) each, within the grid or not.
+
+        A step counts if the vehicle is plugged in for the whole of it.
+        """
+        begins = np.array([(time - grid.start) / grid.step for time in self.plug_in], dtype=float)
+        ends = np.array([(time - grid.start) / grid.step for time in self.plug_out], dtype=float)
+        first = np.ceil(begins - ROUNDING).astype(int)
+        return first, np.maximum(np.floor(ends + ROUNDING).astype(int), first)
+
+
+def sessions_by_step(chargers: Chargers, sessions: Sessions, grid: TimeGrid) -> Wholes:
+    """Which session each charger has in each step, (T, K): its row, or :data:`NO_CAR`."""
+    found = np.full((grid.n_steps, len(chargers)), NO_CAR)
+    column = {name: k for k, name in enumerate(chargers.id)}
+    first, after = sessions.steps(grid)
+    for s, charger in enumerate(sessions.charger):
+        found[max(first[s], 0) : max(after[s], 0), column[charger]] = s
+    return found
