@@ -55,7 +55,9 @@ def chargers(count: int = 1, **more: Any) -> Chargers:
 def plugged_in(day: Scenario, *hours: tuple[float, float], **more: Any) -> Scenario:
     """The day with a vehicle of 60 kWh at each charger between these hours: 30 %, needs 80 %."""
     count = len(hours)
-    times = [[day.grid.start + pd.Timedelta(hours=h) for h in each] for each in zip(*hours, strict=True)]
+    times = [
+        [day.grid.start + pd.Timedelta(hours=h) for h in each] for each in zip(*hours, strict=True)
+    ]
     values: dict[str, Any] = {
         "charger": day.chargers.id[:count],
         "vehicle": [f"car{i}" for i in range(count)],
