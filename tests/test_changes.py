@@ -16,7 +16,7 @@ from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.feeders import import_network
 from vppres.feeders.new.options import NewScenarioOptions
-from vppres.feeders.new.scenario import write_new_scenario
+from vppres.feeders.new.scenario import new_scenario, write_new_scenario
 from vppres.io.scenario_folder import read_scenario
 from vppres.report.run_folder import write_run
 from vppres.scenario.source import Source
@@ -172,12 +172,55 @@ def by_phase() -> Any:
     return net
 
 
-def test_single_phases_are_refused_without_the_option() -> None:
+def test_single_phases_without_a_zero_sequence_are_refused() -> None:
     assert refused(by_phase()) == (
-        "pandapower net: is not balanced: 1 loads by phase beside 1 of three, 1 static generators "
-        "by phase beside 0 of three. The model is balanced: --balance spreads every load over three "
+        "pandapower net: is not balanced, and its table line lacks r0_ohm_per_km, x0_ohm_per_km, "
+        "c0_nf_per_km. Give them, or: the model is balanced: --balance spreads every load over three "
         "phases, and says how far from that the source is."
     )
+
+
+def low_voltage(clock: int) -> Any:
+    """A transformer and three lines, with loads and a generator of single phases."""
+    net = pp.create_empty_network()
+    buses = [pp.create_bus(net, 10.0), *(pp.create_bus(net, 0.4) for _ in range(4))]
+    pp.create_ext_grid(net, buses[0], vm_pu=1.02)
+    zero = {"vk0_percent": 3.8, "vkr0_percent": 1.1, "mag0_percent": 100, "mag0_rx": 0.1}
+    pp.create_transformer_from_parameters(
+        net, *buses[:2], sn_mva=0.25, vn_hv_kv=10.0, vn_lv_kv=0.4, vkr_percent=1.2, vk_percent=4.0,
+        pfe_kw=0.6, i0_percent=0.3, shift_degree=30.0 * clock, vector_group="Dyn",
+        si0_hv_partial=0.9, **zero,
+    )  # fmt: skip
+    for start, end in ((1, 2), (2, 3), (2, 4)):
+        pp.create_line_from_parameters(
+            net, buses[start], buses[end], 0.15, r_ohm_per_km=0.25, x_ohm_per_km=0.08,
+            c_nf_per_km=260.0, max_i_ka=0.25, r0_ohm_per_km=1.0, x0_ohm_per_km=0.32,
+            c0_nf_per_km=150.0,
+        )  # fmt: skip
+    pp.create_load(net, buses[2], p_mw=0.01, q_mvar=0.002)
+    pp.create_asymmetric_load(net, buses[3], p_a_mw=0.02, q_a_mvar=0.005, p_b_mw=0.008)
+    pp.create_asymmetric_load(net, buses[4], p_a_mw=0.012, p_b_mw=0.003, type="delta")
+    pp.create_asymmetric_sgen(net, buses[2], p_a_mw=0.004)
+    return net
+
+
+@pytest.mark.parametrize("clock", [1, 5, 11])
+def test_single_phases_are_kept_with_the_voltages_of_pandapower(clock: int) -> None:
+    feeder = import_network(low_voltage(clock))
+    assert feeder.phased is not None and feeder.phased.difference_pu is not None
+    assert feeder.phased.difference_pu < 1e-6
+    coils = {load.connection.id: load.connection.coils for load in feeder.phased.loads}
+    assert coils["0"] == "a b c" and coils["0pa"] == "a" and coils["1pbc"] == "bc"
+    options = NewScenarioOptions(pv="sized", add_batteries=True)
+    day = new_scenario(feeder, options)
+    assert day.phases is not None
+    assert len(day.customers) == 5
+
+
+def test_a_vector_group_that_is_not_known_by_phase_is_refused_by_name() -> None:
+    net = low_voltage(0)
+    net.trafo["vector_group"] = "YNyn"
+    assert "trafo 0 is YNyn0: Dyn and Yzn" in refused(net)
 
 
 def test_single_phases_are_spread_with_a_note() -> None:

@@ -17,7 +17,7 @@ from vppres.core.errors import InputError, VppresError, first_line
 from vppres.feeders.closeness import given_deviation
 from vppres.feeders.dss.circuit import OpenDSSFlow
 from vppres.feeders.feeder import ImportedFeeder, Profile
-from vppres.feeders.net.balance import PhasePowers, balanced, phase_powers
+from vppres.feeders.net.balance import PhasePowers, balance_net, balanced, phase_powers
 from vppres.feeders.net.changes import Changes, changed
 from vppres.feeders.net.names import bus_names
 from vppres.feeders.net.reduce import feeder_of
@@ -68,7 +68,8 @@ def import_network(
 ) -> ImportedFeeder:
     """Import a network.
 
-    An OpenDSS feeder that is not balanced keeps its phases, unless ``balance`` spreads them.
+    An OpenDSS feeder or a pandapower net that is not balanced keeps its phases, unless ``balance``
+    spreads them.
 
     Parameters
     ----------
@@ -85,7 +86,7 @@ def import_network(
         The grid connection, where there are several external grids: one by table and index, by its
         name or its bus, or ``all`` for those that hold the same voltage together.
     balance : bool, optional
-        Spread loads of single phases over three; without it a pandapower net with any is refused.
+        Spread loads of single phases over three.
     names : bool, optional
         Call buses, generators and batteries as the source does, and make each of its loads a
         customer with its name; otherwise names follow the buses' numbers, with a customer a bus.
@@ -140,13 +141,15 @@ def _feeder(found: _Net, name: str, changes: Changes) -> ImportedFeeder:
     """The feeder of a net, after the changes that were asked for."""
     notes = found.notes
     phases = found.phases or phase_powers(found.net)
-    keeps_phases = phases is not None and found.flow is not None and not changes.balance
+    keeps_phases = phases is not None and not changes.balance
     if phases is not None and not keeps_phases:
         notes += (balanced(phases, name, changes.balance),)
     ids = found.bus_ids
     if ids is None and changes.names:
         ids = bus_names(found.net)
     net, made = changed(found.net, name, changes, ids)
+    if keeps_phases and found.flow is None:
+        return _with_phases_of_net(found, net, name, ids, notes + made)
     feeder = replace(feeder_of(net, name, bus_ids=ids), named=changes.names)
     if keeps_phases:
         # Its customers are the loads by name in any case.
@@ -171,6 +174,23 @@ def _with_phases(found: _Net, net: Any, feeder: ImportedFeeder) -> ImportedFeede
     feeder = replace(feeder, source_flow=flow, causes=(), deviation=None)
     phased = phased_source(flow.job, flow.name, feeder, flow.disabled)
     return replace(feeder, phased=phased, notes=(*feeder.notes, *phased.notes))
+
+
+def _with_phases_of_net(
+    found: _Net, net: Any, name: str, ids: Mapping[int, BusId] | None, notes: tuple[str, ...]
+) -> ImportedFeeder:
+    """The tree of a pandapower net with the phases of its loads."""
+    from vppres.feeders.net.by_phase import phased_net
+
+    tree = deepcopy(net)
+    for _ in balance_net(tree):
+        pass  # the phases are kept beside it
+    feeder = replace(feeder_of(tree, name, bus_ids=ids), causes=(), deviation=None)
+    feeder = replace(feeder, source_flow=None)
+    phased = phased_net(net, name, feeder)
+    if found.profiles or profiles_of(net):
+        notes += ("Series of the source are left out: they name no phases.",)
+    return replace(feeder, phased=phased, notes=(*notes, *feeder.notes, *phased.notes))
 
 
 def _with_profiles(feeder: ImportedFeeder, profiles: tuple[Profile, ...]) -> ImportedFeeder:

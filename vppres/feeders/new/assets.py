@@ -88,12 +88,13 @@ def new_assets(feeder: ImportedFeeder, options: NewScenarioOptions) -> NewAssets
     table = generator_table(feeder)
     kept = _kept(table, options)
     grouped = _own_systems(table[kept], feeder.named)
-    pv = _systems(grouped, customers)
     before = 0
     if options.pv == "sized":
         sized = _sized_pv(customers, peak_kw, options, draw_pv, feeder.named)
         before = len(sized)
-        pv = _joined(sized, pv)
+        pv = _joined(sized, _systems(grouped, customers, {*sized.customer}))
+    else:
+        pv = _systems(grouped, customers, set())
     own = _own_batteries(feeder)
     added = _added_batteries(customers, peak_kw, options, set(own.id), feeder.named)
     notes = [
@@ -286,17 +287,17 @@ def _positions(table: pd.DataFrame, kept: Flags, grouped: pd.DataFrame, before: 
     )
 
 
-def _systems(own: pd.DataFrame, customers: Customers) -> PVSystems:
+def _systems(own: pd.DataFrame, customers: Customers, supplied: set[object]) -> PVSystems:
     """The source's systems: one behind each customer's meter, PV before other kinds.
 
-    Further kinds at a customer's bus, and systems at buses without a customer or with several,
-    stand alone.
+    Further kinds at a customer's bus, systems at buses without a customer or with several, and
+    those of customers that are supplied by another one stand alone.
     """
     after_pv = np.argsort((own["kind"] != PV).to_numpy(int), kind="stable")
     first = own.iloc[after_pv].drop_duplicates("bus").index
     at_bus = Counter(customers.bus)
     pairs = zip(customers.bus, customers.id, strict=True)
-    owner = {bus: name for bus, name in pairs if at_bus[bus] == 1}
+    owner = {bus: name for bus, name in pairs if at_bus[bus] == 1 and name not in supplied}
     owned = own.index.isin(first) & own["bus"].isin([*owner]).to_numpy(bool)
     s_kva = written(own["s_kva"].to_numpy(float))
     return PVSystems(
