@@ -12,19 +12,20 @@ import argparse
 import sys
 import tempfile
 import time
+from contextlib import AbstractContextManager
 from dataclasses import fields, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 
 from experiments.tables import put_into
 from vppres.contract.decision import Decider, Decision
 from vppres.contract.observation import Observation
-from vppres.control.guard.guard import GuardedController
-from vppres.control.mpc import MPCController
 from vppres.control.phased import PhasedPlanner
+from vppres.control.phased_window import PhasedLinearisation
 from vppres.core.errors import VerificationError, VppresError
 from vppres.day.assembly import make_controller
 from vppres.day.metrics import resilience
@@ -227,25 +228,23 @@ class Timed:
         return decision
 
 
-class FirstPasses(PhasedPlanner):
-    """A planner that keeps how far its first candidates are off AC in their first step, in pu."""
-
-    def __init__(self, like: PhasedPlanner) -> None:
-        super().__init__(like.solver, like.headroom, like.passes)
-        self.off_pu: list[float] = []
+def _watching(off_pu: list[float]) -> AbstractContextManager[Any]:
+    """Keep how far first candidates are off AC in their first step, in pu, before any pass."""
+    plain = PhasedPlanner.converge
 
     def converge(
-        self, data: WindowData, solution: WindowSolution, deadline: Deadline
+        self: PhasedPlanner, data: WindowData, solution: WindowSolution, deadline: Deadline
     ) -> tuple[WindowData, WindowSolution]:
-        """The candidate at which model and AC meet."""
         first = data.part(slice(0, 1))
         p, q = self.model.drawn(data.for_service(solution.dispatch.served), solution.dispatch)
         lit = lit_steps(first)
         points = self.model.points(first, p[:1], q[:1], lit)
         if lit[0] and points.converged[0]:
-            off_pu = self._linearisation.v_pu(first, p[:1], q[:1]) - np.sqrt(points.u_pu2)
-            self.off_pu.append(float(np.abs(off_pu).max()))
-        return super().converge(data, solution, deadline)
+            planned = PhasedLinearisation(self.model).v_pu(first, p[:1], q[:1])
+            off_pu.append(float(np.abs(planned - np.sqrt(points.u_pu2)).max()))
+        return plain(self, data, solution, deadline)
+
+    return patch.object(PhasedPlanner, "converge", converge)
 
 
 class Watched(Day):
@@ -280,14 +279,9 @@ def _loop(scenario: Scenario, balanced: bool) -> str:
     known = replace(scenario, phases=None) if balanced else scenario
     options = RunOptions(limits=SolveLimits(time_s=LIMIT_S)).on(scenario)
     day = Watched(scenario, options)
-    controller = make_controller(known, options)
-    planner = None
-    if not balanced:
-        assert isinstance(controller, GuardedController)
-        assert isinstance(controller.inner, MPCController)
-        assert isinstance(controller.inner.planner, PhasedPlanner)
-        planner = controller.inner.planner = FirstPasses(controller.inner.planner)
-    run = day.run(controller)
+    first_pu: list[float] = []
+    with _watching(first_pu):
+        run = day.run(make_controller(known, options))
     steps = run.steps
     assert run.nodes is not None
     dark = scenario.outage
@@ -300,7 +294,7 @@ def _loop(scenario: Scenario, balanced: bool) -> str:
     claimed = float(np.mean(np.array(day.planned)[dark] @ weight) / weight.sum())
     open_ = int((steps["status"] != "optimal").sum())
     off_plan = "" if balanced else f"{np.nanmax(steps['v_error_pu']):.1e}"
-    off_first = "" if planner is None else f"{np.quantile(planner.off_pu, 0.95):.4f}"
+    off_first = f"{np.quantile(first_pu, 0.95):.4f}" if first_pu else ""
     return (
         f"{claimed:.4f} | {resilience(run) or 0.0:.4f} | {worst.max():.3f} | "
         f"{int((worst > 1.0).sum())} of {dark.sum()} | {int(steps['dark'].sum())} | "

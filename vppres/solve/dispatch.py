@@ -57,6 +57,10 @@ CURTAILMENT_HELD_REL = 1e-7
 """The same of curtailment, which weighs more: nearly as much as all service in a sunny outage. As
 much again is what interior points may miss it by."""
 
+EASED_CURTAILED_REL = 1e-2
+"""The same of a dispatch by phase that has no inside else: what is curtailed for a phase of the
+former leaves its limits none. Passes end only where the tie-breakers have their say."""
+
 OWN_HELD = 1e-7
 """The same of the page's own term, in weighted customer hours: a thousandth of the gap."""
 
@@ -202,11 +206,23 @@ def cheapest(
     return Candidate.of(task.site, data, attempt.dispatch, slack_gbp, form.network, attempt.own)
 
 
-def with_tie_breakers(task: WindowTask, found: Candidate) -> Candidate | None:
-    """The dispatch that the tie-breakers prefer, None if the network forbids its cost."""
+def _curtailed_rel(task: WindowTask, found: Candidate) -> float:
+    """Share of what a dispatch curtails that may be curtailed more, within the window's gap."""
+    worth = task.site.weights.lambda_curt * found.terms.f3
+    allowed = CURTAILED_GAP_SHARE * task.certificate.limits.gap_at(found.value)
+    return EASED_CURTAILED_REL * min(1.0, allowed / worth) if worth > 0.0 else 0.0
+
+
+def with_tie_breakers(
+    task: WindowTask, found: Candidate, curtailed_rel: float = CURTAILMENT_HELD_REL
+) -> Candidate | None:
+    """The dispatch that the tie-breakers prefer, None if the network forbids its cost.
+
+    They may curtail more by a share.
+    """
     data = task.data.for_service(found.dispatch.served)
     own = OwnValues(found.terms.own, found.letters)
-    attempt = polish(task.cache, data, found.dispatch, task.answer_by(), own)
+    attempt = polish(task.cache, data, found.dispatch, task.answer_by(), own, curtailed_rel)
     task.certificate.note("tie_breakers", attempt.outcome)
     return carried(task, data, found, attempt)
 
@@ -239,7 +255,8 @@ def polished(task: WindowTask, found: Candidate) -> Candidate | None:
     if better is not None or task.own:
         return better
     if task.data.phased is not None:
-        return as_it_is(task, found)
+        eased_rel = _curtailed_rel(task, found)
+        return with_tie_breakers(task, found, eased_rel) or as_it_is(task, found)
     return with_least_reactive(task, found)
 
 
@@ -386,6 +403,7 @@ def polish(
     dispatch: Dispatch,
     deadline: Deadline,
     own: OwnValues = NO_OWN_VALUES,
+    curtailed_rel: float = CURTAILMENT_HELD_REL,
 ) -> Attempt:
     """Minimise the tie-breakers with service, cost and curtailment held.
 
@@ -401,7 +419,7 @@ def polish(
     # What the cost has besides is held by itself.
     f2 = terms.f2 - sheet.statement.held(data, dispatch).gbp
     f2_max = f2 + HELD_REL * abs(f2) + HELD_ABS
-    f3_max = terms.f3 + CURTAILMENT_HELD_REL * terms.f3 + HELD_ABS
+    f3_max = terms.f3 + curtailed_rel * terms.f3 + HELD_ABS
     # Where nothing is curtailed, PV export is data and its discs are intervals: far smaller.
     curtailing = terms.f3 > HELD_ABS or bool((data.pv_kw > site.pv.s_max_kva).any())
     moves = data.moves is not None
