@@ -53,6 +53,15 @@ def test_limits_give_way_to_the_feeder_itself(mode: str, method: str) -> None:
     assert idle.buses["v_ac_pu"].min() < day.network.v_min_ac_pu
 
 
+def test_no_customer_is_dimmed_for_the_feeder_itself() -> None:
+    day = weak_feeder()
+    half = np.full(len(day.customers), 0.5)
+    later = np.where(np.arange(len(half)) == 0, 4.0, np.nan)
+    dimmable = replace(day.customers, share_min=half, recover_h=later)
+    soft = ran(replace(day, customers=dimmable), SOFT)
+    np.testing.assert_allclose(soft.customers["share"], 1.0, atol=1e-4)
+
+
 def test_hard_limits_switch_off_and_the_first_line_says_whom() -> None:
     day = weak_feeder()
     hard = ran(day, HARD)

@@ -31,6 +31,10 @@ SHARE = "share"
 OPTIONS = ("controller", "horizon_h", "solver", "method", "seed")
 
 
+WHOLE_SHARE = 0.995
+"""Share of its demand that is told as all of it: it rounds to 100 %."""
+
+
 def supplied(customers: pd.DataFrame) -> pd.Series[Any]:
     """The part of its demand that each customer got in each step, of the customers' table.
 

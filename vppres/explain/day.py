@@ -10,7 +10,7 @@ import pandas as pd
 
 from vppres.core.arrays import Floats
 from vppres.day.recorder import ROTATED
-from vppres.day.trajectory import Trajectory
+from vppres.day.trajectory import WHOLE_SHARE, Trajectory
 from vppres.explain.dimmed import why_caught_up, why_dimmed
 from vppres.explain.prices import WORTH, WORTH_GBP, day_prices, step_prices
 from vppres.explain.reasons import why_battery_moved, why_curtailed, why_not_served, why_restored
@@ -105,11 +105,11 @@ def _actions(step: Step) -> list[Row]:
     ]
     rows += [
         _row("customer", site.customers.id[c], "dimmed", why_dimmed(step, c))
-        for c in np.flatnonzero(step.served & (step.share < 1.0)).tolist()
+        for c in np.flatnonzero(step.served & (step.share < WHOLE_SHARE)).tolist()
     ]
     rows += [
         _row("customer", site.customers.id[c], "caught_up", why_caught_up(step, c))
-        for c in np.flatnonzero(step.share > 1.0).tolist()
+        for c in np.flatnonzero(step.share > 2.0 - WHOLE_SHARE).tolist()
     ]
     rows += [
         _row("customer", site.customers.id[c], "restored", why_restored(step, c))

@@ -21,6 +21,10 @@ def why_dimmed(step: Step, customer: int) -> Reason:
     scarce = scarce_words(step, customer, binding)
     offer = one_more(step, binding)
     more = f"; {offer}" if offer else ""
+    hours = float(step.site.customers.recovery_h[customer])
+    if hours > 0.0:
+        words = f"{what}: {scarce} goes to others first; it catches up within {hours:g} h{more}."
+        return Reason("recovery", binding, words)
     least = float(step.site.customers.least_share[customer])
     if share <= least and someone_ranks_higher(step, customer):
         first = FIRST[step.site.ranks is None]

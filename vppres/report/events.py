@@ -11,7 +11,7 @@ import numpy as np
 from vppres.core.arrays import spans_of
 from vppres.core.text import named
 from vppres.day.series import energy_limits_kwh, outage_spans, stored_energy_kwh
-from vppres.day.trajectory import Trajectory, supplied
+from vppres.day.trajectory import WHOLE_SHARE, Trajectory, supplied
 from vppres.report.clock import Clock
 from vppres.report.key_figures import number
 
@@ -90,7 +90,7 @@ def _service_events(run: Trajectory) -> Iterator[tuple[int, str]]:
 def _dimmed_events(run: Trajectory) -> Iterator[tuple[int, str]]:
     """When customers begin and end to get a part of their demand."""
     share = supplied(run.customers).to_numpy(float).reshape(len(run.steps), -1)
-    dimmed = (share > 0.0) & (share < 1.0)
+    dimmed = (share > 0.0) & (share < WHOLE_SHARE)
     for c in np.flatnonzero(dimmed.any(axis=0)):
         for first, last in spans_of(dimmed[:, c]):
             least = share[first:last, c].min()

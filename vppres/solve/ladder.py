@@ -24,7 +24,12 @@ from vppres.model.violations import broken
 from vppres.solve.apart import falls_apart, solve_apart
 from vppres.solve.cache import shared_cache
 from vppres.solve.deadline import Deadline
-from vppres.solve.dispatch import POLYGON_SIDES, keep_dispatch_in_network, keep_with_turns
+from vppres.solve.dispatch import (
+    OWN_HELD,
+    POLYGON_SIDES,
+    keep_dispatch_in_network,
+    keep_with_turns,
+)
 from vppres.solve.fleet.all_terms import all_terms, require_bounds
 from vppres.solve.fleet.masters import fleets_of, master_of
 from vppres.solve.fleet.reach import everyone_in_reach
@@ -166,7 +171,7 @@ class WindowSolver:
                 return found
             limits = self.limits.at_most(deadline.left_s)
             kept = self._served(data, limits, served, found.dispatch, keeps_turns=False)
-            if kept is not None:
+            if kept is not None and not _dims_more(kept.dispatch, found.dispatch, self.site):
                 return replace(
                     found,
                     dispatch=kept.dispatch,
@@ -219,12 +224,15 @@ class WindowSolver:
         """
         deadline = Deadline(self.limits.at_most(within_s).time_s)
         sound = data.with_sound_soc(self.site.batteries)
+        found = None
         for each in giving_way(self.site, sound):
             limits = self.limits.at_most(deadline.left_s)
-            found = self._served(each, limits, served, before, keeps_turns)
-            if found is not None:
+            found = self._served(each, limits, served, before, keeps_turns) or found
+            if found is not None and (
+                before is None or not _dims_more(found.dispatch, before, self.site)
+            ):
                 return found
-        return None
+        return found
 
     def _served(
         self,
@@ -265,6 +273,13 @@ class WindowSolver:
     def _task(self, data: WindowData, limits: SolveLimits) -> WindowTask:
         """A window whose time begins now."""
         return WindowTask.begin(data, self.cache, limits, self.spec, self.sides)
+
+
+def _dims_more(found: Dispatch, before: Dispatch, site: Site) -> bool:
+    """Whether a served set gets less than with the dispatch before: tighter limits dim nobody."""
+    weight = site.customers.weight
+    lost = (before.supplied.astype(float) - found.supplied.astype(float)) @ weight
+    return bool(lost.sum() > OWN_HELD * (1.0 + before.supplied.astype(float) @ weight).sum())
 
 
 def climb(task: WindowTask) -> None:
