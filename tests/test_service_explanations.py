@@ -24,6 +24,7 @@ from vppres.service.access import Access, Denied
 from vppres.service.app import make_app
 from vppres.service.clock import SetClock, written
 from vppres.service.explanations import KINDS, explained, question
+from vppres.service.export import exported
 from vppres.service.runner import Service
 from vppres.service.serve import opened
 
@@ -97,6 +98,28 @@ def stormy(tiny: Scenario, tmp_path: Path) -> Any:
         event = {"type": "outage", "start": written(NOON), "end": "2026-11-21T20:00:00Z"}
         assert http.put("/v1/events/storm", event).status == 201
         yield runner, http, decided(http, clock, NOON, soc=0.25)
+
+
+def test_a_plan_of_the_second_half_of_a_step_is_explained_as_it_is(
+    tiny: Scenario, tmp_path: Path
+) -> None:
+    clock = SetClock(NOON)
+    with opened(Service(site(tiny), HERE), tmp_path, clock) as runner:
+        http = Caller(make_app(runner, Access()))
+        decided(http, clock, NOON, soc=0.25)
+        lost = NOON + pd.Timedelta("40min")
+        clock.set(lost)
+        http.post("/v1/telemetry", {"series": readings(lost, "grid_on", {"grid": 0.0})})
+        plan = runner.anew()
+        assert plan is not None
+        found = explained(question(runner, plan))
+        service = Service(site(tiny), HERE)
+        run = exported(service, runner.store, NOON, NOON + pd.Timedelta("1h"))
+    off = {one["asset"] for one in plan["setpoints"] if one.get("served") is False}
+    told = {one["asset"]: one for one in found["reasons"] if one["action"] == "not_served"}
+    assert off == set(told) and off
+    assert all(one["words"].startswith("Not supplied: ") for one in told.values())
+    assert set(run.customers.loc[~run.customers["served"].astype(bool), "id"]) == off
 
 
 @pytest.mark.daily

@@ -197,7 +197,10 @@ def _known_by(versions: Sequence[Sequence[Event]], time: Any) -> list[Event]:
 def replayed(
     scenario: Scenario, options: RunOptions, stored: list[dict[str, Any] | None], soc: Floats
 ) -> Iterator[StepRecord]:
-    """The plant's answer to every stored step; batteries begin it with what was measured."""
+    """The plant's answer to every stored step; batteries begin it with what was measured.
+
+    Of a step that was decided anew it answers the last plan, as if that had held all along.
+    """
     world = World(scenario, options)
     b = scenario.batteries
     shared = options.on(scenario).shares_supply
@@ -206,7 +209,8 @@ def replayed(
         state = world.day.state
         held = np.where(np.isfinite(soc[t]), np.clip(soc[t], b.soc_min, b.soc_max), state.soc)
         world.day.state = BatteryState(held, state.eta_charge, state.eta_discharge, state.t_cell_c)
-        told = told if plan is None else plan["setpoints"]
+        if plan is not None:
+            told = [{**one, "valid_from": plan["start"]} for one in plan["setpoints"]]
         record = _noted(world.obey(t, told), plan)
         yield _weighed(record, scenario, plan) if shared else record
 
