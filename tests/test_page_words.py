@@ -26,12 +26,14 @@ WORDS = Path(__file__).parents[1] / "vppres" / "service" / "page" / "words.js"
 pytestmark = pytest.mark.skipif(NODE is None, reason="no node on the path")
 
 SCRIPT = """
-import { SiteClock, attention, facts, verdict } from "./words.mjs";
+import { SiteClock, attention, facts, verdict, why } from "./words.mjs";
 import { readFileSync } from "node:fs";
 const view = JSON.parse(readFileSync(0));
 view.clock = new SiteClock("UTC");
 view.now = new Date(view.overview.now);
-console.log(JSON.stringify({ verdict: verdict(view), facts: facts(view), attention: attention(view) }));
+const { off, status } = view.overview.plan;
+const reasons = (off ?? []).map((one) => why(one, null, status).words);
+console.log(JSON.stringify({ verdict: verdict(view), facts: facts(view), attention: attention(view), reasons }));
 """
 
 
@@ -118,6 +120,17 @@ def test_the_first_lines_tell_what_is_announced_and_ordered(tiny: Scenario, tmp_
             "Measured: grid lost, read at 12:13 (scada). Announced: no outage."
         )
         assert "Ordered at 12:13 (grid lost" in held["facts"]
+        assert set(held["reasons"]) == {"planned; the reason follows"}
+        clock.set(clock.now() + pd.Timedelta("1min"))
+        point = {"kind": "customers", "asset": "shop", "served": False}
+        manual = {"mode": "manual", "until": "2026-11-22T02:00:00Z", "reason": "crew at work"}
+        http.put("/v1/mode", {**manual, "setpoints": [point]})
+        http.put("/v1/events/storm", {"type": "outage", "start": manual["until"]})
+        runner.anew()
+        by_hand = told(http, tmp_path)
+        assert by_hand["verdict"][1].startswith("Outage, end unknown: ")
+        assert set(by_hand["reasons"]) == {"by the operator: crew at work"}
+        assert "Announced: outage from Sun 02:00, end unknown (storm)." in by_hand["facts"]
         clock.set(clock.now() + pd.Timedelta("1min"))
         http.put("/v1/mode", {"mode": "off", "reason": "work"})
         runner.anew()

@@ -354,7 +354,7 @@ def test_a_critical_customer_that_is_off_on_an_old_reading_is_an_alarm(
         return words
 
     for path in ("/v1/alarms", "/v1/overview", "/v1/status"):
-        assert told(path) == f"{off}, and the state of charge of big, small is not known of now."
+        assert told(path) == f"{off}, and the state of charge of big, small is late."
     fresh = decided(http, clock, NOON + HOUR, soc=0.16)
     assert not said(fresh, "customers")["hospital"]["served"]
     assert told("/v1/alarms") == f"{off}."

@@ -176,7 +176,7 @@ def _critical_off(now: Situation) -> Iterator[Condition]:
     if off:
         words = f"{named(off, NAMES_SHOWN)} of the first tier off supply"
         if late:
-            words += f", and the state of charge of {named(late, NAMES_SHOWN)} is not known of now"
+            words += f", and the state of charge of {named(late, NAMES_SHOWN)} is late"
         words += _kept(now)
         yield Condition("critical_off", "", HIGH, f"{words}.", tuple(sorted(off)))
         return
@@ -246,7 +246,7 @@ def _longest_off(now: Situation) -> Iterator[Condition]:
 
 
 def _late_batteries(now: Situation) -> list[str]:
-    """Batteries whose state of charge is not known of now."""
+    """Batteries whose state of charge is late."""
     heard = {one.asset: one.state for one in now.heard if one.quantity == "soc"}
     names = [str(name) for name in now.scenario.batteries.id]
     return [name for name in names if heard.get(name) != "ok"]

@@ -3,7 +3,7 @@
 import { chart, meter, pastOf, stepsOf } from "./chart.js";
 import { Operator } from "./operator.js";
 import {
-  HOUR, MARKS, SiteClock, alarms, announced, attention, counted, covers, facts, grouped, isUncertain, kilo, lasting, lateBy, list, lowest, offByTier, onPhase, percent, socNow, unawareOfLoss, verdict, why,
+  HOUR, MARKS, SiteClock, alarms, announced, attention, counted, covers, facts, grouped, isLostByReading, isUncertain, kilo, lasting, lateBy, list, lowest, offByTier, onPhase, percent, socNow, unawareOfLoss, verdict, why,
 } from "./words.js";
 
 const EVERY_MS = 2000, PATIENCE_MS = 5000;
@@ -216,7 +216,7 @@ function importFigure() {
   const expected = view.overview.plan?.expected, reading = view.overview.measured["import_kw grid"];
   const limit = expected?.grid_limit_kw ?? null;
   const value = expected?.import_kw ?? reading?.value ?? null;
-  if (unawareOfLoss(view)) return figure("Import", "0", "kW", null, "no grid, measured");
+  if (unawareOfLoss(view) || isLostByReading(view)) return figure("Import", "0", "kW", null, "no grid, measured");
   if (value === null) return figure("Import", "\u2013", "kW", null, "No data.");
   const marks = limit ? [1 / 1.25] : [];
   const bar = limit ? meter(value / (1.25 * limit), { marks, kind: value > 1.01 * limit ? "over" : "", name: `${percent(value / limit)} of the limit` }) : null;
@@ -290,7 +290,7 @@ function showOff() {
     const step = explained?.phase ? explained.step.words : off.length ? "" : isUncertain(view) ? "Supply is uncertain until there is a new plan." : "All customers supplied.";
     if (step) below.unshift(node("p", {}, step));
     if (!off.length) return below;
-    const told = off.map((one) => ({ ...one, why: why(one, explained) }));
+    const told = off.map((one) => ({ ...one, why: why(one, explained, status) }));
     const groups = grouped(told, (one) => JSON.stringify([one.tier, one.why.short, one.until]));
     const rows = [...groups].map(([key, ones]) => [JSON.parse(key), ones]);
     rows.sort((a, b) => view.site.tiers.indexOf(a[0][0]) - view.site.tiers.indexOf(b[0][0]));

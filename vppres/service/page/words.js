@@ -52,7 +52,7 @@ export function onPhase(name, site) {
 export function outage(view) {
   const { plan, events } = view.overview;
   const known = Object.values(events).filter((event) => event.type === "outage" && covers(event, view.now));
-  const dark = plan?.active && (plan.grid?.available === false || plan.expected?.grid_limit_kw === 0);
+  const dark = plan?.active && (plan.grid?.available === false || plan.expected?.grid_limit_kw === 0 || isLostByReading(view));
   if (!known.length && !dark) return null;
   const ends = known.map((event) => event.end).filter(Boolean).sort();
   if (known.length) return { end: ends.length === known.length ? ends.at(-1) : null };
@@ -71,6 +71,9 @@ export function offByTier(view) {
 
 // The reading of the grid, if there is one: {value, at, source}.
 const gridReading = (view) => view.overview.measured?.["grid_on grid"] ?? null;
+
+// Whether a reading says that the grid is lost, and the plan, as by hand, does not say whether it is.
+export const isLostByReading = (view) => gridReading(view)?.value === 0 && !view.overview.plan?.grid;
 
 // Whether the grid was read to be lost after the plan was made that counts on it.
 export function unawareOfLoss(view) {
@@ -91,7 +94,7 @@ export function facts(view) {
   const at = (time) => view.clock.at(time, view.now);
   const measured = read ? `grid ${read.value ? "on" : "lost"}, read at ${at(read.at)} (${read.source})` : "the grid is not measured";
   const outages = Object.entries(events).filter(([, event]) => OF_OUTAGES.includes(event.type) && !(event.end && new Date(event.end) <= view.now));
-  const told = outages.map(([name, event]) => `${announced(event, view).toLowerCase()} (${name})`);
+  const told = outages.map(([name, event]) => `${small(announced(event, view))} (${name})`);
   const all = Object.keys(view.site.customers).length, off = (plan.off ?? []).length;
   const why = plan.anew ? ` (${plan.anew.replace(MOMENT, (time) => at(time))})` : "";
   return `Measured: ${measured}. Announced: ${told.length ? list(told) : "no outage"}. Ordered at ${at(plan.valid_from ?? plan.start)}${why}: ${all - off} of ${counted(all, "customer")} connected.`;
@@ -134,6 +137,7 @@ function holds(view, at) {
   return view.now < over ? `Set-points hold until ${at(over)}; then devices revert to default set-points.` : `Set-points ended at ${at(over)}. Devices use default set-points.`;
 }
 
+const small = (text) => text.charAt(0).toLowerCase() + text.slice(1);
 const capital = (text) => text.charAt(0).toUpperCase() + text.slice(1);
 
 // What comes next: the end of what is stored in an outage, the outage that is announced without.
@@ -257,22 +261,23 @@ export function lateBy(view, name) {
   return late && reading ? view.now - new Date(reading.at) : null;
 }
 
-const CANNOT = "cannot be supplied";
+const CANNOT = "cannot be supplied", BY_OPERATOR = ["manual", "hold"];
 const REASONS = { plan: "planned", corrected: "planned, then corrected", critical_only: "only the first tier stays supplied" };
 
 // The reason of a customer off supply: the service's explanation if it is there, else the plan's.
 // The short form leaves out the figures of a single customer, which follow a semicolon.
-export function why(one, explained) {
+export function why(one, explained, status) {
   const told = explained?.phase ? explained.reasons : []; // without a phase it is the plan's words again
   const said = told.find((reason) => reason.kind === "customers" && reason.asset === one.asset);
-  const words = said ? capital(said.words.replace(/^Not supplied: /, "")) : planned(one.reason, explained !== null);
+  const words = said ? capital(said.words.replace(/^Not supplied: /, "")) : planned(one.reason, explained !== null, status);
   return { words, short: said ? words.split("; ")[0].replace(/\.$/, "") : words };
 }
 
-function planned(reason, answered) {
+function planned(reason, answered, status) {
   const [kind, ...rest] = reason.split(": ");
   if (kind === "default") return rest.length ? `default: ${rest.join(": ")}` : "default";
   if (kind === CANNOT) return reason;
+  if (BY_OPERATOR.includes(status)) return `by the operator: ${reason}`;
   const words = REASONS[kind] ?? `fallback ${kind.replaceAll("_", " ")}`;
   return kind === "plan" && !answered ? "planned; the reason follows" : words;
 }
