@@ -288,8 +288,9 @@ def _loads(net: Any, bus_of: Mapping[int, BusId]) -> Iterator[PhasedLoad]:
                 delta = table == by_phase and row.get("type") == "delta"
                 kv = float(net.bus["vn_kv"].at[row["bus"]]) / (1.0 if delta else np.sqrt(3))
                 coils = DELTA if delta else WYE
-                parts = [(coils, _kva(row, ""), "")]
-                if table == by_phase:
+                if table == plain:
+                    parts = [(coils, _kva(row, ""), "")]
+                else:
                     parts = _parts(coils, [_kva(row, f"_{phase}") for phase in PHASES])
                 for words, power, suffix in parts:
                     connection = PhaseConnection(f"{_id(table, i)}{suffix}", str(own), words, kv)
