@@ -6,6 +6,7 @@ and few inverter discs bind, so their rows are made where a solution violates th
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -95,50 +96,61 @@ class Injections:
         self.reactance = reactance
         self.data = data
         self.rules = rules
-        W = data.n_steps
-        C = len(site.customers)
-        P = len(site.pv)
-        B = len(site.batteries)
-        limits = None if data.switching is None else data.switching.longest_off
-        switched = data.switching is not None and not data.switching.only_time_off
+        b = site.batteries
+        self.active_kw = data.active_max_kw(b)
+        self.radius_kva: Floats = np.tile(b.s_max_kva, (data.n_steps, 1))
+        self.reference: Wholes = np.zeros(data.n_steps, dtype=np.int64)
+        if data.physics is not None:
+            self.radius_kva = b.s_max_kva - data.physics.headroom_kw
+            self.reference = data.physics.reference
+        self.drawn = taken_by_network(site, data)
         self.size = 0
         self.at: dict[str, Wholes] = {}
-        for name, width in {
-            "x": C,
-            "P_ch": B,
-            "P_dch": B,
-            "energy": B,
-            "Q_batt": B,
-            "P_exp": P,
-            "Q_pv": P,
-            "P_grid": 1,
-            "Q_grid": 1,
-            "P_out": int(data.exporting),
-            "on": C if switched else 0,
-            "off": C if switched else 0,
-            "cold": C if data.switching is not None and data.switching.steps.cold else 0,
-            "beyond": 0 if limits is None else len(limits.customer),
-        }.items():
-            self.at[name] = self.size + np.arange(W * width).reshape(W, width)
-            self.size += W * width
-        for name, width in {
-            "missing": B if data.terminal is not None else 0,
-            "kept": int(data.stored_value is not None),
-        }.items():
-            self.at[name] = self.size + np.arange(width).reshape(1, width)
-            self.size += width
+        limits = []
+        for name, (shape, low, high) in self._letters().items():
+            count = math.prod(shape)
+            self.at[name] = self.size + np.arange(count).reshape(shape)
+            self.size += count
+            limits.append(np.stack([np.broadcast_to(each, shape).ravel() for each in (low, high)]))
+        self.lower, self.upper = np.hstack(limits)
         self.usual = Demand.of(site, data)
         self.demands = {"x": self.usual}
         if self.at["cold"].size:
             self.demands["cold"] = Demand.of(site, data.all_cold()).beyond(self.usual)
-        self.drawn = taken_by_network(site, data)
+
+    def _letters(self) -> dict[str, tuple[tuple[int, int], Floats | float, Floats | float]]:
+        """Shapes of the letters, and limits of their columns."""
+        site = self.site
+        data = self.data
         b = site.batteries
-        self.active_kw = data.active_max_kw(b)
-        self.radius_kva: Floats = np.tile(b.s_max_kva, (W, 1))
-        self.reference: Wholes = np.zeros(W, dtype=np.int64)
-        if data.physics is not None:
-            self.radius_kva = b.s_max_kva - data.physics.headroom_kw
-            self.reference = data.physics.reference
+        rules = data.switching
+        longest = None if rules is None else rules.longest_off
+        W = data.n_steps
+        of_customers, of_batteries, of_pv, of_grid = (
+            (W, count) for count in (len(site.customers), len(b), len(site.pv), 1)
+        )
+        switched = of_customers if rules is not None and not rules.only_time_off else (W, 0)
+        cold = of_customers if rules is not None and rules.steps.cold else (W, 0)
+        q_grid = data.grid_q_max_kvar(site)[:, None]
+        missing_kwh = np.zeros(0) if data.terminal is None else data.terminal.target_kwh(b)
+        return {
+            "x": (of_customers, 0.0, 1.0),
+            "P_ch": (of_batteries, 0.0, self.active_kw),
+            "P_dch": (of_batteries, 0.0, self.active_kw),
+            "energy": (of_batteries, data.soc_min(b) * b.energy_kwh, b.soc_max * b.energy_kwh),
+            "Q_batt": (of_batteries, -self.radius_kva, self.radius_kva),
+            "P_exp": (of_pv, 0.0, data.pv_kw),
+            "Q_pv": (of_pv, -site.pv.s_max_kva, site.pv.s_max_kva),
+            "P_grid": (of_grid, 0.0, data.grid_p_max_kw(site)[:, None]),
+            "Q_grid": (of_grid, -q_grid, q_grid),
+            "P_out": ((W, int(data.exporting)), 0.0, data.export_max_kw(site)[:, None]),
+            "on": (switched, 0.0, 1.0),
+            "off": (switched, 0.0, 1.0),
+            "cold": (cold, 0.0, 1.0),
+            "beyond": ((W, 0 if longest is None else len(longest.customer)), 0.0, 1.0),
+            "missing": ((1, len(missing_kwh)), 0.0, missing_kwh),
+            "kept": ((1, int(data.stored_value is not None)), *data.kept_range(site)),
+        }
 
     @cached_property
     def active(self) -> list[Given]:
@@ -162,37 +174,6 @@ class Injections:
             (at["Q_batt"], reach.battery, 1.0),
             (at["Q_pv"], reach.pv, 1.0),
         ]
-
-    def bounds(self) -> tuple[Floats, Floats]:
-        """Limits of the columns."""
-        site = self.site
-        b = self.site.batteries
-        data = self.data
-        q_grid = data.grid_q_max_kvar(site)[:, None]
-        limits: dict[str, tuple[Floats | float, Floats | float]] = {
-            "x": (0.0, 1.0),
-            "P_ch": (0.0, self.active_kw),
-            "P_dch": (0.0, self.active_kw),
-            "energy": (data.soc_min(b) * b.energy_kwh, b.soc_max * b.energy_kwh),
-            "Q_batt": (-self.radius_kva, self.radius_kva),
-            "P_exp": (0.0, data.pv_kw),
-            "Q_pv": (-site.pv.s_max_kva, site.pv.s_max_kva),
-            "P_grid": (0.0, data.grid_p_max_kw(site)[:, None]),
-            "Q_grid": (-q_grid, q_grid),
-            "P_out": (0.0, data.export_max_kw(site)[:, None]),
-            "on": (0.0, 1.0),
-            "off": (0.0, 1.0),
-            "cold": (0.0, 1.0),
-            "beyond": (0.0, 1.0),
-            "missing": (0.0, np.inf if data.terminal is None else data.terminal.target_kwh(b)),
-            "kept": data.kept_range(site),
-        }
-        lower = np.zeros(self.size)
-        upper = np.zeros(self.size)
-        for name, (low, high) in limits.items():
-            lower[self.at[name]] = low
-            upper[self.at[name]] = high
-        return lower, upper
 
     @property
     def price(self) -> tuple[Wholes, Floats]:

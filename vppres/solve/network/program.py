@@ -78,12 +78,11 @@ class NetworkProgram:
         self.found: list[Rows] = []
         self.unfinished: Floats | None = None
         self.is_large = data.load_kw.size > SMALL
-        lower, upper = self.model.bounds()
         rows = self.model.rows()
         program = Program(
             np.zeros(self.model.size),
-            lower,
-            upper,
+            self.model.lower,
+            self.model.upper,
             rows.matrix.tocsc(),
             rows.lower,
             rows.upper,
