@@ -227,6 +227,20 @@ class Injections:
                 found[self.at[name]] = of_bus[bus] if self.at[name].size else -1
         return found
 
+    def start(self) -> tuple[Wholes, Wholes]:
+        """Columns with the rows that determine them where nothing is stored and no sun is lost.
+
+        Rows count as in :meth:`rows`: balances, then PV systems, then energies.
+        """
+        W = self.data.n_steps
+        open_ = np.flatnonzero(self.data.grid_limit_kw > 0.0)
+        pv = self.at["P_exp"].ravel()
+        energy = self.at["energy"].ravel()
+        grid = self.at["P_grid"][open_, 0], self.at["Q_grid"][open_, 0]
+        columns = np.concatenate([*grid, pv, energy])
+        devices = 3 * W + np.arange(len(pv) + len(energy))
+        return columns, np.concatenate([open_, W + open_, devices])
+
     def rows(self) -> Rows:
         """Balances, circular charging, PV systems and batteries."""
         return Rows.joined(

@@ -113,6 +113,8 @@ class NetworkMaster:
     def root(self) -> tuple[highspy.Highs, ProgramSolution]:
         """Most service of shares of customers, and the solver that found it."""
         solver = self.network.loaded(self.network.with_cost(*self.lack))
+        if self.network.is_large:
+            self.network.start(solver)
         return solver, self._until_carried(solver, self.deadline)
 
     @property
@@ -359,7 +361,7 @@ class NetworkMaster:
         solver.changeColsBounds(len(x), x.astype(np.int32), np.zeros(len(x)), served)
         linear = self._until_carried(solver, self.deadline, over, worth=worth)
         if linear.status == Status.NUMERICAL and again is not None:
-            solver.clearSolver()
+            self.network.start(solver)
             linear = self._until_carried(solver, again, over, worth=worth)
         return linear
 

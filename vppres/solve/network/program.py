@@ -151,6 +151,25 @@ class NetworkProgram:
         """Least cost of a set."""
         return self.with_cost(*self.model.price).with_held(self.model.at["x"], served)
 
+    def start(self, solver: highspy.Highs) -> None:
+        """Let a solver begin with idle batteries, all PV power and everyone served.
+
+        From there the energies need no steps; from nothing they take a third of them all.
+        """
+        columns, rows = self.model.start()
+        kinds = highspy.HighsBasisStatus
+        of_columns = np.full(solver.getNumCol(), kinds.kLower, dtype=object)
+        of_columns[self.model.at["x"]] = kinds.kUpper
+        of_columns[columns] = kinds.kBasic
+        of_rows = np.full(solver.getNumRow(), kinds.kBasic, dtype=object)
+        of_rows[rows] = kinds.kUpper
+        of_rows[rows[np.isfinite(self.program.lower[rows])]] = kinds.kLower
+        basis = highspy.HighsBasis()
+        basis.col_status = of_columns.tolist()
+        basis.row_status = of_rows.tolist()
+        basis.valid = True
+        solver.setBasis(basis)
+
     def until_carried(
         self,
         solver: highspy.Highs,
