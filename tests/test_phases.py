@@ -22,6 +22,7 @@ from vppres.day.simulate import Day, run_day
 from vppres.day.trajectory import Trajectory
 from vppres.explain.day import explain_day
 from vppres.explain.recorded import Recorded
+from vppres.feeders import import_network
 from vppres.io import read_scenario
 from vppres.io.digest import scenario_digest
 from vppres.io.scenario_writer import write_scenario
@@ -84,6 +85,15 @@ def test_import_has_opendss_voltages(day: Scenario) -> None:
     assert as_given is not None
     assert as_given < 1e-7
     assert not day.source.unbalanced
+
+
+def test_a_wye_with_its_neutral_at_a_phase_is_between_two_phases(circuit: Path) -> None:
+    file = circuit.with_name("between.dss")
+    file.write_text(CIRCUIT.replace("bc bus1=n.2.3 phases=1 conn=delta", "bc bus1=n.2.3 phases=1"))
+    found = import_network(file).phased
+    assert found is not None and found.difference_pu is not None
+    assert found.difference_pu < 1e-7
+    assert "bc" in {load.connection.coils for load in found.loads}
 
 
 def test_three_wires_have_limits_between_phases(day: Scenario) -> None:

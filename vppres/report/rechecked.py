@@ -10,7 +10,6 @@ import numpy as np
 
 from vppres.day.trajectory import Trajectory
 from vppres.feeders.actuate import Feeding
-from vppres.feeders.dss.phased_recheck import recheck_phased
 from vppres.feeders.dss.recheck import Recheck, recheck_opendss
 from vppres.io.atomic import atomic_folder
 from vppres.physics.phased_sources import former_of
@@ -30,12 +29,16 @@ def recheck_run(run: Trajectory, source: Path) -> Recheck:
     network = run.scenario.network
     phases = run.scenario.phases
     if phases is not None:
+        from vppres.feeders.dss.phased_recheck import recheck_phased
+
         batteries = run.scenario.batteries
         former = former_of(phases, batteries)
         name = None if former is None else str(batteries.id[former])
         return recheck_phased(run.tables, phases, source, name)
     holder = Feeding.of(run.scenario, True, mode, np.ones(network.n_buses)).bus
-    return recheck_opendss(run.tables, source, None if holder == network.slack_bus else holder)
+    opened = [*network.drawing_bus[~network.island]]
+    held = None if holder == network.slack_bus else holder
+    return recheck_opendss(run.tables, source, held, opened)
 
 
 def write_recheck(run: Trajectory, found: Recheck, folder: Path) -> dict[str, Any]:

@@ -253,7 +253,9 @@ def _load_coils(phases: list[int], delta: bool, count: int) -> str:
     """Coils of a load: to ground, one between two phases, or the three of a delta."""
     live = [PHASES[phase] for phase in phases if phase >= 0]
     if not delta or len(live) == 1:
-        return " ".join(live[:count])
+        # A wye whose neutral is at a phase is between its phases and that one.
+        neutral = phases[count] if len(phases) > count else -1
+        return " ".join(each + (PHASES[neutral] if neutral >= 0 else "") for each in live[:count])
     return "".join(live) if len(live) == 2 else _delta(live, NEXT)
 
 

@@ -23,8 +23,8 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
     The job has the ``commands`` of the circuit; ``group_of``, the scenario's bus for each bus;
     and ``steps``, each with ``load`` and ``feed``: active and reactive power in kW and kvar by the
     scenario's bus, and in ``held_pu`` the voltage at ``island_bus`` where a battery there holds it
-    instead of the circuit's source. With ``constant_power`` all loads keep their power at any
-    voltage.
+    instead of the circuit's source. Capacitors at the scenario's buses in ``open`` are off in an
+    island. With ``constant_power`` all loads keep their power at any voltage.
     """
     # Loaded by child.py: a package is not known there.
     engine: Any = sys.modules["dss/engine"]
@@ -40,6 +40,7 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
     solved = []
     for step in job["steps"]:
         _hold(step["held_pu"] if island else None)
+        _open(job, island and step["held_pu"] is not None)
         solved.append(_solved(step, loads, feeds))
     return {
         "problems": [],
@@ -119,6 +120,15 @@ def _hold(held_pu: float | None) -> None:
         dss.Text.Command(f"vsource.{name}.enabled={'yes' if on else 'no'}")
     if held_pu is not None:
         dss.Text.Command(f"vsource.vppres_island.pu={held_pu:.9g}")
+
+
+def _open(job: dict[str, Any], island: bool) -> None:
+    """Switch capacitors off in an island that the plan has without them."""
+    for name in dss.Capacitors.AllNames():
+        dss.Circuit.SetActiveElement(f"capacitor.{name}")
+        bus = dss.CktElement.BusNames()[0].partition(".")[0].lower()
+        if job["group_of"].get(bus) in job["open"]:
+            dss.Text.Command(f"capacitor.{name}.enabled={'no' if island else 'yes'}")
 
 
 def _solved(

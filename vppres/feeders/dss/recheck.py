@@ -78,7 +78,9 @@ class Recheck:
         )
 
 
-def recheck_opendss(run: Tables, source: Path, island_bus: BusId | None = None) -> Recheck:
+def recheck_opendss(
+    run: Tables, source: Path, island_bus: BusId | None = None, opened: Sequence[BusId] = ()
+) -> Recheck:
     """Solve the steps of a run on the circuit of an OpenDSS script.
 
     Parameters
@@ -90,6 +92,8 @@ def recheck_opendss(run: Tables, source: Path, island_bus: BusId | None = None) 
     island_bus : int or str, optional
         Bus of the battery that holds the voltage without the grid; in those steps a source stands
         there with the plan's voltage. Without it the circuit's own source holds islands too.
+    opened : sequence of int or str, optional
+        Buses whose capacitors are off in islands.
 
     Returns
     -------
@@ -113,6 +117,7 @@ def recheck_opendss(run: Tables, source: Path, island_bus: BusId | None = None) 
         "group_of": group_of,
         "steps": _steps(run, island_bus),
         "island_bus": None if island_bus is None else str(island_bus),
+        "open": [str(bus) for bus in opened],
         "constant_power": False,
     }
     found = solved_steps("dss/day", job, script, source.name)
