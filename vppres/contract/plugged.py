@@ -72,7 +72,7 @@ class Plugged:
         steps : range
             Steps of the window.
         now_kwh : array, shape (K,)
-            Energy of the vehicles that have been plugged in before.
+            Energy of the vehicles that are plugged in when it begins.
         all_known : bool, optional
             Whether all sessions are known.
         """
@@ -88,7 +88,7 @@ class Plugged:
             held_kwh = sessions.held_kwh[s]
             over = np.arange(steps.start + begin, steps.start + end) + 1 - first[s]
             grown = over / (after[s] - first[s])
-            before = max(first[s], 0) < steps.start
+            before = first[s] <= steps.start
             found.here[inside, k] = True
             found.stays[begin + 1 : end, k] = True
             found.held_kwh[begin, k] = now_kwh[k] if before else held_kwh
@@ -104,6 +104,11 @@ class Plugged:
     def part(self, steps: slice) -> Self:
         """The first steps of the window, by a slice."""
         return type(self)(*(getattr(self, f.name)[steps] for f in fields(self)))
+
+    def followed_by_none(self, n_steps: int) -> Self:
+        """The same with steps behind it in which nobody is plugged in."""
+        rows = [(0, n_steps), (0, 0)]
+        return type(self)(*(np.pad(getattr(self, f.name), rows) for f in fields(self)))
 
     @property
     def due(self) -> Flags:

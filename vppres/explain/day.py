@@ -17,6 +17,7 @@ from vppres.explain.reasons import why_battery_moved, why_curtailed, why_not_ser
 from vppres.explain.recorded import MOVE_KW, Recorded
 from vppres.explain.step import Reason, Step
 from vppres.explain.summary import why_step
+from vppres.explain.vehicles import why_vehicles
 from vppres.model.phases import phased_model
 from vppres.scenario.phases import PHASES
 from vppres.solve.shadow_price_model import ShadowPriceModel
@@ -95,7 +96,7 @@ def _weighed(trajectory: Trajectory, steps: slice) -> list[Recorded]:
 
 
 def _actions(step: Step) -> list[Row]:
-    """One row for the step, each customer not served, each battery moved, each PV curtailed."""
+    """One row for the step, and each customer, battery, PV system or vehicle of note."""
     site = step.site
     t = step.t
     rows = [_row("step", "", step.phase, why_step(step))]
@@ -128,6 +129,7 @@ def _actions(step: Step) -> list[Row]:
         _row("pv", site.pv.id[p], "curtail", why_curtailed(step, p))
         for p in np.flatnonzero(step.recorded.curtailed_kw[t] > MOVE_KW).tolist()
     ]
+    rows += [_row("vehicle", *each) for each in why_vehicles(step)]
     return rows
 
 

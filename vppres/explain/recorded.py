@@ -14,6 +14,7 @@ from vppres.contract.forecast import Forecast, ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import OperatingPoint
 from vppres.contract.owed import Owed
+from vppres.contract.plugged import Plugged
 from vppres.contract.terminal import Terminal
 from vppres.control.converged import physics_of
 from vppres.control.phased_window import PhasedLinearisation
@@ -93,6 +94,19 @@ class Recorded:
     def off_before_h(self) -> Floats:
         """How long each customer had been off at the beginning of each step in h, (T, C)."""
         return off_before_h(self.served, self.scenario.grid.dt_h)
+
+    def _of_vehicles(self, column: str) -> Floats:
+        """A column of the vehicles by step and charger, (T, K)."""
+        rows = self.trajectory.vehicles
+        return np.zeros((self.n_steps, 0)) if rows is None else self._array(rows, column)
+
+    def _plugged(self, steps: range) -> Plugged | None:
+        """Vehicles that were known at the beginning of a window; None without chargers."""
+        day = self.scenario
+        if self.trajectory.vehicles is None:
+            return None
+        held_kwh = self._of_vehicles("energy_start_kwh")[steps.start]
+        return Plugged.of(day.chargers, day.sessions, day.grid, steps, held_kwh)
 
     @cached_property
     def _owed(self) -> list[Owed | None]:
@@ -300,6 +314,7 @@ class Recorded:
             self._eta_charge[t],
             self._eta_discharge[t],
             owed=self._owed[t],
+            plugged=self._plugged(steps),
             terminal=Terminal.of(self.soc_asked, forecast, ends=steps.stop == self.n_steps),
         )
         told = self._view.told(seen, self._grid_seen[t], self.scenario, t, self._forecaster)
@@ -338,6 +353,8 @@ class Recorded:
         pv_q = self._array(run.pv, "q_kvar")[t]
         p = site.pv_bus @ pv - site.customer_bus @ load - site.battery_bus @ self.battery_kw[t]
         q = site.pv_bus @ pv_q - site.customer_bus @ load_q + site.battery_bus @ self.batt_q_kvar[t]
+        if run.vehicles is not None:
+            p = p - site.charger_bus @ self._of_vehicles("p_kw")[t]
         return OperatingPoint(
             self.v_ac_pu[t],
             self._array(run.lines, "p_ac_kw")[t],

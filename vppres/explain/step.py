@@ -29,6 +29,7 @@ Driver = (
         "switching_rule",
         "longest_off",
         "recovery",
+        "departure",
         "price",
         "preparation",
         "surplus",

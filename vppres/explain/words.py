@@ -49,6 +49,7 @@ DRIVERS = {
     "switching_rule": "switching rule",
     "longest_off": "longest time off",
     "recovery": "catching up",
+    "departure": "departure of a vehicle",
     "price": "price",
     "preparation": "preparation",
     "surplus": "PV surplus",

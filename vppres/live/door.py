@@ -189,6 +189,15 @@ class Door:
                 result[position] = max((now - moment) / HOUR, 0.0)  # clocks may be ahead
         return result
 
+    def moments(self, field: str, given: Any, ids: Names) -> list[pd.Timestamp | None]:
+        """A time for each item, None where none was given."""
+        result: list[pd.Timestamp | None] = [None] * len(ids)
+        for position, name, value in self._items(field, given, ids):
+            moment = self.moment(field, value, f"{field} of {shown(name)}")
+            if position >= 0:
+                result[position] = moment
+        return result
+
     def problem(self, kind: str, message: str, cure: str, field: str, value: object = None) -> None:
         """Keep a problem, or count it where there are many of its kind."""
         self._counts[kind] += 1

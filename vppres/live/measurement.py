@@ -15,6 +15,7 @@ from vppres.core.arrays import Flags, Floats, Names
 from vppres.core.errors import InputError, VppresError
 from vppres.live.door import HOUR, WHERE, Door, readable
 from vppres.live.ranges import ranges_of
+from vppres.live.vehicles import QUANTITIES, with_vehicles
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
 
@@ -73,6 +74,15 @@ class Measurement:
     soc_at : mapping or Series, optional
         When each state of charge was read; now, if not given. What was stored since is added: by
         ``battery_kw`` where it is given, else by what was ordered.
+    plugged : mapping or Series, optional
+        Whether a vehicle is plugged in at each charger, 1 or 0; as the scenario's sessions say if
+        not given. A vehicle that is gone before its departure is named in what was estimated.
+    ev_soc : mapping or Series, optional
+        State of charge of vehicles, by charger; reckoned from what was ordered if not given.
+    energy_needed_kwh : mapping or Series, optional
+        Energy that vehicles still need, by charger, of those that tell no state of charge.
+    departure : mapping or Series, optional
+        When vehicles leave, by charger; as the scenario's sessions say if not given.
     ordered_kw : DataFrame, optional
         What batteries were told since the last decision, where it was not what was decided: a row
         for each time from which on it held, a column for each battery.
@@ -103,6 +113,10 @@ class Measurement:
     now: pd.Timestamp | datetime | str | None = None
     soc_at: Mapping[str, Any] | pd.Series | None = None
     ordered_kw: pd.DataFrame | None = None
+    plugged: Values | None = None
+    ev_soc: Values | None = None
+    energy_needed_kwh: Values | None = None
+    departure: Mapping[str, Any] | pd.Series | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,6 +154,8 @@ class Seen:
         How old the states of charge are.
     told : tuple of Told
         What batteries were told since the last decision, where it was something else.
+    ev_kwh : array, shape (K,), or None
+        Energy that was read of the vehicles at chargers, NaN of others.
     """
 
     t: int
@@ -160,6 +176,7 @@ class Seen:
     elapsed_h: float = 0.0
     soc_age_h: Floats | None = None
     told: tuple[Told, ...] = ()
+    ev_kwh: Floats | None = None
 
     def window(self, rows: range) -> Seen:
         """The same of some steps alone, of which the first is the present one."""
@@ -257,6 +274,8 @@ def _seen(scenario: Scenario, measured: Measurement, guard: bool, earliest: int)
     told = _told(door, measured.ordered_kw, b.id, now)
     if not guard:
         _check_complete(door, scenario, measured, soc, online)
+    of_vehicles = {name: getattr(measured, name) for name in QUANTITIES}
+    scenario, ev_kwh = with_vehicles(door, scenario, of_vehicles)
     door.finish()
     pv_kw = np.minimum(pv_kw, pv.p_max_kw)
     t = door.t
@@ -286,6 +305,7 @@ def _seen(scenario: Scenario, measured: Measurement, guard: bool, earliest: int)
         (now - door.begun) / HOUR,
         soc_age_h,
         told,
+        ev_kwh,
     )
 
 

@@ -19,6 +19,7 @@ from vppres.day.forecasting import PAPER, history_before
 from vppres.day.options import RunOptions
 from vppres.day.outages import GridSeen
 from vppres.day.simulate import Day
+from vppres.live.vehicles import Held
 from vppres.physics.cold_load import ColdLoad
 from vppres.scenario.history import History
 from vppres.scenario.scenario import Scenario
@@ -51,6 +52,8 @@ class Past:
         Outages so far.
     owed : Owed or None
         What dimmed customers may still catch up.
+    vehicles : Held or None
+        Vehicles at chargers and their energy; None before the first step.
     """
 
     t: int
@@ -62,6 +65,7 @@ class Past:
     voltages: dict[int, Complexes]
     grid_seen: GridSeen = field(default_factory=GridSeen)
     owed: Owed | None = None
+    vehicles: Held | None = None
 
     @classmethod
     def before_the_day(cls, scenario: Scenario, options: RunOptions) -> Past:
@@ -106,6 +110,7 @@ class Past:
             "voltages": to_plain(self.voltages, given),
             "grid_seen": to_plain(self.grid_seen, given),
             "owed": to_plain(self.owed, given),
+            "vehicles": to_plain(self.vehicles, given),
         }
 
     def read(self, plain: Any, history: History | None, given: Given, where: str) -> Past:
@@ -126,6 +131,7 @@ class Past:
             "served": Flags | None,
             "voltages": dict[int, Complexes],
             "owed": Owed | None,
+            "vehicles": Held | None,
         }
         values = {
             name: from_plain(kind, found.get(name), f"{where}.{name}", given)

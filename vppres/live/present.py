@@ -8,6 +8,7 @@ import numpy as np
 
 from vppres.contract.forecast import Forecast, ForecastErrors
 from vppres.contract.observation import Observation
+from vppres.contract.plugged import Plugged
 from vppres.contract.switching import SwitchingState
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Floats
@@ -19,8 +20,10 @@ from vppres.day.simulate import Day
 from vppres.live.foretold import GivenFirst
 from vppres.live.measurement import Seen
 from vppres.live.past import Past
+from vppres.live.vehicles import Held
 from vppres.physics.cold_load import ColdLoad
 from vppres.plant.plant import BatteryState
+from vppres.plant.vehicles import Garage
 from vppres.scenario.history import History
 from vppres.scenario.scenario import Scenario
 
@@ -144,11 +147,29 @@ class Present:
             import_kw=seen.import_kw,
             served=self.past.served,
             owed=self.past.owed_at(self.t),
+            plugged=self._plugged(),
             terminal=Terminal.of(self.options.soc_end, forecast, ends=self.ends),
             elapsed_h=seen.elapsed_h,
             soc_age_h=seen.soc_age_h,
             told=seen.told,
         )
+
+    def _plugged(self) -> Plugged | None:
+        """Vehicles that are plugged in or announced; None without chargers."""
+        day = self.seen.scenario
+        if not len(day.chargers):
+            return None
+        steps = range(day.grid.n_steps)
+        held_kwh = Garage(day, self._ev_kwh()).held_kwh(0)
+        return Plugged.of(day.chargers, day.sessions, day.grid, steps, held_kwh)
+
+    def _ev_kwh(self) -> Floats:
+        """Energy of the vehicles, as read or else as reckoned; NaN if neither, (K,)."""
+        day = self.seen.scenario
+        read = self.seen.ev_kwh
+        kwh = np.full(len(day.chargers), np.nan) if read is None else read
+        past = self.past.vehicles
+        return kwh if past is None else np.where(np.isnan(kwh), past.at(day, 0), kwh)
 
     def day(self, known: Observation) -> Day:
         """A day that stands at the step, what the controller took for true being true.
@@ -164,6 +185,7 @@ class Present:
         day.owed = self.past.owed_at(self.t)
         day.ac.go_on_from(self.past.voltages)
         day.plant.cold_load = self.cold_load
+        day.plant.garage.kwh = self._ev_kwh()
         return day
 
     def after(self, day: Day, record: StepRecord) -> Past:
@@ -186,6 +208,7 @@ class Present:
             voltages=day.ac.found,
             grid_seen=self.grid_seen,
             owed=day.owed,
+            vehicles=Held.of(day.scenario, 0, day.plant.garage.kwh),
         )
 
     def _learned(self, believed: Scenario) -> History | None:

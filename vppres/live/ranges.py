@@ -77,6 +77,10 @@ RANGES: Mapping[str, Range] = {
     "v_pu": Range(0.0, 2.0, "must lie between 0 and 2", "Give a share of the nominal voltage."),
     "import_kw": Range(-10.0 * MAX_KW, 10.0 * MAX_KW, _FINITE, _CORRECT, _UNIT),
     "online": _FLAG,
+    "plugged": _FLAG,
+    "ev_soc": Range(0.0, 1.0, "must lie between 0 and 1", "Give a share, for example 0.5."),
+    "energy_needed_kwh": _POWER,
+    "departure": Range(0.0, 7.3e9, "must be seconds since 1970", "Give a time of this century."),
     "grid_on": _FLAG,
 }
 

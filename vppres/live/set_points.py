@@ -69,6 +69,9 @@ class SetPoints:
         What holds the voltage: the grid, a battery, or nobody.
     foreseen : Foreseen
         What the plan that it is taken from foresees for the steps after it.
+    chargers : DataFrame or None
+        ``bus``, ``vehicle``, ``p_kw`` (charging positive), ``p_limit_kw``, the most that it may
+        charge with, ``energy_kwh`` and ``needed_kwh`` of the vehicle; None without chargers.
     by_phase : ByPhase or None
         Voltages and the source's power by phase; None without phases. Customers, batteries and PV
         systems have a column ``phases`` then: a power is that of all its phases, in equal parts.
@@ -84,6 +87,7 @@ class SetPoints:
     feeding: Feeding
     foreseen: Foreseen
     by_phase: ByPhase | None = None
+    chargers: pd.DataFrame | None = None
 
     @classmethod
     def of(
@@ -124,6 +128,7 @@ class SetPoints:
             ),
             foreseen=foreseen,
             by_phase=ByPhase.of(scenario, step),
+            chargers=_chargers(scenario, step.vehicles),
         )
 
     def apply_to(self, net: Any, feeder: Feeder) -> None:
@@ -204,6 +209,22 @@ def _pv(scenario: Scenario, columns: Mapping[str, Any]) -> pd.DataFrame:
         p_kw=columns["self_kw"] + columns["export_kw"],
         curtailed_kw=columns["curtailed_kw"],
         q_kvar=columns["q_kvar"],
+    )
+
+
+def _chargers(scenario: Scenario, columns: Mapping[str, Any] | None) -> pd.DataFrame | None:
+    """Powers and limits by charger; None without any."""
+    if columns is None:
+        return None
+    chargers = scenario.chargers
+    return _table(
+        chargers.id,
+        bus=chargers.buses(scenario.customers),
+        vehicle=columns["vehicle"],
+        p_kw=columns["p_kw"],
+        p_limit_kw=np.maximum(columns["p_kw"], 0.0),
+        energy_kwh=columns["energy_start_kwh"],
+        needed_kwh=columns["needed_kwh"],
     )
 
 

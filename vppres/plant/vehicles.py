@@ -21,6 +21,9 @@ class Garage:
     ----------
     scenario : Scenario
         Chargers, sessions and steps.
+    kwh : array, shape (K,), optional
+        Energy of the vehicles that are plugged in before the first step; as the sessions say where
+        it is NaN, or not given.
 
     Attributes
     ----------
@@ -28,9 +31,9 @@ class Garage:
         Energy of each vehicle at the end of the last step, 0 without one.
     """
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario, kwh: Floats | None = None) -> None:
         self.scenario = scenario
-        self.kwh = np.zeros(len(scenario.chargers))
+        self.kwh = np.full(len(scenario.chargers), np.nan) if kwh is None else kwh
         self._alone = scenario.chargers.alone
         self._owner = scenario.chargers.owner(scenario.customers)
 
@@ -41,8 +44,9 @@ class Garage:
     def held_kwh(self, t: int) -> Floats:
         """Energy of each vehicle at the beginning of a step, 0 without one, (K,)."""
         now = self.scenario.session_at[t]
-        before = self.scenario.session_at[t - 1] if t else np.full_like(now, -1)
-        return np.where(now == before, self.kwh, self._of(self.scenario.sessions.held_kwh, t))
+        stays = now == self.scenario.session_at[t - 1] if t else ~np.isnan(self.kwh)
+        arrives_kwh = self._of(self.scenario.sessions.held_kwh, t)
+        return np.where(stays & self.here(t), self.kwh, arrives_kwh)
 
     def _of(self, by_session: Floats, t: int) -> Floats:
         """A number of the sessions of a step by charger, 0 without one, (K,)."""

@@ -96,6 +96,11 @@ def simplifications(run: Trajectory) -> list[str]:
             f"{dimmable} of {len(day.customers)} customers may be dimmed: of one that is, service "
             "counts in proportion to what it gets."
         )
+    if len(day.chargers):
+        sentences.append(
+            f"{len(day.sessions)} sessions of vehicles at {len(day.chargers)} chargers come after "
+            "service; a plan knows those that are plugged in or announced."
+        )
     if options.get("thermal") == "off":
         sentences.append("Battery efficiencies are constant: heating is not simulated.")
     if options.get("mode", "paper") == "paper" and day.outage.any():

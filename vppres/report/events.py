@@ -39,13 +39,14 @@ class Event:
 
 
 def events_of(run: Trajectory) -> list[Event]:
-    """Outages, customers off, restored and dimmed, and empty batteries, in order of time."""
+    """Outages, customers off, restored and dimmed, empty batteries, and vehicles left short."""
     found = sorted(
         [
             *_outage_events(run),
             *_service_events(run),
             *_dimmed_events(run),
             *_battery_events(run),
+            *_vehicle_events(run),
         ],
         key=lambda entry: entry[0],
     )
@@ -105,6 +106,22 @@ def _battery_events(run: Trajectory) -> Iterator[tuple[int, str]]:
         empty = np.flatnonzero(energy[first + 1 : last + 1] <= low + EMPTY_SHARE * (high - low))
         if len(empty) and len(run.scenario.batteries):
             yield first + 1 + int(empty[0]), "Batteries are at their lower limit."
+
+
+def _vehicle_events(run: Trajectory) -> Iterator[tuple[int, str]]:
+    """Vehicles that leave with less than they need."""
+    if run.vehicles is None:
+        return
+    lacks_kwh = run.vehicles["short_kwh"].to_numpy(float).reshape(len(run.steps), -1)
+    for t in np.flatnonzero((lacks_kwh > 0.0).any(axis=1)).tolist():
+        count = lacks_kwh.shape[1]
+        rows = run.vehicles.iloc[t * count : (t + 1) * count]
+        names = [
+            f"{row['vehicle']} ({row['tier']}, {row['short_kwh']:.1f} kWh)"
+            for row in rows[rows["short_kwh"] > 0.0].to_dict("records")
+        ]
+        what = "vehicle leaves" if len(names) == 1 else "vehicles leave"
+        yield t + 1, f"{len(names)} {what} short: {named(names, NAMES_SHOWN)}."
 
 
 def _day(run: Trajectory) -> str:

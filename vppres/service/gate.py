@@ -39,6 +39,11 @@ class Wanted(Protocol):
         """``served``."""
         ...
 
+    @property
+    def chargers(self) -> pd.DataFrame | None:
+        """``p_kw``, charging positive, and ``p_limit_kw``; None without chargers."""
+        ...
+
 
 def refusals(
     decision: Wanted, scenario: Scenario, soc: Mapping[str, float]
@@ -57,13 +62,14 @@ def refusals(
     Returns
     -------
     dict
-        Reason by kind (``batteries``, ``pv`` or ``customers``) and identifier.
+        Reason by kind (``batteries``, ``pv``, ``customers`` or ``chargers``) and identifier.
     """
     found: dict[tuple[str, str], str] = {}
     for kind, reasons in (
         ("batteries", _batteries(decision, scenario, soc)),
         ("pv", _pv(decision, scenario)),
         ("customers", _customers(decision)),
+        ("chargers", _chargers(decision, scenario)),
     ):
         found.update({(kind, name): reason for name, reason in reasons.items()})
     return found
@@ -117,6 +123,24 @@ def _customers(decision: Wanted) -> dict[str, str]:
         for name, value in served.items()
         if not isinstance(value, (bool, np.bool_))
     }
+
+
+def _chargers(decision: Wanted, scenario: Scenario) -> dict[str, str]:
+    """Ratings of chargers."""
+    table = decision.chargers
+    if table is None:
+        return {}
+    chargers = scenario.chargers
+    p_kw = table["p_kw"].to_numpy(float)
+    limit_kw = table["p_limit_kw"].to_numpy(float)
+    most_kw = np.maximum(p_kw, limit_kw)
+    reasons = {
+        "power above its rating": most_kw - chargers.p_charge_kw - _slack(chargers.p_charge_kw),
+        "discharge above its rating": -p_kw
+        - chargers.p_discharge_kw
+        - _slack(chargers.p_discharge_kw),
+    }
+    return _named(list(chargers.id), reasons, np.isfinite(p_kw) & np.isfinite(limit_kw))
 
 
 def _slack(rating: Floats) -> Floats:

@@ -23,6 +23,7 @@ from vppres.live.by_phase import GRID
 from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
 from vppres.live.ranges import RANGES, ranges_of
+from vppres.live.vehicles import QUANTITIES
 from vppres.outlook.belief import HALF
 from vppres.scenario.scenario import Scenario
 from vppres.service.announced import (
@@ -43,7 +44,7 @@ from vppres.service.statements import REFUSED
 from vppres.service.store import Store
 from vppres.service.window import CAUTIOUS, Window
 
-INSTANT = ("soc", "load_kw", "pv_kw", "online", "grid_on")
+INSTANT = ("soc", "load_kw", "pv_kw", "online", "grid_on", *QUANTITIES)
 MEAN = ("battery_kw", "import_kw")
 EARLY_SHARE = 0.1
 """Share of a step by which clocks may be off: those of readings, and our own that is set back."""
@@ -145,6 +146,7 @@ def assets_of(scenario: Scenario) -> dict[str, list[str]]:
         "pv_kw": [str(name) for name in scenario.pv.id],
         "import_kw": [GRID],
         "grid_on": [GRID],
+        **{name: [str(charger) for charger in scenario.chargers.id] for name in QUANTITIES},
         "source_kva": [GRID, *batteries],
         "v_pu": [] if scenario.phases is None else list(scenario.phases.by_bus),
     }
@@ -301,9 +303,21 @@ def known_at(
         now=now,
         soc_at={name: moment(reading.time) for name, reading in soc.items()},
         ordered_kw=said.ordered_kw,
+        **_of_vehicles(readings),
     )
     estimated = [*powers.estimated, doubt] if doubt else powers.estimated
     return Known(measurement, readings.heard, grid, estimated, soc_of(soc), lost)
+
+
+def _of_vehicles(readings: Latest) -> dict[str, Any]:
+    """What chargers tell of their vehicles, by quantity; what is too old is left out."""
+    told: dict[str, Any] = {
+        name: {one: value for one, value in readings.now(name).items() if np.isfinite(value)}
+        for name in QUANTITIES
+    }
+    leaves = told["departure"].items()
+    told["departure"] = {one: moment(int(value)) for one, value in leaves}
+    return {name: values or None for name, values in told.items()}
 
 
 def soc_at(time: pd.Timestamp, scenario: Scenario, store: Store) -> dict[str, float]:

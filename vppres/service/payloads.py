@@ -95,7 +95,19 @@ Probabilities = Annotated[list[Share], Field(fail_fast=True, min_length=1, max_l
 Powers = Annotated[list[Power], Field(fail_fast=True, min_length=1, max_length=MOST_VALUES)]
 
 Quantity = Literal[
-    "soc", "load_kw", "pv_kw", "battery_kw", "import_kw", "source_kva", "v_pu", "online", "grid_on"
+    "soc",
+    "load_kw",
+    "pv_kw",
+    "battery_kw",
+    "import_kw",
+    "source_kva",
+    "v_pu",
+    "online",
+    "grid_on",
+    "plugged",
+    "ev_soc",
+    "energy_needed_kwh",
+    "departure",
 ]
 Phase = Annotated[str, Field(pattern=r"^[abc]{1,2}$")]
 
@@ -119,6 +131,9 @@ class Readings(Body):
     ``soc``, ``load_kw``, ``pv_kw``, ``online`` and ``grid_on`` (1 or 0) hold at their time,
     ``battery_kw`` (charging positive) and ``import_kw`` are means from then on. The asset of
     ``import_kw`` and ``grid_on`` is ``grid``.
+
+    Of chargers of vehicles, ``plugged`` (1 or 0), ``ev_soc``, ``energy_needed_kwh`` and
+    ``departure``, in seconds since 1970, hold at their time too.
 
     On phased feeders powers may have a ``phase``, one of those of the asset's ``phases``: those of
     all its phases are sent in one batch. ``v_pu`` (of a bus) and ``source_kva`` (of ``grid``, or of

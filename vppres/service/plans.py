@@ -39,6 +39,13 @@ DEFAULT = "default: "
 CHECKED = (*DECIDED, "hold", "manual")
 """Outcomes of steps whose set-points pass the last check."""
 
+NUMBERS = {
+    "batteries": ("p_kw", "q_kvar"),
+    "pv": ("p_kw", "q_kvar", "curtailed_kw"),
+    "chargers": ("p_kw", "p_limit_kw"),
+}
+"""What set-points of each kind say in numbers."""
+
 LOST = "cannot be supplied: "
 """How the reason begins of a customer that nobody can switch on."""
 
@@ -133,13 +140,14 @@ class Ordered:
 
     Parameters
     ----------
-    batteries, pv, customers : DataFrame
-        By identifier, as the gate reads them.
+    batteries, pv, customers, chargers : DataFrame
+        By identifier, as the gate reads them; no chargers if the site has none.
     """
 
     batteries: pd.DataFrame
     pv: pd.DataFrame
     customers: pd.DataFrame
+    chargers: pd.DataFrame | None = None
 
     @classmethod
     def of(
@@ -176,7 +184,7 @@ def ordered_plan(
 ) -> dict[str, Any]:
     """The plan of a step that an operator decided."""
     reason = mode["reason"] or mode["mode"]
-    kinds = {name: getattr(ordered, name) for name in ("batteries", "pv", "customers")}
+    kinds = {name: getattr(ordered, name) for name in _defaults(scenario)}
     speaker = _Speaker.of(time, scenario, refused)
     return {
         **defaults_of(time, scenario, mode["mode"], reason),
@@ -193,8 +201,7 @@ def _fields(kind: str, row: pd.Series[Any]) -> dict[str, Any]:
     if kind == "customers":
         share = row.get("share", np.nan)
         return {"served": bool(row["served"])} | ({"share": float(share)} if share >= 0.0 else {})
-    names = ("p_kw", "q_kvar") if kind == "batteries" else ("p_kw", "q_kvar", "curtailed_kw")
-    return {name: float(row[name]) for name in names}
+    return {name: float(row[name]) for name in NUMBERS[kind]}
 
 
 def made_anew(
@@ -322,7 +329,7 @@ def _set_points(
     refused: Mapping[tuple[str, str], str],
     reason: str,
 ) -> list[dict[str, Any]]:
-    """Batteries, then PV systems, then customers."""
+    """Batteries, then PV systems, then customers, then chargers."""
     speaker = _Speaker.of(decision.time, scenario, refused)
     batteries = _rows(decision.batteries, "p_kw", "q_kvar")
     pv = _rows(decision.pv, "p_kw", "q_kvar", "curtailed_kw")
@@ -332,9 +339,16 @@ def _set_points(
     for name in scenario.customers.id[scenario.customers.dimmable]:
         customers[str(name)]["share"] = float(decision.customers.loc[name, "share"])
     lost = {("customers", name): f"{LOST}{why}" for name, why in known.lost.items()}
+    kinds: dict[str, Mapping[str, Any]] = {
+        "batteries": batteries,
+        "pv": pv,
+        "customers": customers,
+    }
+    if decision.chargers is not None:
+        kinds["chargers"] = _rows(decision.chargers, "p_kw", "p_limit_kw")
     return [
         speaker.point(kind, name, values, lost.get((kind, name), reason))
-        for kind, each in (("batteries", batteries), ("pv", pv), ("customers", customers))
+        for kind, each in kinds.items()
         for name, values in each.items()
     ]
 
@@ -397,12 +411,21 @@ class _Speaker:
         }
 
 
-_SIGNS = {"batteries": "charging_positive", "pv": "injection_positive"}
+_SIGNS = {
+    "batteries": "charging_positive",
+    "pv": "injection_positive",
+    "chargers": "charging_positive",
+}
 
 
 def _defaults(scenario: Scenario) -> dict[str, dict[str, dict[str, Any]]]:
-    """What devices do without us: batteries rest, the sun shines, customers are on."""
+    """What devices do without us: batteries rest, the sun shines, the others are on."""
     pv = scenario.pv
+    chargers = scenario.chargers
+    charging = {
+        str(name): {"p_kw": float(p_kw), "p_limit_kw": float(p_kw)}
+        for name, p_kw in zip(chargers.id, chargers.p_charge_kw, strict=True)
+    }
     return {
         "batteries": {str(name): {"p_kw": 0.0, "q_kvar": 0.0} for name in scenario.batteries.id},
         "pv": {
@@ -415,6 +438,7 @@ def _defaults(scenario: Scenario) -> dict[str, dict[str, dict[str, Any]]]:
                 scenario.customers.id, scenario.customers.dimmable, strict=True
             )
         },
+        **({"chargers": charging} if charging else {}),
     }
 
 

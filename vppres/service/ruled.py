@@ -61,4 +61,11 @@ def ruled(now: Scenario, soc: Mapping[str, float], lost: Mapping[str, str]) -> O
             {"served": np.asarray(found.served[0], dtype=bool) & connected},
             [str(name) for name in site.customers.id],
         ),
+        chargers=_resting(now),
     )
+
+
+def _resting(now: Scenario) -> pd.DataFrame | None:
+    """Chargers that do nothing: the rule supplies customers; None without chargers."""
+    names = [str(name) for name in now.chargers.id]
+    return pd.DataFrame(0.0, names, ["p_kw", "p_limit_kw"]) if names else None

@@ -132,6 +132,7 @@ class World:
         p_kw = values("batteries", "p_kw", 0.0)
         served = values("customers", "served", 1.0) > 0.0
         dims = self.scenario.customers.dimmable.any()
+        charges = len(self.scenario.chargers) > 0
         pv_q_kvar = values("pv", "q_kvar", 0.0)
         nothing = np.full((1, 1), np.nan)
         network = self.scenario.network
@@ -151,6 +152,7 @@ class World:
             p_flow_kw=np.full((1, network.n_buses - 1), np.nan),
             q_flow_kvar=np.full((1, network.n_buses - 1), np.nan),
             share=served * values("customers", "share", 1.0) if dims else None,
+            ev_kw=values("chargers", "p_kw", 0.0) if charges else None,
         )
 
 

@@ -44,6 +44,9 @@ ACTIONS = {
     "charge": "battery charged",
     "discharge": "battery discharged",
     "curtail": "PV system curtailed",
+    "charged": "vehicle charged",
+    "given_back": "vehicle discharged",
+    "left_short": "vehicle left short",
 }
 
 

@@ -1,0 +1,87 @@
+"""Why a vehicle was charged or discharged, and why it left with less than it needs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from vppres.explain.recorded import MOVE_KW
+from vppres.explain.step import Reason, Step
+
+Vehicle = dict[str, Any]
+
+
+def why_vehicles(step: Step) -> Iterator[tuple[str, str, Reason]]:
+    """Name of each vehicle that was charged, discharged or left short, the action, and why."""
+    rows = step.recorded.trajectory.vehicles
+    if rows is None:
+        return
+    count = len(step.scenario.chargers)
+    for charger, car in enumerate(_rows(rows, step.t, count)):
+        if not car["plugged"]:
+            continue
+        name = str(car["vehicle"])
+        if car["p_kw"] > MOVE_KW:
+            yield name, "charged", why_charged(step, charger, car)
+        if car["p_kw"] < -MOVE_KW:
+            yield name, "given_back", why_given_back(step, car)
+        if car["short_kwh"] > 0.0:
+            yield name, "left_short", why_short(step, charger, car)
+
+
+def _rows(rows: Any, t: int, count: int) -> list[Vehicle]:
+    """Rows of a step."""
+    found: list[Vehicle] = rows.iloc[t * count : (t + 1) * count].to_dict("records")
+    return found
+
+
+def why_charged(step: Step, charger: int, car: Vehicle) -> Reason:
+    """Why a vehicle was charged."""
+    what = f"Charges {car['p_kw']:.1f} kW"
+    missing_kwh = car["needed_kwh"] - car["energy_start_kwh"]
+    if missing_kwh > 0.0:
+        session = step.scenario.session_at[step.t, charger]
+        leaves = step.scenario.sessions.plug_out[session].tz_convert(step.scenario.grid.zone)
+        words = f"{what}: it leaves at {leaves:%H:%M} and needs {missing_kwh:.1f} kWh more."
+        return Reason("departure", "", words)
+    if step.outage:
+        return Reason("surplus", "", f"{what} beyond its need: the power would be curtailed.")
+    return Reason("preparation", "", f"{what} beyond its need, to give it back later.")
+
+
+def why_given_back(step: Step, car: Vehicle) -> Reason:
+    """Why a vehicle was discharged."""
+    what = f"Gives {-car['p_kw']:.1f} kW"
+    if step.outage:
+        return Reason("supply", "", f"{what} to the island, of what it holds above its floor.")
+    return Reason("price", "", f"{what} back now, and is charged when that costs less.")
+
+
+def why_short(step: Step, charger: int, car: Vehicle) -> Reason:
+    """Why a vehicle left with less than it needs."""
+    day = step.scenario
+    what = f"Leaves {car['short_kwh']:.1f} kWh short"
+    session = day.session_at[step.t, charger]
+    plugged = np.flatnonzero(day.session_at[:, charger] == session)
+    rate_kw = day.chargers.eta_charge[charger] * day.chargers.p_charge_kw[charger]
+    most_kwh = rate_kw * len(plugged) * day.grid.dt_h
+    first = plugged[0]
+    rows = step.recorded.trajectory.vehicles
+    assert rows is not None
+    held_kwh = rows["energy_start_kwh"].iloc[first * len(day.chargers) + charger]
+    if car["needed_kwh"] - held_kwh > most_kwh:
+        words = f"{what}: its charger gives at most {most_kwh:.1f} kWh while it is plugged in."
+        return Reason("power", "power", words)
+    dark = day.outage[plugged]
+    if dark[-1]:
+        words = f"{what}: it left inside the outage, and customers come first."
+        return Reason("priority", "", words)
+    if dark.any():
+        hours = float(dark.sum()) * day.grid.dt_h
+        words = f"{what}: {hours:g} h of its time were an outage, and customers come first."
+        return Reason("priority", "", words)
+    if np.isfinite(day.grid_limit_kw[plugged]).any():
+        return Reason("grid", "grid", f"{what}: the import is limited.")
+    return Reason("unexplained", "", f"{what}: the record gives no reason.")

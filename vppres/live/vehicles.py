@@ -1,0 +1,157 @@
+"""What is measured of vehicles, laid over the sessions of a scenario."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from vppres.core.arrays import Floats
+from vppres.live.door import Door
+from vppres.scenario.scenario import Scenario
+from vppres.scenario.vehicles import NO_CAR, OF_SESSIONS, Sessions
+
+QUANTITIES = ("plugged", "ev_soc", "energy_needed_kwh", "departure")
+"""What can be told of the vehicle at a charger."""
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """Energy of the vehicles at chargers, and since when they are plugged in, (K,) each.
+
+    ``since`` is the time of plug-in as text, empty without a vehicle.
+    """
+
+    since: tuple[str, ...]
+    kwh: Floats
+
+    @classmethod
+    def of(cls, scenario: Scenario, t: int, kwh: Floats) -> Held:
+        """The vehicles of a step with their energy at its end."""
+        return cls(_since(scenario, t), kwh)
+
+    def at(self, scenario: Scenario, t: int) -> Floats:
+        """Energy of the vehicles of a step that have been here before, NaN of others, (K,)."""
+        now = _since(scenario, t)
+        pairs = zip(now, self.since, strict=True)
+        stays = [name != "" and name == before for name, before in pairs]
+        return np.where(stays, self.kwh, np.nan)
+
+
+def _since(scenario: Scenario, t: int) -> tuple[str, ...]:
+    """When the vehicle at each charger was plugged in."""
+    rows = scenario.session_at[t].tolist()
+    plug_in = scenario.sessions.plug_in
+    return tuple("" if row == NO_CAR else plug_in[row].isoformat() for row in rows)
+
+
+def with_vehicles(
+    door: Door, scenario: Scenario, told: Mapping[str, Any]
+) -> tuple[Scenario, Floats]:
+    """The scenario with sessions as they are measured, and energies that were read, (K,).
+
+    A charger without a vehicle ends its session; that is named. A vehicle that tells the energy
+    that it needs has a session from now on; its departure is that of the session before if it tells
+    none. Energies are NaN if no state of charge was read.
+
+    Parameters
+    ----------
+    door : Door
+        Keeps what is wrong.
+    scenario : Scenario
+        What holds where nothing was measured.
+    told : mapping
+        By quantity, each by charger.
+    """
+    chargers = scenario.chargers
+    none = np.full(len(chargers), np.nan)
+    plugged, soc, needed_kwh = (
+        door.values(name, told.get(name), chargers.id, none) for name in QUANTITIES[:3]
+    )
+    departure = door.moments("departure", told.get("departure"), chargers.id)
+    held_kwh = none.copy()
+    if door.problems or not len(chargers):
+        return scenario, held_kwh
+    rows = [_Row.of(scenario.sessions, s) for s in range(len(scenario.sessions))]
+    gone = set()
+    for k, name in enumerate(chargers.id):
+        s = int(scenario.session_at[door.t, k])
+        now = None if s == NO_CAR else rows[s]
+        if plugged[k] == 0.0:
+            if now is not None:
+                gone.add(s)
+                door.left_out.append(f"vehicle {now.vehicle} left {name} before its departure")
+            continue
+        leaves = departure[k] or (None if now is None else now.plug_out)
+        if np.isfinite(needed_kwh[k]):
+            if leaves is None or leaves <= door.begun:
+                door.problem(
+                    "departure",
+                    "is not known of a vehicle that needs energy",
+                    "Give a time after now.",
+                    f"departure of {name}",
+                )
+                continue
+            gone.add(s)
+            rows.append(_Row.needing(scenario, str(name), now, door.begun, leaves, needed_kwh[k]))
+        elif now is not None:
+            rows[s] = replace(now, plug_out=max(leaves, door.begun) if leaves else now.plug_out)
+            held_kwh[k] = soc[k] * scenario.sessions.full_kwh[s]
+    kept = [row for s, row in enumerate(rows) if s not in gone]
+    columns: dict[str, Any] = {
+        f.name: [getattr(row, f.name) for row in kept] for f in fields(Sessions)
+    }
+    return replace(scenario, sessions=Sessions(**columns)), held_kwh
+
+
+@dataclass(frozen=True)
+class _Row:
+    """One session."""
+
+    charger: str
+    vehicle: str
+    plug_in: pd.Timestamp
+    plug_out: pd.Timestamp
+    capacity_kwh: float
+    soc_at_plug_in: float
+    soc_needed: float
+    energy_needed_kwh: float
+    v2g_soc_floor: float
+    tier: str
+    weight: float
+    announced: bool
+
+    @classmethod
+    def of(cls, sessions: Sessions, s: int) -> _Row:
+        """A session of the table."""
+        return cls(**{f.name: getattr(sessions, f.name)[s] for f in fields(Sessions)})
+
+    @classmethod
+    def needing(
+        cls,
+        scenario: Scenario,
+        charger: str,
+        before: _Row | None,
+        now: pd.Timestamp,
+        leaves: pd.Timestamp,
+        needed_kwh: float,
+    ) -> _Row:
+        """A session of a vehicle that tells the energy that it needs; without a name its charger's.
+
+        One of which no tier is known has the weight of the least.
+        """
+        nothing = dict.fromkeys(OF_SESSIONS, np.nan) | {"energy_needed_kwh": needed_kwh}
+        least = float(scenario.sessions.weight.min(initial=np.inf))
+        return cls(
+            charger=charger,
+            vehicle=charger if before is None else before.vehicle,
+            plug_in=now,
+            plug_out=leaves,
+            tier=scenario.tiers[-1] if before is None else before.tier,
+            weight=(least if np.isfinite(least) else 1.0) if before is None else before.weight,
+            announced=True,
+            **nothing,
+        )
