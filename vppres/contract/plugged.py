@@ -46,7 +46,7 @@ class Plugged:
 
     @classmethod
     def none(cls, n_steps: int, n_chargers: int) -> Self:
-        """Nobody is plugged in."""
+        """No vehicle is plugged in."""
         shape = (n_steps, n_chargers)
         flags = (np.zeros(shape, dtype=bool) for _ in range(2))
         return cls(*flags, *(np.zeros(shape) for _ in range(5)))
@@ -106,7 +106,7 @@ class Plugged:
         return type(self)(*(getattr(self, f.name)[steps] for f in fields(self)))
 
     def followed_by_none(self, n_steps: int) -> Self:
-        """The same with steps behind it in which nobody is plugged in."""
+        """The same with steps behind it in which no vehicle is plugged in."""
         rows = [(0, n_steps), (0, 0)]
         return type(self)(*(np.pad(getattr(self, f.name), rows) for f in fields(self)))
 
