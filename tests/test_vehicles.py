@@ -45,7 +45,7 @@ from vppres.plant.plant import Plant
 from vppres.report.run_folder import render_report
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.vehicles import Chargers, Sessions
-from vppres.service.clock import SetClock
+from vppres.service.clock import SetClock, written
 from vppres.service.runner import Service
 from vppres.solve.ladder import METHODS, WindowSolver
 
@@ -430,8 +430,9 @@ def test_a_service_says_the_limit_of_a_charger(tiny: Scenario, tmp_path: Path) -
         ]
         assert http.post("/v1/telemetry", {"series": series}).status == 200
         point = said(decided(http, clock, NOON), "chargers")["k0"]
-        manual = {"mode": "hold", "reason": "a test"}
-        assert http.put("/v1/mode", manual).status == 200
+        until = written(NOON + pd.Timedelta(hours=2))
+        hold = {"mode": "hold", "until": until, "reason": "a test"}
+        assert http.put("/v1/mode", hold).status == 200
         held = said(decided(http, clock, NOON + pd.Timedelta(hours=1)), "chargers")["k0"]
     assert point["p_limit_kw"] == point["p_kw"] == pytest.approx(10.0 / 3.0 / 0.92, abs=1e-4)
     assert point["default"] == {"p_kw": 7.4, "p_limit_kw": 7.4}
