@@ -418,10 +418,10 @@ def test_what_a_vehicle_tells_holds() -> None:
 
 
 def test_a_service_says_the_limit_of_a_charger(tiny: Scenario, tmp_path: Path) -> None:
-    """5 kWh in three hours, of which the window of two sees ten thirds."""
+    """5 kWh within the hour."""
     day = replace(site(tiny), chargers=chargers(1, bus=4))
     clock = SetClock(NOON)
-    leaves = (NOON + pd.Timedelta(hours=3)).timestamp()
+    leaves = (NOON + pd.Timedelta(hours=1)).timestamp()
     with client(Service(day, HERE), tmp_path, clock) as http:
         series = [
             one
@@ -434,7 +434,7 @@ def test_a_service_says_the_limit_of_a_charger(tiny: Scenario, tmp_path: Path) -
         hold = {"mode": "hold", "until": until, "reason": "a test"}
         assert http.put("/v1/mode", hold).status == 200
         held = said(decided(http, clock, NOON + pd.Timedelta(hours=1)), "chargers")["k0"]
-    assert point["p_limit_kw"] == point["p_kw"] == pytest.approx(10.0 / 3.0 / 0.92, abs=1e-4)
+    assert point["p_limit_kw"] == point["p_kw"] == pytest.approx(5.0 / 0.92, abs=1e-4)
     assert point["default"] == {"p_kw": 7.4, "p_limit_kw": 7.4}
     assert held["p_limit_kw"] == point["p_limit_kw"]
 
