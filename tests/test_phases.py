@@ -32,7 +32,11 @@ from vppres.physics.phased_sources import assets_of, flow_of_former, flow_of_gri
 from vppres.physics.phases import NoPhasedSolutionError, PhasedFlow
 from vppres.report.findings import findings
 from vppres.report.first_page import limit_rows, who_and_why
+from vppres.report.one_line import step_states
+from vppres.report.plots.files import chart_of
 from vppres.report.rechecked import recheck_run
+from vppres.report.sections.base import Run
+from vppres.report.sections.network import network_section
 from vppres.scenario.phases import (
     PhaseBus,
     PhaseConnection,
@@ -293,6 +297,11 @@ def test_currents_of_phases_stay_within_ratings(day: Scenario) -> None:
     reported = run_day(late, RunOptions(horizon_h=1.0, ratings="report"))
     assert reported.steps["loading_max"].min() > 1.5
     kept = run_day(late, RunOptions(horizon_h=1.0))
+    shown = Run(kept, {})
+    table = network_section(shown).html
+    assert "The fullest phases" in table and "line from r to m, phase" in table
+    assert "phase a and ab" in chart_of(kept, "by_phase").svg()
+    assert "; phases a, b and c: " in step_states(kept)["info"][0]
     assert kept.steps["loading_max"].between(0.9, 1.0).all()
     assert kept.customers["served"].mean() > 0.5
     told = explain_day(kept)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.day.metrics import line_current_a, line_loading, service_by_tier
@@ -17,6 +18,7 @@ from vppres.day.trajectory import Trajectory, supplied
 from vppres.report.clock import Clock
 from vppres.report.plots.palette import cividis
 from vppres.report.tree_layout import tree_layout
+from vppres.scenario.phases import PHASES
 
 COLUMN_PX = 50
 ROW_PX = 74
@@ -204,8 +206,20 @@ def _info(run: Trajectory) -> list[str]:
         tiers = ", ".join(f"{tier} {share:.0%}" for tier, share in row.items())
         v_pu = step["v_min_ac_pu"]
         voltage = f"lowest voltage {v_pu:.4f} pu" if v_pu > 0 else "no voltage"
-        lines.append(f"{grid}; supplied: {tiers}; {voltage}")
+        lines.append(f"{grid}; supplied: {tiers}; {voltage}{_phases(run, step)}")
     return lines
+
+
+def _phases(run: Trajectory, step: pd.Series[Any]) -> str:
+    """What the source gives on each phase of a phased feeder, in words."""
+    if run.scenario.phases is None:
+        return ""
+    name = "former" if step["outage"] else "import"
+    kva = [step[f"{name}_{phase}_kva"] for phase in PHASES]
+    if any(np.isnan(each) for each in kva):
+        return ""
+    a, b, c = (f"{each:,.0f}" for each in kva)
+    return f"; phases a, b and c: {a}, {b} and {c} kVA"
 
 
 def _exchange(p_grid_kw: float) -> str:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from vppres.day.trajectory import Trajectory
+from vppres.report.plots.by_phase import by_phase
 from vppres.report.plots.chart import Chart, Runs
 from vppres.report.plots.energy import energy_and_price, import_load_pv, voltages
 from vppres.report.plots.feeder import feeder_maps, line_loadings, solve_times
@@ -33,7 +34,12 @@ RUN_FIGURES: dict[str, Callable[[Trajectory], Chart]] = {
 # Figures of one run that did not know the outages ahead.
 BELIEF_FIGURES: dict[str, Callable[[Trajectory], Chart]] = {"outage_belief": outage_belief}
 
+# Figures of one run of a phased feeder.
+PHASED_FIGURES: dict[str, Callable[[Trajectory], Chart]] = {"by_phase": by_phase}
+
 FIGURE_TEXTS = {
+    "by_phase": "Lowest and, dotted, highest voltage of each phase; what the grid or the battery "
+    "that forms the island gives on each phase; the phase nearest to its rating; unbalance.",
     "energy_and_price": "Stored energy, net charging power of all batteries and import price.",
     "import_load_pv": "Import at the slack bus (above); demand, supplied demand and available PV "
     "power (below).",
@@ -59,14 +65,15 @@ def chart_of(runs: Runs, name: str) -> Chart:
     if name in FIGURES:
         return FIGURES[name](runs)
     assert isinstance(runs, Trajectory)
-    return (RUN_FIGURES | BELIEF_FIGURES)[name](runs)
+    return (RUN_FIGURES | PHASED_FIGURES | BELIEF_FIGURES)[name](runs)
 
 
 def figure_names(runs: Runs) -> list[str]:
     """Names of the figures that one run, or several side by side, have."""
     if not isinstance(runs, Trajectory):
         return [*FIGURES]
-    return [*FIGURES, *RUN_FIGURES, *(BELIEF_FIGURES if has_beliefs(runs) else ())]
+    phased = PHASED_FIGURES if runs.scenario.phases is not None else ()
+    return [*FIGURES, *RUN_FIGURES, *phased, *(BELIEF_FIGURES if has_beliefs(runs) else ())]
 
 
 def save_figures(runs: Runs, folder: Path, kinds: Sequence[str] = KINDS) -> list[Path]:

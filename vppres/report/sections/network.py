@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from vppres.day.metrics import line_current_a, line_loading
 from vppres.day.trajectory import Trajectory
@@ -17,18 +18,44 @@ LINES_SHOWN = 10
 
 def network_section(run: Run) -> Section:
     """Voltages, loadings and the lines that came closest to their rating."""
+    phased = run.trajectory.scenario.phases is not None
     return section(
         "network",
         "Voltages and line loading",
         {
-            "lines": _top_lines(run.trajectory),
+            "lines": [] if phased else _top_lines(run.trajectory),
+            "phases": _top_phases(run.trajectory) if phased else [],
             "number": number,
             "heading": Clock.of(run.trajectory).heading,
-            "figures": [run.figure("voltages"), run.figure("line_loadings")],
+            "figures": [
+                run.figure("voltages"),
+                run.figure("by_phase" if phased else "line_loadings"),
+            ],
             "maps": run.figure("feeder_maps"),
             "rated": run.trajectory.scenario.network.has_ratings,
         },
     )
+
+
+def _top_phases(run: Trajectory) -> list[dict[str, Any]]:
+    """Phases of lines and transformers that were the fullest of a step, by their loading."""
+    steps = run.steps[run.steps["loading_max"].notna()]
+    most = steps.groupby("loading_at")["loading_max"].max().sort_values(ascending=False)
+    return [_fullest(run, steps[steps["loading_at"] == name]) for name in most.index[:LINES_SHOWN]]
+
+
+def _fullest(run: Trajectory, rows: pd.DataFrame) -> dict[str, Any]:
+    """A phase in the steps in which no other was as full."""
+    loading = rows["loading_max"].to_numpy(float)
+    first = int(loading.argmax())
+    dt_h = run.scenario.grid.dt_h
+    return {
+        "name": rows["loading_at"].iloc[0],
+        "loading": float(loading[first]),
+        "time": Clock.of(run).words(rows["time"].iloc[first]),
+        "hours_fullest": len(rows) * dt_h,
+        "hours_above": float((loading > 1.0).sum() * dt_h),
+    }
 
 
 def _top_lines(run: Trajectory) -> list[dict[str, Any]]:
