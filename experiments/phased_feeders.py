@@ -17,7 +17,8 @@ import cvxpy as cp
 import numpy as np
 from numpy.random import Generator
 
-from experiments.random_feeders import random_scenario
+from experiments.phases import loop, say
+from experiments.random_feeders import WEIGHT, random_network, random_scenario
 from vppres.control.phased import PhasedPlanner
 from vppres.core.arrays import Floats
 from vppres.core.errors import SolveError
@@ -29,6 +30,7 @@ from vppres.model.beyond_paper.losses import lit_steps
 from vppres.model.data import WindowData
 from vppres.model.phases import phased_model
 from vppres.model.site import Site
+from vppres.scenario.assets import Customers, PVSystems
 from vppres.scenario.phases import PhaseBus, PhaseConnection, PhaseLine, Phases
 from vppres.scenario.scenario import ControllerDefaults, Scenario
 from vppres.solve.ladder import WindowSolver
@@ -77,6 +79,72 @@ def in_phases(scenario: Scenario, rng: Generator | None = None) -> Scenario:
 def random_phased(seed: int) -> Scenario:
     """A random day of a few steps on an unbalanced feeder; a battery forms the island."""
     return in_phases(with_a_former(random_scenario(seed)), np.random.default_rng([seed, 44]))
+
+
+LONG_BUSES = (10, 20)
+"""Buses of a long random feeder: 30 to 60 nodes."""
+
+
+def long_feeder(seed: int) -> Scenario:
+    """A random day of 24 hours on a long unbalanced feeder, with an outage of six hours.
+
+    Every bus but the first has a customer. One of five batteries forms the island, with a tenth of
+    the peak load.
+    """
+    rng = np.random.default_rng([seed, 4444])
+    hours = np.arange(24)
+    count = int(rng.integers(*LONG_BUSES))
+    bus = np.arange(2, count + 2).astype(object)
+    tiers = rng.choice(list(WEIGHT), count, p=[0.2, 0.3, 0.5])
+    small = random_scenario(seed)
+    customers = Customers(
+        id=np.array([f"c{i}" for i in range(count)], dtype=object),
+        bus=bus,
+        tier=tiers,
+        weight=np.array([WEIGHT[tier] for tier in tiers]),
+        power_factor=rng.uniform(0.9, 1.0, count),
+    )
+    peak_kw = rng.uniform(20.0, 120.0, count)
+    evening = 0.6 + 0.4 * np.exp(-(((hours - rng.uniform(17.0, 20.0)) / 4.0) ** 2))
+    load_kw = peak_kw * evening[:, None] * rng.uniform(0.85, 1.0, (24, count))
+    owners = np.flatnonzero(rng.random(count) < 0.6)
+    pv_max_kw = peak_kw[owners] * rng.uniform(0.4, 1.2, len(owners))
+    pv = PVSystems(
+        id=np.array([f"p{i}" for i in owners], dtype=object),
+        customer=customers.id[owners],
+        p_max_kw=pv_max_kw,
+        s_max_kva=1.1 * pv_max_kw,
+    )
+    sun = np.clip(np.sin(np.pi * (hours - 6.0) / 14.0), 0.0, None) * rng.uniform(0.3, 1.0)
+    batteries = next(
+        b for s in range(seed, seed + 99) if len(b := random_scenario(s).batteries) == 5
+    )
+    rating = load_kw.sum(axis=1).max() * np.array([0.1, *rng.uniform(0.03, 0.1, 4)])
+    sized = replace(
+        batteries,
+        bus=rng.choice(bus, 5),
+        energy_kwh=2.0 * rating,
+        p_max_kw=0.9 * rating,
+        s_max_kva=rating,
+    )
+    begin = int(rng.integers(6, 16))
+    dark = (hours >= begin) & (hours < begin + 6)
+    scenario = replace(
+        small,
+        name=f"long-{seed}",
+        controller=ControllerDefaults(mode="physical"),
+        grid=replace(small.grid, step_minutes=60.0, n_steps=24),
+        network=random_network(rng, count + 1, customers, peak_kw),
+        customers=customers,
+        pv=pv,
+        batteries=replace(sized, grid_forming=np.arange(5) == 0),
+        load_kw=load_kw,
+        pv_kw=pv_max_kw * sun[:, None],
+        price_gbp_per_kwh=rng.uniform(0.1, 0.5, 24),
+        temperature_c=np.full(24, 22.0),
+        grid_limit_kw=np.where(dark, 0.0, np.inf),
+    )
+    return in_phases(scenario, rng)
 
 
 def with_a_former(scenario: Scenario) -> Scenario:
@@ -224,7 +292,15 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cases", type=int, default=50)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--long", type=int, default=0, help="closed loops on so many long feeders")
     given = parser.parse_args()
+    for seed in range(given.first, given.first + given.long):
+        scenario = long_feeder(seed)
+        assert scenario.phases is not None
+        nodes = 3 * len(scenario.phases.buses)
+        say(f"| long {seed}, {nodes} nodes | {loop(scenario, balanced=False)} |")
+    if given.long:
+        return 0
     sys.stdout.write("| case | F | its bound | plainly, inside discs | around them | |\n")
     sys.stdout.write("| --- " * 6 + "|\n")
     for seed in range(given.first, given.first + given.cases):

@@ -166,7 +166,7 @@ def _tried(file: Path, day: str, plan: str) -> str:
     try:
         if plan == "balanced":
             import_network(file, balance=True)
-        return _loop(_of_day(_scenario(file), day), plan == "balanced")
+        return loop(_of_day(_scenario(file), day), plan == "balanced")
     except VppresError as error:
         return f"{type(error).__name__}: {error}"
 
@@ -274,7 +274,7 @@ class Watched(Day):
         return super().settle(t, decision)
 
 
-def _loop(scenario: Scenario, balanced: bool) -> str:
+def loop(scenario: Scenario, balanced: bool) -> str:
     """A closed loop on the feeder with its phases."""
     known = replace(scenario, phases=None) if balanced else scenario
     options = RunOptions(limits=SolveLimits(time_s=LIMIT_S)).on(scenario)

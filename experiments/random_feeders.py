@@ -53,7 +53,7 @@ def random_scenario(seed: int, stressed: bool = False, n_steps: int | None = Non
         title="Random feeder",
         controller=ControllerDefaults(mode="paper", voltage_limits=HARD, ratings=REPORT),
         grid=TimeGrid(pd.Timestamp("2022-07-19", tz="UTC"), float(rng.choice([15, 30, 60])), steps),
-        network=_network(rng, n_buses, customers, load_kw.max(axis=0), stressed),
+        network=random_network(rng, n_buses, customers, load_kw.max(axis=0), stressed),
         customers=customers,
         pv=pv,
         batteries=_batteries(rng, n_buses, base_kw.sum(), stressed),
@@ -186,8 +186,8 @@ def _batteries(rng: Generator, n_buses: int, peak_kw: float, stressed: bool) -> 
     )
 
 
-def _network(
-    rng: Generator, n_buses: int, customers: Customers, peak_kw: Floats, stressed: bool
+def random_network(
+    rng: Generator, n_buses: int, customers: Customers, peak_kw: Floats, stressed: bool = False
 ) -> Network:
     """A random tree; its impedances bring the lowest voltage at full load into the range."""
     above = [int(rng.integers(max(1, n - 3), n)) for n in range(2, n_buses + 1)]

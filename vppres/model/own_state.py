@@ -17,6 +17,10 @@ from vppres.model.data import PhasedWindow, WindowData
 from vppres.model.formulas import bus_injections, lossless_flows, voltage_drop_pu2
 from vppres.model.site import Site
 
+GIVEN = (0.25, 0.0625, 0.0)
+"""Shares by which voltages by phase give way, of what the feeder without control has beyond AC
+limits: each is a dispatch more that is asked for where the one before it allows one."""
+
 
 def giving_way(site: Site, data: WindowData) -> list[WindowData]:
     """A window with limits of its voltages that give way more and more, where limits are soft.
@@ -46,12 +50,19 @@ def giving_way(site: Site, data: WindowData) -> list[WindowData]:
 
 
 def _phases_giving_way(site: Site, data: WindowData, phased: PhasedWindow) -> list[WindowData]:
-    """The same of voltages by phase, whose last limits the window has."""
+    """The same of voltages by phase, whose last limits the window has.
+
+    Beyond the AC voltages they give way by a share of what is beyond first: a regulator that keeps
+    its tap may leave next to nothing within, and all of it is seldom needed.
+    """
     net = site.feeder
     found = [data]
-    for low, high in ((net.v_min_ac_pu, net.v_max_ac_pu), (net.v_min_pu, net.v_max_pu)):
+    ac, plans = (net.v_min_ac_pu, net.v_max_ac_pu), (net.v_min_pu, net.v_max_pu)
+    for (low, high), share in (*((ac, share) for share in GIVEN), (plans, 0.0)):
         last = found[0].require_phased()
-        u_min, u_max = np.maximum(last.u_min, low**2), np.minimum(last.u_max, high**2)
+        below, above = (1.0 - share) * low**2, (1.0 - share) * high**2
+        u_min = np.maximum(last.u_min, below + share * np.minimum(phased.u_min, low**2))
+        u_max = np.minimum(last.u_max, above + share * np.maximum(phased.u_max, high**2))
         if (u_min > last.u_min).any() or (u_max < last.u_max).any():
             tighter = replace(phased, u_min=u_min, u_max=u_max)
             found.insert(0, replace(data, phased=tighter))
