@@ -60,13 +60,17 @@ def _phases_giving_way(site: Site, data: WindowData, phased: PhasedWindow) -> li
     ac, plans = (net.v_min_ac_pu, net.v_max_ac_pu), (net.v_min_pu, net.v_max_pu)
     for (low, high), share in (*((ac, share) for share in GIVEN), (plans, 0.0)):
         last = found[0].require_phased()
-        below, above = (1.0 - share) * low**2, (1.0 - share) * high**2
-        u_min = np.maximum(last.u_min, below + share * np.minimum(phased.u_min, low**2))
-        u_max = np.minimum(last.u_max, above + share * np.maximum(phased.u_max, high**2))
+        u_min = np.maximum(last.u_min, _given(low**2, np.minimum(phased.u_min, low**2), share))
+        u_max = np.minimum(last.u_max, _given(high**2, np.maximum(phased.u_max, high**2), share))
         if (u_min > last.u_min).any() or (u_max < last.u_max).any():
             tighter = replace(phased, u_min=u_min, u_max=u_max)
             found.insert(0, replace(data, phased=tighter))
     return found
+
+
+def _given(limit: float, own: Floats, share: float) -> Floats | float:
+    """A limit that gives way by a share of what the feeder without control is beyond it."""
+    return limit + share * (own - limit) if share > 0.0 else limit
 
 
 def with_own_state(site: Site, data: WindowData) -> WindowData:

@@ -91,14 +91,16 @@ class CheapestDispatch:
         """Columns to be left unused where a solution goes two ways at once: the lesser of each two.
 
         Import and export, where it has both in a step; charging and discharging of a large window,
-        where they waste more than a battery could store. In others modes are decided by binaries.
+        or one with phases, where they waste more than a battery could store. In others modes are
+        decided by binaries.
         """
         at = self.model.at
         imported, exported = self.model.exchange_kw(answer.x)
         unused = []
         if (np.minimum(imported, exported) > BOTH_WAYS_KW).any():
             unused += [at["P_out"][imported >= exported], at["P_grid"][imported < exported]]
-        if self.network.is_large and not self._storable(answer, served):
+        in_turns = self.network.is_large or self.data.phased is not None
+        if in_turns and not self._storable(answer, served):
             charges = answer.x[at["P_ch"]] >= answer.x[at["P_dch"]]
             unused += [at["P_dch"][charges], at["P_ch"][~charges]]
         return np.concatenate([np.arange(0), *(columns.ravel() for columns in unused)])
