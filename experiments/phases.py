@@ -41,7 +41,7 @@ from vppres.io import read_scenario
 from vppres.model.beyond_paper.losses import lit_steps
 from vppres.model.data import WindowData
 from vppres.plant.phased import PhasedACFlow
-from vppres.scenario.scenario import Scenario
+from vppres.scenario.scenario import REPORT, Scenario
 from vppres.solve.deadline import Deadline
 from vppres.solve.result import SolveLimits, WindowSolution
 
@@ -277,7 +277,7 @@ class Watched(Day):
 def loop(scenario: Scenario, balanced: bool) -> str:
     """A closed loop on the feeder with its phases."""
     known = replace(scenario, phases=None) if balanced else scenario
-    options = RunOptions(limits=SolveLimits(time_s=LIMIT_S)).on(scenario)
+    options = RunOptions(limits=SolveLimits(time_s=LIMIT_S), ratings=REPORT).on(scenario)
     day = Watched(scenario, options)
     first_pu: list[float] = []
     with _watching(first_pu):
