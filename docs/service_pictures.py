@@ -54,6 +54,7 @@ def main() -> None:
             page = browser.new_page(viewport=size, color_scheme=scheme)
             page.goto(address)
             page.wait_for_selector("#chart svg")
+            page.wait_for_function("!document.body.textContent.includes('the reason follows')")
             file = FOLDER / f"{name}.png"
             page.screenshot(path=file)
             Image.open(file).quantize(COLOURS).save(file, optimize=True)

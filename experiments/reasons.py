@@ -151,26 +151,17 @@ def what_is_wrong(step: Step, customer: int, reason: Reason) -> str:
         return _with_plenty(step, customer, limits, gain)
     if reason.driver == "unexplained":
         return "there is none"
-    return _kept_for_nobody(step, customer) if " kept for " in reason.words else ""
+    return _not_kept(step, customer) if " kept for " in reason.words else ""
 
 
-def _kept_for_nobody(step: Step, customer: int) -> str:
-    """Whether nobody loses later though the customer is on beside all that are on in the step."""
+def _not_kept(step: Step, customer: int) -> str:
+    """Whether the customer could not be on in the step alone, beside all that are."""
     recorded = step.recorded
     held = {int(c): 1 for c in np.flatnonzero(step.served)} | {customer: 1}
-    plan = _solved(recorded, step.t, recorded.site, held)
+    plan = _solved(recorded, step.t, recorded.site, held, alone=True)
     if plan is None or not plan.dispatch.served[0, list(held)].all():
         return "the customer could not be on now, so energy is not kept"
-    before = _solved(recorded, step.t, recorded.site, {})
-    assert before is not None
-    lost = _later(recorded.site, before) - _later(recorded.site, plan)
-    least = TOLERANCE * float(recorded.site.customers.weight.min())
-    return "" if lost > least else "energy is kept for later, and nobody loses it then"
-
-
-def _later(site: Site, solution: WindowSolution) -> float:
-    """Service of a plan behind its first step, in weighted customers times steps."""
-    return float((solution.dispatch.served[1:] @ site.customers.weight).sum())
+    return ""
 
 
 def _with_plenty(step: Step, customer: int, limits: Sequence[str], gain: float) -> str:
@@ -213,10 +204,20 @@ def _without_limit(site: Site, limit: str) -> Site:
 
 
 def _solved(
-    recorded: Recorded, t: int, site: Site, first: dict[int, int], limits: Sequence[str] = ()
+    recorded: Recorded,
+    t: int,
+    site: Site,
+    first: dict[int, int],
+    limits: Sequence[str] = (),
+    alone: bool = False,
 ) -> WindowSolution | None:
-    """The window of a step again, some customers before all others in it; None without a plan."""
+    """The window of a step again, some customers before all others in it; None without a plan.
+
+    With ``alone`` the window ends with the step.
+    """
     seen = recorded.observation(t)
+    if alone:
+        seen = replace(seen, forecast=seen.forecast.first(1))
     weight = site.customers.weight.copy()
     weight[list(first)] += weight.sum() * seen.forecast.load_kw.shape[0] * bool(first)
     site = replace(site, customers=replace(site.customers, weight=weight))

@@ -61,9 +61,7 @@ def kept_for(step: Step, customer: int) -> str:
     """
     service = step.levels.service
     demand_kw = float(step.load_kw[customer])
-    if service is None or step.dark_steps < 2 or step.spare_kw < demand_kw:
-        return ""
-    if step.kept_kwh[0] < demand_kw * step.site.dt_h:
+    if service is None or step.dark_steps < 2 or step.spare_now_kw < demand_kw:
         return ""
     later = slice(1, step.dark_steps)
     c = step.site.customers

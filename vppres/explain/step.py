@@ -113,23 +113,35 @@ class Step:
         """
         if not self.outage:
             return np.inf
+        return float(self._more_kw.sum() + self.recorded.curtailed_kw[self.t].sum())
+
+    @property
+    def spare_now_kw(self) -> float:
+        """The same, of each battery no more than what it keeps at the end of the step."""
+        if not self.dark_steps:
+            return np.inf
+        more_kw = np.minimum(self._more_kw, self.kept_kwh[0] / self.site.dt_h)
+        return float(more_kw.sum() + self.recorded.curtailed_kw[self.t].sum())
+
+    @property
+    def _more_kw(self) -> Floats:
+        """Power that each battery could have given besides, (B,), its headroom left free."""
         b = self.site.batteries
         share = float(self.recorded.options.get("headroom") or 0.0)
         kept = share if self.recorded.options.get("mode") == "physical" else 0.0
         most_kw = b.active_max_kw - np.where(b.formers, kept * b.s_max_kva, 0.0)
-        spare_kw = np.maximum(most_kw + self.battery_kw, 0.0).sum()
-        return float(spare_kw + self.recorded.curtailed_kw[self.t].sum())
+        return np.asarray(np.maximum(most_kw + self.battery_kw, 0.0))
 
     @property
     def spare_kwh(self) -> float:
         """Energy that batteries keep beyond their reserve, in the outage's step with the least."""
-        return float(self.kept_kwh.min(initial=np.inf))
+        return float(self.kept_kwh.sum(axis=1).min(initial=np.inf))
 
     @cached_property
     def kept_kwh(self) -> Floats:
-        """Energy that batteries keep beyond their reserve at the end of each step of the outage.
+        """Energy that each battery keeps beyond its reserve at the end of steps, (dark_steps, B).
 
-        The first is this step; empty with grid.
+        The first is this step.
         """
         window = self.levels.window
         b = self.site.batteries
@@ -139,7 +151,7 @@ class Step:
             lowest = lowest + physics_of(self.site, window, headroom).soc_reserve
         steps = np.arange(self.dark_steps)
         kept = np.maximum(self.recorded.soc_end[self.t + steps] - lowest[steps], 0.0)
-        return np.asarray(kept @ (b.energy_kwh * window.eta_discharge))
+        return np.asarray(kept * b.energy_kwh * window.eta_discharge)
 
     @property
     def dark_steps(self) -> int:
