@@ -23,6 +23,9 @@ from vppres.service.store import Reading, seconds
 FOLDER = Path(__file__).with_name("_static")
 COLOURS = 96
 """They are enough for letters and flat areas, and halve the files."""
+PATIENCE_MS = 120_000
+"""For the reasons, which the service works out at the first request."""
+
 OPTIONS = vppres.RunOptions(horizon_h=5.0, isolate=False)
 
 
@@ -54,7 +57,9 @@ def main() -> None:
             page = browser.new_page(viewport=size, color_scheme=scheme)
             page.goto(address)
             page.wait_for_selector("#chart svg")
-            page.wait_for_function("!document.body.textContent.includes('the reason follows')")
+            page.locator("#off-list", has_not_text="the reason follows").wait_for(
+                timeout=PATIENCE_MS
+            )
             file = FOLDER / f"{name}.png"
             page.screenshot(path=file)
             Image.open(file).quantize(COLOURS).save(file, optimize=True)

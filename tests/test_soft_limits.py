@@ -14,6 +14,7 @@ from vppres.day.metrics import cautions
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.day.trajectory import Trajectory
+from vppres.explain.day import explain_day
 from vppres.feeders import import_network
 from vppres.feeders.new.options import NewScenarioOptions
 from vppres.feeders.new.scenario import new_scenario
@@ -71,6 +72,8 @@ def test_hard_limits_switch_off_and_the_first_line_says_whom() -> None:
     assert caution.startswith(
         f"Off with the grid on: {off['id'].nunique()} of 32 customers, {len(off) * 4} customer hours."
     )
+    (told,) = cautions(explain_day(hard))
+    assert f" Reasons: voltage {len(off)}." in told
 
 
 def test_limits_give_way_no_further_than_they_must() -> None:

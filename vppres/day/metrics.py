@@ -155,12 +155,12 @@ def _at_rating(trajectory: Trajectory, off: pd.DataFrame) -> str:
 
 
 def _why_off(trajectory: Trajectory, off: pd.DataFrame) -> str:
-    """The reasons of customers that were off, by their words in the record."""
+    """What kept customers off by the record: the limit that was scarce, else what drove it."""
     told = trajectory.explanations
     if told is None:
         return ""
     told = told[(told["action"] == "not_served") & told["time"].isin(off["time"])]
-    counts = told["driver"].value_counts()
+    counts = told["binding"].where(told["binding"] != "", told["driver"]).value_counts()
     reasons = [f"{str(driver).replace('_', ' ')} {count}" for driver, count in counts.items()]
     return f" Reasons: {', '.join(reasons)}." if reasons else ""
 
