@@ -167,6 +167,14 @@ class Certificate:
         self.solver_s += outcome.solve_s
         self._ran_out |= outcome.status == Status.NO_ANSWER
 
+    def learn(self, stage: str, outcome: Outcome) -> bool:
+        """Record a search of a relaxation and what it proves; whether it has an answer."""
+        self.note(stage, outcome)
+        self.prove(outcome)
+        if outcome.status.has_answer:
+            self.bound_by(outcome.bound)
+        return outcome.status.has_answer
+
     def ran(self, stage: str) -> bool:
         """Whether a stage ran."""
         return any(name.startswith(f"{stage}[") for name in self.stages)

@@ -138,13 +138,12 @@ class Sheet:
         name: str,
         shape: tuple[int, ...],
         lower: float = 0.0,
-        upper: float = np.inf,
         whole: bool = False,
     ) -> Wholes:
         """Columns of a letter that the statement has not; those there are if it has it by now."""
         if name not in self.columns:
             count = int(np.prod(shape))
-            self._add_letter(name, shape, np.full(count, lower), np.full(count, upper), whole)
+            self._add_letter(name, shape, np.full(count, lower), np.full(count, np.inf), whole)
         return self.columns[name]
 
     def longer_letter(self, name: str) -> int:

@@ -76,13 +76,11 @@ def _solve(task: WindowTask, name: str, form: Form, gap: float) -> bool:
     problem = window_problem(task.cache, task.data, form)
     problem.fill(task.data)
     outcome = run(problem, task.spec, gap, task.deadline.left_s, objective_scale(task.site))
-    known.note(name, outcome)
-    inner = form.polygon_sides > 0 and not form.outer
+    if form.polygon_sides > 0 and not form.outer:
+        # Inner polygons take capacity away: what they leave proves nothing.
+        known.note(name, outcome)
+    else:
+        known.learn(name, outcome)
     if outcome.status.has_answer:
-        if not inner:
-            known.bound_by(outcome.bound)
         keep_dispatch_in_network(task, problem.value_of("x_served") > 0.5)
-    elif not inner:
-        # Inner polygons take capacity away: that they leave nothing proves nothing.
-        known.prove(outcome)
     return outcome.status == Status.OPTIMAL

@@ -75,10 +75,7 @@ def _search(task: WindowTask, lumped: bool, gap: float) -> bool:
     first = None if known.best is None else known.best.dispatch.served
     time_s = task.search.left_s
     outcome = search_for_set(problem, task.spec, gap, time_s, scale, first)
-    known.note("aggregate", outcome)
-    if not outcome.status.has_answer:
-        known.prove(outcome)
+    if not known.learn("aggregate", outcome):
         return False
-    known.bound_by(outcome.bound)
     keep_dispatch(task, problem.value_of("x_served") > 0.5)
     return outcome.status == Status.OPTIMAL

@@ -123,11 +123,8 @@ def _search_modes(task: WindowTask, gap: float) -> bool:
     problem = window_problem(task.cache, task.data, form)
     problem.fill(task.data)
     outcome = run(problem, task.spec, gap, task.search.left_s, objective_scale(task.site))
-    known.note("modes", outcome)
-    if not outcome.status.has_answer:
-        known.prove(outcome)
+    if not known.learn("modes", outcome):
         return False
-    known.bound_by(outcome.bound)
     served = problem.value_of("x_served") > 0.5
     modes = {name: problem.value_of(name) for name in problem.binaries if name != "x_served"}
     known.keep(cheapest_with_modes(task, served, modes))
