@@ -160,7 +160,7 @@ def test_what_the_dark_loses_makes_the_gap_a_larger_share() -> None:
     lit = replace(window(day), grid_limit_kw=np.full(3, OPEN))
     found = WindowSolver(site).solve(lit)
     found = replace(found, bound=found.objective + 2e-4)
-    dark = np.array([True, True, False])
+    dark = np.array([False, True, True])  # a dark first step is a blackout
     assert found.status == Status.OPTIMAL
     assert found.gap == pytest.approx(2e-4 / 3.0, rel=1e-3)
     left = in_the_dark(site, window(day), dark, found, SolveLimits())
