@@ -12,7 +12,7 @@ import vppres.solve.ladder  # noqa: F401 (the names below are looked up in what 
 from vppres.core.arrays import Floats
 from vppres.model.data import WindowData
 from vppres.solve.certificate import Candidate
-from vppres.solve.programs import PROOF
+from vppres.solve.programs import PROOF, SetOptions
 
 SOLVE = "vppres.solve."
 
@@ -60,14 +60,14 @@ def as_found(_: object, found: Candidate) -> Candidate:
     return found
 
 
-def no_options(*_: object) -> Mapping[str, Any]:
+def no_options(*_: object) -> SetOptions:
     """HiGHS as it comes."""
-    return {}
+    return SetOptions({}, {})
 
 
-def one_set(*_: object) -> Mapping[str, Any]:
+def one_set(*_: object) -> SetOptions:
     """The same options of HiGHS for every search."""
-    return PROOF
+    return SetOptions(PROOF, PROOF)
 
 
 def no_groups(*_: object) -> list[Any]:
@@ -117,8 +117,8 @@ MECHANISMS = (
     Mechanism(
         "options of HiGHS",
         {
-            "solvers.options_of_sets": no_options,
-            "network.master.options_of_sets": no_options,
+            "programs.SetOptions.of": no_options,
+            "solvers.SetOptions.of": no_options,
             "programs.PROOF": {},
             "fleet.counts.PROOF": {},
             "network.feeders.SEARCH": {},
@@ -131,8 +131,8 @@ MECHANISMS = (
     ),
     Mechanism(
         "options by kind of window",
-        {"solvers.options_of_sets": one_set, "network.master.options_of_sets": one_set},
-        ("programs.options_of_sets",),
+        {"programs.SetOptions.of": one_set, "solvers.SetOptions.of": one_set},
+        ("programs.SetOptions",),
     ),
     Mechanism("whole problem", {"ladder.with_binaries": nothing}, ("whole.with_binaries",)),
     Mechanism(

@@ -242,7 +242,7 @@ def test_searches_for_sets_begin_near_the_linear_solution(monkeypatch: pytest.Mo
     assert began[1] is None
     monkeypatch.setattr("vppres.solve.fleet.masters.MANY_BINARIES", x.size + 1)
     search_for_set(problem, highs, *asked, first=nobody)
-    assert began[2] is None
+    assert began[2] == highs.of_sets  # the last that it is asked with: no set
 
 
 @pytest.mark.parametrize("stored", [True, False])
@@ -255,4 +255,5 @@ def test_rules_and_batteries_decide_how_sets_are_searched(ruled: bool, stored: b
     data = case.data if ruled else replace(case.data, switching=None)
     task = WindowTask.begin(data, shared_cache(site), SolveLimits(), find_solver("highs"), 0)
     assert task.spec.of_sets["mip_heuristic_run_rins"] is ruled
-    assert ("presolve_rule_off" in task.spec.of_sets) is not (ruled and stored)
+    for options in (task.spec.of_sets, task.spec.of_cheaper):
+        assert ("presolve_rule_off" in options) is not (ruled and stored)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import highspy
 import numpy as np
@@ -78,11 +78,20 @@ weight are served in a step, where the problem or :func:`with_sums` counts them.
 most of whose columns are held: without its aggregation HiGHS 1.15.1 may write beyond its arrays
 where presolve has removed half of a problem."""
 
+SEARCH_FOR_CHEAPER = MappingProxyType(
+    {**SEARCH_OF_SETS, "mip_heuristic_run_root_reduced_cost": False}
+)
+"""Options for a search that begins with a set as good in all but its cost: another is seldom much
+cheaper, and HiGHS's problem within the problem took a third of the time."""
+
 SEARCH_WITH_RULES = MappingProxyType({**PROOF, "mip_heuristic_run_rins": True})
 """Options for a search for sets with switching rules and batteries. Good sets are hard to find: of
 24 windows one left 19 open after 10 s; with HiGHS's problems within the problem it closed three of
 them, and all 24 together were worth 0.3 % more. Few nodes follow a root that takes long, and longer
 with sums to branch on: 51 windows took 9 % more time with them."""
+
+CHEAPER_WITH_RULES = MappingProxyType({**PROOF, "mip_heuristic_run_root_reduced_cost": False})
+"""The same for a search that begins with a set as good in all but its cost."""
 
 SEARCH_UNSTORED = MappingProxyType({**SEARCH_OF_SETS, "mip_heuristic_run_rins": True})
 """Options for a search for sets with switching rules where nothing can be stored: many nodes are
@@ -281,11 +290,20 @@ def begin_with(solver: highspy.Highs, columns: Wholes, values: Floats | Flags) -
     solver.setSolution(columns.size, columns.ravel().astype(np.int32), values.ravel().astype(float))
 
 
-def options_of_sets(site: Site, data: WindowData) -> Mapping[str, Any]:
-    """Options of HiGHS for sets of a window: by its rules, and whether anything can be stored."""
-    if data.switching is None:
-        return SEARCH_OF_SETS
-    return SEARCH_UNSTORED if site.batteries.idle else SEARCH_WITH_RULES
+class SetOptions(NamedTuple):
+    """Options of HiGHS for a search for sets, and for one for a cheaper set."""
+
+    of_sets: Mapping[str, Any]
+    of_cheaper: Mapping[str, Any]
+
+    @classmethod
+    def of(cls, site: Site, data: WindowData) -> SetOptions:
+        """Those of a window: by its switching rules, and by whether anything can be stored."""
+        if data.switching is None:
+            return cls(SEARCH_OF_SETS, SEARCH_FOR_CHEAPER)
+        if site.batteries.idle:
+            return cls(SEARCH_UNSTORED, SEARCH_FOR_CHEAPER)
+        return cls(SEARCH_WITH_RULES, CHEAPER_WITH_RULES)
 
 
 def columns_of_alike(columns: Wholes, weight: Floats) -> list[Wholes]:

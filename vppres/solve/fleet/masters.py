@@ -5,8 +5,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -128,8 +129,11 @@ class Binaries:
         if near or bound.status != Status.OPTIMAL:
             return bound, None
         problem = self._with_units(units_min, everyone, integer=True)
+        options = None if self.best is None else self.spec.of_cheaper
         left_s = self.deadline.left_s
-        outcome = search_for_set(problem, self.spec, gap_gbp, left_s, first=self.best)
+        outcome = search_for_set(
+            problem, self.spec, gap_gbp, left_s, first=self.best, options=options
+        )
         if not outcome.status.has_answer:
             return replace(bound, status=Status.TIME_LIMIT), None
         return outcome, set_of(problem, outcome)
@@ -154,15 +158,20 @@ def search_for_set(
     time_s: float,
     scale: float = 1.0,
     first: Flags | None = None,
+    options: Mapping[str, Any] | None = None,
 ) -> Outcome:
     """How a search for a set ended that begins with a known one, where there is any.
 
     ``scale`` is a factor in the problem's objective as in ``run``. A search of few binaries begins
-    with nothing.
+    with nothing, and has the solver's options for any set; others have these if ``options`` is
+    None.
     """
-    many = problem.sheet.columns["x_served"].size >= MANY_BINARIES
-    start = Start("x_served", first) if many and first is not None else None
-    return run(problem, spec, gap_abs, time_s, scale, spec.of_sets, start)
+    x = problem.sheet.columns["x_served"]
+    if x.size < MANY_BINARIES:
+        return run(problem, spec, gap_abs, time_s, scale, spec.of_sets)
+    start = None if first is None else Start("x_served", first)
+    more = spec.of_sets if options is None else options
+    return run(problem, spec, gap_abs, time_s, scale, more, start)
 
 
 def master_of(task: WindowTask, lumped: bool, deadline: Deadline) -> Master | None:

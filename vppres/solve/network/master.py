@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import highspy
 import numpy as np
@@ -28,9 +30,9 @@ from vppres.solve.programs import (
     WHOLE_TOLERANCE,
     Program,
     ProgramSolution,
+    SetOptions,
     begin_with,
     columns_of_alike,
-    options_of_sets,
     with_sums,
 )
 from vppres.solve.result import Outcome, Status
@@ -413,13 +415,16 @@ class NetworkMaster:
         x = self.model.at["x"]
         rows = [Rows.joined(self.network.found).part(binding)] if binding.any() else []
         counted = self._counted(self.network.with_cost(*self.lack), rows)
-        solver = counted.loaded(
-            WHOLE_GAP, enough=HALF_UNIT - at_most, more=options_of_sets(self.site, self.data)
-        )
+        solver = counted.loaded(WHOLE_GAP, enough=HALF_UNIT - at_most, more=self._options)
         if best is not None and self.data.switching is not None:
             begin_with(solver, x, best)
         found = ProgramSolution.of(solver, deadline)
         return replace(found, x=found.x[x.ravel()] if found.status.has_answer else found.x)
+
+    @property
+    def _options(self) -> Mapping[str, Any]:
+        """Options of the searches with binaries."""
+        return SetOptions.of(self.site, self.data).of_sets
 
     def _counted(self, program: Program, rows: list[Rows]) -> Program:
         """A program with limits, binaries, and how many of each weight are served."""
@@ -466,9 +471,7 @@ class NetworkMaster:
         ):
             size = len(self.network.found)
             counted = self._counted(program, self.network.found)
-            solver = counted.loaded(
-                0.5 * gap_gbp, COST_NODES, more=options_of_sets(self.site, self.data)
-            )
+            solver = counted.loaded(0.5 * gap_gbp, COST_NODES, more=self._options)
             begin_with(solver, x, known if best is None else best)
             found = ProgramSolution.of(solver, deadline)
             if np.isfinite(found.bound):
