@@ -48,7 +48,11 @@ def solve_by_highs(
     for name, value in options.items():
         if solver.setOptionValue(name, value) == highspy.HighsStatus.kError:
             raise ValueError(f"HiGHS does not take {value!r} for its option {name}.")
-    solver.passModel(program_of(selected).model)
+    program = program_of(selected)
+    if selected.added is not None:
+        matrix, least = selected.added
+        program = program.with_rows(sp.csc_array(selected.shown(matrix)), least)
+    solver.passModel(program.model)
     if start is not None:
         begin_with(solver, selected.at(start.letter), start.values)
     solver.run()

@@ -7,8 +7,9 @@ for nearly each asset: all at once they take most of the time of a window.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import chain
 
 import numpy as np
@@ -336,14 +337,18 @@ def run_in_phases(
     served: Flags | None,
     time_s: float,
     rows: list[PhaseRows] | None = None,
+    solve: Callable[[float], Outcome] | None = None,
 ) -> Outcome:
-    """Solve a problem by interior points, within the limits of a phased window's phases.
+    """Solve a problem within the limits of a phased window's phases.
+
+    By interior points, if there is no other ``solve`` for the seconds that are left.
 
     Limits that a solution exceeds are added until none is. They are in ``rows`` then, and their
     duals behind the problem's own.
     """
+    solve = solve or partial(run_conic, problem)
     if data.phased is None:
-        return run_conic(problem, time_s)
+        return solve(time_s)
     deadline = Deadline(time_s)
     problem.compile()
     limits = PhaseLimits(site, data, Draws.of_problem(site, data, problem, served))
@@ -354,7 +359,7 @@ def run_in_phases(
         if rows:
             joined = Rows.joined([*rows])
             problem.added = joined.matrix, joined.lower
-        outcome = run_conic(problem, deadline.left_s)
+        outcome = solve(deadline.left_s)
         new = limits.exceeded(problem.x, OVER) if outcome.status == Status.OPTIMAL else []
         if not new or deadline.passed:
             problem.added = None

@@ -12,6 +12,7 @@ from vppres.solve.dispatch import (
     keep_dispatch_in_network,
 )
 from vppres.solve.forms import Form, window_problem
+from vppres.solve.phases import run_in_phases
 from vppres.solve.result import Status
 from vppres.solve.solvers import run, run_conic
 from vppres.solve.task import WindowTask
@@ -75,7 +76,10 @@ def _solve(task: WindowTask, name: str, form: Form, gap: float) -> bool:
     known = task.certificate
     problem = window_problem(task.cache, task.data, form)
     problem.fill(task.data)
-    outcome = run(problem, task.spec, gap, task.deadline.left_s, objective_scale(task.site))
+    scale = objective_scale(task.site)
+    search = partial(run, problem, task.spec, gap, scale=scale)
+    left_s = task.deadline.left_s
+    outcome = run_in_phases(task.site, task.data, problem, None, left_s, solve=search)
     if form.polygon_sides > 0 and not form.outer:
         # Inner polygons take capacity away: what they leave proves nothing.
         known.note(name, outcome)

@@ -58,7 +58,10 @@ class CheapestDispatch:
         unused = self._unused(found, served) if found.status == Status.OPTIMAL else np.arange(0)
         if len(unused):
             self._hold(solver, unused, 0.0)
-            found = self.network.until_carried(solver, deadline, EXACT_DISC)
+            turned = self.network.until_carried(solver, deadline, EXACT_DISC)
+            # With phases, a window without an answer in these turns may have one in others.
+            if self.data.phased is None or turned.status == Status.OPTIMAL:
+                found = turned
         return found.outcome(watch.spent_s), self._dispatch(found, served)
 
     def _dispatch(self, found: ProgramSolution, served: Flags) -> Dispatch | None:
