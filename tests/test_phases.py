@@ -12,8 +12,10 @@ import pytest
 
 from tests.support.command_line import call
 from tests.support.phased_feeder import CIRCUIT, phased_day
-from vppres.contract.decision import Decision
+from vppres.contract.decision import Decision, SolveInfo
 from vppres.contract.observation import Observation
+from vppres.control.rules import rule_dispatch
+from vppres.control.step_state import StepState
 from vppres.core.errors import InputError
 from vppres.day.assembly import make_controller
 from vppres.day.options import RunOptions
@@ -27,6 +29,7 @@ from vppres.io import read_scenario
 from vppres.io.digest import scenario_digest
 from vppres.io.scenario_writer import write_scenario
 from vppres.model.phases import Slopes
+from vppres.model.site import Site
 from vppres.physics.phased_loading import Loadings
 from vppres.physics.phased_sources import assets_of, flow_of_former, flow_of_grid, former_of
 from vppres.physics.phases import NoPhasedSolutionError, PhasedFlow
@@ -339,6 +342,35 @@ def test_an_island_sheds_until_no_phase_of_its_former_is_beyond_its_rating(day: 
     assert kva.max() <= rating / 3 + 1e-3
     on = found.customers["served"].to_numpy(bool)
     assert on[found.customers["tier"] == "critical"].all() and not on.all()
+
+
+class Rule:
+    """What is decided if no solver has an answer."""
+
+    def __init__(self, day: Scenario) -> None:
+        self.site = Site.of(day)
+        self.tiers = list(day.tiers)
+
+    def horizon_steps(self, t0: int) -> range:
+        return range(t0, t0 + 1)
+
+    def decide(self, observation: Observation) -> Decision:
+        plan = rule_dispatch(StepState.of(self.site, observation, "lossless"), self.tiers).dispatch
+        return Decision(plan, 0, SolveInfo(status="rule"), fallback="rule")
+
+
+@pytest.mark.daily
+def test_the_rule_serves_in_an_island_what_every_phase_carries(day: Scenario) -> None:
+    full = replace(day.batteries, soc_initial=day.batteries.soc_max)
+    island = replace(day, batteries=full).between(12, 15)
+    options = RunOptions(horizon_h=0.0).on(island)
+    found = Day(island, options).run(Rule(island))
+    rating = island.batteries.s_max_kva[island.batteries.grid_forming][0]
+    kva = found.steps[[f"former_{phase}_kva" for phase in "abc"]].to_numpy(float)
+    assert (found.steps["dark_reason"] == "").all()
+    assert (found.steps["shed_kw"] == 0.0).all()
+    assert kva.max() <= rating / 3 + 0.1
+    assert found.customers.groupby("time")["served"].any().all()
 
 
 def test_phases_are_part_of_the_digest(day: Scenario) -> None:

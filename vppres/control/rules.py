@@ -4,7 +4,9 @@ Who is served is decided by tier, then by weight per kW, which counts a longest 
 ended. PV power comes first, then import, then the
 batteries; a surplus is exported as far as the grid takes it, then stored, then curtailed. Active
 balance, ratings and state of charge always hold. The first tier is not let go for reactive power or
-voltages: what they lack is said instead, and nobody else is added who would make it worse.
+voltages: what they lack is said instead, and nobody else is added who would make it worse. In an
+island of a phased feeder everyone is added only if each phase carries it: the whole island would
+go dark otherwise.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vppres.contract.dispatch import Dispatch
+from vppres.control.phased_rule import served_by_phase
 from vppres.control.step_state import StepState, network_state, one_step
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.formulas import bus_injections, cell_kw, soc_after
@@ -76,6 +79,8 @@ def rule_dispatch(
     battery_kw : array, shape (B,), optional
         Wanted charging power, negative to discharge; given up where service needs it.
     """
+    if state.island and state.site.phases is not None:
+        return Carried(served_by_phase(state, service_order(state, tiers)), 0.0, 0.0)
     wanted = np.zeros(len(state.site.batteries)) if battery_kw is None else battery_kw
     customers = state.site.customers
     first = customers.tier == tiers[0]

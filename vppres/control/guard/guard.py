@@ -22,6 +22,7 @@ from vppres.control.guard.check import PAPER, Tolerances, violations
 from vppres.control.guard.estimation import Estimator, Known
 from vppres.control.guard.partial_fleet import reduced_observation, site_with, whole_fleet
 from vppres.control.guard.relax import relaxed_answers
+from vppres.control.phased_rule import carried_by_phase
 from vppres.control.planner import solve_info
 from vppres.control.remembered import PART, PARTS
 from vppres.control.rules import carry, rule_dispatch
@@ -227,6 +228,9 @@ class GuardedController:
             plan.charge_kw[row] - plan.discharge_kw[row],
         )
         if carried is None or carried.shortage:
+            return None
+        phased = state.island and self.site.phases is not None
+        if phased and not carried_by_phase(state, carried.dispatch):
             return None
         dimmed = None if plan.share is None else (served * share)[np.newaxis]
         decision = Decision(

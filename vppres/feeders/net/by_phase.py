@@ -236,7 +236,6 @@ class _Tables:
                 pct.real,
                 pct.imag,
                 from_tap=tap,
-                ppm=0.0,
             )
         )
         # Its coils have the impedance of the positive sequence in the zero sequence too.

@@ -1,0 +1,160 @@
+"""The rule in an island of a phased feeder: a customer is served if every phase carries it.
+
+Customers' batteries supply what is on their own coils, PV systems what is behind their meters, and
+the battery that forms the island the rest of each phase. So no set-point burdens a phase that it
+does not relieve, and a power flow by phase says of every set whether it is carried.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from vppres.contract.dispatch import Dispatch
+from vppres.control.step_state import StepState, network_state, one_step
+from vppres.core.arrays import Flags, Floats
+from vppres.model.formulas import bus_injections, cell_kw, soc_after
+from vppres.model.phases import ISLAND, PhasedModel, phased_model
+from vppres.physics.phases import NoPhasedSolutionError, PhasedResult
+
+ISLANDED: Flags = np.array(True)
+
+TOLERANCE_KVA = 1e-3
+"""By how much a phase of the former may be beyond its rating: a watt, as in the power flow."""
+
+REST_PU = 1e-3
+"""By how much a voltage that is outside its limits at rest may be further outside: what loads on
+other phases and magnetising currents move it by."""
+
+
+def served_by_phase(state: StepState, order: Iterable[int]) -> Dispatch:
+    """Customers in an order, each if all phases carry it beside those before.
+
+    Parameters
+    ----------
+    state : StepState
+        A step without grid, of a site with phases.
+    order : iterable of int
+        Positions of customers, the most important first.
+    """
+    served = np.zeros(len(state.site.customers), dtype=bool)
+    best = _carried(state, served)
+    if best is None:
+        return _dispatch(state, served, np.zeros((2, len(state.site.batteries))))
+    for c in order:
+        tried = served.copy()
+        tried[c] = True
+        found = _carried(state, tried)
+        if found is not None:
+            served, best = tried, found
+    return best
+
+
+def carried_by_phase(state: StepState, dispatch: Dispatch) -> bool:
+    """Whether a power flow by phase carries a dispatch of one step, its former's own part apart."""
+    model = phased_model(state.site)
+    load_kw = state.load_kw * dispatch.supplied[0]
+    pv = (dispatch.pv_self_kw[0] + dispatch.pv_export_kw[0], dispatch.pv_q_kvar[0])
+    batteries = (dispatch.discharge_kw[0] - dispatch.charge_kw[0], dispatch.batt_q_kvar[0])
+    drawn = model.powers(ISLANDED, load_kw, pv, batteries)
+    return _within(state, model, *drawn) is not None
+
+
+def _within(
+    state: StepState, model: PhasedModel, p_kw: Floats, q_kvar: Floats
+) -> PhasedResult | None:
+    """The power flow of what assets draw, None if the former or a voltage does not allow it."""
+    former = model.former
+    if former is None or not state.online[former]:
+        return None
+    try:
+        found = model.solved(True, p_kw, q_kvar)
+    except NoPhasedSolutionError:
+        return None
+    assert found is not None
+    net = state.site.feeder
+    given_kw = float(found.source_kva.sum().real)
+    rating_kva = float(state.site.batteries.s_max_kva[former]) / len(found.source_kva)
+    v_pu = model.flows[0].v_pu(found.v)[model.limited]
+    # Limits give way to the voltages at rest, as those of plans do.
+    at_rest_pu = np.sqrt(model.slopes[ISLAND].u_0)[model.limited]
+    fits = (
+        -state.charge_max_kw[former] <= given_kw <= state.discharge_max_kw[former]
+        and np.abs(found.source_kva).max() <= rating_kva + TOLERANCE_KVA
+        and (v_pu >= np.minimum(net.v_min_ac_pu, at_rest_pu) - REST_PU).all()
+        and (v_pu <= np.maximum(net.v_max_ac_pu, at_rest_pu) + REST_PU).all()
+    )
+    return found if fits else None
+
+
+def _carried(state: StepState, served: Flags) -> Dispatch | None:
+    """The dispatch of a served set, None if a phase does not carry it."""
+    site = state.site
+    model = phased_model(site)
+    given = _behind_meters(state, served, model)
+    own = state.own_kw(served)
+    load_kw = state.load_kw * served
+    pv = (own, 0.0 * own)
+    drawn = model.powers(ISLANDED, load_kw, pv, (given[0], given[1]))
+    found = _within(state, model, *drawn)
+    if found is None or model.former is None:
+        return None
+    total = found.source_kva.sum()
+    given[:, model.former] = total.real, total.imag
+    return _dispatch(state, served, given)
+
+
+def _behind_meters(state: StepState, served: Flags, model: PhasedModel) -> Floats:
+    """Power that batteries but the former give to what is served on their own coils, (2, B)."""
+    site = state.site
+    phases = site.phases
+    assert phases is not None
+    load_kw = state.load_kw * served
+    left: dict[tuple[str, str], Floats] = {}
+    for c, name in enumerate(site.customers.id):
+        row = phases.connection(str(name))
+        own_kw = float(state.own_kw(served)[site.owner == c].sum())
+        kw = np.array([load_kw[c] - own_kw, load_kw[c] * site.customers.q_per_p[c]])
+        left[row.bus, row.coils] = left.get((row.bus, row.coils), np.zeros(2)) + kw
+    given = np.zeros((2, len(site.batteries)))
+    for b, name in enumerate(site.batteries.id):
+        row = phases.connection(str(name))
+        need = left.get((row.bus, row.coils))
+        if b == model.former or need is None or not state.online[b]:
+            continue
+        most_kw = float(state.discharge_max_kw[b])
+        active_kw = min(max(float(need[0]), 0.0), most_kw)
+        room = np.sqrt(max(float(site.batteries.s_max_kva[b]) ** 2 - active_kw**2, 0.0))
+        given[:, b] = active_kw, np.clip(need[1], -room, room)
+        left[row.bus, row.coils] = need - given[:, b]
+    return given
+
+
+def _dispatch(state: StepState, served: Flags, given: Floats) -> Dispatch:
+    """A dispatch of powers that batteries give, (2, B): active and reactive."""
+    site = state.site
+    own = state.own_kw(served)
+    load_kw = state.load_kw * served
+    p = bus_injections(site, {"pv": own, "batteries": given[0], "customers": -load_kw})
+    kvar = load_kw * site.customers.q_per_p
+    q = bus_injections(site, {"batteries": given[1], "customers": -kvar})
+    p_flow, q_flow, v_pu = network_state(state, p, q)
+    charge, discharge = np.maximum(-given[0], 0.0), np.maximum(given[0], 0.0)
+    stored_kw = cell_kw(charge, discharge, state.eta_charge, state.eta_discharge)
+    return one_step(
+        served=served,
+        pv_self_kw=own,
+        pv_export_kw=0.0 * own,
+        pv_curtailed_kw=state.pv_kw - own,
+        pv_q_kvar=0.0 * own,
+        charge_kw=charge,
+        discharge_kw=discharge,
+        batt_q_kvar=given[1],
+        p_grid_kw=0.0,
+        q_grid_kvar=0.0,
+        v_pu=v_pu,
+        p_flow_kw=p_flow,
+        q_flow_kvar=q_flow,
+        soc=np.vstack([state.soc, soc_after(state.soc, stored_kw, site.batteries, site.dt_h)]),
+    )
