@@ -47,6 +47,7 @@ from vppres.scenario.phases import (
     Phases,
     PhaseTransformer,
 )
+from vppres.scenario.remarks import darkness, former_words
 from vppres.scenario.scenario import Scenario
 from vppres.solve.shadow_price_model import PricedTerms, ShadowPriceModel
 from vppres.solve.shadow_prices import price_window
@@ -342,6 +343,23 @@ def test_an_island_sheds_until_no_phase_of_its_former_is_beyond_its_rating(day: 
     assert kva.max() <= rating / 3 + 1e-3
     on = found.customers["served"].to_numpy(bool)
     assert on[found.customers["tier"] == "critical"].all() and not on.all()
+
+
+def test_an_island_without_a_battery_of_three_phases_is_dark_in_plans_too(day: Scenario) -> None:
+    assert day.phases is not None
+    single = [replace(row, coils="a") if row.id == "be" else row for row in day.phases.connections]
+    assert any(row.id == "be" and row.coils == "a" for row in single)
+    lone = np.array([name == "be" for name in day.batteries.id])
+    batteries = replace(day.batteries, grid_forming=np.zeros(len(lone), dtype=bool))
+    phases = replace(day.phases, connections=tuple(single))
+    island = replace(day, phases=phases, batteries=batteries).between(13, 14)
+    assert "No battery that is to form a grid has three phases" in darkness(island)
+    assert former_words(island) == ""
+    options = RunOptions(horizon_h=0.0).on(island)
+    decided = make_controller(island, options).decide(
+        Day(island, options).observe(make_controller(island, options), 0)
+    )
+    assert not decided.dispatch.served.any()
 
 
 class Rule:

@@ -488,10 +488,11 @@ def dark_steps(site: Site, data: WindowData) -> Flags:
     """
     b = site.batteries
     island = data.grid_limit_kw <= 0.0
-    if not b.formers.any():
+    formers = b.formers if site.phases is None else site.phases.formers(b)
+    if not formers.any():
         return island
     held_kw = (data.soc - b.soc_min) * b.energy_kwh * data.eta_discharge / site.dt_h
-    able = bool((held_kw[b.formers] > _NO_POWER_KW).any())
+    able = bool((held_kw[formers] > _NO_POWER_KW).any())
     return np.zeros_like(island) if able else np.logical_and.accumulate(island)
 
 

@@ -46,8 +46,7 @@ def farthest(v_pu: Floats, at_bus: Wholes, n_buses: int) -> Floats:
 
 def able_formers(phases: Phases, batteries: Batteries) -> Flags:
     """Who can form an island, (B,): those that are to, with all three phases."""
-    complete = [phases.connection(str(name)).three_coils for name in batteries.id]
-    return np.asarray(batteries.formers & np.array(complete, dtype=bool))
+    return phases.formers(batteries)
 
 
 def former_of(phases: Phases, batteries: Batteries) -> int | None:

@@ -15,7 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
-from vppres.core.arrays import Complexes, Floats, freeze
+from vppres.core.arrays import Complexes, Flags, Floats, freeze
 from vppres.core.errors import InputError, Problem
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import BusId, Network
@@ -226,6 +226,11 @@ class Phases:
         """The connection of an asset; parts of a customer (``name/2``) have that of the whole."""
         known = self._connections
         return known[asset] if asset in known else known[asset.rpartition("/")[0]]
+
+    def formers(self, batteries: Batteries) -> Flags:
+        """Who can form an island, (B,): those that are to, with all three phases."""
+        complete = [self.connection(str(name)).three_coils for name in batteries.id]
+        return np.asarray(batteries.formers & np.array(complete, dtype=bool))
 
     @cached_property
     def _connections(self) -> dict[str, PhaseConnection]:

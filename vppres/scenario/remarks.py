@@ -28,15 +28,15 @@ def darkness(scenario: Scenario, mode: str | None = None) -> str:
     mode : {"paper", "physical"}, optional
         How its islands are run; the scenario's own choice if not given.
     """
-    if not scenario.outage.any() or scenario.batteries.formers.any():
+    if not scenario.outage.any() or scenario.formers.any():
         return ""
     count = int(scenario.outage.sum())
     steps = "the only step" if count == 1 else f"the {count} steps"
-    cause = (
-        "No battery has the power to form a grid"
-        if len(scenario.batteries)
-        else "No battery can form a grid"
-    )
+    cause = "No battery can form a grid"
+    if scenario.batteries.formers.any():
+        cause = "No battery that is to form a grid has three phases"
+    elif len(scenario.batteries):
+        cause = "No battery has the power to form a grid"
     if (mode or scenario.controller.mode) == "physical":
         return f"{cause}: the island is blacked out, with no supply in {steps} without grid."
     return (
@@ -102,7 +102,7 @@ def former_words(scenario: Scenario, mode: str | None = None, always: bool = Fal
     b = scenario.batteries
     physical = (mode or scenario.controller.mode) == "physical"
     outage = always or scenario.outage.any()
-    if not physical or not outage or not b.formers.any():
+    if not physical or not outage or not scenario.formers.any():
         return ""
     names = [
         f"{b.id[i]} at bus {b.bus[i]} ({b.s_max_kva[i]:,.4g} kVA)"

@@ -213,6 +213,12 @@ class Scenario:
         """True where the grid gives nothing, shape (T,)."""
         return self.grid_limit_kw <= 0.0
 
+    @property
+    def formers(self) -> Flags:
+        """Batteries that form the grid of an island, (B,); with phases those with all three."""
+        b = self.batteries
+        return b.formers if self.phases is None else self.phases.formers(b)
+
     @cached_property
     def export_max_kw(self) -> Floats:
         """Largest export of each step, shape (T,): the limit, and 0 where there is no grid."""
