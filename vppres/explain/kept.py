@@ -10,6 +10,7 @@ import pandas as pd
 
 from vppres.core.errors import SolveError
 from vppres.core.text import in_pounds, named
+from vppres.explain.room import limits_in_full
 from vppres.explain.step import Step
 from vppres.explain.words import figure
 
@@ -62,6 +63,8 @@ def kept_for(step: Step, customer: int) -> str:
     service = step.levels.service
     demand_kw = float(step.load_kw[customer])
     if service is None or step.dark_steps < 2 or step.spare_now_kw < demand_kw:
+        return ""
+    if limits_in_full(step, customer, "energy") not in ([], ["energy"]):
         return ""
     later = slice(1, step.dark_steps)
     c = step.site.customers
