@@ -21,6 +21,9 @@ from vppres.solve.result import WindowSolution
 BINDING = (15, 18)
 """Seeds of windows in which voltages by phase bind, and the phases of an island's former."""
 
+WITHOUT_GRID = (3, 11)
+"""Seeds of windows with weights that are multiples of nothing: the whole problem decides them."""
+
 
 def first_plan(scenario: Scenario) -> Decision:
     """What the first window of a day decides for all of its steps."""
@@ -43,10 +46,10 @@ def nearest(site: Site, data: WindowData, found: WindowSolution) -> float:
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("seed", BINDING)
+@pytest.mark.parametrize("seed", [*BINDING, *WITHOUT_GRID])
 def test_windows_equal_a_plain_statement_of_the_whole_problem(seed: int) -> None:
     site, data, found = decided(random_phased(seed))
-    assert nearest(site, data, found) < 0.01
+    assert seed in WITHOUT_GRID or nearest(site, data, found) < 0.01
     inside, around = plainly(site, data, inside=True), plainly(site, data, inside=False)
     gap = max(5e-3, 1e-4 * abs(found.objective))
     assert inside - gap <= found.objective <= around + 1e-6
