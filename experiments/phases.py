@@ -168,7 +168,7 @@ def _tried(file: Path, day: str, plan: str) -> str:
             import_network(file, balance=True)
         return loop(_of_day(_scenario(file), day), plan == "balanced")
     except VppresError as error:
-        return f"{type(error).__name__}: {error}"
+        return str(error).split(". ")[0]
 
 
 @cache
