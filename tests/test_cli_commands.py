@@ -127,6 +127,8 @@ def test_valid_scenario_as_json(tiny_folder: Path) -> None:
         "pv_systems": 2,
         "generators": "2 PV systems",
         "batteries": 2,
+        "chargers": 0,
+        "ev_sessions": 0,
         "steps": 6,
         "step_minutes": 60.0,
         "outage_steps": 2,

@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from vppres.core.errors import Problem
-from vppres.core.text import visible
+from vppres.core.text import counted, visible
 
 if TYPE_CHECKING:
     from vppres.day.trajectory import Trajectory
@@ -51,6 +51,8 @@ def content_of(day: Scenario) -> dict[str, Any]:
         "pv_systems": len(day.pv),
         "generators": day.pv.counted(),
         "batteries": len(day.batteries),
+        "chargers": len(day.chargers),
+        "ev_sessions": len(day.sessions),
         "steps": day.grid.n_steps,
         "step_minutes": float(day.grid.step_minutes),
         "outage_steps": int(day.outage.sum()),
@@ -89,13 +91,15 @@ def validation_text(problems: Sequence[Problem | str], content: Mapping[str, Any
     if content is None:
         count = f"{len(problems)} {'problem' if len(problems) == 1 else 'problems'}."
         return "\n".join([*map(str, problems), count])
+    batteries = counted(content["batteries"], "battery", "batteries")
+    chargers = counted(content["chargers"], "charger") + " with "
+    chargers += counted(content["ev_sessions"], "session") + ", "
     holds = (
         "{name} is valid: {buses} buses, {customers} customers, {generators}, "
-        "{batteries} {battery_word}, {steps} steps of {step_minutes:g} min, {outage_steps} of "
-        "them without grid; {export}; islands in {mode} mode.".format_map(
-            {**content, "battery_word": "battery" if content["batteries"] == 1 else "batteries"}
-        )
-    )
+        f"{batteries}, {chargers if content['chargers'] else ''}"
+        "{steps} steps of {step_minutes:g} min, {outage_steps} of "
+        "them without grid; {export}; islands in {mode} mode."
+    ).format_map(content)
     return "\n".join([holds, *(f"- {remark}" for remark in content["remarks"])])
 
 

@@ -36,13 +36,18 @@ def visible(text: str) -> str:
     return "".join(repr(c)[1:-1] if is_hidden(c) else c for c in text)
 
 
-def counted_steps(count: int) -> str:
-    """A number of steps.
+def counted(count: int, one: str, many: str = "") -> str:
+    """A number of things by their name.
 
-    >>> counted_steps(1), counted_steps(6)
-    ('1 step', '6 steps')
+    >>> counted(1, "step"), counted(6, "step"), counted(2, "battery", "batteries")
+    ('1 step', '6 steps', '2 batteries')
     """
-    return "1 step" if count == 1 else f"{count} steps"
+    return f"{count} {one}" if count == 1 else f"{count} {many or one + 's'}"
+
+
+def counted_steps(count: int) -> str:
+    """A number of steps."""
+    return counted(count, "step")
 
 
 def named(names: Iterable[object], most: int = 12) -> str:
