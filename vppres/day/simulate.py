@@ -375,6 +375,7 @@ def _record(
         planned = np.full_like(v_ac_pu, np.nan) if plan.v_node_pu is None else plan.v_node_pu[row]
         nodes = {"v_model_pu": planned, "v_ac_pu": v_ac_pu}
         steps["v_error_pu"] = float(np.abs(planned - v_ac_pu).max(initial=0.0))
+        steps |= {"v_min_ac_pu": float(v_ac_pu.min()), "v_max_ac_pu": float(v_ac_pu.max())}
     return StepRecord(t, steps, customers, pv, batteries, buses, lines, nodes)
 
 

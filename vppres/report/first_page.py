@@ -190,7 +190,9 @@ def _phase_rows(run: Trajectory) -> Iterator[LimitRow]:
 def _voltage_rows(run: Trajectory) -> Iterator[LimitRow]:
     net = run.scenario.network
     clock = Clock.of(run)
-    live = run.buses[run.buses["v_ac_pu"] > 0]
+    # Of a bus with phases the record of buses has the node farthest from 1 pu alone.
+    table = run.buses if run.nodes is None else run.nodes
+    live = table[table["v_ac_pu"] > 0]
     if live.empty:
         yield LimitRow("Voltage", "none", "no live bus", "", exceeded=False)
         return
@@ -203,10 +205,15 @@ def _voltage_rows(run: Trajectory) -> Iterator[LimitRow]:
         yield LimitRow(
             what,
             f"{v[at]:.4f} pu",
-            f"bus {row['bus']}, {clock.words(row['time'])}",
+            f"{_node_words(row)}, {clock.words(row['time'])}",
             f"{limit:g} pu",
             bool(sign * (limit - v[at]) > LIMIT_TOLERANCE_PU),
         )
+
+
+def _node_words(row: pd.Series[Any]) -> str:
+    """A bus, and the phase of a phased feeder."""
+    return f"bus {row['bus']}" + (f", phase {row['phase']}" if "phase" in row else "")
 
 
 def _line_rows(run: Trajectory) -> Iterator[LimitRow]:

@@ -99,9 +99,7 @@ def plan_of(
         "expected": {
             "import_kw": _number(decision.import_kw),
             "soc": {str(k): _number(v) for k, v in decision.batteries["soc_end"].items()},
-            "v_min_pu": _number(v_pu.min()),
-            "v_max_pu": _number(v_pu.max()),
-            "v_min_bus": _at_lowest(v_pu),
+            **_extremes(decision, v_pu),
             "grid_limit_kw": _number(known.limits_kw.iloc[0]),
             "price_gbp_per_kwh": _price(known.measurement),
             **_by_phase(decision),
@@ -469,6 +467,19 @@ def _by_phase(decision: SetPoints) -> dict[str, Any]:
             "unbalance_max": _number(found.unbalance_max),
             "nearest": vars(found.nearest),
         }
+    }
+
+
+def _extremes(decision: SetPoints, v_pu: pd.Series[float]) -> dict[str, Any]:
+    """Lowest and highest voltage of any bus, or node of a phased feeder."""
+    low = high = v_pu
+    if decision.by_phase is not None:
+        at_bus = decision.by_phase.nodes.groupby(level="bus")
+        low, high = at_bus.min(), at_bus.max()
+    return {
+        "v_min_pu": _number(low.min()),
+        "v_max_pu": _number(high.max()),
+        "v_min_bus": _at_lowest(low),
     }
 
 
