@@ -203,28 +203,6 @@ def test_a_critical_customer_that_will_be_off(tiny: Scenario, hours: int, priori
     assert [one.kind for one in conditions(lost)] == ["setpoint_rejected"]
 
 
-@pytest.mark.parametrize(("soc", "is_dark"), [(0.5, True), (0.5, False), (0.12, True)])
-def test_a_critical_customer_off_with_energy_kept_says_for_whom(
-    tiny: Scenario, soc: float, is_dark: bool
-) -> None:
-    off = {"kind": "customers", "asset": "hospital", "served": False, "reason": "plan"}
-    point = {**off, "valid_from": written(NOON), "valid_until": written(NOON + HOUR)}
-    plan = {"status": "ok", "start": written(NOON), "setpoints": [point]}
-    plan["expected"] = {"soc": {"big": soc, "small": None}}
-    plan["ahead"] = {
-        "times": [written(NOON + hour * HOUR) for hour in (1, 2, 3)],
-        "grid_limit_kw": [0.0, 0.0, None],
-        "served": {"hospital": [False, True, True], "shop": [False, False, True]},
-    }
-    standing = Standing(plan, 3600.0)
-    heard = [Heard(name, "soc", "scada", 0, "ok") for name in ("big", "small")]
-    now = Situation(NOON, tiny, standing, heard, {"big": 0.5}, is_dark, {})
-    [text] = [one.text for one in conditions(now) if one.kind == "critical_off"]
-    kept = ", while 31% of the usable energy is kept for later hours of hospital (critical) up to 15:00, "
-    expected = f"{kept}when the grid is expected" if soc == 0.5 and is_dark else ""
-    assert text == f"hospital of the first tier off supply{expected}."
-
-
 @pytest.mark.daily
 def test_a_longest_time_off_that_ends(tiny: Scenario, tmp_path: Path) -> None:
     """Nothing is stored: the shop is off for an hour of two, for two, for three."""

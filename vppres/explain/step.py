@@ -351,7 +351,8 @@ class Step:
     def _fleet_shares(self, p: ShadowPrices) -> dict[str, float]:
         """How the price of active power divides into what limits the fleet; the sum is 1."""
         if not self.outage:
-            return {"energy": 0.0, "power": 0.0, "inverter": 0.0, "grid": 1.0}
+            limited = np.isfinite(self.scenario.grid_limit_kw[self.t])
+            return {"energy": 0.0, "power": 0.0, "inverter": 0.0, "grid": float(limited)}
         b = self.site.batteries
         reach = np.abs(self.battery_kw) / b.s_max_kva
         worth = {

@@ -7,12 +7,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from vppres.contract.longest_off import ROUNDING
 from vppres.core.text import named
-from vppres.explain.kept import kept_words
 from vppres.live.by_phase import GRID
 from vppres.scenario.scenario import Scenario
 from vppres.service.knowledge import Heard, Latest, refusing, soc_of
@@ -177,7 +175,6 @@ def _critical_off(now: Situation) -> Iterator[Condition]:
         words = f"{named(off, NAMES_SHOWN)} of the first tier off supply"
         if late:
             words += f", and the state of charge of {named(late, NAMES_SHOWN)} is late"
-        words += _kept(now)
         yield Condition("critical_off", "", HIGH, f"{words}.", tuple(sorted(off)))
         return
     ahead = now.standing.plan.get("ahead") or {"times": [], "served": {}}
@@ -189,29 +186,6 @@ def _critical_off(now: Situation) -> Iterator[Condition]:
             words = f"Planned: {named(sorted(later), NAMES_SHOWN)} of the first tier off supply."
             yield Condition("critical_off", "", priority, words, tuple(sorted(later)), time)
             return
-
-
-def _kept(now: Situation) -> str:
-    """Energy that the plan keeps for the first tier in later steps without grid, in words."""
-    plan, b = now.standing.plan, now.scenario.batteries
-    if plan is None or not now.is_dark or plan["status"] != "ok" or not plan["ahead"]["times"]:
-        return ""
-    soc = np.array([plan["expected"]["soc"][str(name)] for name in b.id], dtype=float)
-    kept = b.energy_kwh @ np.nan_to_num(np.maximum(soc - b.soc_min, 0.0))
-    share = kept / (b.energy_kwh @ (b.soc_max - b.soc_min))
-    ahead = plan["ahead"]
-    dark = np.logical_and.accumulate([limit == 0.0 for limit in ahead["grid_limit_kw"]])
-    on = {name: dark & ahead["served"][name] for name in sorted(now.critical)}
-    on = {name: steps for name, steps in on.items() if steps.any()}
-    if share < LEAST_MARGIN or not on:
-        return ""
-    last = max(int(np.flatnonzero(steps)[-1]) for steps in on.values())
-    grid = now.scenario.grid
-    until = pd.Timestamp(ahead["times"][last]) + grid.step
-    tiers = [str(now.scenario.tiers[0])] * len(on)
-    back = last + 1 == int(dark.sum()) < len(dark)
-    kept_for = kept_words([*on], tiers, f"{until.tz_convert(grid.zone):%H:%M}", back)
-    return f", while {share:.0%} of the usable energy is {kept_for}"
 
 
 def limits_h(scenario: Scenario) -> dict[str, float]:
