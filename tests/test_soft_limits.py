@@ -63,6 +63,15 @@ def test_no_customer_is_dimmed_for_the_feeder_itself() -> None:
     np.testing.assert_allclose(soft.customers["share"], 1.0, atol=1e-4)
 
 
+def test_a_feeder_that_cannot_carry_its_demand_is_explained() -> None:
+    day = weak_feeder()
+    run = ran(replace(day, load_kw=20.0 * day.load_kw), SOFT)
+    assert (run.steps["fallback"] != "none").all()
+    told = explain_day(run).explanations
+    assert told is not None
+    assert set(told["action"]) >= {"not_served"}
+
+
 def test_hard_limits_switch_off_and_the_first_line_says_whom() -> None:
     day = weak_feeder()
     hard = ran(day, HARD)

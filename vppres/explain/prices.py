@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from vppres.core.arrays import Flags
+from vppres.core.errors import ModelError
 from vppres.explain.recorded import Recorded
 from vppres.model.data import WindowData
 from vppres.solve.shadow_price_model import Held, PricedTerms, ShadowPriceModel
@@ -83,7 +84,10 @@ def step_prices(recorded: Recorded, model: ShadowPriceModel, t: int) -> StepPric
     left_out = recorded.left_out(t)
 
     def price(held: Held, terms: PricedTerms) -> PricedWindow | None:
-        answer = price_window(model, window, held, terms)
+        try:
+            answer = price_window(model, window, held, terms)
+        except ModelError:  # a feeder that cannot carry its demand: the step was not planned either
+            return None
         return answer if answer is None else _of_the_others(answer, left_out)
 
     held = recorded.held(t, window.n_steps)

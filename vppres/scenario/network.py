@@ -356,7 +356,8 @@ class Network:
 
     def v_pu(self, u_pu2: Floats) -> Floats:
         """Voltages in pu of squared referred voltages, shape (..., N)."""
-        return np.asarray(np.sqrt(u_pu2) * self.bus_ratio)
+        # Linear voltages of a feeder that cannot carry its demand fall below 0.
+        return np.asarray(np.sqrt(np.maximum(u_pu2, 0.0)) * self.bus_ratio)
 
     @cached_property
     def shunt_kw(self) -> Floats:
