@@ -370,6 +370,7 @@ def test_a_day_says_who_left_short() -> None:
     )
     page = render_report(run, summary)
     assert "1 vehicle leaves short: car0 (critical, 7.8 kWh)." in page
+    assert "Vehicles charged" in page
 
 
 # Live.

@@ -151,6 +151,9 @@ def energy_rows(run: Trajectory, summary: Mapping[str, Any]) -> list[tuple[str, 
         rows.append(("Batteries discharged", float(given.sum()) * dt_h))
         rows.append(("Stored at the start", float(stored[0])))
         rows.append(("Stored at the end", float(stored[-1])))
+    if vehicles := summary.get("vehicles"):
+        rows.append(("Vehicles charged", vehicles["charged_kwh"]))
+        rows.append(("Vehicles gave back", vehicles["given_back_kwh"]))
     rows.append(("Line losses", float(run.steps["losses_kw"].sum()) * dt_h))
     return [(words, number(value, ",.0f")) for words, value in rows]
 
