@@ -54,6 +54,7 @@ def test_limits_give_way_to_the_feeder_itself(mode: str, method: str) -> None:
     assert idle.buses["v_ac_pu"].min() < day.network.v_min_ac_pu
 
 
+@pytest.mark.daily
 def test_no_customer_is_dimmed_for_the_feeder_itself() -> None:
     day = weak_feeder()
     half = np.full(len(day.customers), 0.5)

@@ -210,6 +210,7 @@ def test_the_floor_holds_what_a_car_keeps() -> None:
     assert answer.dispatch.served[:6].sum() == 5
 
 
+@pytest.mark.daily
 def test_a_thousand_cars_never_outweigh_one_customer() -> None:
     """A kW goes to a customer of the least weight, and with grid each car has its energy."""
     count = 1000
@@ -341,6 +342,7 @@ def test_the_guard_refuses_power_without_a_vehicle() -> None:
 # Days.
 
 
+@pytest.mark.daily
 def test_a_day_says_who_left_short() -> None:
     """14.8 kWh with grid, and of 13.3 stored what the home leaves in its four hours."""
     day = two_buses([[1.0]] * 6, [1.0], [OPEN] * 2 + [DARK] * 4)
