@@ -92,9 +92,7 @@ def known(day: Scenario) -> WindowData:
     """All steps as one window, with the vehicles that are known in the first."""
     steps = range(day.grid.n_steps)
     held_kwh = Plant(day).garage.held_kwh(0)
-    return replace(
-        window(day), plugged=Plugged.of(day.chargers, day.sessions, day.grid, steps, held_kwh)
-    )
+    return replace(window(day), plugged=Plugged.of(day, steps, held_kwh))
 
 
 def evening(limit_kw: float, steps: int = 14, **more: Any) -> Scenario:
@@ -241,7 +239,7 @@ def test_what_is_known_of_sessions() -> None:
     day = two_buses([[1.0]] * 8, [1.0], [OPEN] * 8)
     day = replace(day, chargers=chargers(3))
     day = plugged_in(day, (1.5, 5.0), (0.0, 12.0), (2.0, 5.0), announced=[True, False, False])
-    seen = Plugged.of(day.chargers, day.sessions, day.grid, range(1, 7), np.array([0, 19.0, 0]))
+    seen = Plugged.of(day, range(1, 7), np.array([0, 19.0, 0]))
     assert seen.here.sum(axis=0).tolist() == [3, 6, 0]  # whole hours from 02:00 on
     assert seen.held_kwh.sum(axis=0) == pytest.approx([18.0, 19.0, 0.0])
     assert seen.needed_kwh[3, 0] == pytest.approx(48.0)
@@ -256,7 +254,7 @@ def test_methods_agree_on_random_windows(seed: int) -> None:
     day = with_random_vehicles(scenario, seed)
     steps = range(day.grid.n_steps)
     held_kwh = Plant(day).garage.held_kwh(0)
-    data = replace(data, plugged=Plugged.of(day.chargers, day.sessions, day.grid, steps, held_kwh))
+    data = replace(data, plugged=Plugged.of(day, steps, held_kwh))
     day_site = Site.of(day)
     one, other = (WindowSolver(day_site, method).solve(data) for method in METHODS)
     gap = 1e-4 * max(abs(other.objective), 0.01) + 1e-6

@@ -89,8 +89,7 @@ def problem_record(problem: Problem | str) -> dict[str, Any]:
 def validation_text(problems: Sequence[Problem | str], content: Mapping[str, Any] | None) -> str:
     """One line per problem and their number, or what the sound scenario holds."""
     if content is None:
-        count = f"{len(problems)} {'problem' if len(problems) == 1 else 'problems'}."
-        return "\n".join([*map(str, problems), count])
+        return "\n".join([*map(str, problems), f"{counted(len(problems), 'problem')}."])
     batteries = counted(content["batteries"], "battery", "batteries")
     chargers = counted(content["chargers"], "charger") + " with "
     chargers += counted(content["ev_sessions"], "session") + ", "

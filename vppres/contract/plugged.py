@@ -11,8 +11,8 @@ from typing import Self
 import numpy as np
 
 from vppres.core.arrays import Flags, Floats
-from vppres.scenario.timegrid import TimeGrid
-from vppres.scenario.vehicles import Chargers, Sessions
+from vppres.scenario.scenario import Scenario
+from vppres.scenario.vehicles import Chargers
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,34 +52,27 @@ class Plugged:
         return cls(*flags, *(np.zeros(shape) for _ in range(5)))
 
     @classmethod
-    def of(
-        cls,
-        chargers: Chargers,
-        sessions: Sessions,
-        grid: TimeGrid,
-        steps: range,
-        now_kwh: Floats,
-        all_known: bool = False,
-    ) -> Self:
-        """The vehicles of a window that are known when it begins.
+    def of(cls, scenario: Scenario, steps: range, now_kwh: Floats) -> Self | None:
+        """The vehicles of a window that are known when it begins; None without chargers.
 
         They are those that are plugged in then, and those that are announced.
 
         Parameters
         ----------
-        chargers, sessions, grid
-            Of the scenario.
+        scenario : Scenario
+            Chargers and sessions.
         steps : range
             Steps of the window.
         now_kwh : array, shape (K,)
             Energy of the vehicles that are plugged in when it begins.
-        all_known : bool, optional
-            Whether all sessions are known.
         """
+        chargers, sessions = scenario.chargers, scenario.sessions
+        if not len(chargers):
+            return None
         found = cls.none(len(steps), len(chargers))
         column = {name: k for k, name in enumerate(chargers.id)}
-        first, after = sessions.steps(grid)
-        known = sessions.announced | (first <= steps.start) | all_known
+        first, after = sessions.steps(scenario.grid)
+        known = sessions.announced | (first <= steps.start)
         for s in np.flatnonzero(known & (first < steps.stop) & (after > steps.start)):
             k = column[sessions.charger[s]]
             begin = max(first[s], steps.start) - steps.start
@@ -152,13 +145,19 @@ class Plugged:
         return np.maximum(self.needed_kwh - energy_kwh, 0.0)
 
     def price(self, least_weight: float, dt_h: float) -> Floats:
-        """Price of a kWh that a vehicle lacks, in weighted customer hours, (W, K).
-
-        It is in proportion to the weight of its tier. All vehicles of the window without any of
-        the energy that they hold at most count half a step of the customer of this least weight:
-        no service is given up for vehicles.
-        """
+        """Price of a kWh that a vehicle lacks, in weighted customer hours, (W, K)."""
         weight = np.where(self.due, self.weight, 0.0)
-        total = float((weight * self.full_kwh).sum())
-        scale = 0.5 * least_weight * dt_h / total if total else 0.0
-        return scale * weight
+        return price_scale(weight, self.full_kwh, least_weight, dt_h) * weight
+
+
+def price_scale(weight: Floats, full_kwh: Floats, least_weight: float, dt_h: float) -> float:
+    """Price of a kWh that a vehicle of weight 1 lacks, in weighted customer hours.
+
+    All vehicles without any of the energy that they hold at most count half a step of the customer
+    of this least weight: no service is given up for vehicles.
+
+    >>> price_scale(np.array([1.0, 2.0]), np.array([50.0, 25.0]), least_weight=1.0, dt_h=0.5)
+    0.0025
+    """
+    total = float((weight * full_kwh).sum())
+    return 0.5 * least_weight * dt_h / total if total else 0.0

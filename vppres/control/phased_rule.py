@@ -92,8 +92,8 @@ def _carried(state: StepState, served: Flags) -> Dispatch | None:
     """The dispatch of a served set, None if a phase does not carry it."""
     site = state.site
     model = phased_model(site)
-    given = _behind_meters(state, served, model)
     own = state.own_kw(served)
+    given = _behind_meters(state, served, own, model)
     load_kw = state.load_kw * served
     pv = (own, 0.0 * own)
     drawn = model.powers(ISLANDED, load_kw, pv, (given[0], given[1]))
@@ -105,7 +105,7 @@ def _carried(state: StepState, served: Flags) -> Dispatch | None:
     return _dispatch(state, served, given)
 
 
-def _behind_meters(state: StepState, served: Flags, model: PhasedModel) -> Floats:
+def _behind_meters(state: StepState, served: Flags, own: Floats, model: PhasedModel) -> Floats:
     """Power that batteries but the former give to what is served on their own coils, (2, B)."""
     site = state.site
     phases = site.phases
@@ -114,7 +114,7 @@ def _behind_meters(state: StepState, served: Flags, model: PhasedModel) -> Float
     left: dict[tuple[str, str], Floats] = {}
     for c, name in enumerate(site.customers.id):
         row = phases.connection(str(name))
-        own_kw = float(state.own_kw(served)[site.owner == c].sum())
+        own_kw = float(own[site.owner == c].sum())
         kw = np.array([load_kw[c] - own_kw, load_kw[c] * site.customers.q_per_p[c]])
         left[row.bus, row.coils] = left.get((row.bus, row.coils), np.zeros(2)) + kw
     given = np.zeros((2, len(site.batteries)))

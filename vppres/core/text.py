@@ -45,11 +45,6 @@ def counted(count: int, one: str, many: str = "") -> str:
     return f"{count} {one}" if count == 1 else f"{count} {many or one + 's'}"
 
 
-def counted_steps(count: int) -> str:
-    """A number of steps."""
-    return counted(count, "step")
-
-
 def named(names: Iterable[object], most: int = 12) -> str:
     """Names in a row; many are cut.
 

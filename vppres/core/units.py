@@ -13,6 +13,10 @@ from vppres.core.arrays import Floats
 
 KW_PER_MW = 1000.0
 W_PER_KW = 1000.0
+VA_PER_KVA = 1000.0
+V_PER_KV = 1000.0
+A_PER_KA = 1000.0
+US_PER_S = 1e6
 
 
 def kw_to_mw(p_kw: ArrayLike) -> Floats:

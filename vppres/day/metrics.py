@@ -11,7 +11,7 @@ import pandas as pd
 
 from vppres.core.arrays import Floats
 from vppres.core.plain import json_safe
-from vppres.core.text import counted_steps
+from vppres.core.text import counted
 from vppres.core.units import kva_to_a
 from vppres.day.inversions import headroom_words, inversion_words
 from vppres.day.phase_figures import phase_figures
@@ -110,10 +110,10 @@ def _blackouts(trajectory: Trajectory) -> list[str]:
     dark = steps[steps["dark"] > 0]
     reasons = sorted({str(reason) for reason in dark["dark_reason"] if reason})
     why = f": {'; '.join(reasons)}" if reasons else ""
-    words = [f"The island was blacked out in {counted_steps(len(dark))}{why}."]
+    words = [f"The island was blacked out in {counted(len(dark), 'step')}{why}."]
     promised = dark[dark["shed_kw"] > 0] if "shed_kw" in dark else dark.iloc[:0]
     if len(promised):
-        words.append(f"The plan had promised supply in {counted_steps(len(promised))} of them.")
+        words.append(f"The plan had promised supply in {counted(len(promised), 'step')} of them.")
     return words
 
 

@@ -172,11 +172,7 @@ class Day:
 
     def plugged(self, steps: range) -> Plugged | None:
         """Vehicles that are known at the beginning of a window; None without chargers."""
-        day = self.scenario
-        if not len(day.chargers):
-            return None
-        held_kwh = self.plant.garage.held_kwh(steps.start)
-        return Plugged.of(day.chargers, day.sessions, day.grid, steps, held_kwh)
+        return Plugged.of(self.scenario, steps, self.plant.garage.held_kwh(steps.start))
 
     def run(self, controller: Decider, progress: Progress | None = None) -> Trajectory:
         """All steps of the day, and their record."""

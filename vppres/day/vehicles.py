@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from vppres.contract.plugged import price_scale
 from vppres.core.errors import InputError
 from vppres.day.options import RunOptions
 from vppres.day.trajectory import Trajectory
@@ -33,7 +34,7 @@ def check_vehicles(scenario: Scenario, options: RunOptions) -> None:
     if not len(chargers):
         return
     if scenario.phases is not None:
-        raise _refused(
+        raise InputError.of(
             "ev_chargers.csv",
             "is not stated for feeders with phases",
             "Remove the file, or the phase_*.csv for the balanced equivalent.",
@@ -72,28 +73,22 @@ def check_parts(scenario: Scenario) -> None:
 def _check_price(scenario: Scenario) -> None:
     """Whether a missed kWh is dearer than any energy, however many vehicles share the price."""
     sessions = scenario.sessions
-    total = float((sessions.weight * sessions.full_kwh).sum())
-    if not total:
-        return
-    chargers = scenario.chargers
     least_weight = float(scenario.customers.weight.min())
-    missed = 0.5 * least_weight * scenario.grid.dt_h * float(sessions.weight.min()) / total
-    dearest = float(np.abs(scenario.price_gbp_per_kwh).max()) / float(chargers.eta_charge.min())
+    scale = price_scale(sessions.weight, sessions.full_kwh, least_weight, scenario.grid.dt_h)
+    if not scale:
+        return
+    missed = scale * float(sessions.weight.min())
+    least_eta = float(scenario.chargers.eta_charge.min())
+    dearest = float(np.abs(scenario.price_gbp_per_kwh).max()) / least_eta
     if missed < DEARER * scenario.objective.lambda_grid * dearest:
         most = missed / DEARER / dearest
-        raise _refused(
+        raise InputError.of(
             "scenario.toml",
             f"makes energy dearer than what {len(sessions)} sessions of vehicles may count",
             f"Give at most {most:.1e}, or fewer sessions.",
-            "objective.lambda_grid",
-            scenario.objective.lambda_grid,
+            field="objective.lambda_grid",
+            value=scenario.objective.lambda_grid,
         )
-
-
-def _refused(
-    where: str, message: str, cure: str, field: str = "", value: object = None
-) -> InputError:
-    return InputError.of(where, message, cure, field=field or None, value=value)
 
 
 def vehicle_figures(trajectory: Trajectory) -> dict[str, Any]:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 
+from vppres.core.arrays import Flags
 from vppres.core.errors import SolveError
 from vppres.core.text import in_pounds, named
 from vppres.explain.room import limits_in_full
@@ -28,31 +28,6 @@ NAMES_SHOWN = 3
 
 MOSTLY = 0.5
 """Share of its demand from which the relaxed window counts a customer as on."""
-
-
-def kept_words(names: Sequence[str], tiers: Sequence[str], until: str, grid_back: bool) -> str:
-    """For whom and up to when energy is kept.
-
-    Parameters
-    ----------
-    names, tiers : sequence of str
-        Customers that are on later, and the tier of each, the most important ones first.
-    until : str
-        End of the last step in which one of them is on.
-    grid_back : bool
-        Whether the grid is expected then.
-
-    Examples
-    --------
-    >>> kept_words(["clinic", "lab"], ["critical", "critical"], "18:00", grid_back=True)
-    'kept for later hours of clinic, lab (critical) up to 18:00, when the grid is expected'
-    """
-    first = [name for name, tier in zip(names, tiers, strict=True) if tier == tiers[0]]
-    lower = len(names) - len(first)
-    more = f" and {lower} of lower tiers" if lower else ""
-    grid = "when the grid is expected" if grid_back else "before which no grid is expected"
-    who = f"{named(first, NAMES_SHOWN)} ({tiers[0]}){more}"
-    return f"kept for later hours of {who} up to {until}, {grid}"
 
 
 def kept_for(step: Step, customer: int) -> str:
@@ -77,16 +52,26 @@ def kept_for(step: Step, customer: int) -> str:
     on = first & (service.served_share[later] >= MOSTLY)
     if not on.any():
         return ""
+    who = _ranked(step, on.any(axis=0))
+    highest = str(c.tier[who[0]])
+    names = [str(c.id[one]) for one in who if c.tier[one] == highest]
+    lower = len(who) - len(names)
+    more = f" and {lower} of lower tiers" if lower else ""
     last = int(np.flatnonzero(on.any(axis=1))[-1]) + 1
-    rank = [step.scenario.tiers.index(tier) for tier in c.tier]
-    who = sorted(np.flatnonzero(on.any(axis=0)).tolist(), key=lambda one: rank[one])
     grid = step.scenario.grid
-    return kept_words(
-        [str(c.id[one]) for one in who],
-        [str(c.tier[one]) for one in who],
-        f"{grid.local(grid.times[step.t] + (last + 1) * grid.step):%H:%M}",
-        grid_back=last + 1 == step.dark_steps < step.levels.window.n_steps,
+    until = grid.local(grid.times[step.t] + (last + 1) * grid.step)
+    grid_back = last + 1 == step.dark_steps < step.levels.window.n_steps
+    then = "when the grid is expected" if grid_back else "before which no grid is expected"
+    return (
+        f"kept for later hours of {named(names, NAMES_SHOWN)} ({highest}){more} "
+        f"up to {until:%H:%M}, {then}"
     )
+
+
+def _ranked(step: Step, which: Flags) -> list[int]:
+    """Positions of some customers, the most important tier first."""
+    rank = [step.scenario.tiers.index(tier) for tier in step.site.customers.tier]
+    return sorted(np.flatnonzero(which).tolist(), key=lambda one: rank[one])
 
 
 @dataclass(frozen=True)

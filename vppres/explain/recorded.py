@@ -102,11 +102,8 @@ class Recorded:
 
     def _plugged(self, steps: range) -> Plugged | None:
         """Vehicles that were known at the beginning of a window; None without chargers."""
-        day = self.scenario
-        if self.trajectory.vehicles is None:
-            return None
         held_kwh = self._of_vehicles("energy_start_kwh")[steps.start]
-        return Plugged.of(day.chargers, day.sessions, day.grid, steps, held_kwh)
+        return Plugged.of(self.scenario, steps, held_kwh)
 
     @cached_property
     def _owed(self) -> list[Owed | None]:

@@ -8,10 +8,11 @@ import numpy as np
 
 from vppres.core.arrays import Complexes, Floats
 from vppres.core.errors import VerificationError
+from vppres.core.units import VA_PER_KVA
 from vppres.feeders.closeness import extreme_times
 from vppres.physics.phased_loading import Loadings
-from vppres.physics.phased_sources import assets_of, flow_of_grid
-from vppres.physics.phases import VA_PER_KVA, PhasedFlow
+from vppres.physics.phased_sources import assets_of, drawn_uncontrolled, flow_of_grid
+from vppres.physics.phases import PhasedFlow
 from vppres.scenario.phases import Phases
 from vppres.scenario.scenario import Scenario
 
@@ -89,21 +90,19 @@ def phased_check(scenario: Scenario, phases: Phases) -> PhasedCheck:
     flow = flow_of_grid(phases, assets_of(scenario.customers, scenario.pv, b), net.v_slack_pu)
     loadings = Loadings.of(phases)
     usable_kw = np.minimum(scenario.pv_kw, scenario.pv.s_max_kva)
-    idle = np.zeros(len(b))
     times = extreme_times(scenario)
     names = [f"phase {phase} of bus {bus}" for bus, phase in flow.measured[0]]
     complete = [f"bus {bus}" for bus in flow.complete[0]]
     mismatch, v_pu, loading, unbalance = [], [], [], []
     solved = []
     for t in times:
-        p_kw = np.concatenate([scenario.load_kw[t], -usable_kw[t], idle])
-        q_kvar = np.concatenate([scenario.load_kvar[t], 0.0 * usable_kw[t], idle])
+        drawn = drawn_uncontrolled(scenario.load_kw[t], scenario.load_kvar[t], usable_kw[t], len(b))
         try:
-            v = flow.solve(p_kw, q_kvar).v
+            v = flow.solve(*drawn).v
         except VerificationError:
             continue
         solved.append(scenario.grid.times[t].tz_convert(scenario.grid.zone))
-        mismatch.append(_mismatch_kva(flow, p_kw, q_kvar, v))
+        mismatch.append(_mismatch_kva(flow, *drawn, v))
         v_pu.append(flow.v_pu(v))
         loading.append(loadings.at(v))
         unbalance.append(flow.unbalance(v))

@@ -157,11 +157,8 @@ class Present:
     def _plugged(self) -> Plugged | None:
         """Vehicles that are plugged in or announced; None without chargers."""
         day = self.seen.scenario
-        if not len(day.chargers):
-            return None
-        steps = range(day.grid.n_steps)
         held_kwh = Garage(day, self._ev_kwh()).held_kwh(0)
-        return Plugged.of(day.chargers, day.sessions, day.grid, steps, held_kwh)
+        return Plugged.of(day, range(day.grid.n_steps), held_kwh)
 
     def _ev_kwh(self) -> Floats:
         """Energy of the vehicles, as read or else as reckoned; NaN if neither, (K,)."""

@@ -15,6 +15,7 @@ import numpy as np
 
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Complexes, Flags, Floats, Wholes
+from vppres.core.units import W_PER_KW
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.physics.phased_loading import Loadings
@@ -63,19 +64,19 @@ class Slopes:
         drop = flow.drop / np.conj(across)[None, :]
         drops = np.conj(at)[:, None] * (measured @ drop)
         # A coil that draws S takes drop conj(S / U) off the voltage: kW are thousands of watts.
-        u_p = -2000.0 * np.real(drops)
-        u_q = -2000.0 * np.imag(drops)
+        u_p = -2.0 * W_PER_KW * np.real(drops)
+        u_q = -2.0 * W_PER_KW * np.imag(drops)
         currents = (flow.coils.T - flow.y @ flow.drop)[flow.held]
         power = flow.v_held[:, None] * np.conj(np.asarray(currents)) / across[None, :]
         through: Complexes = np.asarray(loadings.per_volt @ drop)
-        no_load = flow.v_held * np.conj((flow.y @ w)[flow.held]) / 1000.0
+        no_load = flow.v_held * np.conj((flow.y @ w)[flow.held]) / W_PER_KW
         return cls(
             u_p=np.asarray(u_p @ p),
             u_q=np.asarray(u_q @ q),
             former_p=power @ p,
             former_q=1j * power @ q,
-            current_p=-1000.0 * through @ p,
-            current_q=1000.0j * through @ q,
+            current_p=-W_PER_KW * through @ p,
+            current_q=1j * W_PER_KW * through @ q,
             u_0=np.abs(at) ** 2,
             former_0=no_load,
             current_0=loadings.currents(w),

@@ -9,7 +9,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from vppres.core.arrays import Complexes, Floats
-from vppres.physics.phases import S_PER_US, V_PER_KV, incidence
+from vppres.core.units import V_PER_KV
+from vppres.physics.phases import S_PER_US, incidence
 from vppres.scenario.phases import PHASES, PhaseLine, Phases, PhaseTransformer
 
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from vppres.core.arrays import Flags, Floats, Names, Wholes
+from vppres.core.arrays import Floats, Names, Wholes
 from vppres.physics.phases import PhasedFlow
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
@@ -44,14 +44,22 @@ def farthest(v_pu: Floats, at_bus: Wholes, n_buses: int) -> Floats:
     return found
 
 
-def able_formers(phases: Phases, batteries: Batteries) -> Flags:
-    """Who can form an island, (B,): those that are to, with all three phases."""
-    return phases.formers(batteries)
+def drawn_uncontrolled(
+    load_kw: Floats, load_kvar: Floats, pv_kw: Floats, n_batteries: int
+) -> tuple[Floats, Floats]:
+    """Powers that assets draw without control: everyone served, all PV power, batteries idle.
+
+    >>> drawn_uncontrolled(np.array([3.0]), np.array([1.0]), np.array([2.0]), n_batteries=1)
+    (array([ 3., -2.,  0.]), array([1., 0., 0.]))
+    """
+    idle = np.zeros(n_batteries)
+    p_kw = np.concatenate([load_kw, -pv_kw, idle])
+    return p_kw, np.concatenate([load_kvar, np.zeros_like(pv_kw), idle])
 
 
 def former_of(phases: Phases, batteries: Batteries) -> int | None:
     """The battery that holds an island: the largest of those that form it; None without any."""
-    able = able_formers(phases, batteries)
+    able = phases.formers(batteries)
     if not able.any():
         return None
     return int(np.argmax(np.where(able, batteries.s_max_kva, -1.0)))

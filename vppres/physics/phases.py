@@ -19,6 +19,7 @@ from scipy.sparse.linalg import splu
 
 from vppres.core.arrays import Complexes, Floats, Wholes
 from vppres.core.errors import VerificationError
+from vppres.core.units import V_PER_KV, VA_PER_KVA, W_PER_KW
 from vppres.scenario.phases import Phases, PhaseShunt, PhaseTransformer, coils_of
 
 TOLERANCE_PU = 1e-10
@@ -32,10 +33,7 @@ LEAST_SHARE = 1e-3
 ANGLES = np.exp(-2j * np.pi / 3 * np.arange(3))
 """Turns of phases a, b and c."""
 
-W_PER_KW = 1000.0
 S_PER_US = 1e-6
-VA_PER_KVA = 1000.0
-V_PER_KV = 1000.0
 
 
 class NoPhasedSolutionError(VerificationError):

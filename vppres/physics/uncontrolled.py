@@ -8,7 +8,13 @@ import numpy as np
 
 from vppres.core.arrays import Floats, Wholes
 from vppres.core.errors import VerificationError
-from vppres.physics.phased_sources import assets_of, farthest, flow_of_grid, measured_at
+from vppres.physics.phased_sources import (
+    assets_of,
+    drawn_uncontrolled,
+    farthest,
+    flow_of_grid,
+    measured_at,
+)
 from vppres.physics.powerflow import ACPowerFlow
 from vppres.scenario.phases import Phases
 from vppres.scenario.scenario import SOFT, Scenario
@@ -78,12 +84,10 @@ def _by_phase(scenario: Scenario, phases: Phases) -> Solved:
     net, b = scenario.network, scenario.batteries
     flow = flow_of_grid(phases, assets_of(scenario.customers, scenario.pv, b), net.v_slack_pu)
     at_bus = measured_at(phases, net)
-    idle = np.zeros(len(b))
 
     def solved(load_kw: Floats, load_kvar: Floats, pv_kw: Floats) -> Floats:
-        p_kw = np.concatenate([load_kw, -pv_kw, idle])
-        q_kvar = np.concatenate([load_kvar, np.zeros_like(pv_kw), idle])
-        return farthest(flow.v_pu(flow.solve(p_kw, q_kvar).v), at_bus, net.n_buses)
+        drawn = drawn_uncontrolled(load_kw, load_kvar, pv_kw, len(b))
+        return farthest(flow.v_pu(flow.solve(*drawn).v), at_bus, net.n_buses)
 
     return solved
 

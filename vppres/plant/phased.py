@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike
 from vppres.core.arrays import Complexes, Flags, Floats
 from vppres.physics.phased_loading import Loadings
 from vppres.physics.phased_sources import (
-    able_formers,
     assets_of,
     buses_of,
     farthest,
@@ -105,7 +104,7 @@ class PhasedACFlow(ACPowerFlow):
         limits = net.v_min_pu, net.v_max_pu
         self.islands = {
             self.before_batteries + int(i): flow_of_former(phases, assets, b, int(i), *limits)
-            for i in np.flatnonzero(able_formers(phases, b))
+            for i in np.flatnonzero(scenario.formers)
         }
         self._place = _place(scenario)
         self._at_bus = measured_at(phases, net)
@@ -177,9 +176,7 @@ class PhasedIslandPlant(IslandPlant):
 
     def __init__(self, plant: Plant, flow: PhasedACFlow) -> None:
         super().__init__(plant, flow)
-        phases = plant.scenario.phases
-        assert phases is not None
-        self.formers = able_formers(phases, plant.scenario.batteries)
+        self.formers = plant.scenario.formers
 
     def _excess_kva(self, reference: int, batt_q_kvar: Floats, ac: ACResult) -> float:
         """By how much the worst phase of the former is beyond a third of its rating, times three.

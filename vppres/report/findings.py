@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
-from vppres.core.text import counted_steps
+from vppres.core.text import counted
 from vppres.day.metrics import cautions, import_above_limit_kw, island_figures, line_loading
 from vppres.day.trajectory import Trajectory
 from vppres.plant.plant import CLIP_TOLERANCE_KW, NOBODY
@@ -51,7 +51,7 @@ def _voltages(run: Trajectory) -> Iterator[str]:
             n_buses = wrong["bus"].nunique()
             yield (
                 f"Voltage {words} the AC limit of {limit:g} pu in "
-                f"{counted_steps(wrong['time'].nunique())} at {n_buses} "
+                f"{counted(wrong['time'].nunique(), 'step')} at {n_buses} "
                 f"{'bus' if n_buses == 1 else 'buses'}: the farthest is "
                 f"{row['v_ac_pu']:.4f} pu at bus {row['bus']}, {_time(run, row['time'])}."
             )
@@ -67,7 +67,7 @@ def _loadings(run: Trajectory) -> Iterator[str]:
         t, line = np.unravel_index(int(loading.argmax()), loading.shape)
         net = run.scenario.network
         yield (
-            f"Lines above their rating in {counted_steps(int((loading > 1).any(axis=1).sum()))}: "
+            f"Lines above their rating in {counted(int((loading > 1).any(axis=1).sum()), 'step')}: "
             f"at most {loading.max():.0%}, line {net.from_bus[line]} to {net.to_bus[line]}, "
             f"{_time(run, run.steps['time'].iloc[int(t)])}."
         )
@@ -79,7 +79,7 @@ def _phases_loaded(run: Trajectory) -> Iterator[str]:
     if (loading > 1.0).any():
         t = int(loading.argmax())
         yield (
-            f"A phase above its rating in {counted_steps(int((loading > 1.0).sum()))}: at most "
+            f"A phase above its rating in {counted(int((loading > 1.0).sum()), 'step')}: at most "
             f"{loading.iloc[t]:.0%}, {run.steps['loading_at'].iloc[t]}, "
             f"{_time(run, run.steps['time'].iloc[t])}."
         )
@@ -91,7 +91,7 @@ def _import(run: Trajectory) -> Iterator[str]:
     beyond = excess_kw > ISLAND_TOLERANCE_KW
     if beyond.any():
         yield (
-            f"Import above its limit in {counted_steps(int(beyond.sum()))}, by up to "
+            f"Import above its limit in {counted(int(beyond.sum()), 'step')}, by up to "
             f"{np.nanmax(excess_kw):,.1f} kW."
         )
 
@@ -119,7 +119,7 @@ def _decisions(run: Trajectory) -> Iterator[str]:
     if len(corrected):
         reasons = sorted({str(reason) for reason in corrected["correction_reason"] if reason})
         why = f" ({'; '.join(reasons)})" if reasons else ""
-        yield f"The plan was corrected in {counted_steps(len(corrected))}{why}."
+        yield f"The plan was corrected in {counted(len(corrected), 'step')}{why}."
     if "fallback" in steps:
         kinds = steps.loc[steps["fallback"] != "none", "fallback"]
         if len(kinds):
@@ -128,7 +128,7 @@ def _decisions(run: Trajectory) -> Iterator[str]:
     if "clipped_kw" in steps and (steps["clipped_kw"] > CLIP_TOLERANCE_KW).any():
         yield (
             "Set-points clipped to device limits in "
-            f"{counted_steps(int((steps['clipped_kw'] > CLIP_TOLERANCE_KW).sum()))}, by up to "
+            f"{counted(int((steps['clipped_kw'] > CLIP_TOLERANCE_KW).sum()), 'step')}, by up to "
             f"{steps['clipped_kw'].max():,.2f} kW."
         )
 
@@ -141,7 +141,7 @@ def _answers(run: Trajectory) -> Iterator[str]:
     others = status[~status.isin(PROVEN)]
     if len(others):
         kinds = ", ".join(f"{name} ({count})" for name, count in others.value_counts().items())
-        yield f"Gap above the tolerance in {counted_steps(len(others))}, status {kinds}."
+        yield f"Gap above the tolerance in {counted(len(others), 'step')}, status {kinds}."
 
 
 def _unlit(run: Trajectory) -> Iterator[str]:
@@ -163,7 +163,7 @@ def _estimates(run: Trajectory) -> Iterator[str]:
         (estimated.astype(bool), "Measurements were estimated"),
     ):
         if where.any():
-            yield f"{words} in {counted_steps(int(where.sum()))}."
+            yield f"{words} in {counted(int(where.sum()), 'step')}."
 
 
 def _plain(name: object) -> str:

@@ -158,6 +158,25 @@ class Customers:
         return self.weight * count[tier]
 
 
+def without_customer(owners: Names) -> Flags:
+    """Which assets stand alone: those whose owner is an empty text.
+
+    >>> without_customer(["a", ""])
+    array([False,  True])
+    """
+    return np.array([owner == "" for owner in owners], dtype=bool)
+
+
+def positions_of(owners: Names, customers: Customers) -> Wholes:
+    """Position of each asset's owner in the customers' table; 0 for one that stands alone.
+
+    >>> positions_of(["b", ""], Customers(["a", "b"], [1, 1], ["x", "x"], [1, 1], [1, 1]))
+    array([1, 0])
+    """
+    position = {"": 0, **{c: i for i, c in enumerate(customers.id)}}
+    return np.array([position[owner] for owner in owners], dtype=int)
+
+
 PV = "pv"
 """Kind of a photovoltaic system."""
 
@@ -207,15 +226,14 @@ class PVSystems:
     @property
     def alone(self) -> Flags:
         """Systems without a customer, (P,): all of their power is exported or curtailed."""
-        return np.array([customer == "" for customer in self.customer], dtype=bool)
+        return without_customer(self.customer)
 
     def owner(self, customers: Customers) -> Wholes:
         """Position of each system's owner in the customers' table; 0 for one that stands alone.
 
         Whoever reads values of the customers with it asks :attr:`alone` too.
         """
-        position = {"": 0, **{c: i for i, c in enumerate(customers.id)}}
-        return np.array([position[c] for c in self.customer], dtype=int)
+        return positions_of(self.customer, customers)
 
     def buses(self, customers: Customers) -> Names:
         """Bus of each system, (P,): its own or its owner's."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 
 from vppres.core.arrays import Flags, Floats, Names, Wholes, freeze_fields
-from vppres.scenario.assets import Customers
+from vppres.scenario.assets import Customers, positions_of, without_customer
 from vppres.scenario.timegrid import TimeGrid
 
 NO_CAR = -1
@@ -65,7 +65,7 @@ class Chargers:
     @property
     def alone(self) -> Flags:
         """Chargers without a customer, (K,)."""
-        return np.array([customer == "" for customer in self.customer], dtype=bool)
+        return without_customer(self.customer)
 
     @property
     def two_way(self) -> Flags:
@@ -74,8 +74,7 @@ class Chargers:
 
     def owner(self, customers: Customers) -> Wholes:
         """Position of each charger's customer, 0 for one that stands alone (:attr:`alone`)."""
-        position = {"": 0, **{c: i for i, c in enumerate(customers.id)}}
-        return np.array([position[c] for c in self.customer], dtype=int)
+        return positions_of(self.customer, customers)
 
     def buses(self, customers: Customers) -> Names:
         """Bus of each charger, (K,): its own or its customer's."""

@@ -12,6 +12,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metri
 from prometheus_client.registry import Collector
 
 import vppres
+from vppres.core.units import W_PER_KW
 from vppres.service.alarms import KINDS
 from vppres.service.plans import DEFAULT
 from vppres.service.runner import Runner
@@ -149,11 +150,11 @@ def _expected(plan: Mapping[str, Any]) -> Iterator[Metric]:
     yield soc
     limit_kw = expected["grid_limit_kw"]
     for name, words, value in (
-        ("vppres_import_watts", "Expected import.", 1e3 * _known(expected["import_kw"])),
+        ("vppres_import_watts", "Expected import.", W_PER_KW * _known(expected["import_kw"])),
         (
             "vppres_import_limit_watts",
             "Import limit; infinite if there is none.",
-            np.inf if limit_kw is None else 1e3 * limit_kw,
+            np.inf if limit_kw is None else W_PER_KW * limit_kw,
         ),
         (
             "vppres_voltage_min_ratio",

@@ -16,7 +16,7 @@ import pandas as pd
 
 from vppres.core.arrays import Floats, Names
 from vppres.core.errors import InputError, Problem
-from vppres.core.units import kw_to_mw
+from vppres.core.units import A_PER_KA, kw_to_mw
 from vppres.feeders.closeness import largest_difference
 from vppres.feeders.dss import text as dss_text
 from vppres.feeders.feeder import ImportedFeeder
@@ -25,7 +25,6 @@ from vppres.feeders.net.ratings import NO_LIMIT_KA
 from vppres.feeders.strangers.confined import TIME_LIMIT_S, confined
 from vppres.scenario.network import BusId
 
-A_PER_KA = 1000.0
 PHASE_COUNT = 3
 TOGETHER = " + "
 SHAPE_TOLERANCE = 1e-6

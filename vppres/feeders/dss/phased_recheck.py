@@ -9,9 +9,10 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Complexes
+from vppres.core.units import V_PER_KV
 from vppres.feeders.dss import text as dss_text
 from vppres.feeders.dss.recheck import Recheck, Tables, side_by_side, solved_steps, step_table
-from vppres.physics.phases import V_PER_KV, measures
+from vppres.physics.phases import measures
 from vppres.scenario.phases import PhaseConnection, Phases, coils_of
 
 

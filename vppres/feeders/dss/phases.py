@@ -11,6 +11,7 @@ from scipy.sparse.linalg import splu
 
 from vppres.core.arrays import Complexes, Floats
 from vppres.core.errors import InputError, Problem
+from vppres.core.units import V_PER_KV
 from vppres.feeders.feeder import ImportedFeeder, PhasedLoad, PhasedSource
 from vppres.feeders.strangers.confined import TIME_LIMIT_S, confined
 from vppres.physics.phases import PhasedFlow, admittances
@@ -79,7 +80,7 @@ def _difference(source: PhasedSource, v_pu: Mapping[str, float]) -> float | None
     flow, p_kw, q_kvar = flow_of_source(source)
     drawn = np.array([load.kind == "load" for load in source.loads])
     found = flow.solve(p_kw * drawn, q_kvar * drawn)
-    base_v = {row.bus: row.kv * 1000.0 / np.sqrt(3) for row in source.phases.buses}
+    base_v = {row.bus: row.kv * V_PER_KV / np.sqrt(3) for row in source.phases.buses}
     apart = [
         abs(abs(v) / base_v[bus] - v_pu[f"{bus}.{phase + 1}"])
         for (bus, phase), v in zip(source.phases.nodes, found.v, strict=True)

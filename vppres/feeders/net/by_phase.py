@@ -16,7 +16,7 @@ import pandas as pd
 
 from vppres.core.arrays import Complexes, Floats
 from vppres.core.errors import InputError, Problem, first_line
-from vppres.core.units import mw_to_kw
+from vppres.core.units import A_PER_KA, US_PER_S, V_PER_KV, W_PER_KW, mw_to_kw
 from vppres.feeders.dss.phases import flow_of_source
 from vppres.feeders.feeder import ImportedFeeder, PhasedLoad, PhasedSource
 from vppres.feeders.net.balance import CURE, TABLES
@@ -61,9 +61,7 @@ LEAST_KW = 1e-9
 
 F_BUS, T_BUS, R, X, B, TAP, SHIFT = 0, 1, 2, 3, 4, 8, 9
 BR_G, BR_G_ASYM, BR_B_ASYM = 23, 24, 25
-A_PER_KA = 1000.0
 GS, BS, KV = 4, 5, 9
-W_PER_KW, V_PER_KV, US_PER_S = 1000.0, 1000.0, 1e6
 
 
 def phased_net(net: Any, name: str, feeder: ImportedFeeder) -> PhasedSource:
