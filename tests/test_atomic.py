@@ -175,6 +175,49 @@ def test_scratch_folders_go_and_so_do_those_of_killed_runs(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("stop", [RuntimeError, KeyboardInterrupt, SystemExit])
+def test_a_folder_leaves_nothing_when_stopped(tmp_path: Path, stop: type[BaseException]) -> None:
+    with pytest.raises(stop), atomic_folder(tmp_path / "a") as aside:
+        (aside / "steps.parquet").write_bytes(b"half")
+        raise stop
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_is_no_run_is_refused(tmp_path: Path) -> None:
+    target = tmp_path / "thesis"
+    target.mkdir()
+    (target / "chapter.txt").write_text("precious", encoding="utf-8")
+    with pytest.raises(InputError) as caught, atomic_folder(target):
+        pytest.fail("the block must not run")
+    assert str(caught.value) == (
+        f"{target}: exists and is not a run folder (it has no summary.json). "
+        "Choose another folder, or remove this one."
+    )
+    file = target / "chapter.txt"
+    with pytest.raises(InputError) as caught, atomic_folder(file):
+        pytest.fail("the block must not run")
+    assert str(caught.value) == f"{file}: exists and is not a folder. Choose another name."
+    with pytest.raises(InputError) as caught, atomic_folder(file / "run"):
+        pytest.fail("the block must not run")
+    assert str(caught.value) == (
+        f"{file / 'run'}: cannot be written (Not a directory). "
+        "Choose another folder, or check its permissions."
+    )
+
+
+def test_a_file_is_replaced_as_a_whole_or_not_at_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "summary.json"
+    atomic_write_text(path, "one £\n")
+    atomic_write_text(path, "two £\n")
+    monkeypatch.setattr("os.replace", full)
+    with pytest.raises(OSError, match="No space"):
+        atomic_write_text(path, "three")
+    assert path.read_bytes() == "two £\n".encode()
+    assert list(tmp_path.iterdir()) == [path]
+
+
 # --- targets ------------------------------------------------------------------------------------
 
 
@@ -209,14 +252,17 @@ def test_links_are_refused_before_anything_is_computed(tmp_path: Path) -> None:
 
 def test_a_link_to_a_run_is_followed(tmp_path: Path) -> None:
     run = tmp_path / "disk" / "run"
+    run.mkdir(parents=True)  # an empty folder is filled
     link = tmp_path / "link"
     with atomic_folder(run) as aside:
         (aside / "summary.json").write_text("old", encoding="utf-8")
+        (aside / "steps.parquet").write_text("old", encoding="utf-8")
     link.symlink_to(run)
     with atomic_folder(link) as aside:
         (aside / "summary.json").write_text("new", encoding="utf-8")
     assert link.is_symlink()
     assert (run / "summary.json").read_text(encoding="utf-8") == "new"
+    assert [p.name for p in run.iterdir()] == ["summary.json"]
     assert [p.name for p in run.parent.iterdir()] == ["run"]
 
 

@@ -18,8 +18,6 @@ from hypothesis import strategies as st
 from tests.support.pages import attribute_table_markdown
 from vppres.core.errors import InputError
 from vppres.io import (
-    atomic_folder,
-    atomic_write_text,
     find_scenario,
     packaged_scenarios,
     read_scenario,
@@ -379,96 +377,6 @@ def test_find_by_name_beside_a_folder(tiny_folder: Path, monkeypatch: pytest.Mon
         "scenario x: is neither a packaged scenario nor a folder. "
         "Give the path of a scenario folder. Known: tiny."
     )
-
-
-# --- whole or absent ----------------------------------------------------------------------------
-
-
-def test_atomic_folder_appears_only_when_it_is_whole(tmp_path: Path) -> None:
-    target = tmp_path / "runs" / "a"
-    with atomic_folder(target) as aside:
-        (aside / "summary.json").write_text("{}", encoding="utf-8")
-        assert not target.exists()
-    assert (target / "summary.json").read_text(encoding="utf-8") == "{}"
-    assert list(target.parent.iterdir()) == [target]
-
-
-@pytest.mark.parametrize("stop", [RuntimeError, KeyboardInterrupt, SystemExit])
-def test_atomic_folder_leaves_nothing_when_stopped(
-    tmp_path: Path, stop: type[BaseException]
-) -> None:
-    with pytest.raises(stop), atomic_folder(tmp_path / "a") as aside:
-        (aside / "steps.parquet").write_bytes(b"half")
-        raise stop
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_atomic_folder_replaces_an_older_run_only_on_success(tmp_path: Path) -> None:
-    target = tmp_path / "a"
-    target.mkdir()
-    (target / "summary.json").write_text("old", encoding="utf-8")
-    (target / "steps.parquet").write_text("old", encoding="utf-8")
-    with pytest.raises(RuntimeError), atomic_folder(target):
-        raise RuntimeError
-    assert (target / "summary.json").read_text(encoding="utf-8") == "old"
-    with atomic_folder(target) as aside:
-        (aside / "summary.json").write_text("new", encoding="utf-8")
-    assert [(f.name, f.read_text(encoding="utf-8")) for f in target.iterdir()] == [
-        ("summary.json", "new")
-    ]
-    assert list(tmp_path.iterdir()) == [target]
-
-
-def test_atomic_folder_refuses_what_is_not_a_run(tmp_path: Path) -> None:
-    target = tmp_path / "thesis"
-    target.mkdir()
-    (target / "chapter.txt").write_text("precious", encoding="utf-8")
-    with pytest.raises(InputError) as caught, atomic_folder(target):
-        pytest.fail("the block must not run")
-    assert str(caught.value) == (
-        f"{target}: exists and is not a run folder (it has no summary.json). "
-        "Choose another folder, or remove this one."
-    )
-    file = target / "chapter.txt"
-    with pytest.raises(InputError) as caught, atomic_folder(file):
-        pytest.fail("the block must not run")
-    assert str(caught.value) == f"{file}: exists and is not a folder. Choose another name."
-    with pytest.raises(InputError) as caught, atomic_folder(file / "run"):
-        pytest.fail("the block must not run")
-    assert str(caught.value) == (
-        f"{file / 'run'}: cannot be written (Not a directory). "
-        "Choose another folder, or check its permissions."
-    )
-
-
-def test_atomic_folder_fills_an_empty_folder(tmp_path: Path) -> None:
-    with atomic_folder(tmp_path / "a") as aside:
-        (aside / "x").write_text("x", encoding="utf-8")
-    (tmp_path / "b").mkdir()
-    with atomic_folder(tmp_path / "b") as aside:
-        (aside / "x").write_text("x", encoding="utf-8")
-    assert sorted(str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*")) == [
-        "a",
-        "a/x",
-        "b",
-        "b/x",
-    ]
-
-
-def test_atomic_write_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "summary.json"
-    atomic_write_text(path, "one £\n")
-    atomic_write_text(path, "two £\n")
-    assert path.read_bytes() == "two £\n".encode()
-
-    def fail(*_: object) -> None:
-        raise OSError("disk full")
-
-    monkeypatch.setattr("os.replace", fail)
-    with pytest.raises(OSError, match="disk full"):
-        atomic_write_text(path, "three")
-    assert path.read_bytes() == "two £\n".encode()
-    assert list(tmp_path.iterdir()) == [path]
 
 
 # --- one table of attributes --------------------------------------------------------------------
