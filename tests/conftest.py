@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import shutil
 from pathlib import Path
 
 import pytest
@@ -70,9 +71,15 @@ def tiny() -> Scenario:
     return tiny_scenario()
 
 
-@pytest.fixture
-def tiny_folder(tiny: Scenario, tmp_path: Path) -> Path:
-    """The tiny day as a scenario folder."""
-    folder = tmp_path / "tiny"
-    write_scenario(tiny, folder)
+@pytest.fixture(scope="session")
+def written_tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The tiny day as a scenario folder, of which each test has a copy."""
+    folder = tmp_path_factory.mktemp("written") / "tiny"
+    write_scenario(tiny_scenario(), folder)
     return folder
+
+
+@pytest.fixture
+def tiny_folder(written_tiny: Path, tmp_path: Path) -> Path:
+    """The tiny day as a scenario folder."""
+    return shutil.copytree(written_tiny, tmp_path / "tiny")

@@ -129,26 +129,11 @@ def test_scenarios_lists_one_name_per_line(monkeypatch: pytest.MonkeyPatch) -> N
 @pytest.mark.daily
 def test_run_writes_the_run_and_prints_its_figures(tiny_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
-    result = call(
-        "run",
-        tiny_folder,
-        "--horizon",
-        2,
-        "--load-bias",
-        0.1,
-        "--pv-error",
-        0.05,
-        "--seed",
-        3,
-        "--thermal",
-        "exact",
-        "--gap",
-        1e-3,
-        "--time-limit",
-        30,
-        "--out",
-        out,
+    options = (
+        "--horizon 2 --load-bias 0.1 --pv-error 0.05 --seed 3 --thermal exact --gap 1e-3 "
+        "--time-limit 30"
     )
+    result = call(f"run {options}", tiny_folder, "--out", out)
     assert (result.exit_code, result.stderr) == (0, "")
     summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
     assert f"{summary['resilience']:.4f}" in result.stdout
@@ -161,36 +146,12 @@ def test_options_reach_the_run(
     tiny_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     options = caught_options(monkeypatch)
-    call(
-        "run",
-        tiny_folder,
-        "--controller",
-        "full-horizon",
-        "--horizon",
-        2,
-        "--solver",
-        "scip",
-        "--method",
-        "monolithic",
-        "--load-bias",
-        0.1,
-        "--load-error",
-        0.2,
-        "--pv-bias",
-        -0.3,
-        "--pv-error",
-        0.4,
-        "--thermal",
-        "euler",
-        "--seed",
-        3,
-        "--gap",
-        1e-3,
-        "--time-limit",
-        30,
-        "--out",
-        tmp_path / "run",
+    words = (
+        "--controller full-horizon --horizon 2 --solver scip --method monolithic --load-bias 0.1 "
+        "--load-error 0.2 --pv-bias -0.3 --pv-error 0.4 --thermal euler --seed 3 --gap 1e-3 "
+        "--time-limit 30"
     )
+    call(f"run {words}", tiny_folder, "--out", tmp_path / "run")
     errors = {"load_bias": 0.1, "load_alpha_per_h": 0.2, "pv_bias": -0.3, "pv_alpha_per_h": 0.4}
     record = options[0].as_record()
     expected = {

@@ -417,18 +417,7 @@ def test_runs_of_different_days(two_runs: list[Path], tmp_path: Path) -> None:
 def test_sweep_solves_in_parallel(tiny_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "sweep"
     result = call(
-        "sweep",
-        tiny_folder,
-        "--param",
-        "horizon",
-        "--values",
-        "2,0",
-        "--out",
-        out,
-        "--jobs",
-        2,
-        "--load-bias",
-        0.1,
+        "sweep --param horizon --values 2,0 --jobs 2 --load-bias 0.1", tiny_folder, "--out", out
     )
     assert (result.exit_code, result.stderr) == (0, "")
     assert result.stdout.endswith(f"Written to {out}\n")
@@ -451,17 +440,7 @@ def test_sweep_solves_in_parallel(tiny_folder: Path, tmp_path: Path) -> None:
 def test_sweep_writes_table_page_and_figure(small_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "sweep"
     result = call(
-        "sweep",
-        small_folder,
-        "--param",
-        "scale.load",
-        "--range",
-        "1:2:3",
-        "--out",
-        out,
-        "--jobs",
-        1,
-        "--json",
+        "sweep --param scale.load --range 1:2:3 --jobs 1 --json", small_folder, "--out", out
     )
     assert (result.exit_code, result.stderr) == (0, "")
     record = json.loads(result.stdout)
@@ -530,18 +509,7 @@ def test_interrupted_sweep_leaves_nothing(
         raise KeyboardInterrupt
 
     monkeypatch.setattr(sweep, "write_run", interrupt)
-    result = call(
-        "sweep",
-        small_folder,
-        "--param",
-        "seed",
-        "--values",
-        "1,2",
-        "--out",
-        tmp_path / "s",
-        "--jobs",
-        1,
-    )
+    result = call("sweep --param seed --values 1,2 --jobs 1", small_folder, "--out", tmp_path / "s")
     assert (result.exit_code, result.stderr) == (130, "Interrupted; nothing was written.\n")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["small"]
 
@@ -646,16 +614,7 @@ def test_bad_sweep(small_folder: Path, tmp_path: Path, arguments: list[str], mes
 
 def test_unknown_solver_ends_the_sweep(tiny_folder: Path, tmp_path: Path) -> None:
     result = call(
-        "sweep",
-        tiny_folder,
-        "--param",
-        "solver",
-        "--values",
-        "glpk",
-        "--jobs",
-        1,
-        "--out",
-        tmp_path / "s",
+        "sweep --param solver --values glpk --jobs 1", tiny_folder, "--out", tmp_path / "s"
     )
     assert (result.exit_code, result.stdout) == (2, "")
     assert "solver = glpk: is not a known solver (highs, scip)" in result.stderr

@@ -13,9 +13,8 @@ import pandapower as pp
 import pandapower.networks as networks
 import pandas as pd
 import pytest
-from typer.testing import CliRunner
 
-from vppres.cli import commands as cli
+from tests.support.command_line import call
 from vppres.core.errors import InputError
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
@@ -331,29 +330,13 @@ def test_folder_reads_back_equal_and_runs(tagged: ImportedFeeder, tmp_path: Path
     assert connected["served"].all()
 
 
-def call(*arguments: str | Path) -> Any:
-    return CliRunner().invoke(cli.app, [str(a) for a in arguments], prog_name="vppres")
-
-
 def test_command_makes_a_valid_folder(tmp_path: Path) -> None:
     folder = tmp_path / "mine"
-    done = call(
-        "new",
-        "cigre-mv-der",
-        folder,
-        "--step-minutes",
-        15,
-        "--days",
-        2,
-        "--start",
-        "2025-07-01T00:00Z",
-        "--outage",
-        "12:00..18:00",
-        "--outage",
-        "2025-07-02T06:00Z..2025-07-02T09:00Z",
-        "--seed",
-        2,
+    options = (
+        "--step-minutes 15 --days 2 --start 2025-07-01T00:00Z --outage 12:00..18:00 "
+        "--outage 2025-07-02T06:00Z..2025-07-02T09:00Z --seed 2"
     )
+    done = call(f"new cigre-mv-der {options}", folder)
     assert done.exit_code == 0, done.stderr
     assert "Open at one end, and kept as shunts of 16.41 kvar" in done.stdout
     assert f"Written to {folder}" in done.stdout
@@ -370,19 +353,8 @@ def test_command_opens_a_loop_of_a_file(tmp_path: Path) -> None:
     assert refused.exit_code == 2
     assert "is meshed" in refused.stderr
     assert not (tmp_path / "out").exists()
-    done = call(
-        "new",
-        file,
-        tmp_path / "out",
-        "--from",
-        "pandapower",
-        "--open",
-        "Line 6-7",
-        "--open",
-        "line 13",
-        "--open",
-        "line 14",
-    )
+    opened = "--open 'Line 6-7' --open 'line 13' --open 'line 14'"
+    done = call(f"new --from pandapower {opened}", file, tmp_path / "out")
     assert done.exit_code == 0, done.stderr
 
 
