@@ -10,6 +10,7 @@ import pandapower as pp
 import pandapower.networks as pp_networks
 import pytest
 
+from tests.support.small_nets import LINE
 from vppres.cli.tables import content_of
 from vppres.core.errors import InputError
 from vppres.day.options import RunOptions
@@ -23,8 +24,6 @@ from vppres.scenario.source import Source
 
 # Some of pandapower's own examples warn while they are built.
 pytestmark = pytest.mark.filterwarnings("ignore::FutureWarning", "ignore::DeprecationWarning")
-
-LINE = {"r_ohm_per_km": 0.3, "x_ohm_per_km": 0.2, "c_nf_per_km": 0.0, "max_i_ka": 1.0}
 
 
 def ring() -> Any:

@@ -25,7 +25,7 @@ from vppres.io import read_scenario, write_scenario
 from vppres.report.plots.files import FIGURES
 from vppres.report.run_folder import write_run
 from vppres.scenario.scenario import Scenario
-from vppres.studies import sweep, sweep_parameters
+from vppres.studies import sweep
 from vppres.studies.compare import read_runs
 from vppres.studies.sweep_page import sweep_figure
 from vppres.studies.sweep_parameters import (
@@ -634,76 +634,6 @@ def varied(name: str, value: float) -> Scenario:
     """The small day with one parameter changed."""
     day = small_scenario()
     return changed(find_parameter(name, day), value, day, RunOptions())[0]
-
-
-def test_every_option_of_run_is_a_parameter() -> None:
-    values = {
-        "controller": "full-horizon",
-        "solver": "scip",
-        "method": "monolithic",
-        "priority": "strict",
-        "thermal": "euler",
-        "mode": "physical",
-        "centre": "literal",
-        "pv-check": "literal",
-        "seed": 3,
-        "max-actions": 4,
-        "cold-load-factor": 1.5,
-        "forecaster": "seasonal",
-        "outages": "likely",
-        "solver-seed": 3,
-        "voltage-limits": "hard",
-        "ratings": "report",
-    }
-    day, options = small_scenario(), RunOptions()
-    for name in sweep_parameters.OPTION_OF:
-        value = values.get(name, 0.5)
-        same, options = changed(find_parameter(name, day), value, day, options)
-        assert same is day
-    assert options.as_record() == {
-        "controller": "full-horizon",
-        "horizon_h": 0.5,
-        "solver": "scip",
-        "method": "monolithic",
-        "errors": {
-            "load_bias": 0.5,
-            "load_alpha_per_h": 0.5,
-            "pv_bias": 0.5,
-            "pv_alpha_per_h": 0.5,
-        },
-        "thermal": "euler",
-        "seed": 3,
-        "limits": {**RunOptions().as_record()["limits"], "gap_rel": 0.5, "time_s": 0.5},
-        "polygon_sides": RunOptions().polygon_sides,
-        "centre": "literal",
-        "pv_check": "literal",
-        "mode": "physical",
-        "headroom": 0.5,
-        "priority": "strict",
-        "voltage_limits": "hard",
-        "ratings": "report",
-        "rotation": 0.5,
-        "turn_h": 0.5,
-        "minimum_on_h": 0.5,
-        "switching": {
-            "min_served_h": 0.5,
-            "min_unserved_h": 0.5,
-            "price_per_action": 0.5,
-            "max_actions_per_customer": 4,
-            "stay_restored": False,
-            "cold_load_factor": 1.5,
-            "cold_load_h": 0.5,
-            "move_weight": 0.5,
-        },
-        "guard": True,
-        "protect_critical": False,
-        "reserve": {"soc": 0.5, "notice_h": 0.5},
-        "soc_end": 0.5,
-        "isolate": None,
-        "forecaster": "seasonal",
-        "forecast_file": None,
-        "outages": "likely",
-    }
 
 
 def test_scenario_parameters_by_hand() -> None:

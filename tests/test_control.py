@@ -14,6 +14,7 @@ import pytest
 import vppres
 from experiments.garbage import beyond_limits, run_one
 from experiments.threads import differing
+from tests.support.small_nets import buses_in_a_row
 from vppres import Controller, InputError, Measurement, RunOptions, Scenario
 from vppres.contract.forecast import ForecastErrors
 from vppres.contract.observation import Observation
@@ -173,20 +174,8 @@ def test_all_mistakes_of_a_measurement_at_once(tiny: Scenario) -> None:
 @pytest.fixture
 def net() -> Any:
     """Three loads behind two buses that a closed switch joins; PV of its own."""
-    net = pp.create_empty_network()
-    pp.create_buses(net, 5, vn_kv=11.0)
-    pp.create_ext_grid(net, 0)
-    for a, b in ((0, 1), (1, 2), (2, 3)):
-        pp.create_line_from_parameters(
-            net,
-            a,
-            b,
-            length_km=1.0,
-            r_ohm_per_km=0.4,
-            x_ohm_per_km=0.3,
-            c_nf_per_km=0.0,
-            max_i_ka=1.0,
-        )
+    net = buses_in_a_row(4, 11.0)
+    pp.create_bus(net, vn_kv=11.0)
     pp.create_switch(net, 3, 4, et="b")
     for bus, p_mw in ((1, 0.2), (2, 0.1), (4, 0.3), (4, 0.1)):
         pp.create_load(net, bus, p_mw=p_mw, q_mvar=0.3 * p_mw)

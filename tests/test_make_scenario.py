@@ -15,6 +15,7 @@ import pandas as pd
 import pytest
 
 from tests.support.command_line import call
+from tests.support.small_nets import buses_in_a_row
 from vppres.core.errors import InputError
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
@@ -39,20 +40,7 @@ def cigre() -> ImportedFeeder:
 @pytest.fixture(scope="module")
 def tagged() -> ImportedFeeder:
     """Four loads; two have a tier, one has no active power, one feeds reactive power."""
-    net = pp.create_empty_network()
-    pp.create_buses(net, 6, vn_kv=11.0)
-    pp.create_ext_grid(net, 0)
-    for bus in range(5):
-        pp.create_line_from_parameters(
-            net,
-            bus,
-            bus + 1,
-            length_km=1.0,
-            r_ohm_per_km=0.3,
-            x_ohm_per_km=0.2,
-            c_nf_per_km=0.0,
-            max_i_ka=1.0,
-        )
+    net = buses_in_a_row(6, 11.0)
     for bus, p_mw, q_mvar in ((1, 0.1, 0.05), (2, 0.2, 0.0), (3, 0.0, 0.02), (4, 0.1, -0.02)):
         pp.create_load(net, bus, p_mw=p_mw, q_mvar=q_mvar)
     net.load["tier"] = ["critical", "", "", "low"]

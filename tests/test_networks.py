@@ -16,6 +16,7 @@ import pandapower.networks as pp_networks
 import pytest
 import scipy.io
 
+from tests.support.small_nets import LINE
 from vppres.core.errors import InputError
 from vppres.feeders import NAMED, ImportedFeeder, import_network
 from vppres.feeders.closeness import NOT_CONVERGED, source_deviation, told_deviation
@@ -29,7 +30,6 @@ from vppres.scenario.source import SourceDeviation
 pytestmark = pytest.mark.filterwarnings("ignore::FutureWarning", "ignore::DeprecationWarning")
 
 AGREEMENT = 1e-6
-LINE = {"r_ohm_per_km": 0.3, "x_ohm_per_km": 0.2, "c_nf_per_km": 0.0, "max_i_ka": 1.0}
 TRAFO = {
     "sn_mva": 1.0,
     "vn_hv_kv": 20.0,
@@ -77,25 +77,12 @@ def built_every_branch() -> Any:
     for _ in range(2):
         pp.create_transformer_from_parameters(net, 2, 4, **TRAFO)
     pp.create_transformer3w_from_parameters(
-        net,
-        2,
-        5,
-        6,
-        vn_hv_kv=20.0,
-        vn_mv_kv=10.0,
-        vn_lv_kv=0.4,
-        sn_hv_mva=2.0,
-        sn_mv_mva=1.0,
-        sn_lv_mva=1.0,
-        vk_hv_percent=6.0,
-        vk_mv_percent=6.0,
-        vk_lv_percent=6.0,
-        vkr_hv_percent=0.9,
-        vkr_mv_percent=0.8,
-        vkr_lv_percent=0.7,
-        pfe_kw=0.0,
-        i0_percent=0.0,
-    )
+        net, 2, 5, 6, pfe_kw=0.0, i0_percent=0.0,
+        vn_hv_kv=20.0, vn_mv_kv=10.0, vn_lv_kv=0.4,
+        sn_hv_mva=2.0, sn_mv_mva=1.0, sn_lv_mva=1.0,
+        vk_hv_percent=6.0, vk_mv_percent=6.0, vk_lv_percent=6.0,
+        vkr_hv_percent=0.9, vkr_mv_percent=0.8, vkr_lv_percent=0.7,
+    )  # fmt: skip
     pp.create_impedance(net, 2, 3, rft_pu=0.01, xft_pu=0.02, sn_mva=1.0)
     pp.create_line_from_parameters(net, 4, 7, length_km=0.02, **LINE)
     for bus, p_mw in ((3, 0.2), (4, 0.15), (5, 0.3), (6, 0.1), (7, 0.05)):
@@ -309,18 +296,7 @@ def test_impedances_by_hand() -> None:
     ("change", "message"),
     [
         (
-            lambda net: pp.create_xward(
-                net,
-                1,
-                ps_mw=0.1,
-                qs_mvar=0,
-                pz_mw=0,
-                qz_mvar=0,
-                r_ohm=1,
-                x_ohm=1,
-                vm_pu=1,
-                name="w",
-            ),
+            lambda net: pp.create_xward(net, 1, 0.1, 0, 0, 0, r_ohm=1, x_ohm=1, vm_pu=1, name="w"),
             "pandapower net: xward 0 (w) is not supported. Replace it by loads, static generators and "
             "lines, or take it out of service.",
         ),

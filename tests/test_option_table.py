@@ -90,6 +90,21 @@ def test_page_names_what_a_sweep_varies() -> None:
     assert f"| {python_alone} | the option of `RunOptions`" in page
 
 
+def test_every_option_of_a_sweep_changes_its_own_field() -> None:
+    day, options = tiny_scenario(), RunOptions()
+    expected = leaves(options.as_record())
+    own = {"cold-load-factor": 1.5, "solver": "scip", "method": "monolithic"}
+    for name, row in sweep_parameters.OPTION_OF.items():
+        others = [choice for choice in row.choices if choice != row.run_default]
+        value = own.get(name) or (others[0] if others else 3 if row.kind is int else 0.5)
+        parameter = sweep_parameters.find_parameter(name, day)
+        same, options = sweep_parameters.changed(parameter, value, day, options)
+        assert same is day
+        assert expected[row.field] != value, name
+        expected[row.field] = value
+    assert leaves(options.as_record()) == expected
+
+
 @pytest.mark.parametrize("kind", CHOICES["controller"])
 def test_scenario_may_name_every_controller_of_the_command_line(kind: str, tmp_path: Path) -> None:
     day = replace(tiny_scenario(), controller=ControllerDefaults(kind, 2.0))

@@ -8,6 +8,7 @@ import numpy as np
 import pandapower as pp
 import pytest
 
+from tests.support.small_nets import buses_in_a_row
 from vppres.feeders import ImportedFeeder, import_network
 from vppres.feeders.new.options import NewScenarioOptions
 from vppres.feeders.new.scenario import assumptions, new_scenario
@@ -15,20 +16,7 @@ from vppres.feeders.new.scenario import assumptions, new_scenario
 
 def feeder_with(*add: Any) -> ImportedFeeder:
     """Three loads behind one another at the buses 1, 2 and 3; whatever else is added to the net."""
-    net = pp.create_empty_network()
-    pp.create_buses(net, 5, vn_kv=11.0)
-    pp.create_ext_grid(net, 0)
-    for bus in range(4):
-        pp.create_line_from_parameters(
-            net,
-            bus,
-            bus + 1,
-            length_km=1.0,
-            r_ohm_per_km=0.3,
-            x_ohm_per_km=0.2,
-            c_nf_per_km=0.0,
-            max_i_ka=1.0,
-        )
+    net = buses_in_a_row(5, 11.0)
     for bus in (1, 2, 3):
         pp.create_load(net, bus, p_mw=0.1, q_mvar=0.03)
     for create in add:

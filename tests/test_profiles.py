@@ -13,6 +13,7 @@ import pytest
 from pandapower.timeseries import DFData
 
 from tests.support.command_line import call
+from tests.support.small_nets import buses_in_a_row
 from vppres.core.errors import InputError
 from vppres.feeders import ImportedFeeder, import_network
 from vppres.feeders.new.options import NewScenarioOptions, first_day
@@ -25,20 +26,7 @@ RISING = np.arange(24.0)
 
 def street() -> Any:
     """Three loads at the buses 1, 2 and 2; PV at bus 2, a windmill alone at bus 3, a battery."""
-    net = pp.create_empty_network()
-    pp.create_buses(net, 4, vn_kv=0.4)
-    pp.create_ext_grid(net, 0)
-    for bus in range(3):
-        pp.create_line_from_parameters(
-            net,
-            bus,
-            bus + 1,
-            length_km=0.1,
-            r_ohm_per_km=0.2,
-            x_ohm_per_km=0.1,
-            c_nf_per_km=0.0,
-            max_i_ka=1.0,
-        )
+    net = buses_in_a_row(4, 0.4, length_km=0.06)
     for bus, p_mw, name in ((1, 0.01, "bakery"), (2, 0.02, "school"), (2, 0.03, "shop")):
         pp.create_load(net, bus, p_mw=p_mw, name=name)
     pp.create_sgen(net, 2, p_mw=0.04, type="PV", name="roof")
