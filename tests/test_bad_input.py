@@ -38,7 +38,7 @@ FILE_CURE = "Add it, or name another file under [files] in scenario.toml."
 
 # Each paragraph is a mistake: the file and what is wrong with it, the lines that are replaced in it
 # ("-") and those that replace them ("+"), and the messages (">"), as whoever reads the folder sees
-# them.
+# them. Lines that replace none come at the end of the file, also of one that is not there yet.
 MISTAKES = (Path(__file__).parent / "bad_scenarios.txt").read_text(encoding="utf-8").split("\n\n")
 
 
@@ -66,7 +66,12 @@ def read_parquet(folder: Path, name: str) -> None:
 def test_message(tiny_folder: Path, mistake: str) -> None:
     title, *lines = mistake.strip("\n").split("\n")
     parts = {kind: [line[1:] for line in lines if line[0] == kind] for kind in "-+>"}
-    edit(tiny_folder, title.partition(":")[0], "\n".join(parts["-"]), "\n".join(parts["+"]))
+    file = title.partition(":")[0]
+    if parts["-"]:
+        edit(tiny_folder, file, "\n".join(parts["-"]), "\n".join(parts["+"]))
+    else:
+        with (tiny_folder / file).open("a", encoding="utf-8") as end:
+            end.write("\n".join([*parts["+"], ""]))
     assert messages(tiny_folder) == [message.strip() for message in parts[">"]]
 
 

@@ -107,17 +107,6 @@ def test_a_network_without_them_has_no_file_and_no_column_of_them(tiny_folder: P
     assert header == "from_bus,to_bus,r_ohm,x_ohm"
 
 
-def test_a_bus_of_the_table_must_be_in_the_network_and_there_once(tiny_folder: Path) -> None:
-    text = "bus,p_fixed_kw,q_shunt_kvar\n3,1.0,\n3,,5\n9,1,1\n"
-    (tiny_folder / "buses.csv").write_text(text, encoding="utf-8")
-    with pytest.raises(InputError) as error:
-        read_scenario(tiny_folder)
-    assert [str(problem) for problem in error.value.problems] == [
-        "buses.csv, row 3, bus = 3: is already used in row 2. Give each bus one row.",
-        "buses.csv, row 4, bus = 9: is not a bus of lines.csv. Correct the bus. Known: 1, 2, 3, 4.",
-    ]
-
-
 def test_round_trip_of_everything_that_is_not_a_default(tiny: Scenario, tmp_path: Path) -> None:
     net = tiny.network
     scenario = replace(

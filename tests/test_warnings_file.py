@@ -1,4 +1,7 @@
-"""``warnings.csv`` and ``[outage_statistics]``: read, written, digested, and what is wrong with them."""
+"""``warnings.csv`` and ``[outage_statistics]``: read, written and digested.
+
+What can be wrong with them stands in bad_scenarios.txt.
+"""
 
 from __future__ import annotations
 
@@ -99,55 +102,6 @@ def test_folders_without_keep_their_digest(tiny: Scenario, tiny_folder: Path) ->
     assert len({plain, *map(scenario_digest, changed)}) == 5
 
 
-@pytest.mark.parametrize(
-    ("rows", "message"),
-    [
-        (
-            "2022-07-19 noon,,,,0,,,",
-            "warnings.csv, row 2, issued_at = 2022-07-19 noon: is not an ISO 8601 time. "
-            "Write it like 2022-07-19T12:00:00Z.",
-        ),
-        (
-            "2022-07-19T05:00,,,,0,,,",
-            "warnings.csv, row 2, issued_at = 2022-07-19T05:00: has no time zone. "
-            "Add the offset, for example 2022-07-19T05:00Z.",
-        ),
-        (
-            ",,,,0,,,",
-            "warnings.csv, row 2, issued_at: is empty. "
-            "Give the time of issue, ISO 8601 with time zone.",
-        ),
-        (
-            "2022-07-19T05:00Z,,2022-07-19T12:00Z,2022-07-19T11:00Z,0.5,,,",
-            "warnings.csv, row 2, onset_latest = 2022-07-19T11:00:00+00:00: "
-            "comes before onset_likely. Put them in their order.",
-        ),
-        (
-            "2022-07-19T05:00Z,,2022-07-19T12:00Z,,0.5,9,5,",
-            "warnings.csv, row 2, duration_p50_h = 5.0: is below duration_p10_h. "
-            "Put them in their order.",
-        ),
-        (
-            "2022-07-19T05:00Z,,2022-07-19T12:00Z,,50,,,",
-            "warnings.csv, row 2, probability = 50: must be at most 1. ",
-        ),
-        (
-            "2022-07-19T05:00Z,,,2022-07-19T12:00Z,0.5,,,",
-            "warnings.csv, row 2, onset_likely: is missing. Give it, or leave out onset_latest too.",
-        ),
-        (
-            "2022-07-19T05:00Z,,2022-07-19T12:00Z,,0.5,,0,",
-            "warnings.csv, row 2, duration_p50_h = 0: must be greater than 0. ",
-        ),
-    ],
-)
-def test_bad_rows_are_named_with_their_cure(tiny_folder: Path, rows: str, message: str) -> None:
-    with pytest.raises(InputError) as caught:
-        read_scenario(with_warnings(tiny_folder, f"{HEADER}{rows}\n"))
-    assert message in str(caught.value)
-    assert len(caught.value.problems) == 1
-
-
 def test_all_mistakes_are_told_at_once(tiny_folder: Path) -> None:
     """Also what contradicts in a row with a cell that cannot be read."""
     header = "issued_at,onset_earliest,onset_likely,probability,duration_p10_h,duration_p50_h\n"
@@ -174,26 +128,3 @@ def test_many_bad_rows_are_folded(tiny_folder: Path) -> None:
         read_scenario(with_warnings(tiny_folder, text))
     assert len(caught.value.problems) <= 11
     assert "and 3" in str(caught.value)
-
-
-def test_unknown_presets_and_columns_are_named(tiny_folder: Path) -> None:
-    with pytest.raises(InputError, match="row 2, preset = storm: must be"):
-        read_scenario(with_warnings(tiny_folder, "issued_at,preset\n2022-07-19T05:00Z,storm\n"))
-    with pytest.raises(InputError, match="is not a known column"):
-        read_scenario(with_warnings(tiny_folder, "issued_at,p\n2022-07-19T05:00Z,1\n"))
-
-
-def test_a_named_file_must_be_there(tiny_folder: Path) -> None:
-    file = tiny_folder / "scenario.toml"
-    file.write_text(file.read_text() + '\n[files]\nwarnings = "alarms.csv"\n', encoding="utf-8")
-    with pytest.raises(InputError, match=r"alarms\.csv: the file is missing"):
-        read_scenario(tiny_folder)
-
-
-def test_bad_statistics_are_named(tiny_folder: Path) -> None:
-    file = tiny_folder / "scenario.toml"
-    file.write_text(
-        file.read_text() + "\n[outage_statistics]\nsaifi_per_year = -1.0\n", encoding="utf-8"
-    )
-    with pytest.raises(InputError, match=r"outage_statistics\.saifi_per_year = -1"):
-        read_scenario(tiny_folder)
