@@ -198,37 +198,10 @@ def caught_options(monkeypatch: pytest.MonkeyPatch) -> list[simulate.RunOptions]
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--solver", "glpk"], "solver = glpk: is not a known solver (highs, scip)"),
-        (
-            ["--method", "magic"],
-            "method = magic: is not a known method. Use one of: decomposed, monolithic.",
-        ),
-        (
-            ["--controller", "pid"],
-            "controller = pid: is not known. Use one of: mpc, full-horizon, "
-            "perfect, idle, reserve.",
-        ),
-        (["--horizon", "-1"], "horizon_h = -1.0: must be zero or positive. Give hours."),
-        (["--load-error", "-1"], "load_alpha_per_h = -1.0: must be a number not below 0."),
-        (["--seed", "-1"], "seed = -1: must not be negative."),
-    ],
-)
-def test_bad_option_is_one_sentence(
-    tiny_folder: Path, tmp_path: Path, arguments: list[str], message: str
-) -> None:
-    result = call("run", tiny_folder, "--out", tmp_path / "run", *arguments)
-    assert (result.exit_code, result.stdout) == (2, "")
-    assert message in result.stderr
-    assert result.stderr.count("\n") == 1
-    assert names_below(tmp_path) == ["tiny"]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
         (["run"], "Missing argument"),
         (["run", "x", "--gap", "nan"], "nan is not a positive number."),
         (["run", "x", "--time-limit", "0"], "0.0 is not a positive number."),
+        (["sweep", "x", "--param", "seed", "--jobs", "0"], "greater than or equal to 1"),
         (["run", "x", "--thermal", "hot"], "'hot' is not one of 'off', 'exact', 'euler'"),
         (["walk"], "No such command 'walk'."),
     ],

@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 from dataclasses import replace
+from doctest import ELLIPSIS, OutputChecker
 from pathlib import Path
 from typing import Any
 
@@ -214,6 +215,26 @@ def test_validate_loads_neither_solver_nor_power_flow_nor_figures() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "loaded []"
+
+
+# What is wrong with options
+
+# Each paragraph is a command and all that it says.
+BAD_COMMANDS = (
+    (Path(__file__).parent / "bad_commands.txt").read_text(encoding="utf-8").split("\n\n")
+)
+
+
+@pytest.mark.parametrize("told", BAD_COMMANDS, ids=lambda told: told.partition("\n")[0])
+def test_wrong_options_are_told_in_sentences(
+    tiny_folder: Path, small_folder: Path, monkeypatch: pytest.MonkeyPatch, told: str
+) -> None:
+    monkeypatch.chdir(tiny_folder.parent)
+    command, _, words = told.strip().partition("\n")
+    result = call(command.removeprefix("$ vppres "), "--out", "out")
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert OutputChecker().check_output(f"{words}\n", result.stderr, ELLIPSIS), result.stderr
+    assert sorted(path.name for path in Path().iterdir()) == ["small", "tiny"]
 
 
 # JSON of run and scenarios
@@ -512,104 +533,6 @@ def test_interrupted_sweep_leaves_nothing(
     result = call("sweep --param seed --values 1,2 --jobs 1", small_folder, "--out", tmp_path / "s")
     assert (result.exit_code, result.stderr) == (130, "Interrupted; nothing was written.\n")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["small"]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (
-            ["--param", "horizont", "--values", "1"],
-            "sweep, --param = horizont: is not a parameter. Did you mean horizon?",
-        ),
-        (
-            ["--param", "network.v_min", "--values", "1"],
-            "sweep, --param = network.v_min: is not a parameter. Did you mean network.v_min_pu?",
-        ),
-        (
-            ["--param", "zzz", "--values", "1"],
-            "sweep, --param = zzz: is not a parameter. Use one of: controller, horizon, solver, ",
-        ),
-        (["--param", "horizon"], "sweep: needs either --values or --range. Give one of them, "),
-        (
-            ["--param", "horizon", "--values", "1", "--range", "0:1:2"],
-            "sweep: needs either --values or --range. Give one of them, ",
-        ),
-        (
-            ["--param", "horizon", "--values", "1,two,nan,,1.0"],
-            "sweep, --values = 1,two,nan,,1.0: two is not a finite number. Give values of horizon, "
-            "separated by commas.\n"
-            "sweep, --values = 1,two,nan,,1.0: nan is not a finite number. Give values of horizon, "
-            "separated by commas.\n"
-            "sweep, --values = 1,two,nan,,1.0: nothing is not a finite number. Give values of horizon, "
-            "separated by commas.\n"
-            "sweep, --values = 1,two,nan,,1.0: 1.0 comes twice. Give each value once.\n",
-        ),
-        (
-            ["--param", "seed", "--values", "1.5"],
-            "sweep, --values = 1.5: 1.5 is not a whole number. Give values of seed, ",
-        ),
-        (
-            ["--param", "seed", "--range", "0:1:3"],
-            "sweep, --values = 0,0.5,1: 0.5 is not a whole number. Give values of seed, ",
-        ),
-        (
-            ["--param", "solver", "--values", "highs,"],
-            "sweep, --values = highs,: nothing is not a word. Give values of solver, ",
-        ),
-        (
-            ["--param", "horizon", "--range", "0:5"],
-            "sweep, --range = 0:5: is not start:stop:n with n from 2 to 1000. Write for example ",
-        ),
-        (
-            ["--param", "horizon", "--range", "0:x:3"],
-            "sweep, --range = 0:x:3: is not start:stop:n ",
-        ),
-        (
-            ["--param", "horizon", "--range", "0:5:1"],
-            "sweep, --range = 0:5:1: is not start:stop:n ",
-        ),
-        (
-            ["--param", "controller", "--range", "0:5:6"],
-            "sweep, --range = 0:5:6: controller takes words, not numbers. Use --values.",
-        ),
-        (
-            ["--param", "horizon", "--values", "1,-1"],
-            "horizon = -1: options, horizon_h = -1.0: must be zero or positive. Give hours.",
-        ),
-        (
-            ["--param", "thermal", "--values", "hot"],
-            "thermal = hot: options, thermal = hot: is not known. Use one of: off, exact, euler.",
-        ),
-        (
-            ["--param", "gap", "--values", "0"],
-            "gap = 0: limits, gap_rel = 0.0: must be a finite number above 0. Give a share, for example ",
-        ),
-        (
-            ["--param", "load_error", "--values", "-0.1"],
-            "load-error = -0.1: forecast errors, load_alpha_per_h = -0.1: must be a number not below 0.",
-        ),
-        (
-            ["--param", "network.v_min_pu", "--values", "0.94,1.06"],
-            "network.v_min_pu = 1.06: scenario.toml, network.v_min_pu = 1.06: must be less than "
-            "v_max_pu (1.053). Correct one of the limits.",
-        ),
-        (
-            ["--param", "batteries.soc_min", "--values", "1.5"],
-            "batteries.soc_min = 1.5: batteries.csv, row 2, soc_min = 1.5: must be at most 1.",
-        ),
-        (
-            ["--param", "outage.hours", "--values", "0.75"],
-            "outage.hours = 0.75: scenario: the outage must last from 0 to 1.5 h in steps of 0.5 h. "
-            "Give another duration.",
-        ),
-        (["--param", "seed", "--values", "1", "--jobs", "0"], "greater than or equal to 1"),
-    ],
-)
-def test_bad_sweep(small_folder: Path, tmp_path: Path, arguments: list[str], message: str) -> None:
-    result = call("sweep", small_folder, "--out", tmp_path / "s", *arguments)
-    assert (result.exit_code, result.stdout) == (2, "")
-    assert message in result.stderr
-    assert not (tmp_path / "s").exists()
 
 
 def test_unknown_solver_ends_the_sweep(tiny_folder: Path, tmp_path: Path) -> None:
