@@ -59,7 +59,7 @@ def test_a_run_with_its_report_loads_what_it_needs(tiny_folder: Path, tmp_path: 
         f"print('loaded', [name for name in {NOT_OF_A_RUN!r} if name in sys.modules])"
     )
     done = subprocess.run(
-        [sys.executable, "-c", code, "run", str(tiny_folder), "--out", str(tmp_path / "run")],
+        [sys.executable, "-c", code, "run", tiny_folder, "--out", tmp_path / "run", "--horizon=0"],
         capture_output=True,
         text=True,
         check=True,

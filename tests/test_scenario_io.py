@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 import tomllib
 from dataclasses import fields, replace
 from pathlib import Path
@@ -436,15 +434,3 @@ def test_json_schema_states_units_bounds_and_required_keys() -> None:
         "unit": "kW",
     }
     assert definitions["ScenarioFile"]["required"] == ["name", "time", "network", "tiers"]
-
-
-@pytest.mark.daily
-def test_reading_loads_no_solver_power_flow_or_plot_library() -> None:
-    code = (
-        "import sys, vppres.io.schema, vppres.io; "
-        "print([m for m in ('cvxpy', 'pandapower', 'matplotlib') if m in sys.modules])"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, text=True, check=True, capture_output=True
-    )
-    assert done.stdout.strip() == "[]"

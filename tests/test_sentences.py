@@ -192,9 +192,10 @@ def wrong_numbers(seed: int, stressed: bool, options: RunOptions) -> tuple[int, 
     times = list(run.steps["time"])
     told = 0
     wrong = []
+    priced_at = cache(lambda time: Priced.of(recorded, times.index(time)))
     for row in run.explanations.itertuples():
         for kind, name, number in numbers(row.words):
-            priced = Priced.of(recorded, times.index(row.time))
+            priced = priced_at(row.time)
             low, high = gained(priced, kind, str(row.id), name)
             if np.isnan(low):
                 continue  # what was recorded leaves no room: a price has no end there

@@ -30,7 +30,7 @@ QUICK_CASES = 2
 """Cases of a quick function that run."""
 LONG_S = 1.5
 """CPU time of a case above which a function is left for the night, unless it is marked daily."""
-USUAL_S = 1.5
+USUAL_S = 1.0
 """CPU time that a usual run grants the random cases of one function; the first always runs."""
 PROPERTY = "processor_s"
 START = pytest.StashKey[float]()
