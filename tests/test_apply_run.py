@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -32,9 +34,10 @@ def crowded_net() -> Any:
     return net
 
 
-def day_of(net: Any, mode: str, **options: Any) -> tuple[Any, Trajectory]:
+@cache
+def day_of(make: Callable[[], Any], mode: str, **options: Any) -> tuple[Any, Trajectory]:
     """The feeder of a net, and six steps on it, two of them without grid."""
-    feeder = vppres.import_network(net)
+    feeder = vppres.import_network(make())
     day = vppres.new_scenario(
         feeder,
         vppres.NewScenarioOptions(
@@ -60,7 +63,7 @@ def agrees(net: Any, feeder: Any, run: Trajectory, t: int) -> None:
 @pytest.mark.parametrize("mode", [pytest.param("paper", marks=pytest.mark.nightly), "physical"])
 def test_every_step_agrees_with_the_record(mode: str) -> None:
     net = crowded_net()
-    feeder, run = day_of(net, mode, add_batteries=True)
+    feeder, run = day_of(crowded_net, mode, add_batteries=True)
     for t, time in enumerate(run.steps["time"]):
         run.apply_to(net, feeder, time)
         agrees(net, feeder, run, t)
@@ -75,7 +78,7 @@ def test_every_step_agrees_with_the_record(mode: str) -> None:
 
 def test_a_run_folder_read_back_does_the_same(tmp_path: Path) -> None:
     net = crowded_net()
-    feeder, run = day_of(net, "physical", add_batteries=True)
+    feeder, run = day_of(crowded_net, "physical", add_batteries=True)
     write_run(run, tmp_path / "run", figures=False)
     read = vppres.read_run(tmp_path / "run")
     read.apply_to(net, feeder, "2025-07-01T08:00Z")
@@ -84,7 +87,7 @@ def test_a_run_folder_read_back_does_the_same(tmp_path: Path) -> None:
 
 def test_in_the_dark_nothing_is_left_on() -> None:
     net = pandapower.networks.case33bw()
-    feeder, run = day_of(net, "physical")
+    feeder, run = day_of(pandapower.networks.case33bw, "physical")
     run.apply_to(net, feeder, "2025-07-01T12:00Z")
     assert not net.ext_grid["in_service"].any()
     assert net.load.loc[net.load["in_service"], "p_mw"].sum() == 0.0
@@ -93,8 +96,8 @@ def test_in_the_dark_nothing_is_left_on() -> None:
 
 
 def test_a_time_that_is_no_step_is_refused() -> None:
-    net = pandapower.networks.case33bw()
-    feeder, run = day_of(net, "paper")
+    net = crowded_net()
+    feeder, run = day_of(crowded_net, "physical", add_batteries=True)
     for time in ("2025-07-01T08:30Z", "yesterday", "2025-07-01T08:00"):
         with pytest.raises(InputError, match="is not the beginning of a step"):
             run.apply_to(net, feeder, time)
@@ -102,7 +105,7 @@ def test_a_time_that_is_no_step_is_refused() -> None:
 
 def test_transformers_and_charging_stay_as_they_are() -> None:
     net = pandapower.networks.simple_four_bus_system()
-    feeder, run = day_of(net, "paper", add_batteries=True)
+    feeder, run = day_of(pandapower.networks.simple_four_bus_system, "paper", add_batteries=True)
     for t, time in enumerate(run.steps["time"]):
         run.apply_to(net, feeder, time)
         agrees(net, feeder, run, t)

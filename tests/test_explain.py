@@ -264,9 +264,10 @@ def test_power_put_into_a_bus_buys_its_shadow_price(bus: int) -> None:
 @pytest.mark.parametrize(
     "t", [11, 14, *(pytest.param(t, marks=pytest.mark.nightly) for t in (7, 12, 17))]
 )
-def test_one_more_kwh_on_the_heatwave_day(heatwave: Trajectory, t: int) -> None:
-    recorded = Recorded(heatwave)
-    model = ShadowPriceModel(recorded.site, recorded.n_seen)
+def test_one_more_kwh_on_the_heatwave_day(
+    priced_heatwave: tuple[Recorded, ShadowPriceModel], t: int
+) -> None:
+    recorded, model = priced_heatwave
     data, held = recorded.seen(t), recorded.held(t, len(recorded.seen(t).price_gbp_per_kwh))
     before = price_window(model, data, held, SERVICE)
     assert before is not None
@@ -285,6 +286,12 @@ def test_one_more_kwh_on_the_heatwave_day(heatwave: Trajectory, t: int) -> None:
 @pytest.fixture(scope="module")
 def heatwave() -> Trajectory:
     return run_day(vppres.read_scenario(vppres.find_scenario("uk-heatwave-2022")))
+
+
+@pytest.fixture(scope="module")
+def priced_heatwave(heatwave: Trajectory) -> tuple[Recorded, ShadowPriceModel]:
+    recorded = Recorded(heatwave)
+    return recorded, ShadowPriceModel(recorded.site, recorded.n_seen)
 
 
 @pytest.fixture(scope="module")
