@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from experiments.random_feeders import random_state
+from tests.support.agreement import assert_agree, both_methods
 from tests.support.dispatch_check import check_dispatch
 from tests.support.exporting import exporting_window
 from tests.support.set_points import decision
@@ -47,7 +48,7 @@ from vppres.report.plots.energy import import_load_pv
 from vppres.scenario.remarks import export_words, remarks
 from vppres.scenario.scenario import ObjectiveWeights, Scenario
 from vppres.solve.ladder import METHODS, WindowSolver
-from vppres.solve.result import SolveLimits, WindowSolution
+from vppres.solve.result import WindowSolution
 
 ANY_STEPS = [(seed, stressed) for stressed in (False, True) for seed in range(16)]
 
@@ -139,6 +140,12 @@ def test_a_battery_does_not_charge_from_another_by_way_of_the_meter() -> None:
 # Against the whole problem.
 
 
+def assert_methods_agree(
+    scenario: Scenario, data: WindowData, state: SwitchingState | None = None
+) -> None:
+    assert_agree(scenario, data, both_methods(Site.of(scenario), data), state)
+
+
 @pytest.mark.monolith
 @pytest.mark.parametrize(("seed", "stressed"), ANY_STEPS)
 def test_masters_agree_with_the_whole_problem(seed: int, stressed: bool) -> None:
@@ -163,23 +170,6 @@ def test_masters_agree_with_losses_and_headroom(seed: int) -> None:
     loss_kw = np.random.default_rng([seed, 9]).uniform(0.0, 0.5, shape)
     physics = replace(physics, loss_kw=loss_kw, loss_kvar=0.5 * loss_kw)
     assert_methods_agree(scenario, replace(data, physics=physics))
-
-
-def assert_methods_agree(
-    scenario: Scenario, data: WindowData, state: SwitchingState | None = None
-) -> None:
-    """Each dispatch is sound, and no bound lies below any of them."""
-    everyone = float(scenario.customers.weight.sum() * scenario.grid.dt_h * data.n_steps)
-    gap = SolveLimits().absolute(everyone)
-    answers = [WindowSolver(Site.of(scenario), method).solve(data) for method in METHODS]
-    best = max(answer.objective for answer in answers)
-    for answer in answers:
-        check = check_dispatch(scenario, data, answer.dispatch, state)
-        assert check.worst[1] <= CHECKER_TOLERANCE, check.worst
-        assert answer.objective == pytest.approx(check.objective, abs=1e-9)
-        assert answer.status == "optimal"
-        assert answer.objective >= best - gap
-        assert answer.bound >= best - 1e-6
 
 
 # Import only.

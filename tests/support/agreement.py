@@ -8,6 +8,7 @@ import pytest
 
 from tests.support.dispatch_check import check_dispatch
 from tests.support.small_windows import CHECKER_TOLERANCE
+from vppres.contract.switching import SwitchingState
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
@@ -27,9 +28,14 @@ def largest_objective(scenario: Scenario, data: WindowData) -> float:
     return float(scenario.customers.weight.sum() * scenario.grid.dt_h * data.n_steps)
 
 
-def assert_sound(scenario: Scenario, data: WindowData, answer: WindowSolution) -> None:
+def assert_sound(
+    scenario: Scenario,
+    data: WindowData,
+    answer: WindowSolution,
+    state: SwitchingState | None = None,
+) -> None:
     """The dispatch satisfies every equation, its objective is what it says, its bound above it."""
-    check = check_dispatch(scenario, data, answer.dispatch)
+    check = check_dispatch(scenario, data, answer.dispatch, state)
     assert check.worst[1] <= CHECKER_TOLERANCE, check.worst
     assert answer.objective == pytest.approx(check.objective, abs=1e-9)
     assert answer.bound >= answer.objective - BOUND_TOLERANCE
@@ -38,11 +44,16 @@ def assert_sound(scenario: Scenario, data: WindowData, answer: WindowSolution) -
     assert answer.gap_abs <= SolveLimits().gap_abs
 
 
-def assert_agree(scenario: Scenario, data: WindowData, answers: Sequence[WindowSolution]) -> None:
+def assert_agree(
+    scenario: Scenario,
+    data: WindowData,
+    answers: Sequence[WindowSolution],
+    state: SwitchingState | None = None,
+) -> None:
     """Objectives are equal within the gap, and no bound lies below any dispatch's objective."""
     gap = SolveLimits().absolute(largest_objective(scenario, data))
-    best = max(answer.objective for answer in answers)
+    best = max((answer.objective for answer in answers), default=0.0)
     for answer in answers:
-        assert_sound(scenario, data, answer)
+        assert_sound(scenario, data, answer, state)
         assert answer.objective >= best - gap
         assert answer.bound >= best - BOUND_TOLERANCE
