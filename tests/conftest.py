@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import gc
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -12,6 +14,9 @@ from tests.support.durations import Durations
 from tests.support.tiny_day import tiny_scenario
 from vppres.io import write_scenario
 from vppres.scenario.scenario import Scenario
+
+if TYPE_CHECKING:
+    from tests.support.live_service import Live
 
 TESTS = Path(__file__).parent
 
@@ -83,3 +88,12 @@ def written_tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def tiny_folder(written_tiny: Path, tmp_path: Path) -> Path:
     """The tiny day as a scenario folder."""
     return shutil.copytree(written_tiny, tmp_path / "tiny")
+
+
+@pytest.fixture
+def live(tiny: Scenario, tmp_path: Path) -> Iterator[Live]:
+    """A service of the tiny feeder at noon, years after its scenario's day."""
+    from tests.support.live_service import at_noon
+
+    with at_noon(tiny, tmp_path / "state") as found:
+        yield found

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from tests.support.asgi import Caller
-from tests.support.live_service import HERE, NOON, decided, readings, site
+from tests.support.live_service import HERE, NOON, Running, decided, readings, site
 from vppres.scenario.scenario import Scenario
 from vppres.service.access import Access, new_token
 from vppres.service.alarms import KINDS, Alarms, Notice
@@ -30,7 +30,7 @@ DARK = {"type": "outage", "start": written(NOON)}
 
 
 @pytest.fixture
-def live(tiny: Scenario, tmp_path: Path) -> Iterator[tuple[Caller, SetClock, Runner]]:
+def live(tiny: Scenario, tmp_path: Path) -> Iterator[Running]:
     clock = SetClock(NOON)
     with opened(Service(site(tiny), HERE), tmp_path, clock) as runner:
         yield Caller(make_app(runner, Access())), clock, runner
@@ -160,7 +160,7 @@ def test_alarms_last_over_a_restart(store: Store) -> None:
 # What raises them in a service.
 
 
-def test_a_calm_service_has_none(live: tuple[Caller, SetClock, Runner]) -> None:
+def test_a_calm_service_has_none(live: Running) -> None:
     http, clock, runner = live
     for hour in range(3):
         decided(http, clock, NOON + hour * HOUR)
@@ -168,7 +168,7 @@ def test_a_calm_service_has_none(live: tuple[Caller, SetClock, Runner]) -> None:
     assert listed(http) == []
 
 
-def test_nobody_decides(live: tuple[Caller, SetClock, Runner]) -> None:
+def test_nobody_decides(live: Running) -> None:
     http, clock, runner = live
     decided(http, clock, NOON)
     http.post("/v1/telemetry", {"series": readings(NOON, "grid_on", {"grid": 0.0})})
@@ -230,7 +230,7 @@ def test_a_longest_time_off_that_ends(tiny: Scenario, tmp_path: Path) -> None:
     assert shown[0]["hospital"] == (None, None)
 
 
-def test_an_island_with_little_left(live: tuple[Caller, SetClock, Runner]) -> None:
+def test_an_island_with_little_left(live: Running) -> None:
     http, clock, runner = live
     http.put("/v1/events/storm", DARK)
     decided(http, clock, NOON, soc=0.2)
@@ -238,9 +238,7 @@ def test_an_island_with_little_left(live: tuple[Caller, SetClock, Runner]) -> No
     assert ("island_margin", "medium", "raised") in listed(http)
 
 
-def test_fallbacks_that_last(
-    live: tuple[Caller, SetClock, Runner], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_fallbacks_that_last(live: Running, monkeypatch: pytest.MonkeyPatch) -> None:
     http, clock, runner = live
     decided(http, clock, NOON)
     assert runner.last is not None
@@ -254,7 +252,7 @@ def test_fallbacks_that_last(
     assert found["text"] == "Steps are decided by a fallback (previous plan): time limit."
 
 
-def test_sources_that_are_silent(live: tuple[Caller, SetClock, Runner]) -> None:
+def test_sources_that_are_silent(live: Running) -> None:
     http, clock, runner = live
     later(runner, 0)
     later(runner, 6)
@@ -267,7 +265,7 @@ def test_sources_that_are_silent(live: tuple[Caller, SetClock, Runner]) -> None:
     assert found["text"] == "No data from scada: soc of big, soc of small."
 
 
-def test_devices_that_reject(live: tuple[Caller, SetClock, Runner]) -> None:
+def test_devices_that_reject(live: Running) -> None:
     http, clock, runner = live
     plan = decided(http, clock, NOON)
     clock.set(NOON + MINUTE)
@@ -290,7 +288,7 @@ def test_devices_that_reject(live: tuple[Caller, SetClock, Runner]) -> None:
 # Over HTTP.
 
 
-def test_operators_acknowledge_and_shelve(live: tuple[Caller, SetClock, Runner]) -> None:
+def test_operators_acknowledge_and_shelve(live: Running) -> None:
     http, clock, runner = live
     http.put("/v1/events/storm", DARK)
     decided(http, clock, NOON, soc=0.151)

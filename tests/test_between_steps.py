@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 
 from tests.support.asgi import Caller
-from tests.support.live_service import HERE, NOON, decided, heard, readings, said, site
+from tests.support.live_service import HERE, NOON, Running, decided, heard, readings, said, site
 from vppres.core.errors import InputError, StorageError
 from vppres.scenario.scenario import Scenario
 from vppres.service.access import Access
@@ -21,7 +21,7 @@ from vppres.service.announced import check_not_over
 from vppres.service.app import make_app
 from vppres.service.clock import SetClock
 from vppres.service.loop import Loop
-from vppres.service.runner import Runner, Service
+from vppres.service.runner import Service
 from vppres.service.serve import opened
 
 LATER = NOON + pd.Timedelta("13min")
@@ -29,7 +29,7 @@ END = "2026-11-21T13:06:00Z"
 
 
 @pytest.fixture
-def live(tiny: Scenario, tmp_path: Path) -> Iterator[tuple[Caller, SetClock, Runner]]:
+def live(tiny: Scenario, tmp_path: Path) -> Iterator[Running]:
     """A service that has decided the step of noon, with grid; it is 12:13."""
     clock = SetClock(NOON)
     with opened(Service(site(tiny), HERE), tmp_path, clock) as runner:
@@ -44,7 +44,7 @@ def grid(on: float, at: pd.Timestamp = LATER) -> dict[str, Any]:
     return {"series": readings(at, "grid_on", {"grid": on})}
 
 
-def test_a_grid_that_is_lost_is_planned_for_at_once(live: tuple[Caller, SetClock, Runner]) -> None:
+def test_a_grid_that_is_lost_is_planned_for_at_once(live: Running) -> None:
     http, clock, runner = live
     before = http.get("/v1/plan").json()
     assert runner.anew() is None
@@ -81,9 +81,7 @@ def test_a_grid_that_is_lost_is_planned_for_at_once(live: tuple[Caller, SetClock
     assert decided(http, clock, NOON + pd.Timedelta("1h"))["status"] == "ok"
 
 
-def test_what_was_stored_in_the_step_counts_when_it_is_decided_anew(
-    live: tuple[Caller, SetClock, Runner],
-) -> None:
+def test_what_was_stored_in_the_step_counts_when_it_is_decided_anew(live: Running) -> None:
     """13 minutes of what was ordered first, then 47 of what was ordered anew."""
     http, clock, runner = live
     first = said(http.get("/v1/plan").json(), "batteries")["big"]["p_kw"]
@@ -99,9 +97,7 @@ def test_what_was_stored_in_the_step_counts_when_it_is_decided_anew(
     assert any(one.startswith(f"soc big {left:.4f} ") for one in silent["estimated"])
 
 
-def test_events_modes_and_refusals_are_planned_for_at_once(
-    live: tuple[Caller, SetClock, Runner],
-) -> None:
+def test_events_modes_and_refusals_are_planned_for_at_once(live: Running) -> None:
     http, clock, runner = live
 
     def anew() -> dict[str, Any]:
@@ -147,9 +143,7 @@ def test_a_service_that_comes_back_within_a_step_sees_what_it_missed(
         assert said(plan, "customers")["hospital"]["served"]
 
 
-def test_the_loop_answers_a_lost_grid_within_seconds(
-    live: tuple[Caller, SetClock, Runner],
-) -> None:
+def test_the_loop_answers_a_lost_grid_within_seconds(live: Running) -> None:
     http, _, runner = live
     loop = Loop(runner)
     loop.start()
@@ -167,7 +161,7 @@ def test_the_loop_answers_a_lost_grid_within_seconds(
 
 
 def test_the_loop_tries_a_new_plan_again_that_could_not_be_kept(
-    live: tuple[Caller, SetClock, Runner], monkeypatch: pytest.MonkeyPatch
+    live: Running, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _, _, runner = live
     done = threading.Event()
@@ -190,9 +184,7 @@ def test_the_loop_tries_a_new_plan_again_that_could_not_be_kept(
     loop.end()
 
 
-def test_a_change_at_the_moment_of_a_plan_is_seen_once_the_clock_goes_on(
-    live: tuple[Caller, SetClock, Runner],
-) -> None:
+def test_a_change_at_the_moment_of_a_plan_is_seen_once_the_clock_goes_on(live: Running) -> None:
     http, _, runner = live
     http.post("/v1/telemetry", grid(0.0))
     assert runner.anew() is not None
@@ -203,9 +195,7 @@ def test_a_change_at_the_moment_of_a_plan_is_seen_once_the_clock_goes_on(
     assert runner.anew() is not None
 
 
-def test_a_step_that_is_not_decided_yet_is_left_to_its_own_plan(
-    live: tuple[Caller, SetClock, Runner],
-) -> None:
+def test_a_step_that_is_not_decided_yet_is_left_to_its_own_plan(live: Running) -> None:
     http, clock, runner = live
     clock.set(NOON + pd.Timedelta("1h"))
     http.put("/v1/events/storm", {"type": "outage", "start": "2026-11-21T13:00:00Z"})
@@ -226,9 +216,7 @@ def test_a_step_that_is_not_decided_yet_is_left_to_its_own_plan(
          "price_gbp_per_kwh": [0.1, 0.2]},
     ],
 )  # fmt: skip
-def test_what_is_wholly_past_is_not_announced(
-    live: tuple[Caller, SetClock, Runner], past: dict[str, Any]
-) -> None:
+def test_what_is_wholly_past_is_not_announced(live: Running, past: dict[str, Any]) -> None:
     """But an event that is known may be ended so."""
     http, _, _ = live
     answer = http.put("/v1/events/old", past)
@@ -257,9 +245,7 @@ def test_a_believed_outage_is_over_when_its_longest_is(
         check_not_over(body, NOON)
 
 
-def test_set_points_beyond_a_rating_and_unknown_assets_are_refused(
-    live: tuple[Caller, SetClock, Runner],
-) -> None:
+def test_set_points_beyond_a_rating_and_unknown_assets_are_refused(live: Running) -> None:
     http, _, _ = live
     manual = {
         "mode": "manual",
@@ -282,9 +268,7 @@ def test_set_points_beyond_a_rating_and_unknown_assets_are_refused(
         assert "Did you mean big?" in http.get(f"{path}?asset=bigg").json()["detail"]
 
 
-def test_an_announced_end_ends_an_outage_that_nobody_reads_any_more(
-    live: tuple[Caller, SetClock, Runner],
-) -> None:
+def test_an_announced_end_ends_an_outage_that_nobody_reads_any_more(live: Running) -> None:
     http, clock, _ = live
     storm = {"type": "outage", "start": "2026-11-21T12:05:00Z", "end": "2026-11-21T13:00:00Z"}
     http.put("/v1/events/storm", storm)

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 
 from tests.support.asgi import Caller
 from tests.support.command_line import call
-from tests.support.live_service import HERE, client, decided, site
+from tests.support.live_service import HERE, Live, client, decided, site
 from vppres.core.errors import InputError
 from vppres.feeds import follow
 from vppres.feeds.adapters import FEEDS, Feed
@@ -193,7 +193,7 @@ class Inside(Client):
 
 
 @contextmanager
-def serving(tiny: Scenario, folder: Path) -> Iterator[tuple[Caller, SetClock]]:
+def serving(tiny: Scenario, folder: Path) -> Iterator[Live]:
     """A service that believes, at eleven."""
     clock = SetClock(ELEVEN)
     options = replace(HERE, outages="belief")

@@ -6,23 +6,16 @@ import json
 import re
 import shutil
 import subprocess
-from collections.abc import Iterator
 from pathlib import Path
 
 import pandapower as pp
 import pandas as pd
 import pytest
 
-from tests.support.asgi import Caller
-from tests.support.live_service import HERE, NOON, decided, readings, said, site
+from tests.support.live_service import NOON, Live, decided, readings, said
 from vppres import NewScenarioOptions, RunOptions, import_network, new_scenario, run_day
 from vppres.io import read_scenario
 from vppres.scenario.scenario import Scenario
-from vppres.service.access import Access
-from vppres.service.app import make_app
-from vppres.service.clock import SetClock
-from vppres.service.runner import Service
-from vppres.service.serve import opened
 
 ROOT = Path(__file__).parents[1]
 BY_HAND = ROOT / "docs" / "howto" / "by-hand.md"
@@ -38,16 +31,7 @@ console.log(JSON.stringify(verdict(view)));
 """
 
 
-@pytest.fixture
-def live(tiny: Scenario, tmp_path: Path) -> Iterator[tuple[Caller, SetClock]]:
-    clock = SetClock(NOON)
-    with opened(Service(site(tiny), HERE), tmp_path / "state", clock) as runner:
-        yield Caller(make_app(runner, Access())), clock
-
-
-def test_a_reading_ten_minutes_before_the_step_serves_the_hospital(
-    live: tuple[Caller, SetClock],
-) -> None:
+def test_a_reading_ten_minutes_before_the_step_serves_the_hospital(live: Live) -> None:
     """The scenario begins nearly empty; 62% is read before the outage."""
     http, _ = live
     http.put(
@@ -61,9 +45,7 @@ def test_a_reading_ten_minutes_before_the_step_serves_the_hospital(
 
 
 @pytest.mark.skipif(shutil.which("node") is None, reason="no node on the path")
-def test_the_page_promises_no_supply_while_the_grid_is_gone(
-    live: tuple[Caller, SetClock], tmp_path: Path
-) -> None:
+def test_the_page_promises_no_supply_while_the_grid_is_gone(live: Live, tmp_path: Path) -> None:
     http, clock = live
     decided(http, clock, NOON, soc=0.85)
     clock.set(NOON + pd.Timedelta("13min"))

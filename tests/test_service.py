@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ from tests.support.asgi import Caller
 from tests.support.live_service import (
     HERE,
     NOON,
+    Live,
     client,
     decided,
     heard,
@@ -73,17 +73,7 @@ def test_the_packaged_day_over_http_is_the_run(tmp_path: Path) -> None:
         assert plan["solve"]["bound"] == run.steps["bound"][t]
 
 
-@pytest.fixture
-def live(tiny: Scenario, tmp_path: Path) -> Iterator[tuple[Caller, SetClock]]:
-    """A service at noon, years after its scenario's day."""
-    clock = SetClock(NOON)
-    with client(Service(site(tiny), HERE), tmp_path, clock) as http:
-        yield http, clock
-
-
-def test_it_rolls_over_midnight_and_notes_what_it_missed(
-    tiny: Scenario, live: tuple[Caller, SetClock]
-) -> None:
+def test_it_rolls_over_midnight_and_notes_what_it_missed(tiny: Scenario, live: Live) -> None:
     http, clock = live
     before_midnight = NOON + pd.Timedelta("11h")
     plans = [
@@ -134,7 +124,7 @@ def test_a_step_is_decided_once_whoever_asks_and_however_often(
 
 
 def test_a_step_that_cannot_be_kept_is_not_decided(
-    tiny: Scenario, live: tuple[Caller, SetClock], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tiny: Scenario, live: Live, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It is decided again as if nothing had been, and what was said before still holds."""
     http, clock = live
@@ -158,7 +148,7 @@ def test_a_step_that_cannot_be_kept_is_not_decided(
         assert decided(other, undisturbed, later)["setpoints"] == plan["setpoints"]
 
 
-def test_set_points_end_and_leave_the_default(live: tuple[Caller, SetClock]) -> None:
+def test_set_points_end_and_leave_the_default(live: Live) -> None:
     http, clock = live
     assert http.get("/v1/setpoints").json()["setpoints"] == []
     http.put("/v1/events/storm", {"type": "outage", "start": "2026-11-21T13:00:00Z"})
@@ -171,7 +161,7 @@ def test_set_points_end_and_leave_the_default(live: tuple[Caller, SetClock]) -> 
     assert http.get("/v1/setpoints?at=noon").json()["problems"][0]["message"].startswith("is not a")
 
 
-def test_health_and_metrics_say_whether_there_is_a_plan(live: tuple[Caller, SetClock]) -> None:
+def test_health_and_metrics_say_whether_there_is_a_plan(live: Live) -> None:
     http, clock = live
     assert http.get("/livez").status == 200
     assert http.get("/v1/plan").json() == {"status": "none"}
@@ -195,9 +185,7 @@ def test_health_and_metrics_say_whether_there_is_a_plan(live: tuple[Caller, SetC
     assert "vppres_step_duration_seconds_count 1.0" in text
 
 
-def test_an_outage_is_an_event_that_begins_may_end_and_may_be_withdrawn(
-    live: tuple[Caller, SetClock],
-) -> None:
+def test_an_outage_is_an_event_that_begins_may_end_and_may_be_withdrawn(live: Live) -> None:
     http, clock = live
     outage = {"type": "outage", "start": "2026-11-21T14:20:00+01:00"}
     made = http.put("/v1/events/storm", outage)
@@ -220,7 +208,7 @@ def test_an_outage_is_an_event_that_begins_may_end_and_may_be_withdrawn(
     assert http.get("/v1/events").json() == {}
 
 
-def test_limits_prices_and_forecasts_reach_the_plan(live: tuple[Caller, SetClock]) -> None:
+def test_limits_prices_and_forecasts_reach_the_plan(live: Live) -> None:
     http, clock = live
     cheap = {"type": "price", "start": "2026-11-21T12:00:00Z", "resolution": "PT1H",
              "price_gbp_per_kwh": [0.01, 5.0, 5.0]}  # fmt: skip
@@ -240,7 +228,7 @@ def test_limits_prices_and_forecasts_reach_the_plan(live: tuple[Caller, SetClock
     assert [p["cure"] for p in problems] == ["Did you mean shop?", "Steps last 60 min."]
 
 
-def test_blind_late_and_lost_are_told_apart(live: tuple[Caller, SetClock]) -> None:
+def test_blind_late_and_lost_are_told_apart(live: Live) -> None:
     http, clock = live
     # Of the small battery nobody has ever heard: it is left out.
     clock.set(NOON)
@@ -266,7 +254,7 @@ def test_blind_late_and_lost_are_told_apart(live: tuple[Caller, SetClock]) -> No
     assert decided(http, clock, NOON + pd.Timedelta("5h"))["late"][0]["asset"] == "shop"
 
 
-def test_telemetry_is_kept_once_and_refused_by_name(live: tuple[Caller, SetClock]) -> None:
+def test_telemetry_is_kept_once_and_refused_by_name(live: Live) -> None:
     http, _ = live
     assert http.post("/v1/telemetry", heard(NOON)).json() == {
         "accepted": 2, "duplicates": 0, "refused": [],
@@ -285,7 +273,7 @@ def test_telemetry_is_kept_once_and_refused_by_name(live: tuple[Caller, SetClock
     )  # fmt: skip
 
 
-def test_off_gives_defaults_until_it_is_over(live: tuple[Caller, SetClock]) -> None:
+def test_off_gives_defaults_until_it_is_over(live: Live) -> None:
     http, clock = live
     off = {"mode": "off", "until": "2026-11-21T13:30:00Z", "reason": "work on the line"}
     assert http.put("/v1/mode", off).json()["mode"] == "off"
@@ -334,7 +322,7 @@ def test_the_gate_lets_nothing_pass_that_a_device_cannot_do(tiny: Scenario) -> N
 
 
 def test_what_the_gate_refuses_becomes_the_default(
-    live: tuple[Caller, SetClock], monkeypatch: pytest.MonkeyPatch
+    live: Live, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     http, clock = live
     monkeypatch.setattr(
@@ -392,7 +380,7 @@ HOSTILE = [
 
 
 @pytest.mark.daily
-def test_hostile_requests_get_a_problem_and_change_nothing(live: tuple[Caller, SetClock]) -> None:
+def test_hostile_requests_get_a_problem_and_change_nothing(live: Live) -> None:
     http, _ = live
     for method, path, body in HOSTILE:
         answer = http.ask(method, path, body, {})
@@ -426,7 +414,7 @@ def test_who_changed_what_is_written_down(tiny: Scenario, tmp_path: Path) -> Non
         ]
 
 
-def test_the_interface_is_the_one_that_is_published(live: tuple[Caller, SetClock]) -> None:
+def test_the_interface_is_the_one_that_is_published(live: Live) -> None:
     """``docs/_static/openapi.json``; write it anew where the change is meant."""
     http, _ = live
     published = Path(__file__).parents[1] / "docs" / "_static" / "openapi.json"

@@ -2,33 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pandas as pd
-import pytest
 
-from tests.support.asgi import Caller
-from tests.support.live_service import HERE, NOON, client, decided, heard, readings, said, site
-from vppres.scenario.scenario import Scenario
-from vppres.service.clock import SetClock, written
-from vppres.service.runner import Service
+from tests.support.live_service import (
+    NOON,
+    Live,
+    decided,
+    heard,
+    readings,
+    said,
+)
+from vppres.service.clock import written
 
 HOUR = pd.Timedelta("1h")
 
 
-@pytest.fixture
-def live(tiny: Scenario, tmp_path: Path) -> Iterator[tuple[Caller, SetClock]]:
-    """A service at noon."""
-    clock = SetClock(NOON)
-    with client(Service(site(tiny), HERE), tmp_path, clock) as http:
-        yield http, clock
-
-
-def test_a_battery_that_refuses_is_left_out_until_it_is_heard(
-    live: tuple[Caller, SetClock],
-) -> None:
+def test_a_battery_that_refuses_is_left_out_until_it_is_heard(live: Live) -> None:
     http, clock = live
     http.put("/v1/events/storm", {"type": "outage", "start": "2026-11-21T15:00:00Z"})
     plan = decided(http, clock, NOON, soc=0.3)
@@ -50,7 +41,7 @@ def test_a_battery_that_refuses_is_left_out_until_it_is_heard(
     assert "battery big is out" not in plan["estimated"]
 
 
-def test_only_set_points_that_there_are_can_be_answered(live: tuple[Caller, SetClock]) -> None:
+def test_only_set_points_that_there_are_can_be_answered(live: Live) -> None:
     http, clock = live
     plan = decided(http, clock, NOON)
     name = said(plan, "customers")["shop"]["id"]
@@ -60,7 +51,7 @@ def test_only_set_points_that_there_are_can_be_answered(live: tuple[Caller, SetC
         assert http.post(f"/v1/setpoints/{other}/status", {"status": "started"}).status == 404
 
 
-def test_set_points_are_held_until_the_end_of_hold(live: tuple[Caller, SetClock]) -> None:
+def test_set_points_are_held_until_the_end_of_hold(live: Live) -> None:
     http, clock = live
     http.put("/v1/events/storm", {"type": "outage", "start": "2026-11-21T13:00:00Z"})
     first = decided(http, clock, NOON, soc=0.3)
@@ -79,7 +70,7 @@ def test_set_points_are_held_until_the_end_of_hold(live: tuple[Caller, SetClock]
     assert http.get("/v1/status").json()["steps"]["hold"] == 1
 
 
-def test_what_is_held_still_passes_the_gate(live: tuple[Caller, SetClock]) -> None:
+def test_what_is_held_still_passes_the_gate(live: Live) -> None:
     """The battery that was charged is full by now."""
     http, clock = live
     http.put("/v1/events/storm", {"type": "outage", "start": "2026-11-21T13:00:00Z"})
@@ -89,7 +80,7 @@ def test_what_is_held_still_passes_the_gate(live: tuple[Caller, SetClock]) -> No
     assert (big["p_kw"], big["reason"]) == (0.0, "default: energy above its upper limit")
 
 
-def test_an_operator_orders_some_and_the_others_stay(live: tuple[Caller, SetClock]) -> None:
+def test_an_operator_orders_some_and_the_others_stay(live: Live) -> None:
     http, clock = live
     first = decided(http, clock, NOON)
     manual: dict[str, Any] = {
@@ -117,7 +108,7 @@ def test_an_operator_orders_some_and_the_others_stay(live: tuple[Caller, SetCloc
     assert decided(http, clock, NOON + 2 * HOUR)["status"] == "ok"
 
 
-def test_a_step_that_nobody_waits_for_is_a_job(live: tuple[Caller, SetClock]) -> None:
+def test_a_step_that_nobody_waits_for_is_a_job(live: Live) -> None:
     http, _ = live
     http.post("/v1/telemetry", heard(NOON))
     answer = http.post("/v1/steps", prefer="respond-async")
@@ -135,7 +126,7 @@ def test_a_step_that_nobody_waits_for_is_a_job(live: tuple[Caller, SetClock]) ->
     assert failed["status"] == "failed" and "is over" in failed["reason"]
 
 
-def test_a_request_that_is_sent_again_means_the_same_step(live: tuple[Caller, SetClock]) -> None:
+def test_a_request_that_is_sent_again_means_the_same_step(live: Live) -> None:
     http, clock = live
     http.post("/v1/telemetry", heard(NOON))
     first = http.post("/v1/steps", idempotency_key="k1").json()

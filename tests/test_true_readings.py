@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +12,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.support.asgi import Caller
-from tests.support.live_service import HERE, NOON, client, decided, heard, readings, said, site
+from tests.support.live_service import (
+    HERE,
+    NOON,
+    Live,
+    client,
+    decided,
+    heard,
+    readings,
+    said,
+    site,
+)
 from tests.support.tiny_day import tiny_scenario
 from vppres.day.options import RunOptions
 from vppres.live.controller import Controller
@@ -29,14 +37,6 @@ SOC = {"big": 0.5, "small": 0.5}
 DARK = {"type": "outage", "start": "2026-11-21T12:00:00Z"}
 
 
-@pytest.fixture
-def live(tiny: Scenario, tmp_path: Path) -> Iterator[tuple[Caller, SetClock]]:
-    """A service at noon, years after its scenario's day."""
-    clock = SetClock(NOON)
-    with client(Service(site(tiny), HERE), tmp_path, clock) as http:
-        yield http, clock
-
-
 # A reading out of its range.
 
 
@@ -44,7 +44,7 @@ def live(tiny: Scenario, tmp_path: Path) -> Iterator[tuple[Caller, SetClock]]:
     ("quantity", "asset", "value"), [("battery_kw", "big", 5e4), ("pv_kw", "roof", 2e4)]
 )
 def test_a_meter_in_watts_is_refused_by_name_and_the_island_is_held(
-    live: tuple[Caller, SetClock], quantity: str, asset: str, value: float
+    live: Live, quantity: str, asset: str, value: float
 ) -> None:
     http, clock = live
     http.put("/v1/events/storm", DARK)
@@ -99,7 +99,7 @@ def test_a_controller_leaves_out_what_no_device_can_have(
 
 @pytest.mark.parametrize("wrong", [ValueError("odd"), KeyError("who")])
 def test_a_step_that_raises_is_decided_by_rule(
-    live: tuple[Caller, SetClock], monkeypatch: pytest.MonkeyPatch, wrong: Exception
+    live: Live, monkeypatch: pytest.MonkeyPatch, wrong: Exception
 ) -> None:
     """In an outage that was known before: who cannot be held is off, not on."""
     http, clock = live
@@ -174,7 +174,7 @@ def test_whatever_is_read_the_step_is_decided(batch: list[Any], dark: bool) -> N
         assert plan["status"] in ("ok", "fallback"), plan
 
 
-def test_a_forecast_has_the_range_of_a_reading(live: tuple[Caller, SetClock]) -> None:
+def test_a_forecast_has_the_range_of_a_reading(live: Live) -> None:
     http, clock = live
     body = {
         "issued_at": "2026-11-21T11:00:00Z",
@@ -206,7 +206,7 @@ def spoken(
     return {"series": [{**one, "resolution": resolution} for one in series]}
 
 
-def test_a_reading_before_the_first_step_holds_the_island(live: tuple[Caller, SetClock]) -> None:
+def test_a_reading_before_the_first_step_holds_the_island(live: Live) -> None:
     """The scenario begins with 0.15 in the big battery; 0.62 was heard ten minutes before."""
     http, clock = live
     http.put("/v1/events/storm", DARK)
@@ -221,7 +221,7 @@ def test_a_reading_before_the_first_step_holds_the_island(live: tuple[Caller, Se
     }
 
 
-def test_a_reading_denies_what_the_plan_believed(live: tuple[Caller, SetClock]) -> None:
+def test_a_reading_denies_what_the_plan_believed(live: Live) -> None:
     """The plan ends above 0.6; ten minutes before the next step 0.25 is heard, in an outage."""
     http, clock = live
     first = decided(http, clock, NOON, soc=0.84)
@@ -273,7 +273,7 @@ def test_what_was_ordered_since_is_added_to_an_older_reading(tiny: Scenario) -> 
     assert second.solve["estimated"] == ""
 
 
-def test_what_was_refused_was_not_stored(live: tuple[Caller, SetClock]) -> None:
+def test_what_was_refused_was_not_stored(live: Live) -> None:
     """The battery said so; its old reading still stands, and it is left out until it is heard."""
     http, clock = live
     http.put("/v1/events/storm", {**DARK, "start": "2026-11-21T13:00:00Z"})
@@ -320,7 +320,7 @@ def test_silent_batteries_hold_the_island_as_if_they_were_heard(
     assert [on["hospital"] for on in served[0]].count(True) >= 2
 
 
-def test_the_gate_checks_what_was_decided_on(live: tuple[Caller, SetClock]) -> None:
+def test_the_gate_checks_what_was_decided_on(live: Live) -> None:
     """A reading that stands still while the battery moved is not believed; nor does the gate."""
     http, clock = live
     decided(http, clock, NOON, soc=0.2)
@@ -335,9 +335,7 @@ def test_the_gate_checks_what_was_decided_on(live: tuple[Caller, SetClock]) -> N
     assert not any(one["reason"].startswith("default") for one in plan["setpoints"])
 
 
-def test_a_critical_customer_that_is_off_on_an_old_reading_is_an_alarm(
-    live: tuple[Caller, SetClock],
-) -> None:
+def test_a_critical_customer_that_is_off_on_an_old_reading_is_an_alarm(live: Live) -> None:
     http, clock = live
     http.put("/v1/events/storm", DARK)
     clock.set(NOON)
@@ -364,9 +362,7 @@ def test_a_critical_customer_that_is_off_on_an_old_reading_is_an_alarm(
 
 
 @pytest.mark.parametrize("factor", [1000.0, 100.0, 0.001])
-def test_a_demand_far_from_its_forecast_is_estimated(
-    live: tuple[Caller, SetClock], factor: float
-) -> None:
+def test_a_demand_far_from_its_forecast_is_estimated(live: Live, factor: float) -> None:
     """The hospital's meter says W, or spikes, from the first step or the second on."""
     http, clock = live
     loads = {"hospital": 64.0, "shop": 42.0, "homes": 47.0}
@@ -412,7 +408,7 @@ def test_a_demand_that_the_import_confirms_is_believed(tiny: Scenario) -> None:
     ],
 )
 def test_a_lost_grid_is_believed_unless_something_contradicts_it(
-    live: tuple[Caller, SetClock], others: list[Any], available: bool
+    live: Live, others: list[Any], available: bool
 ) -> None:
     """Read at noon, decided 40 s later; what was read before the loss says nothing of it."""
     http, clock = live

@@ -20,11 +20,17 @@ from vppres.scenario.timegrid import TimeGrid
 from vppres.service.access import Access
 from vppres.service.app import make_app
 from vppres.service.clock import SetClock, written
-from vppres.service.runner import Service
+from vppres.service.runner import Runner, Service
 from vppres.service.serve import opened
 
 HERE = RunOptions(horizon_h=2.0, isolate=False)
 NOON = pd.Timestamp("2026-11-21T12:00Z")
+
+Live = tuple[Caller, SetClock]
+"""What asks a live service, and its clock."""
+
+Running = tuple[Caller, SetClock, Runner]
+"""The same with the service itself."""
 
 
 def site(tiny: Scenario, minutes: int = 60) -> Scenario:
@@ -45,6 +51,14 @@ def client(
     """A service that is asked without a network in between."""
     with opened(service, folder, clock) as runner:
         yield Caller(make_app(runner, access or Access()))
+
+
+@contextmanager
+def at_noon(tiny: Scenario, folder: Path) -> Iterator[Live]:
+    """A service of the tiny feeder that has decided nothing yet, and its clock."""
+    clock = SetClock(NOON)
+    with client(Service(site(tiny), HERE), folder, clock) as http:
+        yield http, clock
 
 
 def readings(time: pd.Timestamp, quantity: str, values: dict[str, float | None]) -> list[Any]:
