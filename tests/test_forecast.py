@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.support.tiny_day import tiny_scenario
 from vppres.contract.forecast import Forecast, Forecaster, ForecastErrors
 from vppres.core.errors import InputError
 from vppres.scenario.scenario import Scenario
@@ -20,18 +21,19 @@ def assert_equal(one: Forecast, other: Forecast) -> None:
         np.testing.assert_array_equal(getattr(one, f.name), getattr(other, f.name))
 
 
-def sample(scenario: Scenario, errors: ForecastErrors, n: int = 3000) -> tuple[np.ndarray, ...]:
-    """Relative errors of load and PV over ``n`` seeds, shape (n, T, items)."""
-    forecasts = [Forecaster(scenario, errors, seed).at(0, DAY) for seed in range(n)]
+@pytest.fixture(scope="module")
+def sample() -> tuple[np.ndarray, np.ndarray]:
+    """Relative errors of load and PV over 1500 seeds, shape (n, T, items).
+
+    PV ratings are so high that no draw meets the upper clamp.
+    """
+    day = tiny_scenario()
+    day = replace(day, pv=replace(day.pv, p_max_kw=[1e4, 1e4]))
+    forecasts = [Forecaster(day, RANDOM, seed).at(0, DAY) for seed in range(1500)]
     return (
-        np.array([f.load_kw / scenario.load_kw - 1 for f in forecasts]),
-        np.array([f.pv_kw / scenario.pv_kw - 1 for f in forecasts]),
+        np.array([f.load_kw / day.load_kw - 1 for f in forecasts]),
+        np.array([f.pv_kw / day.pv_kw - 1 for f in forecasts]),
     )
-
-
-def with_headroom(scenario: Scenario) -> Scenario:
-    """PV ratings so high that no draw meets the upper clamp."""
-    return replace(scenario, pv=replace(scenario.pv, p_max_kw=[1e4, 1e4]))
 
 
 def test_without_errors_the_forecast_is_the_truth(tiny: Scenario) -> None:
@@ -62,8 +64,8 @@ def test_bias_holds_in_full_from_the_next_step(tiny: Scenario) -> None:
     assert forecast.pv_kw[1:] == pytest.approx(0.9 * tiny.pv_kw[2:])
 
 
-def test_mean_and_deviation_of_the_errors(tiny: Scenario) -> None:
-    load, pv = sample(with_headroom(tiny), RANDOM)
+def test_mean_and_deviation_of_the_errors(sample: tuple[np.ndarray, np.ndarray]) -> None:
+    load, pv = sample
     for error, bias, alpha in [(load, 0.1, 0.02), (pv, -0.05, 0.03)]:
         sigma = alpha * np.arange(1, 6)[:, np.newaxis]
         n = len(error)
@@ -72,8 +74,10 @@ def test_mean_and_deviation_of_the_errors(tiny: Scenario) -> None:
         assert (np.abs(error[:, 1:].std(axis=0) - sigma) < 4 * sigma / np.sqrt(2 * n)).all()
 
 
-def test_errors_of_items_steps_and_kinds_are_independent(tiny: Scenario) -> None:
-    load, pv = sample(with_headroom(tiny), RANDOM)
+def test_errors_of_items_steps_and_kinds_are_independent(
+    sample: tuple[np.ndarray, np.ndarray],
+) -> None:
+    load, pv = sample
     columns = np.concatenate(
         [load[:, 1:].reshape(len(load), -1), pv[:, 1:].reshape(len(pv), -1)], axis=1
     )
