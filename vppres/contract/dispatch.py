@@ -16,7 +16,8 @@ class Dispatch:
     grid's power is negative where it is exported. ``v_node_pu`` are voltages by phase, in plans of
     phased feeders. ``share`` is the part of its demand that each customer gets, 0 where it is off;
     None if all get it whole that are served. ``ev_kw`` is the power of each charger of vehicles,
-    negative to discharge; None if no vehicle is plugged in.
+    negative to discharge; None if no vehicle is plugged in. ``thermal_kw`` is the power of each
+    machine that cools or heats; None if there is none.
     """
 
     served: Flags
@@ -36,6 +37,7 @@ class Dispatch:
     v_node_pu: Floats | None = None
     share: Floats | None = None
     ev_kw: Floats | None = None
+    thermal_kw: Floats | None = None
 
     @property
     def n_steps(self) -> int:

@@ -9,6 +9,7 @@ from vppres.contract.moves import Moves
 from vppres.contract.operating_point import OperatingPoint
 from vppres.contract.owed import Owed
 from vppres.contract.plugged import Plugged
+from vppres.contract.rooms import Rooms
 from vppres.contract.stored_value import StoredValue
 from vppres.contract.switching import SwitchingData, SwitchingState
 from vppres.contract.terminal import Terminal
@@ -98,6 +99,8 @@ class Observation:
         What dimmed customers may still catch up; None if none does.
     plugged : Plugged, optional
         Vehicles that are plugged in or announced; None if there is no charger.
+    rooms : Rooms, optional
+        Rooms and tanks that are cooled or heated; None if there is none.
     told : tuple of Told
         What batteries were told since the last decision, where it was something else.
     """
@@ -125,6 +128,7 @@ class Observation:
     told: tuple[Told, ...] = ()
     owed: Owed | None = None
     plugged: Plugged | None = None
+    rooms: Rooms | None = None
     ev_kw: Floats | None = None
 
     def counted(self, times: float) -> Observation:

@@ -506,6 +506,7 @@ def without_power(data: WindowData, dark: Flags) -> WindowData:
         drawn=data.drawn and data.drawn.where(~dark),
         switching=data.switching and data.switching.in_the_dark(dark),
         plugged=data.plugged and replace(data.plugged, here=data.plugged.here & lit),
+        rooms=data.rooms and data.rooms.in_the_dark(lit),
     )
 
 

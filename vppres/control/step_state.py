@@ -12,6 +12,7 @@ from vppres.contract.dispatch import Dispatch
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
 from vppres.contract.plugged import Plugged
+from vppres.contract.rooms import Rooms
 from vppres.core.arrays import Flags, Floats
 from vppres.model.data import WindowData
 from vppres.model.formulas import (
@@ -53,6 +54,8 @@ class StepState:
         Customers whose longest time off has ended; None where none has one.
     plugged : Plugged, optional
         Vehicles that are plugged in; None if there is no charger.
+    rooms : Rooms, optional
+        Rooms and tanks that are cooled or heated; None if there is none.
     """
 
     site: Site
@@ -69,6 +72,7 @@ class StepState:
     own_v_pu: Floats | None = None
     due: Flags | None = None
     plugged: Plugged | None = None
+    rooms: Rooms | None = None
 
     @classmethod
     def of(
@@ -95,6 +99,7 @@ class StepState:
             own,
             None if seen.switching is None else seen.switching.due,
             now.plugged,
+            now.rooms,
         )
 
     @property

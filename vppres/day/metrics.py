@@ -17,6 +17,7 @@ from vppres.day.inversions import headroom_words, inversion_words
 from vppres.day.phase_figures import phase_figures
 from vppres.day.reliability import fairness_figures, reliability_figures
 from vppres.day.switching_figures import switching_figures
+from vppres.day.thermal_loads import thermal_figures
 from vppres.day.time_off import time_off_figures, time_off_words
 from vppres.day.trajectory import OPTIONS, Trajectory, supplied
 from vppres.day.vehicles import vehicle_figures, vehicle_words
@@ -66,6 +67,7 @@ def summarise(trajectory: Trajectory) -> dict[str, Any]:
         **switching_figures(trajectory),
         **time_off_figures(trajectory),
         **vehicle_figures(trajectory),
+        **thermal_figures(trajectory),
         "corrections": int(trajectory.steps["corrected"].sum()),
         **operation_figures(trajectory),
         **reliability_figures(trajectory),

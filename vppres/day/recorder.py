@@ -15,6 +15,8 @@ from vppres.day.phases import phases, returning_steps
 from vppres.day.trajectory import OPTIONS, SHARE, Trajectory
 from vppres.scenario.network import BusId
 from vppres.scenario.scenario import Scenario
+from vppres.scenario.thermal_loads import ThermalLoads
+from vppres.scenario.vehicles import Chargers
 
 ITEM_COLUMNS = {
     "customers": ("p_load_kw", "q_load_kvar", "served", "shed"),
@@ -71,6 +73,8 @@ class StepRecord:
     """Voltages by phase of the optimisation and of the AC power flow; None without phases."""
     vehicles: Mapping[str, NDArray[Any]] | None = None
     """What each charger did and how its vehicle is, (K,) each; None without chargers."""
+    thermal_loads: Mapping[str, NDArray[Any]] | None = None
+    """What each machine did and how its room or tank is, (H,) each; None without thermal loads."""
 
 
 def voltage_figures(v_model_pu: Floats, v_ac_pu: Floats) -> dict[str, float]:
@@ -148,7 +152,10 @@ class Recorder:
             options=dict(options),
             planned=planned,
             nodes=self._nodes(),
-            vehicles=self._vehicles(),
+            vehicles=self._of_kind("vehicles", "charger", self._scenario.chargers),
+            thermal_loads=self._of_kind(
+                "thermal_loads", "thermal_load", self._scenario.thermal_loads
+            ),
         )
 
     def _check_shapes(self, step: StepRecord) -> None:
@@ -196,18 +203,16 @@ class Recorder:
             }
         )
 
-    def _vehicles(self) -> pd.DataFrame | None:
-        """A row for each step and charger; None without chargers."""
-        day = self._scenario
-        if not len(day.chargers):
+    def _of_kind(self, table: str, item: str, kind: Chargers | ThermalLoads) -> pd.DataFrame | None:
+        """A row for each step and item of a kind of asset; None if the site has none."""
+        if not len(kind):
             return None
-        names = day.chargers.id
-        buses = _bus_labels(day.chargers.buses(day.customers))
-        found = [record.vehicles or {} for record in self._records]
+        buses = _bus_labels(kind.buses(self._scenario.customers))
+        found = [getattr(record, table) for record in self._records]
         return pd.DataFrame(
             {
-                "time": self._times().repeat(len(names)),
-                "charger": np.tile(names, len(found)),
+                "time": self._times().repeat(len(kind)),
+                item: np.tile(kind.id, len(found)),
                 "bus": np.tile(buses, len(found)),
                 **{name: np.concatenate([each[name] for each in found]) for name in found[0]},
             }

@@ -16,18 +16,20 @@ from vppres.contract.observation import Observation
 from vppres.contract.operating_point import OperatingPoint
 from vppres.contract.owed import Owed
 from vppres.contract.plugged import Plugged
+from vppres.contract.rooms import Rooms
 from vppres.contract.switching import SwitchingState
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
 from vppres.day.assembly import make_controller
 from vppres.day.faults import FaultInjector, FaultPlan
 from vppres.day.forecasting import Forecasts, MeasuredForecasts, basis_of, forecasts_of
+from vppres.day.kinds import check_parts
 from vppres.day.options import PERFECT, RunOptions
 from vppres.day.outages import BELIEF, LIKELY, GridSeen, OutageView
 from vppres.day.own import Own
 from vppres.day.recorder import ROTATED, Recorder, StepRecord, voltage_figures
+from vppres.day.thermal_loads import climate_record
 from vppres.day.trajectory import SHARE, Trajectory
-from vppres.day.vehicles import check_parts
 from vppres.forecasts.interface import Forecaster
 from vppres.io.python_door import check_scenario
 from vppres.model.site import Site
@@ -160,6 +162,7 @@ class Day:
             ev_kw=self.ev_kw,
             owed=self.owed,
             plugged=self.plugged(steps),
+            rooms=Rooms.of(self.scenario, steps, self.plant.climate.t_c),
             terminal=Terminal.of(
                 self.options.soc_end, forecast, ends=steps.stop == self.scenario.grid.n_steps
             ),
@@ -200,12 +203,13 @@ class Day:
         done = self.carry_out(t, decision)
         realised = done.realised
         vehicles = _vehicles(self.plant, t, realised)
+        climate = climate_record(self.plant, t, realised)
         result = done.ac
         record = _record(self.scenario, t, decision, self.state, done, self.options)
         steps = {**record.steps, **basis_of(self.forecaster, t)}
         if self.options.outages in (BELIEF, LIKELY):
             steps["outage_messages"] = self.outage_messages
-        record = replace(record, steps=steps, vehicles=vehicles)
+        record = replace(record, steps=steps, vehicles=vehicles, thermal_loads=climate)
         self.operating_point = (
             None
             if done.dark

@@ -25,7 +25,8 @@ TABLES = ("steps", "customers", "pv", "batteries", "buses", "lines")
 EXPLAINING_TABLES = ("explanations", "shadow_prices")
 PHASED_TABLES = ("nodes",)
 VEHICLES = "vehicles"
-OPTIONAL_TABLES = (*EXPLAINING_TABLES, *PHASED_TABLES, VEHICLES)
+THERMAL_LOADS = "thermal_loads"
+OPTIONAL_TABLES = (*EXPLAINING_TABLES, *PHASED_TABLES, VEHICLES, THERMAL_LOADS)
 SHARE = "share"
 """Column of the customers on sites that dim some: the part of its demand that each got."""
 OPTIONS = ("controller", "horizon_h", "solver", "method", "seed")
@@ -78,6 +79,8 @@ class Trajectory:
         Voltages by phase of a phased feeder.
     vehicles : DataFrame, optional
         What chargers of electric vehicles did, one row per step and charger.
+    thermal_loads : DataFrame, optional
+        Power and temperature of rooms and tanks, one row per step and thermal load.
     """
 
     scenario: Scenario
@@ -93,6 +96,7 @@ class Trajectory:
     shadow_prices: pd.DataFrame | None = None
     nodes: pd.DataFrame | None = None
     vehicles: pd.DataFrame | None = None
+    thermal_loads: pd.DataFrame | None = None
 
     @property
     def imported_kw(self) -> Floats:

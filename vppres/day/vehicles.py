@@ -1,4 +1,4 @@
-"""What plans with electric vehicles do not state, refused by name; and figures of vehicles."""
+"""Whether what vehicles miss is dearer than energy; and figures of vehicles."""
 
 from __future__ import annotations
 
@@ -8,11 +8,8 @@ import numpy as np
 
 from vppres.contract.plugged import price_scale
 from vppres.core.errors import InputError
-from vppres.day.options import RunOptions
 from vppres.day.trajectory import Trajectory
 from vppres.scenario.scenario import Scenario
-
-CONTROLLER = "mpc"
 
 NAMED = 5
 """Vehicles that a sentence names."""
@@ -21,57 +18,14 @@ DEARER = 2.0
 """How much dearer a kWh that a vehicle misses must be than any energy that it could be given."""
 
 
-def check_vehicles(scenario: Scenario, options: RunOptions) -> None:
-    """Refuse what plans with chargers cannot hold.
+def check_price(scenario: Scenario) -> None:
+    """Refuse prices beside which missed energy would count nothing.
 
     Raises
     ------
     InputError
-        For feeders with phases, customers in parts that have a charger, controllers that plan no
-        vehicles, and prices beside which missed energy would count nothing.
+        If a missed kWh is not dearer than any energy, with so many vehicles that share the price.
     """
-    chargers = scenario.chargers
-    if not len(chargers):
-        return
-    if scenario.phases is not None:
-        raise InputError.of(
-            "ev_chargers.csv",
-            "is not stated for feeders with phases",
-            "Remove the file, or the phase_*.csv for the balanced equivalent.",
-        )
-    if options.controller != CONTROLLER:
-        raise InputError.of(
-            "options",
-            "plans no vehicles",
-            f"Use {CONTROLLER}, or remove ev_chargers.csv.",
-            field="controller",
-            value=options.controller,
-        )
-    _check_price(scenario)
-
-
-def check_parts(scenario: Scenario) -> None:
-    """Refuse a charger of a customer that is switched in parts: it is not said with which.
-
-    Raises
-    ------
-    InputError
-        If there is one.
-    """
-    parts = dict(zip(scenario.customers.id, scenario.customers.shed_steps, strict=True))
-    for charger, customer in zip(scenario.chargers.id, scenario.chargers.customer, strict=True):
-        if parts.get(customer, 1) > 1:
-            raise InputError.of(
-                "ev_chargers.csv",
-                "is switched in parts (shed_steps)",
-                f"Give charger {charger} a bus instead, or the customer a shed_steps of 1.",
-                field="customer",
-                value=customer,
-            )
-
-
-def _check_price(scenario: Scenario) -> None:
-    """Whether a missed kWh is dearer than any energy, however many vehicles share the price."""
     sessions = scenario.sessions
     least_weight = float(scenario.customers.weight.min())
     scale = price_scale(sessions.weight, sessions.full_kwh, least_weight, scenario.grid.dt_h)

@@ -17,6 +17,7 @@ from vppres.explain.reasons import why_battery_moved, why_curtailed, why_not_ser
 from vppres.explain.recorded import MOVE_KW, Recorded
 from vppres.explain.step import Reason, Step
 from vppres.explain.summary import why_step
+from vppres.explain.thermal_loads import why_prepared
 from vppres.explain.vehicles import why_vehicles
 from vppres.model.phases import phased_model
 from vppres.scenario.phases import PHASES
@@ -130,6 +131,7 @@ def _actions(step: Step) -> list[Row]:
         for p in np.flatnonzero(step.recorded.curtailed_kw[t] > MOVE_KW).tolist()
     ]
     rows += [_row("vehicle", *each) for each in why_vehicles(step)]
+    rows += [_row("thermal_load", *each) for each in why_prepared(step)]
     return rows
 
 

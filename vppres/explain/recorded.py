@@ -15,6 +15,7 @@ from vppres.contract.observation import Observation
 from vppres.contract.operating_point import OperatingPoint
 from vppres.contract.owed import Owed
 from vppres.contract.plugged import Plugged
+from vppres.contract.rooms import Rooms
 from vppres.contract.terminal import Terminal
 from vppres.control.converged import physics_of
 from vppres.control.phased_window import PhasedLinearisation
@@ -104,6 +105,11 @@ class Recorded:
         """Vehicles that were known at the beginning of a window; None without chargers."""
         held_kwh = self._of_vehicles("energy_start_kwh")[steps.start]
         return Plugged.of(self.scenario, steps, held_kwh)
+
+    def _of_climate(self, column: str) -> Floats:
+        """A column of the thermal loads by step and load, (T, H)."""
+        rows = self.trajectory.thermal_loads
+        return np.zeros((self.n_steps, 0)) if rows is None else self._array(rows, column)
 
     @cached_property
     def _owed(self) -> list[Owed | None]:
@@ -312,6 +318,7 @@ class Recorded:
             self._eta_discharge[t],
             owed=self._owed[t],
             plugged=self._plugged(steps),
+            rooms=Rooms.of(self.scenario, steps, self._of_climate("t_start_c")[steps.start]),
             terminal=Terminal.of(self.soc_asked, forecast, ends=steps.stop == self.n_steps),
         )
         told = self._view.told(seen, self._grid_seen[t], self.scenario, t, self._forecaster)
@@ -352,6 +359,8 @@ class Recorded:
         q = site.pv_bus @ pv_q - site.customer_bus @ load_q + site.battery_bus @ self.batt_q_kvar[t]
         if run.vehicles is not None:
             p = p - site.charger_bus @ self._of_vehicles("p_kw")[t]
+        if run.thermal_loads is not None:
+            p = p - site.thermal_bus @ self._of_climate("p_kw")[t]
         return OperatingPoint(
             self.v_ac_pu[t],
             self._array(run.lines, "p_ac_kw")[t],

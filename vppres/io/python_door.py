@@ -18,7 +18,7 @@ from vppres.scenario.scenario import Scenario
 from vppres.scenario.vehicles import OF_SESSIONS
 
 # Attributes that may have no value (a temperature at the start), or no limit.
-_MAY_BE_NAN = {*OF_HOURS, "t_initial_c", *OF_SESSIONS}
+_MAY_BE_NAN = {*OF_HOURS, "t_initial_c", "around_c", *OF_SESSIONS}
 _MAY_BE_INFINITE = {"i_max_a", "grid_limit_kw", "export_limit_kw"}
 
 
@@ -60,6 +60,7 @@ def _names(scenario: Scenario) -> Iterator[Problem]:
         ("batteries", "id", batteries.id),
         ("chargers", "id", scenario.chargers.id),
         ("sessions", "vehicle", scenario.sessions.vehicle),
+        ("thermal_loads", "id", scenario.thermal_loads.id),
         ("network", "buses", scenario.network.buses),
         ("scenario", "tiers", scenario.tiers),
     ]
@@ -84,6 +85,7 @@ def _numbers(scenario: Scenario) -> Iterator[Problem]:
         ("batteries", scenario.batteries, schema.BatteryRow),
         ("chargers", scenario.chargers, schema.ChargerRow),
         ("sessions", scenario.sessions, schema.SessionRow),
+        ("thermal_loads", scenario.thermal_loads, schema.ThermalLoadRow),
         ("load_kw", scenario, schema.LoadSeries),
         ("pv_kw", scenario, schema.PVSeries),
         ("system", scenario, schema.SystemSeries),

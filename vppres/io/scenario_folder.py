@@ -22,6 +22,7 @@ from vppres.io.phase_files import read_phases
 from vppres.io.series import TIME, check_times, read_values
 from vppres.io.settings import SCENARIO_FILE, Settings, read_settings
 from vppres.io.tables import Table, check_columns, no_table, read_rows, read_table
+from vppres.io.thermal_rows import check_thermal_loads, thermal_loads_of
 from vppres.io.vehicle_rows import chargers_of, check_vehicles, sessions_of
 from vppres.io.warning_rows import read_warnings
 from vppres.scenario.assets import OF_TIME_OFF, Batteries, Customers, PVSystems
@@ -47,6 +48,7 @@ _OPTIONAL: dict[str, type[BaseModel]] = {
     "batteries": schema.BatteryRow,
     "ev_chargers": schema.ChargerRow,
     "ev_sessions": schema.SessionRow,
+    "thermal_loads": schema.ThermalLoadRow,
     "warnings": schema.WarningRow,
     "outages": schema.OutageRow,
 }
@@ -65,6 +67,7 @@ class _Folder:
     batteries: Table | None
     ev_chargers: Table | None
     ev_sessions: Table | None
+    thermal_loads: Table | None
     load_kw: Table | None
     pv_kw: Table | None
     system: Table | None
@@ -85,6 +88,7 @@ class _Rows:
     batteries: dict[int, schema.Row]
     chargers: dict[int, schema.Row]
     sessions: dict[int, schema.Row]
+    thermal_loads: dict[int, schema.Row]
     warnings: dict[int, OutageWarning]
     outages: dict[int, Interruption]
 
@@ -166,10 +170,13 @@ def _read_all_rows(content: _Folder) -> tuple[_Rows, list[Problem]]:
     batteries, battery_problems = read_rows(content.batteries, schema.BatteryRow)
     chargers, charger_problems = read_rows(content.ev_chargers, schema.ChargerRow)
     sessions, session_problems = read_rows(content.ev_sessions, schema.SessionRow)
+    thermal, thermal_problems = read_rows(content.thermal_loads, schema.ThermalLoadRow)
     warnings, warning_problems = read_warnings(content.warnings)
     outages, outage_problems = read_interruptions(content.outages)
     return (
-        _Rows(lines, buses, customers, pv, batteries, chargers, sessions, warnings, outages),
+        _Rows(
+            lines, buses, customers, pv, batteries, chargers, sessions, thermal, warnings, outages
+        ),
         line_problems
         + bus_problems
         + customer_problems
@@ -177,6 +184,7 @@ def _read_all_rows(content: _Folder) -> tuple[_Rows, list[Problem]]:
         + battery_problems
         + charger_problems
         + session_problems
+        + thermal_problems
         + warning_problems
         + outage_problems,
     )
@@ -190,7 +198,8 @@ def _check_across(content: _Folder, rows: _Rows) -> list[Problem]:
     pv = content.pv
     batteries = content.batteries
     chargers = content.ev_chargers
-    named = (customers, pv, batteries, chargers)
+    thermal = content.thermal_loads
+    named = (customers, pv, batteries, chargers, thermal)
     problems = [p for table in named if table for p in checks.check_ids(table)]
     if buses:
         problems += checks.check_once(buses, "bus", "Give each bus one row.")
@@ -211,7 +220,7 @@ def _check_across(content: _Folder, rows: _Rows) -> list[Problem]:
     if customers:
         known = customers.column("id").values()
         message = f"is not a customer of {customers.file}"
-        for table in (pv, chargers, content.outages):
+        for table in (pv, chargers, thermal, content.outages):
             if table:
                 problems += checks.check_known(table, "customer", known, message)
     for table in (customers, pv):
@@ -224,6 +233,8 @@ def _check_across(content: _Folder, rows: _Rows) -> list[Problem]:
         tables = (chargers, content.ev_sessions)
         tiers = content.settings.tiers or {}
         problems += check_vehicles(*tables, rows.chargers, rows.sessions, tiers)
+    if thermal:
+        problems += check_thermal_loads(thermal.file, rows.thermal_loads)
     if batteries:
         problems += checks.check_batteries(batteries.file, rows.batteries)
     return problems
@@ -393,6 +404,7 @@ def _assemble(
         phases=phases,
         chargers=chargers_of(rows.chargers, read_bus),
         sessions=sessions_of(rows.sessions, file.tiers),
+        thermal_loads=thermal_loads_of(rows.thermal_loads),
     )
 
 

@@ -21,6 +21,7 @@ from vppres.io.messages import problems_of
 from vppres.io.phase_files import phase_frames
 from vppres.io.series import TIME
 from vppres.io.settings import SCENARIO_FILE, outage_intervals
+from vppres.io.thermal_rows import thermal_load_frames
 from vppres.io.times import iso
 from vppres.io.vehicle_rows import vehicle_frames
 from vppres.scenario.assets import PV, Batteries, Customers, PVSystems
@@ -199,6 +200,7 @@ def _frames(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, pd.
     if scenario.phases is not None:
         frames |= phase_frames(scenario.phases)
     frames |= vehicle_frames(scenario.chargers, scenario.sessions)
+    frames |= thermal_load_frames(scenario.thermal_loads)
     return frames
 
 

@@ -14,6 +14,7 @@ from vppres.control.remembered import memory_of, put_back
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import SolveError, VppresError
 from vppres.day.assembly import make_controller
+from vppres.day.kinds import check_live
 from vppres.day.options import RunOptions
 from vppres.day.outages import KNOWN, LOOKAHEAD_H, OutageView
 from vppres.live.feed import Feed, extended
@@ -117,6 +118,7 @@ class Controller:
         if exact.isolate is None:
             exact = replace(exact, isolate=SUPPORTED)
         endless = replace(scenario.grid, n_steps=ENDLESS)
+        check_live(scenario)
         decider = make_controller(scenario, exact, grid=endless)
         return cls(scenario, exact, decider, state, history)
 

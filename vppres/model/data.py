@@ -13,6 +13,7 @@ from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
 from vppres.contract.owed import Owed
 from vppres.contract.plugged import Plugged
+from vppres.contract.rooms import Rooms
 from vppres.contract.stored_value import Ending, StoredValue
 from vppres.contract.switching import SwitchingData
 from vppres.contract.terminal import Terminal
@@ -150,6 +151,8 @@ class WindowData:
         What dimmed customers may catch up from before the window; None for nothing.
     plugged : Plugged, optional
         Vehicles that are plugged in; None if there is no charger.
+    rooms : Rooms, optional
+        Rooms and tanks that are cooled or heated; None if there is none.
     """
 
     load_kw: Floats
@@ -172,6 +175,7 @@ class WindowData:
     phased: PhasedWindow | None = None
     owed: Owed | None = None
     plugged: Plugged | None = None
+    rooms: Rooms | None = None
 
     @classmethod
     def of(cls, observation: Observation, site: Site, centre: Centre) -> WindowData:
@@ -200,6 +204,7 @@ class WindowData:
             stored_value=observation.stored_value if stores else None,
             owed=observation.owed,
             plugged=observation.plugged and observation.plugged.part(slice(n_steps)),
+            rooms=observation.rooms and observation.rooms.part(slice(n_steps)),
         )
 
     def with_sound_soc(self, batteries: Batteries) -> WindowData:
@@ -270,6 +275,7 @@ class WindowData:
             flow_max_kva=None if self.flow_max_kva is None else self.flow_max_kva[steps],
             phased=self.phased and self.phased.part(steps),
             plugged=self.plugged and self.plugged.part(steps),
+            rooms=self.rooms and self.rooms.part(steps),
         )
 
     def u_limits_pu2(self, network: Network) -> tuple[Floats, Floats]:
@@ -377,6 +383,8 @@ class WindowData:
         useful = load_kw + site.batteries.p_max_kw.sum() + self.network_kw
         if self.plugged is not None:
             useful = useful + self.plugged.here @ site.chargers.p_charge_kw
+        if self.rooms is not None:
+            useful = useful + self.rooms.most_kw.sum(axis=1)
         return np.asarray(np.minimum(np.maximum(self.grid_limit_kw, 0.0), useful))
 
     @property

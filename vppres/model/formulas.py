@@ -17,7 +17,7 @@ from vppres.model.site import Site
 from vppres.scenario.assets import Batteries
 from vppres.scenario.network import Network
 
-Devices = Literal["pv", "batteries", "customers", "chargers"]
+Devices = Literal["pv", "batteries", "customers", "chargers", "thermal_loads"]
 
 # PV systems.
 
@@ -100,8 +100,8 @@ def bus_injections(site: Site, given: Mapping[Devices, Floats]) -> Floats:
     site : Site
         Where the devices are.
     given : mapping of array
-        What ``pv`` (..., P), ``batteries`` (..., B), ``customers`` (..., C) and ``chargers``
-        (..., K) give, in kW or kvar:
+        What ``pv`` (..., P), ``batteries`` (..., B), ``customers`` (..., C), ``chargers``
+        (..., K) and ``thermal_loads`` (..., H) give, in kW or kvar:
         minus (1) for batteries, minus the demand of those served for customers, PV power with
         self-consumption. It is summed in the order given, which decides the last bit.
 
@@ -114,6 +114,7 @@ def bus_injections(site: Site, given: Mapping[Devices, Floats]) -> Floats:
         "batteries": site.battery_bus,
         "customers": site.customer_bus,
         "chargers": site.charger_bus,
+        "thermal_loads": site.thermal_bus,
     }
     first, *others = ((bus[devices] @ power.T).T for devices, power in given.items())
     return np.asarray(sum(others, start=first))

@@ -15,6 +15,7 @@ from vppres.scenario.network import Network
 from vppres.scenario.phases import Phases
 from vppres.scenario.priority import Ranks
 from vppres.scenario.scenario import ObjectiveWeights, Scenario
+from vppres.scenario.thermal_loads import ThermalLoads
 from vppres.scenario.vehicles import Chargers
 
 LESS_THAN_A_UNIT = 0.5
@@ -74,6 +75,7 @@ class Site:
     phases: Phases | None = None
     limits_of: Network | None = None
     chargers: Chargers = field(default_factory=Chargers)
+    thermal_loads: ThermalLoads = field(default_factory=ThermalLoads)
 
     @classmethod
     def of(cls, scenario: Scenario) -> Site:
@@ -92,6 +94,7 @@ class Site:
             scenario.objective,
             scenario.grid.dt_h,
             chargers=scenario.chargers,
+            thermal_loads=scenario.thermal_loads,
         )
 
     def ranked(self, ranks: Ranks, n_steps: int) -> Site:
@@ -136,7 +139,7 @@ class Site:
     def key(self) -> str:
         """Digest of the content: sites of equal content have equal problems."""
         more: list[Any] = [] if self.ranks is None else [self.ranks]
-        more += [self.chargers] if len(self.chargers) else []
+        more += [kind for kind in (self.chargers, self.thermal_loads) if len(kind)]
         rules = " soft" * self.soft_voltages + " rated" * self.rated
         if self.phases is not None:
             rules += f" {self.phases.key} {content_key(self.feeder)}"
@@ -158,6 +161,11 @@ class Site:
     def charger_bus(self) -> sp.csr_array:
         """Shape (N, K): places chargers of vehicles on their buses."""
         return self.network.place(self.chargers.buses(self.customers))
+
+    @cached_property
+    def thermal_bus(self) -> sp.csr_array:
+        """Shape (N, H): places thermal loads on their buses."""
+        return self.network.place(self.thermal_loads.buses(self.customers))
 
     @cached_property
     def owner(self) -> Wholes:

@@ -63,6 +63,7 @@ def excesses(site: Site, data: WindowData, dispatch: Dispatch) -> Excess:
         _ratings,
         _phases,
         _vehicles,
+        _machines,
     )
     rules = 0.0 if data.switching is None else float(data.switching.broken(dispatch.served).sum())
     found = {"switching rules": 2.0 * rules}
@@ -235,3 +236,12 @@ def _vehicles(site: Site, data: WindowData, d: Dispatch) -> Excess:
             (plugged.lowest_kwh - energy_kwh)[plugged.here],
         ),
     }
+
+
+def _machines(site: Site, data: WindowData, d: Dispatch) -> Excess:
+    """Powers of machines that cool or heat."""
+    if data.rooms is None or d.thermal_kw is None:
+        return {}
+    on = d.served[:, site.thermal_loads.owner(site.customers)]
+    tolerance = _power_tolerance(site, data)
+    return {"thermal load": _most(tolerance, d.thermal_kw - on * data.rooms.most_kw, -d.thermal_kw)}

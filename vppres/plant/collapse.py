@@ -71,11 +71,16 @@ def _settled(decision: Decision, realised: Realised, ac: ACResult, ac_failed: st
 
 
 def _reduced(scenario: Scenario, t: int, decision: Decision) -> Iterator[tuple[str, Decision]]:
-    """The decision, then without vehicles and ever more tiers, then without any power at all."""
+    """The decision, then without flexible power and ever more tiers, then without any at all."""
     yield NOBODY, decision
-    if decision.dispatch.ev_kw is not None:
-        idle = _with_row(decision.dispatch.ev_kw, decision.row, 0.0)
-        decision = replace(decision, dispatch=replace(decision.dispatch, ev_kw=idle))
+    asked = decision.dispatch
+    flexible: dict[str, Any] = {
+        name: _with_row(power_kw, decision.row, 0.0)
+        for name, power_kw in (("ev_kw", asked.ev_kw), ("thermal_kw", asked.thermal_kw))
+        if power_kw is not None
+    }
+    if flexible:
+        decision = replace(decision, dispatch=replace(asked, **flexible))
         yield NOBODY, decision
     served = np.array(decision.dispatch.served[decision.row], dtype=bool)
     for tier in reversed(scenario.tiers):

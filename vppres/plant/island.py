@@ -126,6 +126,7 @@ class IslandPlant:
         set_points = powers = powers_of(planned)
         # Every round sheds, stops or curtails something, so this is more than can be needed.
         devices = len(planned.served) + len(planned.pv_self_kw) + np.size(planned.ev_kw)
+        devices += np.size(planned.thermal_kw)
         for _ in range(2 * devices + 20):
             try:
                 found = self._balance(t, powers, state, able)
@@ -212,7 +213,10 @@ class IslandPlant:
         others = ~self.formers
         ev_kw = np.asarray(powers.ev_kw)
         if found.left_kw >= -self.tolerance_kw:
-            # Vehicles come before batteries, and both before customers.
+            # Machines come before vehicles, these before batteries, and all before customers.
+            machines = np.asarray(powers.thermal_kw)
+            if found.left_kw > self.tolerance_kw and machines.sum() > 0:
+                return replace(powers, thermal_kw=machines - part_of(machines, need_kw))
             vehicles = np.maximum(ev_kw, 0.0)
             if found.left_kw > self.tolerance_kw and vehicles.sum() > 0:
                 return replace(powers, ev_kw=ev_kw - part_of(vehicles, need_kw))
@@ -313,6 +317,7 @@ def powers_of(realised: Realised) -> Powers:
         realised.batt_q_kvar,
         realised.share,
         realised.ev_kw,
+        realised.thermal_kw,
     )
 
 

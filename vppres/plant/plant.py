@@ -14,6 +14,7 @@ from vppres.contract.decision import Decision
 from vppres.core.arrays import Flags, Floats
 from vppres.physics.cold_load import ColdLoad
 from vppres.physics.thermal import Power, ThermalScheme, advance, initial_state
+from vppres.plant.rooms import Climate
 from vppres.plant.vehicles import Garage
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
@@ -41,7 +42,7 @@ class Powers:
 
     ``served`` has the shape (C,), the ``pv`` fields (P,), the batteries' (B,); kW and kvar.
     ``share`` is the part of its demand that each customer gets if it is served, ``ev_kw`` (K,) the
-    power of each charger of vehicles.
+    power of each charger of vehicles, ``thermal_kw`` (H,) that of each machine that cools or heats.
     """
 
     served: Flags
@@ -53,6 +54,7 @@ class Powers:
     batt_q_kvar: Floats
     share: Floats | float = 1.0
     ev_kw: Floats | float = 0.0
+    thermal_kw: Floats | float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +62,7 @@ class Realised:
     """One step as it happened; powers in kW and kvar, injections (N,) positive as generation.
 
     ``load_kw`` (C,) is the demand, served or not; ``share`` the part of it that those get who are.
-    ``ev_kw`` (K,) is the power of each charger.
+    ``ev_kw`` (K,) is the power of each charger, ``thermal_kw`` (H,) that of each machine.
     """
 
     served: Flags
@@ -78,6 +80,7 @@ class Realised:
     load_kw: Floats
     share: Floats | float = 1.0
     ev_kw: Floats | float = 0.0
+    thermal_kw: Floats | float = 0.0
 
 
 class Plant:
@@ -109,6 +112,10 @@ class Plant:
         self._charger_bus = np.array(
             [index[b] for b in scenario.chargers.buses(scenario.customers)], dtype=int
         )
+        self.climate = Climate(scenario)
+        self._thermal_bus = np.array(
+            [index[b] for b in scenario.thermal_loads.buses(scenario.customers)], dtype=int
+        )
         self._customer_bus = np.array([index[b] for b in scenario.customers.bus], dtype=int)
         self.battery_bus = np.array([index[b] for b in scenario.batteries.bus], dtype=int)
         self.owner = scenario.pv.owner(scenario.customers)
@@ -133,6 +140,7 @@ class Plant:
         """State before the step after ``t``."""
         self.cold_load.advance(realised.served)
         self.garage.advance(t, np.broadcast_to(realised.ev_kw, len(self.garage.kwh)))
+        self.climate.advance(t, np.broadcast_to(realised.thermal_kw, len(self.climate.t_c)))
         power = Power(realised.charge_kw, realised.discharge_kw)
         thermal = advance(
             self.scenario.batteries,
@@ -167,8 +175,12 @@ class Plant:
         )
         ev_kw = np.zeros(len(self.garage.kwh)) if plan.ev_kw is None else plan.ev_kw[row]
         ev_kw = self.garage.possible_kw(t, ev_kw, served)
+        machines_kw = 0.0 if plan.thermal_kw is None else plan.thermal_kw[row]
+        thermal_kw = self.climate.possible_kw(np.asarray(machines_kw), served)
         net_kw = charge - discharge
-        powers = Powers(served, own, export, curtailed, pv_q, net_kw, batt_q, share, ev_kw)
+        powers = Powers(
+            served, own, export, curtailed, pv_q, net_kw, batt_q, share, ev_kw, thermal_kw
+        )
         return self.realise(t, powers, state, float(clipped))
 
     def load_kw(self, t: int, served: Flags) -> Floats:
@@ -192,6 +204,8 @@ class Plant:
         )
         ev_kw = np.where(self.garage.on(powers.served), powers.ev_kw, 0.0)
         np.add.at(p, self._charger_bus, -ev_kw)
+        thermal_kw = self.climate.possible_kw(np.asarray(powers.thermal_kw), powers.served)
+        np.add.at(p, self._thermal_bus, -thermal_kw)
         np.add.at(q, self._pv_bus, powers.pv_q_kvar)
         np.add.at(q, self.battery_bus, powers.batt_q_kvar)
         soc_end = np.clip(
@@ -213,6 +227,7 @@ class Plant:
             load_kw,
             powers.share,
             ev_kw,
+            thermal_kw,
         )
 
     def _split_pv(

@@ -101,6 +101,11 @@ def simplifications(run: Trajectory) -> list[str]:
             f"{len(day.sessions)} sessions of vehicles at {len(day.chargers)} chargers come after "
             "service; a plan knows those that are plugged in or announced."
         )
+    if len(day.thermal_loads):
+        sentences.append(
+            f"{len(day.thermal_loads)} rooms and tanks come after service; the temperature outside "
+            "is known."
+        )
     if options.get("thermal") == "off":
         sentences.append("Battery efficiencies are constant: heating is not simulated.")
     if options.get("mode", "paper") == "paper" and day.outage.any():

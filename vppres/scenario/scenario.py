@@ -20,6 +20,7 @@ from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
 from vppres.scenario.phases import Phases, check_phases
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.source import Source
+from vppres.scenario.thermal_loads import ThermalLoads
 from vppres.scenario.timegrid import TimeGrid
 from vppres.scenario.vehicles import Chargers, Sessions, sessions_by_step
 
@@ -161,6 +162,8 @@ class Scenario:
         The three phases of the feeder; None for a balanced one.
     chargers, sessions : Chargers, Sessions
         Chargers of electric vehicles, and when which vehicle is plugged in.
+    thermal_loads : ThermalLoads
+        Rooms and tanks that are cooled or heated.
     """
 
     name: str
@@ -193,6 +196,7 @@ class Scenario:
     phases: Phases | None = None
     chargers: Chargers = field(default_factory=Chargers)
     sessions: Sessions = field(default_factory=Sessions)
+    thermal_loads: ThermalLoads = field(default_factory=ThermalLoads)
 
     def __post_init__(self) -> None:
         if self.phases is not None:

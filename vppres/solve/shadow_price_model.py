@@ -140,6 +140,7 @@ def _padded(data: WindowData, missing: int) -> WindowData:
         physics=data.physics and data.physics.followed_by_nothing(missing),
         phased=data.phased and data.phased.followed_by_rest(missing),
         plugged=data.plugged and data.plugged.followed_by_none(missing),
+        rooms=data.rooms and data.rooms.followed_by_none(missing),
     )
 
 

@@ -90,6 +90,7 @@ def violations(
         _service(row, state),
         _battery_power(row, state, within),
         _chargers(row, state, within),
+        _machines(row, state, within),
         _energy(row, state, within),
         _pv(row, state, within),
         _balance(row, state, within),
@@ -110,12 +111,14 @@ class _Row:
     batt_q_kvar: Floats
     v_pu: Floats
     ev_kw: Floats
+    thermal_kw: Floats
 
     @classmethod
     def of(cls, decision: Decision, site: Site) -> _Row:
         plan = decision.dispatch
         row = decision.row
         idle = np.zeros(len(site.chargers))
+        none = np.zeros(len(site.thermal_loads))
         return cls(
             np.asarray(plan.supplied[row], dtype=float),
             plan.pv_curtailed_kw[row],
@@ -125,6 +128,7 @@ class _Row:
             plan.batt_q_kvar[row],
             plan.v_pu[row],
             idle if plan.ev_kw is None else plan.ev_kw[row],
+            none if plan.thermal_kw is None else plan.thermal_kw[row],
         )
 
 
@@ -134,6 +138,7 @@ def _shapes(decision: Decision, site: Site) -> list[str]:
         **dict.fromkeys(("served", "share"), len(site.customers)),
         "v_pu": site.network.n_buses,
         "ev_kw": len(site.chargers),
+        "thermal_kw": len(site.thermal_loads),
         "v_node_pu": 0 if site.phases is None else len(site.phases.measured),
         **dict.fromkeys(("p_flow_kw", "q_flow_kvar"), site.network.n_lines),
         **dict.fromkeys(("charge_kw", "discharge_kw", "batt_q_kvar", "soc"), len(site.batteries)),
@@ -193,6 +198,17 @@ def _chargers(row: _Row, state: StepState, within: Tolerances) -> str:
     return _worst("charger power", chargers.id, beyond - slack, beyond, "kW")
 
 
+def _machines(row: _Row, state: StepState, within: Tolerances) -> str:
+    """Ratings of machines that cool or heat; none runs for a customer that is off."""
+    loads = state.site.thermal_loads
+    if state.rooms is None:
+        return ""
+    owner_on = row.served[loads.owner(state.site.customers)] > 0.0
+    beyond = np.maximum(row.thermal_kw - owner_on * state.rooms.most_kw[0], -row.thermal_kw)
+    slack = within.power_kw + within.power_share * loads.p_max_kw
+    return _worst("thermal load power", loads.id, beyond - slack, beyond, "kW")
+
+
 def _energy(row: _Row, state: StepState, within: Tolerances) -> str:
     """State of charge at the end of the step."""
     b = state.site.batteries
@@ -218,7 +234,7 @@ def _balance(row: _Row, state: StepState, within: Tolerances) -> str:
     served_kw = state.load_kw * row.served
     curtailed = curtailed_kw(state.site, row.curtailed_kw, state.pv_kw, served_kw)
     taken = float(state.load_kw @ row.served + row.charge_kw.sum() + state.drawn_kw.sum())
-    taken += float(row.ev_kw.sum())
+    taken += float(row.ev_kw.sum()) + float(row.thermal_kw.sum())
     given = float((state.pv_kw - curtailed).sum() + row.discharge_kw.sum())
     losses_kw = given_kw = 0.0
     if within.losses:
@@ -268,6 +284,8 @@ def _losses_kw(row: _Row, curtailed_kw: Floats, state: StepState) -> float:
     }
     if len(site.chargers):
         given["chargers"] = -row.ev_kw
+    if len(site.thermal_loads):
+        given["thermal_loads"] = -row.thermal_kw
     p_kw = bus_injections(site, given)
     q_kvar = bus_injections(
         site,

@@ -145,6 +145,8 @@ def injections(site: Site, data: WindowData, dispatch: Dispatch) -> tuple[Floats
     given: dict[Devices, Floats] = {"pv": through, "customers": -load, "batteries": battery_kw}
     if dispatch.ev_kw is not None:
         given["chargers"] = -dispatch.ev_kw
+    if dispatch.thermal_kw is not None:
+        given["thermal_loads"] = -dispatch.thermal_kw
     p_kw = bus_injections(site, given)
     q_kvar = bus_injections(
         site, {"pv": dispatch.pv_q_kvar, "batteries": dispatch.batt_q_kvar, "customers": -load_kvar}

@@ -16,6 +16,7 @@ from vppres.model.beyond_paper.ratings import LineRatings
 from vppres.model.beyond_paper.stored_value import ValueAtEnd
 from vppres.model.beyond_paper.switching import SwitchingModel
 from vppres.model.beyond_paper.terminal import HeldAtEnd
+from vppres.model.beyond_paper.thermal_loads import ThermalLoadsModel
 from vppres.model.beyond_paper.vehicles import Vehicles
 from vppres.model.data import WindowData
 from vppres.model.site import Site
@@ -34,7 +35,7 @@ OF_WINDOWS: tuple[type[Addition], ...] = (
 BY_HEART: tuple[type[Addition], ...] = (*OF_WINDOWS, LineRatings)
 """The same, and what shadow prices alone state: ratings, whose rows windows make by hand."""
 
-ADDITIONS: tuple[type[Addition], ...] = (*OF_WINDOWS, DimmedDemand, Vehicles)
+ADDITIONS: tuple[type[Addition], ...] = (*OF_WINDOWS, DimmedDemand, Vehicles, ThermalLoadsModel)
 """All of the package's; of others those stages know nothing, and are left out."""
 
 _OWN: list[type[Addition]] = []

@@ -47,6 +47,7 @@ ACTIONS = {
     "charged": "vehicle charged",
     "given_back": "vehicle discharged",
     "left_short": "vehicle left short",
+    "prepared": "cooled or heated ahead",
 }
 
 

@@ -1,0 +1,94 @@
+"""Kinds of assets that plans do not state everywhere: what is refused, by name and with a cure."""
+
+from __future__ import annotations
+
+from vppres.core.errors import InputError
+from vppres.day.options import RunOptions
+from vppres.scenario.scenario import Scenario
+from vppres.scenario.thermal_loads import ThermalLoads
+from vppres.scenario.vehicles import Chargers
+
+CONTROLLER = "mpc"
+
+
+def _kinds(scenario: Scenario) -> list[tuple[str, str, Chargers | ThermalLoads]]:
+    """File of each kind that the site has, what a controller plans of it, and its items."""
+    kinds: list[tuple[str, str, Chargers | ThermalLoads]] = [
+        ("ev_chargers.csv", "vehicles", scenario.chargers),
+        ("thermal_loads.csv", "thermal loads", scenario.thermal_loads),
+    ]
+    return [kind for kind in kinds if len(kind[2])]
+
+
+def check_kinds(scenario: Scenario, options: RunOptions) -> None:
+    """Refuse feeders with phases, controllers that plan none of them, and cold load twice.
+
+    Raises
+    ------
+    InputError
+        For the first kind that the site has.
+    """
+    for file, what, _ in _kinds(scenario):
+        if scenario.phases is not None:
+            raise InputError.of(
+                file,
+                "is not stated for feeders with phases",
+                "Remove the file, or the phase_*.csv for the balanced equivalent.",
+            )
+        if options.controller != CONTROLLER:
+            raise InputError.of(
+                "options",
+                f"plans no {what}",
+                f"Use {CONTROLLER}, or remove {file}.",
+                field="controller",
+                value=options.controller,
+            )
+
+    if options.switching.cold and len(scenario.thermal_loads):
+        raise InputError.of(
+            "options",
+            "counts what thermal loads draw after an outage twice",
+            "Use 1: what restored customers draw follows from their temperatures.",
+            field="cold_load_factor",
+            value=options.switching.cold_load_factor,
+        )
+
+
+def check_parts(scenario: Scenario) -> None:
+    """Refuse items of a customer that is switched in parts: it is not said with which.
+
+    Raises
+    ------
+    InputError
+        If there is one.
+    """
+    parts = dict(zip(scenario.customers.id, scenario.customers.shed_steps, strict=True))
+    for file, _, items in _kinds(scenario):
+        for name, customer in zip(items.id, items.customer, strict=True):
+            if parts.get(customer, 1) > 1:
+                cure = "Give the customer a shed_steps of 1."
+                if isinstance(items, Chargers):
+                    cure = f"Give charger {name} a bus instead, or the customer a shed_steps of 1."
+                raise InputError.of(
+                    file,
+                    "is switched in parts (shed_steps)",
+                    cure,
+                    field="customer",
+                    value=customer,
+                )
+
+
+def check_live(scenario: Scenario) -> None:
+    """Refuse thermal loads in a live controller: no temperature is measured, and none is told.
+
+    Raises
+    ------
+    InputError
+        If the site has any.
+    """
+    if len(scenario.thermal_loads):
+        raise InputError.of(
+            "thermal_loads.csv",
+            "is not stated for live controllers",
+            "Remove the file: customers then keep what their demand has of cooling and heat.",
+        )

@@ -1,0 +1,50 @@
+"""Rooms and tanks as they really are: their temperature, whoever is supplied.
+
+Arithmetic of its own, apart from the model.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vppres.core.arrays import Flags, Floats
+from vppres.scenario.scenario import Scenario
+
+
+class Climate:
+    """Temperature of all rooms and tanks from step to step.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Thermal loads, customers, temperatures outside and steps.
+
+    Attributes
+    ----------
+    t_c : array, shape (H,)
+        Temperature of each at the end of the last step.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.scenario = scenario
+        self.t_c = scenario.thermal_loads.t_initial_c
+        self._owner = scenario.thermal_loads.owner(scenario.customers)
+
+    def possible_kw(self, wanted_kw: Floats, served: Flags) -> Floats:
+        """Power of each machine nearest to what is wanted; none of a customer that is off, (H,)."""
+        most_kw = self.scenario.thermal_loads.p_max_kw * served[self._owner]
+        return np.clip(wanted_kw, 0.0, most_kw)
+
+    def after_c(self, t: int, power_kw: Floats) -> Floats:
+        """Temperature at the end of a step with these powers, (H,)."""
+        loads = self.scenario.thermal_loads
+        outside_c = float(self.scenario.temperature_c[t])
+        heat_kw = loads.gain_kw + power_kw * loads.heat_per_kw(outside_c)
+        rests_at_c = loads.surroundings_c(outside_c) + heat_kw * loads.r_c_per_kw
+        time_constant_h = loads.r_c_per_kw * loads.c_kwh_per_c
+        away_c = (self.t_c - rests_at_c) * np.exp(-self.scenario.grid.dt_h / time_constant_h)
+        return np.asarray(rests_at_c + away_c)
+
+    def advance(self, t: int, power_kw: Floats) -> None:
+        """The state at the end of a step."""
+        self.t_c = self.after_c(t, power_kw)

@@ -1,0 +1,74 @@
+"""Rooms and tanks that a machine cools or heats: a frozen table.
+
+A site without such loads has a table of length 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+
+import numpy as np
+
+from vppres.core.arrays import Flags, Floats, Names, Wholes, freeze_fields
+from vppres.scenario.assets import Customers
+
+
+def _none() -> Floats:
+    return np.empty(0)
+
+
+def _nobody() -> Names:
+    return np.empty(0, dtype=object)
+
+
+@dataclass(frozen=True, eq=False)
+class ThermalLoads:
+    """Rooms and tanks, shape (H,) each.
+
+    Each is behind the switch of its ``customer`` and has its bus, tier and weight. It loses heat
+    through ``r_c_per_kw`` and stores it in ``c_kwh_per_c``. ``around_c`` is NaN where the outside
+    air is around it. Machines have a power factor of 1.
+    """
+
+    id: Names = field(default_factory=_nobody)
+    customer: Names = field(default_factory=_nobody)
+    heats: Flags = field(default_factory=lambda: np.empty(0, dtype=bool))
+    p_max_kw: Floats = field(default_factory=_none)
+    cop: Floats = field(default_factory=_none)
+    cop_at_c: Floats = field(default_factory=_none)
+    cop_per_c: Floats = field(default_factory=_none)
+    r_c_per_kw: Floats = field(default_factory=_none)
+    c_kwh_per_c: Floats = field(default_factory=_none)
+    t_min_c: Floats = field(default_factory=_none)
+    t_max_c: Floats = field(default_factory=_none)
+    t_initial_c: Floats = field(default_factory=_none)
+    gain_kw: Floats = field(default_factory=_none)
+    around_c: Floats = field(default_factory=_none)
+
+    def __post_init__(self) -> None:
+        others = {"id": object, "customer": object, "heats": bool}
+        freeze_fields(self, **{f.name: others.get(f.name, float) for f in fields(self)})
+
+    def __len__(self) -> int:
+        return len(self.id)
+
+    def owner(self, customers: Customers) -> Wholes:
+        """Position of each load's customer, (H,)."""
+        position = {c: i for i, c in enumerate(customers.id)}
+        return np.array([position[c] for c in self.customer], dtype=int)
+
+    def buses(self, customers: Customers) -> Names:
+        """Bus of each load, (H,)."""
+        return customers.bus[self.owner(customers)]
+
+    def heat_per_kw(self, outside_c: Floats | float) -> Floats:
+        """Heat that a kW brings in, negative for cooling, (H,), or (W, H) for (W, 1) outside.
+
+        The coefficient of performance is a line over the temperature outside, and at least 1.
+        """
+        cop = np.maximum(self.cop + self.cop_per_c * (outside_c - self.cop_at_c), 1.0)
+        return np.where(self.heats, cop, -cop)
+
+    def surroundings_c(self, outside_c: Floats | float) -> Floats:
+        """Temperature around each load, (H,), or (W, H) for (W, 1) outside."""
+        return np.where(np.isnan(self.around_c), outside_c, self.around_c)
