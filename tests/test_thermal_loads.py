@@ -22,6 +22,7 @@ from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.model.violations import broken
 from vppres.plant.plant import Plant
+from vppres.report.events import events_of
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.thermal_loads import ThermalLoads
@@ -233,6 +234,12 @@ def test_a_day_tells_of_cooling_ahead(tmp_path: Path) -> None:
     assert explanations is not None
     words = explanations[explanations["action"] == "prepared"]["words"].tolist()
     assert words[-1] == f"Cooled to {t_c[3]:.1f} °C because the grid goes at 04:00."
+    left = int(np.argmax(t_c > 25.0 + 1e-6))
+    comfort = [event for event in events_of(run) if "comfort" in event.words]
+    assert [event.words for event in comfort] == [
+        f"1 room or tank leaves its comfort band: h0 ({t_c[left]:.1f} °C)."
+    ]
+    assert comfort[0].t == left + 1
     write_scenario(day, tmp_path / "day")
     again = read_scenario(tmp_path / "day")
     assert scenario_digest(again) == scenario_digest(day)

@@ -39,7 +39,7 @@ class Event:
 
 
 def events_of(run: Trajectory) -> list[Event]:
-    """Outages, customers off, restored and dimmed, empty batteries, and vehicles left short."""
+    """Outages, customers off, restored and dimmed, empty batteries, missed needs and comfort."""
     found = sorted(
         [
             *_outage_events(run),
@@ -47,6 +47,7 @@ def events_of(run: Trajectory) -> list[Event]:
             *_dimmed_events(run),
             *_battery_events(run),
             *_vehicle_events(run),
+            *_comfort_events(run),
         ],
         key=lambda entry: entry[0],
     )
@@ -122,6 +123,22 @@ def _vehicle_events(run: Trajectory) -> Iterator[tuple[int, str]]:
         ]
         what = "vehicle leaves" if len(names) == 1 else "vehicles leave"
         yield t + 1, f"{len(names)} {what} short: {named(names, NAMES_SHOWN)}."
+
+
+def _comfort_events(run: Trajectory) -> Iterator[tuple[int, str]]:
+    """Rooms and tanks that leave their comfort band."""
+    rows = run.thermal_loads
+    if rows is None:
+        return
+    names = run.scenario.thermal_loads.id
+    t_c, away_c = (
+        rows[name].to_numpy(float).reshape(-1, len(names)) for name in ("t_end_c", "outside_band_c")
+    )
+    leaves = (away_c > 0.0) & ~np.vstack([np.zeros_like(names, dtype=bool), away_c[:-1] > 0.0])
+    for t in np.flatnonzero(leaves.any(axis=1)).tolist():
+        who = [f"{names[h]} ({t_c[t, h]:.1f} °C)" for h in np.flatnonzero(leaves[t])]
+        what = "room or tank leaves its" if len(who) == 1 else "rooms or tanks leave their"
+        yield t + 1, f"{len(who)} {what} comfort band: {named(who, NAMES_SHOWN)}."
 
 
 def _day(run: Trajectory) -> str:
