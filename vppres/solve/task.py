@@ -38,9 +38,6 @@ COST_SHARE = 0.1
 """Share of the time left for a cheaper set, or a better bound on cost, where the plan is certified
 without: far less is at stake than the gap, and most such searches find nothing."""
 
-SMALLER = 0.99
-"""Share of a gap below which another search to the smaller one may tell anything new."""
-
 GRACE_S = 0.3
 GRACE_S_PER_BUS = 1.4e-3
 """What the way to the first answer may take beyond the time limit, all of its steps together:
@@ -200,7 +197,7 @@ class WindowTask:
         if not ended or known.best is None or self.deadline.passed:
             return ended
         smaller = self.gap_to_best
-        if smaller < SMALLER * gap and known.bound - known.best.value > share * smaller:
+        if smaller < gap and known.bound - known.best.value > share * smaller:
             return search(share * smaller)
         return ended
 

@@ -39,10 +39,6 @@ SERVICE_SHARE = 0.6
 """Share of the time left that service may take; the rest is for cost and a dispatch. A window that
 spends it all here keeps the set of the linear solution, which is seldom more than 1 % off."""
 
-LOSSY_GAP_SHARE = 0.4
-"""Share of the window's gap that the search for service may leave open where PV power must be lost:
-the levels after it have to weigh the loss again."""
-
 SPARE_CUSTOMERS = 3
 """Customers of the largest weight whom a set may lose beyond what shares of customers lose: a
 linear solution has a fraction for each cut that binds."""
@@ -386,7 +382,7 @@ class Counts:
         cuts = self._touching(block)
         layout, program = self._of_service(block)
         if not self.whole or any(cut.weights[layout.lost] for cut in cuts):
-            solver = self._search(program, cuts, LOSSY_GAP_SHARE * self.gap)
+            solver = self._search(program, cuts, GAP_SHARE * self.gap)
             return self._found(solver, layout, deadline)
         # Below one unit a whole number is known; a window of many units needs no such proof.
         gap = max(WHOLE_GAP, share * GAP_SHARE * self.gap)

@@ -17,7 +17,7 @@ from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import Deadline
 from vppres.solve.direct import Start
 from vppres.solve.dispatch import eased
-from vppres.solve.fleet.counts import LOSSY_GAP_SHARE, Counts
+from vppres.solve.fleet.counts import Counts
 from vppres.solve.fleet.demand import DemandModel
 from vppres.solve.fleet.relaxation import (
     FleetProblem,
@@ -108,9 +108,9 @@ class Binaries:
         """Most service in units, f3 rounded in favour to a whole number, and a set that has it."""
         problem = fleet_problem(self.cache, self.data, self.lumped, integer=True, goal="service")
         problem.write(self.data, all_connected=True)
-        open_units = max(WHOLE_GAP, GAP_SHARE * gap)
-        if self.data.keeps_service:
-            open_units = LOSSY_GAP_SHARE * gap
+        open_units = GAP_SHARE * gap
+        if not self.data.keeps_service:
+            open_units = max(WHOLE_GAP, open_units)
         left_s = self.deadline.left_s
         outcome = search_for_set(problem, self.spec, open_units, left_s)
         if not self.data.keeps_service:

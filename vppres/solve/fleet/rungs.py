@@ -17,16 +17,13 @@ from vppres.solve.dispatch import (
 )
 from vppres.solve.fleet.masters import Master
 from vppres.solve.forms import Form, window_problem
-from vppres.solve.programs import HALF_UNIT, WHOLE_GAP
+from vppres.solve.programs import GAP_SHARE, HALF_UNIT, WHOLE_GAP
 from vppres.solve.result import Status
 from vppres.solve.solvers import run
 from vppres.solve.task import COST_SHARE, WindowTask
 
 NOTHING_LOST = 1e-6
 """Share of the gap by which the service of everyone may be missed: rounding of its sum."""
-
-MODES_GAP_SHARE = 0.5
-"""The same of the search with the modes of all batteries, which also leaves cost to its gap."""
 
 
 def everyone_served(task: WindowTask) -> None:
@@ -113,7 +110,7 @@ def with_modes_of_batteries(task: WindowTask) -> None:
     if outcome.status == Status.OPTIMAL:
         known.bound_by(outcome.bound)
     if task.goes_on:
-        task.search_to_its_gap(MODES_GAP_SHARE, partial(_search_modes, task))
+        task.search_to_its_gap(GAP_SHARE, partial(_search_modes, task))
 
 
 def _search_modes(task: WindowTask, gap: float) -> bool:
