@@ -43,6 +43,7 @@ from vppres.model.site import Site
 from vppres.model.violations import broken
 from vppres.plant.plant import Plant
 from vppres.report.run_folder import render_report
+from vppres.scenario.remarks import brief_sessions
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.vehicles import Chargers, Sessions
 from vppres.service.clock import SetClock, written
@@ -245,6 +246,16 @@ def test_what_is_known_of_sessions() -> None:
     assert seen.needed_kwh[3, 0] == pytest.approx(48.0)
     assert seen.needed_kwh[5, 1] == pytest.approx(18.0 + 30.0 * 7 / 12)
     assert seen.part(slice(2)).needed_kwh[1, 1] == pytest.approx(18.0 + 30.0 * 3 / 12)
+
+
+def test_a_vehicle_within_a_step_is_named_and_leaves_plans_as_they_are() -> None:
+    """It has no whole step: its charger is empty, not one that holds energy without a vehicle."""
+    day = two_buses([[1.0]] * 8, [1.0], [OPEN] * 8)
+    day = plugged_in(replace(day, chargers=chargers()), (2.4, 2.9))
+    plugged = known(day).plugged
+    assert plugged is not None and not plugged.held_kwh.any()
+    assert WindowSolver(Site.of(day)).solve(known(day)).status == "optimal"
+    assert "no whole step of 60 min" in brief_sessions(day)
 
 
 @pytest.mark.monolith

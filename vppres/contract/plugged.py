@@ -73,22 +73,23 @@ class Plugged:
         column = {name: k for k, name in enumerate(chargers.id)}
         first, after = sessions.steps(scenario.grid)
         known = sessions.announced | (first <= steps.start)
-        for s in np.flatnonzero(known & (first < steps.stop) & (after > steps.start)):
+        inside = np.minimum(after, steps.stop) > np.maximum(first, steps.start)
+        for s in np.flatnonzero(known & inside):
             k = column[sessions.charger[s]]
             begin = max(first[s], steps.start) - steps.start
             end = min(after[s], steps.stop) - steps.start
-            inside = slice(begin, end)
+            stay = slice(begin, end)
             held_kwh = sessions.held_kwh[s]
             over = np.arange(steps.start + begin, steps.start + end) + 1 - first[s]
             grown = over / (after[s] - first[s])
             before = first[s] <= steps.start
-            found.here[inside, k] = True
+            found.here[stay, k] = True
             found.stays[begin + 1 : end, k] = True
             found.held_kwh[begin, k] = now_kwh[k] if before else held_kwh
-            found.full_kwh[inside, k] = sessions.full_kwh[s]
-            found.floor_kwh[inside, k] = sessions.floor_kwh[s]
-            found.line_kwh[inside, k] = held_kwh + grown * (sessions.needed_kwh[s] - held_kwh)
-            found.weight[inside, k] = sessions.weight[s]
+            found.full_kwh[stay, k] = sessions.full_kwh[s]
+            found.floor_kwh[stay, k] = sessions.floor_kwh[s]
+            found.line_kwh[stay, k] = held_kwh + grown * (sessions.needed_kwh[s] - held_kwh)
+            found.weight[stay, k] = sessions.weight[s]
         return found
 
     def __len__(self) -> int:

@@ -186,6 +186,19 @@ def short_times_off(scenario: Scenario) -> str:
     )
 
 
+def brief_sessions(scenario: Scenario) -> str:
+    """Vehicles that are plugged in for no whole step of the time grid, in a sentence."""
+    sessions, grid = scenario.sessions, scenario.grid
+    first, after = sessions.steps(grid)
+    brief = sessions.vehicle[(after == first) & (first >= 0) & (first < grid.n_steps)]
+    if not len(brief):
+        return ""
+    return (
+        f"Plugged in for no whole step of {grid.step_minutes:g} min, and so not charged: "
+        f"{named(brief, FORMERS_SHOWN)}. Use shorter steps."
+    )
+
+
 def remarks(scenario: Scenario, mode: str | None = None) -> list[str]:
     """What to know: source and how exact it is, dark islands, dear export, tiers, import.
 
@@ -203,5 +216,6 @@ def remarks(scenario: Scenario, mode: str | None = None) -> list[str]:
         dear_export(scenario),
         rising_weights(scenario),
         short_times_off(scenario),
+        brief_sessions(scenario),
     ]
     return [*first, *filter(None, said), *scenario.source.notes]
