@@ -130,6 +130,7 @@ def test_valid_scenario_as_json(tiny_folder: Path) -> None:
         "batteries": 2,
         "chargers": 0,
         "ev_sessions": 0,
+        "thermal_loads": 0,
         "steps": 6,
         "step_minutes": 60.0,
         "outage_steps": 2,

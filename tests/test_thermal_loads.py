@@ -16,6 +16,7 @@ from vppres import Controller, InputError, RunOptions, explain_day, run_day, sum
 from vppres.contract.decision import Decision
 from vppres.contract.rooms import Rooms
 from vppres.control.guard.check import violations
+from vppres.day.thermal_loads import thermal_words
 from vppres.io import read_scenario, write_scenario
 from vppres.io.digest import scenario_digest
 from vppres.model.data import WindowData
@@ -230,6 +231,7 @@ def test_a_day_tells_of_cooling_ahead(tmp_path: Path) -> None:
     assert rows["t_start_c"].to_numpy()[1:] == pytest.approx(t_c[:-1], abs=0.0)
     figures = summarise(run)["thermal_loads"]
     assert figures["missed_k_h"] == pytest.approx(np.maximum(t_c - 25.0, 0.0).sum(), abs=1e-4)
+    assert thermal_words(run)[0].startswith("1 of 1 room or tank outside the comfort band, for ")
     explanations = explain_day(run).explanations
     assert explanations is not None
     words = explanations[explanations["action"] == "prepared"]["words"].tolist()
@@ -259,6 +261,9 @@ def test_what_is_not_stated_is_refused_by_name() -> None:
         run_day(parts, RunOptions(isolate=False))
     with pytest.raises(InputError, match="plans no thermal loads"):
         run_day(day, RunOptions(controller="idle", isolate=False))
+    dear = replace(day, objective=replace(day.objective, lambda_grid=1.0))
+    with pytest.raises(InputError, match=r"lambda_grid.*energy dearer.*comfort of 1 rooms"):
+        run_day(dear, RunOptions(isolate=False))
     cold = SwitchingRules(cold_load_factor=2.0, cold_load_h=1.0)
     with pytest.raises(InputError, match="twice"):
         run_day(day, RunOptions(isolate=False, switching=cold))

@@ -53,6 +53,7 @@ def content_of(day: Scenario) -> dict[str, Any]:
         "batteries": len(day.batteries),
         "chargers": len(day.chargers),
         "ev_sessions": len(day.sessions),
+        "thermal_loads": len(day.thermal_loads),
         "steps": day.grid.n_steps,
         "step_minutes": float(day.grid.step_minutes),
         "outage_steps": int(day.outage.sum()),
@@ -91,11 +92,17 @@ def validation_text(problems: Sequence[Problem | str], content: Mapping[str, Any
     if content is None:
         return "\n".join([*map(str, problems), f"{counted(len(problems), 'problem')}."])
     batteries = counted(content["batteries"], "battery", "batteries")
-    chargers = counted(content["chargers"], "charger") + " with "
-    chargers += counted(content["ev_sessions"], "session") + ", "
+    kinds = [
+        batteries,
+        f"{counted(content['chargers'], 'charger')} with "
+        f"{counted(content['ev_sessions'], 'session')}"
+        if content["chargers"]
+        else "",
+        counted(content["thermal_loads"], "thermal load") if content["thermal_loads"] else "",
+    ]
     holds = (
         "{name} is valid: {buses} buses, {customers} customers, {generators}, "
-        f"{batteries}, {chargers if content['chargers'] else ''}"
+        f"{', '.join(filter(None, kinds))}, "
         "{steps} steps of {step_minutes:g} min, {outage_steps} of "
         "them without grid; {export}; islands in {mode} mode."
     ).format_map(content)

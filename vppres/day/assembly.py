@@ -23,13 +23,13 @@ from vppres.control.rotation import Rotating
 from vppres.core.errors import InputError
 from vppres.day.dimmed import check_dimmed
 from vppres.day.faults import FaultInjector, FaultySolver
+from vppres.day.kind_prices import check_prices
 from vppres.day.kinds import check_kinds
 from vppres.day.options import RunOptions
 from vppres.day.outages import check_outages
 from vppres.day.own import ByStepWeights, Own
 from vppres.day.phased import check_phased
 from vppres.day.priority import site_of, weighed
-from vppres.day.vehicles import check_price
 from vppres.model.site import Site
 from vppres.scenario.fairness import Fairness, hours_off
 from vppres.scenario.priority import STRICT
@@ -75,7 +75,7 @@ def make_controller(
     check_dimmed(scenario, options)
     check_phased(scenario, options)
     check_kinds(scenario, options)
-    check_price(scenario)
+    check_prices(scenario, options.horizon_h)
     check_outages(str(options.outages), options.controller)
     site = site_of(scenario, options.as_record())
     make = make_solver or _solver_maker(options)

@@ -17,7 +17,7 @@ from vppres.day.inversions import headroom_words, inversion_words
 from vppres.day.phase_figures import phase_figures
 from vppres.day.reliability import fairness_figures, reliability_figures
 from vppres.day.switching_figures import switching_figures
-from vppres.day.thermal_loads import thermal_figures
+from vppres.day.thermal_loads import thermal_figures, thermal_words
 from vppres.day.time_off import time_off_figures, time_off_words
 from vppres.day.trajectory import OPTIONS, Trajectory, supplied
 from vppres.day.vehicles import vehicle_figures, vehicle_words
@@ -97,6 +97,7 @@ def cautions(trajectory: Trajectory) -> list[str]:
         *([off] if off else []),
         *time_off_words(trajectory),
         *vehicle_words(trajectory),
+        *thermal_words(trajectory),
         *unknown_phases(trajectory.scenario),
         *_blackouts(trajectory),
         *inversion_words(trajectory),

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from vppres.core.arrays import Floats
+from vppres.core.text import counted
 from vppres.day.trajectory import Trajectory
 from vppres.plant.plant import Plant, Realised
 
@@ -66,3 +67,21 @@ def thermal_figures(trajectory: Trajectory) -> dict[str, Any]:
             "machines_kwh": float(rows["p_kw"].sum()) * dt_h,
         }
     }
+
+
+def thermal_words(trajectory: Trajectory) -> list[str]:
+    """How long rooms and tanks were outside their comfort band, in a sentence; none if none was."""
+    figures = thermal_figures(trajectory).get("thermal_loads", {})
+    if not figures.get("missed_k_h"):
+        return []
+    rows = trajectory.thermal_loads
+    assert rows is not None
+    missed = rows.loc[rows["outside_band_c"] > 0.0, "thermal_load"].nunique()
+    by_tier = ", ".join(
+        f"{tier} {hours:g} h" for tier, hours in figures["hours_outside_band_by_tier"].items()
+    )
+    return [
+        f"{missed} of {counted(figures['loads'], 'room or tank', 'rooms and tanks')} outside the "
+        f"comfort band, for {figures['hours_outside_band']:g} h and "
+        f"{figures['missed_k_h']:.1f} K h in all ({by_tier})."
+    ]

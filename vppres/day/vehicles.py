@@ -1,48 +1,13 @@
-"""Whether what vehicles miss is dearer than energy; and figures of vehicles."""
+"""Figures of vehicles, and words about those that left short."""
 
 from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
-from vppres.contract.plugged import price_scale
-from vppres.core.errors import InputError
 from vppres.day.trajectory import Trajectory
-from vppres.scenario.scenario import Scenario
 
 NAMED = 5
 """Vehicles that a sentence names."""
-
-DEARER = 2.0
-"""How much dearer a kWh that a vehicle misses must be than any energy that it could be given."""
-
-
-def check_price(scenario: Scenario) -> None:
-    """Refuse prices beside which missed energy would count nothing.
-
-    Raises
-    ------
-    InputError
-        If a missed kWh is not dearer than any energy, with so many vehicles that share the price.
-    """
-    sessions = scenario.sessions
-    least_weight = float(scenario.customers.weight.min())
-    scale = price_scale(sessions.weight, sessions.full_kwh, least_weight, scenario.grid.dt_h)
-    if not scale:
-        return
-    missed = scale * float(sessions.weight.min())
-    least_eta = float(scenario.chargers.eta_charge.min())
-    dearest = float(np.abs(scenario.price_gbp_per_kwh).max()) / least_eta
-    if missed < DEARER * scenario.objective.lambda_grid * dearest:
-        most = missed / DEARER / dearest
-        raise InputError.of(
-            "scenario.toml",
-            f"makes energy dearer than what {len(sessions)} sessions of vehicles may count",
-            f"Give at most {most:.1e}, or fewer sessions.",
-            field="objective.lambda_grid",
-            value=scenario.objective.lambda_grid,
-        )
 
 
 def vehicle_figures(trajectory: Trajectory) -> dict[str, Any]:

@@ -19,9 +19,11 @@ def why_prepared(step: Step) -> Iterator[tuple[str, str, Reason]]:
     rows = step.recorded.trajectory.thermal_loads
     day = step.scenario
     seen = day.outage[step.t : step.t + step.recorded.n_seen]
-    if rows is None or step.outage or not seen.any():
+    known = str(step.recorded.trajectory.options["outages"])
+    if rows is None or step.outage or not seen.any() or known == "none":
         return
     goes = day.grid.times[step.t + int(np.argmax(seen))].tz_convert(day.grid.zone)
+    when = f"goes at {goes:%H:%M}" if known == "known" else "may go"
     count = len(day.thermal_loads)
     now: Any = rows.iloc[step.t * count : (step.t + 1) * count]
     for load in now.to_dict("records"):
@@ -30,5 +32,5 @@ def why_prepared(step: Step) -> Iterator[tuple[str, str, Reason]]:
         inside_c = load["t_end_c"] - load["t_min_c"] if heats else load["t_max_c"] - load["t_end_c"]
         if load["p_kw"] > MOVE_KW and change_c != 0.0 and inside_c > AHEAD_C:
             verb = "Heated" if heats else "Cooled"
-            words = f"{verb} to {load['t_end_c']:.1f} °C because the grid goes at {goes:%H:%M}."
+            words = f"{verb} to {load['t_end_c']:.1f} °C because the grid {when}."
             yield str(load["thermal_load"]), "prepared", Reason("preparation", "", words)

@@ -1,0 +1,68 @@
+"""Whether what vehicles, rooms and tanks miss is dearer than the energy that they lack."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vppres.contract.plugged import price_scale
+from vppres.contract.rooms import OF_A_STEP, Rooms
+from vppres.core.errors import InputError
+from vppres.scenario.scenario import Scenario
+
+DEARER = 2.0
+"""How much dearer a missed kWh must be than any energy that could be given instead."""
+
+
+def check_prices(scenario: Scenario, horizon_h: float) -> None:
+    """Refuse prices beside which missed energy or comfort would count nothing.
+
+    Raises
+    ------
+    InputError
+        If a missed kWh is not dearer than any energy, with so many that share the price.
+    """
+    worth = {
+        f"{len(scenario.sessions)} sessions of vehicles": _of_vehicles(scenario),
+        f"the comfort of {len(scenario.thermal_loads)} rooms and tanks": _of_rooms(
+            scenario, horizon_h
+        ),
+    }
+    dearest = float(np.abs(scenario.price_gbp_per_kwh).max())
+    for what, missed in worth.items():
+        if missed < DEARER * scenario.objective.lambda_grid * dearest:
+            raise InputError.of(
+                "scenario.toml",
+                f"makes energy dearer than what {what} may count",
+                f"Give at most {missed / DEARER / dearest:.1e}, or fewer of them.",
+                field="objective.lambda_grid",
+                value=scenario.objective.lambda_grid,
+            )
+
+
+def _of_vehicles(scenario: Scenario) -> float:
+    """Least worth of a kWh at a charger, in weighted customer hours; infinite if none is missed."""
+    sessions = scenario.sessions
+    least_weight = float(scenario.customers.weight.min())
+    scale = price_scale(sessions.weight, sessions.full_kwh, least_weight, scenario.grid.dt_h)
+    if not scale:
+        return np.inf
+    return scale * float(sessions.weight.min()) * float(scenario.chargers.eta_charge.min())
+
+
+def _of_rooms(scenario: Scenario, horizon_h: float) -> float:
+    """The same of a kWh of a machine, in a window each of whose steps misses the most of the day.
+
+    A kWh moves a temperature at the end of its step at least, and so for one step.
+    """
+    rooms = Rooms.of(scenario, range(scenario.grid.n_steps), scenario.thermal_loads.t_initial_c)
+    if rooms is None:
+        return np.inf
+    over_c, under_c = rooms.missed_c(rooms.t_c(np.zeros_like(rooms.most_kw)))
+    dt_h = scenario.grid.dt_h
+    window_h = dt_h * len(scenario.grid.window(0, horizon_h))
+    most_k_h = window_h * (over_c + under_c).max(axis=0)
+    weight = rooms.weight[0]
+    scale = OF_A_STEP * price_scale(weight, most_k_h, float(scenario.customers.weight.min()), dt_h)
+    if not scale:
+        return np.inf
+    return scale * float((weight * np.abs(rooms.c_per_kw).min(axis=0)).min())
