@@ -261,6 +261,7 @@ def test_what_is_not_stated_is_refused_by_name() -> None:
         run_day(parts, RunOptions(isolate=False))
     with pytest.raises(InputError, match="plans no thermal loads"):
         run_day(day, RunOptions(controller="idle", isolate=False))
+    day = hot([OPEN] * 12)
     dear = replace(day, objective=replace(day.objective, lambda_grid=1.0))
     with pytest.raises(InputError, match=r"lambda_grid.*energy dearer.*comfort of 1 rooms"):
         run_day(dear, RunOptions(isolate=False))
