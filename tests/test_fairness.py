@@ -171,26 +171,6 @@ def test_outages_of_the_past_are_read_and_written(tiny: Scenario, tmp_path: Path
     assert vppres.RunOptions().on(again).rotation == 0.2
 
 
-@pytest.mark.parametrize(
-    ("row", "text"),
-    [
-        ("2025-06-30T12:00Z,2025-06-30T11:00Z,homes", "end = .*does not come after start"),
-        ("2025-06-30T12:00Z,2025-06-30T13:00Z,nobody", "is not a customer of customers.csv"),
-        (
-            "2025-06-30T12:00Z,2025-06-30T14:00Z,homes\n2025-06-30T13:00Z,2025-06-30T15:00Z,homes",
-            "begins before the outage before it is over",
-        ),
-    ],
-)
-def test_wrong_rows_of_the_past_are_named(
-    tiny: Scenario, tmp_path: Path, row: str, text: str
-) -> None:
-    write_scenario(tiny, tmp_path / "day")
-    (tmp_path / "day" / "outages.csv").write_text(f"start,end,customer\n{row}\n", encoding="utf-8")
-    with pytest.raises(vppres.InputError, match=text):
-        read_scenario(tmp_path / "day")
-
-
 def test_sharing_is_for_the_controller_that_plans_anew(tiny: Scenario) -> None:
     options = replace(HERE, controller="full-horizon", rotation=0.2)
     with pytest.raises(vppres.InputError, match="which is for the controller mpc"):

@@ -11,7 +11,6 @@ import pytest
 
 from tests.support.command_line import call
 from tests.support.tiny_day import tiny_scenario
-from vppres.core.errors import InputError
 from vppres.day.metrics import summarise
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
@@ -58,37 +57,6 @@ def test_folder_without_source_has_none(tmp_path: Path) -> None:
     assert "[source]" not in text
     assert "zone" not in text
     assert not read_scenario(tmp_path / "plain").source
-
-
-@pytest.mark.parametrize(
-    ("lines", "message"),
-    [
-        ('[source]\nname = "a\\u001bb"', "source.name"),
-        ('[source]\nnotes = ["fine", "=1+1"]', "begins with '='"),
-        ("[source.deviation]\nno_load_pu = -1.0", "source.deviation.no_load_pu = -1.0"),
-        ('[source]\ntool = "x"', "source.tool"),
-    ],
-)
-def test_wrong_sources_are_refused_with_their_key(lines: str, message: str, tmp_path: Path) -> None:
-    write_scenario(tiny_scenario(), tmp_path / "wrong")
-    with (tmp_path / "wrong" / "scenario.toml").open("a", encoding="utf-8") as file:
-        file.write(f"\n{lines}\n")
-    with pytest.raises(InputError) as error:
-        read_scenario(tmp_path / "wrong")
-    assert message in str(error.value)
-
-
-def test_unknown_zone_is_refused(tmp_path: Path) -> None:
-    write_scenario(tiny_scenario(), tmp_path / "wrong")
-    file = tmp_path / "wrong" / "scenario.toml"
-    text = file.read_text(encoding="utf-8").replace("[time]\n", '[time]\nzone = "Atlantis"\n')
-    file.write_text(text, encoding="utf-8")
-    with pytest.raises(InputError) as error:
-        read_scenario(tmp_path / "wrong")
-    assert str(error.value) == (
-        "scenario.toml, time.zone = Atlantis: is not the name of a time zone. "
-        "Give one such as Europe/London, or leave the key out: UTC."
-    )
 
 
 def test_words_of_strangers_are_made_fit_for_a_scenario(tmp_path: Path) -> None:
