@@ -89,6 +89,14 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> Recheck:
     return recheck_opendss(run(), lane(tmp_path_factory.mktemp("lane")))
 
 
+def test_a_vehicle_draws_what_a_battery_draws(found: Recheck, tmp_path: Path) -> None:
+    drawn_kw = [1.5, -3.0, 0.0]
+    idle = rows(["a"], charge_kw=[0.0] * 3, discharge_kw=[0.0] * 3, q_kvar=[0.0] * 3)
+    vehicles = rows(["a"], p_kw=drawn_kw)
+    again = recheck_opendss(run(batteries=idle, vehicles=vehicles), lane(tmp_path))
+    pd.testing.assert_frame_equal(again.voltages, found.voltages)
+
+
 def test_served_demand_and_charging_are_on_their_phases(found: Recheck) -> None:
     # Bus a: 6 kW and 1.5 kW of charging on three phases; bus b: 3 kW and 1.5 kvar on phase b.
     each = (6e3 + 1.5e3 + 3e3j) / 3

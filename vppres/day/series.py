@@ -54,6 +54,13 @@ def battery_power_kw(run: Trajectory) -> Floats:
     return per_step(run, net_kw, run.batteries)
 
 
+def charging_kw(run: Trajectory) -> Floats | None:
+    """Net charging power of all vehicles, shape (T,); None without chargers."""
+    if run.vehicles is None:
+        return None
+    return per_step(run, run.vehicles["p_kw"], run.vehicles)
+
+
 def lowest_model_v_pu(run: Trajectory) -> Floats:
     """Lowest bus voltage of the optimisation, shape (T,)."""
     return run.buses.groupby("time")["v_model_pu"].min().to_numpy(float)

@@ -124,10 +124,10 @@ class Trajectory:
         """Put what happened in a step into the pandapower net that the scenario was made from.
 
         What the scenario took over (loads, generators, storages) is switched off in the net, and
-        customers, PV systems and batteries are put back with their powers. In an outage the grid is
-        opened; where batteries hold the island, a source at the bus of the largest holds its
-        voltage and gives nothing; in the dark there is none. A power flow of the net is then that
-        of the record, as far as the feeder is exact.
+        customers, PV systems, batteries and chargers are put back with their powers. In an outage
+        the grid is opened; where batteries hold the island, a source at the bus of the largest
+        holds its voltage and gives nothing; in the dark there is none. A power flow of the net is
+        then that of the record, as far as the feeder is exact.
 
         Parameters
         ----------
@@ -194,7 +194,15 @@ class Trajectory:
                 str(self.options.get("mode", "paper")),
                 self._rows("buses", t)["v_ac_pu"].to_numpy(float),
             ),
+            None if self.vehicles is None else self._charging(t),
         )
+
+    def _charging(self, t: int) -> pd.DataFrame:
+        """Powers of chargers in a step by identifier."""
+        day = self.scenario
+        p_kw = self._rows(VEHICLES, t)["p_kw"]
+        buses = day.chargers.buses(day.customers)
+        return _powers(day.chargers.id, buses, p_kw, np.zeros(len(p_kw)))
 
     def _rows(self, name: str, t: int) -> pd.DataFrame:
         """The rows of a table that belong to a step."""

@@ -88,14 +88,24 @@ class Feeding:
 class Powers:
     """Powers of a step by identifier: ``bus``, ``p_kw`` and ``q_kvar`` in each table.
 
-    What ``customers`` and ``batteries`` take is positive in kW, what ``pv`` feeds likewise; kvar
-    are drawn by customers and injected by PV systems and batteries.
+    What ``customers``, ``batteries`` and ``chargers`` take is positive in kW, what ``pv`` feeds
+    likewise; kvar are drawn by customers and injected by PV systems and batteries. Chargers have a
+    power factor of 1, and no column ``q_kvar``; None without any.
     """
 
     customers: pd.DataFrame
     pv: pd.DataFrame
     batteries: pd.DataFrame
     feeding: Feeding
+    chargers: pd.DataFrame | None = None
+
+    @property
+    def stored(self) -> pd.DataFrame:
+        """Batteries, then chargers, which are named so."""
+        if self.chargers is None:
+            return self.batteries
+        chargers = self.chargers[["bus", "p_kw"]].assign(q_kvar=0.0)
+        return pd.concat([self.batteries, chargers.rename(index="charger {}".format)])
 
 
 def put_into_net(net: Any, bus_of: Mapping[int, BusId], powers: Powers) -> None:
@@ -123,15 +133,15 @@ def put_into_net(net: Any, bus_of: Mapping[int, BusId], powers: Powers) -> None:
     _feed(net, bus_of, bus_in_net, powers.feeding)
     drawn = pd.concat([powers.customers, powers.feeding.fixed])
     # A storage counts consumption as positive, reactive power too.
-    batteries = powers.batteries.assign(q_kvar=-powers.batteries["q_kvar"])
-    for table, rows in (("load", drawn), ("sgen", powers.pv), ("storage", batteries)):
+    stored = powers.stored.assign(q_kvar=-powers.stored["q_kvar"])
+    for table, rows in (("load", drawn), ("sgen", powers.pv), ("storage", stored)):
         for name, row in rows.iterrows():
             _write(net, table, str(name), bus_in_net[row["bus"]], row["p_kw"], row["q_kvar"])
 
 
 def _unknown_buses(powers: Powers, bus_in_net: Mapping[BusId, int]) -> list[Problem]:
     """Buses of the step that the net does not have."""
-    tables = (powers.customers, powers.pv, powers.batteries, powers.feeding.fixed)
+    tables = (powers.customers, powers.pv, powers.stored, powers.feeding.fixed)
     items = pd.concat([table["bus"] for table in tables])
     return [
         Problem(

@@ -202,15 +202,17 @@ def extreme_steps(scenario: Scenario) -> Iterator[tuple[Floats, Floats]]:
     network = scenario.network
     at_customer = network.place(scenario.customers.bus)
     at_pv = network.place(scenario.pv.buses(scenario.customers))
+    at_charger = network.place(scenario.chargers.buses(scenario.customers))
+    charging_kw = scenario.most_charging_kw
     for t in extreme_times(scenario):
-        p_kw = at_pv @ given_kw[t] - at_customer @ load_kw[t]
+        p_kw = at_pv @ given_kw[t] - at_customer @ load_kw[t] - at_charger @ charging_kw[t]
         q_kvar = -(at_customer @ (load_kw[t] * scenario.customers.q_per_p))
         yield p_kw, q_kvar
 
 
 def extreme_times(scenario: Scenario) -> list[int]:
     """Steps with the largest and least demand, in all and less generation."""
-    load_kw = scenario.load_kw.sum(axis=1)
+    load_kw = scenario.load_kw.sum(axis=1) + scenario.most_charging_kw.sum(axis=1)
     net_kw = load_kw - scenario.pv_kw.sum(axis=1)
     return sorted({int(each) for kw in (load_kw, net_kw) for each in (kw.argmax(), kw.argmin())})
 

@@ -135,10 +135,10 @@ class SetPoints:
         """Write the set-points into a pandapower net.
 
         What the scenario took over (loads, generators, storages) is switched off. Customers become
-        loads with their measured demand (0 if they are off), PV systems static generators and
-        batteries storages, named by their identifiers and marked in a column ``vppres``. In an
-        outage the grid is opened; where batteries hold the island, a source at the bus of the
-        largest holds its voltage and gives nothing.
+        loads with their measured demand (0 if they are off), PV systems static generators,
+        batteries storages, named by their identifiers, and chargers storages, as "charger k1", all
+        marked in a column ``vppres``. In an outage the grid is opened; where batteries hold the
+        island, a source at the bus of the largest holds its voltage and gives nothing.
 
         Parameters
         ----------
@@ -153,7 +153,8 @@ class SetPoints:
         drawn = self.customers.assign(
             p_kw=self.customers["load_kw"] * on, q_kvar=self.customers["load_kvar"] * on
         )
-        put_into_net(net, feeder.bus_of, Powers(drawn, self.pv, self.batteries, self.feeding))
+        powers = Powers(drawn, self.pv, self.batteries, self.feeding, self.chargers)
+        put_into_net(net, feeder.bus_of, powers)
 
     def _repr_html_(self) -> str:
         """Heading and tables for a notebook."""

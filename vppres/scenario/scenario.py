@@ -252,6 +252,11 @@ class Scenario:
         return sessions_by_step(self.chargers, self.sessions, self.grid)
 
     @property
+    def most_charging_kw(self) -> Floats:
+        """Largest power of each charger that has a vehicle, 0 of others, (T, K)."""
+        return np.where(self.session_at >= 0, self.chargers.p_charge_kw, 0.0)
+
+    @property
     def series(self) -> dict[str, Floats]:
         """What changes with the steps, by the names of the fields, (T, ...) each."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}

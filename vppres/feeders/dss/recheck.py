@@ -1,8 +1,8 @@
 """A run's set-points on the original, unbalanced feeder: voltages per phase beside the plan's.
 
 The circuit is built from the script as it was written, in the process that reads such files. What
-was served, fed in, charged and discharged is set in every step, and OpenDSS solves it. Regulators
-stay at the taps that they find with the loads of the file, as in the plan.
+was served, fed in, charged and discharged (vehicles too) is set in every step, and OpenDSS solves
+it. Regulators stay at the taps that they find with the loads of the file, as in the plan.
 """
 
 from __future__ import annotations
@@ -157,7 +157,11 @@ def _steps(run: Tables, island_bus: BusId | None) -> list[dict[str, Any]]:
     fed = _by_bus(pv, pv["self_kw"] + pv["export_kw"], pv["q_kvar"])
     discharged_kw = batteries["discharge_kw"] - batteries["charge_kw"]
     stored = _by_bus(batteries, discharged_kw, batteries["q_kvar"])
-    feed = pd.concat([fed, stored]).groupby(level=["time", "bus"]).sum()
+    given = [fed, stored]
+    if "vehicles" in run:
+        chargers = run["vehicles"]
+        given.append(_by_bus(chargers, -chargers["p_kw"], 0.0 * chargers["p_kw"]))
+    feed = pd.concat(given).groupby(level=["time", "bus"]).sum()
     held = _held(run, island_bus)
     return [
         {"load": _at(load, time), "feed": _at(feed, time), "held_pu": held.get(time)}

@@ -6,6 +6,7 @@ import numpy as np
 
 from vppres.day.series import (
     battery_power_kw,
+    charging_kw,
     demand_kw,
     energy_limits_kwh,
     lowest_model_v_pu,
@@ -65,7 +66,7 @@ def _price_panel(run: Trajectory) -> Curves:
 
 
 def import_load_pv(runs: Runs) -> Chart:
-    """Grid import, and demand, served demand and available PV power of the feeder."""
+    """Grid import; demand, served demand, available PV power and vehicles of the feeder."""
     named = named_runs(runs)
     first = next(iter(named.values()))
     imports = []
@@ -77,6 +78,12 @@ def import_load_pv(runs: Runs) -> Chart:
     demand = demand_kw(first)
     load.append(Curve("demand", demand, Style(BLACK, "", 1.2)))
     load.append(Curve("PV available", pv_available_kw(first), Style(ORANGE, "6 2 2 2", 1.8)))
+    lowest_kw: float | None = 0.0
+    for (label, run), style in zip(named.items(), RUN_STYLES, strict=False):
+        vehicles_kw = charging_kw(run)
+        if vehicles_kw is not None:
+            load.append(Curve(f"{label}: vehicles", vehicles_kw, style.thin()))
+            lowest_kw = None if (vehicles_kw < 0.0).any() else lowest_kw
     unserved = Band(served_kw(first), demand, VERMILLION, "not supplied")
     exports = any(run.scenario.exports for run in named.values())
     below = "; export below 0" if exports else ""
@@ -91,7 +98,14 @@ def import_load_pv(runs: Runs) -> Chart:
                 170.0,
                 limits=[ZERO],
             ),
-            Curves("Power (kW)", load, 200.0, low=0.0, bands=[unserved] if len(named) == 1 else ()),
+            Curves(
+                "Power (kW)",
+                load,
+                200.0,
+                low=lowest_kw,
+                limits=[ZERO] if lowest_kw is None else (),
+                bands=[unserved] if len(named) == 1 else (),
+            ),
         ],
     )
 
