@@ -19,7 +19,7 @@ def why_prepared(step: Step) -> Iterator[tuple[str, str, Reason]]:
     rows = step.recorded.trajectory.thermal_loads
     day = step.scenario
     seen = day.outage[step.t : step.t + step.recorded.n_seen]
-    known = str(step.recorded.trajectory.options["outages"])
+    known = str(step.recorded.trajectory.options.get("outages", "known"))
     if rows is None or step.outage or not seen.any() or known == "none":
         return
     goes = day.grid.times[step.t + int(np.argmax(seen))].tz_convert(day.grid.zone)
