@@ -91,18 +91,15 @@ def validation_text(problems: Sequence[Problem | str], content: Mapping[str, Any
     """One line per problem and their number, or what the sound scenario holds."""
     if content is None:
         return "\n".join([*map(str, problems), f"{counted(len(problems), 'problem')}."])
-    batteries = counted(content["batteries"], "battery", "batteries")
-    kinds = [
-        batteries,
-        f"{counted(content['chargers'], 'charger')} with "
-        f"{counted(content['ev_sessions'], 'session')}"
-        if content["chargers"]
-        else "",
-        counted(content["thermal_loads"], "thermal load") if content["thermal_loads"] else "",
-    ]
+    kinds = [counted(content["batteries"], "battery", "batteries")]
+    if content["chargers"]:
+        sessions = counted(content["ev_sessions"], "session")
+        kinds.append(f"{counted(content['chargers'], 'charger')} with {sessions}")
+    if content["thermal_loads"]:
+        kinds.append(counted(content["thermal_loads"], "thermal load"))
     holds = (
         "{name} is valid: {buses} buses, {customers} customers, {generators}, "
-        f"{', '.join(filter(None, kinds))}, "
+        f"{', '.join(kinds)}, "
         "{steps} steps of {step_minutes:g} min, {outage_steps} of "
         "them without grid; {export}; islands in {mode} mode."
     ).format_map(content)

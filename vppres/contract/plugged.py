@@ -5,18 +5,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 
+from vppres.contract.by_step import ByStep
 from vppres.core.arrays import Flags, Floats
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.vehicles import Chargers
 
 
 @dataclass(frozen=True, eq=False)
-class Plugged:
+class Plugged(ByStep):
     """What is known of vehicles in W steps at K chargers, (W, K) each; energies in kWh.
 
     Parameters
@@ -95,15 +96,6 @@ class Plugged:
     def __len__(self) -> int:
         return len(self.here)
 
-    def part(self, steps: slice) -> Self:
-        """The first steps of the window, by a slice."""
-        return type(self)(*(getattr(self, f.name)[steps] for f in fields(self)))
-
-    def followed_by_none(self, n_steps: int) -> Self:
-        """The same with steps behind it in which no vehicle is plugged in."""
-        rows = [(0, n_steps), (0, 0)]
-        return type(self)(*(np.pad(getattr(self, f.name), rows) for f in fields(self)))
-
     @property
     def due(self) -> Flags:
         """Last steps of the vehicles: before they leave, or of the window, (W, K)."""
@@ -151,14 +143,14 @@ class Plugged:
         return price_scale(weight, self.full_kwh, least_weight, dt_h) * weight
 
 
-def price_scale(weight: Floats, full_kwh: Floats, least_weight: float, dt_h: float) -> float:
-    """Price of a kWh that a vehicle of weight 1 lacks, in weighted customer hours.
+def price_scale(weight: Floats, most: Floats, least_weight: float, dt_h: float) -> float:
+    """Price of a unit that is missed at weight 1, in weighted customer hours: kWh, or K h.
 
-    All vehicles without any of the energy that they hold at most count half a step of the customer
-    of this least weight: no service is given up for vehicles.
+    All that can be missed at most counts half a step of the customer of this least weight: no
+    service is given up for it.
 
     >>> price_scale(np.array([1.0, 2.0]), np.array([50.0, 25.0]), least_weight=1.0, dt_h=0.5)
     0.0025
     """
-    total = float((weight * full_kwh).sum())
+    total = float((weight * most).sum())
     return 0.5 * least_weight * dt_h / total if total else 0.0

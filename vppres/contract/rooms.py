@@ -5,11 +5,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
 
+from vppres.contract.by_step import ByStep
 from vppres.contract.plugged import price_scale
 from vppres.core.arrays import Flags, Floats
 from vppres.scenario.scenario import Scenario
@@ -19,7 +20,7 @@ OF_A_STEP = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Rooms:
+class Rooms(ByStep):
     """What becomes of the temperature of each room or tank in a window, (W, H) each.
 
     Parameters
@@ -70,19 +71,9 @@ class Rooms:
             *(np.tile(values, (len(steps), 1)) for values in each),
         )
 
-    def part(self, steps: slice) -> Self:
-        """The first steps of the window, by a slice."""
-        return type(self)(*(getattr(self, f.name)[steps] for f in fields(self)))
-
-    def followed_by_none(self, n_steps: int) -> Self:
-        """The same with steps behind it in which nothing can be missed."""
-        rows = [(0, n_steps), (0, 0)]
-        return type(self)(*(np.pad(getattr(self, f.name), rows) for f in fields(self)))
-
     def in_the_dark(self, lit: Flags) -> Self:
         """The same without power but in the lit steps, (W, 1)."""
-        values = {f.name: getattr(self, f.name) for f in fields(self)}
-        return type(self)(**values | {"most_kw": self.most_kw * lit})
+        return replace(self, most_kw=self.most_kw * lit)
 
     def t_c(self, power_kw: Floats) -> Floats:
         """Temperature at the end of each step with these powers, (W, H)."""

@@ -17,10 +17,12 @@ AHEAD_C = 0.5
 def why_prepared(step: Step) -> Iterator[tuple[str, str, Reason]]:
     """Name of each room or tank that was prepared for an outage, the action, and why."""
     rows = step.recorded.trajectory.thermal_loads
+    if rows is None or step.outage:
+        return
     day = step.scenario
     seen = day.outage[step.t : step.t + step.recorded.n_seen]
-    known = str(step.recorded.trajectory.options.get("outages", "known"))
-    if rows is None or step.outage or not seen.any() or known == "none":
+    known = step.recorded.trajectory.options["outages"]
+    if known == "none" or not seen.any():
         return
     goes = day.grid.times[step.t + int(np.argmax(seen))].tz_convert(day.grid.zone)
     when = f"goes at {goes:%H:%M}" if known == "known" else "may go"

@@ -14,8 +14,8 @@ from vppres.scenario.priority import STRICT
 if TYPE_CHECKING:
     from vppres.scenario.scenario import Scenario
 
-FORMERS_SHOWN = 5
-"""Batteries named in one sentence."""
+NAMES_SHOWN = 5
+"""Batteries, customers or vehicles named in one sentence."""
 
 
 def darkness(scenario: Scenario, mode: str | None = None) -> str:
@@ -109,7 +109,7 @@ def former_words(scenario: Scenario, mode: str | None = None, always: bool = Fal
         for i in np.flatnonzero(b.formers)
     ]
     if b.grid_forming.any():
-        return f"The island is formed by {named(names, FORMERS_SHOWN)}."
+        return f"The island is formed by {named(names, NAMES_SHOWN)}."
     bus = b.bus[b.formers][0]
     whose = "a customer's battery" if bus in scenario.customers.bus else "a battery"
     peak_kva = float(np.hypot(scenario.load_kw, scenario.load_kvar).sum(axis=1).max())
@@ -178,7 +178,7 @@ def short_times_off(scenario: Scenario) -> str:
     short = (limit_h > 0.0) & (limit_h < scenario.grid.dt_h)
     if not short.any():
         return ""
-    names = named(scenario.customers.id[short], FORMERS_SHOWN)
+    names = named(scenario.customers.id[short], NAMES_SHOWN)
     return (
         f"The longest time off of {names} is shorter than a step of "
         f"{scenario.grid.dt_h:g} h: plans keep such a customer on in every step. Use shorter "
@@ -195,7 +195,7 @@ def brief_sessions(scenario: Scenario) -> str:
         return ""
     return (
         f"Plugged in for no whole step of {grid.step_minutes:g} min, and so not charged: "
-        f"{named(brief, FORMERS_SHOWN)}. Use shorter steps."
+        f"{named(brief, NAMES_SHOWN)}. Use shorter steps."
     )
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 
 from vppres.core.arrays import Flags, Floats, Names, Wholes, freeze_fields
-from vppres.scenario.assets import Customers
+from vppres.scenario.assets import Customers, positions_of
 
 
 def _none() -> Floats:
@@ -54,8 +54,7 @@ class ThermalLoads:
 
     def owner(self, customers: Customers) -> Wholes:
         """Position of each load's customer, (H,)."""
-        position = {c: i for i, c in enumerate(customers.id)}
-        return np.array([position[c] for c in self.customer], dtype=int)
+        return positions_of(self.customer, customers)
 
     def buses(self, customers: Customers) -> Names:
         """Bus of each load, (H,)."""
