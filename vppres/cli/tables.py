@@ -54,6 +54,7 @@ def content_of(day: Scenario) -> dict[str, Any]:
         "chargers": len(day.chargers),
         "ev_sessions": len(day.sessions),
         "thermal_loads": len(day.thermal_loads),
+        "gensets": len(day.gensets),
         "steps": day.grid.n_steps,
         "step_minutes": float(day.grid.step_minutes),
         "outage_steps": int(day.outage.sum()),
@@ -97,6 +98,8 @@ def validation_text(problems: Sequence[Problem | str], content: Mapping[str, Any
         kinds.append(f"{counted(content['chargers'], 'charger')} with {sessions}")
     if content["thermal_loads"]:
         kinds.append(counted(content["thermal_loads"], "thermal load"))
+    if content["gensets"]:
+        kinds.append(counted(content["gensets"], "generating set"))
     holds = (
         "{name} is valid: {buses} buses, {customers} customers, {generators}, "
         f"{', '.join(kinds)}, "

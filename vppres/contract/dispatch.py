@@ -17,7 +17,8 @@ class Dispatch:
     phased feeders. ``share`` is the part of its demand that each customer gets, 0 where it is off;
     None if all get it whole that are served. ``ev_kw`` is the power of each charger of vehicles,
     negative to discharge; None if no vehicle is plugged in. ``thermal_kw`` is the power of each
-    machine that cools or heats; None if there is none.
+    machine that cools or heats; None if there is none. ``genset_on`` says which generating
+    sets run, ``genset_kw`` what each gives; None if there is none.
     """
 
     served: Flags
@@ -38,6 +39,8 @@ class Dispatch:
     share: Floats | None = None
     ev_kw: Floats | None = None
     thermal_kw: Floats | None = None
+    genset_on: Flags | None = None
+    genset_kw: Floats | None = None
 
     @property
     def n_steps(self) -> int:

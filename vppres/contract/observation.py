@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from vppres.contract.forecast import Forecast
+from vppres.contract.gensets import SetsAhead
 from vppres.contract.moves import Moves
 from vppres.contract.operating_point import OperatingPoint
 from vppres.contract.owed import Owed
@@ -101,6 +102,8 @@ class Observation:
         Vehicles that are plugged in or announced; None if there is no charger.
     rooms : Rooms, optional
         Rooms and tanks that are cooled or heated; None if there is none.
+    gensets : SetsAhead, optional
+        Generating sets; None if there is none.
     told : tuple of Told
         What batteries were told since the last decision, where it was something else.
     """
@@ -129,6 +132,7 @@ class Observation:
     owed: Owed | None = None
     plugged: Plugged | None = None
     rooms: Rooms | None = None
+    gensets: SetsAhead | None = None
     ev_kw: Floats | None = None
 
     def counted(self, times: float) -> Observation:

@@ -507,6 +507,7 @@ def without_power(data: WindowData, dark: Flags) -> WindowData:
         switching=data.switching and data.switching.in_the_dark(dark),
         plugged=data.plugged and replace(data.plugged, here=data.plugged.here & lit),
         rooms=data.rooms and data.rooms.in_the_dark(lit),
+        gensets=data.gensets and data.gensets.in_the_dark(lit),
     )
 
 

@@ -26,8 +26,8 @@ def plan_with_rules(
     """Plan a window by its rules, or without the duties of the past where these have no answer.
 
     Forecast errors can make it impossible to serve whoever was restored lately. Then nobody has to
-    be served, and everybody may be switched off; minimum times off stay, and so does all that the
-    window itself begins.
+    be served, everybody may be switched off, and no generating set has to stay on. Minimum times
+    off stay, and so does all that the window itself begins.
 
     Parameters
     ----------
@@ -53,9 +53,14 @@ def plan_with_rules(
     try:
         return planner.plan(observation, n_steps), False
     except InfeasibleError:
-        if observation.switching is None:
+        rules, sets = observation.switching, observation.gensets
+        if rules is None and sets is None:
             raise
-        freed = replace(observation, switching=replace(observation.switching, duties=False))
+        freed = replace(
+            observation,
+            switching=rules and replace(rules, duties=False),
+            gensets=sets and sets.without_duties(),
+        )
         return planner.plan(freed, n_steps), True
 
 

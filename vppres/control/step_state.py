@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from vppres.contract.dispatch import Dispatch
+from vppres.contract.gensets import SetsAhead
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
 from vppres.contract.plugged import Plugged
@@ -56,6 +57,8 @@ class StepState:
         Vehicles that are plugged in; None if there is no charger.
     rooms : Rooms, optional
         Rooms and tanks that are cooled or heated; None if there is none.
+    gensets : SetsAhead, optional
+        Generating sets; None if there is none.
     """
 
     site: Site
@@ -73,6 +76,7 @@ class StepState:
     due: Flags | None = None
     plugged: Plugged | None = None
     rooms: Rooms | None = None
+    gensets: SetsAhead | None = None
 
     @classmethod
     def of(
@@ -100,6 +104,7 @@ class StepState:
             None if seen.switching is None else seen.switching.due,
             now.plugged,
             now.rooms,
+            now.gensets,
         )
 
     @property

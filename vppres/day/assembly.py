@@ -23,7 +23,7 @@ from vppres.control.rotation import Rotating
 from vppres.core.errors import InputError
 from vppres.day.dimmed import check_dimmed
 from vppres.day.faults import FaultInjector, FaultySolver
-from vppres.day.kind_prices import check_prices
+from vppres.day.kind_prices import check_fuel, check_prices
 from vppres.day.kinds import check_kinds
 from vppres.day.options import RunOptions
 from vppres.day.outages import check_outages
@@ -76,6 +76,7 @@ def make_controller(
     check_phased(scenario, options)
     check_kinds(scenario, options)
     check_prices(scenario, options.horizon_h)
+    check_fuel(scenario)
     check_outages(str(options.outages), options.controller)
     site = site_of(scenario, options.as_record())
     make = make_solver or _solver_maker(options)

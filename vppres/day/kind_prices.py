@@ -1,4 +1,4 @@
-"""Whether what vehicles, rooms and tanks miss is dearer than the energy that they lack."""
+"""Whether what kinds of assets may cost or miss keeps its place behind service and energy."""
 
 from __future__ import annotations
 
@@ -37,6 +37,33 @@ def check_prices(scenario: Scenario, horizon_h: float) -> None:
                 field="objective.lambda_grid",
                 value=scenario.objective.lambda_grid,
             )
+
+
+def check_fuel(scenario: Scenario) -> None:
+    """Refuse fuel and starts that could outweigh a customer of the first tier.
+
+    Raises
+    ------
+    InputError
+        If a start and the least time on of all sets at their largest power, a step at least, cost
+        as much as a step of such a customer counts.
+    """
+    sets = scenario.gensets
+    dt_h = scenario.grid.dt_h
+    on_h = np.maximum(sets.min_on_h, dt_h)
+    litres = on_h * sets.litres(np.ones(len(sets), dtype=bool), sets.p_max_kw, dt_h=1.0)
+    dearest_gbp = float((litres * sets.fuel_price_gbp_per_litre + sets.start_cost_gbp).sum())
+    customers = scenario.customers
+    first = customers.weight[customers.tier == scenario.tiers[0]]
+    least = float(first.min(initial=np.inf)) * dt_h
+    if scenario.objective.lambda_grid * dearest_gbp >= least:
+        raise InputError.of(
+            "scenario.toml",
+            "makes fuel and starts of sets count as much as a customer of the first tier",
+            f"Give less than {least / dearest_gbp:.1e}.",
+            field="objective.lambda_grid",
+            value=scenario.objective.lambda_grid,
+        )
 
 
 def _of_vehicles(scenario: Scenario) -> float:

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from vppres.core.errors import InputError
 from vppres.day.options import RunOptions
+from vppres.scenario.gensets import Gensets
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.thermal_loads import ThermalLoads
 from vppres.scenario.vehicles import Chargers
 
 CONTROLLER = "mpc"
 
+Kind = Chargers | ThermalLoads | Gensets
 
-def _kinds(scenario: Scenario) -> list[tuple[str, str, Chargers | ThermalLoads]]:
+
+def _kinds(scenario: Scenario) -> list[tuple[str, str, Kind]]:
     """File of each kind that the site has, what a controller plans of it, and its items."""
-    kinds: list[tuple[str, str, Chargers | ThermalLoads]] = [
+    kinds: list[tuple[str, str, Kind]] = [
         ("ev_chargers.csv", "vehicles", scenario.chargers),
         ("thermal_loads.csv", "thermal loads", scenario.thermal_loads),
+        ("gensets.csv", "generating sets", scenario.gensets),
     ]
     return [kind for kind in kinds if len(kind[2])]
 
@@ -64,6 +68,8 @@ def check_parts(scenario: Scenario) -> None:
     """
     parts = dict(zip(scenario.customers.id, scenario.customers.shed_steps, strict=True))
     for file, _, items in _kinds(scenario):
+        if isinstance(items, Gensets):
+            continue  # they are of no customer
         for name, customer in zip(items.id, items.customer, strict=True):
             if parts.get(customer, 1) > 1:
                 cure = "Give the customer a shed_steps of 1."
@@ -79,7 +85,7 @@ def check_parts(scenario: Scenario) -> None:
 
 
 def check_live(scenario: Scenario) -> None:
-    """Refuse thermal loads in a live controller: no temperature is measured, and none is told.
+    """Refuse thermal loads and sets in a live controller: nothing of them is measured or told.
 
     Raises
     ------
@@ -91,4 +97,10 @@ def check_live(scenario: Scenario) -> None:
             "thermal_loads.csv",
             "is not stated for live controllers",
             "Remove the file: customers then keep what their demand has of cooling and heat.",
+        )
+    if len(scenario.gensets):
+        raise InputError.of(
+            "gensets.csv",
+            "is not stated for live controllers",
+            "Remove the file: sets are then started by hand.",
         )

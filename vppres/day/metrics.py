@@ -13,6 +13,7 @@ from vppres.core.arrays import Floats
 from vppres.core.plain import json_safe
 from vppres.core.text import counted
 from vppres.core.units import kva_to_a
+from vppres.day.gensets import genset_figures, genset_words
 from vppres.day.inversions import headroom_words, inversion_words
 from vppres.day.phase_figures import phase_figures
 from vppres.day.reliability import fairness_figures, reliability_figures
@@ -68,6 +69,7 @@ def summarise(trajectory: Trajectory) -> dict[str, Any]:
         **time_off_figures(trajectory),
         **vehicle_figures(trajectory),
         **thermal_figures(trajectory),
+        **genset_figures(trajectory),
         "corrections": int(trajectory.steps["corrected"].sum()),
         **operation_figures(trajectory),
         **reliability_figures(trajectory),
@@ -98,6 +100,7 @@ def cautions(trajectory: Trajectory) -> list[str]:
         *time_off_words(trajectory),
         *vehicle_words(trajectory),
         *thermal_words(trajectory),
+        *genset_words(trajectory),
         *unknown_phases(trajectory.scenario),
         *_blackouts(trajectory),
         *inversion_words(trajectory),

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from vppres.core.arrays import Floats, Names
 from vppres.day.phases import phases, returning_steps
 from vppres.day.trajectory import OPTIONS, SHARE, Trajectory
+from vppres.scenario.gensets import Gensets
 from vppres.scenario.network import BusId
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.thermal_loads import ThermalLoads
@@ -41,6 +42,8 @@ ROTATED = "rotated_weight"
 """Column of the customers in runs that share supply within tiers: the weights of the plans."""
 
 OPTIONAL = (ROTATED, SHARE)
+
+Kind = Chargers | ThermalLoads | Gensets
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +78,8 @@ class StepRecord:
     """What each charger did and how its vehicle is, (K,) each; None without chargers."""
     thermal_loads: Mapping[str, NDArray[Any]] | None = None
     """What each machine did and how its room or tank is, (H,) each; None without thermal loads."""
+    gensets: Mapping[str, NDArray[Any]] | None = None
+    """What each generating set did, and its fuel, (G,) each; None without any."""
 
 
 def voltage_figures(v_model_pu: Floats, v_ac_pu: Floats) -> dict[str, float]:
@@ -156,6 +161,7 @@ class Recorder:
             thermal_loads=self._of_kind(
                 "thermal_loads", "thermal_load", self._scenario.thermal_loads
             ),
+            gensets=self._of_kind("gensets", "genset", self._scenario.gensets),
         )
 
     def _check_shapes(self, step: StepRecord) -> None:
@@ -203,7 +209,7 @@ class Recorder:
             }
         )
 
-    def _of_kind(self, table: str, item: str, kind: Chargers | ThermalLoads) -> pd.DataFrame | None:
+    def _of_kind(self, table: str, item: str, kind: Kind) -> pd.DataFrame | None:
         """A row for each step and item of a kind of asset; None if the site has none."""
         if not len(kind):
             return None

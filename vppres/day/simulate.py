@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from vppres.contract.decision import Decider, Decision, SolveInfo
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.forecast import ForecastErrors
+from vppres.contract.gensets import SetsAhead
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import OperatingPoint
 from vppres.contract.owed import Owed
@@ -23,6 +24,7 @@ from vppres.core.arrays import Flags, Floats
 from vppres.day.assembly import make_controller
 from vppres.day.faults import FaultInjector, FaultPlan
 from vppres.day.forecasting import Forecasts, MeasuredForecasts, basis_of, forecasts_of
+from vppres.day.gensets import genset_record
 from vppres.day.kinds import check_parts
 from vppres.day.options import PERFECT, RunOptions
 from vppres.day.outages import BELIEF, LIKELY, GridSeen, OutageView
@@ -163,6 +165,12 @@ class Day:
             owed=self.owed,
             plugged=self.plugged(steps),
             rooms=Rooms.of(self.scenario, steps, self.plant.climate.t_c),
+            gensets=SetsAhead.of(
+                self.scenario.gensets,
+                len(steps),
+                self.plant.engines.state,
+                self.scenario.grid.dt_h,
+            ),
             terminal=Terminal.of(
                 self.options.soc_end, forecast, ends=steps.stop == self.scenario.grid.n_steps
             ),
@@ -204,12 +212,15 @@ class Day:
         realised = done.realised
         vehicles = _vehicles(self.plant, t, realised)
         climate = climate_record(self.plant, t, realised)
+        gensets = genset_record(self.plant, realised)
         result = done.ac
         record = _record(self.scenario, t, decision, self.state, done, self.options)
         steps = {**record.steps, **basis_of(self.forecaster, t)}
         if self.options.outages in (BELIEF, LIKELY):
             steps["outage_messages"] = self.outage_messages
-        record = replace(record, steps=steps, vehicles=vehicles, thermal_loads=climate)
+        record = replace(
+            record, steps=steps, vehicles=vehicles, thermal_loads=climate, gensets=gensets
+        )
         self.operating_point = (
             None
             if done.dark

@@ -26,7 +26,8 @@ EXPLAINING_TABLES = ("explanations", "shadow_prices")
 PHASED_TABLES = ("nodes",)
 VEHICLES = "vehicles"
 THERMAL_LOADS = "thermal_loads"
-OPTIONAL_TABLES = (*EXPLAINING_TABLES, *PHASED_TABLES, VEHICLES, THERMAL_LOADS)
+GENSETS = "gensets"
+OPTIONAL_TABLES = (*EXPLAINING_TABLES, *PHASED_TABLES, VEHICLES, THERMAL_LOADS, GENSETS)
 SHARE = "share"
 """Column of the customers on sites that dim some: the part of its demand that each got."""
 OPTIONS = ("controller", "horizon_h", "solver", "method", "seed")
@@ -81,6 +82,8 @@ class Trajectory:
         What chargers of electric vehicles did, one row per step and charger.
     thermal_loads : DataFrame, optional
         Power and temperature of rooms and tanks, one row per step and thermal load.
+    gensets : DataFrame, optional
+        Power and fuel of generating sets, one row per step and set.
     """
 
     scenario: Scenario
@@ -97,6 +100,7 @@ class Trajectory:
     nodes: pd.DataFrame | None = None
     vehicles: pd.DataFrame | None = None
     thermal_loads: pd.DataFrame | None = None
+    gensets: pd.DataFrame | None = None
 
     @property
     def imported_kw(self) -> Floats:

@@ -12,6 +12,7 @@ from vppres.core.arrays import Floats
 from vppres.day.recorder import ROTATED
 from vppres.day.trajectory import WHOLE_SHARE, Trajectory
 from vppres.explain.dimmed import why_caught_up, why_dimmed
+from vppres.explain.gensets import why_gensets
 from vppres.explain.prices import WORTH, WORTH_GBP, day_prices, step_prices
 from vppres.explain.reasons import why_battery_moved, why_curtailed, why_not_served, why_restored
 from vppres.explain.recorded import MOVE_KW, Recorded
@@ -132,6 +133,7 @@ def _actions(step: Step) -> list[Row]:
     ]
     rows += [_row("vehicle", *each) for each in why_vehicles(step)]
     rows += [_row("thermal_load", *each) for each in why_prepared(step)]
+    rows += [_row("genset", *each) for each in why_gensets(step)]
     return rows
 
 

@@ -11,6 +11,7 @@ import pandas as pd
 
 from vppres.contract.decision import batteries_out
 from vppres.contract.forecast import Forecast, ForecastErrors
+from vppres.contract.gensets import SetsAhead
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import OperatingPoint
 from vppres.contract.owed import Owed
@@ -32,6 +33,7 @@ from vppres.model.data import WindowData
 from vppres.model.own_state import with_own_state
 from vppres.model.phases import phased_model
 from vppres.model.ratings import with_ratings
+from vppres.scenario.gensets import GensetState
 from vppres.scenario.rules import SwitchingRules
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.shadow_price_model import Held
@@ -110,6 +112,19 @@ class Recorded:
         """A column of the thermal loads by step and load, (T, H)."""
         rows = self.trajectory.thermal_loads
         return np.zeros((self.n_steps, 0)) if rows is None else self._array(rows, column)
+
+    def _of_gensets(self, column: str) -> Floats:
+        """A column of the generating sets by step and set, (T, G)."""
+        rows = self.trajectory.gensets
+        return np.zeros((self.n_steps, 0)) if rows is None else self._array(rows, column)
+
+    def _sets_ahead(self, steps: range) -> SetsAhead | None:
+        """Generating sets at the beginning of a window; None without any."""
+        hours = self._of_gensets("hours_before")[steps.start]
+        power_kw = self._of_gensets("p_before_kw")[steps.start]
+        fuel_litres = self._of_gensets("fuel_start_litres")[steps.start]
+        now = GensetState(hours > 0.0, np.abs(hours), power_kw, fuel_litres)
+        return SetsAhead.of(self.scenario.gensets, len(steps), now, self.site.dt_h)
 
     @cached_property
     def _owed(self) -> list[Owed | None]:
@@ -319,6 +334,7 @@ class Recorded:
             owed=self._owed[t],
             plugged=self._plugged(steps),
             rooms=Rooms.of(self.scenario, steps, self._of_climate("t_start_c")[steps.start]),
+            gensets=self._sets_ahead(steps),
             terminal=Terminal.of(self.soc_asked, forecast, ends=steps.stop == self.n_steps),
         )
         told = self._view.told(seen, self._grid_seen[t], self.scenario, t, self._forecaster)
@@ -361,6 +377,8 @@ class Recorded:
             p = p - site.charger_bus @ self._of_vehicles("p_kw")[t]
         if run.thermal_loads is not None:
             p = p - site.thermal_bus @ self._of_climate("p_kw")[t]
+        if run.gensets is not None:
+            p = p + site.genset_bus @ self._of_gensets("p_kw")[t]
         return OperatingPoint(
             self.v_ac_pu[t],
             self._array(run.lines, "p_ac_kw")[t],

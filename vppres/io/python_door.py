@@ -19,7 +19,13 @@ from vppres.scenario.vehicles import OF_SESSIONS
 
 # Attributes that may have no value (a temperature at the start), or no limit.
 _MAY_BE_NAN = {*OF_HOURS, "t_initial_c", "around_c", *OF_SESSIONS}
-_MAY_BE_INFINITE = {"i_max_a", "grid_limit_kw", "export_limit_kw"}
+_MAY_BE_INFINITE = {
+    "i_max_a",
+    "grid_limit_kw",
+    "export_limit_kw",
+    "ramp_up_kw_per_h",
+    "ramp_down_kw_per_h",
+}
 
 
 def check_scenario(scenario: Scenario) -> None:
@@ -61,6 +67,7 @@ def _names(scenario: Scenario) -> Iterator[Problem]:
         ("chargers", "id", scenario.chargers.id),
         ("sessions", "vehicle", scenario.sessions.vehicle),
         ("thermal_loads", "id", scenario.thermal_loads.id),
+        ("gensets", "id", scenario.gensets.id),
         ("network", "buses", scenario.network.buses),
         ("scenario", "tiers", scenario.tiers),
     ]
@@ -86,6 +93,7 @@ def _numbers(scenario: Scenario) -> Iterator[Problem]:
         ("chargers", scenario.chargers, schema.ChargerRow),
         ("sessions", scenario.sessions, schema.SessionRow),
         ("thermal_loads", scenario.thermal_loads, schema.ThermalLoadRow),
+        ("gensets", scenario.gensets, schema.GensetRow),
         ("load_kw", scenario, schema.LoadSeries),
         ("pv_kw", scenario, schema.PVSeries),
         ("system", scenario, schema.SystemSeries),

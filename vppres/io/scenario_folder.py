@@ -15,6 +15,7 @@ from pydantic.fields import FieldInfo
 from vppres.core.arrays import Floats
 from vppres.core.errors import InputError, Problem
 from vppres.io import checks, schema
+from vppres.io.genset_rows import check_gensets, gensets_of
 from vppres.io.history import Columns, history_of
 from vppres.io.messages import in_order
 from vppres.io.outage_log import read_interruptions
@@ -49,6 +50,7 @@ _OPTIONAL: dict[str, type[BaseModel]] = {
     "ev_chargers": schema.ChargerRow,
     "ev_sessions": schema.SessionRow,
     "thermal_loads": schema.ThermalLoadRow,
+    "gensets": schema.GensetRow,
     "warnings": schema.WarningRow,
     "outages": schema.OutageRow,
 }
@@ -68,6 +70,7 @@ class _Folder:
     ev_chargers: Table | None
     ev_sessions: Table | None
     thermal_loads: Table | None
+    gensets: Table | None
     load_kw: Table | None
     pv_kw: Table | None
     system: Table | None
@@ -89,6 +92,7 @@ class _Rows:
     chargers: dict[int, schema.Row]
     sessions: dict[int, schema.Row]
     thermal_loads: dict[int, schema.Row]
+    gensets: dict[int, schema.Row]
     warnings: dict[int, OutageWarning]
     outages: dict[int, Interruption]
 
@@ -171,11 +175,22 @@ def _read_all_rows(content: _Folder) -> tuple[_Rows, list[Problem]]:
     chargers, charger_problems = read_rows(content.ev_chargers, schema.ChargerRow)
     sessions, session_problems = read_rows(content.ev_sessions, schema.SessionRow)
     thermal, thermal_problems = read_rows(content.thermal_loads, schema.ThermalLoadRow)
+    gensets, genset_problems = read_rows(content.gensets, schema.GensetRow)
     warnings, warning_problems = read_warnings(content.warnings)
     outages, outage_problems = read_interruptions(content.outages)
     return (
         _Rows(
-            lines, buses, customers, pv, batteries, chargers, sessions, thermal, warnings, outages
+            lines,
+            buses,
+            customers,
+            pv,
+            batteries,
+            chargers,
+            sessions,
+            thermal,
+            gensets,
+            warnings,
+            outages,
         ),
         line_problems
         + bus_problems
@@ -185,6 +200,7 @@ def _read_all_rows(content: _Folder) -> tuple[_Rows, list[Problem]]:
         + charger_problems
         + session_problems
         + thermal_problems
+        + genset_problems
         + warning_problems
         + outage_problems,
     )
@@ -199,7 +215,8 @@ def _check_across(content: _Folder, rows: _Rows) -> list[Problem]:
     batteries = content.batteries
     chargers = content.ev_chargers
     thermal = content.thermal_loads
-    named = (customers, pv, batteries, chargers, thermal)
+    gensets = content.gensets
+    named = (customers, pv, batteries, chargers, thermal, gensets)
     problems = [p for table in named if table for p in checks.check_ids(table)]
     if buses:
         problems += checks.check_once(buses, "bus", "Give each bus one row.")
@@ -207,7 +224,7 @@ def _check_across(content: _Folder, rows: _Rows) -> list[Problem]:
         problems += _check_network(lines, content.settings.slack_bus)
         problems += [
             p
-            for table in (buses, customers, pv, batteries, chargers)
+            for table in (buses, customers, pv, batteries, chargers, gensets)
             if table
             for p in checks.check_buses(table, lines)
         ]
@@ -235,6 +252,8 @@ def _check_across(content: _Folder, rows: _Rows) -> list[Problem]:
         problems += check_vehicles(*tables, rows.chargers, rows.sessions, tiers)
     if thermal:
         problems += check_thermal_loads(thermal.file, rows.thermal_loads)
+    if gensets:
+        problems += check_gensets(gensets.file, rows.gensets)
     if batteries:
         problems += checks.check_batteries(batteries.file, rows.batteries)
     return problems
@@ -405,6 +424,7 @@ def _assemble(
         chargers=chargers_of(rows.chargers, read_bus),
         sessions=sessions_of(rows.sessions, file.tiers),
         thermal_loads=thermal_loads_of(rows.thermal_loads),
+        gensets=gensets_of(rows.gensets, read_bus),
     )
 
 

@@ -17,6 +17,7 @@ from vppres.core.arrays import Floats
 from vppres.core.errors import InputError
 from vppres.io import schema
 from vppres.io.atomic import atomic_folder
+from vppres.io.genset_rows import genset_frames
 from vppres.io.messages import problems_of
 from vppres.io.phase_files import phase_frames
 from vppres.io.series import TIME
@@ -201,6 +202,7 @@ def _frames(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, pd.
         frames |= phase_frames(scenario.phases)
     frames |= vehicle_frames(scenario.chargers, scenario.sessions)
     frames |= thermal_load_frames(scenario.thermal_loads)
+    frames |= genset_frames(scenario.gensets)
     return frames
 
 

@@ -67,6 +67,8 @@ def circular_charging(site: Site, v: Variables, p: Parameters) -> Named:
     """Charging comes from import and PV export, never from another battery (4)."""
     charging = cp.sum(v.P_ch, axis=1)
     available = v.P_grid + cp.sum(v.P_exp, axis=1)
+    if p.P_fed_added is not None:
+        available = available + p.P_fed_added
     return {"circular_charging": charging <= available}
 
 

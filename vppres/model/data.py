@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from vppres.contract.export import Export
+from vppres.contract.gensets import SetsAhead
 from vppres.contract.moves import Moves
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
@@ -153,6 +154,8 @@ class WindowData:
         Vehicles that are plugged in; None if there is no charger.
     rooms : Rooms, optional
         Rooms and tanks that are cooled or heated; None if there is none.
+    gensets : SetsAhead, optional
+        Generating sets; None if there is none.
     """
 
     load_kw: Floats
@@ -176,6 +179,7 @@ class WindowData:
     owed: Owed | None = None
     plugged: Plugged | None = None
     rooms: Rooms | None = None
+    gensets: SetsAhead | None = None
 
     @classmethod
     def of(cls, observation: Observation, site: Site, centre: Centre) -> WindowData:
@@ -205,6 +209,7 @@ class WindowData:
             owed=observation.owed,
             plugged=observation.plugged and observation.plugged.part(slice(n_steps)),
             rooms=observation.rooms and observation.rooms.part(slice(n_steps)),
+            gensets=observation.gensets and observation.gensets.part(slice(n_steps)),
         )
 
     def with_sound_soc(self, batteries: Batteries) -> WindowData:
@@ -276,6 +281,7 @@ class WindowData:
             phased=self.phased and self.phased.part(steps),
             plugged=self.plugged and self.plugged.part(steps),
             rooms=self.rooms and self.rooms.part(steps),
+            gensets=self.gensets and self.gensets.part(steps),
         )
 
     def u_limits_pu2(self, network: Network) -> tuple[Floats, Floats]:
@@ -412,6 +418,8 @@ class WindowData:
             possible = possible + np.maximum(-self.drawn.kw.sum(axis=1), 0.0)
         if self.plugged is not None:
             possible = possible + self.plugged.here @ site.chargers.p_discharge_kw
+        if self.gensets is not None:
+            possible = possible + self.gensets.can_run @ site.gensets.p_max_kw
         connected = self.grid_limit_kw > 0.0
         return np.where(connected, np.minimum(self.export.limit_kw, possible), 0.0)
 

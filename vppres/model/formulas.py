@@ -17,7 +17,7 @@ from vppres.model.site import Site
 from vppres.scenario.assets import Batteries
 from vppres.scenario.network import Network
 
-Devices = Literal["pv", "batteries", "customers", "chargers", "thermal_loads"]
+Devices = Literal["pv", "batteries", "customers", "chargers", "thermal_loads", "gensets"]
 
 # PV systems.
 
@@ -101,7 +101,7 @@ def bus_injections(site: Site, given: Mapping[Devices, Floats]) -> Floats:
         Where the devices are.
     given : mapping of array
         What ``pv`` (..., P), ``batteries`` (..., B), ``customers`` (..., C), ``chargers``
-        (..., K) and ``thermal_loads`` (..., H) give, in kW or kvar:
+        (..., K), ``thermal_loads`` (..., H) and ``gensets`` (..., G) give, in kW or kvar:
         minus (1) for batteries, minus the demand of those served for customers, PV power with
         self-consumption. It is summed in the order given, which decides the last bit.
 
@@ -115,6 +115,7 @@ def bus_injections(site: Site, given: Mapping[Devices, Floats]) -> Floats:
         "customers": site.customer_bus,
         "chargers": site.charger_bus,
         "thermal_loads": site.thermal_bus,
+        "gensets": site.genset_bus,
     }
     first, *others = ((bus[devices] @ power.T).T for devices, power in given.items())
     return np.asarray(sum(others, start=first))

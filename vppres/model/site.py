@@ -11,6 +11,7 @@ import scipy.sparse as sp
 
 from vppres.core.arrays import Flags, Floats, Wholes, content_key
 from vppres.scenario.assets import Batteries, Customers, PVSystems
+from vppres.scenario.gensets import Gensets
 from vppres.scenario.network import Network
 from vppres.scenario.phases import Phases
 from vppres.scenario.priority import Ranks
@@ -76,6 +77,7 @@ class Site:
     limits_of: Network | None = None
     chargers: Chargers = field(default_factory=Chargers)
     thermal_loads: ThermalLoads = field(default_factory=ThermalLoads)
+    gensets: Gensets = field(default_factory=Gensets)
 
     @classmethod
     def of(cls, scenario: Scenario) -> Site:
@@ -95,6 +97,7 @@ class Site:
             scenario.grid.dt_h,
             chargers=scenario.chargers,
             thermal_loads=scenario.thermal_loads,
+            gensets=scenario.gensets,
         )
 
     def ranked(self, ranks: Ranks, n_steps: int) -> Site:
@@ -139,7 +142,8 @@ class Site:
     def key(self) -> str:
         """Digest of the content: sites of equal content have equal problems."""
         more: list[Any] = [] if self.ranks is None else [self.ranks]
-        more += [kind for kind in (self.chargers, self.thermal_loads) if len(kind)]
+        kinds = (self.chargers, self.thermal_loads, self.gensets)
+        more += [kind for kind in kinds if len(kind)]
         rules = " soft" * self.soft_voltages + " rated" * self.rated
         if self.phases is not None:
             rules += f" {self.phases.key} {content_key(self.feeder)}"
@@ -166,6 +170,11 @@ class Site:
     def thermal_bus(self) -> sp.csr_array:
         """Shape (N, H): places thermal loads on their buses."""
         return self.network.place(self.thermal_loads.buses(self.customers))
+
+    @cached_property
+    def genset_bus(self) -> sp.csr_array:
+        """Shape (N, G): places generating sets on their buses."""
+        return self.network.place(self.gensets.bus)
 
     @cached_property
     def owner(self) -> Wholes:

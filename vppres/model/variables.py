@@ -19,8 +19,9 @@ class Parameters:
     """Everything that a re-solve may change (W steps).
 
     What stands at None is nothing of the paper: demand that is added at the buses, (W, N), and
-    behind the meters of PV systems, (W, P), and ratings and lowest states of charge that change
-    with the steps, (W, B). What a window has beyond the paper sets them.
+    behind the meters of PV systems, (W, P), power besides import and PV export from which batteries
+    charge, (W,), and ratings and lowest states of charge that change with the steps, (W, B). What a
+    window has beyond the paper sets them.
     """
 
     P_load: cp.Parameter
@@ -39,6 +40,7 @@ class Parameters:
     P_added: cp.Expression | None = None
     Q_added: cp.Expression | None = None
     P_self_added: cp.Expression | None = None
+    P_fed_added: cp.Expression | None = None
     S_max: cp.Expression | None = None
     SoC_min: cp.Expression | None = None
 

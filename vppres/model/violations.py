@@ -64,6 +64,7 @@ def excesses(site: Site, data: WindowData, dispatch: Dispatch) -> Excess:
         _phases,
         _vehicles,
         _machines,
+        _sets,
     )
     rules = 0.0 if data.switching is None else float(data.switching.broken(dispatch.served).sum())
     found = {"switching rules": 2.0 * rules}
@@ -143,6 +144,8 @@ def _grid(site: Site, data: WindowData, d: Dispatch) -> Excess:
     imported_kw = np.maximum(d.p_grid_kw, 0.0)
     charged_kw = d.charge_kw.sum(axis=1)
     fed_kw = imported_kw + d.pv_export_kw.sum(axis=1)
+    if d.genset_kw is not None:
+        fed_kw = fed_kw + d.genset_kw.sum(axis=1)
     return {
         "import": _most(tolerance, d.p_grid_kw - np.maximum(data.grid_limit_kw, 0.0)),
         "export": _most(tolerance, -d.p_grid_kw - data.export_max_kw(site)),
@@ -245,3 +248,25 @@ def _machines(site: Site, data: WindowData, d: Dispatch) -> Excess:
     on = d.served[:, site.thermal_loads.owner(site.customers)]
     tolerance = _power_tolerance(site, data)
     return {"thermal load": _most(tolerance, d.thermal_kw - on * data.rooms.most_kw, -d.thermal_kw)}
+
+
+def _sets(site: Site, data: WindowData, d: Dispatch) -> Excess:
+    """Generating sets: rules of switching, powers, ramps, fuel."""
+    ahead = data.gensets
+    if ahead is None or d.genset_on is None or d.genset_kw is None:
+        return {}
+    sets = site.gensets
+    on = d.genset_on
+    tolerance = _power_tolerance(site, data)
+    fuel_litres = ahead.fuel_litres(sets, on, d.genset_kw, site.dt_h)
+    burns = site.dt_h * sets.litres_per_kwh.max()
+    return {
+        "set switching": 2.0 * ahead.wrongly_switched(sets, on, data.dark, site.dt_h).sum(),
+        "set power": _most(
+            tolerance,
+            d.genset_kw - on * sets.p_max_kw,
+            on * sets.p_min_kw - d.genset_kw,
+            ahead.moved_too_fast_kw(sets, on, d.genset_kw, site.dt_h),
+        ),
+        "fuel": _most(tolerance * burns, -fuel_litres),
+    }

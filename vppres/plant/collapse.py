@@ -28,7 +28,7 @@ def realise(
     """Carry out a decision; where its power flow has no solution, shed tiers from the lowest up.
 
     A feeder whose power flow has no solution loses its voltage, and undervoltage relays drop load.
-    If not even the empty feeder has a solution with PV and batteries running, they stop too.
+    If not even the empty feeder has a solution with PV, sets and batteries running, they stop too.
     A power flow that was merely not found sheds nobody: its best answer is recorded as such.
 
     Parameters
@@ -93,6 +93,9 @@ def _reduced(scenario: Scenario, t: int, decision: Decision) -> Iterator[tuple[s
         for name in ("charge_kw", "discharge_kw", "batt_q_kvar", "pv_q_kvar")
     }
     still["pv_curtailed_kw"] = _with_row(plan.pv_curtailed_kw, row, scenario.pv_kw[t])
+    if plan.genset_on is not None and plan.genset_kw is not None:
+        still["genset_on"] = np.zeros_like(plan.genset_on)
+        still["genset_kw"] = _with_row(plan.genset_kw, row, 0.0)
     empty = _with_served(decision, served)
     yield "everything", replace(empty, dispatch=replace(empty.dispatch, **still))
 

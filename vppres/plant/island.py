@@ -126,7 +126,7 @@ class IslandPlant:
         set_points = powers = powers_of(planned)
         # Every round sheds, stops or curtails something, so this is more than can be needed.
         devices = len(planned.served) + len(planned.pv_self_kw) + np.size(planned.ev_kw)
-        devices += np.size(planned.thermal_kw)
+        devices += np.size(planned.thermal_kw) + np.size(planned.genset_kw)
         for _ in range(2 * devices + 20):
             try:
                 found = self._balance(t, powers, state, able)
@@ -225,6 +225,10 @@ class IslandPlant:
                 return replace(powers, battery_kw=powers.battery_kw - part_of(charging, need_kw))
             return self._shed(t, powers, need_kw, found.ac)
         surplus_kw = -found.left_kw + CUT_MARGIN_KW
+        sets_kw = np.asarray(powers.genset_kw)
+        lower_kw = sets_kw - np.where(powers.genset_on, self.plant.scenario.gensets.p_min_kw, 0.0)
+        if lower_kw.sum() > self.tolerance_kw:
+            return replace(powers, genset_kw=sets_kw - part_of(lower_kw, surplus_kw))
         vehicles = np.maximum(-ev_kw, 0.0)
         if vehicles.sum() > 0:
             return replace(powers, ev_kw=ev_kw + part_of(vehicles, surplus_kw))
@@ -233,6 +237,10 @@ class IslandPlant:
         discharging = np.where(others, np.maximum(-powers.battery_kw, 0.0), 0.0)
         if discharging.sum() > 0:
             return replace(powers, battery_kw=powers.battery_kw + part_of(discharging, surplus_kw))
+        if sets_kw.sum() > 0:
+            return replace(
+                powers, genset_on=np.zeros(len(sets_kw), dtype=bool), genset_kw=0.0 * sets_kw
+            )
         return None
 
     def _shed(self, t: int, powers: Powers, need_kw: float, ac: ACResult) -> Powers | None:
@@ -318,6 +326,8 @@ def powers_of(realised: Realised) -> Powers:
         realised.share,
         realised.ev_kw,
         realised.thermal_kw,
+        realised.genset_on,
+        realised.genset_kw,
     )
 
 

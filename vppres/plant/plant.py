@@ -14,6 +14,7 @@ from vppres.contract.decision import Decision
 from vppres.core.arrays import Flags, Floats
 from vppres.physics.cold_load import ColdLoad
 from vppres.physics.thermal import Power, ThermalScheme, advance, initial_state
+from vppres.plant.gensets import Engines
 from vppres.plant.rooms import Climate
 from vppres.plant.vehicles import Garage
 from vppres.scenario.rules import SwitchingRules
@@ -42,7 +43,8 @@ class Powers:
 
     ``served`` has the shape (C,), the ``pv`` fields (P,), the batteries' (B,); kW and kvar.
     ``share`` is the part of its demand that each customer gets if it is served, ``ev_kw`` (K,) the
-    power of each charger of vehicles, ``thermal_kw`` (H,) that of each machine that cools or heats.
+    power of each charger of vehicles, ``thermal_kw`` (H,) that of each machine that cools or heats,
+    ``genset_on`` (G,) says which generating sets run, ``genset_kw`` what each gives.
     """
 
     served: Flags
@@ -55,6 +57,8 @@ class Powers:
     share: Floats | float = 1.0
     ev_kw: Floats | float = 0.0
     thermal_kw: Floats | float = 0.0
+    genset_on: Flags | bool = False
+    genset_kw: Floats | float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +66,8 @@ class Realised:
     """One step as it happened; powers in kW and kvar, injections (N,) positive as generation.
 
     ``load_kw`` (C,) is the demand, served or not; ``share`` the part of it that those get who are.
-    ``ev_kw`` (K,) is the power of each charger, ``thermal_kw`` (H,) that of each machine.
+    ``ev_kw`` (K,) is the power of each charger, ``thermal_kw`` (H,) that of each machine,
+    ``genset_kw`` (G,) what each set gives of those that run, ``genset_on``.
     """
 
     served: Flags
@@ -81,6 +86,8 @@ class Realised:
     share: Floats | float = 1.0
     ev_kw: Floats | float = 0.0
     thermal_kw: Floats | float = 0.0
+    genset_on: Flags | bool = False
+    genset_kw: Floats | float = 0.0
 
 
 class Plant:
@@ -116,6 +123,8 @@ class Plant:
         self._thermal_bus = np.array(
             [index[b] for b in scenario.thermal_loads.buses(scenario.customers)], dtype=int
         )
+        self.engines = Engines(scenario)
+        self._genset_bus = np.array([index[b] for b in scenario.gensets.bus], dtype=int)
         self._customer_bus = np.array([index[b] for b in scenario.customers.bus], dtype=int)
         self.battery_bus = np.array([index[b] for b in scenario.batteries.bus], dtype=int)
         self.owner = scenario.pv.owner(scenario.customers)
@@ -141,6 +150,10 @@ class Plant:
         self.cold_load.advance(realised.served)
         self.garage.advance(t, np.broadcast_to(realised.ev_kw, len(self.garage.kwh)))
         self.climate.advance(t, np.broadcast_to(realised.thermal_kw, len(self.climate.t_c)))
+        sets = len(self.scenario.gensets)
+        self.engines.advance(
+            np.broadcast_to(realised.genset_on, sets), np.broadcast_to(realised.genset_kw, sets)
+        )
         power = Power(realised.charge_kw, realised.discharge_kw)
         thermal = advance(
             self.scenario.batteries,
@@ -177,11 +190,21 @@ class Plant:
         ev_kw = self.garage.possible_kw(t, ev_kw, served)
         machines_kw = 0.0 if plan.thermal_kw is None else plan.thermal_kw[row]
         thermal_kw = self.climate.possible_kw(np.asarray(machines_kw), served)
+        sets = self._sets(decision)
         net_kw = charge - discharge
         powers = Powers(
-            served, own, export, curtailed, pv_q, net_kw, batt_q, share, ev_kw, thermal_kw
+            served, own, export, curtailed, pv_q, net_kw, batt_q, share, ev_kw, thermal_kw, *sets
         )
         return self.realise(t, powers, state, float(clipped))
+
+    def _sets(self, decision: Decision) -> tuple[Flags, Floats]:
+        """Which generating sets run, and what each gives, as far as they can follow, (G,) each."""
+        plan = decision.dispatch
+        if plan.genset_on is None or plan.genset_kw is None:
+            sets = len(self.scenario.gensets)
+            return np.zeros(sets, dtype=bool), np.zeros(sets)
+        on = np.asarray(plan.genset_on[decision.row], dtype=bool)
+        return self.engines.possible(on, plan.genset_kw[decision.row])
 
     def load_kw(self, t: int, served: Flags) -> Floats:
         """Demand of each customer in step ``t``, (C,): higher for those who were just restored."""
@@ -206,6 +229,7 @@ class Plant:
         np.add.at(p, self._charger_bus, -ev_kw)
         thermal_kw = self.climate.possible_kw(np.asarray(powers.thermal_kw), powers.served)
         np.add.at(p, self._thermal_bus, -thermal_kw)
+        np.add.at(p, self._genset_bus, powers.genset_kw)
         np.add.at(q, self._pv_bus, powers.pv_q_kvar)
         np.add.at(q, self.battery_bus, powers.batt_q_kvar)
         soc_end = np.clip(
@@ -228,6 +252,8 @@ class Plant:
             powers.share,
             ev_kw,
             thermal_kw,
+            powers.genset_on,
+            powers.genset_kw,
         )
 
     def _split_pv(

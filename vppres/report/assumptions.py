@@ -106,6 +106,11 @@ def simplifications(run: Trajectory) -> list[str]:
             f"{len(day.thermal_loads)} rooms and tanks come after service; the temperature outside "
             "is known."
         )
+    if len(day.gensets):
+        sentences.append(
+            f"{len(day.gensets)} generating sets have a power factor of 1 and form no grid; a set "
+            "starts in the step for which it is told to."
+        )
     if options.get("thermal") == "off":
         sentences.append("Battery efficiencies are constant: heating is not simulated.")
     if options.get("mode", "paper") == "paper" and day.outage.any():

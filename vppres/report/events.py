@@ -39,7 +39,7 @@ class Event:
 
 
 def events_of(run: Trajectory) -> list[Event]:
-    """Outages, customers off, restored and dimmed, empty batteries, missed needs and comfort."""
+    """Outages, customers off, restored and dimmed, batteries, missed needs and comfort, sets."""
     found = sorted(
         [
             *_outage_events(run),
@@ -48,6 +48,7 @@ def events_of(run: Trajectory) -> list[Event]:
             *_battery_events(run),
             *_vehicle_events(run),
             *_comfort_events(run),
+            *_genset_events(run),
         ],
         key=lambda entry: entry[0],
     )
@@ -139,6 +140,22 @@ def _comfort_events(run: Trajectory) -> Iterator[tuple[int, str]]:
         who = [f"{names[h]} ({t_c[t, h]:.1f} °C)" for h in np.flatnonzero(leaves[t])]
         what = "room or tank leaves its" if len(who) == 1 else "rooms or tanks leave their"
         yield t + 1, f"{len(who)} {what} comfort band: {named(who, NAMES_SHOWN)}."
+
+
+def _genset_events(run: Trajectory) -> Iterator[tuple[int, str]]:
+    """When generating sets start and stop, with the fuel that they have then."""
+    rows = run.gensets
+    if rows is None:
+        return
+    names = run.scenario.gensets.id
+    on, fuel_litres = (
+        rows[name].to_numpy(float).reshape(-1, len(names))
+        for name in ("running", "fuel_start_litres")
+    )
+    was_on = np.vstack([rows["hours_before"].to_numpy(float)[: len(names)] > 0.0, on[:-1] > 0.5])
+    for t, g in np.argwhere((on > 0.5) != was_on).tolist():
+        verb = "starts" if on[t, g] else "stops"
+        yield t, f"Generator {names[g]} {verb}, with {fuel_litres[t, g]:.0f} l of fuel."
 
 
 def _day(run: Trajectory) -> str:

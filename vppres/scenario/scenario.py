@@ -13,6 +13,7 @@ from vppres.core.arrays import Flags, Floats, Wholes, freeze_fields
 from vppres.core.notebook import facts_html
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.fairness import Fairness, Interruption
+from vppres.scenario.gensets import Gensets
 from vppres.scenario.history import History
 from vppres.scenario.network import Network
 from vppres.scenario.option_table import default_of
@@ -164,6 +165,8 @@ class Scenario:
         Chargers of electric vehicles, and when which vehicle is plugged in.
     thermal_loads : ThermalLoads
         Rooms and tanks that are cooled or heated.
+    gensets : Gensets
+        Generating sets with their tanks.
     """
 
     name: str
@@ -197,6 +200,7 @@ class Scenario:
     chargers: Chargers = field(default_factory=Chargers)
     sessions: Sessions = field(default_factory=Sessions)
     thermal_loads: ThermalLoads = field(default_factory=ThermalLoads)
+    gensets: Gensets = field(default_factory=Gensets)
 
     def __post_init__(self) -> None:
         if self.phases is not None:

@@ -141,6 +141,7 @@ def _padded(data: WindowData, missing: int) -> WindowData:
         phased=data.phased and data.phased.followed_by_rest(missing),
         plugged=data.plugged and data.plugged.followed_by_none(missing),
         rooms=data.rooms and data.rooms.followed_by_none(missing),
+        gensets=data.gensets and data.gensets.followed_by_none(missing),
     )
 
 

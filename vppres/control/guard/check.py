@@ -9,7 +9,7 @@ import numpy as np
 from vppres.contract.decision import Decision
 from vppres.contract.owed import MOST_SHARE
 from vppres.control.step_state import StepState
-from vppres.core.arrays import Floats, Names
+from vppres.core.arrays import Flags, Floats, Names
 from vppres.model.formulas import (
     Devices,
     bus_injections,
@@ -91,6 +91,8 @@ def violations(
         _battery_power(row, state, within),
         _chargers(row, state, within),
         _machines(row, state, within),
+        _sets_switched(row, state),
+        _sets_power(row, state, within),
         _energy(row, state, within),
         _pv(row, state, within),
         _balance(row, state, within),
@@ -112,6 +114,8 @@ class _Row:
     v_pu: Floats
     ev_kw: Floats
     thermal_kw: Floats
+    genset_on: Flags
+    genset_kw: Floats
 
     @classmethod
     def of(cls, decision: Decision, site: Site) -> _Row:
@@ -119,6 +123,7 @@ class _Row:
         row = decision.row
         idle = np.zeros(len(site.chargers))
         none = np.zeros(len(site.thermal_loads))
+        off = np.zeros(len(site.gensets), dtype=bool)
         return cls(
             np.asarray(plan.supplied[row], dtype=float),
             plan.pv_curtailed_kw[row],
@@ -129,6 +134,8 @@ class _Row:
             plan.v_pu[row],
             idle if plan.ev_kw is None else plan.ev_kw[row],
             none if plan.thermal_kw is None else plan.thermal_kw[row],
+            off if plan.genset_on is None else np.asarray(plan.genset_on[row], dtype=bool),
+            0.0 * off if plan.genset_kw is None else plan.genset_kw[row],
         )
 
 
@@ -139,6 +146,7 @@ def _shapes(decision: Decision, site: Site) -> list[str]:
         "v_pu": site.network.n_buses,
         "ev_kw": len(site.chargers),
         "thermal_kw": len(site.thermal_loads),
+        **dict.fromkeys(("genset_on", "genset_kw"), len(site.gensets)),
         "v_node_pu": 0 if site.phases is None else len(site.phases.measured),
         **dict.fromkeys(("p_flow_kw", "q_flow_kvar"), site.network.n_lines),
         **dict.fromkeys(("charge_kw", "discharge_kw", "batt_q_kvar", "soc"), len(site.batteries)),
@@ -209,6 +217,40 @@ def _machines(row: _Row, state: StepState, within: Tolerances) -> str:
     return _worst("thermal load power", loads.id, beyond - slack, beyond, "kW")
 
 
+def _sets_switched(row: _Row, state: StepState) -> str:
+    """Generating sets that start before they may, or run where they must not."""
+    ahead = state.gensets
+    if ahead is None:
+        return ""
+    sets = state.site.gensets
+    on = row.genset_on[np.newaxis]
+    early = ahead.starts(on) & ~ahead.may_start(sets, np.array([state.island]))
+    wrong = (early | (on & ~ahead.can_run))[0]
+    return f"genset switching: {sets.id[np.argmax(wrong)]}" if wrong.any() else ""
+
+
+def _sets_power(row: _Row, state: StepState, within: Tolerances) -> str:
+    """Ratings of generating sets, ramps, and fuel for the step."""
+    ahead = state.gensets
+    if ahead is None:
+        return ""
+    sets = state.site.gensets
+    dt_h = state.site.dt_h
+    on, power_kw = row.genset_on[np.newaxis], row.genset_kw[np.newaxis]
+    left_kwh = ahead.fuel_litres(sets, on, power_kw, dt_h)[0] / sets.litres_per_kwh
+    beyond = np.max(
+        [
+            row.genset_kw - row.genset_on * sets.p_max_kw,
+            row.genset_on * sets.p_min_kw - row.genset_kw,
+            ahead.moved_too_fast_kw(sets, on, power_kw, dt_h)[0],
+            -left_kwh / dt_h,
+        ],
+        axis=0,
+    )
+    slack = within.power_kw + within.power_share * sets.p_max_kw
+    return _worst("genset power", sets.id, beyond - slack, beyond, "kW")
+
+
 def _energy(row: _Row, state: StepState, within: Tolerances) -> str:
     """State of charge at the end of the step."""
     b = state.site.batteries
@@ -236,6 +278,7 @@ def _balance(row: _Row, state: StepState, within: Tolerances) -> str:
     taken = float(state.load_kw @ row.served + row.charge_kw.sum() + state.drawn_kw.sum())
     taken += float(row.ev_kw.sum()) + float(row.thermal_kw.sum())
     given = float((state.pv_kw - curtailed).sum() + row.discharge_kw.sum())
+    given += float(row.genset_kw.sum())
     losses_kw = given_kw = 0.0
     if within.losses:
         drawn_kw = _losses_kw if state.site.phases is None else _phased_network_kw
@@ -286,6 +329,8 @@ def _losses_kw(row: _Row, curtailed_kw: Floats, state: StepState) -> float:
         given["chargers"] = -row.ev_kw
     if len(site.thermal_loads):
         given["thermal_loads"] = -row.thermal_kw
+    if len(site.gensets):
+        given["gensets"] = row.genset_kw
     p_kw = bus_injections(site, given)
     q_kvar = bus_injections(
         site,

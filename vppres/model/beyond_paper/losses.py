@@ -147,6 +147,8 @@ def injections(site: Site, data: WindowData, dispatch: Dispatch) -> tuple[Floats
         given["chargers"] = -dispatch.ev_kw
     if dispatch.thermal_kw is not None:
         given["thermal_loads"] = -dispatch.thermal_kw
+    if dispatch.genset_kw is not None:
+        given["gensets"] = dispatch.genset_kw
     p_kw = bus_injections(site, given)
     q_kvar = bus_injections(
         site, {"pv": dispatch.pv_q_kvar, "batteries": dispatch.batt_q_kvar, "customers": -load_kvar}

@@ -10,6 +10,7 @@ from vppres.model.beyond_paper.addition import Addition
 from vppres.model.beyond_paper.dimmed import DimmedDemand
 from vppres.model.beyond_paper.drawn import DrawnByNetwork
 from vppres.model.beyond_paper.export import ExportToGrid
+from vppres.model.beyond_paper.gensets import GensetsModel
 from vppres.model.beyond_paper.longest_off import LongestTimeOff
 from vppres.model.beyond_paper.physical import PhysicalMode
 from vppres.model.beyond_paper.ratings import LineRatings
@@ -35,7 +36,13 @@ OF_WINDOWS: tuple[type[Addition], ...] = (
 BY_HEART: tuple[type[Addition], ...] = (*OF_WINDOWS, LineRatings)
 """The same, and what shadow prices alone state: ratings, whose rows windows make by hand."""
 
-ADDITIONS: tuple[type[Addition], ...] = (*OF_WINDOWS, DimmedDemand, Vehicles, ThermalLoadsModel)
+ADDITIONS: tuple[type[Addition], ...] = (
+    *OF_WINDOWS,
+    DimmedDemand,
+    Vehicles,
+    ThermalLoadsModel,
+    GensetsModel,
+)
 """All of the package's; of others those stages know nothing, and are left out."""
 
 _OWN: list[type[Addition]] = []

@@ -48,6 +48,8 @@ ACTIONS = {
     "given_back": "vehicle discharged",
     "left_short": "vehicle left short",
     "prepared": "cooled or heated ahead",
+    "ran": "generating set ran",
+    "stopped": "generating set stopped in an outage",
 }
 
 

@@ -1,0 +1,127 @@
+"""Generating sets over the steps of a window: arrays, by set.
+
+:mod:`vppres.model.beyond_paper.gensets` states a problem with them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from vppres.contract.by_step import ByStep
+from vppres.core.arrays import Flags, Floats
+from vppres.scenario.gensets import Gensets, GensetState, steps_of
+
+
+@dataclass(frozen=True, eq=False)
+class SetsAhead(ByStep):
+    """What is known of sets in a window, (W, G) each.
+
+    Parameters
+    ----------
+    can_run : array of bool
+        Steps in which a set may be on.
+    rested : array of bool
+        Steps in which a set that is off has been so for its least time.
+    must_run : array of bool
+        Steps in which a set that is on has not yet been so for its least time.
+    was_on, was_kw : array
+        Whether a set was on before the window, and its power; only in the first step.
+    added_litres : array
+        Fuel that comes into the tank; in the first step all that is in it.
+    """
+
+    can_run: Flags
+    rested: Flags
+    must_run: Flags
+    was_on: Floats
+    was_kw: Floats
+    added_litres: Floats
+
+    @classmethod
+    def of(cls, sets: Gensets, n_steps: int, now: GensetState, dt_h: float) -> Self | None:
+        """The window that begins with sets in this state; None without any.
+
+        No set has to stay on for longer than its fuel lasts.
+        """
+        if not len(sets):
+            return None
+        step = np.arange(n_steps)[:, None]
+        left_on = steps_of(np.where(now.on, sets.min_on_h - now.hours, 0.0), dt_h)
+        least_litres = sets.litres(np.ones_like(now.on), sets.p_min_kw, dt_h)
+        enough = now.fuel_litres >= (step + 1) * least_litres
+        left_off = steps_of(np.where(now.on, 0.0, sets.min_off_h - now.hours), dt_h)
+        return cls(
+            np.ones((n_steps, len(sets)), dtype=bool),
+            step >= left_off,
+            (step < left_on) & enough,
+            _first(now.on.astype(float), n_steps),
+            _first(now.power_kw, n_steps),
+            _first(now.fuel_litres, n_steps),
+        )
+
+    def in_the_dark(self, lit: Flags) -> Self:
+        """The same with every set off but in the lit steps, (W, 1)."""
+        return replace(self, can_run=self.can_run & lit, must_run=self.must_run & lit)
+
+    def without_duties(self) -> Self:
+        """The same without sets that have to stay on."""
+        return replace(self, must_run=np.zeros_like(self.must_run))
+
+    def may_start(self, sets: Gensets, outage: Flags) -> Flags:
+        """Steps in which a set that is off may start, (W, G); ``outage`` has the shape (W,)."""
+        return self.rested & self.can_run & (outage[:, None] | ~sets.only_in_outage)
+
+    def on_before(self, on: Flags) -> Flags:
+        """Whether each set was on in the step before, (W, G)."""
+        return np.vstack([self.was_on[:1] > 0.5, on[:-1]])
+
+    def starts(self, on: Flags) -> Flags:
+        """Steps in which a set starts, (W, G)."""
+        return on & ~self.on_before(on)
+
+    def fuel_litres(self, sets: Gensets, on: Flags, power_kw: Floats, dt_h: float) -> Floats:
+        """Fuel at the end of each step, (W, G), negative where there is not enough."""
+        burnt = sets.litres(on, power_kw, dt_h)
+        level = np.zeros(len(sets))
+        rows = []
+        for added, used in zip(self.added_litres, burnt, strict=True):
+            level = np.minimum(level + added, sets.tank_litres) - used
+            rows.append(level)
+        return np.array(rows).reshape(burnt.shape)
+
+    def moved_too_fast_kw(self, sets: Gensets, on: Flags, power_kw: Floats, dt_h: float) -> Floats:
+        """By how much powers move more than ramps allow, (W, G); a set may stop from any power."""
+        before_on = self.on_before(on)
+        before_kw = np.vstack([self.was_kw[:1], power_kw[:-1]])
+        most_kw = np.where(before_on, before_kw + sets.rise_kw(dt_h), sets.first_kw(dt_h))
+        least_kw = np.where(before_on, before_kw - sets.fall_kw(dt_h), 0.0)
+        return np.where(on, np.maximum(power_kw - most_kw, least_kw - power_kw), 0.0)
+
+    def wrongly_switched(self, sets: Gensets, on: Flags, outage: Flags, dt_h: float) -> Flags:
+        """Steps in which a set is on or off against a rule, (W, G)."""
+        may_start = self.may_start(sets, outage)
+        starts = self.starts(on)
+        stops = self.on_before(on) & ~on
+        wrong = (on & ~self.can_run) | (self.must_run & ~on) | (starts & ~may_start)
+        least_on = np.maximum(steps_of(sets.min_on_h, dt_h), 1)
+        least_off = np.maximum(steps_of(sets.min_off_h, dt_h), 1)
+        for g in range(len(sets)):
+            young = np.zeros(len(on), dtype=bool)
+            for t in np.flatnonzero(starts[:, g]):
+                young[t : t + least_on[g]] = True
+                wrong[t : t + least_on[g], g] |= ~on[t : t + least_on[g], g]
+            for t in np.flatnonzero(stops[:, g]):
+                wrong[t : t + least_off[g], g] |= on[t : t + least_off[g], g]
+            in_use = outage | ~sets.only_in_outage[g] | young | self.must_run[:, g]
+            wrong[:, g] |= on[:, g] & ~in_use
+        return wrong
+
+
+def _first(values: Floats, n_steps: int) -> Floats:
+    """Values in the first of some steps, 0 in all others, (W, G)."""
+    rows = np.zeros((n_steps, len(values)))
+    rows[0] = values
+    return rows

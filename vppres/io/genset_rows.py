@@ -1,0 +1,86 @@
+"""Rows of ``gensets.csv``: what is wrong with them; the table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from vppres.core.errors import Problem
+from vppres.io import schema
+from vppres.scenario.gensets import Gensets
+from vppres.scenario.network import BusId
+
+Rows = Mapping[int, schema.Row]
+
+LIMITS = (("p_min_kw", "p_max_kw"), ("fuel_level_litres", "tank_litres"))
+"""Columns that must not exceed another one."""
+
+RAMPS = ("ramp_up_kw_per_h", "ramp_down_kw_per_h")
+
+
+def check_gensets(file: str, rows: Rows) -> list[Problem]:
+    """Sets with a value above its limit, and those that are to form the grid."""
+    found = [
+        Problem(
+            file,
+            f"must not exceed {most} ({getattr(genset, most):g})",
+            "Correct one of the two.",
+            row=row,
+            field=name,
+            value=getattr(genset, name),
+        )
+        for row, genset in rows.items()
+        for name, most in LIMITS
+        if getattr(genset, name) is not None and getattr(genset, name) > getattr(genset, most)
+    ]
+    return found + [
+        Problem(
+            file,
+            "is not stated: sets follow a battery that forms the grid",
+            "Write no, and give a battery the duty (grid_forming in batteries.csv).",
+            row=row,
+            field="grid_forming",
+            value=genset.grid_forming,
+        )
+        for row, genset in rows.items()
+        if genset.grid_forming == "yes"
+    ]
+
+
+def gensets_of(rows: Rows, read_bus: Callable[[str], BusId]) -> Gensets:
+    """The sets of sound rows: a full tank, no ramps, and off for long, where nothing is said."""
+    columns: dict[str, Any] = {
+        name: [getattr(row, name) for row in rows.values()]
+        for name in schema.GensetRow.model_fields
+        if name != "grid_forming"
+    }
+    columns["bus"] = [read_bus(bus) for bus in columns["bus"]]
+    columns["only_in_outage"] = [only == "yes" for only in columns["only_in_outage"]]
+    unsaid = {
+        **{name: np.full(len(rows), np.inf) for name in RAMPS},
+        "fuel_level_litres": columns["tank_litres"],
+        "on_before_h": [-hours for hours in columns["min_off_h"]],
+    }
+    for name, values in unsaid.items():
+        columns[name] = [
+            other if value is None else value
+            for value, other in zip(columns[name], values, strict=True)
+        ]
+    return Gensets(**columns)
+
+
+def genset_frames(sets: Gensets) -> dict[str, pd.DataFrame]:
+    """The table as it is written; none without a set."""
+    if not len(sets):
+        return {}
+    told = {
+        name: getattr(sets, name)
+        for name in schema.GensetRow.model_fields
+        if name != "grid_forming"
+    }
+    told |= {name: np.where(np.isinf(told[name]), np.nan, told[name]) for name in RAMPS}
+    told["only_in_outage"] = np.where(sets.only_in_outage, "yes", "no")
+    return {"gensets": pd.DataFrame(told).dropna(axis="columns", how="all")}

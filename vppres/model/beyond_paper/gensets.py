@@ -1,0 +1,245 @@
+"""Generating sets: on and off, starts, ramps, least times, and a tank of fuel.
+
+A set has one binary for each step. Its starts follow from it and are whole by themselves. Fuel is a
+line over the power, so its level is exact. What is burnt costs its price and what is left does not:
+the price is the worth of a litre at the end of a window. Without sets no problem has any of this.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
+
+import cvxpy as cp
+import numpy as np
+
+from vppres.contract.dispatch import Dispatch
+from vppres.contract.gensets import SetsAhead
+from vppres.core.arrays import Flags, Floats, Wholes
+from vppres.model.beyond_paper.addition import Addition, Held
+from vppres.model.constraints import Named
+from vppres.model.data import WindowData
+from vppres.model.numerics import write
+from vppres.model.site import Site
+from vppres.model.variables import Parameters, Variables
+from vppres.scenario.gensets import steps_of
+
+
+@dataclass(frozen=True, eq=False)
+class GensetsModel(Addition):
+    """Variables and parameters of G sets over W steps.
+
+    Parameters
+    ----------
+    site : Site
+        Fixed data.
+    on : cvxpy.Variable, shape (W, G)
+        1 for a set that runs.
+    start : cvxpy.Variable, shape (W, G)
+        1 for a set that starts.
+    power, fuel : cvxpy.Variable, shape (W, G)
+        Power in kW; fuel at the end of the step in litres.
+    can_run, can_start, must_run, was_on, was_kw, added : cvxpy.Parameter, shape (W, G)
+        See :class:`vppres.contract.gensets.SetsAhead`.
+    """
+
+    by_dispatch: ClassVar[tuple[str, ...]] = ("gs_on", "gs_start", "gs_power", "gs_fuel")
+    met: ClassVar[tuple[str, ...]] = (
+        "gs_most",
+        "gs_least",
+        "gs_starts",
+        "gs_can_start",
+        "gs_can_run",
+        "gs_must_run",
+        "gs_in_use",
+        "gs_min_on",
+        "gs_min_off",
+        "gs_ramp_up",
+        "gs_ramp_down",
+        "gs_fuel_level",
+        "gs_tank",
+    )
+
+    site: Site
+    on: cp.Variable
+    start: cp.Variable
+    power: cp.Variable
+    fuel: cp.Variable
+    can_run: cp.Parameter
+    can_start: cp.Parameter
+    must_run: cp.Parameter
+    was_on: cp.Parameter
+    was_kw: cp.Parameter
+    added: cp.Parameter
+
+    @classmethod
+    def shape(cls, site: Site, data: WindowData) -> Hashable | None:
+        """No more than whether there are any."""
+        return (data.gensets is not None) or None
+
+    @classmethod
+    def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
+        """Sets of a window."""
+        size = (v.x_served.shape[0], len(site.gensets))
+        names = ("can_run", "can_start", "must_run", "was_on", "was_kw", "added")
+        return cls(
+            site,
+            cp.Variable(size, name="gs_on", boolean=True),
+            cp.Variable(size, name="gs_start", nonneg=True),
+            cp.Variable(size, name="gs_power", nonneg=True),
+            cp.Variable(size, name="gs_fuel", nonneg=True),
+            **{name: cp.Parameter(size, name=f"gs_{name}_by_step", nonneg=True) for name in names},
+        )
+
+    def parameters(self, site: Site) -> dict[str, cp.Expression]:
+        """What sets give at the buses, from which batteries may charge."""
+        return {
+            "P_added": -self.power @ site.genset_bus.T,
+            "P_fed_added": cp.sum(self.power, axis=1),
+        }
+
+    def families(self, site: Site, v: Variables, p: Parameters) -> Named:
+        """Switching, powers and fuel."""
+        return self._switching() | self._powers() | self._fuel()
+
+    def _switching(self) -> Named:
+        """Starts, least times on and off, and the steps in which a set may be on."""
+        sets = self.site.gensets
+        young = self._lately(sets.min_on_h)
+        return {
+            "gs_starts": self.on - self._before(self.on, self.was_on) <= self.start,
+            "gs_can_start": self.start <= self.can_start,
+            "gs_can_run": self.on <= self.can_run,
+            "gs_must_run": self.on >= self.must_run,
+            "gs_in_use": self.on <= self.can_start + self.must_run + young,
+            "gs_min_on": young <= self.on,
+            "gs_min_off": self._lately(sets.min_off_h) + self._on_then() <= 1.0,
+        }
+
+    def _powers(self) -> Named:
+        """Largest and least power, and ramps; a set may stop from any power."""
+        sets = self.site.gensets
+        dt_h = self.site.dt_h
+        on_before = self._before(self.on, self.was_on)
+        rise = self.power - self._before(self.power, self.was_kw)
+        stop = on_before - self.on + self.start
+        return {
+            "gs_most": self.power <= _times(self.on, sets.p_max_kw),
+            "gs_least": self.power >= _times(self.on, sets.p_min_kw),
+            "gs_ramp_up": rise
+            <= _times(on_before, sets.rise_kw(dt_h)) + _times(self.start, sets.first_kw(dt_h)),
+            "gs_ramp_down": -rise
+            <= _times(self.on, sets.fall_kw(dt_h)) + _times(stop, sets.p_max_kw),
+        }
+
+    def _fuel(self) -> Named:
+        """Fuel from step to step; what does not fit into the tank is not delivered."""
+        filled = self.fuel + self._litres
+        before = np.eye(self.fuel.shape[0], k=-1) @ self.fuel
+        tank = np.broadcast_to(self.site.gensets.tank_litres, self.fuel.shape)
+        return {"gs_fuel_level": filled <= before + self.added, "gs_tank": filled <= tank}
+
+    @property
+    def _litres(self) -> cp.Expression:
+        """Fuel burnt in each step, (W, G)."""
+        sets = self.site.gensets
+        of_power = _times(self.power, self.site.dt_h * sets.litres_per_kwh)
+        return of_power + _times(self.on, self.site.dt_h * sets.litres_per_h_idle)
+
+    def _before(self, x: cp.Variable, first: cp.Parameter) -> cp.Expression:
+        """Values of the step before, (W, G)."""
+        return np.eye(x.shape[0], k=-1) @ x + first
+
+    def _lately(self, hours: Floats) -> cp.Expression:
+        """Starts in a step and the steps before it, as many as a least time has, (W, G)."""
+        W = self.start.shape[0]
+        columns = [
+            (np.tri(W) - np.tri(W, k=-int(n))) @ self.start[:, g]
+            for g, n in enumerate(self._steps(hours))
+        ]
+        return cp.vstack(columns).T
+
+    def _on_then(self) -> cp.Expression:
+        """Whether sets were on before the steps in which a start is too early, (W, G)."""
+        W = self.on.shape[0]
+        columns = []
+        for g, n in enumerate(self._steps(self.site.gensets.min_off_h)):
+            before = (np.arange(W) < n).astype(float) * self.was_on[0, g]
+            columns.append(np.eye(W, k=-int(n)) @ self.on[:, g] + before)
+        return cp.vstack(columns).T
+
+    def _steps(self, hours: Floats) -> Wholes:
+        """Steps of least times, at least one."""
+        return np.maximum(steps_of(hours, self.site.dt_h), 1)
+
+    def terms(self) -> dict[str, cp.Expression]:
+        """What fuel and starts cost."""
+        sets = self.site.gensets
+        fuel = cp.sum(_times(self._litres, sets.fuel_price_gbp_per_litre))
+        return {"f2": fuel + cp.sum(_times(self.start, sets.start_cost_gbp))}
+
+    def fill(self, site: Site, data: WindowData) -> None:
+        """Write the sets of a window."""
+        ahead = _ahead(data)
+        write(self.can_run, ahead.can_run.astype(float))
+        write(self.can_start, ahead.may_start(site.gensets, data.dark).astype(float))
+        write(self.must_run, ahead.must_run.astype(float))
+        write(self.was_on, ahead.was_on)
+        write(self.was_kw, ahead.was_kw)
+        write(self.added, ahead.added_litres)
+
+    @classmethod
+    def worth(cls, site: Site, data: WindowData, dispatch: Dispatch) -> dict[str, float]:
+        """What fuel and starts cost."""
+        sets = site.gensets
+        on, power_kw = running(site, dispatch)
+        litres = sets.litres(on, power_kw, site.dt_h)
+        starts = _ahead(data).starts(on)
+        cost = litres @ sets.fuel_price_gbp_per_litre + starts @ sets.start_cost_gbp
+        return {"f2": float(cost.sum())}
+
+    @classmethod
+    def cost_range(
+        cls, site: Site, data: WindowData, least_gbp: Floats, dearest_gbp: Floats
+    ) -> tuple[Floats, Floats]:
+        """All sets at their largest power, and started, in every step."""
+        sets = site.gensets
+        litres = sets.litres(np.ones(len(sets), dtype=bool), sets.p_max_kw, site.dt_h)
+        most_gbp = litres @ sets.fuel_price_gbp_per_litre + sets.start_cost_gbp.sum()
+        return least_gbp, dearest_gbp + float(most_gbp)
+
+    def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> Held:
+        """Switching, power and fuel of every set."""
+        ahead = _ahead(data)
+        on, power_kw = running(site, dispatch)
+        fuel = ahead.fuel_litres(site.gensets, on, power_kw, site.dt_h)
+        letters = (on.astype(float), ahead.starts(on).astype(float), power_kw, fuel)
+        return Held(dict(zip(self.by_dispatch, letters, strict=True)))
+
+    def read(self, found: Dispatch) -> Dispatch:
+        """Which sets run, and what each gives."""
+        on = np.reshape(np.asarray(self.on.value, dtype=float), self.on.shape) > 0.5
+        power_kw = np.reshape(np.asarray(self.power.value, dtype=float), self.power.shape)
+        sets = self.site.gensets
+        within_kw = np.clip(power_kw, sets.p_min_kw, sets.p_max_kw)
+        return replace(found, genset_on=on, genset_kw=np.where(on, within_kw, 0.0))
+
+
+def running(site: Site, dispatch: Dispatch) -> tuple[Flags, Floats]:
+    """Which sets run, and what each gives in kW, (W, G) each."""
+    if dispatch.genset_on is None or dispatch.genset_kw is None:
+        shape = (dispatch.n_steps, len(site.gensets))
+        return np.zeros(shape, dtype=bool), np.zeros(shape)
+    return dispatch.genset_on, dispatch.genset_kw
+
+
+def _ahead(data: WindowData) -> SetsAhead:
+    """The sets of a window that has any."""
+    assert data.gensets is not None
+    return data.gensets
+
+
+def _times(x: cp.Expression, factors: Floats) -> cp.Expression:
+    """The columns of x, (W, G), times their factors, (G,)."""
+    return x @ np.diag(factors)

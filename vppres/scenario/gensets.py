@@ -1,0 +1,112 @@
+"""Generating sets with a tank of fuel: a frozen table, and the state of each set.
+
+A site without sets has a table of length 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+
+import numpy as np
+
+from vppres.core.arrays import Flags, Floats, Names, Wholes, freeze_fields
+from vppres.scenario.assets import Customers
+
+ROUNDING_H = 1e-9
+"""By how much a time on or off may miss a least time."""
+
+
+def _none() -> Floats:
+    return np.empty(0)
+
+
+def _nobody() -> Names:
+    return np.empty(0, dtype=object)
+
+
+def _no_flags() -> Flags:
+    return np.empty(0, dtype=bool)
+
+
+@dataclass(frozen=True, eq=False)
+class Gensets:
+    """Generating sets, shape (G,) each.
+
+    A running set burns ``litres_per_h_idle``, and ``litres_per_kwh`` for what it gives. Ramps are
+    infinite where there is none. ``on_before_h`` says how long a set has been on at the first step,
+    or, negative, off. Sets have a power factor of 1 and follow a battery that forms the grid.
+    """
+
+    id: Names = field(default_factory=_nobody)
+    bus: Names = field(default_factory=_nobody)
+    p_max_kw: Floats = field(default_factory=_none)
+    p_min_kw: Floats = field(default_factory=_none)
+    ramp_up_kw_per_h: Floats = field(default_factory=_none)
+    ramp_down_kw_per_h: Floats = field(default_factory=_none)
+    min_on_h: Floats = field(default_factory=_none)
+    min_off_h: Floats = field(default_factory=_none)
+    on_before_h: Floats = field(default_factory=_none)
+    start_cost_gbp: Floats = field(default_factory=_none)
+    fuel_price_gbp_per_litre: Floats = field(default_factory=_none)
+    litres_per_kwh: Floats = field(default_factory=_none)
+    litres_per_h_idle: Floats = field(default_factory=_none)
+    tank_litres: Floats = field(default_factory=_none)
+    fuel_level_litres: Floats = field(default_factory=_none)
+    only_in_outage: Flags = field(default_factory=_no_flags)
+
+    def __post_init__(self) -> None:
+        others = {"id": object, "bus": object, "only_in_outage": bool}
+        freeze_fields(self, **{f.name: others.get(f.name, float) for f in fields(self)})
+
+    def __len__(self) -> int:
+        return len(self.id)
+
+    def buses(self, customers: Customers) -> Names:
+        """Bus of each set, (G,): sets stand alone."""
+        return self.bus
+
+    def rise_kw(self, dt_h: float) -> Floats:
+        """Most by which a running set gives more than in the step before, (G,)."""
+        return np.minimum(self.ramp_up_kw_per_h * dt_h, self.p_max_kw)
+
+    def fall_kw(self, dt_h: float) -> Floats:
+        """Most by which a running set gives less than in the step before, (G,)."""
+        return np.minimum(self.ramp_down_kw_per_h * dt_h, self.p_max_kw)
+
+    def first_kw(self, dt_h: float) -> Floats:
+        """Most that a set gives in the step in which it starts, (G,)."""
+        return np.maximum(self.p_min_kw, self.rise_kw(dt_h))
+
+    def litres(self, on: Flags, power_kw: Floats, dt_h: float) -> Floats:
+        """Fuel burnt in a step, (..., G).
+
+        >>> one = Gensets(litres_per_kwh=[0.246], litres_per_h_idle=[8.415])
+        >>> one.litres(np.array([True]), np.array([100.0]), dt_h=1.0)
+        array([33.015])
+        """
+        return dt_h * (self.litres_per_kwh * power_kw + self.litres_per_h_idle * on)
+
+
+@dataclass(frozen=True, eq=False)
+class GensetState:
+    """Sets at the beginning of a step, (G,) each.
+
+    ``hours`` says how long each has been on, or off; a set that is off gives 0 kW.
+    """
+
+    on: Flags
+    hours: Floats
+    power_kw: Floats
+    fuel_litres: Floats
+
+    @classmethod
+    def at_first(cls, sets: Gensets) -> GensetState:
+        """Before the first step: sets that are on give their least power."""
+        on = sets.on_before_h > 0.0
+        least_kw = np.where(on, sets.p_min_kw, 0.0)
+        return cls(on, np.abs(sets.on_before_h), least_kw, sets.fuel_level_litres)
+
+
+def steps_of(hours: Floats, dt_h: float) -> Wholes:
+    """Steps that a time takes up, rounded up."""
+    return np.ceil(np.maximum(hours - ROUNDING_H, 0.0) / dt_h).astype(int)
