@@ -16,7 +16,7 @@ from vppres import Controller, Measurement, RunOptions, run_day
 from vppres.control.converged import physics_of
 from vppres.control.planner import levels_of
 from vppres.core.arrays import Wholes
-from vppres.day.inversions import headroom_words, inversions
+from vppres.day.inversions import headroom_words, inversion_words, inversions
 from vppres.day.metrics import cautions
 from vppres.day.priority import site_of
 from vppres.io import read_scenario, write_scenario
@@ -172,7 +172,7 @@ def test_inversions_are_told_with_names_and_power() -> None:
     ]
     assert cautions(weighed) == [
         "Tier order was not kept in 2 customer-steps (c0): the energy of lower tiers would have "
-        "sufficed. At 00:00 UTC c0 (critical, 60.0 kW) was off supply, while c1, c2, c3 had up to "
+        "sufficed. On 19 Jul at 00:00 UTC c0 (critical, 60.0 kW) was off supply, while c1, c2, c3 had up to "
         "60.0 kW."
     ]
     assert not inversions(run_day(day, RunOptions(priority="strict")))
@@ -204,6 +204,23 @@ def test_an_inversion_needs_energy_and_power(
         customers["served"] = False
     changed = replace(run, batteries=batteries, customers=customers)
     assert bool(inversions(changed)) == inverted
+
+
+def test_energy_that_was_left_is_not_blamed_on_lower_tiers() -> None:
+    """A hospital of 60 kW is off for a dark hour, batteries keep 80 kWh, and a home has 1 kW."""
+    day = hospital_and_homes().between(0, 1)
+    run = run_day(day, RunOptions(priority="weights"))
+    batteries = run.batteries.assign(
+        soc_end=0.15 + 80.0 / (0.95 * 200.0), discharge_kw=0.0, charge_kw=0.0
+    )
+    is_home = run.customers["id"] == "c1"
+    customers = run.customers.assign(p_load_kw=np.where(is_home, 1.0, 60.0), served=is_home)
+    options = {**run.options, "outages": "belief"}
+    changed = replace(run, batteries=batteries, customers=customers, options=options)
+    assert inversion_words(changed) == [
+        "What batteries had left at the end would have sufficed for 1 customer-step (c0) off "
+        "supply while lower tiers had some: it was kept in case the outage lasted longer."
+    ]
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from vppres.scenario.priority import STRICT
 from vppres.scenario.scenario import Scenario
 
 TOLERANCE_KW = 1e-3
+NOBODY = -1
 NAMES = 3
 """Names that a sentence has of each kind."""
 
@@ -29,9 +30,11 @@ class Inversion:
     kw : float
         Its demand.
     lower : array of int
-        Customers of lower tiers that were supplied in the step, or later in the outage.
+        Customers of lower tiers that drew power in the step, or later in the outage.
     lower_kw : float
-        Their largest demand in a step.
+        The most that they drew in a step.
+    kept : bool
+        Whether what was left in the batteries would have sufficed by itself.
     by_headroom : bool
         Whether it would not have sufficed for the headroom of grid-forming batteries besides.
     """
@@ -41,6 +44,7 @@ class Inversion:
     kw: float
     lower: Wholes
     lower_kw: float
+    kept: bool
     by_headroom: bool
 
 
@@ -75,6 +79,7 @@ class _Fleet:
     rank: Wholes
     served: Flags
     load_kw: Floats
+    drawn_kw: Floats
     kept_kwh: Floats
     free_kw: Floats
     dark: Flags
@@ -91,11 +96,14 @@ class _Fleet:
         usable = np.maximum(table["soc_end"] - tile(b.soc_min, steps), 0.0)
         kept = usable * tile(b.energy_kwh, steps) * table["eta_discharge"]
         free = tile(b.active_max_kw, steps) + table["charge_kw"] - table["discharge_kw"]
+        served = run.customers["served"].to_numpy(float).reshape(steps, -1) > 0.5
+        load_kw = run.customers["p_load_kw"].to_numpy(float).reshape(steps, -1)
         dark = run.steps["dark"] > 0 if "dark" in run.steps else np.zeros(steps)
         return cls(
             rank=np.array([position[tier] for tier in day.customers.tier]),
-            served=run.customers["served"].to_numpy(float).reshape(steps, -1) > 0.5,
-            load_kw=run.customers["p_load_kw"].to_numpy(float).reshape(steps, -1),
+            served=served,
+            load_kw=load_kw,
+            drawn_kw=load_kw * served + _behind_customers(run),
             kept_kwh=kept.to_numpy(float).reshape(steps, -1).sum(axis=1),
             free_kw=free.to_numpy(float).reshape(steps, -1).sum(axis=1),
             dark=np.asarray(dark, dtype=bool),
@@ -103,22 +111,40 @@ class _Fleet:
         )
 
 
+def _behind_customers(run: Trajectory) -> Floats:
+    """What vehicles, rooms and tanks of each customer drew, (T, C); negative where they gave."""
+    day = run.scenario
+    customers = day.customers
+    drawn_kw = np.zeros((len(run.steps), len(customers)))
+    for table, owner in (
+        (run.vehicles, np.where(day.chargers.alone, NOBODY, day.chargers.owner(customers))),
+        (run.thermal_loads, day.thermal_loads.owner(customers)),
+    ):
+        if table is not None:
+            p_kw = table["p_kw"].to_numpy(float).reshape(len(run.steps), -1)
+            drawn_kw += p_kw @ (owner[:, None] == np.arange(len(customers)))
+    return drawn_kw
+
+
 def _in_step(run: Trajectory, fleet: _Fleet, t: int, last: int) -> Iterator[Inversion]:
     """Inversions of one step of an outage that ends before step ``last``."""
     dt_h = run.scenario.grid.dt_h
     for customer in np.flatnonzero(~fleet.served[t] & ~fleet.dark[t]):
-        lower = fleet.served[t:last] & (fleet.rank > fleet.rank[customer])
-        lower_kw = (fleet.load_kw[t:last] * lower).sum(axis=1)
+        drawn_kw = fleet.drawn_kw[t:last]
+        # A customer whose vehicle gives more than it draws takes nothing from others.
+        lower = (drawn_kw > TOLERANCE_KW) & (fleet.rank > fleet.rank[customer])
+        lower_kw = (drawn_kw * lower).sum(axis=1)
         kw = float(fleet.load_kw[t, customer])
         spare_kw = fleet.free_kw[t] + lower_kw[0] - kw
         left_kwh = fleet.kept_kwh[t:last] + dt_h * (lower_kw.cumsum() - kw)
+        kept = bool(fleet.free_kw[t] >= kw and fleet.kept_kwh[t:last].min() >= dt_h * kw)
         if spare_kw >= -TOLERANCE_KW and left_kwh.min() >= -dt_h * TOLERANCE_KW:
             now = lower[:1] if lower[0].any() else lower
             who = np.flatnonzero(now.any(axis=0))
             lower_now_kw = float(lower_kw[: len(now)].max())
             kept_kw = np.inf if run.options.get("priority") == STRICT else left_kwh[-1] / dt_h
             denied = min(spare_kw, kept_kw) < fleet.headroom_kw - TOLERANCE_KW
-            yield Inversion(t, int(customer), kw, who, lower_now_kw, denied)
+            yield Inversion(t, int(customer), kw, who, lower_now_kw, kept, denied)
 
 
 def _headroom_kw(run: Trajectory) -> float:
@@ -145,23 +171,46 @@ def headroom_words(run: Trajectory) -> list[str]:
 
 
 def inversion_words(run: Trajectory) -> list[str]:
-    """Inversions in a sentence, with names and kW; empty if there is none."""
+    """Inversions in sentences, with names and kW; empty if there is none."""
     found = inversions(run)
-    if not found:
-        return []
+    needed = [one for one in found if not one.kept]
+    kept = [one for one in found if one.kept]
+    words = []
+    if needed:
+        words.append(
+            f"Tier order was not kept in {_who(run, needed)}: the energy of lower tiers would have "
+            f"sufficed. {_worst_words(run, needed)}"
+        )
+    if kept:
+        uncertain = run.options.get("outages", "known") != "known"
+        why = ": it was kept in case the outage lasted longer" if uncertain else ""
+        words.append(
+            f"What batteries had left at the end would have sufficed for {_who(run, kept)} off "
+            f"supply while lower tiers had some{why}."
+        )
+    return words
+
+
+def _who(run: Trajectory, found: list[Inversion]) -> str:
+    """How many inversions there are, and whose."""
+    ids = run.scenario.customers.id
+    names = list(dict.fromkeys(str(ids[one.customer]) for one in found))
+    count = "1 customer-step" if len(found) == 1 else f"{len(found)} customer-steps"
+    return f"{count} ({named(names, NAMES)})"
+
+
+def _worst_words(run: Trajectory, found: list[Inversion]) -> str:
+    """The inversion of the most important and largest customer."""
     c = run.scenario.customers
     position = {tier: k for k, tier in enumerate(run.scenario.tiers)}
     worst = min(found, key=lambda one: (position[c.tier[one.customer]], -one.kw))
-    names = list(dict.fromkeys(str(c.id[one.customer]) for one in found))
     off = f"{c.id[worst.customer]} ({c.tier[worst.customer]}, {worst.kw:,.1f} kW)"
     lower = named([str(c.id[i]) for i in worst.lower], NAMES)
     time = run.steps["time"].iloc[worst.t]
-    count = "1 customer-step" if len(found) == 1 else f"{len(found)} customer-steps"
-    return [
-        f"Tier order was not kept in {count} ({named(names, NAMES)}): the "
-        f"energy of lower tiers would have sufficed. At {time:%H:%M} UTC {off} was off supply, "
-        f"while {lower} had up to {worst.lower_kw:,.1f} kW."
-    ]
+    return (
+        f"On {time.day} {time:%b at %H:%M} UTC {off} was off supply, while {lower} had up to "
+        f"{worst.lower_kw:,.1f} kW."
+    )
 
 
 def inverted_now(scenario: Scenario, served: Flags, load_kw: Floats) -> str:

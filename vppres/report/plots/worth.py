@@ -5,24 +5,30 @@ from __future__ import annotations
 import numpy as np
 
 from vppres.core.arrays import Floats
+from vppres.day.priority import ranks_of
 from vppres.day.trajectory import Trajectory
 from vppres.report.plots.chart import Chart, Curve, Curves
 from vppres.report.plots.palette import BLUE, GREY, VERMILLION, Style
 
 
 def worth_of_energy(run: Trajectory) -> Chart:
-    """The value of one more stored kWh, in weighted customer hours and in GBP."""
+    """The value of one more stored kWh, in customer hours and in GBP."""
     service = worth_per_step(run, "weighted_h")
     cost = worth_per_step(run, "gbp")
     price = run.steps["price_gbp_per_kwh"].to_numpy(float)
+    ranks = ranks_of(run.scenario, run.options)
+    # In strict order a customer of the last tier weighs 1.
+    hours = (
+        "weighted customer hours" if ranks is None else f"customer hours of tier {ranks.tiers[-1]}"
+    )
     return Chart(
         "worth_of_energy",
         "Value of one more stored kWh",
         run,
         [
             Curves(
-                "Weighted customer\nhours per kWh",
-                [Curve("weighted customer hours per kWh", service, Style(VERMILLION))],
+                "Customer hours\nper kWh",
+                [Curve(f"{hours} per kWh", service, Style(VERMILLION))],
                 120.0,
                 low=0.0 if not (service < 0.0).any() else None,
             ),
