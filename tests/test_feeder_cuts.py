@@ -85,7 +85,7 @@ def test_cuts_leave_every_set_that_is_carried(
     usual, best = master().service(Deadline(TIME_S))
     assert usual.status == Status.OPTIMAL
     assert best is not None
-    monkeypatch.setattr("vppres.solve.network.program.SMALL", 0)
+    monkeypatch.setattr("vppres.solve.sizes.LARGE", 0)
     large = master()
     root = -large.root[1].value
     assert large.carries(best)
@@ -113,7 +113,7 @@ def test_batteries_go_one_way_where_they_cannot_store_what_they_waste(
         Deadline(TIME_S)
     )
     assert served is not None
-    monkeypatch.setattr("vppres.solve.network.program.SMALL", 0)
+    monkeypatch.setattr("vppres.solve.sizes.LARGE", 0)
     master = NetworkMaster(site, Reactance(site), data, Deadline(TIME_S))
     outcome, dispatch = master.cheapest(served, Deadline(TIME_S))
     assert outcome.status == Status.OPTIMAL
@@ -131,7 +131,7 @@ def test_what_exceeds_the_discs_is_moved(monkeypatch: pytest.MonkeyPatch) -> Non
         Deadline(TIME_S)
     )
     assert served is not None
-    monkeypatch.setattr("vppres.solve.network.program.SMALL", 0)
+    monkeypatch.setattr("vppres.solve.sizes.LARGE", 0)
     master = NetworkMaster(site, Reactance(site), data, Deadline(TIME_S))
     columns = master.model.at["Q_batt"]
     outcome, dispatch = master.cheapest(served, Deadline(TIME_S))
@@ -193,7 +193,7 @@ def test_a_set_without_a_dispatch_well_within_is_put_to_the_discs(
     day = three_feeders()
     site = Site.of(day)
     data = window(day, slice(11, 13), 0.35)
-    monkeypatch.setattr("vppres.solve.network.program.SMALL", 0)
+    monkeypatch.setattr("vppres.solve.sizes.LARGE", 0)
 
     def service() -> tuple[Outcome, NetworkMaster, np.ndarray | None]:
         master = NetworkMaster(site, Reactance(site), data, Deadline(TIME_S))

@@ -56,7 +56,7 @@ def test_voltages_without_tables_are_those_with_them(
 ) -> None:
     site = Site.of(packaged)
     tables = Reactance(site)
-    monkeypatch.setattr("vppres.solve.network.reactance.MOST_TABLED", 0)
+    monkeypatch.setattr("vppres.solve.sizes.WIDE", 0)
     flows = Reactance(site)
     assert flows.tables is None
     rng = np.random.default_rng(4)
@@ -79,7 +79,7 @@ def test_reactive_power_in_two_parts_proves_the_same(
         return master.root[1].value, sum(len(rows.lower) for rows in master.network.found)
 
     value, tangents = service()
-    monkeypatch.setattr("vppres.solve.network.program.SMALL", 0)
+    monkeypatch.setattr("vppres.solve.sizes.LARGE", 0)
     parted, fewer = service()
     # Discs are met to a tolerance only, so the same bound comes out to within it.
     assert parted == pytest.approx(value, rel=1e-5)
@@ -95,13 +95,8 @@ def test_a_huge_window_is_answered_without_the_tie_breakers(
     heavy, _ = weak(packaged)
     data = window(heavy, slice(hour, hour + 4), 0.3)
     usual = solved(heavy, data)
-    for name in (
-        "task.LARGE",
-        "task.HUGE",
-        "network.program.SMALL",
-        "network.reactance.MOST_TABLED",
-    ):
-        monkeypatch.setattr(f"vppres.solve.{name}", 0)
+    for name in ("LARGE", "WIDE", "HUGE"):
+        monkeypatch.setattr(f"vppres.solve.sizes.{name}", 0)
     answer = solved(heavy, data)
     assert not any(stage.startswith("tie_breakers") for stage in answer.stages)
     assert answer.status in (Status.OPTIMAL, Status.GAP_OPEN)

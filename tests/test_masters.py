@@ -504,7 +504,7 @@ def test_a_large_window_is_answered_and_certified_without_the_tie_breakers(
     heavy = replace(packaged, load_kw=packaged.load_kw * 1.6)
     data = day_window(heavy, 18, 4, 0.3)
     usual = WindowSolver(Site.of(heavy)).solve(data)
-    monkeypatch.setattr("vppres.solve.task.LARGE", 0)
+    monkeypatch.setattr("vppres.solve.sizes.LARGE", 0)
     answer = WindowSolver(Site.of(heavy)).solve(data)
     first = answer.stages.index("network_service[highs]")
     assert not any(stage.startswith("tie_breakers") for stage in answer.stages[:first])
@@ -556,7 +556,7 @@ def test_a_cheaper_set_in_the_network_is_found(
     found = WindowSolver(Site.of(instances_day())).solve(data)
     assert found.cost_gap_gbp <= 1e-3 * found.terms.f2 + 2e-3
     assert "network_cost_level[highs]" in found.stages
-    monkeypatch.setattr("vppres.solve.task.LARGE", 0)
+    monkeypatch.setattr("vppres.solve.sizes.LARGE", 0)
     first = WindowSolver(Site.of(instances_day())).solve(data)
     assert "network_cost_level[highs]" not in first.stages
     assert first.terms.f1 == pytest.approx(found.terms.f1)

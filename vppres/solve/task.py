@@ -16,19 +16,8 @@ from vppres.solve.certificate import Certificate, CostRange
 from vppres.solve.deadline import Deadline
 from vppres.solve.forms import own_of, sheet_of
 from vppres.solve.result import SolveLimits, WindowSolution
+from vppres.solve.sizes import is_huge, is_large, is_wide
 from vppres.solve.solvers import SolverSpec
-
-LARGE = 1500
-"""Buses times steps beyond which a window is large: its tie-breakers take seconds to find that
-there is no answer, and the search with all binaries never ends."""
-
-WIDE = 200
-"""Buses beyond which a large window is put into the network before its set has a cheapest dispatch,
-which takes longer to find than what the network forbids."""
-
-HUGE = 1500
-"""Buses beyond which a window is huge: compiling its cheapest dispatch takes longer than all the
-rest, and its tie-breakers gigabytes."""
 
 NETWORK_RESERVE = 0.2
 """Share of the time limit that is kept for the network: a search without it that took all the time
@@ -137,17 +126,17 @@ class WindowTask:
     @property
     def is_large(self) -> bool:
         """Whether the window is large."""
-        return self.site.network.n_buses * self.data.n_steps > LARGE
+        return is_large(self.site, self.data.n_steps)
 
     @property
     def is_wide(self) -> bool:
         """Whether the window is large by its buses, not by its steps."""
-        return self.is_large and self.site.network.n_buses > WIDE
+        return self.is_large and is_wide(self.site)
 
     @property
     def is_huge(self) -> bool:
         """Whether the network is too large for anything to be compiled of it."""
-        return self.site.network.n_buses > HUGE
+        return is_huge(self.site)
 
     def obeys_rules(self, served: Flags) -> bool:
         """Whether a served set breaks no switching rule."""

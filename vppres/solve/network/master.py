@@ -19,7 +19,7 @@ from vppres.solve.deadline import HALF, Deadline, Stopwatch
 from vppres.solve.fleet.relaxation import weight_grid, whole_price
 from vppres.solve.network.cheapest import EXACT_DISC, CheapestDispatch
 from vppres.solve.network.feeders import Feeders, feeder_of_buses
-from vppres.solve.network.program import DISC, FINER_DISC, SMALL, NetworkProgram
+from vppres.solve.network.program import DISC, FINER_DISC, NetworkProgram
 from vppres.solve.network.reactance import Reactance
 from vppres.solve.network.rows import Rows, limited
 from vppres.solve.network.sets import Known, ServiceCuts
@@ -36,6 +36,7 @@ from vppres.solve.programs import (
     with_sums,
 )
 from vppres.solve.result import Outcome, Status
+from vppres.solve.sizes import is_large
 
 DISCS = (DISC, FINER_DISC, EXACT_DISC)
 """The shares one after the other: a set that the second admits may need the little that it does."""
@@ -65,7 +66,7 @@ def applies(site: Site, data: WindowData) -> bool:
         return False
     if data.switching is None:
         return True
-    return whole_price(data, unit) and data.load_kw.size <= SMALL
+    return whole_price(data, unit) and not is_large(site, data.n_steps)
 
 
 class NetworkMaster:

@@ -24,6 +24,7 @@ from vppres.solve.network.reactance import Reactance
 from vppres.solve.network.rows import SOLVED, Rows, add, limited
 from vppres.solve.programs import Program, ProgramSolution
 from vppres.solve.result import Status
+from vppres.solve.sizes import is_large
 
 DISC = 2e-3
 """Share of its radius by which a disc may be exceeded in a relaxation: a bound need not be sharp
@@ -38,10 +39,6 @@ sets that have no dispatch."""
 SETTLED = 1e-3
 """By how much a relaxation of a large window must still change for its limits to be looked for on:
 most of the rounds add a handful of tangents that change nothing."""
-
-
-SMALL = 2000
-"""Binaries up to which the search has the network in it: beyond it, it does not end in minutes."""
 
 
 class NetworkProgram:
@@ -77,7 +74,7 @@ class NetworkProgram:
         self.model = injections(site, reactance, data, rules)
         self.found: list[Rows] = []
         self.unfinished: Floats | None = None
-        self.is_large = data.load_kw.size > SMALL
+        self.is_large = is_large(site, data.n_steps)
         rows = self.model.rows()
         program = Program(
             np.zeros(self.model.size),

@@ -10,20 +10,21 @@ import scipy.sparse as sp
 from vppres.core.arrays import Floats, Wholes
 from vppres.model.formulas import lossless_flows, voltage_drop_pu2
 from vppres.model.site import Site
-
-MOST_TABLED = 200
-"""Buses up to which voltages are tables of all injections, 1 MB. Beyond it they follow from the
-flows, and a row of the tables is made where it is asked for."""
+from vppres.solve.sizes import is_wide
 
 
 class Reactance:
-    """How the squared voltages of a site depend on what is injected at its buses."""
+    """How the squared voltages of a site depend on what is injected at its buses.
+
+    They are tables of all injections. In a wide network they follow from the flows, and a row of
+    the tables is made where it is asked for.
+    """
 
     def __init__(self, site: Site) -> None:
         net = site.network
         self.network = net
         self.tables: tuple[Floats, Floats, Floats] | None = None
-        if net.n_buses <= MOST_TABLED:
+        if not is_wide(site):
             fed = net.downstream.toarray()
             per_kw = 2.0 * (fed.T * net.r_pu2_per_kw) @ fed
             per_kvar = 2.0 * (fed.T * net.x_pu2_per_kvar) @ fed
