@@ -26,9 +26,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--fuzz",
         type=int,
-        default=40,
+        default=20,
         metavar="N",
-        help="random mutations of a valid scenario folder (default: 40)",
+        help="random mutations of a valid scenario folder (default: 20)",
     )
     parser.addoption(
         "--quick",
@@ -59,9 +59,10 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 
 def pytest_collection_finish() -> None:
-    """What was imported stays: the collector need not walk through it again and again."""
+    """What was imported stays: the collector need not walk through it, nor so often."""
     gc.collect()
     gc.freeze()
+    gc.set_threshold(20_000, 20, 50)
 
 
 @pytest.fixture(scope="session")

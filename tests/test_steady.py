@@ -29,18 +29,17 @@ def test_steady_sets_obey_the_rules(seed: int) -> None:
         assert (on | off).sum(axis=0).max() <= 2
 
 
-@pytest.mark.daily
-def test_a_window_without_a_search_is_answered(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("seed", ANSWERED)
+def test_a_window_without_a_search_is_answered(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
     monkeypatch.setattr("vppres.solve.ladder.rungs", lambda _: [])
     for name in ("worth_everyone", "worth_an_answer", "worth_the_whole"):
         monkeypatch.setattr(f"vppres.solve.ladder.{name}", lambda _: False)
-    for seed in ANSWERED:
-        case = hard_window("rules", seed)
-        answer = WindowSolver(case.site).solve(case.data)
-        assert np.isinf(answer.bound)
-        rules = case.data.switching
-        assert rules is not None
-        assert not rules.broken(answer.dispatch.served).any()
-        cold = case.data.for_service(answer.dispatch.served)
-        worst = check_dispatch(case.day.scenario, cold, answer.dispatch).worst[1]
-        assert worst < CHECKER_TOLERANCE, seed
+    case = hard_window("rules", seed)
+    answer = WindowSolver(case.site).solve(case.data)
+    assert np.isinf(answer.bound)
+    rules = case.data.switching
+    assert rules is not None
+    assert not rules.broken(answer.dispatch.served).any()
+    cold = case.data.for_service(answer.dispatch.served)
+    worst = check_dispatch(case.day.scenario, cold, answer.dispatch).worst[1]
+    assert worst < CHECKER_TOLERANCE

@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 
 from experiments.random_feeders import random_window
+from tests.support.agreement import assert_methods_agree
 from tests.support.small_windows import DARK, OPEN, first_step, two_buses, window
 from vppres import Controller, InputError, RunOptions, explain_day, run_day, summarise
 from vppres.contract.decision import Decision
@@ -200,12 +201,7 @@ def test_methods_agree_on_random_windows(seed: int) -> None:
         thermal_loads=loads,
     )
     data = replace(data, rooms=rooms_of(day))
-    site = Site.of(day)
-    one, other = (WindowSolver(site, method).solve(data) for method in METHODS)
-    gap = 1e-4 * max(abs(other.objective), 0.01) + 1e-6
-    assert one.objective == pytest.approx(other.objective, abs=2.0 * gap)
-    assert min(one.bound, other.bound) >= max(one.objective, other.objective) - gap
-    assert not broken(site, data, one.dispatch)
+    assert_methods_agree(Site.of(day), data)
 
 
 def test_the_guard_refuses_a_machine_of_a_customer_that_is_off() -> None:

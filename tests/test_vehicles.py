@@ -15,6 +15,7 @@ import pandas as pd
 import pytest
 
 from experiments.random_feeders import random_window
+from tests.support.agreement import assert_methods_agree
 from tests.support.live_service import HERE, NOON, client, decided, readings, said, site
 from tests.support.small_windows import (
     DARK,
@@ -275,12 +276,7 @@ def test_methods_agree_on_random_windows(seed: int) -> None:
     steps = range(day.grid.n_steps)
     held_kwh = Plant(day).garage.held_kwh(0)
     data = replace(data, plugged=Plugged.of(day, steps, held_kwh))
-    day_site = Site.of(day)
-    one, other = (WindowSolver(day_site, method).solve(data) for method in METHODS)
-    gap = 1e-4 * max(abs(other.objective), 0.01) + 1e-6
-    assert one.objective == pytest.approx(other.objective, abs=2.0 * gap)
-    assert min(one.bound, other.bound) >= max(one.objective, other.objective) - gap
-    assert not broken(day_site, data, one.dispatch)
+    assert_methods_agree(Site.of(day), data)
 
 
 def with_random_vehicles(scenario: Scenario, seed: int) -> Scenario:

@@ -11,6 +11,7 @@ from tests.support.small_windows import CHECKER_TOLERANCE
 from vppres.contract.switching import SwitchingState
 from vppres.model.data import WindowData
 from vppres.model.site import Site
+from vppres.model.violations import broken
 from vppres.scenario.scenario import Scenario
 from vppres.solve.ladder import METHODS, WindowSolver
 from vppres.solve.result import SolveLimits, WindowSolution
@@ -57,3 +58,12 @@ def assert_agree(
         assert_sound(scenario, data, answer, state)
         assert answer.objective >= best - gap
         assert answer.bound >= best - BOUND_TOLERANCE
+
+
+def assert_methods_agree(site: Site, data: WindowData) -> None:
+    """The same of a window with assets that :func:`check_dispatch` does not know."""
+    one, other = both_methods(site, data)
+    gap = 1e-4 * max(abs(other.objective), 0.01) + 1e-6
+    assert one.objective == pytest.approx(other.objective, abs=2.0 * gap)
+    assert min(one.bound, other.bound) >= max(one.objective, other.objective) - gap
+    assert not broken(site, data, one.dispatch)
