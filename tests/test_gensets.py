@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from experiments.random_feeders import random_window
@@ -14,18 +15,23 @@ from tests.support.small_windows import DARK, OPEN, battery, first_step, two_bus
 from vppres import Controller, InputError, RunOptions, explain_day, run_day, summarise
 from vppres.contract.decision import Decision
 from vppres.contract.gensets import SetsAhead
+from vppres.control.guard.balance import Commanded, Readings, mismatch_kw
 from vppres.control.guard.check import violations
+from vppres.day.assembly import make_controller
+from vppres.day.simulate import Day
 from vppres.io import read_scenario, write_scenario
 from vppres.io.digest import scenario_digest
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.model.violations import broken
 from vppres.plant.gensets import Engines
-from vppres.scenario.gensets import Gensets, GensetState
+from vppres.scenario.gensets import Gensets, GensetState, Refuels
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
 from vppres.solve.ladder import METHODS, WindowSolver
 from vppres.solve.result import WindowSolution
+
+HALF_AN_HOUR = pd.Timedelta(minutes=30)
 
 
 def gensets(count: int = 1, **more: Any) -> Gensets:
@@ -77,9 +83,8 @@ def island(load_kw: list[float], sets: Gensets, steps_h: float = 1.0) -> Scenari
 
 def ahead(day: Scenario, n_steps: int | None = None) -> SetsAhead:
     """Sets of the first steps of a day."""
-    sets = day.gensets
-    now = GensetState.at_first(sets)
-    found = SetsAhead.of(sets, n_steps or day.grid.n_steps, now, day.grid.dt_h)
+    steps = range(n_steps or day.grid.n_steps)
+    found = SetsAhead.of(day, steps, GensetState.at_first(day.gensets))
     assert found is not None
     return found
 
@@ -143,14 +148,14 @@ def test_least_times_on_and_off_as_published(method: str) -> None:
 
 @pytest.mark.parametrize(("power_kw", "hours"), [(100.0, 6.06), (50.0, 9.66), (30.0, 12.66)])
 def test_a_tank_lasts_for_known_hours(power_kw: float, hours: float) -> None:
-    day = island([power_kw] * 20, gensets(), steps_h=0.01)
+    day = island([power_kw] * 1300, gensets(), steps_h=0.01)
     engines = Engines(day)
     done = 0
     while True:
-        on, given_kw = engines.possible(np.array([True]), np.array([power_kw]))
+        on, given_kw = engines.possible(done, np.array([True]), np.array([power_kw]))
         if not on[0] or given_kw[0] < power_kw - 1e-6:
             break
-        engines.advance(on, given_kw)
+        engines.advance(done, on, given_kw)
         done += 1
     assert done * 0.01 == pytest.approx(hours, abs=0.011)
 
@@ -233,15 +238,17 @@ def test_methods_agree_on_random_windows(seed: int) -> None:
 def test_plant_and_plan_agree_on_what_random_sets_can_do() -> None:
     """What the plant makes of any wish is allowed by the window's rules, with the same fuel."""
     rng = np.random.default_rng(3)
-    day, _ = random_window(1)
+    day = island([1000.0] * 40, gensets())
     sets = random_sets(rng, day)
-    day = replace(day, gensets=replace(sets, only_in_outage=np.zeros(len(sets), dtype=bool)))
+    times = day.grid.times
+    refuels = Refuels([sets.id[0]] * 2, [times[9] - HALF_AN_HOUR, times[20]], [150.0, 1e4])
+    day = replace(day, gensets=sets, refuels=refuels)
     engines = Engines(day)
     on, power_kw, fuel_litres = [], [], []
-    for _ in range(40):
+    for t in range(40):
         wanted = rng.random(len(sets)) < 0.7
         wish_kw = sets.p_max_kw * rng.uniform(0.0, 1.2, len(sets))
-        engines.advance(*engines.possible(wanted, wish_kw))
+        engines.advance(t, *engines.possible(t, wanted, wish_kw))
         state = engines.state
         on.append(state.on)
         power_kw.append(state.power_kw)
@@ -249,11 +256,12 @@ def test_plant_and_plan_agree_on_what_random_sets_can_do() -> None:
     free = replace(day.gensets, min_on_h=np.zeros(len(sets)))  # the plant stops when it is told
     seen = ahead(replace(day, gensets=free), 40).without_duties()
     runs, given_kw = np.array(on), np.array(power_kw)
-    rules = (free, runs, np.zeros(40, dtype=bool), day.grid.dt_h)
+    rules = (free, runs, day.outage, day.grid.dt_h)
     assert runs.any() and not seen.wrongly_switched(*rules).any()
     assert seen.moved_too_fast_kw(free, runs, given_kw, day.grid.dt_h).max() < 1e-6
     left = seen.fuel_litres(free, runs, given_kw, day.grid.dt_h)
     assert np.abs(left - np.array(fuel_litres)).max() < 1e-9
+    assert left[9, 0] > left[8, 0] and left[20, 0] > left[19, 0]
 
 
 def test_the_guard_refuses_what_a_set_cannot_do() -> None:
@@ -269,17 +277,46 @@ def test_the_guard_refuses_what_a_set_cannot_do() -> None:
     assert "genset switching: g0" in violations(Decision(plan), connected)
 
 
+@pytest.mark.parametrize("method", METHODS)
+def test_fuel_that_is_delivered_in_time_is_planned_with(method: str) -> None:
+    """25 l are one step of 50 kW; a delivery within the second step counts from the third on."""
+    day = island([50.0] * 4, gensets(fuel_level_litres=25.0))
+    late = day.grid.times[1] + HALF_AN_HOUR
+    day = replace(day, refuels=Refuels(["g0"], [late], [40.0]))
+    served = solved(day, method).dispatch.served[:, 0]
+    assert served[2:].all() and served.sum() == 3
+
+
+def test_readings_are_checked_with_what_a_set_gives() -> None:
+    """The import is less by what a set gives, and that contradicts no reading of a customer."""
+    day = two_buses([[150.0], [150.0]], [1.0], [OPEN, OPEN], price=9.0)
+    day = replace(day, gensets=gensets(only_in_outage=False))
+    options = RunOptions(isolate=False)
+    decider = make_controller(day, options)
+    run = Day(day, options)
+    decision = decider.decide(run.observe(decider, 0))
+    run.settle(0, decision)
+    seen = run.observe(decider, 1)
+    assert seen.flexible_kw == pytest.approx(-100.0)
+    readings = Readings(day.load_kw[0], day.pv_kw[0])
+    off_kw = mismatch_kw(Site.of(day), Commanded.of(decision), seen, readings)
+    assert off_kw == pytest.approx(0.0, abs=0.1)
+
+
 @pytest.mark.parametrize("mode", ["paper", "physical"])
 def test_a_day_tells_what_sets_did(tmp_path: Path, mode: str) -> None:
     """What is planned happens, is recorded, counted and explained, and its files are read again."""
     day = two_buses([[50.0]] * 8, [1.0], [OPEN] + [DARK] * 6 + [OPEN])
-    day = replace(day, gensets=gensets(min_on_h=2.0), batteries=battery(150.0, 100.0, 100.0))
+    refuels = Refuels(["g0"], [day.grid.times[7]], [20.0])
+    sets = gensets(min_on_h=2.0)
+    day = replace(day, gensets=sets, refuels=refuels, batteries=battery(150.0, 100.0, 100.0))
     run = run_day(day, RunOptions(isolate=False, mode=mode))
     rows = run.gensets
     assert rows is not None
     assert not rows["running"].to_numpy()[[0, 7]].any()
     burnt = day.gensets.litres(rows["running"].to_numpy(), rows["p_kw"].to_numpy(), 1.0)
-    assert rows["fuel_end_litres"].to_numpy() == pytest.approx(200.0 - np.cumsum(burnt), abs=1e-9)
+    left = 200.0 - np.cumsum(burnt) + np.array([0.0] * 7 + [20.0])
+    assert rows["fuel_end_litres"].to_numpy() == pytest.approx(left, abs=1e-9)
     summary = summarise(run)
     assert summary["resilience"] == 1.0
     assert summary["gensets"]["burnt_litres"] == pytest.approx(burnt.sum())
@@ -291,6 +328,7 @@ def test_a_day_tells_what_sets_did(tmp_path: Path, mode: str) -> None:
     write_scenario(day, tmp_path / "day")
     again = read_scenario(tmp_path / "day")
     assert scenario_digest(again) == scenario_digest(day)
+    assert scenario_digest(replace(day, refuels=Refuels())) != scenario_digest(day)
     assert scenario_digest(replace(day, gensets=gensets())) != scenario_digest(day)
 
 
@@ -320,6 +358,13 @@ def test_mistakes_are_named(tmp_path: Path) -> None:
         "the grid. Write no, and give a battery the duty (grid_forming in batteries.csv)."
     )
     assert "bus = 9" in told({"bus": "9"})
+    file.write_text(good, encoding="utf-8")
+    (tmp_path / "refuel.csv").write_text(
+        "genset,time,litres\ng9,2022-07-19T00:00Z,50\n", encoding="utf-8"
+    )
+    with pytest.raises(InputError) as caught:
+        read_scenario(tmp_path)
+    assert "refuel.csv, row 2, genset = g9: is not a set of gensets.csv." in str(caught.value)
 
 
 def test_what_does_not_go_with_sets_is_refused() -> None:

@@ -13,6 +13,7 @@ import numpy as np
 from vppres.contract.by_step import ByStep
 from vppres.core.arrays import Flags, Floats
 from vppres.scenario.gensets import Gensets, GensetState, steps_of
+from vppres.scenario.scenario import Scenario
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,15 +42,18 @@ class SetsAhead(ByStep):
     added_litres: Floats
 
     @classmethod
-    def of(cls, sets: Gensets, n_steps: int, now: GensetState, dt_h: float) -> Self | None:
+    def of(cls, scenario: Scenario, steps: range, now: GensetState) -> Self | None:
         """The window that begins with sets in this state; None without any.
 
         No set has to stay on for longer than its fuel lasts.
         """
+        sets, dt_h = scenario.gensets, scenario.grid.dt_h
         if not len(sets):
             return None
+        n_steps = len(steps)
         step = np.arange(n_steps)[:, None]
         left_on = steps_of(np.where(now.on, sets.min_on_h - now.hours, 0.0), dt_h)
+        delivered = scenario.refuelled_litres[steps.start : steps.stop]
         least_litres = sets.litres(np.ones_like(now.on), sets.p_min_kw, dt_h)
         enough = now.fuel_litres >= (step + 1) * least_litres
         left_off = steps_of(np.where(now.on, 0.0, sets.min_off_h - now.hours), dt_h)
@@ -59,7 +63,7 @@ class SetsAhead(ByStep):
             (step < left_on) & enough,
             _first(now.on.astype(float), n_steps),
             _first(now.power_kw, n_steps),
-            _first(now.fuel_litres, n_steps),
+            _first(now.fuel_litres, n_steps) + delivered,
         )
 
     def in_the_dark(self, lit: Flags) -> Self:

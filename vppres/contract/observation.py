@@ -76,8 +76,9 @@ class Observation:
         balance lacks.
     served : array of bool, shape (C,), optional
         Who was really served in the step before; as decided if not given.
-    ev_kw : array, shape (K,), optional
-        Measured power of each charger in the step before, negative where discharged.
+    flexible_kw : float, optional
+        Measured power of vehicles, machines that cool or heat and generating sets together in the
+        step before, negative where they give.
     terminal : Terminal, optional
         What batteries are to hold at the end of the window, where nothing is known behind it.
     stored_value : StoredValue, optional
@@ -133,7 +134,7 @@ class Observation:
     plugged: Plugged | None = None
     rooms: Rooms | None = None
     gensets: SetsAhead | None = None
-    ev_kw: Floats | None = None
+    flexible_kw: float | None = None
 
     def counted(self, times: float) -> Observation:
         """The same where a weighted customer hour in an outage counts as so many."""

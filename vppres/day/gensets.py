@@ -11,7 +11,7 @@ from vppres.day.trajectory import Trajectory
 from vppres.plant.plant import Plant, Realised
 
 
-def genset_record(plant: Plant, realised: Realised) -> dict[str, Any] | None:
+def genset_record(plant: Plant, t: int, realised: Realised) -> dict[str, Any] | None:
     """What sets did in a step, and what is in their tanks; None without any."""
     sets = plant.scenario.gensets
     if not len(sets):
@@ -19,7 +19,7 @@ def genset_record(plant: Plant, realised: Realised) -> dict[str, Any] | None:
     before = plant.engines.state
     on = np.broadcast_to(realised.genset_on, len(sets))
     power_kw = np.broadcast_to(realised.genset_kw, len(sets))
-    after = plant.engines.after(on, power_kw)
+    after = plant.engines.after(t, on, power_kw)
     return {
         "running": on,
         "started": on & ~before.on,
@@ -27,6 +27,7 @@ def genset_record(plant: Plant, realised: Realised) -> dict[str, Any] | None:
         "hours_before": np.where(before.on, before.hours, -before.hours),
         "p_before_kw": before.power_kw,
         "fuel_start_litres": before.fuel_litres,
+        "burnt_litres": sets.litres(on, power_kw, plant.scenario.grid.dt_h),
         "fuel_end_litres": after.fuel_litres,
     }
 
@@ -46,7 +47,7 @@ def genset_figures(trajectory: Trajectory) -> dict[str, Any]:
     sets = trajectory.scenario.gensets
     dt_h = trajectory.scenario.grid.dt_h
     shape = (-1, len(sets))
-    burnt = (rows["fuel_start_litres"] - rows["fuel_end_litres"]).to_numpy(float).reshape(shape)
+    burnt = rows["burnt_litres"].to_numpy(float).reshape(shape)
     started = rows["started"].to_numpy(bool).reshape(shape)
     cost = burnt @ sets.fuel_price_gbp_per_litre + started @ sets.start_cost_gbp
     return {

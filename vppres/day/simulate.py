@@ -139,7 +139,7 @@ class Day:
         self.battery_kw: Floats | None = None
         self.import_kw: float | None = None
         self.served: Flags | None = None
-        self.ev_kw: Floats | None = None
+        self.flexible_kw: float | None = None
         self.owed = Owed.of(scenario.customers, scenario.grid.dt_h)
         self.outages = OutageView.create(scenario, self.options.as_record())
         self.grid_seen = GridSeen()
@@ -161,16 +161,11 @@ class Day:
             battery_kw=self.battery_kw,
             import_kw=self.import_kw,
             served=self.served,
-            ev_kw=self.ev_kw,
+            flexible_kw=self.flexible_kw,
             owed=self.owed,
             plugged=self.plugged(steps),
             rooms=Rooms.of(self.scenario, steps, self.plant.climate.t_c),
-            gensets=SetsAhead.of(
-                self.scenario.gensets,
-                len(steps),
-                self.plant.engines.state,
-                self.scenario.grid.dt_h,
-            ),
+            gensets=SetsAhead.of(self.scenario, steps, self.plant.engines.state),
             terminal=Terminal.of(
                 self.options.soc_end, forecast, ends=steps.stop == self.scenario.grid.n_steps
             ),
@@ -212,7 +207,7 @@ class Day:
         realised = done.realised
         vehicles = _vehicles(self.plant, t, realised)
         climate = climate_record(self.plant, t, realised)
-        gensets = genset_record(self.plant, realised)
+        gensets = genset_record(self.plant, t, realised)
         result = done.ac
         record = _record(self.scenario, t, decision, self.state, done, self.options)
         steps = {**record.steps, **basis_of(self.forecaster, t)}
@@ -237,7 +232,7 @@ class Day:
         metered = not (self._held_by_batteries(t) or done.ac_failed)
         self.import_kw = result.p_slack_kw if metered else None
         self.served = realised.served
-        self.ev_kw = np.broadcast_to(realised.ev_kw, len(self.scenario.chargers))
+        self.flexible_kw = realised.flexible_kw
         self.state = self.plant.advance(t, self.state, realised)
         if self.switching is not None:
             self.switching = self.switching.advance(realised.served)

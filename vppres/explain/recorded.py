@@ -124,7 +124,7 @@ class Recorded:
         power_kw = self._of_gensets("p_before_kw")[steps.start]
         fuel_litres = self._of_gensets("fuel_start_litres")[steps.start]
         now = GensetState(hours > 0.0, np.abs(hours), power_kw, fuel_litres)
-        return SetsAhead.of(self.scenario.gensets, len(steps), now, self.site.dt_h)
+        return SetsAhead.of(self.scenario, steps, now)
 
     @cached_property
     def _owed(self) -> list[Owed | None]:

@@ -1,4 +1,4 @@
-"""Rows of ``gensets.csv``: what is wrong with them; the table."""
+"""Rows of ``gensets.csv`` and ``refuel.csv``: what is wrong with them; both tables."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ import pandas as pd
 
 from vppres.core.errors import Problem
 from vppres.io import schema
-from vppres.scenario.gensets import Gensets
+from vppres.io.times import iso
+from vppres.scenario.gensets import Gensets, Refuels
 from vppres.scenario.network import BusId
 
 Rows = Mapping[int, schema.Row]
@@ -72,8 +73,18 @@ def gensets_of(rows: Rows, read_bus: Callable[[str], BusId]) -> Gensets:
     return Gensets(**columns)
 
 
-def genset_frames(sets: Gensets) -> dict[str, pd.DataFrame]:
-    """The table as it is written; none without a set."""
+def refuels_of(rows: Rows) -> Refuels:
+    """The deliveries of sound rows."""
+    columns: dict[str, Any] = {
+        name: [getattr(row, name) for row in rows.values()]
+        for name in schema.RefuelRow.model_fields
+    }
+    columns["time"] = [pd.Timestamp(time) for time in columns["time"]]
+    return Refuels(**columns)
+
+
+def genset_frames(sets: Gensets, refuels: Refuels) -> dict[str, pd.DataFrame]:
+    """Both tables as they are written; none without a set, or a delivery."""
     if not len(sets):
         return {}
     told = {
@@ -83,4 +94,9 @@ def genset_frames(sets: Gensets) -> dict[str, pd.DataFrame]:
     }
     told |= {name: np.where(np.isinf(told[name]), np.nan, told[name]) for name in RAMPS}
     told["only_in_outage"] = np.where(sets.only_in_outage, "yes", "no")
-    return {"gensets": pd.DataFrame(told).dropna(axis="columns", how="all")}
+    frames = {"gensets": pd.DataFrame(told).dropna(axis="columns", how="all")}
+    if len(refuels):
+        times = [iso(time) for time in refuels.time]
+        columns = {"genset": refuels.genset, "time": times, "litres": refuels.litres}
+        frames["refuel"] = pd.DataFrame(columns)
+    return frames

@@ -15,7 +15,7 @@ from pydantic.fields import FieldInfo
 from vppres.core.arrays import Floats
 from vppres.core.errors import InputError, Problem
 from vppres.io import checks, schema
-from vppres.io.genset_rows import check_gensets, gensets_of
+from vppres.io.genset_rows import check_gensets, gensets_of, refuels_of
 from vppres.io.history import Columns, history_of
 from vppres.io.messages import in_order
 from vppres.io.outage_log import read_interruptions
@@ -51,6 +51,7 @@ _OPTIONAL: dict[str, type[BaseModel]] = {
     "ev_sessions": schema.SessionRow,
     "thermal_loads": schema.ThermalLoadRow,
     "gensets": schema.GensetRow,
+    "refuel": schema.RefuelRow,
     "warnings": schema.WarningRow,
     "outages": schema.OutageRow,
 }
@@ -71,6 +72,7 @@ class _Folder:
     ev_sessions: Table | None
     thermal_loads: Table | None
     gensets: Table | None
+    refuel: Table | None
     load_kw: Table | None
     pv_kw: Table | None
     system: Table | None
@@ -93,6 +95,7 @@ class _Rows:
     sessions: dict[int, schema.Row]
     thermal_loads: dict[int, schema.Row]
     gensets: dict[int, schema.Row]
+    refuels: dict[int, schema.Row]
     warnings: dict[int, OutageWarning]
     outages: dict[int, Interruption]
 
@@ -176,6 +179,7 @@ def _read_all_rows(content: _Folder) -> tuple[_Rows, list[Problem]]:
     sessions, session_problems = read_rows(content.ev_sessions, schema.SessionRow)
     thermal, thermal_problems = read_rows(content.thermal_loads, schema.ThermalLoadRow)
     gensets, genset_problems = read_rows(content.gensets, schema.GensetRow)
+    refuels, refuel_problems = read_rows(content.refuel, schema.RefuelRow)
     warnings, warning_problems = read_warnings(content.warnings)
     outages, outage_problems = read_interruptions(content.outages)
     return (
@@ -189,6 +193,7 @@ def _read_all_rows(content: _Folder) -> tuple[_Rows, list[Problem]]:
             sessions,
             thermal,
             gensets,
+            refuels,
             warnings,
             outages,
         ),
@@ -201,6 +206,7 @@ def _read_all_rows(content: _Folder) -> tuple[_Rows, list[Problem]]:
         + session_problems
         + thermal_problems
         + genset_problems
+        + refuel_problems
         + warning_problems
         + outage_problems,
     )
@@ -254,6 +260,10 @@ def _check_across(content: _Folder, rows: _Rows) -> list[Problem]:
         problems += check_thermal_loads(thermal.file, rows.thermal_loads)
     if gensets:
         problems += check_gensets(gensets.file, rows.gensets)
+    if content.refuel:
+        sets = gensets.column("id").values() if gensets else []
+        message = f"is not a set of {content.settings.files.gensets}"
+        problems += checks.check_known(content.refuel, "genset", sets, message)
     if batteries:
         problems += checks.check_batteries(batteries.file, rows.batteries)
     return problems
@@ -425,6 +435,7 @@ def _assemble(
         sessions=sessions_of(rows.sessions, file.tiers),
         thermal_loads=thermal_loads_of(rows.thermal_loads),
         gensets=gensets_of(rows.gensets, read_bus),
+        refuels=refuels_of(rows.refuels),
     )
 
 

@@ -202,7 +202,7 @@ def _frames(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, pd.
         frames |= phase_frames(scenario.phases)
     frames |= vehicle_frames(scenario.chargers, scenario.sessions)
     frames |= thermal_load_frames(scenario.thermal_loads)
-    frames |= genset_frames(scenario.gensets)
+    frames |= genset_frames(scenario.gensets, scenario.refuels)
     return frames
 
 

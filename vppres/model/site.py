@@ -138,12 +138,17 @@ class Site:
         """The network whose voltage limits hold."""
         return self.network if self.limits_of is None else self.limits_of
 
+    @property
+    def kinds(self) -> list[Chargers | ThermalLoads | Gensets]:
+        """Kinds of flexible power that the site has."""
+        kinds = (self.chargers, self.thermal_loads, self.gensets)
+        return [kind for kind in kinds if len(kind)]
+
     @cached_property
     def key(self) -> str:
         """Digest of the content: sites of equal content have equal problems."""
         more: list[Any] = [] if self.ranks is None else [self.ranks]
-        kinds = (self.chargers, self.thermal_loads, self.gensets)
-        more += [kind for kind in kinds if len(kind)]
+        more += self.kinds
         rules = " soft" * self.soft_voltages + " rated" * self.rated
         if self.phases is not None:
             rules += f" {self.phases.key} {content_key(self.feeder)}"

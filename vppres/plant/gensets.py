@@ -33,7 +33,12 @@ class Engines:
         self.scenario = scenario
         self.state = GensetState.at_first(scenario.gensets)
 
-    def possible(self, on: Flags, wanted_kw: Floats) -> tuple[Flags, Floats]:
+    def _tank_litres(self, t: int) -> Floats:
+        """Fuel at the beginning of a step, with what is delivered then and fits in."""
+        filled = self.state.fuel_litres + self.scenario.refuelled_litres[t]
+        return np.asarray(np.minimum(filled, self.scenario.gensets.tank_litres))
+
+    def possible(self, t: int, on: Flags, wanted_kw: Floats) -> tuple[Flags, Floats]:
         """Which sets run of those that are to, and the power of each nearest to what is wanted.
 
         A set starts once it has been off for its least time, and stops at once when it is told to,
@@ -45,7 +50,8 @@ class Engines:
         started = ~was_on & (self.state.hours >= sets.min_off_h - ROUNDING_H)
         step_kw = dt_h * sets.ramp_up_kw_per_h
         most_kw = np.where(was_on, was_kw + step_kw, np.maximum(sets.p_min_kw, step_kw))
-        by_fuel_kw = (self.state.fuel_litres / dt_h - sets.litres_per_h_idle) / sets.litres_per_kwh
+        litres_per_h = self._tank_litres(t) / dt_h - sets.litres_per_h_idle
+        by_fuel_kw = litres_per_h / sets.litres_per_kwh
         most_kw = np.minimum(np.minimum(most_kw, sets.p_max_kw), by_fuel_kw)
         fallen_kw = np.where(was_on, was_kw - dt_h * sets.ramp_down_kw_per_h, 0.0)
         least_kw = np.maximum(sets.p_min_kw, fallen_kw)
@@ -53,15 +59,15 @@ class Engines:
         within_kw = np.minimum(np.maximum(wanted_kw, least_kw), most_kw)
         return runs, np.where(runs, np.maximum(within_kw, 0.0), 0.0)
 
-    def after(self, on: Flags, power_kw: Floats) -> GensetState:
+    def after(self, t: int, on: Flags, power_kw: Floats) -> GensetState:
         """State at the end of a step in which sets run with these powers."""
         sets = self.scenario.gensets
         dt_h = self.scenario.grid.dt_h
         per_h = np.where(on, sets.litres_per_h_idle + sets.litres_per_kwh * power_kw, 0.0)
-        left = np.maximum(self.state.fuel_litres - per_h * dt_h, 0.0)
+        left = np.maximum(self._tank_litres(t) - per_h * dt_h, 0.0)
         hours = np.where(on == self.state.on, self.state.hours + dt_h, dt_h)
         return GensetState(on, hours, np.where(on, power_kw, 0.0), left)
 
-    def advance(self, on: Flags, power_kw: Floats) -> None:
+    def advance(self, t: int, on: Flags, power_kw: Floats) -> None:
         """The state at the end of a step."""
-        self.state = self.after(on, power_kw)
+        self.state = self.after(t, on, power_kw)

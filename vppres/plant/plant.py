@@ -89,6 +89,12 @@ class Realised:
     genset_on: Flags | bool = False
     genset_kw: Floats | float = 0.0
 
+    @property
+    def flexible_kw(self) -> float:
+        """What vehicles and machines take, less what generating sets give."""
+        taken_kw = float(np.sum(self.ev_kw)) + float(np.sum(self.thermal_kw))
+        return taken_kw - float(np.sum(self.genset_kw))
+
 
 class Plant:
     """The actual day of a scenario.
@@ -152,7 +158,7 @@ class Plant:
         self.climate.advance(t, np.broadcast_to(realised.thermal_kw, len(self.climate.t_c)))
         sets = len(self.scenario.gensets)
         self.engines.advance(
-            np.broadcast_to(realised.genset_on, sets), np.broadcast_to(realised.genset_kw, sets)
+            t, np.broadcast_to(realised.genset_on, sets), np.broadcast_to(realised.genset_kw, sets)
         )
         power = Power(realised.charge_kw, realised.discharge_kw)
         thermal = advance(
@@ -190,21 +196,21 @@ class Plant:
         ev_kw = self.garage.possible_kw(t, ev_kw, served)
         machines_kw = 0.0 if plan.thermal_kw is None else plan.thermal_kw[row]
         thermal_kw = self.climate.possible_kw(np.asarray(machines_kw), served)
-        sets = self._sets(decision)
+        sets = self._sets(t, decision)
         net_kw = charge - discharge
         powers = Powers(
             served, own, export, curtailed, pv_q, net_kw, batt_q, share, ev_kw, thermal_kw, *sets
         )
         return self.realise(t, powers, state, float(clipped))
 
-    def _sets(self, decision: Decision) -> tuple[Flags, Floats]:
+    def _sets(self, t: int, decision: Decision) -> tuple[Flags, Floats]:
         """Which generating sets run, and what each gives, as far as they can follow, (G,) each."""
         plan = decision.dispatch
         if plan.genset_on is None or plan.genset_kw is None:
             sets = len(self.scenario.gensets)
             return np.zeros(sets, dtype=bool), np.zeros(sets)
         on = np.asarray(plan.genset_on[decision.row], dtype=bool)
-        return self.engines.possible(on, plan.genset_kw[decision.row])
+        return self.engines.possible(t, on, plan.genset_kw[decision.row])
 
     def load_kw(self, t: int, served: Flags) -> Floats:
         """Demand of each customer in step ``t``, (C,): higher for those who were just restored."""

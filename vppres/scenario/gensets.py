@@ -11,6 +11,7 @@ import numpy as np
 
 from vppres.core.arrays import Flags, Floats, Names, Wholes, freeze_fields
 from vppres.scenario.assets import Customers
+from vppres.scenario.timegrid import TimeGrid
 
 ROUNDING_H = 1e-9
 """By how much a time on or off may miss a least time."""
@@ -85,6 +86,34 @@ class Gensets:
         array([33.015])
         """
         return dt_h * (self.litres_per_kwh * power_kw + self.litres_per_h_idle * on)
+
+
+@dataclass(frozen=True, eq=False)
+class Refuels:
+    """Deliveries of fuel that are known ahead, shape (D,) each; times are timestamps."""
+
+    genset: Names = field(default_factory=_nobody)
+    time: Names = field(default_factory=_nobody)
+    litres: Floats = field(default_factory=_none)
+
+    def __post_init__(self) -> None:
+        freeze_fields(self, genset=object, time=object, litres=float)
+
+    def __len__(self) -> int:
+        return len(self.genset)
+
+    def by_step(self, sets: Gensets, grid: TimeGrid) -> Floats:
+        """What is delivered at the beginning of each step, (T, G).
+
+        A delivery within a step counts from the next one on.
+        """
+        found = np.zeros((grid.n_steps, len(sets)))
+        column = {name: g for g, name in enumerate(sets.id)}
+        for name, time, litres in zip(self.genset, self.time, self.litres, strict=True):
+            step = int(steps_of(np.array((time - grid.start).total_seconds() / 3600.0), grid.dt_h))
+            if time >= grid.start and step < grid.n_steps:
+                found[step, column[name]] += litres
+        return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from vppres.core.arrays import Flags, Floats, Wholes, freeze_fields
 from vppres.core.notebook import facts_html
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.fairness import Fairness, Interruption
-from vppres.scenario.gensets import Gensets
+from vppres.scenario.gensets import Gensets, Refuels
 from vppres.scenario.history import History
 from vppres.scenario.network import Network
 from vppres.scenario.option_table import default_of
@@ -165,8 +165,8 @@ class Scenario:
         Chargers of electric vehicles, and when which vehicle is plugged in.
     thermal_loads : ThermalLoads
         Rooms and tanks that are cooled or heated.
-    gensets : Gensets
-        Generating sets with their tanks.
+    gensets, refuels : Gensets, Refuels
+        Generating sets with their tanks, and deliveries of fuel.
     """
 
     name: str
@@ -201,6 +201,7 @@ class Scenario:
     sessions: Sessions = field(default_factory=Sessions)
     thermal_loads: ThermalLoads = field(default_factory=ThermalLoads)
     gensets: Gensets = field(default_factory=Gensets)
+    refuels: Refuels = field(default_factory=Refuels)
 
     def __post_init__(self) -> None:
         if self.phases is not None:
@@ -254,6 +255,11 @@ class Scenario:
     def session_at(self) -> Wholes:
         """Which session each charger has in each step, (T, K); -1 for none."""
         return sessions_by_step(self.chargers, self.sessions, self.grid)
+
+    @cached_property
+    def refuelled_litres(self) -> Floats:
+        """Fuel that is delivered to each set at the beginning of each step, (T, G)."""
+        return self.refuels.by_step(self.gensets, self.grid)
 
     @property
     def most_charging_kw(self) -> Floats:

@@ -85,10 +85,10 @@ def mismatch_kw(
     demand = readings.load_kw * _served(commanded, seen)
     curtailed = curtailed_kw(site, commanded.pv_curtailed_kw, readings.pv_kw, demand)
     taken = float(demand.sum() + seen.battery_kw.sum())
-    if len(site.chargers):
-        if seen.ev_kw is None:
+    if site.kinds:
+        if seen.flexible_kw is None:
             return None
-        taken += float(seen.ev_kw.sum())
+        taken += seen.flexible_kw
     given = float((readings.pv_kw - curtailed).sum())
     assert seen.operating_point is not None  # otherwise the feeder was off
     found = seen.import_kw - (taken - given + _losses_kw(site, seen.operating_point))
