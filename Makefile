@@ -130,6 +130,7 @@ ablation: $(STAMP)  ## what each mechanism of the solver is worth, into docs/_st
 scenario: $(STAMP)  ## rebuild the packaged scenarios
 	$(BIN)/python -m data.uk_heatwave_2022.build
 	$(BIN)/python -m data.two_outages_cigre_mv.build
+	$(BIN)/python -m data.village_hot_week.build
 
 lock: $(STAMP)  ## write requirements.lock anew, keeping pins that still fit (fetches uv)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check uv

@@ -131,6 +131,7 @@ def test_valid_scenario_as_json(tiny_folder: Path) -> None:
         "chargers": 0,
         "ev_sessions": 0,
         "thermal_loads": 0,
+        "gensets": 0,
         "steps": 6,
         "step_minutes": 60.0,
         "outage_steps": 2,
@@ -250,7 +251,11 @@ def test_run_as_json(tiny_folder: Path, tmp_path: Path) -> None:
 
 def test_scenarios_as_json() -> None:
     records = json.loads(call("scenarios", "--json").stdout)
-    assert [r["name"] for r in records] == ["two-outages-cigre-mv", "uk-heatwave-2022"]
+    assert [r["name"] for r in records] == [
+        "two-outages-cigre-mv",
+        "uk-heatwave-2022",
+        "village-hot-week",
+    ]
     assert all(read_scenario(r["folder"]).name == r["name"] for r in records)
 
 

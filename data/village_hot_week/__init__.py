@@ -1,0 +1,1 @@
+"""Two made-up days on the CIGRE medium-voltage feeder."""
