@@ -12,8 +12,9 @@ import pytest
 
 from experiments.random_feeders import random_window
 from tests.support.agreement import assert_methods_agree
+from tests.support.homes import homes, hot
 from tests.support.small_windows import DARK, OPEN, first_step, two_buses, window
-from vppres import Controller, InputError, RunOptions, explain_day, run_day, summarise
+from vppres import InputError, RunOptions, explain_day, run_day, summarise
 from vppres.contract.decision import Decision
 from vppres.contract.rooms import Rooms
 from vppres.control.guard.check import violations
@@ -27,38 +28,8 @@ from vppres.plant.plant import Plant
 from vppres.report.events import events_of
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
-from vppres.scenario.thermal_loads import ThermalLoads
 from vppres.scenario.timegrid import TimeGrid
 from vppres.solve.ladder import METHODS, WindowSolver
-
-
-def homes(*customers: str, **more: Any) -> ThermalLoads:
-    """Homes of 5 K/kW and 8 kWh/K with a gain of 0.5 kW, cooled by 2 kW with a COP of 3.5."""
-    count = len(customers)
-    values: dict[str, Any] = {
-        "id": [f"h{i}" for i in range(count)],
-        "customer": list(customers),
-        "heats": False,
-        "p_max_kw": 2.0,
-        "cop": 3.5,
-        "cop_at_c": 35.0,
-        "cop_per_c": 0.0,
-        "r_c_per_kw": 5.0,
-        "c_kwh_per_c": 8.0,
-        "t_min_c": 20.0,
-        "t_max_c": 26.0,
-        "t_initial_c": 24.0,
-        "gain_kw": 0.5,
-        "around_c": np.nan,
-    } | more
-    return ThermalLoads(**{k: np.broadcast_to(np.asarray(v), count) for k, v in values.items()})
-
-
-def hot(limits_kw: list[float], load_kw: float = 1.0, **more: Any) -> Scenario:
-    """One customer with such a home at 34 °C outside."""
-    steps = len(limits_kw)
-    day = two_buses([[load_kw]] * steps, [1.0], limits_kw)
-    return replace(day, temperature_c=np.full(steps, 34.0), thermal_loads=homes("c0", **more))
 
 
 def known(day: Scenario) -> WindowData:
@@ -264,5 +235,3 @@ def test_what_is_not_stated_is_refused_by_name() -> None:
     cold = SwitchingRules(cold_load_factor=2.0, cold_load_h=1.0)
     with pytest.raises(InputError, match="twice"):
         run_day(day, RunOptions(isolate=False, switching=cold))
-    with pytest.raises(InputError, match="live controllers"):
-        Controller.of(day, RunOptions(isolate=False))

@@ -85,19 +85,13 @@ def check_parts(scenario: Scenario) -> None:
 
 
 def check_live(scenario: Scenario) -> None:
-    """Refuse thermal loads and sets in a live controller: nothing of them is measured or told.
+    """Refuse sets in a live controller: nothing of them is measured, and none is told.
 
     Raises
     ------
     InputError
         If the site has any.
     """
-    if len(scenario.thermal_loads):
-        raise InputError.of(
-            "thermal_loads.csv",
-            "is not stated for live controllers",
-            "Remove the file: customers then keep what their demand has of cooling and heat.",
-        )
     if len(scenario.gensets):
         raise InputError.of(
             "gensets.csv",

@@ -378,10 +378,11 @@ class Controller:
         present = Present.of(t, seen, self.scenario, self._rows(seen.t), past, self.options)
         told = present.observation(OutageView.create(self.scenario, self._record))
         decision = _without(self._decider.decide(told), seen.connected)
-        decision = replace(decision, estimated=_joined(*seen.left_out, decision.estimated))
+        estimated = _joined(*seen.left_out, *present.indoor.estimated, decision.estimated)
+        decision = replace(decision, estimated=estimated)
         day = present.day(decision.seen or told)
         record = day.settle(0, decision)
-        foreseen = Foreseen.of(decision, day.scenario)
+        foreseen = Foreseen.of(decision, day.scenario, told)
         points = SetPoints.of(day.scenario, record, foreseen, day.switching)
         return points, present.after(day, record)
 

@@ -4,9 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
 import pandas as pd
 
 from vppres.contract.decision import Decision
+from vppres.contract.observation import Observation
+from vppres.contract.plugged import Plugged
+from vppres.contract.rooms import Rooms
+from vppres.core.arrays import Floats
+from vppres.day.simulate import SHORT_KWH
 from vppres.scenario.scenario import Scenario
 
 
@@ -22,14 +28,21 @@ class Foreseen:
         State of charge after each step, by time and battery.
     import_kw : Series, length W - 1
         Power from the grid as the plan has it, by time.
+    indoor_c : DataFrame, shape (W - 1, H), or None
+        Temperature of rooms and tanks after each step, by time and thermal load; None without any.
+    left_short : DataFrame or None
+        Vehicles that will leave with less than they need, by charger: ``vehicle``, ``leaves`` and
+        ``short_kwh``; None without chargers.
     """
 
     served: pd.DataFrame
     soc_end: pd.DataFrame
     import_kw: pd.Series[float]
+    indoor_c: pd.DataFrame | None = None
+    left_short: pd.DataFrame | None = None
 
     @classmethod
-    def of(cls, decision: Decision, window: Scenario) -> Foreseen:
+    def of(cls, decision: Decision, window: Scenario, told: Observation) -> Foreseen:
         """The rows of a decision's plan after its own; none where an answer is for one step.
 
         Parameters
@@ -38,6 +51,8 @@ class Foreseen:
             What was decided.
         window : Scenario
             The site, beginning with the step that was decided.
+        told : Observation
+            Rooms, tanks and vehicles as they were then.
         """
         plan = decision.dispatch
         rows = slice(decision.row + 1, plan.n_steps)
@@ -48,4 +63,45 @@ class Foreseen:
             pd.DataFrame(plan.served[rows], times, [str(name) for name in window.customers.id]),
             pd.DataFrame(plan.soc[ends], times, [str(name) for name in window.batteries.id]),
             pd.Series(plan.p_grid_kw[rows], times),
+            _indoor_c(decision, window, told.rooms, times),
+            _left_short(decision, window, told.plugged),
         )
+
+
+def _indoor_c(
+    decision: Decision, window: Scenario, rooms: Rooms | None, times: pd.DatetimeIndex
+) -> pd.DataFrame | None:
+    """Temperatures that the plan's powers lead to; those without power where it has none."""
+    if rooms is None:
+        return None
+    power_kw = _ahead(decision, decision.dispatch.thermal_kw, len(window.thermal_loads))
+    t_c = rooms.part(slice(len(power_kw))).t_c(power_kw)
+    return pd.DataFrame(t_c[1:], times[: len(t_c) - 1], [str(i) for i in window.thermal_loads.id])
+
+
+def _left_short(
+    decision: Decision, window: Scenario, plugged: Plugged | None
+) -> pd.DataFrame | None:
+    """Vehicles that leave short within the plan; those that leave after it are not judged."""
+    if plugged is None:
+        return None
+    chargers = window.chargers
+    power_kw = _ahead(decision, decision.dispatch.ev_kw, len(chargers))
+    ahead = plugged.part(slice(len(power_kw)))
+    short_kwh = ahead.short_kwh(ahead.energy_kwh(power_kw, chargers, window.grid.dt_h))
+    sessions = window.sessions
+    _, after = sessions.steps(window.grid)
+    rows = []
+    for t, k in np.argwhere(short_kwh > SHORT_KWH).tolist():
+        s = int(window.session_at[t, k])
+        if after[s] == t + 1:  # what is due by the window's end alone is no departure
+            who = (str(chargers.id[k]), str(sessions.vehicle[s]))
+            rows.append((*who, sessions.plug_out[s], float(short_kwh[t, k])))
+    return pd.DataFrame(rows, columns=["id", "vehicle", "leaves", "short_kwh"]).set_index("id")
+
+
+def _ahead(decision: Decision, power_kw: Floats | None, count: int) -> Floats:
+    """A plan's powers from the step that was decided on; none where it has none."""
+    if power_kw is None:
+        return np.zeros((decision.dispatch.n_steps - decision.row, count))
+    return power_kw[decision.row :]

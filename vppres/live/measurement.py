@@ -83,6 +83,10 @@ class Measurement:
         Energy that vehicles still need, by charger, of those that tell no state of charge.
     departure : mapping or Series, optional
         When vehicles leave, by charger; as the scenario's sessions say if not given.
+    indoor_c : mapping or Series, optional
+        Temperatures of rooms and tanks in °C, by thermal load; reckoned from the last readings and
+        what was ordered if not given. A reading that stands still although the temperature must
+        have moved is named in what was estimated, and not used.
     ordered_kw : DataFrame, optional
         What batteries were told since the last decision, where it was not what was decided: a row
         for each time from which on it held, a column for each battery.
@@ -117,6 +121,7 @@ class Measurement:
     ev_soc: Values | None = None
     energy_needed_kwh: Values | None = None
     departure: Mapping[str, Any] | pd.Series | None = None
+    indoor_c: Values | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,6 +161,8 @@ class Seen:
         What batteries were told since the last decision, where it was something else.
     ev_kwh : array, shape (K,), or None
         Energy that was read of the vehicles at chargers, NaN of others.
+    indoor_c : array, shape (H,), or None
+        Temperatures that were read of rooms and tanks, NaN of others.
     """
 
     t: int
@@ -177,6 +184,7 @@ class Seen:
     soc_age_h: Floats | None = None
     told: tuple[Told, ...] = ()
     ev_kwh: Floats | None = None
+    indoor_c: Floats | None = None
 
     def window(self, rows: range) -> Seen:
         """The same of some steps alone, of which the first is the present one."""
@@ -276,6 +284,9 @@ def _seen(scenario: Scenario, measured: Measurement, guard: bool, earliest: int)
         _check_complete(door, scenario, measured, soc, online)
     of_vehicles = {name: getattr(measured, name) for name in QUANTITIES}
     scenario, ev_kwh = with_vehicles(door, scenario, of_vehicles)
+    loads = scenario.thermal_loads
+    unread_c = np.full(len(loads), np.nan)
+    indoor_c = door.values("indoor_c", measured.indoor_c, loads.id, unread_c)
     door.finish()
     pv_kw = np.minimum(pv_kw, pv.p_max_kw)
     t = door.t
@@ -306,6 +317,7 @@ def _seen(scenario: Scenario, measured: Measurement, guard: bool, earliest: int)
         soc_age_h,
         told,
         ev_kwh,
+        indoor_c,
     )
 
 

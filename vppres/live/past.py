@@ -19,6 +19,7 @@ from vppres.day.forecasting import PAPER, history_before
 from vppres.day.options import RunOptions
 from vppres.day.outages import GridSeen
 from vppres.day.simulate import Day
+from vppres.live.rooms import Felt
 from vppres.live.vehicles import Held
 from vppres.physics.cold_load import ColdLoad
 from vppres.scenario.history import History
@@ -54,6 +55,8 @@ class Past:
         What dimmed customers may still catch up.
     vehicles : Held or None
         Vehicles at chargers and their energy; None before the first step.
+    rooms : Felt or None
+        Temperatures of rooms and tanks; None before the first step.
     """
 
     t: int
@@ -66,6 +69,7 @@ class Past:
     grid_seen: GridSeen = field(default_factory=GridSeen)
     owed: Owed | None = None
     vehicles: Held | None = None
+    rooms: Felt | None = None
 
     @classmethod
     def before_the_day(cls, scenario: Scenario, options: RunOptions) -> Past:
@@ -89,6 +93,12 @@ class Past:
             owed = owed and owed.after(np.zeros(len(owed.steps)), np.ones(len(owed.steps)))
         return owed
 
+    def felt_at(self, t: int, known: Scenario, row: int) -> Felt:
+        """Rooms and tanks at a step, which is this row of what is known."""
+        if self.rooms is None or self.served is None:
+            return Felt.before_the_day(known)
+        return self.rooms.after(known, range(row - (t - self.t - 1), row), self.served)
+
     def held_until(self, t: int) -> tuple[SwitchingState | None, ColdLoad]:
         """Switching state and cold load at a step, set-points held over those in between."""
         switching = self.switching
@@ -111,6 +121,7 @@ class Past:
             "grid_seen": to_plain(self.grid_seen, given),
             "owed": to_plain(self.owed, given),
             "vehicles": to_plain(self.vehicles, given),
+            "rooms": to_plain(self.rooms, given),
         }
 
     def read(self, plain: Any, history: History | None, given: Given, where: str) -> Past:
@@ -132,6 +143,7 @@ class Past:
             "voltages": dict[int, Complexes],
             "owed": Owed | None,
             "vehicles": Held | None,
+            "rooms": Felt | None,
         }
         values = {
             name: from_plain(kind, found.get(name), f"{where}.{name}", given)

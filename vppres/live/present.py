@@ -9,6 +9,7 @@ import numpy as np
 from vppres.contract.forecast import Forecast, ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.contract.plugged import Plugged
+from vppres.contract.rooms import Rooms
 from vppres.contract.switching import SwitchingState
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Floats
@@ -20,6 +21,7 @@ from vppres.day.simulate import Day
 from vppres.live.foretold import GivenFirst
 from vppres.live.measurement import Seen
 from vppres.live.past import Past
+from vppres.live.rooms import Felt, Indoor
 from vppres.live.vehicles import Held
 from vppres.physics.cold_load import ColdLoad
 from vppres.plant.plant import BatteryState
@@ -66,6 +68,8 @@ class Present:
         Duties at its beginning; None without rules.
     cold_load : ColdLoad
         Who takes more than usual at its beginning.
+    indoor : Indoor
+        Temperatures of rooms and tanks at its beginning.
     grid_seen : GridSeen
         Outages up to it, itself included.
     options : RunOptions
@@ -80,6 +84,7 @@ class Present:
     past: Past
     switching: SwitchingState | None
     cold_load: ColdLoad
+    indoor: Indoor
     grid_seen: GridSeen
     options: RunOptions
 
@@ -108,6 +113,9 @@ class Present:
         seen = everything.window(rows.window)
         switching, cold_load = past.held_until(t)
         now = seen.scenario
+        loads = now.thermal_loads
+        unread_c = np.full(len(loads), np.nan)
+        read_c = unread_c if seen.indoor_c is None else seen.indoor_c
         return cls(
             t=t,
             seen=seen,
@@ -117,6 +125,7 @@ class Present:
             past=past,
             switching=switching,
             cold_load=cold_load,
+            indoor=Indoor.of(loads.id, read_c, past.felt_at(t, known, everything.t)),
             grid_seen=past.grid_seen.after(now.grid.start, float(now.grid_limit_kw[0])),
             options=options,
         )
@@ -148,6 +157,7 @@ class Present:
             served=self.past.served,
             owed=self.past.owed_at(self.t),
             plugged=self._plugged(),
+            rooms=Rooms.of(seen.scenario, range(seen.scenario.grid.n_steps), self.indoor.now_c),
             terminal=Terminal.of(self.options.soc_end, forecast, ends=self.ends),
             elapsed_h=seen.elapsed_h,
             soc_age_h=seen.soc_age_h,
@@ -183,6 +193,7 @@ class Present:
         day.ac.go_on_from(self.past.voltages)
         day.plant.cold_load = self.cold_load
         day.plant.garage.kwh = self._ev_kwh()
+        day.plant.climate.t_c = self.indoor.now_c
         return day
 
     def after(self, day: Day, record: StepRecord) -> Past:
@@ -206,7 +217,14 @@ class Present:
             grid_seen=self.grid_seen,
             owed=day.owed,
             vehicles=Held.of(day.scenario, 0, day.plant.garage.kwh),
+            rooms=self._felt_after(day, record),
         )
+
+    def _felt_after(self, day: Day, record: StepRecord) -> Felt:
+        """Rooms and tanks after the step, as far as their readings moved."""
+        columns = record.thermal_loads
+        power_kw = np.empty(0) if columns is None else columns["p_kw"]
+        return self.indoor.after(day.scenario, power_kw)
 
     def _learned(self, believed: Scenario) -> History | None:
         """The history with what was read; what was not, or of whom nothing can be read, is NaN."""

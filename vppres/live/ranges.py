@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from vppres.scenario.scenario import Scenario
 
 RATED_SHARE = 1.5
 """A reading above this share of an inverter's rating is in another unit, or a spike."""
+
+ABOVE_BAND_C = 40.0
+"""A temperature so far above its comfort band is in another unit, or a spike."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +62,7 @@ _PRICE = Range(-MAX_PRICE, MAX_PRICE, _FINITE, _CORRECT, "is more than any price
 # No cell loses nine tenths one way; smaller shares would only spoil the numbers.
 _EFFICIENCY = Range(0.1, 1.0, "must lie between 0.1 and 1", "Give a share, for example 0.95.")
 _FLAG = Range(0.0, 1.0, "must be 0 or 1", "Give 1 where it is there and can work, else 0.")
+_DEGREES = "Give degrees Celsius."
 RANGES: Mapping[str, Range] = {
     "soc": Range(0.0, 1.0, "must lie between 0 and 1", "Give a share, for example 0.5."),
     "load_kw": _POWER,
@@ -81,12 +85,13 @@ RANGES: Mapping[str, Range] = {
     "ev_soc": Range(0.0, 1.0, "must lie between 0 and 1", "Give a share, for example 0.5."),
     "energy_needed_kwh": _POWER,
     "departure": Range(0.0, 7.3e9, "must be seconds since 1970", "Give a time of this century."),
+    "indoor_c": Range(-50.0, 100.0, "must lie between -50 and 100", _DEGREES),
     "grid_on": _FLAG,
 }
 
 
 def ranges_of(scenario: Scenario) -> Ranges:
-    """What inverters of a site can pass, by quantity and asset.
+    """What inverters of a site can pass and rooms can become, by quantity and asset.
 
     Examples
     --------
@@ -104,7 +109,19 @@ def ranges_of(scenario: Scenario) -> Ranges:
         ("pv_kw", str(name)): _rated(0.0, "system", rating, _NUMBER)
         for name, rating in zip(pv.id, pv.p_max_kw.tolist(), strict=True)
     }
-    return batteries | systems
+    loads = scenario.thermal_loads
+    rooms = {
+        ("indoor_c", str(name)): _temperature(t_max_c)
+        for name, t_max_c in zip(loads.id, loads.t_max_c.tolist(), strict=True)
+    }
+    return batteries | systems | rooms
+
+
+def _temperature(t_max_c: float) -> Range:
+    """Up to what no room or tank of this comfort band becomes."""
+    beyond = f"is more than {ABOVE_BAND_C:g} K above its comfort band: check the unit"
+    every = RANGES["indoor_c"]
+    return replace(every, highest=min(t_max_c + ABOVE_BAND_C, every.highest), beyond=beyond)
 
 
 def _rated(lowest_share: float, what: str, rating: float, no_number: str) -> Range:

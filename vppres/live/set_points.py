@@ -72,6 +72,10 @@ class SetPoints:
     chargers : DataFrame or None
         ``bus``, ``vehicle``, ``p_kw`` (charging positive), ``p_limit_kw``, the most that it may
         charge with, ``energy_kwh`` and ``needed_kwh`` of the vehicle; None without chargers.
+    thermal_loads : DataFrame or None
+        ``customer``, ``p_kw`` of the machine, ``setpoint_c`` for its thermostat, ``indoor_c``, the
+        temperature that was decided on, and ``indoor_end_c``, the one that is expected after the
+        step; None without thermal loads.
     by_phase : ByPhase or None
         Voltages and the source's power by phase; None without phases. Customers, batteries and PV
         systems have a column ``phases`` then: a power is that of all its phases, in equal parts.
@@ -88,6 +92,7 @@ class SetPoints:
     foreseen: Foreseen
     by_phase: ByPhase | None = None
     chargers: pd.DataFrame | None = None
+    thermal_loads: pd.DataFrame | None = None
 
     @classmethod
     def of(
@@ -129,6 +134,7 @@ class SetPoints:
             foreseen=foreseen,
             by_phase=ByPhase.of(scenario, step),
             chargers=_chargers(scenario, step.vehicles),
+            thermal_loads=_thermal_loads(scenario, step.thermal_loads),
         )
 
     def apply_to(self, net: Any, feeder: Feeder) -> None:
@@ -226,6 +232,29 @@ def _chargers(scenario: Scenario, columns: Mapping[str, Any] | None) -> pd.DataF
         p_limit_kw=np.maximum(columns["p_kw"], 0.0),
         energy_kwh=columns["energy_start_kwh"],
         needed_kwh=columns["needed_kwh"],
+    )
+
+
+def _thermal_loads(scenario: Scenario, columns: Mapping[str, Any] | None) -> pd.DataFrame | None:
+    """Powers and temperatures by thermal load; None without any.
+
+    A thermostat is told the temperature at the end of the step. If its machine is to rest, that is
+    the end of the band that it holds by itself, or what lies beyond.
+    """
+    if columns is None:
+        return None
+    loads = scenario.thermal_loads
+    end_c = columns["t_end_c"]
+    farther = np.where(
+        loads.heats, np.minimum(loads.held_c, end_c), np.maximum(loads.held_c, end_c)
+    )
+    return _table(
+        loads.id,
+        customer=loads.customer,
+        p_kw=columns["p_kw"],
+        setpoint_c=np.where(columns["p_kw"] > 0.0, end_c, farther),
+        indoor_c=columns["t_start_c"],
+        indoor_end_c=end_c,
     )
 
 

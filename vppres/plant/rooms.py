@@ -35,6 +35,15 @@ class Climate:
         most_kw = self.scenario.thermal_loads.p_max_kw * served[self._owner]
         return np.clip(wanted_kw, 0.0, most_kw)
 
+    def thermostat_kw(self, t: int, setpoint_c: Floats, served: Flags) -> Floats:
+        """Power with which each machine comes nearest to a temperature by the end of a step, (H,).
+
+        A room beyond its set-point already is left to itself.
+        """
+        alone_c = self.after_c(t, np.zeros_like(self.t_c))
+        c_per_kw = self.after_c(t, np.ones_like(self.t_c)) - alone_c
+        return self.possible_kw((setpoint_c - alone_c) / c_per_kw, served)
+
     def after_c(self, t: int, power_kw: Floats) -> Floats:
         """Temperature at the end of a step with these powers, (H,)."""
         loads = self.scenario.thermal_loads

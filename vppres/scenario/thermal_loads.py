@@ -68,6 +68,11 @@ class ThermalLoads:
         cop = np.maximum(self.cop + self.cop_per_c * (outside_c - self.cop_at_c), 1.0)
         return np.where(self.heats, cop, -cop)
 
+    @property
+    def held_c(self) -> Floats:
+        """The end of the comfort band that a thermostat holds by itself, (H,)."""
+        return np.where(self.heats, self.t_min_c, self.t_max_c)
+
     def surroundings_c(self, outside_c: Floats | float) -> Floats:
         """Temperature around each load, (H,), or (W, H) for (W, 1) outside."""
         return np.where(np.isnan(self.around_c), outside_c, self.around_c)

@@ -147,6 +147,7 @@ def as_it_was(
     soc = measured.laid("soc", scenario.batteries.id, nothing)
     first = np.where(np.isfinite(soc[0]), soc[0], scenario.batteries.soc_initial)
     b = scenario.batteries
+    loads = scenario.thermal_loads
     known = replace(
         scenario,
         load_kw=measured.laid("load_kw", scenario.customers.id, scenario.load_kw),
@@ -156,6 +157,7 @@ def as_it_was(
         price_gbp_per_kwh=price,
         grid_limit_kw=np.where(dark, 0.0, limit_kw),
         batteries=replace(b, soc_initial=np.clip(first, b.soc_min, b.soc_max)),
+        thermal_loads=replace(loads, t_initial_c=_indoor_c(scenario, stored[0], loads.t_initial_c)),
     )
     return known, soc
 
@@ -197,7 +199,9 @@ def _known_by(versions: Sequence[Sequence[Event]], time: Any) -> list[Event]:
 def replayed(
     scenario: Scenario, options: RunOptions, stored: list[dict[str, Any] | None], soc: Floats
 ) -> Iterator[StepRecord]:
-    """The plant's answer to every stored step; batteries begin it with what was measured.
+    """The plant's answer to every stored step.
+
+    Batteries, rooms and tanks begin it with what was measured.
 
     Of a step that was decided anew it answers the last plan, as if that had held all along.
     """
@@ -209,10 +213,19 @@ def replayed(
         state = world.day.state
         held = np.where(np.isfinite(soc[t]), np.clip(soc[t], b.soc_min, b.soc_max), state.soc)
         world.day.state = BatteryState(held, state.eta_charge, state.eta_discharge, state.t_cell_c)
+        climate = world.day.plant.climate
+        climate.t_c = _indoor_c(scenario, plan, climate.t_c)
         if plan is not None:
             told = [{**one, "valid_from": plan["start"]} for one in plan["setpoints"]]
         record = _noted(world.obey(t, told), plan)
         yield _weighed(record, scenario, plan) if shared else record
+
+
+def _indoor_c(scenario: Scenario, plan: Mapping[str, Any] | None, reckoned_c: Floats) -> Floats:
+    """Temperatures that a step was decided on, (H,); those that are reckoned without a plan."""
+    known = ((plan or {}).get("expected") or {}).get("indoor_c", {})
+    pairs = zip(map(str, scenario.thermal_loads.id), reckoned_c.tolist(), strict=True)
+    return np.array([known.get(name, t_c) for name, t_c in pairs], dtype=float)
 
 
 def _weighed(record: StepRecord, scenario: Scenario, plan: dict[str, Any] | None) -> StepRecord:

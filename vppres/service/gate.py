@@ -18,6 +18,7 @@ from vppres.scenario.scenario import Scenario
 RATING_SHARE = 2e-3
 POWER_KW = 0.02
 SOC_SHARE = 1e-3
+BAND_C = 0.02
 """What solvers and rounding may be off by."""
 
 
@@ -44,6 +45,11 @@ class Wanted(Protocol):
         """``p_kw``, charging positive, and ``p_limit_kw``; None without chargers."""
         ...
 
+    @property
+    def thermal_loads(self) -> pd.DataFrame | None:
+        """``setpoint_c``; None without thermal loads."""
+        ...
+
 
 def refusals(
     decision: Wanted, scenario: Scenario, soc: Mapping[str, float]
@@ -62,7 +68,7 @@ def refusals(
     Returns
     -------
     dict
-        Reason by kind (``batteries``, ``pv``, ``customers`` or ``chargers``) and identifier.
+        Reason by kind, such as ``batteries``, and identifier.
     """
     found: dict[tuple[str, str], str] = {}
     for kind, reasons in (
@@ -70,6 +76,7 @@ def refusals(
         ("pv", _pv(decision, scenario)),
         ("customers", _customers(decision)),
         ("chargers", _chargers(decision, scenario)),
+        ("thermal_loads", _thermal_loads(decision, scenario)),
     ):
         found.update({(kind, name): reason for name, reason in reasons.items()})
     return found
@@ -141,6 +148,22 @@ def _chargers(decision: Wanted, scenario: Scenario) -> dict[str, str]:
         - _slack(chargers.p_discharge_kw),
     }
     return _named(list(chargers.id), reasons, np.isfinite(p_kw) & np.isfinite(limit_kw))
+
+
+def _thermal_loads(decision: Wanted, scenario: Scenario) -> dict[str, str]:
+    """No room is cooled, and none is heated, beyond its comfort band."""
+    table = decision.thermal_loads
+    if table is None:
+        return {}
+    loads = scenario.thermal_loads
+    setpoint_c = table["setpoint_c"].to_numpy(float)
+    below_c = np.where(loads.heats, -np.inf, loads.t_min_c - setpoint_c)
+    above_c = np.where(loads.heats, setpoint_c - loads.t_max_c, -np.inf)
+    reasons = {
+        "cooled below its comfort band": below_c - BAND_C,
+        "heated above its comfort band": above_c - BAND_C,
+    }
+    return _named(list(loads.id), reasons, np.isfinite(setpoint_c))
 
 
 def _slack(rating: Floats) -> Floats:

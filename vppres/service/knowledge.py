@@ -44,7 +44,7 @@ from vppres.service.statements import REFUSED
 from vppres.service.store import Store
 from vppres.service.window import CAUTIOUS, Window
 
-INSTANT = ("soc", "load_kw", "pv_kw", "online", "grid_on", *QUANTITIES)
+INSTANT = ("soc", "load_kw", "pv_kw", "online", "grid_on", "indoor_c", *QUANTITIES)
 MEAN = ("battery_kw", "import_kw")
 EARLY_SHARE = 0.1
 """Share of a step by which clocks may be off: those of readings, and our own that is set back."""
@@ -147,6 +147,7 @@ def assets_of(scenario: Scenario) -> dict[str, list[str]]:
         "import_kw": [GRID],
         "grid_on": [GRID],
         **{name: [str(charger) for charger in scenario.chargers.id] for name in QUANTITIES},
+        "indoor_c": [str(name) for name in scenario.thermal_loads.id],
         "source_kva": [GRID, *batteries],
         "v_pu": [] if scenario.phases is None else list(scenario.phases.by_bus),
     }
@@ -303,6 +304,7 @@ def known_at(
         now=now,
         soc_at={name: moment(reading.time) for name, reading in soc.items()},
         ordered_kw=said.ordered_kw,
+        indoor_c=_finite(readings.now("indoor_c")) or None,
         **_of_vehicles(readings),
     )
     estimated = [*powers.estimated, doubt] if doubt else powers.estimated
@@ -311,13 +313,15 @@ def known_at(
 
 def _of_vehicles(readings: Latest) -> dict[str, Any]:
     """What chargers tell of their vehicles, by quantity; what is too old is left out."""
-    told: dict[str, Any] = {
-        name: {one: value for one, value in readings.now(name).items() if np.isfinite(value)}
-        for name in QUANTITIES
-    }
+    told: dict[str, Any] = {name: _finite(readings.now(name)) for name in QUANTITIES}
     leaves = told["departure"].items()
     told["departure"] = {one: moment(int(value)) for one, value in leaves}
     return {name: values or None for name, values in told.items()}
+
+
+def _finite(values: Mapping[str, float]) -> dict[str, float]:
+    """Readings that hold."""
+    return {one: value for one, value in values.items() if np.isfinite(value)}
 
 
 def soc_at(time: pd.Timestamp, scenario: Scenario, store: Store) -> dict[str, float]:

@@ -108,6 +108,7 @@ Quantity = Literal[
     "ev_soc",
     "energy_needed_kwh",
     "departure",
+    "indoor_c",
 ]
 Phase = Annotated[str, Field(pattern=r"^[abc]{1,2}$")]
 
@@ -133,7 +134,8 @@ class Readings(Body):
     ``import_kw`` and ``grid_on`` is ``grid``.
 
     Of chargers of vehicles, ``plugged`` (1 or 0), ``ev_soc``, ``energy_needed_kwh`` and
-    ``departure``, in seconds since 1970, hold at their time too.
+    ``departure``, in seconds since 1970, hold at their time too; of rooms and tanks ``indoor_c``,
+    the temperature in °C.
 
     On phased feeders powers may have a ``phase``, one of those of the asset's ``phases``: those of
     all its phases are sent in one batch. ``v_pu`` (of a bus) and ``source_kva`` (of ``grid``, or of

@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.day.recorder import ROTATED
+from vppres.live.foreseen import Foreseen
 from vppres.live.measurement import Measurement
 from vppres.live.set_points import SetPoints
 from vppres.scenario.phases import Phases
@@ -43,6 +44,7 @@ NUMBERS = {
     "batteries": ("p_kw", "q_kvar"),
     "pv": ("p_kw", "q_kvar", "curtailed_kw"),
     "chargers": ("p_kw", "p_limit_kw"),
+    "thermal_loads": ("setpoint_c",),
 }
 """What set-points of each kind say in numbers."""
 
@@ -102,6 +104,7 @@ def plan_of(
             **_extremes(decision, v_pu),
             "grid_limit_kw": _number(known.limits_kw.iloc[0]),
             "price_gbp_per_kwh": _price(known.measurement),
+            **_rooms_expected(decision),
             **_by_phase(decision),
         },
         "ahead": _ahead(decision, known),
@@ -138,14 +141,15 @@ class Ordered:
 
     Parameters
     ----------
-    batteries, pv, customers, chargers : DataFrame
-        By identifier, as the gate reads them; no chargers if the site has none.
+    batteries, pv, customers, chargers, thermal_loads : DataFrame
+        By identifier, as the gate reads them; None of what the site does not have.
     """
 
     batteries: pd.DataFrame
     pv: pd.DataFrame
     customers: pd.DataFrame
     chargers: pd.DataFrame | None = None
+    thermal_loads: pd.DataFrame | None = None
 
     @classmethod
     def of(
@@ -275,6 +279,36 @@ def _ahead(decision: SetPoints, known: Known) -> dict[str, Any]:
             for name, values in zip(foreseen.soc_end.columns, soc, strict=True)
         },
         "served": dict(zip(foreseen.served.columns, served.tolist(), strict=True)),
+        **_rooms_ahead(foreseen, n),
+        **_left_short(foreseen),
+    }
+
+
+def _rooms_ahead(foreseen: Foreseen, n_steps: int) -> dict[str, Any]:
+    """Temperatures after each step, by thermal load; nothing without any."""
+    if foreseen.indoor_c is None:
+        return {}
+    rows = foreseen.indoor_c.to_numpy(float)[:n_steps].T
+    names = foreseen.indoor_c.columns
+    return {"indoor_c": {name: _numbers(row) for name, row in zip(names, rows, strict=True)}}
+
+
+def _left_short(foreseen: Foreseen) -> dict[str, Any]:
+    """Vehicles that will leave short, by charger; nothing without chargers."""
+    if foreseen.left_short is None:
+        return {}
+    rows = foreseen.left_short.to_dict(orient="index").items()
+    return {"left_short": {name: {**row, "leaves": written(row["leaves"])} for name, row in rows}}
+
+
+def _rooms_expected(decision: SetPoints) -> dict[str, Any]:
+    """Temperatures that are decided on and after the step; nothing without thermal loads."""
+    rooms = decision.thermal_loads
+    if rooms is None:
+        return {}
+    return {
+        name: {str(one): _number(t_c) for one, t_c in rooms[name].items()}
+        for name in ("indoor_c", "indoor_end_c")
     }
 
 
@@ -327,7 +361,7 @@ def _set_points(
     refused: Mapping[tuple[str, str], str],
     reason: str,
 ) -> list[dict[str, Any]]:
-    """Batteries, then PV systems, then customers, then chargers."""
+    """Batteries, then PV systems, customers, chargers, and thermostats."""
     speaker = _Speaker.of(decision.time, scenario, refused)
     batteries = _rows(decision.batteries, "p_kw", "q_kvar")
     pv = _rows(decision.pv, "p_kw", "q_kvar", "curtailed_kw")
@@ -343,7 +377,9 @@ def _set_points(
         "customers": customers,
     }
     if decision.chargers is not None:
-        kinds["chargers"] = _rows(decision.chargers, "p_kw", "p_limit_kw")
+        kinds["chargers"] = _rows(decision.chargers, *NUMBERS["chargers"])
+    if decision.thermal_loads is not None:
+        kinds["thermal_loads"] = _rows(decision.thermal_loads, *NUMBERS["thermal_loads"])
     return [
         speaker.point(kind, name, values, lost.get((kind, name), reason))
         for kind, each in kinds.items()
@@ -417,12 +453,17 @@ _SIGNS = {
 
 
 def _defaults(scenario: Scenario) -> dict[str, dict[str, dict[str, Any]]]:
-    """What devices do without us: batteries rest, the sun shines, the others are on."""
+    """What devices do without us: batteries rest, the sun shines, rooms stay in their band."""
     pv = scenario.pv
     chargers = scenario.chargers
     charging = {
         str(name): {"p_kw": float(p_kw), "p_limit_kw": float(p_kw)}
         for name, p_kw in zip(chargers.id, chargers.p_charge_kw, strict=True)
+    }
+    loads = scenario.thermal_loads
+    holding = {
+        str(name): {"setpoint_c": float(t_c)}
+        for name, t_c in zip(loads.id, loads.held_c, strict=True)
     }
     return {
         "batteries": {str(name): {"p_kw": 0.0, "q_kvar": 0.0} for name in scenario.batteries.id},
@@ -437,6 +478,7 @@ def _defaults(scenario: Scenario) -> dict[str, dict[str, dict[str, Any]]]:
             )
         },
         **({"chargers": charging} if charging else {}),
+        **({"thermal_loads": holding} if holding else {}),
     }
 
 

@@ -9,6 +9,7 @@ import pandas as pd
 
 from vppres.control.rules import rule_dispatch
 from vppres.control.step_state import StepState
+from vppres.live.ranges import RANGES
 from vppres.model.linearise import delta_offset
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
@@ -62,7 +63,22 @@ def ruled(now: Scenario, soc: Mapping[str, float], lost: Mapping[str, str]) -> O
             [str(name) for name in site.customers.id],
         ),
         chargers=_resting(now),
+        thermal_loads=_left_alone(now),
     )
+
+
+def _left_alone(now: Scenario) -> pd.DataFrame | None:
+    """Thermostats at which no machine runs in an outage, and that hold the band with grid.
+
+    None without thermal loads.
+    """
+    loads = now.thermal_loads
+    if not len(loads):
+        return None
+    any_c = RANGES["indoor_c"]
+    idle_c = np.where(loads.heats, any_c.lowest, any_c.highest)
+    setpoint_c = loads.held_c if now.grid_limit_kw[0] > 0.0 else idle_c
+    return pd.DataFrame({"setpoint_c": setpoint_c}, [str(name) for name in loads.id])
 
 
 def _resting(now: Scenario) -> pd.DataFrame | None:

@@ -54,6 +54,8 @@ class World:
             *self._powers("meters", "pv_kw", now, ids["pv"], self.scenario.pv_kw[t]),
             *self._series("substation", "grid_on", now, [GRID], [grid_on]),
         ]
+        rooms = list(self.scenario.thermal_loads.id)
+        found += self._series("thermostats", "indoor_c", now, rooms, day.plant.climate.t_c)
         if t == 0:
             return found
         begun = self.scenario.grid.times[t - 1]
@@ -89,7 +91,7 @@ class World:
         """Do for a step what devices were told last; what is over leaves its default."""
         middle = self.scenario.grid.times[t] + self._step / 2
         told = {(one["kind"], one["asset"]): at(one, middle) for one in setpoints}
-        record = self.day.settle(t, Decision(self._dispatch(told)))
+        record = self.day.settle(t, Decision(self._dispatch(t, told)))
         self.records.append(record)
         return record
 
@@ -121,7 +123,7 @@ class World:
             for asset, value in zip(ids, values, strict=True)
         ]
 
-    def _dispatch(self, told: Mapping[tuple[str, str], Mapping[str, Any]]) -> Dispatch:
+    def _dispatch(self, t: int, told: Mapping[tuple[str, str], Mapping[str, Any]]) -> Dispatch:
         """What devices were told, as the plant reads it; who was told nothing does its default."""
 
         def values(kind: str, name: str, default: float) -> Floats:
@@ -134,6 +136,8 @@ class World:
         dims = self.scenario.customers.dimmable.any()
         charges = len(self.scenario.chargers) > 0
         pv_q_kvar = values("pv", "q_kvar", 0.0)
+        asked_c = values("thermal_loads", "setpoint_c", np.nan)[0]
+        setpoints_c = np.where(np.isnan(asked_c), self.scenario.thermal_loads.held_c, asked_c)
         nothing = np.full((1, 1), np.nan)
         network = self.scenario.network
         return Dispatch(
@@ -153,7 +157,14 @@ class World:
             q_flow_kvar=np.full((1, network.n_buses - 1), np.nan),
             share=served * values("customers", "share", 1.0) if dims else None,
             ev_kw=values("chargers", "p_kw", 0.0) if charges else None,
+            thermal_kw=self._machines_kw(t, setpoints_c, served[0]),
         )
+
+    def _machines_kw(self, t: int, setpoints_c: Floats, served: Flags) -> Floats | None:
+        """What machines draw at these thermostats, (1, H); None without any."""
+        if not len(setpoints_c):
+            return None
+        return self.day.plant.climate.thermostat_kw(t, setpoints_c, served)[np.newaxis]
 
 
 KINDS = ("customers", "batteries", "pv")

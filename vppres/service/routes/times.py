@@ -27,7 +27,13 @@ def moment_asked(text: str) -> pd.Timestamp:
 
 def check_asset(asset: str | None, scenario: Scenario) -> None:
     """Whether an asset that a request asks about is at the site; 404 if not."""
-    kinds = (scenario.batteries, scenario.pv, scenario.customers, scenario.chargers)
+    kinds = (
+        scenario.batteries,
+        scenario.pv,
+        scenario.customers,
+        scenario.chargers,
+        scenario.thermal_loads,
+    )
     known = [str(name) for kind in kinds for name in kind.id]
     if asset is not None and asset not in known:
         cure = did_you_mean(asset, known, "Ask /v1/site.")

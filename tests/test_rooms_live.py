@@ -1,0 +1,158 @@
+"""Rooms and tanks of a live controller and service: thermometers, thermostats, restarts."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tests.support.homes import homes, hot
+from tests.support.live_service import HERE, NOON, client, decided, readings, said, site
+from tests.support.played_service import played
+from tests.support.small_windows import DARK, OPEN
+from vppres import Controller, InputError, Measurement, RunOptions, SetPoints, run_day
+from vppres.plant.rooms import Climate
+from vppres.scenario.scenario import Scenario
+from vppres.service.clock import SetClock, written
+from vppres.service.runner import Service
+from vppres.service.simulate import Play
+
+HOUR = pd.Timedelta(hours=1)
+OPTIONS = RunOptions(mode="paper", isolate=False)
+DRIFT = np.exp(-1.0 / 40.0)
+"""Part of a home's temperature that is left after an hour: 5 K/kW, 8 kWh/K."""
+
+
+def room(step: SetPoints) -> pd.Series[Any]:
+    """The only room of a decision."""
+    assert step.thermal_loads is not None
+    return step.thermal_loads.iloc[0]
+
+
+def test_a_silent_room_is_reckoned_from_its_last_reading_over_a_restart() -> None:
+    """Without power 24.5 °C become 36.5 - 12 e^(-t/40 h): 34 outside, and 2.5 K of gain."""
+    day = hot([DARK] * 5)
+    controller = Controller.of(day, OPTIONS)
+    times = day.grid.times
+    first = room(controller.step(Measurement(times[0], indoor_c={"h0": 24.5})))
+    assert first["indoor_c"] == 24.5
+    assert first["indoor_end_c"] == pytest.approx(36.5 - 12.0 * DRIFT, abs=1e-9)
+    saved = json.loads(json.dumps(controller.state(), allow_nan=False))
+    for go_on in (controller, Controller.of(day, OPTIONS, state=saved)):
+        step = go_on.step(Measurement(times[1]))
+        assert room(step)["indoor_c"] == first["indoor_end_c"]
+        assert "indoor_c h0 24.8 (missing)" in step.solve["estimated"]
+    # Two steps that nobody decided: the home is off, so its thermostat can do nothing.
+    later = room(controller.step(Measurement(times[4])))
+    assert later["indoor_c"] == pytest.approx(36.5 - 12.0 * DRIFT**4, abs=1e-9)
+
+
+def test_a_thermometer_that_stands_still_is_named_until_it_moves() -> None:
+    """Of 24 °C the home gains 0.31 K in the first hour without power, and 1.2 K in four."""
+    day = hot([DARK] * 6 + [OPEN] * 2)
+    controller = Controller.of(day, OPTIONS)
+    frozen, believed = [], []
+    for t, time in enumerate(day.grid.times):
+        step = controller.step(Measurement(time, indoor_c={"h0": 24.0 if t < 6 else 25.7}))
+        frozen.append("indoor_c h0" in step.solve["estimated"])
+        believed.append(room(step)["indoor_c"])
+        assert step.customers["served"].all() == (t >= 6)
+    assert frozen == [False] * 4 + [True] * 2 + [False] * 2
+    assert believed[:4] == [24.0] * 4 and believed[6] == 25.7
+    assert believed[5] == pytest.approx(36.5 - 12.5 * DRIFT**5, abs=1e-9)
+
+
+def test_a_room_that_its_thermostat_holds_may_stand_still() -> None:
+    day = hot([OPEN] * 8)
+    controller = Controller.of(day, OPTIONS)
+    for time in day.grid.times:
+        step = controller.step(Measurement(time, indoor_c={"h0": 26.0}))
+        assert step.solve["estimated"] == "" and room(step)["setpoint_c"] == pytest.approx(26.0)
+
+
+def test_readings_in_fahrenheit_count_as_missing() -> None:
+    day = hot([OPEN] * 3)
+    controller = Controller.of(day, OPTIONS)
+    step = controller.step(Measurement(day.grid.times[0], indoor_c={"h0": 77.0}))
+    assert "more than 40 K above its comfort band" in step.solve["estimated"]
+    assert room(step)["indoor_c"] == 24.0
+    with pytest.raises(InputError, match=r"indoor_c.*h1.*h0"):
+        controller.step(Measurement(day.grid.times[0], indoor_c={"h1": 24.0}))
+
+
+def test_a_thermostat_holds_its_set_point_as_far_as_it_can() -> None:
+    day = replace(hot([OPEN]), thermal_loads=homes("c0", "c0", "c0", heats=[False, False, True]))
+    climate = Climate(day)
+    on = np.array([True])
+    power_kw = climate.thermostat_kw(0, np.array([24.0, 15.0, 20.0]), on)
+    assert power_kw == pytest.approx([2.5 / 3.5, 2.0, 0.0])
+    assert climate.after_c(0, power_kw)[0] == pytest.approx(24.0, abs=1e-12)
+    assert climate.thermostat_kw(0, np.full(3, 15.0), ~on).max() == 0.0
+
+
+def cooled(day: Scenario) -> Scenario:
+    """The day with a home that its shop cools and a tank of the hospital that is heated."""
+    tank: dict[str, Any] = {
+        "heats": [False, True],
+        "r_c_per_kw": [5.0, 50.0],
+        "c_kwh_per_c": [8.0, 0.3],
+        "t_min_c": [20.0, 50.0],
+        "t_max_c": [26.0, 60.0],
+        "t_initial_c": [24.0, 55.0],
+        "gain_kw": [0.5, -0.1],
+    }
+    return replace(day, thermal_loads=homes("shop", "hospital", **tank))
+
+
+def test_a_service_tells_thermostats_temperatures(tiny: Scenario, tmp_path: Path) -> None:
+    """A fresh reading counts; an old one is stale and the temperature is reckoned; both are kept."""
+    day = cooled(site(tiny))
+    clock = SetClock(NOON)
+    with client(Service(day, HERE), tmp_path, clock) as http:
+        series = readings(NOON, "indoor_c", {"h0": 26.5, "h1": 52.0})
+        assert http.post("/v1/telemetry", {"series": series}).status == 200
+        fahrenheit = readings(NOON, "indoor_c", {"h0": 81.0})
+        refused = http.post("/v1/telemetry", {"series": fahrenheit})
+        assert refused.status == 422 and "check the unit" in json.dumps(refused.json())
+        first = decided(http, clock, NOON)
+        assert first["expected"]["indoor_c"] == {"h0": 26.5, "h1": 52.0}
+        ends_c = first["expected"]["indoor_end_c"]
+        point = said(first, "thermal_loads")["h0"]
+        assert point["setpoint_c"] == ends_c["h0"] == pytest.approx(26.0, abs=1e-3)
+        assert point["default"] == {"setpoint_c": 26.0} and point["valid_until"] > written(NOON)
+        assert len(first["ahead"]["indoor_c"]["h1"]) == len(first["ahead"]["times"])
+        asked = http.get("/v1/setpoints?asset=h1").json()["setpoints"]
+        assert [one["kind"] for one in asked] == ["thermal_loads"]
+    with client(Service(day, HERE), tmp_path, clock) as http:
+        plan = decided(http, clock, NOON + 2 * HOUR)
+        late = {(one["asset"], one["quantity"], one["state"]) for one in plan["late"]}
+        assert ("h0", "indoor_c", "stale") in late
+        assert [words[:11] for words in plan["estimated"] if "indoor_c" in words] == [
+            "indoor_c h0",
+            "indoor_c h1",
+        ]
+        until = written(NOON + 4 * HOUR)
+        assert http.put("/v1/mode", {"mode": "hold", "until": until, "reason": "a"}).status == 200
+        held = decided(http, clock, NOON + 3 * HOUR)
+        assert (
+            said(held, "thermal_loads")["h0"]["setpoint_c"]
+            == (said(plan, "thermal_loads")["h0"]["setpoint_c"])
+        )
+
+
+def test_a_played_day_of_rooms_is_the_run(tiny: Scenario, tmp_path: Path) -> None:
+    """Thermostats that are told temperatures do what a run's machines do."""
+    day = cooled(tiny)
+    options = RunOptions(horizon_h=2.0, isolate=False)
+    run = run_day(day, options)
+    assert run.thermal_loads is not None
+    player = played(Service(day, options, rehearsal=True), day, tmp_path, Play(announced=False))
+    assert player.tally.statuses == {"ok": day.grid.n_steps} and player.tally.estimated == 0
+    for column in ("p_kw", "t_end_c"):
+        found = np.concatenate([one.thermal_loads[column] for one in player.world.records])
+        assert found == pytest.approx(run.thermal_loads[column].to_numpy(), abs=1e-6)
