@@ -12,7 +12,7 @@ import vppres.solve.ladder  # noqa: F401 (the names below are looked up in what 
 from vppres.core.arrays import Floats
 from vppres.model.data import WindowData
 from vppres.solve.certificate import Candidate
-from vppres.solve.programs import PROOF, SetOptions
+from vppres.solve.programs import PROOF
 
 SOLVE = "vppres.solve."
 
@@ -60,14 +60,14 @@ def as_found(_: object, found: Candidate) -> Candidate:
     return found
 
 
-def no_options(*_: object) -> SetOptions:
+def no_options(*_: object) -> Mapping[str, Any]:
     """HiGHS as it comes."""
-    return SetOptions({}, {})
+    return {}
 
 
-def one_set(*_: object) -> SetOptions:
+def one_set(*_: object) -> Mapping[str, Any]:
     """The same options of HiGHS for every search."""
-    return SetOptions(PROOF, PROOF)
+    return PROOF
 
 
 def no_groups(*_: object) -> list[Any]:
@@ -117,8 +117,8 @@ MECHANISMS = (
     Mechanism(
         "options of HiGHS",
         {
-            "programs.SetOptions.of": no_options,
-            "solvers.SetOptions.of": no_options,
+            "network.master.search_options": no_options,
+            "solvers.search_options": no_options,
             "programs.PROOF": {},
             "fleet.counts.PROOF": {},
             "network.feeders.SEARCH": {},
@@ -131,8 +131,8 @@ MECHANISMS = (
     ),
     Mechanism(
         "options by kind of window",
-        {"programs.SetOptions.of": one_set, "solvers.SetOptions.of": one_set},
-        ("programs.SetOptions",),
+        {"network.master.search_options": one_set, "solvers.search_options": one_set},
+        ("programs.search_options",),
     ),
     Mechanism("whole problem", {"ladder.with_binaries": nothing}, ("whole.with_binaries",)),
     Mechanism(

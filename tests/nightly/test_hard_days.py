@@ -230,7 +230,6 @@ def test_searches_for_sets_begin_near_the_linear_solution(monkeypatch: pytest.Mo
         return run(*asked)
 
     monkeypatch.setattr("vppres.solve.fleet.masters.run", noted)
-    monkeypatch.setattr("vppres.solve.fleet.masters.MANY_BINARIES", 1)
     highs, scip = find_solver("highs"), find_solver("scip")
     asked = 1e-6, 20.0, objective_scale(case.site)
     plain = run(problem, highs, *asked)
@@ -240,9 +239,6 @@ def test_searches_for_sets_begin_near_the_linear_solution(monkeypatch: pytest.Mo
     assert began[0].values is nobody
     search_for_set(problem, scip, *asked)
     assert began[1] is None
-    monkeypatch.setattr("vppres.solve.fleet.masters.MANY_BINARIES", x.size + 1)
-    search_for_set(problem, highs, *asked, first=nobody)
-    assert began[2] == highs.of_sets  # the last that it is asked with: no set
 
 
 @pytest.mark.parametrize("stored", [True, False])
@@ -255,5 +251,4 @@ def test_rules_and_batteries_decide_how_sets_are_searched(ruled: bool, stored: b
     data = case.data if ruled else replace(case.data, switching=None)
     task = WindowTask.begin(data, shared_cache(site), SolveLimits(), find_solver("highs"), 0)
     assert task.spec.of_sets["mip_heuristic_run_rins"] is ruled
-    for options in (task.spec.of_sets, task.spec.of_cheaper):
-        assert ("presolve_rule_off" in options) is not (ruled and stored)
+    assert ("presolve_rule_off" in task.spec.of_sets) is not (ruled and stored)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
 import highspy
 import numpy as np
@@ -44,15 +44,6 @@ STOPPED = (
 )
 """Ends of a search that somebody asked for."""
 
-WIDE = 100
-"""Columns for each row beyond which a linear problem is not presolved. HiGHS compares them with
-each other, which at 40,000 takes 40 s for a solution of nine iterations."""
-
-LIGHT = 2_000
-"""Entries up to which the fleet's linear problems are not presolved: that would take longer than
-the few iterations that they need."""
-
-
 NO_JUMPS = MappingProxyType({"mip_heuristic_run_feasibility_jump": False})
 """Options for a search whose first linear solution is nearly an answer: HiGHS does not jump about
 for one before it, which in small searches takes half of their time."""
@@ -78,20 +69,11 @@ weight are served in a step, where the problem or :func:`with_sums` counts them.
 most of whose columns are held: without its aggregation HiGHS 1.15.1 may write beyond its arrays
 where presolve has removed half of a problem."""
 
-SEARCH_FOR_CHEAPER = MappingProxyType(
-    {**SEARCH_OF_SETS, "mip_heuristic_run_root_reduced_cost": False}
-)
-"""Options for a search that begins with a set as good in all but its cost: another is seldom much
-cheaper, and HiGHS's problem within the problem took a third of the time."""
-
 SEARCH_WITH_RULES = MappingProxyType({**PROOF, "mip_heuristic_run_rins": True})
 """Options for a search for sets with switching rules and batteries. Good sets are hard to find: of
 24 windows one left 19 open after 10 s; with HiGHS's problems within the problem it closed three of
 them, and all 24 together were worth 0.3 % more. Few nodes follow a root that takes long, and longer
 with sums to branch on: 51 windows took 9 % more time with them."""
-
-CHEAPER_WITH_RULES = MappingProxyType({**PROOF, "mip_heuristic_run_root_reduced_cost": False})
-"""The same for a search that begins with a set as good in all but its cost."""
 
 SEARCH_UNSTORED = MappingProxyType({**SEARCH_OF_SETS, "mip_heuristic_run_rins": True})
 """Options for a search for sets with switching rules where nothing can be stored: many nodes are
@@ -173,11 +155,6 @@ class Program:
         lower[columns] = upper[columns] = values
         return replace(self, x_lower=lower, x_upper=upper)
 
-    @property
-    def is_wide(self) -> bool:
-        """Whether it is a linear problem of hardly any rows."""
-        return len(self.integer) == 0 and len(self.cost) > WIDE * len(self.lower)
-
     def loaded(
         self,
         gap_abs: float = 0.0,
@@ -199,8 +176,6 @@ class Program:
             "threads": 1,
             **more,
         }
-        if self.is_wide:
-            options["presolve"] = "off"
         if most_nodes is not None:
             options["mip_max_nodes"] = most_nodes
         for name, value in options.items():
@@ -214,9 +189,11 @@ class Program:
         return solver
 
     def loaded_by_shares(self) -> highspy.Highs:
-        """A solver that has the program without whole numbers; a light one as it is."""
-        light = self.rows.nnz <= LIGHT
-        return self.by_shares().loaded(more={"presolve": "off"} if light else {})
+        """A solver that has the program without whole numbers, as it is.
+
+        Presolving compares all columns of the few rows, and takes longer than the iterations.
+        """
+        return self.by_shares().loaded(more={"presolve": "off"})
 
     @property
     def model(self) -> highspy.HighsModel:
@@ -290,20 +267,11 @@ def begin_with(solver: highspy.Highs, columns: Wholes, values: Floats | Flags) -
     solver.setSolution(columns.size, columns.ravel().astype(np.int32), values.ravel().astype(float))
 
 
-class SetOptions(NamedTuple):
-    """Options of HiGHS for a search for sets, and for one for a cheaper set."""
-
-    of_sets: Mapping[str, Any]
-    of_cheaper: Mapping[str, Any]
-
-    @classmethod
-    def of(cls, site: Site, data: WindowData) -> SetOptions:
-        """Those of a window: by its switching rules, and by whether anything can be stored."""
-        if data.switching is None:
-            return cls(SEARCH_OF_SETS, SEARCH_FOR_CHEAPER)
-        if site.batteries.idle:
-            return cls(SEARCH_UNSTORED, SEARCH_FOR_CHEAPER)
-        return cls(SEARCH_WITH_RULES, CHEAPER_WITH_RULES)
+def search_options(site: Site, data: WindowData) -> Mapping[str, Any]:
+    """Options of HiGHS for a window's searches for sets: by its rules, and by what it can store."""
+    if data.switching is None:
+        return SEARCH_OF_SETS
+    return SEARCH_UNSTORED if site.batteries.idle else SEARCH_WITH_RULES
 
 
 def columns_of_alike(columns: Wholes, weight: Floats) -> list[Wholes]:

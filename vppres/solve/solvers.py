@@ -21,9 +21,8 @@ from vppres.solve.deadline import LEAST_S, Deadline
 from vppres.solve.direct import Start, solve_by_clarabel, solve_by_highs
 from vppres.solve.programs import (
     NO_JUMPS,
-    SEARCH_FOR_CHEAPER,
     SEARCH_OF_SETS,
-    SetOptions,
+    search_options,
 )
 from vppres.solve.result import Outcome, Status
 from vppres.solve.selection import Selected
@@ -82,8 +81,6 @@ class SolverSpec:
         ``answer -> Status`` for answers that cvxpy does not call optimal.
     of_sets : mapping
         Options of the solver for a search for sets, whose time goes into the proof.
-    of_cheaper : mapping
-        The same for a search for a set that is only cheaper than one that is known.
     of_modes : mapping
         The same for a search for modes of known sets, whose rounding finds answers at once.
     """
@@ -95,15 +92,13 @@ class SolverSpec:
     slack: Callable[[Answer], float]
     ended: Callable[[Answer], Status]
     of_sets: Mapping[str, Any] = field(default_factory=dict)
-    of_cheaper: Mapping[str, Any] = field(default_factory=dict)
     of_modes: Mapping[str, Any] = field(default_factory=dict)
 
     def for_window(self, site: Site, data: WindowData) -> SolverSpec:
         """The solver with the options that a window asks for, if it is told any."""
         if not self.of_sets:
             return self
-        of_sets, of_cheaper = SetOptions.of(site, data)
-        return replace(self, of_sets=of_sets, of_cheaper=of_cheaper)
+        return replace(self, of_sets=search_options(site, data))
 
     @property
     def installed(self) -> bool:
@@ -156,7 +151,6 @@ SOLVERS: dict[str, SolverSpec] = {
             _highs_slack,
             _highs_ended,
             of_sets=SEARCH_OF_SETS,
-            of_cheaper=SEARCH_FOR_CHEAPER,
             of_modes=NO_JUMPS,
         ),
         SolverSpec(

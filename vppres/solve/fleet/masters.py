@@ -5,9 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -34,10 +33,6 @@ from vppres.solve.task import WindowTask
 MOST_BINARIES = 600
 """Customers times steps up to which a window is searched with a binary for each. Beyond, that takes
 a second and more; whole numbers for each weight are fewer, and cuts stand for the fleet."""
-
-MANY_BINARIES = 150
-"""Binaries from which on a search begins with a known set: with fewer that takes as long as
-itself."""
 
 ALIKE = 1e-4
 """Spread of efficiencies up to which the fleet is lumped into one battery first: beyond it, one
@@ -129,11 +124,8 @@ class Binaries:
         if near or bound.status != Status.OPTIMAL:
             return bound, None
         problem = self._with_units(units_min, everyone, integer=True)
-        options = None if self.best is None else self.spec.of_cheaper
         left_s = self.deadline.left_s
-        outcome = search_for_set(
-            problem, self.spec, gap_gbp, left_s, first=self.best, options=options
-        )
+        outcome = search_for_set(problem, self.spec, gap_gbp, left_s, first=self.best)
         if not outcome.status.has_answer:
             return replace(bound, status=Status.TIME_LIMIT), None
         return outcome, set_of(problem, outcome)
@@ -158,20 +150,13 @@ def search_for_set(
     time_s: float,
     scale: float = 1.0,
     first: Flags | None = None,
-    options: Mapping[str, Any] | None = None,
 ) -> Outcome:
     """How a search for a set ended that begins with a known one, where there is any.
 
-    ``scale`` is a factor in the problem's objective as in ``run``. A search of few binaries begins
-    with nothing, and has the solver's options for any set; others have these if ``options`` is
-    None.
+    ``scale`` is a factor in the problem's objective as in ``run``.
     """
-    x = problem.sheet.columns["x_served"]
-    if x.size < MANY_BINARIES:
-        return run(problem, spec, gap_abs, time_s, scale, spec.of_sets)
     start = None if first is None else Start("x_served", first)
-    more = spec.of_sets if options is None else options
-    return run(problem, spec, gap_abs, time_s, scale, more, start)
+    return run(problem, spec, gap_abs, time_s, scale, spec.of_sets, start)
 
 
 def master_of(task: WindowTask, lumped: bool, deadline: Deadline) -> Master | None:

@@ -30,9 +30,9 @@ from vppres.solve.programs import (
     WHOLE_TOLERANCE,
     Program,
     ProgramSolution,
-    SetOptions,
     begin_with,
     columns_of_alike,
+    search_options,
     with_sums,
 )
 from vppres.solve.result import Outcome, Status
@@ -425,7 +425,7 @@ class NetworkMaster:
     @property
     def _options(self) -> Mapping[str, Any]:
         """Options of the searches with binaries."""
-        return SetOptions.of(self.site, self.data).of_sets
+        return search_options(self.site, self.data)
 
     def _counted(self, program: Program, rows: list[Rows]) -> Program:
         """A program with limits, binaries, and how many of each weight are served."""
