@@ -104,6 +104,13 @@ def test_a_wye_with_its_neutral_at_a_phase_is_between_two_phases(circuit: Path) 
     assert "bc" in {load.connection.coils for load in found.loads}
 
 
+def test_a_transformer_that_does_not_follow_from_its_coils_is_refused(circuit: Path) -> None:
+    file = circuit.with_name("core.dss")
+    file.write_text(CIRCUIT.replace("transformer.low phases=3", "transformer.low %imag=2 phases=3"))
+    with pytest.raises(InputError, match=r"transformer\.low does not follow from its coils.*core"):
+        import_network(file)
+
+
 def test_three_wires_have_limits_between_phases(day: Scenario) -> None:
     assert day.phases is not None
     assert [row.bus for row in day.phases.buses if row.limits == "lines"] == ["d"]

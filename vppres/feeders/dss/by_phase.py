@@ -19,10 +19,6 @@ NEXT, PREVIOUS = ("ab", "bc", "ca"), ("ac", "ba", "cb")
 EXPONENTS = {1: (0.0, 0.0), 2: (2.0, 2.0), 3: (0.0, 2.0), 5: (1.0, 1.0)}
 """How active and reactive power of OpenDSS's load models follow the voltage."""
 
-MATCH = 1e-9
-"""Share of its largest entry by which a transformer's matrix may differ from that of its coils."""
-
-VA_PER_KVA = V_PER_KV = 1000.0
 US_PER_S = 1e6
 
 Refused = list[dict[str, Any]]
@@ -47,7 +43,7 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
         "source": _source(),
         "lines": [_line(name, engine) for name in engine._of("line") if engine._closed()],
         "transformers": [
-            _transformer(name, refused) for name in engine._of("transformer") if engine._closed()
+            _transformer(name) for name in engine._of("transformer") if engine._closed()
         ],
         "capacitors": [_capacitor(name, refused) for name in engine._of("capacitor")],
         "powers": list(_powers(engine, refused)),
@@ -139,8 +135,8 @@ def _line(name: str, engine: Any) -> dict[str, Any]:
     }
 
 
-def _transformer(name: str, refused: Refused) -> dict[str, Any]:
-    """Coils of a transformer: those that give its own matrix."""
+def _transformer(name: str) -> dict[str, Any]:
+    """A transformer with the coils that each end may have, and its own matrix."""
     element = f"transformer.{name}"
     dss.Transformers.Name(name)
     dss.Circuit.SetActiveElement(element)
@@ -166,19 +162,13 @@ def _transformer(name: str, refused: Refused) -> dict[str, Any]:
         row["kva"] = float(dss.Transformers.kVA()) / phases
         ends.append(_windings([phase for _, phase in nodes], delta, phases))
     row["ppm"] = ppm
-    for first in ends[0]:
-        for second in ends[1]:
-            tried = row | {"from_coils": first, "to_coils": second}
-            off = np.abs(_of_coils(tried, order) - _live(y, order)).max()
-            if off <= MATCH * np.abs(y).max():
-                return tried
-    _refuse(
-        refused,
-        element,
-        "does not follow from its coils: a neutral that is not grounded, or a core",
-        "Leave out neutral impedances, %imag and %noloadloss, or import with --balance.",
-    )
-    return row
+    live = [i for i, (_, phase) in enumerate(order) if phase >= 0]
+    return {
+        "row": row,
+        "coils": ends,
+        "nodes": [order[i] for i in live],
+        "y": _complex(y[np.ix_(live, live)]),
+    }
 
 
 def _windings(phases: list[int], delta: bool, count: int) -> list[str]:
@@ -195,35 +185,6 @@ def _delta(names: list[str], pairs: tuple[str, ...]) -> str:
     """The coils of a delta whose conductors are these phases."""
     turn = dict(zip(PHASES, names, strict=True))
     return " ".join(turn[pair[0]] + turn[pair[1]] for pair in pairs)
-
-
-def _live(y: Any, order: list[tuple[str, int]]) -> Any:
-    """A matrix without the rows and columns of ground."""
-    live = [i for i, (_, phase) in enumerate(order) if phase >= 0]
-    return y[np.ix_(live, live)]
-
-
-def _of_coils(row: dict[str, Any], order: list[tuple[str, int]]) -> Any:
-    """The matrix of a transformer's coils at the live nodes of its order."""
-    live = [node for node in order if node[1] >= 0]
-    half = len([node for node in order[: len(order) // 2] if node[1] >= 0])
-    sides = []
-    for end, first, last in (("from", 0, half), ("to", half, len(live))):
-        coils = row[f"{end}_coils"].split()
-        b = np.zeros((len(coils), len(live)))
-        place = {live[i][1]: i for i in range(first, last)}
-        for k, word in enumerate(coils):
-            for letter, sign in zip(word, (1.0, -1.0), strict=False):
-                b[k, place[PHASES.index(letter)]] += sign
-        sides.append((b, row[f"{end}_kv"] * V_PER_KV, row[f"{end}_tap"]))
-    if sides[0][0].shape[0] != sides[1][0].shape[0]:
-        return np.full((len(live), len(live)), np.inf)
-    va = row["kva"] * VA_PER_KVA
-    through = sides[0][0] / (sides[0][1] * sides[0][2]) - sides[1][0] / (sides[1][1] * sides[1][2])
-    y = va * 100.0 / (row["r_pct"] + 1j * row["x_pct"]) * (through.T @ through)
-    for b, volts, _ in sides:
-        y = y - 1j * np.diag(np.abs(b).sum(axis=0)) * row["ppm"] * 0.5e-6 * va / volts**2
-    return y
 
 
 def _capacitor(name: str, refused: Refused) -> dict[str, Any]:

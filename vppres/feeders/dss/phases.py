@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from vppres.core.errors import InputError, Problem
 from vppres.core.units import V_PER_KV
 from vppres.feeders.feeder import ImportedFeeder, PhasedLoad, PhasedSource
 from vppres.feeders.strangers.confined import TIME_LIMIT_S, confined
-from vppres.physics.phases import PhasedFlow, admittances
+from vppres.physics.phases import PhasedFlow, admittances, of_transformer
 from vppres.scenario.network import BusId
 from vppres.scenario.phases import (
     GROUND,
@@ -26,6 +27,7 @@ from vppres.scenario.phases import (
     Phases,
     PhaseShunt,
     PhaseTransformer,
+    coils_of,
 )
 
 THREE_WIRE = 1e3
@@ -33,7 +35,8 @@ THREE_WIRE = 1e3
 there is the charging of cables, or a millionth of a rating. A stiff source with a weak neutral has
 a ratio of some hundred."""
 
-HELD = "the source"
+MATCH = 1e-9
+"""Share of its largest entry by which a transformer's matrix may differ from that of its coils."""
 
 
 def phased_source(
@@ -66,7 +69,7 @@ def phased_source(
     at: dict[str, BusId] = {
         bus: feeder.bus_of[i] for bus, i in flow.index.items() if i in feeder.bus_of
     }
-    phases = _phases(found, at, feeder.network.slack_bus)
+    phases = _phases(found, name, at, feeder.network.slack_bus)
     loads = tuple(_loads(found, at))
     source = PhasedSource(_three_wire(phases), loads, found["source"]["v_pu"])
     difference_pu = _difference(source, found["v_pu"])
@@ -117,7 +120,7 @@ def _crossed(found: Mapping[str, Any], name: str) -> list[Problem]:
     ]
 
 
-def _phases(found: Mapping[str, Any], at: Mapping[str, BusId], slack: BusId) -> Phases:
+def _phases(found: Mapping[str, Any], name: str, at: Mapping[str, BusId], slack: BusId) -> Phases:
     """The tables without connections; the source is a bus of its own behind its impedance."""
     source = found["source"]
     behind = str(slack)
@@ -140,13 +143,39 @@ def _phases(found: Mapping[str, Any], at: Mapping[str, BusId], slack: BusId) -> 
         for line in found["lines"]
         if line["from_bus"] in at
     ]
-    units = [PhaseTransformer(**row) for row in found["transformers"] if row["from_bus"] in at]
+    units = [
+        _transformer(one, name, rows)
+        for one in found["transformers"]
+        if one["row"]["from_bus"] in at
+    ]
     shunts = [
         PhaseShunt(row["bus"], row["coils"], row["kv"], 0.0, -row["kvar"])
         for row in found["capacitors"]
         if row["bus"] in at and row["kvar"]
     ]
     return Phases(tuple(rows), tuple(lines), tuple(units), tuple(shunts))
+
+
+def _transformer(one: Mapping[str, Any], name: str, rows: list[PhaseBus]) -> PhaseTransformer:
+    """The transformer with the coils that give OpenDSS's own matrix."""
+    known, y = Phases(tuple(rows), ()), _of(one["y"])
+    at = [known.node_index[bus, phase] for bus, phase in one["nodes"]]
+    for first, second in product(*one["coils"]):
+        unit = PhaseTransformer(**one["row"], from_coils=first, to_coils=second)
+        if len(coils_of(first)) == len(coils_of(second)):
+            own = of_transformer(known, unit).tocsr()[at][:, at].toarray()
+            if np.abs(own - y).max() <= MATCH * np.abs(y).max():
+                return unit
+    raise InputError(
+        [
+            Problem(
+                name,
+                f"transformer.{one['row']['id']} does not follow from its coils: a neutral that is "
+                "not grounded, or a core",
+                "Leave out neutral impedances, %imag and %noloadloss, or import with --balance.",
+            )
+        ]
+    )
 
 
 def _of(parts: Mapping[str, Any]) -> Complexes:
