@@ -378,8 +378,8 @@ def test_least_slack_by_hand() -> None:
     site, net = Site.of(scenario), scenario.network
     data = window_of(step(scenario, 1, soc=0.15))
     without_q = replace(data, pv_kw=0.0 * data.pv_kw)
-    assert least_slack(site, without_q) <= net.v_min_pu**2 - 0.92**2 + 1e-6
-    assert least_slack(Site.of(small_scenario()), data) == pytest.approx(0.0, abs=1e-6)
+    assert least_slack(site, without_q, 20.0) <= net.v_min_pu**2 - 0.92**2 + 1e-6
+    assert least_slack(Site.of(small_scenario()), data, 20.0) == pytest.approx(0.0, abs=1e-6)
 
 
 class OnlyOneStep(WindowSolver):

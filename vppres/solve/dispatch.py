@@ -53,16 +53,13 @@ HELD_ABS = 1e-5
 """How much the tie-breakers may worsen cost (GBP) and curtailment (kWh): what interior points need
 to have an inside at all."""
 
-CURTAILMENT_HELD_REL = 1e-7
-"""The same of curtailment, which weighs more: nearly as much as all service in a sunny outage. As
-much again is what interior points may miss it by."""
+SERVICE_HELD_REL = 1e-7
+"""The same of what weighs as much as service: curtailment, and the page's own term. As much again
+is what interior points may miss it by."""
 
 EASED_CURTAILED_REL = 1e-2
 """The same of a dispatch by phase that has no inside else: what is curtailed for a phase of the
 former leaves its limits none. Passes end only where the tie-breakers have their say."""
-
-OWN_HELD = 1e-7
-"""The same of the page's own term, in weighted customer hours: a thousandth of the gap."""
 
 EASED_KWH = 1e-5
 """Energy by which every battery may miss what a set needs: five times what the masters accept in a
@@ -214,7 +211,7 @@ def _curtailed_rel(task: WindowTask, found: Candidate) -> float:
 
 
 def with_tie_breakers(
-    task: WindowTask, found: Candidate, curtailed_rel: float = CURTAILMENT_HELD_REL
+    task: WindowTask, found: Candidate, curtailed_rel: float = SERVICE_HELD_REL
 ) -> Candidate | None:
     """The dispatch that the tie-breakers prefer, None if the network forbids its cost.
 
@@ -403,7 +400,7 @@ def polish(
     dispatch: Dispatch,
     deadline: Deadline,
     own: OwnValues = NO_OWN_VALUES,
-    curtailed_rel: float = CURTAILMENT_HELD_REL,
+    curtailed_rel: float = SERVICE_HELD_REL,
 ) -> Attempt:
     """Minimise the tie-breakers with service, cost and curtailment held.
 
@@ -425,7 +422,7 @@ def polish(
     moves = data.moves is not None
     problem = cache.problem(TieBreakers, sheet=sheet, curtailing=curtailing, moves=moves)
     problem.hold(data, dispatch, f2_max, f3_max)
-    problem.hold_own(own.letters, own.value - OWN_HELD * (1.0 + abs(own.value)))
+    problem.hold_own(own.letters, own.value - SERVICE_HELD_REL * (1.0 + abs(own.value)))
     near = near_to(site, data, dispatch)
     outcome = run_in_phases(site, near, problem, dispatch.served, deadline.left_s)
     if outcome.status != Status.OPTIMAL:
@@ -434,7 +431,7 @@ def polish(
     better = replace(better, soc=soc_path(site, data, better.charge_kw, better.discharge_kw))
     after = evaluate(site, data, better)
     f2_after = after.f2 - sheet.statement.held(data, better).gbp
-    missed_kwh = CURTAILMENT_HELD_REL * terms.f3 + HELD_ABS
+    missed_kwh = SERVICE_HELD_REL * terms.f3 + HELD_ABS
     kept = f2_after <= f2_max + HELD_ABS and after.f3 <= f3_max + missed_kwh
     return Attempt(
         outcome, better if kept else None, own=OwnValues(problem.own_value(), own.letters)

@@ -25,8 +25,8 @@ from vppres.solve.apart import falls_apart, solve_apart
 from vppres.solve.cache import shared_cache
 from vppres.solve.deadline import Deadline
 from vppres.solve.dispatch import (
-    OWN_HELD,
     POLYGON_SIDES,
+    SERVICE_HELD_REL,
     keep_dispatch_in_network,
     keep_with_turns,
 )
@@ -279,7 +279,9 @@ def _dims_more(found: Dispatch, before: Dispatch, site: Site) -> bool:
     """Whether a served set gets less than with the dispatch before: tighter limits dim nobody."""
     weight = site.customers.weight
     lost = (before.supplied.astype(float) - found.supplied.astype(float)) @ weight
-    return bool(lost.sum() > OWN_HELD * (1.0 + before.supplied.astype(float) @ weight).sum())
+    return bool(
+        lost.sum() > SERVICE_HELD_REL * (1.0 + before.supplied.astype(float) @ weight).sum()
+    )
 
 
 def climb(task: WindowTask) -> None:

@@ -14,14 +14,12 @@ import numpy as np
 from vppres.core.arrays import Floats
 from vppres.model.beyond_paper.ratings import FAMILY, rated_lines
 from vppres.model.data import WindowData
+from vppres.model.numerics import ROUNDING
 from vppres.solve.phase_prices import PhasePrices
 from vppres.solve.phases import run_in_phases
 from vppres.solve.result import Status
 from vppres.solve.shadow_price_model import Held, PricedTerms, ShadowPriceModel
 from vppres.solve.turns import one_at_a_time
-
-NO_FLOW_KVA = 1e-9
-"""A flow without direction: no rating limits it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,7 +201,8 @@ def _of_lines(model: ShadowPriceModel) -> tuple[Floats, Floats, Floats]:
         of_rated = model.dual(FAMILY)[0].reshape(-1, model.n_steps)[:, 0]
         rating[rated_lines(model.site)] = np.maximum(of_rated, 0.0)
     flow = np.stack([model.value_of(name)[0] for name in ("P_flow", "Q_flow")])
-    direction = flow / np.maximum(np.hypot(*flow), NO_FLOW_KVA)
+    # No rating limits a flow without direction.
+    direction = flow / np.maximum(np.hypot(*flow), ROUNDING)
     active, reactive = (rating * direction) @ net.downstream
     return rating, active, reactive
 

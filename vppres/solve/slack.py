@@ -12,14 +12,11 @@ from vppres.solve.forms import Form, select_form
 from vppres.solve.selection import Selected, Selection, Sheet
 from vppres.solve.solvers import run_conic
 
-ELASTIC_TIME_S = 20.0
-"""Enough for a relaxation without binaries; a step that needs it has lost time already."""
-
 GIVING = ("voltage_min", "voltage_max")
 """Families whose limits give."""
 
 
-def least_slack(site: Site, data: WindowData, time_s: float = ELASTIC_TIME_S) -> float:
+def least_slack(site: Site, data: WindowData, time_s: float) -> float:
     """Least slack of the squared voltage limits (pu²) that leaves a feasible relaxation.
 
     Parameters
@@ -28,7 +25,7 @@ def least_slack(site: Site, data: WindowData, time_s: float = ELASTIC_TIME_S) ->
         Fixed data.
     data : WindowData
         The window.
-    time_s : float, optional
+    time_s : float
         Time limit in s.
 
     Raises
@@ -38,7 +35,7 @@ def least_slack(site: Site, data: WindowData, time_s: float = ELASTIC_TIME_S) ->
     """
     problem = Selected(Sheet(site, data.n_steps, beyond_paper(site, data)), _elastic, conic=True)
     problem.fill(data)
-    outcome = run_conic(problem, min(time_s, ELASTIC_TIME_S))
+    outcome = run_conic(problem, time_s)
     outcome.require_answer(f"The window of {data.n_steps} steps without voltage limits")
     return max(outcome.value, 0.0)
 

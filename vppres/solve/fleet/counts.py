@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import connected_components
 
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.data import WindowData
-from vppres.solve.deadline import Deadline, Stopwatch
+from vppres.solve.deadline import HALF, Deadline, Stopwatch
 from vppres.solve.fleet.cuts import Cut, Reach
 from vppres.solve.fleet.demand import DemandModel
 from vppres.solve.fleet.reach import OneBattery
@@ -34,10 +34,6 @@ from vppres.solve.programs import (
     add_row,
 )
 from vppres.solve.result import Outcome, Status
-
-SERVICE_SHARE = 0.6
-"""Share of the time left that service may take; the rest is for cost and a dispatch. A window that
-spends it all here keeps the set of the linear solution, which is seldom more than 1 % off."""
 
 SPARE_CUSTOMERS = 3
 """Customers of the largest weight whom a set may lose beyond what shares of customers lose: a
@@ -174,7 +170,7 @@ class Counts:
     def service(self, gap: float) -> tuple[Outcome, Flags | None]:
         """Most service in units within a gap; everyone connected is served."""
         watch = Stopwatch()
-        search = self.deadline.part(SERVICE_SHARE)
+        search = self.deadline.part(HALF)
         free = ~self.unlimited
         self.gap = gap
         found = self._carried(self._most_by_shares(free), self.deadline)

@@ -22,15 +22,12 @@ from vppres.solve.result import Status
 from vppres.solve.solvers import run
 from vppres.solve.task import COST_SHARE, WindowTask
 
-NOTHING_LOST = 1e-6
-"""Share of the gap by which the service of everyone may be missed: rounding of its sum."""
-
 
 def everyone_served(task: WindowTask) -> None:
     """Serve everyone and curtail nothing: if that is feasible, no search is needed."""
     keep_dispatch(task, np.ones(task.data.load_kw.shape, dtype=bool))
     best = task.certificate.best
-    if best is not None and task.everyone - best.service <= NOTHING_LOST * task.gap:
+    if best is not None and task.everyone - best.service <= ROUNDING * task.everyone:
         smallest = task.site.customers.weight.min() * task.site.dt_h
         task.certificate.everyone_is_served(task.everyone, smallest)
 
