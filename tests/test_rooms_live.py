@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shutil
+import subprocess
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,10 +20,13 @@ from tests.support.small_windows import DARK, OPEN
 from vppres import Controller, InputError, Measurement, RunOptions, SetPoints, run_day
 from vppres.plant.rooms import Climate
 from vppres.scenario.scenario import Scenario
+from vppres.scenario.vehicles import Chargers, Sessions
 from vppres.service.clock import SetClock, written
 from vppres.service.runner import Service
 from vppres.service.simulate import Play
 
+NODE = shutil.which("node")
+WORDS = Path(__file__).parents[1] / "vppres" / "service" / "page" / "words.js"
 HOUR = pd.Timedelta(hours=1)
 OPTIONS = RunOptions(mode="paper", isolate=False)
 DRIFT = np.exp(-1.0 / 40.0)
@@ -156,3 +161,109 @@ def test_a_played_day_of_rooms_is_the_run(tiny: Scenario, tmp_path: Path) -> Non
     for column in ("p_kw", "t_end_c"):
         found = np.concatenate([one.thermal_loads[column] for one in player.world.records])
         assert found == pytest.approx(run.thermal_loads[column].to_numpy(), abs=1e-6)
+
+
+def equipped(tiny: Scenario) -> Scenario:
+    """The site with rooms, a charger whose vehicle leaves at 14:00, and homes that may be dimmed."""
+    day = cooled(site(tiny))
+    start = day.grid.start
+    none = np.full(1, np.nan)
+    vehicle = Sessions(
+        charger=["k0"],
+        vehicle=["van"],
+        plug_in=[start],
+        plug_out=[start + 14 * HOUR],
+        capacity_kwh=[60.0],
+        soc_at_plug_in=[0.3],
+        soc_needed=[0.9],
+        energy_needed_kwh=none,
+        v2g_soc_floor=none,
+        tier=["low"],
+        weight=[0.02],
+        announced=[False],
+    )
+    charger = Chargers(
+        id=["k0"],
+        customer=[""],
+        bus=[4],
+        p_charge_kw=[7.4],
+        p_charge_min_kw=[1.4],
+        p_discharge_kw=[0.0],
+        eta_charge=[0.92],
+        eta_discharge=[0.92],
+    )
+    homes_only = replace(day.customers, share_min=[1.0, 1.0, 0.5])
+    return replace(day, customers=homes_only, chargers=charger, sessions=vehicle)
+
+
+def test_an_operator_sets_a_limit_a_temperature_and_a_share(tiny: Scenario, tmp_path: Path) -> None:
+    """What devices cannot do is refused by name; the page shows what will be missed."""
+    day = equipped(tiny)
+    noon = day.grid.start + 12 * HOUR
+    clock = SetClock(noon)
+    with client(Service(day, HERE, rehearsal=True), tmp_path, clock) as http:
+        decided(http, clock, noon)
+        site_of, seen = (http.get(f"/v1/{name}").json() for name in ("site", "overview"))
+        assert site_of["thermal_loads"]["h0"] == {"t_min_c": 20.0, "t_max_c": 26.0}
+        assert site_of["dimmable"] == {"homes": 0.5}
+        short = seen["plan"]["ahead"]["left_short"]["k0"]
+        needed_kwh = 54.0 - 18.0 - 2 * 0.92 * 7.4
+        assert short["vehicle"] == "van" and short["leaves"] == written(noon + 2 * HOUR)
+        assert short["short_kwh"] == pytest.approx(needed_kwh, abs=1e-3)
+        assert seen["plan"]["expected"]["vehicles"]["k0"]["energy_kwh"] == 18.0
+        good = [
+            {"kind": "chargers", "asset": "k0", "p_limit_kw": 3.0},
+            {"kind": "thermal_loads", "asset": "h0", "setpoint_c": 22.5},
+            {"kind": "customers", "asset": "homes", "served": True, "share": 0.6},
+        ]
+        mode = {"mode": "manual", "until": written(noon + 3 * HOUR), "reason": "a test"}
+        for one, change, words in (
+            (0, {"p_limit_kw": 11.0}, "beyond its rating of 7.4 kW"),
+            (1, {"setpoint_c": 18.0}, "outside its comfort band of 20 to 26"),
+            (2, {"share": 0.4}, "below the least share of 0.5"),
+            (0, {"p_limit_kw": None, "p_kw": 3.0}, "p_limit_kw for chargers"),
+        ):
+            refused = http.put("/v1/mode", {**mode, "setpoints": [{**good[one], **change}]})
+            assert refused.status == 422 and words in json.dumps(refused.json()), words
+        assert http.put("/v1/mode", {**mode, "setpoints": good}).status == 200
+        plan = decided(http, clock, noon + HOUR)
+        assert plan["status"] == "manual"
+        point = said(plan, "chargers")["k0"]
+        assert point["p_kw"] == point["p_limit_kw"] == 3.0
+        assert said(plan, "thermal_loads")["h0"]["setpoint_c"] == 22.5
+        assert said(plan, "customers")["homes"]["share"] == 0.6
+
+
+WORDS_OF_ROOMS = """
+import { farthestOutside, indoorNow } from "./words.mjs";
+const at = (hour) => `2026-07-01T${hour}:00:00Z`;
+const plan = { start: at(12), estimated: ["indoor_c b 25.3 (frozen)"], expected: {
+  indoor_c: { a: 25, b: 25.3, c: 24 }, indoor_end_c: { a: 25.5, b: 25.5, c: 24 } },
+  ahead: { times: [at(13), at(14)], indoor_c: { a: [27, 26], b: [25.5, 25.5], c: [24, 24] } } };
+const measured = { "indoor_c a": { value: 25.1, at: at(12) }, "indoor_c b": { value: 22, at: at(12) } };
+const band = { t_min_c: 20, t_max_c: 26 };
+const site = { step_s: 3600, thermal_loads: { a: band, b: band, c: band } };
+const view = { now: new Date(at(12)), site, overview: { plan, measured, sources: [] } };
+const names = ["a", "b", "c"];
+const now = names.map((name) => indoorNow(view, name));
+console.log(JSON.stringify({ now, outside: names.map((name) => farthestOutside(view, name)) }));
+"""
+
+
+@pytest.mark.skipif(NODE is None, reason="no node on the path")
+def test_the_page_tells_what_rooms_are_and_become(tmp_path: Path) -> None:
+    """27 °C at the end of the step that begins at 13:00, and a thermometer that stands still."""
+    (tmp_path / "words.mjs").write_text(WORDS.read_text(encoding="utf-8"), encoding="utf-8")
+    (tmp_path / "rooms.mjs").write_text(WORDS_OF_ROOMS, encoding="utf-8")
+    asked = [str(NODE), str(tmp_path / "rooms.mjs")]
+    told = json.loads(subprocess.run(asked, capture_output=True, text=True, check=True).stdout)
+    assert told["now"] == [
+        {"value": 25.1, "old": ""},
+        {"value": 25.3, "old": "thermometer stands still; reckoned"},
+        {"value": 24, "old": "not read; reckoned"},
+    ]
+    assert told["outside"] == [
+        {"value": 27, "time": "2026-07-01T14:00:00.000Z", "by": 1},
+        None,
+        None,
+    ]

@@ -19,6 +19,7 @@ from vppres.feeders.actuate import Feeding
 from vppres.live.by_phase import ByPhase
 from vppres.live.foreseen import Foreseen
 from vppres.scenario.scenario import Scenario
+from vppres.scenario.vehicles import NO_CAR
 
 SOLVE_FIGURES = (
     "status",
@@ -70,8 +71,9 @@ class SetPoints:
     foreseen : Foreseen
         What the plan that it is taken from foresees for the steps after it.
     chargers : DataFrame or None
-        ``bus``, ``vehicle``, ``p_kw`` (charging positive), ``p_limit_kw``, the most that it may
-        charge with, ``energy_kwh`` and ``needed_kwh`` of the vehicle; None without chargers.
+        ``bus``, ``vehicle``, when it ``leaves``, ``p_kw`` (charging positive), ``p_limit_kw``, the
+        most that it may charge with, ``energy_kwh`` and ``needed_kwh`` of the vehicle; None without
+        chargers.
     thermal_loads : DataFrame or None
         ``customer``, ``p_kw`` of the machine, ``setpoint_c`` for its thermostat, ``indoor_c``, the
         temperature that was decided on, and ``indoor_end_c``, the one that is expected after the
@@ -133,7 +135,7 @@ class SetPoints:
             ),
             foreseen=foreseen,
             by_phase=ByPhase.of(scenario, step),
-            chargers=_chargers(scenario, step.vehicles),
+            chargers=_chargers(scenario, step),
             thermal_loads=_thermal_loads(scenario, step.thermal_loads),
         )
 
@@ -219,15 +221,19 @@ def _pv(scenario: Scenario, columns: Mapping[str, Any]) -> pd.DataFrame:
     )
 
 
-def _chargers(scenario: Scenario, columns: Mapping[str, Any] | None) -> pd.DataFrame | None:
+def _chargers(scenario: Scenario, step: StepRecord) -> pd.DataFrame | None:
     """Powers and limits by charger; None without any."""
+    columns = step.vehicles
     if columns is None:
         return None
     chargers = scenario.chargers
+    plug_out = scenario.sessions.plug_out
+    here = scenario.session_at[step.t].tolist()
     return _table(
         chargers.id,
         bus=chargers.buses(scenario.customers),
         vehicle=columns["vehicle"],
+        leaves=[pd.NaT if s == NO_CAR else plug_out[s] for s in here],
         p_kw=columns["p_kw"],
         p_limit_kw=np.maximum(columns["p_kw"], 0.0),
         energy_kwh=columns["energy_start_kwh"],

@@ -37,8 +37,15 @@ from vppres.service.runner import Runner, Service
 STEPS_BEFORE = 24
 """Steps that are replayed before the one that is explained: what it follows from."""
 
-KINDS = {"customer": "customers", "battery": "batteries", "pv": "pv"}
-"""Kinds of set-points by the items of explanations."""
+KINDS = {
+    "customer": "customers",
+    "battery": "batteries",
+    "pv": "pv",
+    "vehicle": "vehicles",
+    "thermal_load": "thermal_loads",
+    "genset": "gensets",
+}
+"""Kinds by the items of explanations: those of set-points, and vehicles."""
 
 NICE = 5
 """Steps that are decided go first."""
@@ -196,7 +203,7 @@ def _action(one: Mapping[str, Any]) -> str:
         return "dimmed" if one.get("share", 1.0) < 1.0 else ""
     if one["kind"] == "pv":
         return "curtail" if one["curtailed_kw"] > MOVE_KW else ""
-    if abs(one["p_kw"]) <= MOVE_KW:
+    if one["kind"] == "thermal_loads" or abs(one["p_kw"]) <= MOVE_KW:
         return ""
     return "charge" if one["p_kw"] > 0 else "discharge"
 

@@ -8,7 +8,7 @@ counts, however old it is, and the guard adds what was stored since.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -228,22 +228,38 @@ def check_setpoints(asked: Iterable[OperatorSetpoint], scenario: Scenario) -> No
         if one.asset not in known:
             cure = did_you_mean(one.asset, known, f"Give one of the {one.kind}.")
             problems.append(Problem("mode", "is not at the site", cure, None, "asset", one.asset))
-        elif one.p_kw is not None:
-            i = known.index(one.asset)
-            powers = (
-                ("p_kw", one.p_kw, abs(one.p_kw), devices.p_max_kw[i], "kW"),
-                ("kVA", None, math.hypot(one.p_kw, one.q_kvar), devices.s_max_kva[i], "kVA"),
-            )
-            for name, value, power, rating, unit in powers:
-                if power > rating + POWER_KW + RATING_SHARE * rating:
-                    message = f"is beyond its rating of {rating:g} {unit}"
-                    where = f"{name} of {one.asset}"
-                    shown = power if value is None else value
-                    problems.append(
-                        Problem("mode", message, "Give at most the rating.", None, where, shown)
-                    )
+            continue
+        for name, value, message, cure in _impossible(one, devices, known.index(one.asset)):
+            where = f"{name} of {one.asset}"
+            problems.append(Problem("mode", message, cure, None, where, value))
     if problems:
         raise InputError(problems)
+
+
+def _impossible(
+    one: OperatorSetpoint, devices: Any, i: int
+) -> Iterator[tuple[str, float, str, str]]:
+    """What a device cannot do: field, value, what is wrong and what to do."""
+    rated = []
+    if one.p_kw is not None:
+        apparent_kva = math.hypot(one.p_kw, one.q_kvar)
+        rated.append(("p_kw", one.p_kw, devices.p_max_kw[i], "kW"))
+        rated.append(("kVA", apparent_kva, devices.s_max_kva[i], "kVA"))
+    if one.p_limit_kw is not None:
+        rated.append(("p_limit_kw", one.p_limit_kw, devices.p_charge_kw[i], "kW"))
+    for name, value, rating, unit in rated:
+        if abs(value) > rating + POWER_KW + RATING_SHARE * rating:
+            cure = "Give at most the rating."
+            yield name, value, f"is beyond its rating of {rating:g} {unit}", cure
+    if one.share is not None and one.share < devices.least_share[i]:
+        least = f"{devices.least_share[i]:g}"
+        yield "share", one.share, f"is below the least share of {least}", "Give more, or 1."
+    if one.setpoint_c is not None:
+        low_c, high_c = devices.t_min_c[i], devices.t_max_c[i]
+        if not low_c <= one.setpoint_c <= high_c:
+            band = f"{low_c:g} to {high_c:g} °C"
+            cure = "Give a temperature in the band."
+            yield "setpoint_c", one.setpoint_c, f"is outside its comfort band of {band}", cure
 
 
 def known_at(

@@ -34,6 +34,9 @@ MOST_HISTORY = 1_000
 
 NOT_TOLD = ("setpoints", "ahead", "before")
 
+SHOWN = ("soc", "online", "grid_on", "plugged", "indoor_c")
+"""Last readings that the page shows."""
+
 REFRESH_S = 1
 """For how long the same is told, if nothing was changed."""
 
@@ -42,6 +45,7 @@ def site_of(runner: Runner) -> dict[str, Any]:
     """What no step changes: names, limits, ratings, and the modes that there are."""
     day = runner.scenario
     b = day.batteries
+    loads = day.thermal_loads
     return {
         "name": day.name,
         "title": day.title,
@@ -71,6 +75,22 @@ def site_of(runner: Runner) -> dict[str, Any]:
             }
             for i, name in enumerate(b.id)
         },
+        "dimmable": {
+            str(name): float(day.customers.least_share[i])
+            for i, name in enumerate(day.customers.id)
+            if day.customers.dimmable[i]
+        },
+        "chargers": {
+            str(name): {"p_charge_kw": float(p_kw)}
+            for name, p_kw in zip(day.chargers.id, day.chargers.p_charge_kw, strict=True)
+        },
+        "thermal_loads": {
+            str(name): {
+                "t_min_c": float(loads.t_min_c[i]),
+                "t_max_c": float(loads.t_max_c[i]),
+            }
+            for i, name in enumerate(loads.id)
+        },
     }
 
 
@@ -81,6 +101,15 @@ def _phases_of(runner: Runner) -> dict[str, str] | None:
         return None
     kinds = (getattr(runner.scenario, kind) for kind in ("customers", "pv", "batteries"))
     return {str(name): phases.connection(str(name)).coils for kind in kinds for name in kind.id}
+
+
+def _orders(points: Iterable[Mapping[str, Any]], kind: str, name: str) -> dict[str, Any]:
+    """What devices of a kind are told, and why."""
+    return {
+        one["asset"]: {name: one[name], "reason": one["reason"]}
+        for one in points
+        if one["kind"] == kind
+    }
 
 
 class Overview:
@@ -154,11 +183,9 @@ class Overview:
             "unaware_of": list(self.runner.changes.reasons),
             "valid_until": max((one["valid_until"] for one in points), default=None),
             "active": any(one["active"] for one in points),
-            "batteries": {
-                one["asset"]: {"p_kw": one["p_kw"], "reason": one["reason"]}
-                for one in points
-                if one["kind"] == "batteries"
-            },
+            "batteries": _orders(points, "batteries", "p_kw"),
+            "chargers": _orders(points, "chargers", "p_kw"),
+            "thermal_loads": _orders(points, "thermal_loads", "setpoint_c"),
             "off": self._off(points, ahead, plan.get("off_h", {})),
             "dimmed": {
                 one["asset"]: one["share"]
@@ -221,9 +248,9 @@ class Overview:
         return list(found.values())
 
     def _measured(self, readings: Iterable[Reading], now: pd.Timestamp) -> dict[str, Any]:
-        """The last readings of batteries and of the import."""
+        """The last readings of devices and of the import."""
         begun = self.runner.begun(now) - self.runner.length
-        found = [one for one in readings if one.quantity in ("soc", "online", "grid_on")]
+        found = [one for one in readings if one.quantity in SHOWN]
         means = self.runner.store.between(begun, now, MEAN)
         found += [one for one in means if one.asset == GRID]
         found += self.runner.store.between(begun, now, [stored("source_kva", p) for p in PHASES])

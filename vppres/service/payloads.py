@@ -385,21 +385,38 @@ class ClockRequest(Body):
     now: Moment
 
 
-class OperatorSetpoint(Body):
-    """What an operator wants of one device: power, or whether a customer is on."""
+OF_KIND = {
+    "customers": "served",
+    "batteries": "p_kw",
+    "pv": "p_kw",
+    "chargers": "p_limit_kw",
+    "thermal_loads": "setpoint_c",
+}
+"""What an operator says of each kind of device."""
 
-    kind: Literal["batteries", "pv", "customers"]
+
+class OperatorSetpoint(Body):
+    """What an operator wants of one device.
+
+    Power of batteries and PV systems, the most that a charger charges with, the temperature of a
+    thermostat, whether a customer is on, and of one that may be dimmed the share that it gets.
+    """
+
+    kind: Literal["batteries", "pv", "customers", "chargers", "thermal_loads"]
     asset: Name
     p_kw: Number | None = None
     q_kvar: Number = 0.0
     served: bool | None = None
+    share: Share | None = None
+    p_limit_kw: Power | None = None
+    setpoint_c: Number | None = None
 
     @model_validator(mode="after")
     def _of_its_kind(self) -> OperatorSetpoint:
-        if (self.kind == "customers") != (self.served is not None):
-            raise ValueError("is not of its kind. Give served for customers, p_kw for others")
-        if (self.kind == "customers") == (self.p_kw is not None):
-            raise ValueError("is not of its kind. Give served for customers, p_kw for others")
+        said = {name for name in OF_KIND.values() if getattr(self, name) is not None}
+        if said != {OF_KIND[self.kind]} or (self.share is not None and not self.served):
+            each = ", ".join(f"{name} for {kind}" for kind, name in OF_KIND.items())
+            raise ValueError(f"is not of its kind. Give {each}; share for customers that are on")
         return self
 
 

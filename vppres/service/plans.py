@@ -105,6 +105,7 @@ def plan_of(
             "grid_limit_kw": _number(known.limits_kw.iloc[0]),
             "price_gbp_per_kwh": _price(known.measurement),
             **_rooms_expected(decision),
+            **_vehicles_expected(decision),
             **_by_phase(decision),
         },
         "ahead": _ahead(decision, known),
@@ -169,12 +170,18 @@ class Ordered:
             for name, default in defaults.items():
                 now = {**default, **told.get((kind, name), {})}
                 if (kind, name) in over:
-                    now = {**default, **over[kind, name]}
+                    now = {**default, **_asked(over[kind, name])}
                 rows[name] = {field: now[field] for field in default}
             tables[kind] = pd.DataFrame.from_dict(rows, orient="index")
         # What the sun gives is not known here; a system feeds what it has.
         tables["pv"]["available_kw"] = scenario.pv.p_max_kw
         return cls(**tables)
+
+
+def _asked(one: Mapping[str, Any]) -> dict[str, Any]:
+    """What an operator says of a device; a charger takes what its limit lets it."""
+    said = {name: value for name, value in one.items() if value is not None}
+    return said | ({"p_kw": said["p_limit_kw"]} if "p_limit_kw" in said else {})
 
 
 def ordered_plan(
@@ -309,6 +316,24 @@ def _rooms_expected(decision: SetPoints) -> dict[str, Any]:
     return {
         name: {str(one): _number(t_c) for one, t_c in rooms[name].items()}
         for name in ("indoor_c", "indoor_end_c")
+    }
+
+
+def _vehicles_expected(decision: SetPoints) -> dict[str, Any]:
+    """The vehicle at each charger that has one; nothing without chargers."""
+    chargers = decision.chargers
+    if chargers is None:
+        return {}
+    return {
+        "vehicles": {
+            str(name): {
+                "vehicle": str(row["vehicle"]),
+                "leaves": written(row["leaves"]),
+                "energy_kwh": _number(row["energy_kwh"]),
+                "needed_kwh": _number(row["needed_kwh"]),
+            }
+            for name, row in chargers[chargers["leaves"].notna()].iterrows()
+        }
     }
 
 

@@ -2,10 +2,21 @@
 
 import { HOUR, MINUTE, MODE_WORDS, crewSays, onPhase } from "./words.js";
 
-const KINDS = { customers: "Customers", batteries: "Batteries", pv: "PV systems" };
+// Of each kind: its heading, and the number that it is given, with label and unit.
+const KINDS = {
+  customers: ["Customers", "share", "Share (%)", "%"],
+  batteries: ["Batteries", "p_kw", "Power (kW)", "kW"],
+  pv: ["PV systems", "p_kw", "Power (kW)", "kW"],
+  chargers: ["Chargers", "p_limit_kw", "Limit (kW)", "kW"],
+  thermal_loads: ["Thermostats", "setpoint_c", "Temperature (°C)", "°C"],
+};
 const NEED_END = ["hold", "manual"];
 
-const setpointWords = (one) => `${one.asset} ${one.kind === "customers" ? (one.served ? "connected" : "disconnected") : `${one.p_kw} kW`}`;
+const setpointWords = (one) => {
+  const [, field, , unit] = KINDS[one.kind];
+  if (one.kind !== "customers") return `${one.asset} ${one.kind === "chargers" ? "at most " : ""}${one[field]} ${unit}`;
+  return `${one.asset} ${one.served ? "connected" : "disconnected"}${"share" in one ? ` with ${Math.round(100 * one.share)}%` : ""}`;
+};
 
 const $ = (id) => document.getElementById(id);
 
@@ -22,6 +33,7 @@ export class Operator {
     $("confirm").addEventListener("close", () => this.confirmed());
     $("modes").addEventListener("change", () => this.showManual());
     $("manual-device").addEventListener("change", () => this.showManual());
+    $("manual-on").addEventListener("change", () => this.showManual());
     $("manual-add").addEventListener("click", () => this.add());
     this.setpoints = new Map(); // by device, not sent yet
   }
@@ -34,9 +46,10 @@ export class Operator {
   }
 
   offer(site) {
-    $("manual-device").replaceChildren(...["customers", "batteries", "pv"].map((kind) => {
+    this.dimmable = site.dimmable;
+    $("manual-device").replaceChildren(...Object.keys(KINDS).filter((kind) => Object.keys(site[kind]).length).map((kind) => {
       const group = document.createElement("optgroup");
-      group.label = KINDS[kind];
+      [group.label] = KINDS[kind];
       group.append(...Object.keys(site[kind]).map((name) => new Option(onPhase(name, site), JSON.stringify([kind, name]))));
       return group;
     }));
@@ -72,9 +85,10 @@ export class Operator {
   // The set-points of manual mode: one device after another, sent together.
   showManual() {
     $("manual").hidden = this.chosen()?.value !== "manual";
-    const [kind] = JSON.parse($("manual-device").value || "[null]");
-    $("manual-power-box").hidden = kind === "customers";
+    const [kind, asset] = JSON.parse($("manual-device").value || "[\"batteries\"]");
     $("manual-on-box").hidden = kind !== "customers";
+    $("manual-power-box").hidden = !this.takesNumber(kind, asset);
+    [, , $("manual-power-label").textContent] = KINDS[kind];
     $("manual-list").replaceChildren(...[...this.setpoints].map(([key, one]) => {
       const item = document.createElement("li"), remove = document.createElement("button");
       Object.assign(remove, { type: "button", className: "quiet", textContent: "Remove", ariaLabel: `Remove ${one.asset}` });
@@ -84,11 +98,19 @@ export class Operator {
     }));
   }
 
+  // Customers have a share only if they can be dimmed, and are connected.
+  takesNumber(kind, asset) { return kind !== "customers" || (asset in this.dimmable && $("manual-on").value === "on"); }
+
   add() {
     const key = $("manual-device").value, [kind, asset] = JSON.parse(key);
-    const power = $("manual-power");
-    if (kind !== "customers" && (power.value === "" || !power.checkValidity())) { power.focus(); return; }
-    this.setpoints.set(key, { kind, asset, ...(kind === "customers" ? { served: $("manual-on").value === "on" } : { p_kw: Number(power.value) }) });
+    const given = $("manual-power"), one = { kind, asset };
+    if (kind === "customers") one.served = $("manual-on").value === "on";
+    if (this.takesNumber(kind, asset)) {
+      if (given.value === "" || !given.checkValidity()) { given.focus(); return; }
+      const [, field, , unit] = KINDS[kind];
+      one[field] = unit === "%" ? Number(given.value) / 100 : Number(given.value);
+    }
+    this.setpoints.set(key, one);
     this.showManual();
   }
 

@@ -3,7 +3,7 @@
 import { chart, meter, pastOf, stepsOf } from "./chart.js";
 import { Operator } from "./operator.js";
 import {
-  HOUR, MARKS, SiteClock, alarms, announced, attention, counted, covers, facts, grouped, isLostByReading, isUncertain, kilo, lasting, lateBy, list, lowest, offByTier, onPhase, percent, socNow, unawareOfLoss, verdict, why,
+  HOUR, MARKS, SiteClock, alarms, announced, attention, counted, covers, facts, farthestOutside, grouped, indoorNow, isLostByReading, isUncertain, kilo, lasting, lateBy, list, lowest, offByTier, onPhase, percent, socNow, unawareOfLoss, verdict, why,
 } from "./words.js";
 
 const EVERY_MS = 2000, PATIENCE_MS = 5000;
@@ -135,6 +135,8 @@ function show() {
   showChart();
   showOff();
   showBatteries();
+  showVehicles();
+  showRooms();
   showSources();
   showEvents();
   showSteps();
@@ -181,7 +183,7 @@ function figure(title, value, unit, bar, ...notes) {
 function showFigures() {
   const { plan, measured, sources } = view.overview;
   const content = [plan, measured, sources, view.lost, isUncertain(view), Math.floor(view.now / 60000)];
-  renew("figures", content, () => [customersFigure(), storedFigure(), importFigure(), voltageFigure(), ...phasesFigure()]);
+  renew("figures", content, () => [customersFigure(), storedFigure(), importFigure(), voltageFigure(), ...vehiclesFigure(), ...roomsFigure(), ...phasesFigure()]);
 }
 
 function customersFigure() {
@@ -256,6 +258,40 @@ function phasesFigure() {
   return [made];
 }
 
+// Vehicles that will leave with less than they need; nothing without chargers.
+function vehiclesFigure() {
+  const chargers = Object.keys(view.site.chargers);
+  if (!chargers.length) return [];
+  const { plan } = view.overview, here = Object.keys(plan?.expected?.vehicles ?? {});
+  if (!plan?.expected) return [figure("Vehicles", "\u2013", "", null, "No data.")];
+  const short = Object.values(plan.ahead?.left_short ?? {});
+  const charging = Object.values(plan.chargers).reduce((sum, one) => sum + one.p_kw, 0);
+  const power = charging > 0.05 ? `charging ${kilo(charging)} kW` : charging < -0.05 ? `giving ${kilo(-charging)} kW back` : "none charging";
+  return [figure("Vehicles", String(here.length), `at ${counted(chargers.length, "charger")}`, null, power, short.length ? shortWords(short) : "None will leave short in this plan.")];
+}
+
+function shortWords(short) {
+  const each = short.map((one) => `${one.vehicle} at ${view.clock.at(one.leaves, view.now)} (${one.short_kwh.toFixed(1)} kWh)`);
+  return `${counted(short.length, "vehicle")} will leave short: ${list(each)}`;
+}
+
+// Rooms and tanks outside their comfort band, now or by the plan; nothing without any.
+function roomsFigure() {
+  const names = Object.keys(view.site.thermal_loads);
+  if (!names.length) return [];
+  const known = names.filter((name) => indoorNow(view, name).value !== null);
+  const outside = known.map((name) => [name, farthestOutside(view, name)]).filter(([, most]) => most).sort((one, other) => other[1].by - one[1].by);
+  const now = known.filter((name) => inBand(name)).length;
+  const words = outside.map(([name, most]) => `${name} ${most.value.toFixed(1)} \u00b0C${most.time > view.now ? ` at ${view.clock.at(most.time, view.now)}` : " now"}`);
+  return [figure("Rooms in their band", String(now), `of ${names.length}`, meter(now / names.length, { rest: "over", name: `${now} of ${names.length} in their comfort band` }),
+    words.length ? `${outside.length} outside now or by the plan: ${list(words)}` : "All stay in their band by the plan.")];
+}
+
+function inBand(name) {
+  const { t_min_c: low, t_max_c: high } = view.site.thermal_loads[name], { value } = indoorNow(view, name);
+  return value >= low - 0.05 && value <= high + 0.05;
+}
+
 function showChart() {
   const { plan } = view.overview, past = pastOf(view);
   const width = Math.max(300, Math.floor($("chart").clientWidth));
@@ -315,6 +351,39 @@ function showBatteries() {
     return node("li", {}, node("b", {}, onPhase(name, view.site)), node("span", { class: "n" }, soc === null ? "no data" : percent(soc)),
       meter(soc ?? 0, { kind: "store", marks: [b.soc_min, b.soc_max], name: `limits ${percent(b.soc_min)} to ${percent(b.soc_max)}` }),
       node("span", { class: "note" }, words), ...notes.map((note) => node("span", { class: "late note" }, note)));
+  }));
+}
+
+function showVehicles() {
+  const { plan, measured } = view.overview, names = Object.keys(view.site.chargers);
+  $("vehicles").hidden = !names.length;
+  const here = plan?.expected?.vehicles ?? {}, short = plan?.ahead?.left_short ?? {};
+  const gone = (name) => measured[`plugged ${name}`]?.value === 0 && new Date(measured[`plugged ${name}`].at) > new Date(plan.valid_from ?? plan.start);
+  renew("vehicles-list", [here, short, plan?.chargers, names.map(gone), Math.floor(view.now / 60000)], () => Object.entries(here).map(([name, one]) => {
+    const power = plan.chargers[name]?.p_kw ?? 0, reason = plan.chargers[name]?.reason ?? "";
+    const words = power > 0.05 ? `\u25b2 charging ${power.toFixed(1)} kW` : power < -0.05 ? `\u25bc giving ${(-power).toFixed(1)} kW` : "not charging";
+    const notes = [short[name] ? `will leave ${short[name].short_kwh.toFixed(1)} kWh short` : "", gone(name) ? "unplugged since the plan" : "", reason.startsWith("default") ? reason : ""].filter(Boolean);
+    return node("li", {}, node("b", {}, one.vehicle), node("span", { class: "n" }, `${one.energy_kwh.toFixed(1)} kWh`),
+      meter(one.energy_kwh / Math.max(one.needed_kwh, 0.001), { kind: "store", name: `${one.energy_kwh.toFixed(1)} of ${one.needed_kwh.toFixed(1)} kWh that it needs` }),
+      node("span", { class: "note" }, `${words}; needs ${one.needed_kwh.toFixed(1)} kWh by ${view.clock.at(one.leaves, view.now)}`), ...notes.map((note) => node("span", { class: "late note" }, note)));
+  }));
+  const empty = names.filter((name) => !(name in here));
+  write("vehicles-none", empty.length ? `Without a vehicle: ${list(empty, 12)}.` : "");
+}
+
+const ROOM_SPAN_C = 4; // shown beyond both ends of the comfort band
+
+function showRooms() {
+  const { plan, measured, sources } = view.overview, all = Object.entries(view.site.thermal_loads);
+  $("rooms").hidden = !all.length;
+  const key = [plan?.thermal_loads, plan?.expected?.indoor_c, plan?.estimated, sources, all.map(([name]) => measured[`indoor_c ${name}`]), Math.floor(view.now / 60000)];
+  renew("rooms-list", key, () => all.map(([name, { t_min_c: low, t_max_c: high }]) => {
+    const { value, old } = indoorNow(view, name), point = plan?.thermal_loads[name];
+    const span = high - low + 2 * ROOM_SPAN_C, place = (t_c) => (t_c - low + ROOM_SPAN_C) / span;
+    const notes = [point?.reason.startsWith("default") ? point.reason : "", old].filter(Boolean);
+    return node("li", {}, node("b", {}, name), node("span", { class: "n" }, value === null ? "no data" : `${value.toFixed(1)} \u00b0C`),
+      meter(value === null ? 0 : place(value), { kind: value === null || inBand(name) ? "" : "over", marks: [place(low), place(high)], name: `comfort band ${low} to ${high} \u00b0C` }),
+      node("span", { class: "note" }, point ? `set to ${point.setpoint_c.toFixed(1)} \u00b0C` : "no set-point"), ...notes.map((note) => node("span", { class: "late note" }, note)));
   }));
 }
 

@@ -5,6 +5,7 @@ const RANK = { [ALARM]: 0, [WARNING]: 1, [NOTE]: 2 };
 export const MARKS = { [ALARM]: "\u25a0", [WARNING]: "\u25b2", [NOTE]: "\u25cb", [FINE]: "\u25cf" };
 
 export const SECOND = 1000, MINUTE = 60 * SECOND, HOUR = 60 * MINUTE;
+const BAND_C = 0.05; // what is shown as 26.0 is not above 26
 export const NAMED_HERE = 3; // assets of a kind, before "and n more"
 
 // Times by the clocks at the site; the zone is named if it differs from the current one.
@@ -254,11 +255,37 @@ export function socNow(view, name) {
   return reading?.value ?? view.overview.plan?.expected?.soc[name] ?? null;
 }
 
-// How long ago the state of charge of a battery was read, in ms; null if that is not late by its own period.
-export function lateBy(view, name) {
-  const reading = view.overview.measured[`soc ${name}`];
-  const late = view.overview.sources.some((source) => [...source.stale, ...source.lost].includes(`soc of ${name}`));
+// How long ago a quantity of a device was read, in ms; null if that is not late by its own period.
+export function lateBy(view, name, quantity = "soc") {
+  const reading = view.overview.measured[`${quantity} ${name}`];
+  const late = view.overview.sources.some((source) => [...source.stale, ...source.lost].includes(`${quantity} of ${name}`));
   return late && reading ? view.now - new Date(reading.at) : null;
+}
+
+// The temperature of a room or tank, and what to know of its thermometer: {value, old}.
+export function indoorNow(view, name) {
+  const { plan, measured } = view.overview;
+  const reading = measured[`indoor_c ${name}`], reckoned = plan?.expected?.indoor_c?.[name] ?? null;
+  const late = lateBy(view, name, "indoor_c");
+  if (plan?.estimated.some((words) => words.startsWith(`indoor_c ${name} `) && words.endsWith("(frozen)"))) {
+    return { value: reckoned, old: "thermometer stands still; reckoned" };
+  }
+  if (late !== null) return { value: reckoned, old: `read ${lasting(late)} ago; reckoned` };
+  if (!reading || reading.value === null) return { value: reckoned, old: "not read; reckoned" };
+  return { value: reading.value, old: "" };
+}
+
+// Where a room or tank is farthest outside its comfort band, now or by the plan: {by, value, time}; null if it stays inside.
+export function farthestOutside(view, name) {
+  const { t_min_c: low, t_max_c: high } = view.site.thermal_loads[name], { plan } = view.overview;
+  const after = (time) => new Date(new Date(time).getTime() + view.site.step_s * 1000);
+  const ahead = (plan?.ahead?.indoor_c?.[name] ?? []).map((value, t) => ({ value, time: after(plan.ahead.times[t]) }));
+  const end = plan?.expected?.indoor_end_c?.[name];
+  if (Number.isFinite(end)) ahead.unshift({ value: end, time: after(plan.start) });
+  const all = [{ value: indoorNow(view, name).value, time: view.now }, ...ahead].filter((one) => one.value !== null)
+    .map((one) => ({ ...one, by: Math.max(one.value - high, low - one.value) }));
+  const [most] = all.sort((one, other) => other.by - one.by);
+  return most && most.by > BAND_C ? most : null;
 }
 
 const CANNOT = "cannot be supplied", BY_OPERATOR = ["manual", "hold"];
@@ -341,5 +368,5 @@ export const MODE_WORDS = {
   auto: ["decide every step", "From now on the controller decides."],
   hold: ["keep the last set-points", "From now on the last set-points are held."],
   manual: ["use the operator\u2019s set-points", "From now on the operator\u2019s set-points are used."],
-  off: ["defaults only", "From now on devices use default set-points: batteries idle, PV at available power, all customers connected even in an outage."],
+  off: ["defaults only", "From now on devices use default set-points: batteries idle, PV at available power, all customers connected even in an outage, chargers and thermostats by themselves."],
 };
