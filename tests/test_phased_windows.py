@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from experiments.phased_feeders import decided, in_phases, plainly, random_phased, with_a_former
 from experiments.random_feeders import random_scenario
+from tests.support.phased_feeder import CIRCUIT, phased_day
 from vppres.contract.decision import Decision
 from vppres.day.assembly import make_controller
 from vppres.day.options import RunOptions
@@ -14,9 +17,11 @@ from vppres.day.simulate import Day
 from vppres.model.beyond_paper.losses import lit_steps
 from vppres.model.data import WindowData
 from vppres.model.phases import phased_model
+from vppres.model.ratings import loading_of_phases
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
-from vppres.solve.result import WindowSolution
+from vppres.solve.ladder import WindowSolver
+from vppres.solve.result import SolveLimits, WindowSolution
 
 BINDING = (15, 18)
 """Seeds of windows in which voltages by phase bind, and the phases of an island's former."""
@@ -54,6 +59,22 @@ def test_windows_equal_a_plain_statement_of_the_whole_problem(seed: int) -> None
     gap = max(5e-3, 1e-4 * abs(found.objective))
     assert inside - gap <= found.objective <= around + 1e-6
     assert found.bound >= inside - 1e-6
+
+
+def test_ratings_that_cannot_be_kept_give_way_no_further_than_need_be(tmp_path: Path) -> None:
+    """A capacitor's current is beyond the rating of its line, whoever is served."""
+    file = tmp_path / "small.dss"
+    large = CIRCUIT.replace("kvar=150", "kvar=900")
+    file.write_text(large.replace("length=0.6 units=km", "length=0.6 units=km normamps=40"))
+    day = phased_day(file)
+    site, data, found = decided(day.between(8, 10))
+    free = WindowSolver(site, limits=SolveLimits())._decided(data, SolveLimits())
+    kept, unlimited = (
+        loading_of_phases(site, data, *phased_model(site).drawn(data, each.dispatch)).max()
+        for each in (found, free)
+    )
+    assert found.status == "optimal"
+    assert 1.0 < kept < 1.6 and unlimited > 2.5
 
 
 @pytest.mark.parametrize("seed", [1, 3])

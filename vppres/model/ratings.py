@@ -38,6 +38,23 @@ def with_ratings(site: Site, data: WindowData) -> WindowData:
     return replace(data, flow_max_kva=(1.0 - KEPT_SHARE) * most_kva)
 
 
+def with_ratings_given(site: Site, data: WindowData, to: Dispatch, share: float) -> WindowData:
+    """A window whose ratings give way to a dispatch, by a share of what it has beyond them.
+
+    Only currents of which the dispatch has too much give way, each in its own steps.
+    """
+    limited = with_ratings(site, data)
+    if limited.phased is not None:
+        drawn = phased_model(site).drawn(data.for_service(to.served), to)
+        most = limited.phased.current_max
+        beyond = loading_of_phases(site, data, *drawn) - most
+        given = most + share * np.maximum(beyond, 0.0)
+        return replace(limited, phased=replace(limited.phased, current_max=given))
+    most_kva = limit_kva(limited)
+    beyond = np.hypot(to.p_flow_kw, to.q_flow_kvar) - most_kva
+    return replace(limited, flow_max_kva=most_kva + share * np.maximum(beyond, 0.0))
+
+
 def overloaded(site: Site, data: WindowData, dispatch: Dispatch, by: float = 0.0) -> Flags:
     """Lines whose flow is above what the window allows by more than a share of it, (W, L).
 

@@ -17,8 +17,8 @@ from vppres.core.arrays import Flags
 from vppres.core.errors import InputError
 from vppres.model.beyond_paper.longest_off import longest_off_of
 from vppres.model.data import WindowData
-from vppres.model.own_state import giving_way, with_own_state
-from vppres.model.ratings import MOVED_SHARE, overloaded, with_ratings
+from vppres.model.own_state import GIVEN, giving_way, with_own_state
+from vppres.model.ratings import MOVED_SHARE, overloaded, with_ratings, with_ratings_given
 from vppres.model.site import Site
 from vppres.model.violations import broken
 from vppres.solve.apart import falls_apart, solve_apart
@@ -147,19 +147,21 @@ class WindowSolver:
         return self._solve(data, limits)
 
     def _rated(self, data: WindowData, found: WindowSolution, deadline: Deadline) -> WindowSolution:
-        """An answer within the ratings of the lines, where one is exceeded and there is any."""
-        if not self.site.rated or deadline.passed:
+        """An answer within the ratings of the lines, which give way where there is none."""
+        if not self.site.rated:
             return found
-        limited = with_ratings(self.site, data)
-        if not overloaded(self.site, limited, found.dispatch).any():
-            return found
-        limits = self.limits.at_most(deadline.left_s)
-        kept = decided_within(self._task(limited, limits))
-        if kept is None:
-            return found
-        return replace(
-            kept, solve_s=found.solve_s + kept.solve_s, solver_s=found.solver_s + kept.solver_s
-        )
+        for share in sorted(GIVEN):
+            limited = with_ratings_given(self.site, data, found.dispatch, share)
+            if deadline.passed or not overloaded(self.site, limited, found.dispatch).any():
+                return found
+            kept = decided_within(self._task(limited, self.limits.at_most(deadline.left_s)))
+            if kept is not None:
+                return replace(
+                    kept,
+                    solve_s=found.solve_s + kept.solve_s,
+                    solver_s=found.solver_s + kept.solver_s,
+                )
+        return found
 
     def _within(
         self, tighter: list[WindowData], found: WindowSolution, deadline: Deadline
@@ -251,13 +253,21 @@ class WindowSolver:
         if not task.certificate.answered:
             return None
         found = task.solution()
-        limited = with_ratings(self.site, data) if self.site.rated else data
+        if not self.site.rated:
+            return found
+        limited = with_ratings(self.site, data)
         if not overloaded(self.site, limited, found.dispatch).any():
             return found
         kept = served_within(self._task(limited, limits), served)
-        # A plan that exceeded ratings already has no set within them.
-        exceeded = before is None or overloaded(self.site, limited, before, MOVED_SHARE).any()
-        return found if kept is None and exceeded else kept
+        if kept is not None:
+            return kept
+        if before is None:
+            return found
+        if not overloaded(self.site, limited, before, MOVED_SHARE).any():
+            return None
+        # A plan that exceeded ratings already has no set within them: they give way to it.
+        limited = with_ratings_given(self.site, data, before, 1.0)
+        return served_within(self._task(limited, limits), served)
 
     @one_at_a_time
     def least_slack(self, data: WindowData) -> float:
