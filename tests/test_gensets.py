@@ -25,6 +25,9 @@ from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.model.violations import broken
 from vppres.plant.gensets import Engines
+from vppres.report.events import events_of
+from vppres.report.plots.chart import Curves
+from vppres.report.plots.energy import import_load_pv
 from vppres.scenario.gensets import Gensets, GensetState, Refuels
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
@@ -303,6 +306,15 @@ def test_readings_are_checked_with_what_a_set_gives() -> None:
     assert off_kw == pytest.approx(0.0, abs=0.1)
 
 
+def test_a_run_names_a_set_without_fuel() -> None:
+    """30 l are one step of 50 kW of an outage of three."""
+    day = two_buses([[50.0]] * 4, [1.0], [DARK] * 3 + [OPEN])
+    day = replace(day, gensets=gensets(fuel_level_litres=30.0))
+    run = run_day(day, RunOptions(isolate=False, horizon_h=0.0))
+    told = [each for each in summarise(run)["cautions"] if "Generator" in each]
+    assert told == ["Generator g0 without fuel in the outage, for 2 h in all."]
+
+
 @pytest.mark.parametrize("mode", ["paper", "physical"])
 def test_a_day_tells_what_sets_did(tmp_path: Path, mode: str) -> None:
     """What is planned happens, is recorded, counted and explained, and its files are read again."""
@@ -325,6 +337,11 @@ def test_a_day_tells_what_sets_did(tmp_path: Path, mode: str) -> None:
     assert explanations is not None
     words = explanations[explanations["action"] == "ran"]["words"].tolist()
     assert all(each.startswith("Generator g0 runs because the grid is away") for each in words)
+    events = [each.words for each in events_of(run)]
+    assert any(each.startswith("Generator g0 starts, with 200 l") for each in events)
+    (panel,) = (each for each in import_load_pv(run).panels[1:] if isinstance(each, Curves))
+    (shown,) = (each for each in panel.curves if each.name.endswith("generating sets"))
+    assert shown.values == pytest.approx(rows["p_kw"].to_numpy())
     write_scenario(day, tmp_path / "day")
     again = read_scenario(tmp_path / "day")
     assert scenario_digest(again) == scenario_digest(day)

@@ -6,9 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from vppres.core.text import counted
+from vppres.core.arrays import Flags, Names
+from vppres.core.text import named
 from vppres.day.trajectory import Trajectory
 from vppres.plant.plant import Plant, Realised
+from vppres.scenario.gensets import ROUNDING_H
+
+NAMES_SHOWN = 6
 
 
 def genset_record(plant: Plant, t: int, realised: Realised) -> dict[str, Any] | None:
@@ -64,12 +68,33 @@ def genset_figures(trajectory: Trajectory) -> dict[str, Any]:
 
 
 def genset_words(trajectory: Trajectory) -> list[str]:
-    """What sets burnt and what is left, in a sentence; none if none ran."""
-    figures = genset_figures(trajectory).get("gensets", {})
-    if not figures.get("hours_on"):
+    """Sets without fuel in an outage, and those that stopped too early; none if there is none."""
+    rows = trajectory.gensets
+    if rows is None:
         return []
-    return [
-        f"{counted(figures['sets'], 'generating set')}: {figures['hours_on']:g} h on, "
-        f"{counted(figures['starts'], 'start')}, {figures['given_kwh']:.0f} kWh from "
-        f"{figures['burnt_litres']:.0f} l of fuel; {figures['left_litres']:.0f} l left."
-    ]
+    day = trajectory.scenario
+    sets, dt_h = day.gensets, day.grid.dt_h
+    shape = (-1, len(sets))
+    fuel_litres, before_h = (
+        rows[name].to_numpy(float).reshape(shape) for name in ("fuel_start_litres", "hours_before")
+    )
+    on = rows["running"].to_numpy(bool).reshape(shape)
+    least_litres = sets.litres(np.ones(len(sets), dtype=bool), sets.p_min_kw, dt_h)
+    outage = trajectory.steps["outage"].to_numpy(bool)[:, None]
+    dry = outage & ~on & (fuel_litres < least_litres)
+    early = ~on & (before_h > 0.0) & (before_h < sets.min_on_h - ROUNDING_H)
+    found = []
+    if dry.any():
+        found.append(
+            f"{_names(sets.id, dry)} without fuel in the outage, "
+            f"for {float(dry.sum()) * dt_h:g} h in all."
+        )
+    if early.any():
+        found.append(f"{_names(sets.id, early)} stopped before the least time on.")
+    return found
+
+
+def _names(ids: Names, which: Flags) -> str:
+    """Sets that are meant in any step, (T, G), as the beginning of a sentence."""
+    meant = [str(name) for name in ids[which.any(axis=0)]]
+    return f"{'Generator' if len(meant) == 1 else 'Generators'} {named(meant, NAMES_SHOWN)}"

@@ -61,6 +61,13 @@ def charging_kw(run: Trajectory) -> Floats | None:
     return per_step(run, run.vehicles["p_kw"], run.vehicles)
 
 
+def generated_kw(run: Trajectory) -> Floats | None:
+    """Power of all generating sets, shape (T,); None without any."""
+    if run.gensets is None:
+        return None
+    return per_step(run, run.gensets["p_kw"], run.gensets)
+
+
 def lowest_model_v_pu(run: Trajectory) -> Floats:
     """Lowest bus voltage of the optimisation, shape (T,)."""
     return run.buses.groupby("time")["v_model_pu"].min().to_numpy(float)

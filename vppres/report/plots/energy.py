@@ -9,6 +9,7 @@ from vppres.day.series import (
     charging_kw,
     demand_kw,
     energy_limits_kwh,
+    generated_kw,
     lowest_model_v_pu,
     pv_available_kw,
     served_kw,
@@ -20,6 +21,9 @@ from vppres.report.plots.palette import BLACK, GREEN, ORANGE, RUN_STYLES, VERMIL
 
 ZERO = Limit(0.0, dash="")
 """A line at zero, without a name."""
+
+OF_SETS = "5 2 1 2"
+"""Dashes of what generating sets give."""
 
 
 def energy_and_price(runs: Runs) -> Chart:
@@ -66,7 +70,7 @@ def _price_panel(run: Trajectory) -> Curves:
 
 
 def import_load_pv(runs: Runs) -> Chart:
-    """Grid import; demand, served demand, available PV power and vehicles of the feeder."""
+    """Grid import; demand, served demand, available PV power, vehicles and sets."""
     named = named_runs(runs)
     first = next(iter(named.values()))
     imports = []
@@ -84,6 +88,10 @@ def import_load_pv(runs: Runs) -> Chart:
         if vehicles_kw is not None:
             load.append(Curve(f"{label}: vehicles", vehicles_kw, style.thin()))
             lowest_kw = None if (vehicles_kw < 0.0).any() else lowest_kw
+        sets_kw = generated_kw(run)
+        if sets_kw is not None:
+            dashed = Style(style.color, OF_SETS, 1.3)
+            load.append(Curve(f"{label}: generating sets", sets_kw, dashed))
     unserved = Band(served_kw(first), demand, VERMILLION, "not supplied")
     exports = any(run.scenario.exports for run in named.values())
     below = "; export below 0" if exports else ""

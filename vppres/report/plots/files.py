@@ -42,7 +42,7 @@ FIGURE_TEXTS = {
     "that forms the island gives on each phase; the phase nearest to its rating; unbalance.",
     "energy_and_price": "Stored energy, net charging power of all batteries and import price.",
     "import_load_pv": "Import at the slack bus (above); demand, supplied demand, available PV "
-    "power and net charging power of vehicles (below).",
+    "power, net charging power of vehicles and power of generating sets (below).",
     "voltages": "Lowest bus voltage of each step, and the largest difference between optimisation "
     "and AC power flow at any bus.",
     "service_by_tier": "Supply of each customer in each step, and the share of each tier.",
