@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vppres.core.arrays import Floats, Wholes, freeze_fields
+from vppres.core.arrays import Floats, Wholes, freeze_arrays
 from vppres.scenario.scenario import Scenario
 
 
@@ -31,7 +31,7 @@ class Export:
     price_gbp_per_kwh: Floats
 
     def __post_init__(self) -> None:
-        freeze_fields(self, limit_kw=float, price_gbp_per_kwh=float)
+        freeze_arrays(self)
 
     @classmethod
     def of(cls, scenario: Scenario, rows: Wholes | slice) -> Export | None:

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from vppres.contract.export import Export
-from vppres.core.arrays import Floats, Wholes, freeze_fields
+from vppres.core.arrays import Floats, Wholes, freeze_arrays
 from vppres.core.errors import InputError, Problem
 from vppres.scenario.scenario import Scenario
 
@@ -83,14 +83,7 @@ class Forecast:
     export: Export | None = None
 
     def __post_init__(self) -> None:
-        freeze_fields(
-            self,
-            load_kw=float,
-            pv_kw=float,
-            price_gbp_per_kwh=float,
-            grid_limit_kw=float,
-            temperature_c=float,
-        )
+        freeze_arrays(self)
 
     def first(self, n_steps: int) -> Forecast:
         """The first steps alone."""

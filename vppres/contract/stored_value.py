@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from vppres.core.arrays import Floats, freeze_fields
+from vppres.core.arrays import Floats, freeze_arrays
 
 PIECES = 30
 """Linear pieces of every function: the same number, so that problems keep their shape."""
@@ -54,7 +54,7 @@ class StoredValue:
     as_service: bool
 
     def __post_init__(self) -> None:
-        freeze_fields(self, energy_kwh=float, service=float)
+        freeze_arrays(self)
 
     @property
     def slope(self) -> Floats:

@@ -17,6 +17,14 @@ Wholes = NDArray[np.int64]
 Names = NDArray[np.object_]
 Complexes = NDArray[np.complex128]
 
+_DTYPES: dict[Any, Any] = {
+    "Floats": float,
+    "Flags": bool,
+    "Wholes": int,
+    "Names": object,
+    "Complexes": complex,
+}
+
 
 def freeze(values: ArrayLike, dtype: Any = None) -> NDArray[Any]:
     """A read-only copy as an array.
@@ -50,10 +58,20 @@ def _whole_repr(value: object) -> str:
         return repr(value)
 
 
-def freeze_fields(record: object, **dtypes: Any) -> None:
-    """Replace the named fields of a frozen dataclass by read-only arrays."""
-    for name, dtype in dtypes.items():
-        object.__setattr__(record, name, freeze(getattr(record, name), dtype))
+def freeze_arrays(record: Any) -> None:
+    """Replace the arrays of a frozen dataclass by read-only ones of the types they are declared as.
+
+    Its module needs ``from __future__ import annotations``: the types are told by their names.
+    """
+    for f in fields(record):
+        if f.type in _DTYPES:
+            array = freeze(getattr(record, f.name), _DTYPES[f.type])
+            object.__setattr__(record, f.name, array)
+
+
+def no_items() -> NDArray[Any]:
+    """The column of a table of length 0; :func:`freeze_arrays` gives it its type."""
+    return np.empty(0)
 
 
 def mean_of_known(values: Floats) -> Floats:

@@ -204,9 +204,9 @@ class Trajectory:
     def _charging(self, t: int) -> pd.DataFrame:
         """Powers of chargers in a step by identifier."""
         day = self.scenario
-        p_kw = self._rows(VEHICLES, t)["p_kw"]
         buses = day.chargers.buses(day.customers)
-        return _powers(day.chargers.id, buses, p_kw, np.zeros(len(p_kw)))
+        columns = {"bus": buses, "p_kw": self._rows(VEHICLES, t)["p_kw"].to_numpy()}
+        return pd.DataFrame(columns, index=pd.Index(day.chargers.id, name="id"))
 
     def _rows(self, name: str, t: int) -> pd.DataFrame:
         """The rows of a table that belong to a step."""

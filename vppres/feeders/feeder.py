@@ -7,10 +7,9 @@ from dataclasses import dataclass, field, fields
 from types import MappingProxyType
 from typing import Protocol
 
-import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Floats, Names, freeze_fields
+from vppres.core.arrays import Floats, Names, freeze_arrays, no_items
 from vppres.scenario.network import BusId, Network
 from vppres.scenario.phases import PhaseConnection, Phases
 
@@ -33,7 +32,7 @@ class Generators:
     p_max_kw: Floats
 
     def __post_init__(self) -> None:
-        _freeze(self)
+        freeze_arrays(self)
 
     def __len__(self) -> int:
         return len(self.id)
@@ -49,12 +48,12 @@ class Loads:
     q_kvar: Floats
 
     def __post_init__(self) -> None:
-        _freeze(self)
+        freeze_arrays(self)
 
     @classmethod
     def none(cls) -> Loads:
         """No load that is known by itself."""
-        return cls(**{f.name: np.empty(0, dtype=_type_of(f.name)) for f in fields(cls)})
+        return cls(**{f.name: no_items() for f in fields(cls)})
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +103,7 @@ class Storages:
     eta_discharge: Floats
 
     def __post_init__(self) -> None:
-        _freeze(self)
+        freeze_arrays(self)
 
     def __len__(self) -> int:
         return len(self.id)
@@ -112,15 +111,7 @@ class Storages:
     @classmethod
     def none(cls) -> Storages:
         """No battery."""
-        return cls(**{f.name: np.empty(0, dtype=_type_of(f.name)) for f in fields(cls)})
-
-
-def _type_of(name: str) -> type:
-    return object if name in ("id", "bus", "kind") else float
-
-
-def _freeze(table: Generators | Loads | Storages) -> None:
-    freeze_fields(table, **{f.name: _type_of(f.name) for f in fields(table)})
+        return cls(**{f.name: no_items() for f in fields(cls)})
 
 
 @dataclass(frozen=True)
@@ -251,7 +242,7 @@ class ImportedFeeder:
     phased: PhasedSource | None = None
 
     def __post_init__(self) -> None:
-        freeze_fields(self, p_load_kw=float, q_load_kvar=float, tier=object)
+        freeze_arrays(self)
         object.__setattr__(self, "bus_of", MappingProxyType(dict(self.bus_of)))
 
     @property

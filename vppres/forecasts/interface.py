@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from vppres.core.arrays import Floats, freeze_fields
+from vppres.core.arrays import Floats, freeze_arrays
 from vppres.scenario.history import History
 
 Basis = Literal["model", "past days", "recent values", "nothing"]
@@ -46,7 +46,7 @@ class LoadAndPV:
     basis: Basis = "model"
 
     def __post_init__(self) -> None:
-        freeze_fields(self, load_kw=float, pv_kw=float)
+        freeze_arrays(self)
 
     @property
     def times(self) -> pd.DatetimeIndex:

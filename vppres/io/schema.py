@@ -332,4 +332,5 @@ def cure(field: FieldInfo) -> str:
     >>> cure(PVRow.model_fields["p_max_kw"])
     'Give the largest active power in kW.'
     """
-    return f"Give the {field.description}{f' in {unit(field)}' if unit(field) else ''}."
+    meaning = (field.description or "").partition(" (no such key")[0]
+    return f"Give the {meaning}{f' in {unit(field)}' if unit(field) else ''}."

@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from vppres.core.arrays import Flags, Floats, freeze_fields
+from vppres.core.arrays import Flags, Floats, freeze_arrays
 
 HALF = 0.5
 """Probability from which an outage is the likely future."""
@@ -61,7 +61,7 @@ class OutageBelief:
     words: str = ""
 
     def __post_init__(self) -> None:
-        freeze_fields(self, onset=float, duration=float)
+        freeze_arrays(self)
 
     @property
     def n_steps(self) -> int:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vppres.core.arrays import Complexes, Floats, freeze_fields
+from vppres.core.arrays import Complexes, Floats, freeze_arrays
 from vppres.core.errors import InputError, VerificationError
 from vppres.core.units import kw_to_mw, mw_to_kw
 from vppres.physics.admittances import Admittances, admittances_of
@@ -101,9 +101,7 @@ class ACResult:
     converged: bool = True
 
     def __post_init__(self) -> None:
-        freeze_fields(
-            self, v_pu=float, p_from_kw=float, q_from_kvar=float, p_to_kw=float, q_to_kvar=float
-        )
+        freeze_arrays(self)
 
 
 class ACPowerFlow:

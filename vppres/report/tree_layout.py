@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vppres.core.arrays import Wholes, freeze_fields
+from vppres.core.arrays import Wholes, freeze_arrays
 from vppres.scenario.network import Network
 
 
@@ -23,7 +23,7 @@ class TreeLayout:
     row: Wholes
 
     def __post_init__(self) -> None:
-        freeze_fields(self, column=int, row=int)
+        freeze_arrays(self)
 
 
 def tree_layout(network: Network) -> TreeLayout:

@@ -6,11 +6,11 @@ Absent assets are tables of length 0. The attributes' units, bounds and defaults
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from vppres.core.arrays import Flags, Floats, Names, Wholes, freeze, freeze_fields
+from vppres.core.arrays import Flags, Floats, Names, Wholes, freeze, freeze_arrays, no_items
 from vppres.core.errors import InputError, Problem
 
 # Telemetry in single precision or with six digits: further outside, a limit or a reading is wrong.
@@ -55,12 +55,12 @@ class Customers:
     tier: Names
     weight: Floats
     power_factor: Floats
-    shed_steps: Wholes = field(default_factory=lambda: np.empty(0, dtype=int))
-    homes: Wholes = field(default_factory=lambda: np.empty(0, dtype=int))
-    max_off_h: Floats = field(default_factory=lambda: np.empty(0))
-    own_backup_h: Floats = field(default_factory=lambda: np.empty(0))
-    share_min: Floats = field(default_factory=lambda: np.empty(0))
-    recover_h: Floats = field(default_factory=lambda: np.empty(0))
+    shed_steps: Wholes = field(default_factory=no_items)
+    homes: Wholes = field(default_factory=no_items)
+    max_off_h: Floats = field(default_factory=no_items)
+    own_backup_h: Floats = field(default_factory=no_items)
+    share_min: Floats = field(default_factory=no_items)
+    recover_h: Floats = field(default_factory=no_items)
 
     def __post_init__(self) -> None:
         for name in ("shed_steps", "homes"):
@@ -71,20 +71,7 @@ class Customers:
                 object.__setattr__(self, name, np.empty(0))
         if (np.asarray(self.share_min, dtype=float) == 1.0).all():
             object.__setattr__(self, "share_min", np.empty(0))
-        freeze_fields(
-            self,
-            id=object,
-            bus=object,
-            tier=object,
-            weight=float,
-            power_factor=float,
-            shed_steps=int,
-            homes=int,
-            max_off_h=float,
-            own_backup_h=float,
-            share_min=float,
-            recover_h=float,
-        )
+        freeze_arrays(self)
         problems = [
             Problem(
                 f"customer {self.id[i]}",
@@ -203,22 +190,14 @@ class PVSystems:
     customer: Names
     p_max_kw: Floats
     s_max_kva: Floats
-    kind: Names = field(default_factory=lambda: np.empty(0, dtype=object))
-    bus: Names = field(default_factory=lambda: np.empty(0, dtype=object))
+    kind: Names = field(default_factory=no_items)
+    bus: Names = field(default_factory=no_items)
 
     def __post_init__(self) -> None:
         for name, value in (("kind", PV), ("bus", None)):
             if len(getattr(self, name)) == 0:
                 object.__setattr__(self, name, np.full(len(self.id), value, dtype=object))
-        freeze_fields(
-            self,
-            id=object,
-            customer=object,
-            p_max_kw=float,
-            s_max_kva=float,
-            kind=object,
-            bus=object,
-        )
+        freeze_arrays(self)
 
     def __len__(self) -> int:
         return len(self.id)
@@ -294,13 +273,12 @@ class Batteries:
     u_batt_v: Floats
     t_ref_c: Floats
     t_initial_c: Floats
-    grid_forming: Flags = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    grid_forming: Flags = field(default_factory=no_items)
 
     def __post_init__(self) -> None:
         if len(self.grid_forming) == 0:
             object.__setattr__(self, "grid_forming", np.zeros(len(self.id), dtype=bool))
-        types = {"id": object, "bus": object, "grid_forming": bool}
-        freeze_fields(self, **{f.name: types.get(f.name, float) for f in fields(self)})
+        freeze_arrays(self)
         object.__setattr__(self, "_notes", self._take_soc_into_limits())
 
     def _take_soc_into_limits(self) -> tuple[str, ...]:

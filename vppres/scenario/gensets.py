@@ -5,28 +5,16 @@ A site without sets has a table of length 0.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from vppres.core.arrays import Flags, Floats, Names, Wholes, freeze_fields
+from vppres.core.arrays import Flags, Floats, Names, Wholes, freeze_arrays, no_items
 from vppres.scenario.assets import Customers
 from vppres.scenario.timegrid import TimeGrid
 
 ROUNDING_H = 1e-9
 """By how much a time on or off may miss a least time."""
-
-
-def _none() -> Floats:
-    return np.empty(0)
-
-
-def _nobody() -> Names:
-    return np.empty(0, dtype=object)
-
-
-def _no_flags() -> Flags:
-    return np.empty(0, dtype=bool)
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,26 +26,25 @@ class Gensets:
     or, negative, off. Sets have a power factor of 1 and follow a battery that forms the grid.
     """
 
-    id: Names = field(default_factory=_nobody)
-    bus: Names = field(default_factory=_nobody)
-    p_max_kw: Floats = field(default_factory=_none)
-    p_min_kw: Floats = field(default_factory=_none)
-    ramp_up_kw_per_h: Floats = field(default_factory=_none)
-    ramp_down_kw_per_h: Floats = field(default_factory=_none)
-    min_on_h: Floats = field(default_factory=_none)
-    min_off_h: Floats = field(default_factory=_none)
-    on_before_h: Floats = field(default_factory=_none)
-    start_cost_gbp: Floats = field(default_factory=_none)
-    fuel_price_gbp_per_litre: Floats = field(default_factory=_none)
-    litres_per_kwh: Floats = field(default_factory=_none)
-    litres_per_h_idle: Floats = field(default_factory=_none)
-    tank_litres: Floats = field(default_factory=_none)
-    fuel_level_litres: Floats = field(default_factory=_none)
-    only_in_outage: Flags = field(default_factory=_no_flags)
+    id: Names = field(default_factory=no_items)
+    bus: Names = field(default_factory=no_items)
+    p_max_kw: Floats = field(default_factory=no_items)
+    p_min_kw: Floats = field(default_factory=no_items)
+    ramp_up_kw_per_h: Floats = field(default_factory=no_items)
+    ramp_down_kw_per_h: Floats = field(default_factory=no_items)
+    min_on_h: Floats = field(default_factory=no_items)
+    min_off_h: Floats = field(default_factory=no_items)
+    on_before_h: Floats = field(default_factory=no_items)
+    start_cost_gbp: Floats = field(default_factory=no_items)
+    fuel_price_gbp_per_litre: Floats = field(default_factory=no_items)
+    litres_per_kwh: Floats = field(default_factory=no_items)
+    litres_per_h_idle: Floats = field(default_factory=no_items)
+    tank_litres: Floats = field(default_factory=no_items)
+    fuel_level_litres: Floats = field(default_factory=no_items)
+    only_in_outage: Flags = field(default_factory=no_items)
 
     def __post_init__(self) -> None:
-        others = {"id": object, "bus": object, "only_in_outage": bool}
-        freeze_fields(self, **{f.name: others.get(f.name, float) for f in fields(self)})
+        freeze_arrays(self)
 
     def __len__(self) -> int:
         return len(self.id)
@@ -92,12 +79,12 @@ class Gensets:
 class Refuels:
     """Deliveries of fuel that are known ahead, shape (D,) each; times are timestamps."""
 
-    genset: Names = field(default_factory=_nobody)
-    time: Names = field(default_factory=_nobody)
-    litres: Floats = field(default_factory=_none)
+    genset: Names = field(default_factory=no_items)
+    time: Names = field(default_factory=no_items)
+    litres: Floats = field(default_factory=no_items)
 
     def __post_init__(self) -> None:
-        freeze_fields(self, genset=object, time=object, litres=float)
+        freeze_arrays(self)
 
     def __len__(self) -> int:
         return len(self.genset)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Floats, freeze_fields
+from vppres.core.arrays import Floats, freeze_arrays
 from vppres.core.errors import InputError
 from vppres.core.units import minutes_to_h
 from vppres.scenario.timegrid import UTC
@@ -47,7 +47,7 @@ class History:
     zone: str = UTC
 
     def __post_init__(self) -> None:
-        freeze_fields(self, load_kw=float, pv_kw=float)
+        freeze_arrays(self)
         if self.load_kw.ndim != 2 or self.pv_kw.ndim != 2 or len(self.load_kw) != len(self.pv_kw):
             raise InputError.of(
                 HISTORY,

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
-from vppres.core.arrays import Flags, Floats, Names, Wholes, freeze
+from vppres.core.arrays import Flags, Floats, Names, Wholes, freeze, no_items
 from vppres.core.errors import InputError, Problem
 from vppres.core.units import ohm_to_pu2_per_kw, us_to_kw_at_1_pu
 
@@ -26,16 +26,6 @@ BUS_DRAWS = ("p_shunt_kw", "q_shunt_kvar", "p_fixed_kw", "q_fixed_kvar")
 
 MAX_LOOPS = 20  # that are told; each costs a search of the network
 MAX_LOOP_SHOWN = 12  # buses
-
-
-def _none() -> Floats:
-    """Stands for what no line and no bus has; the network replaces it by its neutral value."""
-    return np.empty(0)
-
-
-def _nowhere() -> Names:
-    """Stands for a network in which no bus draws anything by itself."""
-    return np.empty(0, dtype=object)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,16 +107,16 @@ class Network:
     v_max_pu: float = 1.053
     v_min_ac_pu: float = 0.94
     v_max_ac_pu: float = 1.06
-    i_max_a: Floats = field(default_factory=_none)
-    ratio: Floats = field(default_factory=_none)
-    b_us: Floats = field(default_factory=_none)
-    g_us: Floats = field(default_factory=_none)
-    drawing_bus: Names = field(default_factory=_nowhere)
-    p_shunt_kw: Floats = field(default_factory=_none)
-    q_shunt_kvar: Floats = field(default_factory=_none)
-    p_fixed_kw: Floats = field(default_factory=_none)
-    q_fixed_kvar: Floats = field(default_factory=_none)
-    island: Flags = field(default_factory=lambda: np.empty(0, dtype=bool))
+    i_max_a: Floats = field(default_factory=no_items)
+    ratio: Floats = field(default_factory=no_items)
+    b_us: Floats = field(default_factory=no_items)
+    g_us: Floats = field(default_factory=no_items)
+    drawing_bus: Names = field(default_factory=no_items)
+    p_shunt_kw: Floats = field(default_factory=no_items)
+    q_shunt_kvar: Floats = field(default_factory=no_items)
+    p_fixed_kw: Floats = field(default_factory=no_items)
+    q_fixed_kvar: Floats = field(default_factory=no_items)
+    island: Flags = field(default_factory=no_items)
     buses: Names = field(init=False)
     parent: Wholes = field(init=False)
 

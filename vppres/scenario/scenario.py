@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Flags, Floats, Wholes, freeze_fields
+from vppres.core.arrays import Flags, Floats, Wholes, freeze_arrays
 from vppres.core.notebook import facts_html
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.fairness import Fairness, Interruption
@@ -206,16 +206,7 @@ class Scenario:
     def __post_init__(self) -> None:
         if self.phases is not None:
             check_phases(self.phases, self.network, self.customers, self.pv, self.batteries)
-        freeze_fields(
-            self,
-            load_kw=float,
-            pv_kw=float,
-            price_gbp_per_kwh=float,
-            temperature_c=float,
-            grid_limit_kw=float,
-            export_limit_kw=float,
-            export_price_gbp_per_kwh=float,
-        )
+        freeze_arrays(self)
 
     @cached_property
     def outage(self) -> Flags:
@@ -261,7 +252,7 @@ class Scenario:
         """Fuel that is delivered to each set at the beginning of each step, (T, G)."""
         return self.refuels.by_step(self.gensets, self.grid)
 
-    @property
+    @cached_property
     def most_charging_kw(self) -> Floats:
         """Largest power of each charger that has a vehicle, 0 of others, (T, K)."""
         return np.where(self.session_at >= 0, self.chargers.p_charge_kw, 0.0)

@@ -5,20 +5,12 @@ A site without such loads has a table of length 0.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from vppres.core.arrays import Flags, Floats, Names, Wholes, freeze_fields
+from vppres.core.arrays import Flags, Floats, Names, Wholes, freeze_arrays, no_items
 from vppres.scenario.assets import Customers, positions_of
-
-
-def _none() -> Floats:
-    return np.empty(0)
-
-
-def _nobody() -> Names:
-    return np.empty(0, dtype=object)
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,24 +22,23 @@ class ThermalLoads:
     air is around it. Machines have a power factor of 1.
     """
 
-    id: Names = field(default_factory=_nobody)
-    customer: Names = field(default_factory=_nobody)
-    heats: Flags = field(default_factory=lambda: np.empty(0, dtype=bool))
-    p_max_kw: Floats = field(default_factory=_none)
-    cop: Floats = field(default_factory=_none)
-    cop_at_c: Floats = field(default_factory=_none)
-    cop_per_c: Floats = field(default_factory=_none)
-    r_c_per_kw: Floats = field(default_factory=_none)
-    c_kwh_per_c: Floats = field(default_factory=_none)
-    t_min_c: Floats = field(default_factory=_none)
-    t_max_c: Floats = field(default_factory=_none)
-    t_initial_c: Floats = field(default_factory=_none)
-    gain_kw: Floats = field(default_factory=_none)
-    around_c: Floats = field(default_factory=_none)
+    id: Names = field(default_factory=no_items)
+    customer: Names = field(default_factory=no_items)
+    heats: Flags = field(default_factory=no_items)
+    p_max_kw: Floats = field(default_factory=no_items)
+    cop: Floats = field(default_factory=no_items)
+    cop_at_c: Floats = field(default_factory=no_items)
+    cop_per_c: Floats = field(default_factory=no_items)
+    r_c_per_kw: Floats = field(default_factory=no_items)
+    c_kwh_per_c: Floats = field(default_factory=no_items)
+    t_min_c: Floats = field(default_factory=no_items)
+    t_max_c: Floats = field(default_factory=no_items)
+    t_initial_c: Floats = field(default_factory=no_items)
+    gain_kw: Floats = field(default_factory=no_items)
+    around_c: Floats = field(default_factory=no_items)
 
     def __post_init__(self) -> None:
-        others = {"id": object, "customer": object, "heats": bool}
-        freeze_fields(self, **{f.name: others.get(f.name, float) for f in fields(self)})
+        freeze_arrays(self)
 
     def __len__(self) -> int:
         return len(self.id)

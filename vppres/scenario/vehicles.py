@@ -5,11 +5,11 @@ A site without chargers has tables of length 0.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from vppres.core.arrays import Flags, Floats, Names, Wholes, freeze_fields
+from vppres.core.arrays import Flags, Floats, Names, Wholes, freeze_arrays, no_items
 from vppres.scenario.assets import Customers, positions_of, without_customer
 from vppres.scenario.timegrid import TimeGrid
 
@@ -29,14 +29,6 @@ ROUNDING = 1e-9
 """Share of a step by which a time may miss its beginning."""
 
 
-def _none() -> Floats:
-    return np.empty(0)
-
-
-def _nobody() -> Names:
-    return np.empty(0, dtype=object)
-
-
 @dataclass(frozen=True, eq=False)
 class Chargers:
     """Chargers of vehicles, shape (K,) each.
@@ -46,18 +38,17 @@ class Chargers:
     charger that only charges. Chargers have a power factor of 1.
     """
 
-    id: Names = field(default_factory=_nobody)
-    bus: Names = field(default_factory=_nobody)
-    customer: Names = field(default_factory=_nobody)
-    p_charge_kw: Floats = field(default_factory=_none)
-    p_charge_min_kw: Floats = field(default_factory=_none)
-    p_discharge_kw: Floats = field(default_factory=_none)
-    eta_charge: Floats = field(default_factory=_none)
-    eta_discharge: Floats = field(default_factory=_none)
+    id: Names = field(default_factory=no_items)
+    bus: Names = field(default_factory=no_items)
+    customer: Names = field(default_factory=no_items)
+    p_charge_kw: Floats = field(default_factory=no_items)
+    p_charge_min_kw: Floats = field(default_factory=no_items)
+    p_discharge_kw: Floats = field(default_factory=no_items)
+    eta_charge: Floats = field(default_factory=no_items)
+    eta_discharge: Floats = field(default_factory=no_items)
 
     def __post_init__(self) -> None:
-        names = {"id": object, "bus": object, "customer": object}
-        freeze_fields(self, **{f.name: names.get(f.name, float) for f in fields(self)})
+        freeze_arrays(self)
 
     def __len__(self) -> int:
         return len(self.id)
@@ -91,23 +82,21 @@ class Sessions:
     :attr:`held_kwh` and the properties beside it say what follows in kWh.
     """
 
-    charger: Names = field(default_factory=_nobody)
-    vehicle: Names = field(default_factory=_nobody)
-    plug_in: Names = field(default_factory=_nobody)
-    plug_out: Names = field(default_factory=_nobody)
-    capacity_kwh: Floats = field(default_factory=_none)
-    soc_at_plug_in: Floats = field(default_factory=_none)
-    soc_needed: Floats = field(default_factory=_none)
-    energy_needed_kwh: Floats = field(default_factory=_none)
-    v2g_soc_floor: Floats = field(default_factory=_none)
-    tier: Names = field(default_factory=_nobody)
-    weight: Floats = field(default_factory=_none)
-    announced: Flags = field(default_factory=lambda: np.empty(0, dtype=bool))
+    charger: Names = field(default_factory=no_items)
+    vehicle: Names = field(default_factory=no_items)
+    plug_in: Names = field(default_factory=no_items)
+    plug_out: Names = field(default_factory=no_items)
+    capacity_kwh: Floats = field(default_factory=no_items)
+    soc_at_plug_in: Floats = field(default_factory=no_items)
+    soc_needed: Floats = field(default_factory=no_items)
+    energy_needed_kwh: Floats = field(default_factory=no_items)
+    v2g_soc_floor: Floats = field(default_factory=no_items)
+    tier: Names = field(default_factory=no_items)
+    weight: Floats = field(default_factory=no_items)
+    announced: Flags = field(default_factory=no_items)
 
     def __post_init__(self) -> None:
-        others = dict.fromkeys(("charger", "vehicle", "plug_in", "plug_out", "tier"), object)
-        types = {**others, "announced": bool}
-        freeze_fields(self, **{f.name: types.get(f.name, float) for f in fields(self)})
+        freeze_arrays(self)
 
     def __len__(self) -> int:
         return len(self.charger)

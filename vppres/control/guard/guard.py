@@ -7,7 +7,7 @@ by a rule. ``docs/operation.md`` states the order and what the record says.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -187,11 +187,12 @@ class GuardedController:
         site = site_with(self.site, known.online)
         seen = reduced_observation(known.observation, known.online, self.site.batteries)
         data = WindowData.of(seen, site, self.options.centre)
+        failed: dict[str, list[str]] = {}
         for name, answer in relaxed_answers(site, data, self._solver_of):
             try:
                 solution, limits_pu, words = answer()
             except Exception as error:
-                reason += f"; {name}: {_words(error)}"
+                failed.setdefault(_words(error), []).append(name)
                 continue
             dispatch = whole_fleet(solution.dispatch, known.online, known.observation.soc)
             decision = Decision(
@@ -199,13 +200,13 @@ class GuardedController:
                 0,
                 solve_info(site, solution, 0),
                 fallback=name,
-                fallback_reason=f"{reason}; {words}",
+                fallback_reason=f"{_with_failures(reason, failed)}; {words}",
             )
             wrong = violations(decision, state, self.options.within, limits_pu)
             if not wrong:
                 return decision, reason
-            reason += f"; {name} refused: {'; '.join(wrong)}"
-        return None, reason
+            failed.setdefault(f"refused: {'; '.join(wrong)}", []).append(name)
+        return None, _with_failures(reason, failed)
 
     def _without_solver(self, known: Known, state: StepState, reason: str) -> Decision:
         """The previous plan where it can be carried out, otherwise the rule."""
@@ -343,6 +344,12 @@ def critical_site(site: Site, tier: str) -> Site:
     return replace(
         site, customers=replace(site.customers, weight=np.where(first, weight * factor, weight))
     )
+
+
+def _with_failures(reason: str, failed: Mapping[str, Sequence[str]]) -> str:
+    """Why there is no answer, and what failed at the fallbacks that were tried, each told once."""
+    told = [f"{', '.join(dict.fromkeys(names))}: {words}" for words, names in failed.items()]
+    return "; ".join([reason, *told])
 
 
 def _words(error: Exception) -> str:

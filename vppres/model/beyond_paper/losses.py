@@ -18,7 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from vppres.contract.dispatch import Dispatch
-from vppres.core.arrays import Complexes, Flags, Floats, freeze_fields
+from vppres.core.arrays import Complexes, Flags, Floats, freeze_arrays
 from vppres.model.data import Physics, WindowData
 from vppres.model.formulas import Devices, bus_injections, voltage_offset_pu2
 from vppres.model.linearise import Drawn, drawn_at
@@ -45,15 +45,7 @@ class ACPoints:
     converged: Flags
 
     def __post_init__(self) -> None:
-        freeze_fields(
-            self,
-            v_pu=float,
-            p_flow_kw=float,
-            q_flow_kvar=float,
-            loss_kw=float,
-            loss_kvar=float,
-            converged=bool,
-        )
+        freeze_arrays(self)
 
     def where(self, chosen: Flags, other: ACPoints) -> ACPoints:
         """These points with those of ``other`` in the chosen steps, (W,)."""
