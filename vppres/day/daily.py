@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
 from vppres.core.arrays import Floats, Wholes
 from vppres.day.series import demand_kw, per_step, pv_available_kw, served_kw, stored_energy_kwh
@@ -34,52 +37,110 @@ def daily_figures(run: Trajectory, zone: str | None = None) -> pd.DataFrame:
         ``v_max_ac_pu``; ``switching_actions`` of all customers and ``actions_max`` of one;
         ``fallbacks`` and ``solve_s``. ``resilience`` is NaN where a day has no outage.
     """
-    first = _first_steps(run, zone)
-    dt_h = run.scenario.grid.dt_h
-    steps = run.steps
-
-    def total(values: Floats) -> Floats:
-        return np.asarray(np.add.reduceat(np.asarray(values, dtype=float), first))
-
-    outage = steps["outage"].to_numpy(bool)
-    export_price = run.scenario.export_price[: len(steps)]
-    demand = demand_kw(run)
-    served = run.customers["served"].to_numpy(bool).reshape(len(steps), -1)
-    weight = run.scenario.customers.weight
-    weighted = total((served @ weight) * outage)
-    asked = total(weight.sum() * outage)
-    stored = stored_energy_kwh(run)
-    actions = switched(run)
-    of_customers = np.add.reduceat(actions.astype(float), first, axis=0)
-    price = steps["price_gbp_per_kwh"].to_numpy(float)
+    days = _Days(run, _first_steps(run, zone))
     return pd.DataFrame(
         {
-            "day": _times(run, zone)[first].strftime("%Y-%m-%d"),
-            "hours": total(np.full(len(steps), dt_h)),
-            "outage_h": dt_h * total(outage),
-            "resilience": np.divide(
-                weighted, asked, where=asked > 0, out=np.full(len(first), np.nan)
-            ),
-            "unserved_customer_h": dt_h * total((~served).sum(axis=1)),
-            "demand_kwh": dt_h * total(demand),
-            "unserved_kwh": dt_h * total(demand - served_kw(run)),
-            "import_kwh": dt_h * total(run.imported_kw),
-            "pv_available_kwh": dt_h * total(pv_available_kw(run)),
-            "pv_curtailed_kwh": dt_h * total(per_step(run, run.pv["curtailed_kw"], run.pv)),
-            "losses_kwh": dt_h * total(steps["losses_kw"].to_numpy(float)),
-            "cost_gbp": dt_h * total(price * run.imported_kw),
-            "export_kwh": dt_h * total(run.exported_kw),
-            "export_revenue_gbp": dt_h * total(export_price * run.exported_kw),
-            "stored_start_kwh": stored[first],
-            "stored_end_kwh": stored[np.append(first[1:], len(steps))],
-            "v_min_ac_pu": np.minimum.reduceat(steps["v_min_ac_pu"].to_numpy(float), first),
-            "v_max_ac_pu": np.maximum.reduceat(steps["v_max_ac_pu"].to_numpy(float), first),
-            "switching_actions": total(actions.sum(axis=1)).astype(int),
-            "actions_max": of_customers.max(axis=1).astype(int),
-            "fallbacks": total(steps["fallback"].to_numpy() != "none").astype(int),
-            "solve_s": total(steps["solve_s"].to_numpy(float)),
+            "day": _times(run, zone)[days.first].strftime("%Y-%m-%d"),
+            "hours": days.hours(np.ones(len(run.steps))),
+            "outage_h": days.hours(days.steps["outage"]),
+            **_service(days),
+            **_energies(days),
+            **_money(days),
+            **_stored(days),
+            **_voltages(days),
+            **_actions(days),
+            "fallbacks": days.total(days.steps["fallback"] != "none").astype(int),
+            "solve_s": days.total(days.steps["solve_s"]),
         }
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Days:
+    """A run, and the first step of each of its days."""
+
+    run: Trajectory
+    first: Wholes
+
+    @property
+    def steps(self) -> pd.DataFrame:
+        """The table of steps."""
+        return self.run.steps
+
+    def total(self, values: ArrayLike) -> Floats:
+        """Sum over the steps of each day."""
+        return np.asarray(np.add.reduceat(np.asarray(values, dtype=float), self.first))
+
+    def hours(self, values: ArrayLike) -> Floats:
+        """Integral over each day: kWh of kW, hours of yes and no."""
+        return self.run.scenario.grid.dt_h * self.total(values)
+
+
+def _service(days: _Days) -> dict[str, Floats]:
+    """Resilience of each day, and hours in which customers were off."""
+    run = days.run
+    outage = run.steps["outage"].to_numpy(bool)
+    served = run.customers["served"].to_numpy(bool).reshape(len(run.steps), -1)
+    weight = run.scenario.customers.weight
+    weighted = days.total((served @ weight) * outage)
+    asked = days.total(weight.sum() * outage)
+    unknown = np.full(len(days.first), np.nan)
+    return {
+        "resilience": np.divide(weighted, asked, where=asked > 0, out=unknown),
+        "unserved_customer_h": days.hours((~served).sum(axis=1)),
+    }
+
+
+def _energies(days: _Days) -> dict[str, Floats]:
+    """Energies in kWh."""
+    run = days.run
+    demand = demand_kw(run)
+    return {
+        "demand_kwh": days.hours(demand),
+        "unserved_kwh": days.hours(demand - served_kw(run)),
+        "import_kwh": days.hours(run.imported_kw),
+        "pv_available_kwh": days.hours(pv_available_kw(run)),
+        "pv_curtailed_kwh": days.hours(per_step(run, run.pv["curtailed_kw"], run.pv)),
+        "losses_kwh": days.hours(run.steps["losses_kw"]),
+    }
+
+
+def _money(days: _Days) -> dict[str, Floats]:
+    """Cost of the import, and the export with its revenue."""
+    run = days.run
+    price = run.steps["price_gbp_per_kwh"].to_numpy(float)
+    export_price = run.scenario.export_price[: len(run.steps)]
+    return {
+        "cost_gbp": days.hours(price * run.imported_kw),
+        "export_kwh": days.hours(run.exported_kw),
+        "export_revenue_gbp": days.hours(export_price * run.exported_kw),
+    }
+
+
+def _stored(days: _Days) -> dict[str, Floats]:
+    """Energy of all batteries when a day begins and when it ends."""
+    stored = stored_energy_kwh(days.run)
+    after = np.append(days.first[1:], len(days.steps))
+    return {"stored_start_kwh": stored[days.first], "stored_end_kwh": stored[after]}
+
+
+def _voltages(days: _Days) -> dict[str, Floats]:
+    """Lowest and highest AC voltage."""
+    low, high = (days.steps[name].to_numpy(float) for name in ("v_min_ac_pu", "v_max_ac_pu"))
+    return {
+        "v_min_ac_pu": np.minimum.reduceat(low, days.first),
+        "v_max_ac_pu": np.maximum.reduceat(high, days.first),
+    }
+
+
+def _actions(days: _Days) -> dict[str, Wholes]:
+    """Switching actions of all customers, and the most of one."""
+    actions = switched(days.run)
+    of_customers = np.add.reduceat(actions.astype(float), days.first, axis=0)
+    return {
+        "switching_actions": days.total(actions.sum(axis=1)).astype(int),
+        "actions_max": of_customers.max(axis=1).astype(int),
+    }
 
 
 def spans_days(run: Trajectory, zone: str | None = None) -> bool:

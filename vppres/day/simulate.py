@@ -322,25 +322,71 @@ def _record(
     options: RunOptions,
 ) -> StepRecord:
     """Everything that is known of the step."""
+    plan, row = decision.dispatch, decision.row
+    buses = {"v_model_pu": plan.v_pu[row], "v_ac_pu": done.ac.v_pu}
+    lines = {
+        "p_model_kw": plan.p_flow_kw[row],
+        "q_model_kvar": plan.q_flow_kvar[row],
+        "p_ac_kw": done.ac.p_from_kw,
+        "q_ac_kvar": done.ac.q_from_kvar,
+    }
+    nodes = _of_nodes(done.ac, decision)
+    held_by_batteries = str(options.mode) == "physical" and bool(scenario.outage[t])
+    steps = {
+        **_supply(done, buses, held_by_batteries),
+        **_answer(decision),
+        "ac_failed": done.ac_failed,
+        **_effort(decision.info, done.realised.clipped_kw),
+        "mode": str(options.mode),
+        "passes": float(decision.info.passes),
+        **_island_notes(scenario, done),
+        **_of_rules(decision.info, options),
+        **({} if scenario.phases is None else _by_phase(done.ac, held_by_batteries)),
+        **({} if nodes is None else _over_nodes(**nodes)),
+    }
+    return StepRecord(
+        t,
+        steps,
+        _of_customers(scenario, decision, done),
+        _of_pv(scenario.pv_kw[t], done.realised),
+        _of_batteries(state, done),
+        buses,
+        lines,
+        nodes,
+    )
+
+
+def _of_customers(scenario: Scenario, decision: Decision, done: Settled) -> dict[str, Any]:
+    """Demand, and who was supplied; weights and shares where plans have them."""
     realised = done.realised
-    row = decision.row
-    plan = decision.dispatch
-    customers = {
+    columns: dict[str, Any] = {
         "p_load_kw": realised.load_kw,
         "q_load_kvar": realised.load_kw * scenario.customers.q_per_p,
         "served": realised.served,
         "shed": done.shed,
-        **({} if decision.weight is None else {ROTATED: decision.weight}),
-        **({SHARE: realised.served * realised.share} if scenario.customers.dimmable.any() else {}),
     }
-    pv = {
-        "available_kw": scenario.pv_kw[t],
+    if decision.weight is not None:
+        columns[ROTATED] = decision.weight
+    if scenario.customers.dimmable.any():
+        columns[SHARE] = realised.served * realised.share
+    return columns
+
+
+def _of_pv(available_kw: Floats, realised: Realised) -> dict[str, Floats]:
+    """What PV systems could give, and what they gave."""
+    return {
+        "available_kw": available_kw,
         "self_kw": realised.pv_self_kw,
         "export_kw": realised.pv_export_kw,
         "curtailed_kw": realised.pv_curtailed_kw,
         "q_kvar": realised.pv_q_kvar,
     }
-    batteries = {
+
+
+def _of_batteries(state: BatteryState, done: Settled) -> dict[str, Floats]:
+    """Powers of batteries, and their state before and after the step."""
+    realised = done.realised
+    return {
         "charge_kw": realised.charge_kw,
         "discharge_kw": realised.discharge_kw,
         "q_kvar": realised.batt_q_kvar,
@@ -351,38 +397,35 @@ def _record(
         "temperature_c": state.t_cell_c,
         "mismatch_kw": done.mismatch_kw,
     }
-    buses = {"v_model_pu": plan.v_pu[row], "v_ac_pu": done.ac.v_pu}
-    lines = {
-        "p_model_kw": plan.p_flow_kw[row],
-        "q_model_kvar": plan.q_flow_kvar[row],
-        "p_ac_kw": done.ac.p_from_kw,
-        "q_ac_kvar": done.ac.q_from_kvar,
-    }
-    mode = str(options.mode)
-    held_by_batteries = mode == "physical" and bool(scenario.outage[t])
-    steps = {
-        **_supply(done, buses, held_by_batteries),
-        **_answer(decision),
-        "ac_failed": done.ac_failed,
-        **_effort(decision.info, realised.clipped_kw),
-        "mode": mode,
-        "passes": float(decision.info.passes),
-        **_island_notes(scenario, done),
-    }
+
+
+def _of_rules(info: SolveInfo, options: RunOptions) -> dict[str, Any]:
+    """What a strict order proves of its tiers, and what beliefs make of stored energy."""
+    found: dict[str, Any] = {}
     if options.priority == STRICT:
-        steps["levels"] = decision.info.levels
+        found["levels"] = info.levels
     if options.outages == BELIEF:
-        steps["stored_value_gbp_per_kwh"] = decision.info.stored_value_gbp_per_kwh
-    nodes = None
-    if scenario.phases is not None:
-        steps |= _by_phase(done.ac, held_by_batteries)
-    if isinstance(done.ac, PhasedACResult):
-        v_ac_pu = done.ac.v_node_pu
-        planned = np.full_like(v_ac_pu, np.nan) if plan.v_node_pu is None else plan.v_node_pu[row]
-        nodes = {"v_model_pu": planned, "v_ac_pu": v_ac_pu}
-        steps["v_error_pu"] = float(np.abs(planned - v_ac_pu).max(initial=0.0))
-        steps |= {"v_min_ac_pu": float(v_ac_pu.min()), "v_max_ac_pu": float(v_ac_pu.max())}
-    return StepRecord(t, steps, customers, pv, batteries, buses, lines, nodes)
+        found["stored_value_gbp_per_kwh"] = info.stored_value_gbp_per_kwh
+    return found
+
+
+def _of_nodes(ac: ACResult, decision: Decision) -> dict[str, Floats] | None:
+    """Voltages by phase, as planned and in the power flow; None of a balanced feeder."""
+    if not isinstance(ac, PhasedACResult):
+        return None
+    planned = decision.dispatch.v_node_pu
+    unknown = np.full_like(ac.v_node_pu, np.nan)
+    v_model_pu = unknown if planned is None else planned[decision.row]
+    return {"v_model_pu": v_model_pu, "v_ac_pu": ac.v_node_pu}
+
+
+def _over_nodes(v_model_pu: Floats, v_ac_pu: Floats) -> dict[str, float]:
+    """Extremes over the nodes, which take the place of those over the buses."""
+    return {
+        "v_error_pu": float(np.abs(v_model_pu - v_ac_pu).max(initial=0.0)),
+        "v_min_ac_pu": float(v_ac_pu.min()),
+        "v_max_ac_pu": float(v_ac_pu.max()),
+    }
 
 
 def _by_phase(ac: ACResult, held_by_batteries: bool) -> dict[str, Any]:

@@ -30,6 +30,7 @@ from vppres.day.trajectory import Trajectory, supplied
 from vppres.model.beyond_paper.ratings import LineRatings
 from vppres.model.beyond_paper.table import Beyond, beyond_paper
 from vppres.model.data import WindowData
+from vppres.model.formulas import Devices, bus_injections
 from vppres.model.own_state import with_own_state
 from vppres.model.phases import phased_model
 from vppres.model.ratings import with_ratings
@@ -365,28 +366,34 @@ class Recorded:
         """The AC solution of a step, None before the first and after one in the dark."""
         if t < 0 or not np.isfinite(self.v_ac_pu[t]).all():
             return None
-        site = self.site
-        run = self.trajectory
-        load = self.load_kw[t] * self.share[t]
-        load_q = self._array(run.customers, "q_load_kvar")[t] * self.share[t]
-        pv = self._array(run.pv, "self_kw")[t] + self._array(run.pv, "export_kw")[t]
-        pv_q = self._array(run.pv, "q_kvar")[t]
-        p = site.pv_bus @ pv - site.customer_bus @ load - site.battery_bus @ self.battery_kw[t]
-        q = site.pv_bus @ pv_q - site.customer_bus @ load_q + site.battery_bus @ self.batt_q_kvar[t]
-        if run.vehicles is not None:
-            p = p - site.charger_bus @ self._of_vehicles("p_kw")[t]
-        if run.thermal_loads is not None:
-            p = p - site.thermal_bus @ self._of_climate("p_kw")[t]
-        if run.gensets is not None:
-            p = p + site.genset_bus @ self._of_gensets("p_kw")[t]
+        p_kw, q_kvar = self._injections(t)
         return OperatingPoint(
             self.v_ac_pu[t],
-            self._array(run.lines, "p_ac_kw")[t],
-            self._array(run.lines, "q_ac_kvar")[t],
-            p,
-            q,
+            self.flow_kw[t],
+            self.flow_kvar[t],
+            p_kw,
+            q_kvar,
             bool(self.scenario.outage[t]),
         )
+
+    def _injections(self, t: int) -> tuple[Floats, Floats]:
+        """What all devices gave at each bus in a step, in kW and kvar, (N,) each."""
+        run = self.trajectory
+        q_load_kvar = self._array(run.customers, "q_load_kvar")[t]
+        active: dict[Devices, Floats] = {
+            "pv": self._array(run.pv, "self_kw")[t] + self._array(run.pv, "export_kw")[t],
+            "customers": -self.load_kw[t] * self.share[t],
+            "batteries": -self.battery_kw[t],
+            "chargers": -self._of_vehicles("p_kw")[t],
+            "thermal_loads": -self._of_climate("p_kw")[t],
+            "gensets": self._of_gensets("p_kw")[t],
+        }
+        reactive: dict[Devices, Floats] = {
+            "pv": self._array(run.pv, "q_kvar")[t],
+            "customers": -q_load_kvar * self.share[t],
+            "batteries": self.batt_q_kvar[t],
+        }
+        return bus_injections(self.site, active), bus_injections(self.site, reactive)
 
     def _array(self, table: pd.DataFrame, column: str) -> Floats:
         """A column as an array of steps by items."""

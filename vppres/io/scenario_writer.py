@@ -75,60 +75,76 @@ def fill_scenario_folder(scenario: Scenario, folder: Path) -> None:
 
 def _document(scenario: Scenario) -> dict[str, Any]:
     """scenario.toml as nested dictionaries, checked like one that was read."""
-    network = scenario.network
-    grid = scenario.grid
-    of_network = {f.name for f in fields(network)} - {"slack_bus"}
-    limits = [name for name in schema.NetworkSection.model_fields if name in of_network]
+    objective = scenario.objective
     document: dict[str, Any] = {
         "name": scenario.name,
         "title": scenario.title,
-        "time": _time(grid),
-        "network": {
-            "slack_bus": _plain(network.slack_bus),
-            **{name: float(getattr(network, name)) for name in limits},
-        },
+        "time": _time(scenario.grid),
+        "network": _network(scenario),
         "tiers": {tier: _tier_weight(scenario.customers, tier) for tier in scenario.tiers},
         "priority": asdict(scenario.priority),
         "headroom": asdict(scenario.headroom),
-        "objective": {
-            f.name: float(getattr(scenario.objective, f.name)) for f in fields(scenario.objective)
-        },
+        "objective": {f.name: float(getattr(objective, f.name)) for f in fields(objective)},
         "outages": outage_intervals(scenario),
-        "controller": {
-            "kind": scenario.controller.kind,
-            "horizon_h": float(scenario.controller.horizon_h),
-            "mode": scenario.controller.mode,
-            "voltage_limits": scenario.controller.voltage_limits,
-            "ratings": scenario.controller.ratings,
-        },
+        "controller": _controller(scenario.controller),
+        **_unusual(scenario),
     }
-    if scenario.controller.outages != ControllerDefaults.outages:
-        document["controller"] |= {"outages": scenario.controller.outages}
-    if scenario.controller.soc_end is not None:
-        document["controller"] |= {"soc_end": float(scenario.controller.soc_end)}
-    if scenario.export_limit_kw.ndim == 0 and np.isfinite(scenario.export_limit_kw):
-        document["network"] |= {"export_limit_kw": float(scenario.export_limit_kw)}
-    if scenario.switching != SwitchingRules():
-        document["switching"] = {
-            name: value for name, value in asdict(scenario.switching).items() if value is not None
-        }
-    if scenario.fairness != Fairness():
-        document["fairness"] = asdict(scenario.fairness)
-    if scenario.voll_gbp_per_kwh != DEFAULT_VOLL_GBP_PER_KWH:
-        document["reliability"] = {"voll_gbp_per_kwh": float(scenario.voll_gbp_per_kwh)}
-    if scenario.outage_statistics != OutageStatistics():
-        document["outage_statistics"] = {
-            name: value
-            for name, value in asdict(scenario.outage_statistics).items()
-            if value is not None
-        }
-    if scenario.source:
-        document["source"] = _source(scenario.source)
     try:
         schema.ScenarioFile.model_validate(document)
     except ValidationError as error:
         raise InputError(problems_of(error, schema.ScenarioFile, SCENARIO_FILE)) from None
     return document
+
+
+def _network(scenario: Scenario) -> dict[str, Any]:
+    """The slack bus, limits of voltages, and a limit of the export that holds in all steps."""
+    network = scenario.network
+    of_network = {f.name for f in fields(network)} - {"slack_bus"}
+    limits = [name for name in schema.NetworkSection.model_fields if name in of_network]
+    section = {
+        "slack_bus": _plain(network.slack_bus),
+        **{name: float(getattr(network, name)) for name in limits},
+    }
+    if scenario.export_limit_kw.ndim == 0 and np.isfinite(scenario.export_limit_kw):
+        section["export_limit_kw"] = float(scenario.export_limit_kw)
+    return section
+
+
+def _controller(defaults: ControllerDefaults) -> dict[str, Any]:
+    """Options of a run that the scenario asks for."""
+    section: dict[str, Any] = {
+        "kind": defaults.kind,
+        "horizon_h": float(defaults.horizon_h),
+        "mode": defaults.mode,
+        "voltage_limits": defaults.voltage_limits,
+        "ratings": defaults.ratings,
+    }
+    if defaults.outages != ControllerDefaults.outages:
+        section["outages"] = defaults.outages
+    if defaults.soc_end is not None:
+        section["soc_end"] = float(defaults.soc_end)
+    return section
+
+
+def _unusual(scenario: Scenario) -> dict[str, Any]:
+    """Sections that stand only where they say something else than the defaults."""
+    sections: dict[str, Any] = {}
+    if scenario.switching != SwitchingRules():
+        sections["switching"] = _given(scenario.switching)
+    if scenario.fairness != Fairness():
+        sections["fairness"] = asdict(scenario.fairness)
+    if scenario.voll_gbp_per_kwh != DEFAULT_VOLL_GBP_PER_KWH:
+        sections["reliability"] = {"voll_gbp_per_kwh": float(scenario.voll_gbp_per_kwh)}
+    if scenario.outage_statistics != OutageStatistics():
+        sections["outage_statistics"] = _given(scenario.outage_statistics)
+    if scenario.source:
+        sections["source"] = _source(scenario.source)
+    return sections
+
+
+def _given(section: SwitchingRules | OutageStatistics) -> dict[str, Any]:
+    """Keys of a section that have a value."""
+    return {name: value for name, value in asdict(section).items() if value is not None}
 
 
 def _time(grid: TimeGrid) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from vppres.core.errors import InputError, VppresError
 from vppres.live.door import HOUR, WHERE, Door, readable
 from vppres.live.ranges import ranges_of
 from vppres.live.vehicles import QUANTITIES, with_vehicles
+from vppres.scenario.assets import Batteries
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
 
@@ -258,67 +259,68 @@ def step_at(grid: TimeGrid, time: Any) -> int:
 
 
 def _seen(scenario: Scenario, measured: Measurement, guard: bool, earliest: int) -> Seen:
-    """The measurement, read."""
+    """The measurement, read; problems are told in the order of the readings."""
     door = Door(scenario.grid, measured.time, guard, ranges=ranges_of(scenario))
-    c = scenario.customers
-    pv = scenario.pv
-    b = scenario.batteries
     _check_order(door, measured, earliest)
-    load = door.table("load_kw", measured.load_kw, c.id, scenario.load_kw)
+    c, pv, b = scenario.customers, scenario.pv, scenario.batteries
+    load_kw = door.table("load_kw", measured.load_kw, c.id, scenario.load_kw)
     pv_kw = door.table("pv_kw", measured.pv_kw, pv.id, scenario.pv_kw)
     of_grid = _grid_series(door, scenario, measured)
-    none = np.full(len(b), np.nan)
-    soc = door.values("soc", measured.soc, b.id, none)
-    eta_charge = door.values("eta_charge", measured.eta_charge, b.id, b.eta_charge)
-    eta_discharge = door.values("eta_discharge", measured.eta_discharge, b.id, b.eta_discharge)
-    battery_kw = door.values("battery_kw", measured.battery_kw, b.id, none)
-    online = door.flags("online", measured.online, b.id)
+    of_batteries = _of_batteries(door, b, measured)
     import_kw = door.number("import_kw", measured.import_kw)
     connected = door.flags("connected", measured.connected, c.id)
     announced = _announced(door, scenario, measured)
-    foretold = measured.foretold or {}
     now = _now(door, measured)
     soc_age_h = door.ages_h("soc_at", measured.soc_at, b.id, now)
     told = _told(door, measured.ordered_kw, b.id, now)
     if not guard:
-        _check_complete(door, scenario, measured, soc, online)
+        _check_complete(door, scenario, measured, of_batteries["soc"], of_batteries["online"])
     of_vehicles = {name: getattr(measured, name) for name in QUANTITIES}
     scenario, ev_kwh = with_vehicles(door, scenario, of_vehicles)
     loads = scenario.thermal_loads
-    unread_c = np.full(len(loads), np.nan)
-    indoor_c = door.values("indoor_c", measured.indoor_c, loads.id, unread_c)
+    indoor_c = door.values("indoor_c", measured.indoor_c, loads.id, np.full(len(loads), np.nan))
     door.finish()
     pv_kw = np.minimum(pv_kw, pv.p_max_kw)
-    t = door.t
-    laid = replace(
-        scenario,
-        load_kw=np.where(np.isnan(load), scenario.load_kw, load) * connected,
-        pv_kw=np.where(np.isnan(pv_kw), scenario.pv_kw, pv_kw),
-        **of_grid,
-    )
-    # A missing efficiency is the nominal one: no estimate is any better.
+    foretold = measured.foretold or {}
     return Seen(
-        t,
-        laid,
-        np.where(connected, load[t], 0.0),
-        pv_kw[t],
-        soc,
-        np.where(np.isnan(eta_charge), b.eta_charge, eta_charge),
-        np.where(np.isnan(eta_discharge), b.eta_discharge, eta_discharge),
-        None if measured.battery_kw is None else battery_kw,
-        online,
-        import_kw,
-        connected,
-        announced,
-        _among(c.id, foretold.get("load_kw", ())),
-        _among(pv.id, foretold.get("pv_kw", ())),
-        tuple(door.left_out),
-        (now - door.begun) / HOUR,
-        soc_age_h,
-        told,
-        ev_kwh,
-        indoor_c,
+        t=door.t,
+        scenario=replace(
+            scenario,
+            load_kw=np.where(np.isnan(load_kw), scenario.load_kw, load_kw) * connected,
+            pv_kw=np.where(np.isnan(pv_kw), scenario.pv_kw, pv_kw),
+            **of_grid,
+        ),
+        load_kw=np.where(connected, load_kw[door.t], 0.0),
+        pv_kw=pv_kw[door.t],
+        **of_batteries,
+        import_kw=import_kw,
+        connected=connected,
+        announced_kw=announced,
+        foretold_load=_among(c.id, foretold.get("load_kw", ())),
+        foretold_pv=_among(pv.id, foretold.get("pv_kw", ())),
+        left_out=tuple(door.left_out),
+        elapsed_h=(now - door.begun) / HOUR,
+        soc_age_h=soc_age_h,
+        told=told,
+        ev_kwh=ev_kwh,
+        indoor_c=indoor_c,
     )
+
+
+def _of_batteries(door: Door, b: Batteries, measured: Measurement) -> dict[str, Any]:
+    """Readings of the batteries; a missing efficiency is the nominal one, no estimate is better."""
+    unknown = np.full(len(b), np.nan)
+    soc = door.values("soc", measured.soc, b.id, unknown)
+    eta_charge = door.values("eta_charge", measured.eta_charge, b.id, b.eta_charge)
+    eta_discharge = door.values("eta_discharge", measured.eta_discharge, b.id, b.eta_discharge)
+    battery_kw = door.values("battery_kw", measured.battery_kw, b.id, unknown)
+    return {
+        "soc": soc,
+        "eta_charge": np.where(np.isnan(eta_charge), b.eta_charge, eta_charge),
+        "eta_discharge": np.where(np.isnan(eta_discharge), b.eta_discharge, eta_discharge),
+        "battery_kw": None if measured.battery_kw is None else battery_kw,
+        "online": door.flags("online", measured.online, b.id),
+    }
 
 
 def _grid_series(door: Door, scenario: Scenario, measured: Measurement) -> dict[str, Any]:

@@ -50,34 +50,8 @@ class PhasePrices:
         """Prices of the first step; None for a balanced feeder."""
         if model.site.phases is None or model.data is None:
             return None
-        phased = phased_model(model.site)
-        net = model.site.feeder
-        room = float(model.data.require_phased().room_kva[0])
-        per_unit: dict[int, Floats | float] = {
-            LOW: PER_PU2 * 2.0 * net.v_min_pu * 1e-3,
-            HIGH: PER_PU2 * 2.0 * net.v_max_pu * 1e-3,
-            OF_FORMER: 1.0 / max(room, SMALLEST_KVA),
-            OF_RATING: 1.0 / phased.loadings.kva,
-        }
-        sizes = {
-            LOW: net.n_buses,
-            HIGH: net.n_buses,
-            OF_FORMER: len(PHASES),
-            OF_RATING: len(phased.loadings.kva),
-        }
-        assets = len(phased.flows[GRID].assets)
-        value = {side: np.zeros(size) for side, size in sizes.items()}
-        costs = {side: np.zeros((size, 2, assets)) for side, size in sizes.items()}
-        first = len(model.duals) - sum(len(rows.steps) for rows in model.phase_rows)
-        for rows in model.phase_rows:
-            dual = np.maximum(model.duals[first : first + len(rows.steps)], 0.0)
-            first += len(rows.steps)
-            dual = np.where(rows.steps == 0, dual, 0.0)
-            places = phased.at_bus[rows.places] if rows.side in (LOW, HIGH) else rows.places
-            np.add.at(value[rows.side], places, dual)
-            by_asset = -np.stack([rows.by_p, rows.by_q], axis=1) * dual[:, None, None]
-            np.add.at(costs[rows.side], places, by_asset)
-        value = {side: each * per_unit[side] for side, each in value.items()}
+        duals, costs = _by_side(model)
+        value = {side: duals[side] * per_unit for side, per_unit in _units(model).items()}
         by_voltage = costs[LOW].sum(axis=0) + costs[HIGH].sum(axis=0)
         of_former, of_rating = (costs[side].swapaxes(0, 1) for side in (OF_FORMER, OF_RATING))
         return cls(
@@ -92,3 +66,37 @@ class PhasePrices:
             floor=value[LOW],
             ceiling=value[HIGH],
         )
+
+
+def _units(model: ShadowPriceModel) -> dict[int, Floats | float]:
+    """What a row of each side moves for 0.001 pu or 1 kVA: the rows are in squares and shares."""
+    assert model.data is not None
+    net = model.site.feeder
+    room_kva = float(model.data.require_phased().room_kva[0])
+    return {
+        LOW: PER_PU2 * 2.0 * net.v_min_pu * 1e-3,
+        HIGH: PER_PU2 * 2.0 * net.v_max_pu * 1e-3,
+        OF_FORMER: 1.0 / max(room_kva, SMALLEST_KVA),
+        OF_RATING: 1.0 / phased_model(model.site).loadings.kva,
+    }
+
+
+def _by_side(model: ShadowPriceModel) -> tuple[dict[int, Floats], dict[int, Floats]]:
+    """Duals of the first step by side, added up by place; and by place, kW or kvar, and asset."""
+    phased = phased_model(model.site)
+    n_buses = model.site.feeder.n_buses
+    n_rated = len(phased.loadings.kva)
+    sizes = {LOW: n_buses, HIGH: n_buses, OF_FORMER: len(PHASES), OF_RATING: n_rated}
+    assets = len(phased.flows[GRID].assets)
+    duals = {side: np.zeros(size) for side, size in sizes.items()}
+    costs = {side: np.zeros((size, 2, assets)) for side, size in sizes.items()}
+    first = len(model.duals) - sum(len(rows.steps) for rows in model.phase_rows)
+    for rows in model.phase_rows:
+        dual = np.maximum(model.duals[first : first + len(rows.steps)], 0.0)
+        first += len(rows.steps)
+        dual = np.where(rows.steps == 0, dual, 0.0)
+        places = phased.at_bus[rows.places] if rows.side in (LOW, HIGH) else rows.places
+        np.add.at(duals[rows.side], places, dual)
+        by_asset = -np.stack([rows.by_p, rows.by_q], axis=1) * dual[:, None, None]
+        np.add.at(costs[rows.side], places, by_asset)
+    return duals, costs
