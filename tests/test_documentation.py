@@ -186,3 +186,24 @@ def test_no_block_is_overlooked() -> None:
 def test_list_of_what_is_not_run_is_not_too_long() -> None:
     text = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
     assert [command for command in NOT_RUN if command not in text] == []
+
+
+def test_sections_that_are_named_are_there() -> None:
+    """The code names sections of pages, and pages name labels of others."""
+    docs = {
+        page.relative_to(ROOT / "docs").as_posix(): page.read_text("utf-8") for page in PAGES[1:]
+    }
+    labels = {label for text in docs.values() for label in re.findall(r"^\((.+)\)=$", text, re.M)}
+    named = {
+        label.rpartition("<")[2].rstrip(">")
+        for text in docs.values()
+        for label in re.findall(r"{ref}`([^`]+)`", text)
+    }
+    assert named - labels == set()
+    for module in sorted((ROOT / "vppres").rglob("*.py")):
+        text = " ".join(module.read_text(encoding="utf-8").split())
+        for page, section in re.findall(r"``docs/([\w/-]+\.md)``, (?:section )?\*([^*]+)\*", text):
+            assert re.search(rf"^#+ {re.escape(section)}$", docs[page], re.M), (
+                module.name,
+                section,
+            )
