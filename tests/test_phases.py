@@ -116,6 +116,20 @@ def test_three_wires_have_limits_between_phases(day: Scenario) -> None:
     assert [row.bus for row in day.phases.buses if row.limits == "lines"] == ["d"]
 
 
+def test_an_island_is_formed_by_a_battery_that_holds_voltages_to_ground(circuit: Path) -> None:
+    file = circuit.with_name("large.dss")
+    large = CIRCUIT.replace("kva=300", "kva=2000").replace(
+        "kw=90 kvar=30 model=1", "kw=900 kvar=30"
+    )
+    file.write_text(large)
+    day = phased_day(file)
+    b = day.batteries
+    assert (b.id[b.grid_forming], b.id[b.s_max_kva.argmax()]) == (["be"], "bd")
+    assert "no coil to ground" not in former_words(day, always=True)
+    behind = replace(day, batteries=replace(b, grid_forming=b.id == "bd"))
+    assert "no coil to ground, and 3 customers have one" in former_words(behind, always=True)
+
+
 def test_no_loading_is_stated_of_lines_whose_phases_differ(day: Scenario) -> None:
     assert not day.network.has_ratings
 

@@ -151,6 +151,11 @@ class PhaseConnection:
         """Whether it has a coil for each phase."""
         return len(self.coils.split()) == len(PHASES)
 
+    @property
+    def to_ground(self) -> bool:
+        """Whether it has a coil between a phase and ground."""
+        return any(len(word) == 1 for word in self.coils.split())
+
 
 @dataclass(frozen=True, eq=False)
 class Phases:

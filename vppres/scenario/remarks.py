@@ -109,7 +109,7 @@ def former_words(scenario: Scenario, mode: str | None = None, always: bool = Fal
         for i in np.flatnonzero(b.formers)
     ]
     if b.grid_forming.any():
-        return f"The island is formed by {named(names, NAMES_SHOWN)}."
+        return f"The island is formed by {named(names, NAMES_SHOWN)}.{_unearthed(scenario)}"
     bus = b.bus[b.formers][0]
     whose = "a customer's battery" if bus in scenario.customers.bus else "a battery"
     peak_kva = float(np.hypot(scenario.load_kw, scenario.load_kvar).sum(axis=1).max())
@@ -117,6 +117,23 @@ def former_words(scenario: Scenario, mode: str | None = None, always: bool = Fal
         f"The island is formed by {names[0]}, {whose} that no one chose: no battery has "
         f"grid_forming = yes, so the one with the largest inverter forms it. The largest demand is "
         f"{peak_kva:,.4g} kVA. Mark the batteries that can form the grid in batteries.csv."
+    )
+
+
+def _unearthed(scenario: Scenario) -> str:
+    """That nothing holds the voltages to ground in an island where customers have them."""
+    if scenario.phases is None:
+        return ""
+    formers = scenario.batteries.id[scenario.formers]
+    if any(scenario.phases.connection(str(name)).to_ground for name in formers):
+        return ""
+    count = sum(scenario.phases.connection(str(c)).to_ground for c in scenario.customers.id)
+    if not count:
+        return ""
+    return (
+        f" It has no coil to ground, and {count} customers have one: where only transformers with "
+        "a delta join them, nothing holds their voltages in the island. Mark a battery that has "
+        "one (phase_connections.csv) as grid_forming in batteries.csv."
     )
 
 

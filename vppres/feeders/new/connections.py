@@ -86,9 +86,16 @@ def _of_battery(phases: Phases, row: PhaseConnection, asset: str) -> PhaseConnec
 
 
 def with_former(phases: Phases, batteries: Batteries) -> Batteries:
-    """The batteries with the largest of three phases to form an island, if there is one."""
-    anyone = replace(batteries, grid_forming=np.ones(len(batteries), dtype=bool))
-    former = former_of(phases, anyone)
+    """The batteries with the largest of three phases to form an island, if there is one.
+
+    One with coils to ground goes first: it holds the voltages to ground of its island.
+    """
+    earthed = np.array(
+        [phases.connection(str(name)).to_ground for name in batteries.id], dtype=bool
+    )
+    former = former_of(phases, replace(batteries, grid_forming=earthed))
+    if former is None:
+        former = former_of(phases, replace(batteries, grid_forming=~earthed))
     if former is None:
         return batteries
     return replace(batteries, grid_forming=np.arange(len(batteries)) == former)
