@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandapower as pp
+import pandapower.networks
 import pandas as pd
 import pytest
 
@@ -14,11 +17,23 @@ from experiments.random_feeders import random_window
 from tests.support.agreement import assert_methods_agree
 from tests.support.homes import homes, hot
 from tests.support.small_windows import DARK, OPEN, first_step, two_buses, window
-from vppres import InputError, RunOptions, explain_day, run_day, summarise
+from vppres import (
+    Controller,
+    InputError,
+    Measurement,
+    NewScenarioOptions,
+    RunOptions,
+    explain_day,
+    import_network,
+    new_scenario,
+    run_day,
+    summarise,
+)
 from vppres.contract.decision import Decision
 from vppres.contract.rooms import Rooms
 from vppres.control.guard.check import violations
 from vppres.day.thermal_loads import thermal_words
+from vppres.feeders.closeness import extreme_steps
 from vppres.io import read_scenario, write_scenario
 from vppres.io.digest import scenario_digest
 from vppres.model.data import WindowData
@@ -26,10 +41,15 @@ from vppres.model.site import Site
 from vppres.model.violations import broken
 from vppres.plant.plant import Plant
 from vppres.report.events import events_of
+from vppres.report.plots.energy import import_load_pv
+from vppres.report.plots.rooms import indoor
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
+from vppres.scenario.vehicles import Chargers, Sessions
 from vppres.solve.ladder import METHODS, WindowSolver
+
+PHYSICAL = RunOptions(mode="physical", horizon_h=2.0, isolate=False)
 
 
 def known(day: Scenario) -> WindowData:
@@ -219,6 +239,84 @@ def test_a_day_tells_of_cooling_ahead(tmp_path: Path) -> None:
     table.to_csv(folder, index=False)
     with pytest.raises(InputError, match=r"thermal_loads.csv.*t_min_c.*not below t_max_c"):
         read_scenario(tmp_path / "day")
+
+
+def test_machines_are_in_networks_and_in_charts() -> None:
+    """The net's power flow is the record's, and so is that of set-points."""
+    net = pandapower.networks.simple_four_bus_system()
+    feeder = import_network(net)
+    outage = tuple(pd.Timestamp(f"2025-07-01T{hour}:00Z") for hour in ("12", "20"))
+    made = NewScenarioOptions(step_minutes=240.0, add_batteries=True, outages=(outage,))
+    day = new_scenario(feeder, made)
+    day = replace(day, load_kw=0.3 * day.load_kw)  # voltages within limits
+    rooms = homes(day.customers.id[-1], t_initial_c=27.0, c_kwh_per_c=2.0)
+    day = replace(day, thermal_loads=rooms, temperature_c=np.full(day.grid.n_steps, 34.0))
+    options = RunOptions(horizon_h=8.0, isolate=False)
+    run = run_day(day, options)
+    assert run.thermal_loads is not None
+    power_kw = run.thermal_loads["p_kw"].iloc[0]
+    assert power_kw > 0.5
+    step = Controller.of(day, options).step(Measurement(day.grid.times[0]))
+    first, count = run.steps["time"].iloc[0], run.scenario.network.n_buses
+    at = [day.network.bus_index[bus] for bus in feeder.bus_of.values()]
+    for put, v_pu in (
+        (partial(run.apply_to, net, feeder, first), run.buses["v_ac_pu"].to_numpy()[:count]),
+        (partial(step.apply_to, net, feeder), step.buses["v_ac_pu"].to_numpy()),
+    ):
+        put()
+        pp.runpp(net, numba=False, tolerance_mva=1e-10, calculate_voltage_angles=False)
+        found = net.res_bus["vm_pu"].loc[[*feeder.bus_of]].to_numpy()
+        assert found == pytest.approx(v_pu[at], abs=1e-6)
+        machine = net.load[net.load["name"] == "machine h0"]
+        assert 1000 * machine["p_mw"].item() == pytest.approx(power_kw, abs=1e-6)
+    names = [curve["name"] for curve in import_load_pv(run).data()["curves"]]
+    assert any(name.endswith("cooling and heat") for name in names)
+    assert [curve["name"] for curve in indoor(run).data()["curves"]][-1].endswith("median")
+    sides = (extreme_steps(day), extreme_steps(replace(day, thermal_loads=homes())))
+    with_them, alone = ([p_kw.sum() for p_kw, _ in steps] for steps in sides)
+    assert with_them == pytest.approx([each - 2.0 for each in alone])
+
+
+def test_rooms_beside_vehicles_switch_nobody_off_in_an_island(tiny: Scenario) -> None:
+    """Physical mode: the same customers are on as without them, and what is off does not cool."""
+    alone = run_day(tiny, PHYSICAL)
+    vehicle = Sessions(
+        charger=["k0"],
+        vehicle=["van"],
+        plug_in=[tiny.grid.start],
+        plug_out=[tiny.grid.end],
+        capacity_kwh=[60.0],
+        soc_at_plug_in=[0.3],
+        soc_needed=[0.9],
+        energy_needed_kwh=[np.nan],
+        v2g_soc_floor=[np.nan],
+        tier=["low"],
+        weight=[0.02],
+        announced=[False],
+    )
+    charger = Chargers(
+        id=["k0"],
+        customer=[""],
+        bus=[4],
+        p_charge_kw=[7.4],
+        p_charge_min_kw=[1.4],
+        p_discharge_kw=[0.0],
+        eta_charge=[0.92],
+        eta_discharge=[0.92],
+    )
+    rooms = homes("hospital", "shop", "homes", t_initial_c=26.5)
+    cheap = replace(tiny.objective, lambda_grid=1e-7)
+    day = replace(tiny, thermal_loads=rooms, chargers=charger, sessions=vehicle, objective=cheap)
+    run = run_day(day, PHYSICAL)
+    assert (run.customers["served"] == alone.customers["served"]).all()
+    rows = run.thermal_loads
+    assert rows is not None
+    served = run.customers["served"].to_numpy(float)
+    assert (rows["p_kw"].to_numpy() <= 2.0 * served + 1e-9).all()
+    figures = summarise(run)
+    assert figures["thermal_loads"]["machines_kwh"] > 1.0
+    assert figures["vehicles"]["charged_kwh"] > 10.0
+    assert figures["thermal_loads"]["hours_above_band_by_tier"]["critical"] == 0.0
 
 
 def test_what_is_not_stated_is_refused_by_name() -> None:

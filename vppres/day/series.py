@@ -68,6 +68,13 @@ def generated_kw(run: Trajectory) -> Floats | None:
     return per_step(run, run.gensets["p_kw"], run.gensets)
 
 
+def machines_kw(run: Trajectory) -> Floats | None:
+    """Power of all machines that cool or heat, shape (T,); None without any."""
+    if run.thermal_loads is None:
+        return None
+    return per_step(run, run.thermal_loads["p_kw"], run.thermal_loads)
+
+
 def lowest_model_v_pu(run: Trajectory) -> Floats:
     """Lowest bus voltage of the optimisation, shape (T,)."""
     return run.buses.groupby("time")["v_model_pu"].min().to_numpy(float)

@@ -46,8 +46,9 @@ def thermal_figures(trajectory: Trajectory) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``thermal_loads``: how many there are, K h outside the comfort band, hours outside it, both
-        summed over the loads, in all and by tier; and the energy that machines took in kWh.
+        ``thermal_loads``: how many there are, K h outside the comfort band, hours outside it and
+        above it, all summed over the loads, in all and by tier; and the energy that machines took
+        in kWh.
     """
     rows = trajectory.thermal_loads
     if rows is None:
@@ -55,6 +56,8 @@ def thermal_figures(trajectory: Trajectory) -> dict[str, Any]:
     day = trajectory.scenario
     dt_h = day.grid.dt_h
     hours = (rows["outside_band_c"] > 0.0).groupby(rows["tier"]).sum() * dt_h
+    too_warm = rows["t_end_c"] - rows["t_max_c"] > MISSED_C
+    above = too_warm.groupby(rows["tier"]).sum() * dt_h
     missed = rows.groupby("tier")["outside_band_c"].sum() * dt_h
     tiers = [tier for tier in day.tiers if tier in missed]
     return {
@@ -62,6 +65,7 @@ def thermal_figures(trajectory: Trajectory) -> dict[str, Any]:
             "loads": len(day.thermal_loads),
             "missed_k_h": float(missed.sum()),
             "missed_k_h_by_tier": {tier: float(missed[tier]) for tier in tiers},
+            "hours_above_band_by_tier": {tier: float(above[tier]) for tier in tiers},
             "hours_outside_band": float(hours.sum()),
             "hours_outside_band_by_tier": {tier: float(hours[tier]) for tier in tiers},
             "machines_kwh": float(rows["p_kw"].sum()) * dt_h,

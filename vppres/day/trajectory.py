@@ -17,6 +17,8 @@ from vppres.core.errors import InputError
 from vppres.core.notebook import facts_html
 from vppres.scenario.network import BusId
 from vppres.scenario.scenario import Scenario
+from vppres.scenario.thermal_loads import ThermalLoads
+from vppres.scenario.vehicles import Chargers
 
 if TYPE_CHECKING:
     from vppres.feeders.actuate import Powers
@@ -128,7 +130,7 @@ class Trajectory:
         """Put what happened in a step into the pandapower net that the scenario was made from.
 
         What the scenario took over (loads, generators, storages) is switched off in the net, and
-        customers, PV systems, batteries and chargers are put back with their powers. In an outage
+        customers with their machines, PV systems, batteries and chargers are put back. In an outage
         the grid is opened; where batteries hold the island, a source at the bus of the largest
         holds its voltage and gives nothing; in the dark there is none. A power flow of the net is
         then that of the record, as far as the feeder is exact.
@@ -198,15 +200,17 @@ class Trajectory:
                 str(self.options.get("mode", "paper")),
                 self._rows("buses", t)["v_ac_pu"].to_numpy(float),
             ),
-            None if self.vehicles is None else self._charging(t),
+            self._active(VEHICLES, day.chargers, t),
+            self._active(THERMAL_LOADS, day.thermal_loads, t),
         )
 
-    def _charging(self, t: int) -> pd.DataFrame:
-        """Powers of chargers in a step by identifier."""
-        day = self.scenario
-        buses = day.chargers.buses(day.customers)
-        columns = {"bus": buses, "p_kw": self._rows(VEHICLES, t)["p_kw"].to_numpy()}
-        return pd.DataFrame(columns, index=pd.Index(day.chargers.id, name="id"))
+    def _active(self, table: str, items: Chargers | ThermalLoads, t: int) -> pd.DataFrame | None:
+        """Powers of chargers or machines in a step by identifier; None without any."""
+        if getattr(self, table) is None:
+            return None
+        buses = items.buses(self.scenario.customers)
+        columns = {"bus": buses, "p_kw": self._rows(table, t)["p_kw"].to_numpy()}
+        return pd.DataFrame(columns, index=pd.Index(items.id, name="id"))
 
     def _rows(self, name: str, t: int) -> pd.DataFrame:
         """The rows of a table that belong to a step."""

@@ -89,8 +89,9 @@ class Powers:
     """Powers of a step by identifier: ``bus``, ``p_kw`` and ``q_kvar`` in each table.
 
     What ``customers``, ``batteries`` and ``chargers`` take is positive in kW, what ``pv`` feeds
-    likewise; kvar are drawn by customers and injected by PV systems and batteries. Chargers have a
-    power factor of 1, and no column ``q_kvar``; None without any.
+    likewise; kvar are drawn by customers and injected by PV systems and batteries. Chargers and
+    ``machines``, which cool or heat, have a power factor of 1, and no column ``q_kvar``; None
+    without any.
     """
 
     customers: pd.DataFrame
@@ -98,6 +99,15 @@ class Powers:
     batteries: pd.DataFrame
     feeding: Feeding
     chargers: pd.DataFrame | None = None
+    machines: pd.DataFrame | None = None
+
+    @property
+    def drawn(self) -> pd.DataFrame:
+        """Customers, then machines, which are named so."""
+        if self.machines is None:
+            return self.customers
+        machines = self.machines[["bus", "p_kw"]].assign(q_kvar=0.0)
+        return pd.concat([self.customers, machines.rename(index="machine {}".format)])
 
     @property
     def stored(self) -> pd.DataFrame:
@@ -131,7 +141,7 @@ def put_into_net(net: Any, bus_of: Mapping[int, BusId], powers: Powers) -> None:
         raise InputError(problems)
     _switch_off(net, bus_of)
     _feed(net, bus_of, bus_in_net, powers.feeding)
-    drawn = pd.concat([powers.customers, powers.feeding.fixed])
+    drawn = pd.concat([powers.drawn, powers.feeding.fixed])
     # A storage counts consumption as positive, reactive power too.
     stored = powers.stored.assign(q_kvar=-powers.stored["q_kvar"])
     for table, rows in (("load", drawn), ("sgen", powers.pv), ("storage", stored)):
@@ -141,7 +151,7 @@ def put_into_net(net: Any, bus_of: Mapping[int, BusId], powers: Powers) -> None:
 
 def _unknown_buses(powers: Powers, bus_in_net: Mapping[BusId, int]) -> list[Problem]:
     """Buses of the step that the net does not have."""
-    tables = (powers.customers, powers.pv, powers.stored, powers.feeding.fixed)
+    tables = (powers.drawn, powers.pv, powers.stored, powers.feeding.fixed)
     items = pd.concat([table["bus"] for table in tables])
     return [
         Problem(

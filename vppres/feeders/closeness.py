@@ -195,7 +195,8 @@ def worst_hour_pu(feeder: ImportedFeeder, scenario: Scenario) -> float | None:
 def extreme_steps(scenario: Scenario) -> Iterator[tuple[Floats, Floats]]:
     """Injections (kW, kvar) of the steps with the largest and least demand and generation.
 
-    All customers are served, all generators give what they can, and batteries rest.
+    All customers are served, all generators give what they can, vehicles and machines take what
+    they can, and batteries rest.
     """
     load_kw = scenario.load_kw
     given_kw = scenario.pv_kw
@@ -204,8 +205,15 @@ def extreme_steps(scenario: Scenario) -> Iterator[tuple[Floats, Floats]]:
     at_pv = network.place(scenario.pv.buses(scenario.customers))
     at_charger = network.place(scenario.chargers.buses(scenario.customers))
     charging_kw = scenario.most_charging_kw
+    loads = scenario.thermal_loads
+    machines_kw = network.place(loads.buses(scenario.customers)) @ loads.p_max_kw
     for t in extreme_times(scenario):
-        p_kw = at_pv @ given_kw[t] - at_customer @ load_kw[t] - at_charger @ charging_kw[t]
+        p_kw = (
+            at_pv @ given_kw[t]
+            - at_customer @ load_kw[t]
+            - at_charger @ charging_kw[t]
+            - machines_kw
+        )
         q_kvar = -(at_customer @ (load_kw[t] * scenario.customers.q_per_p))
         yield p_kw, q_kvar
 

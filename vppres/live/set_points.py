@@ -75,9 +75,9 @@ class SetPoints:
         most that it may charge with, ``energy_kwh`` and ``needed_kwh`` of the vehicle; None without
         chargers.
     thermal_loads : DataFrame or None
-        ``customer``, ``p_kw`` of the machine, ``setpoint_c`` for its thermostat, ``indoor_c``, the
-        temperature that was decided on, and ``indoor_end_c``, the one that is expected after the
-        step; None without thermal loads.
+        ``customer``, ``bus``, ``p_kw`` of the machine, ``setpoint_c`` for its thermostat,
+        ``indoor_c``, the temperature that was decided on, and ``indoor_end_c``, the one that is
+        expected after the step; None without thermal loads.
     by_phase : ByPhase or None
         Voltages and the source's power by phase; None without phases. Customers, batteries and PV
         systems have a column ``phases`` then: a power is that of all its phases, in equal parts.
@@ -144,9 +144,10 @@ class SetPoints:
 
         What the scenario took over (loads, generators, storages) is switched off. Customers become
         loads with their measured demand (0 if they are off), PV systems static generators,
-        batteries storages, named by their identifiers, and chargers storages, as "charger k1", all
-        marked in a column ``vppres``. In an outage the grid is opened; where batteries hold the
-        island, a source at the bus of the largest holds its voltage and gives nothing.
+        batteries storages, named by their identifiers, chargers storages, as "charger k1", and
+        machines that cool or heat loads, as "machine h1", all marked in a column ``vppres``. In an
+        outage the grid is opened; where batteries hold the island, a source at the bus of the
+        largest holds its voltage and gives nothing.
 
         Parameters
         ----------
@@ -161,7 +162,8 @@ class SetPoints:
         drawn = self.customers.assign(
             p_kw=self.customers["load_kw"] * on, q_kvar=self.customers["load_kvar"] * on
         )
-        powers = Powers(drawn, self.pv, self.batteries, self.feeding, self.chargers)
+        rooms = self.thermal_loads
+        powers = Powers(drawn, self.pv, self.batteries, self.feeding, self.chargers, rooms)
         put_into_net(net, feeder.bus_of, powers)
 
     def _repr_html_(self) -> str:
@@ -257,6 +259,7 @@ def _thermal_loads(scenario: Scenario, columns: Mapping[str, Any] | None) -> pd.
     return _table(
         loads.id,
         customer=loads.customer,
+        bus=loads.buses(scenario.customers),
         p_kw=columns["p_kw"],
         setpoint_c=np.where(columns["p_kw"] > 0.0, end_c, farther),
         indoor_c=columns["t_start_c"],

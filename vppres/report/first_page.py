@@ -154,6 +154,8 @@ def energy_rows(run: Trajectory, summary: Mapping[str, Any]) -> list[tuple[str, 
     if vehicles := summary.get("vehicles"):
         rows.append(("Vehicles charged", vehicles["charged_kwh"]))
         rows.append(("Vehicles gave back", vehicles["given_back_kwh"]))
+    if rooms := summary.get("thermal_loads"):
+        rows.append(("Cooling and heat", rooms["machines_kwh"]))
     if sets := summary.get("gensets"):
         rows.append(("Generating sets gave", sets["given_kwh"]))
     rows.append(("Line losses", float(run.steps["losses_kw"].sum()) * dt_h))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from vppres.day.series import (
@@ -11,6 +13,7 @@ from vppres.day.series import (
     energy_limits_kwh,
     generated_kw,
     lowest_model_v_pu,
+    machines_kw,
     pv_available_kw,
     served_kw,
     stored_energy_kwh,
@@ -70,7 +73,7 @@ def _price_panel(run: Trajectory) -> Curves:
 
 
 def import_load_pv(runs: Runs) -> Chart:
-    """Grid import; demand, served demand, available PV power, vehicles and sets."""
+    """Grid import; demand, served demand, available PV power, vehicles, machines and sets."""
     named = named_runs(runs)
     first = next(iter(named.values()))
     imports = []
@@ -92,6 +95,11 @@ def import_load_pv(runs: Runs) -> Chart:
         if sets_kw is not None:
             dashed = Style(style.color, OF_SETS, 1.3)
             load.append(Curve(f"{label}: generating sets", sets_kw, dashed))
+        cooling_kw = machines_kw(run)
+        if cooling_kw is not None:
+            load.append(
+                Curve(f"{label}: cooling and heat", cooling_kw, replace(style, dash="4 2 1 2"))
+            )
     unserved = Band(served_kw(first), demand, VERMILLION, "not supplied")
     exports = any(run.scenario.exports for run in named.values())
     below = "; export below 0" if exports else ""

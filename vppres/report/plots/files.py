@@ -12,6 +12,7 @@ from vppres.report.plots.energy import energy_and_price, import_load_pv, voltage
 from vppres.report.plots.feeder import feeder_maps, line_loadings, solve_times
 from vppres.report.plots.outages import has_beliefs, outage_belief
 from vppres.report.plots.pixels import png_of
+from vppres.report.plots.rooms import indoor
 from vppres.report.plots.service import service_by_tier
 from vppres.report.plots.strips import timeline
 
@@ -37,12 +38,18 @@ BELIEF_FIGURES: dict[str, Callable[[Trajectory], Chart]] = {"outage_belief": out
 # Figures of one run of a phased feeder.
 PHASED_FIGURES: dict[str, Callable[[Trajectory], Chart]] = {"by_phase": by_phase}
 
+# Figures of one run with rooms or tanks.
+ROOM_FIGURES: dict[str, Callable[[Trajectory], Chart]] = {"indoor": indoor}
+
 FIGURE_TEXTS = {
     "by_phase": "Lowest and, dotted, highest voltage of each phase; what the grid or the battery "
     "that forms the island gives on each phase; the phase nearest to its rating; unbalance.",
     "energy_and_price": "Stored energy, net charging power of all batteries and import price.",
     "import_load_pv": "Import at the slack bus (above); demand, supplied demand, available PV "
-    "power, net charging power of vehicles and power of generating sets (below).",
+    "power, net charging power of vehicles, power of machines that cool or heat and of generating "
+    "sets (below).",
+    "indoor": "Temperature of each room and tank, their median, and the ends of the comfort band "
+    "if all have the same.",
     "voltages": "Lowest bus voltage of each step, and the largest difference between optimisation "
     "and AC power flow at any bus.",
     "service_by_tier": "Supply of each customer in each step, and the share of each tier.",
@@ -65,7 +72,7 @@ def chart_of(runs: Runs, name: str) -> Chart:
     if name in FIGURES:
         return FIGURES[name](runs)
     assert isinstance(runs, Trajectory)
-    return (RUN_FIGURES | PHASED_FIGURES | BELIEF_FIGURES)[name](runs)
+    return (RUN_FIGURES | PHASED_FIGURES | BELIEF_FIGURES | ROOM_FIGURES)[name](runs)
 
 
 def figure_names(runs: Runs) -> list[str]:
@@ -73,7 +80,9 @@ def figure_names(runs: Runs) -> list[str]:
     if not isinstance(runs, Trajectory):
         return [*FIGURES]
     phased = PHASED_FIGURES if runs.scenario.phases is not None else ()
-    return [*FIGURES, *RUN_FIGURES, *phased, *(BELIEF_FIGURES if has_beliefs(runs) else ())]
+    beliefs = BELIEF_FIGURES if has_beliefs(runs) else ()
+    rooms = ROOM_FIGURES if runs.thermal_loads is not None else ()
+    return [*FIGURES, *RUN_FIGURES, *phased, *beliefs, *rooms]
 
 
 def save_figures(runs: Runs, folder: Path, kinds: Sequence[str] = KINDS) -> list[Path]:
