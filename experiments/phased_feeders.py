@@ -4,21 +4,27 @@
 problem with a row for each limit of each node and each side of each phase of the former, for HiGHS.
 Inverters' discs are polygons there, around the discs and inside them: what they allow brackets the
 optimum.
+
+``python -m experiments.phased_feeders --windows FILE`` decides 24 windows of a circuit, beside the
+whole problem with all of its rows, and prints them as a table.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
+import time
 from dataclasses import replace
+from pathlib import Path
 from typing import NamedTuple
 
 import cvxpy as cp
 import numpy as np
 from numpy.random import Generator
 
-from experiments.phases import loop, say
+from experiments.phases import DAYS, loop, of_day, say, scenario_of
 from experiments.random_feeders import WEIGHT, random_network, random_scenario
+from experiments.tables import put_into
 from vppres.control.phased import PhasedPlanner
 from vppres.core.arrays import Floats
 from vppres.core.errors import SolveError
@@ -32,7 +38,7 @@ from vppres.model.phases import phased_model
 from vppres.model.site import Site
 from vppres.scenario.assets import Customers, PVSystems
 from vppres.scenario.phases import PhaseBus, PhaseConnection, PhaseLine, Phases
-from vppres.scenario.scenario import ControllerDefaults, Scenario
+from vppres.scenario.scenario import REPORT, ControllerDefaults, Scenario
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.phases import SIDES
 from vppres.solve.result import WindowSolution
@@ -180,6 +186,15 @@ def plainly(site: Site, data: WindowData, inside: bool) -> float:
 
     -inf if there is no dispatch.
     """
+    problem = plain_problem(site, data, inside)
+    problem.solve(solver=cp.HIGHS, mip_rel_gap=1e-7, mip_abs_gap=1e-6)
+    return -np.inf if problem.value is None else float(problem.value)
+
+
+def plain_problem(
+    site: Site, data: WindowData, inside: bool, sides: int = SIDES_OF_INVERTERS
+) -> cp.Problem:
+    """The whole problem of a window but its tie-breakers, with so many sides for inverters."""
     b, pv, customers = site.batteries, site.pv, site.customers
     W, C, P, B = data.n_steps, len(customers), len(pv), len(b)
     x = cp.Variable((W, C), boolean=True)
@@ -220,8 +235,8 @@ def plainly(site: Site, data: WindowData, inside: bool) -> float:
         + data.drawn.kw.sum(axis=1),
         q_grid + cp.sum(q_pv, axis=1) + cp.sum(q_batt, axis=1)
         == cp.sum(cp.multiply(kvar, x), axis=1) + data.drawn.kvar.sum(axis=1),
-        *_discs(through, q_pv, np.tile(pv.s_max_kva, (W, 1)), inside),
-        *_discs(net, q_batt, b.s_max_kva - physics.headroom_kw, inside),
+        *_discs(through, q_pv, np.tile(pv.s_max_kva, (W, 1)), inside, sides),
+        *_discs(net, q_batt, b.s_max_kva - physics.headroom_kw, inside, sides),
     ]
     p = cp.hstack([cp.multiply(data.load_kw, x), -through, net])
     q = cp.hstack([cp.multiply(kvar, x), -q_pv, -q_batt])
@@ -233,15 +248,15 @@ def plainly(site: Site, data: WindowData, inside: bool) -> float:
         - w.lambda_grid * (data.price_gbp_per_kwh @ imported)
         - w.lambda_curt * curtailed
     )
-    problem = cp.Problem(cp.Maximize(site.dt_h * worth), rows)
-    problem.solve(solver=cp.HIGHS, mip_rel_gap=1e-7, mip_abs_gap=1e-6)
-    return -np.inf if problem.value is None else float(problem.value)
+    return cp.Problem(cp.Maximize(site.dt_h * worth), rows)
 
 
-def _discs(p: cp.Expression, q: cp.Expression, radius: Floats, inside: bool) -> list[cp.Constraint]:
+def _discs(
+    p: cp.Expression, q: cp.Expression, radius: Floats, inside: bool, sides: int
+) -> list[cp.Constraint]:
     """Polygons in place of discs."""
-    reach = np.cos(np.pi / SIDES_OF_INVERTERS) if inside else 1.0
-    angles = 2.0 * np.pi * np.arange(SIDES_OF_INVERTERS) / SIDES_OF_INVERTERS
+    reach = np.cos(np.pi / sides) if inside else 1.0
+    angles = 2.0 * np.pi * np.arange(sides) / sides
     return [np.cos(a) * p + np.sin(a) * q <= reach * radius for a in angles]
 
 
@@ -287,13 +302,93 @@ def compared(seed: int) -> str:
     return f"| {seed} | {values} | {'equal' if meets else 'differs'} |"
 
 
+WINDOW_HOURS = range(4, 12)
+"""Hours at which windows begin on each day of a published feeder, whose outage is from 12 to 18."""
+
+HORIZON_H = 5.0
+WEIGHTS = "weights"
+FEW_SIDES = 16
+
+BEGIN, END = "<!-- phased windows: begin -->", "<!-- phased windows: end -->"
+
+WINDOW_COLUMNS = (
+    "day",
+    "begins",
+    "hours of outage",
+    "F",
+    "gap",
+    "CPU s",
+    "F of the whole problem",
+    "its gap",
+    "its CPU s",
+)
+
+
+def windows(file: Path, time_s: float) -> str:
+    """A table of a feeder's windows: decided as plans are, and as the whole problem at once.
+
+    Both are at the same linearisation and to the same gap, with tiers weighed against each other.
+    The whole problem has a limit in seconds, and polygons of 16 sides around the discs of
+    inverters, so that its F may be larger.
+    """
+    table = [f"| {' | '.join(WINDOW_COLUMNS)} |", "| --- " * len(WINDOW_COLUMNS) + "|"]
+    say("\n".join(table))
+    for name in DAYS:
+        scenario = of_day(scenario_of(file), name)
+        options = RunOptions(horizon_h=HORIZON_H, ratings=REPORT, priority=WEIGHTS).on(scenario)
+        site = site_of(scenario, options.as_record())
+        day, controller = Day(scenario, options), make_controller(scenario, options)
+        solver = WindowSolver(site, limits=options.limits)
+        for hour in WINDOW_HOURS:
+            _, _, data = PhasedPlanner(solver).begun(day.observe(controller, hour))
+            dark = int(data.dark.sum())
+            row = f"| {name} | {hour}:00 | {dark} | {_beside(solver, data, time_s)} |"
+            say(row)
+            table.append(row)
+    return "\n".join(table)
+
+
+def _beside(solver: WindowSolver, data: WindowData, time_s: float) -> str:
+    """F, gap and CPU seconds of a window as plans decide it, then those of the whole problem."""
+    began = time.process_time()
+    found = solver.solve(data)
+    cpu_s = time.process_time() - began
+    own = f"{found.objective:.4f} | {found.gap:.1e} | {cpu_s:.2f}"
+    gap_abs = solver.limits.gap_at(found.objective)
+    return f"{own} | {_as_a_whole(solver.site, data, gap_abs, time_s)}"
+
+
+def _as_a_whole(site: Site, data: WindowData, gap_abs: float, time_s: float) -> str:
+    """F, gap and CPU seconds of the whole problem, without the time to state it."""
+    problem = plain_problem(site, data, inside=False, sides=FEW_SIDES)
+    stated, chain, inverse = problem.get_problem_data(cp.HIGHS)
+    options = {"mip_rel_gap": 0.0, "mip_abs_gap": gap_abs, "time_limit": time_s, "threads": 1}
+    began = time.process_time()
+    raw = chain.solve_via_data(problem, stated, solver_opts=options)
+    cpu_s = time.process_time() - began
+    info = raw["info"]
+    if not np.isfinite(info.objective_function_value):
+        return f"none | | {cpu_s:.1f}"
+    problem.unpack_results(raw, chain, inverse)
+    gap = abs(info.objective_function_value - info.mip_dual_bound) / abs(problem.value)
+    return f"{problem.value:.4f} | {gap:.1e} | {cpu_s:.1f}"
+
+
 def main() -> int:
     """Print a row for each case."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cases", type=int, default=50)
     parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--long", type=int, default=0, help="closed loops on so many long feeders")
+    parser.add_argument("--long", type=int, default=0, help="closed loops on long feeders")
+    parser.add_argument("--windows", type=Path, help="a circuit, for its windows")
+    parser.add_argument("--limit", type=float, default=60.0, help="seconds for the whole problem")
+    parser.add_argument("--page", type=Path, help="page whose table of windows is written anew")
     given = parser.parse_args()
+    if given.windows:
+        table = windows(given.windows, given.limit)
+        if given.page:
+            put_into(given.page, table, BEGIN, END)
+        return 0
     for seed in range(given.first, given.first + given.long):
         scenario = long_feeder(seed)
         assert scenario.phases is not None

@@ -166,13 +166,13 @@ def _tried(file: Path, day: str, plan: str) -> str:
     try:
         if plan == "balanced":
             import_network(file, balance=True)
-        return loop(_of_day(_scenario(file), day), plan == "balanced")
+        return loop(of_day(scenario_of(file), day), plan == "balanced")
     except VppresError as error:
         return str(error).split(". ")[0]
 
 
 @cache
-def _scenario(file: Path) -> Scenario:
+def scenario_of(file: Path) -> Scenario:
     """A first scenario of a circuit, with a battery that can hold its island."""
     options = NewScenarioOptions(pv="sized", draw_tiers=True, add_batteries=True)
     with tempfile.TemporaryDirectory() as folder:
@@ -203,7 +203,8 @@ def _equipped(scenario: Scenario) -> Scenario:
     return replace(scenario, batteries=batteries, phases=replace(phases, connections=connections))
 
 
-def _of_day(scenario: Scenario, day: str) -> Scenario:
+def of_day(scenario: Scenario, day: str) -> Scenario:
+    """A scenario with more or less load and sun."""
     load, sun = DAYS[day]
     pv_kw = np.minimum(sun * scenario.pv_kw, scenario.pv.p_max_kw)
     return replace(scenario, load_kw=load * scenario.load_kw, pv_kw=pv_kw)
