@@ -15,6 +15,7 @@ import pytest
 
 from experiments.random_feeders import random_window
 from experiments.random_forms import window_of
+from tests.support.sets import gensets
 from tests.support.small_windows import DARK, OPEN, battery, two_buses, window
 from vppres import solve
 from vppres.contract.switching import RuleSteps
@@ -280,7 +281,7 @@ AS_ARRAYS = {"injections.py", "rules.py", "terms.py", "master.py", "cheapest.py"
 
 def test_no_method_names_what_is_beyond_the_paper(tiny: Scenario) -> None:
     dimmed = replace(tiny.customers, share_min=[0.5, 0.5, 1.0])
-    site = Site.of(replace(tiny, customers=dimmed))
+    site = Site.of(replace(tiny, customers=dimmed, gensets=gensets()))
     paper = Statement(site, 2)
     beyond = Statement(site, 2, tuple((each, SHAPES.get(each, True)) for each in ADDITIONS))
     names = (beyond.letters.keys() | beyond.families.keys()) - paper.letters.keys()
