@@ -17,10 +17,10 @@ from tests.support.homes import homes, hot
 from tests.support.live_service import HERE, NOON, client, decided, readings, said, site
 from tests.support.played_service import played
 from tests.support.small_windows import DARK, OPEN
+from tests.support.vans import van
 from vppres import Controller, InputError, Measurement, RunOptions, SetPoints, run_day
 from vppres.plant.rooms import Climate
 from vppres.scenario.scenario import Scenario
-from vppres.scenario.vehicles import Chargers, Sessions
 from vppres.service.clock import SetClock, written
 from vppres.service.runner import Service
 from vppres.service.simulate import Play
@@ -167,31 +167,7 @@ def equipped(tiny: Scenario) -> Scenario:
     """The site with rooms, a charger whose vehicle leaves at 14:00, and homes that may be dimmed."""
     day = cooled(site(tiny))
     start = day.grid.start
-    none = np.full(1, np.nan)
-    vehicle = Sessions(
-        charger=["k0"],
-        vehicle=["van"],
-        plug_in=[start],
-        plug_out=[start + 14 * HOUR],
-        capacity_kwh=[60.0],
-        soc_at_plug_in=[0.3],
-        soc_needed=[0.9],
-        energy_needed_kwh=none,
-        v2g_soc_floor=none,
-        tier=["low"],
-        weight=[0.02],
-        announced=[False],
-    )
-    charger = Chargers(
-        id=["k0"],
-        customer=[""],
-        bus=[4],
-        p_charge_kw=[7.4],
-        p_charge_min_kw=[1.4],
-        p_discharge_kw=[0.0],
-        eta_charge=[0.92],
-        eta_discharge=[0.92],
-    )
+    charger, vehicle = van(start, start + 14 * HOUR)
     homes_only = replace(day.customers, share_min=[1.0, 1.0, 0.5])
     return replace(day, customers=homes_only, chargers=charger, sessions=vehicle)
 

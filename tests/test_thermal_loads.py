@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandapower as pp
 import pandapower.networks
 import pandas as pd
 import pytest
 
 from experiments.random_feeders import random_window
 from tests.support.agreement import assert_methods_agree
+from tests.support.carried_out import carried_out
 from tests.support.homes import homes, hot
 from tests.support.small_windows import DARK, OPEN, first_step, two_buses, window
+from tests.support.vans import van
 from vppres import (
     Controller,
     InputError,
@@ -46,7 +46,6 @@ from vppres.report.plots.rooms import indoor
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
-from vppres.scenario.vehicles import Chargers, Sessions
 from vppres.solve.ladder import METHODS, WindowSolver
 
 PHYSICAL = RunOptions(mode="physical", horizon_h=2.0, isolate=False)
@@ -257,16 +256,7 @@ def test_machines_are_in_networks_and_in_charts() -> None:
     power_kw = run.thermal_loads["p_kw"].iloc[0]
     assert power_kw > 0.5
     step = Controller.of(day, options).step(Measurement(day.grid.times[0]))
-    first, count = run.steps["time"].iloc[0], run.scenario.network.n_buses
-    at = [day.network.bus_index[bus] for bus in feeder.bus_of.values()]
-    for put, v_pu in (
-        (partial(run.apply_to, net, feeder, first), run.buses["v_ac_pu"].to_numpy()[:count]),
-        (partial(step.apply_to, net, feeder), step.buses["v_ac_pu"].to_numpy()),
-    ):
-        put()
-        pp.runpp(net, numba=False, tolerance_mva=1e-10, calculate_voltage_angles=False)
-        found = net.res_bus["vm_pu"].loc[[*feeder.bus_of]].to_numpy()
-        assert found == pytest.approx(v_pu[at], abs=1e-6)
+    for _ in carried_out(net, feeder, run, step):
         machine = net.load[net.load["name"] == "machine h0"]
         assert 1000 * machine["p_mw"].item() == pytest.approx(power_kw, abs=1e-6)
     names = [curve["name"] for curve in import_load_pv(run).data()["curves"]]
@@ -280,30 +270,7 @@ def test_machines_are_in_networks_and_in_charts() -> None:
 def test_rooms_beside_vehicles_switch_nobody_off_in_an_island(tiny: Scenario) -> None:
     """Physical mode: the same customers are on as without them, and what is off does not cool."""
     alone = run_day(tiny, PHYSICAL)
-    vehicle = Sessions(
-        charger=["k0"],
-        vehicle=["van"],
-        plug_in=[tiny.grid.start],
-        plug_out=[tiny.grid.end],
-        capacity_kwh=[60.0],
-        soc_at_plug_in=[0.3],
-        soc_needed=[0.9],
-        energy_needed_kwh=[np.nan],
-        v2g_soc_floor=[np.nan],
-        tier=["low"],
-        weight=[0.02],
-        announced=[False],
-    )
-    charger = Chargers(
-        id=["k0"],
-        customer=[""],
-        bus=[4],
-        p_charge_kw=[7.4],
-        p_charge_min_kw=[1.4],
-        p_discharge_kw=[0.0],
-        eta_charge=[0.92],
-        eta_discharge=[0.92],
-    )
+    charger, vehicle = van(tiny.grid.start, tiny.grid.end)
     rooms = homes("hospital", "shop", "homes", t_initial_c=26.5)
     cheap = replace(tiny.objective, lambda_grid=1e-7)
     day = replace(tiny, thermal_loads=rooms, chargers=charger, sessions=vehicle, objective=cheap)

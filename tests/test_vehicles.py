@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandapower as pp
 import pandapower.networks
 import pandas as pd
 import pytest
 
 from experiments.random_feeders import random_window
 from tests.support.agreement import assert_methods_agree
+from tests.support.carried_out import carried_out
 from tests.support.live_service import HERE, NOON, client, decided, readings, said, site
 from tests.support.small_windows import (
     DARK,
@@ -404,16 +403,7 @@ def test_vehicles_are_in_networks_and_in_the_chart() -> None:
     run = run_day(day, options)
     assert run.vehicles is not None and run.vehicles["p_kw"].iloc[0] > 1.0
     step = Controller.of(day, options).step(Measurement(day.grid.times[0]))
-    first, count = run.steps["time"].iloc[0], run.scenario.network.n_buses
-    at = [day.network.bus_index[bus] for bus in feeder.bus_of.values()]
-    for put, v_pu in (
-        (partial(run.apply_to, net, feeder, first), run.buses["v_ac_pu"].to_numpy()[:count]),
-        (partial(step.apply_to, net, feeder), step.buses["v_ac_pu"].to_numpy()),
-    ):
-        put()
-        pp.runpp(net, numba=False, tolerance_mva=1e-10, calculate_voltage_angles=False)
-        found = net.res_bus["vm_pu"].loc[[*feeder.bus_of]].to_numpy()
-        assert found == pytest.approx(v_pu[at], abs=1e-6)
+    for _ in carried_out(net, feeder, run, step):
         charger = net.storage[net.storage["name"] == "charger k0"]
         assert 1000 * charger["p_mw"].item() == pytest.approx(18.0 / 0.92 / 4.0, abs=1e-4)
     chart = import_load_pv(run)

@@ -54,8 +54,7 @@ class SetsAhead(ByStep):
         step = np.arange(n_steps)[:, None]
         left_on = steps_of(np.where(now.on, sets.min_on_h - now.hours, 0.0), dt_h)
         delivered = scenario.refuelled_litres[steps.start : steps.stop]
-        least_litres = sets.litres(np.ones_like(now.on), sets.p_min_kw, dt_h)
-        enough = now.fuel_litres >= (step + 1) * least_litres
+        enough = now.fuel_litres >= (step + 1) * sets.least_litres(dt_h)
         left_off = steps_of(np.where(now.on, 0.0, sets.min_off_h - now.hours), dt_h)
         return cls(
             np.ones((n_steps, len(sets)), dtype=bool),

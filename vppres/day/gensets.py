@@ -79,9 +79,8 @@ def genset_words(trajectory: Trajectory) -> list[str]:
         rows[name].to_numpy(float).reshape(shape) for name in ("fuel_start_litres", "hours_before")
     )
     on = rows["running"].to_numpy(bool).reshape(shape)
-    least_litres = sets.litres(np.ones(len(sets), dtype=bool), sets.p_min_kw, dt_h)
     outage = trajectory.steps["outage"].to_numpy(bool)[:, None]
-    dry = outage & ~on & (fuel_litres < least_litres)
+    dry = outage & ~on & (fuel_litres < sets.least_litres(dt_h))
     early = ~on & (before_h > 0.0) & (before_h < sets.min_on_h - ROUNDING_H)
     found = []
     if dry.any():

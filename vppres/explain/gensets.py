@@ -48,10 +48,8 @@ def _why_on(step: Step, g: int, row: dict[str, Any]) -> Reason:
 def _why_off(step: Step, g: int, row: dict[str, Any]) -> Reason:
     """Why a set stopped in an outage: no fuel, or the others are enough."""
     sets = step.scenario.gensets
-    dt_h = step.scenario.grid.dt_h
-    least = dt_h * (sets.litres_per_h_idle[g] + sets.litres_per_kwh[g] * sets.p_min_kw[g])
     left = row["fuel_end_litres"]
-    if left < least:
+    if left < sets.least_litres(step.scenario.grid.dt_h)[g]:
         words = f"Generator {sets.id[g]} stopped: {left:.0f} l are not enough for a step."
         return Reason("energy", "energy", words)
     words = f"Generator {sets.id[g]} stopped: PV and batteries carry the step, {left:.0f} l left."

@@ -74,6 +74,10 @@ class Gensets:
         """
         return dt_h * (self.litres_per_kwh * power_kw + self.litres_per_h_idle * on)
 
+    def least_litres(self, dt_h: float) -> Floats:
+        """Fuel that each set burns in a step at its least power, (G,)."""
+        return self.litres(np.ones(len(self), dtype=bool), self.p_min_kw, dt_h)
+
 
 @dataclass(frozen=True, eq=False)
 class Refuels:
