@@ -82,19 +82,3 @@ def check_parts(scenario: Scenario) -> None:
                     field="customer",
                     value=customer,
                 )
-
-
-def check_live(scenario: Scenario) -> None:
-    """Refuse sets in a live controller: nothing of them is measured, and none is told.
-
-    Raises
-    ------
-    InputError
-        If the site has any.
-    """
-    if len(scenario.gensets):
-        raise InputError.of(
-            "gensets.csv",
-            "is not stated for live controllers",
-            "Remove the file: sets are then started by hand.",
-        )

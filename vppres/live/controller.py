@@ -14,7 +14,6 @@ from vppres.control.remembered import memory_of, put_back
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import SolveError, VppresError
 from vppres.day.assembly import make_controller
-from vppres.day.kinds import check_live
 from vppres.day.options import RunOptions
 from vppres.day.outages import KNOWN, LOOKAHEAD_H, OutageView
 from vppres.live.feed import Feed, extended
@@ -118,7 +117,6 @@ class Controller:
         if exact.isolate is None:
             exact = replace(exact, isolate=SUPPORTED)
         endless = replace(scenario.grid, n_steps=ENDLESS)
-        check_live(scenario)
         decider = make_controller(scenario, exact, grid=endless)
         return cls(scenario, exact, decider, state, history)
 
@@ -348,9 +346,10 @@ class Controller:
         latest = memory_of(self._decider, self._given)
         start = (latest, self._past)
         if seen.t + self._forgotten == self._past.t and self._step_before is not None:
-            # Anew within the step: what was ordered and seen in it has happened.
-            memory = latest if seen.elapsed_h else self._step_before[0]
-            start = (memory, self._step_before[1])
+            start = self._step_before
+            if seen.elapsed_h:
+                # Anew within the step: what was ordered and seen in it has happened.
+                start = (latest, replace(start[1], sets=self._past.sets))
         try:
             self._recall(start[0])
             points, past = self._decided(seen, start[1])
@@ -378,12 +377,13 @@ class Controller:
         present = Present.of(t, seen, self.scenario, self._rows(seen.t), past, self.options)
         told = present.observation(OutageView.create(self.scenario, self._record))
         decision = _without(self._decider.decide(told), seen.connected)
-        estimated = _joined(*seen.left_out, *present.indoor.estimated, decision.estimated)
+        reckoned = (*present.indoor.estimated, *present.sets.estimated)
+        estimated = _joined(*seen.left_out, *reckoned, decision.estimated)
         decision = replace(decision, estimated=estimated)
         day = present.day(decision.seen or told)
         record = day.settle(0, decision)
         foreseen = Foreseen.of(decision, day.scenario, told)
-        points = SetPoints.of(day.scenario, record, foreseen, day.switching)
+        points = SetPoints.of(day.scenario, record, foreseen, day.switching, present.sets.out)
         return points, present.after(day, record)
 
 

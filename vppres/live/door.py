@@ -281,7 +281,7 @@ class Door:
             return np.nan
         if limits.holds(number):
             return number
-        measured_after = field in ("battery_kw", "import_kw")
+        measured_after = field in ("battery_kw", "import_kw", "genset_kw")
         if now and np.isnan(number) and (self.estimates or measured_after):
             return np.nan
         if not (now and self.estimates):

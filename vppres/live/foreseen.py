@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.contract.decision import Decision
+from vppres.contract.gensets import SetsAhead
 from vppres.contract.observation import Observation
 from vppres.contract.plugged import Plugged
 from vppres.contract.rooms import Rooms
@@ -33,6 +34,9 @@ class Foreseen:
     left_short : DataFrame or None
         Vehicles that will leave with less than they need, by charger: ``vehicle``, ``leaves`` and
         ``short_kwh``; None without chargers.
+    genset_kw, fuel_litres : DataFrame, shape (W - 1, G), or None
+        What each generating set gives, 0 while it is off, and what is left in its tank after each
+        step, by time and set; None without any.
     """
 
     served: pd.DataFrame
@@ -40,6 +44,8 @@ class Foreseen:
     import_kw: pd.Series[float]
     indoor_c: pd.DataFrame | None = None
     left_short: pd.DataFrame | None = None
+    genset_kw: pd.DataFrame | None = None
+    fuel_litres: pd.DataFrame | None = None
 
     @classmethod
     def of(cls, decision: Decision, window: Scenario, told: Observation) -> Foreseen:
@@ -65,6 +71,7 @@ class Foreseen:
             pd.Series(plan.p_grid_kw[rows], times),
             _indoor_c(decision, window, told.rooms, times),
             _left_short(decision, window, told.plugged),
+            *_of_sets(decision, window, told.gensets, times),
         )
 
 
@@ -98,6 +105,22 @@ def _left_short(
             who = (str(chargers.id[k]), str(sessions.vehicle[s]))
             rows.append((*who, sessions.plug_out[s], float(short_kwh[t, k])))
     return pd.DataFrame(rows, columns=["id", "vehicle", "leaves", "short_kwh"]).set_index("id")
+
+
+def _of_sets(
+    decision: Decision, window: Scenario, sets: SetsAhead | None, times: pd.DatetimeIndex
+) -> tuple[pd.DataFrame | None, pd.DataFrame | None]:
+    """What sets give and what is left in their tanks; nothing runs where a plan has none."""
+    if sets is None:
+        return None, None
+    given_kw = _ahead(decision, decision.dispatch.genset_kw, len(window.gensets))
+    planned = decision.dispatch.genset_on
+    on = np.zeros(given_kw.shape, dtype=bool) if planned is None else planned[decision.row :]
+    known = sets.part(slice(len(on)))
+    litres = known.fuel_litres(window.gensets, on, given_kw, window.grid.dt_h)
+    names = [str(name) for name in window.gensets.id]
+    ends = times[: len(on) - 1]
+    return pd.DataFrame(given_kw[1:], ends, names), pd.DataFrame(litres[1:], ends, names)
 
 
 def _ahead(decision: Decision, power_kw: Floats | None, count: int) -> Floats:

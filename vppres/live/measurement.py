@@ -14,6 +14,8 @@ from vppres.contract.observation import Told
 from vppres.core.arrays import Flags, Floats, Names
 from vppres.core.errors import InputError, VppresError
 from vppres.live.door import HOUR, WHERE, Door, readable
+from vppres.live.gensets import QUANTITIES as OF_SETS
+from vppres.live.gensets import Readings
 from vppres.live.ranges import ranges_of
 from vppres.live.vehicles import QUANTITIES, with_vehicles
 from vppres.scenario.assets import Batteries
@@ -88,6 +90,17 @@ class Measurement:
         Temperatures of rooms and tanks in °C, by thermal load; reckoned from the last readings and
         what was ordered if not given. A reading that stands still although the temperature must
         have moved is named in what was estimated, and not used.
+    running : mapping or Series, optional
+        Whether each generating set runs, 1 or 0; as it was told if not given. One that was told to
+        run for a step and stands still is out.
+    genset_kw : mapping or Series, optional
+        Mean power of each set since the last step in kW; as it was told if not given.
+    fuel_litres : mapping or Series, optional
+        What is in each tank; the least that the line of fuel leaves if not given. A gauge that
+        stands still although a twentieth of the tank must have been burnt is named in what was
+        estimated, and not used.
+    start_fault : mapping or Series, optional
+        1 of a set that failed to start: it is out until 0 is given, or it runs.
     ordered_kw : DataFrame, optional
         What batteries were told since the last decision, where it was not what was decided: a row
         for each time from which on it held, a column for each battery.
@@ -123,6 +136,10 @@ class Measurement:
     energy_needed_kwh: Values | None = None
     departure: Mapping[str, Any] | pd.Series | None = None
     indoor_c: Values | None = None
+    running: Values | None = None
+    genset_kw: Values | None = None
+    fuel_litres: Values | None = None
+    start_fault: Values | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,6 +181,8 @@ class Seen:
         Energy that was read of the vehicles at chargers, NaN of others.
     indoor_c : array, shape (H,), or None
         Temperatures that were read of rooms and tanks, NaN of others.
+    sets : Readings or None
+        What generating sets told.
     """
 
     t: int
@@ -186,6 +205,7 @@ class Seen:
     told: tuple[Told, ...] = ()
     ev_kwh: Floats | None = None
     indoor_c: Floats | None = None
+    sets: Readings | None = None
 
     def window(self, rows: range) -> Seen:
         """The same of some steps alone, of which the first is the present one."""
@@ -279,6 +299,9 @@ def _seen(scenario: Scenario, measured: Measurement, guard: bool, earliest: int)
     scenario, ev_kwh = with_vehicles(door, scenario, of_vehicles)
     loads = scenario.thermal_loads
     indoor_c = door.values("indoor_c", measured.indoor_c, loads.id, np.full(len(loads), np.nan))
+    sets = scenario.gensets
+    unread = np.full(len(sets), np.nan)
+    of_sets = {one: door.values(one, getattr(measured, one), sets.id, unread) for one in OF_SETS}
     door.finish()
     pv_kw = np.minimum(pv_kw, pv.p_max_kw)
     foretold = measured.foretold or {}
@@ -304,6 +327,7 @@ def _seen(scenario: Scenario, measured: Measurement, guard: bool, earliest: int)
         told=told,
         ev_kwh=ev_kwh,
         indoor_c=indoor_c,
+        sets=Readings.of(sets, of_sets),
     )
 
 

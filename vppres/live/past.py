@@ -19,9 +19,11 @@ from vppres.day.forecasting import PAPER, history_before
 from vppres.day.options import RunOptions
 from vppres.day.outages import GridSeen
 from vppres.day.simulate import Day
+from vppres.live.gensets import Ran, Readings, SetsNow
 from vppres.live.rooms import Felt
 from vppres.live.vehicles import Held
 from vppres.physics.cold_load import ColdLoad
+from vppres.scenario.gensets import ROUNDING_H
 from vppres.scenario.history import History
 from vppres.scenario.scenario import Scenario
 
@@ -57,6 +59,8 @@ class Past:
         Vehicles at chargers and their energy; None before the first step.
     rooms : Felt or None
         Temperatures of rooms and tanks; None before the first step.
+    sets : Ran or None
+        Generating sets; None before the first step.
     """
 
     t: int
@@ -70,6 +74,7 @@ class Past:
     owed: Owed | None = None
     vehicles: Held | None = None
     rooms: Felt | None = None
+    sets: Ran | None = None
 
     @classmethod
     def before_the_day(cls, scenario: Scenario, options: RunOptions) -> Past:
@@ -99,6 +104,14 @@ class Past:
             return Felt.before_the_day(known)
         return self.rooms.after(known, range(row - (t - self.t - 1), row), self.served)
 
+    def sets_at(self, told: Readings, now_h: float, known: Scenario, row: int) -> SetsNow:
+        """Generating sets at a time in the step that is this row of what is known."""
+        sets, dt_h = known.gensets, known.grid.dt_h
+        past = self.sets or Ran.before_the_day(sets, now_h)
+        steps = int(now_h / dt_h + ROUNDING_H) - int(past.at_h / dt_h + ROUNDING_H)
+        added = known.refuelled_litres[max(row - steps, -1) + 1 : row + 1].sum(axis=0)
+        return SetsNow.of(sets, told, past, now_h, dt_h, added)
+
     def held_until(self, t: int) -> tuple[SwitchingState | None, ColdLoad]:
         """Switching state and cold load at a step, set-points held over those in between."""
         switching = self.switching
@@ -122,6 +135,7 @@ class Past:
             "owed": to_plain(self.owed, given),
             "vehicles": to_plain(self.vehicles, given),
             "rooms": to_plain(self.rooms, given),
+            "sets": to_plain(self.sets, given),
         }
 
     def read(self, plain: Any, history: History | None, given: Given, where: str) -> Past:
@@ -144,6 +158,7 @@ class Past:
             "owed": Owed | None,
             "vehicles": Held | None,
             "rooms": Felt | None,
+            "sets": Ran | None,
         }
         values = {
             name: from_plain(kind, found.get(name), f"{where}.{name}", given)

@@ -19,6 +19,7 @@ from vppres.day.outages import Beside, GridSeen, OutageView
 from vppres.day.recorder import StepRecord
 from vppres.day.simulate import Day
 from vppres.live.foretold import GivenFirst
+from vppres.live.gensets import Ran, Readings, SetsNow, after
 from vppres.live.measurement import Seen
 from vppres.live.past import Past
 from vppres.live.rooms import Felt, Indoor
@@ -70,6 +71,8 @@ class Present:
         Who takes more than usual at its beginning.
     indoor : Indoor
         Temperatures of rooms and tanks at its beginning.
+    sets : SetsNow
+        Generating sets at its beginning.
     grid_seen : GridSeen
         Outages up to it, itself included.
     options : RunOptions
@@ -85,6 +88,7 @@ class Present:
     switching: SwitchingState | None
     cold_load: ColdLoad
     indoor: Indoor
+    sets: SetsNow
     grid_seen: GridSeen
     options: RunOptions
 
@@ -109,8 +113,9 @@ class Present:
         options : RunOptions
             Of the controller.
         """
-        beyond = everything.window(rows.ahead)
-        seen = everything.window(rows.window)
+        beyond, seen = (
+            _with_later_refuels(everything.window(part)) for part in (rows.ahead, rows.window)
+        )
         switching, cold_load = past.held_until(t)
         now = seen.scenario
         loads = now.thermal_loads
@@ -126,6 +131,12 @@ class Present:
             switching=switching,
             cold_load=cold_load,
             indoor=Indoor.of(loads.id, read_c, past.felt_at(t, known, everything.t)),
+            sets=past.sets_at(
+                seen.sets or Readings.of(now.gensets, None),
+                t * now.grid.dt_h + seen.elapsed_h,
+                known,
+                everything.t,
+            ),
             grid_seen=past.grid_seen.after(now.grid.start, float(now.grid_limit_kw[0])),
             options=options,
         )
@@ -158,6 +169,7 @@ class Present:
             owed=self.past.owed_at(self.t),
             plugged=self._plugged(),
             rooms=Rooms.of(seen.scenario, range(seen.scenario.grid.n_steps), self.indoor.now_c),
+            gensets=self.sets.ahead(seen.scenario, range(seen.scenario.grid.n_steps)),
             terminal=Terminal.of(self.options.soc_end, forecast, ends=self.ends),
             elapsed_h=seen.elapsed_h,
             soc_age_h=seen.soc_age_h,
@@ -194,6 +206,7 @@ class Present:
         day.plant.cold_load = self.cold_load
         day.plant.garage.kwh = self._ev_kwh()
         day.plant.climate.t_c = self.indoor.now_c
+        day.plant.engines.state = self.sets.state
         return day
 
     def after(self, day: Day, record: StepRecord) -> Past:
@@ -218,7 +231,15 @@ class Present:
             owed=day.owed,
             vehicles=Held.of(day.scenario, 0, day.plant.garage.kwh),
             rooms=self._felt_after(day, record),
+            sets=self._told(record),
         )
+
+    def _told(self, record: StepRecord) -> Ran:
+        """How generating sets are to run from now on."""
+        columns = record.gensets
+        if columns is None:
+            return self.sets.told(np.empty(0, dtype=bool), np.empty(0))
+        return self.sets.told(columns["running"], columns["p_kw"])
 
     def _felt_after(self, day: Day, record: StepRecord) -> Felt:
         """Rooms and tanks after the step, as far as their readings moved."""
@@ -235,6 +256,14 @@ class Present:
             np.where(unread_load, np.nan, believed.load_kw[0]),
             np.where(np.isnan(seen.pv_kw), np.nan, believed.pv_kw[0]),
         )
+
+
+def _with_later_refuels(seen: Seen) -> Seen:
+    """A measurement without deliveries that are in the tanks already."""
+    day = seen.scenario
+    if not len(day.refuels):
+        return seen
+    return replace(seen, scenario=replace(day, refuels=after(day.refuels, day)))
 
 
 def _beginning_with(seen: Seen, forecast: Forecast) -> Forecast:

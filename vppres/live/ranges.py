@@ -63,6 +63,7 @@ _PRICE = Range(-MAX_PRICE, MAX_PRICE, _FINITE, _CORRECT, "is more than any price
 _EFFICIENCY = Range(0.1, 1.0, "must lie between 0.1 and 1", "Give a share, for example 0.95.")
 _FLAG = Range(0.0, 1.0, "must be 0 or 1", "Give 1 where it is there and can work, else 0.")
 _DEGREES = "Give degrees Celsius."
+_LITRES = "Give what is in the tank, in l."
 RANGES: Mapping[str, Range] = {
     "soc": Range(0.0, 1.0, "must lie between 0 and 1", "Give a share, for example 0.5."),
     "load_kw": _POWER,
@@ -86,12 +87,16 @@ RANGES: Mapping[str, Range] = {
     "energy_needed_kwh": _POWER,
     "departure": Range(0.0, 7.3e9, "must be seconds since 1970", "Give a time of this century."),
     "indoor_c": Range(-50.0, 100.0, "must lie between -50 and 100", _DEGREES),
+    "running": _FLAG,
+    "genset_kw": _POWER,
+    "fuel_litres": Range(0.0, 1e7, _NUMBER, _LITRES, "is more than any tank: check the unit"),
+    "start_fault": Range(0.0, 1.0, "must be 0 or 1", "Give 1 if it failed to start, else 0."),
     "grid_on": _FLAG,
 }
 
 
 def ranges_of(scenario: Scenario) -> Ranges:
-    """What inverters of a site can pass and rooms can become, by quantity and asset.
+    """What inverters and sets of a site can give, rooms become and tanks hold, by asset.
 
     Examples
     --------
@@ -114,7 +119,20 @@ def ranges_of(scenario: Scenario) -> Ranges:
         ("indoor_c", str(name)): _temperature(t_max_c)
         for name, t_max_c in zip(loads.id, loads.t_max_c.tolist(), strict=True)
     }
-    return batteries | systems | rooms
+    sets = scenario.gensets
+    given = {
+        ("genset_kw", str(name)): _rated(0.0, "set", rating, _NUMBER)
+        for name, rating in zip(sets.id, sets.p_max_kw.tolist(), strict=True)
+    }
+    tanks = {
+        ("fuel_litres", str(name)): replace(
+            RANGES["fuel_litres"],
+            highest=RATED_SHARE * litres,
+            beyond=f"is more than its tank of {litres:g} l holds",
+        )
+        for name, litres in zip(sets.id, sets.tank_litres.tolist(), strict=True)
+    }
+    return batteries | systems | rooms | given | tanks
 
 
 def _temperature(t_max_c: float) -> Range:

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.contract.switching import SwitchingState
-from vppres.core.arrays import Names
+from vppres.core.arrays import Flags, Names
 from vppres.core.notebook import facts_html
 from vppres.day.inversions import inverted_now
 from vppres.day.recorder import ROTATED, StepRecord
@@ -78,6 +78,10 @@ class SetPoints:
         ``customer``, ``bus``, ``p_kw`` of the machine, ``setpoint_c`` for its thermostat,
         ``indoor_c``, the temperature that was decided on, and ``indoor_end_c``, the one that is
         expected after the step; None without thermal loads.
+    gensets : DataFrame or None
+        ``bus``, whether each set is ``running``, ``p_kw``, how long it was on (negative: off) as
+        ``hours_before`` and gave what as ``p_before_kw``, ``fuel_litres`` that were decided on,
+        ``fuel_end_litres``, and whether it is ``out``; None without generating sets.
     by_phase : ByPhase or None
         Voltages and the source's power by phase; None without phases. Customers, batteries and PV
         systems have a column ``phases`` then: a power is that of all its phases, in equal parts.
@@ -95,6 +99,7 @@ class SetPoints:
     by_phase: ByPhase | None = None
     chargers: pd.DataFrame | None = None
     thermal_loads: pd.DataFrame | None = None
+    gensets: pd.DataFrame | None = None
 
     @classmethod
     def of(
@@ -103,6 +108,7 @@ class SetPoints:
         step: StepRecord,
         foreseen: Foreseen,
         after: SwitchingState | None = None,
+        out: Flags | None = None,
     ) -> SetPoints:
         """The set-points of a step that was decided.
 
@@ -116,6 +122,8 @@ class SetPoints:
             The rest of its plan.
         after : SwitchingState, optional
             Who is off and for how long after the step.
+        out : array of bool, shape (G,), optional
+            Generating sets that do not start.
         """
         limited = after is not None and after.longest_off_h is not None
         off_h = {"off_h": after.off_h} if after is not None and limited else {}
@@ -137,6 +145,7 @@ class SetPoints:
             by_phase=ByPhase.of(scenario, step),
             chargers=_chargers(scenario, step),
             thermal_loads=_thermal_loads(scenario, step.thermal_loads),
+            gensets=_gensets(scenario, step.gensets, out),
         )
 
     def apply_to(self, net: Any, feeder: Feeder) -> None:
@@ -264,6 +273,26 @@ def _thermal_loads(scenario: Scenario, columns: Mapping[str, Any] | None) -> pd.
         setpoint_c=np.where(columns["p_kw"] > 0.0, end_c, farther),
         indoor_c=columns["t_start_c"],
         indoor_end_c=end_c,
+    )
+
+
+def _gensets(
+    scenario: Scenario, columns: Mapping[str, Any] | None, out: Flags | None
+) -> pd.DataFrame | None:
+    """Start or stop, power and fuel by generating set; None without any."""
+    if columns is None:
+        return None
+    sets = scenario.gensets
+    return _table(
+        sets.id,
+        bus=sets.bus,
+        running=columns["running"],
+        p_kw=columns["p_kw"],
+        hours_before=columns["hours_before"],
+        p_before_kw=columns["p_before_kw"],
+        fuel_litres=columns["fuel_start_litres"],
+        fuel_end_litres=columns["fuel_end_litres"],
+        out=np.zeros(len(sets), dtype=bool) if out is None else out,
     )
 
 

@@ -1,0 +1,136 @@
+"""Generating sets of a live controller and service: starts that fail, gauges, restarts."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import Any
+
+import pandas as pd
+import pytest
+
+from tests.support.sets import gensets
+from tests.support.small_windows import DARK, OPEN, two_buses
+from vppres import Controller, Measurement, RunOptions, SetPoints
+from vppres.scenario.gensets import Refuels
+from vppres.scenario.scenario import Scenario
+
+OPTIONS = RunOptions(mode="paper", isolate=False, horizon_h=3.0)
+HALF_L, LEAST_L = 20.715, 15.795
+"""Litres in an hour at 50 kW, and at the least power of 30 kW."""
+
+
+def powered(limits_kw: list[float], **more: Any) -> Scenario:
+    """A customer of 50 kW beside a set of 100 kW with 200 l."""
+    day = two_buses([[50.0]] * len(limits_kw), [1.0], limits_kw, r_ohm=1e-6)
+    return replace(day, gensets=gensets(**more))
+
+
+def only(step: SetPoints) -> pd.Series[Any]:
+    """The only set of a decision."""
+    assert step.gensets is not None
+    return step.gensets.iloc[0]
+
+
+def test_a_set_that_does_not_start_is_out_until_it_reports_no_fault() -> None:
+    """Over a restart too; a set that runs is not out, whatever was."""
+    day = powered([DARK] * 6)
+    controller = Controller.of(day, OPTIONS)
+    told: list[dict[str, Any]] = [
+        {},
+        {"running": {"g0": 0}},
+        {"running": {"g0": 0}},
+        {"start_fault": {"g0": 0}},
+        {"running": {"g0": 1}, "start_fault": {"g0": 1}},
+        {"running": {"g0": 0}, "start_fault": {"g0": 1}},
+    ]
+    words = ["", "told to run, stands still", "no start", "", "", "start fault"]
+    for time, said, why in zip(day.grid.times, told, words, strict=True):
+        state = json.loads(json.dumps(controller.state(), allow_nan=False))
+        for go_on in (Controller.of(day, OPTIONS, state=state), controller):
+            step = go_on.step(Measurement(time, **said))
+            assert bool(only(step)["running"]) == bool(step.customers["served"].all()) == (not why)
+            assert only(step)["out"] == bool(why)
+            assert f"genset g0 is out ({why})" in step.solve["estimated"] or not why
+
+
+def test_fuel_is_read_or_the_least_that_the_line_leaves() -> None:
+    day = powered([DARK] * 6)
+    controller = Controller.of(day, OPTIONS)
+    told: list[dict[str, Any]] = [
+        {},
+        {"fuel_litres": {"g0": 150.0}},
+        {},
+        {"genset_kw": {"g0": 80.0}},
+        {"fuel_litres": {"g0": 150.0}},
+        {"fuel_litres": {"g0": 40.0}},
+    ]
+    least = 150.0 - HALF_L
+    litres = [200.0, 150.0, least, least - 28.095, least - 28.095 - HALF_L, 40.0]
+    kinds = ["", "", "missing", "missing", "frozen", ""]
+    for time, said, left, kind in zip(day.grid.times, told, litres, kinds, strict=True):
+        step = controller.step(Measurement(time, running={"g0": 1}, **said))
+        assert only(step)["fuel_litres"] == pytest.approx(left, abs=1e-6)
+        assert only(step)["fuel_end_litres"] == pytest.approx(left - HALF_L, abs=1e-6)
+        assert f"{left:.0f} at least ({kind})" in step.solve["estimated"] or not kind
+    assert "fuel_litres" not in step.solve["estimated"]
+
+
+def test_a_coarse_gauge_may_stand_still_for_a_twentieth_of_the_tank() -> None:
+    day = powered([DARK] * 3, tank_litres=1000.0, fuel_level_litres=1000.0)
+    controller = Controller.of(day, OPTIONS)
+    for time in day.grid.times:
+        step = controller.step(Measurement(time, fuel_litres={"g0": 400.0}))
+        assert step.solve["estimated"] == "" and only(step)["fuel_litres"] == 400.0
+
+
+def test_a_delivery_is_in_the_tank_once() -> None:
+    """100 l come within the first step, and 100 l with the second one, which the gauge has."""
+    day = powered([DARK] * 3, fuel_level_litres=50.0)
+    start, hour = day.grid.start, pd.Timedelta(hours=1)
+    when = [start + hour / 2, start + hour, start + 2 * hour]
+    day = replace(day, refuels=Refuels(["g0"] * 3, when, [40.0, 50.0, 30.0]))
+    controller = Controller.of(day, OPTIONS)
+    assert only(controller.step(Measurement(start)))["fuel_litres"] == 50.0
+    step = controller.step(Measurement(start + hour))
+    assert only(step)["fuel_litres"] == pytest.approx(140.0 - HALF_L)
+    step = controller.step(Measurement(start + 2 * hour, fuel_litres={"g0": 120.0}))
+    assert only(step)["fuel_litres"] == 120.0
+    assert only(step)["fuel_end_litres"] == pytest.approx(120.0 - HALF_L)
+
+
+def test_least_times_outlive_a_restart() -> None:
+    """On for 3 h at least, although the grid is back after one; then nobody decides for 2 h."""
+    day = powered([DARK] + [OPEN] * 7, min_on_h=3.0, min_off_h=2.0)
+    on, hours = [], []
+    controller = Controller.of(day, OPTIONS)
+    for time in day.grid.times[:5]:
+        controller = Controller.of(day, OPTIONS, state=json.loads(controller.saved()))
+        now = only(controller.step(Measurement(time)))
+        on.append(bool(now["running"]))
+        hours.append(float(now["hours_before"]))
+    assert on == [True] * 3 + [False] * 2
+    assert hours == [-24.0, 1.0, 2.0, 3.0, -1.0]
+    assert only(controller.step(Measurement(day.grid.times[7])))["hours_before"] == -4.0
+
+
+def test_a_set_that_nobody_decides_on_stops_at_the_end_of_its_step() -> None:
+    day = powered([DARK] * 4)
+    controller = Controller.of(day, OPTIONS)
+    assert only(controller.step(Measurement(day.grid.times[0])))["running"]
+    then = only(controller.step(Measurement(day.grid.times[3])))
+    assert then["hours_before"] == -2.0
+    assert then["fuel_litres"] == pytest.approx(200.0 - HALF_L)
+
+
+def test_a_set_started_by_hand_is_on_and_may_have_given_all_that_it_can() -> None:
+    """33.015 l in an hour at 100 kW; a step decided anew counts from the moment."""
+    day = powered([OPEN] * 3, only_in_outage=True)
+    controller = Controller.of(day, OPTIONS)
+    start = day.grid.start
+    assert not only(controller.step(Measurement(start)))["running"]
+    step = controller.step(
+        Measurement(start, now=start + pd.Timedelta(minutes=30), running={"g0": 1})
+    )
+    assert only(step)["hours_before"] == 0.0
+    assert only(step)["fuel_litres"] == pytest.approx(200.0 - 33.015 / 2)

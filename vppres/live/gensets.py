@@ -1,0 +1,230 @@
+"""What generating sets tell, and what is reckoned of them: on or off, hours, fuel, failed starts.
+
+A set that was told to run and stands still, or that says that it failed to start, is out: plans do
+without it until it says that there is no fault any more, or runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from vppres.contract.gensets import SetsAhead
+from vppres.core.arrays import Flags, Floats, Names
+from vppres.scenario.gensets import ROUNDING_H, Gensets, GensetState, Refuels
+from vppres.scenario.scenario import Scenario
+
+QUANTITIES = ("running", "genset_kw", "fuel_litres", "start_fault")
+"""What a set can tell."""
+
+STILL_SHARE = 0.05
+"""Share of the tank that a set may have burnt while its gauge stands still: gauges are coarse."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ran:
+    """Sets from the beginning of a step on, as they were told to run, (G,) each.
+
+    Parameters
+    ----------
+    at_h : float
+        When it began, in h since the controller's first step.
+    before : GensetState
+        State then, with the least fuel that may have been in the tank.
+    most_litres : array
+        The most that may have been.
+    read_litres : array
+        Last reading of the gauge; NaN if there was none.
+    out : array of bool
+        Sets that do not start.
+    on, power_kw : array
+        How they were to run.
+    """
+
+    at_h: float
+    before: GensetState
+    most_litres: Floats
+    read_litres: Floats
+    out: Flags
+    on: Flags
+    power_kw: Floats
+
+    @classmethod
+    def before_the_day(cls, sets: Gensets, at_h: float) -> Ran:
+        """Without readings: the state of the scenario."""
+        first = GensetState.at_first(sets)
+        unread = np.full(len(sets), np.nan)
+        out = np.zeros(len(sets), dtype=bool)
+        return cls(at_h, first, first.fuel_litres, unread, out, first.on, first.power_kw)
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """What sets told at the beginning of a step, (G,) each; NaN where one told nothing."""
+
+    running: Floats
+    power_kw: Floats
+    fuel_litres: Floats
+    start_fault: Floats
+
+    @classmethod
+    def of(cls, sets: Gensets, told: Mapping[str, Floats] | None) -> Readings:
+        """By quantity; nothing where nobody told anything."""
+        nothing = np.full(len(sets), np.nan)
+        return cls(*((told or {}).get(name, nothing) for name in QUANTITIES))
+
+
+@dataclass(frozen=True, eq=False)
+class SetsNow:
+    """Sets at the beginning of a step, (G,) each.
+
+    Parameters
+    ----------
+    at_h : float
+        When that is, in h since the controller's first step.
+    state : GensetState
+        What is believed. Fuel is the reading, or the least that may be left.
+    reckoned_litres : array
+        The least that may be left since the gauge moved.
+    most_litres, read_litres, out : array
+        As :class:`Ran` has them.
+    estimated : tuple of str
+        Readings that are missing or frozen, and sets that are out, in words.
+    """
+
+    at_h: float
+    state: GensetState
+    reckoned_litres: Floats
+    most_litres: Floats
+    read_litres: Floats
+    out: Flags
+    estimated: tuple[str, ...]
+
+    @classmethod
+    def of(
+        cls, sets: Gensets, told: Readings, past: Ran, at_h: float, dt_h: float, added: Floats
+    ) -> SetsNow:
+        """The sets after what they were told to do.
+
+        Parameters
+        ----------
+        sets : Gensets
+            Who they are.
+        told : Readings
+            What they say.
+        past : Ran
+            How they were to run since. After the end of its step they were told nothing: they stop.
+        at_h : float
+            Now, in h since the controller's first step.
+        dt_h : float
+            Length of a step.
+        added : array
+            Fuel that was delivered since, (G,).
+        """
+        gone_h = at_h - past.at_h
+        held = gone_h <= dt_h + ROUNDING_H
+        was, read = past.before.on, np.isfinite(told.running)
+        gave_nothing = (past.power_kw > 0.0) & (told.power_kw <= 0.0)
+        on = np.where(read, told.running > 0.5, past.on & held & ~gave_nothing)
+        never = past.on & ~was & ~on & held & ~(told.power_kw > 0.0)
+        failed = never & (gone_h >= dt_h - ROUNDING_H)
+        hours = _hours(past, on, gone_h, dt_h)
+        burning_h = np.where(on, gone_h, min(gone_h, dt_h))
+        least, most = _left_litres(sets, told, past, on, never, burning_h)
+        least, most = (np.minimum(left + added, sets.tank_litres) for left in (least, most))
+        told_litres = np.minimum(told.fuel_litres, sets.tank_litres)
+        gauged = np.isfinite(told_litres)
+        still = gauged & (told_litres == past.read_litres)
+        least, most = (np.where(gauged & ~still, told_litres, left) for left in (least, most))
+        frozen = still & (told_litres - most > STILL_SHARE * sets.tank_litres)
+        missing = ~gauged & np.isfinite(past.read_litres)
+        litres = np.where(gauged & ~frozen, told_litres, least)
+        faulty = told.start_fault > 0.5
+        kept = past.out & ~(told.start_fault <= 0.5)
+        out = (failed | faulty | kept) & ~on
+        gave_kw = np.where(np.isfinite(told.power_kw), told.power_kw, past.power_kw)
+        # A mean is less than the least power where the set started within it.
+        power_kw = np.where(on, np.clip(gave_kw, sets.p_min_kw, sets.p_max_kw), 0.0)
+        return cls(
+            at_h,
+            GensetState(on, hours, power_kw, litres),
+            least,
+            most,
+            np.where(gauged, told_litres, past.read_litres),
+            out,
+            (*_gauges(sets.id, litres, missing, frozen), *_faults(sets.id, out, failed, faulty)),
+        )
+
+    def ahead(self, day: Scenario, steps: range) -> SetsAhead | None:
+        """What a window that begins now knows of them; None without any.
+
+        A set that is out runs in no step of it.
+        """
+        known = SetsAhead.of(day, steps, self.state)
+        if known is None:
+            return None
+        can_run = known.can_run & ~self.out
+        return replace(known, can_run=can_run, must_run=known.must_run & ~self.out)
+
+    def told(self, on: Flags, power_kw: Floats) -> Ran:
+        """How they are to run from now on."""
+        before = replace(self.state, fuel_litres=self.reckoned_litres)
+        return Ran(self.at_h, before, self.most_litres, self.read_litres, self.out, on, power_kw)
+
+
+def after(refuels: Refuels, day: Scenario) -> Refuels:
+    """Deliveries after the beginning of a day: what came by then is in the tank."""
+    later = np.array([time > day.grid.start for time in refuels.time], dtype=bool)
+    return Refuels(refuels.genset[later], refuels.time[later], refuels.litres[later])
+
+
+def _hours(past: Ran, on: Flags, gone_h: float, dt_h: float) -> Floats:
+    """How long sets have been on, or off; 0 where one did what it was not told."""
+    was = past.before.on
+    over_h = max(gone_h - dt_h, 0.0)
+    changed_h = np.where(past.on == on, gone_h, 0.0)
+    # Told to run until the end of a step that is over, and to do nothing since.
+    changed_h = np.where(past.on & ~on, over_h, changed_h)
+    never_started = ~was & ~on & (~past.on | (over_h == 0.0))
+    return np.where((was & on) | never_started, past.before.hours + gone_h, changed_h)
+
+
+def _left_litres(
+    sets: Gensets, told: Readings, past: Ran, on: Flags, never: Flags, burning_h: Floats
+) -> tuple[Floats, Floats]:
+    """The least and the most that may be left of the fuel, by the line of each set.
+
+    What was measured counts. Otherwise a set gave what it was told, or at least its least power;
+    one that runs by hand may have given its largest.
+    """
+    measured = np.isfinite(told.power_kw)
+    given = measured & (told.power_kw > 0.0)
+    most_kw = np.where(past.on, past.power_kw, sets.p_max_kw)
+    least_kw = np.where(past.on, sets.p_min_kw, 0.0)
+    may_have_run = (past.on | on | given) & ~never
+    has_run = (past.on & on) | given
+    burnt = [
+        sets.litres(ran, np.where(measured, told.power_kw, kw) * ran, dt_h=1.0) * burning_h
+        for ran, kw in ((may_have_run, most_kw), (has_run, least_kw))
+    ]
+    return (
+        np.maximum(past.before.fuel_litres - burnt[0], 0.0),
+        np.maximum(past.most_litres - burnt[1], 0.0),
+    )
+
+
+def _gauges(ids: Names, litres: Floats, missing: Flags, frozen: Flags) -> list[str]:
+    """Gauges that say nothing, and those that stand still."""
+    return [
+        f"fuel_litres {ids[g]} {litres[g]:.0f} at least ({kind})"
+        for kind, flags in (("missing", missing), ("frozen", frozen))
+        for g in np.flatnonzero(flags)
+    ]
+
+
+def _faults(ids: Names, out: Flags, failed: Flags, faulty: Flags) -> list[str]:
+    """Sets that are out, and why."""
+    why = np.where(faulty, "start fault", np.where(failed, "told to run, stands still", "no start"))
+    return [f"genset {ids[g]} is out ({why[g]})" for g in np.flatnonzero(out)]
