@@ -13,7 +13,7 @@ import pytest
 from experiments.random_feeders import random_window
 from tests.support.sets import gensets
 from tests.support.small_windows import DARK, OPEN, battery, first_step, two_buses, window
-from vppres import Controller, InputError, RunOptions, explain_day, run_day, summarise
+from vppres import InputError, RunOptions, explain_day, run_day, summarise
 from vppres.contract.decision import Decision
 from vppres.contract.gensets import SetsAhead
 from vppres.control.guard.balance import Commanded, Readings, mismatch_kw
@@ -367,12 +367,6 @@ def test_what_does_not_go_with_sets_is_refused() -> None:
     with pytest.raises(InputError) as caught:
         run_day(day, RunOptions(controller="idle"))
     assert "plans no generating sets. Use mpc, or remove gensets.csv." in str(caught.value)
-    with pytest.raises(InputError) as caught:
-        Controller.of(day, RunOptions(isolate=False))
-    assert str(caught.value) == (
-        "gensets.csv: is not stated for live controllers. "
-        "Remove the file: sets are then started by hand."
-    )
     dear = replace(day, objective=replace(day.objective, lambda_grid=0.03))
     with pytest.raises(InputError) as caught:
         run_day(dear)

@@ -4,16 +4,24 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 
+from tests.support.live_service import HERE, NOON, client, decided, readings, said, site
+from tests.support.played_service import played
 from tests.support.sets import gensets
 from tests.support.small_windows import DARK, OPEN, two_buses
-from vppres import Controller, Measurement, RunOptions, SetPoints
+from vppres import Controller, Measurement, RunOptions, SetPoints, run_day
 from vppres.scenario.gensets import Refuels
 from vppres.scenario.scenario import Scenario
+from vppres.service.clock import SetClock, written
+from vppres.service.export import export
+from vppres.service.runner import Service
+from vppres.service.simulate import Play
 
 OPTIONS = RunOptions(mode="paper", isolate=False, horizon_h=3.0)
 HALF_L, LEAST_L = 20.715, 15.795
@@ -45,10 +53,10 @@ def test_a_set_that_does_not_start_is_out_until_it_reports_no_fault() -> None:
         {"running": {"g0": 0}, "start_fault": {"g0": 1}},
     ]
     words = ["", "told to run, stands still", "no start", "", "", "start fault"]
-    for time, said, why in zip(day.grid.times, told, words, strict=True):
+    for time, heard, why in zip(day.grid.times, told, words, strict=True):
         state = json.loads(json.dumps(controller.state(), allow_nan=False))
         for go_on in (Controller.of(day, OPTIONS, state=state), controller):
-            step = go_on.step(Measurement(time, **said))
+            step = go_on.step(Measurement(time, **heard))
             assert bool(only(step)["running"]) == bool(step.customers["served"].all()) == (not why)
             assert only(step)["out"] == bool(why)
             assert f"genset g0 is out ({why})" in step.solve["estimated"] or not why
@@ -68,8 +76,8 @@ def test_fuel_is_read_or_the_least_that_the_line_leaves() -> None:
     least = 150.0 - HALF_L
     litres = [200.0, 150.0, least, least - 28.095, least - 28.095 - HALF_L, 40.0]
     kinds = ["", "", "missing", "missing", "frozen", ""]
-    for time, said, left, kind in zip(day.grid.times, told, litres, kinds, strict=True):
-        step = controller.step(Measurement(time, running={"g0": 1}, **said))
+    for time, heard, left, kind in zip(day.grid.times, told, litres, kinds, strict=True):
+        step = controller.step(Measurement(time, running={"g0": 1}, **heard))
         assert only(step)["fuel_litres"] == pytest.approx(left, abs=1e-6)
         assert only(step)["fuel_end_litres"] == pytest.approx(left - HALF_L, abs=1e-6)
         assert f"{left:.0f} at least ({kind})" in step.solve["estimated"] or not kind
@@ -134,3 +142,76 @@ def test_a_set_started_by_hand_is_on_and_may_have_given_all_that_it_can() -> Non
     )
     assert only(step)["hours_before"] == 0.0
     assert only(step)["fuel_litres"] == pytest.approx(200.0 - 33.015 / 2)
+
+
+def with_set(tiny: Scenario, **more: Any) -> Scenario:
+    """The day with a set that all of its demand can be served by."""
+    return replace(tiny, gensets=gensets(bus=[4], p_min_kw=10.0, **more))
+
+
+def test_a_played_day_of_sets_is_the_run(tiny: Scenario, tmp_path: Path) -> None:
+    """Sets that are told to start and stop do what those of a run do."""
+    day = with_set(tiny, min_on_h=2.0)
+    options = RunOptions(horizon_h=2.0, isolate=False)
+    run = run_day(day, options)
+    assert run.gensets is not None and run.gensets["running"].any()
+    service = Service(day, options, rehearsal=True)
+    player = played(service, day, tmp_path, Play(announced=False))
+    assert player.tally.statuses == {"ok": day.grid.n_steps} and player.tally.estimated == 0
+    for column in ("running", "p_kw", "fuel_end_litres", "hours_before"):
+        found = np.concatenate([one.gensets[column] for one in player.world.records])
+        assert found == pytest.approx(run.gensets[column].to_numpy(float), abs=1e-6)
+
+
+def test_an_operator_runs_a_set_and_sees_that_it_does_not_start(
+    tiny: Scenario, tmp_path: Path
+) -> None:
+    day = with_set(site(tiny))
+    clock = SetClock(NOON)
+    hour = pd.Timedelta(hours=1)
+    dark = {"type": "outage", "start": written(NOON), "end": written(NOON + 9 * hour)}
+    with client(Service(day, HERE), tmp_path, clock) as http:
+        http.put("/v1/events/storm", dark)
+        first = decided(http, clock, NOON, soc=0.1)
+        assert said(first, "gensets")["g0"]["running"]
+        point = said(first, "gensets")["g0"]
+        assert point["default"] == {"running": False, "p_kw": 0.0}
+        rejected = {"status": "rejected", "reason": "no oil"}
+        answer = http.post(f"/v1/setpoints/{point['id']}/status", rejected)
+        assert answer.status == 200
+        second = decided(http, clock, NOON + hour, soc=0.1)
+        assert not said(second, "gensets")["g0"]["running"]
+        assert second["expected"]["gensets"]["g0"]["out"]
+        assert "genset g0 is out (start fault)" in second["estimated"]
+        alarms = http.get("/v1/alarms").json()["alarms"]
+        assert "g0 did not follow its set-point: it does not start." in [a["text"] for a in alarms]
+    with client(Service(day, HERE), tmp_path, clock) as http:
+        clock.set(NOON + 2 * hour)
+        series = readings(NOON + 2 * hour, "start_fault", {"g0": 0.0})
+        series += readings(NOON + 2 * hour, "fuel_litres", {"g0": 123.0})
+        assert http.post("/v1/telemetry", {"series": series}).status == 200
+        beyond = readings(NOON + 2 * hour, "fuel_litres", {"g0": 1230.0})
+        refused = http.post("/v1/telemetry", {"series": beyond})
+        assert refused.status == 422 and "tank of 200 l" in json.dumps(refused.json())
+        third = decided(http, clock, NOON + 2 * hour, soc=0.1)
+        assert said(third, "gensets")["g0"]["running"]
+        assert third["expected"]["gensets"]["g0"]["fuel_litres"] == 123.0
+        seen = http.get("/v1/overview").json()
+        assert http.get("/v1/site").json()["gensets"]["g0"]["tank_litres"] == 200.0
+        assert seen["plan"]["gensets"]["g0"]["running"]
+        assert seen["measured"]["fuel_litres g0"]["value"] == 123.0
+        until = written(NOON + 5 * hour)
+        mode = {"mode": "manual", "until": until, "reason": "a test"}
+        asked = {"kind": "gensets", "asset": "g0", "p_kw": 5.0}
+        refused = http.put("/v1/mode", {**mode, "setpoints": [asked]})
+        assert refused.status == 422 and "is not from 10 to 100 kW" in json.dumps(refused.json())
+        for hours, p_kw in ((3, 40.0), (4, 0.0)):
+            by_hand = {**mode, "setpoints": [{**asked, "p_kw": p_kw}]}
+            assert http.put("/v1/mode", by_hand).status == 200
+            point = said(decided(http, clock, NOON + hours * hour), "gensets")["g0"]
+            assert (point["running"], point["p_kw"]) == (p_kw > 0.0, p_kw)
+        told = export(Service(day, HERE), tmp_path, written(NOON), written(NOON + 5 * hour)).gensets
+    assert told is not None
+    assert told["running"].tolist() == [True, False, True, True, False]
+    assert told["fuel_start_litres"][2] == 123.0 and told["p_kw"][3] == 40.0
+    assert told["hours_before"].tolist() == [-24.0, -25.0, -26.0, 1.0, 2.0]

@@ -127,7 +127,8 @@ class SetsNow:
         held = gone_h <= dt_h + ROUNDING_H
         was, read = past.before.on, np.isfinite(told.running)
         gave_nothing = (past.power_kw > 0.0) & (told.power_kw <= 0.0)
-        on = np.where(read, told.running > 0.5, past.on & held & ~gave_nothing)
+        faulty = told.start_fault > 0.5
+        on = np.where(read, told.running > 0.5, past.on & held & ~gave_nothing & ~faulty)
         never = past.on & ~was & ~on & held & ~(told.power_kw > 0.0)
         failed = never & (gone_h >= dt_h - ROUNDING_H)
         hours = _hours(past, on, gone_h, dt_h)
@@ -141,7 +142,6 @@ class SetsNow:
         frozen = still & (told_litres - most > STILL_SHARE * sets.tank_litres)
         missing = ~gauged & np.isfinite(past.read_litres)
         litres = np.where(gauged & ~frozen, told_litres, least)
-        faulty = told.start_fault > 0.5
         kept = past.out & ~(told.start_fault <= 0.5)
         out = (failed | faulty | kept) & ~on
         gave_kw = np.where(np.isfinite(told.power_kw), told.power_kw, past.power_kw)

@@ -33,7 +33,7 @@ class Engines:
         self.scenario = scenario
         self.state = GensetState.at_first(scenario.gensets)
 
-    def _tank_litres(self, t: int) -> Floats:
+    def tank_litres(self, t: int) -> Floats:
         """Fuel at the beginning of a step, with what is delivered then and fits in."""
         filled = self.state.fuel_litres + self.scenario.refuelled_litres[t]
         return np.asarray(np.minimum(filled, self.scenario.gensets.tank_litres))
@@ -50,7 +50,7 @@ class Engines:
         started = ~was_on & (self.state.hours >= sets.min_off_h - ROUNDING_H)
         step_kw = dt_h * sets.ramp_up_kw_per_h
         most_kw = np.where(was_on, was_kw + step_kw, np.maximum(sets.p_min_kw, step_kw))
-        litres_per_h = self._tank_litres(t) / dt_h - sets.litres_per_h_idle
+        litres_per_h = self.tank_litres(t) / dt_h - sets.litres_per_h_idle
         by_fuel_kw = litres_per_h / sets.litres_per_kwh
         most_kw = np.minimum(np.minimum(most_kw, sets.p_max_kw), by_fuel_kw)
         fallen_kw = np.where(was_on, was_kw - dt_h * sets.ramp_down_kw_per_h, 0.0)
@@ -64,7 +64,7 @@ class Engines:
         sets = self.scenario.gensets
         dt_h = self.scenario.grid.dt_h
         per_h = np.where(on, sets.litres_per_h_idle + sets.litres_per_kwh * power_kw, 0.0)
-        left = np.maximum(self._tank_litres(t) - per_h * dt_h, 0.0)
+        left = np.maximum(self.tank_litres(t) - per_h * dt_h, 0.0)
         hours = np.where(on == self.state.on, self.state.hours + dt_h, dt_h)
         return GensetState(on, hours, np.where(on, power_kw, 0.0), left)
 

@@ -129,11 +129,18 @@ def situation(now: pd.Timestamp, scenario: Scenario, store: Store, standing: Sta
     latest = Latest.at(now, scenario, store)
     newest = latest.newest("soc")
     batteries = dict.fromkeys(refusing(newest, store), "its device rejected it")
-    failing = {**batteries, **lost_customers(scenario, latest.found, store)}
+    sets = dict.fromkeys(_sets_out(standing.plan), "it does not start")
+    failing = {**batteries, **lost_customers(scenario, latest.found, store), **sets}
     grid = (standing.plan or {}).get("grid")
     read = latest.newest("grid_on").get(GRID)
     is_dark = not grid["available"] if grid else read is not None and read.value == 0.0
     return Situation(now, scenario, standing, latest.heard, soc_of(newest), is_dark, failing)
+
+
+def _sets_out(plan: Mapping[str, Any] | None) -> list[str]:
+    """Generating sets that a plan does without."""
+    sets = ((plan or {}).get("expected") or {}).get("gensets", {})
+    return [name for name, one in sets.items() if one["out"]]
 
 
 def conditions(now: Situation) -> Iterator[Condition]:
@@ -238,9 +245,25 @@ def _island_margin(now: Situation) -> Iterator[Condition]:
         if soc is not None:
             usable_kwh += float(b.energy_kwh[i] * (b.soc_max[i] - b.soc_min[i]))
             left_kwh += float(b.energy_kwh[i] * max(soc - b.soc_min[i], 0.0))
+    usable_kwh, left_kwh = (
+        stored + fuel for stored, fuel in zip((usable_kwh, left_kwh), _fuel_kwh(now), strict=True)
+    )
     if left_kwh < LEAST_MARGIN * usable_kwh:
         words = f"Less than {LEAST_MARGIN:.0%} of the usable energy is left, and there is no grid."
         yield Condition("island_margin", "", MEDIUM, words)
+
+
+def _fuel_kwh(now: Situation) -> tuple[float, float]:
+    """Energy of full tanks and of what is in them at full power, of sets that start."""
+    sets = now.scenario.gensets
+    told = ((now.standing.plan or {}).get("expected") or {}).get("gensets", {})
+    per_kwh = sets.litres_per_kwh + sets.litres_per_h_idle / sets.p_max_kw
+    full_kwh = left_kwh = 0.0
+    for g, name in enumerate(map(str, sets.id)):
+        if name in told and not told[name]["out"]:
+            full_kwh += float(sets.tank_litres[g] / per_kwh[g])
+            left_kwh += float(told[name]["fuel_litres"] / per_kwh[g])
+    return full_kwh, left_kwh
 
 
 def _fallback(now: Situation) -> Iterator[Condition]:

@@ -203,6 +203,8 @@ def _action(one: Mapping[str, Any]) -> str:
         return "dimmed" if one.get("share", 1.0) < 1.0 else ""
     if one["kind"] == "pv":
         return "curtail" if one["curtailed_kw"] > MOVE_KW else ""
+    if one["kind"] == "gensets":
+        return "ran" if one["running"] else ""
     if one["kind"] == "thermal_loads" or abs(one["p_kw"]) <= MOVE_KW:
         return ""
     return "charge" if one["p_kw"] > 0 else "discharge"

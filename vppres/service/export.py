@@ -27,6 +27,7 @@ from vppres.model.site import Site
 from vppres.plant.plant import BatteryState
 from vppres.scenario.scenario import Scenario
 from vppres.service.announced import limits_kw, prices, warnings_ever
+from vppres.service.as_told import set_state, vehicles_kwh, with_told
 from vppres.service.clock import written
 from vppres.service.learned import InSteps
 from vppres.service.records import Event, seconds
@@ -159,7 +160,7 @@ def as_it_was(
         batteries=replace(b, soc_initial=np.clip(first, b.soc_min, b.soc_max)),
         thermal_loads=replace(loads, t_initial_c=_indoor_c(scenario, stored[0], loads.t_initial_c)),
     )
-    return known, soc
+    return with_told(known, stored), soc
 
 
 def _announced(
@@ -201,7 +202,7 @@ def replayed(
 ) -> Iterator[StepRecord]:
     """The plant's answer to every stored step.
 
-    Batteries, rooms and tanks begin it with what was measured.
+    Batteries, rooms, tanks, vehicles and generating sets begin it with what was measured.
 
     Of a step that was decided anew it answers the last plan, as if that had held all along.
     """
@@ -215,6 +216,9 @@ def replayed(
         world.day.state = BatteryState(held, state.eta_charge, state.eta_discharge, state.t_cell_c)
         climate = world.day.plant.climate
         climate.t_c = _indoor_c(scenario, plan, climate.t_c)
+        garage, engines = world.day.plant.garage, world.day.plant.engines
+        garage.kwh = vehicles_kwh(scenario, plan, garage.kwh)
+        engines.state = set_state(scenario, t, plan, engines.state)
         if plan is not None:
             told = [{**one, "valid_from": plan["start"]} for one in plan["setpoints"]]
         record = _noted(world.obey(t, told), plan)

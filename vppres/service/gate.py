@@ -50,6 +50,11 @@ class Wanted(Protocol):
         """``setpoint_c``; None without thermal loads."""
         ...
 
+    @property
+    def gensets(self) -> pd.DataFrame | None:
+        """``running`` and ``p_kw``; None without generating sets."""
+        ...
+
 
 def refusals(
     decision: Wanted, scenario: Scenario, soc: Mapping[str, float]
@@ -77,6 +82,7 @@ def refusals(
         ("customers", _customers(decision)),
         ("chargers", _chargers(decision, scenario)),
         ("thermal_loads", _thermal_loads(decision, scenario)),
+        ("gensets", _gensets(decision, scenario)),
     ):
         found.update({(kind, name): reason for name, reason in reasons.items()})
     return found
@@ -164,6 +170,22 @@ def _thermal_loads(decision: Wanted, scenario: Scenario) -> dict[str, str]:
         "heated above its comfort band": above_c - BAND_C,
     }
     return _named(list(loads.id), reasons, np.isfinite(setpoint_c))
+
+
+def _gensets(decision: Wanted, scenario: Scenario) -> dict[str, str]:
+    """Ratings of generating sets; what stands still gives nothing."""
+    table = decision.gensets
+    if table is None:
+        return {}
+    sets = scenario.gensets
+    on = table["running"].to_numpy(bool)
+    p_kw = table["p_kw"].to_numpy(float)
+    reasons = {
+        "power above its rating": p_kw - sets.p_max_kw - _slack(sets.p_max_kw),
+        "power below its least": np.where(on, sets.p_min_kw - p_kw, -p_kw) - _slack(sets.p_max_kw),
+        "power without running": np.where(on, -np.inf, p_kw - POWER_KW),
+    }
+    return _named(list(sets.id), reasons, np.isfinite(p_kw))
 
 
 def _slack(rating: Floats) -> Floats:

@@ -21,6 +21,7 @@ from vppres.core.errors import InputError, Problem
 from vppres.io.messages import did_you_mean
 from vppres.live.by_phase import GRID
 from vppres.live.controller import Controller
+from vppres.live.gensets import QUANTITIES as OF_SETS
 from vppres.live.measurement import Measurement
 from vppres.live.ranges import RANGES, ranges_of
 from vppres.live.vehicles import QUANTITIES
@@ -44,8 +45,11 @@ from vppres.service.statements import REFUSED
 from vppres.service.store import Store
 from vppres.service.window import CAUTIOUS, Window
 
-INSTANT = ("soc", "load_kw", "pv_kw", "online", "grid_on", "indoor_c", *QUANTITIES)
-MEAN = ("battery_kw", "import_kw")
+MEAN = ("battery_kw", "import_kw", "genset_kw")
+INSTANT = (
+    *("soc", "load_kw", "pv_kw", "online", "grid_on", "indoor_c", *QUANTITIES),
+    *(name for name in OF_SETS if name not in MEAN),
+)
 EARLY_SHARE = 0.1
 """Share of a step by which clocks may be off: those of readings, and our own that is set back."""
 
@@ -148,6 +152,7 @@ def assets_of(scenario: Scenario) -> dict[str, list[str]]:
         "grid_on": [GRID],
         **{name: [str(charger) for charger in scenario.chargers.id] for name in QUANTITIES},
         "indoor_c": [str(name) for name in scenario.thermal_loads.id],
+        **{name: [str(one) for one in scenario.gensets.id] for name in OF_SETS},
         "source_kva": [GRID, *batteries],
         "v_pu": [] if scenario.phases is None else list(scenario.phases.by_bus),
     }
@@ -241,7 +246,12 @@ def _impossible(
 ) -> Iterator[tuple[str, float, str, str]]:
     """What a device cannot do: field, value, what is wrong and what to do."""
     rated = []
-    if one.p_kw is not None:
+    if one.p_kw is not None and one.kind == "gensets":
+        least_kw, most_kw = devices.p_min_kw[i], devices.p_max_kw[i]
+        if one.p_kw != 0.0 and not least_kw <= one.p_kw <= most_kw:
+            words = f"is not from {least_kw:g} to {most_kw:g} kW"
+            yield "p_kw", one.p_kw, words, "Give a power that it can run at, or 0 to stop it."
+    elif one.p_kw is not None:
         apparent_kva = math.hypot(one.p_kw, one.q_kvar)
         rated.append(("p_kw", one.p_kw, devices.p_max_kw[i], "kW"))
         rated.append(("kVA", apparent_kva, devices.s_max_kva[i], "kVA"))
@@ -322,6 +332,8 @@ def known_at(
         ordered_kw=said.ordered_kw,
         indoor_c=_finite(readings.now("indoor_c")) or None,
         **_of_vehicles(readings),
+        **told_of_sets(scenario, readings, store, said.decided_at),
+        genset_kw={name: kw for (name, one), kw in means.items() if one == "genset_kw"} or None,
     )
     estimated = [*powers.estimated, doubt] if doubt else powers.estimated
     return Known(measurement, readings.heard, grid, estimated, soc_of(soc), lost)
@@ -333,6 +345,32 @@ def _of_vehicles(readings: Latest) -> dict[str, Any]:
     leaves = told["departure"].items()
     told["departure"] = {one: moment(int(value)) for one, value in leaves}
     return {name: values or None for name, values in told.items()}
+
+
+def told_of_sets(
+    scenario: Scenario, readings: Latest, store: Store, decided_at: pd.Timestamp
+) -> dict[str, Any]:
+    """What generating sets tell, by quantity.
+
+    Whether one runs counts if it was read since it was told what to do. A fault counts however old
+    it is, and a start that a device rejected is one; that there is none counts while it is fresh.
+    """
+    runs = readings.newest("running")
+    since = {name for name, one in runs.items() if moment(one.time) > decided_at}
+    running = _finite(readings.now("running"))
+    fault = readings.newest("start_fault")
+    fresh = _finite(readings.now("start_fault"))
+    faults = {name: value for name, value in fresh.items() if value == 0.0}
+    faults |= {name: 1.0 for name, one in fault.items() if one.value == 1.0}
+    names = {str(name) for name in scenario.gensets.id}
+    for name, at in store.refusing("gensets").items():
+        if name in names and not (name in fault and fault[name].time > at):
+            faults[name] = 1.0
+    return {
+        "running": {name: value for name, value in running.items() if name in since} or None,
+        "fuel_litres": _finite(readings.now("fuel_litres")) or None,
+        "start_fault": faults or None,
+    }
 
 
 def _finite(values: Mapping[str, float]) -> dict[str, float]:

@@ -34,7 +34,7 @@ MOST_HISTORY = 1_000
 
 NOT_TOLD = ("setpoints", "ahead", "before")
 
-SHOWN = ("soc", "online", "grid_on", "plugged", "indoor_c")
+SHOWN = ("soc", "online", "grid_on", "plugged", "indoor_c", "running", "fuel_litres")
 """Last readings that the page shows."""
 
 REFRESH_S = 1
@@ -91,6 +91,13 @@ def site_of(runner: Runner) -> dict[str, Any]:
             }
             for i, name in enumerate(loads.id)
         },
+        "gensets": {
+            str(name): {
+                quantity: float(getattr(day.gensets, quantity)[g])
+                for quantity in ("p_min_kw", "p_max_kw", "tank_litres")
+            }
+            for g, name in enumerate(day.gensets.id)
+        },
     }
 
 
@@ -103,10 +110,10 @@ def _phases_of(runner: Runner) -> dict[str, str] | None:
     return {str(name): phases.connection(str(name)).coils for kind in kinds for name in kind.id}
 
 
-def _orders(points: Iterable[Mapping[str, Any]], kind: str, name: str) -> dict[str, Any]:
+def _orders(points: Iterable[Mapping[str, Any]], kind: str, *names: str) -> dict[str, Any]:
     """What devices of a kind are told, and why."""
     return {
-        one["asset"]: {name: one[name], "reason": one["reason"]}
+        one["asset"]: {name: one[name] for name in (*names, "reason")}
         for one in points
         if one["kind"] == kind
     }
@@ -186,6 +193,7 @@ class Overview:
             "batteries": _orders(points, "batteries", "p_kw"),
             "chargers": _orders(points, "chargers", "p_kw"),
             "thermal_loads": _orders(points, "thermal_loads", "setpoint_c"),
+            "gensets": _orders(points, "gensets", "running", "p_kw"),
             "off": self._off(points, ahead, plan.get("off_h", {})),
             "dimmed": {
                 one["asset"]: one["share"]

@@ -109,6 +109,10 @@ Quantity = Literal[
     "energy_needed_kwh",
     "departure",
     "indoor_c",
+    "running",
+    "genset_kw",
+    "fuel_litres",
+    "start_fault",
 ]
 Phase = Annotated[str, Field(pattern=r"^[abc]{1,2}$")]
 
@@ -135,7 +139,8 @@ class Readings(Body):
 
     Of chargers of vehicles, ``plugged`` (1 or 0), ``ev_soc``, ``energy_needed_kwh`` and
     ``departure``, in seconds since 1970, hold at their time too; of rooms and tanks ``indoor_c``,
-    the temperature in °C.
+    the temperature in °C; of generating sets ``running`` and ``start_fault`` (1 or 0) and
+    ``fuel_litres``. ``genset_kw``, what a set gives, is a mean from its time on.
 
     On phased feeders powers may have a ``phase``, one of those of the asset's ``phases``: those of
     all its phases are sent in one batch. ``v_pu`` (of a bus) and ``source_kva`` (of ``grid``, or of
@@ -391,6 +396,7 @@ OF_KIND = {
     "pv": "p_kw",
     "chargers": "p_limit_kw",
     "thermal_loads": "setpoint_c",
+    "gensets": "p_kw",
 }
 """What an operator says of each kind of device."""
 
@@ -399,10 +405,11 @@ class OperatorSetpoint(Body):
     """What an operator wants of one device.
 
     Power of batteries and PV systems, the most that a charger charges with, the temperature of a
-    thermostat, whether a customer is on, and of one that may be dimmed the share that it gets.
+    thermostat, power of a generating set (0 stops it), whether a customer is on, and of one that
+    may be dimmed the share that it gets.
     """
 
-    kind: Literal["batteries", "pv", "customers", "chargers", "thermal_loads"]
+    kind: Literal["batteries", "pv", "customers", "chargers", "thermal_loads", "gensets"]
     asset: Name
     p_kw: Number | None = None
     q_kvar: Number = 0.0

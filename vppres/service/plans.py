@@ -45,6 +45,7 @@ NUMBERS = {
     "pv": ("p_kw", "q_kvar", "curtailed_kw"),
     "chargers": ("p_kw", "p_limit_kw"),
     "thermal_loads": ("setpoint_c",),
+    "gensets": ("p_kw",),
 }
 """What set-points of each kind say in numbers."""
 
@@ -106,6 +107,7 @@ def plan_of(
             "price_gbp_per_kwh": _price(known.measurement),
             **_rooms_expected(decision),
             **_vehicles_expected(decision),
+            **_sets_expected(decision),
             **_by_phase(decision),
         },
         "ahead": _ahead(decision, known),
@@ -142,7 +144,7 @@ class Ordered:
 
     Parameters
     ----------
-    batteries, pv, customers, chargers, thermal_loads : DataFrame
+    batteries, pv, customers, chargers, thermal_loads, gensets : DataFrame
         By identifier, as the gate reads them; None of what the site does not have.
     """
 
@@ -151,6 +153,7 @@ class Ordered:
     customers: pd.DataFrame
     chargers: pd.DataFrame | None = None
     thermal_loads: pd.DataFrame | None = None
+    gensets: pd.DataFrame | None = None
 
     @classmethod
     def of(
@@ -179,8 +182,13 @@ class Ordered:
 
 
 def _asked(one: Mapping[str, Any]) -> dict[str, Any]:
-    """What an operator says of a device; a charger takes what its limit lets it."""
+    """What an operator says of a device.
+
+    A charger takes what its limit lets it, and a generating set runs if it is to give power.
+    """
     said = {name: value for name, value in one.items() if value is not None}
+    if one["kind"] == "gensets":
+        return said | {"running": said["p_kw"] > 0.0}
     return said | ({"p_kw": said["p_limit_kw"]} if "p_limit_kw" in said else {})
 
 
@@ -210,7 +218,8 @@ def _fields(kind: str, row: pd.Series[Any]) -> dict[str, Any]:
     if kind == "customers":
         share = row.get("share", np.nan)
         return {"served": bool(row["served"])} | ({"share": float(share)} if share >= 0.0 else {})
-    return {name: float(row[name]) for name in NUMBERS[kind]}
+    runs = {"running": bool(row["running"])} if kind == "gensets" else {}
+    return runs | {name: float(row[name]) for name in NUMBERS[kind]}
 
 
 def made_anew(
@@ -288,6 +297,7 @@ def _ahead(decision: SetPoints, known: Known) -> dict[str, Any]:
         "served": dict(zip(foreseen.served.columns, served.tolist(), strict=True)),
         **_rooms_ahead(foreseen, n),
         **_left_short(foreseen),
+        **_sets_ahead(foreseen, n),
     }
 
 
@@ -333,6 +343,30 @@ def _vehicles_expected(decision: SetPoints) -> dict[str, Any]:
                 "needed_kwh": _number(row["needed_kwh"]),
             }
             for name, row in chargers[chargers["leaves"].notna()].iterrows()
+        }
+    }
+
+
+def _sets_ahead(foreseen: Foreseen, n_steps: int) -> dict[str, Any]:
+    """Power of generating sets and what is left in their tanks, by set; nothing without any."""
+    tables = {"genset_kw": foreseen.genset_kw, "fuel_litres": foreseen.fuel_litres}
+    return {
+        quantity: {name: _numbers(table[name].iloc[:n_steps]) for name in table.columns}
+        for quantity, table in tables.items()
+        if table is not None
+    }
+
+
+def _sets_expected(decision: SetPoints) -> dict[str, Any]:
+    """Hours, fuel and failed starts of each generating set; nothing without any."""
+    sets = decision.gensets
+    if sets is None:
+        return {}
+    numbers = ("hours_before", "p_before_kw", "fuel_litres", "fuel_end_litres")
+    return {
+        "gensets": {
+            str(name): {one: _number(row[one]) for one in numbers} | {"out": bool(row["out"])}
+            for name, row in sets.iterrows()
         }
     }
 
@@ -386,7 +420,7 @@ def _set_points(
     refused: Mapping[tuple[str, str], str],
     reason: str,
 ) -> list[dict[str, Any]]:
-    """Batteries, then PV systems, customers, chargers, and thermostats."""
+    """Batteries, then PV systems, customers, chargers, thermostats, and generating sets."""
     speaker = _Speaker.of(decision.time, scenario, refused)
     batteries = _rows(decision.batteries, "p_kw", "q_kvar")
     pv = _rows(decision.pv, "p_kw", "q_kvar", "curtailed_kw")
@@ -405,6 +439,10 @@ def _set_points(
         kinds["chargers"] = _rows(decision.chargers, *NUMBERS["chargers"])
     if decision.thermal_loads is not None:
         kinds["thermal_loads"] = _rows(decision.thermal_loads, *NUMBERS["thermal_loads"])
+    if decision.gensets is not None:
+        kinds["gensets"] = {
+            str(name): _fields("gensets", row) for name, row in decision.gensets.iterrows()
+        }
     return [
         speaker.point(kind, name, values, lost.get((kind, name), reason))
         for kind, each in kinds.items()
@@ -478,7 +516,7 @@ _SIGNS = {
 
 
 def _defaults(scenario: Scenario) -> dict[str, dict[str, dict[str, Any]]]:
-    """What devices do without us: batteries rest, the sun shines, rooms stay in their band."""
+    """What devices do without us: batteries and sets rest, the sun shines, rooms are in band."""
     pv = scenario.pv
     chargers = scenario.chargers
     charging = {
@@ -490,6 +528,7 @@ def _defaults(scenario: Scenario) -> dict[str, dict[str, dict[str, Any]]]:
         str(name): {"setpoint_c": float(t_c)}
         for name, t_c in zip(loads.id, loads.held_c, strict=True)
     }
+    standing = {str(name): {"running": False, "p_kw": 0.0} for name in scenario.gensets.id}
     return {
         "batteries": {str(name): {"p_kw": 0.0, "q_kvar": 0.0} for name in scenario.batteries.id},
         "pv": {
@@ -504,6 +543,7 @@ def _defaults(scenario: Scenario) -> dict[str, dict[str, dict[str, Any]]]:
         },
         **({"chargers": charging} if charging else {}),
         **({"thermal_loads": holding} if holding else {}),
+        **({"gensets": standing} if standing else {}),
     }
 
 

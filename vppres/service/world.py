@@ -41,6 +41,7 @@ class World:
         self.scenario = scenario
         self.day = Day(scenario, options)
         self.records: list[StepRecord] = []
+        self.start_fault = np.zeros(len(scenario.gensets), dtype=bool)
 
     def readings(self, t: int) -> list[Series]:
         """What devices measure at the beginning of a step, and of the one before, by source."""
@@ -56,6 +57,14 @@ class World:
         ]
         rooms = list(self.scenario.thermal_loads.id)
         found += self._series("thermostats", "indoor_c", now, rooms, day.plant.climate.t_c)
+        sets = list(self.scenario.gensets.id)
+        engines = day.plant.engines
+        for quantity, values in (
+            ("running", engines.state.on),
+            ("fuel_litres", engines.tank_litres(t)),
+            ("start_fault", self.start_fault),
+        ):
+            found += self._series("gensets", quantity, now, sets, values)
         if t == 0:
             return found
         begun = self.scenario.grid.times[t - 1]
@@ -65,6 +74,9 @@ class World:
             )
         if day.import_kw is not None:
             found += self._series("substation", "import_kw", begun, [GRID], [day.import_kw])
+        if sets:
+            given_kw = (self.records[-1].gensets or {})["p_kw"]
+            found += self._series("gensets", "genset_kw", begun, sets, given_kw)
         by_phase = ByPhase.of(self.scenario, self.records[-1])
         if by_phase is not None:
             source = by_phase.source
@@ -135,6 +147,7 @@ class World:
         served = values("customers", "served", 1.0) > 0.0
         dims = self.scenario.customers.dimmable.any()
         charges = len(self.scenario.chargers) > 0
+        sets = len(self.scenario.gensets) > 0
         pv_q_kvar = values("pv", "q_kvar", 0.0)
         asked_c = values("thermal_loads", "setpoint_c", np.nan)[0]
         setpoints_c = np.where(np.isnan(asked_c), self.scenario.thermal_loads.held_c, asked_c)
@@ -158,6 +171,8 @@ class World:
             share=served * values("customers", "share", 1.0) if dims else None,
             ev_kw=values("chargers", "p_kw", 0.0) if charges else None,
             thermal_kw=self._machines_kw(t, setpoints_c, served[0]),
+            genset_on=values("gensets", "running", 0.0) > 0.0 if sets else None,
+            genset_kw=values("gensets", "p_kw", 0.0) if sets else None,
         )
 
     def _machines_kw(self, t: int, setpoints_c: Floats, served: Flags) -> Floats | None:
@@ -188,4 +203,9 @@ def energy_allowed(scenario: Scenario, record: StepRecord) -> bool:
     from_batteries_kw = np.minimum(b.p_max_kw, held_kwh * b.eta_discharge / scenario.grid.dt_h)
     there_kw = float(record.pv["available_kw"].sum() + from_batteries_kw.sum())
     there_kw += float(scenario.grid_limit_kw[record.t])
+    if record.gensets is not None:
+        fuelled = record.gensets["fuel_start_litres"] >= scenario.gensets.least_litres(
+            scenario.grid.dt_h
+        )
+        there_kw += float(scenario.gensets.p_max_kw[fuelled].sum())
     return there_kw >= float(record.customers["p_load_kw"][first].sum())

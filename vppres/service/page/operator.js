@@ -9,6 +9,7 @@ const KINDS = {
   pv: ["PV systems", "p_kw", "Power (kW)", "kW"],
   chargers: ["Chargers", "p_limit_kw", "Limit (kW)", "kW"],
   thermal_loads: ["Thermostats", "setpoint_c", "Temperature (°C)", "°C"],
+  gensets: ["Generating sets", "p_kw", "Power (kW), 0 to stop", "kW"],
 };
 const NEED_END = ["hold", "manual"];
 

@@ -3,7 +3,7 @@
 import { chart, meter, pastOf, stepsOf } from "./chart.js";
 import { Operator } from "./operator.js";
 import {
-  HOUR, MARKS, SiteClock, alarms, announced, attention, counted, covers, facts, farthestOutside, grouped, indoorNow, isLostByReading, isUncertain, kilo, lasting, lateBy, list, lowest, offByTier, onPhase, percent, socNow, unawareOfLoss, verdict, why,
+  HOUR, MARKS, SiteClock, alarms, announced, attention, counted, covers, facts, farthestOutside, fuelNow, grouped, indoorNow, isLostByReading, isUncertain, kilo, lasting, lateBy, list, lowest, offByTier, onPhase, percent, socNow, switchedNext, unawareOfLoss, verdict, why,
 } from "./words.js";
 
 const EVERY_MS = 2000, PATIENCE_MS = 5000;
@@ -137,6 +137,7 @@ function show() {
   showBatteries();
   showVehicles();
   showRooms();
+  showSets();
   showSources();
   showEvents();
   showSteps();
@@ -384,6 +385,22 @@ function showRooms() {
     return node("li", {}, node("b", {}, name), node("span", { class: "n" }, value === null ? "no data" : `${value.toFixed(1)} \u00b0C`),
       meter(value === null ? 0 : place(value), { kind: value === null || inBand(name) ? "" : "over", marks: [place(low), place(high)], name: `comfort band ${low} to ${high} \u00b0C` }),
       node("span", { class: "note" }, point ? `set to ${point.setpoint_c.toFixed(1)} \u00b0C` : "no set-point"), ...notes.map((note) => node("span", { class: "late note" }, note)));
+  }));
+}
+
+function showSets() {
+  const { plan, measured, sources } = view.overview, all = Object.entries(view.site.gensets);
+  $("gensets").hidden = !all.length;
+  const key = [plan?.gensets, plan?.expected?.gensets, plan?.ahead?.genset_kw, plan?.estimated, sources, all.map(([name]) => [measured[`fuel_litres ${name}`], measured[`running ${name}`]]), Math.floor(view.now / 60000)];
+  renew("gensets-list", key, () => all.map(([name, { tank_litres: tank }]) => {
+    const { value, old } = fuelNow(view, name), point = plan?.gensets[name], next = switchedNext(view, name);
+    const runs = measured[`running ${name}`]?.value, read = runs === 1 ? "runs" : runs === 0 ? "stands still" : "not read";
+    const told = !point ? "no set-point" : point.running ? `told to run with ${point.p_kw.toFixed(1)} kW` : "told to stand still";
+    const then = next ? `; ${next.starts ? "starts" : "stops"} at ${view.clock.at(next.time, view.now)}` : "";
+    const notes = [plan?.expected?.gensets?.[name]?.out ? "out: it does not start" : "", point?.reason.startsWith("default") ? point.reason : "", old].filter(Boolean);
+    return node("li", {}, node("b", {}, name), node("span", { class: "n" }, value === null ? "no data" : `${kilo(value)} l`),
+      meter((value ?? 0) / tank, { kind: "store", name: `${kilo(value ?? 0)} of ${kilo(tank)} l` }),
+      node("span", { class: "note" }, `${read}; ${told}${then}`), ...notes.map((note) => node("span", { class: "late note" }, note)));
   }));
 }
 

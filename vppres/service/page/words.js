@@ -275,6 +275,26 @@ export function indoorNow(view, name) {
   return { value: reading.value, old: "" };
 }
 
+// The fuel of a generating set, and what to know of its gauge: {value, old}.
+export function fuelNow(view, name) {
+  const { plan, measured } = view.overview;
+  const reading = measured[`fuel_litres ${name}`], least = plan?.expected?.gensets?.[name]?.fuel_litres ?? null;
+  const late = lateBy(view, name, "fuel_litres");
+  if (plan?.estimated.some((words) => words.startsWith(`fuel_litres ${name} `) && words.endsWith("(frozen)"))) {
+    return { value: least, old: "gauge stands still; reckoned, at least" };
+  }
+  if (late !== null) return { value: least, old: `read ${lasting(late)} ago; reckoned, at least` };
+  if (!reading || reading.value === null) return { value: least, old: "not read; reckoned, at least" };
+  return { value: reading.value, old: "" };
+}
+
+// When a generating set starts or stops next by the plan: {time, starts}; null if it does neither.
+export function switchedNext(view, name) {
+  const { plan } = view.overview, ahead = plan?.ahead?.genset_kw?.[name] ?? [];
+  const on = plan?.gensets[name]?.running === true, t = ahead.findIndex((kw) => kw > 0 !== on);
+  return t < 0 ? null : { time: new Date(plan.ahead.times[t]), starts: !on };
+}
+
 // Where a room or tank is farthest outside its comfort band, now or by the plan: {by, value, time}; null if it stays inside.
 export function farthestOutside(view, name) {
   const { t_min_c: low, t_max_c: high } = view.site.thermal_loads[name], { plan } = view.overview;
@@ -368,5 +388,5 @@ export const MODE_WORDS = {
   auto: ["decide every step", "From now on the controller decides."],
   hold: ["keep the last set-points", "From now on the last set-points are held."],
   manual: ["use the operator\u2019s set-points", "From now on the operator\u2019s set-points are used."],
-  off: ["defaults only", "From now on devices use default set-points: batteries idle, PV at available power, all customers connected even in an outage, chargers and thermostats by themselves."],
+  off: ["defaults only", "From now on devices use default set-points: batteries idle, PV at available power, all customers connected even in an outage, generating sets stopped, chargers and thermostats by themselves."],
 };

@@ -1,0 +1,144 @@
+"""What stored plans tell of vehicles and generating sets, for whoever replays them.
+
+A plan says which vehicles were plugged in when it was decided, and how sets were.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from vppres.core.arrays import Floats
+from vppres.scenario.gensets import Gensets, GensetState
+from vppres.scenario.scenario import Scenario
+from vppres.scenario.vehicles import OF_SESSIONS, Sessions
+
+Plan = Mapping[str, Any]
+Plans = Sequence[Plan | None]  # by step, None for a step without
+
+
+@dataclass
+class Stay:
+    """A vehicle at a charger, from the first step on that tells of it."""
+
+    charger: str
+    vehicle: str
+    plug_in: pd.Timestamp
+    plug_out: pd.Timestamp
+    held_kwh: float
+    needed_kwh: float
+
+
+def expected(plan: Plan | None, kind: str) -> Mapping[str, Any]:
+    """What a plan says of the devices of a kind, by name."""
+    found: Mapping[str, Any] = ((plan or {}).get("expected") or {}).get(kind, {})
+    return found
+
+
+def with_told(scenario: Scenario, stored: Plans) -> Scenario:
+    """The scenario with vehicles as plans tell of them, and sets as the first plan does."""
+    told = expected(stored[0], "gensets")
+    scenario = replace(scenario, gensets=_sets_at_first(scenario.gensets, told))
+    if not any(expected(plan, "vehicles") for plan in stored):
+        return scenario
+    return replace(scenario, sessions=_sessions(scenario, stored))
+
+
+def vehicles_kwh(scenario: Scenario, plan: Plan | None, reckoned_kwh: Floats) -> Floats:
+    """Energy of vehicles that a step was decided on, (K,); as reckoned without a plan."""
+    told = expected(plan, "vehicles")
+    pairs = zip(map(str, scenario.chargers.id), reckoned_kwh.tolist(), strict=True)
+    return np.array([told.get(name, {"energy_kwh": kwh})["energy_kwh"] for name, kwh in pairs])
+
+
+def set_state(scenario: Scenario, t: int, plan: Plan | None, reckoned: GensetState) -> GensetState:
+    """Generating sets that a step was decided on; as reckoned without a plan.
+
+    Plans count what is delivered at the beginning of their step.
+    """
+    told = expected(plan, "gensets")
+    names = [str(name) for name in scenario.gensets.id]
+    if not names or not all(name in told for name in names):
+        return reckoned
+    hours, power_kw, litres = (
+        np.array([told[name][field] for name in names], dtype=float)
+        for field in ("hours_before", "p_before_kw", "fuel_litres")
+    )
+    before = litres - scenario.refuelled_litres[t]
+    return GensetState(hours > 0.0, np.abs(hours), power_kw, before)
+
+
+def _sets_at_first(sets: Gensets, told: Mapping[str, Any]) -> Gensets:
+    """Sets that begin as a plan says."""
+    names = [str(name) for name in sets.id]
+    if not names or not all(name in told for name in names):
+        return sets
+    litres = [told[name]["fuel_litres"] for name in names]
+    hours = [told[name]["hours_before"] for name in names]
+    return replace(
+        sets, fuel_level_litres=np.minimum(litres, sets.tank_litres), on_before_h=np.array(hours)
+    )
+
+
+def _sessions(scenario: Scenario, stored: Plans) -> Sessions:
+    """Stays that plans tell of, and the scenario's sessions after them."""
+    own = [_row(scenario.sessions, s) for s in range(len(scenario.sessions))]
+    base = {(row["charger"], row["vehicle"]): row for row in own}
+    end = scenario.grid.start + len(stored) * scenario.grid.step
+    rows = [_of_stay(stay, base, scenario) for stay in _stays(scenario, stored)]
+    rows += [row for row in own if row["plug_in"] >= end]
+    columns: dict[str, Any] = {f.name: [row[f.name] for row in rows] for f in fields(Sessions)}
+    return Sessions(**columns)
+
+
+def _stays(scenario: Scenario, stored: Plans) -> Iterator[Stay]:
+    """Each vehicle once for as long as plans tell of it; one that leaves early ends then.
+
+    A vehicle that tells anew what it needs is told of anew.
+    """
+    for charger in map(str, scenario.chargers.id):
+        stay: Stay | None = None
+        for time, plan in zip(scenario.grid.times, stored, strict=False):
+            if plan is None or not plan.get("expected"):
+                continue
+            told = expected(plan, "vehicles").get(charger)
+            if stay is not None and told is not None and _same(stay, told):
+                stay.plug_out = pd.Timestamp(told["leaves"])
+                continue
+            if stay is not None:
+                yield replace(stay, plug_out=min(stay.plug_out, time))
+            stay = None if told is None else _begun(charger, time, told)
+        if stay is not None:
+            yield stay
+
+
+def _same(stay: Stay, told: Mapping[str, Any]) -> bool:
+    return (stay.vehicle, stay.needed_kwh) == (told["vehicle"], told["needed_kwh"])
+
+
+def _begun(charger: str, time: pd.Timestamp, told: Mapping[str, Any]) -> Stay:
+    leaves = pd.Timestamp(told["leaves"])
+    return Stay(charger, told["vehicle"], time, leaves, told["energy_kwh"], told["needed_kwh"])
+
+
+def _of_stay(
+    stay: Stay, base: Mapping[tuple[str, str], dict[str, Any]], scenario: Scenario
+) -> dict[str, Any]:
+    """A row for a stay: with the vehicle's own capacity if the scenario knows it."""
+    nothing = dict.fromkeys(OF_SESSIONS, np.nan)
+    unknown = {**nothing, "tier": scenario.tiers[-1], "weight": 1.0, "announced": True}
+    row = base.get((stay.charger, stay.vehicle), unknown)
+    times = {"plug_in": stay.plug_in, "plug_out": stay.plug_out}
+    head = {**row, "charger": stay.charger, "vehicle": stay.vehicle, **times}
+    soc_kwh = row["soc_needed"] * row["capacity_kwh"]
+    if np.isclose(soc_kwh, stay.needed_kwh):
+        return {**head, "soc_at_plug_in": stay.held_kwh / row["capacity_kwh"]}
+    return {**head, **nothing, "energy_needed_kwh": stay.needed_kwh}
+
+
+def _row(sessions: Sessions, s: int) -> dict[str, Any]:
+    return {f.name: getattr(sessions, f.name)[s] for f in fields(Sessions)}
