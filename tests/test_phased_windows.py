@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +12,14 @@ from experiments.phased_feeders import decided, in_phases, plainly, random_phase
 from experiments.random_feeders import random_scenario
 from tests.support.phased_feeder import CIRCUIT, phased_day
 from vppres.contract.decision import Decision
+from vppres.control.phased import PhasedPlanner
 from vppres.day.assembly import make_controller
 from vppres.day.options import RunOptions
+from vppres.day.priority import site_of
 from vppres.day.simulate import Day
 from vppres.model.beyond_paper.losses import lit_steps
 from vppres.model.data import WindowData
+from vppres.model.own_state import giving_way
 from vppres.model.phases import phased_model
 from vppres.model.ratings import loading_of_phases
 from vppres.model.site import Site
@@ -75,6 +79,45 @@ def test_ratings_that_cannot_be_kept_give_way_no_further_than_need_be(tmp_path: 
     )
     assert found.status == "optimal"
     assert 1.0 < kept < 1.6 and unlimited > 2.5
+
+
+def first_window(day: Scenario, headroom: float) -> tuple[PhasedPlanner, WindowData]:
+    """The first window of a day with so much headroom, as it is solved first."""
+    options = RunOptions(horizon_h=0.0).on(day)
+    planner = PhasedPlanner(WindowSolver(site_of(day, options.as_record())), headroom)
+    seen = Day(day, options).observe(make_controller(day, options), 0)
+    return planner, planner.begun(seen)[2]
+
+
+def test_a_plan_without_headroom_leaves_a_phase_what_passes_may_be_off_by(tmp_path: Path) -> None:
+    (tmp_path / "small.dss").write_text(CIRCUIT)
+    day = phased_day(tmp_path / "small.dss")
+    full = replace(day.batteries, soc_initial=day.batteries.soc_max)
+    island = replace(day, batteries=full).between(13, 14)
+    planner, data = first_window(island, headroom=0.0)
+    phased, model = data.require_phased(), planner.model
+    rating = island.batteries.s_max_kva[island.batteries.grid_forming][0] / 3.0
+    assert phased.room_kva == pytest.approx(0.999 * rating)
+    idle = model.nothing(1)
+    points = model.points(data, idle, idle, lit_steps(data))
+    for share, agrees in ((0.9995, True), (1.0005, False)):
+        kva = np.full((1, 3), share * rating, dtype=complex)
+        given = replace(points, source_kva=kva)
+        there = planner._linearisation.at(data, idle, idle, given, lit_steps(data))
+        assert planner._linearisation.agree(there, idle, idle, given, lit_steps(there)) is agrees
+
+
+def test_limits_that_give_way_to_those_of_ac_leave_what_passes_may_be_off_by(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "small.dss").write_text(CIRCUIT)
+    planner, data = first_window(phased_day(tmp_path / "small.dss").between(8, 9), 0.1)
+    high = np.full_like(data.require_phased().u_max, 1.10**2)
+    ways = giving_way(
+        planner.solver.site, replace(data, phased=replace(data.require_phased(), u_max=high))
+    )
+    most = [np.sqrt(each.require_phased().u_max.max()) for each in ways]
+    assert most[:2] == pytest.approx([1.053, 1.0599])
 
 
 @pytest.mark.parametrize("seed", [1, 3])

@@ -16,7 +16,7 @@ from vppres.model.data import PhasedWindow, WindowData
 from vppres.model.linearise import Drawn
 from vppres.model.own_state import giving_way, share_of
 from vppres.model.phases import PhasedModel, PhasedPoints
-from vppres.model.ratings import loading_of_phases
+from vppres.model.ratings import KEPT_SHARE, loading_of_phases
 from vppres.solve.phases import BINDS_PU2
 
 
@@ -29,7 +29,9 @@ class PhasedLinearisation:
     def at_rest(self, data: WindowData) -> WindowData:
         """The window at the AC points of everyone served that can be: its first guess."""
         u, former, currents = self.model.at_no_load(data.dark)
-        room = self.model.rating_kva(data.require_physics().headroom_kw)
+        rated_kva = self.model.site.batteries.s_max_kva
+        kept = np.maximum(data.require_physics().headroom_kw, KEPT_SHARE * rated_kva)
+        room = self.model.rating_kva(kept)
         any_u = np.full_like(u, np.inf)
         none = np.zeros((data.n_steps, 2, u.shape[1]), dtype=bool)
         any_current = np.full(currents.shape, np.inf)
@@ -127,7 +129,7 @@ class PhasedLinearisation:
     ) -> bool:
         """Whether voltages, former and what the network draws agree in every step with power.
 
-        No current that a plan keeps within its rating may be beyond it.
+        No current that a plan keeps within its rating may be beyond it, nor a phase of the former.
         """
         if not lit.any():
             return True
@@ -142,9 +144,12 @@ class PhasedLinearisation:
         over = (held & (np.abs(points.currents) > 1.0))[lit]
         island = lit & data.dark
         off_kva = np.abs(former - points.source_kva)[island].max(initial=0.0)
+        rating_kva = self.model.rating_kva(np.zeros_like(data.require_physics().headroom_kw))
+        over_kva = np.abs(points.source_kva)[island] > rating_kva[island, None]
         return bool(
             off_pu <= VOLTAGE_TOLERANCE_PU
             and off_kw <= LOSS_TOLERANCE_KW
             and off_kva <= LOSS_TOLERANCE_KW
             and not over.any()
+            and not over_kva.any()
         )

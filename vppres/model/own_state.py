@@ -22,6 +22,10 @@ GIVEN = (0.25, 0.0625, 0.0)
 limits: each is a dispatch more that is asked for where the one before it allows one."""
 
 
+KEPT_PU = 1e-4
+"""What a plan by phase leaves free to the AC limits: passes that agree may be off by as much."""
+
+
 def giving_way(site: Site, data: WindowData) -> list[WindowData]:
     """A window with limits of its voltages that give way more and more, where limits are soft.
 
@@ -57,7 +61,8 @@ def _phases_giving_way(site: Site, data: WindowData, phased: PhasedWindow) -> li
     """
     net = site.feeder
     found = [data]
-    ac, plans = (net.v_min_ac_pu, net.v_max_ac_pu), (net.v_min_pu, net.v_max_pu)
+    ac = net.v_min_ac_pu + KEPT_PU, net.v_max_ac_pu - KEPT_PU
+    plans = net.v_min_pu, net.v_max_pu
     for (low, high), share in (*((ac, share) for share in GIVEN), (plans, 0.0)):
         last = found[0].require_phased()
         u_min = np.maximum(last.u_min, _given(low**2, np.minimum(phased.u_min, low**2), share))

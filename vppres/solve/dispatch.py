@@ -57,10 +57,6 @@ SERVICE_HELD_REL = 1e-7
 """The same of what weighs as much as service: curtailment, and the page's own term. As much again
 is what interior points may miss it by."""
 
-EASED_CURTAILED_REL = 1e-2
-"""The same of a dispatch by phase that has no inside else: what is curtailed for a phase of the
-former leaves its limits none. Passes end only where the tie-breakers have their say."""
-
 EASED_KWH = 1e-5
 """Energy by which every battery may miss what a set needs: five times what the masters accept in a
 step of an hour, since a few batteries may lack what the fleet misses. A plan that lives on exactly
@@ -203,23 +199,23 @@ def cheapest(
     return Candidate.of(task.site, data, attempt.dispatch, slack_gbp, form.network, attempt.own)
 
 
-def _curtailed_rel(task: WindowTask, found: Candidate) -> float:
-    """Share of what a dispatch curtails that may be curtailed more, within the window's gap."""
-    worth = task.site.weights.lambda_curt * found.terms.f3
+def _curtailed_within_gap_kwh(task: WindowTask, found: Candidate) -> float:
+    """What may be curtailed more than by a dispatch: it is worth a share of the window's gap."""
+    worth = task.site.weights.lambda_curt
     allowed = CURTAILED_GAP_SHARE * task.certificate.limits.gap_at(found.value)
-    return EASED_CURTAILED_REL * min(1.0, allowed / worth) if worth > 0.0 else 0.0
+    return allowed / worth if worth > 0.0 else 0.0
 
 
 def with_tie_breakers(
-    task: WindowTask, found: Candidate, curtailed_rel: float = SERVICE_HELD_REL
+    task: WindowTask, found: Candidate, more_kwh: float = 0.0
 ) -> Candidate | None:
     """The dispatch that the tie-breakers prefer, None if the network forbids its cost.
 
-    They may curtail more by a share.
+    They may curtail so much more.
     """
     data = task.data.for_service(found.dispatch.served)
     own = OwnValues(found.terms.own, found.letters)
-    attempt = polish(task.cache, data, found.dispatch, task.answer_by(), own, curtailed_rel)
+    attempt = polish(task.cache, data, found.dispatch, task.answer_by(), own, more_kwh)
     task.certificate.note("tie_breakers", attempt.outcome)
     return carried(task, data, found, attempt)
 
@@ -252,8 +248,8 @@ def polished(task: WindowTask, found: Candidate) -> Candidate | None:
     if better is not None or task.own:
         return better
     if task.data.phased is not None:
-        eased_rel = _curtailed_rel(task, found)
-        return with_tie_breakers(task, found, eased_rel) or as_it_is(task, found)
+        more_kwh = _curtailed_within_gap_kwh(task, found)
+        return with_tie_breakers(task, found, more_kwh) or as_it_is(task, found)
     return with_least_reactive(task, found)
 
 
@@ -400,7 +396,7 @@ def polish(
     dispatch: Dispatch,
     deadline: Deadline,
     own: OwnValues = NO_OWN_VALUES,
-    curtailed_rel: float = SERVICE_HELD_REL,
+    more_kwh: float = 0.0,
 ) -> Attempt:
     """Minimise the tie-breakers with service, cost and curtailment held.
 
@@ -416,9 +412,10 @@ def polish(
     # What the cost has besides is held by itself.
     f2 = terms.f2 - sheet.statement.held(data, dispatch).gbp
     f2_max = f2 + HELD_REL * abs(f2) + HELD_ABS
-    f3_max = terms.f3 + curtailed_rel * terms.f3 + HELD_ABS
+    f3_max = terms.f3 + SERVICE_HELD_REL * terms.f3 + HELD_ABS + more_kwh
     # Where nothing is curtailed, PV export is data and its discs are intervals: far smaller.
-    curtailing = terms.f3 > HELD_ABS or bool((data.pv_kw > site.pv.s_max_kva).any())
+    beyond = bool((data.pv_kw > site.pv.s_max_kva).any())
+    curtailing = terms.f3 + more_kwh > HELD_ABS or beyond
     moves = data.moves is not None
     problem = cache.problem(TieBreakers, sheet=sheet, curtailing=curtailing, moves=moves)
     problem.hold(data, dispatch, f2_max, f3_max)
