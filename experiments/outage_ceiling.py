@@ -151,6 +151,7 @@ def _ahead(scenario: Scenario, row: int) -> Ahead:
         weight=scenario.customers.weight,
         lambda_curt=scenario.objective.lambda_curt,
         dt_h=scenario.grid.dt_h,
+        delivered_kwh=np.zeros(len(scenario.load_kw) - row),
     )
 
 

@@ -384,6 +384,7 @@ def ahead(load_kw: Floats, pv_kw: Floats, **other: object) -> Ahead:
     """Two customers, of which the first counts ten times as much per kW."""
     no_limit = np.full(len(pv_kw), np.inf)
     values = {"import_kw": no_limit, "export": None, "lambda_curt": 0.1, "dt_h": 1.0} | other
+    values.setdefault("delivered_kwh", np.zeros(len(pv_kw)))
     price = values.pop("price", np.full(len(pv_kw), PRICE))
     return Ahead(load_kw, pv_kw, price, weight=np.array([1.0, 0.1]), **values)  # type: ignore[arg-type]
 

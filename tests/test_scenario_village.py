@@ -39,9 +39,11 @@ def test_village_has_what_its_page_says(week: Scenario) -> None:
     assert ten_hours == pytest.approx(sets.fuel_level_litres, rel=0.01)
 
 
-def test_evening_of_the_outage_runs_with_all_of_it(week: Scenario) -> None:
-    evening = week.between(60, 68)  # from an hour before the outage to 19:00 UTC
-    run = run_day(evening, RunOptions(isolate=False))
+def test_night_of_the_outage_runs_with_all_of_it(week: Scenario) -> None:
+    night = week.between(60, 80)  # from an hour before the outage to the next morning
+    warm = replace(night.thermal_loads, t_initial_c=night.thermal_loads.t_max_c)
+    night = replace(night, thermal_loads=warm)
+    run = run_day(night, RunOptions(isolate=False))
     summary = summarise(run)
     assert (run.steps["fallback"] == "none").all()
     assert run.steps["gap"].max() < 1e-4

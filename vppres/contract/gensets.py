@@ -77,6 +77,11 @@ class SetsAhead(ByStep):
         """Steps in which a set that is off may start, (W, G); ``outage`` has the shape (W,)."""
         return self.rested & self.can_run & (outage[:, None] | ~sets.only_in_outage)
 
+    @property
+    def usable(self) -> Flags:
+        """Sets that may be on in any step, (G,)."""
+        return np.asarray(self.can_run.any(axis=0))
+
     def on_before(self, on: Flags) -> Flags:
         """Whether each set was on in the step before, (W, G)."""
         return np.vstack([self.was_on[:1] > 0.5, on[:-1]])

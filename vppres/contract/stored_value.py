@@ -1,4 +1,4 @@
-"""What energy left in the batteries is worth behind a window: a concave function of its sum.
+"""What energy left in batteries and tanks is worth behind a window: a concave function of its sum.
 
 It is made outside the optimisation (:mod:`vppres.outlook.value`) and handed to it with a number of
 pieces that never changes, so that a problem is compiled once.
@@ -6,12 +6,12 @@ pieces that never changes, so that a problem is compiled once.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 
-from vppres.core.arrays import Floats, freeze_arrays
+from vppres.core.arrays import Floats, freeze_arrays, no_items
 
 PIECES = 30
 """Linear pieces of every function: the same number, so that problems keep their shape."""
@@ -30,14 +30,16 @@ class StoredValue:
     Parameters
     ----------
     energy_kwh : array, shape (K + 1,)
-        Energy of all batteries together, rising.
+        Energy of all batteries and tanks together, rising.
     service : array, shape (K + 1,)
-        What it is worth, in weighted customer hours, 0 where the batteries are empty.
+        What it is worth, in weighted customer hours, 0 where all are empty.
     gbp_per_service : float
         Value of lost load of a weighted customer hour.
     as_service : bool
         Whether it counts as service: in an outage, where energy is all that there is to spend.
         Otherwise everyone is served, and it counts against the cost of energy.
+    kwh_per_litre : array, shape (G,)
+        Energy in a battery that a litre in the tank of each generating set stands for.
 
     Examples
     --------
@@ -52,6 +54,7 @@ class StoredValue:
     service: Floats
     gbp_per_service: float
     as_service: bool
+    kwh_per_litre: Floats = field(default_factory=no_items)
 
     def __post_init__(self) -> None:
         freeze_arrays(self)

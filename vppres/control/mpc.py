@@ -12,10 +12,12 @@ from vppres.contract.dispatch import Dispatch
 from vppres.contract.moves import Moves
 from vppres.contract.observation import Observation, Turns
 from vppres.contract.operating_point import Centre
+from vppres.contract.stored_value import StoredValue
 from vppres.control.planner import OnePass, Planner, plan_with_rules, solve_info
 from vppres.control.remembered import PART
 from vppres.core.arrays import Flags
 from vppres.core.errors import SolveError
+from vppres.model.beyond_paper.stored_value import left_kwh
 from vppres.scenario.assets import SOC_ROUNDING
 from vppres.scenario.timegrid import TimeGrid
 from vppres.solve.ladder import WindowSolver
@@ -85,8 +87,9 @@ class MPCController:
         self._last = observation.t0, plan
         info = solve_info(self.solver.site, solution, self.solver.compilations, relaxed)
         worth = np.nan
-        if observation.stored_value is not None:
-            worth = observation.stored_value.marginal_gbp_per_kwh(self._held_kwh(solution))
+        value = observation.stored_value
+        if value is not None:
+            worth = value.marginal_gbp_per_kwh(self._left_kwh(value, observation, solution))
         return Decision(plan, 0, replace(info, moved_kw=moved_kw, stored_value_gbp_per_kwh=worth))
 
     def _planned(self, observation: Observation) -> tuple[WindowSolution, bool]:
@@ -163,8 +166,11 @@ class MPCController:
             found = self.planner.plan(asked)
         except SolveError:
             return None
-        spent_kwh = self._held_kwh(before) - self._held_kwh(found)
-        return found if asked.stored_value is None or spent_kwh <= ROUNDING_KWH else None
+        value = asked.stored_value
+        if value is None:
+            return found
+        left_kwh, before_kwh = (self._left_kwh(value, asked, each) for each in (found, before))
+        return found if before_kwh - left_kwh <= ROUNDING_KWH else None
 
     def _keeping(
         self, observation: Observation, served: Flags, plan: WindowSolution
@@ -179,11 +185,14 @@ class MPCController:
             return kept
         load_kw = np.maximum(observation.forecast.load_kw[0], LEAST_KW)
         dearest = float((self.solver.site.customers.weight / load_kw).max())
-        return replace(kept, stored_value=value.holding(self._held_kwh(plan), 2.0 * dearest))
+        left_kwh = self._left_kwh(value, observation, plan)
+        return replace(kept, stored_value=value.holding(left_kwh, 2.0 * dearest))
 
-    def _held_kwh(self, solution: WindowSolution) -> float:
-        """Energy that a plan leaves at its end."""
-        return float(solution.dispatch.soc[-1] @ self.solver.site.batteries.energy_kwh)
+    def _left_kwh(
+        self, value: StoredValue, observation: Observation, plan: WindowSolution
+    ) -> float:
+        """Energy that a plan leaves at its end, as its value counts it."""
+        return left_kwh(self.solver.site, value, observation.gensets, plan.dispatch)
 
     def _before(self, observation: Observation) -> Moves | None:
         """What the plan before had foreseen for the window, None if it does not reach it."""

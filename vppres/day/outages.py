@@ -110,6 +110,46 @@ class Beside:
 
 
 @dataclass(frozen=True, eq=False)
+class Fuel:
+    """Fuel of generating sets as energy in a battery: what a set at its largest power makes of it.
+
+    Parameters
+    ----------
+    kwh_per_litre : array, shape (G,)
+        Energy in a battery that a litre of each set stands for, 0 for a set that cannot run.
+    power_kw, held_kwh : float
+        Largest power of all sets, and their fuel now.
+    delivered_kwh : array, shape (T,)
+        What comes at the beginning of each step, that of the present one left out.
+    """
+
+    kwh_per_litre: Floats
+    power_kw: float
+    held_kwh: float
+    delivered_kwh: Floats
+
+    @classmethod
+    def of(cls, scenario: Scenario, row: int, n_steps: int, seen: Observation) -> Fuel:
+        """Of an observation and the deliveries of so many steps."""
+        sets = scenario.gensets
+        if seen.gensets is None:
+            return cls(np.zeros(len(sets)), 0.0, 0.0, np.zeros(n_steps))
+        power_kw = scenario.batteries.active_max_kw
+        eta_discharge = float(power_kw @ seen.eta_discharge / power_kw.sum())
+        usable = seen.gensets.usable
+        kwh_per_litre = np.where(usable, sets.kwh_per_litre / eta_discharge, 0.0)
+        delivered = scenario.refuelled_litres[row : row + n_steps] @ kwh_per_litre
+        delivered[0] = 0.0  # it is in the tank already
+        held = np.minimum(seen.gensets.added_litres[0], sets.tank_litres)
+        return cls(
+            kwh_per_litre,
+            float(sets.p_max_kw[usable].sum()),
+            float(held @ kwh_per_litre),
+            delivered,
+        )
+
+
+@dataclass(frozen=True, eq=False)
 class OutageView:
     """What a controller is told of outages.
 
@@ -196,13 +236,22 @@ class OutageView:
             return told
         ahead = forecaster.at(row, range(row, row + n_ahead))
         import_kw = beside.import_kw(n_ahead, grid.import_kw)
-        expected = self._ahead(scenario, slice(row, row + n_ahead), ahead, import_kw, belief.out)
-        value = self._value(told, belief, scenario, expected, ahead, beside)
+        fuel = Fuel.of(scenario, row, n_ahead, seen)
+        expected = self._ahead(
+            scenario, slice(row, row + n_ahead), ahead, import_kw, belief.out, fuel
+        )
+        value = self._value(told, belief, scenario, expected, ahead, beside, fuel)
         # A value that is no number says nothing: the likely future is left.
         return replace(told, stored_value=value) if np.isfinite(value.service).all() else told
 
     def _ahead(
-        self, scenario: Scenario, rows: slice, ahead: Forecast, import_kw: Floats, out: bool
+        self,
+        scenario: Scenario,
+        rows: slice,
+        ahead: Forecast,
+        import_kw: Floats,
+        out: bool,
+        fuel: Fuel,
     ) -> Ahead:
         """What is expected of the steps.
 
@@ -222,6 +271,7 @@ class OutageView:
             weight=weight,
             lambda_curt=objective.lambda_curt,
             dt_h=scenario.grid.dt_h,
+            delivered_kwh=fuel.delivered_kwh,
         )
 
     def _value(
@@ -232,9 +282,10 @@ class OutageView:
         expected: Ahead,
         ahead: Forecast,
         beside: Beside,
+        fuel: Fuel,
     ) -> StoredValue:
         """What energy is worth behind the present step."""
-        fleet = self._fleet(scenario, seen)
+        fleet = self._fleet(scenario, seen, fuel)
         end = Terminal.of(self.soc_end, ahead, ends=True)
         # An evening's own prices would keep energy that the next night sells for less.
         steps_before = max(round(DAY_H / scenario.grid.dt_h) - expected.n_steps, 0)
@@ -245,12 +296,13 @@ class OutageView:
             """What is held behind the last step: bought at the day's lowest price, or asked for."""
             if end is None:
                 return lowest / fleet.eta_charge * (energy_kwh - fleet.least_kwh)
-            target_kwh = float(end.target_kwh(scenario.batteries).sum())
+            # What batteries are to hold is held besides all fuel.
+            target_kwh = float(end.target_kwh(scenario.batteries).sum()) + fleet.fuel_kwh
             return end.price_gbp_per_kwh * np.minimum(energy_kwh - target_kwh, 0.0)
 
         return stored_value(belief, fleet, expected, self.gbp_per_kwh_lost, end_gbp)
 
-    def _fleet(self, scenario: Scenario, seen: Observation) -> Fleet:
+    def _fleet(self, scenario: Scenario, seen: Observation, fuel: Fuel) -> Fleet:
         """All batteries as one, with their present efficiencies; the guard tells who is there."""
         b = scenario.batteries
         power_kw = b.active_max_kw
@@ -268,6 +320,9 @@ class OutageView:
             p_out_kw=float((power_kw - headroom_kw).sum()),
             eta_charge=float(share @ seen.eta_charge),
             eta_discharge=eta_discharge,
+            sets_kw=fuel.power_kw,
+            fuel_kwh=fuel.held_kwh + float(fuel.delivered_kwh.sum()),
+            kwh_per_litre=fuel.kwh_per_litre,
         )
 
 

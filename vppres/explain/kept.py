@@ -81,7 +81,7 @@ class Kept:
     Parameters
     ----------
     share : float
-        What batteries hold after it, of what they may.
+        What batteries and tanks hold after it, of what they may.
     end : pandas.Timestamp
         End of the step.
     likely_to : pandas.Timestamp
@@ -136,6 +136,9 @@ def kept_in(step: Step) -> Kept | None:
     b = step.site.batteries
     held_kwh = float(b.energy_kwh @ (step.recorded.soc_end[step.t] - b.soc_min))
     most_kwh = float(b.energy_kwh @ (b.soc_max - b.soc_min))
+    of_fuel = window.stored_value.kwh_per_litre
+    held_kwh += float(step.recorded.fuel_left(step.t) @ of_fuel)
+    most_kwh += float(step.scenario.gensets.tank_litres @ of_fuel)
     first = step.site.customers.tier == step.scenario.tiers[0]
     needed_kw = float(step.scenario.load_kw[step.t :][: len(ahead) + 1, first].mean(axis=0).sum())
     gbp = _costs_gbp(step)

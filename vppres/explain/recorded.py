@@ -119,6 +119,10 @@ class Recorded:
         rows = self.trajectory.gensets
         return np.zeros((self.n_steps, 0)) if rows is None else self._array(rows, column)
 
+    def fuel_left(self, t: int) -> Floats:
+        """Fuel of each generating set at the end of a step, (G,)."""
+        return np.asarray(self._of_gensets("fuel_end_litres")[t])
+
     def _sets_ahead(self, steps: range) -> SetsAhead | None:
         """Generating sets at the beginning of a window; None without any."""
         hours = self._of_gensets("hours_before")[steps.start]

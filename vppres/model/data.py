@@ -330,7 +330,13 @@ class WindowData:
             held_kwh + charged_kw * hours, max(float(b.energy_kwh @ b.soc_max), held_kwh)
         )
         least_kwh = max(held_kwh - drawn_kw * hours, min(float(b.energy_kwh @ b.soc_min), held_kwh))
-        return self.stored_value.between(least_kwh, most_kwh)
+        return self.stored_value.between(least_kwh, most_kwh + self._fuel_kwh(self.stored_value))
+
+    def _fuel_kwh(self, value: StoredValue) -> float:
+        """Most energy that fuel at the end of the window can stand for."""
+        if self.gensets is None:
+            return 0.0
+        return float(self.gensets.added_litres.sum(axis=0) @ value.kwh_per_litre)
 
     def active_max_kw(self, batteries: Batteries) -> Floats:
         """Largest active power that a plan may ask of each battery, (W, B)."""

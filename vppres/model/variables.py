@@ -20,8 +20,8 @@ class Parameters:
 
     What stands at None is nothing of the paper: demand that is added at the buses, (W, N), and
     behind the meters of PV systems, (W, P), power besides import and PV export from which batteries
-    charge, (W,), and ratings and lowest states of charge that change with the steps, (W, B). What a
-    window has beyond the paper sets them.
+    charge, (W,), ratings and lowest states of charge that change with the steps, (W, B), and energy
+    that is left for later besides that of batteries. What a window has beyond the paper sets them.
     """
 
     P_load: cp.Parameter
@@ -43,6 +43,7 @@ class Parameters:
     P_fed_added: cp.Expression | None = None
     S_max: cp.Expression | None = None
     SoC_min: cp.Expression | None = None
+    E_kept_added: cp.Expression | None = None
 
     @classmethod
     def create(cls, site: Site, W: int) -> Parameters:

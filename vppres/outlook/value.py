@@ -1,15 +1,16 @@
 """What stored energy is worth under a belief: dynamic programming backwards over (energy, state).
 
-The fleet is one battery, customers are shares of the cheapest service, and the network is not
-there. Of all that the belief knows the chain of its states; what is charged or drawn is decided
-anew in each step and state. So the value is a lumped one, and nothing certifies it: a window that
-is solved for it is certified for *this* value (``docs/uncertain-outages.md``).
+The fleet is one battery, in which the fuel of generating sets is energy that is held already;
+customers are shares of the cheapest service, and the network is not there. Of all that the belief
+knows the chain of its states; what is charged or drawn is decided anew in each step and state. So
+the value is a lumped one, and nothing certifies it: a window that is solved for it is certified for
+*this* value (``docs/uncertain-outages.md``).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from math import ceil, floor
 
@@ -17,7 +18,7 @@ import numpy as np
 
 from vppres.contract.export import Export
 from vppres.contract.stored_value import PIECES, StoredValue
-from vppres.core.arrays import Floats
+from vppres.core.arrays import Floats, no_items
 from vppres.outlook.belief import OutageBelief
 
 MOST_CELLS = 240
@@ -44,6 +45,12 @@ class Fleet:
         The same in an outage, less the headroom of those that form the grid.
     eta_charge, eta_discharge : float
         Mean efficiencies.
+    sets_kw : float
+        Largest power of all generating sets, which they give in an outage.
+    fuel_kwh : float
+        Energy in a battery that stands for all fuel that they have or will get.
+    kwh_per_litre : array, shape (G,)
+        What a litre of each set stands for.
     """
 
     least_kwh: float
@@ -52,6 +59,9 @@ class Fleet:
     p_out_kw: float
     eta_charge: float
     eta_discharge: float
+    sets_kw: float = 0.0
+    fuel_kwh: float = 0.0
+    kwh_per_litre: Floats = field(default_factory=no_items)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +84,8 @@ class Ahead:
         Weight of curtailed energy, in weighted customer hours per kWh.
     dt_h : float
         Length of a step in h.
+    delivered_kwh : array, shape (T,)
+        Energy in a battery that stands for the fuel that comes at the beginning of each step.
     """
 
     load_kw: Floats
@@ -84,6 +96,7 @@ class Ahead:
     weight: Floats
     lambda_curt: float
     dt_h: float
+    delivered_kwh: Floats
 
     @property
     def n_steps(self) -> int:
@@ -168,7 +181,7 @@ def stored_value(
     Returns
     -------
     StoredValue
-        Concave, 0 for empty batteries, of ``PIECES`` pieces.
+        Concave, 0 for empty batteries and tanks, of ``PIECES`` pieces.
 
     Notes
     -----
@@ -181,7 +194,8 @@ def stored_value(
     worth = _behind_present(belief, problem, end_gbp(energy) / gbp_per_service)
     points = np.linspace(energy[0], energy[-1], PIECES + 1)
     concave = np.interp(points, energy, concave_above(worth))
-    return StoredValue(points, concave - concave[0], gbp_per_service, as_service=belief.out)
+    service = concave - concave[0]
+    return StoredValue(points, service, gbp_per_service, belief.out, fleet.kwh_per_litre)
 
 
 def concave_above(values: Floats) -> Floats:
@@ -202,7 +216,7 @@ def concave_above(values: Floats) -> Floats:
 
 def _cells(fleet: Fleet, dt_h: float) -> Floats:
     """Energies in equal distances, close enough that the least move of a step spans some."""
-    usable_kwh = max(fleet.most_kwh - fleet.least_kwh, LEAST_KW)
+    usable_kwh = max(fleet.most_kwh + fleet.fuel_kwh - fleet.least_kwh, LEAST_KW)
     move_kwh = fleet.eta_charge * max(fleet.p_out_kw, LEAST_KW) * dt_h
     cells = int(np.clip(ceil(CELLS_PER_MOVE * usable_kwh / move_kwh), PIECES, MOST_CELLS))
     return np.linspace(fleet.least_kwh, fleet.least_kwh + usable_kwh, cells + 1)
@@ -249,21 +263,33 @@ class _Problem:
 
     def with_grid(self, t: int) -> _Moves:
         """Moves of step ``t`` while there is grid."""
-        charge_kw = self._powers(self.fleet.p_max_kw, self.ahead.pv_kw[t] - self.ahead.total_kw[t])
+        most_kw = self.fleet.p_max_kw
+        unmet_kw = self.ahead.total_kw[t] - self.ahead.pv_kw[t]
+        charge_kw = self._powers(-most_kw, most_kw, -unmet_kw)
         worth = self.ahead.worth_with_grid(t, charge_kw, self.gbp_per_service)
         return _Moves(self._cells(charge_kw), worth)
 
     def out(self, t: int) -> _Moves:
         """Moves of step ``t`` in an outage."""
         pv_kw = self.ahead.pv_kw[t]
-        charge_kw = self._powers(self.fleet.p_out_kw, pv_kw - self.ahead.total_kw[t], pv_kw)
+        most_kw = self.fleet.p_out_kw
+        least_kw = -most_kw - self.fleet.sets_kw
+        charge_kw = self._powers(least_kw, most_kw, pv_kw - self.ahead.total_kw[t], pv_kw)
         charge_kw = charge_kw[charge_kw <= pv_kw]
         return _Moves(self._cells(charge_kw), self.ahead.worth_in_outage(t, charge_kw))
 
-    def _powers(self, most_kw: float, *special_kw: float) -> Floats:
-        """Charging powers up to the largest: those of whole cells, and others to be tried too."""
-        whole_kw = self._whole_kw[np.abs(self._whole_kw) < most_kw]
-        others_kw = np.clip([-most_kw, most_kw, *special_kw], -most_kw, most_kw)
+    def before_delivery(self, t: int, worth: Floats) -> Floats:
+        """What energies are worth to which the fuel of step ``t`` is still to come, (R, n) each."""
+        delivered_kwh = self.ahead.delivered_kwh[t]
+        if not delivered_kwh:
+            return worth
+        with_fuel = np.minimum(self.energy + delivered_kwh, self.energy[-1])
+        return np.array([np.interp(with_fuel, self.energy, each) for each in worth])
+
+    def _powers(self, least_kw: float, most_kw: float, *special_kw: float) -> Floats:
+        """Charging powers within two: those of whole cells, and others to be tried too."""
+        whole_kw = self._whole_kw[(self._whole_kw > least_kw) & (self._whole_kw < most_kw)]
+        others_kw = np.clip([least_kw, most_kw, *special_kw], least_kw, most_kw)
         return np.union1d(whole_kw, others_kw)
 
     @cached_property
@@ -314,9 +340,9 @@ def _behind_present(belief: OutageBelief, problem: _Problem, end: Floats) -> Flo
         ends = restored[possible][:, np.minimum(np.arange(t), restored.shape[1] - 1), None]
         stays = lasting[:, 1 : t + 1]
         later_lasting = ends * waiting[possible][:, None] + (1.0 - ends) * stays
-        waiting = problem.with_grid(t).best(later_waiting)
+        waiting = problem.before_delivery(t, problem.with_grid(t).best(later_waiting))
         states = np.vstack([later_lasting.reshape(-1, len(end)), later_present])
-        best = problem.out(t).best(states)
+        best = problem.before_delivery(t, problem.out(t).best(states))
         lasting = best[:-1].reshape(later_lasting.shape)
         present = best[-1]
     return np.asarray(later_present if belief.out else later_waiting[0])

@@ -74,6 +74,15 @@ class Gensets:
         """
         return dt_h * (self.litres_per_kwh * power_kw + self.litres_per_h_idle * on)
 
+    @property
+    def kwh_per_litre(self) -> Floats:
+        """Most energy that a litre gives, (G,): that of a set at its largest power.
+
+        >>> Gensets(p_max_kw=[100.0], litres_per_kwh=[0.25], litres_per_h_idle=[0.0]).kwh_per_litre
+        array([4.])
+        """
+        return self.p_max_kw / (self.litres_per_kwh * self.p_max_kw + self.litres_per_h_idle)
+
     def least_litres(self, dt_h: float) -> Floats:
         """Fuel that each set burns in a step at its least power, (G,)."""
         return self.litres(np.ones(len(self), dtype=bool), self.p_min_kw, dt_h)

@@ -42,6 +42,8 @@ class GensetsModel(Addition):
         Power in kW; fuel at the end of the step in litres.
     can_run, can_start, must_run, was_on, was_kw, added : cvxpy.Parameter, shape (W, G)
         See :class:`vppres.contract.gensets.SetsAhead`.
+    stands_for : cvxpy.Parameter, shape (G,)
+        Energy in a battery that a litre stands for at the end, where such energy has a value.
     """
 
     by_dispatch: ClassVar[tuple[str, ...]] = ("gs_on", "gs_start", "gs_power", "gs_fuel")
@@ -72,6 +74,7 @@ class GensetsModel(Addition):
     was_on: cp.Parameter
     was_kw: cp.Parameter
     added: cp.Parameter
+    stands_for: cp.Parameter
 
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
@@ -90,6 +93,7 @@ class GensetsModel(Addition):
             cp.Variable(size, name="gs_power", nonneg=True),
             cp.Variable(size, name="gs_fuel", nonneg=True),
             **{name: cp.Parameter(size, name=f"gs_{name}_by_step", nonneg=True) for name in names},
+            stands_for=cp.Parameter(size[1], name="gs_kwh_per_litre", nonneg=True),
         )
 
     def parameters(self, site: Site) -> dict[str, cp.Expression]:
@@ -97,6 +101,7 @@ class GensetsModel(Addition):
         return {
             "P_added": -self.power @ site.genset_bus.T,
             "P_fed_added": cp.sum(self.power, axis=1),
+            "E_kept_added": self.stands_for @ self.fuel[-1],
         }
 
     def families(self, site: Site, v: Variables, p: Parameters) -> Named:
@@ -188,6 +193,9 @@ class GensetsModel(Addition):
         write(self.was_on, ahead.was_on)
         write(self.was_kw, ahead.was_kw)
         write(self.added, ahead.added_litres)
+        nothing = np.zeros(len(site.gensets))
+        value = data.stored_value
+        write(self.stands_for, nothing if value is None else value.kwh_per_litre)
 
     @classmethod
     def worth(cls, site: Site, data: WindowData, dispatch: Dispatch) -> dict[str, float]:

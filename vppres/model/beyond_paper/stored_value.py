@@ -15,9 +15,11 @@ import cvxpy as cp
 import numpy as np
 
 from vppres.contract.dispatch import Dispatch
+from vppres.contract.gensets import SetsAhead
 from vppres.contract.stored_value import PIECES, StoredValue
 from vppres.core.arrays import Floats
 from vppres.model.beyond_paper.addition import Addition, Held
+from vppres.model.beyond_paper.gensets import running
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
 from vppres.model.numerics import write
@@ -28,6 +30,16 @@ KEPT_TOLERANCE = 1e-6
 """Share of the capacity by which the energy that a dispatch keeps for later may be missed."""
 
 
+def left_kwh(site: Site, value: StoredValue, sets: SetsAhead | None, dispatch: Dispatch) -> float:
+    """Energy of all batteries and tanks at the end of a dispatch, as the value counts it."""
+    held_kwh = float(dispatch.soc[-1] @ site.batteries.energy_kwh)
+    if sets is None:
+        return held_kwh
+    ahead = sets.part(slice(dispatch.n_steps))
+    fuel = ahead.fuel_litres(site.gensets, *running(site, dispatch), site.dt_h)
+    return held_kwh + float(fuel[-1] @ value.kwh_per_litre)
+
+
 @dataclass(frozen=True, eq=False)
 class ValueAtEnd(Addition):
     """Variables and parameters of the value of what is stored at the end of a window.
@@ -35,7 +47,8 @@ class ValueAtEnd(Addition):
     Parameters
     ----------
     stored : cvxpy.Variable
-        Energy of all batteries in kWh; a variable, since limits with parameters stand beside it.
+        Energy of all batteries and tanks in kWh; a variable, since limits with parameters stand
+        beside it.
     kept : cvxpy.Variable
         What it is worth, in weighted customer hours.
     slope, offset : cvxpy.Parameter, shape (K,)
@@ -77,9 +90,11 @@ class ValueAtEnd(Addition):
 
     def families(self, site: Site, v: Variables, p: Parameters) -> Named:
         """The energy at the end of the window, and what it is worth."""
-        energy_kwh = cp.multiply(site.batteries.energy_kwh, v.SoC[-1])
+        energy_kwh = cp.sum(cp.multiply(site.batteries.energy_kwh, v.SoC[-1]))
+        if p.E_kept_added is not None:
+            energy_kwh = energy_kwh + p.E_kept_added
         return {
-            "stored_at_end": self.stored == cp.sum(energy_kwh),
+            "stored_at_end": self.stored == energy_kwh,
             "value_at_end": self.kept <= self.slope * self.stored + self.offset,
         }
 
@@ -91,7 +106,7 @@ class ValueAtEnd(Addition):
     def worth(cls, site: Site, data: WindowData, dispatch: Dispatch) -> dict[str, float]:
         """What the energy at the end takes off the cost, and the later service that it buys."""
         value = data.require_value()
-        kept = value.at(float(dispatch.soc[-1] @ site.batteries.energy_kwh))
+        kept = value.at(left_kwh(site, value, data.gensets, dispatch))
         return {"f2": -value.gbp_as_cost * kept, "f7": kept if value.as_service else 0.0}
 
     @classmethod
@@ -105,8 +120,8 @@ class ValueAtEnd(Addition):
 
     def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> Held:
         """The energy at the end, and what comes off the cost for it."""
-        b = site.batteries
-        kept_kwh = float(dispatch.soc[-1] @ b.energy_kwh - KEPT_TOLERANCE * b.energy_kwh.sum())
+        missed_kwh = KEPT_TOLERANCE * float(site.batteries.energy_kwh.sum())
+        kept_kwh = left_kwh(site, data.require_value(), data.gensets, dispatch) - missed_kwh
         gbp = self.worth(site, data, dispatch)["f2"]
         return Held({"kept": 0.0}, {"E_stored": kept_kwh}, gbp)
 
