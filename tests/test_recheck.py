@@ -89,11 +89,11 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> Recheck:
     return recheck_opendss(run(), lane(tmp_path_factory.mktemp("lane")))
 
 
-def test_vehicles_and_machines_draw_what_a_battery_draws(found: Recheck, tmp_path: Path) -> None:
+def test_vehicles_machines_and_sets_are_what_a_battery_is(found: Recheck, tmp_path: Path) -> None:
     drawn_kw = [1.5, -3.0, 0.0]
     idle = rows(["a"], charge_kw=[0.0] * 3, discharge_kw=[0.0] * 3, q_kvar=[0.0] * 3)
-    half = rows(["a"], p_kw=[each / 2 for each in drawn_kw])
-    tables = run(batteries=idle, vehicles=half, thermal_loads=half)
+    each = rows(["a"], p_kw=drawn_kw)  # drawn twice, and given once
+    tables = run(batteries=idle, vehicles=each, thermal_loads=each, gensets=each)
     again = recheck_opendss(tables, lane(tmp_path))
     pd.testing.assert_frame_equal(again.voltages, found.voltages)
 

@@ -15,6 +15,7 @@ import pandas as pd
 from vppres.core.arrays import Floats, Names
 from vppres.core.errors import InputError
 from vppres.core.notebook import facts_html
+from vppres.scenario.gensets import Gensets
 from vppres.scenario.network import BusId
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.thermal_loads import ThermalLoads
@@ -130,10 +131,10 @@ class Trajectory:
         """Put what happened in a step into the pandapower net that the scenario was made from.
 
         What the scenario took over (loads, generators, storages) is switched off in the net, and
-        customers with their machines, PV systems, batteries and chargers are put back. In an outage
-        the grid is opened; where batteries hold the island, a source at the bus of the largest
-        holds its voltage and gives nothing; in the dark there is none. A power flow of the net is
-        then that of the record, as far as the feeder is exact.
+        customers with their machines, PV systems, batteries, chargers and generating sets are put
+        back. In an outage the grid is opened; where batteries hold the island, a source at the bus
+        of the largest holds its voltage and gives nothing; in the dark there is none. A power flow
+        of the net is then that of the record, as far as the feeder is exact.
 
         Parameters
         ----------
@@ -202,10 +203,13 @@ class Trajectory:
             ),
             self._active(VEHICLES, day.chargers, t),
             self._active(THERMAL_LOADS, day.thermal_loads, t),
+            self._active(GENSETS, day.gensets, t),
         )
 
-    def _active(self, table: str, items: Chargers | ThermalLoads, t: int) -> pd.DataFrame | None:
-        """Powers of chargers or machines in a step by identifier; None without any."""
+    def _active(
+        self, table: str, items: Chargers | ThermalLoads | Gensets, t: int
+    ) -> pd.DataFrame | None:
+        """Powers of chargers, machines or sets in a step by identifier; None without any."""
         if getattr(self, table) is None:
             return None
         buses = items.buses(self.scenario.customers)

@@ -88,10 +88,10 @@ class Feeding:
 class Powers:
     """Powers of a step by identifier: ``bus``, ``p_kw`` and ``q_kvar`` in each table.
 
-    What ``customers``, ``batteries`` and ``chargers`` take is positive in kW, what ``pv`` feeds
-    likewise; kvar are drawn by customers and injected by PV systems and batteries. Chargers and
-    ``machines``, which cool or heat, have a power factor of 1, and no column ``q_kvar``; None
-    without any.
+    What ``customers``, ``batteries`` and ``chargers`` take is positive in kW, what ``pv`` and
+    generating ``sets`` feed likewise; kvar are drawn by customers and injected by PV systems and
+    batteries. Chargers, sets and ``machines``, which cool or heat, have a power factor of 1, and no
+    column ``q_kvar``; None without any.
     """
 
     customers: pd.DataFrame
@@ -100,6 +100,15 @@ class Powers:
     feeding: Feeding
     chargers: pd.DataFrame | None = None
     machines: pd.DataFrame | None = None
+    sets: pd.DataFrame | None = None
+
+    @property
+    def fed(self) -> pd.DataFrame:
+        """PV systems, then generating sets, which are named so."""
+        if self.sets is None:
+            return self.pv
+        sets = self.sets[["bus", "p_kw"]].assign(q_kvar=0.0)
+        return pd.concat([self.pv, sets.rename(index="set {}".format)])
 
     @property
     def drawn(self) -> pd.DataFrame:
@@ -144,14 +153,14 @@ def put_into_net(net: Any, bus_of: Mapping[int, BusId], powers: Powers) -> None:
     drawn = pd.concat([powers.drawn, powers.feeding.fixed])
     # A storage counts consumption as positive, reactive power too.
     stored = powers.stored.assign(q_kvar=-powers.stored["q_kvar"])
-    for table, rows in (("load", drawn), ("sgen", powers.pv), ("storage", stored)):
+    for table, rows in (("load", drawn), ("sgen", powers.fed), ("storage", stored)):
         for name, row in rows.iterrows():
             _write(net, table, str(name), bus_in_net[row["bus"]], row["p_kw"], row["q_kvar"])
 
 
 def _unknown_buses(powers: Powers, bus_in_net: Mapping[BusId, int]) -> list[Problem]:
     """Buses of the step that the net does not have."""
-    tables = (powers.drawn, powers.pv, powers.stored, powers.feeding.fixed)
+    tables = (powers.drawn, powers.fed, powers.stored, powers.feeding.fixed)
     items = pd.concat([table["bus"] for table in tables])
     return [
         Problem(

@@ -153,10 +153,11 @@ class SetPoints:
 
         What the scenario took over (loads, generators, storages) is switched off. Customers become
         loads with their measured demand (0 if they are off), PV systems static generators,
-        batteries storages, named by their identifiers, chargers storages, as "charger k1", and
-        machines that cool or heat loads, as "machine h1", all marked in a column ``vppres``. In an
-        outage the grid is opened; where batteries hold the island, a source at the bus of the
-        largest holds its voltage and gives nothing.
+        batteries storages, named by their identifiers, chargers storages, as "charger k1", machines
+        that cool or heat loads, as "machine h1", and generating sets static generators, as
+        "set g1", all marked in a column ``vppres``. In an outage the grid is opened; where
+        batteries hold the island, a source at the bus of the largest holds its voltage and gives
+        nothing.
 
         Parameters
         ----------
@@ -171,8 +172,8 @@ class SetPoints:
         drawn = self.customers.assign(
             p_kw=self.customers["load_kw"] * on, q_kvar=self.customers["load_kvar"] * on
         )
-        rooms = self.thermal_loads
-        powers = Powers(drawn, self.pv, self.batteries, self.feeding, self.chargers, rooms)
+        kinds = (self.chargers, self.thermal_loads, self.gensets)
+        powers = Powers(drawn, self.pv, self.batteries, self.feeding, *kinds)
         put_into_net(net, feeder.bus_of, powers)
 
     def _repr_html_(self) -> str:

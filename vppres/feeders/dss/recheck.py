@@ -1,9 +1,9 @@
 """A run's set-points on the original, unbalanced feeder: voltages per phase beside the plan's.
 
 The circuit is built from the script as it was written, in the process that reads such files. What
-was served, fed in, charged and discharged (vehicles and machines too) is set in every step, and
-OpenDSS solves it. Regulators stay at the taps that they find with the loads of the file, as in the
-plan.
+was served, fed in, charged and discharged (vehicles, machines and sets too) is set in every step,
+and OpenDSS solves it. Regulators stay at the taps that they find with the loads of the file, as in
+the plan.
 """
 
 from __future__ import annotations
@@ -159,10 +159,10 @@ def _steps(run: Tables, island_bus: BusId | None) -> list[dict[str, Any]]:
     discharged_kw = batteries["discharge_kw"] - batteries["charge_kw"]
     stored = _by_bus(batteries, discharged_kw, batteries["q_kvar"])
     given = [fed, stored]
-    for name in ("vehicles", "thermal_loads"):
+    for name, sign in (("vehicles", -1.0), ("thermal_loads", -1.0), ("gensets", 1.0)):
         if name in run:
             p_kw = run[name]["p_kw"]
-            given.append(_by_bus(run[name], -p_kw, 0.0 * p_kw))
+            given.append(_by_bus(run[name], sign * p_kw, 0.0 * p_kw))
     feed = pd.concat(given).groupby(level=["time", "bus"]).sum()
     held = _held(run, island_bus)
     return [
