@@ -75,14 +75,14 @@ class HeldThermostats:
         """The controller's decision, without power that cools below the band's top."""
         decision = self.inner.decide(observation)
         t, plan = observation.t0, decision.dispatch
-        if plan.thermal_kw is None or self.day.scenario.outage[: t + 1].any():
+        if "thermal_loads" not in plan.taken_kw or self.day.scenario.outage[: t + 1].any():
             return decision
         loads = self.day.scenario.thermal_loads
         climate = self.day.plant.climate
         held_kw = climate.thermostat_kw(t, loads.held_c, plan.served[decision.row])
-        kept_kw = plan.thermal_kw.copy()
+        kept_kw = plan.taken_kw["thermal_loads"].copy()
         kept_kw[decision.row] = np.minimum(kept_kw[decision.row], held_kw)
-        return replace(decision, dispatch=replace(plan, thermal_kw=kept_kw))
+        return replace(decision, dispatch=plan.acting("thermal_loads", kept_kw))
 
 
 def run(scenario: Scenario, held: bool) -> Trajectory:

@@ -14,6 +14,7 @@ from experiments.random_feeders import random_window
 from tests.support.sets import gensets
 from tests.support.small_windows import DARK, OPEN, battery, first_step, two_buses, window
 from vppres import InputError, RunOptions, explain_day, run_day, summarise
+from vppres.contract.ahead import KindsAhead
 from vppres.contract.decision import Decision
 from vppres.contract.gensets import SetsAhead
 from vppres.control.guard.balance import Commanded, Readings, mismatch_kw
@@ -72,7 +73,7 @@ def ahead(day: Scenario, n_steps: int | None = None) -> SetsAhead:
 
 def known(day: Scenario) -> WindowData:
     """All steps as one window."""
-    return replace(window(day), gensets=ahead(day))
+    return replace(window(day), ahead=KindsAhead(gensets=ahead(day)))
 
 
 def solved(day: Scenario, method: str) -> WindowSolution:
@@ -86,8 +87,8 @@ def solved(day: Scenario, method: str) -> WindowSolution:
 def powers_kw(day: Scenario, method: str) -> np.ndarray[Any, Any]:
     """What sets give in a plan that serves everyone, (W, G)."""
     plan = solved(day, method).dispatch
-    assert plan.served.all() and plan.genset_kw is not None
-    return plan.genset_kw
+    assert plan.served.all()
+    return -plan.taken_kw["gensets"]
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -136,7 +137,7 @@ def test_a_tank_lasts_for_known_hours(power_kw: float, hours: float) -> None:
         on, given_kw = engines.possible(done, np.array([True]), np.array([power_kw]))
         if not on[0] or given_kw[0] < power_kw - 1e-6:
             break
-        engines.advance(done, on, given_kw)
+        engines.advance(done, -given_kw, on)
         done += 1
     assert done * 0.01 == pytest.approx(hours, abs=0.011)
 
@@ -171,10 +172,9 @@ def test_a_set_follows_its_ramps_and_stops_from_any_power(method: str) -> None:
 def test_a_set_runs_on_after_the_outage_for_its_least_time_alone(method: str) -> None:
     day = two_buses([[50.0]] * 5, [1.0], [OPEN, DARK, OPEN, OPEN, OPEN], price=9.0)
     plan = solved(replace(day, gensets=gensets(min_on_h=3.0)), method).dispatch
-    assert plan.genset_on is not None
-    assert plan.genset_on[:, 0].tolist() == [False, True, True, True, False]
+    assert plan.running["gensets"][:, 0].tolist() == [False, True, True, True, False]
     always = solved(replace(day, gensets=gensets(only_in_outage=False)), method).dispatch
-    assert always.genset_on is not None and always.genset_on.all()
+    assert always.running["gensets"].all()
 
 
 def random_sets(rng: np.random.Generator, scenario: Scenario) -> Gensets:
@@ -207,7 +207,7 @@ def test_methods_agree_on_random_windows(seed: int) -> None:
     scenario, data = random_window(seed, stressed=seed % 2 > 0)
     sets = random_sets(np.random.default_rng([seed, 43]), scenario)
     day = replace(scenario, gensets=sets)
-    data = replace(data, gensets=ahead(day, data.n_steps))
+    data = replace(data, ahead=KindsAhead(gensets=ahead(day, data.n_steps)))
     site = Site.of(day)
     one, other = (WindowSolver(site, method).solve(data) for method in METHODS)
     gap = 1e-4 * max(abs(other.objective), 0.01) + 1e-6
@@ -229,7 +229,7 @@ def test_plant_and_plan_agree_on_what_random_sets_can_do() -> None:
     for t in range(40):
         wanted = rng.random(len(sets)) < 0.7
         wish_kw = sets.p_max_kw * rng.uniform(0.0, 1.2, len(sets))
-        engines.advance(t, *engines.possible(t, wanted, wish_kw))
+        engines.advance(t, *engines.follow(t, -wish_kw, wanted, np.ones(1, dtype=bool)))
         state = engines.state
         on.append(state.on)
         power_kw.append(state.power_kw)
@@ -249,10 +249,10 @@ def test_the_guard_refuses_what_a_set_cannot_do() -> None:
     day = island([50.0, 0.0], gensets(fuel_level_litres=25.0))
     data = known(day)
     plan = solved(day, "decomposed").dispatch
-    state = replace(first_step(day, data), gensets=ahead(day, 1))
-    assert plan.genset_kw is not None and not violations(Decision(plan), state)
+    state = replace(first_step(day, data), ahead=KindsAhead(gensets=ahead(day, 1)))
+    assert not violations(Decision(plan), state)
     for wrong_kw in (120.0, 20.0, 90.0):  # its rating, its least power, its fuel
-        wrong = replace(plan, genset_kw=np.full((2, 1), wrong_kw))
+        wrong = plan.acting("gensets", np.full((2, 1), -wrong_kw))
         assert any("genset power: g0" in each for each in violations(Decision(wrong), state))
     connected = replace(state, grid_limit_kw=100.0)
     assert "genset switching: g0" in violations(Decision(plan), connected)

@@ -170,7 +170,7 @@ def test_a_played_day_of_sets_is_the_run(tiny: Scenario, tmp_path: Path) -> None
     player = played(service, day, tmp_path, Play(announced=False))
     assert player.tally.statuses == {"ok": day.grid.n_steps} and player.tally.estimated == 0
     for column in ("running", "p_kw", "fuel_end_litres", "hours_before"):
-        found = np.concatenate([one.gensets[column] for one in player.world.records])
+        found = np.concatenate([one.kinds["gensets"][column] for one in player.world.records])
         assert found == pytest.approx(run.gensets[column].to_numpy(float), abs=1e-6)
 
 

@@ -159,7 +159,7 @@ def test_a_played_day_of_rooms_is_the_run(tiny: Scenario, tmp_path: Path) -> Non
     player = played(Service(day, options, rehearsal=True), day, tmp_path, Play(announced=False))
     assert player.tally.statuses == {"ok": day.grid.n_steps} and player.tally.estimated == 0
     for column in ("p_kw", "t_end_c"):
-        found = np.concatenate([one.thermal_loads[column] for one in player.world.records])
+        found = np.concatenate([one.kinds["thermal_loads"][column] for one in player.world.records])
         assert found == pytest.approx(run.thermal_loads[column].to_numpy(), abs=1e-6)
 
 

@@ -29,6 +29,7 @@ from vppres import (
     run_day,
     summarise,
 )
+from vppres.contract.ahead import KindsAhead
 from vppres.contract.decision import Decision
 from vppres.contract.rooms import Rooms
 from vppres.control.guard.check import violations
@@ -53,7 +54,7 @@ PHYSICAL = RunOptions(mode="physical", horizon_h=2.0, isolate=False)
 
 def known(day: Scenario) -> WindowData:
     """All steps as one window."""
-    return replace(window(day), rooms=rooms_of(day))
+    return replace(window(day), ahead=KindsAhead(rooms=rooms_of(day)))
 
 
 def rooms_of(day: Scenario) -> Rooms:
@@ -68,8 +69,7 @@ def planned_kw(day: Scenario, method: str) -> np.ndarray[Any, Any]:
     answer = WindowSolver(Site.of(day), method).solve(known(day))
     assert answer.status == "optimal"
     assert not broken(Site.of(day), known(day), answer.dispatch)
-    assert answer.dispatch.thermal_kw is not None
-    return answer.dispatch.thermal_kw
+    return answer.dispatch.taken_kw["thermal_loads"]
 
 
 @pytest.mark.parametrize(("begins_c", "hours"), [(24.0, 6.97), (22.0, 12.91)])
@@ -190,7 +190,7 @@ def test_methods_agree_on_random_windows(seed: int) -> None:
         temperature_c=rng.uniform(-5.0, 40.0, scenario.grid.n_steps),
         thermal_loads=loads,
     )
-    data = replace(data, rooms=rooms_of(day))
+    data = replace(data, ahead=KindsAhead(rooms=rooms_of(day)))
     assert_methods_agree(Site.of(day), data)
 
 
@@ -198,9 +198,9 @@ def test_the_guard_refuses_a_machine_of_a_customer_that_is_off() -> None:
     day = hot([OPEN, OPEN], t_max_c=24.0)
     data = known(day)
     plan = WindowSolver(Site.of(day)).solve(data).dispatch
-    state = replace(first_step(day, data), rooms=data.rooms)
+    state = replace(first_step(day, data), ahead=data.ahead)
     assert not violations(Decision(plan), state)
-    too_much = replace(plan, thermal_kw=np.full((2, 1), 2.5))
+    too_much = plan.acting("thermal_loads", np.full((2, 1), 2.5))
     assert any("thermal load power" in each for each in violations(Decision(too_much), state))
     off = replace(plan, served=np.zeros_like(plan.served))
     assert any("thermal load power" in each for each in violations(Decision(off), state))

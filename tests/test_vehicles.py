@@ -37,6 +37,7 @@ from vppres import (
     run_day,
     summarise,
 )
+from vppres.contract.ahead import KindsAhead
 from vppres.contract.decision import Decision
 from vppres.contract.plugged import Plugged
 from vppres.control.guard.check import violations
@@ -102,7 +103,7 @@ def known(day: Scenario) -> WindowData:
     """All steps as one window, with the vehicles that are known in the first."""
     steps = range(day.grid.n_steps)
     held_kwh = Plant(day).garage.held_kwh(0)
-    return replace(window(day), plugged=Plugged.of(day, steps, held_kwh))
+    return replace(window(day), ahead=KindsAhead(Plugged.of(day, steps, held_kwh)))
 
 
 def evening(limit_kw: float, steps: int = 14, **more: Any) -> Scenario:
@@ -119,8 +120,7 @@ def test_a_car_charges_at_once_what_it_needs(method: str) -> None:
     """32.61 kWh in 4.41 h, in the first hours since all cost the same."""
     day = evening(OPEN)
     answer = WindowSolver(Site.of(day), method).solve(known(day))
-    assert answer.dispatch.ev_kw is not None
-    power_kw = answer.dispatch.ev_kw[:, 0]
+    power_kw = answer.dispatch.taken_kw["chargers"][:, 0]
     assert power_kw.sum() == pytest.approx(30.0 / 0.92, abs=1e-4)
     assert power_kw[:4] == pytest.approx(7.4)
     assert power_kw.sum() / 7.4 == pytest.approx(4.41, abs=5e-3)
@@ -134,9 +134,11 @@ def test_a_departure_in_an_outage_is_short_and_feasible(method: str) -> None:
     data = known(day)
     answer = WindowSolver(Site.of(day), method).solve(data)
     assert answer.status == "optimal"
-    assert data.plugged is not None and answer.dispatch.ev_kw is not None
-    energy_kwh = data.plugged.energy_kwh(answer.dispatch.ev_kw, day.chargers, 1.0)
-    assert data.plugged.short_kwh(energy_kwh).sum() == pytest.approx(30.0)
+    assert data.ahead.plugged is not None
+    energy_kwh = data.ahead.plugged.energy_kwh(
+        answer.dispatch.taken_kw["chargers"], day.chargers, 1.0
+    )
+    assert data.ahead.plugged.short_kwh(energy_kwh).sum() == pytest.approx(30.0)
     assert answer.objective == pytest.approx(-0.5 * 30.0 / 60.0)  # half a step for 60 kWh
 
 
@@ -144,7 +146,7 @@ def test_a_car_charges_in_the_cheap_hours() -> None:
     day = evening(OPEN)
     price = np.where(np.arange(14) >= 8, 0.1, 0.3)
     day = replace(day, price_gbp_per_kwh=price)
-    power_kw = WindowSolver(Site.of(day)).solve(known(day)).dispatch.ev_kw
+    power_kw = WindowSolver(Site.of(day)).solve(known(day)).dispatch.taken_kw["chargers"]
     assert power_kw is not None
     assert power_kw[8:13].sum() == pytest.approx(30.0 / 0.92, abs=1e-4)
 
@@ -156,8 +158,7 @@ def test_a_charger_of_a_customer_that_is_off_does_not_charge() -> None:
     day = plugged_in(replace(day, chargers=own), (0, 3))
     answer = WindowSolver(Site.of(day)).solve(known(day))
     assert answer.dispatch.served[:, 0].tolist() == [True, False, False]
-    assert answer.dispatch.ev_kw is not None
-    assert answer.dispatch.ev_kw[:, 0] == pytest.approx([2.0, 0.0, 0.0], abs=1e-5)
+    assert answer.dispatch.taken_kw["chargers"][:, 0] == pytest.approx([2.0, 0.0, 0.0], abs=1e-5)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -188,8 +189,9 @@ def test_a_car_that_never_leaves_is_a_battery(method: str) -> None:
     )
     # Without a need, what it lacks at the end of the window counts nothing.
     data = known(other)
-    assert data.plugged is not None
-    data = replace(data, plugged=replace(data.plugged, line_kwh=0.0 * data.plugged.line_kwh))
+    plugged = data.ahead.plugged
+    assert plugged is not None
+    data = replace(data, ahead=KindsAhead(replace(plugged, line_kwh=0.0 * plugged.line_kwh)))
     by_battery = WindowSolver(Site.of(one), method).solve(window(one))
     by_car = WindowSolver(Site.of(other), method).solve(data)
     assert (by_car.dispatch.served == by_battery.dispatch.served).all()
@@ -211,8 +213,10 @@ def test_the_floor_holds_what_a_car_keeps() -> None:
     day = plugged_in(replace(day, chargers=two_way), (0, 14), **session)
     data = known(day)
     answer = WindowSolver(Site.of(day)).solve(data)
-    assert data.plugged is not None and answer.dispatch.ev_kw is not None
-    energy_kwh = data.plugged.energy_kwh(answer.dispatch.ev_kw, day.chargers, 1.0)[:, 0]
+    assert data.ahead.plugged is not None
+    energy_kwh = data.ahead.plugged.energy_kwh(
+        answer.dispatch.taken_kw["chargers"], day.chargers, 1.0
+    )[:, 0]
     assert energy_kwh.min() >= 15.0 - 1e-6
     assert energy_kwh[-1] == pytest.approx(57.0, abs=1e-4)
     assert answer.dispatch.served[:6].sum() == 5
@@ -228,8 +232,7 @@ def test_a_thousand_cars_never_outweigh_one_customer() -> None:
         day = plugged_in(day, *[(0, 5)] * count, weight=1000.0, soc_needed=0.8)
         answer = WindowSolver(Site.of(day)).solve(known(day))
         assert answer.dispatch.served.all()
-        assert answer.dispatch.ev_kw is not None
-        charged_kwh = answer.dispatch.ev_kw.sum() * 0.92
+        charged_kwh = answer.dispatch.taken_kw["chargers"].sum() * 0.92
         assert charged_kwh == pytest.approx(30.0 * count if charged else 0.0, abs=0.1)
 
 
@@ -238,7 +241,7 @@ def test_the_tier_says_which_car_goes_first(tiers: tuple[str, str]) -> None:
     day = replace(two_buses([[1.0]] * 2, [1.0], [6.0] * 2), chargers=chargers(2))
     weight = [5.0 if tier == "critical" else 1.0 for tier in tiers]
     day = plugged_in(day, (0, 2), (0, 2), tier=tiers, weight=weight)
-    power_kw = WindowSolver(Site.of(day)).solve(known(day)).dispatch.ev_kw
+    power_kw = WindowSolver(Site.of(day)).solve(known(day)).dispatch.taken_kw["chargers"]
     assert power_kw is not None
     first = tiers.index("critical")
     assert power_kw.sum(axis=0)[first] == pytest.approx(10.0, abs=1e-4)
@@ -261,7 +264,7 @@ def test_a_vehicle_within_a_step_is_named_and_leaves_plans_as_they_are() -> None
     """It has no whole step: its charger is empty, not one that holds energy without a vehicle."""
     day = two_buses([[1.0]] * 8, [1.0], [OPEN] * 8)
     day = plugged_in(replace(day, chargers=chargers()), (2.4, 2.9))
-    plugged = known(day).plugged
+    plugged = known(day).ahead.plugged
     assert plugged is not None and not plugged.held_kwh.any()
     assert WindowSolver(Site.of(day)).solve(known(day)).status == "optimal"
     assert "no whole step of 60 min" in brief_sessions(day)
@@ -274,7 +277,7 @@ def test_methods_agree_on_random_windows(seed: int) -> None:
     day = with_random_vehicles(scenario, seed)
     steps = range(day.grid.n_steps)
     held_kwh = Plant(day).garage.held_kwh(0)
-    data = replace(data, plugged=Plugged.of(day, steps, held_kwh))
+    data = replace(data, ahead=KindsAhead(Plugged.of(day, steps, held_kwh)))
     assert_methods_agree(Site.of(day), data)
 
 
@@ -342,13 +345,12 @@ def test_the_plant_is_exact_and_knows_what_chargers_cannot_do() -> None:
 def test_the_guard_refuses_power_without_a_vehicle() -> None:
     day = evening(OPEN)
     data = known(day)
-    observed = replace(first_step(day, data), plugged=data.plugged)
+    observed = replace(first_step(day, data), ahead=data.ahead)
     plan = WindowSolver(observed.site).solve(data).dispatch
     assert violations(Decision(plan), observed) == []
-    assert plan.ev_kw is not None
-    more = replace(plan, ev_kw=plan.ev_kw + 1.0)
+    more = plan.acting("chargers", plan.taken_kw["chargers"] + 1.0)
     assert "charger power: k0 by 1 kW" in violations(Decision(more), observed)
-    away = replace(observed, plugged=Plugged.none(1, 1))
+    away = replace(observed, ahead=KindsAhead(Plugged.none(1, 1)))
     assert "charger power: k0 by 7.4 kW" in violations(Decision(plan), away)
 
 

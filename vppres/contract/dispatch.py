@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields, replace
+
+import numpy as np
 
 from vppres.core.arrays import Flags, Floats
+from vppres.scenario.kinds import Units
 
 
 @dataclass(frozen=True, eq=False)
@@ -15,10 +18,10 @@ class Dispatch:
     dispatch of a form without network has NaN in place of reactive power, flows and voltages. The
     grid's power is negative where it is exported. ``v_node_pu`` are voltages by phase, in plans of
     phased feeders. ``share`` is the part of its demand that each customer gets, 0 where it is off;
-    None if all get it whole that are served. ``ev_kw`` is the power of each charger of vehicles,
-    negative to discharge; None if no vehicle is plugged in. ``thermal_kw`` is the power of each
-    machine that cools or heats; None if there is none. ``genset_on`` says which generating
-    sets run, ``genset_kw`` what each gives; None if there is none.
+    None if all get it whole that are served. ``taken_kw`` has, by kind of flexible power
+    (:mod:`vppres.scenario.kinds`), what each of its units takes, negative where it gives, and
+    ``running`` which are on, of kinds that are started and stopped. A kind that is not there does
+    nothing.
     """
 
     served: Flags
@@ -37,10 +40,8 @@ class Dispatch:
     q_flow_kvar: Floats
     v_node_pu: Floats | None = None
     share: Floats | None = None
-    ev_kw: Floats | None = None
-    thermal_kw: Floats | None = None
-    genset_on: Flags | None = None
-    genset_kw: Floats | None = None
+    taken_kw: dict[str, Floats] = field(default_factory=dict)
+    running: dict[str, Flags] = field(default_factory=dict)
 
     @property
     def n_steps(self) -> int:
@@ -53,6 +54,24 @@ class Dispatch:
         return self.served if self.share is None else self.share
 
     def arrays(self) -> dict[str, Flags | Floats]:
-        """The arrays that it has, by their names."""
+        """The arrays that it has, by their names; not those by kind."""
         named = {f.name: getattr(self, f.name) for f in fields(self)}
-        return {name: values for name, values in named.items() if values is not None}
+        return {name: values for name, values in named.items() if isinstance(values, np.ndarray)}
+
+    def taken_by(self, kind: str, units: Units) -> Floats:
+        """Power that each unit of a kind takes, (W, n)."""
+        found = self.taken_kw.get(kind)
+        return np.zeros((self.n_steps, len(units))) if found is None else found
+
+    def running_of(self, kind: str, units: Units) -> Flags:
+        """Which units of a kind are on, (W, n)."""
+        found = self.running.get(kind)
+        shape = (self.n_steps, len(units))
+        return np.zeros(shape, dtype=bool) if found is None else found
+
+    def acting(self, kind: str, taken_kw: Floats, running: Flags | None = None) -> Dispatch:
+        """The same with the powers of a kind, and which of its units are on."""
+        more = {} if running is None else {kind: running}
+        return replace(
+            self, taken_kw={**self.taken_kw, kind: taken_kw}, running={**self.running, **more}
+        )

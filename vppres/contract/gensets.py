@@ -10,14 +10,14 @@ from typing import Self
 
 import numpy as np
 
-from vppres.contract.by_step import ByStep
+from vppres.contract.by_step import UnitsAhead
 from vppres.core.arrays import Flags, Floats
 from vppres.scenario.gensets import Gensets, GensetState, steps_of
 from vppres.scenario.scenario import Scenario
 
 
 @dataclass(frozen=True, eq=False)
-class SetsAhead(ByStep):
+class SetsAhead(UnitsAhead):
     """What is known of sets in a window, (W, G) each.
 
     Parameters
@@ -72,6 +72,28 @@ class SetsAhead(ByStep):
     def without_duties(self) -> Self:
         """The same without sets that have to stay on."""
         return replace(self, must_run=np.zeros_like(self.must_run))
+
+    def most_given_kw(self, sets: Gensets) -> Floats:
+        """Most that all give together, (W,)."""
+        return np.asarray(self.can_run @ sets.p_max_kw)
+
+    def power_beyond_kw(
+        self, sets: Gensets, connected: Flags, taken_kw: Floats, running: Flags, dt_h: float
+    ) -> Floats:
+        """By how much powers are beyond what sets can do, ramps included, (W, G)."""
+        over = (
+            -taken_kw - running * sets.p_max_kw,
+            running * sets.p_min_kw + taken_kw,
+            self.moved_too_fast_kw(sets, running, -taken_kw, dt_h),
+        )
+        return np.asarray(np.max(over, axis=0))
+
+    def stored_beyond_kw(
+        self, sets: Gensets, taken_kw: Floats, running: Flags, dt_h: float
+    ) -> Floats:
+        """By how much fuel is not enough, as a power over the step, (W, G)."""
+        fuel_litres = self.fuel_litres(sets, running, -taken_kw, dt_h)
+        return -fuel_litres / (sets.litres_per_kwh * dt_h)
 
     def may_start(self, sets: Gensets, outage: Flags) -> Flags:
         """Steps in which a set that is off may start, (W, G); ``outage`` has the shape (W,)."""

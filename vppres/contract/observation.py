@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
+from vppres.contract.ahead import KindsAhead
 from vppres.contract.forecast import Forecast
-from vppres.contract.gensets import SetsAhead
 from vppres.contract.moves import Moves
 from vppres.contract.operating_point import OperatingPoint
 from vppres.contract.owed import Owed
-from vppres.contract.plugged import Plugged
-from vppres.contract.rooms import Rooms
 from vppres.contract.stored_value import StoredValue
 from vppres.contract.switching import SwitchingData, SwitchingState
 from vppres.contract.terminal import Terminal
@@ -99,12 +97,8 @@ class Observation:
         How old the state of charge is; of now if not given.
     owed : Owed, optional
         What dimmed customers may still catch up; None if none does.
-    plugged : Plugged, optional
-        Vehicles that are plugged in or announced; None if there is no charger.
-    rooms : Rooms, optional
-        Rooms and tanks that are cooled or heated; None if there is none.
-    gensets : SetsAhead, optional
-        Generating sets; None if there is none.
+    ahead : KindsAhead, optional
+        Vehicles, rooms and generating sets over the window; none if not given.
     told : tuple of Told
         What batteries were told since the last decision, where it was something else.
     """
@@ -131,9 +125,7 @@ class Observation:
     soc_age_h: Floats | None = None
     told: tuple[Told, ...] = ()
     owed: Owed | None = None
-    plugged: Plugged | None = None
-    rooms: Rooms | None = None
-    gensets: SetsAhead | None = None
+    ahead: KindsAhead = field(default_factory=KindsAhead)
     flexible_kw: float | None = None
 
     def counted(self, times: float) -> Observation:

@@ -5,19 +5,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
 
-from vppres.contract.by_step import ByStep
+from vppres.contract.by_step import UnitsAhead
 from vppres.core.arrays import Flags, Floats
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.vehicles import Chargers
 
 
 @dataclass(frozen=True, eq=False)
-class Plugged(ByStep):
+class Plugged(UnitsAhead):
     """What is known of vehicles in W steps at K chargers, (W, K) each; energies in kWh.
 
     Parameters
@@ -136,6 +136,37 @@ class Plugged(ByStep):
     def short_kwh(self, energy_kwh: Floats) -> Floats:
         """What each vehicle lacks when it leaves, (W, K)."""
         return np.maximum(self.needed_kwh - energy_kwh, 0.0)
+
+    def in_the_dark(self, lit: Flags) -> Self:
+        """The same with no vehicle plugged in but in the lit steps, (W, 1)."""
+        return replace(self, here=self.here & lit)
+
+    def most_taken_kw(self, chargers: Chargers) -> Floats:
+        """Most that all take together, (W,)."""
+        return np.asarray(self.here @ chargers.p_charge_kw)
+
+    def most_given_kw(self, chargers: Chargers) -> Floats:
+        """Most that all give together, (W,)."""
+        return np.asarray(self.here @ chargers.p_discharge_kw)
+
+    def power_beyond_kw(
+        self, chargers: Chargers, connected: Flags, taken_kw: Floats, running: Flags, dt_h: float
+    ) -> Floats:
+        """By how much powers are beyond what chargers can do, (W, K).
+
+        None moves power without a vehicle, or for a customer that is off.
+        """
+        on = self.here & connected
+        over_kw = taken_kw - on * chargers.p_charge_kw
+        return np.maximum(over_kw, -taken_kw - on * chargers.p_discharge_kw)
+
+    def stored_beyond_kw(
+        self, chargers: Chargers, taken_kw: Floats, running: Flags, dt_h: float
+    ) -> Floats:
+        """By how much energies are outside their limits, as a power over the step, (W, K)."""
+        energy_kwh = self.energy_kwh(taken_kw, chargers, dt_h)
+        below_kwh = np.where(self.here, self.lowest_kwh - energy_kwh, 0.0)
+        return np.maximum(energy_kwh - self.full_kwh, below_kwh) / dt_h
 
     def price(self, least_weight: float, dt_h: float) -> Floats:
         """Price of a kWh that a vehicle lacks, in weighted customer hours, (W, K)."""

@@ -10,17 +10,18 @@ from typing import Self
 
 import numpy as np
 
-from vppres.contract.by_step import ByStep
+from vppres.contract.by_step import UnitsAhead
 from vppres.contract.plugged import price_scale
 from vppres.core.arrays import Flags, Floats
 from vppres.scenario.scenario import Scenario
+from vppres.scenario.thermal_loads import ThermalLoads
 
 OF_A_STEP = 0.5
 """Part of what vehicles may count that rooms and tanks may: with them, less than a step."""
 
 
 @dataclass(frozen=True, eq=False)
-class Rooms(ByStep):
+class Rooms(UnitsAhead):
     """What becomes of the temperature of each room or tank in a window, (W, H) each.
 
     Parameters
@@ -74,6 +75,16 @@ class Rooms(ByStep):
     def in_the_dark(self, lit: Flags) -> Self:
         """The same without power but in the lit steps, (W, 1)."""
         return replace(self, most_kw=self.most_kw * lit)
+
+    def most_taken_kw(self, loads: ThermalLoads) -> Floats:
+        """Most that all machines take together, (W,)."""
+        return np.asarray(self.most_kw.sum(axis=1))
+
+    def power_beyond_kw(
+        self, loads: ThermalLoads, connected: Flags, taken_kw: Floats, running: Flags, dt_h: float
+    ) -> Floats:
+        """By how much powers are beyond what machines can do, none of a customer off, (W, H)."""
+        return np.maximum(taken_kw - connected * self.most_kw, -taken_kw)
 
     def t_c(self, power_kw: Floats) -> Floats:
         """Temperature at the end of each step with these powers, (W, H)."""

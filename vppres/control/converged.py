@@ -505,9 +505,7 @@ def without_power(data: WindowData, dark: Flags) -> WindowData:
         pv_kw=data.pv_kw * lit,
         drawn=data.drawn and data.drawn.where(~dark),
         switching=data.switching and data.switching.in_the_dark(dark),
-        plugged=data.plugged and replace(data.plugged, here=data.plugged.here & lit),
-        rooms=data.rooms and data.rooms.in_the_dark(lit),
-        gensets=data.gensets and data.gensets.in_the_dark(lit),
+        ahead=data.ahead.in_the_dark(lit),
     )
 
 
@@ -526,7 +524,7 @@ def in_the_dark(
         plan,
         served=plan.served & ~dark[:, None],
         share=None if plan.share is None else plan.share * ~dark[:, None],
-        ev_kw=None if plan.ev_kw is None else plan.ev_kw * ~dark[:, None],
+        taken_kw={kind: kw * ~dark[:, None] for kind, kw in plan.taken_kw.items()},
         pv_curtailed_kw=np.where(dark[:, None], whole.pv_kw, plan.pv_curtailed_kw),
     )
     curtailed_kwh = whole.pv_kw[dark].sum() * site.dt_h

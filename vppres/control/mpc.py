@@ -192,7 +192,7 @@ class MPCController:
         self, value: StoredValue, observation: Observation, plan: WindowSolution
     ) -> float:
         """Energy that a plan leaves at its end, as its value counts it."""
-        return left_kwh(self.solver.site, value, observation.gensets, plan.dispatch)
+        return left_kwh(self.solver.site, value, observation.ahead.gensets, plan.dispatch)
 
     def _before(self, observation: Observation) -> Moves | None:
         """What the plan before had foreseen for the window, None if it does not reach it."""

@@ -53,13 +53,13 @@ def plan_with_rules(
     try:
         return planner.plan(observation, n_steps), False
     except InfeasibleError:
-        rules, sets = observation.switching, observation.gensets
-        if rules is None and sets is None:
+        rules, ahead = observation.switching, observation.ahead
+        if rules is None and ahead.gensets is None:
             raise
         freed = replace(
             observation,
             switching=rules and replace(rules, duties=False),
-            gensets=sets and sets.without_duties(),
+            ahead=ahead.without_duties(),
         )
         return planner.plan(freed, n_steps), True
 

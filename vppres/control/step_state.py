@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from vppres.contract.ahead import KindsAhead
 from vppres.contract.dispatch import Dispatch
-from vppres.contract.gensets import SetsAhead
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
-from vppres.contract.plugged import Plugged
-from vppres.contract.rooms import Rooms
 from vppres.core.arrays import Flags, Floats
 from vppres.model.data import WindowData
 from vppres.model.formulas import (
@@ -53,12 +51,8 @@ class StepState:
         Voltages that the feeder has without control, where limits give way to them.
     due : array of bool, shape (C,), optional
         Customers whose longest time off has ended; None where none has one.
-    plugged : Plugged, optional
-        Vehicles that are plugged in; None if there is no charger.
-    rooms : Rooms, optional
-        Rooms and tanks that are cooled or heated; None if there is none.
-    gensets : SetsAhead, optional
-        Generating sets; None if there is none.
+    ahead : KindsAhead, optional
+        Vehicles, rooms and generating sets; none if not given.
     """
 
     site: Site
@@ -74,9 +68,7 @@ class StepState:
     drawn: Drawn | None = None
     own_v_pu: Floats | None = None
     due: Flags | None = None
-    plugged: Plugged | None = None
-    rooms: Rooms | None = None
-    gensets: SetsAhead | None = None
+    ahead: KindsAhead = field(default_factory=KindsAhead)
 
     @classmethod
     def of(
@@ -102,9 +94,7 @@ class StepState:
             now.drawn,
             own,
             None if seen.switching is None else seen.switching.due,
-            now.plugged,
-            now.rooms,
-            now.gensets,
+            now.ahead,
         )
 
     @property

@@ -193,7 +193,7 @@ class FaultInjector:
         if online.all():
             return decision
         plan = decision.dispatch
-        still = {}
+        still: dict[str, Any] = {}
         for name in ("charge_kw", "discharge_kw", "batt_q_kvar"):
             values = np.array(getattr(plan, name), dtype=float)
             values[decision.row] *= online

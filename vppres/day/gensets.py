@@ -6,23 +6,20 @@ from typing import Any
 
 import numpy as np
 
-from vppres.core.arrays import Flags, Names
+from vppres.core.arrays import Flags, Floats, Names
 from vppres.core.text import named
 from vppres.day.trajectory import Trajectory
-from vppres.plant.plant import Plant, Realised
+from vppres.plant.plant import Plant
 from vppres.scenario.gensets import ROUNDING_H
 
 NAMES_SHOWN = 6
 
 
-def genset_record(plant: Plant, t: int, realised: Realised) -> dict[str, Any] | None:
-    """What sets did in a step, and what is in their tanks; None without any."""
+def genset_record(plant: Plant, t: int, taken_kw: Floats, on: Flags) -> dict[str, Any]:
+    """What sets did in a step, and what is in their tanks."""
     sets = plant.scenario.gensets
-    if not len(sets):
-        return None
     before = plant.engines.state
-    on = np.broadcast_to(realised.genset_on, len(sets))
-    power_kw = np.broadcast_to(realised.genset_kw, len(sets))
+    power_kw = -taken_kw
     after = plant.engines.after(t, on, power_kw)
     return {
         "running": on,

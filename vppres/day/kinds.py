@@ -5,23 +5,11 @@ from __future__ import annotations
 from vppres.core.errors import InputError
 from vppres.day.options import RunOptions
 from vppres.scenario.gensets import Gensets
+from vppres.scenario.kinds import KINDS, units_of
 from vppres.scenario.scenario import Scenario
-from vppres.scenario.thermal_loads import ThermalLoads
 from vppres.scenario.vehicles import Chargers
 
 CONTROLLER = "mpc"
-
-Kind = Chargers | ThermalLoads | Gensets
-
-
-def _kinds(scenario: Scenario) -> list[tuple[str, str, Kind]]:
-    """File of each kind that the site has, what a controller plans of it, and its items."""
-    kinds: list[tuple[str, str, Kind]] = [
-        ("ev_chargers.csv", "vehicles", scenario.chargers),
-        ("thermal_loads.csv", "thermal loads", scenario.thermal_loads),
-        ("gensets.csv", "generating sets", scenario.gensets),
-    ]
-    return [kind for kind in kinds if len(kind[2])]
 
 
 def check_kinds(scenario: Scenario, options: RunOptions) -> None:
@@ -32,18 +20,18 @@ def check_kinds(scenario: Scenario, options: RunOptions) -> None:
     InputError
         For the first kind that the site has.
     """
-    for file, what, _ in _kinds(scenario):
+    for kind in map(KINDS.__getitem__, units_of(scenario)):
         if scenario.phases is not None:
             raise InputError.of(
-                file,
+                kind.file,
                 "is not stated for feeders with phases",
                 "Remove the file, or the phase_*.csv for the balanced equivalent.",
             )
         if options.controller != CONTROLLER:
             raise InputError.of(
                 "options",
-                f"plans no {what}",
-                f"Use {CONTROLLER}, or remove {file}.",
+                f"plans no {kind.what}",
+                f"Use {CONTROLLER}, or remove {kind.file}.",
                 field="controller",
                 value=options.controller,
             )
@@ -67,16 +55,16 @@ def check_parts(scenario: Scenario) -> None:
         If there is one.
     """
     parts = dict(zip(scenario.customers.id, scenario.customers.shed_steps, strict=True))
-    for file, _, items in _kinds(scenario):
-        if isinstance(items, Gensets):
+    for kind, units in units_of(scenario).items():
+        if isinstance(units, Gensets):
             continue  # they are of no customer
-        for name, customer in zip(items.id, items.customer, strict=True):
+        for name, customer in zip(units.id, units.customer, strict=True):
             if parts.get(customer, 1) > 1:
                 cure = "Give the customer a shed_steps of 1."
-                if isinstance(items, Chargers):
+                if isinstance(units, Chargers):
                     cure = f"Give charger {name} a bus instead, or the customer a shed_steps of 1."
                 raise InputError.of(
-                    file,
+                    KINDS[kind].file,
                     "is switched in parts (shed_steps)",
                     cure,
                     field="customer",

@@ -13,15 +13,13 @@ from vppres.core.arrays import Floats
 from vppres.core.plain import json_safe
 from vppres.core.text import counted
 from vppres.core.units import kva_to_a
-from vppres.day.gensets import genset_figures, genset_words
 from vppres.day.inversions import headroom_words, inversion_words
+from vppres.day.kind_tables import kind_figures, kind_words
 from vppres.day.phase_figures import phase_figures
 from vppres.day.reliability import fairness_figures, reliability_figures
 from vppres.day.switching_figures import switching_figures
-from vppres.day.thermal_loads import thermal_figures, thermal_words
 from vppres.day.time_off import time_off_figures, time_off_words
 from vppres.day.trajectory import OPTIONS, Trajectory, supplied
-from vppres.day.vehicles import vehicle_figures, vehicle_words
 from vppres.io.digest import scenario_digest
 from vppres.plant.plant import NOBODY
 from vppres.scenario.remarks import darkness, unknown_phases
@@ -67,9 +65,7 @@ def summarise(trajectory: Trajectory) -> dict[str, Any]:
         "import_above_limit_max_kw": import_above_limit_max_kw(trajectory),
         **switching_figures(trajectory),
         **time_off_figures(trajectory),
-        **vehicle_figures(trajectory),
-        **thermal_figures(trajectory),
-        **genset_figures(trajectory),
+        **kind_figures(trajectory),
         "corrections": int(trajectory.steps["corrected"].sum()),
         **operation_figures(trajectory),
         **reliability_figures(trajectory),
@@ -98,9 +94,7 @@ def cautions(trajectory: Trajectory) -> list[str]:
     return [
         *([off] if off else []),
         *time_off_words(trajectory),
-        *vehicle_words(trajectory),
-        *thermal_words(trajectory),
-        *genset_words(trajectory),
+        *kind_words(trajectory),
         *unknown_phases(trajectory.scenario),
         *_blackouts(trajectory),
         *inversion_words(trajectory),

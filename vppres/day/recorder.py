@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -13,11 +13,9 @@ from numpy.typing import NDArray
 from vppres.core.arrays import Floats, Names
 from vppres.day.phases import phases, returning_steps
 from vppres.day.trajectory import OPTIONS, SHARE, Trajectory
-from vppres.scenario.gensets import Gensets
+from vppres.scenario.kinds import KINDS, Units, units_of
 from vppres.scenario.network import BusId
 from vppres.scenario.scenario import Scenario
-from vppres.scenario.thermal_loads import ThermalLoads
-from vppres.scenario.vehicles import Chargers
 
 ITEM_COLUMNS = {
     "customers": ("p_load_kw", "q_load_kvar", "served", "shed"),
@@ -42,8 +40,6 @@ ROTATED = "rotated_weight"
 """Column of the customers in runs that share supply within tiers: the weights of the plans."""
 
 OPTIONAL = (ROTATED, SHARE)
-
-Kind = Chargers | ThermalLoads | Gensets
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,12 +70,8 @@ class StepRecord:
     lines: Mapping[str, Floats]
     nodes: Mapping[str, Floats] | None = None
     """Voltages by phase of the optimisation and of the AC power flow; None without phases."""
-    vehicles: Mapping[str, NDArray[Any]] | None = None
-    """What each charger did and how its vehicle is, (K,) each; None without chargers."""
-    thermal_loads: Mapping[str, NDArray[Any]] | None = None
-    """What each machine did and how its room or tank is, (H,) each; None without thermal loads."""
-    gensets: Mapping[str, NDArray[Any]] | None = None
-    """What each generating set did, and its fuel, (G,) each; None without any."""
+    kinds: Mapping[str, Mapping[str, NDArray[Any]]] = field(default_factory=dict)
+    """What the units of each kind of flexible power did and how they are, (n,) each."""
 
 
 def voltage_figures(v_model_pu: Floats, v_ac_pu: Floats) -> dict[str, float]:
@@ -157,11 +149,10 @@ class Recorder:
             options=dict(options),
             planned=planned,
             nodes=self._nodes(),
-            vehicles=self._of_kind("vehicles", "charger", self._scenario.chargers),
-            thermal_loads=self._of_kind(
-                "thermal_loads", "thermal_load", self._scenario.thermal_loads
-            ),
-            gensets=self._of_kind("gensets", "genset", self._scenario.gensets),
+            **{
+                KINDS[kind].table: self._of_kind(kind, units)
+                for kind, units in units_of(self._scenario).items()
+            },
         )
 
     def _check_shapes(self, step: StepRecord) -> None:
@@ -209,16 +200,14 @@ class Recorder:
             }
         )
 
-    def _of_kind(self, table: str, item: str, kind: Kind) -> pd.DataFrame | None:
-        """A row for each step and item of a kind of asset; None if the site has none."""
-        if not len(kind):
-            return None
-        buses = _bus_labels(kind.buses(self._scenario.customers))
-        found = [getattr(record, table) for record in self._records]
+    def _of_kind(self, kind: str, units: Units) -> pd.DataFrame:
+        """A row for each step and unit of a kind of flexible power."""
+        buses = _bus_labels(units.buses(self._scenario.customers))
+        found = [record.kinds[kind] for record in self._records]
         return pd.DataFrame(
             {
-                "time": self._times().repeat(len(kind)),
-                item: np.tile(kind.id, len(found)),
+                "time": self._times().repeat(len(units)),
+                KINDS[kind].item: np.tile(units.id, len(found)),
                 "bus": np.tile(buses, len(found)),
                 **{name: np.concatenate([each[name] for each in found]) for name in found[0]},
             }

@@ -7,30 +7,27 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from vppres.contract.ahead import KindsAhead
 from vppres.contract.decision import Decider, Decision, SolveInfo
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.forecast import ForecastErrors
-from vppres.contract.gensets import SetsAhead
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import OperatingPoint
 from vppres.contract.owed import Owed
-from vppres.contract.plugged import Plugged
-from vppres.contract.rooms import Rooms
 from vppres.contract.switching import SwitchingState
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
 from vppres.day.assembly import make_controller
 from vppres.day.faults import FaultInjector, FaultPlan
 from vppres.day.forecasting import Forecasts, MeasuredForecasts, basis_of, forecasts_of
-from vppres.day.gensets import genset_record
+from vppres.day.kind_tables import records_of
 from vppres.day.kinds import check_parts
 from vppres.day.options import PERFECT, RunOptions
 from vppres.day.outages import BELIEF, LIKELY, GridSeen, OutageView
 from vppres.day.own import Own
 from vppres.day.recorder import ROTATED, Recorder, StepRecord, voltage_figures
-from vppres.day.thermal_loads import climate_record
 from vppres.day.trajectory import SHARE, Trajectory
 from vppres.forecasts.interface import Forecaster
 from vppres.io.python_door import check_scenario
@@ -46,9 +43,6 @@ from vppres.scenario.priority import STRICT
 from vppres.scenario.scenario import Scenario
 
 Progress = Callable[[int, int], None]
-
-SHORT_KWH = 1e-3
-"""Energy that a vehicle may lack without being short: the rounding of plans."""
 
 
 def run_day(
@@ -163,9 +157,7 @@ class Day:
             served=self.served,
             flexible_kw=self.flexible_kw,
             owed=self.owed,
-            plugged=self.plugged(steps),
-            rooms=Rooms.of(self.scenario, steps, self.plant.climate.t_c),
-            gensets=SetsAhead.of(self.scenario, steps, self.plant.engines.state),
+            ahead=self.ahead(steps),
             terminal=Terminal.of(
                 self.options.soc_end, forecast, ends=steps.stop == self.scenario.grid.n_steps
             ),
@@ -176,9 +168,11 @@ class Day:
         self.outage_messages = seen.outage_messages
         return seen if self.faults is None else self.faults.observe(seen)
 
-    def plugged(self, steps: range) -> Plugged | None:
-        """Vehicles that are known at the beginning of a window; None without chargers."""
-        return Plugged.of(self.scenario, steps, self.plant.garage.held_kwh(steps.start))
+    def ahead(self, steps: range) -> KindsAhead:
+        """Vehicles, rooms and sets as they are known at the beginning of a window."""
+        plant = self.plant
+        held_kwh = plant.garage.held_kwh(steps.start)
+        return KindsAhead.of(self.scenario, steps, held_kwh, plant.climate.t_c, plant.engines.state)
 
     def run(self, controller: Decider, progress: Progress | None = None) -> Trajectory:
         """All steps of the day, and their record."""
@@ -205,17 +199,13 @@ class Day:
         """What comes of a decision; the day is at the step after it."""
         done = self.carry_out(t, decision)
         realised = done.realised
-        vehicles = _vehicles(self.plant, t, realised)
-        climate = climate_record(self.plant, t, realised)
-        gensets = genset_record(self.plant, t, realised)
+        kinds = records_of(self.plant, t, realised)
         result = done.ac
         record = _record(self.scenario, t, decision, self.state, done, self.options)
         steps = {**record.steps, **basis_of(self.forecaster, t)}
         if self.options.outages in (BELIEF, LIKELY):
             steps["outage_messages"] = self.outage_messages
-        record = replace(
-            record, steps=steps, vehicles=vehicles, thermal_loads=climate, gensets=gensets
-        )
+        record = replace(record, steps=steps, kinds=kinds)
         self.operating_point = (
             None
             if done.dark
@@ -268,38 +258,6 @@ def _with_phases(plant: Plant) -> tuple[ACPowerFlow, ACPowerFlow, IslandPlant]:
     """The same of a phased feeder."""
     flow = PhasedACFlow(plant.scenario)
     return flow, flow, PhasedIslandPlant(plant, flow)
-
-
-def _vehicles(plant: Plant, t: int, realised: Realised) -> dict[str, NDArray[Any]] | None:
-    """What chargers did in a step, and what vehicles lack that leave then; None without any."""
-    day = plant.scenario
-    if not len(day.chargers):
-        return None
-    power_kw = np.broadcast_to(realised.ev_kw, len(day.chargers))
-    session = day.session_at[t]
-    here = session >= 0
-    end_kwh = plant.garage.after_kwh(t, power_kw)
-    _, after = day.sessions.steps(day.grid)
-    found: dict[str, NDArray[Any]] = {
-        "vehicle": np.full(len(session), "", dtype=object),
-        "tier": np.full(len(session), "", dtype=object),
-        "plugged": here,
-        "p_kw": power_kw,
-        "energy_start_kwh": plant.garage.held_kwh(t),
-        "energy_end_kwh": end_kwh,
-        "needed_kwh": np.full(len(session), np.nan),
-        "leaves": np.zeros(len(session), dtype=bool),
-        "short_kwh": np.zeros(len(session)),
-    }
-    row = session[here]
-    found["vehicle"][here] = day.sessions.vehicle[row]
-    found["tier"][here] = day.sessions.tier[row]
-    found["needed_kwh"][here] = day.sessions.needed_kwh[row]
-    found["leaves"][here] = after[row] == t + 1
-    lacks_kwh = found["needed_kwh"] - end_kwh
-    short = found["leaves"] & (lacks_kwh > SHORT_KWH)
-    found["short_kwh"][short] = lacks_kwh[short]
-    return found
 
 
 def _promised(plan: Dispatch | None, scenario: Scenario) -> dict[str, Any] | None:

@@ -15,11 +15,9 @@ import pandas as pd
 from vppres.core.arrays import Floats, Names
 from vppres.core.errors import InputError
 from vppres.core.notebook import facts_html
-from vppres.scenario.gensets import Gensets
+from vppres.scenario.kinds import KINDS, units_of
 from vppres.scenario.network import BusId
 from vppres.scenario.scenario import Scenario
-from vppres.scenario.thermal_loads import ThermalLoads
-from vppres.scenario.vehicles import Chargers
 
 if TYPE_CHECKING:
     from vppres.feeders.actuate import Powers
@@ -27,10 +25,11 @@ if TYPE_CHECKING:
 TABLES = ("steps", "customers", "pv", "batteries", "buses", "lines")
 EXPLAINING_TABLES = ("explanations", "shadow_prices")
 PHASED_TABLES = ("nodes",)
-VEHICLES = "vehicles"
-THERMAL_LOADS = "thermal_loads"
-GENSETS = "gensets"
-OPTIONAL_TABLES = (*EXPLAINING_TABLES, *PHASED_TABLES, VEHICLES, THERMAL_LOADS, GENSETS)
+OPTIONAL_TABLES = (
+    *EXPLAINING_TABLES,
+    *PHASED_TABLES,
+    *(kind.table for kind in KINDS.values()),
+)
 SHARE = "share"
 """Column of the customers on sites that dim some: the part of its demand that each got."""
 OPTIONS = ("controller", "horizon_h", "solver", "method", "seed")
@@ -201,20 +200,17 @@ class Trajectory:
                 str(self.options.get("mode", "paper")),
                 self._rows("buses", t)["v_ac_pu"].to_numpy(float),
             ),
-            self._active(VEHICLES, day.chargers, t),
-            self._active(THERMAL_LOADS, day.thermal_loads, t),
-            self._active(GENSETS, day.gensets, t),
+            *(self._active(kind, t) for kind in KINDS),
         )
 
-    def _active(
-        self, table: str, items: Chargers | ThermalLoads | Gensets, t: int
-    ) -> pd.DataFrame | None:
-        """Powers of chargers, machines or sets in a step by identifier; None without any."""
-        if getattr(self, table) is None:
+    def _active(self, kind: str, t: int) -> pd.DataFrame | None:
+        """Powers of the units of a kind in a step by identifier; None without any."""
+        units = units_of(self.scenario).get(kind)
+        if units is None:
             return None
-        buses = items.buses(self.scenario.customers)
-        columns = {"bus": buses, "p_kw": self._rows(table, t)["p_kw"].to_numpy()}
-        return pd.DataFrame(columns, index=pd.Index(items.id, name="id"))
+        buses = units.buses(self.scenario.customers)
+        columns = {"bus": buses, "p_kw": self._rows(KINDS[kind].table, t)["p_kw"].to_numpy()}
+        return pd.DataFrame(columns, index=pd.Index(units.id, name="id"))
 
     def _rows(self, name: str, t: int) -> pd.DataFrame:
         """The rows of a table that belong to a step."""

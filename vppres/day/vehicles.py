@@ -1,13 +1,53 @@
-"""Figures of vehicles, and words about those that left short."""
+"""Vehicles in the record of a run, their figures, and words about those that left short."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from vppres.core.arrays import Flags, Floats
 from vppres.day.trajectory import Trajectory
+from vppres.plant.plant import Plant
 
 NAMED = 5
 """Vehicles that a sentence names."""
+
+
+SHORT_KWH = 1e-3
+"""Energy that a vehicle may lack without being short: the rounding of plans."""
+
+
+def vehicle_record(
+    plant: Plant, t: int, power_kw: Floats, running: Flags
+) -> dict[str, NDArray[Any]]:
+    """What chargers did in a step, and what vehicles lack that leave then."""
+    day = plant.scenario
+    session = day.session_at[t]
+    here = session >= 0
+    end_kwh = plant.garage.after_kwh(t, power_kw)
+    _, after = day.sessions.steps(day.grid)
+    found: dict[str, NDArray[Any]] = {
+        "vehicle": np.full(len(session), "", dtype=object),
+        "tier": np.full(len(session), "", dtype=object),
+        "plugged": here,
+        "p_kw": power_kw,
+        "energy_start_kwh": plant.garage.held_kwh(t),
+        "energy_end_kwh": end_kwh,
+        "needed_kwh": np.full(len(session), np.nan),
+        "leaves": np.zeros(len(session), dtype=bool),
+        "short_kwh": np.zeros(len(session)),
+    }
+    row = session[here]
+    found["vehicle"][here] = day.sessions.vehicle[row]
+    found["tier"][here] = day.sessions.tier[row]
+    found["needed_kwh"][here] = day.sessions.needed_kwh[row]
+    found["leaves"][here] = after[row] == t + 1
+    lacks_kwh = found["needed_kwh"] - end_kwh
+    short = found["leaves"] & (lacks_kwh > SHORT_KWH)
+    found["short_kwh"][short] = lacks_kwh[short]
+    return found
 
 
 def vehicle_figures(trajectory: Trajectory) -> dict[str, Any]:

@@ -9,14 +9,12 @@ from itertools import accumulate
 import numpy as np
 import pandas as pd
 
+from vppres.contract.ahead import KindsAhead
 from vppres.contract.decision import batteries_out
 from vppres.contract.forecast import Forecast, ForecastErrors
-from vppres.contract.gensets import SetsAhead
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import OperatingPoint
 from vppres.contract.owed import Owed
-from vppres.contract.plugged import Plugged
-from vppres.contract.rooms import Rooms
 from vppres.contract.terminal import Terminal
 from vppres.control.converged import physics_of
 from vppres.control.phased_window import PhasedLinearisation
@@ -30,11 +28,12 @@ from vppres.day.trajectory import Trajectory, supplied
 from vppres.model.beyond_paper.ratings import LineRatings
 from vppres.model.beyond_paper.table import Beyond, beyond_paper
 from vppres.model.data import WindowData
-from vppres.model.formulas import Devices, bus_injections
+from vppres.model.formulas import bus_injections
 from vppres.model.own_state import with_own_state
 from vppres.model.phases import phased_model
 from vppres.model.ratings import with_ratings
 from vppres.scenario.gensets import GensetState
+from vppres.scenario.kinds import KINDS
 from vppres.scenario.rules import SwitchingRules
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.shadow_price_model import Held
@@ -99,37 +98,28 @@ class Recorded:
         """How long each customer had been off at the beginning of each step in h, (T, C)."""
         return off_before_h(self.served, self.scenario.grid.dt_h)
 
-    def _of_vehicles(self, column: str) -> Floats:
-        """A column of the vehicles by step and charger, (T, K)."""
-        rows = self.trajectory.vehicles
-        return np.zeros((self.n_steps, 0)) if rows is None else self._array(rows, column)
-
-    def _plugged(self, steps: range) -> Plugged | None:
-        """Vehicles that were known at the beginning of a window; None without chargers."""
-        held_kwh = self._of_vehicles("energy_start_kwh")[steps.start]
-        return Plugged.of(self.scenario, steps, held_kwh)
-
-    def _of_climate(self, column: str) -> Floats:
-        """A column of the thermal loads by step and load, (T, H)."""
-        rows = self.trajectory.thermal_loads
-        return np.zeros((self.n_steps, 0)) if rows is None else self._array(rows, column)
-
-    def _of_gensets(self, column: str) -> Floats:
-        """A column of the generating sets by step and set, (T, G)."""
-        rows = self.trajectory.gensets
+    def _of_kind(self, kind: str, column: str) -> Floats:
+        """A column of a kind of flexible power by step and unit, (T, n)."""
+        rows = getattr(self.trajectory, KINDS[kind].table)
         return np.zeros((self.n_steps, 0)) if rows is None else self._array(rows, column)
 
     def fuel_left(self, t: int) -> Floats:
         """Fuel of each generating set at the end of a step, (G,)."""
-        return np.asarray(self._of_gensets("fuel_end_litres")[t])
+        return np.asarray(self._of_kind("gensets", "fuel_end_litres")[t])
 
-    def _sets_ahead(self, steps: range) -> SetsAhead | None:
-        """Generating sets at the beginning of a window; None without any."""
-        hours = self._of_gensets("hours_before")[steps.start]
-        power_kw = self._of_gensets("p_before_kw")[steps.start]
-        fuel_litres = self._of_gensets("fuel_start_litres")[steps.start]
-        now = GensetState(hours > 0.0, np.abs(hours), power_kw, fuel_litres)
-        return SetsAhead.of(self.scenario, steps, now)
+    def _ahead(self, steps: range) -> KindsAhead:
+        """Vehicles, rooms and sets as they were known at the beginning of a window."""
+        t = steps.start
+        hours = self._of_kind("gensets", "hours_before")[t]
+        sets = GensetState(
+            hours > 0.0,
+            np.abs(hours),
+            self._of_kind("gensets", "p_before_kw")[t],
+            self._of_kind("gensets", "fuel_start_litres")[t],
+        )
+        held_kwh = self._of_kind("chargers", "energy_start_kwh")[t]
+        t_c = self._of_kind("thermal_loads", "t_start_c")[t]
+        return KindsAhead.of(self.scenario, steps, held_kwh, t_c, sets)
 
     @cached_property
     def _owed(self) -> list[Owed | None]:
@@ -337,9 +327,7 @@ class Recorded:
             self._eta_charge[t],
             self._eta_discharge[t],
             owed=self._owed[t],
-            plugged=self._plugged(steps),
-            rooms=Rooms.of(self.scenario, steps, self._of_climate("t_start_c")[steps.start]),
-            gensets=self._sets_ahead(steps),
+            ahead=self._ahead(steps),
             terminal=Terminal.of(self.soc_asked, forecast, ends=steps.stop == self.n_steps),
         )
         told = self._view.told(seen, self._grid_seen[t], self.scenario, t, self._forecaster)
@@ -384,20 +372,23 @@ class Recorded:
         """What all devices gave at each bus in a step, in kW and kvar, (N,) each."""
         run = self.trajectory
         q_load_kvar = self._array(run.customers, "q_load_kvar")[t]
-        active: dict[Devices, Floats] = {
+        active = {
             "pv": self._array(run.pv, "self_kw")[t] + self._array(run.pv, "export_kw")[t],
             "customers": -self.load_kw[t] * self.share[t],
             "batteries": -self.battery_kw[t],
-            "chargers": -self._of_vehicles("p_kw")[t],
-            "thermal_loads": -self._of_climate("p_kw")[t],
-            "gensets": self._of_gensets("p_kw")[t],
+            **{kind: self._given_kw(kind)[t] for kind in self.site.kinds},
         }
-        reactive: dict[Devices, Floats] = {
+        reactive = {
             "pv": self._array(run.pv, "q_kvar")[t],
             "customers": -q_load_kvar * self.share[t],
             "batteries": self.batt_q_kvar[t],
         }
         return bus_injections(self.site, active), bus_injections(self.site, reactive)
+
+    def _given_kw(self, kind: str) -> Floats:
+        """What each unit of a kind gave, negative where it took, (T, n)."""
+        power_kw = self._of_kind(kind, "p_kw")
+        return power_kw if KINDS[kind].gives else -power_kw
 
     def _array(self, table: pd.DataFrame, column: str) -> Floats:
         """A column as an array of steps by items."""

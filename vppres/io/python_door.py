@@ -14,6 +14,7 @@ from vppres.core.text import flaw_of_name
 from vppres.io import schema
 from vppres.io.messages import few, folded, shown
 from vppres.scenario.assets import OF_HOURS
+from vppres.scenario.kinds import units_of
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.vehicles import OF_SESSIONS
 
@@ -64,10 +65,8 @@ def _names(scenario: Scenario) -> Iterator[Problem]:
         ("customers", "tier", customers.tier),
         ("pv", "id", pv.id),
         ("batteries", "id", batteries.id),
-        ("chargers", "id", scenario.chargers.id),
+        *((kind, "id", units.id) for kind, units in units_of(scenario).items()),
         ("sessions", "vehicle", scenario.sessions.vehicle),
-        ("thermal_loads", "id", scenario.thermal_loads.id),
-        ("gensets", "id", scenario.gensets.id),
         ("network", "buses", scenario.network.buses),
         ("scenario", "tiers", scenario.tiers),
     ]

@@ -12,8 +12,7 @@ from vppres.contract.gensets import SetsAhead
 from vppres.contract.observation import Observation
 from vppres.contract.plugged import Plugged
 from vppres.contract.rooms import Rooms
-from vppres.core.arrays import Floats
-from vppres.day.simulate import SHORT_KWH
+from vppres.day.vehicles import SHORT_KWH
 from vppres.scenario.scenario import Scenario
 
 
@@ -69,9 +68,9 @@ class Foreseen:
             pd.DataFrame(plan.served[rows], times, [str(name) for name in window.customers.id]),
             pd.DataFrame(plan.soc[ends], times, [str(name) for name in window.batteries.id]),
             pd.Series(plan.p_grid_kw[rows], times),
-            _indoor_c(decision, window, told.rooms, times),
-            _left_short(decision, window, told.plugged),
-            *_of_sets(decision, window, told.gensets, times),
+            _indoor_c(decision, window, told.ahead.rooms, times),
+            _left_short(decision, window, told.ahead.plugged),
+            *_of_sets(decision, window, told.ahead.gensets, times),
         )
 
 
@@ -81,9 +80,10 @@ def _indoor_c(
     """Temperatures that the plan's powers lead to; those without power where it has none."""
     if rooms is None:
         return None
-    power_kw = _ahead(decision, decision.dispatch.thermal_kw, len(window.thermal_loads))
+    loads = window.thermal_loads
+    power_kw = decision.dispatch.taken_by("thermal_loads", loads)[decision.row :]
     t_c = rooms.part(slice(len(power_kw))).t_c(power_kw)
-    return pd.DataFrame(t_c[1:], times[: len(t_c) - 1], [str(i) for i in window.thermal_loads.id])
+    return pd.DataFrame(t_c[1:], times[: len(t_c) - 1], [str(i) for i in loads.id])
 
 
 def _left_short(
@@ -93,7 +93,7 @@ def _left_short(
     if plugged is None:
         return None
     chargers = window.chargers
-    power_kw = _ahead(decision, decision.dispatch.ev_kw, len(chargers))
+    power_kw = decision.dispatch.taken_by("chargers", chargers)[decision.row :]
     ahead = plugged.part(slice(len(power_kw)))
     short_kwh = ahead.short_kwh(ahead.energy_kwh(power_kw, chargers, window.grid.dt_h))
     sessions = window.sessions
@@ -113,18 +113,11 @@ def _of_sets(
     """What sets give and what is left in their tanks; nothing runs where a plan has none."""
     if sets is None:
         return None, None
-    given_kw = _ahead(decision, decision.dispatch.genset_kw, len(window.gensets))
-    planned = decision.dispatch.genset_on
-    on = np.zeros(given_kw.shape, dtype=bool) if planned is None else planned[decision.row :]
+    units, plan = window.gensets, decision.dispatch
+    given_kw = -plan.taken_by("gensets", units)[decision.row :]
+    on = plan.running_of("gensets", units)[decision.row :]
     known = sets.part(slice(len(on)))
-    litres = known.fuel_litres(window.gensets, on, given_kw, window.grid.dt_h)
-    names = [str(name) for name in window.gensets.id]
+    litres = known.fuel_litres(units, on, given_kw, window.grid.dt_h)
+    names = [str(name) for name in units.id]
     ends = times[: len(on) - 1]
     return pd.DataFrame(given_kw[1:], ends, names), pd.DataFrame(litres[1:], ends, names)
-
-
-def _ahead(decision: Decision, power_kw: Floats | None, count: int) -> Floats:
-    """A plan's powers from the step that was decided on; none where it has none."""
-    if power_kw is None:
-        return np.zeros((decision.dispatch.n_steps - decision.row, count))
-    return power_kw[decision.row :]

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from vppres.contract.ahead import KindsAhead
 from vppres.contract.forecast import Forecast, ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.contract.plugged import Plugged
@@ -167,20 +168,23 @@ class Present:
             import_kw=seen.import_kw,
             served=self.past.served,
             owed=self.past.owed_at(self.t),
-            plugged=self._plugged(),
-            rooms=Rooms.of(seen.scenario, range(seen.scenario.grid.n_steps), self.indoor.now_c),
-            gensets=self.sets.ahead(seen.scenario, range(seen.scenario.grid.n_steps)),
+            ahead=self._ahead(),
             terminal=Terminal.of(self.options.soc_end, forecast, ends=self.ends),
             elapsed_h=seen.elapsed_h,
             soc_age_h=seen.soc_age_h,
             told=seen.told,
         )
 
-    def _plugged(self) -> Plugged | None:
-        """Vehicles that are plugged in or announced; None without chargers."""
+    def _ahead(self) -> KindsAhead:
+        """Vehicles, rooms and sets as they are."""
         day = self.seen.scenario
+        steps = range(day.grid.n_steps)
         held_kwh = Garage(day, self._ev_kwh()).held_kwh(0)
-        return Plugged.of(day, range(day.grid.n_steps), held_kwh)
+        return KindsAhead(
+            Plugged.of(day, steps, held_kwh),
+            Rooms.of(day, steps, self.indoor.now_c),
+            self.sets.ahead(day, steps),
+        )
 
     def _ev_kwh(self) -> Floats:
         """Energy of the vehicles, as read or else as reckoned; NaN if neither, (K,)."""
@@ -236,14 +240,14 @@ class Present:
 
     def _told(self, record: StepRecord) -> Ran:
         """How generating sets are to run from now on."""
-        columns = record.gensets
+        columns = record.kinds.get("gensets")
         if columns is None:
             return self.sets.told(np.empty(0, dtype=bool), np.empty(0))
         return self.sets.told(columns["running"], columns["p_kw"])
 
     def _felt_after(self, day: Day, record: StepRecord) -> Felt:
         """Rooms and tanks after the step, as far as their readings moved."""
-        columns = record.thermal_loads
+        columns = record.kinds.get("thermal_loads")
         power_kw = np.empty(0) if columns is None else columns["p_kw"]
         return self.indoor.after(day.scenario, power_kw)
 

@@ -144,8 +144,8 @@ class SetPoints:
             foreseen=foreseen,
             by_phase=ByPhase.of(scenario, step),
             chargers=_chargers(scenario, step),
-            thermal_loads=_thermal_loads(scenario, step.thermal_loads),
-            gensets=_gensets(scenario, step.gensets, out),
+            thermal_loads=_thermal_loads(scenario, step.kinds.get("thermal_loads")),
+            gensets=_gensets(scenario, step.kinds.get("gensets"), out),
         )
 
     def apply_to(self, net: Any, feeder: Feeder) -> None:
@@ -235,7 +235,7 @@ def _pv(scenario: Scenario, columns: Mapping[str, Any]) -> pd.DataFrame:
 
 def _chargers(scenario: Scenario, step: StepRecord) -> pd.DataFrame | None:
     """Powers and limits by charger; None without any."""
-    columns = step.vehicles
+    columns = step.kinds.get("chargers")
     if columns is None:
         return None
     chargers = scenario.chargers

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
 
+from vppres.contract.ahead import KindsAhead
 from vppres.contract.export import Export
-from vppres.contract.gensets import SetsAhead
 from vppres.contract.moves import Moves
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
 from vppres.contract.owed import Owed
-from vppres.contract.plugged import Plugged
-from vppres.contract.rooms import Rooms
 from vppres.contract.stored_value import Ending, StoredValue
 from vppres.contract.switching import SwitchingData
 from vppres.contract.terminal import Terminal
@@ -150,12 +148,8 @@ class WindowData:
         Voltages and former by phase; None for a balanced feeder.
     owed : Owed, optional
         What dimmed customers may catch up from before the window; None for nothing.
-    plugged : Plugged, optional
-        Vehicles that are plugged in; None if there is no charger.
-    rooms : Rooms, optional
-        Rooms and tanks that are cooled or heated; None if there is none.
-    gensets : SetsAhead, optional
-        Generating sets; None if there is none.
+    ahead : KindsAhead, optional
+        Vehicles, rooms and generating sets; none if not given.
     """
 
     load_kw: Floats
@@ -177,9 +171,7 @@ class WindowData:
     flow_max_kva: Floats | None = None
     phased: PhasedWindow | None = None
     owed: Owed | None = None
-    plugged: Plugged | None = None
-    rooms: Rooms | None = None
-    gensets: SetsAhead | None = None
+    ahead: KindsAhead = field(default_factory=KindsAhead)
 
     @classmethod
     def of(cls, observation: Observation, site: Site, centre: Centre) -> WindowData:
@@ -207,9 +199,7 @@ class WindowData:
             terminal=observation.end if stores else None,
             stored_value=observation.stored_value if stores else None,
             owed=observation.owed,
-            plugged=observation.plugged and observation.plugged.part(slice(n_steps)),
-            rooms=observation.rooms and observation.rooms.part(slice(n_steps)),
-            gensets=observation.gensets and observation.gensets.part(slice(n_steps)),
+            ahead=observation.ahead.part(slice(n_steps)),
         )
 
     def with_sound_soc(self, batteries: Batteries) -> WindowData:
@@ -279,9 +269,7 @@ class WindowData:
             own_u_pu2=None if self.own_u_pu2 is None else self.own_u_pu2[steps],
             flow_max_kva=None if self.flow_max_kva is None else self.flow_max_kva[steps],
             phased=self.phased and self.phased.part(steps),
-            plugged=self.plugged and self.plugged.part(steps),
-            rooms=self.rooms and self.rooms.part(steps),
-            gensets=self.gensets and self.gensets.part(steps),
+            ahead=self.ahead.part(steps),
         )
 
     def u_limits_pu2(self, network: Network) -> tuple[Floats, Floats]:
@@ -334,9 +322,9 @@ class WindowData:
 
     def _fuel_kwh(self, value: StoredValue) -> float:
         """Most energy that fuel at the end of the window can stand for."""
-        if self.gensets is None:
+        if self.ahead.gensets is None:
             return 0.0
-        return float(self.gensets.added_litres.sum(axis=0) @ value.kwh_per_litre)
+        return float(self.ahead.gensets.added_litres.sum(axis=0) @ value.kwh_per_litre)
 
     def active_max_kw(self, batteries: Batteries) -> Floats:
         """Largest active power that a plan may ask of each battery, (W, B)."""
@@ -393,10 +381,7 @@ class WindowData:
         """
         load_kw = self.all_cold().load_kw.sum(axis=1)
         useful = load_kw + site.batteries.p_max_kw.sum() + self.network_kw
-        if self.plugged is not None:
-            useful = useful + self.plugged.here @ site.chargers.p_charge_kw
-        if self.rooms is not None:
-            useful = useful + self.rooms.most_kw.sum(axis=1)
+        useful = sum(self.ahead.most_taken_kw(site.kinds), start=useful)
         return np.asarray(np.minimum(np.maximum(self.grid_limit_kw, 0.0), useful))
 
     @property
@@ -422,10 +407,7 @@ class WindowData:
         possible = self.pv_kw.sum(axis=1) + site.batteries.p_max_kw.sum()
         if self.drawn is not None:  # a fixed demand may be negative
             possible = possible + np.maximum(-self.drawn.kw.sum(axis=1), 0.0)
-        if self.plugged is not None:
-            possible = possible + self.plugged.here @ site.chargers.p_discharge_kw
-        if self.gensets is not None:
-            possible = possible + self.gensets.can_run @ site.gensets.p_max_kw
+        possible = sum(self.ahead.most_given_kw(site.kinds), start=possible)
         connected = self.grid_limit_kw > 0.0
         return np.where(connected, np.minimum(self.export.limit_kw, possible), 0.0)
 

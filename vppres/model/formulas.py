@@ -8,7 +8,6 @@ what is wrong here. Numbers in brackets count the paper's equations.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal
 
 import numpy as np
 
@@ -16,8 +15,6 @@ from vppres.core.arrays import Floats
 from vppres.model.site import Site
 from vppres.scenario.assets import Batteries
 from vppres.scenario.network import Network
-
-Devices = Literal["pv", "batteries", "customers", "chargers", "thermal_loads", "gensets"]
 
 # PV systems.
 
@@ -92,7 +89,7 @@ def discharge_to_kw(
 # Network.
 
 
-def bus_injections(site: Site, given: Mapping[Devices, Floats]) -> Floats:
+def bus_injections(site: Site, given: Mapping[str, Floats]) -> Floats:
     """Net injections at all buses without the grid's supply: (9) less (10), or (12) less (13).
 
     Parameters
@@ -100,10 +97,10 @@ def bus_injections(site: Site, given: Mapping[Devices, Floats]) -> Floats:
     site : Site
         Where the devices are.
     given : mapping of array
-        What ``pv`` (..., P), ``batteries`` (..., B), ``customers`` (..., C), ``chargers``
-        (..., K), ``thermal_loads`` (..., H) and ``gensets`` (..., G) give, in kW or kvar:
-        minus (1) for batteries, minus the demand of those served for customers, PV power with
-        self-consumption. It is summed in the order given, which decides the last bit.
+        What ``pv`` (..., P), ``batteries`` (..., B), ``customers`` (..., C) and the units (..., n)
+        of kinds of flexible power give, in kW or kvar: minus (1) for batteries, minus the demand of
+        those served for customers, PV power with self-consumption. It is summed in the order given,
+        which decides the last bit.
 
     Returns
     -------
@@ -113,9 +110,7 @@ def bus_injections(site: Site, given: Mapping[Devices, Floats]) -> Floats:
         "pv": site.pv_bus,
         "batteries": site.battery_bus,
         "customers": site.customer_bus,
-        "chargers": site.charger_bus,
-        "thermal_loads": site.thermal_bus,
-        "gensets": site.genset_bus,
+        **site.unit_bus,
     }
     first, *others = ((bus[devices] @ power.T).T for devices, power in given.items())
     return np.asarray(sum(others, start=first))

@@ -12,6 +12,7 @@ import scipy.sparse as sp
 from vppres.core.arrays import Flags, Floats, Wholes, content_key
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.gensets import Gensets
+from vppres.scenario.kinds import KINDS, Units, units_of
 from vppres.scenario.network import Network
 from vppres.scenario.phases import Phases
 from vppres.scenario.priority import Ranks
@@ -138,17 +139,16 @@ class Site:
         """The network whose voltage limits hold."""
         return self.network if self.limits_of is None else self.limits_of
 
-    @property
-    def kinds(self) -> list[Chargers | ThermalLoads | Gensets]:
-        """Kinds of flexible power that the site has."""
-        kinds = (self.chargers, self.thermal_loads, self.gensets)
-        return [kind for kind in kinds if len(kind)]
+    @cached_property
+    def kinds(self) -> dict[str, Units]:
+        """Units of each kind of flexible power that the site has."""
+        return units_of(self)
 
     @cached_property
     def key(self) -> str:
         """Digest of the content: sites of equal content have equal problems."""
         more: list[Any] = [] if self.ranks is None else [self.ranks]
-        more += self.kinds
+        more += self.kinds.values()
         rules = " soft" * self.soft_voltages + " rated" * self.rated
         if self.phases is not None:
             rules += f" {self.phases.key} {content_key(self.feeder)}"
@@ -167,19 +167,10 @@ class Site:
         return self.network.place(self.batteries.bus)
 
     @cached_property
-    def charger_bus(self) -> sp.csr_array:
-        """Shape (N, K): places chargers of vehicles on their buses."""
-        return self.network.place(self.chargers.buses(self.customers))
-
-    @cached_property
-    def thermal_bus(self) -> sp.csr_array:
-        """Shape (N, H): places thermal loads on their buses."""
-        return self.network.place(self.thermal_loads.buses(self.customers))
-
-    @cached_property
-    def genset_bus(self) -> sp.csr_array:
-        """Shape (N, G): places generating sets on their buses."""
-        return self.network.place(self.gensets.bus)
+    def unit_bus(self) -> dict[str, sp.csr_array]:
+        """Shape (N, n) by kind of flexible power: places its units on their buses."""
+        places = {kind: getattr(self, kind).buses(self.customers) for kind in KINDS}
+        return {kind: self.network.place(buses) for kind, buses in places.items()}
 
     @cached_property
     def owner(self) -> Wholes:

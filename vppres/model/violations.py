@@ -19,6 +19,7 @@ from vppres.model.formulas import cell_kw, soc_after, voltage_drop_pu2
 from vppres.model.phases import phased_model
 from vppres.model.site import Site
 from vppres.scenario.assets import SOC_ROUNDING
+from vppres.scenario.kinds import KINDS
 
 POWER_TOLERANCE_KW = 1e-3
 POWER_TOLERANCE_REL = 1e-5
@@ -62,9 +63,7 @@ def excesses(site: Site, data: WindowData, dispatch: Dispatch) -> Excess:
         _voltages,
         _ratings,
         _phases,
-        _vehicles,
-        _machines,
-        _sets,
+        _kinds,
     )
     rules = 0.0 if data.switching is None else float(data.switching.broken(dispatch.served).sum())
     found = {"switching rules": 2.0 * rules}
@@ -144,8 +143,7 @@ def _grid(site: Site, data: WindowData, d: Dispatch) -> Excess:
     imported_kw = np.maximum(d.p_grid_kw, 0.0)
     charged_kw = d.charge_kw.sum(axis=1)
     fed_kw = imported_kw + d.pv_export_kw.sum(axis=1)
-    if d.genset_kw is not None:
-        fed_kw = fed_kw + d.genset_kw.sum(axis=1)
+    fed_kw = fed_kw - d.taken_by("gensets", site.gensets).sum(axis=1)
     return {
         "import": _most(tolerance, d.p_grid_kw - np.maximum(data.grid_limit_kw, 0.0)),
         "export": _most(tolerance, -d.p_grid_kw - data.export_max_kw(site)),
@@ -218,55 +216,19 @@ def _phases(site: Site, data: WindowData, d: Dispatch) -> Excess:
     }
 
 
-def _vehicles(site: Site, data: WindowData, d: Dispatch) -> Excess:
-    """Powers of chargers, and the energy of vehicles."""
-    plugged = data.plugged
-    if plugged is None or d.ev_kw is None:
-        return {}
-    chargers = site.chargers
-    energy_kwh = plugged.energy_kwh(d.ev_kw, chargers, site.dt_h)
-    owner_on = d.served[:, chargers.owner(site.customers)]
-    on = plugged.here & (chargers.alone | owner_on)
-    return {
-        "charger": _most(
-            _power_tolerance(site, data),
-            d.ev_kw - on * chargers.p_charge_kw,
-            -d.ev_kw - on * chargers.p_discharge_kw,
-        ),
-        "vehicle": _most(
-            _power_tolerance(site, data) * site.dt_h,
-            energy_kwh - plugged.full_kwh,
-            (plugged.lowest_kwh - energy_kwh)[plugged.here],
-        ),
-    }
-
-
-def _machines(site: Site, data: WindowData, d: Dispatch) -> Excess:
-    """Powers of machines that cool or heat."""
-    if data.rooms is None or d.thermal_kw is None:
-        return {}
-    on = d.served[:, site.thermal_loads.owner(site.customers)]
+def _kinds(site: Site, data: WindowData, d: Dispatch) -> Excess:
+    """Flexible power of each kind: what its units can do, what they hold, rules of switching."""
     tolerance = _power_tolerance(site, data)
-    return {"thermal load": _most(tolerance, d.thermal_kw - on * data.rooms.most_kw, -d.thermal_kw)}
-
-
-def _sets(site: Site, data: WindowData, d: Dispatch) -> Excess:
-    """Generating sets: rules of switching, powers, ramps, fuel."""
-    ahead = data.gensets
-    if ahead is None or d.genset_on is None or d.genset_kw is None:
-        return {}
-    sets = site.gensets
-    on = d.genset_on
-    tolerance = _power_tolerance(site, data)
-    fuel_litres = ahead.fuel_litres(sets, on, d.genset_kw, site.dt_h)
-    burns = site.dt_h * sets.litres_per_kwh.max()
-    return {
-        "set switching": 2.0 * ahead.wrongly_switched(sets, on, data.dark, site.dt_h).sum(),
-        "set power": _most(
-            tolerance,
-            d.genset_kw - on * sets.p_max_kw,
-            on * sets.p_min_kw - d.genset_kw,
-            ahead.moved_too_fast_kw(sets, on, d.genset_kw, site.dt_h),
-        ),
-        "fuel": _most(tolerance * burns, -fuel_litres),
-    }
+    found: Excess = {}
+    for kind, known in data.ahead.by_kind.items():
+        units, word = site.kinds[kind], KINDS[kind].word
+        on = units.connected(site.customers, d.served)
+        plan = (d.taken_by(kind, units), d.running_of(kind, units), site.dt_h)
+        found[f"{word} power"] = _most(tolerance, known.power_beyond_kw(units, on, *plan))
+        found[f"{word} energy"] = _most(tolerance, known.stored_beyond_kw(units, *plan))
+    ahead = data.ahead.gensets
+    if ahead is not None:
+        on = d.running_of("gensets", site.gensets)
+        wrong = ahead.wrongly_switched(site.gensets, on, data.dark, site.dt_h)
+        found["genset switching"] = 2.0 * wrong.sum()
+    return found

@@ -71,16 +71,17 @@ def _settled(decision: Decision, realised: Realised, ac: ACResult, ac_failed: st
 
 
 def _reduced(scenario: Scenario, t: int, decision: Decision) -> Iterator[tuple[str, Decision]]:
-    """The decision, then without flexible power and ever more tiers, then without any at all."""
+    """The decision, then without vehicles, machines and ever more tiers, then without any power."""
     yield NOBODY, decision
     asked = decision.dispatch
-    flexible: dict[str, Any] = {
-        name: _with_row(power_kw, decision.row, 0.0)
-        for name, power_kw in (("ev_kw", asked.ev_kw), ("thermal_kw", asked.thermal_kw))
-        if power_kw is not None
+    flexible = {
+        kind: _with_row(taken_kw, decision.row, 0.0)
+        for kind, taken_kw in asked.taken_kw.items()
+        if kind not in asked.running
     }
     if flexible:
-        decision = replace(decision, dispatch=replace(asked, **flexible))
+        asked = replace(asked, taken_kw={**asked.taken_kw, **flexible})
+        decision = replace(decision, dispatch=asked)
         yield NOBODY, decision
     served = np.array(decision.dispatch.served[decision.row], dtype=bool)
     for tier in reversed(scenario.tiers):
@@ -93,9 +94,8 @@ def _reduced(scenario: Scenario, t: int, decision: Decision) -> Iterator[tuple[s
         for name in ("charge_kw", "discharge_kw", "batt_q_kvar", "pv_q_kvar")
     }
     still["pv_curtailed_kw"] = _with_row(plan.pv_curtailed_kw, row, scenario.pv_kw[t])
-    if plan.genset_on is not None and plan.genset_kw is not None:
-        still["genset_on"] = np.zeros_like(plan.genset_on)
-        still["genset_kw"] = _with_row(plan.genset_kw, row, 0.0)
+    still["taken_kw"] = {kind: _with_row(kw, row, 0.0) for kind, kw in plan.taken_kw.items()}
+    still["running"] = {kind: np.zeros_like(on) for kind, on in plan.running.items()}
     empty = _with_served(decision, served)
     yield "everything", replace(empty, dispatch=replace(empty.dispatch, **still))
 

@@ -1,8 +1,8 @@
 """The export limiter of a connection: what is beyond the limit does not leave the feeder.
 
-It reads the meter at the grid, so losses are on its side. Vehicles and batteries that discharge are
-held back first, which loses nothing; then PV power that nobody uses is curtailed. An import-only
-connection has no limiter: what its meter shows is the paper's business.
+It reads the meter at the grid, so losses are on its side. Sets, vehicles and batteries that give
+are held back first, which loses nothing; then PV power that nobody uses is curtailed. An
+import-only connection has no limiter: what its meter shows is the paper's business.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from vppres.physics.powerflow import ACPowerFlow, ACResult
-from vppres.plant.island import curtailed, part_of, powers_of
+from vppres.plant.island import curtailed, part_of, powers_of, spare, taking
 from vppres.plant.plant import BatteryState, Plant, Powers, Realised
 
 LIMIT_TOLERANCE_KW = 1e-3
@@ -53,11 +53,12 @@ def within_export_limit(
         excess_kw = -ac.p_slack_kw - limit_kw
         if excess_kw <= LIMIT_TOLERANCE_KW:
             break
-        held = _held_back(powers_of(realised), excess_kw)
+        held = _held_back(plant, powers_of(realised), excess_kw)
         moved = float(
             np.abs(held.battery_kw - realised.charge_kw + realised.discharge_kw).max(initial=0.0)
         )
-        moved = max(moved, float(np.max(np.abs(held.ev_kw - realised.ev_kw), initial=0.0)))
+        for kind, taken_kw in realised.taken_kw.items():
+            moved = max(moved, float(np.abs(held.taken_kw[kind] - taken_kw).max(initial=0.0)))
         moved = max(
             moved, float((held.pv_curtailed_kw - realised.pv_curtailed_kw).max(initial=0.0))
         )
@@ -68,14 +69,13 @@ def within_export_limit(
     return realised, ac
 
 
-def _held_back(powers: Powers, excess_kw: float) -> Powers:
-    """Discharge less, then curtail what PV systems export; what owners use stays."""
-    ev_kw = np.asarray(powers.ev_kw)
-    back = np.maximum(-ev_kw, 0.0)
-    if back.sum() > 0.0:
-        off = part_of(back, excess_kw)
-        powers = replace(powers, ev_kw=ev_kw + off)
-        excess_kw -= float(off.sum())
+def _held_back(plant: Plant, powers: Powers, excess_kw: float) -> Powers:
+    """Give and discharge less, then curtail what PV systems export; what owners use stays."""
+    for kind, spare_kw in spare(plant, powers).items():
+        if spare_kw.sum() > 0.0 and excess_kw > 0.0:
+            off = part_of(spare_kw, excess_kw)
+            powers = taking(powers, kind, powers.taken_kw[kind] + off)
+            excess_kw -= float(off.sum())
     discharging = np.maximum(-powers.battery_kw, 0.0)
     less = np.zeros_like(discharging)
     if discharging.sum() > 0.0 and excess_kw > 0.0:

@@ -59,6 +59,21 @@ class Engines:
         within_kw = np.minimum(np.maximum(wanted_kw, least_kw), most_kw)
         return runs, np.where(runs, np.maximum(within_kw, 0.0), 0.0)
 
+    def on(self, served: Flags) -> Flags:
+        """All of them: sets are of no customer, (G,)."""
+        return np.ones(len(self.scenario.gensets), dtype=bool)
+
+    def follow(
+        self, t: int, wanted_kw: Floats, running: Flags, served: Flags
+    ) -> tuple[Floats, Flags]:
+        """:meth:`possible`, as power that sets take."""
+        runs, given_kw = self.possible(t, running, -wanted_kw)
+        return -given_kw, runs
+
+    def spare_kw(self, taken_kw: Floats, running: Flags) -> Floats:
+        """What each gives beyond its least power, (G,)."""
+        return -taken_kw - np.where(running, self.scenario.gensets.p_min_kw, 0.0)
+
     def after(self, t: int, on: Flags, power_kw: Floats) -> GensetState:
         """State at the end of a step in which sets run with these powers."""
         sets = self.scenario.gensets
@@ -68,6 +83,6 @@ class Engines:
         hours = np.where(on == self.state.on, self.state.hours + dt_h, dt_h)
         return GensetState(on, hours, np.where(on, power_kw, 0.0), left)
 
-    def advance(self, t: int, on: Flags, power_kw: Floats) -> None:
+    def advance(self, t: int, taken_kw: Floats, running: Flags) -> None:
         """The state at the end of a step."""
-        self.state = self.after(t, on, power_kw)
+        self.state = self.after(t, running, -taken_kw)

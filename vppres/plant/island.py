@@ -33,6 +33,10 @@ COLLAPSE_PU = 0.7
 CUT_MARGIN_KW = 1e-3
 """What is cut beyond the need, so that the set has something left to settle with."""
 
+TAKE_LESS = ("thermal_loads", "chargers")
+"""Kinds that take less where an island lacks power, in this order: before batteries and customers.
+"""
+
 _MAX_SHARINGS = 50
 NO_FORMER = "no battery forms the grid"
 NO_ENERGY = "no grid-forming battery has energy left"
@@ -125,8 +129,8 @@ class IslandPlant:
             return self._dark(t, planned, state, reason)
         set_points = powers = powers_of(planned)
         # Every round sheds, stops or curtails something, so this is more than can be needed.
-        devices = len(planned.served) + len(planned.pv_self_kw) + np.size(planned.ev_kw)
-        devices += np.size(planned.thermal_kw) + np.size(planned.genset_kw)
+        devices = len(planned.served) + len(planned.pv_self_kw)
+        devices += sum(len(taken_kw) for taken_kw in planned.taken_kw.values())
         for _ in range(2 * devices + 20):
             try:
                 found = self._balance(t, powers, state, able)
@@ -211,36 +215,30 @@ class IslandPlant:
         """One more protective action, None if there is none left."""
         need_kw = max(found.left_kw, found.excess_kvar) + CUT_MARGIN_KW
         others = ~self.formers
-        ev_kw = np.asarray(powers.ev_kw)
         if found.left_kw >= -self.tolerance_kw:
-            # Machines come before vehicles, these before batteries, and all before customers.
-            machines = np.asarray(powers.thermal_kw)
-            if found.left_kw > self.tolerance_kw and machines.sum() > 0:
-                return replace(powers, thermal_kw=machines - part_of(machines, need_kw))
-            vehicles = np.maximum(ev_kw, 0.0)
-            if found.left_kw > self.tolerance_kw and vehicles.sum() > 0:
-                return replace(powers, ev_kw=ev_kw - part_of(vehicles, need_kw))
+            for kind in TAKE_LESS if found.left_kw > self.tolerance_kw else ():
+                taken_kw = powers.taken_kw.get(kind, np.zeros(0))
+                taking_kw = np.maximum(taken_kw, 0.0)
+                if taking_kw.sum() > 0:
+                    return taking(powers, kind, taken_kw - part_of(taking_kw, need_kw))
             charging = np.where(others, np.maximum(powers.battery_kw, 0.0), 0.0)
             if found.left_kw > self.tolerance_kw and charging.sum() > 0:
                 return replace(powers, battery_kw=powers.battery_kw - part_of(charging, need_kw))
             return self._shed(t, powers, need_kw, found.ac)
         surplus_kw = -found.left_kw + CUT_MARGIN_KW
-        sets_kw = np.asarray(powers.genset_kw)
-        lower_kw = sets_kw - np.where(powers.genset_on, self.plant.scenario.gensets.p_min_kw, 0.0)
-        if lower_kw.sum() > self.tolerance_kw:
-            return replace(powers, genset_kw=sets_kw - part_of(lower_kw, surplus_kw))
-        vehicles = np.maximum(-ev_kw, 0.0)
-        if vehicles.sum() > 0:
-            return replace(powers, ev_kw=ev_kw + part_of(vehicles, surplus_kw))
+        for kind, spare_kw in spare(self.plant, powers).items():
+            if spare_kw.sum() > self.tolerance_kw:
+                return taking(powers, kind, powers.taken_kw[kind] + part_of(spare_kw, surplus_kw))
         if (powers.pv_export_kw + powers.pv_self_kw).sum() > 0:
             return curtailed(powers, surplus_kw)
         discharging = np.where(others, np.maximum(-powers.battery_kw, 0.0), 0.0)
         if discharging.sum() > 0:
             return replace(powers, battery_kw=powers.battery_kw + part_of(discharging, surplus_kw))
-        if sets_kw.sum() > 0:
-            return replace(
-                powers, genset_on=np.zeros(len(sets_kw), dtype=bool), genset_kw=0.0 * sets_kw
-            )
+        for kind, taken_kw in powers.taken_kw.items():
+            if taken_kw.sum() < 0:
+                off = np.zeros(len(taken_kw), dtype=bool)
+                stopped = replace(powers, running={**powers.running, kind: off})
+                return taking(stopped, kind, 0.0 * taken_kw)
         return None
 
     def _shed(self, t: int, powers: Powers, need_kw: float, ac: ACResult) -> Powers | None:
@@ -255,10 +253,9 @@ class IslandPlant:
         served[order[:count]] = False
         # The PV systems of those who are off feed the island with all they have.
         own = np.where(served[self.plant.owner], powers.pv_self_kw, 0.0)
-        ev_kw = np.where(self.plant.garage.on(served), powers.ev_kw, 0.0)
         return replace(
             powers,
-            ev_kw=ev_kw,
+            taken_kw=self.plant.connected_kw(powers.taken_kw, served),
             served=served,
             pv_self_kw=own,
             pv_export_kw=powers.pv_export_kw + powers.pv_self_kw - own,
@@ -324,11 +321,22 @@ def powers_of(realised: Realised) -> Powers:
         realised.charge_kw - realised.discharge_kw,
         realised.batt_q_kvar,
         realised.share,
-        realised.ev_kw,
-        realised.thermal_kw,
-        realised.genset_on,
-        realised.genset_kw,
+        realised.taken_kw,
+        realised.running,
     )
+
+
+def taking(powers: Powers, kind: str, taken_kw: Floats) -> Powers:
+    """The same with the units of a kind taking these powers, (n,)."""
+    return replace(powers, taken_kw={**powers.taken_kw, kind: taken_kw})
+
+
+def spare(plant: Plant, powers: Powers) -> dict[str, Floats]:
+    """By how much units can give less without stopping, (n,) by kind; sets come first."""
+    return {
+        kind: plant.units[kind].spare_kw(powers.taken_kw[kind], powers.running[kind])
+        for kind in reversed(plant.units)
+    }
 
 
 def part_of(powers_kw: Floats, need_kw: float) -> Floats:

@@ -6,7 +6,8 @@ physics lets it and says where it did not; it shares data with the optimiser, ne
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -14,9 +15,11 @@ from vppres.contract.decision import Decision
 from vppres.core.arrays import Flags, Floats
 from vppres.physics.cold_load import ColdLoad
 from vppres.physics.thermal import Power, ThermalScheme, advance, initial_state
+from vppres.plant.followers import Followers
 from vppres.plant.gensets import Engines
 from vppres.plant.rooms import Climate
 from vppres.plant.vehicles import Garage
+from vppres.scenario.kinds import units_of
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 
@@ -42,9 +45,8 @@ class Powers:
     """Powers of one step that all devices can deliver; a charging battery is positive.
 
     ``served`` has the shape (C,), the ``pv`` fields (P,), the batteries' (B,); kW and kvar.
-    ``share`` is the part of its demand that each customer gets if it is served, ``ev_kw`` (K,) the
-    power of each charger of vehicles, ``thermal_kw`` (H,) that of each machine that cools or heats,
-    ``genset_on`` (G,) says which generating sets run, ``genset_kw`` what each gives.
+    ``share`` is the part of its demand that each customer gets if it is served. ``taken_kw`` and
+    ``running`` are those of a :class:`vppres.contract.dispatch.Dispatch`, (n,) by kind.
     """
 
     served: Flags
@@ -55,10 +57,8 @@ class Powers:
     battery_kw: Floats
     batt_q_kvar: Floats
     share: Floats | float = 1.0
-    ev_kw: Floats | float = 0.0
-    thermal_kw: Floats | float = 0.0
-    genset_on: Flags | bool = False
-    genset_kw: Floats | float = 0.0
+    taken_kw: Mapping[str, Floats] = field(default_factory=dict)
+    running: Mapping[str, Flags] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +66,7 @@ class Realised:
     """One step as it happened; powers in kW and kvar, injections (N,) positive as generation.
 
     ``load_kw`` (C,) is the demand, served or not; ``share`` the part of it that those get who are.
-    ``ev_kw`` (K,) is the power of each charger, ``thermal_kw`` (H,) that of each machine,
-    ``genset_kw`` (G,) what each set gives of those that run, ``genset_on``.
+    ``taken_kw`` is what each unit of flexible power took, ``running`` which were on, by kind.
     """
 
     served: Flags
@@ -84,16 +83,13 @@ class Realised:
     clipped_kw: float
     load_kw: Floats
     share: Floats | float = 1.0
-    ev_kw: Floats | float = 0.0
-    thermal_kw: Floats | float = 0.0
-    genset_on: Flags | bool = False
-    genset_kw: Floats | float = 0.0
+    taken_kw: Mapping[str, Floats] = field(default_factory=dict)
+    running: Mapping[str, Flags] = field(default_factory=dict)
 
     @property
     def flexible_kw(self) -> float:
         """What vehicles and machines take, less what generating sets give."""
-        taken_kw = float(np.sum(self.ev_kw)) + float(np.sum(self.thermal_kw))
-        return taken_kw - float(np.sum(self.genset_kw))
+        return sum((float(np.sum(taken_kw)) for taken_kw in self.taken_kw.values()), start=0.0)
 
 
 class Plant:
@@ -122,15 +118,19 @@ class Plant:
         )
         index = scenario.network.bus_index
         self.garage = Garage(scenario)
-        self._charger_bus = np.array(
-            [index[b] for b in scenario.chargers.buses(scenario.customers)], dtype=int
-        )
         self.climate = Climate(scenario)
-        self._thermal_bus = np.array(
-            [index[b] for b in scenario.thermal_loads.buses(scenario.customers)], dtype=int
-        )
         self.engines = Engines(scenario)
-        self._genset_bus = np.array([index[b] for b in scenario.gensets.bus], dtype=int)
+        every: dict[str, Followers] = {
+            "chargers": self.garage,
+            "thermal_loads": self.climate,
+            "gensets": self.engines,
+        }
+        kinds = units_of(scenario)
+        self.units = {kind: every[kind] for kind in kinds}
+        self._unit_bus = {
+            kind: np.array([index[b] for b in units.buses(scenario.customers)], dtype=int)
+            for kind, units in kinds.items()
+        }
         self._customer_bus = np.array([index[b] for b in scenario.customers.bus], dtype=int)
         self.battery_bus = np.array([index[b] for b in scenario.batteries.bus], dtype=int)
         self.owner = scenario.pv.owner(scenario.customers)
@@ -154,12 +154,8 @@ class Plant:
     def advance(self, t: int, state: BatteryState, realised: Realised) -> BatteryState:
         """State before the step after ``t``."""
         self.cold_load.advance(realised.served)
-        self.garage.advance(t, np.broadcast_to(realised.ev_kw, len(self.garage.kwh)))
-        self.climate.advance(t, np.broadcast_to(realised.thermal_kw, len(self.climate.t_c)))
-        sets = len(self.scenario.gensets)
-        self.engines.advance(
-            t, np.broadcast_to(realised.genset_on, sets), np.broadcast_to(realised.genset_kw, sets)
-        )
+        for kind, units in self.units.items():
+            units.advance(t, realised.taken_kw[kind], realised.running[kind])
         power = Power(realised.charge_kw, realised.discharge_kw)
         thermal = advance(
             self.scenario.batteries,
@@ -192,25 +188,25 @@ class Plant:
             np.abs(discharge - plan.discharge_kw[row]).max(initial=0.0),
             np.abs(curtailed - plan.pv_curtailed_kw[row]).max(initial=0.0),
         )
-        ev_kw = np.zeros(len(self.garage.kwh)) if plan.ev_kw is None else plan.ev_kw[row]
-        ev_kw = self.garage.possible_kw(t, ev_kw, served)
-        machines_kw = 0.0 if plan.thermal_kw is None else plan.thermal_kw[row]
-        thermal_kw = self.climate.possible_kw(np.asarray(machines_kw), served)
-        sets = self._sets(t, decision)
-        net_kw = charge - discharge
+        followed = {
+            kind: self.units[kind].follow(
+                t, plan.taken_by(kind, units)[row], plan.running_of(kind, units)[row], served
+            )
+            for kind, units in units_of(self.scenario).items()
+        }
         powers = Powers(
-            served, own, export, curtailed, pv_q, net_kw, batt_q, share, ev_kw, thermal_kw, *sets
+            served,
+            own,
+            export,
+            curtailed,
+            pv_q,
+            charge - discharge,
+            batt_q,
+            share,
+            {kind: taken_kw for kind, (taken_kw, _) in followed.items()},
+            {kind: running for kind, (_, running) in followed.items()},
         )
         return self.realise(t, powers, state, float(clipped))
-
-    def _sets(self, t: int, decision: Decision) -> tuple[Flags, Floats]:
-        """Which generating sets run, and what each gives, as far as they can follow, (G,) each."""
-        plan = decision.dispatch
-        if plan.genset_on is None or plan.genset_kw is None:
-            sets = len(self.scenario.gensets)
-            return np.zeros(sets, dtype=bool), np.zeros(sets)
-        on = np.asarray(plan.genset_on[decision.row], dtype=bool)
-        return self.engines.possible(t, on, plan.genset_kw[decision.row])
 
     def load_kw(self, t: int, served: Flags) -> Floats:
         """Demand of each customer in step ``t``, (C,): higher for those who were just restored."""
@@ -231,11 +227,9 @@ class Plant:
             powers.pv_export_kw,
             powers.battery_kw,
         )
-        ev_kw = np.where(self.garage.on(powers.served), powers.ev_kw, 0.0)
-        np.add.at(p, self._charger_bus, -ev_kw)
-        thermal_kw = self.climate.possible_kw(np.asarray(powers.thermal_kw), powers.served)
-        np.add.at(p, self._thermal_bus, -thermal_kw)
-        np.add.at(p, self._genset_bus, powers.genset_kw)
+        taken_kw = self.connected_kw(powers.taken_kw, powers.served)
+        for kind, each_kw in taken_kw.items():
+            np.add.at(p, self._unit_bus[kind], -each_kw)
         np.add.at(q, self._pv_bus, powers.pv_q_kvar)
         np.add.at(q, self.battery_bus, powers.batt_q_kvar)
         soc_end = np.clip(
@@ -256,11 +250,19 @@ class Plant:
             clipped_kw,
             load_kw,
             powers.share,
-            ev_kw,
-            thermal_kw,
-            powers.genset_on,
-            powers.genset_kw,
+            taken_kw,
+            {
+                kind: np.asarray(powers.running.get(kind, np.zeros(len(each_kw), dtype=bool)))
+                for kind, each_kw in taken_kw.items()
+            },
         )
+
+    def connected_kw(self, taken_kw: Mapping[str, Floats], served: Flags) -> dict[str, Floats]:
+        """Power of the units of each kind, none of those whose customer is off, (n,) each."""
+        return {
+            kind: np.where(units.on(served), taken_kw.get(kind, 0.0), 0.0)
+            for kind, units in self.units.items()
+        }
 
     def _split_pv(
         self, t: int, demand_kw: Floats, curtailment_kw: Floats

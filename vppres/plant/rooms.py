@@ -30,6 +30,10 @@ class Climate:
         self.t_c = scenario.thermal_loads.t_initial_c
         self._owner = scenario.thermal_loads.owner(scenario.customers)
 
+    def on(self, served: Flags) -> Flags:
+        """Machines whose customer is served, (H,)."""
+        return np.asarray(served[self._owner])
+
     def possible_kw(self, wanted_kw: Floats, served: Flags) -> Floats:
         """Power of each machine nearest to what is wanted; none of a customer that is off, (H,)."""
         most_kw = self.scenario.thermal_loads.p_max_kw * served[self._owner]
@@ -44,6 +48,16 @@ class Climate:
         c_per_kw = self.after_c(t, np.ones_like(self.t_c)) - alone_c
         return self.possible_kw((setpoint_c - alone_c) / c_per_kw, served)
 
+    def follow(
+        self, t: int, wanted_kw: Floats, running: Flags, served: Flags
+    ) -> tuple[Floats, Flags]:
+        """:meth:`possible_kw`; machines are not started."""
+        return self.possible_kw(wanted_kw, served), running
+
+    def spare_kw(self, taken_kw: Floats, running: Flags) -> Floats:
+        """Nothing: machines do not give, (H,)."""
+        return np.zeros_like(taken_kw)
+
     def after_c(self, t: int, power_kw: Floats) -> Floats:
         """Temperature at the end of a step with these powers, (H,)."""
         loads = self.scenario.thermal_loads
@@ -54,6 +68,6 @@ class Climate:
         away_c = (self.t_c - rests_at_c) * np.exp(-self.scenario.grid.dt_h / time_constant_h)
         return np.asarray(rests_at_c + away_c)
 
-    def advance(self, t: int, power_kw: Floats) -> None:
+    def advance(self, t: int, taken_kw: Floats, running: Flags | None = None) -> None:
         """The state at the end of a step."""
-        self.t_c = self.after_c(t, power_kw)
+        self.t_c = self.after_c(t, taken_kw)

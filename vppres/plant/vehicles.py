@@ -79,6 +79,16 @@ class Garage:
         discharge = np.minimum(np.maximum(-wanted_kw, 0.0), chargers.p_discharge_kw)
         return np.minimum(charge, most) - np.minimum(discharge, back)
 
+    def follow(
+        self, t: int, wanted_kw: Floats, running: Flags, served: Flags
+    ) -> tuple[Floats, Flags]:
+        """:meth:`possible_kw`; chargers are not started."""
+        return self.possible_kw(t, wanted_kw, served), running
+
+    def spare_kw(self, taken_kw: Floats, running: Flags) -> Floats:
+        """What each gives back, (K,)."""
+        return np.maximum(-taken_kw, 0.0)
+
     def after_kwh(self, t: int, power_kw: Floats) -> Floats:
         """Energy of each vehicle at the end of a step with these powers, (K,)."""
         chargers = self.scenario.chargers
@@ -88,6 +98,6 @@ class Garage:
         full_kwh = self._of(self.scenario.sessions.full_kwh, t)
         return np.clip(self.held_kwh(t) + into_kw * self.scenario.grid.dt_h, 0.0, full_kwh)
 
-    def advance(self, t: int, power_kw: Floats) -> None:
+    def advance(self, t: int, taken_kw: Floats, running: Flags | None = None) -> None:
         """The state at the end of a step."""
-        self.kwh = self.after_kwh(t, power_kw)
+        self.kwh = self.after_kwh(t, taken_kw)

@@ -53,6 +53,15 @@ class Gensets:
         """Bus of each set, (G,): sets stand alone."""
         return self.bus
 
+    @property
+    def largest_kw(self) -> Floats:
+        """Largest power of each set."""
+        return self.p_max_kw
+
+    def connected(self, customers: Customers, served: Flags) -> Flags:
+        """All of them, of customers that are served or not, (..., G) for (..., C)."""
+        return np.ones((*served.shape[:-1], len(self)), dtype=bool)
+
     def rise_kw(self, dt_h: float) -> Floats:
         """Most by which a running set gives more than in the step before, (G,)."""
         return np.minimum(self.ramp_up_kw_per_h * dt_h, self.p_max_kw)

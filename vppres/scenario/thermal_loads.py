@@ -51,6 +51,15 @@ class ThermalLoads:
         """Bus of each load, (H,)."""
         return customers.bus[self.owner(customers)]
 
+    @property
+    def largest_kw(self) -> Floats:
+        """Largest power of each machine."""
+        return self.p_max_kw
+
+    def connected(self, customers: Customers, served: Flags) -> Flags:
+        """Loads whose customer is served, (..., H) for (..., C)."""
+        return np.asarray(served[..., self.owner(customers)])
+
     def heat_per_kw(self, outside_c: Floats | float) -> Floats:
         """Heat that a kW brings in, negative for cooling, (H,), or (W, H) for (W, 1) outside.
 

@@ -73,6 +73,15 @@ class Chargers:
             return self.bus
         return np.where(self.alone, self.bus, customers.bus[self.owner(customers)]).astype(object)
 
+    @property
+    def largest_kw(self) -> Floats:
+        """Largest power of each charger."""
+        return self.p_charge_kw
+
+    def connected(self, customers: Customers, served: Flags) -> Flags:
+        """Chargers that stand alone or whose customer is served, (..., K) for (..., C)."""
+        return self.alone | served[..., self.owner(customers)]
+
 
 @dataclass(frozen=True, eq=False)
 class Sessions:

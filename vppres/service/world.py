@@ -75,7 +75,7 @@ class World:
         if day.import_kw is not None:
             found += self._series("substation", "import_kw", begun, [GRID], [day.import_kw])
         if sets:
-            given_kw = (self.records[-1].gensets or {})["p_kw"]
+            given_kw = self.records[-1].kinds["gensets"]["p_kw"]
             found += self._series("gensets", "genset_kw", begun, sets, given_kw)
         by_phase = ByPhase.of(self.scenario, self.records[-1])
         if by_phase is not None:
@@ -146,11 +146,10 @@ class World:
         p_kw = values("batteries", "p_kw", 0.0)
         served = values("customers", "served", 1.0) > 0.0
         dims = self.scenario.customers.dimmable.any()
-        charges = len(self.scenario.chargers) > 0
-        sets = len(self.scenario.gensets) > 0
         pv_q_kvar = values("pv", "q_kvar", 0.0)
         asked_c = values("thermal_loads", "setpoint_c", np.nan)[0]
         setpoints_c = np.where(np.isnan(asked_c), self.scenario.thermal_loads.held_c, asked_c)
+        machines_kw = self.day.plant.climate.thermostat_kw(t, setpoints_c, served[0])
         nothing = np.full((1, 1), np.nan)
         network = self.scenario.network
         return Dispatch(
@@ -169,17 +168,13 @@ class World:
             p_flow_kw=np.full((1, network.n_buses - 1), np.nan),
             q_flow_kvar=np.full((1, network.n_buses - 1), np.nan),
             share=served * values("customers", "share", 1.0) if dims else None,
-            ev_kw=values("chargers", "p_kw", 0.0) if charges else None,
-            thermal_kw=self._machines_kw(t, setpoints_c, served[0]),
-            genset_on=values("gensets", "running", 0.0) > 0.0 if sets else None,
-            genset_kw=values("gensets", "p_kw", 0.0) if sets else None,
+            taken_kw={
+                "chargers": values("chargers", "p_kw", 0.0),
+                "thermal_loads": machines_kw[np.newaxis],
+                "gensets": -values("gensets", "p_kw", 0.0),
+            },
+            running={"gensets": values("gensets", "running", 0.0) > 0.0},
         )
-
-    def _machines_kw(self, t: int, setpoints_c: Floats, served: Flags) -> Floats | None:
-        """What machines draw at these thermostats, (1, H); None without any."""
-        if not len(setpoints_c):
-            return None
-        return self.day.plant.climate.thermostat_kw(t, setpoints_c, served)[np.newaxis]
 
 
 KINDS = ("customers", "batteries", "pv")
@@ -203,9 +198,8 @@ def energy_allowed(scenario: Scenario, record: StepRecord) -> bool:
     from_batteries_kw = np.minimum(b.p_max_kw, held_kwh * b.eta_discharge / scenario.grid.dt_h)
     there_kw = float(record.pv["available_kw"].sum() + from_batteries_kw.sum())
     there_kw += float(scenario.grid_limit_kw[record.t])
-    if record.gensets is not None:
-        fuelled = record.gensets["fuel_start_litres"] >= scenario.gensets.least_litres(
-            scenario.grid.dt_h
-        )
+    if sets := record.kinds.get("gensets"):
+        least_litres = scenario.gensets.least_litres(scenario.grid.dt_h)
+        fuelled = sets["fuel_start_litres"] >= least_litres
         there_kw += float(scenario.gensets.p_max_kw[fuelled].sum())
     return there_kw >= float(record.customers["p_load_kw"][first].sum())

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -150,7 +151,7 @@ def _status(steps: Sequence[WindowSolution], met: bool) -> Status:
 
 def _one_dispatch(parts: Sequence[Dispatch]) -> Dispatch:
     """The dispatches of consecutive steps as one; ``soc`` has a row more than the steps."""
-    rows = {
+    rows: dict[str, Any] = {
         name: np.concatenate([getattr(part, name) for part in parts])
         for name in parts[0].arrays()
         if name != "soc"

@@ -139,9 +139,7 @@ def _padded(data: WindowData, missing: int) -> WindowData:
         flow_max_kva=_followed_by_last(data.flow_max_kva, missing),
         physics=data.physics and data.physics.followed_by_nothing(missing),
         phased=data.phased and data.phased.followed_by_rest(missing),
-        plugged=data.plugged and data.plugged.followed_by_none(missing),
-        rooms=data.rooms and data.rooms.followed_by_none(missing),
-        gensets=data.gensets and data.gensets.followed_by_none(missing),
+        ahead=data.ahead.followed_by_none(missing),
     )
 
 

@@ -11,7 +11,6 @@ from vppres.contract.owed import MOST_SHARE
 from vppres.control.step_state import StepState
 from vppres.core.arrays import Flags, Floats, Names
 from vppres.model.formulas import (
-    Devices,
     bus_injections,
     cell_kw,
     curtailed_kw,
@@ -21,6 +20,7 @@ from vppres.model.formulas import (
 from vppres.model.phases import beyond, phased_model
 from vppres.model.site import Site
 from vppres.physics.phases import NoPhasedSolutionError
+from vppres.scenario.kinds import KINDS
 from vppres.scenario.source import EXACT_PU
 
 
@@ -89,10 +89,8 @@ def violations(
     found = (
         _service(row, state),
         _battery_power(row, state, within),
-        _chargers(row, state, within),
-        _machines(row, state, within),
+        _kinds(row, state, within),
         _sets_switched(row, state),
-        _sets_power(row, state, within),
         _energy(row, state, within),
         _pv(row, state, within),
         _balance(row, state, within),
@@ -112,18 +110,13 @@ class _Row:
     discharge_kw: Floats
     batt_q_kvar: Floats
     v_pu: Floats
-    ev_kw: Floats
-    thermal_kw: Floats
-    genset_on: Flags
-    genset_kw: Floats
+    taken_kw: dict[str, Floats]
+    running: dict[str, Flags]
 
     @classmethod
     def of(cls, decision: Decision, site: Site) -> _Row:
         plan = decision.dispatch
         row = decision.row
-        idle = np.zeros(len(site.chargers))
-        none = np.zeros(len(site.thermal_loads))
-        off = np.zeros(len(site.gensets), dtype=bool)
         return cls(
             np.asarray(plan.supplied[row], dtype=float),
             plan.pv_curtailed_kw[row],
@@ -132,10 +125,8 @@ class _Row:
             plan.discharge_kw[row],
             plan.batt_q_kvar[row],
             plan.v_pu[row],
-            idle if plan.ev_kw is None else plan.ev_kw[row],
-            none if plan.thermal_kw is None else plan.thermal_kw[row],
-            off if plan.genset_on is None else np.asarray(plan.genset_on[row], dtype=bool),
-            0.0 * off if plan.genset_kw is None else plan.genset_kw[row],
+            {kind: plan.taken_by(kind, units)[row] for kind, units in site.kinds.items()},
+            {kind: plan.running_of(kind, units)[row] for kind, units in site.kinds.items()},
         )
 
 
@@ -144,9 +135,7 @@ def _shapes(decision: Decision, site: Site) -> list[str]:
     sizes = {
         **dict.fromkeys(("served", "share"), len(site.customers)),
         "v_pu": site.network.n_buses,
-        "ev_kw": len(site.chargers),
-        "thermal_kw": len(site.thermal_loads),
-        **dict.fromkeys(("genset_on", "genset_kw"), len(site.gensets)),
+        **{kind: len(units) for kind, units in site.kinds.items()},
         "v_node_pu": 0 if site.phases is None else len(site.phases.measured),
         **dict.fromkeys(("p_flow_kw", "q_flow_kvar"), site.network.n_lines),
         **dict.fromkeys(("charge_kw", "discharge_kw", "batt_q_kvar", "soc"), len(site.batteries)),
@@ -155,7 +144,9 @@ def _shapes(decision: Decision, site: Site) -> list[str]:
         ),
     }
     found = []
-    for name, given in decision.dispatch.arrays().items():
+    plan = decision.dispatch
+    by_kind = [*plan.taken_kw.items(), *plan.running.items()]
+    for name, given in [*plan.arrays().items(), *by_kind]:
         values = np.asarray(given)
         shape = values.shape[1:]
         wanted = (sizes[name],) if name in sizes else ()
@@ -193,62 +184,34 @@ def _battery_power(row: _Row, state: StepState, within: Tolerances) -> str:
     return _worst("battery power", b.id, beyond - slack, beyond, "kVA")
 
 
-def _chargers(row: _Row, state: StepState, within: Tolerances) -> str:
-    """Ratings of chargers; none moves power without a vehicle, or for a customer that is off."""
-    chargers = state.site.chargers
-    if state.plugged is None:
-        return ""
-    owner_on = row.served[chargers.owner(state.site.customers)] > 0.0
-    on = state.plugged.here[0] & (chargers.alone | owner_on)
-    most_kw = on * chargers.p_charge_kw
-    beyond = np.maximum(row.ev_kw - most_kw, -row.ev_kw - on * chargers.p_discharge_kw)
-    slack = within.power_kw + within.power_share * chargers.p_charge_kw
-    return _worst("charger power", chargers.id, beyond - slack, beyond, "kW")
-
-
-def _machines(row: _Row, state: StepState, within: Tolerances) -> str:
-    """Ratings of machines that cool or heat; none runs for a customer that is off."""
-    loads = state.site.thermal_loads
-    if state.rooms is None:
-        return ""
-    owner_on = row.served[loads.owner(state.site.customers)] > 0.0
-    beyond = np.maximum(row.thermal_kw - owner_on * state.rooms.most_kw[0], -row.thermal_kw)
-    slack = within.power_kw + within.power_share * loads.p_max_kw
-    return _worst("thermal load power", loads.id, beyond - slack, beyond, "kW")
+def _kinds(row: _Row, state: StepState, within: Tolerances) -> str:
+    """What units of each kind of flexible power can do, and what they hold."""
+    for kind, known in state.ahead.by_kind.items():
+        units = state.site.kinds[kind]
+        taken_kw, running = row.taken_kw[kind], row.running[kind]
+        on = units.connected(state.site.customers, row.served[np.newaxis] > 0.0)
+        now = known.part(slice(1))
+        plan = (taken_kw[np.newaxis], running[np.newaxis], state.site.dt_h)
+        beyond = np.maximum(
+            now.power_beyond_kw(units, on, *plan), now.stored_beyond_kw(units, *plan)
+        )[0]
+        slack = within.power_kw + within.power_share * units.largest_kw
+        found = _worst(f"{KINDS[kind].word} power", units.id, beyond - slack, beyond, "kW")
+        if found:
+            return found
+    return ""
 
 
 def _sets_switched(row: _Row, state: StepState) -> str:
     """Generating sets that start before they may, or run where they must not."""
-    ahead = state.gensets
+    ahead = state.ahead.gensets
     if ahead is None:
         return ""
     sets = state.site.gensets
-    on = row.genset_on[np.newaxis]
+    on = row.running["gensets"][np.newaxis]
     early = ahead.starts(on) & ~ahead.may_start(sets, np.array([state.island]))
     wrong = (early | (on & ~ahead.can_run))[0]
     return f"genset switching: {sets.id[np.argmax(wrong)]}" if wrong.any() else ""
-
-
-def _sets_power(row: _Row, state: StepState, within: Tolerances) -> str:
-    """Ratings of generating sets, ramps, and fuel for the step."""
-    ahead = state.gensets
-    if ahead is None:
-        return ""
-    sets = state.site.gensets
-    dt_h = state.site.dt_h
-    on, power_kw = row.genset_on[np.newaxis], row.genset_kw[np.newaxis]
-    left_kwh = ahead.fuel_litres(sets, on, power_kw, dt_h)[0] / sets.litres_per_kwh
-    beyond = np.max(
-        [
-            row.genset_kw - row.genset_on * sets.p_max_kw,
-            row.genset_on * sets.p_min_kw - row.genset_kw,
-            ahead.moved_too_fast_kw(sets, on, power_kw, dt_h)[0],
-            -left_kwh / dt_h,
-        ],
-        axis=0,
-    )
-    slack = within.power_kw + within.power_share * sets.p_max_kw
-    return _worst("genset power", sets.id, beyond - slack, beyond, "kW")
 
 
 def _energy(row: _Row, state: StepState, within: Tolerances) -> str:
@@ -276,9 +239,8 @@ def _balance(row: _Row, state: StepState, within: Tolerances) -> str:
     served_kw = state.load_kw * row.served
     curtailed = curtailed_kw(state.site, row.curtailed_kw, state.pv_kw, served_kw)
     taken = float(state.load_kw @ row.served + row.charge_kw.sum() + state.drawn_kw.sum())
-    taken += float(row.ev_kw.sum()) + float(row.thermal_kw.sum())
+    taken += sum(float(taken_kw.sum()) for taken_kw in row.taken_kw.values())
     given = float((state.pv_kw - curtailed).sum() + row.discharge_kw.sum())
-    given += float(row.genset_kw.sum())
     losses_kw = given_kw = 0.0
     if within.losses:
         drawn_kw = _losses_kw if state.site.phases is None else _phased_network_kw
@@ -320,17 +282,12 @@ def _losses_kw(row: _Row, curtailed_kw: Floats, state: StepState) -> float:
     site = state.site
     net = site.network
     load_kw = state.load_kw * row.served
-    given: dict[Devices, Floats] = {
+    given = {
         "pv": state.pv_kw - curtailed_kw,
         "batteries": row.discharge_kw - row.charge_kw,
         "customers": -load_kw,
     }
-    if len(site.chargers):
-        given["chargers"] = -row.ev_kw
-    if len(site.thermal_loads):
-        given["thermal_loads"] = -row.thermal_kw
-    if len(site.gensets):
-        given["gensets"] = row.genset_kw
+    given |= {kind: -taken_kw for kind, taken_kw in row.taken_kw.items()}
     p_kw = bus_injections(site, given)
     q_kvar = bus_injections(
         site,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -43,7 +44,7 @@ def whole_fleet(dispatch: Dispatch, online: Flags, soc: Floats) -> Dispatch:
     if online.all():
         return dispatch
     rest = {name: np.zeros(len(online)) for name in ("charge_kw", "discharge_kw", "batt_q_kvar")}
-    filled = {}
+    filled: dict[str, Any] = {}
     for name, values in {**rest, "soc": soc}.items():
         part = getattr(dispatch, name)
         whole = np.tile(values, (len(part), 1))

@@ -8,7 +8,7 @@ the price is the worth of a litre at the end of a window. Without sets no proble
 from __future__ import annotations
 
 from collections.abc import Hashable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar, Self
 
 import cvxpy as cp
@@ -79,7 +79,7 @@ class GensetsModel(Addition):
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
         """No more than whether there are any."""
-        return (data.gensets is not None) or None
+        return (data.ahead.gensets is not None) or None
 
     @classmethod
     def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
@@ -99,7 +99,7 @@ class GensetsModel(Addition):
     def parameters(self, site: Site) -> dict[str, cp.Expression]:
         """What sets give at the buses, from which batteries may charge."""
         return {
-            "P_added": -self.power @ site.genset_bus.T,
+            "P_added": -self.power @ site.unit_bus["gensets"].T,
             "P_fed_added": cp.sum(self.power, axis=1),
             "E_kept_added": self.stands_for @ self.fuel[-1],
         }
@@ -231,21 +231,20 @@ class GensetsModel(Addition):
         power_kw = np.reshape(np.asarray(self.power.value, dtype=float), self.power.shape)
         sets = self.site.gensets
         within_kw = np.clip(power_kw, sets.p_min_kw, sets.p_max_kw)
-        return replace(found, genset_on=on, genset_kw=np.where(on, within_kw, 0.0))
+        return found.acting("gensets", -np.where(on, within_kw, 0.0), on)
 
 
 def running(site: Site, dispatch: Dispatch) -> tuple[Flags, Floats]:
     """Which sets run, and what each gives in kW, (W, G) each."""
-    if dispatch.genset_on is None or dispatch.genset_kw is None:
-        shape = (dispatch.n_steps, len(site.gensets))
-        return np.zeros(shape, dtype=bool), np.zeros(shape)
-    return dispatch.genset_on, dispatch.genset_kw
+    sets = site.gensets
+    return dispatch.running_of("gensets", sets), -dispatch.taken_by("gensets", sets)
 
 
 def _ahead(data: WindowData) -> SetsAhead:
     """The sets of a window that has any."""
-    assert data.gensets is not None
-    return data.gensets
+    ahead = data.ahead.gensets
+    assert ahead is not None
+    return ahead
 
 
 def _times(x: cp.Expression, factors: Floats) -> cp.Expression:

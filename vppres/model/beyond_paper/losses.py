@@ -20,7 +20,7 @@ import scipy.sparse as sp
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Complexes, Flags, Floats, freeze_arrays
 from vppres.model.data import Physics, WindowData
-from vppres.model.formulas import Devices, bus_injections, voltage_offset_pu2
+from vppres.model.formulas import bus_injections, voltage_offset_pu2
 from vppres.model.linearise import Drawn, drawn_at
 from vppres.model.site import Site
 from vppres.scenario.network import Network
@@ -134,13 +134,8 @@ def injections(site: Site, data: WindowData, dispatch: Dispatch) -> tuple[Floats
     through = dispatch.pv_self_kw + dispatch.pv_export_kw
     load_kvar = load * site.customers.q_per_p
     battery_kw = dispatch.discharge_kw - dispatch.charge_kw
-    given: dict[Devices, Floats] = {"pv": through, "customers": -load, "batteries": battery_kw}
-    if dispatch.ev_kw is not None:
-        given["chargers"] = -dispatch.ev_kw
-    if dispatch.thermal_kw is not None:
-        given["thermal_loads"] = -dispatch.thermal_kw
-    if dispatch.genset_kw is not None:
-        given["gensets"] = dispatch.genset_kw
+    given = {"pv": through, "customers": -load, "batteries": battery_kw}
+    given |= {kind: -taken_kw for kind, taken_kw in dispatch.taken_kw.items()}
     p_kw = bus_injections(site, given)
     q_kvar = bus_injections(
         site, {"pv": dispatch.pv_q_kvar, "batteries": dispatch.batt_q_kvar, "customers": -load_kvar}

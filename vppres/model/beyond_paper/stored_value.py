@@ -106,7 +106,7 @@ class ValueAtEnd(Addition):
     def worth(cls, site: Site, data: WindowData, dispatch: Dispatch) -> dict[str, float]:
         """What the energy at the end takes off the cost, and the later service that it buys."""
         value = data.require_value()
-        kept = value.at(left_kwh(site, value, data.gensets, dispatch))
+        kept = value.at(left_kwh(site, value, data.ahead.gensets, dispatch))
         return {"f2": -value.gbp_as_cost * kept, "f7": kept if value.as_service else 0.0}
 
     @classmethod
@@ -121,7 +121,7 @@ class ValueAtEnd(Addition):
     def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> Held:
         """The energy at the end, and what comes off the cost for it."""
         missed_kwh = KEPT_TOLERANCE * float(site.batteries.energy_kwh.sum())
-        kept_kwh = left_kwh(site, data.require_value(), data.gensets, dispatch) - missed_kwh
+        kept_kwh = left_kwh(site, data.require_value(), data.ahead.gensets, dispatch) - missed_kwh
         gbp = self.worth(site, data, dispatch)["f2"]
         return Held({"kept": 0.0}, {"E_stored": kept_kwh}, gbp)
 

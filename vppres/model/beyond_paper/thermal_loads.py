@@ -9,7 +9,7 @@ thermal loads no problem has any of this.
 from __future__ import annotations
 
 from collections.abc import Hashable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar, Self
 
 import cvxpy as cp
@@ -66,7 +66,7 @@ class ThermalLoadsModel(Addition):
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
         """No more than whether there are any."""
-        return (data.rooms is not None) or None
+        return (data.ahead.rooms is not None) or None
 
     @classmethod
     def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
@@ -88,7 +88,7 @@ class ThermalLoadsModel(Addition):
 
     def parameters(self, site: Site) -> dict[str, cp.Expression]:
         """A demand at the buses; machines have a power factor of 1."""
-        return {"P_added": self.power @ site.thermal_bus.T}
+        return {"P_added": self.power @ site.unit_bus["thermal_loads"].T}
 
     def families(self, site: Site, v: Variables, p: Parameters) -> Named:
         """Temperature from step to step, the band, and customers that are off."""
@@ -108,7 +108,7 @@ class ThermalLoadsModel(Addition):
 
     def fill(self, site: Site, data: WindowData) -> None:
         """Write the rooms and tanks of a window."""
-        rooms = data.rooms
+        rooms = data.ahead.rooms
         assert rooms is not None
         write(self.keeps, rooms.keeps)
         write(self.drift, rooms.drift_c)
@@ -121,31 +121,29 @@ class ThermalLoadsModel(Addition):
     @classmethod
     def worth(cls, site: Site, data: WindowData, dispatch: Dispatch) -> dict[str, float]:
         """What is missed of the band."""
-        assert data.rooms is not None
-        t_c = data.rooms.t_c(machine_kw(site, dispatch))
-        over, under = data.rooms.missed_c(t_c)
-        return {"own": -float((price_of(site, data.rooms) * (over + under)).sum())}
+        assert data.ahead.rooms is not None
+        t_c = data.ahead.rooms.t_c(machine_kw(site, dispatch))
+        over, under = data.ahead.rooms.missed_c(t_c)
+        return {"own": -float((price_of(site, data.ahead.rooms) * (over + under)).sum())}
 
     def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> Held:
         """Power and temperature of each."""
-        assert data.rooms is not None
+        assert data.ahead.rooms is not None
         power_kw = machine_kw(site, dispatch)
-        t_c = data.rooms.t_c(power_kw)
-        over, under = data.rooms.missed_c(t_c)
+        t_c = data.ahead.rooms.t_c(power_kw)
+        over, under = data.ahead.rooms.missed_c(t_c)
         letters = zip(self.by_dispatch, (power_kw, t_c, over, under), strict=True)
         return Held(dict(letters))
 
     def read(self, found: Dispatch) -> Dispatch:
         """The power of each machine."""
         power_kw = np.reshape(np.asarray(self.power.value, dtype=float), self.power.shape)
-        return replace(found, thermal_kw=np.where(power_kw < NOISE_KW, 0.0, power_kw))
+        return found.acting("thermal_loads", np.where(power_kw < NOISE_KW, 0.0, power_kw))
 
 
 def machine_kw(site: Site, dispatch: Dispatch) -> Floats:
     """Power of each machine, (W, H)."""
-    if dispatch.thermal_kw is None:
-        return np.zeros((dispatch.n_steps, len(site.thermal_loads)))
-    return dispatch.thermal_kw
+    return dispatch.taken_by("thermal_loads", site.thermal_loads)
 
 
 def price_of(site: Site, rooms: Rooms) -> Floats:

@@ -10,7 +10,7 @@ PV power is curtailed. Without chargers no problem has any of this.
 from __future__ import annotations
 
 from collections.abc import Hashable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar, Self
 
 import cvxpy as cp
@@ -89,7 +89,7 @@ class Vehicles(Addition):
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
         """No more than whether a vehicle is plugged in."""
-        return (data.plugged is not None and bool(data.plugged.here.any())) or None
+        return (data.ahead.plugged is not None and bool(data.ahead.plugged.here.any())) or None
 
     @classmethod
     def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
@@ -124,7 +124,7 @@ class Vehicles(Addition):
 
     def parameters(self, site: Site) -> dict[str, cp.Expression]:
         """A demand at the buses; chargers have a power factor of 1."""
-        return {"P_added": self.drawn @ site.charger_bus.T}
+        return {"P_added": self.drawn @ site.unit_bus["chargers"].T}
 
     def families(self, site: Site, v: Variables, p: Parameters) -> Named:
         """Energy from step to step, limits, and what is needed at departure."""
@@ -170,7 +170,7 @@ class Vehicles(Addition):
 
     def fill(self, site: Site, data: WindowData) -> None:
         """Write the vehicles of a window."""
-        plugged = data.plugged or Plugged.none(data.n_steps, len(site.chargers))
+        plugged = data.ahead.plugged or Plugged.none(data.n_steps, len(site.chargers))
         chargers = site.chargers
         write(self.P_most, plugged.here * chargers.p_charge_kw)
         write(self.P_back, (plugged.here * chargers.p_discharge_kw)[:, self.two_way])
@@ -184,8 +184,8 @@ class Vehicles(Addition):
     @classmethod
     def worth(cls, site: Site, data: WindowData, dispatch: Dispatch) -> dict[str, float]:
         """What vehicles lack, and the cost of charging later."""
-        assert data.plugged is not None
-        plugged = data.plugged
+        assert data.ahead.plugged is not None
+        plugged = data.ahead.plugged
         power_kw = charging_kw(site, dispatch)
         energy_kwh = plugged.energy_kwh(power_kw, site.chargers, site.dt_h)
         hours = site.dt_h * np.arange(len(power_kw))
@@ -206,13 +206,13 @@ class Vehicles(Addition):
 
     def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> Held:
         """Power and energy of every vehicle."""
-        assert data.plugged is not None
+        assert data.ahead.plugged is not None
         power_kw = charging_kw(site, dispatch)
-        energy_kwh = data.plugged.energy_kwh(power_kw, site.chargers, site.dt_h)
+        energy_kwh = data.ahead.plugged.energy_kwh(power_kw, site.chargers, site.dt_h)
         values: dict[str, Floats | float] = {
             "ev_charge": np.maximum(power_kw, 0.0),
             "ev_energy": energy_kwh,
-            "ev_short": data.plugged.short_kwh(energy_kwh),
+            "ev_short": data.ahead.plugged.short_kwh(energy_kwh),
         }
         if self.discharge is not None:
             values["ev_discharge"] = np.maximum(-power_kw, 0.0)[:, self.two_way]
@@ -221,14 +221,12 @@ class Vehicles(Addition):
     def read(self, found: Dispatch) -> Dispatch:
         """The power of each charger."""
         power_kw = np.reshape(np.asarray(self.drawn.value, dtype=float), self.charge.shape)
-        return replace(found, ev_kw=np.where(np.abs(power_kw) < NOISE_KW, 0.0, power_kw))
+        return found.acting("chargers", np.where(np.abs(power_kw) < NOISE_KW, 0.0, power_kw))
 
 
 def charging_kw(site: Site, dispatch: Dispatch) -> Floats:
     """Power of each charger, (W, K), negative to discharge."""
-    if dispatch.ev_kw is None:
-        return np.zeros((dispatch.n_steps, len(site.chargers)))
-    return dispatch.ev_kw
+    return dispatch.taken_by("chargers", site.chargers)
 
 
 def price_of(site: Site, plugged: Plugged) -> Floats:
