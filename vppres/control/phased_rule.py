@@ -76,7 +76,7 @@ def _within(
     net = state.site.feeder
     given_kw = float(found.source_kva.sum().real)
     rating_kva = float(state.site.batteries.s_max_kva[former]) / len(found.source_kva)
-    v_pu = model.flows[0].v_pu(found.v)[model.limited]
+    v_pu = model.flows[ISLAND].v_pu(found.v)[model.limited]
     # Limits give way to the voltages at rest, as those of plans do.
     at_rest_pu = np.sqrt(model.slopes[ISLAND].u_0)[model.limited]
     fits = (

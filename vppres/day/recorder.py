@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from vppres.core.arrays import Floats, Names
 from vppres.day.phases import phases, returning_steps
 from vppres.day.trajectory import OPTIONS, SHARE, Trajectory
+from vppres.physics.phased_sources import labels_by_source
 from vppres.scenario.kinds import KINDS, Units, units_of
 from vppres.scenario.network import BusId
 from vppres.scenario.scenario import Scenario
@@ -188,14 +189,17 @@ class Recorder:
         phases = self._scenario.phases
         if phases is None:
             return None
-        labels = phases.measured
-        dark = {name: np.full(len(labels), np.nan) for name in ("v_model_pu", "v_ac_pu")}
+        by_source = labels_by_source(phases, self._scenario.batteries)
+        count = len(phases.measured)
+        dark = {name: np.full(count, np.nan) for name in ("v_model_pu", "v_ac_pu")}
         found = [record.nodes or dark for record in self._records]
+        islands = self._scenario.outage[: len(found)]
+        labels = [label for island in islands for label in by_source[int(island)]]
         return pd.DataFrame(
             {
-                "time": self._times().repeat(len(labels)),
-                "bus": [bus for bus, _ in labels] * len(found),
-                "phase": [phase for _, phase in labels] * len(found),
+                "time": self._times().repeat(count),
+                "bus": [bus for bus, _ in labels],
+                "phase": [phase for _, phase in labels],
                 **{name: np.concatenate([nodes[name] for nodes in found]) for name in dark},
             }
         )

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.day.recorder import StepRecord
-from vppres.physics.phased_sources import former_of
+from vppres.physics.phased_sources import former_of, labels_by_source
 from vppres.scenario.phases import PHASES
 from vppres.scenario.scenario import Scenario
 
@@ -67,9 +67,10 @@ class ByPhase:
         phases = scenario.phases
         if phases is None or step.nodes is None or np.isnan(step.nodes["v_ac_pu"]).any():
             return None
-        index = pd.MultiIndex.from_tuples(phases.measured, names=["bus", "phase"])
-        nodes = pd.Series(step.nodes["v_ac_pu"], index, name="v_ac_pu")
         held = not np.isnan(step.steps["former_a_kva"])
+        labels = labels_by_source(phases, scenario.batteries)[int(held)]
+        index = pd.MultiIndex.from_tuples(labels, names=["bus", "phase"])
+        nodes = pd.Series(step.nodes["v_ac_pu"], index, name="v_ac_pu")
         column = "former" if held else "import"
         kva = pd.Series({phase: float(step.steps[f"{column}_{phase}_kva"]) for phase in PHASES})
         source, rating_kva = GRID, None

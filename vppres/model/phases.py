@@ -219,12 +219,13 @@ class PhasedModel:
         converged = np.ones(W, dtype=bool)
         for t in np.flatnonzero(lit):
             try:
+                source = ISLAND if data.dark[t] else GRID
                 found = self.solved(bool(data.dark[t]), p_kw[t], q_kvar[t])
             except NoPhasedSolutionError:
                 converged[t] = False
                 continue
             if found is not None:
-                u[t] = self.flows[GRID].v_pu(found.v) ** 2
+                u[t] = self.flows[source].v_pu(found.v) ** 2
                 kva[t] = found.source_kva
                 currents[t] = self.loadings.currents(found.v)
                 network[t] = beyond(found, p_kw[t], q_kvar[t])

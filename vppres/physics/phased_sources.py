@@ -12,6 +12,7 @@ import numpy as np
 from vppres.core.arrays import Floats, Names, Wholes
 from vppres.physics.phases import PhasedFlow
 from vppres.scenario.assets import Batteries, Customers, PVSystems
+from vppres.scenario.earthing import in_island
 from vppres.scenario.network import Network
 from vppres.scenario.phases import Phases
 
@@ -24,6 +25,18 @@ def assets_of(customers: Customers, pv: PVSystems, batteries: Batteries) -> list
 def buses_of(customers: Customers, pv: PVSystems, batteries: Batteries) -> Names:
     """Bus of the network of each asset."""
     return np.concatenate([customers.bus, pv.buses(customers), batteries.bus])
+
+
+Labels = tuple[tuple[str, str], ...]
+"""Bus and phase of each voltage with limits."""
+
+
+def labels_by_source(phases: Phases, batteries: Batteries) -> tuple[Labels, Labels]:
+    """Voltages with limits, as many of both: with the grid, and in the island of the former."""
+    former = former_of(phases, batteries)
+    if former is None:
+        return phases.measured, phases.measured
+    return phases.measured, in_island(phases, str(batteries.id[former])).measured
 
 
 def measured_at(phases: Phases, network: Network) -> Wholes:
@@ -83,6 +96,7 @@ def flow_of_former(
     It holds the middle of what keeps all voltages within their limits at no load.
     """
     bus = phases.connection(str(batteries.id[former])).bus
+    phases = in_island(phases, str(batteries.id[former]))
     probe = PhasedFlow(phases, assets, bus, 1.0, island=True)
     at_rest = probe.v_pu(probe.no_load_v)
     held = (v_min_pu / at_rest.min() + v_max_pu / at_rest.max()) / 2.0

@@ -9,6 +9,7 @@ import numpy as np
 
 from vppres.core.text import named
 from vppres.scenario.capacitors import too_large
+from vppres.scenario.earthing import floating
 from vppres.scenario.priority import STRICT
 
 if TYPE_CHECKING:
@@ -124,16 +125,15 @@ def _unearthed(scenario: Scenario) -> str:
     """That nothing holds the voltages to ground in an island where customers have them."""
     if scenario.phases is None:
         return ""
-    formers = scenario.batteries.id[scenario.formers]
-    if any(scenario.phases.connection(str(name)).to_ground for name in formers):
-        return ""
-    count = sum(scenario.phases.connection(str(c)).to_ground for c in scenario.customers.id)
-    if not count:
+    b = scenario.batteries
+    former = str(b.id[np.argmax(np.where(scenario.formers, b.s_max_kva, -1.0))])
+    names = floating(scenario.phases, former, [str(name) for name in scenario.customers.id])
+    if not names:
         return ""
     return (
-        f" It has no coil to ground, and {count} customers have one: where only transformers with "
-        "a delta join them, nothing holds their voltages in the island. Mark a battery that has "
-        "one (phase_connections.csv) as grid_forming in batteries.csv."
+        f" With {former} as source nothing earths the buses of {named(names, NAMES_SHOWN)}, whose "
+        "coils are to ground: nothing holds their voltages there, and no plan is sure. Mark a "
+        "battery whose coils or transformer earth them as grid_forming in batteries.csv."
     )
 
 

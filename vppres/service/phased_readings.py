@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 
 from vppres.core.errors import Problem
 from vppres.live.by_phase import GRID
+from vppres.physics.phased_sources import labels_by_source
 from vppres.scenario.phases import PHASES
 from vppres.scenario.scenario import Scenario
 from vppres.service.payloads import Readings
@@ -35,7 +36,8 @@ def phases_of(scenario: Scenario, quantity: str, asset: str) -> list[str]:
     if phases is None:
         return []
     if quantity == "v_pu":
-        return [phase for bus, phase in phases.measured if bus == asset]
+        grid, island = labels_by_source(phases, scenario.batteries)
+        return [*dict.fromkeys(phase for bus, phase in (*grid, *island) if bus == asset)]
     if asset == GRID or quantity == "source_kva":
         return list(PHASES)
     return phases.connection(asset).coils.split()

@@ -13,6 +13,7 @@ from vppres.core.units import V_PER_KV
 from vppres.feeders.dss import text as dss_text
 from vppres.feeders.dss.recheck import Recheck, Tables, side_by_side, solved_steps, step_table
 from vppres.physics.phases import measures
+from vppres.scenario.earthing import in_island
 from vppres.scenario.phases import PhaseConnection, Phases, coils_of
 
 
@@ -46,7 +47,7 @@ def recheck_phased(run: Tables, phases: Phases, source: Path, former: str | None
         "open": [row.bus for row in phases.shunts if row.island == "no"],
     }
     found = solved_steps("dss/phased_day", job, script, source.name)
-    voltages = _voltages(run, phases, found)
+    voltages = _voltages(run, phases, found, former)
     return Recheck(voltages, step_table(run, found, voltages), _cause(voltages), _notes(former))
 
 
@@ -110,7 +111,9 @@ def _held_v(run: Tables, phases: Phases, former: str | None) -> list[float | Non
     ]
 
 
-def _voltages(run: Tables, phases: Phases, found: dict[str, Any]) -> pd.DataFrame:
+def _voltages(
+    run: Tables, phases: Phases, found: dict[str, Any], former: str | None
+) -> pd.DataFrame:
     """Voltages of both, step by step and as limits count them; none where the plan is dark."""
     lost = [np.nan] * 2 * len(found["nodes"])
     parts = np.array([lost if step["v"] is None else step["v"] for step in found["steps"]])
@@ -118,10 +121,16 @@ def _voltages(run: Tables, phases: Phases, found: dict[str, Any]) -> pd.DataFram
     names = [f"{bus}.{phase + 1}" for bus, phase in phases.nodes]
     # The source's own bus is not there.
     at_nodes = pd.DataFrame(volts.T, index=found["nodes"]).reindex(names)
-    v_pu = np.abs(measures(phases) @ at_nodes.to_numpy()).T
+    outage = run["steps"]["outage"].to_numpy(bool)
+    island = phases if former is None else in_island(phases, former)
+    measured = measures(phases), measures(island)
+    v_pu = np.abs(
+        [measured[int(dark)] @ v for dark, v in zip(outage, at_nodes.to_numpy().T, strict=True)]
+    )
     v_plan_pu = run["nodes"]["v_ac_pu"].to_numpy(float).reshape(v_pu.shape)
     v_pu = np.where(np.isnan(v_plan_pu), np.nan, v_pu)
-    return side_by_side(run, phases.measured, v_pu, v_plan_pu)
+    table = side_by_side(run, phases.measured, v_pu, v_plan_pu)
+    return table.assign(phase=run["nodes"]["phase"].to_numpy())
 
 
 def _cause(voltages: pd.DataFrame) -> str:

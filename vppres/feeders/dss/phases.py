@@ -8,17 +8,16 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from scipy.sparse.linalg import splu
 
 from vppres.core.arrays import Complexes, Floats
 from vppres.core.errors import InputError, Problem
 from vppres.core.units import V_PER_KV
 from vppres.feeders.feeder import ImportedFeeder, PhasedLoad, PhasedSource
 from vppres.feeders.strangers.confined import TIME_LIMIT_S, confined
-from vppres.physics.phases import PhasedFlow, admittances, of_transformer
+from vppres.physics.phases import PhasedFlow, of_transformer
+from vppres.scenario.earthing import with_grid
 from vppres.scenario.network import BusId
 from vppres.scenario.phases import (
-    GROUND,
     LINES,
     PHASES,
     PhaseBus,
@@ -29,11 +28,6 @@ from vppres.scenario.phases import (
     PhaseTransformer,
     coils_of,
 )
-
-THREE_WIRE = 1e3
-"""Impedance to ground over that between phases from which a bus has three wires: what earths it
-there is the charging of cables, or a millionth of a rating. A stiff source with a weak neutral has
-a ratio of some hundred."""
 
 MATCH = 1e-9
 """Share of its largest entry by which a transformer's matrix may differ from that of its coils."""
@@ -71,7 +65,7 @@ def phased_source(
     }
     phases = _phases(found, name, at, feeder.network.slack_bus)
     loads = tuple(_loads(found, at))
-    source = PhasedSource(_three_wire(phases), loads, found["source"]["v_pu"])
+    source = PhasedSource(with_grid(phases), loads, found["source"]["v_pu"])
     difference_pu = _difference(source, found["v_pu"])
     return replace(source, difference_pu=difference_pu, notes=tuple(_notes(source)))
 
@@ -202,29 +196,6 @@ def _loads(found: Mapping[str, Any], at: Mapping[str, BusId]) -> list[PhasedLoad
         for row in found["powers"]
         if row["bus"] in at
     ]
-
-
-def _three_wire(phases: Phases) -> Phases:
-    """The tables with limits between phases where nothing earths them."""
-    nodes = phases.node_index
-    held = [nodes[phases.buses[0].bus, phase] for phase in range(3)]
-    free = np.setdiff1d(np.arange(len(nodes)), held)
-    factors = splu(admittances(phases)[free][:, free].tocsc())
-    place = {int(node): i for i, node in enumerate(free)}
-    rows = []
-    for row in phases.buses:
-        own = [PHASES.index(word) for word in row.phases.split()]
-        columns = [place[nodes[row.bus, phase]] for phase in own if nodes[row.bus, phase] in place]
-        if len(columns) < 2:
-            rows.append(row)
-            continue
-        unit = np.zeros((len(free), len(columns)), dtype=complex)
-        unit[columns, np.arange(len(columns))] = 1.0
-        z = factors.solve(unit)[columns]
-        together = abs(z.sum()) / len(columns)
-        apart = abs(z[0, 0] - z[0, 1] - z[1, 0] + z[1, 1]) / 2.0
-        rows.append(replace(row, limits=LINES if together > THREE_WIRE * apart else GROUND))
-    return replace(phases, buses=tuple(rows))
 
 
 def flow_of_source(source: PhasedSource) -> tuple[PhasedFlow, Floats, Floats]:

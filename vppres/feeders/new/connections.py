@@ -9,8 +9,8 @@ import pandas as pd
 
 from vppres.core.errors import InputError
 from vppres.feeders.feeder import PhasedLoad, PhasedSource
-from vppres.physics.phased_sources import former_of
 from vppres.scenario.assets import Batteries, Customers, PVSystems
+from vppres.scenario.earthing import floating
 from vppres.scenario.network import Network
 from vppres.scenario.phases import LINES, PHASES, PhaseConnection, Phases
 
@@ -85,19 +85,19 @@ def _of_battery(phases: Phases, row: PhaseConnection, asset: str) -> PhaseConnec
     return PhaseConnection(str(asset), row.bus, " ".join(PHASES), bus.kv / np.sqrt(3))
 
 
-def with_former(phases: Phases, batteries: Batteries) -> Batteries:
-    """The batteries with the largest of three phases to form an island, if there is one.
+def with_former(phases: Phases, customers: Customers, batteries: Batteries) -> Batteries:
+    """The batteries with one of three phases to form an island, if there is one.
 
-    One with coils to ground goes first: it holds the voltages to ground of its island.
+    It is the largest of those in whose islands the fewest customers have a voltage to ground that
+    nothing holds.
     """
-    earthed = np.array(
-        [phases.connection(str(name)).to_ground for name in batteries.id], dtype=bool
-    )
-    former = former_of(phases, replace(batteries, grid_forming=earthed))
-    if former is None:
-        former = former_of(phases, replace(batteries, grid_forming=~earthed))
-    if former is None:
+    anyone = replace(batteries, grid_forming=np.ones(len(batteries), dtype=bool))
+    able = np.flatnonzero(phases.formers(anyone))
+    if not len(able):
         return batteries
+    names = [str(name) for name in customers.id]
+    left = {i: len(floating(phases, str(batteries.id[i]), names)) for i in able}
+    former = min(able, key=lambda i: (left[i], -batteries.s_max_kva[i]))
     return replace(batteries, grid_forming=np.arange(len(batteries)) == former)
 
 

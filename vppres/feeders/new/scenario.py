@@ -90,7 +90,7 @@ def _built(feeder: ImportedFeeder, options: NewScenarioOptions) -> tuple[Scenari
     if feeder.phased is not None:
         own = (assets.customers, assets.pv, batteries)
         phases = connected(feeder.phased, feeder.name, *own)
-        batteries = with_former(phases, batteries)
+        batteries = with_former(phases, assets.customers, batteries)
     network, switched = _for_islands(_network(feeder, options), batteries)
     if phases is not None:
         phases = shunts_in_islands(phases, network)
