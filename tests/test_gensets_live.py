@@ -221,11 +221,32 @@ def test_an_operator_runs_a_set_and_sees_that_it_does_not_start(
             assert http.put("/v1/mode", by_hand).status == 200
             point = said(decided(http, clock, NOON + hours * hour), "gensets")["g0"]
             assert (point["running"], point["p_kw"]) == (p_kw > 0.0, p_kw)
-        told = export(Service(day, HERE), tmp_path, written(NOON), written(NOON + 5 * hour)).gensets
+        sixth = decided(http, clock, NOON + 5 * hour, soc=0.1)
+        assert "genset g0 is out" not in str(sixth["estimated"])
+        # Since the third step it may have run for 3 h with the most that it was told.
+        most_kw = max(said(third, "gensets")["g0"]["p_kw"], 40.0)
+        least = 123.0 - 3 * (8.415 + 0.246 * most_kw)
+        known = sixth["expected"]["gensets"]["g0"]
+        assert known["fuel_litres"] == pytest.approx(least) and known["hours_before"] == 0.0
+        told = export(Service(day, HERE), tmp_path, written(NOON), written(NOON + 6 * hour)).gensets
     assert told is not None
-    assert told["running"].tolist() == [True, False, True, True, False]
+    assert told["running"].tolist()[:5] == [True, False, True, True, False]
     assert told["fuel_start_litres"][2] == 123.0 and told["p_kw"][3] == 40.0
-    assert told["hours_before"].tolist() == [-24.0, -25.0, -26.0, 1.0, 2.0]
+    assert told["hours_before"].tolist() == [-24.0, -25.0, -26.0, 1.0, 2.0, 0.0]
+
+
+def test_a_step_by_rule_leaves_a_set_as_it_was(
+    tiny: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = SetClock(NOON)
+    with client(Service(with_set(site(tiny)), HERE), tmp_path, clock) as http:
+        http.put("/v1/events/storm", {"type": "outage", "start": written(NOON)})
+        first = said(decided(http, clock, NOON, soc=0.1), "gensets")["g0"]
+        with monkeypatch.context() as broken:
+            broken.setattr("vppres.service.runner.known_at", None)
+            plan = decided(http, clock, NOON + pd.Timedelta(hours=1), soc=0.1)
+        point = said(plan, "gensets")["g0"]
+        assert plan["status"] == "failed" and point["running"] and point["p_kw"] == first["p_kw"]
 
 
 def test_a_set_that_runs_is_in_the_net_that_the_feeder_came_from() -> None:

@@ -19,6 +19,9 @@ from vppres.scenario.scenario import Scenario
 QUANTITIES = ("running", "genset_kw", "fuel_litres", "start_fault")
 """What a set can tell."""
 
+ORDERED = "genset_ordered_kw"
+"""What it was ordered by somebody else."""
+
 STILL_SHARE = 0.05
 """Share of the tank that a set may have burnt while its gauge stands still: gauges are coarse."""
 
@@ -62,18 +65,22 @@ class Ran:
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """What sets told at the beginning of a step, (G,) each; NaN where one told nothing."""
+    """What sets told at the beginning of a step, (G,) each; NaN where one told nothing.
+
+    ``ordered_kw`` is the most that each was ordered since the last decision by somebody else.
+    """
 
     running: Floats
     power_kw: Floats
     fuel_litres: Floats
     start_fault: Floats
+    ordered_kw: Floats
 
     @classmethod
     def of(cls, sets: Gensets, told: Mapping[str, Floats] | None) -> Readings:
         """By quantity; nothing where nobody told anything."""
         nothing = np.full(len(sets), np.nan)
-        return cls(*((told or {}).get(name, nothing) for name in QUANTITIES))
+        return cls(*((told or {}).get(name, nothing) for name in (*QUANTITIES, ORDERED)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,6 +130,9 @@ class SetsNow:
         added : array
             Fuel that was delivered since, (G,).
         """
+        by_others = np.isfinite(told.ordered_kw)
+        ordered_kw = np.where(by_others, told.ordered_kw, past.power_kw)
+        past = replace(past, on=np.where(by_others, ordered_kw > 0.0, past.on), power_kw=ordered_kw)
         gone_h = at_h - past.at_h
         held = gone_h <= dt_h + ROUNDING_H
         was, read = past.before.on, np.isfinite(told.running)
@@ -130,9 +140,11 @@ class SetsNow:
         faulty = told.start_fault > 0.5
         on = np.where(read, told.running > 0.5, past.on & held & ~gave_nothing & ~faulty)
         never = past.on & ~was & ~on & held & ~(told.power_kw > 0.0)
-        failed = never & (gone_h >= dt_h - ROUNDING_H)
+        failed = never & ~by_others & (gone_h >= dt_h - ROUNDING_H)
         hours = _hours(past, on, gone_h, dt_h)
-        burning_h = np.where(on, gone_h, min(gone_h, dt_h))
+        # When somebody else switched it is not known.
+        hours = np.where(by_others & ((was != on) | (past.on != on)), 0.0, hours)
+        burning_h = np.where(on | by_others, gone_h, min(gone_h, dt_h))
         least, most = _left_litres(sets, told, past, on, never, burning_h)
         least, most = (np.minimum(left + added, sets.tank_litres) for left in (least, most))
         told_litres = np.minimum(told.fuel_litres, sets.tank_litres)

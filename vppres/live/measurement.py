@@ -14,8 +14,8 @@ from vppres.contract.observation import Told
 from vppres.core.arrays import Flags, Floats, Names
 from vppres.core.errors import InputError, VppresError
 from vppres.live.door import HOUR, WHERE, Door, readable
+from vppres.live.gensets import ORDERED, Readings
 from vppres.live.gensets import QUANTITIES as OF_SETS
-from vppres.live.gensets import Readings
 from vppres.live.ranges import ranges_of
 from vppres.live.vehicles import QUANTITIES, with_vehicles
 from vppres.scenario.assets import Batteries
@@ -101,6 +101,9 @@ class Measurement:
         estimated, and not used.
     start_fault : mapping or Series, optional
         1 of a set that failed to start: it is out until 0 is given, or it runs.
+    genset_ordered_kw : mapping or Series, optional
+        The most that each set was ordered to give since the last decision, where that was not what
+        was decided; 0 of one that was to stand still. ``running`` says what it does now.
     ordered_kw : DataFrame, optional
         What batteries were told since the last decision, where it was not what was decided: a row
         for each time from which on it held, a column for each battery.
@@ -140,6 +143,7 @@ class Measurement:
     genset_kw: Values | None = None
     fuel_litres: Values | None = None
     start_fault: Values | None = None
+    genset_ordered_kw: Values | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,7 +305,10 @@ def _seen(scenario: Scenario, measured: Measurement, guard: bool, earliest: int)
     indoor_c = door.values("indoor_c", measured.indoor_c, loads.id, np.full(len(loads), np.nan))
     sets = scenario.gensets
     unread = np.full(len(sets), np.nan)
-    of_sets = {one: door.values(one, getattr(measured, one), sets.id, unread) for one in OF_SETS}
+    of_sets = {
+        one: door.values(one, getattr(measured, one), sets.id, unread)
+        for one in (*OF_SETS, ORDERED)
+    }
     door.finish()
     pv_kw = np.minimum(pv_kw, pv.p_max_kw)
     foretold = measured.foretold or {}

@@ -89,6 +89,7 @@ RANGES: Mapping[str, Range] = {
     "indoor_c": Range(-50.0, 100.0, "must lie between -50 and 100", _DEGREES),
     "running": _FLAG,
     "genset_kw": _POWER,
+    "genset_ordered_kw": _POWER,
     "fuel_litres": Range(0.0, 1e7, _NUMBER, _LITRES, "is more than any tank: check the unit"),
     "start_fault": Range(0.0, 1.0, "must be 0 or 1", "Give 1 if it failed to start, else 0."),
     "grid_on": _FLAG,

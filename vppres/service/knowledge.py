@@ -8,7 +8,7 @@ counts, however old it is, and the guard adds what was stored since.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -332,7 +332,7 @@ def known_at(
         ordered_kw=said.ordered_kw,
         indoor_c=_finite(readings.now("indoor_c")) or None,
         **_of_vehicles(readings),
-        **told_of_sets(scenario, readings, store, said.decided_at),
+        **told_of_sets(scenario, readings, store, said),
         genset_kw={name: kw for (name, one), kw in means.items() if one == "genset_kw"} or None,
     )
     estimated = [*powers.estimated, doubt] if doubt else powers.estimated
@@ -347,17 +347,16 @@ def _of_vehicles(readings: Latest) -> dict[str, Any]:
     return {name: values or None for name, values in told.items()}
 
 
-def told_of_sets(
-    scenario: Scenario, readings: Latest, store: Store, decided_at: pd.Timestamp
-) -> dict[str, Any]:
-    """What generating sets tell, by quantity.
+def told_of_sets(scenario: Scenario, readings: Latest, store: Store, said: _Said) -> dict[str, Any]:
+    """What generating sets tell, by quantity, and what others than the controller told them.
 
     Whether one runs counts if it was read since it was told what to do. A fault counts however old
     it is, and a start that a device rejected is one; that there is none counts while it is fresh.
     """
     runs = readings.newest("running")
-    since = {name for name, one in runs.items() if moment(one.time) > decided_at}
-    running = _finite(readings.now("running"))
+    since = {name for name, one in runs.items() if moment(one.time) > said.decided_at}
+    running = {name: float(runs) for name, (runs, _) in said.sets.items()}
+    running |= {k: v for k, v in _finite(readings.now("running")).items() if k in since}
     fault = readings.newest("start_fault")
     fresh = _finite(readings.now("start_fault"))
     faults = {name: value for name, value in fresh.items() if value == 0.0}
@@ -367,7 +366,8 @@ def told_of_sets(
         if name in names and not (name in fault and fault[name].time > at):
             faults[name] = 1.0
     return {
-        "running": {name: value for name, value in running.items() if name in since} or None,
+        "running": running or None,
+        "genset_ordered_kw": {name: kw for name, (_, kw) in said.sets.items()} or None,
         "fuel_litres": _finite(readings.now("fuel_litres")) or None,
         "start_fault": faults or None,
     }
@@ -496,11 +496,15 @@ class _Said:
         What batteries were told from times on; None where nobody was told anything.
     by_controller : bool
         Whether all of it was the controller's own.
+    sets : dict of str to tuple of bool and float
+        Of generating sets that others ordered something: whether they are to run now, and the most
+        that they were to give.
     """
 
     decided_at: pd.Timestamp
     ordered_kw: pd.DataFrame | None
     by_controller: bool
+    sets: dict[str, tuple[bool, float]] = field(default_factory=dict)
 
     @classmethod
     def since(
@@ -523,6 +527,7 @@ class _Said:
             pd.Timestamp((own or plans)[-1].get("valid_from", before)),
             table if len(table) else None,
             plans[-1]["status"] in DECIDED,
+            _sets_ordered(plans, now),
         )
 
 
@@ -542,6 +547,26 @@ def _orders(plan: Mapping[str, Any], store: Store) -> list[tuple[pd.Timestamp, d
         (pd.Timestamp(points[0]["valid_from"]), told),
         (pd.Timestamp(points[0]["valid_until"]), rest),
     ]
+
+
+def _sets_ordered(
+    plans: Sequence[Mapping[str, Any]], now: pd.Timestamp
+) -> dict[str, tuple[bool, float]]:
+    """Whether generating sets are to run now and the most that they were to give since.
+
+    Nothing where the controller decided all of it.
+    """
+    said = [one for plan in plans for one in versions(plan)]
+    if all(one["status"] in DECIDED for one in said):
+        return {}
+    found: dict[str, tuple[bool, float]] = {}
+    for one in said:
+        for point in one["setpoints"]:
+            if point["kind"] == "gensets":
+                runs = bool(point["running"]) and now <= pd.Timestamp(point["valid_until"])
+                most_kw = max(float(point["p_kw"]), found.get(point["asset"], (False, 0.0))[1])
+                found[point["asset"]] = (runs, most_kw)
+    return found
 
 
 def refusing(soc: Mapping[str, Reading], store: Store) -> set[str]:

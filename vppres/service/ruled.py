@@ -16,7 +16,9 @@ from vppres.scenario.scenario import Scenario
 from vppres.service.plans import Ordered
 
 
-def ruled(now: Scenario, soc: Mapping[str, float], lost: Mapping[str, str]) -> Ordered:
+def ruled(
+    now: Scenario, soc: Mapping[str, float], lost: Mapping[str, str], before: Ordered
+) -> Ordered:
     """Set-points by rule, which needs no solver.
 
     Parameters
@@ -27,6 +29,8 @@ def ruled(now: Scenario, soc: Mapping[str, float], lost: Mapping[str, str]) -> O
         States of charge that were read; a battery without one rests.
     lost : mapping
         Customers that cannot be supplied.
+    before : Ordered
+        Set-points of the last step: generating sets keep theirs.
     """
     site = Site.of(now)
     b = site.batteries
@@ -64,6 +68,7 @@ def ruled(now: Scenario, soc: Mapping[str, float], lost: Mapping[str, str]) -> O
         ),
         chargers=_resting(now),
         thermal_loads=_left_alone(now),
+        gensets=before.gensets,
     )
 
 

@@ -420,7 +420,7 @@ class Runner:
             now = replace(now, grid_limit_kw=np.zeros(1))
         words = str(error).splitlines()[:1] or [type(error).__name__]
         mode = {"mode": FAILED, "reason": f"by rule: {words[0]}"}
-        ordered = ruled(now, soc, lost)
+        ordered = ruled(now, soc, lost, Ordered.of(self.scenario, self.last, []))
         return self._kept(time, ordered_plan(time, self.scenario, mode, ordered, {}), asked)
 
     def _profile_of(self, time: pd.Timestamp) -> Scenario:
