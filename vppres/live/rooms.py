@@ -11,7 +11,7 @@ from vppres.plant.rooms import Climate
 from vppres.scenario.scenario import Scenario
 
 STILL_C = 1.0
-"""How far a temperature may have moved by the model while its reading stands still, in K."""
+"""What a temperature may have moved through by the model while its reading stands still, in K."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,24 +24,35 @@ class Felt:
         Last reading; NaN if there was none.
     reckoned_c : array
         What has become of it since it moved last.
+    lowest_c, highest_c : array
+        The lowest and the highest that it became since then.
     """
 
     read_c: Floats
     reckoned_c: Floats
+    lowest_c: Floats
+    highest_c: Floats
 
     @classmethod
     def before_the_day(cls, scenario: Scenario) -> Felt:
         """Without readings: the temperatures of the scenario."""
         start_c = scenario.thermal_loads.t_initial_c
-        return cls(np.full(len(start_c), np.nan), start_c)
+        return cls(np.full(len(start_c), np.nan), start_c, start_c, start_c)
 
     def after(self, day: Scenario, steps: range, served: Flags) -> Felt:
         """After steps in which nothing was decided: thermostats hold the comfort band."""
         climate = Climate(day)
         climate.t_c = self.reckoned_c
+        felt = self
         for t in steps:
             climate.advance(t, climate.thermostat_kw(t, day.thermal_loads.held_c, served))
-        return Felt(self.read_c, climate.t_c)
+            felt = felt.moved_to(climate.t_c)
+        return felt
+
+    def moved_to(self, t_c: Floats) -> Felt:
+        """With other temperatures by the model."""
+        lowest_c = np.minimum(self.lowest_c, t_c)
+        return Felt(self.read_c, t_c, lowest_c, np.maximum(self.highest_c, t_c))
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,16 +63,16 @@ class Indoor:
     ----------
     now_c : array
         What is believed: the reading if there is one, else what is reckoned. A reading that stands
-        still is not believed once the temperature should have moved by more than ``STILL_C``.
-    read_c, reckoned_c : array
-        As :class:`Felt` has them.
+        still is not believed once the temperature has moved through more than ``STILL_C``, there
+        and back too.
+    felt : Felt
+        Readings, and what is reckoned since they moved last.
     estimated : tuple of str
         Readings that are missing or frozen, in words.
     """
 
     now_c: Floats
-    read_c: Floats
-    reckoned_c: Floats
+    felt: Felt
     estimated: tuple[str, ...]
 
     @classmethod
@@ -69,8 +80,12 @@ class Indoor:
         """The temperatures of these readings, NaN where there is none, after a step."""
         read = np.isfinite(read_c)
         still = read & (read_c == past.read_c)
-        reckoned_c = np.where(read & ~still, read_c, past.reckoned_c)
-        frozen = still & (np.abs(reckoned_c - read_c) > STILL_C)
+        moves = read & ~still
+        reckoned_c, lowest_c, highest_c = (
+            np.where(moves, read_c, each)
+            for each in (past.reckoned_c, past.lowest_c, past.highest_c)
+        )
+        frozen = still & (highest_c - lowest_c > STILL_C)
         missing = ~read & np.isfinite(past.read_c)
         now_c = np.where(read & ~frozen, read_c, reckoned_c)
         words = [
@@ -78,10 +93,11 @@ class Indoor:
             for kind, flags in (("missing", missing), ("frozen", frozen))
             for i in np.flatnonzero(flags)
         ]
-        return cls(now_c, np.where(read, read_c, past.read_c), reckoned_c, tuple(words))
+        felt = Felt(np.where(read, read_c, past.read_c), reckoned_c, lowest_c, highest_c)
+        return cls(now_c, felt, tuple(words))
 
     def after(self, day: Scenario, power_kw: Floats) -> Felt:
         """What they are at the end of the first step of a day, with these powers."""
         climate = Climate(day)
-        climate.t_c = self.reckoned_c
-        return Felt(self.read_c, climate.after_c(0, power_kw))
+        climate.t_c = self.felt.reckoned_c
+        return self.felt.moved_to(climate.after_c(0, power_kw))

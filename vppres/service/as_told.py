@@ -88,7 +88,8 @@ def _sessions(scenario: Scenario, stored: Plans) -> Sessions:
     """Stays that plans tell of, and the scenario's sessions after them."""
     own = [_row(scenario.sessions, s) for s in range(len(scenario.sessions))]
     base = {(row["charger"], row["vehicle"]): row for row in own}
-    end = scenario.grid.start + len(stored) * scenario.grid.step
+    told = max(t for t, plan in enumerate(stored) if plan is not None) + 1
+    end = scenario.grid.start + told * scenario.grid.step
     rows = [_of_stay(stay, base, scenario) for stay in _stays(scenario, stored)]
     rows += [row for row in own if row["plug_in"] >= end]
     columns: dict[str, Any] = {f.name: [row[f.name] for row in rows] for f in fields(Sessions)}

@@ -331,7 +331,7 @@ def known_at(
         soc_at={name: moment(reading.time) for name, reading in soc.items()},
         ordered_kw=said.ordered_kw,
         indoor_c=_finite(readings.now("indoor_c")) or None,
-        **_of_vehicles(readings),
+        **_of_vehicles(scenario, readings),
         **told_of_sets(scenario, readings, store, said),
         genset_kw={name: kw for (name, one), kw in means.items() if one == "genset_kw"} or None,
     )
@@ -339,9 +339,18 @@ def known_at(
     return Known(measurement, readings.heard, grid, estimated, soc_of(soc), lost)
 
 
-def _of_vehicles(readings: Latest) -> dict[str, Any]:
-    """What chargers tell of their vehicles, by quantity; what is too old is left out."""
+def _of_vehicles(scenario: Scenario, readings: Latest) -> dict[str, Any]:
+    """What chargers tell of their vehicles, by quantity; what is too old is left out.
+
+    A vehicle that left during its session is not back until its charger says so.
+    """
     told: dict[str, Any] = {name: _finite(readings.now(name)) for name in QUANTITIES}
+    sessions = scenario.sessions
+    for name, last in readings.newest("plugged").items():
+        at = moment(last.time)
+        stays = (sessions.charger == name) & (sessions.plug_in <= at) & (at < sessions.plug_out)
+        if last.value == 0.0 and stays.any():
+            told["plugged"][name] = 0.0
     leaves = told["departure"].items()
     told["departure"] = {one: moment(int(value)) for one, value in leaves}
     return {name: values or None for name, values in told.items()}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import re
 import time as machine
 from collections import OrderedDict
 from collections.abc import Callable, Iterable
@@ -65,6 +66,9 @@ MOST_KNOWN = 24
 """Steps of which it is remembered what was expected when they were decided."""
 
 FULL_HORIZON_H = 24.0
+
+NUMBERS = re.compile(r" [-+.\d]+")
+"""What changes from step to step in words about the same."""
 
 log = logging.getLogger(__name__)
 
@@ -145,6 +149,7 @@ class Runner:
         self.alarms = Alarms(store)
         self._within: Within | None = None
         self._logged: str | None = None
+        self._odd = set[str]()
         if isinstance(clock, SetClock) and self.last is not None:
             clock.set(max(clock.now(), pd.Timestamp(self.last["start"])))
         self._state = self._last_state()
@@ -393,6 +398,7 @@ class Runner:
             self._controller = self._restored()  # as if it had not decided
             raise
         self._log_messages(plan)
+        self._log_estimated(plan)
         self._state = after.state
         self.expected[plan["id"]] = known.measurement
         while len(self.expected) > MOST_KNOWN:
@@ -405,6 +411,21 @@ class Runner:
         if words and words != self._logged:
             log.warning("%s: %s", plan["start"], words)
         self._logged = words
+
+    def _log_estimated(self, plan: dict[str, Any]) -> None:
+        """A line for devices that are not as their readings or sessions say, when it begins.
+
+        Readings that are only missing are told of as late.
+        """
+        odd = {
+            NUMBERS.sub("", words): words
+            for words in plan["estimated"]
+            if not words.endswith("(missing)")
+        }
+        for key, words in odd.items():
+            if key not in self._odd:
+                log.warning("%s: %s", plan["start"], words)
+        self._odd = set(odd)
 
     def _ruled(
         self, time: pd.Timestamp, known: Known | None, error: Exception, asked: Asked | None

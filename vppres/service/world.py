@@ -19,9 +19,11 @@ from vppres.day.recorder import StepRecord
 from vppres.day.simulate import Day
 from vppres.live.by_phase import GRID, ByPhase
 from vppres.scenario.scenario import Scenario
+from vppres.scenario.vehicles import NO_CAR
 from vppres.service.clock import written
 from vppres.service.phased_readings import phases_of
 from vppres.service.plans import at
+from vppres.service.records import seconds
 
 Series = Mapping[str, Any]  # readings as ``POST /v1/telemetry`` takes them
 
@@ -57,6 +59,7 @@ class World:
         ]
         rooms = list(self.scenario.thermal_loads.id)
         found += self._series("thermostats", "indoor_c", now, rooms, day.plant.climate.t_c)
+        found += self._vehicles(t, now)
         sets = list(self.scenario.gensets.id)
         engines = day.plant.engines
         for quantity, values in (
@@ -85,6 +88,24 @@ class World:
                 found += self._series(teller, "source_kva", begun, [source], [kva], str(phase))
             for (bus, phase), v_pu in zip(by_phase.nodes.index, by_phase.nodes, strict=True):
                 found += self._series("meters", "v_pu", begun, [bus], [v_pu], phase)
+        return found
+
+    def _vehicles(self, t: int, now: pd.Timestamp) -> list[Series]:
+        """What chargers tell of their vehicles: a state of charge, or the energy that they need."""
+        sessions, garage = self.scenario.sessions, self.day.plant.garage
+        found: list[Series] = []
+        held_kwh = garage.held_kwh(t)
+        for k, name in enumerate(self.scenario.chargers.id):
+            s = int(self.scenario.session_at[t, k])
+            told: dict[str, float] = {"plugged": float(s != NO_CAR)}
+            if s != NO_CAR:
+                told["departure"] = float(seconds(sessions.plug_out[s]))
+                if sessions.by_energy[s]:
+                    told["energy_needed_kwh"] = max(sessions.needed_kwh[s] - held_kwh[k], 0.0)
+                else:
+                    told["ev_soc"] = held_kwh[k] / sessions.full_kwh[s]
+            for quantity, value in told.items():
+                found += self._series("chargers", quantity, now, [name], [value])
         return found
 
     def _powers(
