@@ -379,7 +379,7 @@ def test_sums_of_a_problem_without_network(
     missed = missed_by(problem, VALUES)
     # import + export - (demand - self-consumption) - battery power
     sums = [5 + 15 - (40 - 10) - 6, 8 + 21 - (170 - 16) + 7]
-    assert missed["total_power_balance"] == pytest.approx(sums)
+    assert missed["total_active_power_balance"] == pytest.approx(sums)
     assert not {"active_power_balance", "voltage_min"} & set(missed)
     args = (site, paper.v, paper.p)
     assert_missed(
@@ -478,7 +478,7 @@ def test_physical_mode_has_losses_a_reference_and_headroom(site: Site, data: Win
 
 def test_losses_add_up_where_there_is_no_network(site: Site, data: WindowData) -> None:
     problem = of_form(site, replace(data, physics=physics()), Form(network=False))
-    sums = missed_by(problem, VALUES)["total_power_balance"]
+    sums = missed_by(problem, VALUES)["total_active_power_balance"]
     assert sums == pytest.approx([-16 - 3, -118 - 7])
 
 

@@ -8,16 +8,17 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
+from tests.support.injections import columns_of
 from tests.support.small_windows import window
 from vppres.io import find_scenario, read_scenario
 from vppres.model.site import Site
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import Scenario
+from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import Deadline
 from vppres.solve.netting import net_modes
 from vppres.solve.network.feeders import SHARED, Feeders, feeder_of_buses, feeder_of_rows
 from vppres.solve.network.master import NetworkMaster
-from vppres.solve.network.reactance import Reactance
 from vppres.solve.network.sets import ServiceCuts
 from vppres.solve.programs import Program, ProgramSolution
 from vppres.solve.result import Outcome, Status
@@ -80,7 +81,7 @@ def test_cuts_leave_every_set_that_is_carried(
     data = window(day, slice(hour, hour + 2), 0.35)
 
     def master() -> NetworkMaster:
-        return NetworkMaster(site, Reactance(site), data, Deadline(TIME_S))
+        return NetworkMaster(ModelCache(site), data, Deadline(TIME_S))
 
     usual, best = master().service(Deadline(TIME_S))
     assert usual.status == Status.OPTIMAL
@@ -109,12 +110,10 @@ def test_batteries_go_one_way_where_they_cannot_store_what_they_waste(
     site = Site.of(day)
     data = window(day, slice(12, 14), 0.35)
     data = replace(data, soc=site.batteries.soc_max, pv_kw=20.0 * data.pv_kw)
-    _, served = NetworkMaster(site, Reactance(site), data, Deadline(TIME_S)).service(
-        Deadline(TIME_S)
-    )
+    _, served = NetworkMaster(ModelCache(site), data, Deadline(TIME_S)).service(Deadline(TIME_S))
     assert served is not None
     monkeypatch.setattr("vppres.solve.sizes.LARGE", 0)
-    master = NetworkMaster(site, Reactance(site), data, Deadline(TIME_S))
+    master = NetworkMaster(ModelCache(site), data, Deadline(TIME_S))
     outcome, dispatch = master.cheapest(served, Deadline(TIME_S))
     assert outcome.status == Status.OPTIMAL
     assert dispatch is not None
@@ -127,38 +126,22 @@ def test_what_exceeds_the_discs_is_moved(monkeypatch: pytest.MonkeyPatch) -> Non
     day = three_feeders()
     site = Site.of(day)
     data = window(day, slice(18, 20), 0.6)
-    _, served = NetworkMaster(site, Reactance(site), data, Deadline(TIME_S)).service(
-        Deadline(TIME_S)
-    )
+    _, served = NetworkMaster(ModelCache(site), data, Deadline(TIME_S)).service(Deadline(TIME_S))
     assert served is not None
     monkeypatch.setattr("vppres.solve.sizes.LARGE", 0)
-    master = NetworkMaster(site, Reactance(site), data, Deadline(TIME_S))
-    columns = master.model.at["Q_batt"]
+    master = NetworkMaster(ModelCache(site), data, Deadline(TIME_S))
+    columns = master.model.at("Q_batt")
     outcome, dispatch = master.cheapest(served, Deadline(TIME_S))
     assert outcome.status == Status.OPTIMAL
     assert dispatch is not None
-    x = np.zeros(master.model.size)
-    for name, values in {
-        "x": served,
-        "P_ch": dispatch.charge_kw,
-        "P_dch": dispatch.discharge_kw,
-        "energy": dispatch.soc[1:] * site.batteries.energy_kwh,
-        "Q_batt": dispatch.batt_q_kvar,
-        "P_exp": dispatch.pv_export_kw,
-        "Q_pv": dispatch.pv_q_kvar,
-        "P_grid": dispatch.p_grid_kw[:, None],
-        "Q_grid": dispatch.q_grid_kvar[:, None],
-    }.items():
-        x[master.model.at[name]] = values
+    x = columns_of(master.model, dispatch)
     x[columns[:, 0]] += 2.0 * site.batteries.s_max_kva[0]
     x[columns[:, 1]] -= 2.0 * site.batteries.s_max_kva[0]
     clipped = master.model.clipped(x, 1e-2)
     assert clipped is not None
     assert not master.model.disc_rows(clipped, 1e-6)
-    given = [master.model.at[name] for name in ("Q_batt", "Q_pv", "Q_grid")]
-    before, after = (
-        np.sum([z[places].sum(axis=1) for places in given], axis=0) for z in (x, clipped)
-    )
+    given = np.column_stack([master.model.at(name) for name in ("Q_batt", "Q_pv", "Q_grid")])
+    before, after = (z[given].sum(axis=1) for z in (x, clipped))
     np.testing.assert_allclose(after, before, atol=1e-6)
 
 
@@ -196,7 +179,7 @@ def test_a_set_without_a_dispatch_well_within_is_put_to_the_discs(
     monkeypatch.setattr("vppres.solve.sizes.LARGE", 0)
 
     def service() -> tuple[Outcome, NetworkMaster, np.ndarray | None]:
-        master = NetworkMaster(site, Reactance(site), data, Deadline(TIME_S))
+        master = NetworkMaster(ModelCache(site), data, Deadline(TIME_S))
         outcome, served = master.service(Deadline(TIME_S))
         return outcome, master, served
 

@@ -15,6 +15,7 @@ from benchmarks.instances import read_instances, window_data
 from experiments.hard_days import hard_window
 from experiments.random_feeders import random_state, random_window
 from tests.support.dispatch_check import check_dispatch
+from tests.support.injections import columns_of
 from tests.support.programs import knapsack
 from vppres.contract.dispatch import Dispatch
 from vppres.io import find_scenario, read_scenario
@@ -34,8 +35,6 @@ from vppres.solve.ladder import WindowSolver
 from vppres.solve.network.injections import Injections
 from vppres.solve.network.master import DISCS, NetworkMaster
 from vppres.solve.network.program import FINER_DISC
-from vppres.solve.network.reactance import Reactance
-from vppres.solve.network.rules import rows_of_rules
 from vppres.solve.programs import (
     PROOF,
     SUMS_KEPT,
@@ -265,26 +264,20 @@ def test_voltages_follow_from_injections(seed: int) -> None:
     case = random_window(seed, stressed=True)
     site = Site.of(case.scenario)
     d = WindowSolver(site).solve(case.data).dispatch
-    model = Injections(site, Reactance(site), case.data)
-    x = np.zeros(model.size)
-    for name, values in {
-        "x": d.served,
-        "P_ch": d.charge_kw,
-        "P_dch": d.discharge_kw,
-        "Q_batt": d.batt_q_kvar,
-        "P_exp": d.pv_export_kw,
-        "Q_pv": d.pv_q_kvar,
-        "energy": d.soc[1:] * site.batteries.energy_kwh,
-        "P_grid": d.p_grid_kw[:, None],
-        "Q_grid": d.q_grid_kvar[:, None],
-    }.items():
-        x[model.at[name]] = values
+    model = Injections(ModelCache(site), case.data)
+    x = columns_of(model, d)
     assert np.sqrt(model.u_pu2(x)) == pytest.approx(d.v_pu, abs=1e-6)
-    rows = model.rows()
+    rows = model.program.rows @ x
     scale = max(1.0, float(case.data.load_kw.sum()))
-    reached = rows.matrix @ x
-    assert (reached >= rows.lower - 1e-5 * scale).all()
-    assert (reached <= rows.upper + 1e-5 * scale).all()
+    assert (rows >= model.program.lower - 1e-5 * scale).all()
+    assert (rows <= model.program.upper + 1e-5 * scale).all()
+    assert (x >= model.program.x_lower - 1e-5).all()
+    assert (x <= model.program.x_upper + 1e-5).all()
+    assert not model.voltage_rows(x, 1e-5)
+    assert not model.disc_rows(x, 1e-5)
+    back = model.dispatch(x, d.served)
+    for name in ("pv_export_kw", "soc", "p_grid_kw", "v_pu", "p_flow_kw", "q_flow_kvar"):
+        assert getattr(back, name) == pytest.approx(getattr(d, name), abs=1e-4), name
 
 
 def test_counts_are_rounded_down_where_time_runs_out(
@@ -393,7 +386,7 @@ def test_network_master_certifies_a_window_whose_voltages_bind(packaged: Scenari
     assert decomposed.status == whole.status == Status.OPTIMAL
     assert decomposed.bound >= whole.objective - 1e-6
     assert decomposed.objective >= whole.objective - 1e-4 * abs(whole.objective)
-    master = NetworkMaster(site, Reactance(site), data, Deadline(TIME_S))
+    master = NetworkMaster(ModelCache(site), data, Deadline(TIME_S))
     outcome, served = master.service(Deadline(TIME_S))
     assert served is not None
     assert outcome.bound * master.unit >= whole.terms.f1 - 1e-6
@@ -429,7 +422,7 @@ def test_dispatch_in_the_network_keeps_the_sun_it_can(packaged: Scenario) -> Non
     sunny = replace(packaged, price_gbp_per_kwh=0.0 * packaged.price_gbp_per_kwh)
     site = Site.of(sunny)
     data = day_window(sunny, 9, 4, 0.3)
-    master = NetworkMaster(site, Reactance(site), data, Deadline(TIME_S))
+    master = NetworkMaster(ModelCache(site), data, Deadline(TIME_S))
     served = master.service(Deadline(TIME_S))[1]
     assert served is not None
     dispatch = master.cheapest(served, Deadline(TIME_S))[1]
@@ -444,9 +437,7 @@ def test_a_search_for_cheaper_sets_knows_what_binds_where_shares_cost_least(
     heavy = replace(packaged, load_kw=packaged.load_kw * 1.45)
     data = day_window(heavy, 17, 3, 0.3)
     site = Site.of(heavy)
-    known, everything = (
-        NetworkMaster(site, Reactance(site), data, Deadline(TIME_S)) for _ in range(2)
-    )
+    known, everything = (NetworkMaster(ModelCache(site), data, Deadline(TIME_S)) for _ in range(2))
     units = known.most_units - 1.0
     assert everything.most_units == known.most_units
     bound = known._least_by_shares(known._enough(units), Deadline(TIME_S))
@@ -480,8 +471,14 @@ def test_rows_of_rules_admit_the_sets_that_break_none(seed: int) -> None:
     data, site = (w := hard_window("rules", seed)).data, w.site
     rules = data.switching
     assert rules is not None
-    rows = rows_of_rules(ModelCache(site), data)
-    assert rows is not None
+    model = Injections(ModelCache(site), data)
+    program = model.program
+    letters = ("x_served", "y_on", "y_off", "z_cold")
+    columns = np.concatenate([model.at(name).ravel() for name in letters])
+    others = np.setdiff1d(np.arange(model.size), columns)
+    of_rules = np.diff(program.rows[:, others].tocsr().indptr) == 0
+    rows = program.rows.tocsr()[of_rules]
+    lower, upper = program.lower[of_rules], program.upper[of_rules]
     rng = np.random.default_rng(seed)
     told = []
     for share in np.repeat([0.0, 0.02, 0.5, 0.98, 1.0], 12):
@@ -489,10 +486,13 @@ def test_rows_of_rules_admit_the_sets_that_break_none(seed: int) -> None:
         changed = rng.random(kept.shape) < 0.05
         served = np.where(changed, rng.random(kept.shape) < share, kept)
         on, off = rules.changes(served)
-        cold = served & (rules.demand_factor(served) > 1.0) if rules.steps.cold else None
-        parts = [served, on, off, *([] if cold is None else [cold])]
-        reached = rows.matrix @ np.concatenate([part.ravel(order="F") for part in parts])
-        kept_all = (reached >= rows.lower - 1e-9).all() and (reached <= rows.upper + 1e-9).all()
+        cold = served & (rules.demand_factor(served) > 1.0)
+        x = np.zeros(model.size)
+        for name, values in zip(letters, (served, on, off, cold), strict=True):
+            x[model.at(name)] = values if model.at(name).size else 0.0
+        kept_all = (rows @ x >= lower - 1e-9).all() and (rows @ x <= upper + 1e-9).all()
+        kept_all &= (x >= program.x_lower - 1e-9)[columns].all()
+        kept_all &= (x <= program.x_upper + 1e-9)[columns].all()
         told.append(bool(kept_all))
         assert kept_all == (not rules.broken(served).any())
     assert any(told) or seed != 136
@@ -521,7 +521,7 @@ def test_a_large_window_is_answered_and_certified_without_the_tie_breakers(
 def test_least_reactive_power_leaves_the_active_power_and_needs_less(packaged: Scenario) -> None:
     heavy = replace(packaged, load_kw=packaged.load_kw * 1.45)
     data, site = day_window(heavy, 17, 3, 0.3), Site.of(heavy)
-    master = NetworkMaster(site, Reactance(site), data, Deadline(TIME_S))
+    master = NetworkMaster(ModelCache(site), data, Deadline(TIME_S))
     served = master.service(Deadline(TIME_S))[1]
     assert served is not None
     before = master.cheapest(served, Deadline(TIME_S))[1]

@@ -53,7 +53,6 @@ from vppres.solve.fleet.relaxation import fleet_problem
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.netting import net_modes
 from vppres.solve.network.master import NetworkMaster, applies
-from vppres.solve.network.reactance import Reactance
 from vppres.solve.network.reactive import LeastReactive
 from vppres.solve.programs import Program
 from vppres.solve.result import SolveLimits, Status, WindowSolution
@@ -145,7 +144,7 @@ def test_least_reactive_power_knows_losses_headroom_and_who_holds_the_voltage(
         site, data = Site.of(case.scenario), case.data
         if not applies(site, data):
             continue
-        master = NetworkMaster(site, Reactance(site), data, Deadline(TIME_S))
+        master = NetworkMaster(ModelCache(site), data, Deadline(TIME_S))
         served = WindowSolver(site).solve(data).dispatch.served
         before = master.cheapest(served, Deadline(TIME_S))[1]
         if before is None:

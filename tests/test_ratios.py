@@ -24,10 +24,10 @@ from vppres.physics.nose import follow
 from vppres.physics.powerflow import ACPowerFlow
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import Scenario
+from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import Deadline
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.network.master import NetworkMaster
-from vppres.solve.network.reactance import Reactance
 from vppres.solve.result import Status
 
 BASE_KV = 10.0
@@ -223,7 +223,7 @@ def test_the_network_master_sees_ratios_and_shunts(seed: int) -> None:
     case = with_transformers(random_window(seed), seed)
     site = Site.of(case.scenario)
     answer = WindowSolver(site).solve(case.data).dispatch
-    master = NetworkMaster(site, Reactance(site), case.data, Deadline(20.0))
+    master = NetworkMaster(ModelCache(site), case.data, Deadline(20.0))
     outcome, dispatch = master.cheapest(answer.served, Deadline(20.0))
     assert outcome.status == Status.OPTIMAL and dispatch is not None
     assert check_dispatch(*case, dispatch).worst[1] <= CHECKER_TOLERANCE

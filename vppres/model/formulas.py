@@ -1,6 +1,6 @@
 """The paper's formulas on arrays: battery, injections, flows and voltage drop, one function each.
 
-Controllers, their checks and the masters that are arrays use these. The same formulas stand in
+Controllers, their checks and the limits of the network use these. The same formulas stand in
 :mod:`vppres.model.constraints` for cvxpy; the plant has its own on purpose, so that it can find
 what is wrong here. Numbers in brackets count the paper's equations.
 """

@@ -26,7 +26,6 @@ from vppres.solve.forms import Form, sheet_of, sheet_of_draws, window_problem
 from vppres.solve.netting import SOC_OVER, net_modes, soc_path
 from vppres.solve.network.cheapest import CheapestDispatch
 from vppres.solve.network.program import NetworkProgram
-from vppres.solve.network.reactance import Reactance
 from vppres.solve.network.reactive import LeastReactive
 from vppres.solve.phases import near_to, run_in_phases
 from vppres.solve.programs import ProgramSolution, program_of
@@ -168,7 +167,7 @@ def _by_rows(task: WindowTask, served: Flags) -> tuple[Candidate | None, bool]:
     None where batteries would have to take turns, and where it is proven that there is none.
     """
     data = replace(task.data.for_service(served), switching=None)
-    program = NetworkProgram(task.site, task.cache.table(Reactance), data)
+    program = NetworkProgram(task.cache, data)
     way = CheapestDispatch(task.site, data, program)
     outcome, dispatch = way.of(served, task.answer_by(HALF))
     task.certificate.note("network_dispatch", outcome)

@@ -16,12 +16,14 @@ from vppres.model.polygons import Polygon
 from vppres.model.problem import page
 from vppres.model.site import Site
 from vppres.solve.cache import ModelCache
-from vppres.solve.selection import EQUAL, ORDER, Family, Selected, Selection, Sheet
+from vppres.solve.selection import EQUAL, MOST, ORDER, Family, Selected, Selection, Sheet
 
 Level = Literal["service", "cost"]
 Mode = Literal["integer", "relaxed", "fixed"]
 
 DISCS = ("battery_inverter_capacity", "pv_inverter_capacity")
+MODES = ("battery_charge_mode", "battery_discharge_mode")
+OF_PV = ("pv_balance", "pv_self_consumption")
 
 WITHOUT_NETWORK = (
     "battery_charge_rating",
@@ -124,13 +126,20 @@ def without_network(found: Selection, names: list[str]) -> Selection:
     return found.keep(*WITHOUT_NETWORK).keep(*(n for n in kept if n not in ORDER))
 
 
-def total_balance(sheet: Sheet) -> Family:
-    """Sum of the active balances over the buses: flows cancel."""
-    family = sheet.family("active_power_balance")
+def total_balance(sheet: Sheet, name: str = "active_power_balance") -> Family:
+    """Sum of the balances over the buses: flows cancel."""
+    family = sheet.family(name)
     W, N = family.shape
     rows = family.rows.times(sp.csr_array(np.tile(np.eye(W), N)))
     letters = tuple(each for each in family.letters if sheet.used(each, rows))
-    return Family("total_power_balance", rows, EQUAL, (W,), letters)
+    return Family(f"total_{name}", rows, EQUAL, (W,), letters)
+
+
+def one_mode_at_a_time(sheet: Sheet) -> Family:
+    """Charging and discharging share a battery's power; with its mode they cancel."""
+    charge, discharge = (sheet.family(name) for name in MODES)
+    rows = charge.rows.plus(discharge.rows)
+    return Family("battery_power", rows, MOST, charge.shape, ("P_ch", "P_dch"))
 
 
 def with_level(found: Selection, level: Level) -> Selection:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.linalg import splu
+from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.numerics import SAME
@@ -261,23 +261,35 @@ def _constants(values: Floats, last: int, width: int) -> sp.csr_array:
 def eliminated(
     sheet: Sheet, families: Sequence[Family], names: Sequence[str], by: Sequence[Family]
 ) -> list[Family]:
-    """Families without some letters, which equalities determine by constant factors."""
+    """Families without some letters, which equalities determine one after the other.
+
+    Each equality has a constant factor for the letter that it determines.
+    """
     columns = np.concatenate([np.ravel(sheet.columns[name], order="F") for name in names])
     size = sheet.size
     equal = Linear.stacked([family.rows.wider(size) for family in by])
     gone = np.zeros(size + 1, dtype=bool)
     gone[columns] = True
-    factorised = splu(sp.csc_array(equal.constants(sheet.width - 1)[:, columns].T))
+    determining = equal.constants(sheet.width - 1)[:, columns]
+    own = maximum_bipartite_matching(determining, perm_type="column")
+    determining = determining[:, own]
+    factor = sp.diags_array(1.0 / determining.diagonal())
+    before = sp.csr_array(sp.triu(determining, 1) + sp.tril(determining, -1))
     every = [name for family in (*families, *by) for name in family.letters if name not in names]
     letters = list(dict.fromkeys(every))
     found = []
     for family in families:
         rows = family.rows.wider(size)
-        factors = rows.constants(sheet.width - 1)[:, columns]
-        if factors.nnz:
-            M = sp.csr_array(factorised.solve(factors.T.toarray()).T)
-            R = sp.hstack([sp.eye_array(rows.shape[0]), -M])
-            result = Linear.stacked([rows, equal]).times(sp.csr_array(R))
+        left = rows.constants(sheet.width - 1)[:, columns[own]]
+        if left.nnz:
+            R = sp.csr_array(left.shape)
+            while left.nnz:
+                times = sp.csr_array(left @ factor)
+                R = R - times
+                left = sp.csr_array(-(times @ before))
+                left.eliminate_zeros()
+            both = sp.hstack([sp.eye_array(rows.shape[0], format="csr"), R])
+            result = Linear.stacked([rows, equal]).times(both)
             # What cancels but for rounding.
             stays = ~gone[result.column]
             by_row = sp.csr_array(result.by[stays])

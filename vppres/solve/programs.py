@@ -308,6 +308,37 @@ def with_sums(program: Program, groups: Sequence[Wholes]) -> Program:
     ).with_range(sp.csc_array(equal), zero, zero)
 
 
+def with_limits_of_columns(program: Program) -> tuple[Program, Flags]:
+    """The program with rows of one column as limits of columns, and which rows are left, (m,).
+
+    >>> rows = sp.csc_array([[-2.0, 0.0], [1.0, 1.0]])
+    >>> free, inf = np.full(2, np.inf), np.inf
+    >>> limits = np.array([-inf, 3.0]), np.array([4.0, 3.0])
+    >>> program = Program(np.zeros(2), -free, free, rows, *limits, np.arange(0))
+    >>> found, left = with_limits_of_columns(program)
+    >>> found.x_lower.tolist(), found.x_upper.tolist(), left.tolist()
+    ([-2.0, -inf], [inf, inf], [False, True])
+    """
+    rows = sp.csr_array(program.rows)
+    rows.eliminate_zeros()
+    alone = np.diff(rows.indptr) == 1
+    column, factor = rows[alone].indices, rows[alone].data
+    ends = np.stack([program.lower[alone] / factor, program.upper[alone] / factor])
+    x_lower, x_upper = program.x_lower.copy(), program.x_upper.copy()
+    np.maximum.at(x_lower, column, ends.min(axis=0))
+    np.minimum.at(x_upper, column, ends.max(axis=0))
+    kept = ~alone
+    found = replace(
+        program,
+        x_lower=x_lower,
+        x_upper=x_upper,
+        rows=rows[kept].tocsc(),
+        lower=program.lower[kept],
+        upper=program.upper[kept],
+    )
+    return found, kept
+
+
 def stacked(above: sp.csc_array, below: sp.csc_array) -> sp.csc_array:
     """Two sparse arrays of as many columns, one above the other; SciPy takes eight times as long.
 

@@ -22,7 +22,7 @@ from vppres.model.numerics import disc_sides
 from vppres.model.polygons import Polygon
 from vppres.model.site import Site
 from vppres.solve.compiled import Numbers
-from vppres.solve.forms import DISCS, in_order
+from vppres.solve.forms import DISCS, MODES, OF_PV, in_order
 from vppres.solve.lumping import eliminated
 from vppres.solve.selection import Selected, Selection, Sheet, diagonal_of
 
@@ -32,10 +32,7 @@ SHARPER_ENERGY = 1e4
 residuals in proportion to the largest value of the solution, thousands of kW here; what is a
 fraction of one needs smaller units to be met as sharply."""
 
-OF_PV = ("pv_balance", "pv_self_consumption")
-"""Families that say what PV systems export, with service known."""
-
-BY_DATA = ("battery_charge_mode", "battery_discharge_mode", *OF_PV)
+BY_DATA = (*MODES, *OF_PV)
 """Families that hold by what is put in."""
 
 SHARPER = {

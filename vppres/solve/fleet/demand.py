@@ -16,7 +16,7 @@ from vppres.solve.fleet.relaxation import Fleet, rank
 from vppres.solve.linear import Linear
 from vppres.solve.selection import MOST, Family, Selected, Selection, Sheet
 
-WITH_SERVICE = ("total_power_balance", "circular_charging")
+WITH_SERVICE = ("total_active_power_balance", "circular_charging")
 """Families of the fleet that service enters by the demand that it brings about."""
 
 

@@ -24,7 +24,7 @@ from vppres.model.formulas import charge_to_kw, discharge_to_kw
 from vppres.model.numerics import ROUNDING, SAME, objective_scale
 from vppres.model.site import Site
 from vppres.solve.cache import ModelCache
-from vppres.solve.forms import sheet_of, total_balance
+from vppres.solve.forms import MODES, OF_PV, one_mode_at_a_time, sheet_of, total_balance
 from vppres.solve.linear import Linear
 from vppres.solve.lumping import Lumping, eliminated
 from vppres.solve.selection import EQUAL, MOST, Family, Selected, Selection, Sheet
@@ -43,9 +43,6 @@ OF_ENERGY = (
     "battery_reserve",
 )
 """Families in shares of a capacity: as energies they can be added up."""
-
-MODES = ("battery_charge_mode", "battery_discharge_mode")
-WITH_DEVICES = ("pv_balance", "pv_self_consumption")
 
 
 class Fleet:
@@ -83,7 +80,7 @@ class Fleet:
             letters |= dict.fromkeys(of_batteries, np.ones(len(b)))
         self.lumping = Lumping(sheet, letters)
         self.joined = self._joined({family.name: family for family in self._summed()})
-        solved = self.put_in(self.joined, WITH_DEVICES, ("P_self", "P_exp"))
+        solved = self.put_in(self.joined, OF_PV, ("P_self", "P_exp"))
         self.families = {family.name: family for family in solved}
         lumped_terms = {name: self.lumping.of(sheet.term(name)) for name in sheet.statement.terms}
         self.terms = {
@@ -120,7 +117,7 @@ class Fleet:
             for family in sheet.parts(name):
                 found.append(self._over_devices(family))
         if len(self.site.batteries):
-            found.append(self._over_devices(self._one_mode_at_a_time()))
+            found.append(self._over_devices(one_mode_at_a_time(sheet)))
         lumped = (self.lumping.of(family) for family in found)
         return [family for family in lumped if family is not None]
 
@@ -132,12 +129,6 @@ class Fleet:
         every = [part.rows for part in sheet.parts(name)]
         inside = (rows.by[np.isin(rows.column, columns)] for rows in every)
         return all((by.indices == sheet.width - 1).all() for by in inside)
-
-    def _one_mode_at_a_time(self) -> Family:
-        """Charging and discharging share a battery's power; with its mode they cancel."""
-        charge, discharge = (self.sheet.family(name) for name in MODES)
-        rows = charge.rows.plus(discharge.rows)
-        return Family("battery_power", rows, MOST, charge.shape, ("P_ch", "P_dch"))
 
     def _over_devices(self, family: Family) -> Family:
         """A family of rows for each device, added up over those that are lumped."""
@@ -169,7 +160,7 @@ class Fleet:
         """The same with what keeps export above zero, and circular charging in other words."""
         if "circular_charging" in named:
             # With the balance it says that no battery discharges into another.
-            circle, balance = named["circular_charging"], named["total_power_balance"]
+            circle, balance = named["circular_charging"], named["total_active_power_balance"]
             rows = circle.rows.plus(balance.rows)
             letters = tuple(dict.fromkeys((*balance.letters, *circle.letters)))
             named["circular_charging"] = replace(circle, rows=rows, letters=letters)

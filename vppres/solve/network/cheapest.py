@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import highspy
 import numpy as np
 
@@ -52,7 +54,9 @@ class CheapestDispatch:
         """Cheapest dispatch of a served set, within the discs."""
         watch = Stopwatch()
         program = self.network.of_set(served)
-        program.cost[self.model.at["P_exp"]] -= self._worth_of_sun
+        cost = program.cost.copy()
+        cost[self.model.at("P_curt")] += self._worth_of_sun
+        program = replace(program, cost=cost)
         solver = self.network.loaded(program)
         found = self.network.until_carried(solver, deadline, EXACT_DISC)
         unused = self._unused(found, served) if found.status == Status.OPTIMAL else np.arange(0)
@@ -86,9 +90,8 @@ class CheapestDispatch:
 
         Without it, any dispatch would be the cheapest where nothing has a price.
         """
-        return float(
-            self.site.dt_h * (1.0 + SUN_OVER_PRICE * np.abs(self.model.price[1]).max(initial=0.0))
-        )
+        highest = np.abs(self.model.program.cost).max(initial=0.0)
+        return float(self.site.dt_h * (1.0 + SUN_OVER_PRICE * highest))
 
     def _unused(self, answer: ProgramSolution, served: Flags) -> Wholes:
         """Columns to be left unused where a solution goes two ways at once: the lesser of each two.
@@ -101,11 +104,11 @@ class CheapestDispatch:
         imported, exported = self.model.exchange_kw(answer.x)
         unused = []
         if (np.minimum(imported, exported) > BOTH_WAYS_KW).any():
-            unused += [at["P_out"][imported >= exported], at["P_grid"][imported < exported]]
+            unused += [at("P_out")[imported >= exported], at("P_grid")[imported < exported]]
         in_turns = self.network.is_large or self.data.phased is not None
         if in_turns and not self._storable(answer, served):
-            charges = answer.x[at["P_ch"]] >= answer.x[at["P_dch"]]
-            unused += [at["P_dch"][charges], at["P_ch"][~charges]]
+            charges = answer.x[at("P_ch")] >= answer.x[at("P_dch")]
+            unused += [at("P_dch")[charges], at("P_ch")[~charges]]
         return np.concatenate([np.arange(0), *(columns.ravel() for columns in unused)])
 
     def _storable(self, answer: ProgramSolution, served: Flags) -> bool:

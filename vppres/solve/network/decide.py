@@ -23,8 +23,6 @@ from vppres.solve.dispatch import (
 from vppres.solve.fleet.masters import Master, fleets_of, master_of
 from vppres.solve.netting import net_modes
 from vppres.solve.network.master import NetworkMaster, applies
-from vppres.solve.network.reactance import Reactance
-from vppres.solve.network.rules import rows_of_rules
 from vppres.solve.programs import HALF_UNIT, WHOLE_TOLERANCE
 from vppres.solve.result import Outcome, Status
 from vppres.solve.task import COST_SHARE, WindowTask
@@ -84,10 +82,7 @@ def network_master(task: WindowTask) -> NetworkMaster | None:
     """The master in the network, None where the window does not have its form."""
     if task.own or not applies(task.site, task.data):
         return None
-    reactance = task.cache.table(Reactance)
-    return NetworkMaster(
-        task.site, reactance, task.data, task.deadline, rows_of_rules(task.cache, task.data)
-    )
+    return NetworkMaster(task.cache, task.data, task.deadline)
 
 
 def worth_asking_tie_breakers(master: NetworkMaster, best: Candidate) -> bool:

@@ -130,7 +130,9 @@ class Feeders:
         least = program.least(self.prices[rows])
         solver = program.loaded(GAP, NODES, more=SEARCH)
         found = ProgramSolution.of(solver, deadline)
-        places = np.flatnonzero(self.feeder[self.binaries] == number)
+        of_column = np.zeros(len(self.feeder), dtype=np.int64)
+        of_column[self.binaries] = np.arange(len(self.binaries))
+        places = of_column[columns[binary]]
         answered = found.status.has_answer
         served = np.round(found.x[binary]) if answered else np.full(len(places), np.nan)
         bound = min(found.bound, least + MOST_LOST)

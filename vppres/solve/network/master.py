@@ -15,12 +15,12 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.data import WindowData
 from vppres.model.site import Site
+from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import HALF, Deadline, Stopwatch
 from vppres.solve.fleet.relaxation import weight_grid, whole_price
 from vppres.solve.network.cheapest import EXACT_DISC, CheapestDispatch
 from vppres.solve.network.feeders import Feeders, feeder_of_buses
 from vppres.solve.network.program import DISC, FINER_DISC, NetworkProgram
-from vppres.solve.network.reactance import Reactance
 from vppres.solve.network.rows import Rows, limited
 from vppres.solve.network.sets import Known, ServiceCuts
 from vppres.solve.programs import (
@@ -74,30 +74,21 @@ class NetworkMaster:
 
     Parameters
     ----------
-    site : Site
-        Fixed data.
-    reactance : Reactance
-        How voltages depend on injections.
+    cache : ModelCache
+        Compiled problems of the site.
     data : WindowData
         The window.
     deadline : Deadline
         When everything must be done but for what gets a deadline of its own.
-    rules : Rows, optional
-        Rows of its switching rules.
     """
 
-    def __init__(
-        self,
-        site: Site,
-        reactance: Reactance,
-        data: WindowData,
-        deadline: Deadline,
-        rules: Rows | None = None,
-    ) -> None:
+    def __init__(self, cache: ModelCache, data: WindowData, deadline: Deadline) -> None:
         self.deadline = deadline
+        self.cache = cache
+        site = cache.site
         self.site = site
         self.data = data
-        self.network = NetworkProgram(site, reactance, data, rules)
+        self.network = NetworkProgram(cache, data)
         self.model = self.network.model
         self.unit = weight_grid(site.customers.weight * site.dt_h)
         units = np.round(site.customers.weight * site.dt_h / self.unit)
@@ -136,7 +127,7 @@ class NetworkMaster:
         one is carried in full. In a large window the best is put to the discs themselves.
         """
         watch = Stopwatch()
-        x = self.model.at["x"]
+        x = self.model.at("x_served")
         root = self.root[1]
         if root.status != Status.OPTIMAL:
             return root.outcome(watch.spent_s), None
@@ -213,7 +204,7 @@ class NetworkMaster:
         the feeder is searched with binaries, once: a second search at the prices of a linear
         problem with its cut takes next to nothing more.
         """
-        x = self.model.at["x"].ravel()
+        x = self.model.at("x_served").ravel()
         held = np.full(len(x), np.nan)
         raised = np.zeros(len(x))
         total = 0.0
@@ -336,7 +327,7 @@ class NetworkMaster:
         solver, root = self.root
         if root.status != Status.OPTIMAL:
             return True
-        x = self.model.at["x"].ravel()
+        x = self.model.at("x_served").ravel()
         wanted = served.ravel().astype(float)
         linear = self._tried(solver, wanted, DISC, -np.inf)
         solver.changeColsBounds(len(x), x.astype(np.int32), np.zeros(len(x)), np.ones(len(x)))
@@ -358,7 +349,7 @@ class NetworkMaster:
 
         A solver that gives up begins anew, which takes long, where there is a deadline for it.
         """
-        x = self.model.at["x"].ravel()
+        x = self.model.at("x_served").ravel()
         solver.changeColsBounds(len(x), x.astype(np.int32), np.zeros(len(x)), served)
         linear = self._until_carried(solver, self.deadline, over, worth=worth)
         if linear.status == Status.NUMERICAL and again is not None:
@@ -368,11 +359,11 @@ class NetworkMaster:
 
     def _shares(self, linear: ProgramSolution) -> Floats:
         """How far customers are served by a linear solution."""
-        return np.asarray(linear.x[self.model.at["x"].ravel()])
+        return np.asarray(linear.x[self.model.at("x_served").ravel()])
 
     def _cut(self, linear: ProgramSolution, cuts: ServiceCuts) -> float:
         """Add what a linear problem proves of all sets; returns its bound on service in units."""
-        x = self.model.at["x"].ravel()
+        x = self.model.at("x_served").ravel()
         program = limited(self.network.with_cost(*self.lack), self.network.found)
         worth, left = program.priced(linear.row_dual)
         rest = np.minimum(left * program.x_lower, left * program.x_upper)
@@ -381,7 +372,7 @@ class NetworkMaster:
 
     def _in_full(self, linear: ProgramSolution) -> Floats:
         """Who is served in full by a linear solution."""
-        return np.asarray(np.floor(linear.x[self.model.at["x"].ravel()] + WHOLE_TOLERANCE))
+        return np.asarray(np.floor(linear.x[self.model.at("x_served").ravel()] + WHOLE_TOLERANCE))
 
     def _carried(self, linear: ProgramSolution) -> tuple[Floats, float]:
         """Who is served in full by a linear solution, and what that is worth in units."""
@@ -398,8 +389,8 @@ class NetworkMaster:
     @property
     def lack(self) -> tuple[Wholes, Floats]:
         """Columns of service and of what rules cost, and what of them is minimised, in units."""
-        off = self.model.at["off"].ravel()
-        columns = [self.model.at["x"].ravel(), off, self.model.at["beyond"].ravel()]
+        off = self.model.at("y_off").ravel()
+        columns = [self.model.at("x_served").ravel(), off, self.model.at("beyond").ravel()]
         beyond = np.tile(self.beyond, self.data.n_steps)
         return np.concatenate(columns), np.concatenate(
             [-self.units, np.full(len(off), self.pair), beyond]
@@ -413,7 +404,7 @@ class NetworkMaster:
         With rules it begins with the best set that is known. Without, prices find sets that are as
         good, and a search that begins with one took half as long again.
         """
-        x = self.model.at["x"]
+        x = self.model.at("x_served")
         rows = [Rows.joined(self.network.found).part(binding)] if binding.any() else []
         counted = self._counted(self.network.with_cost(*self.lack), rows)
         solver = counted.loaded(WHOLE_GAP, enough=HALF_UNIT - at_most, more=self._options)
@@ -429,7 +420,7 @@ class NetworkMaster:
 
     def _counted(self, program: Program, rows: list[Rows]) -> Program:
         """A program with limits, binaries, and how many of each weight are served."""
-        x = self.model.at["x"]
+        x = self.model.at("x_served")
         alike = columns_of_alike(x, self.site.customers.weight)
         return with_sums(replace(limited(program, rows), integer=x.ravel()), alike)
 
@@ -462,7 +453,7 @@ class NetworkMaster:
         of them, which adds some. The set in the answer is cheaper than the known cost.
         """
         watch = Stopwatch()
-        x = self.model.at["x"]
+        x = self.model.at("x_served")
         best = None
         size = -1
         program = self._enough(units_min)
@@ -513,9 +504,7 @@ class NetworkMaster:
         columns, lack = self.lack
         size = len(self.network.program.cost)
         enough = Rows.of(columns[None, :], -lack, units_min - WHOLE_TOLERANCE, np.inf, size)
-        return self.network.with_cost(*self.model.price).with_rows(
-            enough.matrix.tocsc(), enough.lower
-        )
+        return self.network.program.with_rows(enough.matrix.tocsc(), enough.lower)
 
     def cheapest(self, served: Flags, deadline: Deadline) -> tuple[Outcome, Dispatch | None]:
         """Cheapest dispatch of a served set, within the discs.
@@ -529,7 +518,7 @@ class NetworkMaster:
             way = CheapestDispatch(self.site, self.data, self.network)
         else:
             data = replace(self.data.for_service(served), switching=None)
-            network = NetworkProgram(self.site, self.model.reactance, data)
+            network = NetworkProgram(self.cache, data)
             way = CheapestDispatch(self.site, data, network)
         outcome, dispatch = way.of(served, deadline)
         if outcome.status == Status.OPTIMAL:
@@ -538,7 +527,7 @@ class NetworkMaster:
 
     def _has_dispatch(self, best: Floats) -> bool:
         """Whether a set has a dispatch by shares within the discs, which is kept."""
-        served = best.reshape(self.model.at["x"].shape) > 0.5
+        served = best.reshape(self.model.at("x_served").shape) > 0.5
         return self.cheapest(served, self.deadline)[0].status == Status.OPTIMAL
 
     def _until_carried(

@@ -16,11 +16,10 @@ import scipy.sparse as sp
 
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.data import WindowData
-from vppres.model.site import Site
+from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import Deadline
 from vppres.solve.network.injections import Injections
 from vppres.solve.network.phased import PhasedInjections
-from vppres.solve.network.reactance import Reactance
 from vppres.solve.network.rows import SOLVED, Rows, add, limited
 from vppres.solve.programs import Program, ProgramSolution
 from vppres.solve.result import Status
@@ -46,14 +45,10 @@ class NetworkProgram:
 
     Parameters
     ----------
-    site : Site
-        Fixed data.
-    reactance : Reactance
-        How voltages depend on injections.
+    cache : ModelCache
+        Compiled problems of the site.
     data : WindowData
         The window.
-    rules : Rows, optional
-        Rows of its switching rules.
 
     Attributes
     ----------
@@ -63,28 +58,13 @@ class NetworkProgram:
         Columns of the model at the last solution that still violated limits when time was up.
     """
 
-    def __init__(
-        self,
-        site: Site,
-        reactance: Reactance,
-        data: WindowData,
-        rules: Rows | None = None,
-    ) -> None:
+    def __init__(self, cache: ModelCache, data: WindowData) -> None:
         injections = Injections if data.phased is None else PhasedInjections
-        self.model = injections(site, reactance, data, rules)
+        self.model = injections(cache, data)
         self.found: list[Rows] = []
         self.unfinished: Floats | None = None
-        self.is_large = is_large(site, data.n_steps)
-        rows = self.model.rows()
-        program = Program(
-            np.zeros(self.model.size),
-            self.model.lower,
-            self.model.upper,
-            rows.matrix.tocsc(),
-            rows.lower,
-            rows.upper,
-            np.arange(0),
-        )
+        self.is_large = is_large(cache.site, data.n_steps)
+        program = self.model.program
         self.program = self._in_parts(program) if self.is_large else program
         if near := self.model.near:
             self.found.append(self._limits(near))
@@ -146,7 +126,7 @@ class NetworkProgram:
 
     def of_set(self, served: Floats | Flags) -> Program:
         """Least cost of a set."""
-        return self.with_cost(*self.model.price).with_held(self.model.at["x"], served)
+        return self.program.with_held(self.model.at("x_served"), served)
 
     def start(self, solver: highspy.Highs) -> None:
         """Let a solver begin with idle batteries, all PV power and everyone served.
@@ -156,7 +136,7 @@ class NetworkProgram:
         columns, rows = self.model.start()
         kinds = highspy.HighsBasisStatus
         of_columns = np.full(solver.getNumCol(), kinds.kLower, dtype=object)
-        of_columns[self.model.at["x"]] = kinds.kUpper
+        of_columns[self.model.at("x_served")] = kinds.kUpper
         of_columns[columns] = kinds.kBasic
         of_rows = np.full(solver.getNumRow(), kinds.kBasic, dtype=object)
         of_rows[rows] = kinds.kUpper

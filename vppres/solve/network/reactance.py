@@ -16,8 +16,8 @@ from vppres.solve.sizes import is_wide
 class Reactance:
     """How the squared voltages of a site depend on what is injected at its buses.
 
-    They are tables of all injections. In a wide network they follow from the flows, and a row of
-    the tables is made where it is asked for.
+    They are tables of all injections. In a wide network they follow from the flows, and rows of
+    the tables are made where they are asked for.
     """
 
     def __init__(self, site: Site) -> None:
@@ -33,13 +33,16 @@ class Reactance:
         self.battery = _buses_of(site.battery_bus)
         self.pv = _buses_of(site.pv_bus)
 
-    def row(self, bus: int) -> tuple[Floats, Floats]:
-        """Squared voltage of a bus per kW and kvar injected at every bus, (N,) each."""
+    def rows(self, bus: Wholes, held: Wholes) -> tuple[Floats, Floats]:
+        """Squared voltages of buses per kW and kvar injected at every bus, (R, N) each.
+
+        As they are where other buses, (R,), hold the voltage; bus 0 is the grid's.
+        """
         if self.tables is not None:
             per_kw, per_kvar, _ = self.tables
-            return per_kw[bus], per_kvar[bus]
+            return per_kw[bus] - per_kw[held], per_kvar[bus] - per_kvar[held]
         net = self.network
-        path = self._paths[:, [bus]].toarray()[:, 0]
+        path = (self._paths[:, bus] - self._paths[:, held]).toarray().T
         r, x = (2.0 * path * each for each in (net.r_pu2_per_kw, net.x_pu2_per_kvar))
         return np.asarray(r @ self._paths), np.asarray(x @ self._paths)
 

@@ -51,9 +51,9 @@ class Rows:
             np.broadcast_to(upper, count).astype(float),
         )
 
-    def part(self, flags: Flags) -> Rows:
+    def part(self, which: Flags | Wholes | slice) -> Rows:
         """Some of the rows."""
-        return Rows(self.matrix[flags], self.lower[flags], self.upper[flags])
+        return Rows(self.matrix[which], self.lower[which], self.upper[which])
 
     def wider(self, size: int) -> Rows:
         """The same rows of a program with more columns behind."""
