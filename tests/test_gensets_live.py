@@ -52,8 +52,8 @@ def only(step: SetPoints) -> pd.Series[Any]:
 
 
 def test_a_set_that_does_not_start_is_out_until_it_reports_no_fault() -> None:
-    """Over a restart too; a set that runs is not out, whatever was."""
-    day = powered([DARK] * 6)
+    """Over a restart too; what always said 0 is no news. A set that runs is not out."""
+    day = powered([DARK] * 10)
     controller = Controller.of(day, OPTIONS)
     told: list[dict[str, Any]] = [
         {},
@@ -62,8 +62,13 @@ def test_a_set_that_does_not_start_is_out_until_it_reports_no_fault() -> None:
         {"start_fault": {"g0": 0}},
         {"running": {"g0": 1}, "start_fault": {"g0": 1}},
         {"running": {"g0": 0}, "start_fault": {"g0": 1}},
+        {"running": {"g0": 0}, "start_fault": {"g0": 0}},
+        {"running": {"g0": 0}, "start_fault": {"g0": 0}},
+        {"running": {"g0": 0}, "start_fault": {"g0": 0}},
+        {"running": {"g0": 1}},
     ]
-    words = ["", "told to run, stands still", "no start", "", "", "start fault"]
+    stands = "told to run, stands still"
+    words = ["", stands, "no start", "", "", "start fault", "", stands, "no start", ""]
     for time, heard, why in zip(day.grid.times, told, words, strict=True):
         state = json.loads(json.dumps(controller.state(), allow_nan=False))
         for go_on in (Controller.of(day, OPTIONS, state=state), controller):

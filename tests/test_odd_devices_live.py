@@ -119,10 +119,14 @@ def test_a_van_that_left_is_away_until_it_is_plugged_in_again(
         ):
             time = NOON + hours * HOUR
             clock.set(time)
+            if hours == 0:
+                http.post("/v1/telemetry", {"series": readings(time, "ev_soc", {"k0": 0.4})})
             if plugged is not None:
                 http.post("/v1/telemetry", {"series": readings(time, "plugged", {"k0": plugged})})
             plan = decided(http, clock, time)
             assert ("k0" in plan["expected"]["vehicles"]) == is_there
+            late = [one["quantity"] for one in plan["late"] if one["asset"] == "k0"]
+            assert is_there or "ev_soc" not in late
             assert ("vehicle van left k0 before its departure" in plan["estimated"]) != is_there
 
 

@@ -1,7 +1,8 @@
 """What generating sets tell, and what is reckoned of them: on or off, hours, fuel, failed starts.
 
 A set that was told to run and stands still, or that says that it failed to start, is out: plans do
-without it until it says that there is no fault any more, or runs.
+without it until it takes that back, or runs. One that never said that there was a fault has nothing
+to take back.
 """
 
 from __future__ import annotations
@@ -42,6 +43,8 @@ class Ran:
         Last reading of the gauge; NaN if there was none.
     out : array of bool
         Sets that do not start.
+    fault : array
+        What each said last of a fault; NaN if nothing.
     on, power_kw : array
         How they were to run.
     """
@@ -51,6 +54,7 @@ class Ran:
     most_litres: Floats
     read_litres: Floats
     out: Flags
+    fault: Floats
     on: Flags
     power_kw: Floats
 
@@ -60,7 +64,7 @@ class Ran:
         first = GensetState.at_first(sets)
         unread = np.full(len(sets), np.nan)
         out = np.zeros(len(sets), dtype=bool)
-        return cls(at_h, first, first.fuel_litres, unread, out, first.on, first.power_kw)
+        return cls(at_h, first, first.fuel_litres, unread, out, unread, first.on, first.power_kw)
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +99,7 @@ class SetsNow:
         What is believed. Fuel is the reading, or the least that may be left.
     reckoned_litres : array
         The least that may be left since the gauge moved.
-    most_litres, read_litres, out : array
+    most_litres, read_litres, out, fault : array
         As :class:`Ran` has them.
     estimated : tuple of str
         Readings that are missing or frozen, and sets that are out, in words.
@@ -107,6 +111,7 @@ class SetsNow:
     most_litres: Floats
     read_litres: Floats
     out: Flags
+    fault: Floats
     estimated: tuple[str, ...]
 
     @classmethod
@@ -154,7 +159,7 @@ class SetsNow:
         frozen = still & (told_litres - most > STILL_SHARE * sets.tank_litres)
         missing = ~gauged & np.isfinite(past.read_litres)
         litres = np.where(gauged & ~frozen, told_litres, least)
-        kept = past.out & ~(told.start_fault <= 0.5)
+        kept = past.out & ~((told.start_fault <= 0.5) & (past.fault != 0.0))
         out = (failed | faulty | kept) & ~on
         gave_kw = np.where(np.isfinite(told.power_kw), told.power_kw, past.power_kw)
         # A mean is less than the least power where the set started within it.
@@ -166,6 +171,7 @@ class SetsNow:
             most,
             np.where(gauged, told_litres, past.read_litres),
             out,
+            np.where(np.isfinite(told.start_fault), told.start_fault, past.fault),
             (*_gauges(sets.id, litres, missing, frozen), *_faults(sets.id, out, failed, faulty)),
         )
 
@@ -183,7 +189,8 @@ class SetsNow:
     def told(self, on: Flags, power_kw: Floats) -> Ran:
         """How they are to run from now on."""
         before = replace(self.state, fuel_litres=self.reckoned_litres)
-        return Ran(self.at_h, before, self.most_litres, self.read_litres, self.out, on, power_kw)
+        known = (self.most_litres, self.read_litres, self.out, self.fault)
+        return Ran(self.at_h, before, *known, on, power_kw)
 
 
 def after(refuels: Refuels, day: Scenario) -> Refuels:

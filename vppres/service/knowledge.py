@@ -423,6 +423,7 @@ class Latest:
         """Those of a time, by clocks that may be a little off."""
         step_s = round(scenario.grid.step_minutes * 60)
         found = store.latest(time + pd.Timedelta(seconds=EARLY_SHARE * step_s), INSTANT)
+        found = _of_those_here(found)
         now_s = seconds(time)
         heard = [_heard(reading, now_s, step_s) for reading in found]
         values = {
@@ -449,6 +450,16 @@ class Latest:
     def lost(self, quantity: str) -> set[str]:
         """Assets that have been silent for too long."""
         return {h.asset for h in self.heard if h.quantity == quantity and h.state == "lost"}
+
+
+def _of_those_here(found: list[Reading]) -> list[Reading]:
+    """Readings without those of vehicles that have left since: they will tell nothing more."""
+    left = {one.asset: one.time for one in found if one.quantity == "plugged" and one.value == 0.0}
+    return [
+        one
+        for one in found
+        if one.quantity not in QUANTITIES[1:] or one.time > left.get(one.asset, -math.inf)
+    ]
 
 
 @dataclass(frozen=True, eq=False)

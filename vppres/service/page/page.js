@@ -394,8 +394,8 @@ function showSets() {
   const key = [plan?.gensets, plan?.expected?.gensets, plan?.ahead?.genset_kw, plan?.estimated, sources, all.map(([name]) => [measured[`fuel_litres ${name}`], measured[`running ${name}`]]), Math.floor(view.now / 60000)];
   renew("gensets-list", key, () => all.map(([name, { tank_litres: tank }]) => {
     const { value, old } = fuelNow(view, name), point = plan?.gensets[name], next = switchedNext(view, name);
-    const runs = measured[`running ${name}`]?.value, read = runs === 1 ? "runs" : runs === 0 ? "stands still" : "not read";
-    const told = !point ? "no set-point" : point.running ? `told to run with ${point.p_kw.toFixed(1)} kW` : "told to stand still";
+    const runs = measured[`running ${name}`]?.value, read = runs === 1 ? "running" : runs === 0 ? "off" : "not read";
+    const told = !point ? "no set-point" : point.running ? `ordered ${point.p_kw.toFixed(1)} kW` : "ordered off";
     const then = next ? `; ${next.starts ? "starts" : "stops"} at ${view.clock.at(next.time, view.now)}` : "";
     const notes = [plan?.expected?.gensets?.[name]?.out ? "out: it does not start" : "", point?.reason.startsWith("default") ? point.reason : "", old].filter(Boolean);
     return node("li", {}, node("b", {}, name), node("span", { class: "n" }, value === null ? "no data" : `${kilo(value)} l`),
