@@ -12,7 +12,7 @@ go dark otherwise.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -42,11 +42,14 @@ class Carried:
         Reactive power that nobody can supply.
     voltage_excess_pu : float
         How far the worst bus lies outside the limits of the AC voltages.
+    surplus_kw : float
+        What generating sets give and nobody takes.
     """
 
     dispatch: Dispatch
     reactive_short_kvar: float
     voltage_excess_pu: float
+    surplus_kw: float = 0.0
 
     @property
     def shortage(self) -> str:
@@ -172,7 +175,7 @@ def carry(state: StepState, served: Flags, battery_kw: Floats) -> Carried | None
         None if PV, batteries and grid cannot carry the demand.
     """
     own = state.own_kw(served)
-    demand_kw = float(state.load_kw @ served + state.drawn_kw.sum())
+    demand_kw = float(state.load_kw @ served + state.drawn_kw.sum()) + state.flexible_kw
     need_kw = float(demand_kw - state.usable_pv_kw.sum())
     wanted = np.clip(battery_kw, -state.discharge_max_kw, state.charge_max_kw)
     battery, left_kw = _close(state, wanted, need_kw)
@@ -184,7 +187,8 @@ def carry(state: StepState, served: Flags, battery_kw: Floats) -> Carried | None
     exported_kw = min(max(-grid_kw, 0.0), state.export_limit_kw)
     battery = _without_circle(battery, float(demand_kw - own.sum()) + exported_kw)
     grid_kw = max(need_kw + float(battery.sum() + curtailed.sum()), 0.0 - exported_kw)
-    return _with_network(state, served, (own, export), battery, grid_kw)
+    carried = _with_network(state, served, (own, export), battery, grid_kw)
+    return replace(carried, surplus_kw=max(-left_kw, 0.0) - float(curtailed.sum()))
 
 
 def _close(state: StepState, wanted_kw: Floats, need_kw: float) -> tuple[Floats, float]:
@@ -217,7 +221,8 @@ def _without_circle(battery_kw: Floats, demand_kw: float) -> Floats:
     """Cancel charging of one battery from another: no more is discharged than customers take."""
     charge = np.maximum(battery_kw, 0.0)
     discharge = np.maximum(-battery_kw, 0.0)
-    excess_kw = max(float(discharge.sum()) - demand_kw, 0.0)
+    # Beside sets that give more than customers take, the demand is negative.
+    excess_kw = max(float(discharge.sum()) - max(demand_kw, 0.0), 0.0)
     return charge - _shared(excess_kw, charge) - (discharge - _shared(excess_kw, discharge))
 
 
@@ -234,7 +239,8 @@ def _with_network(
     load_kvar = state.load_kw * served * site.customers.q_per_p
     pv_q, batt_q, short_kvar = _reactive(state, load_kvar, own + export, battery_kw)
     load_kw = state.load_kw * served
-    p = bus_injections(site, {"pv": own + export, "batteries": -battery_kw, "customers": -load_kw})
+    given = {"pv": own + export, "batteries": -battery_kw, "customers": -load_kw}
+    p = bus_injections(site, given | {kind: -kw for kind, kw in state.taken_kw.items()})
     q = bus_injections(site, {"pv": pv_q, "batteries": batt_q, "customers": -load_kvar})
     p_flow, q_flow, v_pu = network_state(state, p, q)
     charge = np.maximum(battery_kw, 0.0)
@@ -259,6 +265,9 @@ def _with_network(
         q_flow_kvar=q_flow,
         soc=np.vstack([state.soc, soc_after(state.soc, stored_kw, site.batteries, site.dt_h)]),
     )
+    for kind, kw in state.taken_kw.items():
+        on = state.running.get(kind)
+        dispatch = dispatch.acting(kind, kw[np.newaxis], None if on is None else on[np.newaxis])
     return Carried(dispatch, short_kvar, max(float(outside.max()), 0.0))
 
 

@@ -53,6 +53,8 @@ class StepState:
         Customers whose longest time off has ended; None where none has one.
     ahead : KindsAhead, optional
         Vehicles, rooms and generating sets; none if not given.
+    taken_kw, running : dict
+        Flexible power that a dispatch by rule goes by, as a :class:`Dispatch` has it, one step.
     """
 
     site: Site
@@ -69,6 +71,8 @@ class StepState:
     own_v_pu: Floats | None = None
     due: Flags | None = None
     ahead: KindsAhead = field(default_factory=KindsAhead)
+    taken_kw: dict[str, Floats] = field(default_factory=dict)
+    running: dict[str, Flags] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -142,10 +146,15 @@ class StepState:
         return np.where(self.online, most, 0.0)
 
     @property
+    def flexible_kw(self) -> float:
+        """What flexible power takes, less what it gives."""
+        return float(sum(kw.sum() for kw in self.taken_kw.values()))
+
+    @property
     def capacity_kw(self) -> float:
-        """Demand that PV, batteries and grid can carry together."""
+        """Demand that PV, batteries, flexible power and grid can carry together."""
         given_kw = self.usable_pv_kw.sum() + self.discharge_max_kw.sum() + self.grid_limit_kw
-        return float(given_kw - self.drawn_kw.sum())
+        return float(given_kw - self.drawn_kw.sum() - self.flexible_kw)
 
     def v_limits_pu(self, lowest: float, highest: float) -> tuple[Floats, Floats]:
         """Limits of the voltages that give way to those without control, (N,) each."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -47,6 +48,10 @@ def ruled(
         delta_offset(site.network, None),
         np.isfinite(held),
     )
+    sets = before.gensets
+    if sets is not None:
+        on, given_kw = sets["running"].to_numpy(bool), sets["p_kw"].to_numpy(float)
+        state = replace(state, taken_kw={"gensets": -given_kw}, running={"gensets": on})
     found = rule_dispatch(state, now.tiers).dispatch
     return Ordered(
         batteries=pd.DataFrame(
@@ -68,7 +73,7 @@ def ruled(
         ),
         chargers=_resting(now),
         thermal_loads=_left_alone(now),
-        gensets=before.gensets,
+        gensets=sets,
     )
 
 

@@ -22,10 +22,11 @@ from vppres.control.guard.check import PAPER, Tolerances, violations
 from vppres.control.guard.estimation import Estimator, Known
 from vppres.control.guard.partial_fleet import reduced_observation, site_with, whole_fleet
 from vppres.control.guard.relax import relaxed_answers
+from vppres.control.kept import as_planned, rule_with_kinds
 from vppres.control.phased_rule import carried_by_phase
 from vppres.control.planner import solve_info
 from vppres.control.remembered import PART, PARTS
-from vppres.control.rules import carry, rule_dispatch
+from vppres.control.rules import carry
 from vppres.control.step_state import StepState
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import InfeasibleError
@@ -221,6 +222,15 @@ class GuardedController:
         row = known.observation.t0 - self._plan[1]
         if not 0 <= row < plan.n_steps:
             return None
+        planned = self._carried_on(plan, row, as_planned(state, plan, row), reason)
+        if planned is not None or not plan.taken_kw:
+            return planned
+        return self._carried_on(plan, row, state, reason)
+
+    def _carried_on(
+        self, plan: Dispatch, row: int, state: StepState, reason: str
+    ) -> Decision | None:
+        """A row of a plan beside flexible power; None if it cannot be carried out."""
         served = np.asarray(plan.served[row], dtype=bool)
         share = np.where(served, plan.supplied[row], 1.0)
         carried = carry(
@@ -247,7 +257,7 @@ class GuardedController:
 
     def _rule(self, state: StepState, reason: str) -> Decision:
         """Dispatch by rule."""
-        carried = rule_dispatch(state, self.options.tiers)
+        carried = rule_with_kinds(state, self.options.tiers)
         words = f"{reason}; left open: {carried.shortage}" if carried.shortage else reason
         return Decision(
             carried.dispatch, 0, SolveInfo(status="rule"), fallback="rule", fallback_reason=words
@@ -286,6 +296,7 @@ class GuardedController:
         """
         plan = decision.dispatch
         row = decision.row
+        state = as_planned(state, plan, row)
         tier = self.site.customers.tier
         wanted_kw = plan.charge_kw[row] - plan.discharge_kw[row]
         first = alone.dispatch.served[0] & (tier == self.options.tiers[0])

@@ -1,0 +1,103 @@
+"""Flexible power in a step by rule: sets stay as they are, and vehicles charge while there is grid.
+
+Both give way: to service, to limits, and to a balance that would not close.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from vppres.contract.dispatch import Dispatch
+from vppres.contract.gensets import SetsAhead
+from vppres.control.rules import POWER_TOLERANCE_KW, Carried, rule_dispatch
+from vppres.control.step_state import StepState
+from vppres.core.arrays import Floats
+from vppres.scenario.gensets import Gensets
+
+
+def rule_with_kinds(state: StepState, tiers: Sequence[str]) -> Carried:
+    """The dispatch by rule with as much flexible power as costs no service.
+
+    Parameters
+    ----------
+    state : StepState
+        The step.
+    tiers : sequence of str
+        Names of the tiers, the most important first.
+    """
+    alone = rule_dispatch(state, tiers)
+    least = float(alone.dispatch.served[0] @ state.worth)
+    for tried in _kept(state):
+        found = rule_dispatch(tried, tiers)
+        costs_service = float(found.dispatch.served[0] @ state.worth) < least
+        closes = found.surplus_kw <= POWER_TOLERANCE_KW and found.no_worse_than(alone)
+        if closes and not costs_service and _connected(found.dispatch, state):
+            return found
+    return alone
+
+
+def _kept(state: StepState) -> Iterator[StepState]:
+    """The step with vehicles and sets as they are, without the vehicles, with other powers.
+
+    Sets follow what is left of the demand beside PV, or give their least power.
+    """
+    sets = state.ahead.gensets
+    if sets is None:
+        yield _charging(state)
+        return
+    as_they_are = _running(state, sets, sets.was_kw[0])
+    yield _charging(as_they_are)
+    yield as_they_are
+    lacking_kw = float(state.load_kw.sum() + state.drawn_kw.sum() - state.usable_pv_kw.sum())
+    share = state.site.gensets.p_max_kw / state.site.gensets.p_max_kw.sum()
+    for wanted_kw in (lacking_kw * share, 0.0 * share):
+        yield _running(state, sets, wanted_kw)
+
+
+def _connected(plan: Dispatch, state: StepState) -> bool:
+    """Whether no vehicle charges behind a customer that is off."""
+    chargers = state.site.chargers
+    on = chargers.connected(state.site.customers, plan.served)
+    return not (plan.taken_by("chargers", chargers)[~on] > 0.0).any()
+
+
+def as_planned(state: StepState, plan: Dispatch, row: int) -> StepState:
+    """The step with the flexible power of a plan."""
+    return replace(
+        state,
+        taken_kw={kind: kw[row] for kind, kw in plan.taken_kw.items()},
+        running={kind: on[row] for kind, on in plan.running.items()},
+    )
+
+
+def _running(state: StepState, known: SetsAhead, wanted_kw: Floats) -> StepState:
+    """With the sets that are on and have fuel for the step, near what is wanted of them."""
+    sets, dt_h = state.site.gensets, state.site.dt_h
+    most_kw = np.minimum(sets.p_max_kw, _by_fuel_kw(sets, known.added_litres[0], dt_h))
+    least_kw = np.maximum(sets.p_min_kw, known.was_kw[0] - sets.fall_kw(dt_h))
+    on = (known.was_on[0] > 0.5) & known.can_run[0] & (most_kw >= least_kw)
+    given_kw = np.where(on, np.clip(wanted_kw, least_kw, most_kw), 0.0)
+    return replace(
+        state,
+        taken_kw={**state.taken_kw, "gensets": -given_kw},
+        running={**state.running, "gensets": on},
+    )
+
+
+def _by_fuel_kw(sets: Gensets, litres: Floats, dt_h: float) -> Floats:
+    """Power over a step that so much fuel is enough for."""
+    per_h = np.minimum(litres, sets.tank_litres) / dt_h - sets.litres_per_h_idle
+    return np.asarray(per_h / sets.litres_per_kwh)
+
+
+def _charging(state: StepState) -> StepState:
+    """With vehicles that charge as fast as they can, if there is grid."""
+    plugged, chargers = state.ahead.plugged, state.site.chargers
+    if plugged is None or state.island:
+        return state
+    room_kw = (plugged.full_kwh[0] - plugged.held_kwh[0]) / state.site.dt_h / chargers.eta_charge
+    most_kw = np.where(plugged.here[0], np.clip(room_kw, 0.0, chargers.p_charge_kw), 0.0)
+    return replace(state, taken_kw={**state.taken_kw, "chargers": most_kw})
