@@ -348,10 +348,6 @@ def test_mistakes_are_named(tmp_path: Path) -> None:
         "gensets.csv, row 2, fuel_level_litres = 300.0: must not exceed tank_litres (200). "
         "Correct one of the two."
     )
-    assert told({"grid_forming": "yes"}) == (
-        "gensets.csv, row 2, grid_forming = yes: is not stated: sets follow a battery that forms "
-        "the grid. Write no, and give a battery the duty (grid_forming in batteries.csv)."
-    )
     assert "bus = 9" in told({"bus": "9"})
     file.write_text(good, encoding="utf-8")
     (tmp_path / "refuel.csv").write_text(

@@ -15,6 +15,7 @@ from vppres.contract.decision import Decision
 from vppres.physics import nose
 from vppres.physics.newton import Newton
 from vppres.physics.powerflow import ACPowerFlow
+from vppres.plant.formers import share_out
 from vppres.plant.island import (
     COLLAPSE,
     NO_BALANCE,
@@ -24,7 +25,6 @@ from vppres.plant.island import (
     IslandPlant,
     Settled,
     curtailed,
-    share_out,
     shedding_order,
 )
 from vppres.plant.plant import BatteryState, Plant, Powers

@@ -20,8 +20,8 @@ class Dispatch:
     phased feeders. ``share`` is the part of its demand that each customer gets, 0 where it is off;
     None if all get it whole that are served. ``taken_kw`` has, by kind of flexible power
     (:mod:`vppres.scenario.kinds`), what each of its units takes, negative where it gives, and
-    ``running`` which are on, of kinds that are started and stopped. A kind that is not there does
-    nothing.
+    ``running`` which are on, of kinds that are started and stopped; ``given_kvar`` has the reactive
+    power of those that form the grid. A kind that is not there does nothing.
     """
 
     served: Flags
@@ -42,6 +42,7 @@ class Dispatch:
     share: Floats | None = None
     taken_kw: dict[str, Floats] = field(default_factory=dict)
     running: dict[str, Flags] = field(default_factory=dict)
+    given_kvar: dict[str, Floats] = field(default_factory=dict)
 
     @property
     def n_steps(self) -> int:

@@ -32,6 +32,10 @@ class SetsAhead(UnitsAhead):
         Whether a set was on before the window, and its power; only in the first step.
     added_litres : array
         Fuel that comes into the tank; in the first step all that is in it.
+    forms : array of bool
+        Steps in which a set is what forms the grid; it must run in them.
+    headroom_kw : array
+        Power that it leaves free then above its plan and below it, with fuel for a step of it.
     """
 
     can_run: Flags
@@ -40,6 +44,8 @@ class SetsAhead(UnitsAhead):
     was_on: Floats
     was_kw: Floats
     added_litres: Floats
+    forms: Flags
+    headroom_kw: Floats
 
     @classmethod
     def of(cls, scenario: Scenario, steps: range, now: GensetState) -> Self | None:
@@ -63,15 +69,40 @@ class SetsAhead(UnitsAhead):
             _first(now.on.astype(float), n_steps),
             _first(now.power_kw, n_steps),
             _first(now.fuel_litres, n_steps) + delivered,
+            np.zeros((n_steps, len(sets)), dtype=bool),
+            np.zeros((n_steps, len(sets))),
         )
 
     def in_the_dark(self, lit: Flags) -> Self:
         """The same with every set off but in the lit steps, (W, 1)."""
-        return replace(self, can_run=self.can_run & lit, must_run=self.must_run & lit)
+        return replace(
+            self,
+            can_run=self.can_run & lit,
+            must_run=self.must_run & lit,
+            forms=self.forms & lit,
+            headroom_kw=self.headroom_kw * lit,
+        )
 
     def without_duties(self) -> Self:
         """The same without sets that have to stay on."""
         return replace(self, must_run=np.zeros_like(self.must_run))
+
+    def forming(self, forms: Flags, headroom_kw: Floats) -> Self:
+        """The same with sets that form the grid, (W, G), and leave power free then, (G,)."""
+        return replace(
+            self,
+            must_run=self.must_run | forms,
+            forms=forms,
+            headroom_kw=np.where(forms, headroom_kw, 0.0),
+        )
+
+    def kept_litres(self, sets: Gensets, dt_h: float) -> Floats:
+        """Fuel that is left at least at the end of each step, (W, G)."""
+        return dt_h * sets.litres_per_kwh * self.headroom_kw
+
+    def q_most_kvar(self, sets: Gensets) -> Floats:
+        """Largest reactive power of each set, (W, G): none of those that follow."""
+        return np.where(self.forms, sets.q_max_kvar, 0.0)
 
     def most_given_kw(self, sets: Gensets) -> Floats:
         """Most that all give together, (W,)."""
@@ -82,8 +113,8 @@ class SetsAhead(UnitsAhead):
     ) -> Floats:
         """By how much powers are beyond what sets can do, ramps included, (W, G)."""
         over = (
-            -taken_kw - running * sets.p_max_kw,
-            running * sets.p_min_kw + taken_kw,
+            -taken_kw + self.headroom_kw - running * sets.p_max_kw,
+            running * sets.p_min_kw + self.headroom_kw + taken_kw,
             self.moved_too_fast_kw(sets, running, -taken_kw, dt_h),
         )
         return np.asarray(np.max(over, axis=0))
@@ -93,7 +124,8 @@ class SetsAhead(UnitsAhead):
     ) -> Floats:
         """By how much fuel is not enough, as a power over the step, (W, G)."""
         fuel_litres = self.fuel_litres(sets, running, -taken_kw, dt_h)
-        return -fuel_litres / (sets.litres_per_kwh * dt_h)
+        missing_litres = self.kept_litres(sets, dt_h) - fuel_litres
+        return missing_litres / (sets.litres_per_kwh * dt_h)
 
     def may_start(self, sets: Gensets, outage: Flags) -> Flags:
         """Steps in which a set that is off may start, (W, G); ``outage`` has the shape (W,)."""
@@ -142,7 +174,7 @@ class SetsAhead(UnitsAhead):
             young = np.zeros(len(on), dtype=bool)
             for t in np.flatnonzero(starts[:, g]):
                 young[t : t + least_on[g]] = True
-                wrong[t : t + least_on[g], g] |= ~on[t : t + least_on[g], g]
+                wrong[t : t + least_on[g], g] |= (~on & self.can_run)[t : t + least_on[g], g]
             for t in np.flatnonzero(stops[:, g]):
                 wrong[t : t + least_off[g], g] |= on[t : t + least_off[g], g]
             in_use = outage | ~sets.only_in_outage[g] | young | self.must_run[:, g]

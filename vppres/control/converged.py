@@ -18,6 +18,7 @@ import numpy as np
 
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.observation import Observation
+from vppres.control.forming import formed_by_set
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import InfeasibleError, LimitError, NumericalError
 from vppres.model.beyond_paper.losses import (
@@ -32,6 +33,7 @@ from vppres.model.data import Physics, WindowData
 from vppres.model.linearise import Drawn, drawn_at
 from vppres.model.site import Site
 from vppres.model.terms import evaluate
+from vppres.scenario.formers import forming_batteries, largest_forming_battery
 from vppres.scenario.network import Network
 from vppres.solve.deadline import Deadline
 from vppres.solve.ladder import WindowSolver
@@ -253,9 +255,8 @@ class ConvergedPlanner(PassesPlanner[ACPoints]):
         whole = WindowData.of(observation, site, "none")
         whole = whole if n_steps is None else whole.first(n_steps)
         whole = replace(whole, drawn=self._drawn_everywhere(observation, whole.dark))
-        physics = physics_of(site, whole, self.headroom)
-        dark = dark_steps(site, whole)
-        start = self._at_rest(lossless(without_power(whole, dark), physics))
+        whole, dark = formed_by_set(site, whole, dark_steps(site, whole), self.headroom)
+        start = self._without_losses(whole, dark)
         if self.passes == 0:
             return self._in_the_dark(whole, dark, self.solver.solve(start))
         deadline = Deadline(min(self.solver.limits.time_s, within_s))
@@ -263,11 +264,11 @@ class ConvergedPlanner(PassesPlanner[ACPoints]):
         try:
             data, solution = self.decide(self._guessed(t0, start), start, first)
         except InfeasibleError:
-            beyond = self._beyond_batteries(start, first)
+            beyond = self._beyond_batteries(start, first) | self._beyond_set(whole, dark, first)
             if not beyond.any():
                 raise
             dark = dark | beyond
-            start = self._at_rest(lossless(without_power(whole, dark), physics))
+            start = self._without_losses(whole, dark)
             data, solution = self.decide(start, start, first)
         reached, solution = self.converge(data, solution, deadline)
         self._remember(t0, reached)
@@ -297,6 +298,33 @@ class ConvergedPlanner(PassesPlanner[ACPoints]):
             except (NumericalError, LimitError):
                 pass  # not proven
         return beyond
+
+    def _beyond_set(self, whole: WindowData, dark: Flags, deadline: Deadline) -> Flags:
+        """Steps from the first on that the set which forms the grid cannot hold whoever is served.
+
+        Nothing may take its least power, or its fuel may not last for all that has to be served.
+        """
+        sets = whole.ahead.gensets
+        beyond = np.zeros(whole.n_steps, dtype=bool)
+        if sets is None:
+            return beyond
+        formed = np.flatnonzero(sets.forms.any(axis=1))
+        held, missed = 0, len(formed)
+        while missed - held > 1:
+            tried = (held + missed) // 2
+            later = np.isin(np.arange(whole.n_steps), formed[tried:])
+            try:
+                self.solver.solve(self._without_losses(whole, dark | later), deadline.left_s)
+                held = tried
+            except (InfeasibleError, NumericalError, LimitError):
+                missed = tried
+        beyond[formed[held:]] = True
+        return beyond
+
+    def _without_losses(self, whole: WindowData, dark: Flags) -> WindowData:
+        """The window with its dark steps, in plain LinDistFlow."""
+        lit = without_power(whole, dark)
+        return self._at_rest(lossless(lit, physics_of(self.solver.site, lit, self.headroom)))
 
     def _in_the_dark(
         self, whole: WindowData, dark: Flags, solution: WindowSolution
@@ -442,10 +470,14 @@ def physics_of(site: Site, data: WindowData, headroom: float, open_kw: float = 0
     W = data.n_steps
     island = data.grid_limit_kw <= 0.0
     reference = np.zeros(W, dtype=int)
-    former = b.largest_former
+    former = largest_forming_battery(site)
     if former is not None:
         reference[island] = site.network.bus_index[b.bus[former]]
-    share_kw = np.where(b.formers, np.minimum(headroom * b.s_max_kva, b.active_max_kw), 0.0)
+    if data.ahead.gensets is not None:
+        for step, one in np.argwhere(data.ahead.gensets.forms):
+            reference[step] = site.network.bus_index[site.gensets.bus[one]]
+    forming = forming_batteries(site)
+    share_kw = np.where(forming, np.minimum(headroom * b.s_max_kva, b.active_max_kw), 0.0)
     headroom_kw = np.where(island[:, None], share_kw, 0.0)
     zero = np.zeros((W, site.network.n_lines))
     left_kw = np.minimum(headroom_kw, open_kw)
@@ -482,13 +514,13 @@ def _reserve(site: Site, data: WindowData, headroom_kw: Floats, left_kw: Floats)
 
 
 def dark_steps(site: Site, data: WindowData) -> Flags:
-    """Island steps in which nobody can form the grid, (W,).
+    """Island steps in which no battery can form the grid, (W,).
 
     Without a grid-forming battery that is every one; with empty ones those before the grid is back.
     """
     b = site.batteries
     island = data.grid_limit_kw <= 0.0
-    formers = b.formers if site.phases is None else site.phases.formers(b)
+    formers = forming_batteries(site) if site.phases is None else site.phases.formers(b)
     if not formers.any():
         return island
     held_kw = (data.soc - b.soc_min) * b.energy_kwh * data.eta_discharge / site.dt_h
@@ -525,6 +557,7 @@ def in_the_dark(
         served=plan.served & ~dark[:, None],
         share=None if plan.share is None else plan.share * ~dark[:, None],
         taken_kw={kind: kw * ~dark[:, None] for kind, kw in plan.taken_kw.items()},
+        given_kvar={kind: kvar * ~dark[:, None] for kind, kvar in plan.given_kvar.items()},
         pv_curtailed_kw=np.where(dark[:, None], whole.pv_kw, plan.pv_curtailed_kw),
     )
     curtailed_kwh = whole.pv_kw[dark].sum() * site.dt_h

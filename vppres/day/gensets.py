@@ -6,20 +6,20 @@ from typing import Any
 
 import numpy as np
 
-from vppres.core.arrays import Flags, Floats, Names
+from vppres.core.arrays import Flags, Names
 from vppres.core.text import named
-from vppres.day.trajectory import Trajectory
-from vppres.plant.plant import Plant
-from vppres.scenario.gensets import ROUNDING_H
+from vppres.day.trajectory import FORMS, Trajectory
+from vppres.plant.plant import Plant, Realised
+from vppres.scenario.gensets import ROUNDING_H, Gensets
 
 NAMES_SHOWN = 6
 
 
-def genset_record(plant: Plant, t: int, taken_kw: Floats, on: Flags) -> dict[str, Any]:
+def genset_record(plant: Plant, t: int, realised: Realised) -> dict[str, Any]:
     """What sets did in a step, and what is in their tanks."""
     sets = plant.scenario.gensets
     before = plant.engines.state
-    power_kw = -taken_kw
+    on, power_kw = realised.running["gensets"], -realised.taken_kw["gensets"]
     after = plant.engines.after(t, on, power_kw)
     return {
         "running": on,
@@ -30,7 +30,19 @@ def genset_record(plant: Plant, t: int, taken_kw: Floats, on: Flags) -> dict[str
         "fuel_start_litres": before.fuel_litres,
         "burnt_litres": sets.litres(on, power_kw, plant.scenario.grid.dt_h),
         "fuel_end_litres": after.fuel_litres,
+        **_forming(sets, realised),
     }
+
+
+def _forming(sets: Gensets, realised: Realised) -> dict[str, Any]:
+    """Which set formed the grid, and its reactive power; nothing where none can."""
+    if not sets.grid_forming.any():
+        return {}
+    forms, q_kvar = np.zeros(len(sets), dtype=bool), np.zeros(len(sets))
+    if realised.forming is not None:
+        forms[realised.forming.genset] = True
+        q_kvar[realised.forming.genset] = realised.forming.q_kvar
+    return {FORMS: forms, "q_kvar": q_kvar}
 
 
 def genset_figures(trajectory: Trajectory) -> dict[str, Any]:

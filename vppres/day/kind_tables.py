@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from vppres.core.arrays import Flags, Floats
 from vppres.day.gensets import genset_figures, genset_record, genset_words
 from vppres.day.thermal_loads import climate_record, thermal_figures, thermal_words
 from vppres.day.trajectory import Trajectory
@@ -18,7 +17,7 @@ from vppres.plant.plant import Plant, Realised
 class _Told:
     """What is told of a kind: a step of its units, figures of a run, sentences about it."""
 
-    record: Callable[[Plant, int, Floats, Flags], dict[str, Any]]
+    record: Callable[[Plant, int, Realised], dict[str, Any]]
     figures: Callable[[Trajectory], dict[str, Any]]
     words: Callable[[Trajectory], list[str]]
 
@@ -32,10 +31,7 @@ _TOLD = {
 
 def records_of(plant: Plant, t: int, realised: Realised) -> dict[str, dict[str, Any]]:
     """What the units of each kind did in a step, and how they are then."""
-    return {
-        kind: _TOLD[kind].record(plant, t, taken_kw, realised.running[kind])
-        for kind, taken_kw in realised.taken_kw.items()
-    }
+    return {kind: _TOLD[kind].record(plant, t, realised) for kind in realised.taken_kw}
 
 
 def kind_figures(trajectory: Trajectory) -> dict[str, Any]:

@@ -28,6 +28,7 @@ from vppres.outlook.belief import OutageBelief
 from vppres.outlook.outlook import OutageOutlook, SeenOutage
 from vppres.outlook.presets import Statistics
 from vppres.outlook.value import Ahead, Fleet, stored_value
+from vppres.scenario.formers import forming_batteries
 from vppres.scenario.priority import STRICT
 from vppres.scenario.scenario import Scenario
 
@@ -308,7 +309,7 @@ class OutageView:
         power_kw = b.active_max_kw
         share = power_kw / power_kw.sum()
         rating_kw = np.minimum(self.headroom * b.s_max_kva, power_kw)
-        headroom_kw = np.where(b.formers, rating_kw, 0.0)
+        headroom_kw = np.where(forming_batteries(scenario), rating_kw, 0.0)
         eta_discharge = float(share @ seen.eta_discharge)
         reserve_kwh = headroom_kw.sum() * scenario.grid.dt_h / eta_discharge
         least_kwh = float(b.energy_kwh @ b.soc_min)

@@ -37,6 +37,7 @@ from vppres.plant.collapse import realise
 from vppres.plant.island import IslandPlant, Settled
 from vppres.plant.phased import PhasedACFlow, PhasedACResult, PhasedIslandPlant, PhasedPlant
 from vppres.plant.plant import CLIP_TOLERANCE_KW, BatteryState, Plant, Realised
+from vppres.scenario.formers import forming_batteries
 from vppres.scenario.parts import parts_record, split_sheddable
 from vppres.scenario.phases import PHASES
 from vppres.scenario.priority import STRICT
@@ -238,7 +239,7 @@ class Day:
             flow = self.island_ac if self.scenario.outage[t] else self.ac
             return realise(self.plant, flow, t, decision, self.state)
         if self.faults is not None:
-            self.island.formers = self.faults.online(t) & self.scenario.batteries.formers
+            self.island.formers = self.faults.online(t) & forming_batteries(self.scenario)
         return self.island.settle(t, self.plant.apply(t, decision, self.state), self.state)
 
     def _held_by_batteries(self, t: int) -> bool:
@@ -452,7 +453,7 @@ def _island_notes(scenario: Scenario, done: Settled) -> dict[str, float | str]:
     return {
         "dark": float(done.dark),
         "dark_reason": done.dark_reason,
-        "island_mismatch_kw": float(done.mismatch_kw.sum()),
+        "island_mismatch_kw": float(done.mismatch_kw.sum()) + done.by_set_kw,
         "shed_kw": float(done.realised.load_kw @ done.shed),
         "v_within_ac": float(within),
     }

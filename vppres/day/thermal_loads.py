@@ -6,19 +6,20 @@ from typing import Any
 
 import numpy as np
 
-from vppres.core.arrays import Flags, Floats
+from vppres.core.arrays import Floats
 from vppres.core.text import counted
 from vppres.day.trajectory import Trajectory
-from vppres.plant.plant import Plant
+from vppres.plant.plant import Plant, Realised
 
 MISSED_C = 1e-6
 """By how much a temperature may be outside its band without missing it: the rounding of plans."""
 
 
-def climate_record(plant: Plant, t: int, power_kw: Floats, running: Flags) -> dict[str, Any]:
+def climate_record(plant: Plant, t: int, realised: Realised) -> dict[str, Any]:
     """What machines did in a step, and how rooms and tanks are."""
     day = plant.scenario
     loads = day.thermal_loads
+    power_kw = realised.taken_kw["thermal_loads"]
     end_c = plant.climate.after_c(t, power_kw)
     return {
         "tier": day.customers.tier[loads.owner(day.customers)],

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Floats, Names
+from vppres.core.arrays import Flags, Floats, Names
 from vppres.core.errors import InputError
 from vppres.core.notebook import facts_html
 from vppres.scenario.kinds import KINDS, units_of
@@ -30,6 +30,8 @@ OPTIONAL_TABLES = (
     *PHASED_TABLES,
     *(kind.table for kind in KINDS.values()),
 )
+FORMS = "forms"
+"""Column of the generating sets on sites where one can form the grid of an island."""
 SHARE = "share"
 """Column of the customers on sites that dim some: the part of its demand that each got."""
 OPTIONS = ("controller", "horizon_h", "solver", "method", "seed")
@@ -199,9 +201,16 @@ class Trajectory:
                 bool(self.steps["outage"].iloc[t]),
                 str(self.options.get("mode", "paper")),
                 self._rows("buses", t)["v_ac_pu"].to_numpy(float),
+                self._forms(t),
             ),
             *(self._active(kind, t) for kind in KINDS),
         )
+
+    def _forms(self, t: int) -> Flags | None:
+        """Generating sets that formed the grid in a step, (G,); None where none can."""
+        if self.gensets is None or FORMS not in self.gensets:
+            return None
+        return self._rows("gensets", t)[FORMS].to_numpy(bool)
 
     def _active(self, kind: str, t: int) -> pd.DataFrame | None:
         """Powers of the units of a kind in a step by identifier; None without any."""

@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vppres.core.arrays import Flags, Floats
 from vppres.day.trajectory import Trajectory
-from vppres.plant.plant import Plant
+from vppres.plant.plant import Plant, Realised
 
 NAMED = 5
 """Vehicles that a sentence names."""
@@ -19,11 +18,10 @@ SHORT_KWH = 1e-3
 """Energy that a vehicle may lack without being short: the rounding of plans."""
 
 
-def vehicle_record(
-    plant: Plant, t: int, power_kw: Floats, running: Flags
-) -> dict[str, NDArray[Any]]:
+def vehicle_record(plant: Plant, t: int, realised: Realised) -> dict[str, NDArray[Any]]:
     """What chargers did in a step, and what vehicles lack that leave then."""
     day = plant.scenario
+    power_kw = realised.taken_kw["chargers"]
     session = day.session_at[t]
     here = session >= 0
     end_kwh = plant.garage.after_kwh(t, power_kw)

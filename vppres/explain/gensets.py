@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+from vppres.day.trajectory import FORMS
 from vppres.explain.recorded import MOVE_KW
 from vppres.explain.step import Reason, Step
 
@@ -35,6 +36,8 @@ def _why_on(step: Step, g: int, row: dict[str, Any]) -> Reason:
         return Reason("switching_rule", "", words)
     if not step.outage:
         return Reason("price", "", f"{what} because the grid is dearer or limited ({gives}).")
+    if row.get(FORMS):
+        return Reason("supply", "", f"{what} because it forms the grid of the island ({gives}).")
     charging_kw = float(step.battery_kw[step.battery_kw > MOVE_KW].sum())
     if charging_kw > 0.0:
         words = (

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Floats
+from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import InputError, Problem
 from vppres.core.units import kw_to_mw
+from vppres.scenario.formers import largest_forming_battery
 from vppres.scenario.network import BusId
 from vppres.scenario.scenario import Scenario
 
@@ -50,7 +51,14 @@ class Feeding:
     fixed: pd.DataFrame
 
     @classmethod
-    def of(cls, scenario: Scenario, outage: bool, mode: str, v_ac_pu: Floats) -> Feeding:
+    def of(
+        cls,
+        scenario: Scenario,
+        outage: bool,
+        mode: str,
+        v_ac_pu: Floats,
+        forms: Flags | None = None,
+    ) -> Feeding:
         """Who holds the voltage of a step.
 
         Parameters
@@ -63,13 +71,19 @@ class Feeding:
             What holds an island.
         v_ac_pu : array, shape (N,)
             Voltages of the AC power flow; NaN in the dark.
+        forms : array of bool, shape (G,), optional
+            Generating sets that form the grid.
         """
         net = scenario.network
         b = scenario.batteries
         bus = net.slack_bus
-        if outage and mode == "physical" and b.largest_former is not None:
+        former = largest_forming_battery(scenario)
+        if forms is not None and forms.any():
+            # What the set gives of reactive power comes from what holds the voltage.
+            bus = scenario.gensets.bus[np.argmax(forms)]
+        elif outage and mode == "physical" and former is not None:
             # The island gets and gives nothing: any bus may hold the voltage that it has.
-            bus = b.bus[b.largest_former]
+            bus = b.bus[former]
         v_pu = float(v_ac_pu[net.bus_index[bus]])
         dark = bool(np.isnan(v_pu))
         draws = (net.p_fixed_kw != 0) | (net.q_fixed_kvar != 0)

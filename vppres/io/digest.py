@@ -57,6 +57,8 @@ def _stated(value: Any) -> list[str]:
     """
     given = [f for f in fields(value) if f.init and f.name not in _WITHOUT_EFFECT]
     required = [f.name for f in given if f.default is MISSING and f.default_factory is MISSING]
+    # A column has its default for each item of its table.
+    required += [f.name for f in given if f.name == "id" and len(value) and "id" not in required]
     without = type(value)(**{name: getattr(value, name) for name in required})
 
     def text_of(name: str) -> list[str]:

@@ -19,12 +19,14 @@ Rows = Mapping[int, schema.Row]
 LIMITS = (("p_min_kw", "p_max_kw"), ("fuel_level_litres", "tank_litres"))
 """Columns that must not exceed another one."""
 
+FLAGS = ("only_in_outage", "grid_forming")
+
 RAMPS = ("ramp_up_kw_per_h", "ramp_down_kw_per_h")
 
 
 def check_gensets(file: str, rows: Rows) -> list[Problem]:
-    """Sets with a value above its limit, and those that are to form the grid."""
-    found = [
+    """Sets with a value above its limit."""
+    return [
         Problem(
             file,
             f"must not exceed {most} ({getattr(genset, most):g})",
@@ -37,18 +39,6 @@ def check_gensets(file: str, rows: Rows) -> list[Problem]:
         for name, most in LIMITS
         if getattr(genset, name) is not None and getattr(genset, name) > getattr(genset, most)
     ]
-    return found + [
-        Problem(
-            file,
-            "is not stated: sets follow a battery that forms the grid",
-            "Write no, and give a battery the duty (grid_forming in batteries.csv).",
-            row=row,
-            field="grid_forming",
-            value=genset.grid_forming,
-        )
-        for row, genset in rows.items()
-        if genset.grid_forming == "yes"
-    ]
 
 
 def gensets_of(rows: Rows, read_bus: Callable[[str], BusId]) -> Gensets:
@@ -56,10 +46,10 @@ def gensets_of(rows: Rows, read_bus: Callable[[str], BusId]) -> Gensets:
     columns: dict[str, Any] = {
         name: [getattr(row, name) for row in rows.values()]
         for name in schema.GensetRow.model_fields
-        if name != "grid_forming"
     }
     columns["bus"] = [read_bus(bus) for bus in columns["bus"]]
-    columns["only_in_outage"] = [only == "yes" for only in columns["only_in_outage"]]
+    for name in FLAGS:
+        columns[name] = [value == "yes" for value in columns[name]]
     unsaid = {
         **{name: np.full(len(rows), np.inf) for name in RAMPS},
         "fuel_level_litres": columns["tank_litres"],
@@ -87,13 +77,11 @@ def genset_frames(sets: Gensets, refuels: Refuels) -> dict[str, pd.DataFrame]:
     """Both tables as they are written; none without a set, or a delivery."""
     if not len(sets):
         return {}
-    told = {
-        name: getattr(sets, name)
-        for name in schema.GensetRow.model_fields
-        if name != "grid_forming"
-    }
+    told = {name: getattr(sets, name) for name in schema.GensetRow.model_fields}
     told |= {name: np.where(np.isinf(told[name]), np.nan, told[name]) for name in RAMPS}
-    told["only_in_outage"] = np.where(sets.only_in_outage, "yes", "no")
+    told |= {name: np.where(told[name], "yes", "no") for name in FLAGS}
+    if not sets.grid_forming.any():  # a folder without the duty stays what it was
+        del told["grid_forming"], told["power_factor"]
     frames = {"gensets": pd.DataFrame(told).dropna(axis="columns", how="all")}
     if len(refuels):
         times = [iso(time) for time in refuels.time]

@@ -14,7 +14,7 @@ from vppres.core.arrays import Flags, Names
 from vppres.core.notebook import facts_html
 from vppres.day.inversions import inverted_now
 from vppres.day.recorder import ROTATED, StepRecord
-from vppres.day.trajectory import SHARE, Feeder, supplied
+from vppres.day.trajectory import FORMS, SHARE, Feeder, supplied
 from vppres.feeders.actuate import Feeding
 from vppres.live.by_phase import ByPhase
 from vppres.live.foreseen import Foreseen
@@ -140,6 +140,7 @@ class SetPoints:
                 bool(scenario.outage[step.t]),
                 str(step.steps["mode"]),
                 np.asarray(step.buses["v_ac_pu"], dtype=float),
+                step.kinds.get("gensets", {}).get(FORMS),
             ),
             foreseen=foreseen,
             by_phase=ByPhase.of(scenario, step),

@@ -231,4 +231,7 @@ def _kinds(site: Site, data: WindowData, d: Dispatch) -> Excess:
         on = d.running_of("gensets", site.gensets)
         wrong = ahead.wrongly_switched(site.gensets, on, data.dark, site.dt_h)
         found["genset switching"] = 2.0 * wrong.sum()
+        given_kvar = d.given_kvar.get("gensets", np.zeros_like(on, dtype=float))
+        over_kvar = np.abs(given_kvar) - ahead.q_most_kvar(site.gensets)
+        found["genset reactive power"] = _most(tolerance, over_kvar)
     return found

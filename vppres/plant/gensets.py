@@ -70,6 +70,24 @@ class Engines:
         runs, given_kw = self.possible(t, running, -wanted_kw)
         return -given_kw, runs
 
+    def able_to_form(self, t: int, runs: Flags) -> list[int]:
+        """Sets that can form the grid in a step, those that run first, then the largest.
+
+        They start by themselves, where they may, when nothing else forms it.
+        """
+        sets = self.scenario.gensets
+        ready = self.state.on | (self.state.hours >= sets.min_off_h - ROUNDING_H)
+        least_kw, most_kw = self.forming_kw(t)
+        able = sets.grid_forming & ready & (most_kw > least_kw - LEAST_KW)
+        order = np.lexsort((-sets.p_max_kw, ~(runs & able)))
+        return [int(g) for g in order if able[g]]
+
+    def forming_kw(self, t: int) -> tuple[Floats, Floats]:
+        """Least and largest power over a step while forming the grid, without ramps, (G,) each."""
+        sets = self.scenario.gensets
+        litres_per_h = self.tank_litres(t) / self.scenario.grid.dt_h - sets.litres_per_h_idle
+        return sets.p_min_kw, np.minimum(sets.p_max_kw, litres_per_h / sets.litres_per_kwh)
+
     def spare_kw(self, taken_kw: Floats, running: Flags) -> Floats:
         """What each gives beyond its least power, (G,)."""
         return -taken_kw - np.where(running, self.scenario.gensets.p_min_kw, 0.0)

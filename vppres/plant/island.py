@@ -1,13 +1,15 @@
-"""An island as it really is: batteries that form its grid, what they cannot carry, and darkness.
+"""An island as it really is: what forms its grid, what that cannot carry, and darkness.
 
 The set of grid-forming batteries holds the voltage and takes up what generation and demand differ
-by, losses included, in proportion to its ratings. What is beyond the set is cut off by rules that
-need no communication: surplus PV power is curtailed, customers are shed from the least important
-tier upwards. Where no battery of the set is able, the island is dark.
+by, losses included, in proportion to its ratings. Where no battery of the set is able, or they
+cannot hold the island, a grid-forming generating set does. What is beyond that is cut off by rules
+that need no communication: surplus PV power is curtailed, customers are shed from the least
+important tier upwards. Where nothing is able, the island is dark.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,7 +22,9 @@ from vppres.physics.powerflow import (
     NoSolutionError,
     NotFoundError,
 )
+from vppres.plant.formers import Former, FormingBatteries, FormingSet
 from vppres.plant.plant import NOBODY, BatteryState, Plant, Powers, Realised
+from vppres.scenario.formers import forming_batteries
 from vppres.scenario.scenario import Scenario
 
 BALANCE_TOLERANCE_KW = 1e-6
@@ -43,6 +47,8 @@ NO_ENERGY = "no grid-forming battery has energy left"
 NO_SOLUTION = "the lines cannot carry the power: no AC solution"
 COLLAPSE = f"a voltage fell below {COLLAPSE_PU} pu"
 NO_BALANCE = "the grid-forming batteries cannot balance the island"
+NO_SET = "no grid-forming generating set can run"
+SET_NO_BALANCE = "the grid-forming generating set cannot balance the island"
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +63,8 @@ class Settled:
         AC power flow with exactly zero import; voltages are NaN in the dark.
     mismatch_kw : array, shape (B,)
         What each battery gave beyond its set-point (negative: took).
+    by_set_kw : float
+        What the generating set gave so that forms the grid.
     shed : array of bool, shape (C,)
         Who was to be served and was cut off.
     dark_reason : str
@@ -72,6 +80,7 @@ class Settled:
     shed: Flags
     dark_reason: str = ""
     ac_failed: str = ""
+    by_set_kw: float = 0.0
 
     @property
     def dark(self) -> bool:
@@ -87,6 +96,7 @@ class Balance:
     """
 
     powers: Powers
+    former: Former
     ac: ACResult
     left_kw: float
     excess_kvar: float
@@ -107,7 +117,7 @@ class IslandPlant:
     def __init__(self, plant: Plant, flow: ACPowerFlow) -> None:
         self.plant = plant
         self.flow = flow
-        self.formers = plant.scenario.batteries.formers
+        self.formers = forming_batteries(plant.scenario)
         self.tolerance_kw = max(BALANCE_TOLERANCE_KW, flow.tolerance_kva)
 
     def settle(self, t: int, planned: Realised, state: BatteryState) -> Settled:
@@ -122,18 +132,39 @@ class IslandPlant:
         state : BatteryState
             State before the step.
         """
+        dark = None
+        for former in self._able(t, planned, state):
+            settled = self._held(t, planned, state, former)
+            if not settled.dark:
+                return settled
+            dark = dark or settled
+        return dark or self._dark(t, planned, state, self._why_dark())
+
+    def _able(self, t: int, planned: Realised, state: BatteryState) -> Iterator[Former]:
+        """What can form the grid: batteries first, then one generating set after another."""
         _, most_discharge = self.plant.battery_limits_kw(state)
         able = self.formers & (most_discharge > BALANCE_TOLERANCE_KW)
-        if not able.any():
-            reason = NO_ENERGY if self.formers.any() else NO_FORMER
-            return self._dark(t, planned, state, reason)
-        set_points = powers = powers_of(planned)
+        if able.any():
+            yield FormingBatteries(self.plant, state, able)
+        if "gensets" in planned.running:
+            for one in self.plant.engines.able_to_form(t, planned.running["gensets"]):
+                yield FormingSet(self.plant, t, one)
+
+    def _why_dark(self) -> str:
+        """Why nothing forms the grid."""
+        if self.plant.scenario.gensets.grid_forming.any():
+            return NO_SET
+        return NO_ENERGY if self.formers.any() else NO_FORMER
+
+    def _held(self, t: int, planned: Realised, state: BatteryState, former: Former) -> Settled:
+        """The step with this former, dark if it cannot hold the island."""
+        set_points = powers = former.begin(powers_of(planned))
         # Every round sheds, stops or curtails something, so this is more than can be needed.
         devices = len(planned.served) + len(planned.pv_self_kw)
         devices += sum(len(taken_kw) for taken_kw in planned.taken_kw.values())
         for _ in range(2 * devices + 20):
             try:
-                found = self._balance(t, powers, state, able)
+                found = self._balance(t, powers, state, former)
             except NoSolutionError:
                 return self._dark(t, planned, state, NO_SOLUTION)
             except VerificationError:
@@ -142,79 +173,57 @@ class IslandPlant:
                 return self._dark(t, planned, state, COLLAPSE)
             if abs(found.left_kw) <= self.tolerance_kw and found.excess_kvar <= 0.0:
                 realised = self.plant.realise(t, found.powers, state, planned.clipped_kw)
-                gave = np.where(able, set_points.battery_kw - found.powers.battery_kw, 0.0)
+                gave = set_points.battery_kw - found.powers.battery_kw
                 return Settled(
                     realised,
                     found.ac,
-                    gave,
+                    np.where(former.batteries, gave, 0.0),
                     planned.served & ~realised.served,
                     ac_failed=found.not_found,
+                    by_set_kw=_given_beyond_kw(set_points, found.powers),
                 )
             cut = self._cut(t, powers, found)
             if cut is None:
                 break
             powers = cut
-        return self._dark(t, planned, state, NO_BALANCE)
+        reason = NO_BALANCE if former.batteries.any() else SET_NO_BALANCE
+        return self._dark(t, planned, state, reason)
 
-    def _balance(self, t: int, powers: Powers, state: BatteryState, able: Flags) -> Balance:
-        """Solve, share what the source gave among the set, and solve again until it gives nothing.
-
-        The battery with the largest inverter is the reference: all reactive mismatch is its own.
-        """
-        b = self.plant.scenario.batteries
-        reference = int(np.argmax(np.where(able, b.s_max_kva, -1.0)))
-        bus = int(self.plant.battery_bus[reference])
-        batt_q = powers.batt_q_kvar.copy()
+    def _balance(self, t: int, powers: Powers, state: BatteryState, former: Former) -> Balance:
+        """Solve, let the former take up what the source gave, until the source gives nothing."""
         deficit_kw = 0.0
         for _ in range(_MAX_SHARINGS):
-            shared, left_kw = self._share(powers, state, able, batt_q, deficit_kw)
+            shared, left_kw = former.share(powers, deficit_kw)
             realised = self.plant.realise(t, shared, state)
             try:
-                ac = self.flow.solve(realised.p_injection_kw, realised.q_injection_kvar, bus)
+                ac = self.flow.solve(realised.p_injection_kw, realised.q_injection_kvar, former.bus)
             except NotFoundError as error:
                 # Nothing shows that the lines cannot carry it: what is known is the balance.
                 deficit_kw += left_kw - float(realised.p_injection_kw.sum())
-                shared, left_kw = self._share(powers, state, able, batt_q, deficit_kw)
-                return Balance(shared, error.best, left_kw, 0.0, f"{NOBODY} shed: {error}")
+                shared, left_kw = former.share(powers, deficit_kw)
+                not_found = f"{NOBODY} shed: {error}"
+                return Balance(shared, former, error.best, left_kw, 0.0, not_found)
             change_kw = ac.p_slack_kw - left_kw
             change_kvar = ac.q_slack_kvar
             if max(abs(change_kw), abs(change_kvar)) <= self.tolerance_kw:
-                return Balance(shared, ac, left_kw, self._excess_kva(reference, batt_q, ac))
+                excess_kva = self._excess_kva(former, powers, ac)
+                return Balance(shared, former, ac, left_kw, excess_kva)
             deficit_kw += change_kw
-            batt_q = batt_q.copy()
-            batt_q[reference] += change_kvar
+            powers = former.feeding(powers, change_kvar)
         raise VerificationError("the sharing of the mismatch does not converge")
 
-    def _excess_kva(self, reference: int, batt_q_kvar: Floats, ac: ACResult) -> float:
-        """By how much the battery that holds the island is beyond its rating."""
-        rating = self.plant.scenario.batteries.s_max_kva[reference]
-        return float(abs(batt_q_kvar[reference]) - rating)
+    def _excess_kva(self, former: Former, powers: Powers, ac: ACResult) -> float:
+        """By how much what holds the island is beyond its rating."""
+        return former.excess_kva(powers)
 
     def _order(self, t: int, powers: Powers, ac: ACResult) -> list[int]:
         """Customers that are on in the order in which they are shed."""
         return [c for c in shedding_order(self.plant.scenario, t) if powers.served[c]]
 
-    def _share(
-        self, powers: Powers, state: BatteryState, able: Flags, batt_q: Floats, deficit_kw: float
-    ) -> tuple[Powers, float]:
-        """A deficit shared among the set, and what the set cannot take of it."""
-        b = self.plant.scenario.batteries
-        most_charge, most_discharge = self.plant.battery_limits_kw(state)
-        disc_kw = np.sqrt(np.maximum(b.s_max_kva**2 - batt_q**2, 0.0))
-        lowest = -np.minimum(most_discharge, disc_kw)
-        highest = np.minimum(most_charge, disc_kw)
-        base_kw = np.clip(powers.battery_kw, lowest, highest)
-        room = base_kw - lowest if deficit_kw > 0 else highest - base_kw
-        given = np.copysign(
-            share_out(abs(deficit_kw), np.where(able, room, 0.0), b.s_max_kva), deficit_kw
-        )
-        shared = replace(powers, battery_kw=base_kw - given, batt_q_kvar=batt_q)
-        return shared, float(deficit_kw - given.sum())
-
     def _cut(self, t: int, powers: Powers, found: Balance) -> Powers | None:
         """One more protective action, None if there is none left."""
         need_kw = max(found.left_kw, found.excess_kvar) + CUT_MARGIN_KW
-        others = ~self.formers
+        others = ~found.former.batteries
         if found.left_kw >= -self.tolerance_kw:
             for kind in TAKE_LESS if found.left_kw > self.tolerance_kw else ():
                 taken_kw = powers.taken_kw.get(kind, np.zeros(0))
@@ -235,10 +244,11 @@ class IslandPlant:
         if discharging.sum() > 0:
             return replace(powers, battery_kw=powers.battery_kw + part_of(discharging, surplus_kw))
         for kind, taken_kw in powers.taken_kw.items():
-            if taken_kw.sum() < 0:
-                off = np.zeros(len(taken_kw), dtype=bool)
-                stopped = replace(powers, running={**powers.running, kind: off})
-                return taking(stopped, kind, 0.0 * taken_kw)
+            stops = (taken_kw < 0.0) & ~_forms(powers, kind)
+            if stops.any():
+                running = {**powers.running, kind: powers.running[kind] & ~stops}
+                stopped = replace(powers, running=running)
+                return taking(stopped, kind, np.where(stops, 0.0, taken_kw))
         return None
 
     def _shed(self, t: int, powers: Powers, need_kw: float, ac: ACResult) -> Powers | None:
@@ -292,24 +302,6 @@ def shedding_order(scenario: Scenario, t: int) -> list[int]:
     return [int(c) for c in np.lexsort((per_kw, -tier))]
 
 
-def share_out(power_kw: float, room_kw: Floats, rating: Floats) -> Floats:
-    """Parts of a power in proportion to the ratings; what one cannot take goes to the others.
-
-    >>> share_out(30.0, np.array([5.0, 100.0, 100.0]), np.array([1.0, 1.0, 2.0]))
-    array([ 5.        ,  8.33333333, 16.66666667])
-    """
-    taken = np.zeros(len(room_kw))
-    left = power_kw
-    free = room_kw > 0
-    while left > 1e-12 and free.any():
-        part = np.where(free, rating, 0.0)
-        step = np.minimum(left * part / part.sum(), room_kw - taken)
-        taken += step
-        left -= float(step.sum())
-        free &= taken < room_kw - 1e-12
-    return taken
-
-
 def powers_of(realised: Realised) -> Powers:
     """The powers of a step that happened."""
     return Powers(
@@ -323,6 +315,7 @@ def powers_of(realised: Realised) -> Powers:
         realised.share,
         realised.taken_kw,
         realised.running,
+        realised.forming,
     )
 
 
@@ -332,11 +325,31 @@ def taking(powers: Powers, kind: str, taken_kw: Floats) -> Powers:
 
 
 def spare(plant: Plant, powers: Powers) -> dict[str, Floats]:
-    """By how much units can give less without stopping, (n,) by kind; sets come first."""
+    """By how much units can give less without stopping, (n,) by kind; sets come first.
+
+    The set that forms the grid takes up what is too much by itself.
+    """
     return {
         kind: plant.units[kind].spare_kw(powers.taken_kw[kind], powers.running[kind])
+        * ~_forms(powers, kind)
         for kind in reversed(plant.units)
     }
+
+
+def _forms(powers: Powers, kind: str) -> Flags:
+    """Units of a kind that form the grid, (n,)."""
+    forms = np.zeros(len(powers.taken_kw[kind]), dtype=bool)
+    if kind == "gensets" and powers.forming is not None:
+        forms[powers.forming.genset] = True
+    return forms
+
+
+def _given_beyond_kw(set_points: Powers, powers: Powers) -> float:
+    """What the set that forms the grid gave beyond its set-point."""
+    if powers.forming is None:
+        return 0.0
+    one = powers.forming.genset
+    return float(set_points.taken_kw["gensets"][one] - powers.taken_kw["gensets"][one])
 
 
 def part_of(powers_kw: Floats, need_kw: float) -> Floats:

@@ -24,6 +24,7 @@ from vppres.physics.phased_sources import (
 )
 from vppres.physics.phases import NoPhasedSolutionError, PhasedFlow, PhasedResult
 from vppres.physics.powerflow import ACPowerFlow, ACResult, NoSolutionError
+from vppres.plant.formers import Former, FormingBatteries
 from vppres.plant.island import Balance, IslandPlant
 from vppres.plant.plant import Plant, Powers, Realised
 from vppres.scenario.scenario import Scenario
@@ -178,12 +179,13 @@ class PhasedIslandPlant(IslandPlant):
         super().__init__(plant, flow)
         self.formers = plant.scenario.formers
 
-    def _excess_kva(self, reference: int, batt_q_kvar: Floats, ac: ACResult) -> float:
+    def _excess_kva(self, former: Former, powers: Powers, ac: ACResult) -> float:
         """By how much the worst phase of the former is beyond a third of its rating, times three.
 
         What is cut on a phase comes off that phase alone, so its excess counts for all three.
         """
-        rating = float(self.plant.scenario.batteries.s_max_kva[reference])
+        assert isinstance(former, FormingBatteries)
+        rating = float(self.plant.scenario.batteries.s_max_kva[former.reference])
         return float(3.0 * np.abs(_former_kva(ac)).max() - rating)
 
     def _on_phase(self, phase: int) -> Flags:

@@ -40,6 +40,14 @@ class BatteryState:
     t_cell_c: Floats
 
 
+@dataclass(frozen=True)
+class SetForms:
+    """The generating set that forms the grid of an island, by its position, and its kvar."""
+
+    genset: int
+    q_kvar: float = 0.0
+
+
 @dataclass(frozen=True, eq=False)
 class Powers:
     """Powers of one step that all devices can deliver; a charging battery is positive.
@@ -59,6 +67,7 @@ class Powers:
     share: Floats | float = 1.0
     taken_kw: Mapping[str, Floats] = field(default_factory=dict)
     running: Mapping[str, Flags] = field(default_factory=dict)
+    forming: SetForms | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +94,7 @@ class Realised:
     share: Floats | float = 1.0
     taken_kw: Mapping[str, Floats] = field(default_factory=dict)
     running: Mapping[str, Flags] = field(default_factory=dict)
+    forming: SetForms | None = None
 
     @property
     def flexible_kw(self) -> float:
@@ -127,7 +137,7 @@ class Plant:
         }
         kinds = units_of(scenario)
         self.units = {kind: every[kind] for kind in kinds}
-        self._unit_bus = {
+        self.unit_bus = {
             kind: np.array([index[b] for b in units.buses(scenario.customers)], dtype=int)
             for kind, units in kinds.items()
         }
@@ -229,9 +239,11 @@ class Plant:
         )
         taken_kw = self.connected_kw(powers.taken_kw, powers.served)
         for kind, each_kw in taken_kw.items():
-            np.add.at(p, self._unit_bus[kind], -each_kw)
+            np.add.at(p, self.unit_bus[kind], -each_kw)
         np.add.at(q, self._pv_bus, powers.pv_q_kvar)
         np.add.at(q, self.battery_bus, powers.batt_q_kvar)
+        if powers.forming is not None:
+            q[self.unit_bus["gensets"][powers.forming.genset]] += powers.forming.q_kvar
         soc_end = np.clip(
             state.soc + stored * self.scenario.grid.dt_h / b.energy_kwh, b.soc_min, b.soc_max
         )
@@ -255,6 +267,7 @@ class Plant:
                 kind: np.asarray(powers.running.get(kind, np.zeros(len(each_kw), dtype=bool)))
                 for kind, each_kw in taken_kw.items()
             },
+            powers.forming,
         )
 
     def connected_kw(self, taken_kw: Mapping[str, Floats], served: Flags) -> dict[str, Floats]:

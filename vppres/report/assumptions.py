@@ -108,8 +108,8 @@ def simplifications(run: Trajectory) -> list[str]:
         )
     if len(day.gensets):
         sentences.append(
-            f"{len(day.gensets)} generating sets have a power factor of 1 and form no grid; a set "
-            "starts in the step for which it is told to."
+            f"{len(day.gensets)} generating sets have a power factor of 1 where they form no grid; "
+            "a set starts in the step for which it is told to."
         )
     if options.get("thermal") == "off":
         sentences.append("Battery efficiencies are constant: heating is not simulated.")

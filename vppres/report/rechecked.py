@@ -15,6 +15,7 @@ from vppres.io.atomic import atomic_folder
 from vppres.physics.phased_sources import former_of
 from vppres.report.plots.files import save_chart
 from vppres.report.plots.phases import voltages_per_phase
+from vppres.scenario.formers import largest_forming_battery
 
 DECIMALS = 6
 
@@ -23,7 +24,7 @@ def recheck_run(run: Trajectory, source: Path) -> Recheck:
     """Solve the steps of a finished run on the circuit of an OpenDSS script.
 
     See :func:`vppres.feeders.dss.recheck.recheck_opendss`; in an island of physical mode the
-    largest battery that forms it holds the voltage.
+    largest battery that forms it holds the voltage, or without any a generating set.
     """
     mode = str(run.options.get("mode", "paper"))
     network = run.scenario.network
@@ -35,7 +36,9 @@ def recheck_run(run: Trajectory, source: Path) -> Recheck:
         former = former_of(phases, batteries)
         name = None if former is None else str(batteries.id[former])
         return recheck_phased(run.tables, phases, source, name)
-    holder = Feeding.of(run.scenario, True, mode, np.ones(network.n_buses)).bus
+    no_battery = largest_forming_battery(run.scenario) is None
+    forms = run.scenario.gensets.grid_forming if no_battery else None
+    holder = Feeding.of(run.scenario, True, mode, np.ones(network.n_buses), forms).bus
     opened = [*network.drawing_bus[~network.island]]
     held = None if holder == network.slack_bus else holder
     return recheck_opendss(run.tables, source, held, opened)

@@ -13,6 +13,9 @@ from vppres.core.arrays import Flags, Floats, Names, Wholes, freeze_arrays, no_i
 from vppres.scenario.assets import Customers
 from vppres.scenario.timegrid import TimeGrid
 
+RATED_POWER_FACTOR = 0.8
+"""That of the sets that are sold."""
+
 ROUNDING_H = 1e-9
 """By how much a time on or off may miss a least time."""
 
@@ -23,7 +26,8 @@ class Gensets:
 
     A running set burns ``litres_per_h_idle``, and ``litres_per_kwh`` for what it gives. Ramps are
     infinite where there is none. ``on_before_h`` says how long a set has been on at the first step,
-    or, negative, off. Sets have a power factor of 1 and follow a battery that forms the grid.
+    or, negative, off. Sets have a power factor of 1, but one that forms the grid of an island gives
+    reactive power too, as its rated ``power_factor`` allows.
     """
 
     id: Names = field(default_factory=no_items)
@@ -42,8 +46,15 @@ class Gensets:
     tank_litres: Floats = field(default_factory=no_items)
     fuel_level_litres: Floats = field(default_factory=no_items)
     only_in_outage: Flags = field(default_factory=no_items)
+    grid_forming: Flags = field(default_factory=no_items)
+    power_factor: Floats = field(default_factory=no_items)
 
     def __post_init__(self) -> None:
+        unsaid = {"grid_forming": np.zeros(len(self.id), dtype=bool)}
+        unsaid["power_factor"] = np.full(len(self.id), RATED_POWER_FACTOR)
+        for name, values in unsaid.items():
+            if len(getattr(self, name)) == 0:
+                object.__setattr__(self, name, values)
         freeze_arrays(self)
 
     def __len__(self) -> int:
@@ -61,6 +72,11 @@ class Gensets:
     def connected(self, customers: Customers, served: Flags) -> Flags:
         """All of them, of customers that are served or not, (..., G) for (..., C)."""
         return np.ones((*served.shape[:-1], len(self)), dtype=bool)
+
+    @property
+    def q_max_kvar(self) -> Floats:
+        """Reactive power that each can give or take at any power while it forms the grid, (G,)."""
+        return np.asarray(self.p_max_kw * np.tan(np.arccos(self.power_factor)))
 
     def rise_kw(self, dt_h: float) -> Floats:
         """Most by which a running set gives more than in the step before, (G,)."""

@@ -20,7 +20,7 @@ NAMES_SHOWN = 5
 
 
 def darkness(scenario: Scenario, mode: str | None = None) -> str:
-    """Why every island of a scenario blacks out, or would; empty if a battery can form the grid.
+    """Why every island of a scenario blacks out, or would; empty if something can form the grid.
 
     Parameters
     ----------
@@ -29,7 +29,11 @@ def darkness(scenario: Scenario, mode: str | None = None) -> str:
     mode : {"paper", "physical"}, optional
         How its islands are run; the scenario's own choice if not given.
     """
-    if not scenario.outage.any() or scenario.formers.any():
+    sets = scenario.gensets
+    forming = sets.grid_forming
+    fuelled = sets.fuel_level_litres + scenario.refuelled_litres.sum(axis=0)
+    fuelled = fuelled >= sets.least_litres(scenario.grid.dt_h)
+    if not scenario.outage.any() or scenario.formers.any() or (forming & fuelled).any():
         return ""
     count = int(scenario.outage.sum())
     steps = "the only step" if count == 1 else f"the {count} steps"
@@ -38,6 +42,10 @@ def darkness(scenario: Scenario, mode: str | None = None) -> str:
         cause = "No battery that is to form a grid has three phases"
     elif len(scenario.batteries):
         cause = "No battery has the power to form a grid"
+    if forming.any():
+        cause = (
+            "No battery can form a grid, and no generating set with this duty has fuel for a step"
+        )
     if (mode or scenario.controller.mode) == "physical":
         return f"{cause}: the island is blacked out, with no supply in {steps} without grid."
     return (
@@ -103,14 +111,23 @@ def former_words(scenario: Scenario, mode: str | None = None, always: bool = Fal
     b = scenario.batteries
     physical = (mode or scenario.controller.mode) == "physical"
     outage = always or scenario.outage.any()
-    if not physical or not outage or not scenario.formers.any():
+    if not physical or not outage:
         return ""
+    sets = scenario.gensets
+    forming = [
+        f"generating set {sets.id[g]} at bus {sets.bus[g]} ({sets.p_max_kw[g]:,.4g} kW)"
+        for g in np.flatnonzero(sets.grid_forming)
+    ]
+    if not scenario.formers.any():
+        one = f"The island is formed by {named(forming, NAMES_SHOWN)}, as long as it has fuel."
+        return one if forming else ""
     names = [
         f"{b.id[i]} at bus {b.bus[i]} ({b.s_max_kva[i]:,.4g} kVA)"
         for i in np.flatnonzero(b.formers)
     ]
     if b.grid_forming.any():
-        return f"The island is formed by {named(names, NAMES_SHOWN)}.{_unearthed(scenario)}"
+        then = f" Without their energy, it is {named(forming, NAMES_SHOWN)}." if forming else ""
+        return f"The island is formed by {named(names, NAMES_SHOWN)}.{then}{_unearthed(scenario)}"
     bus = b.bus[b.formers][0]
     whose = "a customer's battery" if bus in scenario.customers.bus else "a battery"
     peak_kva = float(np.hypot(scenario.load_kw, scenario.load_kvar).sum(axis=1).max())

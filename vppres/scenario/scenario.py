@@ -13,6 +13,7 @@ from vppres.core.arrays import Flags, Floats, Wholes, freeze_arrays
 from vppres.core.notebook import facts_html
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.fairness import Fairness, Interruption
+from vppres.scenario.formers import forming_batteries
 from vppres.scenario.gensets import Gensets, Refuels
 from vppres.scenario.history import History
 from vppres.scenario.network import Network
@@ -216,8 +217,9 @@ class Scenario:
     @property
     def formers(self) -> Flags:
         """Batteries that form the grid of an island, (B,); with phases those with all three."""
-        b = self.batteries
-        return b.formers if self.phases is None else self.phases.formers(b)
+        if self.phases is not None:
+            return self.phases.formers(self.batteries)
+        return forming_batteries(self)
 
     @cached_property
     def export_max_kw(self) -> Floats:

@@ -8,8 +8,8 @@ the price is the worth of a litre at the end of a window. Without sets no proble
 from __future__ import annotations
 
 from collections.abc import Hashable
-from dataclasses import dataclass
-from typing import ClassVar, Self
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Self
 
 import cvxpy as cp
 import numpy as np
@@ -42,6 +42,10 @@ class GensetsModel(Addition):
         Power in kW; fuel at the end of the step in litres.
     can_run, can_start, must_run, was_on, was_kw, added : cvxpy.Parameter, shape (W, G)
         See :class:`vppres.contract.gensets.SetsAhead`.
+    reactive : cvxpy.Variable, shape (W, G), optional
+        Reactive power as a share of the largest; none where no set can form the grid.
+    headroom, q_most : cvxpy.Parameter, shape (W, G), optional
+        What a set that forms the grid leaves free in kW, and its largest reactive power.
     stands_for : cvxpy.Parameter, shape (G,)
         Energy in a battery that a litre stands for at the end, where such energy has a value.
     """
@@ -63,6 +67,8 @@ class GensetsModel(Addition):
         "gs_tank",
     )
 
+    of_network: ClassVar[tuple[str, ...]] = ("gs_reactive",)
+
     site: Site
     on: cp.Variable
     start: cp.Variable
@@ -75,17 +81,29 @@ class GensetsModel(Addition):
     was_kw: cp.Parameter
     added: cp.Parameter
     stands_for: cp.Parameter
+    reactive: cp.Variable | None = None
+    headroom: cp.Parameter | None = None
+    q_most: cp.Parameter | None = None
 
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
-        """No more than whether there are any."""
-        return (data.ahead.gensets is not None) or None
+        """Whether there are any, and whether one can form the grid."""
+        if data.ahead.gensets is None:
+            return None
+        return "forming" if site.gensets.grid_forming.any() else "following"
 
     @classmethod
     def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
         """Sets of a window."""
         size = (v.x_served.shape[0], len(site.gensets))
         names = ("can_run", "can_start", "must_run", "was_on", "was_kw", "added")
+        forming: dict[str, Any] = {}
+        if shape == "forming":
+            forming = {
+                "reactive": cp.Variable(size, name="gs_reactive", bounds=[-1.0, 1.0]),
+                "headroom": cp.Parameter(size, name="gs_headroom_by_step", nonneg=True),
+                "q_most": cp.Parameter(size, name="gs_q_most_by_step", nonneg=True),
+            }
         return cls(
             site,
             cp.Variable(size, name="gs_on", boolean=True),
@@ -94,19 +112,23 @@ class GensetsModel(Addition):
             cp.Variable(size, name="gs_fuel", nonneg=True),
             **{name: cp.Parameter(size, name=f"gs_{name}_by_step", nonneg=True) for name in names},
             stands_for=cp.Parameter(size[1], name="gs_kwh_per_litre", nonneg=True),
+            **forming,
         )
 
     def parameters(self, site: Site) -> dict[str, cp.Expression]:
         """What sets give at the buses, from which batteries may charge."""
+        place = site.unit_bus["gensets"].T
+        forming = {} if self.reactive is None else {"Q_added": -self._given_kvar @ place}
         return {
-            "P_added": -self.power @ site.unit_bus["gensets"].T,
+            **forming,
+            "P_added": -self.power @ place,
             "P_fed_added": cp.sum(self.power, axis=1),
             "E_kept_added": self.stands_for @ self.fuel[-1],
         }
 
     def families(self, site: Site, v: Variables, p: Parameters) -> Named:
-        """Switching, powers and fuel."""
-        return self._switching() | self._powers() | self._fuel()
+        """Switching, powers and fuel, and what a set that forms the grid leaves free."""
+        return self._switching() | self._powers() | self._fuel() | self._forming()
 
     def _switching(self) -> Named:
         """Starts, least times on and off, and the steps in which a set may be on."""
@@ -118,9 +140,14 @@ class GensetsModel(Addition):
             "gs_can_run": self.on <= self.can_run,
             "gs_must_run": self.on >= self.must_run,
             "gs_in_use": self.on <= self.can_start + self.must_run + young,
-            "gs_min_on": young <= self.on,
+            "gs_min_on": young <= self.on + self._spent,
             "gs_min_off": self._lately(sets.min_off_h) + self._on_then() <= 1.0,
         }
+
+    @property
+    def _spent(self) -> cp.Expression | float:
+        """1 where a set that could form the grid cannot run: its fuel ends its least time on."""
+        return 0.0 if self.reactive is None else 1.0 - self.can_run
 
     def _powers(self) -> Named:
         """Largest and least power, and ramps; a set may stop from any power."""
@@ -144,6 +171,25 @@ class GensetsModel(Addition):
         before = np.eye(self.fuel.shape[0], k=-1) @ self.fuel
         tank = np.broadcast_to(self.site.gensets.tank_litres, self.fuel.shape)
         return {"gs_fuel_level": filled <= before + self.added, "gs_tank": filled <= tank}
+
+    def _forming(self) -> Named:
+        """Headroom, and fuel for a step of it, where a set forms the grid."""
+        if self.reactive is None:
+            return {}
+        assert self.headroom is not None
+        sets = self.site.gensets
+        kept = _times(self.headroom, self.site.dt_h * sets.litres_per_kwh)
+        return {
+            "gs_room_above": self.power + self.headroom <= _times(self.on, sets.p_max_kw),
+            "gs_room_below": self.power - self.headroom >= _times(self.on, sets.p_min_kw),
+            "gs_fuel_kept": self.fuel >= kept,
+        }
+
+    @property
+    def _given_kvar(self) -> cp.Expression:
+        """Reactive power of each set, (W, G), of sites where one can form the grid."""
+        assert self.reactive is not None
+        return cp.multiply(self.q_most, self.reactive)
 
     @property
     def _litres(self) -> cp.Expression:
@@ -193,6 +239,9 @@ class GensetsModel(Addition):
         write(self.was_on, ahead.was_on)
         write(self.was_kw, ahead.was_kw)
         write(self.added, ahead.added_litres)
+        if self.headroom is not None and self.q_most is not None:
+            write(self.headroom, ahead.headroom_kw)
+            write(self.q_most, ahead.q_most_kvar(site.gensets))
         nothing = np.zeros(len(site.gensets))
         value = data.stored_value
         write(self.stands_for, nothing if value is None else value.kwh_per_litre)
@@ -231,7 +280,11 @@ class GensetsModel(Addition):
         power_kw = np.reshape(np.asarray(self.power.value, dtype=float), self.power.shape)
         sets = self.site.gensets
         within_kw = np.clip(power_kw, sets.p_min_kw, sets.p_max_kw)
-        return found.acting("gensets", -np.where(on, within_kw, 0.0), on)
+        found = found.acting("gensets", -np.where(on, within_kw, 0.0), on)
+        if self.reactive is None or self.reactive.value is None:
+            return found
+        given_kvar = np.reshape(self._given_kvar.value, on.shape)
+        return replace(found, given_kvar={"gensets": given_kvar})
 
 
 def running(site: Site, dispatch: Dispatch) -> tuple[Flags, Floats]:

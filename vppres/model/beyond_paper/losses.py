@@ -137,9 +137,12 @@ def injections(site: Site, data: WindowData, dispatch: Dispatch) -> tuple[Floats
     given = {"pv": through, "customers": -load, "batteries": battery_kw}
     given |= {kind: -taken_kw for kind, taken_kw in dispatch.taken_kw.items()}
     p_kw = bus_injections(site, given)
-    q_kvar = bus_injections(
-        site, {"pv": dispatch.pv_q_kvar, "batteries": dispatch.batt_q_kvar, "customers": -load_kvar}
-    )
+    given_kvar = {
+        "pv": dispatch.pv_q_kvar,
+        "batteries": dispatch.batt_q_kvar,
+        "customers": -load_kvar,
+    }
+    q_kvar = bus_injections(site, given_kvar | dispatch.given_kvar)
     return p_kw, q_kvar
 
 

@@ -1,0 +1,216 @@
+"""Generating sets that form the grid of an island: known answers, and the plant beside the plan."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from experiments.random_feeders import random_window
+from tests.support.sets import gensets
+from tests.support.small_windows import DARK, OPEN, battery, two_buses
+from tests.test_gensets import random_sets
+from vppres import RunOptions, load_scenario, run_day, write_scenario
+from vppres.contract.ahead import KindsAhead
+from vppres.contract.decision import Decision
+from vppres.contract.gensets import SetsAhead
+from vppres.contract.observation import Observation
+from vppres.control.converged import dark_steps, physics_of, without_power
+from vppres.control.forming import formed_by_set, headroom_kw
+from vppres.control.step_state import one_step
+from vppres.core.errors import InfeasibleError
+from vppres.day.trajectory import Trajectory
+from vppres.model.beyond_paper.losses import lossless
+from vppres.model.data import WindowData
+from vppres.model.site import Site
+from vppres.model.violations import broken
+from vppres.plant.island import SET_NO_BALANCE
+from vppres.scenario.gensets import GensetState, Refuels
+from vppres.scenario.remarks import darkness, former_words
+from vppres.scenario.scenario import Scenario
+from vppres.solve.ladder import METHODS, WindowSolver
+
+PHYSICAL = RunOptions(isolate=False, mode="physical", horizon_h=4.0)
+INDUCTIVE = 0.9
+
+
+def hospital(*load_kw: float, **more: Any) -> Scenario:
+    """An outage between two steps with grid, and a set of 100 kW that forms the grid."""
+    limits = [OPEN] + [DARK] * (len(load_kw) - 2) + [OPEN]
+    day = two_buses([[kw] for kw in load_kw], [10.0], limits, r_ohm=0.05)
+    factors = np.full(1, INDUCTIVE)
+    day = replace(day, customers=replace(day.customers, power_factor=factors))
+    return replace(day, gensets=gensets(grid_forming=True, **more))
+
+
+def served(run: Trajectory) -> list[int]:
+    """Whether the customer is on in each step."""
+    return run.customers["served"].astype(int).tolist()
+
+
+def test_a_set_forms_an_island_and_gives_its_losses_and_reactive_power() -> None:
+    day = hospital(50.0, 50.0, 80.0, 50.0, 50.0, bus=[1])
+    run = run_day(day, PHYSICAL)
+    sets, steps = run.gensets, run.steps
+    assert sets is not None and served(run) == [1] * 5 and not steps["dark"].any()
+    assert sets["forms"].tolist() == [False, True, True, True, False]
+    island = sets["forms"].to_numpy(bool)
+    loads = run.customers.loc[island]
+    given = sets.loc[island]
+    assert (given["p_kw"].to_numpy() - loads["p_load_kw"].to_numpy()) == pytest.approx(
+        steps.loc[island, "losses_kw"].to_numpy(), abs=1e-6
+    )
+    assert (given["q_kvar"].to_numpy() >= loads["q_load_kvar"].to_numpy()).all()
+    assert (steps.loc[island, ["p_grid_kw", "q_grid_kvar"]] == 0.0).all(axis=None)
+    assert steps["island_mismatch_kw"].abs().max() < 1e-2
+
+
+def test_fuel_ends_and_the_island_with_it() -> None:
+    """60 l are two steps at 50 kW and not a third at the least power with its headroom."""
+    run = run_day(hospital(*[50.0] * 6, fuel_level_litres=60.0), PHYSICAL)
+    assert served(run) == [1, 1, 1, 0, 0, 1]
+    assert (run.steps["dark_reason"] != "").tolist() == [False] * 3 + [True] * 2 + [False]
+    assert run.steps["status"].tolist()[3:5] == ["blacked_out"] * 2
+
+
+def test_a_delivery_lights_the_island_again() -> None:
+    day = hospital(*[50.0] * 6, fuel_level_litres=25.0)
+    day = replace(day, refuels=Refuels(["g0"], [day.grid.times[3]], [60.0]))
+    assert served(run_day(day, PHYSICAL)) == [1, 1, 0, 1, 1, 1]
+
+
+@pytest.mark.parametrize(
+    ("more", "expected"),
+    [
+        ({"p_min_kw": 80.0}, [1, 0, 0, 0, 1]),  # nothing takes its least power
+        ({"on_before_h": -0.5, "min_off_h": 2.0}, [1, 0, 1, 1, 1]),  # it has to rest
+        ({"fuel_level_litres": 45.0, "min_on_h": 5.0}, [1, 1, 1, 0, 1]),  # fuel ends its least time
+        ({"power_factor": 1.0}, [1, 0, 0, 0, 1]),  # no reactive power for the customer
+    ],
+)
+def test_a_set_forms_no_island_that_it_cannot_hold(
+    more: dict[str, Any], expected: list[int]
+) -> None:
+    assert served(run_day(hospital(*[50.0] * 5, **more), PHYSICAL)) == expected
+
+
+def test_headroom_is_left_above_and_below() -> None:
+    """A tenth of the rating: no 91 kW of 100 kW, and no 35 kW above the least 30 kW."""
+    assert served(run_day(hospital(50.0, 91.0, 50.0), PHYSICAL)) == [1, 0, 1]
+    assert served(run_day(hospital(50.0, 35.0, 50.0), PHYSICAL)) == [1, 0, 1]
+    assert served(run_day(hospital(50.0, 89.0, 50.0), PHYSICAL)) == [1, 1, 1]
+    assert headroom_kw(gensets(p_min_kw=80.0), 0.1) == pytest.approx([5.0])
+
+
+def test_a_named_battery_comes_before_a_set_and_a_set_before_an_unnamed_one() -> None:
+    b = battery(200.0, 100.0, 100.0)
+    day = replace(hospital(*[50.0] * 4), batteries=b)
+    named = replace(day, batteries=replace(b, grid_forming=[True]))
+    assert run_day(named, PHYSICAL).gensets["forms"].sum() == 0  # type: ignore[index]
+    assert run_day(day, PHYSICAL).gensets["forms"].sum() == 2  # type: ignore[index]
+    empty = replace(named, batteries=replace(named.batteries, soc_initial=b.soc_min))
+    empty = replace(empty, grid_limit_kw=np.array([DARK, DARK, DARK, OPEN]))
+    run = run_day(empty, PHYSICAL)
+    assert served(run) == [1] * 4 and run.gensets["forms"].iloc[0]  # type: ignore[index]
+
+
+class Idle:
+    """Serves everyone and runs no set."""
+
+    def __init__(self, site: Site) -> None:
+        self.site = site
+
+    def horizon_steps(self, t0: int) -> range:
+        return range(t0, t0 + 1)
+
+    def decide(self, observation: Observation) -> Decision:
+        nothing = np.zeros(0)
+        buses, lines = self.site.network.n_buses, self.site.network.n_lines
+        return Decision(
+            one_step(
+                served=np.ones(1, dtype=bool),
+                **dict.fromkeys(("pv_self_kw", "pv_export_kw", "pv_curtailed_kw"), nothing),
+                **dict.fromkeys(("charge_kw", "discharge_kw", "batt_q_kvar", "pv_q_kvar"), nothing),
+                soc=np.zeros((2, 0)),
+                p_grid_kw=0.0,
+                q_grid_kvar=0.0,
+                v_pu=np.ones(buses),
+                p_flow_kw=np.zeros(lines),
+                q_flow_kvar=np.zeros(lines),
+            )
+        )
+
+
+def test_a_set_starts_by_itself_where_nothing_else_forms_the_grid() -> None:
+    """It gives what the customer takes, which no plan asked it for."""
+    options = replace(PHYSICAL, guard=False)
+    run = run_day(hospital(50.0, 50.0, 120.0, 50.0), options, controller=Idle)
+    assert run.gensets is not None and served(run) == [1, 1, 0, 1]
+    assert run.gensets["p_kw"].iloc[1] == pytest.approx(50.0, abs=0.1)
+    assert run.steps["island_mismatch_kw"].iloc[1] == pytest.approx(50.0, abs=0.1)
+    assert run.steps["dark_reason"].iloc[2] == SET_NO_BALANCE  # nothing is left for its least power
+
+
+def windows(seed: int) -> tuple[Site, WindowData]:
+    """A random window without battery that forms the grid, and with sets that do."""
+    scenario, data = random_window(seed, stressed=seed % 2 > 0)
+    rng = np.random.default_rng([seed, 47])
+    sets = random_sets(rng, scenario)
+    forming = rng.random(len(sets)) < 0.7
+    forming[0] = True
+    outage = np.arange(data.n_steps) >= rng.integers(0, 2)
+    day = replace(scenario, gensets=replace(sets, grid_forming=forming))
+    limits = np.where(outage, 0.0, data.grid_limit_kw)
+    steps = range(data.n_steps)
+    seen = SetsAhead.of(day, steps, GensetState.at_first(day.gensets))
+    data = replace(data, grid_limit_kw=limits, ahead=KindsAhead(gensets=seen))
+    site = Site.of(day)
+    data, dark = formed_by_set(site, data, dark_steps(site, data), 0.1)
+    lit = without_power(data, dark)
+    return site, lossless(lit, physics_of(site, lit, 0.1))
+
+
+@pytest.mark.monolith
+@pytest.mark.parametrize("seed", range(50))
+def test_methods_agree_on_random_windows(seed: int) -> None:
+    site, data = windows(seed)
+    found = []
+    for method in METHODS:
+        try:
+            found.append(WindowSolver(site, method).solve(data))
+        except InfeasibleError:
+            continue
+    assert len(found) in (0, 2)
+    if not found:
+        return
+    one, other = found
+    gap = 1e-4 * max(abs(other.objective), 0.01) + 1e-6
+    assert one.objective == pytest.approx(other.objective, abs=2.0 * gap)
+    assert min(one.bound, other.bound) >= max(one.objective, other.objective) - gap
+    for answer in found:
+        assert not broken(site, data, answer.dispatch)
+
+
+def test_most_random_windows_are_lit_by_a_set() -> None:
+    """The fifty windows above say something."""
+    formed = [windows(seed)[1].ahead.gensets for seed in range(50)]
+    lit = [sets is not None and bool(sets.forms.any()) for sets in formed]
+    assert sum(lit) >= 35
+
+
+def test_the_duty_is_written_read_and_told(tmp_path: Path) -> None:
+    day = hospital(50.0, 50.0, 50.0, power_factor=0.9)
+    write_scenario(day, tmp_path / "day")
+    read = load_scenario(tmp_path / "day").gensets
+    assert read.grid_forming.tolist() == [True] and read.power_factor.tolist() == [0.9]
+    assert former_words(day, "physical") == (
+        "The island is formed by generating set g0 at bus 2 (100 kW), as long as it has fuel."
+    )
+    assert darkness(day, "physical") == ""
+    empty = replace(day, gensets=replace(day.gensets, fuel_level_litres=[1.0]))
+    assert darkness(empty, "physical").startswith(
+        "No battery can form a grid, and no generating set with this duty has fuel for a step"
+    )

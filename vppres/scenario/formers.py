@@ -1,0 +1,28 @@
+"""What can form the grid of an island: batteries, and generating sets where these cannot."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from vppres.core.arrays import Flags
+
+
+def forming_batteries(site: Any) -> Flags:
+    """Batteries that form the grid of a balanced feeder, (B,), of a scenario or site.
+
+    They are those that are named. If none is, it is the largest, unless a generating set is named.
+    """
+    batteries = site.batteries
+    if site.gensets.grid_forming.any() and not batteries.grid_forming.any():
+        return np.zeros(len(batteries), dtype=bool)
+    return np.asarray(batteries.formers)
+
+
+def largest_forming_battery(site: Any) -> int | None:
+    """Position of the one with the largest inverter; None without any."""
+    formers = forming_batteries(site)
+    if not formers.any():
+        return None
+    return int(np.argmax(np.where(formers, site.batteries.s_max_kva, -1.0)))
