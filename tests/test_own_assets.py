@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,8 @@ from tests.support.small_nets import buses_in_a_row
 from vppres.feeders import ImportedFeeder, import_network
 from vppres.feeders.new.options import NewScenarioOptions
 from vppres.feeders.new.scenario import assumptions, new_scenario
+from vppres.io import read_scenario, write_scenario
+from vppres.io.digest import scenario_digest
 
 
 def feeder_with(*add: Any) -> ImportedFeeder:
@@ -106,18 +109,30 @@ def test_generators_by_kind() -> None:
     )
 
 
-def test_generators_with_a_fuel_are_named_with_their_size() -> None:
+def test_engines_become_sets_and_fuel_cells_are_named_with_their_size(tmp_path: Path) -> None:
+    """What the source does not say is assumed, and told; the folder is read back as it was."""
     feeder = feeder_with(
         lambda net: pp.create_sgen(net, 2, p_mw=0.31, name="CHP diesel 1", type="CHP diesel"),
-        lambda net: pp.create_sgen(net, 3, p_mw=0.05, type="wye", name="Genset"),
+        lambda net: pp.create_sgen(net, 3, p_mw=0.05, type="wye", name="Genset", min_p_mw=0.02),
+        lambda net: pp.create_sgen(net, 3, p_mw=0.03, name="Fuel cell", type="Fuel cell"),
     )
     day = new_scenario(feeder)
     assert len(day.pv) == 0
-    assert (
-        "Generators with a fuel of their own are left out: sgen 0 (CHP diesel 1), chp, 310 kW, sgen 1 "
-        "(Genset), genset, 50 kW. The 360 kW that they give in the source come from the grid here, "
-        "and are missing in an island."
-    ) in assumptions(feeder, NewScenarioOptions())
+    sets = day.gensets
+    assert sets.id.tolist() == ["chp2", "genset3"] and sets.bus.tolist() == [2, 3]
+    assert sets.p_max_kw.tolist() == [310.0, 50.0] and sets.p_min_kw.tolist() == [93.0, 20.0]
+    assert sets.litres_per_h_idle.tolist() == pytest.approx([26.0865, 4.2075], abs=1e-3)
+    assert sets.tank_litres.tolist() == pytest.approx([818.8, 132.1], abs=0.05)
+    write_scenario(day, tmp_path / "day")
+    assert scenario_digest(read_scenario(tmp_path / "day")) == scenario_digest(day)
+    notes = assumptions(feeder, NewScenarioOptions())
+    for words in (
+        "Generating sets of the source: chp2, 310 kW, genset3, 50 kW. They run in outages only",
+        "Assumed for generating sets: a least power of 30% (chp2), 0.246 l/kWh and 0.08415 l/h",
+        "left out: sgen 2 (Fuel cell), fuel cell, 30 kW. They are missing in an island.",
+        "The 390 kW that generators with a fuel give in the source come from the grid here.",
+    ):
+        assert any(words in note for note in notes), words
 
 
 def test_motor_is_a_load() -> None:

@@ -20,7 +20,8 @@ class Generators:
 
     ``kind`` is the source's word, ``gen`` for a machine that holds its voltage; see
     :func:`vppres.feeders.new.kinds.kind_of`. ``p_kw`` and ``q_kvar`` are the operating point that
-    the source gives, ``p_max_kw`` the largest active power, ``s_kva`` the rating.
+    the source gives, ``p_max_kw`` the largest active power and ``p_min_kw`` the least while it runs
+    (NaN if it gives none), ``s_kva`` the rating.
     """
 
     id: Names
@@ -30,6 +31,7 @@ class Generators:
     q_kvar: Floats
     s_kva: Floats
     p_max_kw: Floats
+    p_min_kw: Floats
 
     def __post_init__(self) -> None:
         freeze_arrays(self)

@@ -50,6 +50,7 @@ def _generators(net: Any, table: str, case: NetCase, ids: Mapping[int, BusId]) -
             "q_kvar": mw_to_kw(q_mvar),
             "s_kva": mw_to_kw(rating_mva.fillna(pd.Series(np.hypot(p_mw, q_mvar), frame.index))),
             "p_max_kw": mw_to_kw(largest_mw.fillna(p_mw.where(p_mw > 0)).fillna(p_mw)),
+            "p_min_kw": mw_to_kw(_positive(frame, "min_p_mw")),
         }
     )
 

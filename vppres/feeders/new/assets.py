@@ -15,6 +15,7 @@ from vppres.core.text import named
 from vppres.feeders.feeder import ImportedFeeder
 from vppres.feeders.net.names import identifiers
 from vppres.feeders.new.connections import loads_of
+from vppres.feeders.new.gensets import NewSets, taken
 from vppres.feeders.new.kinds import PV, burns_fuel, kind_of
 from vppres.feeders.new.options import (
     BATTERY_KWH_PER_PEAK_KW,
@@ -25,6 +26,7 @@ from vppres.feeders.new.options import (
 )
 from vppres.io import schema
 from vppres.scenario.assets import Batteries, Customers, PVSystems
+from vppres.scenario.gensets import Gensets
 
 DECIMALS = 6
 POWER_FACTOR_DECIMALS = 9
@@ -51,7 +53,7 @@ class NewAssets:
 
     Parameters
     ----------
-    customers, pv, batteries : Customers, PVSystems, Batteries
+    customers, pv, batteries, gensets : Customers, PVSystems, Batteries, Gensets
         The tables.
     tiers : dict
         Tiers and their weights, most important first.
@@ -68,6 +70,7 @@ class NewAssets:
     customers: Customers
     pv: PVSystems
     batteries: Batteries
+    gensets: Gensets
     tiers: dict[str, float]
     peak_kw: Floats
     of_generator: Wholes
@@ -95,18 +98,21 @@ def new_assets(feeder: ImportedFeeder, options: NewScenarioOptions) -> NewAssets
         pv = _joined(sized, _systems(grouped, customers, {*sized.customer}))
     else:
         pv = _systems(grouped, customers, set())
+    sets = _own_sets(table[taken(table, feeder.phased is not None)], feeder.named)
     own = _own_batteries(feeder)
     added = _added_batteries(customers, peak_kw, options, set(own.id), feeder.named)
     notes = [
         _told_tiers(feeder, tier, tiers, options),
         *_told_generators(feeder, pv, options),
+        *sets.told(),
         *_told_batteries(own, added),
         *_told_loads(feeder),
     ]
     of_generator = _positions(table, kept, grouped, before)
     batteries = _joined(own, added)
     of_load = connections.attrs["of_load"]
-    return NewAssets(customers, pv, batteries, tiers, peak_kw, of_generator, of_load, tuple(notes))
+    tables = (customers, pv, batteries, sets.sets)
+    return NewAssets(*tables, tiers, peak_kw, of_generator, of_load, tuple(notes))
 
 
 def written(values: Floats) -> Floats:
@@ -235,13 +241,14 @@ def _told_loads(feeder: ImportedFeeder) -> Iterator[str]:
 def generator_table(feeder: ImportedFeeder) -> pd.DataFrame:
     """Generators of the source with their kind, and why the scenario has them or not.
 
-    Columns ``id``, ``bus``, ``kind``, ``p_kw``, ``p_max_kw``, ``s_kva`` and ``counterpart``.
+    Columns ``id``, ``bus``, ``kind``, ``p_kw``, ``p_max_kw``, ``p_min_kw``, ``s_kva`` and
+    ``counterpart``, those that are PV systems of the scenario.
     """
     own = feeder.generators
     kind = [kind_of(str(w), _name_in(i)) for w, i in zip(own.kind, own.id, strict=True)]
     table = pd.DataFrame(
         {f.name: getattr(own, f.name) for f in fields(own)} | {"kind": kind}, dtype=object
-    ).astype({"p_kw": float, "p_max_kw": float, "s_kva": float})
+    ).astype(dict.fromkeys(("p_kw", "p_max_kw", "p_min_kw", "s_kva"), float))
     fuelled = table["kind"].map(burns_fuel).astype(bool)
     return table.assign(counterpart=~fuelled & (table["p_max_kw"] >= schema.MIN_KW))
 
@@ -272,6 +279,16 @@ def _own_systems(kept: pd.DataFrame, named: bool) -> pd.DataFrame:
         alone = at_bus["id"].agg(lambda of: _name_in(of.iloc[0]) if len(of) == 1 else "")
         ids = identifiers([str(name) for name in alone], ids)
     return grouped.assign(id=_distinct(_names(ids)))
+
+
+def _own_sets(rows: pd.DataFrame, named: bool) -> NewSets:
+    """The source's generating sets, each for itself."""
+    ids = [f"{kind}{bus}" for kind, bus in zip(rows["kind"], rows["bus"], strict=True)]
+    if named:
+        ids = identifiers([_name_in(str(name)) for name in rows["id"]], ids)
+    sizes = written(rows[["p_max_kw", "p_min_kw"]].to_numpy(float)).T
+    rows = rows.assign(p_max_kw=sizes[0], p_min_kw=sizes[1])
+    return NewSets.of(rows, [str(name) for name in _distinct(_names(ids))])
 
 
 def _positions(table: pd.DataFrame, kept: Flags, grouped: pd.DataFrame, before: int) -> Wholes:
@@ -410,27 +427,30 @@ def _told_generators(
             + "."
         )
     table = generator_table(feeder)
-    yield from _told_fuelled(table)
+    yield from _told_fuelled(table, taken(table, feeder.phased is not None))
     yield from _told_replaced(table, options)
     larger = table["counterpart"] & (table["p_max_kw"] > table["s_kva"] * (1 + 1e-9))
     if larger.any():
         yield f"Generators keep to their inverter's rating: {named(table['id'][larger])}."
 
 
-def _told_fuelled(table: pd.DataFrame) -> Iterator[str]:
+def _told_fuelled(table: pd.DataFrame, sets: pd.Series[bool]) -> Iterator[str]:
     """Generators without a counterpart: what they are, how large, and what is missing without."""
     fuelled = table[table["kind"].map(burns_fuel).astype(bool)]
-    if len(fuelled):
+    left = fuelled[~sets[fuelled.index]]
+    if len(left):
         names = named(
             f"{name}, {kind}, {p_kw:.4g} kW"
-            for name, kind, p_kw in zip(
-                fuelled["id"], fuelled["kind"], fuelled["p_max_kw"], strict=True
-            )
+            for name, kind, p_kw in zip(left["id"], left["kind"], left["p_max_kw"], strict=True)
         )
-        given_kw = fuelled["p_kw"].sum()
         yield (
-            f"Generators with a fuel of their own are left out: {names}. The {given_kw:.4g} kW "
-            "that they give in the source come from the grid here, and are missing in an island."
+            f"Generators with a fuel of their own are left out: {names}. They are missing in an "
+            "island."
+        )
+    if fuelled["p_kw"].any():
+        yield (
+            f"The {fuelled['p_kw'].sum():.4g} kW that generators with a fuel give in the source "
+            "come from the grid here."
         )
     drawing = table[~table["counterpart"] & (table["p_max_kw"] < schema.MIN_KW)]
     drawing = drawing.drop(fuelled.index, errors="ignore")

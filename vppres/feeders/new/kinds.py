@@ -18,9 +18,10 @@ _WORDS = (
     ("genset", r"diesel|gen.?set|gas|oil\b|coal|nuclear|turbine|engine|synchronous|machine"),
     ("fuel cell", r"(residential )?fuel.?cell"),
 )
-# The connection of the windings, which pandapower writes where no type is given.
-_NO_WORD = ("", "wye", "delta", "none", "nan", "gen")
+# The connection of the windings, which pandapower writes without a type, and the word of OpenDSS.
+_NO_WORD = ("", "wye", "delta", "none", "nan", "gen", "generator")
 _FUELLED = ("chp", "genset", "fuel cell")
+_ENGINES = ("chp", "genset")
 
 
 def kind_of(word: str, name: str = "") -> str:
@@ -50,6 +51,15 @@ def burns_fuel(kind: str) -> bool:
     (True, False)
     """
     return kind in _FUELLED
+
+
+def runs_on_a_tank(kind: str) -> bool:
+    """Whether a generator of this kind has an engine, as a set with a tank.
+
+    >>> runs_on_a_tank("chp"), runs_on_a_tank("fuel cell")
+    (True, False)
+    """
+    return kind in _ENGINES
 
 
 def _known(text: str) -> str | None:

@@ -105,6 +105,7 @@ def _built(feeder: ImportedFeeder, options: NewScenarioOptions) -> tuple[Scenari
         customers=assets.customers,
         pv=assets.pv,
         batteries=batteries,
+        gensets=assets.gensets,
         load_kw=written(series.load_kw),
         pv_kw=written(series.pv_kw),
         price_gbp_per_kwh=series.system.get("price_gbp_per_kwh", _price(grid)),

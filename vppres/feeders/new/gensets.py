@@ -1,0 +1,100 @@
+"""Generating sets of a new scenario: those of the source, with what it does not say assumed.
+
+No format has fuel. A set of the source with a power gets the line of fuel that diesel sets usually
+have, and a tank; all of it is told, and is there to be edited.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from vppres.core.arrays import Flags
+from vppres.core.text import named
+from vppres.feeders.new.kinds import runs_on_a_tank
+from vppres.io import schema
+from vppres.scenario.gensets import Gensets
+
+LITRES_PER_KWH = 0.246
+LITRES_PER_H_PER_KW = 0.08415
+"""The usual fuel line of diesel sets, for each kWh, and for each rated kW and hour."""
+
+FUEL_GBP_PER_LITRE = 1.5
+LEAST_SHARE = 0.3
+"""Least power of a set of which the source gives none, as a share of its largest."""
+
+TANK_H = 8.0
+"""Hours that a full tank lasts at full power."""
+
+
+def taken(table: pd.DataFrame, phased: bool) -> pd.Series[bool]:
+    """Which generators of the source become sets: those with an engine and a power.
+
+    Feeders with phases have none.
+    """
+    sized = table["kind"].map(runs_on_a_tank).astype(bool) & (table["p_max_kw"] >= schema.MIN_KW)
+    return sized & (not phased)
+
+
+@dataclass(frozen=True, eq=False)
+class NewSets:
+    """Sets of a new scenario, and those whose least power is assumed, (G,)."""
+
+    sets: Gensets
+    assumed: Flags
+
+    @classmethod
+    def of(cls, rows: pd.DataFrame, ids: list[str]) -> NewSets:
+        """The sets of these generators, with these identifiers."""
+        p_max_kw = rows["p_max_kw"].to_numpy(float)
+        given_kw = rows["p_min_kw"].to_numpy(float)
+        assumed = ~(given_kw > 0.0)
+        least_kw = np.where(assumed, LEAST_SHARE * p_max_kw, given_kw)
+        idle = LITRES_PER_H_PER_KW * p_max_kw
+        count = len(rows)
+        return cls(
+            Gensets(
+                id=np.array(ids, dtype=object),
+                bus=rows["bus"].to_numpy(dtype=object),
+                p_max_kw=p_max_kw,
+                p_min_kw=np.minimum(least_kw, p_max_kw),
+                ramp_up_kw_per_h=np.full(count, np.inf),
+                ramp_down_kw_per_h=np.full(count, np.inf),
+                min_on_h=np.zeros(count),
+                min_off_h=np.zeros(count),
+                on_before_h=np.zeros(count),
+                start_cost_gbp=np.zeros(count),
+                fuel_price_gbp_per_litre=np.full(count, FUEL_GBP_PER_LITRE),
+                litres_per_kwh=np.full(count, LITRES_PER_KWH),
+                litres_per_h_idle=np.round(idle, 3),
+                tank_litres=np.round(TANK_H * (idle + LITRES_PER_KWH * p_max_kw), 1),
+                fuel_level_litres=np.round(TANK_H * (idle + LITRES_PER_KWH * p_max_kw), 1),
+                only_in_outage=np.ones(count, dtype=bool),
+            ),
+            assumed,
+        )
+
+    def told(self) -> Iterator[str]:
+        """What they are, and what of it is assumed."""
+        sets = self.sets
+        if not len(sets):
+            return
+        pairs = zip(sets.id, sets.p_max_kw, strict=True)
+        sizes = named(f"{name}, {p_kw:.4g} kW" for name, p_kw in pairs)
+        yield (
+            f"Generating sets of the source: {sizes}. They run in outages only, and follow a "
+            "battery that forms the grid."
+        )
+        least = (
+            f" a least power of {LEAST_SHARE:.0%} ({named(sets.id[self.assumed])}),"
+            if self.assumed.any()
+            else ""
+        )
+        yield (
+            f"Assumed for generating sets:{least} {LITRES_PER_KWH:g} l/kWh and "
+            f"{LITRES_PER_H_PER_KW:g} l/h for each kW of their size, {FUEL_GBP_PER_LITRE:g} GBP/l, "
+            f"and a full tank for {TANK_H:g} h at full power. Correct gensets.csv."
+        )
