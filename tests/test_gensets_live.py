@@ -274,3 +274,22 @@ def test_a_set_that_runs_is_in_the_net_that_the_feeder_came_from() -> None:
     for _ in carried_out(net, feeder, run, step):
         given = net.sgen[net.sgen["name"] == "set g0"]
         assert given["p_mw"].item() == pytest.approx(0.02) and given["in_service"].all()
+
+
+def test_what_a_set_that_can_form_the_grid_gave_is_not_known_without_a_meter() -> None:
+    """33.015 l in an hour at 100 kW, although 50 kW were planned."""
+    day = powered([DARK] * 2, grid_forming=True)
+    controller = Controller.of(day, OPTIONS)
+    controller.step(Measurement(day.grid.times[0], fuel_litres={"g0": 150.0}))
+    step = controller.step(Measurement(day.grid.times[1], running={"g0": 1}))
+    assert only(step)["fuel_litres"] == pytest.approx(150.0 - 33.015)
+
+
+def test_a_set_that_is_out_forms_no_grid() -> None:
+    day = powered([DARK] * 3, grid_forming=True)
+    controller = Controller.of(day, replace(OPTIONS, mode="physical"))
+    for time, told, runs in zip(
+        day.grid.times, ({}, {"g0": 0}, {"g0": 1}), (True, False, True), strict=True
+    ):
+        step = controller.step(Measurement(time, running=told))
+        assert bool(only(step)["running"]) == bool(step.customers["served"].all()) == runs

@@ -216,11 +216,11 @@ def _left_litres(
     """The least and the most that may be left of the fuel, by the line of each set.
 
     What was measured counts. Otherwise a set gave what it was told, or at least its least power;
-    one that runs by hand may have given its largest.
+    one that runs by hand, or may form the grid, may have given its largest.
     """
     measured = np.isfinite(told.power_kw)
     given = measured & (told.power_kw > 0.0)
-    most_kw = np.where(past.on, past.power_kw, sets.p_max_kw)
+    most_kw = np.where(past.on & ~sets.grid_forming, past.power_kw, sets.p_max_kw)
     least_kw = np.where(past.on, sets.p_min_kw, 0.0)
     may_have_run = (past.on | on | given) & ~never
     has_run = (past.on & on) | given

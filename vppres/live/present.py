@@ -200,6 +200,9 @@ class Present:
         Its first step carries out the decision. It owns the step's cold load and advances it.
         """
         scenario = self.seen.believed(known.forecast.load_kw[0], known.forecast.pv_kw[0])
+        if self.sets.out.any():  # nor do they start by themselves
+            forming = scenario.gensets.grid_forming & ~self.sets.out
+            scenario = replace(scenario, gensets=replace(scenario.gensets, grid_forming=forming))
         day = Day(scenario, self.options)
         t_ref_c = scenario.batteries.t_ref_c
         day.state = BatteryState(known.soc, known.eta_charge, known.eta_discharge, t_ref_c)
