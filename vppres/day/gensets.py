@@ -19,7 +19,7 @@ def genset_record(plant: Plant, t: int, realised: Realised) -> dict[str, Any]:
     """What sets did in a step, and what is in their tanks."""
     sets = plant.scenario.gensets
     before = plant.engines.state
-    on, power_kw = realised.running["gensets"], -realised.taken_kw["gensets"]
+    on, power_kw = realised.running["gensets"], 0.0 - realised.taken_kw["gensets"]
     after = plant.engines.after(t, on, power_kw)
     return {
         "running": on,

@@ -10,6 +10,7 @@ import numpy as np
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.core.text import named
 from vppres.day.trajectory import Trajectory
+from vppres.scenario.formers import forming_batteries
 from vppres.scenario.priority import STRICT
 from vppres.scenario.scenario import Scenario
 
@@ -153,7 +154,9 @@ def _headroom_kw(run: Trajectory) -> float:
         return 0.0
     b = run.scenario.batteries
     share = float(run.options.get("headroom") or 0.0)
-    return float(np.minimum(share * b.s_max_kva, b.active_max_kw)[b.formers].sum())
+    return float(
+        np.minimum(share * b.s_max_kva, b.active_max_kw)[forming_batteries(run.scenario)].sum()
+    )
 
 
 def headroom_words(run: Trajectory) -> list[str]:

@@ -201,12 +201,12 @@ class Trajectory:
                 bool(self.steps["outage"].iloc[t]),
                 str(self.options.get("mode", "paper")),
                 self._rows("buses", t)["v_ac_pu"].to_numpy(float),
-                self._forms(t),
+                self.forms(t),
             ),
             *(self._active(kind, t) for kind in KINDS),
         )
 
-    def _forms(self, t: int) -> Flags | None:
+    def forms(self, t: int) -> Flags | None:
         """Generating sets that formed the grid in a step, (G,); None where none can."""
         if self.gensets is None or FORMS not in self.gensets:
             return None

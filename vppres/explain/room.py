@@ -95,11 +95,10 @@ def _demand(step: Step, customer: int) -> tuple[float, float]:
 def _flows_for(step: Step, customer: int) -> tuple[Floats, Floats]:
     """What the supply of a customer adds to the flows of the lines, in kW and kvar, (L,) each.
 
-    It comes from the grid, and in an island from the largest battery that forms it.
+    It comes from the grid, and in an island from the set or the largest battery that forms it.
     """
     site = step.site
-    former = site.batteries.largest_former if step.outage else None
-    source = 0 if former is None else site.network.bus_index[site.batteries.bus[former]]
+    source = site.network.bus_index[step.source_bus]
     place = site.customer_bus[:, [customer]].toarray().ravel()
     place[source] -= 1.0
     demand = _demand(step, customer)

@@ -18,6 +18,8 @@ from vppres.explain.prices import WORTH, StepPrices
 from vppres.explain.recorded import Limits, Recorded
 from vppres.model.phases import GRID, ISLAND, phased_model
 from vppres.physics.phased_sources import buses_of
+from vppres.scenario.formers import forming_batteries, largest_forming_battery
+from vppres.scenario.network import BusId
 from vppres.solve.shadow_prices import ShadowPrices
 
 Scarce = Literal["energy", "power", "voltage", "inverter", "rating", "phase", "grid"]
@@ -124,12 +126,22 @@ class Step:
         return float(more_kw.sum() + self.recorded.curtailed_kw[self.t].sum())
 
     @property
+    def source_bus(self) -> BusId:
+        """The bus from which power comes: the grid's, or that of what forms the island."""
+        site, forms = self.site, self.recorded.trajectory.forms(self.t)
+        former = largest_forming_battery(site) if self.outage else None
+        if forms is not None and forms.any():
+            bus: BusId = site.gensets.bus[np.argmax(forms)]
+            return bus
+        return site.network.slack_bus if former is None else site.batteries.bus[former]
+
+    @property
     def _more_kw(self) -> Floats:
         """Power that each battery could have given besides, (B,), its headroom left free."""
         b = self.site.batteries
         share = float(self.recorded.options.get("headroom") or 0.0)
         kept = share if self.recorded.options.get("mode") == "physical" else 0.0
-        most_kw = b.active_max_kw - np.where(b.formers, kept * b.s_max_kva, 0.0)
+        most_kw = b.active_max_kw - np.where(forming_batteries(self.site), kept * b.s_max_kva, 0.0)
         return np.asarray(np.maximum(most_kw + self.battery_kw, 0.0))
 
     @property

@@ -10,6 +10,7 @@ import numpy as np
 from vppres.core.text import named
 from vppres.scenario.capacitors import too_large
 from vppres.scenario.earthing import floating
+from vppres.scenario.formers import forming_batteries
 from vppres.scenario.priority import STRICT
 
 if TYPE_CHECKING:
@@ -70,7 +71,7 @@ def unknown_phases(scenario: Scenario) -> list[str]:
         f"Phases are not known here: the source is unbalanced ({unbalanced}) and was spread over "
         "three phases. A single phase may exceed voltage limits or ratings that these figures keep."
     ]
-    formers = scenario.batteries.id[scenario.batteries.formers]
+    formers = scenario.batteries.id[forming_batteries(scenario)]
     if scenario.outage.any() and len(formers):
         words.append(
             f"Not checked: the phases of what forms the island ({', '.join(map(str, formers))}). "
@@ -83,7 +84,7 @@ def held_capacitors(scenario: Scenario) -> str:
     """Which capacitors the batteries of an island cannot hold; empty if they can hold all."""
     network = scenario.network.islanded
     batteries = scenario.batteries
-    formers_kva = float(batteries.s_max_kva[batteries.formers].sum())
+    formers_kva = float(batteries.s_max_kva[forming_batteries(scenario)].sum())
     if not scenario.outage.any() or not formers_kva:
         return ""
     buses = network.buses[too_large(network, formers_kva)]
