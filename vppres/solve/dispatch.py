@@ -347,7 +347,7 @@ def _solve_cost(
     if conic:
         outcome = run_in_phases(cache.site, data, problem, served, deadline.left_s)
     else:
-        outcome = run(problem, spec, gap_gbp, deadline.left_s, more=spec.of_modes)
+        outcome = run(problem, spec, gap_gbp, deadline.left_s)
     if not outcome.status.has_answer:
         return Attempt(outcome, None)
     value = problem.own_value()

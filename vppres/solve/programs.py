@@ -44,13 +44,9 @@ STOPPED = (
 )
 """Ends of a search that somebody asked for."""
 
-NO_JUMPS = MappingProxyType({"mip_heuristic_run_feasibility_jump": False})
-"""Options for a search whose first linear solution is nearly an answer: HiGHS does not jump about
-for one before it, which in small searches takes half of their time."""
-
 PROOF = MappingProxyType(
     {
-        **NO_JUMPS,
+        "mip_heuristic_run_feasibility_jump": False,
         "mip_heuristic_run_rins": False,
         "mip_heuristic_run_rens": False,
         "mip_allow_restart": False,

@@ -20,7 +20,6 @@ from vppres.solve.compiled import COMPILER
 from vppres.solve.deadline import LEAST_S, Deadline
 from vppres.solve.direct import Start, solve_by_clarabel, solve_by_highs
 from vppres.solve.programs import (
-    NO_JUMPS,
     SEARCH_OF_SETS,
     search_options,
 )
@@ -81,8 +80,6 @@ class SolverSpec:
         ``answer -> Status`` for answers that cvxpy does not call optimal.
     of_sets : mapping
         Options of the solver for a search for sets, whose time goes into the proof.
-    of_modes : mapping
-        The same for a search for modes of known sets, whose rounding finds answers at once.
     """
 
     name: str
@@ -92,7 +89,6 @@ class SolverSpec:
     slack: Callable[[Answer], float]
     ended: Callable[[Answer], Status]
     of_sets: Mapping[str, Any] = field(default_factory=dict)
-    of_modes: Mapping[str, Any] = field(default_factory=dict)
 
     def for_window(self, site: Site, data: WindowData) -> SolverSpec:
         """The solver with the options that a window asks for, if it is told any."""
@@ -151,7 +147,6 @@ SOLVERS: dict[str, SolverSpec] = {
             _highs_slack,
             _highs_ended,
             of_sets=SEARCH_OF_SETS,
-            of_modes=NO_JUMPS,
         ),
         SolverSpec(
             "scip",

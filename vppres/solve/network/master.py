@@ -47,9 +47,6 @@ COST_NODES = 100
 TRIES = 12
 """Sets of so many units that are tried in a large window before fewer units are."""
 
-FREE_TRIES = 6
-"""The same of sets that serve anyone they like with a grid: enough for most proofs of none."""
-
 NEARLY = 1e-4
 """Units by which the network may carry less than a set and still be asked for its dispatch: bounds
 that are as tight find the same set again."""
@@ -289,8 +286,8 @@ class NetworkMaster:
         in the dark the balance does. The others follow.
         """
         found = None
-        for said, tries in ((held, TRIES), (np.full(len(held), np.nan), FREE_TRIES)):
-            for _ in range(tries):
+        for said in (held, np.full(len(held), np.nan)):
+            for _ in range(TRIES):
                 found = cuts.with_units(units, known.shares, said, deadline)
                 if not found.status.has_answer:
                     break
