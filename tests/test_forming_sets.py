@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from experiments.random_feeders import random_window
-from tests.support.sets import gensets
+from tests.support.sets import gensets, random_sets
 from tests.support.small_windows import DARK, OPEN, battery, two_buses
-from tests.test_gensets import random_sets
 from vppres import RunOptions, load_scenario, run_day, write_scenario
 from vppres.contract.ahead import KindsAhead
 from vppres.contract.decision import Decision

@@ -10,9 +10,8 @@ import pytest
 
 from experiments.random_feeders import random_window
 from tests.support.agreement import assert_methods_agree
-from tests.support.sets import gensets
+from tests.support.sets import ahead, gensets, random_sets
 from tests.support.small_windows import DARK, battery, two_buses, window
-from tests.test_gensets import ahead, random_sets
 from vppres.contract.ahead import KindsAhead
 from vppres.contract.stored_value import PIECES, StoredValue
 from vppres.core.arrays import Floats

@@ -11,12 +11,11 @@ import pandas as pd
 import pytest
 
 from experiments.random_feeders import random_window
-from tests.support.sets import gensets
+from tests.support.sets import ahead, gensets, random_sets
 from tests.support.small_windows import DARK, OPEN, battery, first_step, two_buses, window
 from vppres import InputError, RunOptions, explain_day, run_day, summarise
 from vppres.contract.ahead import KindsAhead
 from vppres.contract.decision import Decision
-from vppres.contract.gensets import SetsAhead
 from vppres.control.guard.balance import Commanded, Readings, mismatch_kw
 from vppres.control.guard.check import violations
 from vppres.day.assembly import make_controller
@@ -30,7 +29,7 @@ from vppres.plant.gensets import Engines
 from vppres.report.events import events_of
 from vppres.report.plots.chart import Curves
 from vppres.report.plots.energy import import_load_pv
-from vppres.scenario.gensets import Gensets, GensetState, Refuels
+from vppres.scenario.gensets import Gensets, Refuels
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
 from vppres.solve.ladder import METHODS, WindowSolver
@@ -61,14 +60,6 @@ def island(load_kw: list[float], sets: Gensets, steps_h: float = 1.0) -> Scenari
     day = two_buses([[kw] for kw in load_kw], [1.0], [DARK] * steps, r_ohm=1e-6)
     grid = TimeGrid(day.grid.start, 60.0 * steps_h, steps)
     return replace(day, grid=grid, gensets=sets)
-
-
-def ahead(day: Scenario, n_steps: int | None = None) -> SetsAhead:
-    """Sets of the first steps of a day."""
-    steps = range(n_steps or day.grid.n_steps)
-    found = SetsAhead.of(day, steps, GensetState.at_first(day.gensets))
-    assert found is not None
-    return found
 
 
 def known(day: Scenario) -> WindowData:
@@ -175,30 +166,6 @@ def test_a_set_runs_on_after_the_outage_for_its_least_time_alone(method: str) ->
     assert plan.running["gensets"][:, 0].tolist() == [False, True, True, True, False]
     always = solved(replace(day, gensets=gensets(only_in_outage=False)), method).dispatch
     assert always.running["gensets"].all()
-
-
-def random_sets(rng: np.random.Generator, scenario: Scenario) -> Gensets:
-    """One to three sets of all sorts, full and nearly empty, on and off before."""
-    count = int(rng.integers(1, 4))
-    p_max_kw = scenario.load_kw.sum(axis=1).max() * rng.uniform(0.1, 0.6, count)
-    tank_litres = 0.3 * p_max_kw * rng.uniform(0.5, 8.0, count)
-    ramps = np.where(rng.random((2, count)) < 0.5, np.inf, p_max_kw * rng.uniform(0.2, 1.0))
-    return gensets(
-        count,
-        bus=rng.choice(np.array(scenario.network.buses, dtype=object), count),
-        p_max_kw=p_max_kw,
-        p_min_kw=p_max_kw * rng.choice([0.0, 0.3, 0.5], count),
-        ramp_up_kw_per_h=ramps[0],
-        ramp_down_kw_per_h=ramps[1],
-        min_on_h=rng.choice([0.0, 1.0, 3.0], count),
-        min_off_h=rng.choice([0.0, 1.0, 2.0], count),
-        on_before_h=rng.choice([-5.0, -1.0, 1.0, 5.0], count),
-        start_cost_gbp=rng.choice([0.0, 20.0], count),
-        litres_per_h_idle=p_max_kw * rng.choice([0.0, 0.084], count),
-        tank_litres=tank_litres,
-        fuel_level_litres=tank_litres * rng.uniform(0.2, 1.0, count),
-        only_in_outage=rng.random(count) < 0.6,
-    )
 
 
 @pytest.mark.monolith
