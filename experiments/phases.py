@@ -74,14 +74,14 @@ def verify(folder: Path, names: list[str]) -> None:
         for _ in range(SOLVES):
             flow.solve(p_kw, q_kvar)
         cpu_ms = 1000.0 * (time.process_time() - began) / SOLVES
-        apart = _admittances_apart(folder / FEEDERS[name], flow)
+        apart = admittances_apart(folder / FEEDERS[name], flow)
         say(
             f"| IEEE {name} | {len(phased.phases.nodes)} | {apart:.1e} | "
             f"{phased.difference_pu:.1e} | {cpu_ms:.2f} |"
         )
 
 
-def _admittances_apart(file: Path, flow: Any) -> float:
+def admittances_apart(file: Path, flow: Any) -> float:
     """Largest difference of an entry from OpenDSS's, as a share of its row's diagonal."""
     import opendssdirect as dss
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from experiments.phases import admittances_apart
 from tests.support.command_line import call
 from tests.support.phased_feeder import CIRCUIT, phased_day
 from vppres.contract.decision import Decision, SolveInfo
@@ -25,6 +26,7 @@ from vppres.day.trajectory import Trajectory
 from vppres.explain.day import explain_day
 from vppres.explain.recorded import Recorded
 from vppres.feeders import import_network
+from vppres.feeders.dss.phases import flow_of_source
 from vppres.io import read_scenario
 from vppres.io.digest import scenario_digest
 from vppres.io.scenario_writer import write_scenario
@@ -100,6 +102,13 @@ def test_import_has_opendss_voltages(day: Scenario) -> None:
     assert as_given is not None
     assert as_given < 1e-7
     assert not day.source.unbalanced
+
+
+def test_admittances_are_those_of_opendss(circuit: Path) -> None:
+    phased = import_network(circuit).phased
+    assert phased is not None
+    flow, _, _ = flow_of_source(phased)
+    assert admittances_apart(circuit, flow) < 1e-12
 
 
 def test_a_wye_with_its_neutral_at_a_phase_is_between_two_phases(circuit: Path) -> None:
@@ -426,6 +435,7 @@ def test_an_island_without_a_battery_of_three_phases_is_dark_in_plans_too(day: S
     phases = replace(day.phases, connections=tuple(single))
     island = replace(day, phases=phases, batteries=batteries).between(13, 14)
     assert "No battery that is to form a grid has three phases" in darkness(island)
+    assert "phase_connections.csv" in darkness(island)
     assert former_words(island) == ""
     options = RunOptions(horizon_h=0.0).on(island)
     decided = make_controller(island, options).decide(

@@ -40,7 +40,9 @@ def darkness(scenario: Scenario, mode: str | None = None) -> str:
     steps = "the only step" if count == 1 else f"the {count} steps"
     cause = "No battery can form a grid"
     if scenario.batteries.formers.any():
-        cause = "No battery that is to form a grid has three phases"
+        cause = (
+            "No battery that is to form a grid has three phases (coils of phase_connections.csv)"
+        )
     elif len(scenario.batteries):
         cause = "No battery has the power to form a grid"
     if forming.any():

@@ -38,7 +38,7 @@ from vppres.scenario.assets import PV, Batteries, PVSystems
 from vppres.scenario.capacitors import too_large
 from vppres.scenario.network import Network
 from vppres.scenario.priority import STRICT
-from vppres.scenario.remarks import former_words
+from vppres.scenario.remarks import darkness, former_words
 from vppres.scenario.scenario import ControllerDefaults, Priority, Scenario
 from vppres.scenario.source import Source, SourceDeviation
 from vppres.scenario.timegrid import TimeGrid
@@ -201,7 +201,7 @@ def write_new_scenario(
     told = [*feeder.notes, *chosen, *causes]
     source = Source.of(feeder.name, "", told, deviation, feeder.unbalanced)
     scenario = replace(scenario, source=source)
-    said = [former_words(scenario), closeness]
+    said = [former_words(scenario), darkness(scenario), closeness]
     notes = list(dict.fromkeys([*told, *filter(None, said)]))
     text = "\n".join([f"# {scenario.title}", "", *(f"- {note}" for note in notes), ""])
     with atomic_folder(folder) as aside:
