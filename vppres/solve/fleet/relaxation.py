@@ -324,38 +324,59 @@ def _select(sheet: Sheet, fleet: Fleet, integer: bool, goal: Goal) -> Selection:
 
 def _with_goal(found: Selection, fleet: Fleet, integer: bool, goal: Goal) -> Selection:
     """Rows with what is minimised or maximised."""
-    sheet = fleet.sheet
-    site = fleet.site
-    parts = found.parts
-    P_curt, P_ch, P_dch = (fleet.name_of(name) for name in ("P_curt", "P_ch", "P_dch"))
-    last = (P_ch, "range P_ch", "range P_dch", "counts")
-    scale = objective_scale(site)
     if goal == "weighted":
-        cost = ("f2", -site.weights.lambda_grid)
-        term = fleet.sum_of_terms("weighted", EQUAL, *fleet.service, cost)
-        order = ("x_served", P_curt, "P_grid", P_dch, *last)
-        return replace(found, terms=((term, scale),), maximises=True, order=order)
-    unit = fleet.grid or 1.0
+        return _all_terms(found, fleet)
     if goal == "cost":
-        lack = [(name, -factor / unit) for name, factor in fleet.service]
-        enough = fleet.sum_of_terms("service_enough", MOST, *lack)
-        spent = fleet.sum_of_terms("cost", EQUAL, ("f2", 1.0))
-        order = ("P_grid", P_curt, P_dch, "x_served", *last)
-        return replace(found, parts=(*parts, enough), terms=((spent, 1.0),), order=order)
-    penalty = sheet.new_letter("penalty", (1,), whole=True)
+        return _least_cost(found, fleet)
+    return _most_service(found, fleet, integer)
+
+
+def _order(fleet: Fleet, *first: str) -> tuple[str, ...]:
+    """The order of columns: some letters, then those of batteries and counts."""
+    names = (fleet.name_of(name) for name in first)
+    return (*names, fleet.name_of("P_ch"), "range P_ch", "range P_dch", "counts")
+
+
+def _all_terms(found: Selection, fleet: Fleet) -> Selection:
+    """The most of all linear terms as weighted."""
+    cost = ("f2", -fleet.site.weights.lambda_grid)
+    term = fleet.sum_of_terms("weighted", EQUAL, *fleet.service, cost)
+    order = _order(fleet, "x_served", "P_curt", "P_grid", "P_dch")
+    scale = objective_scale(fleet.site)
+    return replace(found, terms=((term, scale),), maximises=True, order=order)
+
+
+def _least_cost(found: Selection, fleet: Fleet) -> Selection:
+    """The least cost of schedules with enough service, in units; a window writes how much."""
+    unit = fleet.grid or 1.0
+    lack = [(name, -factor / unit) for name, factor in fleet.service]
+    enough = fleet.sum_of_terms("service_enough", MOST, *lack)
+    spent = fleet.sum_of_terms("cost", EQUAL, ("f2", 1.0))
+    order = _order(fleet, "P_grid", "P_curt", "P_dch", "x_served")
+    return replace(found, parts=(*found.parts, enough), terms=((spent, 1.0),), order=order)
+
+
+def _most_service(found: Selection, fleet: Fleet, integer: bool) -> Selection:
+    """The most service in units, less a whole penalty of curtailment.
+
+    The penalty is rounded down, so that the optimum stays an upper bound and a solver may round its
+    own, which is most of the proof.
+    """
+    sheet = fleet.sheet
+    unit = fleet.grid or 1.0
+    (penalty,) = sheet.new_letter("penalty", (1,), whole=True)
     if not integer:
         found = found.relax("penalty", 0.0)
-    # The penalty of curtailment is rounded down to a whole number, so that the optimum stays an
-    # upper bound and a solver may round its own, which is most of the proof.
-    lost = fleet.sum_of_terms("penalty", MOST, ("f3", site.weights.lambda_curt / unit))
-    rounded = lost.with_column(int(penalty[0]), -1.0, "penalty", limit=1.0)
-    others = [(name, factor / unit) for name, factor in fleet.service if name in ("f6", "f7")]
+    lost = fleet.sum_of_terms("penalty", MOST, ("f3", fleet.site.weights.lambda_curt / unit))
+    rounded = lost.with_column(int(penalty), -1.0, "penalty", limit=1.0)
     units = _rounded(fleet.sum_of_terms("units", EQUAL, ("f1", 1.0 / unit)))
-    terms = [(units.with_column(int(penalty[0]), -1.0, "penalty"), 1.0)]
+    terms = [(units.with_column(int(penalty), -1.0, "penalty"), 1.0)]
+    others = [(name, factor / unit) for name, factor in fleet.service if name in ("f6", "f7")]
     if any(name in sheet.statement.terms for name, _ in others):
         terms.append((fleet.sum_of_terms("others", EQUAL, *others), 1.0))
-    found = replace(found, parts=(*parts, rounded), terms=tuple(terms), maximises=True)
-    return replace(found, order=("x_served", "penalty", "P_grid", P_curt, P_dch, *last))
+    parts = (*found.parts, rounded)
+    order = _order(fleet, "x_served", "penalty", "P_grid", "P_curt", "P_dch")
+    return replace(found, parts=parts, terms=tuple(terms), maximises=True, order=order)
 
 
 ORDER = (
