@@ -23,8 +23,9 @@ from experiments.seeds import (
 )
 from experiments.tables import markdown_table, write_pages
 from vppres.contract.observation import Observation
+from vppres.control.guard.critical import critical_site
 from vppres.control.guard.estimation import Known
-from vppres.control.guard.guard import GuardedController, critical_site
+from vppres.control.guard.guard import GuardedController
 from vppres.control.guard.partial_fleet import reduced_observation, site_with
 from vppres.core.errors import SolveError
 from vppres.day.assembly import make_controller

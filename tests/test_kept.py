@@ -14,7 +14,8 @@ from tests.support.vans import van
 from vppres import RunOptions
 from vppres.contract.decision import Decision
 from vppres.contract.observation import Observation
-from vppres.control.guard.guard import GuardedController, GuardOptions
+from vppres.control.guard.guard import GuardedController
+from vppres.control.guard.options import GuardOptions
 from vppres.control.mpc import MPCController
 from vppres.day.recorder import StepRecord
 from vppres.day.simulate import Day

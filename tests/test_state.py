@@ -149,7 +149,7 @@ print(step.batteries.to_json(double_precision=15), step.import_kw, step.solve["b
 
 
 # Attributes of controllers that are no memory: made anew with them, or read before they are set.
-MADE_ANEW = {"_critical", "_sweeps", "known", "_controller_of", "_solver_of", "solver"}
+MADE_ANEW = {"_critical", "_solvers", "_sweeps", "known", "_controller_of", "_solver_of", "solver"}
 
 
 def parts_of(found: object, known: set[int]) -> Iterator[object]:

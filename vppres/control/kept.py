@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from vppres.contract.decision import Decision, SolveInfo
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.gensets import SetsAhead
 from vppres.control.rules import POWER_TOLERANCE_KW, Carried, rule_dispatch
@@ -37,6 +38,15 @@ def rule_with_kinds(state: StepState, tiers: Sequence[str]) -> Carried:
         if closes and not costs_service and _connected(found.dispatch, state):
             return found
     return alone
+
+
+def by_rule(state: StepState, tiers: Sequence[str], reason: str) -> Decision:
+    """That dispatch as a fallback, with the reason for it."""
+    carried = rule_with_kinds(state, tiers)
+    words = f"{reason}; left open: {carried.shortage}" if carried.shortage else reason
+    return Decision(
+        carried.dispatch, 0, SolveInfo(status="rule"), fallback="rule", fallback_reason=words
+    )
 
 
 def _kept(state: StepState) -> Iterator[StepState]:

@@ -70,6 +70,16 @@ def first_line(error: BaseException) -> str:
     return next(iter(str(error).splitlines()), type(error).__name__)
 
 
+def named_line(error: BaseException) -> str:
+    """An exception's name and the first line of what it says.
+
+    >>> named_line(ValueError("no such bus"))
+    'ValueError: no such bus'
+    """
+    lines = str(error).splitlines()
+    return f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__
+
+
 class VppresError(Exception):
     """Base of all errors that vppres raises on purpose."""
 

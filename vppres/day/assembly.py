@@ -14,7 +14,8 @@ from vppres.control.by_weight import ByWeight
 from vppres.control.converged import ConvergedPlanner
 from vppres.control.full_horizon import FullHorizonController
 from vppres.control.guard.check import Tolerances
-from vppres.control.guard.guard import GuardedController, GuardOptions
+from vppres.control.guard.guard import GuardedController
+from vppres.control.guard.options import GuardOptions
 from vppres.control.headroom import HeadroomPlanner
 from vppres.control.mpc import MPCController
 from vppres.control.phased import PhasedPlanner

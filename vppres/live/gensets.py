@@ -66,6 +66,12 @@ class Ran:
         out = np.zeros(len(sets), dtype=bool)
         return cls(at_h, first, first.fuel_litres, unread, out, unread, first.on, first.power_kw)
 
+    def as_ordered(self, ordered_kw: Floats) -> Ran:
+        """The same where somebody else ordered something else; NaN where nobody did."""
+        by_others = np.isfinite(ordered_kw)
+        power_kw = np.where(by_others, ordered_kw, self.power_kw)
+        return replace(self, on=np.where(by_others, power_kw > 0.0, self.on), power_kw=power_kw)
+
 
 @dataclass(frozen=True, eq=False)
 class Readings:
@@ -136,43 +142,23 @@ class SetsNow:
             Fuel that was delivered since, (G,).
         """
         by_others = np.isfinite(told.ordered_kw)
-        ordered_kw = np.where(by_others, told.ordered_kw, past.power_kw)
-        past = replace(past, on=np.where(by_others, ordered_kw > 0.0, past.on), power_kw=ordered_kw)
+        past = past.as_ordered(told.ordered_kw)
         gone_h = at_h - past.at_h
-        held = gone_h <= dt_h + ROUNDING_H
-        was, read = past.before.on, np.isfinite(told.running)
-        gave_nothing = (past.power_kw > 0.0) & (told.power_kw <= 0.0)
-        faulty = told.start_fault > 0.5
-        on = np.where(read, told.running > 0.5, past.on & held & ~gave_nothing & ~faulty)
-        never = past.on & ~was & ~on & held & ~(told.power_kw > 0.0)
-        failed = never & ~by_others & (gone_h >= dt_h - ROUNDING_H)
-        hours = _hours(past, on, gone_h, dt_h)
-        # When somebody else switched it is not known.
-        hours = np.where(by_others & ((was != on) | (past.on != on)), 0.0, hours)
-        burning_h = np.where(on | by_others, gone_h, min(gone_h, dt_h))
-        least, most = _left_litres(sets, told, past, on, never, burning_h)
-        least, most = (np.minimum(left + added, sets.tank_litres) for left in (least, most))
-        told_litres = np.minimum(told.fuel_litres, sets.tank_litres)
-        gauged = np.isfinite(told_litres)
-        still = gauged & (told_litres == past.read_litres)
-        least, most = (np.where(gauged & ~still, told_litres, left) for left in (least, most))
-        frozen = still & (told_litres - most > STILL_SHARE * sets.tank_litres)
-        missing = ~gauged & np.isfinite(past.read_litres)
-        litres = np.where(gauged & ~frozen, told_litres, least)
-        kept = past.out & ~((told.start_fault <= 0.5) & (past.fault != 0.0))
-        out = (failed | faulty | kept) & ~on
+        runs = _Running.of(told, past, by_others, gone_h, dt_h)
+        burning_h = np.where(runs.on | by_others, gone_h, min(gone_h, dt_h))
+        fuel = _Fuel.of(sets, told, past, runs, burning_h, added)
         gave_kw = np.where(np.isfinite(told.power_kw), told.power_kw, past.power_kw)
         # A mean is less than the least power where the set started within it.
-        power_kw = np.where(on, np.clip(gave_kw, sets.p_min_kw, sets.p_max_kw), 0.0)
+        power_kw = np.where(runs.on, np.clip(gave_kw, sets.p_min_kw, sets.p_max_kw), 0.0)
         return cls(
-            at_h,
-            GensetState(on, hours, power_kw, litres),
-            least,
-            most,
-            np.where(gauged, told_litres, past.read_litres),
-            out,
-            np.where(np.isfinite(told.start_fault), told.start_fault, past.fault),
-            (*_gauges(sets.id, litres, missing, frozen), *_faults(sets.id, out, failed, faulty)),
+            at_h=at_h,
+            state=GensetState(runs.on, runs.hours, power_kw, fuel.litres),
+            reckoned_litres=fuel.least_litres,
+            most_litres=fuel.most_litres,
+            read_litres=fuel.read_litres,
+            out=runs.out,
+            fault=np.where(np.isfinite(told.start_fault), told.start_fault, past.fault),
+            estimated=(*fuel.words(sets.id), *runs.words(sets.id)),
         )
 
     def ahead(self, day: Scenario, steps: range) -> SetsAhead | None:
@@ -197,6 +183,97 @@ def after(refuels: Refuels, day: Scenario) -> Refuels:
     """Deliveries after the beginning of a day: what came by then is in the tank."""
     later = np.array([time > day.grid.start for time in refuels.time], dtype=bool)
     return Refuels(refuels.genset[later], refuels.time[later], refuels.litres[later])
+
+
+@dataclass(frozen=True, eq=False)
+class _Running:
+    """Which sets run and for how long, (G,) each; who was to start and never did, and who is out.
+
+    ``failed`` stood still for a whole step in which they were to run, ``faulty`` tell a fault.
+    """
+
+    on: Flags
+    hours: Floats
+    never: Flags
+    out: Flags
+    failed: Flags
+    faulty: Flags
+
+    @classmethod
+    def of(
+        cls, told: Readings, past: Ran, by_others: Flags, gone_h: float, dt_h: float
+    ) -> _Running:
+        """What is believed so many hours after they were told; ``by_others``, by somebody else."""
+        held = gone_h <= dt_h + ROUNDING_H
+        was, read = past.before.on, np.isfinite(told.running)
+        gave_nothing = (past.power_kw > 0.0) & (told.power_kw <= 0.0)
+        faulty = told.start_fault > 0.5
+        on = np.where(read, told.running > 0.5, past.on & held & ~gave_nothing & ~faulty)
+        never = past.on & ~was & ~on & held & ~(told.power_kw > 0.0)
+        failed = never & ~by_others & (gone_h >= dt_h - ROUNDING_H)
+        hours = _hours(past, on, gone_h, dt_h)
+        # When somebody else switched it is not known.
+        hours = np.where(by_others & ((was != on) | (past.on != on)), 0.0, hours)
+        kept = past.out & ~((told.start_fault <= 0.5) & (past.fault != 0.0))
+        out = (failed | faulty | kept) & ~on
+        return cls(on, hours, never, out, failed, faulty)
+
+    def words(self, ids: Names) -> list[str]:
+        """Sets that are out, and why."""
+        of_failed = np.where(self.failed, "told to run, stands still", "no start")
+        why = np.where(self.faulty, "start fault", of_failed)
+        return [f"genset {ids[g]} is out ({why[g]})" for g in np.flatnonzero(self.out)]
+
+
+@dataclass(frozen=True, eq=False)
+class _Fuel:
+    """Fuel in the tanks, (G,) each: what is believed, the least and the most since a gauge moved.
+
+    ``read_litres`` is the last reading; ``missing`` gauges say nothing, ``frozen`` ones stand still
+    although much must have been burnt.
+    """
+
+    litres: Floats
+    least_litres: Floats
+    most_litres: Floats
+    read_litres: Floats
+    missing: Flags
+    frozen: Flags
+
+    @classmethod
+    def of(
+        cls,
+        sets: Gensets,
+        told: Readings,
+        past: Ran,
+        runs: _Running,
+        burning_h: Floats,
+        added: Floats,
+    ) -> _Fuel:
+        """What is left after so many hours of burning and what was delivered."""
+        least, most = _left_litres(sets, told, past, runs.on, runs.never, burning_h)
+        least, most = (np.minimum(left + added, sets.tank_litres) for left in (least, most))
+        told_litres = np.minimum(told.fuel_litres, sets.tank_litres)
+        gauged = np.isfinite(told_litres)
+        still = gauged & (told_litres == past.read_litres)
+        least, most = (np.where(gauged & ~still, told_litres, left) for left in (least, most))
+        frozen = still & (told_litres - most > STILL_SHARE * sets.tank_litres)
+        return cls(
+            litres=np.where(gauged & ~frozen, told_litres, least),
+            least_litres=least,
+            most_litres=most,
+            read_litres=np.where(gauged, told_litres, past.read_litres),
+            missing=~gauged & np.isfinite(past.read_litres),
+            frozen=frozen,
+        )
+
+    def words(self, ids: Names) -> list[str]:
+        """Gauges that say nothing, and those that stand still."""
+        return [
+            f"fuel_litres {ids[g]} {self.litres[g]:.0f} at least ({kind})"
+            for kind, flags in (("missing", self.missing), ("frozen", self.frozen))
+            for g in np.flatnonzero(flags)
+        ]
 
 
 def _hours(past: Ran, on: Flags, gone_h: float, dt_h: float) -> Floats:
@@ -232,18 +309,3 @@ def _left_litres(
         np.maximum(past.before.fuel_litres - burnt[0], 0.0),
         np.maximum(past.most_litres - burnt[1], 0.0),
     )
-
-
-def _gauges(ids: Names, litres: Floats, missing: Flags, frozen: Flags) -> list[str]:
-    """Gauges that say nothing, and those that stand still."""
-    return [
-        f"fuel_litres {ids[g]} {litres[g]:.0f} at least ({kind})"
-        for kind, flags in (("missing", missing), ("frozen", frozen))
-        for g in np.flatnonzero(flags)
-    ]
-
-
-def _faults(ids: Names, out: Flags, failed: Flags, faulty: Flags) -> list[str]:
-    """Sets that are out, and why."""
-    why = np.where(faulty, "start fault", np.where(failed, "told to run, stands still", "no start"))
-    return [f"genset {ids[g]} is out ({why[g]})" for g in np.flatnonzero(out)]

@@ -8,7 +8,7 @@ by a rule. ``docs/operation.md`` states the order and what the record says.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -16,52 +16,24 @@ import numpy as np
 from vppres.contract.decision import Decider, Decision, SolveInfo
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.observation import Observation
-from vppres.contract.operating_point import Centre
 from vppres.control.full_horizon import FullHorizonController
-from vppres.control.guard.check import PAPER, Tolerances, violations
+from vppres.control.guard.check import violations
+from vppres.control.guard.critical import CriticalFirst
 from vppres.control.guard.estimation import Estimator, Known
+from vppres.control.guard.options import GuardOptions, SolverOf
 from vppres.control.guard.partial_fleet import reduced_observation, site_with, whole_fleet
 from vppres.control.guard.relax import relaxed_answers
-from vppres.control.kept import as_planned, rule_with_kinds
+from vppres.control.kept import as_planned, by_rule
 from vppres.control.phased_rule import carried_by_phase
 from vppres.control.planner import solve_info
 from vppres.control.remembered import PART, PARTS
 from vppres.control.rules import carry
 from vppres.control.step_state import StepState
-from vppres.core.arrays import Flags, Floats
-from vppres.core.errors import InfeasibleError
+from vppres.core.errors import InfeasibleError, named_line
 from vppres.model.data import WindowData
 from vppres.model.site import Site
-from vppres.solve.ladder import WindowSolver
 
 ControllerOf = Callable[[Site], Decider]
-SolverOf = Callable[[Site], WindowSolver]
-
-
-@dataclass(frozen=True)
-class GuardOptions:
-    """How a guard answers.
-
-    Parameters
-    ----------
-    tiers : tuple of str
-        Names of the tiers, the most important first.
-    protect_critical : bool
-        Whether a customer of the first tier is served in every step that can serve it, whatever the
-        plan would rather save the energy for.
-    centre : {"lossless", "literal", "none"}
-        Linearisation centre of the voltages.
-    within : Tolerances
-        What passes as a decision that can be carried out.
-    physical : bool
-        Whether batteries hold the islands, and so do not follow their set-points there.
-    """
-
-    tiers: tuple[str, ...]
-    protect_critical: bool = False
-    centre: Centre = "lossless"
-    within: Tolerances = PAPER
-    physical: bool = False
 
 
 class GuardedController:
@@ -104,7 +76,7 @@ class GuardedController:
         self._controller_of = controller_of
         self._solver_of = solver_of
         self._parts: dict[bytes, Decider] = {}
-        self._critical: dict[bytes, WindowSolver] = {}
+        self._critical = CriticalFirst(site, solver_of, options)
         self._estimator = Estimator(site, options.physical)
         self._plan: tuple[Dispatch, int] | None = None  # with the step of its first row
 
@@ -123,7 +95,7 @@ class GuardedController:
         state = StepState.of(self.site, known.observation, self.options.centre, known.online)
         decision = self._checked_answer(known, state)
         if self.options.protect_critical:
-            decision = self._critical_first(decision, known, state)
+            decision = self._critical.first(decision, known, state)
         self._estimator.commanded(decision)
         return replace(decision, estimated=known.estimated, seen=known.observation)
 
@@ -147,13 +119,13 @@ class GuardedController:
                 return decision
             reason = "refused: " + "; ".join(reasons)
         except InfeasibleError as error:
-            reason = _words(error)
+            reason = named_line(error)
             found, reason = self._relaxed(known, state, reason)
             if found is not None:
                 return found
         except Exception as error:
             # Whatever a solver raises: a step without an answer is worse than any of it.
-            reason = _words(error)
+            reason = named_line(error)
         return self._without_solver(known, state, reason)
 
     def _answer(self, known: Known) -> Decision:
@@ -193,7 +165,7 @@ class GuardedController:
             try:
                 solution, limits_pu, words = answer()
             except Exception as error:
-                failed.setdefault(_words(error), []).append(name)
+                failed.setdefault(named_line(error), []).append(name)
                 continue
             dispatch = whole_fleet(solution.dispatch, known.online, known.observation.soc)
             decision = Decision(
@@ -212,7 +184,7 @@ class GuardedController:
     def _without_solver(self, known: Known, state: StepState, reason: str) -> Decision:
         """The previous plan where it can be carried out, otherwise the rule."""
         planned = self._planned(known, state, reason)
-        return planned if planned is not None else self._rule(state, reason)
+        return planned if planned is not None else by_rule(state, self.options.tiers, reason)
 
     def _planned(self, known: Known, state: StepState, reason: str) -> Decision | None:
         """The step of the last good plan, its balance closed by what is measured now."""
@@ -255,115 +227,8 @@ class GuardedController:
         wrong = violations(decision, state, self.options.within, (net.v_min_ac_pu, net.v_max_ac_pu))
         return None if wrong else decision
 
-    def _rule(self, state: StepState, reason: str) -> Decision:
-        """Dispatch by rule."""
-        carried = rule_with_kinds(state, self.options.tiers)
-        words = f"{reason}; left open: {carried.shortage}" if carried.shortage else reason
-        return Decision(
-            carried.dispatch, 0, SolveInfo(status="rule"), fallback="rule", fallback_reason=words
-        )
-
-    def _critical_first(self, decision: Decision, known: Known, state: StepState) -> Decision:
-        """The step alone, critical customers first, where that serves more of them."""
-        served = self._critical_weight(decision.dispatch.served[decision.row])
-        all_of_them = self._critical_weight(np.ones(len(self.site.customers)))
-        if decision.fallback == "rule" or served >= all_of_them - 1e-9:
-            return decision
-        answers = [self._step_alone(known, state)]
-        # The rule is asked too: it knows nothing of solvers, and so not of their mistakes.
-        by_rule = self._rule(state, "the rule serves more")
-        if not violations(by_rule, state, self.options.within):
-            answers.append(by_rule)
-        alone = max(answers, key=lambda answer: self._critical_weight(answer.dispatch.served[0]))
-        possible = self._critical_weight(alone.dispatch.served[0])
-        if possible <= served + 1e-9:
-            return decision
-        words = [
-            decision.fallback_reason,
-            f"the plan serves {served:g} of the critical weight, the step alone {possible:g}",
-            alone.fallback_reason,
-        ]
-        return replace(
-            self._with_critical(decision, alone, state),
-            fallback="critical",
-            fallback_reason="; ".join(word for word in words if word),
-        )
-
-    def _with_critical(self, decision: Decision, alone: Decision, state: StepState) -> Decision:
-        """The plan with the first tier as the step alone serves it, lower tiers let go as need be.
-
-        The step alone would serve everyone it can and leave no energy for the steps to come.
-        """
-        plan = decision.dispatch
-        row = decision.row
-        state = as_planned(state, plan, row)
-        tier = self.site.customers.tier
-        wanted_kw = plan.charge_kw[row] - plan.discharge_kw[row]
-        first = alone.dispatch.served[0] & (tier == self.options.tiers[0])
-        for lowest in range(len(self.options.tiers), 0, -1):
-            kept = np.isin(tier, self.options.tiers[1:lowest]) & plan.served[row]
-            carried = carry(state, first | kept, wanted_kw)
-            if carried is None or carried.shortage:
-                continue
-            found = Decision(carried.dispatch, 0, SolveInfo(status="critical"))
-            if not violations(found, state, self.options.within):
-                return found
-        return alone
-
-    def _step_alone(self, known: Known, state: StepState) -> Decision:
-        """The one-step problem with the first tier above everything else; the rule if it fails."""
-        try:
-            solver = self._critical_solver(known.online)
-            seen = reduced_observation(known.observation, known.online, self.site.batteries)
-            # Nothing is worth keeping beside the first tier.
-            alone = replace(seen, stored_value=None)
-            solution = solver.solve(WindowData.of(alone, solver.site, self.options.centre).first(1))
-            decision = Decision(
-                whole_fleet(solution.dispatch, known.online, known.observation.soc),
-                0,
-                solve_info(solver.site, solution, 0),
-            )
-            wrong = violations(decision, state, self.options.within)
-            return self._rule(state, "; ".join(wrong)) if wrong else decision
-        except Exception as error:
-            return self._rule(state, _words(error))
-
-    def _critical_solver(self, online: Flags) -> WindowSolver:
-        """Solver of the one-step problem that puts the first tier above everything else."""
-        key = online.tobytes()
-        if key not in self._critical:
-            site = critical_site(site_with(self.site, online), self.options.tiers[0])
-            self._critical[key] = self._solver_of(site)
-        return self._critical[key]
-
-    def _critical_weight(self, served: Flags | Floats) -> float:
-        """Weight of the served customers of the first tier."""
-        first = self.site.customers.tier == self.options.tiers[0]
-        return float(self.site.customers.weight[first] @ np.asarray(served, dtype=float)[first])
-
-
-def critical_site(site: Site, tier: str) -> Site:
-    """The site with one customer of a tier worth more than all that others may lose together.
-
-    Its one-step window says who of the tier can be served at all.
-    """
-    first = site.customers.tier == tier
-    weight = site.customers.weight
-    if not first.any():
-        return site
-    factor = np.ceil(site.hour_off[~first].sum() / weight[first].min()) + 1.0
-    return replace(
-        site, customers=replace(site.customers, weight=np.where(first, weight * factor, weight))
-    )
-
 
 def _with_failures(reason: str, failed: Mapping[str, Sequence[str]]) -> str:
     """Why there is no answer, and what failed at the fallbacks that were tried, each told once."""
     told = [f"{', '.join(dict.fromkeys(names))}: {words}" for words, names in failed.items()]
     return "; ".join([reason, *told])
-
-
-def _words(error: Exception) -> str:
-    """An exception in a line."""
-    lines = str(error).splitlines()
-    return f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__
