@@ -20,11 +20,11 @@ from vppres.core.errors import InputError
 from vppres.day import options as day_options
 from vppres.day.options import RunOptions
 from vppres.io import read_scenario, schema, write_scenario
+from vppres.model.numerics import POLYGON_SIDES
 from vppres.scenario.fairness import Fairness
 from vppres.scenario.option_table import OPTIONS, Option, section_options
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import ControllerDefaults, Headroom, Priority
-from vppres.solve.dispatch import POLYGON_SIDES
 from vppres.studies import sweep_parameters
 
 CHOICES = {option.field: option.choices for option in OPTIONS}

@@ -9,8 +9,11 @@ from numpy.typing import ArrayLike
 from vppres.core.errors import ModelError
 from vppres.model.site import Site
 
+POLYGON_SIDES = 16
+"""Sides of an inverter's polygon: an inscribed one keeps 98 % of the radius in any direction."""
+
 LARGEST_WITH_CONES = 400
-SIDES_BEYOND = 16
+"""Buses times steps up to which discs are cones where there are no binaries."""
 
 ROUNDING = 1e-9
 """What a sum of powers, energies or weights may be off by."""
@@ -29,7 +32,7 @@ def disc_sides(site: Site, n_steps: int) -> int:
     whole sets: what the former's phases leave may need all that inverters can give.
     """
     small = site.network.n_buses * n_steps <= LARGEST_WITH_CONES
-    return 0 if small or site.phases is not None else SIDES_BEYOND
+    return 0 if small or site.phases is not None else POLYGON_SIDES
 
 
 def cost_scale(site: Site) -> float:

@@ -15,7 +15,7 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats
 from vppres.model.beyond_paper.export import net_exchange
 from vppres.model.data import WindowData
-from vppres.model.numerics import cost_scale, disc_sides
+from vppres.model.numerics import POLYGON_SIDES, cost_scale, disc_sides
 from vppres.model.site import Site
 from vppres.model.terms import evaluate
 from vppres.model.violations import broken
@@ -28,24 +28,17 @@ from vppres.solve.network.cheapest import CheapestDispatch
 from vppres.solve.network.program import NetworkProgram
 from vppres.solve.network.reactive import LeastReactive
 from vppres.solve.phases import near_to, run_in_phases
-from vppres.solve.programs import ProgramSolution, program_of
+from vppres.solve.programs import GAP_SHARE, ProgramSolution, program_of
 from vppres.solve.result import Outcome, Status
 from vppres.solve.solvers import SolverSpec, run, run_conic
 from vppres.solve.task import WindowTask
 from vppres.solve.tie_breakers import TieBreakers
-
-POLYGON_SIDES = 16
-"""Default sides of an inverter's polygon."""
 
 FINER = 4
 """Times as many sides of polygons where usual ones decide: a sixteenth of the error."""
 
 DISPATCH_GAP_GBP = 1e-4
 """Gap of a dispatch's cost: far below any price difference that a dispatch could exploit."""
-
-CURTAILED_GAP_SHARE = 0.2
-"""Share of the window's gap that the search for modes may leave open where PV power is curtailed: a
-kW of it is worth 100,000 GBP, so that the gap of cost would ask for the last microwatt."""
 
 HELD_REL = 1e-6
 HELD_ABS = 1e-5
@@ -188,7 +181,8 @@ def cheapest(
     deadline = task.answer_by(HALF if form.network else 1.0)
     # What a restoration adds to the demand is known with the service.
     data = task.data.for_service(served)
-    gap_gbp = CURTAILED_GAP_SHARE * task.gap_to_best * cost_scale(task.site)
+    # A curtailed kW is worth 100,000 GBP: the gap of cost would ask for the last microwatt.
+    gap_gbp = (1.0 - GAP_SHARE) * task.gap_to_best * cost_scale(task.site)
     attempt = solve_cost(task.cache, data, served, task.spec, form, deadline, gap_gbp, modes_later)
     task.certificate.note(name, attempt.outcome)
     task.certificate.wasteful |= attempt.wasteful
@@ -201,7 +195,7 @@ def cheapest(
 def _curtailed_within_gap_kwh(task: WindowTask, found: Candidate) -> float:
     """What may be curtailed more than by a dispatch: it is worth a share of the window's gap."""
     worth = task.site.weights.lambda_curt
-    allowed = CURTAILED_GAP_SHARE * task.certificate.limits.gap_at(found.value)
+    allowed = (1.0 - GAP_SHARE) * task.certificate.limits.gap_at(found.value)
     return allowed / worth if worth > 0.0 else 0.0
 
 

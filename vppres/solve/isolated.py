@@ -32,9 +32,9 @@ from vppres.core.errors import InputError, SolverLostError
 from vppres.core.parent import command
 from vppres.model.beyond_paper.table import beyond_paper
 from vppres.model.data import WindowData
+from vppres.model.numerics import POLYGON_SIDES
 from vppres.model.site import Site
 from vppres.solve.cache import SITES_KEPT
-from vppres.solve.dispatch import POLYGON_SIDES
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import SolveLimits, WindowSolution
 from vppres.solve.tasks import OUT_OF_MEMORY, Channel, Reply, Setup, Start, Task

@@ -17,6 +17,7 @@ from vppres.core.arrays import Flags
 from vppres.core.errors import InputError
 from vppres.model.beyond_paper.longest_off import longest_off_of
 from vppres.model.data import WindowData
+from vppres.model.numerics import POLYGON_SIDES
 from vppres.model.own_state import GIVEN, giving_way, with_own_state
 from vppres.model.ratings import MOVED_SHARE, overloaded, with_ratings, with_ratings_given
 from vppres.model.site import Site
@@ -25,7 +26,6 @@ from vppres.solve.apart import falls_apart, solve_apart
 from vppres.solve.cache import shared_cache
 from vppres.solve.deadline import Deadline
 from vppres.solve.dispatch import (
-    POLYGON_SIDES,
     SERVICE_HELD_REL,
     keep_dispatch_in_network,
     keep_with_turns,

@@ -8,9 +8,10 @@ import numpy as np
 
 from vppres.core.arrays import Floats
 from vppres.model.phases import GRID, phased_model
+from vppres.scenario.assets import NO_POWER_KW
 from vppres.scenario.phases import PHASES
 from vppres.solve.network.rows import PER_PU2
-from vppres.solve.phases import HIGH, LOW, OF_FORMER, OF_RATING, SMALLEST_KVA
+from vppres.solve.phases import HIGH, LOW, OF_FORMER, OF_RATING
 from vppres.solve.shadow_price_model import ShadowPriceModel
 
 
@@ -76,7 +77,7 @@ def _units(model: ShadowPriceModel) -> dict[int, Floats | float]:
     return {
         LOW: PER_PU2 * 2.0 * net.v_min_pu * 1e-3,
         HIGH: PER_PU2 * 2.0 * net.v_max_pu * 1e-3,
-        OF_FORMER: 1.0 / max(room_kva, SMALLEST_KVA),
+        OF_FORMER: 1.0 / max(room_kva, NO_POWER_KW),
         OF_RATING: 1.0 / phased_model(model.site).loadings.kva,
     }
 

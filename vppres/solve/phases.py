@@ -22,6 +22,7 @@ from vppres.model.data import WindowData
 from vppres.model.phases import GRID, PhasedModel, phased_model
 from vppres.model.site import Site
 from vppres.model.violations import VOLTAGE_TOLERANCE_PU2
+from vppres.scenario.assets import NO_POWER_KW
 from vppres.solve.deadline import HALF, Deadline
 from vppres.solve.network.rows import PER_PU2, Rows
 from vppres.solve.result import Outcome, Status
@@ -56,9 +57,6 @@ TOWARDS = np.exp(-2j * np.pi * np.arange(SIDES) / SIDES)
 
 REACH = float(np.cos(np.pi / SIDES))
 """Distance of a side from the middle of its disc, as a share of the radius."""
-
-SMALLEST_KVA = 1e-3
-"""Least that a phase of a former counts as carrying: a row is a share of it."""
 
 # Assets from the first one on, their columns, (W, k), and what of a column each draws.
 Term = tuple[int, Wholes, Floats | float]
@@ -229,7 +227,7 @@ class PhaseLimits:
         """Rows of each phase of the former that is beyond its polygon."""
         if self.model.former is None or not self.data.dark.any():
             return []
-        room = np.maximum(self.phased.room_kva, SMALLEST_KVA)
+        room = np.maximum(self.phased.room_kva, NO_POWER_KW)
         room = np.where(self.data.dark, room, np.inf)[:, None]
         slopes = [(s.former_p, s.former_q) for s in self.model.slopes]
         beyond = self._beyond(kva, room) > over

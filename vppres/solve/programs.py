@@ -24,18 +24,19 @@ DIRECT = "highs"
 """Solver of all programs here, whichever solver is chosen: rows are added as they go, and a linear
 solve starts where the last one ended, which no common interface offers."""
 
-WHOLE_TOLERANCE = 1e-6
-"""What the solver may be off by from a whole number, or a bound on one."""
+SOLVED = 1e-6
+"""To what problems are solved: what a solver may be off by from a whole number or a bound on one,
+from a limit in its row's own unit, and, of interior points, from the optimum as a share."""
 
-WHOLE_GAP = 1.0 - WHOLE_TOLERANCE
+WHOLE_GAP = 1.0 - SOLVED
 """Gap of a search whose objective is a whole number: below one, the best number is known."""
 
 HALF_UNIT = 0.5
 """What a sum of units may miss a whole number by and still be the number itself."""
 
 GAP_SHARE = 0.8
-"""Share of the window's gap that a search for a set may leave open: what follows it, a dispatch and
-its tie-breakers, needs little of it."""
+"""Share of the window's gap that a search for a set may leave open; a dispatch and its tie-breakers
+have the rest."""
 
 STOPPED = (
     highspy.HighsModelStatus.kInterrupt,

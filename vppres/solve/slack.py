@@ -6,8 +6,8 @@ from dataclasses import replace
 
 from vppres.model.beyond_paper.table import beyond_paper
 from vppres.model.data import WindowData
+from vppres.model.numerics import POLYGON_SIDES
 from vppres.model.site import Site
-from vppres.solve.dispatch import POLYGON_SIDES
 from vppres.solve.forms import Form, select_form
 from vppres.solve.selection import Selected, Selection, Sheet
 from vppres.solve.solvers import run_conic

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 
-from vppres.model.numerics import objective_scale
+from vppres.model.numerics import POLYGON_SIDES, objective_scale
 from vppres.solve.dispatch import (
     FINER,
-    POLYGON_SIDES,
     keep_dispatch_in_network,
 )
 from vppres.solve.forms import Form, window_problem
 from vppres.solve.phases import run_in_phases
+from vppres.solve.programs import SOLVED
 from vppres.solve.result import Status
 from vppres.solve.solvers import run, run_conic
 from vppres.solve.task import WindowTask
@@ -23,9 +23,6 @@ limit and never at it."""
 
 MOST_SIDES = 16_000
 """Sides of all polygons of a window up to which finer ones are tried."""
-
-CONIC_TOLERANCE = 1e-6
-"""How far interior points may end from the optimum, on either side, relative and absolute."""
 
 
 def without_binaries(task: WindowTask) -> None:
@@ -45,7 +42,7 @@ def without_binaries(task: WindowTask) -> None:
     outcome = run_conic(problem, deadline.left_s, objective_scale(task.site))
     known.note("relaxed", outcome)
     if outcome.status == Status.OPTIMAL:
-        known.bound_by(outcome.value + CONIC_TOLERANCE * abs(outcome.value) + CONIC_TOLERANCE)
+        known.bound_by(outcome.value + SOLVED * (1.0 + abs(outcome.value)))
         keep_dispatch_in_network(task, problem.value_of("x_served") > IN_FULL)
 
 

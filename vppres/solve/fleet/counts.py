@@ -27,8 +27,8 @@ from vppres.solve.programs import (
     GAP_SHARE,
     HALF_UNIT,
     PROOF,
+    SOLVED,
     WHOLE_GAP,
-    WHOLE_TOLERANCE,
     Program,
     ProgramSolution,
     add_row,
@@ -292,7 +292,7 @@ class Counts:
         if not self.whole or joined or not len(layout.weight):
             return None
         everyone = int((self.able[free] * self.units).sum())
-        lost = int(np.ceil(everyone + linear.bound - self.least[0] - WHOLE_TOLERANCE))
+        lost = int(np.ceil(everyone + linear.bound - self.least[0] - SOLVED))
         most_lost = lost + SPARE_CUSTOMERS * int(layout.weight.max())
         units_of_step = int((self.able * self.units).sum(axis=1).max())
         if is_too_much(layout.n_steps, units_of_step, most_lost):
@@ -389,7 +389,7 @@ class Counts:
         if not found.status.has_answer:
             return found
         # Service is whole, so its bound may be rounded.
-        bound = max(float(np.ceil(found.bound - WHOLE_TOLERANCE)), proven)
+        bound = max(float(np.ceil(found.bound - SOLVED)), proven)
         self.proven[block.tobytes()] = bound
         ended = found.value <= bound + HALF_UNIT
         return replace(found, bound=bound, status=Status.OPTIMAL if ended else found.status)
@@ -493,7 +493,7 @@ class Counts:
         answer = ProgramSolution.of(solver, deadline)
         served = self.able.copy()
         if answer.status.has_answer:
-            layout.serve(served, np.floor(answer.x[layout.counts] + 2.0 * WHOLE_TOLERANCE))
+            layout.serve(served, np.floor(answer.x[layout.counts] + 2.0 * SOLVED))
         return _Found(
             answer.status, answer.value, answer.bound, served, answer.x[: layout.n_steps + 2]
         )

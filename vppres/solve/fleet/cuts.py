@@ -11,11 +11,8 @@ from vppres.core.arrays import Flags, Floats
 from vppres.model.numerics import SAME
 from vppres.solve.deadline import Deadline
 from vppres.solve.fleet.demand import DemandModel
-from vppres.solve.programs import ProgramSolution, add_row, program_of
+from vppres.solve.programs import SOLVED, ProgramSolution, add_row, program_of
 from vppres.solve.result import Status
-
-VIOLATED_KW = 2e-6
-"""By how much a point must violate a cut to count as cut off: what programs are solved to."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +107,8 @@ class Reach:
         weights[self.constant] = 0.0
         size = float(np.abs(weights).max()) or size
         cut = Cut(weights / size, most / size)
-        return answer.status, cut if cut.weights @ point > cut.most + VIOLATED_KW else None
+        # The search that found the point and this one may each be off.
+        return answer.status, cut if cut.weights @ point > cut.most + 2.0 * SOLVED else None
 
     def _most(self, weights: Floats, prices: Floats) -> float:
         """Upper bound on a weighted sum of demand, loss and cost, from any prices of the rows.

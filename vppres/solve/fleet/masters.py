@@ -25,7 +25,7 @@ from vppres.solve.fleet.relaxation import (
     weight_grid,
     whole_price,
 )
-from vppres.solve.programs import GAP_SHARE, WHOLE_GAP, WHOLE_TOLERANCE
+from vppres.solve.programs import GAP_SHARE, SOLVED, WHOLE_GAP
 from vppres.solve.result import Outcome, Status
 from vppres.solve.solvers import SolverSpec, run
 from vppres.solve.task import WindowTask
@@ -110,7 +110,7 @@ class Binaries:
         outcome = search_for_set(problem, self.spec, open_units, left_s)
         if not self.data.keeps_service:
             # The objective is whole, so the bound may be rounded down.
-            outcome = replace(outcome, bound=float(np.floor(outcome.bound + WHOLE_TOLERANCE)))
+            outcome = replace(outcome, bound=float(np.floor(outcome.bound + SOLVED)))
         self.best = set_of(problem, outcome)
         return outcome, self.best
 

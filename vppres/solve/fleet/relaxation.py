@@ -23,6 +23,7 @@ from vppres.model.data import WindowData
 from vppres.model.formulas import charge_to_kw, discharge_to_kw
 from vppres.model.numerics import ROUNDING, SAME, objective_scale
 from vppres.model.site import Site
+from vppres.scenario.assets import NO_POWER_KW
 from vppres.solve.cache import ModelCache
 from vppres.solve.forms import MODES, OF_PV, one_mode_at_a_time, sheet_of, total_balance
 from vppres.solve.linear import Linear
@@ -30,9 +31,6 @@ from vppres.solve.lumping import Lumping, eliminated
 from vppres.solve.selection import EQUAL, MOST, Family, Selected, Selection, Sheet
 
 Goal = Literal["weighted", "service", "cost"]
-
-LEAST_KW = 1e-3
-"""A first step's largest charge or discharge below this has no part in a ratio."""
 
 OF_ENERGY = (
     "battery_soc_start",
@@ -217,7 +215,7 @@ class Fleet:
         charge = np.minimum(limit, until_full)
         discharge = np.minimum(limit, until_empty)
         # A ratio of next to nothing says nothing, and is no number a solver can work with.
-        both = (charge > LEAST_KW) & (discharge > LEAST_KW)
+        both = (charge > NO_POWER_KW) & (discharge > NO_POWER_KW)
         a_per_b = np.divide(charge, discharge, where=both, out=np.zeros_like(charge))
         b_per_a = np.divide(discharge, charge, where=both, out=np.zeros_like(charge))
         if self.lumped and len(b):

@@ -15,8 +15,7 @@ from vppres.model.violations import POWER_TOLERANCE_REL
 from vppres.solve.deadline import HALF, Deadline, Stopwatch
 from vppres.solve.netting import net_modes
 from vppres.solve.network.program import NetworkProgram
-from vppres.solve.network.rows import SOLVED
-from vppres.solve.programs import ProgramSolution
+from vppres.solve.programs import SOLVED, ProgramSolution
 from vppres.solve.result import Outcome, Status
 
 EXACT_DISC = HALF * POWER_TOLERANCE_REL

@@ -23,7 +23,7 @@ from vppres.solve.dispatch import (
 from vppres.solve.fleet.masters import Master, fleets_of, master_of
 from vppres.solve.netting import net_modes
 from vppres.solve.network.master import NetworkMaster, applies
-from vppres.solve.programs import HALF_UNIT, WHOLE_TOLERANCE
+from vppres.solve.programs import HALF_UNIT, SOLVED
 from vppres.solve.result import Outcome, Status
 from vppres.solve.task import COST_SHARE, WindowTask
 
@@ -156,7 +156,7 @@ class InNetwork:
             return found
         if self.task.data.phased is not None and self._certified(found):
             return found
-        units = float(np.ceil(found.service / self.master.unit - WHOLE_TOLERANCE))
+        units = float(np.ceil(found.service / self.master.unit - SOLVED))
         share = COST_SHARE if self._certified(found) else HALF
         deadline = self.task.deadline.part(share)
         first = found.dispatch.served
@@ -226,7 +226,7 @@ class InNetwork:
 
     def _network_cost(self, units_min: float) -> Outcome:
         """Least cost of shares of customers with so many units, in the network."""
-        return self.master.least_cost(float(np.ceil(units_min - WHOLE_TOLERANCE)))
+        return self.master.least_cost(float(np.ceil(units_min - SOLVED)))
 
     def cheapest(self, served: Flags) -> Candidate | None:
         """Cheapest dispatch of a set, with the tie-breakers if they find one."""

@@ -15,7 +15,8 @@ import scipy.sparse as sp
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.scenario.network import Network
 from vppres.solve.deadline import Deadline
-from vppres.solve.programs import PROOF, WHOLE_TOLERANCE, Program, ProgramSolution
+from vppres.solve.network.sets import NEARLY
+from vppres.solve.programs import PROOF, SOLVED, Program, ProgramSolution
 
 SHARED = -1
 """Feeder of what belongs to none: the grid's columns, rows over several feeders."""
@@ -32,9 +33,6 @@ GAP = 0.05
 
 SEARCH = MappingProxyType({**PROOF, "mip_heuristic_run_root_reduced_cost": False})
 """How HiGHS searches a feeder: for the bound."""
-
-ROOM = 1e-4
-"""Units by which what a search proves gives way: a solver's bound is one within its tolerance."""
 
 
 def feeder_of_buses(network: Network) -> Wholes:
@@ -114,7 +112,7 @@ class Feeders:
     def fractional(self) -> Wholes:
         """Feeders in which a binary is a fraction, in order."""
         values = self.x[self.binaries]
-        fraction = np.abs(values - np.round(values)) > WHOLE_TOLERANCE
+        fraction = np.abs(values - np.round(values)) > SOLVED
         feeders = np.unique(self.feeder[self.binaries[fraction]])
         return np.asarray(feeders[feeders != SHARED])
 
@@ -136,7 +134,7 @@ class Feeders:
         answered = found.status.has_answer
         served = np.round(found.x[binary]) if answered else np.full(len(places), np.nan)
         bound = min(found.bound, least + MOST_LOST)
-        raised = bound - ROOM - least
+        raised = bound - NEARLY - least
         return Found(places, served, raised if raised > 0.0 else 0.0)
 
     def _own(self, columns: Wholes, rows: Wholes, binary: Flags) -> Program:

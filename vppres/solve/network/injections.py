@@ -30,8 +30,8 @@ from vppres.solve.forms import (
 )
 from vppres.solve.lumping import eliminated
 from vppres.solve.network.reactance import Reactance
-from vppres.solve.network.rows import PER_PU2, SOLVED, Rows
-from vppres.solve.programs import Program, with_limits_of_columns
+from vppres.solve.network.rows import PER_PU2, Rows
+from vppres.solve.programs import SOLVED, Program, with_limits_of_columns
 from vppres.solve.selection import Selected, Selection, Sheet
 
 SOLVER_KVA = 5e-7

@@ -22,12 +22,12 @@ from vppres.solve.network.cheapest import EXACT_DISC, CheapestDispatch
 from vppres.solve.network.feeders import Feeders, feeder_of_buses
 from vppres.solve.network.program import DISC, FINER_DISC, NetworkProgram
 from vppres.solve.network.rows import Rows, limited
-from vppres.solve.network.sets import Known, ServiceCuts
+from vppres.solve.network.sets import NEARLY, Known, ServiceCuts
 from vppres.solve.programs import (
     DIRECT,
     HALF_UNIT,
+    SOLVED,
     WHOLE_GAP,
-    WHOLE_TOLERANCE,
     Program,
     ProgramSolution,
     begin_with,
@@ -46,10 +46,6 @@ COST_NODES = 100
 
 TRIES = 12
 """Sets of so many units that are tried in a large window before fewer units are."""
-
-NEARLY = 1e-4
-"""Units by which the network may carry less than a set and still be asked for its dispatch: bounds
-that are as tight find the same set again."""
 
 
 def applies(site: Site, data: WindowData) -> bool:
@@ -110,11 +106,7 @@ class NetworkMaster:
     def most_units(self) -> float:
         """Service that no set exceeds, in units; infinite where it was not found."""
         root = self.root[1]
-        return (
-            float(np.floor(WHOLE_TOLERANCE - root.bound))
-            if root.status == Status.OPTIMAL
-            else np.inf
-        )
+        return float(np.floor(SOLVED - root.bound)) if root.status == Status.OPTIMAL else np.inf
 
     def service(self, deadline: Deadline) -> tuple[Outcome, Flags | None]:
         """Most service in whole units until a deadline, whatever is curtailed for it.
@@ -130,7 +122,7 @@ class NetworkMaster:
             return root.outcome(watch.spent_s), None
         cuts = ServiceCuts(self.units)
         most = self._cut(root, cuts)
-        known = Known(np.ones(x.size), float(np.floor(most + WHOLE_TOLERANCE)), self._shares(root))
+        known = Known(np.ones(x.size), float(np.floor(most + SOLVED)), self._shares(root))
         known.improve(*self._carried(root))
         if self.network.is_large:
             self._close_large(known, cuts, deadline)
@@ -230,7 +222,7 @@ class NetworkMaster:
         held = np.full(len(self.units), np.nan)
         if not known.closed():
             held = self._by_feeders(cuts, deadline)
-            known.bound = max(known.most, float(np.floor(cuts.first + WHOLE_TOLERANCE)))
+            known.bound = max(known.most, float(np.floor(cuts.first + SOLVED)))
         known.tried = np.where(np.isnan(held), 1.0, held)
         if not known.closed() and not self._learns(known, cuts, deadline, DISC):
             return
@@ -369,7 +361,7 @@ class NetworkMaster:
 
     def _in_full(self, linear: ProgramSolution) -> Floats:
         """Who is served in full by a linear solution."""
-        return np.asarray(np.floor(linear.x[self.model.at("x_served").ravel()] + WHOLE_TOLERANCE))
+        return np.asarray(np.floor(linear.x[self.model.at("x_served").ravel()] + SOLVED))
 
     def _carried(self, linear: ProgramSolution) -> tuple[Floats, float]:
         """Who is served in full by a linear solution, and what that is worth in units."""
@@ -500,7 +492,7 @@ class NetworkMaster:
         """Least cost of so many units."""
         columns, lack = self.lack
         size = len(self.network.program.cost)
-        enough = Rows.of(columns[None, :], -lack, units_min - WHOLE_TOLERANCE, np.inf, size)
+        enough = Rows.of(columns[None, :], -lack, units_min - SOLVED, np.inf, size)
         return self.network.program.with_rows(enough.matrix.tocsc(), enough.lower)
 
     def cheapest(self, served: Flags, deadline: Deadline) -> tuple[Outcome, Dispatch | None]:

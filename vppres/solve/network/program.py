@@ -20,8 +20,8 @@ from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import Deadline
 from vppres.solve.network.injections import Injections
 from vppres.solve.network.phased import PhasedInjections
-from vppres.solve.network.rows import SOLVED, Rows, add, limited
-from vppres.solve.programs import Program, ProgramSolution
+from vppres.solve.network.rows import Rows, add, limited
+from vppres.solve.programs import SOLVED, Program, ProgramSolution
 from vppres.solve.result import Status
 from vppres.solve.sizes import is_large
 

@@ -14,10 +14,6 @@ from vppres.solve.programs import Program
 PER_PU2 = 1e3
 """Rows of voltages are in thousandths of pu²."""
 
-SOLVED = 1e-6
-"""By how much a squared voltage, in pu², or a flow, as a share, may miss its limit in a relaxation:
-the tolerance to which a linear solver meets its rows."""
-
 
 @dataclass(frozen=True, eq=False)
 class Rows:

@@ -12,8 +12,12 @@ import scipy.sparse as sp
 
 from vppres.core.arrays import Floats
 from vppres.solve.deadline import Deadline
-from vppres.solve.programs import HALF_UNIT, WHOLE_TOLERANCE, Program, ProgramSolution
+from vppres.solve.programs import HALF_UNIT, SOLVED, Program, ProgramSolution
 from vppres.solve.result import Status
+
+NEARLY = 1e-4
+"""Units that a bound on a large window may be off by, which a solver has within its tolerance: what
+a search proves gives way by it, and a set that lacks no more is asked for its dispatch."""
 
 NEAR = 0.3
 """Units for which a set may be preferred because it is close to a linear solution. Twice as much
@@ -46,7 +50,7 @@ class Known:
             self.bound = self.most
         elif found.status.has_answer:
             self.tried = np.round(found.x)
-        self.bound = max(self.most, min(self.bound, float(np.floor(WHOLE_TOLERANCE - found.bound))))
+        self.bound = max(self.most, min(self.bound, float(np.floor(SOLVED - found.bound))))
 
     def exclude(self) -> None:
         """No set that is carried has as much as the bound."""
@@ -78,7 +82,7 @@ class ServiceCuts:
         if not self.gains:
             self.first_left = left
         self.gains.append(np.maximum(-left, 0.0))
-        self.most_units.append(most + WHOLE_TOLERANCE)
+        self.most_units.append(most + SOLVED)
         return most + float(self.gains[-1].sum())
 
     @property
