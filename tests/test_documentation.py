@@ -70,6 +70,10 @@ NOT_RUN = {
     "python -m experiments.with_grid": "takes minutes",
     "python -m experiments.evening": "takes minutes",
     "python -m experiments.answers": "takes a minute",
+    "python -m experiments.fuel": "takes minutes",
+    "python -m experiments.precooling": "takes minutes",
+    "python -m experiments.all_kinds": "takes minutes",
+    "python -m experiments.phases --loops FOLDER": "takes minutes",
     "python -m data.uk_heatwave_2022.build": "writes into the checkout",
 }
 
