@@ -30,8 +30,9 @@ from vppres.solve.result import SolveLimits, WindowSolution
 BINDING = (15, 18)
 """Seeds of windows in which voltages by phase bind, and the phases of an island's former."""
 
-WITHOUT_GRID = (3, 11)
-"""Seeds of windows with weights that are multiples of nothing: the whole problem decides them."""
+WITHOUT_GRID = (3, 11, 4431)
+"""Seeds of windows with weights that are multiples of nothing: the whole problem decides them. In
+the last batteries would waste energy, and which of them charge is decided with the set."""
 
 
 def first_plan(scenario: Scenario) -> Decision:

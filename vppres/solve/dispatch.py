@@ -89,13 +89,17 @@ def keep_dispatch(task: WindowTask, served: Flags) -> None:
 
 
 def keep_dispatch_in_network(
-    task: WindowTask, served: Flags, before: Dispatch | None = None
+    task: WindowTask,
+    served: Flags,
+    before: Dispatch | None = None,
+    charges: Flags | None = None,
 ) -> None:
     """Keep the cheapest dispatch of a served set that the network carries if it is the best.
 
     The cost without the network is tried first, since most networks carry it. Where batteries'
     turns would have to be searched for, those of a plan ``before`` for the set are tried first:
-    others were never worth more by the gap, and took as long to find as the set itself.
+    others were never worth more by the gap, and took as long to find as the set itself. Of a
+    window with phases ``charges`` has the batteries that charge, (W, B), where they waste energy.
     """
     if not task.obeys_rules(served):
         return
@@ -107,7 +111,8 @@ def keep_dispatch_in_network(
     if before is not None and task.certificate.wasteful:
         found = _cheapest_with_turns(task, before) or cheapest(task, "cost", served, form)
     if found is not None:
-        task.certificate.keep(with_tie_breakers(task, found) or in_network(task, served))
+        found = with_tie_breakers(task, found) or in_network(task, served, charges)
+        task.certificate.keep(found)
 
 
 def keep_with_turns(task: WindowTask, before: Dispatch) -> None:
@@ -143,10 +148,10 @@ def cheapest_with_modes(
     return Candidate.of(task.site, data, attempt.dispatch, np.inf, False, attempt.own)
 
 
-def in_network(task: WindowTask, served: Flags) -> Candidate | None:
+def in_network(task: WindowTask, served: Flags, charges: Flags | None = None) -> Candidate | None:
     """Cheapest dispatch of a served set in the network, with the true discs."""
     if task.data.phased is not None and not task.own:
-        found, proven = _by_rows(task, served)
+        found, proven = _by_rows(task, served, charges)
         if found is not None or proven:
             return found
     form = cost_form(task.sides, network=True)
@@ -154,7 +159,9 @@ def in_network(task: WindowTask, served: Flags) -> Candidate | None:
     return found and polished(task, found)
 
 
-def _by_rows(task: WindowTask, served: Flags) -> tuple[Candidate | None, bool]:
+def _by_rows(
+    task: WindowTask, served: Flags, charges: Flags | None
+) -> tuple[Candidate | None, bool]:
     """The same by a linear problem that gets rows as they are needed, for windows with phases.
 
     None where batteries would have to take turns, and where it is proven that there is none.
@@ -162,7 +169,7 @@ def _by_rows(task: WindowTask, served: Flags) -> tuple[Candidate | None, bool]:
     data = replace(task.data.for_service(served), switching=None)
     program = NetworkProgram(task.cache, data)
     way = CheapestDispatch(task.site, data, program)
-    outcome, dispatch = way.of(served, task.answer_by(HALF))
+    outcome, dispatch = way.of(served, task.answer_by(HALF), charges)
     task.certificate.note("network_dispatch", outcome)
     if dispatch is None:
         return None, outcome.status == Status.INFEASIBLE

@@ -83,5 +83,6 @@ def _solve(task: WindowTask, name: str, form: Form, gap: float) -> bool:
     else:
         known.learn(name, outcome)
     if outcome.status.has_answer:
-        keep_dispatch_in_network(task, problem.value_of("x_served") > 0.5)
+        charges = problem.value_of("delta") > 0.5
+        keep_dispatch_in_network(task, problem.value_of("x_served") > 0.5, charges=charges)
     return outcome.status == Status.OPTIMAL

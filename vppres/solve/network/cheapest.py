@@ -49,8 +49,13 @@ class CheapestDispatch:
         self.network = network.apart()
         self.model = network.model
 
-    def of(self, served: Flags, deadline: Deadline) -> tuple[Outcome, Dispatch | None]:
-        """Cheapest dispatch of a served set, within the discs."""
+    def of(
+        self, served: Flags, deadline: Deadline, charges: Flags | None = None
+    ) -> tuple[Outcome, Dispatch | None]:
+        """Cheapest dispatch of a served set, within the discs.
+
+        Where batteries waste energy, those of ``charges``, (W, B), charge and others discharge.
+        """
         watch = Stopwatch()
         program = self.network.of_set(served)
         cost = program.cost.copy()
@@ -58,7 +63,8 @@ class CheapestDispatch:
         program = replace(program, cost=cost)
         solver = self.network.loaded(program)
         found = self.network.until_carried(solver, deadline, EXACT_DISC)
-        unused = self._unused(found, served) if found.status == Status.OPTIMAL else np.arange(0)
+        done = found.status == Status.OPTIMAL
+        unused = self._unused(found, served, charges) if done else np.arange(0)
         if len(unused):
             self._hold(solver, unused, 0.0)
             turned = self.network.until_carried(solver, deadline, EXACT_DISC)
@@ -92,12 +98,12 @@ class CheapestDispatch:
         highest = np.abs(self.model.program.cost).max(initial=0.0)
         return float(self.site.dt_h * (1.0 + SUN_OVER_PRICE * highest))
 
-    def _unused(self, answer: ProgramSolution, served: Flags) -> Wholes:
+    def _unused(self, answer: ProgramSolution, served: Flags, charges: Flags | None) -> Wholes:
         """Columns to be left unused where a solution goes two ways at once: the lesser of each two.
 
         Import and export, where it has both in a step; charging and discharging of a large window,
-        or one with phases, where they waste more than a battery could store. In others modes are
-        decided by binaries.
+        or one with phases, where they waste more than a battery could store, if it is not known
+        which charge. In others modes are decided by binaries.
         """
         at = self.model.at
         imported, exported = self.model.exchange_kw(answer.x)
@@ -106,7 +112,8 @@ class CheapestDispatch:
             unused += [at("P_out")[imported >= exported], at("P_grid")[imported < exported]]
         in_turns = self.network.is_large or self.data.phased is not None
         if in_turns and not self._storable(answer, served):
-            charges = answer.x[at("P_ch")] >= answer.x[at("P_dch")]
+            if charges is None:
+                charges = answer.x[at("P_ch")] >= answer.x[at("P_dch")]
             unused += [at("P_dch")[charges], at("P_ch")[~charges]]
         return np.concatenate([np.arange(0), *(columns.ravel() for columns in unused)])
 
