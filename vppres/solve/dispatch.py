@@ -27,7 +27,7 @@ from vppres.solve.netting import SOC_OVER, net_modes, soc_path
 from vppres.solve.network.cheapest import CheapestDispatch
 from vppres.solve.network.program import NetworkProgram
 from vppres.solve.network.reactive import LeastReactive
-from vppres.solve.phases import near_to, run_in_phases
+from vppres.solve.phases import near_to, run_in_phases, with_more_room
 from vppres.solve.programs import GAP_SHARE, ProgramSolution, program_of
 from vppres.solve.result import Outcome, Status
 from vppres.solve.solvers import SolverSpec, run, run_conic
@@ -206,16 +206,17 @@ def _curtailed_within_gap_kwh(task: WindowTask, found: Candidate) -> float:
     return allowed / worth if worth > 0.0 else 0.0
 
 
-def with_tie_breakers(
-    task: WindowTask, found: Candidate, more_kwh: float = 0.0
-) -> Candidate | None:
+def with_tie_breakers(task: WindowTask, found: Candidate, inside: bool = False) -> Candidate | None:
     """The dispatch that the tie-breakers prefer, None if the network forbids its cost.
 
-    They may curtail so much more.
+    With ``inside`` a window with phases has more than its rows allow, so that interior points have
+    an inside: they may curtail more, and load the former's phases by what a check lets pass.
     """
     data = task.data.for_service(found.dispatch.served)
     own = OwnValues(found.terms.own, found.letters)
-    attempt = polish(task.cache, data, found.dispatch, task.answer_by(), own, more_kwh)
+    more_kwh = _curtailed_within_gap_kwh(task, found) if inside else 0.0
+    given = with_more_room(data) if inside else data
+    attempt = polish(task.cache, given, found.dispatch, task.answer_by(), own, more_kwh)
     task.certificate.note("tie_breakers", attempt.outcome)
     return carried(task, data, found, attempt)
 
@@ -248,8 +249,7 @@ def polished(task: WindowTask, found: Candidate) -> Candidate | None:
     if better is not None or task.own:
         return better
     if task.data.phased is not None:
-        more_kwh = _curtailed_within_gap_kwh(task, found)
-        return with_tie_breakers(task, found, more_kwh) or as_it_is(task, found)
+        return with_tie_breakers(task, found, inside=True) or as_it_is(task, found)
     return with_least_reactive(task, found)
 
 

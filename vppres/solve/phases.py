@@ -52,6 +52,10 @@ its sides to be rows from the start: passes move it by less."""
 OVER = HALF * VOLTAGE_TOLERANCE_PU2
 """By how much a dispatch may miss a limit of the phases: half of what its check allows."""
 
+MORE_ROOM = 4.0 * OVER
+"""Share by which a phase of the former may be fuller than a linear problem lets it be, in cones: a
+linear solution that uses all that it may has no inside else."""
+
 TOWARDS = np.exp(-2j * np.pi * np.arange(SIDES) / SIDES)
 """Turns of a value by which its real part is what it has towards a side."""
 
@@ -326,6 +330,12 @@ def near_to(site: Site, data: WindowData, dispatch: Dispatch) -> WindowData:
     bound = phased.bound | ((room < BINDS_PU2) & limited)
     kva = phased.former_offset + former
     return replace(data, phased=replace(phased, bound=bound, former_kva=kva))
+
+
+def with_more_room(data: WindowData) -> WindowData:
+    """The window with a little more room on the former's phases, if it has any."""
+    phased = data.require_phased()
+    return replace(data, phased=replace(phased, room_kva=(1.0 + MORE_ROOM) * phased.room_kva))
 
 
 def run_in_phases(

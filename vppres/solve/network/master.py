@@ -142,12 +142,14 @@ class NetworkMaster:
         """Try sets until the best has as much as the bound, or nothing improves any more.
 
         With rules the best set is put to the discs themselves, in two steps, where it has no
-        dispatch within them: nobody can be left out of it then without breaking them.
+        dispatch within them: nobody can be left out of it then without breaking them. So it is with
+        phases, where the former's disc decides how much is served in an island.
         """
         binding = self._priced(self.root[1])
         for over, finer in pairwise(DISCS):
             binding = self._try_sets(known, cuts, deadline, binding, over)
-            if known.best is None or self.data.switching is None or deadline.passed:
+            plain = self.data.switching is None and self.data.phased is None
+            if known.best is None or plain or deadline.passed:
                 return
             if self._has_dispatch(known.best):
                 return
