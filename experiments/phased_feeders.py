@@ -5,8 +5,8 @@ problem with a row for each limit of each node and each side of each phase of th
 Inverters' discs are polygons there, around the discs and inside them: what they allow brackets the
 optimum.
 
-``python -m experiments.phased_feeders --windows FILE`` decides 24 windows of a circuit, beside the
-whole problem with all of its rows, and prints them as a table.
+``python -m experiments.phased_feeders --windows FILE`` decides 24 windows of a circuit, and prints
+them as a table; with ``--limit`` beside the whole problem with all of its rows.
 """
 
 from __future__ import annotations
@@ -318,10 +318,8 @@ WINDOW_COLUMNS = (
     "F",
     "gap",
     "CPU s",
-    "F of the whole problem",
-    "its gap",
-    "its CPU s",
 )
+WHOLE_COLUMNS = ("F of the whole problem", "its gap", "its CPU s")
 
 
 def windows(file: Path, time_s: float) -> str:
@@ -329,9 +327,10 @@ def windows(file: Path, time_s: float) -> str:
 
     Both are at the same linearisation and to the same gap, with tiers weighed against each other.
     The whole problem has a limit in seconds, and polygons of 16 sides around the discs of
-    inverters, so that its F may be larger.
+    inverters, so that its F may be larger; without a limit it is left out.
     """
-    table = [f"| {' | '.join(WINDOW_COLUMNS)} |", "| --- " * len(WINDOW_COLUMNS) + "|"]
+    columns = (*WINDOW_COLUMNS, *(WHOLE_COLUMNS if time_s else ()))
+    table = [f"| {' | '.join(columns)} |", "| --- " * len(columns) + "|"]
     say("\n".join(table))
     for name in DAYS:
         scenario = of_day(scenario_of(file), name)
@@ -354,6 +353,8 @@ def _beside(solver: WindowSolver, data: WindowData, time_s: float) -> str:
     found = solver.solve(data)
     cpu_s = time.process_time() - began
     own = f"{found.objective:.4f} | {found.gap:.1e} | {cpu_s:.2f}"
+    if not time_s:
+        return own
     gap_abs = solver.limits.gap_at(found.objective)
     return f"{own} | {_as_a_whole(solver.site, data, gap_abs, time_s)}"
 
@@ -381,7 +382,7 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--long", type=int, default=0, help="closed loops on long feeders")
     parser.add_argument("--windows", type=Path, help="a circuit, for its windows")
-    parser.add_argument("--limit", type=float, default=60.0, help="seconds for the whole problem")
+    parser.add_argument("--limit", type=float, default=0.0, help="seconds for the whole problem")
     parser.add_argument("--page", type=Path, help="page whose table of windows is written anew")
     given = parser.parse_args()
     if given.windows:

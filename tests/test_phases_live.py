@@ -72,7 +72,7 @@ def test_strict_order_gives_up_headroom_of_phases_for_the_first_tier(evening: Sc
     of_first = evening.customers.id == "cbc"
     tier = np.where(of_first, "critical", "low").astype(object)
     customers = replace(evening.customers, tier=tier)
-    load_kw = evening.load_kw * np.where(of_first, 2.1, 1.0)
+    load_kw = evening.load_kw * np.where(of_first, 2.15, 1.0)
     step = replace(evening, customers=customers, load_kw=load_kw).between(1, 2)
     run = run_day(step, replace(OPTIONS, priority="strict"))
     kva = run.steps[[f"former_{p}_kva" for p in "abc"]].to_numpy(float).max()
