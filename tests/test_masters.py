@@ -186,35 +186,29 @@ def test_counts_find_what_binaries_find(
     assert counted.bound == binary.bound
 
 
-def test_cuts_of_an_outage_join_no_other_and_no_loss_of_next_to_no_price() -> None:
-    """Else one search has all outages: a window of 96 steps had no answer in a minute."""
-    day = with_days(instances_day(), 4)
-    data = day_window(day, 8, 72, 0.4)
-    counts = Counts(demand_model(Site.of(day), data), data, Deadline(TIME_S))
-    outcome, _ = counts.service(0.5)
-    assert outcome.status == Status.OPTIMAL
-    assert len(counts.blocks) == len(counts.outages) == 3
-    for cut in counts.cuts:
-        assert sum(bool(cut.weights[:-2][outage].any()) for outage in counts.outages) == 1
-        assert (cut.weights[-2:] == 0.0).all()
-
-
-def test_outages_by_themselves_prove_what_all_do(
-    packaged: Scenario, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_counts_of_several_outages_find_what_binaries_find(packaged: Scenario) -> None:
     limit_kw = np.array([np.inf, 0.0, 0.0, np.inf, np.inf, 0.0, 0.0, np.inf])
     data = replace(day_window(packaged, 10, 8, 0.3), grid_limit_kw=limit_kw)
     cache = ModelCache(Site.of(packaged))
+    master = Counts(demand_of(cache, data, lumped=True), data, Deadline(TIME_S))
+    counted, _ = master.service(0.5)
+    binary, _ = Binaries(cache, data, find_solver("highs"), Deadline(TIME_S), True).service(0.5)
+    assert counted.status == Status.OPTIMAL
+    assert counted.value == pytest.approx(binary.value, abs=1e-4)
+    assert counted.bound == binary.bound
 
-    def service() -> tuple[float, float, int]:
-        counts = Counts(demand_of(cache, data, lumped=True), data, Deadline(TIME_S))
-        outcome, _ = counts.service(0.5)
-        return outcome.value, outcome.bound, len(counts._blocks(np.isfinite(limit_kw)))
 
-    value, bound, blocks = service()
-    monkeypatch.setattr("vppres.solve.fleet.counts.runs", lambda _: [])
-    assert service()[:2] == pytest.approx((value, bound))
-    assert blocks == 2
+def test_no_cut_prices_a_loss_of_next_to_nothing() -> None:
+    """Service would be no number: a window of 96 steps had no answer in a minute."""
+    data = day_window(with_days(instances_day(), 4), 8, 72, 0.4)
+    counts = Counts(
+        demand_model(Site.of(with_days(instances_day(), 4)), data), data, Deadline(TIME_S)
+    )
+    outcome, _ = counts.service(0.5)
+    assert outcome.status == Status.OPTIMAL
+    assert counts.cuts
+    for cut in counts.cuts:
+        assert (cut.weights[-2:] == 0.0).all()
 
 
 def test_energy_of_the_fleet_is_a_cut(packaged: Scenario) -> None:
@@ -287,8 +281,8 @@ def test_counts_are_rounded_down_where_time_runs_out(
     best = WindowSolver(site).solve(data)
     search = Counts._most
 
-    def late(self: Counts, block: np.ndarray, deadline: Deadline, share: float = 1.0) -> object:
-        return replace(search(self, block, deadline, share), status=Status.NO_ANSWER)
+    def late(self: Counts, free: np.ndarray, deadline: Deadline) -> object:
+        return replace(search(self, free, deadline), status=Status.NO_ANSWER)
 
     monkeypatch.setattr(Counts, "_most", late)
     monkeypatch.setattr(Counts, "_step_by_step", lambda *_: None)
@@ -321,8 +315,8 @@ def test_counts_that_ended_at_their_nodes_are_not_asked_with_a_cut_more(
         return replace(found, status=status)
 
     # The fleet refuses the set twice.
-    answers = iter([(Status.OPTIMAL, [cut]) for cut in counts.cuts[:2]])
-    monkeypatch.setattr(counts, "_separated", lambda _: next(answers, (Status.OPTIMAL, [])))
+    answers = iter([(Status.OPTIMAL, cut) for cut in counts.cuts[:2]])
+    monkeypatch.setattr(counts.reach, "separate", lambda *_: next(answers, (Status.OPTIMAL, None)))
     ended = counts._carried(search, counts.deadline)
     assert asked == [cuts + k for k in range(searches)]
     assert ended.status == (Status.OPTIMAL if searches > 1 else Status.NO_ANSWER)

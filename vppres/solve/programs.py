@@ -38,6 +38,10 @@ GAP_SHARE = 0.8
 """Share of the window's gap that a search for a set may leave open; a dispatch and its tie-breakers
 have the rest."""
 
+NODES = 100
+"""Nodes of a search that no certificate needs, for a cheaper set or for a feeder's bound: most end
+with fewer, and a bound from an early end is one too."""
+
 STOPPED = (
     highspy.HighsModelStatus.kInterrupt,
     highspy.HighsModelStatus.kSolutionLimit,

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import highspy
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.csgraph import connected_components
 
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.data import WindowData
@@ -26,6 +25,7 @@ from vppres.solve.programs import (
     DIRECT,
     GAP_SHARE,
     HALF_UNIT,
+    NODES,
     PROOF,
     SOLVED,
     WHOLE_GAP,
@@ -38,16 +38,6 @@ from vppres.solve.result import Outcome, Status
 SPARE_CUSTOMERS = 3
 """Customers of the largest weight whom a set may lose beyond what shares of customers lose: a
 linear solution has a fraction for each cut that binds."""
-
-
-def runs(flags: Flags) -> list[Flags]:
-    """Flags of each run of true values.
-
-    >>> [run.tolist() for run in runs(np.array([True, False, True]))]
-    [[True, False, False], [False, False, True]]
-    """
-    number = np.cumsum(np.diff(flags.astype(int), prepend=0) > 0)
-    return [flags & (number == each) for each in np.unique(number[flags])]
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +143,6 @@ class Counts:
         self.able = model.able
         self.units = model.customer_units
         self.unlimited: Flags = np.isinf(data.grid_limit_kw)
-        self.outages = runs(data.dark)
         self.demand_kw = model.load_kw
         self.worst = model.worst()
         self.least = model.least()
@@ -162,9 +151,7 @@ class Counts:
         self.one = OneBattery.of(model.site, data)
         self.cuts: list[Cut] = []
         self.plain: dict[bytes, tuple[_Layout, Program]] = {}
-        self.proven: dict[bytes, float] = {}
-        self.carried: set[bytes] = set()
-        self.blocks: list[Flags] = []
+        self.proven = -np.inf
         self.gap = 0.0
 
     def service(self, gap: float) -> tuple[Outcome, Flags | None]:
@@ -175,9 +162,8 @@ class Counts:
         self.gap = gap
         found = self._carried(self._most_by_shares(free), self.deadline)
         if found.status == Status.OPTIMAL:
-            solved: dict[tuple[bytes, int], _Found] = {}
             whole = self._step_by_step(found, free) or self._carried(
-                lambda: self._in_blocks(free, solved, search), search
+                lambda: self._most(free, search), search
             )
             found = whole if whole.status.has_answer else self._rounded(found, free)
         anyway = int((self.able[self.unlimited] * self.units).sum())
@@ -218,8 +204,7 @@ class Counts:
         """Least cost of so many units, and whether its bound says that there is no set to find."""
         found = self._carried(self._least_by_shares(free, units_min), self.deadline)
         near = np.isinf(gap_gbp) or found.bound >= known_gbp - gap_gbp
-        # Cost joins what service leaves apart: a search of several outages would not end.
-        if found.status != Status.OPTIMAL or near or len(self.outages) > 1:
+        if found.status != Status.OPTIMAL or near:
             return found, True
         whole = self._carried(lambda: self._least(free, units_min, gap_gbp), self.deadline)
         if whole.status.has_answer:
@@ -237,46 +222,19 @@ class Counts:
             if not found.status.has_answer:
                 return found
             # A search that was stopped has an answer too, if the fleet carries it.
-            status, cuts = self._separated(found.point)
+            status, cut = self.reach.separate(found.point, self.deadline)
             if status != Status.OPTIMAL:
                 return replace(found, status=status)
-            if not cuts:
+            if cut is None:
                 return found
             if deadline.passed or found.status == Status.GAP_OPEN:
                 return replace(found, status=Status.NO_ANSWER)
-            self.cuts += cuts
-
-    def _separated(self, point: Floats) -> tuple[Status, list[Cut]]:
-        """Cuts that a point violates: those of single outages, or else one of all of them.
-
-        What the fleet cannot carry with nobody served in the other outages, it can in no case. A
-        cut of all of them joins their steps to one block, even where each has its own limit.
-        """
-        outages = self.outages if len(self.outages) > 1 else []
-        cuts = []
-        for number, outage in enumerate(outages):
-            alone = point.copy()
-            others = np.logical_or.reduce(outages) & ~outage
-            alone[:-2][others] = 0.0
-            if alone.tobytes() in self.carried:
-                continue
-            status, cut = self.reach.separate(alone, self.deadline, number)
-            if status != Status.OPTIMAL:
-                return status, []
-            if cut is None:
-                self.carried.add(alone.tobytes())
-            else:
-                # Nobody served in the others is as far outside without their part in it.
-                cuts.append(cut.without(others))
-        if cuts:
-            return Status.OPTIMAL, cuts
-        status, cut = self.reach.separate(point, self.deadline)
-        return status, [] if cut is None else [cut]
+            self.cuts.append(cut)
 
     def _rounded(self, linear: _Found, free: Flags) -> _Found:
         """The set of a linear solution's counts rounded down: the fleet carries less demand too."""
         units = int((linear.served[free] * self.units).sum())
-        bound = max(linear.bound, self.proven.get(free.tobytes(), -np.inf))
+        bound = max(linear.bound, self.proven)
         value = float(linear.point[-2]) - units
         return replace(linear, status=Status.TIME_LIMIT, value=value, bound=bound)
 
@@ -288,7 +246,7 @@ class Counts:
         Then it still bounds the service.
         """
         layout, _ = self._program(free)
-        joined = len(self.outages) > 1 or any(cut.weights[-2] for cut in self.cuts)
+        joined = any(cut.weights[-2] for cut in self.cuts)
         if not self.whole or joined or not len(layout.weight):
             return None
         everyone = int((self.able[free] * self.units).sum())
@@ -299,13 +257,13 @@ class Counts:
             return None
         losses = [self._losses(layout, t, most_lost) for t in range(layout.n_steps)]
         found = self._of_one_battery(free, layout, losses, most_lost)
-        proven = found.value if found else self.least[0] - everyone + most_lost + 1
-        self.proven[free.tobytes()] = proven
+        self.proven = found.value if found else self.least[0] - everyone + most_lost + 1
         if found is None:
             return None
-        status, cuts = self._separated(found.point)
-        self.cuts += cuts
-        return found if status == Status.OPTIMAL and not cuts else None
+        status, cut = self.reach.separate(found.point, self.deadline)
+        if cut is not None:
+            self.cuts.append(cut)
+        return found if status == Status.OPTIMAL and cut is None else None
 
     def _of_one_battery(
         self, free: Flags, layout: _Layout, losses: list[Losses], most_lost: int
@@ -327,72 +285,25 @@ class Counts:
         loads_kw = [layout.load_kw[layout.count == count] for count in counts]
         return Losses.of(layout.weight[counts].tolist(), loads_kw, most_lost)
 
-    # Service, one search for the steps of each block.
+    # Service, one search for all steps.
 
-    def _in_blocks(
-        self, free: Flags, solved: dict[tuple[bytes, int], _Found], deadline: Deadline
-    ) -> _Found:
-        """Most service, block by block: steps that no cut joins have nothing to do with another."""
-        parts = []
-        self.blocks = blocks = self._blocks(free)
-        for block in blocks:
-            key = block.tobytes(), len(self._touching(block))
-            if key not in solved:
-                solved[key] = self._most(block, deadline, 1.0 / len(blocks))
-            if not solved[key].status.has_answer:
-                return solved[key]
-            parts.append(solved[key])
-        open_ = (part.status for part in parts if part.status != Status.OPTIMAL)
-        return _Found(
-            next(open_, Status.OPTIMAL),
-            sum(part.value for part in parts),
-            sum(part.bound for part in parts),
-            np.logical_and.reduce([part.served for part in parts]),
-            np.append(
-                np.min([part.point[:-2] for part in parts], axis=0),
-                np.max([part.point[-2:] for part in parts], axis=0),
-            ),
-        )
-
-    def _blocks(self, free: Flags) -> list[Flags]:
-        """Flags in which not everyone is served, in groups that share a cut."""
-        if not free.any() or any(cut.weights[-2] for cut in self.cuts):
-            return [free]  # loss is one quantity of the whole window
-        weights = np.array([cut.weights[:-2] for cut in self.cuts]).reshape(-1, len(free))
-        joined = (weights != 0.0) & free
-        if (joined.sum(axis=1) == free.sum()).any():
-            return [free]
-        pairs = joined.T.astype(int) @ joined.astype(int)
-        _, group = connected_components(sp.csr_array(pairs), directed=False)
-        return [free & (group == number) for number in np.unique(group[free])]
-
-    def _touching(self, block: Flags) -> list[Cut]:
-        """Cuts that a block's steps or the loss have a part in."""
-        return [cut for cut in self.cuts if cut.weights[-2] or cut.weights[:-2][block].any()]
-
-    def _most(self, block: Flags, deadline: Deadline, share: float = 1.0) -> _Found:
-        """Least of the loss minus the service of a block's steps, in units.
-
-        ``share`` is the block's part of the gap.
-        """
-        cuts = self._touching(block)
-        layout, program = self._of_service(block)
-        if not self.whole or any(cut.weights[layout.lost] for cut in cuts):
-            solver = self._search(program, cuts, GAP_SHARE * self.gap)
-            return self._found(solver, layout, deadline)
+    def _most(self, free: Flags, deadline: Deadline) -> _Found:
+        """Least of the loss minus the service of all free steps, in units."""
+        layout, program = self._of_service(free)
+        if not self.whole or any(cut.weights[layout.lost] for cut in self.cuts):
+            return self._found(self._search(program, GAP_SHARE * self.gap), layout, deadline)
         # Below one unit a whole number is known; a window of many units needs no such proof.
-        gap = max(WHOLE_GAP, share * GAP_SHARE * self.gap)
+        gap = max(WHOLE_GAP, GAP_SHARE * self.gap)
         # What fewer cuts have proven holds with more: whoever serves as much is the best.
-        proven = self.proven.get(block.tobytes(), -np.inf)
-        solver = self._search(program, cuts, gap, proven + HALF_UNIT)
+        solver = self._search(program, gap, self.proven + HALF_UNIT)
         found = self._found(solver, layout, deadline)
         if not found.status.has_answer:
             return found
         # Service is whole, so its bound may be rounded.
-        bound = max(float(np.ceil(found.bound - SOLVED)), proven)
-        self.proven[block.tobytes()] = bound
-        ended = found.value <= bound + HALF_UNIT
-        return replace(found, bound=bound, status=Status.OPTIMAL if ended else found.status)
+        self.proven = max(float(np.ceil(found.bound - SOLVED)), self.proven)
+        ended = found.value <= self.proven + HALF_UNIT
+        status = Status.OPTIMAL if ended else found.status
+        return replace(found, bound=self.proven, status=status)
 
     def _most_by_shares(self, free: Flags) -> Callable[[], _Found]:
         """The same of all free steps by shares of customers, each time with the cuts there are."""
@@ -402,7 +313,7 @@ class Counts:
     def _least(self, free: Flags, units_min: float, gap_gbp: float) -> _Found:
         """Least cost of so many units."""
         layout, program = self._of_cost(free)
-        solver = self._search(program, self.cuts, gap_gbp)
+        solver = self._search(program, gap_gbp, most_nodes=NODES)
         self._ask_for(units_min, free, layout, solver)
         return self._found(solver, layout, self.deadline)
 
@@ -466,11 +377,15 @@ class Counts:
         )
 
     def _search(
-        self, program: Program, cuts: list[Cut], gap_abs: float, enough: float = -np.inf
+        self,
+        program: Program,
+        gap_abs: float,
+        enough: float = -np.inf,
+        most_nodes: int | None = None,
     ) -> highspy.Highs:
-        """A search with cuts; nothing is below ``enough``."""
-        solver = program.loaded(gap_abs, enough=enough, more=PROOF)
-        for cut in cuts:
+        """A search with the cuts there are; nothing is below ``enough``."""
+        solver = program.loaded(gap_abs, most_nodes, enough, PROOF)
+        for cut in self.cuts:
             cut.add_to(solver)
         return solver
 

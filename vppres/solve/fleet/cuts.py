@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import highspy
 import numpy as np
 
-from vppres.core.arrays import Flags, Floats
+from vppres.core.arrays import Floats
 from vppres.model.numerics import SAME
 from vppres.solve.deadline import Deadline
 from vppres.solve.fleet.demand import DemandModel
@@ -21,16 +21,6 @@ class Cut:
 
     weights: Floats
     most: float
-
-    def without(self, steps: Flags) -> Cut:
-        """The cut without the demand of some steps, which it holds without too: none is negative.
-
-        Duals of a demand of nothing may be anything, and would join steps that have no limit in
-        common.
-        """
-        weights = self.weights.copy()
-        weights[:-2][steps] = 0.0
-        return replace(self, weights=weights)
 
     def add_to(self, solver: highspy.Highs) -> None:
         """Add it to a solver whose first columns are demand, loss and cost."""
@@ -65,7 +55,6 @@ class Reach:
         self.largest = float(direction.max() + model.fleet_kw)
         self.asked = len(program.lower) + np.arange(W + 2, dtype=np.int32)
         self.solver = self._new_solver()
-        self.others: dict[int, highspy.Highs] = {}
 
     def _new_solver(self) -> highspy.Highs:
         """A solver of the fleet's program with one column more, the step along the direction."""
@@ -77,21 +66,12 @@ class Reach:
             add_row(solver, np.array([place, step]), np.array([sign, towards]), 0.0, np.inf)
         return solver
 
-    def separate(
-        self, point: Floats, deadline: Deadline, outage: int | None = None
-    ) -> tuple[Status, Cut | None]:
-        """A cut that a point violates; none if the fleet can carry it.
-
-        Points of one ``outage`` alone have a solver of their own: from one to another is far.
-        """
-        solver = self.solver
-        if outage is not None:
-            if outage not in self.others:
-                self.others[outage] = self._new_solver()
-            solver = self.others[outage]
+    def separate(self, point: Floats, deadline: Deadline) -> tuple[Status, Cut | None]:
+        """A cut that a point violates; none if the fleet can carry it."""
         count = len(self.asked)
-        solver.changeRowsBounds(count, self.asked, self.signs * point, np.full(count, np.inf))
-        answer = ProgramSolution.of(solver, deadline)
+        least = self.signs * point
+        self.solver.changeRowsBounds(count, self.asked, least, np.full(count, np.inf))
+        answer = ProgramSolution.of(self.solver, deadline)
         if answer.status != Status.OPTIMAL:
             return answer.status, None
         # The duals of a point outside support what is carried where the solution lies.

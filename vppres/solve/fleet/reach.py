@@ -67,7 +67,7 @@ class OneBattery:
         [-inf]
         """
         spare = float(self.given_kw[t]) - demand_kw
-        missing = -spare - ROUNDING * abs(demand_kw)
+        missing = -spare - ROUNDING * (1.0 + abs(demand_kw))
         if missing > self.power_kw[t]:
             return np.full(len(stored_kwh), -np.inf)
         per_kw = self.per_charged if spare > 0.0 else self.per_discharged

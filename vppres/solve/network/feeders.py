@@ -16,7 +16,7 @@ from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.scenario.network import Network
 from vppres.solve.deadline import Deadline
 from vppres.solve.network.sets import NEARLY
-from vppres.solve.programs import PROOF, SOLVED, Program, ProgramSolution
+from vppres.solve.programs import NODES, PROOF, SOLVED, Program, ProgramSolution
 
 SHARED = -1
 """Feeder of what belongs to none: the grid's columns, rows over several feeders."""
@@ -24,9 +24,6 @@ SHARED = -1
 MOST_LOST = 2.0
 """Units of service by which a feeder's search may fall below its linear problem. Whose service, or
 lack of it, would alone cost more is decided beforehand, and no cut takes more than that away."""
-
-NODES = 50
-"""Nodes of a feeder's search: most end at the first, and a bound from an early end is one too."""
 
 GAP = 0.05
 """Units that a feeder's search may leave open."""

@@ -26,6 +26,7 @@ from vppres.solve.network.sets import NEARLY, Known, ServiceCuts
 from vppres.solve.programs import (
     DIRECT,
     HALF_UNIT,
+    NODES,
     SOLVED,
     WHOLE_GAP,
     Program,
@@ -40,9 +41,6 @@ from vppres.solve.sizes import is_large
 
 DISCS = (DISC, FINER_DISC, EXACT_DISC)
 """The shares one after the other: a set that the second admits may need the little that it does."""
-
-COST_NODES = 100
-"""Nodes of a search for a cheaper set: trades a narrower gap of cost for time."""
 
 TRIES = 12
 """Sets of so many units that are tried in a large window before fewer units are."""
@@ -454,7 +452,7 @@ class NetworkMaster:
         ):
             size = len(self.network.found)
             counted = self._counted(program, self.network.found)
-            solver = counted.loaded(0.5 * gap_gbp, COST_NODES, more=self._options)
+            solver = counted.loaded(0.5 * gap_gbp, NODES, more=self._options)
             begin_with(solver, x, known if best is None else best)
             found = ProgramSolution.of(solver, deadline)
             if np.isfinite(found.bound):
