@@ -188,3 +188,26 @@ def test_only_the_command_line_prints() -> None:
         if isinstance(node, ast.Call) and ast.unparse(node.func) in ("print", "typer.echo")
     }
     assert printing == {"cli"}
+
+
+def numbers_of(tree: ast.Module) -> list[tuple[str, bool]]:
+    """Constants that are numbers, and whether a text stands behind them or the next of their kind."""
+    found = []
+    told = False
+    for statement in reversed(tree.body):
+        if isinstance(statement, ast.Assign):
+            names = [x.id for x in statement.targets if isinstance(x, ast.Name) and x.id.isupper()]
+            value = statement.value
+            text = isinstance(value, ast.Constant) and isinstance(value.value, str)
+            if isinstance(value, ast.Constant | ast.BinOp | ast.UnaryOp) and not text:
+                found += [(name, told) for name in names]
+                continue
+        told = isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant)
+    return found
+
+
+def test_every_number_of_the_solver_says_what_it_is() -> None:
+    found = {m: numbers_of(tree_of(m)) for m in FILES if m.partition(".")[0] == "solve"}
+    silent = [f"{m}: {name}" for m, numbers in found.items() for name, told in numbers if not told]
+    assert not silent
+    assert sum(len(numbers) for numbers in found.values()) > 30

@@ -70,7 +70,10 @@ LOG_READ = 20_000
 """How much of what a process wrote goes into the note of its error, in bytes."""
 
 _SOON_S = 1e-3
+"""Least time for a message to be taken, in s: a socket takes zero for none."""
+
 _REAP_S = 1.0
+"""Time for a process that was killed to be gone, in s."""
 
 
 class Worker:

@@ -22,6 +22,7 @@ OUT_OF_MEMORY = 77
 
 _LENGTH = struct.Struct("!Q")
 _CHUNK = 1 << 20
+"""Most that is read of a socket at once, in bytes."""
 
 
 def _own_parts() -> tuple[str, ...]:
