@@ -45,7 +45,7 @@ farthest out first."""
 BINDS_PU2 = 2e-5
 """How near its limit a squared voltage of a candidate is that the limit binds: 1e-5 pu."""
 
-NEARLY = 0.03
+NEAR_RATING = 0.03
 """Share of what a phase of the former may carry that the last candidate may stay below it by for
 its sides to be rows from the start: passes move it by less."""
 
@@ -187,7 +187,7 @@ class PhaseLimits:
     def near(self) -> list[PhaseRows]:
         """Rows of limits that bound the last candidate or, of the former, nearly did."""
         bound = [self._voltages(side, self.phased.bound[:, side]) for side in (LOW, HIGH)]
-        return [*chain(*bound), *self._former(self.phased.former_kva, -NEARLY)]
+        return [*chain(*bound), *self._former(self.phased.former_kva, -NEAR_RATING)]
 
     def exceeded(self, x: Floats, over: float) -> list[PhaseRows]:
         """Rows of limits that a solution exceeds by more than so many pu², or such a share."""

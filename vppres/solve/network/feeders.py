@@ -15,7 +15,7 @@ import scipy.sparse as sp
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.scenario.network import Network
 from vppres.solve.deadline import Deadline
-from vppres.solve.network.sets import NEARLY
+from vppres.solve.network.sets import BOUND_OFF
 from vppres.solve.programs import NODES, PROOF, SOLVED, Program, ProgramSolution
 
 SHARED = -1
@@ -131,7 +131,7 @@ class Feeders:
         answered = found.status.has_answer
         served = np.round(found.x[binary]) if answered else np.full(len(places), np.nan)
         bound = min(found.bound, least + MOST_LOST)
-        raised = bound - NEARLY - least
+        raised = bound - BOUND_OFF - least
         return Found(places, served, raised if raised > 0.0 else 0.0)
 
     def _own(self, columns: Wholes, rows: Wholes, binary: Flags) -> Program:

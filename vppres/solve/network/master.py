@@ -22,7 +22,7 @@ from vppres.solve.network.cheapest import EXACT_DISC, CheapestDispatch
 from vppres.solve.network.feeders import Feeders, feeder_of_buses
 from vppres.solve.network.program import DISC, FINER_DISC, NetworkProgram
 from vppres.solve.network.rows import Rows, limited
-from vppres.solve.network.sets import NEARLY, Known, ServiceCuts
+from vppres.solve.network.sets import BOUND_OFF, Known, ServiceCuts
 from vppres.solve.programs import (
     DIRECT,
     HALF_UNIT,
@@ -307,7 +307,7 @@ class NetworkMaster:
         known.shares = self._shares(linear)
         known.improve(*self._carried(linear))
         wanted = float(self.units @ known.tried)
-        if wanted + linear.value < NEARLY:
+        if wanted + linear.value < BOUND_OFF:
             known.improve(known.tried, wanted)
         return True
 

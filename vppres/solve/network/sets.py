@@ -15,15 +15,15 @@ from vppres.solve.deadline import Deadline
 from vppres.solve.programs import HALF_UNIT, SOLVED, Program, ProgramSolution
 from vppres.solve.result import Status
 
-NEARLY = 1e-4
+BOUND_OFF = 1e-4
 """Units that a bound on a large window may be off by, which a solver has within its tolerance: what
 a search proves gives way by it, and a set that lacks no more is asked for its dispatch."""
 
-NEAR = 0.3
+PREFERENCE = 0.3
 """Units for which a set may be preferred because it is close to a linear solution. Twice as much
 must stay below one unit, or the best set would no longer be told from the next."""
 
-CLOSE = 0.03
+PREFERENCE_LEFT = 0.03
 """Of the units for which a set may be preferred, how many a set may lack that ends a search."""
 
 
@@ -115,7 +115,9 @@ class ServiceCuts:
         program = self._program(shares, units).with_held(decided, held[decided])
         just = sp.csc_array(self.units[None, :])
         limits = np.array([units - HALF_UNIT]), np.array([units + HALF_UNIT])
-        solver = program.with_range(just, *limits).loaded(1.0 - 2.0 * NEAR, enough=CLOSE - units)
+        solver = program.with_range(just, *limits).loaded(
+            1.0 - 2.0 * PREFERENCE, enough=PREFERENCE_LEFT - units
+        )
         return ProgramSolution.of(solver, deadline)
 
     def _program(self, shares: Floats, at_least: float) -> Program:
@@ -126,7 +128,7 @@ class ServiceCuts:
         away = 1.0 - shares
         spare = self.first - at_least + self.raised
         return Program(
-            NEAR / max(1.0, float(away.sum())) * away - self.units,
+            PREFERENCE / max(1.0, float(away.sum())) * away - self.units,
             (self.first_left < -spare).astype(float),
             (self.first_left <= spare).astype(float),
             sp.csc_array(self.units - np.array(self.gains)),
