@@ -337,3 +337,15 @@ def test_what_does_not_go_with_sets_is_refused() -> None:
         "scenario.toml, objective.lambda_grid = 0.03: makes fuel and starts of sets count as much "
         "as a customer of the first tier. Give less than 2.0e-02."
     )
+
+
+def test_sets_are_switched_as_for_one_battery_and_the_dispatch_costs_as_little() -> None:
+    """Four batteries alike; the whole problem finds no cheaper use of the sets."""
+    day = two_buses([[90.0]] * 6, [1.0], [OPEN, DARK, DARK, DARK, DARK, OPEN], price=0.3)
+    day = replace(day, batteries=battery(60.0, 20.0, 20.0, soc=0.85, count=4))
+    day = replace(day, gensets=gensets(2, p_max_kw=[60.0, 80.0], start_cost_gbp=[3.0, 1.0]))
+    answer, whole = (solved(day, method) for method in METHODS)
+    stages = [stage.partition("[")[0] for stage in answer.stages]
+    assert "switched" in stages and "aggregate" not in stages
+    assert answer.dispatch.served.all() and answer.status == "optimal"
+    assert answer.terms.f2 == pytest.approx(whole.terms.f2, rel=1e-3)

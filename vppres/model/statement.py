@@ -171,6 +171,15 @@ class Statement:
         parts = [self.terms[name] if name == "own" else self.families[name] for name in self.own]
         return frozenset(x.name() for part in parts for x in part.variables())
 
+    @property
+    def own_is_apart(self) -> bool:
+        """Whether families of one's own have letters of their own alone, and there is no term.
+
+        Balances join them to the paper's.
+        """
+        paper = {x.name() for x in vars(self.v).values() if isinstance(x, cp.Variable)}
+        return not (self.changed or "own" in self.terms or self.own_letters & paper)
+
     def named(self, kind: str) -> tuple[str, ...]:
         """Letters or families that additions name as of a kind, of those that there are."""
         names = (name for each in self.additions for name in getattr(each, kind))

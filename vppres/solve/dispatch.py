@@ -6,8 +6,10 @@ precision with the terms above it held (``docs/method.md``, *Lexicographic level
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
+from types import MappingProxyType
 
 import numpy as np
 
@@ -20,8 +22,15 @@ from vppres.model.site import Site
 from vppres.model.terms import evaluate
 from vppres.model.violations import broken
 from vppres.solve.cache import ModelCache
-from vppres.solve.certificate import NO_OWN_VALUES, Candidate, OwnValues
+from vppres.solve.certificate import (
+    COST_GAP_GBP,
+    NO_OWN_VALUES,
+    Candidate,
+    OwnValues,
+    cost_gap_gbp,
+)
 from vppres.solve.deadline import HALF, Deadline, Stopwatch
+from vppres.solve.fleet.relaxation import fleet_problem
 from vppres.solve.forms import Form, sheet_of, sheet_of_draws, window_problem
 from vppres.solve.netting import SOC_OVER, net_modes, soc_path
 from vppres.solve.network.cheapest import CheapestDispatch
@@ -30,9 +39,12 @@ from vppres.solve.network.reactive import LeastReactive
 from vppres.solve.phases import near_to, run_in_phases, with_more_room
 from vppres.solve.programs import GAP_SHARE, ProgramSolution, program_of
 from vppres.solve.result import Outcome, Status
+from vppres.solve.selection import Selected
 from vppres.solve.solvers import SolverSpec, run, run_conic
 from vppres.solve.task import WindowTask
 from vppres.solve.tie_breakers import TieBreakers
+
+NOTHING: Mapping[str, Floats] = MappingProxyType({})
 
 FINER = 4
 """Times as many sides of polygons where usual ones decide: a sixteenth of the error."""
@@ -123,14 +135,17 @@ def keep_with_turns(task: WindowTask, before: Dispatch) -> None:
 
 
 def _cheapest_with_turns(task: WindowTask, before: Dispatch) -> Candidate | None:
-    """Cheapest dispatch without the network of a plan's set with its batteries' turns.
+    """Cheapest dispatch without the network of a plan's set with its binaries.
 
     Where it earns to import and export at once, the step's direction would have to be held too.
     """
     if len(task.site.batteries) == 0 or task.data.both_ways_earn:
         return None
+    sheet = sheet_of(task.cache, task.data)
+    known = sheet.statement.held(task.data, before).values
+    switched = {name: np.asarray(known[name]) for name in sheet.own_whole if name in known}
     turns = {"delta": (before.charge_kw > before.discharge_kw).astype(float)}
-    return cheapest_with_modes(task, before.served, turns)
+    return cheapest_with_modes(task, before.served, turns | switched)
 
 
 def cheapest_with_modes(
@@ -190,13 +205,45 @@ def cheapest(
     data = task.data.for_service(served)
     # A curtailed kW is worth 100,000 GBP: the gap of cost would ask for the last microwatt.
     gap_gbp = (1.0 - GAP_SHARE) * task.gap_to_best * cost_scale(task.site)
-    attempt = solve_cost(task.cache, data, served, task.spec, form, deadline, gap_gbp, modes_later)
+    cost = partial(
+        solve_cost, task.cache, data, served, task.spec, form, deadline, gap_gbp, modes_later
+    )
+    if not form.network and sheet_of(task.cache, data).own_whole:
+        found = _as_one_battery(task, name, data, served, cost)
+        if found is not None or task.certificate.wasteful:
+            return found
+    attempt = cost()
     task.certificate.note(name, attempt.outcome)
     task.certificate.wasteful |= attempt.wasteful
     if attempt.dispatch is None:
         return None
     slack_gbp = abs(attempt.outcome.value - attempt.outcome.bound)
     return Candidate.of(task.site, data, attempt.dispatch, slack_gbp, form.network, attempt.own)
+
+
+def _as_one_battery(
+    task: WindowTask, name: str, data: WindowData, served: Flags, cost: Callable[..., Attempt]
+) -> Candidate | None:
+    """The same with sets on and off, and the like, as the fleet as one battery would have them.
+
+    A search with every battery takes much longer, and mostly ends at the same. None if there is no
+    such dispatch, or if the fleet's bound leaves more of its cost open than a search for cost may.
+    """
+    fleet = fleet_problem(task.cache, data, lumped=True, integer=True, goal="dispatch")
+    fleet.write(eased(task.site, data))
+    fleet.hold(served)
+    outcome = run(fleet, task.spec, COST_GAP_GBP, task.answer_by().left_s)
+    task.certificate.note("switched", outcome)
+    if not outcome.status.has_answer:
+        return None
+    attempt = cost(held=fleet.own_letters())
+    task.certificate.note(name, attempt.outcome)
+    task.certificate.wasteful |= attempt.wasteful
+    if attempt.dispatch is None:
+        return None
+    slack_gbp = max(attempt.outcome.value - outcome.bound, 0.0)
+    found = Candidate.of(task.site, data, attempt.dispatch, slack_gbp, False, attempt.own)
+    return found if slack_gbp <= cost_gap_gbp(found.terms.f2) else None
 
 
 def _curtailed_within_gap_kwh(task: WindowTask, found: Candidate) -> float:
@@ -285,21 +332,23 @@ def solve_cost(
     deadline: Deadline,
     curtailed_gap_gbp: float,
     modes_later: bool = False,
+    held: Mapping[str, Floats] = NOTHING,
 ) -> Attempt:
     """Cheapest dispatch of a served set: a convex problem, with binaries only where it needs them.
 
     ``form`` says whether the network is part of it, and how its discs are stated for binaries;
     without binaries they are cones, or polygons in large windows. ``curtailed_gap_gbp`` is what
     the search with binaries may leave open where PV power is curtailed; with ``modes_later`` there
-    is none where batteries waste energy.
+    is none where batteries waste energy. ``held`` are letters that are known, by their names.
     """
+    solve = partial(_solve_cost, cache, served=served, spec=spec, deadline=deadline, held=held)
     sides = disc_sides(cache.site, data.n_steps) if form.network else 0
     relaxed = replace(form, exclusivity="relaxed", polygon_sides=sides)
     asked = data
-    attempt = _solve_cost(cache, asked, served, spec, relaxed, deadline)
+    attempt = solve(asked, form=relaxed)
     if attempt.outcome.status == Status.INFEASIBLE and not form.network:
         asked = eased(cache.site, data)
-        attempt = _solve_cost(cache, asked, served, spec, relaxed, deadline)
+        attempt = solve(asked, form=relaxed)
     if attempt.dispatch is None:
         return attempt
     netted, fits = net_modes(cache.site, data, attempt.dispatch)
@@ -311,12 +360,12 @@ def solve_cost(
     first_s = attempt.outcome.solve_s
     integer = replace(form, exclusivity="integer")
     gap_gbp = max(DISPATCH_GAP_GBP, curtailed_gap_gbp) if curtailing else DISPATCH_GAP_GBP
-    exclusive = _solve_cost(cache, asked, served, spec, integer, deadline, gap_gbp)
+    exclusive = solve(asked, form=integer, gap_gbp=gap_gbp)
     both_s = first_s + exclusive.outcome.solve_s
     if exclusive.outcome.status == Status.INFEASIBLE and integer.polygon_sides:
         # The set may need what inscribed polygons take away.
         finer = replace(integer, polygon_sides=FINER * integer.polygon_sides)
-        exclusive = _solve_cost(cache, asked, served, spec, finer, deadline, gap_gbp)
+        exclusive = solve(asked, form=finer, gap_gbp=gap_gbp)
         both_s = both_s + exclusive.outcome.solve_s
     return replace(exclusive, outcome=replace(exclusive.outcome, solve_s=both_s))
 
@@ -336,6 +385,7 @@ def _solve_cost(
     form: Form,
     deadline: Deadline,
     gap_gbp: float = DISPATCH_GAP_GBP,
+    held: Mapping[str, Floats] = NOTHING,
 ) -> Attempt:
     """One solve of a form of the cost level; the gap is that of a search for modes."""
     if deadline.passed:
@@ -347,6 +397,8 @@ def _solve_cost(
     problem.fill(data, served)
     if conic:
         outcome = run_in_phases(cache.site, data, problem, served, deadline.left_s)
+    elif held:
+        outcome = _with_held(problem, held, gap_gbp, deadline)
     else:
         outcome = run(problem, spec, gap_gbp, deadline.left_s)
     if not outcome.status.has_answer:
@@ -372,19 +424,28 @@ def _with_modes(
     cache: ModelCache, data: WindowData, served: Flags, modes: Mapping[str, Floats], end: Deadline
 ) -> Attempt:
     """One solve with binaries held."""
-    watch = Stopwatch()
     problem = window_problem(cache, data, cost_form(0, network=False))
     problem.fill(data, served)
-    program = program_of(problem)
-    for name, values in modes.items():
-        program = program.with_held(problem.at(name), values)
-    found = ProgramSolution.of(program.loaded(), end)
-    outcome = found.outcome(watch.spent_s)
-    if found.status != Status.OPTIMAL:
+    outcome = _with_held(problem, modes, 0.0, end)
+    if outcome.status != Status.OPTIMAL:
         return Attempt(outcome, None)
-    problem.put(found.x)
     own = OwnValues(problem.own_value(), problem.own_letters())
     return Attempt(outcome, problem.dispatch(served), own=own)
+
+
+def _with_held(problem: Selected, held: Mapping[str, Floats], gap: float, end: Deadline) -> Outcome:
+    """A solve of a problem with some letters held."""
+    watch = Stopwatch()
+    program = program_of(problem)
+    for name, values in held.items():
+        program = program.with_held(problem.at(name), values)
+    found = ProgramSolution.of(program.loaded(gap), end)
+    outcome = found.outcome(watch.spent_s)
+    if not found.status.has_answer:
+        return outcome
+    problem.put(found.x)
+    offset = problem.value - found.value
+    return replace(outcome, value=found.value + offset, bound=found.bound + offset)
 
 
 # Tie-breakers.

@@ -327,9 +327,9 @@ def keep_a_steady_set(task: WindowTask) -> None:
 def worth_everyone(task: WindowTask) -> bool:
     """Whether to try to serve everyone before any search: connected throughout, or in reach.
 
-    Not with families or a term that the package does not know: they may not want everyone.
+    Not with families or a term of one's own that may not want everyone.
     """
-    if task.own:
+    if task.minds_service:
         return False
     data = task.data
     if (data.grid_limit_kw > 0.0).all():
@@ -342,12 +342,12 @@ def rungs(task: WindowTask) -> list[Callable[[], None]]:
 
     A dark step without batteries has to match the sun with whole customers, and every kW that it
     misses is lost: service cannot be told from curtailment there, and all terms come at once. So
-    they do with families or a term that the package does not know.
+    they do with families or a term of one's own that may mind who is served.
     """
     data = task.data
     sunny = (data.pv_kw > 0.0).any(axis=1)
     matched = task.site.batteries.idle and bool((data.dark & sunny).any())
-    fleets = () if matched or task.own else fleets_of(data)
+    fleets = () if matched or task.minds_service else fleets_of(data)
     return [*(partial(_by_levels, task, lumped) for lumped in fleets), partial(all_terms, task)]
 
 

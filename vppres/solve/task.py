@@ -96,6 +96,12 @@ class WindowTask:
         sheet = sheet_of(self.cache, self.data)
         return bool(self.changed or sheet.statement.own_letters & sheet.statement.network_letters)
 
+    @property
+    def minds_service(self) -> bool:
+        """Whether what differs from the paper may ask for other service or import than it."""
+        apart = sheet_of(self.cache, self.data).statement.own_is_apart
+        return bool(self.own) and not apart
+
     @cached_property
     def everyone(self) -> float:
         """Service of everyone in every step, in weighted customer hours, and the most of later."""

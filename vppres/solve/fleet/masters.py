@@ -162,10 +162,11 @@ def search_for_set(
 def master_of(task: WindowTask, lumped: bool, deadline: Deadline) -> Master | None:
     """The master of a window, with one equivalent battery or every battery; None without a grid.
 
-    Counts need steps in which every customer is free: switching rules join them.
+    Counts need steps in which every customer is free: switching rules join them. They ask the fleet
+    by a linear problem, which what is switched beyond the paper is not.
     """
     data = task.data
-    if data.switching is None and data.load_kw.size > MOST_BINARIES:
+    if data.switching is None and not task.own and data.load_kw.size > MOST_BINARIES:
         model = demand_of(task.cache, data, lumped)
         return Counts(model, data, deadline) if model.grid else None
     master = Binaries(task.cache, data, task.spec, deadline, lumped)

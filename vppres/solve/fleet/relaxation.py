@@ -18,10 +18,10 @@ from typing import Literal
 import numpy as np
 import scipy.sparse as sp
 
-from vppres.core.arrays import Floats
+from vppres.core.arrays import Flags, Floats
 from vppres.model.data import WindowData
 from vppres.model.formulas import charge_to_kw, discharge_to_kw
-from vppres.model.numerics import ROUNDING, SAME, objective_scale
+from vppres.model.numerics import ROUNDING, SAME, cost_scale, objective_scale
 from vppres.model.site import Site
 from vppres.scenario.assets import NO_POWER_KW
 from vppres.solve.cache import ModelCache
@@ -30,7 +30,7 @@ from vppres.solve.linear import Linear
 from vppres.solve.lumping import Lumping, eliminated
 from vppres.solve.selection import EQUAL, MOST, Family, Selected, Selection, Sheet
 
-Goal = Literal["weighted", "service", "cost"]
+Goal = Literal["weighted", "service", "cost", "dispatch"]
 
 OF_ENERGY = (
     "battery_soc_start",
@@ -264,10 +264,11 @@ class FleetProblem(Selected):
         Its rows.
     integer : bool
         Whether service is all or nothing; without it the problem is linear and a weaker bound.
-    goal : {"weighted", "service", "cost"}
+    goal : {"weighted", "service", "cost", "dispatch"}
         ``weighted`` maximises all linear terms as weighted, times the objective's scale;
         ``service`` maximises f1 and f3 in units of the weights' grid, f3 rounded in favour;
-        ``cost`` minimises the cost (GBP) of all sets whose service reaches ``service_min``.
+        ``cost`` minimises the cost (GBP) of all sets whose service reaches ``service_min``;
+        ``dispatch`` minimises in GBP all that a served set leaves to decide, see :meth:`hold`.
     """
 
     def __init__(self, site: Site, fleet: Fleet, integer: bool, goal: Goal) -> None:
@@ -277,6 +278,10 @@ class FleetProblem(Selected):
         self.grid = fleet.grid
         self.service_min = 0.0
         self.extras = fleet.extras
+
+    def hold(self, served: Flags) -> None:
+        """Hold a served set in the window that was written last."""
+        self.limits |= {"service_max": served.astype(float), "service_min": -served.astype(float)}
 
     def write(self, data: WindowData, all_connected: bool = False) -> None:
         """Write the window's data.
@@ -324,6 +329,8 @@ def _with_goal(found: Selection, fleet: Fleet, integer: bool, goal: Goal) -> Sel
     """Rows with what is minimised or maximised."""
     if goal == "weighted":
         return _all_terms(found, fleet)
+    if goal == "dispatch":
+        return _cheapest(found, fleet)
     if goal == "cost":
         return _least_cost(found, fleet)
     return _most_service(found, fleet, integer)
@@ -352,6 +359,15 @@ def _least_cost(found: Selection, fleet: Fleet) -> Selection:
     spent = fleet.sum_of_terms("cost", EQUAL, ("f2", 1.0))
     order = _order(fleet, "P_grid", "P_curt", "P_dch", "x_served")
     return replace(found, parts=(*found.parts, enough), terms=((spent, 1.0),), order=order)
+
+
+def _cheapest(found: Selection, fleet: Fleet) -> Selection:
+    """All that a served set leaves to decide, in GBP."""
+    w = fleet.site.weights
+    terms = ("f2", w.lambda_grid), ("f3", w.lambda_curt), ("f7", -1.0), ("own", -1.0)
+    term = fleet.sum_of_terms("dispatch", EQUAL, *terms)
+    order = _order(fleet, "P_grid", "P_curt", "P_dch", "x_served")
+    return replace(found, terms=((term, cost_scale(fleet.site)),), order=order)
 
 
 def _most_service(found: Selection, fleet: Fleet, integer: bool) -> Selection:
