@@ -153,6 +153,47 @@ def test_a_set_starts_by_itself_where_nothing_else_forms_the_grid() -> None:
     assert run.steps["dark_reason"].iloc[2] == SET_NO_BALANCE  # nothing is left for its least power
 
 
+class Broken(Idle):
+    """Has no answer."""
+
+    def decide(self, observation: Observation) -> Decision:
+        raise RuntimeError("out of order")
+
+
+def test_a_fallback_by_rule_starts_the_set_that_forms_the_grid() -> None:
+    """Not while there is grid, and not for 20 kW, which are less than its least power."""
+    run = run_day(hospital(50.0, 50.0, 120.0, 20.0, 50.0, bus=[1]), PHYSICAL, controller=Broken)
+    assert (run.steps["fallback"] == "rule").all()
+    assert run.gensets is not None and served(run) == [1, 1, 0, 0, 1]
+    assert run.gensets["running"].astype(int).tolist() == [0, 1, 0, 0, 0]
+    assert run.gensets["p_kw"].iloc[1] == pytest.approx(50.0, abs=0.1)
+    assert run.steps["shed_kw"].sum() == 0.0
+
+
+def test_by_rule_the_set_supplies_the_first_tier_first() -> None:
+    """60 kW of each of two tiers: the set of 100 kW supplies one, at 60 kW."""
+    day = two_buses([[60.0, 60.0]] * 2, [1.0, 10.0], [DARK, OPEN], r_ohm=0.05)
+    tiers = replace(day.customers, tier=["low", "critical"])
+    day = replace(day, customers=tiers, gensets=gensets(grid_forming=True))
+    run = run_day(day, PHYSICAL, controller=Broken)
+    first = run.customers["served"].to_numpy(int)[:2]
+    assert first.tolist() == [0, 1] and run.gensets is not None
+    assert run.gensets["p_kw"].iloc[0] == pytest.approx(60.0, abs=0.1)
+
+
+def test_by_rule_a_battery_with_energy_forms_the_grid_and_no_set_starts() -> None:
+    b = replace(battery(200.0, 100.0, 100.0), grid_forming=[True], soc_initial=[0.85])
+    run = run_day(replace(hospital(*[50.0] * 4), batteries=b), PHYSICAL, controller=Broken)
+    assert served(run) == [1] * 4 and run.gensets is not None and not run.gensets["running"].any()
+
+
+def test_the_guard_refuses_supply_in_an_island_that_no_set_forms() -> None:
+    run = run_day(hospital(50.0, 50.0, 50.0), PHYSICAL, controller=Idle)
+    reason = run.steps["fallback_reason"].iloc[1]
+    assert "balance" in reason and "island: no set forms the grid" in reason
+    assert served(run) == [1] * 3
+
+
 def windows(seed: int) -> tuple[Site, WindowData]:
     """A random window without battery that forms the grid, and with sets that do."""
     scenario, data = random_window(seed, stressed=seed % 2 > 0)

@@ -1,6 +1,7 @@
 """Flexible power in a step by rule: sets stay as they are, and vehicles charge while there is grid.
 
-Both give way: to service, to limits, and to a balance that would not close.
+Both give way: to service, to limits, and to a balance that would not close. The one set that is
+started is what forms the grid of an island where nothing else can.
 """
 
 from __future__ import annotations
@@ -29,6 +30,10 @@ def rule_with_kinds(state: StepState, tiers: Sequence[str]) -> Carried:
     tiers : sequence of str
         Names of the tiers, the most important first.
     """
+    if state.forms.any():
+        formed = _formed(state, tiers)
+        if formed is not None:
+            return formed
     alone = rule_dispatch(state, tiers)
     least = float(alone.dispatch.served[0] @ state.worth)
     for tried in _kept(state):
@@ -67,6 +72,23 @@ def _kept(state: StepState) -> Iterator[StepState]:
         yield _running(state, sets, wanted_kw)
 
 
+def _formed(state: StepState, tiers: Sequence[str]) -> Carried | None:
+    """The dispatch by rule beside the set that forms the grid, None if that has no balance.
+
+    Whom it can supply at its largest power gets what it lacks.
+    """
+    sets = state.ahead.gensets
+    assert sets is not None
+    forms = state.forms
+    most = rule_dispatch(_running(state, sets, state.site.gensets.p_max_kw * forms), tiers)
+    served = most.dispatch.served[0]
+    lacking_kw = float(state.load_kw @ served + state.drawn_kw.sum() - state.usable_pv_kw.sum())
+    wanted_kw = np.where(forms, lacking_kw, 0.0)
+    found = rule_dispatch(_running(state, sets, wanted_kw), tiers)
+    closes = found.surplus_kw <= POWER_TOLERANCE_KW and found.dispatch.served.any()
+    return found if closes else None
+
+
 def _connected(plan: Dispatch, state: StepState) -> bool:
     """Whether no vehicle charges behind a customer that is off."""
     chargers = state.site.chargers
@@ -84,11 +106,11 @@ def as_planned(state: StepState, plan: Dispatch, row: int) -> StepState:
 
 
 def _running(state: StepState, known: SetsAhead, wanted_kw: Floats) -> StepState:
-    """With the sets that are on and have fuel for the step, near what is wanted of them."""
+    """With the sets that are on or form the grid, and have fuel, near what is wanted of them."""
     sets, dt_h = state.site.gensets, state.site.dt_h
     most_kw = np.minimum(sets.p_max_kw, _by_fuel_kw(sets, known.added_litres[0], dt_h))
     least_kw = np.maximum(sets.p_min_kw, known.was_kw[0] - sets.fall_kw(dt_h))
-    on = (known.was_on[0] > 0.5) & known.can_run[0] & (most_kw >= least_kw)
+    on = ((known.was_on[0] > 0.5) | state.forms) & known.can_run[0] & (most_kw >= least_kw)
     given_kw = np.where(on, np.clip(wanted_kw, least_kw, most_kw), 0.0)
     return replace(
         state,

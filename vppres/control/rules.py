@@ -237,11 +237,15 @@ def _with_network(
     site = state.site
     (own, export) = pv_kw
     load_kvar = state.load_kw * served * site.customers.q_per_p
-    pv_q, batt_q, short_kvar = _reactive(state, load_kvar, own + export, battery_kw)
+    pv_q, batt_q, missing_kvar = _reactive(state, load_kvar, own + export, battery_kw)
+    most_kvar = site.gensets.q_max_kvar * state.forms
+    sets_q = np.clip(missing_kvar, -most_kvar, most_kvar)
     load_kw = state.load_kw * served
     given = {"pv": own + export, "batteries": -battery_kw, "customers": -load_kw}
     p = bus_injections(site, given | {kind: -kw for kind, kw in state.taken_kw.items()})
-    q = bus_injections(site, {"pv": pv_q, "batteries": batt_q, "customers": -load_kvar})
+    given_kvar = {"gensets": sets_q} if state.forms.any() else {}
+    of_devices = {"pv": pv_q, "batteries": batt_q, "customers": -load_kvar}
+    q = bus_injections(site, of_devices | given_kvar)
     p_flow, q_flow, v_pu = network_state(state, p, q)
     charge = np.maximum(battery_kw, 0.0)
     discharge = np.maximum(-battery_kw, 0.0)
@@ -264,17 +268,19 @@ def _with_network(
         p_flow_kw=p_flow,
         q_flow_kvar=q_flow,
         soc=np.vstack([state.soc, soc_after(state.soc, stored_kw, site.batteries, site.dt_h)]),
+        given_kvar={kind: kvar[np.newaxis] for kind, kvar in given_kvar.items()},
     )
     for kind, kw in state.taken_kw.items():
         on = state.running.get(kind)
         dispatch = dispatch.acting(kind, kw[np.newaxis], None if on is None else on[np.newaxis])
-    return Carried(dispatch, short_kvar, max(float(outside.max()), 0.0))
+    short_kvar = abs(missing_kvar) - float(np.abs(sets_q).sum())
+    return Carried(dispatch, max(short_kvar, 0.0), max(float(outside.max()), 0.0))
 
 
 def _reactive(
     state: StepState, load_kvar: Floats, pv_kw: Floats, battery_kw: Floats
 ) -> tuple[Floats, Floats, float]:
-    """Reactive power of PV and batteries, and what an island lacks.
+    """Reactive power of PV and batteries, and what an island lacks, negative if it has too much.
 
     Inverters supply the demand at their own bus. In an island the rest is shared by what is left of
     their ratings; with a grid it is imported.
@@ -293,11 +299,11 @@ def _reactive(
     at_bus = np.bincount(bus, room, site.network.n_buses)
     share = np.divide(demand, at_bus, out=np.zeros_like(demand), where=at_bus > 0)
     q = room * np.clip(share, -1.0, 1.0)[bus]
-    short_kvar = 0.0
+    left_kvar = 0.0
     if state.island:
         missing = float(demand.sum() - q.sum())
         missing = 0.0 if -POWER_TOLERANCE_KW < missing < 0.0 else missing
         more = _shared(abs(missing), room - np.copysign(q, q * missing))
         q = q + np.copysign(more, missing)
-        short_kvar = abs(missing) - float(more.sum())
-    return q[:n_pv], q[n_pv:], short_kvar
+        left_kvar = float(np.copysign(abs(missing) - float(more.sum()), missing))
+    return q[:n_pv], q[n_pv:], left_kvar

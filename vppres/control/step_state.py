@@ -53,6 +53,8 @@ class StepState:
         Customers whose longest time off has ended; None where none has one.
     ahead : KindsAhead, optional
         Vehicles, rooms and generating sets; none if not given.
+    dark : bool, optional
+        Whether it is an island that no battery can form; ``ahead`` has the set that can, if any.
     taken_kw, running : dict
         Flexible power that a dispatch by rule goes by, as a :class:`Dispatch` has it, one step.
     """
@@ -71,6 +73,7 @@ class StepState:
     own_v_pu: Floats | None = None
     due: Flags | None = None
     ahead: KindsAhead = field(default_factory=KindsAhead)
+    dark: bool = False
     taken_kw: dict[str, Floats] = field(default_factory=dict)
     running: dict[str, Flags] = field(default_factory=dict)
 
@@ -108,6 +111,13 @@ class StepState:
         return (
             weight if self.due is None else weight + np.where(self.due, self.site.hour_beyond, 0.0)
         )
+
+    @property
+    def forms(self) -> Flags:
+        """The generating set that forms the grid, if one has to and can, (G,)."""
+        sets = self.ahead.gensets
+        nothing = np.zeros(len(self.site.gensets), dtype=bool)
+        return nothing if sets is None or not self.dark else sets.forms[0]
 
     @property
     def island(self) -> bool:
@@ -182,10 +192,10 @@ def network_state(state: StepState, p_kw: Floats, q_kvar: Floats) -> tuple[Float
     return p_flow, q_flow, net.v_pu(np.maximum(u, 0.0))
 
 
-def one_step(**rows: Floats | Flags | float) -> Dispatch:
-    """A dispatch of one step from its rows; ``soc`` has its two rows already."""
+def one_step(**rows: Any) -> Dispatch:
+    """A dispatch of one step from its rows; what has its rows already is left as it is."""
     arrays: dict[str, Any] = {
-        name: value if name == "soc" else np.asarray(value)[np.newaxis]
+        name: value if name in ("soc", "given_kvar") else np.asarray(value)[np.newaxis]
         for name, value in rows.items()
     }
     return Dispatch(**arrays)

@@ -91,6 +91,7 @@ def violations(
         _battery_power(row, state, within),
         _kinds(row, state, within),
         _sets_switched(row, state),
+        _formed(row, state),
         _energy(row, state, within),
         _pv(row, state, within),
         _balance(row, state, within),
@@ -212,6 +213,14 @@ def _sets_switched(row: _Row, state: StepState) -> str:
     early = ahead.starts(on) & ~ahead.may_start(sets, np.array([state.island]))
     wrong = (early | (on & ~ahead.can_run))[0]
     return f"genset switching: {sets.id[np.argmax(wrong)]}" if wrong.any() else ""
+
+
+def _formed(row: _Row, state: StepState) -> str:
+    """Customers on in an island that only a set can form, without a set that does."""
+    if not state.forms.any() or not row.served.any():
+        return ""
+    lit = row.running["gensets"] & state.site.gensets.grid_forming
+    return "" if lit.any() else "island: no set forms the grid"
 
 
 def _energy(row: _Row, state: StepState, within: Tolerances) -> str:

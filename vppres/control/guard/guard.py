@@ -16,6 +16,8 @@ import numpy as np
 from vppres.contract.decision import Decider, Decision, SolveInfo
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.observation import Observation
+from vppres.control.converged import dark_steps
+from vppres.control.forming import formed_by_set
 from vppres.control.full_horizon import FullHorizonController
 from vppres.control.guard.check import violations
 from vppres.control.guard.critical import CriticalFirst
@@ -92,12 +94,25 @@ class GuardedController:
     def decide(self, observation: Observation) -> Decision:
         """The wrapped controller's decision if it can be carried out, otherwise a fallback."""
         self.known = known = self._estimator.known(observation)
-        state = StepState.of(self.site, known.observation, self.options.centre, known.online)
+        state = self._state(known)
         decision = self._checked_answer(known, state)
         if self.options.protect_critical:
             decision = self._critical.first(decision, known, state)
         self._estimator.commanded(decision)
         return replace(decision, estimated=known.estimated, seen=known.observation)
+
+    def _state(self, known: Known) -> StepState:
+        """The step as it is known, in physical mode with what is to form its grid."""
+        centre = self.options.centre
+        state = StepState.of(self.site, known.observation, centre, known.online)
+        if not self.options.physical:
+            return state
+        site = site_with(self.site, known.online)
+        seen = reduced_observation(known.observation, known.online, self.site.batteries)
+        now = WindowData.of(seen, site, centre).first(1)
+        dark = dark_steps(site, now)
+        formed, _ = formed_by_set(site, now, dark, headroom=0.0)
+        return replace(state, ahead=formed.ahead, dark=bool(dark[0]))
 
     def _checked_answer(self, known: Known, state: StepState) -> Decision:
         """The wrapped controller's answer, or the first fallback that passes the check."""
