@@ -22,7 +22,7 @@ import cvxpy as cp
 import numpy as np
 from numpy.random import Generator
 
-from experiments.phases import DAYS, loop, of_day, say, scenario_of
+from experiments.phases import DAYS, LIMIT_S, loop, of_day, say, scenario_of
 from experiments.random_feeders import WEIGHT, random_network, random_scenario
 from experiments.tables import put_into
 from vppres.control.phased import PhasedPlanner
@@ -41,7 +41,7 @@ from vppres.scenario.phases import PhaseBus, PhaseConnection, PhaseLine, Phases
 from vppres.scenario.scenario import REPORT, ControllerDefaults, Scenario
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.phases import SIDES
-from vppres.solve.result import WindowSolution
+from vppres.solve.result import SolveLimits, WindowSolution
 
 SIDES_OF_INVERTERS = 64
 """Sides of the polygons around and inside the inverters' discs: 0.12 % apart."""
@@ -334,7 +334,8 @@ def windows(file: Path, time_s: float) -> str:
     say("\n".join(table))
     for name in DAYS:
         scenario = of_day(scenario_of(file), name)
-        options = RunOptions(horizon_h=HORIZON_H, ratings=REPORT, priority=WEIGHTS).on(scenario)
+        options = RunOptions(horizon_h=HORIZON_H, ratings=REPORT, priority=WEIGHTS)
+        options = replace(options, limits=SolveLimits(time_s=LIMIT_S)).on(scenario)
         site = site_of(scenario, options.as_record())
         day, controller = Day(scenario, options), make_controller(scenario, options)
         solver = WindowSolver(site, limits=options.limits)

@@ -235,7 +235,7 @@ def _watching(off_pu: list[float]) -> AbstractContextManager[Any]:
 
     def converge(
         self: PhasedPlanner, data: WindowData, solution: WindowSolution, deadline: Deadline
-    ) -> tuple[WindowData, WindowSolution]:
+    ) -> tuple[WindowData, WindowData, WindowSolution]:
         first = data.part(slice(0, 1))
         p, q = self.model.drawn(data.for_service(solution.dispatch.served), solution.dispatch)
         lit = lit_steps(first)

@@ -144,8 +144,8 @@ class PassesPlanner(ABC, Generic[P]):
 
     def converge(
         self, data: WindowData, solution: WindowSolution, deadline: Deadline
-    ) -> tuple[WindowData, WindowSolution]:
-        """The candidate at which model and AC meet, and the window linearised there."""
+    ) -> tuple[WindowData, WindowData, WindowSolution]:
+        """The candidate at which model and AC meet: its window, that linearised there, and it."""
         decided = solution
         decisions = 1
         passes = 1
@@ -167,7 +167,7 @@ class PassesPlanner(ABC, Generic[P]):
             points = self.ac_points(data, solution.dispatch)
         reached = self.closer(data, solution.dispatch, points, passes)
         carried = bool(points.converged[lit_steps(data)].all())
-        return reached, replace(
+        converged = replace(
             decided,
             status=decided.status if carried else Status.INACCURATE,
             dispatch=solution.dispatch,
@@ -177,6 +177,7 @@ class PassesPlanner(ABC, Generic[P]):
             solve_s=solution.solve_s,
             solver_s=solution.solver_s,
         )
+        return data, reached, converged
 
     def again(
         self,
@@ -270,7 +271,7 @@ class ConvergedPlanner(PassesPlanner[ACPoints]):
             dark = dark | beyond
             start = self._without_losses(whole, dark)
             data, solution = self.decide(start, start, first)
-        reached, solution = self.converge(data, solution, deadline)
+        _, reached, solution = self.converge(data, solution, deadline)
         self._remember(t0, reached)
         return self._in_the_dark(whole, dark, solution)
 

@@ -79,8 +79,8 @@ class PhasedPlanner(PassesPlanner[PhasedPoints]):
         data = self._guessed(observation.t0, start)
         deadline = Deadline(min(self.solver.limits.time_s, within_s))
         data, solution = self.decide(data, start, deadline.part(FIRST_SHARE))
-        data, solution = self.converge(data, solution, deadline)
-        self._remember(observation.t0, data, solution.dispatch)
+        data, reached, solution = self.converge(data, solution, deadline)
+        self._remember(observation.t0, reached, solution.dispatch)
         solution = self._with_voltages(data, solution)
         return in_the_dark(self.solver.site, whole, dark, solution, self.solver.limits)
 
