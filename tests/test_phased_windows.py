@@ -121,6 +121,21 @@ def test_limits_that_give_way_to_those_of_ac_leave_what_passes_may_be_off_by(
     assert most[:2] == pytest.approx([1.053, 1.0599])
 
 
+def test_voltages_of_a_plan_are_those_of_the_window_that_was_solved(tmp_path: Path) -> None:
+    """After a single pass plan and power flow differ, and the plan shows it."""
+    (tmp_path / "small.dss").write_text(CIRCUIT)
+    day = phased_day(tmp_path / "small.dss").between(8, 9)
+    options = RunOptions(horizon_h=0.0).on(day)
+    planner = PhasedPlanner(WindowSolver(site_of(day, options.as_record())), passes=1)
+    seen = Day(day, options).observe(make_controller(day, options), 0)
+    plan = planner.plan(seen).dispatch
+    data = planner.begun(seen)[2]
+    points = planner.ac_points(data, plan)
+    assert plan.v_node_pu is not None
+    off_pu = np.abs(plan.v_node_pu - np.sqrt(points.u_pu2)).max()
+    assert 1e-6 < off_pu < 1e-2
+
+
 @pytest.mark.parametrize("seed", [1, 3])
 def test_a_balanced_feeder_stated_in_phases_has_the_balanced_plan(seed: int) -> None:
     balanced = with_a_former(random_scenario(seed))
