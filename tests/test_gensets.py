@@ -23,6 +23,7 @@ from vppres.day.simulate import Day
 from vppres.io import read_scenario, write_scenario
 from vppres.io.digest import scenario_digest
 from vppres.model.data import WindowData
+from vppres.model.numerics import objective_scale
 from vppres.model.site import Site
 from vppres.model.violations import broken
 from vppres.plant.gensets import Engines
@@ -32,8 +33,11 @@ from vppres.report.plots.energy import import_load_pv
 from vppres.scenario.gensets import Gensets, Refuels
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
+from vppres.solve.cache import shared_cache
+from vppres.solve.forms import Form, window_problem
 from vppres.solve.ladder import METHODS, WindowSolver
 from vppres.solve.result import WindowSolution
+from vppres.solve.solvers import find_solver, run, run_conic
 
 HALF_AN_HOUR = pd.Timedelta(minutes=30)
 
@@ -337,6 +341,25 @@ def test_what_does_not_go_with_sets_is_refused() -> None:
         "scenario.toml, objective.lambda_grid = 0.03: makes fuel and starts of sets count as much "
         "as a customer of the first tier. Give less than 2.0e-02."
     )
+
+
+def test_interior_points_find_the_bound_of_the_largest_weights() -> None:
+    """A weight of 1e6, the most of strict order: Clarabel alone calls the window unbounded."""
+    day = two_buses([[90.0, 30.0]] * 6, [1e6, 1.0], [OPEN, *[DARK] * 4, OPEN], price=0.3)
+    day = replace(day, batteries=battery(60.0, 20.0, 20.0, soc=0.85, count=4))
+    day = replace(day, gensets=gensets(2), objective=replace(day.objective, lambda_grid=1e-9))
+    site, data = Site.of(day), known(day)
+    form = Form("service", "relaxed", "relaxed", 16, outer=True)
+    bounds = []
+    for conic in (True, False):
+        problem = window_problem(shared_cache(site), data, form, conic)
+        problem.fill(data)
+        scale = objective_scale(site)
+        spec = find_solver("highs")
+        found = run_conic(problem, 60.0, scale) if conic else run(problem, spec, 0.0, 60.0, scale)
+        assert found.status == "optimal"
+        bounds.append(found.bound)
+    assert bounds[0] == pytest.approx(bounds[1], rel=1e-4)
 
 
 def test_sets_are_switched_as_for_one_battery_and_the_dispatch_costs_as_little() -> None:

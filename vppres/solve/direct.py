@@ -21,6 +21,10 @@ from vppres.core.arrays import Flags, Floats
 from vppres.solve.programs import begin_with, program_of, stacked
 from vppres.solve.selection import Selected
 
+LARGEST_FACTOR = 1e6
+"""Largest factor in an objective that interior points get as it is: in strict order they are up to
+1e11, and from 1e9 on Clarabel calls problems unbounded that have a solution."""
+
 
 class Start(NamedTuple):
     """What a search begins with: values of binaries, in their shape, by their letter."""
@@ -89,11 +93,13 @@ def solve_by_clarabel(selected: Selected, options: Mapping[str, Any]) -> str:
         more = sp.csc_array(-selected.shown(matrix))
         rows, limit = stacked(rows, more), np.append(limit, -least)
         cones.append(clarabel.NonnegativeConeT(len(least)))
-    solver = clarabel.DefaultSolver(numbers.squares, numbers.cost, rows, limit, cones, settings)
+    size = max(float(np.abs(numbers.cost).max(initial=0.0)) / LARGEST_FACTOR, 1.0)
+    squares, cost = numbers.squares / size, numbers.cost / size
+    solver = clarabel.DefaultSolver(squares, cost, rows, limit, cones, settings)
     found = solver.solve()
     word: str = CLARABEL.STATUS_MAP.get(str(found.status), cp.SOLVER_ERROR)
     if word in SOLUTION_PRESENT:
         x: Floats = np.array(found.x)
         selected.put(x)
-        selected.duals = np.array(found.z)
+        selected.duals = np.array(found.z) * size
     return word
