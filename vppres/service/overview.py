@@ -37,6 +37,9 @@ NOT_TOLD = ("setpoints", "ahead", "before")
 SHOWN = ("soc", "online", "grid_on", "plugged", "indoor_c", "running", "fuel_litres")
 """Last readings that the page shows."""
 
+OF_SETS = ("p_min_kw", "p_max_kw", "tank_litres", "litres_per_kwh", "litres_per_h_idle")
+"""What is told of each generating set, its line of fuel among it."""
+
 REFRESH_S = 1
 """For how long the same is told, if nothing was changed."""
 
@@ -92,10 +95,7 @@ def site_of(runner: Runner) -> dict[str, Any]:
             for i, name in enumerate(loads.id)
         },
         "gensets": {
-            str(name): {
-                quantity: float(getattr(day.gensets, quantity)[g])
-                for quantity in ("p_min_kw", "p_max_kw", "tank_litres")
-            }
+            str(name): {quantity: float(getattr(day.gensets, quantity)[g]) for quantity in OF_SETS}
             for g, name in enumerate(day.gensets.id)
         },
     }

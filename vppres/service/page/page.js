@@ -3,7 +3,7 @@
 import { chart, meter, pastOf, stepsOf } from "./chart.js";
 import { Operator } from "./operator.js";
 import {
-  HOUR, MARKS, SiteClock, alarms, announced, attention, counted, covers, facts, farthestOutside, fuelNow, grouped, indoorNow, isLostByReading, isUncertain, kilo, lasting, lateBy, list, lowest, offByTier, onPhase, percent, socNow, switchedNext, unawareOfLoss, verdict, why,
+  HOUR, MARKS, SiteClock, alarms, announced, attention, counted, covers, facts, farthestOutside, fuelLasts, fuelNow, grouped, indoorNow, isLostByReading, isUncertain, kilo, lasting, lateBy, list, lowest, offByTier, onPhase, percent, socNow, switchedNext, unawareOfLoss, verdict, why,
 } from "./words.js";
 
 const EVERY_MS = 2000, PATIENCE_MS = 5000;
@@ -392,15 +392,16 @@ function showSets() {
   const { plan, measured, sources } = view.overview, all = Object.entries(view.site.gensets);
   $("gensets").hidden = !all.length;
   const key = [plan?.gensets, plan?.expected?.gensets, plan?.ahead?.genset_kw, plan?.estimated, sources, all.map(([name]) => [measured[`fuel_litres ${name}`], measured[`running ${name}`]]), Math.floor(view.now / 60000)];
-  renew("gensets-list", key, () => all.map(([name, { tank_litres: tank }]) => {
-    const { value, old } = fuelNow(view, name), point = plan?.gensets[name], next = switchedNext(view, name);
-    const runs = measured[`running ${name}`]?.value, read = runs === 1 ? "running" : runs === 0 ? "off" : "not read";
+  renew("gensets-list", key, () => all.map(([name, set]) => {
+    const { value, old } = fuelNow(view, name), point = plan?.gensets[name], next = switchedNext(view, name), tank = set.tank_litres;
+    const runs = measured[`running ${name}`]?.value, read = runs === 1 ? "running" : runs === 0 ? "off" : "state not read";
     const told = !point ? "no set-point" : point.running ? `ordered ${point.p_kw.toFixed(1)} kW` : "ordered off";
     const then = next ? `; ${next.starts ? "starts" : "stops"} at ${view.clock.at(next.time, view.now)}` : "";
+    const lasts = value === null ? "" : `; fuel for ${fuelLasts(set, value, point?.running ? point.p_kw : set.p_max_kw)}`;
     const notes = [plan?.expected?.gensets?.[name]?.out ? "out: it does not start" : "", point?.reason.startsWith("default") ? point.reason : "", old].filter(Boolean);
     return node("li", {}, node("b", {}, name), node("span", { class: "n" }, value === null ? "no data" : `${kilo(value)} l`),
       meter((value ?? 0) / tank, { kind: "store", name: `${kilo(value ?? 0)} of ${kilo(tank)} l` }),
-      node("span", { class: "note" }, `${read}; ${told}${then}`), ...notes.map((note) => node("span", { class: "late note" }, note)));
+      node("span", { class: "note" }, `${read}; ${told}${then}${lasts}`), ...notes.map((note) => node("span", { class: "late note" }, note)));
   }));
 }
 

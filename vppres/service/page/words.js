@@ -281,11 +281,16 @@ export function fuelNow(view, name) {
   const reading = measured[`fuel_litres ${name}`], least = plan?.expected?.gensets?.[name]?.fuel_litres ?? null;
   const late = lateBy(view, name, "fuel_litres");
   if (plan?.estimated.some((words) => words.startsWith(`fuel_litres ${name} `) && words.endsWith("(frozen)"))) {
-    return { value: least, old: "gauge stands still; reckoned, at least" };
+    return { value: least, old: "gauge stands still; at least this" };
   }
-  if (late !== null) return { value: least, old: `read ${lasting(late)} ago; reckoned, at least` };
-  if (!reading || reading.value === null) return { value: least, old: "not read; reckoned, at least" };
+  if (late !== null) return { value: least, old: `gauge read ${lasting(late)} ago; at least this` };
+  if (!reading || reading.value === null) return { value: least, old: "gauge not read; at least this" };
   return { value: reading.value, old: "" };
+}
+
+// How long so much fuel lasts a set at a power.
+export function fuelLasts(set, litres, kw) {
+  return `${lasting(litres / (set.litres_per_h_idle + set.litres_per_kwh * kw) * HOUR)} at ${kw.toFixed(1)} kW`;
 }
 
 // When a generating set starts or stops next by the plan: {time, starts}; null if it does neither.
