@@ -69,8 +69,20 @@ def _scaled(record: T, unit_kw: float) -> T:
             continue
         if is_dataclass(value):
             changed[f.name] = _scaled(value, unit_kw)
-        elif _PER_POWER.search(f.name):
-            changed[f.name] = value * unit_kw
-        elif _POWER.search(f.name):
-            changed[f.name] = value / unit_kw
+        elif factor := _factor(f.name, unit_kw):
+            changed[f.name] = _times(value, factor)
     return replace(record, **changed)  # type: ignore[type-var]
+
+
+def _factor(name: str, unit_kw: float) -> float | None:
+    """What a field of this name is multiplied by; None if there is no power in it."""
+    if _PER_POWER.search(name):
+        return unit_kw
+    return 1.0 / unit_kw if _POWER.search(name) else None
+
+
+def _times(value: Any, factor: float) -> Any:
+    """An array, or arrays by kind, times a factor."""
+    if isinstance(value, dict):
+        return {kind: each * factor for kind, each in value.items()}
+    return value * factor
