@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import builtins
 from collections.abc import Iterable, Mapping
 from contextlib import closing
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ from experiments.results import DayResult
 from experiments.shorten import shorten
 from experiments.terminal import bar_of
 from experiments.weighted import WeightedSolver
-from vppres.core.errors import SolverLostError
+from vppres.core.errors import SolveError, SolverLostError
 from vppres.day.assembly import make_controller
 from vppres.day.simulate import Day, run_day
 from vppres.day.trajectory import Trajectory
@@ -92,7 +93,21 @@ def simulate(job: Job) -> tuple[Job, DayResult]:
     """Run one job."""
     day = scenario(job.day)
     run = run_day(day, job.options) if job.weighted is None else _weighted(job, day)
+    if mistake := _mistake(run):
+        raise SolveError(f"{job.text()}: a step fell back for a mistake in the code. {mistake}")
     return job, shorten(run)
+
+
+def _mistake(run: Trajectory) -> str | None:
+    """The first reason of a fallback that is an exception of Python's own, if any.
+
+    The guard answers whatever is raised. A row must not rest on what hides a mistake.
+    """
+    for reason in run.steps["fallback_reason"]:
+        kind = getattr(builtins, str(reason).partition(":")[0], None)
+        if isinstance(kind, type) and issubclass(kind, Exception):
+            return str(reason)
+    return None
 
 
 def _weighted(job: Job, day: Scenario) -> Trajectory:

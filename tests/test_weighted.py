@@ -8,7 +8,9 @@ import cvxpy as cp
 import numpy as np
 import pytest
 
+from experiments.jobs import Job
 from experiments.random_feeders import random_window
+from experiments.runner import simulate
 from experiments.units import dispatch_in_kw, site_in_unit, window_in_unit
 from experiments.weighted import OPTIONS, WeightedChoices, WeightedSolver, squares_of
 from experiments.weighted_model import WeightedModel, largest_flow, under_square
@@ -23,7 +25,8 @@ from tests.support.small_windows import (
     with_pv,
 )
 from vppres.contract.terminal import Terminal
-from vppres.core.errors import InfeasibleError
+from vppres.core.errors import InfeasibleError, SolveError
+from vppres.day.options import RunOptions
 from vppres.model.site import Site
 from vppres.scenario.scenario import ObjectiveWeights, Scenario
 from vppres.solve.ladder import WindowSolver
@@ -208,3 +211,13 @@ def test_the_seed_and_the_gap_reach_the_solver(monkeypatch: pytest.MonkeyPatch) 
     limits = SolveLimits(gap_rel=1e-3)
     WeightedSolver(Site.of(day), limits=limits, choices=choices).solve(window(day))
     assert set(told) == {(1e-3, choices)}
+
+
+def test_a_day_whose_fallbacks_hide_a_mistake_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    def solve(*_: object) -> WindowSolution:
+        raise TypeError("no dict")
+
+    monkeypatch.setattr(WeightedSolver, "solve", solve)
+    job = Job(options=RunOptions(horizon_h=0.0), weighted=WeightedChoices())
+    with pytest.raises(SolveError, match=r"horizon_h = 0\.0.*TypeError: no dict"):
+        simulate(job)
