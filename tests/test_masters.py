@@ -200,10 +200,9 @@ def test_counts_of_several_outages_find_what_binaries_find(packaged: Scenario) -
 
 def test_no_cut_prices_a_loss_of_next_to_nothing() -> None:
     """Service would be no number: a window of 96 steps had no answer in a minute."""
-    data = day_window(with_days(instances_day(), 4), 8, 72, 0.4)
-    counts = Counts(
-        demand_model(Site.of(with_days(instances_day(), 4)), data), data, Deadline(TIME_S)
-    )
+    day = with_days(instances_day(), 4)
+    data = day_window(day, 8, 72, 0.4)
+    counts = Counts(demand_model(Site.of(day), data), data, Deadline(TIME_S))
     outcome, _ = counts.service(0.5)
     assert outcome.status == Status.OPTIMAL
     assert counts.cuts

@@ -37,17 +37,28 @@ console.log(JSON.stringify({ verdict: verdict(view), facts: facts(view), attenti
 """
 
 
+def said_by(script: str, folder: Path, given: str = "") -> Any:
+    """What a script beside the page's words prints of what it is given."""
+    (folder / "words.mjs").write_text(WORDS.read_text(encoding="utf-8"), encoding="utf-8")
+    (folder / "say.mjs").write_text(script, encoding="utf-8")
+    asked = [str(NODE), str(folder / "say.mjs")]
+    done = subprocess.run(asked, input=given, capture_output=True, text=True, check=True)
+    return json.loads(done.stdout)
+
+
 def told(http: Caller, folder: Path) -> dict[str, Any]:
     """What the page says now."""
-    (folder / "words.mjs").write_text(WORDS.read_text(encoding="utf-8"), encoding="utf-8")
-    (folder / "say.mjs").write_text(SCRIPT, encoding="utf-8")
     site_of, overview = (http.get(f"/v1/{name}").json() for name in ("site", "overview"))
     view = json.dumps({"site": site_of, "overview": overview, "lost": False})
-    asked = [str(NODE), str(folder / "say.mjs")]
-    done = subprocess.run(asked, input=view, capture_output=True, text=True, check=True)
-    found: dict[str, Any] = json.loads(done.stdout)
+    found: dict[str, Any] = said_by(SCRIPT, folder, view)
     return found
 
+
+FUEL = """
+import { fuelLasts } from "./words.mjs";
+const set = { litres_per_h_idle: 4, litres_per_kwh: 0.25 };
+console.log(JSON.stringify([fuelLasts(set, 70, 40), fuelLasts(set, 7, 40), fuelLasts(set, 0, 12)]));
+"""
 
 CREW = """
 import { SiteClock, announced, crewSays, facts } from "./words.mjs";
@@ -70,10 +81,7 @@ def test_what_a_crew_says_is_one_field(tmp_path: Path) -> None:
         "soon",
         "about 25:00",
     ]
-    (tmp_path / "words.mjs").write_text(WORDS.read_text(encoding="utf-8"), encoding="utf-8")
-    (tmp_path / "crew.mjs").write_text(CREW % json.dumps(lines), encoding="utf-8")
-    asked = [str(NODE), str(tmp_path / "crew.mjs")]
-    done = json.loads(subprocess.run(asked, capture_output=True, text=True, check=True).stdout)
+    done = said_by(CREW % json.dumps(lines), tmp_path)
     day = "2026-07-0{}:00.000Z"
     times = [
         {"not_before": day.format("1T15:00"), "likely": day.format("1T17:00")},
@@ -85,6 +93,11 @@ def test_what_a_crew_says_is_one_field(tmp_path: Path) -> None:
     assert done["said"] == [*expected, None, None]
     assert done["words"][0] == "Restoration not before 16:00, about 18:00"
     assert "Announced: restoration not before 16:00, about 18:00 (crew)." in done["first"]
+
+
+def test_fuel_lasts_by_the_line_of_the_set(tmp_path: Path) -> None:
+    """14 l/h at 40 kW."""
+    assert said_by(FUEL, tmp_path) == ["5 h at 40.0 kW", "30 min at 40.0 kW", "0 s at 12.0 kW"]
 
 
 def test_the_first_lines_tell_what_is_announced_and_ordered(tiny: Scenario, tmp_path: Path) -> None:

@@ -102,10 +102,11 @@ class GuardedController:
         return replace(decision, estimated=known.estimated, seen=known.observation)
 
     def _state(self, known: Known) -> StepState:
-        """The step as it is known, in physical mode with what is to form its grid."""
+        """The step as it is known; of an island that a set may have to form, with that set."""
         centre = self.options.centre
         state = StepState.of(self.site, known.observation, centre, known.online)
-        if not self.options.physical:
+        may_form = self.options.physical and self.site.gensets.grid_forming.any()
+        if not (may_form and state.island):
             return state
         site = site_with(self.site, known.online)
         seen = reduced_observation(known.observation, known.online, self.site.batteries)

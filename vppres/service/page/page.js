@@ -397,7 +397,7 @@ function showSets() {
     const runs = measured[`running ${name}`]?.value, read = runs === 1 ? "running" : runs === 0 ? "off" : "state not read";
     const told = !point ? "no set-point" : point.running ? `ordered ${point.p_kw.toFixed(1)} kW` : "ordered off";
     const then = next ? `; ${next.starts ? "starts" : "stops"} at ${view.clock.at(next.time, view.now)}` : "";
-    const lasts = value === null ? "" : `; fuel for ${fuelLasts(set, value, point?.running ? point.p_kw : set.p_max_kw)}`;
+    const lasts = value === null ? "" : `; fuel for ${fuelLasts(set, value, (point?.running && point.p_kw) || set.p_max_kw)}`;
     const notes = [plan?.expected?.gensets?.[name]?.out ? "out: it does not start" : "", point?.reason.startsWith("default") ? point.reason : "", old].filter(Boolean);
     return node("li", {}, node("b", {}, name), node("span", { class: "n" }, value === null ? "no data" : `${kilo(value)} l`),
       meter((value ?? 0) / tank, { kind: "store", name: `${kilo(value ?? 0)} of ${kilo(tank)} l` }),
