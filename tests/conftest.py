@@ -33,7 +33,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--quick",
         action="store_true",
-        help="two cases of each function of short cases, as measured",
+        help="the first case of each function of short cases, as measured",
     )
     parser.addoption(
         "--nightly",

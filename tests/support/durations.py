@@ -2,8 +2,8 @@
 
 ``tests/durations.csv`` lists every test function. Three sizes of run follow from it:
 
-- ``pytest --quick``: functions of short cases, and of each the first two cases. It is an allow
-  list: what was never measured does not run.
+- ``pytest --quick``: functions of short cases, and of each the first case. It is an allow list:
+  what was never measured does not run.
 - ``pytest``: functions of cases of at most ``LONG_S``, and longer ones that are marked daily; none
   that is marked nightly. Of one with random cases (a parameter ``seed``) the first cases that
   together cost at most ``USUAL_S``.
@@ -24,10 +24,8 @@ from pathlib import Path
 import pytest
 
 FILE = Path(__file__).parents[1] / "durations.csv"
-QUICK_CASE_S = 0.3
+QUICK_CASE_S = 0.1
 """CPU time of a case up to which a function is quick."""
-QUICK_CASES = 2
-"""Cases of a quick function that run."""
 LONG_S = 1.5
 """CPU time of a case above which a function is left for the night, unless it is marked daily."""
 USUAL_S = 1.0
@@ -66,12 +64,12 @@ def write_durations(seconds: dict[str, float]) -> None:
 
 def quick_choice(names: list[str], seconds: dict[str, float]) -> list[bool]:
     """Whether each case, given by the name of its function, belongs to the quick run."""
-    cases: dict[str, int] = defaultdict(int)
+    seen: set[str] = set()
     chosen = []
     for name in names:
-        cases[name] += 1
         short = seconds.get(name, float("inf")) <= QUICK_CASE_S
-        chosen.append(short and cases[name] <= QUICK_CASES)
+        chosen.append(short and name not in seen)
+        seen.add(name)
     return chosen
 
 

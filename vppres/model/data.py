@@ -18,6 +18,7 @@ from vppres.contract.switching import SwitchingData
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Complexes, Flags, Floats, Wholes
 from vppres.core.errors import ModelError
+from vppres.model.formulas import cell_kw, soc_after
 from vppres.model.linearise import Drawn, delta_offset, drawn_by
 from vppres.model.site import Site
 from vppres.scenario.assets import SOC_ROUNDING, Batteries
@@ -304,6 +305,12 @@ class WindowData:
     def keeps_service(self) -> bool:
         """Whether later service is weighed against service: then service is no whole number."""
         return self.stored_value is not None and self.stored_value.as_service
+
+    def soc_path(self, site: Site, charge_kw: Floats, discharge_kw: Floats) -> Floats:
+        """State of charge before every step and after the last, limits left out, (W + 1, B)."""
+        stored_kw = cell_kw(charge_kw, discharge_kw, self.eta_charge, self.eta_discharge)
+        total_kw = np.cumsum(stored_kw, axis=0)
+        return np.vstack([self.soc, soc_after(self.soc, total_kw, site.batteries, site.dt_h)])
 
     def kept_range(self, site: Site) -> tuple[float, float]:
         """Least and most that the energy at the end can be worth, in weighted customer hours."""

@@ -15,7 +15,7 @@ from vppres.core.arrays import Floats
 from vppres.model.beyond_paper.losses import injections
 from vppres.model.beyond_paper.physical import taken_by_network
 from vppres.model.data import WindowData
-from vppres.model.formulas import cell_kw, soc_after, voltage_drop_pu2
+from vppres.model.formulas import voltage_drop_pu2
 from vppres.model.phases import phased_model
 from vppres.model.site import Site
 from vppres.scenario.assets import SOC_ROUNDING
@@ -111,8 +111,7 @@ def _batteries(site: Site, data: WindowData, d: Dispatch) -> Excess:
 def _energy(site: Site, data: WindowData, d: Dispatch) -> Excess:
     """States of charge: where they begin, how they move, their limits."""
     b = site.batteries
-    cells_kw = cell_kw(d.charge_kw, d.discharge_kw, data.eta_charge, data.eta_discharge)
-    moved = soc_after(data.soc, np.cumsum(cells_kw, axis=0), b, site.dt_h)
+    moved = data.soc_path(site, d.charge_kw, d.discharge_kw)[1:]
     reserve = 0.0 if data.physics is None else data.physics.soc_reserve
     return {
         "state of charge": _most(

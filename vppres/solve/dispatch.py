@@ -32,7 +32,7 @@ from vppres.solve.certificate import (
 from vppres.solve.deadline import HALF, Deadline, Stopwatch
 from vppres.solve.fleet.relaxation import fleet_problem
 from vppres.solve.forms import Form, sheet_of, sheet_of_draws, window_problem
-from vppres.solve.netting import SOC_OVER, net_modes, soc_path
+from vppres.solve.netting import SOC_OVER, net_modes
 from vppres.solve.network.cheapest import CheapestDispatch
 from vppres.solve.network.program import NetworkProgram
 from vppres.solve.network.reactive import LeastReactive
@@ -486,7 +486,7 @@ def polish(
     if outcome.status != Status.OPTIMAL:
         return Attempt(outcome, None)
     better = problem.dispatch(dispatch.served)
-    better = replace(better, soc=soc_path(site, data, better.charge_kw, better.discharge_kw))
+    better = replace(better, soc=data.soc_path(site, better.charge_kw, better.discharge_kw))
     after = evaluate(site, data, better)
     f2_after = after.f2 - sheet.statement.held(data, better).gbp
     missed_kwh = SERVICE_HELD_REL * terms.f3 + HELD_ABS
