@@ -47,7 +47,7 @@ def plain_errors(debug: bool) -> Iterator[None]:
     except VppresError as error:
         _fail(str(error), error.exit_status, debug)
     except BrokenPipeError:
-        raise  # whoever read the output has seen enough, as `head` has: typer ends without a word
+        raise  # the reader of the output has seen enough, as `head` has: typer ends without a word
     except Exception as error:
         _fail(
             f"Unexpected {type(error).__name__}: {error}. Run again with --debug for the "
@@ -58,7 +58,7 @@ def plain_errors(debug: bool) -> Iterator[None]:
 
 
 def _fail(message: str, status: int, debug: bool) -> NoReturn:
-    """End the command; with ``debug`` the traceback takes the place of the bare message."""
+    """End the command; with ``debug`` the traceback replaces the bare message."""
     console = Console(stderr=True)
     if console.is_terminal and not debug:
         console.print(error_panel(message))

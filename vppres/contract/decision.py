@@ -67,7 +67,7 @@ class Decision:
     reason : str
         Why it was.
     fallback : str
-        What took the place of the controller's own answer, ``none`` if nothing did.
+        What replaced the controller's own answer, ``none`` if nothing did.
     fallback_reason : str
         Why it had to, and what it leaves open.
     estimated : str
@@ -75,7 +75,7 @@ class Decision:
     weight : array, shape (C,), optional
         The customers' weights, where they are not the site's.
     seen : Observation, optional
-        What was taken for true, where that is not what was told.
+        What was taken for true, where that is not what was read.
     """
 
     dispatch: Dispatch

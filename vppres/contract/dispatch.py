@@ -15,7 +15,7 @@ class Dispatch:
     """A dispatch of W steps as plain arrays, after the paper's Table "Optimization Variables".
 
     ``soc`` has one row more than the steps: row 0 is the state at the beginning of the window. The
-    dispatch of a form without network has NaN in place of reactive power, flows and voltages. The
+    dispatch of a form without network has NaN instead of reactive power, flows and voltages. The
     grid's power is negative where it is exported. ``v_node_pu`` are voltages by phase, in plans of
     phased feeders. ``share`` is the part of its demand that each customer gets, 0 where it is off;
     None if all get it whole that are served. ``taken_kw`` has, by kind of flexible power

@@ -17,7 +17,7 @@ from vppres.core.arrays import Flags, Floats, Wholes
 
 @dataclass(frozen=True, eq=False)
 class Told:
-    """What batteries were told from a time on, where it was not what was decided.
+    """Set-points of batteries from a time on, where it was not what was decided.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ class Observation:
     ahead : KindsAhead, optional
         Vehicles, rooms and generating sets over the window; none if not given.
     told : tuple of Told
-        What batteries were told since the last decision, where it was something else.
+        Set-points of batteries since the last decision, where these differ from it.
     """
 
     t0: int

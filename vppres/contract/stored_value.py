@@ -37,7 +37,7 @@ class StoredValue:
         Value of lost load of a weighted customer hour.
     as_service : bool
         Whether it counts as service: in an outage, where energy is all that there is to spend.
-        Otherwise everyone is served, and it counts against the cost of energy.
+        Otherwise all customers are supplied, and it counts against the cost of energy.
     kwh_per_litre : array, shape (G,)
         Energy in a battery that a litre in the tank of each generating set stands for.
 
@@ -85,7 +85,7 @@ class StoredValue:
         return min(ends), max(*ends, *self.service[inside])
 
     def beside(self, unusable_kwh: float) -> StoredValue:
-        """The same as a function of what is held besides energy that nobody can use.
+        """The same as a function of what is held besides energy that no customer can use.
 
         >>> StoredValue([10.0, 20.0], [0.0, 1.0], 1.0, True).beside(5.0).at(15.0)
         1.0

@@ -126,7 +126,7 @@ class SwitchingData:
         return replace(self, longest_off=limits.priced(hour_beyond, dt_h))
 
     def without_duties(self) -> SwitchingData:
-        """The rules without what the past demands of the service: nobody has to be served."""
+        """The rules without duties of the past: no customer has to be supplied."""
         return replace(
             self,
             served_min=np.zeros_like(self.served_min),
@@ -134,7 +134,7 @@ class SwitchingData:
         )
 
     def in_the_dark(self, dark: Flags) -> SwitchingData:
-        """The rules where nobody can be served in some steps, (W,): no duty can be kept then."""
+        """The rules with steps, (W,), in which no customer can be supplied: no duty holds then."""
         if not dark.any():
             return self
         return replace(self.without_duties(), served_max=self.served_max & ~dark[:, None])
@@ -162,7 +162,7 @@ class SwitchingData:
 
     @property
     def actions_suffice(self) -> bool:
-        """Whether everyone has as many actions left in each day as it has steps."""
+        """Whether every customer has as many actions left in each day as it has steps."""
         return bool((self.actions_left >= self.in_day.sum(axis=1)[:, None]).all())
 
     @property
@@ -207,8 +207,8 @@ class SwitchingData:
     def connected(self, unlimited: Flags) -> Flags:
         """Who may be taken as served without loss where the import has no limit, (W, C).
 
-        Those served before the window up to its first limited step, and everyone after the last
-        limited step; where minimum times unserved, actions or cold load matter, nobody
+        Those served before the window up to its first limited step, and all customers after the
+        last limited step; where minimum times unserved, actions or cold load matter, none
         (``docs/method.md``).
         """
         if self.only_time_off:
@@ -262,7 +262,7 @@ class SwitchingState:
         n_customers: int,
         longest_off_h: Floats | None = None,
     ) -> SwitchingState:
-        """Everyone is served, and has been for long."""
+        """All customers are supplied, and have been for long."""
         return cls(
             rules,
             dt_h,

@@ -128,7 +128,7 @@ class PassesPlanner(ABC, Generic[P]):
         """Served set and first candidate; the stages say where it took a second attempt.
 
         A plan that lived on exactly the energy it had charged may miss it by the solvers' tolerance
-        one step later: the search with binaries finds its served set again, the linear problem
+        one step later: the search with binaries finds its supply schedule again, the linear problem
         calls it infeasible. SoC is not known that sharply anyway. Where an old AC point leaves no
         dispatch at all, the window is solved as it was before one was put in.
         """
@@ -287,7 +287,7 @@ class ConvergedPlanner(PassesPlanner[ACPoints]):
         return drawn_at(network, np.tile(v_pu, (len(island), 1)), island)
 
     def _beyond_batteries(self, start: WindowData, deadline: Deadline) -> Flags:
-        """Island steps that have no dispatch whoever is served: for capacitors, for example."""
+        """Island steps that no supply schedule has a dispatch for: for capacitors, for example."""
         beyond = np.zeros(start.n_steps, dtype=bool)
         if start.drawn is None:
             return beyond
@@ -301,7 +301,7 @@ class ConvergedPlanner(PassesPlanner[ACPoints]):
         return beyond
 
     def _beyond_set(self, whole: WindowData, dark: Flags, deadline: Deadline) -> Flags:
-        """Steps from the first on that the set which forms the grid cannot hold whoever is served.
+        """Steps from the first on that the set which forms the grid cannot hold with any customers.
 
         Nothing may take its least power, or its fuel may not last for all that has to be served.
         """
@@ -399,7 +399,7 @@ class ConvergedPlanner(PassesPlanner[ACPoints]):
         return network.draws or network.has_ratios
 
     def _at_rest(self, data: WindowData) -> WindowData:
-        """The window with the slack bus's voltage everywhere in the dark, ratios or not."""
+        """The window with the slack bus's voltage everywhere in outage steps, ratios or not."""
         net = self.solver.site.network
         if not net.has_ratios:
             return data
@@ -545,7 +545,7 @@ def without_power(data: WindowData, dark: Flags) -> WindowData:
 def in_the_dark(
     site: Site, whole: WindowData, dark: Flags, solution: WindowSolution, limits: SolveLimits
 ) -> WindowSolution:
-    """The solution with nobody served and all PV power curtailed in the dark steps.
+    """The solution with no customer supplied and all PV power curtailed in the blacked-out steps.
 
     The objective is nearer to zero then, and the same gap a larger share of it. A first step in the
     dark is never called optimal.

@@ -144,7 +144,7 @@ class FullHorizonController:
     def _kept_on(self, observation: Observation, row: int) -> Decision:
         """The step alone, with those who would be off for an outage that is only likely.
 
-        Batteries are charged as far as the plan has it, where nobody is off for it.
+        Batteries are charged as far as the plan has it, where no customer is off for it.
         """
         assert self.plan is not None
         b = self.solver.site.batteries

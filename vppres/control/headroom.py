@@ -64,7 +64,7 @@ class HeadroomPlanner:
         return int(ranks.supplied(solution.dispatch.served)[0])
 
     def _whole_first_tier(self, solution: WindowSolution) -> int:
-        """Units of the first tier with everyone supplied."""
+        """Units of the first tier with all customers supplied."""
         ranks = self.kept.solver.site.ranks
         assert ranks is not None
         return int(ranks.units[ranks.tier == 0].sum()) * solution.dispatch.n_steps

@@ -75,7 +75,7 @@ def _kept(state: StepState) -> Iterator[StepState]:
 def _formed(state: StepState, tiers: Sequence[str]) -> Carried | None:
     """The dispatch by rule beside the set that forms the grid, None if that has no balance.
 
-    Whom it can supply at its largest power gets what it lacks.
+    A customer that it can supply at its largest power gets what it lacks.
     """
     sets = state.ahead.gensets
     assert sets is not None

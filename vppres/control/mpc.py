@@ -93,7 +93,7 @@ class MPCController:
         return Decision(plan, 0, replace(info, moved_kw=moved_kw, stored_value_gbp_per_kwh=worth))
 
     def _planned(self, observation: Observation) -> tuple[WindowSolution, bool]:
-        """The plan of a window; a guess of what comes takes nobody off the grid in its first step.
+        """The plan of a window; no forecast takes a customer off the grid in its first step.
 
         For an outage that is only likely no customer is switched off that the present step alone
         would serve.
@@ -112,7 +112,7 @@ class MPCController:
         return plan_with_rules(self.planner, replace(observation, kept_on=kept_on))
 
     def _planned_freely(self, observation: Observation) -> tuple[WindowSolution, bool]:
-        """The plan of a window, which loses nobody of the plan before to rounding.
+        """The plan of a window, which loses no customer of the plan before to rounding.
 
         That one charged no more than its last customer needs. So a state of charge that is as it
         was planned may miss the need by the solver's tolerance.

@@ -89,7 +89,7 @@ def _within(
 
 
 def _carried(state: StepState, served: Flags) -> Dispatch | None:
-    """The dispatch of a served set, None if a phase does not carry it."""
+    """The dispatch of a supply schedule, None if a phase does not carry it."""
     site = state.site
     model = phased_model(site)
     own = state.own_kw(served)

@@ -27,7 +27,7 @@ class PhasedLinearisation:
     model: PhasedModel
 
     def at_rest(self, data: WindowData) -> WindowData:
-        """The window at the AC points of everyone served that can be: its first guess."""
+        """The window at the AC points with all customers supplied that can be: its first guess."""
         u, former, currents = self.model.at_no_load(data.dark)
         rated_kva = self.model.site.batteries.s_max_kva
         kept = np.maximum(data.require_physics().headroom_kw, KEPT_SHARE * rated_kva)
@@ -65,7 +65,7 @@ class PhasedLinearisation:
         return self._with_sun(data, own + np.minimum(taken, allowed)[:, None] * spare)
 
     def _with_sun(self, data: WindowData, pv_kw: Floats) -> tuple[Floats, Floats]:
-        """What assets draw with everyone served and so much PV power; nothing in an island."""
+        """What assets draw with all customers and so much PV power; nothing in an island."""
         idle = np.zeros((data.n_steps, len(self.model.site.batteries)))
         pv = (pv_kw, np.zeros_like(pv_kw))
         p, q = self.model.powers(data.dark, data.load_kw, pv, (idle, idle))

@@ -1,6 +1,6 @@
 """From an observation to the solution of its window, and from a solution to its record.
 
-A window with switching rules always has an answer: duties that cannot be met are let go.
+A window with switching rules always has an answer: duties that cannot be met are dropped.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ def plan_with_rules(
 ) -> tuple[WindowSolution, bool]:
     """Plan a window by its rules, or without the duties of the past where these have no answer.
 
-    Forecast errors can make it impossible to serve whoever was restored lately. Then nobody has to
-    be served, everybody may be switched off, and no generating set has to stay on. Minimum times
-    off stay, and so does all that the window itself begins.
+    Forecast errors can make it impossible to supply customers restored lately. Then no customer has
+    to be supplied, every customer may be switched off, and no generating set has to stay on.
+    Minimum times off stay, and so does all that the window itself begins.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def plan_with_rules(
     WindowSolution
         The answer.
     bool
-        Whether duties were let go.
+        Whether duties were dropped.
 
     Raises
     ------

@@ -13,10 +13,10 @@ from vppres.core.errors import InputError
 from vppres.core.plain import Given, from_plain, to_plain
 
 PART = object()
-"""In place of a type: something that remembers by itself."""
+"""Instead of a type: something that remembers by itself."""
 
 PARTS = object()
-"""In place of a type: several such, by keys from which ``part_for`` makes each."""
+"""Instead of a type: several such, by keys from which ``part_for`` makes each."""
 
 
 def memory_of(decider: Any, given: Given) -> dict[str, Any]:

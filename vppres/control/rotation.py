@@ -104,7 +104,7 @@ class Rotating:
         return turns(len(self.off_h), out_h, self.rules.minimum_on_h)
 
     def _due(self, observation: Observation) -> Flags:
-        """Customers who are on in their turn, (W, C): they were on for less than the minimum.
+        """Customers that are on in their turn, (W, C): they were on for less than the minimum.
 
         Turns that come later in the outage are planned for.
         """

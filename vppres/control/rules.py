@@ -4,8 +4,8 @@ Who is served is decided by tier, then by weight per kW, which counts a longest 
 ended. PV power comes first, then import, then the
 batteries; a surplus is exported as far as the grid takes it, then stored, then curtailed. Active
 balance, ratings and state of charge always hold. The first tier is not let go for reactive power or
-voltages: what they lack is said instead, and nobody else is added who would make it worse. In an
-island of a phased feeder everyone is added only if each phase carries it: the whole island would
+voltages: what they lack is said instead, and no customer is added that would make it worse. In an
+island of a phased feeder a customer is added only if each phase carries it: the whole island would
 go dark otherwise.
 """
 
@@ -39,11 +39,11 @@ class Carried:
     dispatch : Dispatch
         One row.
     reactive_short_kvar : float
-        Reactive power that nobody can supply.
+        Reactive power that no device can supply.
     voltage_excess_pu : float
         How far the worst bus lies outside the limits of the AC voltages.
     surplus_kw : float
-        What generating sets give and nobody takes.
+        What generating sets give and no customer takes.
     """
 
     dispatch: Dispatch
@@ -87,7 +87,7 @@ def rule_dispatch(
     wanted = np.zeros(len(state.site.batteries)) if battery_kw is None else battery_kw
     customers = state.site.customers
     first = customers.tier == tiers[0]
-    for power in (wanted, 0.0 * wanted):  # no customer is let go for a battery's sake
+    for power in (wanted, 0.0 * wanted):  # no customer is disconnected for a battery's sake
         everyone = carry(state, np.ones(len(customers), dtype=bool), power)
         if everyone is not None and not everyone.shortage:
             return everyone
@@ -95,7 +95,7 @@ def rule_dispatch(
     served = np.zeros(len(customers), dtype=bool)
     served[first] = best_subset(state.worth[first], state.load_kw[first], state.capacity_kw)
     best = carry(state, served, wanted)
-    assert best is not None  # the subset fits the capacity, and nobody at all always does
+    assert best is not None  # the subset fits the capacity, and no customer at all always does
     for c in service_order(state, tiers):
         if not served[c] and not first[c]:
             tried = served.copy()
@@ -158,7 +158,7 @@ def _bound(weights: Floats, loads_kw: Floats, left_kw: float, value: float, unit
 
 
 def carry(state: StepState, served: Flags, battery_kw: Floats) -> Carried | None:
-    """Dispatch of a served set with batteries near what is wanted of them.
+    """Dispatch of a supply schedule with batteries near what is wanted of them.
 
     Parameters
     ----------

@@ -179,7 +179,7 @@ class StepState:
         return replace(self, online=np.zeros_like(self.online))
 
     def own_kw(self, served: Flags) -> Floats:
-        """Self-consumption of each PV system for a served set, (P,)."""
+        """Self-consumption of each PV system for a supply schedule, (P,)."""
         return np.minimum(self.site.behind_meter(self.load_kw * served), self.usable_pv_kw)
 
 

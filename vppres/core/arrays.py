@@ -61,7 +61,7 @@ def _whole_repr(value: object) -> str:
 def freeze_arrays(record: Any) -> None:
     """Replace the arrays of a frozen dataclass by read-only ones of the types they are declared as.
 
-    Its module needs ``from __future__ import annotations``: the types are told by their names.
+    Its module needs ``from __future__ import annotations``: the types are named.
     """
     for f in fields(record):
         if f.type in _DTYPES:

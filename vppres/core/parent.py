@@ -2,7 +2,7 @@
 
 ``python -m vppres.core.parent PARENT BOUND MODULE ...`` runs a module, or after ``--`` a program,
 as such a process. Nothing but the standard library is loaded before it is bound: loading the others
-takes seconds of a processor, and a parent may be killed in any of them.
+takes seconds of CPU time, and a parent may be killed in any of them.
 """
 
 from __future__ import annotations

@@ -261,7 +261,7 @@ class FaultySolver(WindowSolver):
         keeps_turns: bool = False,
         within_s: float = math.inf,
     ) -> WindowSolution | None:
-        """Dispatch of a served set, or a failure."""
+        """Dispatch of a supply schedule, or a failure."""
         fault = self._injector.solver_fault()
         _fail(fault)
         solution = self._solver.solve_served(data, served, before, keeps_turns, within_s)

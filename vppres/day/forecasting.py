@@ -90,7 +90,7 @@ def named_forecasts(
 
 
 def _given_quantiles(scenario: Scenario, file: str | None) -> Forecaster:
-    """Forecasts of one's own; of the present step's issue they are the forecast of the next."""
+    """Your own forecasts; of the present step's issue they are the forecast of the next."""
     if file is None:
         cure = "Give the file: --forecast-file FILE."
         raise InputError.of(
@@ -160,7 +160,7 @@ class MeasuredForecasts:
         return replace(found, load_kw=none(found.load_kw, np.nan), pv_kw=none(found.pv_kw, np.nan))
 
     def _check(self, found: LoadAndPV, t0: int, n_steps: int) -> None:
-        """Refuse a forecast of other steps or items, as one's own forecaster may give."""
+        """Refuse a forecast of other steps or items, as your own forecaster may give."""
         shapes = [
             ("load_kw", n_steps, len(self.scenario.customers)),
             ("pv_kw", n_steps, len(self.scenario.pv)),

@@ -60,7 +60,7 @@ def inversions(run: Trajectory) -> list[Inversion]:
 
 
 def _could_have_been_on(run: Trajectory) -> list[Inversion]:
-    """The same, and customers for whom what was left would have sufficed by itself."""
+    """The same, and customers for which what was left would have sufficed by itself."""
     found: list[Inversion] = []
     fleet = _Fleet.of(run)
     out = run.steps["outage"].to_numpy(bool)
@@ -160,7 +160,7 @@ def _headroom_kw(run: Trajectory) -> float:
 
 
 def headroom_words(run: Trajectory) -> list[str]:
-    """Whom the headroom of grid-forming batteries cost supply, in a sentence; empty if nobody."""
+    """Customers that headroom of grid-forming batteries cost supply, in a sentence, if any."""
     found = [one for one in _could_have_been_on(run) if one.by_headroom]
     if not found:
         return []
@@ -224,7 +224,7 @@ def inverted_now(scenario: Scenario, served: Flags, load_kw: Floats) -> str:
     scenario : Scenario
         Customers and tiers.
     served, load_kw : array, shape (C,)
-        Who is supplied in a step, and everyone's demand.
+        Who is supplied in a step, and the demand of all.
 
     Returns
     -------

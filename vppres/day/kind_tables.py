@@ -15,7 +15,7 @@ from vppres.plant.plant import Plant, Realised
 
 @dataclass(frozen=True)
 class _Told:
-    """What is told of a kind: a step of its units, figures of a run, sentences about it."""
+    """What a run says of a kind: a step of its units, figures of a run, sentences about it."""
 
     record: Callable[[Plant, int, Realised], dict[str, Any]]
     figures: Callable[[Trajectory], dict[str, Any]]

@@ -89,7 +89,7 @@ class Beside:
     prices_gbp_per_kwh : array, shape (n,)
         Import prices of the steps before.
     limits_kw : array, shape (T,), or None
-        Largest import of the steps while there is grid, as it was announced; NaN where nobody
+        Largest import of the steps while there is grid, as it was announced; NaN where no message
         announced any, and the one of now is taken to stay.
     """
 
@@ -152,7 +152,7 @@ class Fuel:
 
 @dataclass(frozen=True, eq=False)
 class OutageView:
-    """What a controller is told of outages.
+    """What a controller knows of outages.
 
     Parameters
     ----------
@@ -202,7 +202,7 @@ class OutageView:
         forecaster: Forecasts,
         beside: Beside | None = None,
     ) -> Observation:
-        """An observation without what nobody can know.
+        """An observation without what cannot be known.
 
         Parameters
         ----------
@@ -328,7 +328,7 @@ class OutageView:
 
 
 def believed_outages(scenario: Scenario, options: Mapping[str, Any]) -> Floats:
-    """Probability that each step is one of an outage, as it was believed at each.
+    """Probability that each step is one of an outage, as it was known at each.
 
     Parameters
     ----------
@@ -340,7 +340,7 @@ def believed_outages(scenario: Scenario, options: Mapping[str, Any]) -> Floats:
     Returns
     -------
     array, shape (T, T)
-        By the step at which it was believed, then by the step that it is about; NaN for steps
+        By the step at which it was known, then by the step that it is about; NaN for steps
         that were over, or too far ahead.
     """
     view = OutageView.create(scenario, options)
@@ -382,7 +382,7 @@ def check_outages(kind: str, controller: str) -> None:
 def _told(
     seen: Observation, scenario: Scenario, window: range, out: Flags, grid: GridSeen, beside: Beside
 ) -> Observation:
-    """An observation with believed outages in place of the true limits behind the present step."""
+    """An observation with probable outages instead of the true limits behind the present step."""
     limit_kw = np.where(out, 0.0, beside.import_kw(len(window), grid.import_kw))
     limit_kw[0] = seen.forecast.grid_limit_kw[0]
     export = Export.believed(scenario, slice(window.start, window.stop), limit_kw)

@@ -1,4 +1,4 @@
-"""Parts of one's own in a run: a controller, a forecaster, or weights that change by step."""
+"""Your own parts in a run: a controller, a forecaster, or weights that change by step."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ def phases(outage: Flags, returning: Flags, n_seen: int) -> list[Phase]:
     outage : array of bool, shape (T,)
         Steps without grid.
     returning : array of bool, shape (T,)
-        Steps in which somebody is not served or served again, or the batteries are filled.
+        Steps in which a customer is off supply or restored, or the batteries are filled.
     n_seen : int
         Steps of a window, the current one included.
 
@@ -51,7 +51,7 @@ def phases(outage: Flags, returning: Flags, n_seen: int) -> list[Phase]:
 
 
 def returning_steps(customers: pd.DataFrame, batteries: pd.DataFrame, n_steps: int) -> Flags:
-    """Steps in which somebody is not served or served again, or the fleet charges, shape (T,)."""
+    """Steps in which a customer is off supply or restored, or the fleet charges, shape (T,)."""
     served = customers["served"].to_numpy(bool)
     everyone = np.asarray(served.reshape(n_steps, -1).all(axis=1))
     before = np.concatenate([[True], everyone[:-1]])

@@ -379,7 +379,7 @@ def _of_nodes(ac: ACResult, decision: Decision) -> dict[str, Floats] | None:
 
 
 def _over_nodes(v_model_pu: Floats, v_ac_pu: Floats) -> dict[str, float]:
-    """Extremes over the nodes, which take the place of those over the buses."""
+    """Extremes over the nodes, which replace those over the buses."""
     return {
         "v_error_pu": float(np.abs(v_model_pu - v_ac_pu).max(initial=0.0)),
         "v_min_ac_pu": float(v_ac_pu.min()),
@@ -388,7 +388,7 @@ def _over_nodes(v_model_pu: Floats, v_ac_pu: Floats) -> dict[str, float]:
 
 
 def _by_phase(ac: ACResult, held_by_batteries: bool) -> dict[str, Any]:
-    """What the source gives by phase, unbalance, and the fullest phase; NaN in the dark."""
+    """What the source gives by phase, unbalance, and the fullest phase; NaN in a blackout."""
     source = "former" if held_by_batteries else "import"
     found: dict[str, Any] = {
         f"{each}_{p}_kva": np.nan for each in ("former", "import") for p in PHASES

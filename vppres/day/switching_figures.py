@@ -19,9 +19,9 @@ def switching_figures(trajectory: Trajectory) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``switching_actions``: customers switched off or on, over all steps; everyone is served
-        before the first step. ``actions_beyond_one_pair``: those beyond one off/on pair of each
-        customer. ``switching_relaxed_steps``: steps in which duties to serve were let go.
+        ``switching_actions``: customers switched off or on, over all steps; all customers are
+        supplied before the first step. ``actions_beyond_one_pair``: those beyond one off/on pair of
+        each customer. ``switching_relaxed_steps``: steps in which duties to serve were dropped.
         ``setpoint_moves_kw``: how far battery powers were moved away from what the plan one step
         before had foreseen, summed over batteries and steps. ``served_share_of_customer``, where
         customers have parts: share served in the outage, the mean over the parts.

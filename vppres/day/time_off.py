@@ -42,7 +42,7 @@ class TooLong:
 def off_before_h(served: Flags, dt_h: float) -> Floats:
     """How long each customer had been off at the beginning of each step in h, (T, C).
 
-    Before the first step everyone was served.
+    Before the first step all customers were supplied.
 
     >>> off_before_h(np.array([[False], [False], [True]]), 0.5).ravel().tolist()
     [0.0, 0.5, 1.0]

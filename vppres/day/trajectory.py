@@ -38,7 +38,7 @@ OPTIONS = ("controller", "horizon_h", "solver", "method", "seed")
 
 
 WHOLE_SHARE = 0.995
-"""Share of its demand that is told as all of it: it rounds to 100 %."""
+"""Share of its demand that is shown as all of it: it rounds to 100%."""
 
 
 def supplied(customers: pd.DataFrame) -> pd.Series[Any]:
@@ -134,8 +134,8 @@ class Trajectory:
         What the scenario took over (loads, generators, storages) is switched off in the net, and
         customers with their machines, PV systems, batteries, chargers and generating sets are put
         back. In an outage the grid is opened; where batteries hold the island, a source at the bus
-        of the largest holds its voltage and gives nothing; in the dark there is none. A power flow
-        of the net is then that of the record, as far as the feeder is exact.
+        of the largest holds its voltage and gives nothing; in a blackout there is none. A power
+        flow of the net is then that of the record, as far as the feeder is exact.
 
         Parameters
         ----------

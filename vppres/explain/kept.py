@@ -31,7 +31,7 @@ MOSTLY = 0.5
 
 
 def kept_for(step: Step, customer: int) -> str:
-    """For whom energy is kept that a customer could have now; empty if that is not so.
+    """The customers for which energy is kept that another could have now; empty if that is not so.
 
     They count at least as much per kW in a later step of the outage, in strict order by tier.
     """

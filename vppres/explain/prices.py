@@ -48,7 +48,7 @@ class StepPrices:
         What the controller saw.
     service : PricedWindow or None
         Service and curtailment maximised as weighted; None if the level was not needed because
-        everyone could be served, or had no answer.
+        all customers could be supplied, or had no answer.
     cost : PricedWindow or None
         Cost minimised with the service of the first level; None where stored energy decides on
         service, where there is no grid in the window, or without answer.

@@ -42,7 +42,7 @@ RULES = ("idle", "reserve")
 """Controllers that follow a rule, whatever would be worth more."""
 
 FIRST = {True: "customers with more weight per kW", False: "others first in strict order"}
-"""Whom a scarce unit goes to, where customers are weighed and in strict order."""
+"""The customer that a scarce unit goes to, where customers are weighed and in strict order."""
 
 UNEXPLAINED = Reason(
     "unexplained", "", "Not supplied: neither shadow prices nor the record give a reason."

@@ -258,7 +258,7 @@ class Recorded:
         return with_ratings(self.site, found) if self.site.rated else found
 
     def observation(self, t: int) -> Observation:
-        """What the controller was told of that window."""
+        """What the controller knew of that window."""
         length = 1 if self.flag(t, "corrected") else self.n_seen
         steps = range(t, min(t + length, self.n_steps))
         return replace(self._told(t, steps), operating_point=self._operating_point(t - 1))
@@ -318,7 +318,7 @@ class Recorded:
         )
 
     def _told(self, t: int, steps: range) -> Observation:
-        """What the controller was told: of outages no more than could be known."""
+        """What the controller knew: of outages no more than could be known."""
         forecast = self._forecast(t, steps)
         seen = Observation(
             t,
@@ -335,7 +335,7 @@ class Recorded:
 
     @cached_property
     def believed(self) -> Floats:
-        """Probability of an outage in each step as it was believed at each, (T, T)."""
+        """Probability of an outage in each step as it was known at each, (T, T)."""
         return believed_outages(self.scenario, self.options)
 
     @cached_property
@@ -355,7 +355,7 @@ class Recorded:
         return list(found)[1:]
 
     def _operating_point(self, t: int) -> OperatingPoint | None:
-        """The AC solution of a step, None before the first and after one in the dark."""
+        """The AC solution of a step, None before the first and after a blackout."""
         if t < 0 or not np.isfinite(self.v_ac_pu[t]).all():
             return None
         p_kw, q_kvar = self._injections(t)
@@ -407,7 +407,7 @@ class Limits:
 
     @classmethod
     def of(cls, recorded: Recorded, t: int) -> Limits:
-        """Limits reached in step ``t``, to 0.1 % of each rating, 0.002 pu of the voltage."""
+        """Limits reached in step ``t``, to 0.1% of each rating, 0.002 pu of the voltage."""
         b = recorded.site.batteries
         net = recorded.scenario.network
         power = recorded.battery_kw[t]

@@ -183,7 +183,7 @@ class Step:
 
     @cached_property
     def later_worth_gbp(self) -> float | None:
-        """What one more stored kWh was believed to be worth later; None where outages are known."""
+        """What one more stored kWh was expected to be worth later; None where outages are known."""
         text = self.recorded.note(self.t, "stored_value_gbp_per_kwh")
         return float(text) if text else None
 

@@ -13,7 +13,7 @@ from vppres.scenario.phases import PHASES
 from vppres.scenario.priority import Ranks
 
 LEAST_SHARE = 0.01
-"""Share of a customer hour of a tier from which a value is told in that tier: a kW of 100."""
+"""Share of a customer hour of a tier from which a value is stated in that tier: a kW of 100."""
 
 SCARCE: dict[Binding, str] = {
     "energy": "stored energy",

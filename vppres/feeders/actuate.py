@@ -30,17 +30,17 @@ _PUT, _OPENED = "put", "opened"
 
 @dataclass(frozen=True, eq=False)
 class Feeding:
-    """What feeds the feeder in a step, and what its buses draw that nobody owns.
+    """What feeds the feeder in a step, and what its buses draw that no customer owns.
 
     Parameters
     ----------
     bus : int or str or None
-        The bus whose voltage is held; None where the feeder is dark.
+        The bus whose voltage is held; None where the feeder is blacked out.
     v_pu : float
         That voltage.
     from_grid : bool
-        Whether the grid holds it. In the paper's islands nobody does: a source stands at the grid's
-        bus all the same, and gives their losses.
+        Whether the grid holds it. In the paper's islands no device does: a source stands at the
+        grid's bus all the same, and gives their losses.
     fixed : DataFrame
         ``bus``, ``p_kw`` and ``q_kvar`` of constant power.
     """
@@ -70,7 +70,7 @@ class Feeding:
         mode : {"paper", "physical"}
             What holds an island.
         v_ac_pu : array, shape (N,)
-            Voltages of the AC power flow; NaN in the dark.
+            Voltages of the AC power flow; NaN in a blackout.
         forms : array of bool, shape (G,), optional
             Generating sets that form the grid.
         """

@@ -1,7 +1,7 @@
 """How close a feeder is to its source: voltages against the source's own AC power flow.
 
 Three states are compared: no load, the source as it is given, and the hours of a scenario in which
-demand or generation are largest. What is not the same is told by its size.
+demand or generation are largest. What is not the same is stated with its size.
 """
 
 from __future__ import annotations

@@ -71,7 +71,7 @@ class Profile:
     values : Series
         Indexed by times in UTC; by the number of the row where the source has no times.
     unit : str
-        ``kw``, ``mw``, ``pu`` of the element's power, or empty where nobody said.
+        ``kw``, ``mw``, ``pu`` of the element's power, or empty where nothing says.
     factor : float
         What the values are multiplied by, before the unit.
     """

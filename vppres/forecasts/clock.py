@@ -150,7 +150,7 @@ def on_clock(history: History, values: Floats, zone: str, ahead: int) -> ClockTa
     values : array, shape (n, items)
         One of its series.
     zone : str
-        The clock; the sun's is UTC, which has no summer time.
+        The clock; that of PV power is UTC, which has no summer time.
     ahead : int
         Steps to come.
     """

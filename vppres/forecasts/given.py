@@ -1,4 +1,4 @@
-"""Forecasts that somebody else made: quantiles by time, behind the same interface."""
+"""Forecasts of another provider: quantiles by time, behind the same interface."""
 
 from __future__ import annotations
 

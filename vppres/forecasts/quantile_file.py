@@ -1,4 +1,4 @@
-"""Forecasts of one's own from a file: quantiles by time and series."""
+"""Your own forecasts from a file: quantiles by time and series."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def _check_columns(table: Table, levels: dict[str, float]) -> list[Problem]:
 
 
 def _check_rows(table: Table, series: Names, values: np.ndarray, known: list[str]) -> list[Problem]:
-    """Series that nobody has, and quantiles that fall."""
+    """Series that no asset has, and quantiles that fall."""
 
     def at(message: str, cure: str, field: str, i: int) -> Problem:
         row = int(table.frame.index[i])

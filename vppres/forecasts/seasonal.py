@@ -6,7 +6,7 @@ The method (``docs/forecasts.md`` has what it scores):
   days that are known, plus the error of the last two hours, which dies out with .8 per hour, and
   part of that of the last day, which dies out slowly; less of them where past days show that such
   errors did not go on.
-- **PV** on the sun's clock: the clear-sky index times the clear sky. The clear sky is what the last
+- **PV** on the solar clock: the clear-sky index times the clear sky. The clear sky is what the last
   three weeks gave at the same time at most, the index what they gave in the mean, and it too keeps
   its latest deviation for a while.
 - **Paths**: what this very method would have been wrong by on each of the last six weeks, issued at

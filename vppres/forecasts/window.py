@@ -72,7 +72,7 @@ class Known:
     step_minutes, dt_h : float
         Step length.
     load, sun : ClockTable
-        Demand on the clocks of the feeder, PV power on the sun's.
+        Demand on the clocks of the feeder, PV power on the solar clock.
     """
 
     issued_at: pd.Timestamp

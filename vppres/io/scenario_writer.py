@@ -294,7 +294,7 @@ def _pv_frame(pv: PVSystems) -> pd.DataFrame:
 
 
 def _battery_frame(batteries: Batteries) -> pd.DataFrame:
-    """Who forms the grid is a column only where somebody is named."""
+    """Who forms the grid is a column only where one is named."""
     frame = _frame(batteries, schema.BatteryRow)
     if not batteries.grid_forming.any():
         return frame.drop(columns="grid_forming")

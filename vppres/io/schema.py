@@ -66,7 +66,7 @@ MAX_SIGMA = 5.0  # nine in ten outages differ by a factor of 400,000
 MAX_ESTIMATE = 100.0  # a multiple of what was said
 MAX_SHARE = 0.99
 MIN_X_PCT = 1e-6  # a regulator that is stated without any has a thousand times as much
-MAX_PPM = 1e4  # 1 %: then it is a shunt, and has a row of its own
+MAX_PPM = 1e4  # 1%: then it is a shunt, and has a row of its own
 MAX_EXPONENT = 6.0  # lamps and motors stay below 4
 MAX_BATTERY_V = 1e5  # strings in service stay below 2 kV
 

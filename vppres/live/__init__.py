@@ -1,1 +1,1 @@
-"""The controller behind a plant of one's own."""
+"""The controller behind your own plant."""

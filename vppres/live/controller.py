@@ -336,7 +336,7 @@ class Controller:
         VerificationError
             If the AC power flow of the set-points does not converge.
         """
-        with self._turn:  # steps are decided one after another, whoever asks
+        with self._turn:  # steps are decided one after another, for all callers
             return self._step(observation)
 
     def _step(self, observation: Measurement) -> SetPoints:
@@ -372,7 +372,7 @@ class Controller:
         put_back(self._decider, memory, self._given, WHERE)
 
     def _decided(self, seen: Seen, past: Past) -> tuple[SetPoints, Past]:
-        """What was decided for the window as it is believed to be, and what to remember of it."""
+        """What was decided for the window as it is expected, and what to remember of it."""
         t = seen.t + self._forgotten
         present = Present.of(t, seen, self.scenario, self._rows(seen.t), past, self.options)
         told = present.observation(OutageView.create(self.scenario, self._record))
@@ -388,7 +388,7 @@ class Controller:
 
 
 def _without(decision: Decision, connected: Flags) -> Decision:
-    """A decision that serves nobody who cannot be supplied; they take nothing in it."""
+    """A decision without customers that cannot be supplied; they take nothing in it."""
     if connected.all():
         return decision
     served = decision.dispatch.served & connected

@@ -43,7 +43,7 @@ class Door:
     time : Any
         Beginning of the step that is measured.
     estimates : bool
-        Whether readings of now may be missing, since somebody estimates them.
+        Whether readings of now may be missing, since the guard estimates them.
     where : str
         What is read, as problems name it.
     ranges : mapping, optional
@@ -52,7 +52,7 @@ class Door:
     Attributes
     ----------
     left_out : list of str
-        Readings of now that no device can have, which somebody estimates.
+        Readings of now that no device can have, which the guard estimates.
     """
 
     def __init__(
@@ -268,7 +268,7 @@ class Door:
         return values
 
     def _number(self, field: str, value: Any, name: Any = None, now: bool = False) -> float:
-        """A number in its range; NaN for a reading of now that somebody else estimates."""
+        """A number in its range; NaN for a reading of now that the guard estimates."""
         limits = RANGES[field]
         if now and isinstance(name, str):
             limits = self.ranges.get((field, name), limits)

@@ -100,7 +100,7 @@ def extended(
     earliest : int
         First step that is not decided yet.
     replacing : bool, optional
-        Whether it may begin earlier, and takes the place of the known steps from there on.
+        Whether it may begin earlier, and replaces the known steps from there on.
 
     Raises
     ------
@@ -113,7 +113,7 @@ def extended(
         new = _read(scenario, feed, start)
     except VppresError:
         raise
-    except Exception as error:  # tables may be of anybody's making
+    except Exception as error:  # tables may come from any caller
         raise InputError.of(
             WHERE,
             f"cannot be read: {type(error).__name__}, {readable(error)}",

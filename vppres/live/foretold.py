@@ -1,4 +1,4 @@
-"""Forecasts of which somebody else's go first."""
+"""Forecasts of which another provider's go first."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from vppres.scenario.scenario import Scenario
 
 @dataclass(frozen=True, eq=False)
 class GivenFirst:
-    """A forecaster's forecasts, but for those whom somebody else foretold.
+    """A forecaster's forecasts, but for the series of another provider.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class GivenFirst:
 
     @classmethod
     def of(cls, own: Forecasts, scenario: Scenario, seen: Seen) -> Forecasts:
-        """The forecaster's alone where nobody was foretold."""
+        """The forecaster's alone where there is no other provider."""
         if not (seen.foretold_load.any() or seen.foretold_pv.any()):
             return own
         return cls(own, scenario, seen.foretold_load, seen.foretold_pv)

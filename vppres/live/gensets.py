@@ -1,8 +1,8 @@
 """What generating sets tell, and what is reckoned of them: on or off, hours, fuel, failed starts.
 
-A set that was told to run and stands still, or that says that it failed to start, is out: plans do
-without it until it takes that back, or runs. One that never said that there was a fault has nothing
-to take back.
+A set with the set-point to run that stands still, or that says that it failed to start, is out:
+plans do without it until it takes that back, or runs. One that never said that there was a fault
+has nothing to take back.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ QUANTITIES = ("running", "genset_kw", "fuel_litres", "start_fault")
 """What a set can tell."""
 
 ORDERED = "genset_ordered_kw"
-"""What it was ordered by somebody else."""
+"""What another sender ordered it."""
 
 STILL_SHARE = 0.05
 """Share of the tank that a set may have burnt while its gauge stands still: gauges are coarse."""
@@ -29,7 +29,7 @@ STILL_SHARE = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Ran:
-    """Sets from the beginning of a step on, as they were told to run, (G,) each.
+    """Sets from the beginning of a step on, as their set-points have them run, (G,) each.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class Ran:
         return cls(at_h, first, first.fuel_litres, unread, out, unread, first.on, first.power_kw)
 
     def as_ordered(self, ordered_kw: Floats) -> Ran:
-        """The same where somebody else ordered something else; NaN where nobody did."""
+        """The same where another sender ordered something else; NaN where none did."""
         by_others = np.isfinite(ordered_kw)
         power_kw = np.where(by_others, ordered_kw, self.power_kw)
         return replace(self, on=np.where(by_others, power_kw > 0.0, self.on), power_kw=power_kw)
@@ -77,7 +77,7 @@ class Ran:
 class Readings:
     """What sets told at the beginning of a step, (G,) each; NaN where one told nothing.
 
-    ``ordered_kw`` is the most that each was ordered since the last decision by somebody else.
+    ``ordered_kw`` is the most that another sender ordered each since the last decision.
     """
 
     running: Floats
@@ -88,7 +88,7 @@ class Readings:
 
     @classmethod
     def of(cls, sets: Gensets, told: Mapping[str, Floats] | None) -> Readings:
-        """By quantity; nothing where nobody told anything."""
+        """By quantity; nothing where there was no reading."""
         nothing = np.full(len(sets), np.nan)
         return cls(*((told or {}).get(name, nothing) for name in (*QUANTITIES, ORDERED)))
 
@@ -102,7 +102,7 @@ class SetsNow:
     at_h : float
         When that is, in h since the controller's first step.
     state : GensetState
-        What is believed. Fuel is the reading, or the least that may be left.
+        The estimate. Fuel is the reading, or the least that may be left.
     reckoned_litres : array
         The least that may be left since the gauge moved.
     most_litres, read_litres, out, fault : array
@@ -124,7 +124,7 @@ class SetsNow:
     def of(
         cls, sets: Gensets, told: Readings, past: Ran, at_h: float, dt_h: float, added: Floats
     ) -> SetsNow:
-        """The sets after what they were told to do.
+        """The sets after their set-points.
 
         Parameters
         ----------
@@ -133,7 +133,7 @@ class SetsNow:
         told : Readings
             What they say.
         past : Ran
-            How they were to run since. After the end of its step they were told nothing: they stop.
+            How they were to run since. After the end of its step they have no set-point: they stop.
         at_h : float
             Now, in h since the controller's first step.
         dt_h : float
@@ -203,7 +203,7 @@ class _Running:
     def of(
         cls, told: Readings, past: Ran, by_others: Flags, gone_h: float, dt_h: float
     ) -> _Running:
-        """What is believed so many hours after they were told; ``by_others``, by somebody else."""
+        """The estimate so many hours after their set-points; ``by_others``, by another sender."""
         held = gone_h <= dt_h + ROUNDING_H
         was, read = past.before.on, np.isfinite(told.running)
         gave_nothing = (past.power_kw > 0.0) & (told.power_kw <= 0.0)
@@ -212,7 +212,7 @@ class _Running:
         never = past.on & ~was & ~on & held & ~(told.power_kw > 0.0)
         failed = never & ~by_others & (gone_h >= dt_h - ROUNDING_H)
         hours = _hours(past, on, gone_h, dt_h)
-        # When somebody else switched it is not known.
+        # When another sender switched is not known.
         hours = np.where(by_others & ((was != on) | (past.on != on)), 0.0, hours)
         kept = past.out & ~((told.start_fault <= 0.5) & (past.fault != 0.0))
         out = (failed | faulty | kept) & ~on
@@ -227,7 +227,7 @@ class _Running:
 
 @dataclass(frozen=True, eq=False)
 class _Fuel:
-    """Fuel in the tanks, (G,) each: what is believed, the least and the most since a gauge moved.
+    """Fuel in the tanks, (G,) each: the estimate, the least and the most since a gauge moved.
 
     ``read_litres`` is the last reading; ``missing`` gauges say nothing, ``frozen`` ones stand still
     although much must have been burnt.
@@ -292,7 +292,7 @@ def _left_litres(
 ) -> tuple[Floats, Floats]:
     """The least and the most that may be left of the fuel, by the line of each set.
 
-    What was measured counts. Otherwise a set gave what it was told, or at least its least power;
+    What was measured counts. Otherwise a set gave its set-point, or at least its least power;
     one that runs by hand, or may form the grid, may have given its largest.
     """
     measured = np.isfinite(told.power_kw)

@@ -1,4 +1,4 @@
-"""What a plant of one's own measures and expects, laid over a scenario's series."""
+"""What your own plant measures and expects, laid over a scenario's series."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class Measurement:
         nothing in the whole window, and is not served.
     announced_limit_kw : Series, optional
         Largest import in kW by time while there is grid, as it is known beforehand. It says nothing
-        of outages, and so reaches controllers that are not told of them otherwise; where it says
+        of outages, and so reaches controllers that do not know them otherwise; where it says
         nothing the limit of now is taken to stay.
     now : pandas.Timestamp, datetime or str, optional
         The moment, where a step that was decided is decided anew for the rest of it; its beginning
@@ -91,10 +91,10 @@ class Measurement:
         what was ordered if not given. A reading that stands still although the temperature must
         have moved is named in what was estimated, and not used.
     running : mapping or Series, optional
-        Whether each generating set runs, 1 or 0; as it was told if not given. One that was told to
-        run for a step and stands still is out.
+        Whether each generating set runs, 1 or 0; its set-point if not given. One with the set-point
+        to run for a step and stands still is out.
     genset_kw : mapping or Series, optional
-        Mean power of each set since the last step in kW; as it was told if not given.
+        Mean power of each set since the last step in kW; its set-point if not given.
     fuel_litres : mapping or Series, optional
         What is in each tank; the least that the line of fuel leaves if not given. A gauge that
         stands still although a twentieth of the tank must have been burnt is named in what was
@@ -105,7 +105,7 @@ class Measurement:
         The most that each set was ordered to give since the last decision, where that was not what
         was decided; 0 of one that was to stand still. ``running`` says what it does now.
     ordered_kw : DataFrame, optional
-        What batteries were told since the last decision, where it was not what was decided: a row
+        Set-points of batteries since the last decision, where these differ from it: a row
         for each time from which on it held, a column for each battery.
 
     Examples
@@ -172,7 +172,7 @@ class Seen:
     announced_kw : array, shape (T,), or None
         Largest import while there is grid, as far as it was announced; NaN elsewhere.
     foretold_load, foretold_pv : array of bool, shape (C,) and (P,)
-        Of whom the steps ahead are somebody's forecast.
+        Series whose steps ahead are another provider's forecast.
     left_out : tuple of str
         Readings that no device can have, in words; they count as missing.
     elapsed_h : float
@@ -180,7 +180,7 @@ class Seen:
     soc_age_h : array, shape (B,), or None
         How old the states of charge are.
     told : tuple of Told
-        What batteries were told since the last decision, where it was something else.
+        Set-points of batteries since the last decision, where these differ from it.
     ev_kwh : array, shape (K,), or None
         Energy that was read of the vehicles at chargers, NaN of others.
     indoor_c : array, shape (H,), or None
@@ -261,7 +261,7 @@ def see(scenario: Scenario, measured: Measurement, guard: bool = True, earliest:
         return _seen(scenario, measured, guard, earliest)
     except VppresError:
         raise
-    except Exception as error:  # a mapping may be of anybody's making
+    except Exception as error:  # a mapping may come from any caller
         raise InputError.of(
             WHERE,
             f"cannot be read: {type(error).__name__}, {readable(error)}",
@@ -283,7 +283,7 @@ def step_at(grid: TimeGrid, time: Any) -> int:
 
 
 def _seen(scenario: Scenario, measured: Measurement, guard: bool, earliest: int) -> Seen:
-    """The measurement, read; problems are told in the order of the readings."""
+    """The measurement, read; problems are listed in the order of the readings."""
     door = Door(scenario.grid, measured.time, guard, ranges=ranges_of(scenario))
     _check_order(door, measured, earliest)
     c, pv, b = scenario.customers, scenario.pv, scenario.batteries
@@ -369,7 +369,7 @@ def _grid_series(door: Door, scenario: Scenario, measured: Measurement) -> dict[
 
 
 def _announced(door: Door, scenario: Scenario, measured: Measurement) -> Floats | None:
-    """Limits of import that are announced, NaN where none is; None if nobody says any."""
+    """Limits of import that are announced, NaN where none is; None if no event says any."""
     if measured.announced_limit_kw is None:
         return None
     unknown = np.full(scenario.grid.n_steps, np.nan)
@@ -391,7 +391,7 @@ def _now(door: Door, measured: Measurement) -> pd.Timestamp:
 
 
 def _told(door: Door, ordered_kw: Any, ids: Names, now: pd.Timestamp) -> tuple[Told, ...]:
-    """What batteries were told from times on, the earliest first."""
+    """Set-points of batteries from times on, the earliest first."""
     if ordered_kw is None:
         return ()
     found = []

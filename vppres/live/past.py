@@ -78,7 +78,7 @@ class Past:
 
     @classmethod
     def before_the_day(cls, scenario: Scenario, options: RunOptions) -> Past:
-        """Before the first step: everyone has been served for long."""
+        """Before the first step: all customers have been supplied for long."""
         day = Day(scenario, options)
         history = None if options.forecaster == PAPER else history_before(scenario)
         return cls(-1, None, day.switching, day.plant.cold_load, None, history, {}, owed=day.owed)

@@ -143,7 +143,7 @@ class Present:
         )
 
     def observation(self, view: OutageView) -> Observation:
-        """What the controller is told, of outages by way of ``view``."""
+        """What the controller knows, of outages by way of ``view``."""
         forecasts = GivenFirst.of(
             forecasts_of(self.ahead, self.options, ForecastErrors()), self.ahead, self.seen
         )
@@ -255,7 +255,7 @@ class Present:
         return self.indoor.after(day.scenario, power_kw)
 
     def _learned(self, believed: Scenario) -> History | None:
-        """The history with what was read; what was not, or of whom nothing can be read, is NaN."""
+        """The history with what was read; what was not, or cannot be read, is NaN."""
         seen = self.seen
         unread_load = np.isnan(seen.load_kw) | ~seen.connected
         return self.past.with_measured(

@@ -62,7 +62,7 @@ class Indoor:
     Parameters
     ----------
     now_c : array
-        What is believed: the reading if there is one, else what is reckoned. A reading that stands
+        The estimate: the reading if there is one, else the model's. A reading that stands
         still is not believed once the temperature has moved through more than ``STILL_C``, there
         and back too.
     felt : Felt

@@ -67,7 +67,7 @@ class SetPoints:
         ``levels`` has what was supplied of each tier and what could be at most; ``inverted`` names
         a customer off supply whose demand lower tiers take.
     feeding : Feeding
-        What holds the voltage: the grid, a battery, or nobody.
+        What holds the voltage: the grid, a battery, or nothing.
     foreseen : Foreseen
         What the plan that it is taken from foresees for the steps after it.
     chargers : DataFrame or None
@@ -257,7 +257,7 @@ def _chargers(scenario: Scenario, step: StepRecord) -> pd.DataFrame | None:
 def _thermal_loads(scenario: Scenario, columns: Mapping[str, Any] | None) -> pd.DataFrame | None:
     """Powers and temperatures by thermal load; None without any.
 
-    A thermostat is told the temperature at the end of the step. If its machine is to rest, that is
+    A thermostat gets the temperature at the end of the step. If its machine is to rest, that is
     the end of the band that it holds by itself, or what lies beyond.
     """
     if columns is None:

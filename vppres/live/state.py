@@ -93,7 +93,7 @@ def state_of(standing: Standing, decider: Decider, options: RunOptions) -> dict[
 
 
 def saved_state(standing: Standing, decider: Decider, options: RunOptions) -> str:
-    """The same as text, for whoever saves every step: each number is written once.
+    """The same as text, for a caller that saves every step: each number is written once.
 
     What was measured is not in it, nor what the last step may be decided again from.
     """

@@ -15,7 +15,7 @@ from vppres.scenario.scenario import Scenario
 from vppres.scenario.vehicles import NO_CAR, OF_SESSIONS, Sessions
 
 QUANTITIES = ("plugged", "ev_soc", "energy_needed_kwh", "departure")
-"""What can be told of the vehicle at a charger."""
+"""What can be known of the vehicle at a charger."""
 
 
 @dataclass(frozen=True, eq=False)

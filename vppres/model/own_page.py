@@ -1,6 +1,6 @@
 """How the page differs from the paper's: its objective, and families of the paper.
 
-Both are told by values at a random point of letters and parameters.
+Both show in values at a random point of letters and parameters.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The state that a feeder has without control, to which soft voltage limits give way.
 
-Everyone is served, batteries are idle, and PV power is exported as far as the connection takes it
-and the highest voltage allows. A limit is never tighter than the voltages of that state, so with
-grid no customer is switched off for a voltage that the feeder has by itself.
+All customers are supplied, batteries are idle, and PV power is exported as far as the connection
+takes it and the highest voltage allows. A limit is never tighter than the voltages of that state,
+so with grid no customer is switched off for a voltage that the feeder has by itself.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def with_own_state(site: Site, data: WindowData) -> WindowData:
 
 
 def u_without_sun_pu2(site: Site, data: WindowData) -> Floats:
-    """Squared referred voltages with everyone served and PV power behind the meters, (W, N)."""
+    """Squared referred voltages with all customers and PV power behind the meters, (W, N)."""
     return _from_grid(site, data)[0]
 
 

@@ -1,4 +1,4 @@
-"""Polygons in place of the inverters' discs, for solvers without mixed-integer cones.
+"""Polygons instead of the inverters' discs, for solvers without mixed-integer cones.
 
 They are combinations of the rows of (3) ``eq:batt_inverter`` and (7) ``eq:pv_inverter``.
 """
@@ -36,7 +36,7 @@ class Polygon:
     def inscribed(cls, sides: int) -> Polygon:
         """Inside the disc, with a vertex on the P axis, for dispatches.
 
-        It loses at most ``1 - cos(pi / K)`` of the rating: 1.9 % at 16 sides, 0.5 % at 32.
+        It loses at most ``1 - cos(pi / K)`` of the rating: 1.9% at 16 sides, 0.5% at 32.
         """
         angles = np.pi / sides + 2 * np.pi * np.arange(sides) / sides
         return cls(angles, float(np.cos(np.pi / sides)))

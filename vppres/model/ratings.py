@@ -25,8 +25,8 @@ def with_ratings(site: Site, data: WindowData) -> WindowData:
     """A window whose flows keep the currents of its lines within their ratings.
 
     A current is larger the lower the voltage: what counts is the voltage at the sending end with
-    everyone served and no sun, and in an island the lowest that plans allow. Currents of phases
-    are linear themselves.
+    all customers supplied and no PV power, and in an island the lowest that plans allow. Currents
+    of phases are linear themselves.
     """
     if data.phased is not None:
         most = np.full(data.phased.current_offset.shape, 1.0 - KEPT_SHARE)

@@ -53,7 +53,7 @@ class Statement:
         The same that follow from them: a relaxation without some of them keeps these.
     terms : dict
         Terms of the objective as they are before they are weighted; ``own`` has what the page's
-        objective, or a part of one's own, has besides.
+        objective, or your own part, has besides.
     own : tuple of str
         Families that the stages do not know which know the paper by heart, and ``own`` if there
         is such a term.
@@ -66,7 +66,7 @@ class Statement:
     ------
     ModelError
         If a family is not disciplined (DPP): it would be compiled anew at every solve. If one of
-        one's own, or such a term, is not linear.
+        your own, or such a term, is not linear.
     """
 
     def __init__(self, site: Site, n_steps: int, beyond: Beyond = ()) -> None:
@@ -167,13 +167,13 @@ class Statement:
 
     @property
     def own_letters(self) -> frozenset[str]:
-        """Letters that the families and the term of one's own use."""
+        """Letters that your own families and term use."""
         parts = [self.terms[name] if name == "own" else self.families[name] for name in self.own]
         return frozenset(x.name() for part in parts for x in part.variables())
 
     @property
     def own_is_apart(self) -> bool:
-        """Whether families of one's own have letters of their own alone, and there is no term.
+        """Whether your own families have letters of their own alone, and there is no term.
 
         Balances join them to the paper's.
         """
@@ -210,7 +210,7 @@ class Statement:
         return numbers
 
     def dispatch(self, served: Flags | None = None) -> Dispatch:
-        """The letters' values as a dispatch, of a served set if service is held."""
+        """The letters' values as a dispatch, of a supply schedule if service is held."""
         found = self.v.dispatch(self.site, served)
         for addition in self.additions:
             found = addition.read(found)

@@ -1,1 +1,1 @@
-"""What is believed of outages ahead, and what stored energy is worth under it."""
+"""Probabilities of outages ahead, and what stored energy is worth under them."""

@@ -1,8 +1,8 @@
-"""What is believed of outages at a step, as a chain of states.
+"""Probabilities of outages at a step, as a chain of states.
 
 An outage is not there, or has lasted for some steps; the state of the present step is seen. Of the
 steps to come a belief says with which probability each announced outage begins, that of an outage
-which nobody announced, and how long outages of each kind last. Announced outages come in their
+that was not announced, and how long outages of each kind last. Announced outages come in their
 order: once one has come, only later ones are waited for.
 """
 
@@ -29,7 +29,8 @@ class OutageBelief:
         Probability that each announced outage begins at a step, given all that is seen: nothing
         at the present one. Its sum is below 1 where it may not come at all.
     duration : array, shape (A + 1, D)
-        Probability of each length in steps, from 1; row 0 is that of outages nobody announced.
+        Probability of each length in steps, from 1; row 0 is that of outages that were not
+        announced.
     hazard : float
         Probability that such an outage begins at a step.
     out : bool
@@ -97,7 +98,7 @@ class OutageBelief:
         return np.clip(share, 0.0, 1.0)
 
     def onsets_from(self, come: int, t: int) -> Floats:
-        """Probabilities of what begins at step ``t``, (A + 1,): row 0 is what nobody announced.
+        """Probabilities of what begins at step ``t``, (A + 1,): row 0 is what was not announced.
 
         ``come`` is the number of announced outages that have come, or been passed over.
         """

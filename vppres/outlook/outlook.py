@@ -21,7 +21,7 @@ BEYOND = 0.1 + 1e-9
 and what it says of them is a guess."""
 
 LONGEST_STEPS = 3000
-"""Lengths that are told apart; longer ones are as long."""
+"""Lengths that are distinguished; longer ones are as long."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class Announced:
         """Whether an outage that was seen is this one.
 
         It began in the announced time, or off by its width, an hour at least; and not before
-        anybody knew of it.
+        it was known.
         """
         most = max(self.latest - self.earliest, HOUR, step)
         known = seen.end is None or seen.end > self.first_issued
@@ -298,7 +298,7 @@ class OutageOutlook:
             least = min(max(elapsed, round((not_before - seen.start) / step)), length - 1)
             said = self._length(known, seen.start, length)
             if known.message.says_length and said[least:].sum() <= BEYOND:
-                # Longer than anybody said: all that is left to go by are the statistics.
+                # Longer than any message said: only the statistics are left.
                 words = f"{_named(known.message.outage)} is outlasted, the statistics count"
             else:
                 duration = said

@@ -19,7 +19,7 @@ from vppres.scenario.scenario import DEFAULT_VOLL_GBP_PER_KWH
 
 OUTAGE_HERE = 0.005
 """Probability that a feeder is out in weather that was warned of. On 18 and 19 July 2022 some
-15,000 homes of Northern Powergrid's 3.9 million lost supply at the peak, 0.4 %, under a red warning
+15,000 homes of Northern Powergrid's 3.9 million lost supply at the peak, 0.4%, under a red warning
 of the Met Office."""
 
 
@@ -156,7 +156,7 @@ WARNINGS: dict[str, WarningPreset] = {
 
 @dataclass(frozen=True)
 class Statistics:
-    """Outages that nobody announced, nothing left open.
+    """Outages that were not announced, nothing left open.
 
     ``median_h`` is that of a lognormal length.
     """

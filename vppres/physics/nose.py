@@ -38,7 +38,7 @@ MAX_POINTS = 300
 """Points of the curve. Four to thirty are usual; the end of patience is not a proof of anything."""
 
 NOSE_TOLERANCE = 1e-4
-"""How sharply the nose is told, as a share of the injections; messages give three digits of it."""
+"""Accuracy of the nose, as a share of the injections; messages give three digits of it."""
 
 SHORTEST, LONGEST = 1e-7, 2.0
 """Steps along the curve, in pu of voltage and shares of the injections."""

@@ -60,7 +60,7 @@ def farthest(v_pu: Floats, at_bus: Wholes, n_buses: int) -> Floats:
 def drawn_uncontrolled(
     load_kw: Floats, load_kvar: Floats, pv_kw: Floats, n_batteries: int
 ) -> tuple[Floats, Floats]:
-    """Powers that assets draw without control: everyone served, all PV power, batteries idle.
+    """Powers that assets draw without control: all customers, all PV power, batteries idle.
 
     >>> drawn_uncontrolled(np.array([3.0]), np.array([1.0]), np.array([2.0]), n_batteries=1)
     (array([ 3., -2.,  0.]), array([1., 0., 0.]))

@@ -28,7 +28,7 @@ TOLERANCE_PU = 1e-10
 MAX_ROUNDS = 60
 MAX_NEWTON = 20
 LEAST_SHARE = 1e-3
-"""How sharply the share of a load is told beyond which there is no solution."""
+"""How sharply the share of a load is located beyond which there is no solution."""
 
 ANGLES = np.exp(-2j * np.pi / 3 * np.arange(3))
 """Turns of phases a, b and c."""

@@ -263,7 +263,7 @@ def reachable_mva(network: Network) -> float:
 
     Examples
     --------
-    Of a line of 1e-5 ohm at 12.47 kV nobody can ask 1 mW:
+    Of a line of 1e-5 ohm at 12.47 kV 1 mW cannot be asked:
 
     >>> reachable_mva(Network([1], [2], [1.0], [1.0], slack_bus=1, base_kv=12.47))
     1e-09

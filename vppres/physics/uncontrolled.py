@@ -1,4 +1,4 @@
-"""AC voltages of a feeder without control: everyone served, all PV power, batteries idle."""
+"""AC voltages of a feeder without control: all customers supplied, all PV power, batteries idle."""
 
 from __future__ import annotations
 

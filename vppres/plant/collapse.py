@@ -1,7 +1,7 @@
 """What happens where the AC power flow has no solution: the lowest tier is shed until it has.
 
-Only evidence sheds: where no solution was found and none was shown to be missing, everybody stays
-on, and the record says by what its best answer misses.
+Only evidence sheds: where no solution was found and none was shown to be missing, all customers
+stay on, and the record says by what its best answer misses.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def realise(
 
     A feeder whose power flow has no solution loses its voltage, and undervoltage relays drop load.
     If not even the empty feeder has a solution with PV, sets and batteries running, they stop too.
-    A power flow that was merely not found sheds nobody: its best answer is recorded as such.
+    A power flow that was merely not found sheds no customer: its best answer is recorded as such.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def realise(
 
 
 def _settled(decision: Decision, realised: Realised, ac: ACResult, ac_failed: str) -> Settled:
-    """A connected step as it came out; whoever was asked for and is not served was shed."""
+    """A connected step as it came out; customers planned as supplied that are not were shed."""
     asked = np.asarray(decision.dispatch.served[decision.row], dtype=bool)
     return Settled(
         realised,

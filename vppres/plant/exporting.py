@@ -1,7 +1,7 @@
 """The export limiter of a connection: what is beyond the limit does not leave the feeder.
 
 It reads the meter at the grid, so losses are on its side. Sets, vehicles and batteries that give
-are held back first, which loses nothing; then PV power that nobody uses is curtailed. An
+are held back first, which loses nothing; then PV power that no customer uses is curtailed. An
 import-only connection has no limiter: what its meter shows is the paper's business.
 """
 

@@ -116,7 +116,7 @@ class FormingSet:
         return np.zeros(len(self.plant.scenario.batteries), dtype=bool)
 
     def begin(self, powers: Powers) -> Powers:
-        """The set-points with this set on, whatever it was told."""
+        """The set-points with this set on, whatever its own set-point."""
         running = powers.running["gensets"].copy()
         running[self.genset] = True
         return replace(

@@ -41,8 +41,8 @@ class Engines:
     def possible(self, t: int, on: Flags, wanted_kw: Floats) -> tuple[Flags, Floats]:
         """Which sets run of those that are to, and the power of each nearest to what is wanted.
 
-        A set starts once it has been off for its least time, and stops at once when it is told to,
-        or when its fuel is not enough for its least power over the step.
+        A set starts once it has been off for its least time, and stops at once when its set-point
+        says so, or when its fuel is not enough for its least power over the step.
         """
         sets = self.scenario.gensets
         dt_h = self.scenario.grid.dt_h

@@ -4,7 +4,7 @@ The set of grid-forming batteries holds the voltage and takes up what generation
 by, losses included, in proportion to its ratings. Where no battery of the set is able, or they
 cannot hold the island, a grid-forming generating set does. What is beyond that is cut off by rules
 that need no communication: surplus PV power is curtailed, customers are shed from the least
-important tier upwards. Where nothing is able, the island is dark.
+important tier upwards. Where nothing is able, the island blacks out.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ BALANCE_TOLERANCE_KW = 1e-6
 only where the power flow itself is less exact (``ACPowerFlow.tolerance_kva``)."""
 
 COLLAPSE_PU = 0.7
-"""A voltage below which motors stall and inverters trip: the island is dark."""
+"""A voltage below which motors stall and inverters trip: the island blacks out."""
 
 CUT_MARGIN_KW = 1e-3
 """What is cut beyond the need, so that the set has something left to settle with."""
@@ -58,9 +58,9 @@ class Settled:
     Parameters
     ----------
     realised : Realised
-        What really happened; nobody is served in the dark.
+        What really happened; no customer is supplied in a blackout.
     ac : ACResult
-        AC power flow with exactly zero import; voltages are NaN in the dark.
+        AC power flow with exactly zero import; voltages are NaN in a blackout.
     mismatch_kw : array, shape (B,)
         What each battery gave beyond its set-point (negative: took).
     by_set_kw : float
@@ -68,9 +68,9 @@ class Settled:
     shed : array of bool, shape (C,)
         Who was to be served and was cut off.
     dark_reason : str
-        Why the island is dark, empty if it is not.
+        Why the island is blacked out, empty if it is not.
     ac_failed : str
-        What was shed because the AC power flow had no solution, and why; that nobody was, because
+        What was shed because the AC power flow had no solution, and why; that none was, because
         it was only not found; empty if it was.
     """
 
@@ -84,7 +84,7 @@ class Settled:
 
     @property
     def dark(self) -> bool:
-        """Whether nobody formed the grid."""
+        """Whether no device formed the grid."""
         return self.dark_reason != ""
 
 
@@ -272,7 +272,7 @@ class IslandPlant:
         )
 
     def _dark(self, t: int, planned: Realised, state: BatteryState, reason: str) -> Settled:
-        """Nobody is served, nothing generates, nothing flows."""
+        """No customer is supplied, nothing generates, nothing flows."""
         net = self.plant.scenario.network
         pv = np.zeros(len(planned.pv_self_kw))
         batteries = np.zeros(len(planned.charge_kw))

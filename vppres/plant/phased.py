@@ -203,7 +203,7 @@ class PhasedIslandPlant(IslandPlant):
     def _cut(self, t: int, powers: Powers, found: Balance) -> Powers | None:
         """What relieves an overloaded phase: less of what feeds it, else customers on it.
 
-        Where nobody is left to be shed, everything but the former stops.
+        Where no customer is left to be shed, everything but the former stops.
         """
         if abs(found.left_kw) > self.tolerance_kw:
             return super()._cut(t, powers, found)

@@ -282,7 +282,7 @@ class Plant:
     ) -> tuple[Floats, Floats, Floats]:
         """Self-consumption, export and curtailment of the actual PV power."""
         available = self.scenario.pv_kw[t]
-        # Nobody is behind the meter of a system that stands alone: all of it is exported.
+        # No customer is behind the meter of a system that stands alone: all of it is exported.
         demand = np.where(self._alone, 0.0, demand_kw[self.owner])
         rating = self.scenario.pv.s_max_kva
         own = np.minimum(np.minimum(available, demand), rating)

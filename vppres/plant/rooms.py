@@ -1,4 +1,4 @@
-"""Rooms and tanks as they really are: their temperature, whoever is supplied.
+"""Rooms and tanks as they really are: their temperature, supplied or not.
 
 Arithmetic of its own, apart from the model.
 """

@@ -138,7 +138,7 @@ class Customers:
     def hour_beyond(self) -> Floats:
         """Price of an hour beyond the longest time off in weighted customer hours, (C,).
 
-        It counts as an hour off of everyone in the customer's tier, each with its weight: nothing
+        It counts as an hour off of all customers in its tier, each with its weight: nothing
         that others of the tier gain in that hour is worth it.
         """
         _, tier, count = np.unique(self.tier.astype(str), return_inverse=True, return_counts=True)
@@ -210,7 +210,7 @@ class PVSystems:
     def owner(self, customers: Customers) -> Wholes:
         """Position of each system's owner in the customers' table; 0 for one that stands alone.
 
-        Whoever reads values of the customers with it asks :attr:`alone` too.
+        A caller that reads values of the customers with it asks :attr:`alone` too.
         """
         return positions_of(self.customer, customers)
 
@@ -332,7 +332,7 @@ class Batteries:
     def formers(self) -> Flags:
         """Who forms an island's grid, (B,): those that are named, else the largest inverter.
 
-        Nobody does whose power is no more than the 1 W below which equipment is not there.
+        None does whose power is no more than the 1 W below which equipment is not there.
         """
         able = self.active_max_kw > 0.0
         if self.grid_forming.any() or not able.any():

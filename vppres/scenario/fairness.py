@@ -47,7 +47,7 @@ class Interruption:
     start, end : pandas.Timestamp
         Half-open interval.
     customer : str
-        Who was off; empty for an outage of the feeder, of which nobody's time off is known.
+        Who was off; empty for an outage of the feeder, of which no customer's time off is known.
     """
 
     start: pd.Timestamp

@@ -24,7 +24,7 @@ LINE_DEFAULTS = {"i_max_a": np.inf, "ratio": 1.0, "b_us": 0.0, "g_us": 0.0}
 BUS_DRAWS = ("p_shunt_kw", "q_shunt_kvar", "p_fixed_kw", "q_fixed_kvar")
 """What a bus may draw without a customer."""
 
-MAX_LOOPS = 20  # that are told; each costs a search of the network
+MAX_LOOPS = 20  # that are named; each costs a search of the network
 MAX_LOOP_SHOWN = 12  # buses
 
 
@@ -89,7 +89,7 @@ class Network:
     >>> net.buses.tolist(), net.to_bus.tolist(), net.parent.tolist()
     ([1, 2, 3], [2, 3], [0, 1])
 
-    A transformer that raises the voltage by 5 %, given against its direction:
+    A transformer that raises the voltage by 5%, given against its direction:
 
     >>> net = Network([2], [1], [0.1], [0.1], slack_bus=1, base_kv=11.0, ratio=[1.05])
     >>> net.ratio.round(4).tolist(), net.bus_ratio.round(4).tolist()

@@ -1,4 +1,4 @@
-"""What is said of outages that nobody knows exactly: warnings, and statistics for all others.
+"""What is said of outages that are not known exactly: warnings, and statistics for all others.
 
 Checked values; what follows from them is computed in :mod:`vppres.outlook`.
 """
@@ -106,7 +106,7 @@ class OutageWarning:
     Parameters
     ----------
     issued_at : pandas.Timestamp
-        When it was issued, with time zone; nobody knows of it before.
+        When it was issued, with time zone; it is not known before.
     outage : str
         Which outage it speaks of, where several are expected; the last message about each counts.
     preset : str
@@ -123,7 +123,7 @@ class OutageWarning:
         What a crew says of the end: that the grid is not back earlier; an estimate, as a time and
         not as a length; that it is back by then ("within the hour"), which is a notice.
     onset, length : optional
-        Distributions in place of the three times and the three lengths, which then sum them up for
+        Distributions instead of the three times and the three lengths, which then sum them up for
         people.
 
     Examples
@@ -208,7 +208,7 @@ class OutageWarning:
 
 @dataclass(frozen=True)
 class OutageStatistics:
-    """How often and how long a feeder is out without anybody's warning.
+    """How often and how long a feeder is out without warning.
 
     What is None is that of the preset (:mod:`vppres.outlook.presets`).
 

@@ -105,7 +105,7 @@ def part_names(customer: str, count: int) -> list[str]:
 
 
 def _part_names(names: Names, parts: Wholes) -> Names:
-    """Names of all parts in order; whoever is all or nothing keeps its name."""
+    """Names of all parts in order; a customer without parts keeps its name."""
     split = map(_names_of, names, parts)
     return np.array([name for group in split for name in group], dtype=object)
 

@@ -1,6 +1,6 @@
 """Strict priority: weights by which nothing that lower tiers gain pays for a loss of a higher one.
 
-In a window of W steps all lower tiers together gain at most the service of everyone in them, and
+In a window of W steps all lower tiers together gain at most the service of all their customers, and
 what they would pay beyond their longest times off. A unit of a tier that is worth more than that is
 never given up for them, so the optimum of the weighted objective serves as much of the first tier
 as can be served, then of the second, and so on.
@@ -25,7 +25,7 @@ MOST_WORTH = 1e6
 unit. In windows so large a unit of three tiers counts as much as 1,000 of the next one."""
 
 PARTS = 100
-"""Weights of one tier are told apart to a hundredth of the smallest."""
+"""Weights of one tier are distinguished to a hundredth of the smallest."""
 
 
 @dataclass(frozen=True, eq=False)

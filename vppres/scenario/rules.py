@@ -30,7 +30,7 @@ class SwitchingRules:
         How long a customer stays off at least once it is switched off, in h.
     price_per_action : float
         Price of an action in weighted customer hours. Switching off pays for the restoration too,
-        so that nobody is left in the dark to save it.
+        so that no customer is off supply to save it.
     max_actions_per_customer : int or None
         Most actions of one customer in each 24 h from the first step on; an off/on pair is two.
     stay_restored : bool

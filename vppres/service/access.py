@@ -1,4 +1,4 @@
-"""Who may do what: everybody on this machine while nobody has a token, else whoever has one."""
+"""Who may do what: every user of this machine while there is no token, else the holders of one."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Denied(Exception):
     Parameters
     ----------
     status : int
-        401 where nobody knows who asks, 403 where it is known and not enough, 429 where it is too
+        401 where the sender is not known, 403 where it is known and not enough, 429 where it is too
         often.
     message : str
         Why.
@@ -44,7 +44,7 @@ class Access:
     Parameters
     ----------
     tokens : sequence of Token
-        Who may come in; if there are none everybody may do everything.
+        Who may come in; if there are none every sender may do everything.
     now : callable, optional
         Seconds of UTC; the machine's clock, whatever the site's shows.
     """
@@ -53,7 +53,7 @@ class Access:
     now: Callable[[], float] = time.time
 
     def known(self, authorization: str | None) -> Token | None:
-        """The token of whoever asks; none where nobody needs one.
+        """The sender's token; none where none is needed.
 
         Parameters
         ----------
@@ -80,7 +80,7 @@ class Access:
         return found
 
     def actor(self, authorization: str | None, scope: str) -> str:
-        """Name of whoever asks.
+        """The sender's name.
 
         Parameters
         ----------

@@ -1,8 +1,8 @@
 """Alarms: what an operator has to act on, from its rise to its end.
 
 An alarm is raised when its condition has lasted for its delay. An operator acknowledges it, and it
-is cleared when the condition has been gone for a time. A shelved alarm notifies nobody up to its
-end. What the conditions are: ``service/conditions.py``.
+is cleared when the condition has been gone for a time. A shelved alarm sends no notification up to
+its end. What the conditions are: ``service/conditions.py``.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from vppres.service.records import AlarmRow, moment, seconds
 from vppres.service.store import Store
 
 REMINDER = pd.Timedelta(hours=2)
-"""After which an alarm that nobody has acknowledged is notified again."""
+"""After which an alarm without an acknowledgement is notified again."""
 
 SHOWN = pd.Timedelta(hours=24)
 """For how long an alarm that was cleared waits for its acknowledgement in the list."""
@@ -98,7 +98,7 @@ class Alarms:
     Attributes
     ----------
     on_notice : callable
-        Is told what people should hear of.
+        Gets what is to be notified.
     """
 
     def __init__(self, store: Store) -> None:
@@ -143,14 +143,14 @@ class Alarms:
     def acknowledge(
         self, number: int, actor: str, reason: str, now: pd.Timestamp
     ) -> dict[str, Any]:
-        """Note that somebody has seen an alarm, cleared or not."""
+        """Note that an operator has seen an alarm, cleared or not."""
         seen = {"acknowledged_at": seconds(now), "acknowledged_by": actor}
         return self._change(number, seen, now, actor, "alarm acknowledged", reason)
 
     def shelve(
         self, number: int, until: pd.Timestamp | None, actor: str, reason: str, now: pd.Timestamp
     ) -> dict[str, Any]:
-        """Let an alarm notify nobody up to a time; without a time it notifies again."""
+        """Let an alarm send no notification up to a time; without a time it notifies again."""
         if until is None:
             values: dict[str, Any] = {"shelved_until": None, "shelved_by": ""}
             return self._change(number, values, now, actor, "alarm unshelved", reason)
@@ -220,7 +220,7 @@ class Alarms:
         return replace(new, shelved_until=last.shelved_until, shelved_by=last.shelved_by)
 
     def _forgotten(self, now: pd.Timestamp) -> list[AlarmRow]:
-        """Alarms that nobody has acknowledged for long since they were told last."""
+        """Alarms without an acknowledgement for long since their last notification."""
         return [
             row
             for row in self._standing.values()

@@ -62,7 +62,7 @@ def announced_kw(events: Iterable[Event], window: Window, own_days: bool) -> Flo
         The steps.
     own_days : bool
         Whether the scenario's own days come, as in a rehearsal: then its limits ahead are what
-        nobody knows, and the one of now is taken to stay. Those of a profile are known.
+        is not known, and the one of now is taken to stay. Those of a profile are known.
     """
     known = window.series["grid_limit_kw"]
     if own_days:
@@ -231,7 +231,7 @@ def warnings(events: Mapping[str, Event], now: pd.Timestamp, step: pd.Timedelta)
         if event.body["type"] == RESTORATION:
             found.append(_of_crew(name, event, now))
         elif message is not None:
-            # Since when somebody knew, and what is said now.
+            # Since when it is known, and what is said now.
             issued = {min(moment(at), now) for at in (event.since, event.made_at)}
             found += [replace(message, issued_at=at) for at in sorted(issued)]
     return found

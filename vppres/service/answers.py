@@ -103,7 +103,7 @@ def denied_answer(error: Denied) -> Response:
 
 
 def listed(problems: Sequence[Problem]) -> list[dict[str, Any]]:
-    """Problems as JSON, not more than anybody reads."""
+    """Problems as JSON, not more than a person reads."""
     return [
         {
             "where": problem.where,

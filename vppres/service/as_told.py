@@ -1,4 +1,4 @@
-"""What stored plans tell of vehicles and generating sets, for whoever replays them.
+"""What stored plans say of vehicles and generating sets, for their replay.
 
 A plan says which vehicles were plugged in when it was decided, and how sets were.
 """
@@ -99,7 +99,7 @@ def _sessions(scenario: Scenario, stored: Plans) -> Sessions:
 def _stays(scenario: Scenario, stored: Plans) -> Iterator[Stay]:
     """Each vehicle once for as long as plans tell of it; one that leaves early ends then.
 
-    A vehicle that tells anew what it needs is told of anew.
+    A vehicle with a new need begins a new entry.
     """
     for charger in map(str, scenario.chargers.id):
         stay: Stay | None = None

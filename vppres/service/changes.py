@@ -11,7 +11,7 @@ class Changes:
     Attributes
     ----------
     new : threading.Event
-        Set while there are reasons that nobody has looked at.
+        Set while there are reasons that were not looked at.
 
     Examples
     --------

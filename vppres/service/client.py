@@ -57,7 +57,7 @@ class Client:
             self._headers["Authorization"] = f"Bearer {token}"
 
     def close(self) -> None:
-        """Let go of the connection."""
+        """Close the connection."""
         self._connection.close()
 
     def ask(self, method: str, path: str, body: Any = None) -> Answer:
@@ -66,7 +66,7 @@ class Client:
         Raises
         ------
         OSError
-            If nobody answers, or no service does.
+            If nothing answers, or no service does.
         """
         content = None if body is None else json.dumps(body).encode()
         begin = time.perf_counter()

@@ -23,7 +23,7 @@ PRIORITIES = (HIGH, MEDIUM)
 """The first needs an operator at once, the second within the hour."""
 
 AHEAD = pd.Timedelta(hours=6)
-"""How far ahead of a planned loss of supply an operator is told: time to bring a generator."""
+"""How far ahead of a planned loss of supply an operator is notified: time to bring a generator."""
 
 SOON = pd.Timedelta(hours=1)
 """Before which there is no time for that any more."""
@@ -105,7 +105,7 @@ class Situation:
     is_dark : bool
         Whether there is no grid.
     failing : mapping of str to str
-        Devices that do not do what they are told, and why.
+        Devices that do not follow their set-points, and why.
     """
 
     now: pd.Timestamp
@@ -294,7 +294,7 @@ def _source_lost(now: Situation) -> Iterator[Condition]:
 
 
 def _setpoint_rejected(now: Situation) -> Iterator[Condition]:
-    """A device does not do what it is told, or the last check lets nothing through to it."""
+    """A device does not follow its set-point, or the last check lets nothing through to it."""
     found = {
         name: f"{name} did not follow its set-point: {why}." for name, why in now.failing.items()
     }

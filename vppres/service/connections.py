@@ -1,6 +1,6 @@
 """Connections that ask for nothing: closed in time, and the oldest of them where there are many.
 
-uvicorn gives a head as long as it likes, and its limit of connections sends everybody away.
+uvicorn gives a head as long as it likes, and its limit of connections refuses all.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class Connection(H11Protocol):
     silent_since: float = 0.0
 
     def connection_made(self, transport: asyncio.Transport) -> None:
-        """Count it, and let go of one that was silent for longer if there are too many."""
+        """Count it, and close one that was silent for longer if there are too many."""
         super().connection_made(transport)
         self._wait()
         if len(self.connections) >= MOST_AT_ONCE:

@@ -46,7 +46,7 @@ class Database(Protocol):
         ...
 
     def close(self) -> None:
-        """Let go of it."""
+        """Close it."""
         ...
 
 
@@ -113,7 +113,7 @@ class InFolder:
         return str(self.folder)
 
     def check(self, db: sa.Connection) -> None:
-        """Nobody can have taken the lock, but the file can be gone."""
+        """The lock cannot have been taken, but the file can be gone."""
         if self._lock is None:
             raise StorageError(_ONLY_READ)
         try:
@@ -127,7 +127,7 @@ class InFolder:
             )
 
     def close(self) -> None:
-        """Let go of database and lock."""
+        """Close the database and free the lock."""
         self.engine.dispose()
         if self._lock is not None:
             os.close(self._lock)

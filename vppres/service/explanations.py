@@ -51,7 +51,7 @@ NICE = 5
 """Steps that are decided go first."""
 
 PROCESSOR_S = 30
-"""Of a processor, after which the process is ended: it takes three."""
+"""CPU time in s after which the process is ended: it takes three."""
 
 
 @dataclass(frozen=True, eq=False)

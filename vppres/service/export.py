@@ -2,7 +2,7 @@
 
 Of every step the set-points that were said, the demand, sun and state of charge that were measured
 (the profile's where nothing was), and whether there was grid. What they led to is the plant's
-answer: nobody measures all of it.
+answer: not all of it is measured.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ MOST_STEPS = 40_000
 """At once: more than a year of quarter hours."""
 
 CONNECTED = {"available": True}
-"""Of plans that nobody decided: they do not say."""
+"""Of plans without a decision: they do not say."""
 
 OF_SOLVE = {
     "status": "status",
@@ -85,7 +85,7 @@ def exported(service: Service, store: Store, start: pd.Timestamp, end: pd.Timest
     service : Service
         What is served.
     store : Store
-        What was heard and said.
+        Readings and events.
     start, end : pandas.Timestamp
         The first step and the end of the last one, or times in them.
 

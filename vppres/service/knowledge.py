@@ -114,7 +114,7 @@ class Known:
     measurement : Measurement
         For the controller.
     heard : list of Heard
-        Age of everything that was ever heard of.
+        Age of everything that was ever received.
     grid : Grid
         Whether there is grid.
     estimated : list of str
@@ -286,11 +286,11 @@ def known_at(
     time : pandas.Timestamp
         The step.
     controller : Controller
-        Whose window is to be known; it has been told of the outages that are announced.
+        Whose window is to be known; it knows the outages that are announced.
     store : Store
-        What was heard.
+        What was received.
     own_days : bool, optional
-        Whether the scenario's own days come, of which the limits ahead are known to nobody.
+        Whether the scenario's own days come, whose limits ahead are not known.
     now : pandas.Timestamp, optional
         The moment, where the step is decided anew within it.
     """
@@ -359,7 +359,7 @@ def _of_vehicles(scenario: Scenario, readings: Latest) -> dict[str, Any]:
 def told_of_sets(scenario: Scenario, readings: Latest, store: Store, said: _Said) -> dict[str, Any]:
     """What generating sets tell, by quantity, and what others than the controller told them.
 
-    Whether one runs counts if it was read since it was told what to do. A fault counts however old
+    Whether one runs counts if it was read since its set-point. A fault counts however old
     it is, and a start that a device rejected is one; that there is none counts while it is fresh.
     """
     runs = readings.newest("running")
@@ -404,7 +404,7 @@ class Latest:
     Parameters
     ----------
     found : list of Reading
-        The last ones of all that was ever heard.
+        The last ones of all that was ever received.
     heard : list of Heard
         How old they are.
     values : dict
@@ -506,14 +506,14 @@ class _Powers:
 
 @dataclass(frozen=True, eq=False)
 class _Said:
-    """What devices were told since the controller decided last.
+    """Set-points of devices since the controller decided last.
 
     Parameters
     ----------
     decided_at : pandas.Timestamp
         When that was.
     ordered_kw : DataFrame or None
-        What batteries were told from times on; None where nobody was told anything.
+        Set-points of batteries from times on; None where there are none.
     by_controller : bool
         Whether all of it was the controller's own.
     sets : dict of str to tuple of bool and float
@@ -538,7 +538,7 @@ class _Said:
         for plan in plans:
             for one in versions(plan):
                 rows = _orders(one, store)
-                # A new plan takes the place of what was said of later.
+                # A new plan replaces what was said of later.
                 ordered = [row for row in ordered if not rows or row[0] < rows[0][0]] + rows
         held = [row for row in ordered if row[0] < now]
         table = pd.DataFrame([power for _, power in held], [time for time, _ in held])
@@ -552,7 +552,7 @@ class _Said:
 
 
 def _orders(plan: Mapping[str, Any], store: Store) -> list[tuple[pd.Timestamp, dict[str, float]]]:
-    """What batteries were told by a plan, and that they rest when it is over.
+    """Set-points of batteries in a plan, and that they rest when it is over.
 
     Those that refused did nothing.
     """
@@ -590,7 +590,7 @@ def _sets_ordered(
 
 
 def refusing(soc: Mapping[str, Reading], store: Store) -> set[str]:
-    """Batteries that did not do what they were told, until they say how they are."""
+    """Batteries that did not follow their set-points, until they say how they are."""
     return {
         name
         for name, at in store.refusing("batteries").items()
@@ -624,13 +624,13 @@ def _grid(
     if np.isfinite(read):
         known_by = "reading"
         if read == 0.0 and not out[0]:
-            # As an outage that was announced without an end: until somebody says otherwise.
+            # As an outage that was announced without an end: until an event says otherwise.
             out[:] = True
         out[0] = read == 0.0
     elif out[0]:
         known_by = "event"
     elif last is not None and last.value == 0.0 and not announced_at(events, moment(last.time)):
-        # Nobody said when it would end, and nobody has seen that it did.
+        # Its end was neither announced nor seen.
         known_by = "last reading"
         out[:] = True
     elif controller.out_probability(window.times[0]).iloc[0] >= HALF:

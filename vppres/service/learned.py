@@ -76,7 +76,7 @@ class InSteps:
     Parameters
     ----------
     store : Store
-        What was heard.
+        What was received.
     grid : TimeGrid
         The steps.
     """

@@ -37,7 +37,7 @@ class Limits:
     rates : mapping of str to Rate, optional
         What is granted, by kind; other kinds are free.
     now : callable
-        Seconds of a clock that nobody sets.
+        Seconds of a clock that is never set.
 
     Examples
     --------

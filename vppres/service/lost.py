@@ -1,8 +1,8 @@
 """Customers that cannot be supplied: protection opened, or a device fails.
 
-Somebody said so: a device that did not switch one on, or telemetry that it is not ``online``. That
+It was reported: a device that did not switch one on, or telemetry that it is not ``online``. That
 stands, however old it is, until it is reported back: ``online`` again, or its device did what it
-was told after all.
+was reported after all.
 """
 
 from __future__ import annotations

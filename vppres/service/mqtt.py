@@ -111,7 +111,7 @@ class Bridge:
         self.broker.on_message = self._heard
 
     def _connected(self, broker: Any, *_: Any) -> None:
-        """Again after every loss: nobody else says what is subscribed, and what is retained."""
+        """Again after every loss: nothing else says what is subscribed, and what is retained."""
         broker.subscribe(self.topics.readings, qos=1)
         broker.publish(self.topics.status, "online", qos=1, retain=True)
         self._published.clear()
@@ -162,7 +162,7 @@ class Bridge:
                 self._waiting.popleft()
 
     def _publish(self, point: dict[str, Any], now: pd.Timestamp) -> None:
-        """A set-point that is new; the broker forgets it when it ends, whoever is still there."""
+        """A set-point that is new; the broker forgets it when it ends, also without the service."""
         key = f"{point['kind']}/{point['asset']}"
         state = (point["id"], point["active"])
         if self._published.get(key) == state:

@@ -23,7 +23,7 @@ POSSIBLE_OUTAGE = 0.5
 
 LONGEST = pd.Timedelta(days=366)
 LONGEST_NAME = 60
-"""Of an event: what is longer is cut, with a hash in place of its end."""
+"""Of an event: what is longer is cut, with a hash instead of its end."""
 
 SOURCE = "openadr"
 POUND = "GBP"

@@ -24,7 +24,7 @@ from vppres.service.records import Reading, moment
 from vppres.service.runner import Runner
 
 PAST_H = 12.0
-"""How much of what was is told."""
+"""How much of the past is shown."""
 
 MOST_PAST = 96
 """Steps of it at most."""
@@ -38,10 +38,10 @@ SHOWN = ("soc", "online", "grid_on", "plugged", "indoor_c", "running", "fuel_lit
 """Last readings that the page shows."""
 
 OF_SETS = ("p_min_kw", "p_max_kw", "tank_litres", "litres_per_kwh", "litres_per_h_idle")
-"""What is told of each generating set, its line of fuel among it."""
+"""What is shown of each generating set, its line of fuel among it."""
 
 REFRESH_S = 1
-"""For how long the same is told, if nothing was changed."""
+"""For how long the same is shown, if nothing was changed."""
 
 
 def site_of(runner: Runner) -> dict[str, Any]:
@@ -111,7 +111,7 @@ def _phases_of(runner: Runner) -> dict[str, str] | None:
 
 
 def _orders(points: Iterable[Mapping[str, Any]], kind: str, *names: str) -> dict[str, Any]:
-    """What devices of a kind are told, and why."""
+    """Set-points of devices of a kind, and why."""
     return {
         one["asset"]: {name: one[name] for name in (*names, "reason")}
         for one in points

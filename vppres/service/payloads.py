@@ -166,7 +166,7 @@ class Readings(Body):
 class Telemetry(Body):
     """A batch of readings; to send it twice does no harm."""
 
-    # The mistakes of one series are told: to collect those of all takes seconds.
+    # The mistakes of one series are listed: to collect those of all takes seconds.
     series: list[Readings] = Field(fail_fast=True, min_length=1, max_length=MOST_SERIES)
 
     @model_validator(mode="after")
@@ -362,7 +362,7 @@ class Quantiles(Body):
 
 
 class Forecasts(Body):
-    """What is expected of customers or PV systems, of whom the plan takes the median."""
+    """Forecast of customers or PV systems, of which the plan takes the median."""
 
     issued_at: Moment
     start: Moment
@@ -431,7 +431,7 @@ class ModeRequest(Body):
     """What the service does from now on.
 
     ``auto`` decides, ``off`` gives defaults only, ``hold`` gives the last set-points again, and
-    ``manual`` the operator's, with the last ones for whoever is not named.
+    ``manual`` the operator's, with the last ones for devices that are not named.
     """
 
     mode: Literal["auto", "hold", "manual", "off"]
@@ -455,7 +455,7 @@ class Remark(Body):
 
 
 class Shelf(Remark):
-    """Until when an alarm notifies nobody, and why."""
+    """Until when an alarm sends no notification, and why."""
 
     until: Moment
 

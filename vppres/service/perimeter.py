@@ -47,7 +47,7 @@ ENCRYPTED = {"Strict-Transport-Security": "max-age=31536000"}
 
 
 class Perimeter:
-    """Lets requests pass that call the service by its name, from whom it knows, and not too large.
+    """Lets requests pass that call the service by its name, from known senders, not too large.
 
     A browser sends whatever a page of a stranger asks it to, to this machine too. It names the
     host that the page believes to ask and, where something may change, the page's origin.
@@ -57,7 +57,7 @@ class Perimeter:
     app : ASGI application
         The routes.
     guard : Guard
-        Whom it knows; what they may, the routes ask.
+        The senders it knows; what they may, the routes ask.
     hosts : iterable of str
         Names of the service, ``*`` for any.
     encrypted : bool

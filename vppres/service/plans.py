@@ -50,7 +50,7 @@ NUMBERS = {
 """What set-points of each kind say in numbers."""
 
 LOST = "cannot be supplied: "
-"""How the reason begins of a customer that nobody can switch on."""
+"""How the reason begins of a customer that cannot be switched on."""
 
 
 def plan_of(
@@ -140,7 +140,7 @@ def defaults_of(time: pd.Timestamp, scenario: Scenario, status: str, reason: str
 
 @dataclass(frozen=True, eq=False)
 class Ordered:
-    """Set-points that nobody decided: those before, and an operator's in their place.
+    """Set-points without a decision: those before, or an operator's.
 
     Parameters
     ----------
@@ -176,7 +176,7 @@ class Ordered:
                     now = {**default, **_asked(over[kind, name])}
                 rows[name] = {field: now[field] for field in default}
             tables[kind] = pd.DataFrame.from_dict(rows, orient="index")
-        # What the sun gives is not known here; a system feeds what it has.
+        # The available PV power is not known here; a system feeds what it has.
         tables["pv"]["available_kw"] = scenario.pv.p_max_kw
         return cls(**tables)
 
@@ -225,7 +225,7 @@ def _fields(kind: str, row: pd.Series[Any]) -> dict[str, Any]:
 def made_anew(
     plan: Mapping[str, Any], at: pd.Timestamp, why: str, before: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """A plan of the rest of a step, in place of one that did not know why.
+    """A plan of the rest of a step, instead of one that did not know why.
 
     Parameters
     ----------
@@ -516,7 +516,7 @@ _SIGNS = {
 
 
 def _defaults(scenario: Scenario) -> dict[str, dict[str, dict[str, Any]]]:
-    """What devices do without us: batteries and sets rest, the sun shines, rooms are in band."""
+    """What devices do without us: batteries and sets rest, PV systems feed, rooms are in band."""
     pv = scenario.pv
     chargers = scenario.chargers
     charging = {
@@ -591,7 +591,7 @@ def _extremes(decision: SetPoints, v_pu: pd.Series[float]) -> dict[str, Any]:
 
 
 def _at_lowest(v_pu: pd.Series[float]) -> str | None:
-    """The bus of the lowest voltage; none in the dark."""
+    """The bus of the lowest voltage; none in a blackout."""
     return None if v_pu.isna().all() else str(v_pu.idxmin())
 
 

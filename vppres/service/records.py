@@ -68,7 +68,7 @@ class Event:
     since : int
         When the first version was, after it was withdrawn last.
     new : bool
-        Whether no version held before it; told of one that was just written.
+        Whether no version held before it; of one that was just written.
     """
 
     version: int
@@ -80,7 +80,7 @@ class Event:
 
 @dataclass(frozen=True)
 class Lost:
-    """Since when somebody cannot be supplied, and why."""
+    """Since when a customer cannot be supplied, and why."""
 
     at: int
     reason: str
@@ -154,7 +154,7 @@ class Token:
 
 
 class ChangedError(VppresError):
-    """It is no longer as whoever wants to change it believes."""
+    """It is no longer the version that its sender saw."""
 
 
 class UnknownError(VppresError):

@@ -84,11 +84,11 @@ class Service:
     options : RunOptions
         How it decides.
     rehearsal : bool
-        Whether the scenario's own steps are played, at the pace of whoever asks for them.
+        Whether the scenario's own steps are played, at the pace of the requests.
     paced : bool
-        Whether the clock is set over HTTP, in place of the machine's; that of a rehearsal is.
+        Whether the clock is set over HTTP, instead of the machine's; that of a rehearsal is.
     keep_days : float
-        How long what was heard and said is kept, in days.
+        How long readings and plans are kept, in days.
     """
 
     scenario: Scenario
@@ -172,7 +172,7 @@ class Runner:
         time : pandas.Timestamp, optional
             Its beginning; that of the present step if not given.
         actor : str, optional
-            Who asks, for the audit; nobody where the clock does.
+            Who asks, for the audit; none where the clock does.
 
         Raises
         ------
@@ -415,7 +415,7 @@ class Runner:
     def _log_estimated(self, plan: dict[str, Any]) -> None:
         """A line for devices that are not as their readings or sessions say, when it begins.
 
-        Readings that are only missing are told of as late.
+        Readings that are only missing are listed as late.
         """
         odd = {
             NUMBERS.sub("", words): words

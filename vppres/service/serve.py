@@ -1,4 +1,4 @@
-"""Puts the parts of a service together, and runs it until it is told to end."""
+"""Puts the parts of a service together, and runs it until it is stopped."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from vppres.service.store import Store
 
 DEFAULT_PORT = 8420
 GRACE_S = 10
-"""What requests may take to end after the service was told to."""
+"""What requests may take to end after the service was stopped."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class Address:
 
 
 def _no_password() -> str:
-    """Nobody is there to be asked."""
+    """No user is there to be asked."""
     raise ValueError("the key has a password")
 
 
@@ -119,7 +119,7 @@ def opened(service: Service, folder: Path | str, clock: Clock | None = None) -> 
 
 
 def add_token(service: Service, folder: Path | str, text: str, days: float | None = None) -> str:
-    """Let somebody in, for some days or for good; the secret, which is shown once.
+    """Add a token, for some days or for good; the secret, which is shown once.
 
     Raises
     ------
@@ -133,7 +133,7 @@ def add_token(service: Service, folder: Path | str, text: str, days: float | Non
 
 
 def remove_token(service: Service, folder: Path | str, name: str) -> None:
-    """Let somebody in no longer.
+    """Remove a token.
 
     Raises
     ------
@@ -167,9 +167,9 @@ def serve(
     address : Address
         Where it listens.
     told : callable
-        Is told in a line what begins.
+        Gets a line about what begins.
     notify : sequence of str, optional
-        Addresses of webhooks and for mail, which are told of alarms.
+        Addresses of webhooks and for mail, which get alarms.
 
     Raises
     ------
@@ -190,7 +190,7 @@ def serve(
             log_level="warning",
             access_log=False,
             server_header=False,
-            proxy_headers=False,  # nothing depends on an address, which anybody can make up
+            proxy_headers=False,  # nothing depends on an address, which any sender can make up
             http=Connection,
             ssl_certfile=address.certificate,
             ssl_keyfile=address.key,

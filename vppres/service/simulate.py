@@ -133,7 +133,7 @@ class Play:
     faults : TelemetryFaults
         What happens to readings.
     beliefs : bool
-        Whether a scenario's own warnings are announced, as they are issued, in place of what comes.
+        Whether a scenario's own warnings are announced, as they are issued, instead of what comes.
     """
 
     speed: float = 0.0
@@ -332,7 +332,7 @@ def simulate(
     place : Place
         Where the service is.
     told : callable, optional
-        Is told in a line where it can be watched.
+        Gets a line with the address to watch.
     progress : callable, optional
         Called as ``progress(steps done, steps in all)`` after every step.
 

@@ -1,4 +1,4 @@
-"""A service in a process of its own, for as long as somebody plays with it."""
+"""A service in a process of its own, for as long as it is used."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def _wait_for(process: Any, address: Address) -> None:
 
 
 def _free_port() -> int:
-    """A port that nobody listens at."""
+    """A port that is free."""
     with socket.socket() as sock:
         sock.bind((LOOPBACK[0], 0))
         port: int = sock.getsockname()[1]

@@ -27,7 +27,7 @@ from vppres.service.tables import (
 )
 
 REFUSED = ("rejected", "aborted")
-"""What devices say that did not do what they were told."""
+"""What devices say that did not follow their set-points."""
 
 
 def _latest() -> Any:

@@ -104,7 +104,7 @@ class Store:
         self._trying = threading.Lock()
         self._takes = not reading
         self._tried_at = -TRIED_S
-        self.changes = 0  # whoever shows what is stored looks again when it has grown
+        self.changes = 0  # a reader of what is stored looks again when it has grown
         self._events_known: tuple[int, dict[str, Event]] | None = None
         self._event_changes = 0
         if not reading:
@@ -116,7 +116,7 @@ class Store:
         self._items = self._known_items()
 
     def _known_items(self) -> set[tuple[str, str]]:
-        """Assets and quantities that were ever heard of."""
+        """Assets and quantities that were ever received."""
         with self._reads() as db:
             return {(row.asset, row.quantity) for row in db.execute(sa.select(HEARD_OF))}
 
@@ -126,13 +126,13 @@ class Store:
         return self._database.name
 
     def close(self) -> None:
-        """Let go of the database."""
+        """Close the database."""
         self._database.close()
 
     def ready(self) -> bool:
         """Whether the database takes a transaction; tried now and then, however often it is asked.
 
-        Whoever asks while it is tried hears of the time before.
+        A reader that asks while it is tried gets the time before.
         """
         if self._trying.acquire(blocking=False):
             try:
@@ -226,7 +226,7 @@ class Store:
 
     def events(self) -> dict[str, Event]:
         """The latest version of each event that holds."""
-        # Nobody else writes here, so that what was read holds until an event changes.
+        # Nothing else writes here, so that what was read holds until an event changes.
         seen = self._event_changes
         if self._events_known is None or self._events_known[0] != seen or self._reading:
             self._events_known = seen, self._events_stored()
@@ -314,7 +314,7 @@ class Store:
         after : After, optional
             What the controller is at; nothing where it did not decide.
         asked : Asked, optional
-            Who asked for the step, if somebody did.
+            Who asked for the step, if a sender did.
         """
         at = seconds(time)
         with self._changes() as db:
@@ -456,7 +456,7 @@ class Store:
             if before is None or before._asdict() != dict(said):
                 row = {"setpoint": setpoint["id"], "at": seconds(now), "actor": actor, **values}
                 db.execute(ACKS.insert().values(**row, **said))
-                if setpoint.get("served"):  # whoever was to be on
+                if setpoint.get("served"):  # customers that were to be on
                     note_lost(db, setpoint["asset"], said, seconds(now))
 
     def lost(self) -> dict[str, Lost]:
@@ -475,7 +475,7 @@ class Store:
             }
 
     def refusing(self, kind: str) -> dict[str, int]:
-        """Devices of a kind that did not do what they were told last, and since when."""
+        """Devices of a kind that did not follow their last set-points, and since when."""
         with self._reads() as db:
             return {row.asset: row.at for row in db.execute(REFUSING, {"kind": kind})}
 
@@ -562,13 +562,13 @@ class Store:
         return (None if text is None else json.loads(text)), tag_of(text)
 
     def add_token(self, token: Token, now: pd.Timestamp) -> None:
-        """Let somebody in, in place of whoever had the name."""
+        """Add a token, instead of the one that had the name."""
         with self._changes() as db:
             put(db, TOKENS, **vars(token))
             note(db, now, "command line", "token", f"{token.name} {token.scopes}")
 
     def remove_token(self, name: str, now: pd.Timestamp) -> bool:
-        """Let somebody in no longer; whether there was such a token."""
+        """Remove a token; whether there was such a token."""
         with self._changes() as db:
             found = bool(db.execute(TOKENS.delete().where(TOKENS.c.name == name)).rowcount)
             if found:
@@ -576,7 +576,7 @@ class Store:
         return found
 
     def tokens(self) -> list[Token]:
-        """Everybody who may come in."""
+        """All tokens."""
         with self._reads() as db:
             rows = db.execute(sa.select(TOKENS).order_by(TOKENS.c.name)).all()
         return [Token(row.name, row.sha256, row.scopes, row.expires) for row in rows]

@@ -1,4 +1,4 @@
-"""A scenario's day as its devices live it: what they measure, and what comes of what they are told.
+"""A scenario's day as its devices live it: what they measure, and what comes of their set-points.
 
 Behind it stands the plant, with the true demand, sun and grid; it knows nothing of a service.
 """
@@ -121,7 +121,7 @@ class World:
         return found
 
     def obey(self, t: int, setpoints: Iterable[Mapping[str, Any]]) -> StepRecord:
-        """Do for a step what devices were told last; what is over leaves its default."""
+        """Carry out the last set-points for a step; what is over leaves its default."""
         middle = self.scenario.grid.times[t] + self._step / 2
         told = {(one["kind"], one["asset"]): at(one, middle) for one in setpoints}
         record = self.day.settle(t, Decision(self._dispatch(t, told)))
@@ -157,7 +157,7 @@ class World:
         ]
 
     def _dispatch(self, t: int, told: Mapping[tuple[str, str], Mapping[str, Any]]) -> Dispatch:
-        """What devices were told, as the plant reads it; who was told nothing does its default."""
+        """Set-points of devices, as the plant reads them; a device without one does its default."""
 
         def values(kind: str, name: str, default: float) -> Floats:
             ids = getattr(self.scenario, kind).id

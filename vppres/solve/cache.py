@@ -19,7 +19,7 @@ SITES_KEPT = 3
 class ModelCache:
     """Compiled problems of a site, each made once.
 
-    The cache knows no problem: whoever asks for one says what makes it. A problem is filled
+    The cache knows no problem: the caller says what makes it. A problem is filled
     completely before every solve, so nothing leaks from one window into the next.
 
     Parameters

@@ -21,7 +21,7 @@ from vppres.solve.result import Outcome, SolveLimits, Status
 
 COST_GAP_REL = 1e-3
 COST_GAP_GBP = 1e-3
-"""Gap of the search for a cheaper set: 0.1 % of the cost, far below what a forecast of prices and
+"""Gap of the search for a cheaper set: 0.1% of the cost, far below what a forecast of prices and
 demand knows, and a tenth of a penny where there is next to no cost."""
 
 
@@ -51,7 +51,7 @@ class Candidate:
     value : float
         F without the tie-breakers.
     cost_bound_gbp : float
-        What its served set costs at least.
+        What its supply schedule costs at least.
     in_network : bool
         Whether flows, reactive power and voltages have been found too.
     letters : mapping

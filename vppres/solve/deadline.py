@@ -32,7 +32,8 @@ class Stopwatch:
 class Deadline(Stopwatch):
     """A moment by which something is to be done.
 
-    A deadline never moves. Whoever may take only a part of the time gets a deadline of its own.
+    A deadline never moves. A stage that may take only a part of the time gets a deadline of its
+    own.
 
     Parameters
     ----------
@@ -64,13 +65,13 @@ class Deadline(Stopwatch):
         return self.left_s <= 0.0
 
     def part(self, share: float) -> Deadline:
-        """The deadline of whoever may take a share of what is left."""
+        """The deadline of a stage that may take a share of what is left."""
         return Deadline(share * max(self.left_s, 0.0))
 
     def later(self, time_s: float) -> Deadline:
-        """The deadline of whoever may take some seconds beyond this one."""
+        """The deadline of a stage that may take some seconds beyond this one."""
         return Deadline(self.left_s + time_s)
 
     def within(self, time_s: float) -> Deadline:
-        """The deadline of whoever may take at most so many seconds of what is left."""
+        """The deadline of a stage that may take at most so many seconds of what is left."""
         return Deadline(min(self.left_s, time_s))

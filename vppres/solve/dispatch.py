@@ -1,4 +1,4 @@
-"""A served set becomes a dispatch: its cheapest, then the one that the tie-breakers prefer.
+"""A supply schedule becomes a dispatch: its cheapest, then the one that the tie-breakers prefer.
 
 One MIP at a usual gap leaves cost and reactive power undecided, so each term is solved to its own
 precision with the terms above it held (``docs/method.md``, *Lexicographic levels*).
@@ -84,11 +84,11 @@ class Attempt:
     own: OwnValues = NO_OWN_VALUES
 
 
-# From a served set to a candidate.
+# From a supply schedule to a candidate.
 
 
 def keep_dispatch(task: WindowTask, served: Flags) -> None:
-    """Keep the cheapest dispatch of a served set if it is the best so far; without the network.
+    """Keep the cheapest dispatch of a schedule if it is the best so far; without the network.
 
     A relaxation without binaries may serve what the switching rules forbid: nothing to find then.
     Where batteries would waste energy, their modes are left to who decides them with the service;
@@ -106,7 +106,7 @@ def keep_dispatch_in_network(
     before: Dispatch | None = None,
     charges: Flags | None = None,
 ) -> None:
-    """Keep the cheapest dispatch of a served set that the network carries if it is the best.
+    """Keep the cheapest dispatch of a supply schedule that the network carries if it is the best.
 
     The cost without the network is tried first, since most networks carry it. Where batteries'
     turns would have to be searched for, those of a plan ``before`` for the set are tried first:
@@ -151,7 +151,7 @@ def _cheapest_with_turns(task: WindowTask, before: Dispatch) -> Candidate | None
 def cheapest_with_modes(
     task: WindowTask, served: Flags, modes: Mapping[str, Floats]
 ) -> Candidate | None:
-    """Cheapest dispatch without the network of a served set with binaries held, by their names.
+    """Cheapest dispatch without the network of a schedule with binaries held, by their names.
 
     What other modes leave open of its cost is not known.
     """
@@ -164,7 +164,7 @@ def cheapest_with_modes(
 
 
 def in_network(task: WindowTask, served: Flags, charges: Flags | None = None) -> Candidate | None:
-    """Cheapest dispatch of a served set in the network, with the true discs."""
+    """Cheapest dispatch of a supply schedule in the network, with the true discs."""
     if task.data.phased is not None and not task.own:
         found, proven = _by_rows(task, served, charges)
         if found is not None or proven:
@@ -198,7 +198,7 @@ def _by_rows(
 def cheapest(
     task: WindowTask, name: str, served: Flags, form: Form, modes_later: bool = False
 ) -> Candidate | None:
-    """Cheapest dispatch of a served set in a form of the cost level."""
+    """Cheapest dispatch of a supply schedule in a form of the cost level."""
     # A large network may need long to find that there is none.
     deadline = task.answer_by(HALF if form.network else 1.0)
     # What a restoration adds to the demand is known with the service.
@@ -334,7 +334,7 @@ def solve_cost(
     modes_later: bool = False,
     held: Mapping[str, Floats] = NOTHING,
 ) -> Attempt:
-    """Cheapest dispatch of a served set: a convex problem, with binaries only where it needs them.
+    """Cheapest dispatch of a schedule: a convex problem, with binaries only where it needs them.
 
     ``form`` says whether the network is part of it, and how its discs are stated for binaries;
     without binaries they are cones, or polygons in large windows. ``curtailed_gap_gbp`` is what
@@ -413,7 +413,7 @@ def _solve_cost(
 def with_modes(
     cache: ModelCache, data: WindowData, served: Flags, modes: Mapping[str, Floats], end: Deadline
 ) -> Attempt:
-    """Cheapest dispatch without the network of a served set with binaries held, by their names."""
+    """Cheapest dispatch without the network of a schedule with binaries held, by their names."""
     attempt = _with_modes(cache, data, served, modes, end)
     if attempt.outcome.status == Status.INFEASIBLE:
         return _with_modes(cache, eased(cache.site, data), served, modes, end)

@@ -75,7 +75,7 @@ class Form:
 def select_form(sheet: Sheet, form: Form) -> Selection:
     """The rows and terms of a form.
 
-    A served set meets the rules or does not, so a form of a set has no rows of them.
+    A supply schedule meets the rules or does not, so a form of a set has no rows of them.
     """
     statement = sheet.statement
     names = in_order(sheet)

@@ -58,7 +58,7 @@ An entry is a bus in a step. Compiling took 0.2 s for 33 buses and 6 steps, and 
 """
 
 START_S = 60.0
-"""Time for a process to load the libraries: 3.5 s of a processor that others may want too."""
+"""Time for a process to load the libraries: 3.5 s of CPU time that others may want too."""
 
 REPLAY_S = 5.0
 """Largest time limit of the window with which a process that replaces another warms up."""
@@ -228,7 +228,7 @@ class Worker:
         self._log.close()
 
     def forget(self) -> None:
-        """Let go of a process that another process started, after a fork."""
+        """Leave a process that another process started, after a fork."""
         self._channel.close()
         self._log.close()
         self.process.returncode = 0
@@ -343,7 +343,7 @@ class Workers:
             worker.end()
 
     def forget(self) -> None:
-        """Let go of processes that another process started, after a fork."""
+        """Leave processes that another process started, after a fork."""
         for worker in self._idle:
             worker.forget()
         self._idle = []
@@ -486,7 +486,7 @@ class IsolatedSolver(WindowSolver):
         keeps_turns: bool = False,
         within_s: float = math.inf,
     ) -> WindowSolution | None:
-        """Cheapest dispatch of a served set in the network, None if it has none."""
+        """Cheapest dispatch of a supply schedule in the network, None if it has none."""
         args = (served, before, keeps_turns, within_s)
         solution: WindowSolution | None = self._ask("solve_served", data, *args, within_s=within_s)
         return solution

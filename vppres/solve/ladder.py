@@ -1,8 +1,7 @@
-"""Solves windows: the ladder of relaxations, or the whole problem at once.
+"""Solves windows: relaxations stage by stage, or the whole problem at once.
 
-The story is told in ``docs/method.md``. ``WindowTask`` carries a window up the ladder, each rung
-leaves what it found and proved in its certificate, and the first rung at which both meet is the
-last one.
+``docs/method.md`` explains the stages. Each leaves in the certificate of its ``WindowTask`` what it
+found and proved, and the first one at which both meet is the last.
 """
 
 from __future__ import annotations
@@ -61,7 +60,7 @@ class WindowSolver:
     site : Site
         Fixed data.
     method : {"decomposed", "monolithic"}
-        How the served set is found; ``docs/method.md`` proves the certificates.
+        How the supply schedule is found; ``docs/method.md`` proves the certificates.
     solver : str
         Name in the table of solvers. Counts, the stages in the network and continuous problems with
         cones do not follow it; the stages of a solution name the solver of each.
@@ -166,7 +165,7 @@ class WindowSolver:
     def _within(
         self, tighter: list[WindowData], found: WindowSolution, deadline: Deadline
     ) -> WindowSolution:
-        """An answer within the tightest limits in which its served set has a dispatch."""
+        """An answer within the tightest limits in which its supply schedule has a dispatch."""
         served = found.dispatch.served
         for data in tighter:
             if deadline.passed or not broken(self.site, data.for_service(served), found.dispatch):
@@ -209,7 +208,7 @@ class WindowSolver:
         keeps_turns: bool = False,
         within_s: float = math.inf,
     ) -> WindowSolution | None:
-        """Cheapest dispatch of a served set in the network, None if it has none; no bound.
+        """Cheapest dispatch of a supply schedule in the network, None if it has none; no bound.
 
         Parameters
         ----------
@@ -244,7 +243,7 @@ class WindowSolver:
         before: Dispatch | None,
         keeps_turns: bool,
     ) -> WindowSolution | None:
-        """Cheapest dispatch of a served set within a window's limits, None if it has none."""
+        """Cheapest dispatch of a supply schedule within a window's limits, None if it has none."""
         task = self._task(data, limits)
         if before is not None and keeps_turns:
             keep_with_turns(task, before)
@@ -286,7 +285,7 @@ class WindowSolver:
 
 
 def _dims_more(found: Dispatch, before: Dispatch, site: Site) -> bool:
-    """Whether a served set gets less than with the dispatch before: tighter limits dim nobody."""
+    """Whether a schedule gets less than with the dispatch before: tighter limits dim none."""
     weight = site.customers.weight
     lost = (before.supplied.astype(float) - found.supplied.astype(float)) @ weight
     return bool(
@@ -325,9 +324,9 @@ def keep_a_steady_set(task: WindowTask) -> None:
 
 
 def worth_everyone(task: WindowTask) -> bool:
-    """Whether to try to serve everyone before any search: connected throughout, or in reach.
+    """Whether to try to supply all customers before any search: connected throughout, or in reach.
 
-    Not with families or a term of one's own that may not want everyone.
+    Not with your own families or term, which may not want all customers.
     """
     if task.minds_service:
         return False
@@ -340,9 +339,9 @@ def worth_everyone(task: WindowTask) -> bool:
 def rungs(task: WindowTask) -> list[Callable[[], None]]:
     """Relaxations without the network, in the order in which they are tried.
 
-    A dark step without batteries has to match the sun with whole customers, and every kW that it
-    misses is lost: service cannot be told from curtailment there, and all terms come at once. So
-    they do with families or a term of one's own that may mind who is served.
+    An outage step without batteries has to match PV power with whole customers, and every kW that
+    it misses is lost: service cannot be told from curtailment there, and all terms come at once. So
+    they do with your own families or term, if these may depend on who is supplied.
     """
     data = task.data
     sunny = (data.pv_kw > 0.0).any(axis=1)

@@ -30,7 +30,7 @@ from vppres.solve.selection import Selected
 from vppres.solve.solvers import run_conic
 
 SIDES = 32
-"""Sides of the polygon inside a phase's disc: it takes 0.5 % of the rating away."""
+"""Sides of the polygon inside a phase's disc: it takes 0.5% of the rating away."""
 
 LOW, HIGH = 0, 1
 """Sides of a limit of voltages."""
@@ -96,7 +96,7 @@ class Draws:
     def of_problem(
         cls, site: Site, data: WindowData, problem: Selected, served: Flags | None
     ) -> Draws:
-        """Those of a selection of the statement, for a served set if service is held."""
+        """Those of a selection of the statement, for a supply schedule if service is held."""
         model = phased_model(site)
         pv = len(site.customers)
         batteries = pv + len(site.pv)

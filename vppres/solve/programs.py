@@ -47,7 +47,7 @@ STOPPED = (
     highspy.HighsModelStatus.kSolutionLimit,
     highspy.HighsModelStatus.kObjectiveTarget,
 )
-"""Ends of a search that somebody asked for."""
+"""Ends of a search that an option asked for."""
 
 PROOF = MappingProxyType(
     {
@@ -73,8 +73,8 @@ where presolve has removed half of a problem."""
 SEARCH_WITH_RULES = MappingProxyType({**PROOF, "mip_heuristic_run_rins": True})
 """Options for a search for sets with switching rules and batteries. Good sets are hard to find: of
 24 windows one left 19 open after 10 s; with HiGHS's problems within the problem it closed three of
-them, and all 24 together were worth 0.3 % more. Few nodes follow a root that takes long, and longer
-with sums to branch on: 51 windows took 9 % more time with them."""
+them, and all 24 together were worth 0.3% more. Few nodes follow a root that takes long, and longer
+with sums to branch on: 51 windows took 9% more time with them."""
 
 SEARCH_UNSTORED = MappingProxyType({**SEARCH_OF_SETS, "mip_heuristic_run_rins": True})
 """Options for a search for sets with switching rules where nothing can be stored: many nodes are

@@ -73,7 +73,7 @@ _ERRORS: dict[Status, tuple[type[SolveError], str]] = {
 
 LEAST_OBJECTIVE = 0.01
 """Gaps are relative to the objective, or to this many weighted customer hours where it is smaller:
-half of a low-priority customer for an hour, below which no objective is told from zero."""
+half of a low-priority customer for an hour, below which no objective differs from zero."""
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,7 @@ class WindowSolution:
         How much more service (f1 and f3 as weighted) could at most be had, in weighted customer
         hours.
     cost_gap_gbp : float
-        How much cheaper the same service could at most be had, over all served sets, in GBP.
+        How much cheaper the same service could at most be had, over all supply schedules, in GBP.
     solve_s, solver_s : float
         Wall time of the window in seconds, and the part of it inside solvers.
     stages : tuple of str
@@ -185,7 +185,7 @@ class WindowSolution:
         ``service[highs]``, ``tie_breakers[clarabel]:infeasible``.
     passes : int
         Linearisations that the dispatch took; with more than one, objective, bound and gaps are
-        those of the window as it was linearised when the served set was decided.
+        those of the window as it was linearised when the supply schedule was decided.
     loss_kw : array, shape (W,), optional
         Losses that the dispatch pays for; None in the paper's mode, which has none.
     """

@@ -581,7 +581,7 @@ class Selected:
     # What a window writes.
 
     def fill(self, data: WindowData, served: Flags | None = None) -> None:
-        """Write a window's data, and a served set where service is held.
+        """Write a window's data, and a supply schedule where service is held.
 
         What a restoration adds to its demand is in the data then.
         """
@@ -670,7 +670,7 @@ class Selected:
         return np.asarray(self.statement.letters[name].value)
 
     def dispatch(self, served: Flags | None = None) -> Dispatch:
-        """The last solution, of a served set if service is held."""
+        """The last solution, of a supply schedule if service is held."""
         return self.statement.dispatch(served)
 
     def own_value(self) -> float:

@@ -3,8 +3,8 @@
 It is solved after the day, never in the loop, for its duals: they say what one more kWh, kW, kvar
 or kVA would have bought. Service lies between the bounds that are given for each customer and step,
 the modes of batteries that moved are those of the record in the first step, everything else is the
-paper's problem with the true discs. Shorter windows are padded with steps in which nobody has a
-load and nothing can be had, so that one problem is compiled for a day.
+paper's problem with the true discs. Shorter windows are padded with steps in which no customer has
+a load and nothing can be had, so that one problem is compiled for a day.
 """
 
 from __future__ import annotations

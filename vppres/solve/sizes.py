@@ -1,4 +1,4 @@
-"""Sizes from which on a window takes another way up the ladder."""
+"""Sizes from which on a window has other stages."""
 
 from __future__ import annotations
 

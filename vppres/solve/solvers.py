@@ -91,7 +91,7 @@ class SolverSpec:
     of_sets: Mapping[str, Any] = field(default_factory=dict)
 
     def for_window(self, site: Site, data: WindowData) -> SolverSpec:
-        """The solver with the options that a window asks for, if it is told any."""
+        """The solver with the options that a window asks for, if it takes any."""
         if not self.of_sets:
             return self
         return replace(self, of_sets=search_options(site, data))
@@ -233,7 +233,7 @@ def run_with(
     scale: float = 1.0,
     start: Start | None = None,
 ) -> Outcome:
-    """The same with options of one's own, of the seconds that are left."""
+    """The same with your own options, of the seconds that are left."""
     deadline = Deadline(time_s)
     try:
         if spec.cvxpy_name == cp.HIGHS and isinstance(problem, Selected):
@@ -288,7 +288,8 @@ def run_conic(problem: Selected, time_s: float, scale: float = 1.0) -> Outcome:
     holds for compiling too.
     """
     deadline = Deadline(time_s)
-    # Refinement costs as many iterations again and gains digits nobody reads, unless they lack.
+    # Refinement costs as many iterations again and gains digits that are not used, unless they
+    # lack.
     status = _interior_points(problem, deadline, refined=False)
     if status in (Status.INACCURATE, Status.NUMERICAL) and not deadline.passed:
         status = _interior_points(problem, deadline, refined=True)

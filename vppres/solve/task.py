@@ -104,13 +104,13 @@ class WindowTask:
 
     @cached_property
     def everyone(self) -> float:
-        """Service of everyone in every step, in weighted customer hours, and the most of later."""
+        """Service of all customers throughout, in weighted customer hours, and the most of later."""
         now = float(self.site.customers.weight.sum() * self.site.dt_h * self.data.n_steps)
         return now + self.data.kept_range(self.site)[1] if self.data.keeps_service else now
 
     @property
     def gap(self) -> float:
-        """Absolute gap of the searches for a served set, before it is known what can be served."""
+        """Absolute gap of the searches for a schedule, before it is known what can be served."""
         return self.limits.absolute(self.everyone)
 
     @property
@@ -123,7 +123,7 @@ class WindowTask:
     def gap_so_far(self) -> float:
         """The same, but where there is none that of the bound, which says how much there may be.
 
-        Service and curtailment may cancel to a small part of everyone's service.
+        Service and curtailment may cancel to a small part of all service.
         """
         known = self.certificate
         by_bound = known.best is None and np.isfinite(known.bound)
@@ -145,7 +145,7 @@ class WindowTask:
         return is_huge(self.site)
 
     def obeys_rules(self, served: Flags) -> bool:
-        """Whether a served set breaks no switching rule."""
+        """Whether a supply schedule breaks no switching rule."""
         return self.data.switching is None or not self.data.switching.broken(served).any()
 
     # Time.

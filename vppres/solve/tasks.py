@@ -26,7 +26,7 @@ _CHUNK = 1 << 20
 
 
 def _own_parts() -> tuple[str, ...]:
-    """Names of the parts of one's own that are added in this process."""
+    """Names of your own parts that are added in this process."""
     return tuple(part.__qualname__ for part in own_additions())
 
 
@@ -48,7 +48,7 @@ class Setup:
     polygon_sides : int
         Sides of an inverter's polygon.
     own : tuple of str
-        Parts of one's own that the problem has.
+        Your own parts that the problem has.
     """
 
     factory: Callable[[Site, str, str, SolveLimits, int], WindowSolver]
@@ -73,7 +73,7 @@ class Setup:
         Raises
         ------
         InputError
-            If the problem has parts of one's own that this process does not know.
+            If the problem has parts of your own that this process does not know.
         """
         if self.own != _own_parts():
             raise InputError.of(
@@ -127,7 +127,7 @@ class Start:
     memory_bytes : int
         What it may allocate.
     replay : Task, optional
-        A task whose answer nobody waits for: it compiles the problems that will be needed.
+        A task whose answer is not waited for: it compiles the problems that will be needed.
     """
 
     memory_bytes: int

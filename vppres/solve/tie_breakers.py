@@ -69,7 +69,7 @@ class TieBreakers(Selected):
         """All families, scaled, with the limits that are written with a window."""
         site = self.site
         named = sheet.statement.named
-        # A page of one's own may multiply by parameters what is put in otherwise.
+        # A page of your own may multiply by parameters what is put in otherwise.
         of_paper = not (sheet.statement.own or sheet.statement.changed)
         puts_in = len(site.pv) > 0 and of_paper
         out = {

@@ -1,4 +1,4 @@
-"""The upper rungs of the ladder: the whole problem, without binaries and with them."""
+"""The last stages: the whole problem, without binaries and with them."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def _search(task: WindowTask, name: str, form: Form) -> bool:
 
 
 def _solve(task: WindowTask, name: str, form: Form, gap: float) -> bool:
-    """One solve of the whole problem: keeps the dispatch of its served set; whether it ended."""
+    """One solve of the whole problem: keeps the dispatch of its schedule; whether it ended."""
     known = task.certificate
     problem = window_problem(task.cache, task.data, form)
     problem.fill(task.data)

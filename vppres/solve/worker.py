@@ -88,7 +88,7 @@ def serve(fd: int) -> None:
     except MemoryError:
         os._exit(OUT_OF_MEMORY)
     except OSError:
-        os._exit(0)  # nobody is there to be told
+        os._exit(0)  # the parent is gone
 
 
 def _read(channel: Channel, inbox: queue.SimpleQueue[bytes]) -> None:

@@ -348,7 +348,7 @@ def measured_in(name_or_path: str, zone: str | None = None) -> History:
 
 
 def forecasts_in(file: str | Path, history: History) -> Forecaster:
-    """Somebody's quantiles of the totals ``load`` and ``pv``, to be scored on a history.
+    """A provider's quantiles of the totals ``load`` and ``pv``, to be scored on a history.
 
     Raises
     ------

@@ -23,7 +23,7 @@ WRONG = 0.25
 """Share of its length by which an estimate must miss the outage to be counted as wrong."""
 
 PARTS_H = (1.0, 4.0)
-"""Estimates are told apart by how long the outage had lasted: up to the first, the second, more."""
+"""Estimates are grouped by how long the outage had lasted: up to the first, the second, more."""
 
 QUANTILES = {"estimate_p10": 0.1, "estimate_p50": 0.5, "estimate_p90": 0.9}
 

@@ -36,7 +36,7 @@ class Issued:
     paths : mapping of str to array, shape (M, W)
         Of the forecast and of each reference, in kW.
     came : array, shape (W,)
-        What came, in kW; NaN where nobody knows.
+        What came, in kW; NaN where it is not known.
     counts : array of bool, shape (W,)
         Steps at which something had to be forecast: PV at night has not.
     dt_h : float

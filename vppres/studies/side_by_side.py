@@ -42,7 +42,7 @@ class Where:
     processes : int, optional
         Jobs at a time on this machine; -1 or nothing is one for each core.
     scheduler : str, optional
-        Address (``tcp://...``) or scheduler file of a Dask cluster, which is then used in place of
+        Address (``tcp://...``) or scheduler file of a Dask cluster, which is then used instead of
         this machine.
 
     Examples
@@ -121,8 +121,8 @@ def _on_this_machine(
 ) -> Generator[Done[J, R] | Lost[J], None, None]:
     """Jobs in loky's processes; where one dies, those that may have killed it go on alone.
 
-    All jobs that were running are lost with it, and which of them is to blame nobody says. They are
-    among the first that have no result, since jobs are begun in their order.
+    All jobs that were running are lost with it, and which of them is to blame is not known. They
+    are among the first that have no result, since jobs are begun in their order.
     """
     left = dict(enumerate(jobs))
     suspects: list[int] = []

@@ -75,7 +75,7 @@ class CriticalFirst:
     def _with_critical(self, decision: Decision, alone: Decision, state: StepState) -> Decision:
         """The plan with the first tier as the step alone serves it, lower tiers let go as need be.
 
-        The step alone would serve everyone it can and leave no energy for the steps to come.
+        The step alone would supply all customers it can and leave no energy for the steps to come.
         """
         plan = decision.dispatch
         row = decision.row

@@ -81,7 +81,7 @@ class Estimator:
         self._out_until: Wholes = np.zeros(len(site.batteries), dtype=np.int64)
 
     def known(self, seen: Observation) -> Known:
-        """The observation with estimates in place of what cannot be trusted."""
+        """The observation with estimates for what cannot be trusted."""
         online = self._online(seen)
         self._reckon(seen)
         online &= ~self._soc.unknown
@@ -106,7 +106,7 @@ class Estimator:
         self._order(self._soc.at_h, self._commanded.battery_kw)
 
     def _online(self, seen: Observation) -> Flags:
-        """Batteries that report to be there and did what they were told."""
+        """Batteries that report to be there and followed their set-points."""
         told = np.ones(len(self.site.batteries), bool) if seen.online is None else seen.online
         if seen.battery_kw is not None and self._commanded is not None and self._follow(seen):
             rating = self.site.batteries.p_max_kw
@@ -139,7 +139,7 @@ class Estimator:
         self._soc = self._soc.after(seen.soc, now_h - age_h, now_h, self._moved)
 
     def _order(self, at_h: float, battery_kw: Floats) -> None:
-        """Batteries were told something else from a time on."""
+        """Batteries got other set-points from a time on."""
         b = self.site.batteries
         eta = (b.eta_charge, b.eta_discharge) if self._last is None else self._eta(self._last)
         self._moved = self._moved.ordered(at_h, battery_kw, eta)

@@ -1,4 +1,4 @@
-"""What batteries were told and what was measured of it, from which stored energy is reckoned."""
+"""Set-points and measured powers of batteries, from which stored energy is calculated."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ efficiencies and meters are off by.
 SOC_JUMP = 0.05
 """A reading further than this from what measured power explains is not believed at once.
 
-A battery's own gauge may be set right, and then goes on from there. It is believed if the next
+A battery's own gauge may be set right, and then goes on from there. It counts if the next
 reading bears it out; that of another battery, or one that drifts, does not.
 """
 
@@ -82,7 +82,7 @@ class SocReckoning:
 
     @property
     def unknown(self) -> Flags:
-        """Batteries of which nothing was heard, or so long ago that they may be empty or full."""
+        """Batteries without a reading, or with one so long ago that they may be empty or full."""
         b = self.site.batteries
         return np.isnan(self.soc) | (self.band >= 0.5 * (b.soc_max - b.soc_min))
 

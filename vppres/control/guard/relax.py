@@ -41,7 +41,7 @@ def relaxed_answers(
 
 
 def _with_ac_limits(site: Site, data: WindowData, solver_of: SolverOf) -> Answer:
-    """The window with the limits that the AC voltages must hold in place of the tighter ones."""
+    """The window with the limits that the AC voltages must hold instead of the tighter ones."""
     net = site.network
     return _solved(
         with_limits(net, min(net.v_min_pu, net.v_min_ac_pu), max(net.v_max_pu, net.v_max_ac_pu)),
@@ -58,7 +58,7 @@ def _elastic(site: Site, data: WindowData, solver_of: SolverOf) -> Answer:
 
 
 def _step_alone(site: Site, data: WindowData, solver_of: SolverOf) -> Answer:
-    """The first step without rules of switching: whoever cannot be served in it is let go."""
+    """The first step without switching rules: customers it cannot supply are disconnected."""
     alone = replace(data.first(1), switching=None)
     solution, limits_pu, words = _elastic(site, alone, solver_of)
     return solution, limits_pu, f"the step alone, {words}"

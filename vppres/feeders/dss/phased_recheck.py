@@ -114,7 +114,7 @@ def _held_v(run: Tables, phases: Phases, former: str | None) -> list[float | Non
 def _voltages(
     run: Tables, phases: Phases, found: dict[str, Any], former: str | None
 ) -> pd.DataFrame:
-    """Voltages of both, step by step and as limits count them; none where the plan is dark."""
+    """Voltages of both, step by step and as limits count them; none where the plan blacks out."""
     lost = [np.nan] * 2 * len(found["nodes"])
     parts = np.array([lost if step["v"] is None else step["v"] for step in found["steps"]])
     volts: Complexes = parts[:, ::2] + 1j * parts[:, 1::2]

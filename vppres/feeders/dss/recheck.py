@@ -220,7 +220,7 @@ def _voltages(run: Tables, found: dict[str, Any], group_of: Mapping[str, str]) -
     lost = [np.nan] * len(nodes)
     v_pu = np.array([lost if step["v_pu"] is None else step["v_pu"] for step in found["steps"]])
     labels = [(nodes[i][0], PHASE_NAMES[nodes[i][2]]) for i in kept]
-    # A feeder that is dark in the plan has no voltage, whatever stands in for its source.
+    # A feeder that is blacked out in the plan has no voltage, whatever stands in for its source.
     dark = run["steps"]["outage"].to_numpy(bool)[:, None] & np.isnan(v_plan_pu)
     return side_by_side(run, labels, np.where(dark, np.nan, v_pu[:, kept]), v_plan_pu)
 

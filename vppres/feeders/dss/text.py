@@ -33,7 +33,7 @@ LARGEST_BYTES = 5 * 2**20
 """Of all files together. The largest published test feeders have some 3 MB."""
 
 MOST_COMMANDS = 200_000
-MOST_REFUSED = 500  # whoever has that many is not a network with a line too much
+MOST_REFUSED = 500  # a file with that many is not a network with a line too much
 SHOWN = 40  # characters of a refused word: enough to find it
 
 _LINES = re.compile(r"\r\n|\n|\r")
@@ -230,7 +230,7 @@ class _Reader:
             self.notes[f"{shown}: '{full}' {SKIPPED[full]}"] = None
 
     def _redirect(self, values: list[_Value], shown: str, library: bool) -> None:
-        """Read another file in place of the line."""
+        """Read another file instead of the line."""
         if len(values) != 2 or values[1].name:
             raise _Refused("does not name one file", "Write: redirect file.dss.")
         name = values[1].text.strip().replace("\\", "/")

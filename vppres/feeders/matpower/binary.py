@@ -1,6 +1,6 @@
 """MATLAB's binary files in a process of their own: the tables of a MATPOWER case, and no more.
 
-The format holds data only, but whoever writes it chooses how deep and how large it unpacks.
+The format holds data only, but its writer chooses how deep and how large it unpacks.
 """
 
 from __future__ import annotations

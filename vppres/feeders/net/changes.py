@@ -27,7 +27,7 @@ class Changes:
     slack : str, optional
         The grid connection among several: by table and index, name or bus; ``all`` joins them.
     balance : bool
-        Spread loads of single phases over three; whoever reads the net refuses them without it.
+        Spread loads of single phases over three; they are refused without it.
     names : bool
         Call everything as the source does.
     """

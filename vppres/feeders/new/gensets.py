@@ -1,7 +1,7 @@
 """Generating sets of a new scenario: those of the source, with what it does not say assumed.
 
 No format has fuel. A set of the source with a power gets the line of fuel that diesel sets usually
-have, and a tank; all of it is told, and is there to be edited.
+have, and a tank; all of it is stated, and may be edited.
 """
 
 from __future__ import annotations

@@ -134,7 +134,7 @@ def _wide(
 def _long(
     table: Table, clock: str, key: str, columns: list[str], reading: Reading
 ) -> tuple[list[Profile], list[Problem]]:
-    """One row for each time and asset; hours that clocks show twice are told apart by asset."""
+    """One row for each time and asset; hours that clocks show twice are distinguished by asset."""
     if len(columns) > 1:
         return [], [
             Problem(
@@ -204,7 +204,7 @@ def _is_value(column: str) -> bool:
 
 
 def units_missing(profiles: list[Profile]) -> Iterator[Problem]:
-    """Series of which nobody said the unit, one problem a file."""
+    """Series without a unit, one problem a file."""
     files: dict[str, list[str]] = {}
     for profile in profiles:
         if not profile.unit:

@@ -35,7 +35,7 @@ def main() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     job = json.load(sys.stdin)
     _loaded(Path(__file__).parents[2] / "core" / "parent.py").end_with(*job["parent"])
-    # OpenDSSDirect would take it for tables that nobody asks for: half of the time to load.
+    # OpenDSSDirect would take it for tables that are not used: half of the time to load.
     sys.modules["pandas"] = None  # type: ignore[assignment]
     engine = _engine(job["engine"])
     _confine(float(job["limit_s"]))

@@ -21,7 +21,7 @@ def read_bytes(path: Path, limit: int = LARGEST_BYTES, shown: str = "") -> bytes
         If it is a device, a pipe or a folder, or larger; never more than the limit is read.
     """
     name = shown or path.name
-    if not path.is_file():  # of a pipe or a device nobody knows the end
+    if not path.is_file():  # the end of a pipe or a device is not known
         raise InputError.of(name, "is not a regular file", "Give a file.")
     with path.open("rb") as file:
         content = file.read(limit + 1)

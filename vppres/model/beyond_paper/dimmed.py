@@ -1,7 +1,7 @@
 """Customers that may be dimmed: supplied with a share of their demand.
 
-Whoever is served gets at least its least share, and what it lacks counts as service that is
-missing. Some catch up: they take more than their demand within some steps after, which counts as
+A customer that is supplied gets at least its least share, and what it lacks counts as service that
+is missing. Some catch up: they take more than their demand within some steps after, which counts as
 service again. Behind the meter, (6) goes on with the whole demand. Without such customers no
 problem has any of this.
 """

@@ -80,7 +80,7 @@ class ExportToGrid(Addition):
         return {"P_added": at_slack_bus(site, self.P_out)}
 
     def families(self, site: Site, v: Variables, p: Parameters) -> Named:
-        """Limits of import and export, in place of the limit of import alone."""
+        """Limits of import and export, instead of the limit of import alone."""
         most_in = cp.multiply(p.P_grid_max, self.importing)
         most_out = cp.multiply(self.P_out_max, 1 - self.importing)
         return {

@@ -160,7 +160,7 @@ def linearised(data: WindowData, network: Network, points: ACPoints) -> WindowDa
     sound = points.converged[:, None]
     drawn = data.drawn
     if network.draws or network.has_ratios:
-        # In the dark nothing is drawn or lost, and no voltage is too high, whatever a flow says.
+        # In a blackout nothing is drawn or lost, and no voltage is too high, whatever a flow says.
         sound = sound & lit_steps(data)[:, None]
     if drawn is not None:
         # Points that are not sound may have no voltage at all.

@@ -149,11 +149,11 @@ def switching_actions(m: SwitchingModel) -> Named:
 
 
 def minimum_times(m: SwitchingModel) -> Named:
-    """Whoever was switched on in the last U steps is served; likewise for off.
+    """A customer switched on in the last U steps is supplied; likewise for off.
 
-    With U = 1 this still says that nobody is switched on without being served. Steps before the
-    U-th need no row: with the balance each says that nobody is switched off until then who was not
-    served before the window, which the U-th says too.
+    With U = 1 this still says that no customer is switched on without being supplied. Steps before
+    the U-th need no row: with the balance each says that no customer is switched off until then
+    that was not served before the window, which the U-th says too.
     """
     W = m.x.shape[0]
     U_on, U_off = (min(steps, W) for steps in (m.steps.served, m.steps.unserved))
@@ -176,9 +176,9 @@ def past_actions(m: SwitchingModel) -> Named:
 
 
 def cold_load(m: SwitchingModel) -> Named:
-    """Demand is higher, z = 1, exactly for whoever is served and was restored in the last K steps.
+    """Demand is higher, z = 1, just for supplied customers restored in the last K steps.
 
-    Whoever was restored in the last U steps is still served. Where K is larger, whoever is served
+    One restored in the last U steps is still supplied. Where K is larger, one that is supplied
     now and was not k steps ago was restored in between. Shares of customers meet these rows just
     where whole ones do in a mixture, which a bound on single restorations leaves open. A
     restoration before the window counts as long as it lasts.

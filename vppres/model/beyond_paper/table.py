@@ -50,7 +50,7 @@ _OWN: list[type[Addition]] = []
 
 @contextmanager
 def own_parts(*parts: type[Addition]) -> Iterator[None]:
-    """Add parts of one's own to the problem of every window while the block runs.
+    """Add your own parts to the problem of every window while the block runs.
 
     They reach every method of this process. A part that the decomposed method cannot bound is
     refused there, by its name.
@@ -69,7 +69,7 @@ def own_parts(*parts: type[Addition]) -> Iterator[None]:
 
 
 def own_additions() -> tuple[type[Addition], ...]:
-    """Parts of one's own."""
+    """Your own parts."""
     return tuple(_OWN)
 
 

@@ -1,4 +1,4 @@
-"""What was believed of outages, beside what came."""
+"""Probabilities of outages, beside what came."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def outage_belief(run: Trajectory) -> Chart:
 
 
 def _before(believed: Floats, steps: int) -> Floats:
-    """Probability of each step as it was believed so many steps before, NaN where nobody did."""
+    """Probability of each step as it was known so many steps before, NaN where it was not."""
     found = np.full(len(believed), np.nan)
     if steps < len(believed):
         found[steps:] = np.diagonal(believed, steps)

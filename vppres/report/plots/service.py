@@ -167,7 +167,7 @@ class Tiles(Panel):
             canvas.line([(frame.left, top), (frame.right, top)], BLACK)
 
     def _draw_tiles(self, canvas: Canvas, frame: Frame, time: TimeAxis, row_px: float) -> None:
-        """Seams between the tiles, and a cross where nobody of a row is served."""
+        """Seams between the tiles, and a cross where no customer of a row is supplied."""
         edges = time.edges
         gap = (np.nan, np.nan)
         seams = [[(x, frame.top), (x, frame.bottom), gap] for x in edges[1:-1]]

@@ -1,4 +1,4 @@
-"""The report's first section, one page on paper: what happened, to whom, why, and at what price."""
+"""The report's first section, one page on paper: what happened, why, and at what price."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
     def shelve(
         number: Number, body: payloads.Shelf, actor: str = guarded("operator")
     ) -> dict[str, Any]:
-        """Let an alarm notify nobody up to a time, also if it is raised again before."""
+        """Let an alarm send no notification up to a time, also if it is raised again before."""
         now = runner.clock.now()
         if body.until <= now:
             raise InputError.of(

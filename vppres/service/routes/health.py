@@ -1,4 +1,4 @@
-"""Routes for whoever watches the service; no token."""
+"""Routes for monitoring; no token."""
 
 from __future__ import annotations
 

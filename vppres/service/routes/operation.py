@@ -1,4 +1,4 @@
-"""Routes of how the service is, and what it is told to do."""
+"""Routes of the service's status and mode."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
     ) -> Any:
         """Decide a step, or give its stored plan: to ask twice does no harm.
 
-        ``Prefer: respond-async`` gets the job in place of the plan. With an ``Idempotency-Key`` a
+        ``Prefer: respond-async`` gets the job instead of the plan. With an ``Idempotency-Key`` a
         request for the present step that is sent again later still means the same step.
         """
         time = None if body is None else body.time
@@ -101,7 +101,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
 
 
 def _unless_known(body: dict[str, Any], known: str | None) -> Response:
-    """A body with its tag; 304 to whoever has it already."""
+    """A body with its tag; 304 to a client that has it already."""
     tag = etag(body)
     headers = {"ETag": tag, "Cache-Control": "no-cache"}
     return Response(None, 304, headers) if known == tag else JSONResponse(body, headers=headers)

@@ -18,7 +18,7 @@ from vppres.service.runner import Runner
 from vppres.service.statements import REFUSED
 
 NEW = {"status": "new"}
-"""Of a set-point of which nobody has said what became of it."""
+"""Of a set-point whose result was not reported."""
 
 
 def routes(runner: Runner, guarded: Guard) -> APIRouter:

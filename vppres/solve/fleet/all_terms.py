@@ -18,7 +18,7 @@ from vppres.solve.task import WindowTask
 
 
 def all_terms(task: WindowTask) -> None:
-    """Search for the best served set with the fleet as one battery, then with every battery.
+    """Search for the best supply schedule with the fleet as one battery, then with every battery.
 
     Where batteries would waste energy, their modes come next, and no other search.
     """

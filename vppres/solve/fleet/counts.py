@@ -36,7 +36,7 @@ from vppres.solve.programs import (
 from vppres.solve.result import Outcome, Status
 
 SPARE_CUSTOMERS = 3
-"""Customers of the largest weight whom a set may lose beyond what shares of customers lose: a
+"""Customers of the largest weight that a schedule may lose beyond what shares of customers lose: a
 linear solution has a fraction for each cut that binds."""
 
 
@@ -60,7 +60,7 @@ class _Layout:
 
     @classmethod
     def of(cls, units: Wholes, able: Flags, free: Flags, load_kw: Floats) -> _Layout:
-        """Shares and counts of the steps in which not everyone is served."""
+        """Shares and counts of the steps in which not all customers are supplied."""
         step, customer = np.nonzero(able & free[:, None] & (units > 0))
         span = int(units.max(initial=0)) + 1
         pairs, count = np.unique(step * span + units[customer], return_inverse=True)
@@ -155,7 +155,7 @@ class Counts:
         self.gap = 0.0
 
     def service(self, gap: float) -> tuple[Outcome, Flags | None]:
-        """Most service in units within a gap; everyone connected is served."""
+        """Most service in units within a gap; all connected customers are supplied."""
         watch = Stopwatch()
         search = self.deadline.part(HALF)
         free = ~self.unlimited
@@ -182,7 +182,7 @@ class Counts:
         units_min : float
             Service, f3 as weighted included, in units of the grid.
         everyone : bool
-            Whether everyone connected is served.
+            Whether all connected customers are supplied.
         known_gbp : float
             Cost of a set that is known. If the bound comes within the gap of it, there is nothing
             to look for and no set in the answer.
@@ -294,7 +294,7 @@ class Counts:
             return self._found(self._search(program, GAP_SHARE * self.gap), layout, deadline)
         # Below one unit a whole number is known; a window of many units needs no such proof.
         gap = max(WHOLE_GAP, GAP_SHARE * self.gap)
-        # What fewer cuts have proven holds with more: whoever serves as much is the best.
+        # What fewer cuts have proven holds with more: a schedule that serves as much is the best.
         solver = self._search(program, gap, self.proven + HALF_UNIT)
         found = self._found(solver, layout, deadline)
         if not found.status.has_answer:

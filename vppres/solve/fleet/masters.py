@@ -40,7 +40,7 @@ battery of the best efficiencies says too little, and the search begins with eve
 
 
 class Master(Protocol):
-    """Finds served sets and bounds of a window in a relaxation without the network.
+    """Finds supply schedules and bounds of a window in a relaxation without the network.
 
     ``unit`` is the granularity of the weights. Searches end at the deadline, which the caller may
     set anew.
@@ -57,7 +57,7 @@ class Master(Protocol):
     ) -> tuple[Outcome, Flags | None]:
         """Least cost of all sets with so many units; a bound is enough within a known cost's gap.
 
-        With ``everyone`` nobody is left out where the import has no limit.
+        With ``everyone`` no customer is left out where the import has no limit.
         """
 
 

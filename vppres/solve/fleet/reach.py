@@ -87,7 +87,7 @@ class OneBattery:
 
 
 def everyone_in_reach(site: Site, data: WindowData) -> bool:
-    """Whether one battery with the best of all efficiencies could carry everyone's demand.
+    """Whether one battery with the best of all efficiencies could carry all demand.
 
     What it cannot carry, no fleet can, network or not; what it can, the fleet may be unable to.
     """

@@ -85,7 +85,7 @@ def fewest_lost(
     one : OneBattery
         What carries the demand.
     demand_kw : array, shape (W,)
-        Demand of each step with everyone served.
+        Demand of each step with all customers supplied.
     losses : sequence of Losses
         Ways to lose units in each of the steps.
     most_lost : int

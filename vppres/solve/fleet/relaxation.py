@@ -268,7 +268,7 @@ class FleetProblem(Selected):
         ``weighted`` maximises all linear terms as weighted, times the objective's scale;
         ``service`` maximises f1 and f3 in units of the weights' grid, f3 rounded in favour;
         ``cost`` minimises the cost (GBP) of all sets whose service reaches ``service_min``;
-        ``dispatch`` minimises in GBP all that a served set leaves to decide, see :meth:`hold`.
+        ``dispatch`` minimises in GBP all that a supply schedule leaves to decide, see :meth:`hold`.
     """
 
     def __init__(self, site: Site, fleet: Fleet, integer: bool, goal: Goal) -> None:
@@ -280,14 +280,14 @@ class FleetProblem(Selected):
         self.extras = fleet.extras
 
     def hold(self, served: Flags) -> None:
-        """Hold a served set in the window that was written last."""
+        """Hold a supply schedule in the window that was written last."""
         self.limits |= {"service_max": served.astype(float), "service_min": -served.astype(float)}
 
     def write(self, data: WindowData, all_connected: bool = False) -> None:
         """Write the window's data.
 
-        With ``all_connected`` everyone who can be is served in steps without a limit of import.
-        That loses no service: more import serves them, and no battery notices.
+        With ``all_connected`` all customers that can be are supplied in steps without a limit of
+        import. That loses no service: more import serves them, and no battery notices.
         """
         fleet = self.fleet
         limits, self.values = fleet.written(data, fleet.sheet.statement.write(data))
@@ -362,7 +362,7 @@ def _least_cost(found: Selection, fleet: Fleet) -> Selection:
 
 
 def _cheapest(found: Selection, fleet: Fleet) -> Selection:
-    """All that a served set leaves to decide, in GBP."""
+    """All that a supply schedule leaves to decide, in GBP."""
     w = fleet.site.weights
     terms = ("f2", w.lambda_grid), ("f3", w.lambda_curt), ("f7", -1.0), ("own", -1.0)
     term = fleet.sum_of_terms("dispatch", EQUAL, *terms)

@@ -1,4 +1,4 @@
-"""The lower rungs of the ladder: relaxations without the network, each with its bound.
+"""The stages without the network: relaxations of growing size, each with its bound.
 
 The proofs are in ``docs/method.md``, *Why the bounds hold*.
 """
@@ -24,7 +24,7 @@ from vppres.solve.task import COST_SHARE, WindowTask
 
 
 def everyone_served(task: WindowTask) -> None:
-    """Serve everyone and curtail nothing: if that is feasible, no search is needed."""
+    """Supply all customers and curtail nothing: if that is feasible, no search is needed."""
     keep_dispatch(task, np.ones(task.data.load_kw.shape, dtype=bool))
     best = task.certificate.best
     if best is not None and task.everyone - best.service <= ROUNDING * task.everyone:

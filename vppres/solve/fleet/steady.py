@@ -13,8 +13,9 @@ from vppres.model.data import WindowData
 def steady_sets(data: WindowData) -> Iterator[Flags]:
     """Supply schedules (W, C) of hardly any actions, from the one of most service down.
 
-    Everyone is supplied throughout, or until power is first limited, or never. A customer whose
-    rules forbid that stays as before the window, or takes the first of the others that they allow.
+    All customers are supplied throughout, or until power is first limited, or never. A customer
+    whose rules forbid that stays as before the window, or takes the first of the others that they
+    allow.
     """
     rules = data.switching
     assert rules is not None

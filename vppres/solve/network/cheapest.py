@@ -1,4 +1,4 @@
-"""The cheapest dispatch of a served set in the network, within the true discs."""
+"""The cheapest dispatch of a supply schedule in the network, within the true discs."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SUN_OVER_PRICE = 10.0
 
 
 class CheapestDispatch:
-    """Finds the cheapest dispatch of served sets of a window without rules.
+    """Finds the cheapest dispatch of supply schedules of a window without rules.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class CheapestDispatch:
     def of(
         self, served: Flags, deadline: Deadline, charges: Flags | None = None
     ) -> tuple[Outcome, Dispatch | None]:
-        """Cheapest dispatch of a served set, within the discs.
+        """Cheapest dispatch of a supply schedule, within the discs.
 
         Where batteries waste energy, those of ``charges``, (W, B), charge and others discharge.
         """

@@ -163,7 +163,7 @@ class InNetwork:
         outcome, served = self.master.cost_level(units, first, found.terms.f2, gap_gbp, deadline)
         known.note("network_cost_level", outcome)
         known.cost_bound_gbp = max(known.cost_bound_gbp, outcome.bound)
-        # Whoever serves a unit less gains no more than the least cost there can be.
+        # A schedule that serves a unit less gains no more than the least cost there can be.
         fewer = known.worth(self.master.unit * (units - 1.0), known.cost.least_gbp)
         as_much = known.worth(known.service_bound, outcome.bound)
         known.bound_by(max(found.value, fewer, as_much))

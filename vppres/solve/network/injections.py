@@ -347,7 +347,7 @@ class Injections:
         return np.maximum(x[self.at("P_grid")], 0.0), np.maximum(exported, 0.0)
 
     def dispatch(self, x: Floats, served: Flags) -> Dispatch:
-        """A solution as a dispatch of a served set; flows and voltages follow from it.
+        """A solution as a dispatch of a supply schedule; flows and voltages follow from it.
 
         The window must know the demand of the set: it is one without rules.
         """

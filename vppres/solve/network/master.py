@@ -109,9 +109,10 @@ class NetworkMaster:
     def service(self, deadline: Deadline) -> tuple[Outcome, Flags | None]:
         """Most service in whole units until a deadline, whatever is curtailed for it.
 
-        The linear problem in which nobody is served beyond a set bounds the service of all sets by
-        its value and reduced costs. Sets that satisfy all such inequalities so far are tried until
-        one is carried in full. In a large window the best is put to the discs themselves.
+        The linear problem in which no customer is supplied beyond a schedule bounds the service of
+        all sets by its value and reduced costs. Sets that satisfy all such inequalities so far are
+        tried until one is carried in full. In a large window the best is put to the discs
+        themselves.
         """
         watch = Stopwatch()
         x = self.model.at("x_served")
@@ -140,8 +141,8 @@ class NetworkMaster:
         """Try sets until the best has as much as the bound, or nothing improves any more.
 
         With rules the best set is put to the discs themselves, in two steps, where it has no
-        dispatch within them: nobody can be left out of it then without breaking them. So it is with
-        phases, where the former's disc decides how much is served in an island.
+        dispatch within them: no customer can be left out of it then without breaking them. So it is
+        with phases, where the former's disc decides how much is served in an island.
         """
         binding = self._priced(self.root[1])
         for over, finer in pairwise(DISCS):
@@ -187,7 +188,7 @@ class NetworkMaster:
         return priced | np.pad(binding, (0, len(priced) - len(binding)))
 
     def _by_feeders(self, cuts: ServiceCuts, deadline: Deadline) -> Floats:
-        """Lower the first bound by feeders' own searches; returns whom they serve with a grid.
+        """Lower the first bound by feeders' own searches; returns who is supplied.
 
         (W * C,), NaN for who is left open. Where a share of a feeder's customers is a fraction,
         the feeder is searched with binaries, once: a second search at the prices of a linear
@@ -274,8 +275,8 @@ class NetworkMaster:
     ) -> bool:
         """Whether it is proven that no set has so many units, after some that might were tried.
 
-        First those that serve with a grid whom the feeders' searches serve: voltages decide there,
-        in the dark the balance does. The others follow.
+        First those that supply with grid the customers that the feeders' searches supply: voltages
+        decide there, in an outage the balance does. The others follow.
         """
         found = None
         for said in (held, np.full(len(held), np.nan)):
@@ -334,7 +335,7 @@ class NetworkMaster:
         worth: float,
         again: Deadline | None = None,
     ) -> ProgramSolution:
-        """Most service if nobody is served beyond a set.
+        """Most service if no customer is supplied beyond a schedule.
 
         A solver that gives up begins anew, which takes long, where there is a deadline for it.
         """
@@ -496,7 +497,7 @@ class NetworkMaster:
         return self.network.program.with_rows(enough.matrix.tocsc(), enough.lower)
 
     def cheapest(self, served: Flags, deadline: Deadline) -> tuple[Outcome, Dispatch | None]:
-        """Cheapest dispatch of a served set, within the discs.
+        """Cheapest dispatch of a supply schedule, within the discs.
 
         With the set its rules are met, and what it draws is known.
         """

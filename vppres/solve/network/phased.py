@@ -1,4 +1,4 @@
-"""Injections of a phased feeder: limits of its phases in place of voltages along the lines."""
+"""Injections of a phased feeder: limits of its phases instead of voltages along the lines."""
 
 from __future__ import annotations
 

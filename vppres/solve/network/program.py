@@ -129,7 +129,7 @@ class NetworkProgram:
         return self.program.with_held(self.model.at("x_served"), served)
 
     def start(self, solver: highspy.Highs) -> None:
-        """Let a solver begin with idle batteries, all PV power and everyone served.
+        """Let a solver begin with idle batteries, all PV power and all customers supplied.
 
         From there the energies need no steps; from nothing they take a third of them all.
         """

@@ -23,7 +23,7 @@ def decided_within(task: WindowTask) -> WindowSolution | None:
 
 
 def served_within(task: WindowTask, served: Flags) -> WindowSolution | None:
-    """Cheapest dispatch of a served set within the ratings of a window, None if it has none."""
+    """Cheapest dispatch of a schedule within the ratings of a window, None if it has none."""
     master = network_master(task)
     if master is None:
         return None

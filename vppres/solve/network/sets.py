@@ -77,7 +77,8 @@ class ServiceCuts:
     def add(self, left: Floats, most: float) -> float:
         """Add a bound ``most - left @ x``; returns its largest value.
 
-        What serving somebody costs is left out but for the first: such rows are searched faster.
+        What supplying a customer costs is left out but for the first: such rows are searched
+        faster.
         """
         if not self.gains:
             self.first_left = left
@@ -109,7 +110,8 @@ class ServiceCuts:
     ) -> ProgramSolution:
         """A set of just so many units; infeasible where no set that is carried has them.
 
-        ``held`` decides whom it serves where it is not NaN: of others nothing is proven then.
+        ``held`` decides the customers that it supplies where it is not NaN: of others nothing is
+        proven then.
         """
         decided = np.flatnonzero(~np.isnan(held))
         program = self._program(shares, units).with_held(decided, held[decided])
