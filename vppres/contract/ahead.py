@@ -13,6 +13,7 @@ from vppres.contract.rooms import Rooms
 from vppres.core.arrays import Flags, Floats
 from vppres.scenario.gensets import GensetState
 from vppres.scenario.kinds import KINDS, Units
+from vppres.scenario.past_days import PastDays
 from vppres.scenario.scenario import Scenario
 
 
@@ -25,7 +26,7 @@ class KindsAhead:
     Parameters
     ----------
     plugged : Plugged, optional
-        Vehicles that are plugged in or announced.
+        Vehicles that are plugged in, announced or expected.
     rooms : Rooms, optional
         Rooms and tanks that are cooled or heated.
     gensets : SetsAhead, optional
@@ -38,11 +39,17 @@ class KindsAhead:
 
     @classmethod
     def of(
-        cls, scenario: Scenario, steps: range, held_kwh: Floats, t_c: Floats, sets: GensetState
+        cls,
+        scenario: Scenario,
+        steps: range,
+        held_kwh: Floats,
+        t_c: Floats,
+        sets: GensetState,
+        past_days: PastDays | None,
     ) -> Self:
         """The window that begins with this energy in vehicles, these temperatures, these sets."""
         return cls(
-            Plugged.of(scenario, steps, held_kwh),
+            Plugged.of(scenario, steps, held_kwh, past_days),
             Rooms.of(scenario, steps, t_c),
             SetsAhead.of(scenario, steps, sets),
         )

@@ -12,8 +12,9 @@ import numpy as np
 
 from vppres.contract.by_step import UnitsAhead
 from vppres.core.arrays import Flags, Floats
+from vppres.scenario.past_days import PastDays
 from vppres.scenario.scenario import Scenario
-from vppres.scenario.vehicles import Chargers
+from vppres.scenario.vehicles import Chargers, Sessions
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +24,10 @@ class Plugged(UnitsAhead):
     Parameters
     ----------
     here : array of bool
-        Steps in which a vehicle is plugged in.
+        Steps in which a vehicle is plugged in, as far as is known or expected.
+    known : array of bool
+        Those of them with a vehicle that is known. One that is expected may not come, and gives
+        nothing back.
     stays : array of bool
         Steps that begin with the vehicle of the step before.
     held_kwh : array
@@ -38,6 +42,7 @@ class Plugged(UnitsAhead):
     """
 
     here: Flags
+    known: Flags
     stays: Flags
     held_kwh: Floats
     full_kwh: Floats
@@ -49,14 +54,21 @@ class Plugged(UnitsAhead):
     def none(cls, n_steps: int, n_chargers: int) -> Self:
         """No vehicle is plugged in."""
         shape = (n_steps, n_chargers)
-        flags = (np.zeros(shape, dtype=bool) for _ in range(2))
+        flags = (np.zeros(shape, dtype=bool) for _ in range(3))
         return cls(*flags, *(np.zeros(shape) for _ in range(5)))
 
     @classmethod
-    def of(cls, scenario: Scenario, steps: range, now_kwh: Floats) -> Self | None:
-        """The vehicles of a window that are known when it begins; None without chargers.
+    def of(
+        cls,
+        scenario: Scenario,
+        steps: range,
+        now_kwh: Floats,
+        past_days: PastDays | None = None,
+    ) -> Self | None:
+        """The vehicles of a window as far as they are known when it begins; None without chargers.
 
-        They are those that are plugged in then, and those that are announced.
+        They are those that are plugged in then, and those that are announced. At chargers that are
+        free of them, vehicles are expected to come later as on a past day.
 
         Parameters
         ----------
@@ -66,32 +78,51 @@ class Plugged(UnitsAhead):
             Steps of the window.
         now_kwh : array, shape (K,)
             Energy of the vehicles that are plugged in when it begins.
+        past_days : PastDays, optional
+            What vehicles are expected by; none are if not given.
         """
-        chargers, sessions = scenario.chargers, scenario.sessions
-        if not len(chargers):
+        if not len(scenario.chargers):
             return None
-        found = cls.none(len(steps), len(chargers))
-        column = {name: k for k, name in enumerate(chargers.id)}
+        found = cls.none(len(steps), len(scenario.chargers))
+        found._enter(scenario, scenario.sessions, steps, now_kwh)
+        if past_days is not None:
+            expected = past_days.expected(scenario.grid, steps)
+            found._enter(scenario, expected, steps, now_kwh, expected=True)
+        return found
+
+    def _enter(
+        self,
+        scenario: Scenario,
+        sessions: Sessions,
+        steps: range,
+        now_kwh: Floats,
+        *,
+        expected: bool = False,
+    ) -> None:
+        """Write sessions into the arrays: those that are known, or those that are expected."""
+        column = {name: k for k, name in enumerate(scenario.chargers.id)}
         first, after = sessions.steps(scenario.grid)
-        known = sessions.announced | (first <= steps.start)
+        come = first <= steps.start
+        counts = ~come if expected else sessions.announced | come
         inside = np.minimum(after, steps.stop) > np.maximum(first, steps.start)
-        for s in np.flatnonzero(known & inside):
+        for s in np.flatnonzero(counts & inside):
             k = column[sessions.charger[s]]
             begin = max(first[s], steps.start) - steps.start
             end = min(after[s], steps.stop) - steps.start
             stay = slice(begin, end)
+            if expected and self.here[stay, k].any():
+                continue
             held_kwh = sessions.held_kwh[s]
             over = np.arange(steps.start + begin, steps.start + end) + 1 - first[s]
             grown = over / (after[s] - first[s])
-            before = first[s] <= steps.start
-            found.here[stay, k] = True
-            found.stays[begin + 1 : end, k] = True
-            found.held_kwh[begin, k] = now_kwh[k] if before else held_kwh
-            found.full_kwh[stay, k] = sessions.full_kwh[s]
-            found.floor_kwh[stay, k] = sessions.floor_kwh[s]
-            found.line_kwh[stay, k] = held_kwh + grown * (sessions.needed_kwh[s] - held_kwh)
-            found.weight[stay, k] = sessions.weight[s]
-        return found
+            self.here[stay, k] = True
+            self.known[stay, k] = not expected
+            self.stays[begin + 1 : end, k] = True
+            self.held_kwh[begin, k] = now_kwh[k] if come[s] else held_kwh
+            self.full_kwh[stay, k] = sessions.full_kwh[s]
+            self.floor_kwh[stay, k] = sessions.floor_kwh[s]
+            self.line_kwh[stay, k] = held_kwh + grown * (sessions.needed_kwh[s] - held_kwh)
+            self.weight[stay, k] = sessions.weight[s]
 
     def __len__(self) -> int:
         return len(self.here)
@@ -139,7 +170,7 @@ class Plugged(UnitsAhead):
 
     def in_the_dark(self, lit: Flags) -> Self:
         """The same with no vehicle plugged in but in the lit steps, (W, 1)."""
-        return replace(self, here=self.here & lit)
+        return replace(self, here=self.here & lit, known=self.known & lit)
 
     def most_taken_kw(self, chargers: Chargers) -> Floats:
         """Most that all take together, (W,)."""
@@ -147,7 +178,7 @@ class Plugged(UnitsAhead):
 
     def most_given_kw(self, chargers: Chargers) -> Floats:
         """Most that all give together, (W,)."""
-        return np.asarray(self.here @ chargers.p_discharge_kw)
+        return np.asarray(self.known @ chargers.p_discharge_kw)
 
     def power_beyond_kw(
         self, chargers: Chargers, connected: Flags, taken_kw: Floats, running: Flags, dt_h: float
@@ -156,9 +187,9 @@ class Plugged(UnitsAhead):
 
         None moves power without a vehicle, or for a customer that is off.
         """
-        on = self.here & connected
-        over_kw = taken_kw - on * chargers.p_charge_kw
-        return np.maximum(over_kw, -taken_kw - on * chargers.p_discharge_kw)
+        most_kw = (self.here & connected) * chargers.p_charge_kw
+        back_kw = (self.known & connected) * chargers.p_discharge_kw
+        return np.maximum(taken_kw - most_kw, -taken_kw - back_kw)
 
     def stored_beyond_kw(
         self, chargers: Chargers, taken_kw: Floats, running: Flags, dt_h: float

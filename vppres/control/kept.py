@@ -97,10 +97,14 @@ def _connected(plan: Dispatch, state: StepState) -> bool:
 
 
 def as_planned(state: StepState, plan: Dispatch, row: int) -> StepState:
-    """The step with the flexible power of a plan."""
+    """The step with the flexible power of a plan; a vehicle that has not come takes none."""
+    taken_kw = {kind: kw[row] for kind, kw in plan.taken_kw.items()}
+    plugged = state.ahead.plugged
+    if plugged is not None and "chargers" in taken_kw:
+        taken_kw["chargers"] = np.where(plugged.here[0], taken_kw["chargers"], 0.0)
     return replace(
         state,
-        taken_kw={kind: kw[row] for kind, kw in plan.taken_kw.items()},
+        taken_kw=taken_kw,
         running={kind: on[row] for kind, on in plan.running.items()},
     )
 

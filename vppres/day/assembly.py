@@ -76,7 +76,7 @@ def make_controller(
     check_dimmed(scenario, options)
     check_phased(scenario, options)
     check_kinds(scenario, options)
-    check_prices(scenario, options.horizon_h)
+    check_prices(scenario, options.horizon_h, options.seed)
     check_fuel(scenario)
     check_outages(str(options.outages), options.controller)
     site = site_of(scenario, options.as_record())

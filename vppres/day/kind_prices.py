@@ -6,14 +6,16 @@ import numpy as np
 
 from vppres.contract.plugged import price_scale
 from vppres.contract.rooms import OF_A_STEP, Rooms
+from vppres.core.arrays import Floats
 from vppres.core.errors import InputError
+from vppres.scenario.past_days import PastDays
 from vppres.scenario.scenario import Scenario
 
 DEARER = 2.0
 """How much dearer a missed kWh must be than any energy that could be given instead."""
 
 
-def check_prices(scenario: Scenario, horizon_h: float) -> None:
+def check_prices(scenario: Scenario, horizon_h: float, seed: int) -> None:
     """Refuse prices beside which missed energy or comfort would count nothing.
 
     Raises
@@ -21,8 +23,9 @@ def check_prices(scenario: Scenario, horizon_h: float) -> None:
     InputError
         If a missed kWh is not dearer than any energy, with so many that share the price.
     """
+    weight, full_kwh = _sessions(scenario, seed)
     worth = {
-        f"{len(scenario.sessions)} sessions of vehicles": _of_vehicles(scenario),
+        f"{len(weight)} sessions of vehicles": _of_vehicles(scenario, weight, full_kwh),
         f"the comfort of {len(scenario.thermal_loads)} rooms and tanks": _of_rooms(
             scenario, horizon_h
         ),
@@ -66,14 +69,26 @@ def check_fuel(scenario: Scenario) -> None:
         )
 
 
-def _of_vehicles(scenario: Scenario) -> float:
+def _sessions(scenario: Scenario, seed: int) -> tuple[Floats, Floats]:
+    """Weight and capacity of the vehicles that plans may count, known or expected."""
+    grid = scenario.grid
+    counted = [scenario.sessions.rows(~scenario.sessions.over(grid.start))]
+    past_days = PastDays.of(scenario, seed)
+    if past_days is not None:
+        counted.append(past_days.expected(grid, range(grid.n_steps)))
+    weight, full_kwh = (
+        np.concatenate([getattr(each, name) for each in counted]) for name in ("weight", "full_kwh")
+    )
+    return weight, full_kwh
+
+
+def _of_vehicles(scenario: Scenario, weight: Floats, full_kwh: Floats) -> float:
     """Least worth of a kWh at a charger, in weighted customer hours; infinite if none is missed."""
-    sessions = scenario.sessions
     least_weight = float(scenario.customers.weight.min())
-    scale = price_scale(sessions.weight, sessions.full_kwh, least_weight, scenario.grid.dt_h)
+    scale = price_scale(weight, full_kwh, least_weight, scenario.grid.dt_h)
     if not scale:
         return np.inf
-    return scale * float(sessions.weight.min()) * float(scenario.chargers.eta_charge.min())
+    return scale * float(weight.min()) * float(scenario.chargers.eta_charge.min())
 
 
 def _of_rooms(scenario: Scenario, horizon_h: float) -> float:

@@ -50,7 +50,7 @@ class RunOptions:
     thermal : ThermalScheme
         Battery heating.
     seed : int
-        Seed of the forecast errors.
+        Seed of the forecast errors and of past days of vehicles.
     limits : SolveLimits
         Gaps and time limit of a window.
     polygon_sides : int

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,7 @@ from vppres.plant.phased import PhasedACFlow, PhasedACResult, PhasedIslandPlant,
 from vppres.plant.plant import CLIP_TOLERANCE_KW, BatteryState, Plant, Realised
 from vppres.scenario.formers import forming_batteries
 from vppres.scenario.parts import parts_record, split_sheddable
+from vppres.scenario.past_days import PastDays
 from vppres.scenario.phases import PHASES
 from vppres.scenario.priority import STRICT
 from vppres.scenario.scenario import Scenario
@@ -173,7 +175,18 @@ class Day:
         """Vehicles, rooms and sets as they are known at the beginning of a window."""
         plant = self.plant
         held_kwh = plant.garage.held_kwh(steps.start)
-        return KindsAhead.of(self.scenario, steps, held_kwh, plant.climate.t_c, plant.engines.state)
+        return KindsAhead.of(
+            self.scenario,
+            steps,
+            held_kwh,
+            plant.climate.t_c,
+            plant.engines.state,
+            self._past_days,
+        )
+
+    @cached_property
+    def _past_days(self) -> PastDays | None:
+        return PastDays.of(self.scenario, self.options.seed)
 
     def run(self, controller: Decider, progress: Progress | None = None) -> Trajectory:
         """All steps of the day, and their record."""

@@ -34,6 +34,7 @@ from vppres.model.phases import phased_model
 from vppres.model.ratings import with_ratings
 from vppres.scenario.gensets import GensetState
 from vppres.scenario.kinds import KINDS
+from vppres.scenario.past_days import PastDays
 from vppres.scenario.rules import SwitchingRules
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.shadow_price_model import Held
@@ -119,7 +120,12 @@ class Recorded:
         )
         held_kwh = self._of_kind("chargers", "energy_start_kwh")[t]
         t_c = self._of_kind("thermal_loads", "t_start_c")[t]
-        return KindsAhead.of(self.scenario, steps, held_kwh, t_c, sets)
+        return KindsAhead.of(self.scenario, steps, held_kwh, t_c, sets, self.past_days)
+
+    @cached_property
+    def past_days(self) -> PastDays | None:
+        """Past days that plans expected vehicles by; None without any."""
+        return PastDays.of(self.scenario, int(self.options["seed"]))
 
     @cached_property
     def _owed(self) -> list[Owed | None]:

@@ -32,6 +32,7 @@ Driver = (
         "longest_off",
         "recovery",
         "departure",
+        "past_day",
         "price",
         "preparation",
         "surplus",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from datetime import date
 from typing import Any
 
 import numpy as np
@@ -14,10 +15,11 @@ Vehicle = dict[str, Any]
 
 
 def why_vehicles(step: Step) -> Iterator[tuple[str, str, Reason]]:
-    """Name of each vehicle that was charged, discharged or left short, the action, and why."""
+    """Name of each vehicle that was expected, charged, discharged or left short, and why."""
     rows = step.recorded.trajectory.vehicles
     if rows is None:
         return
+    yield from _expected(step)
     count = len(step.scenario.chargers)
     for charger, car in enumerate(_rows(rows, step.t, count)):
         if not car["plugged"]:
@@ -29,6 +31,22 @@ def why_vehicles(step: Step) -> Iterator[tuple[str, str, Reason]]:
             yield name, "given_back", why_given_back(step, car)
         if car["short_kwh"] > 0.0:
             yield name, "left_short", why_short(step, charger, car)
+
+
+def _expected(step: Step) -> Iterator[tuple[str, str, Reason]]:
+    """Vehicles that plans before the step expected to come at its beginning."""
+    past_days, grid = step.recorded.past_days, step.scenario.grid
+    if past_days is None:
+        return
+    sessions = past_days.expected(grid, range(step.t, step.t + 1))
+    today = grid.local(grid.start + step.t * grid.step).toordinal()
+    like = date.fromordinal(past_days.drawn_for(today))
+    needs_kwh = sessions.needed_kwh - sessions.held_kwh
+    first, _ = sessions.steps(grid)
+    for s in np.flatnonzero(first == step.t).tolist():
+        leaves = grid.local(sessions.plug_out[s])
+        words = f"Expected as on {like}: up to {leaves:%H:%M}, to need {needs_kwh[s]:.1f} kWh."
+        yield str(sessions.vehicle[s]), "expected", Reason("past_day", "", words)
 
 
 def _rows(rows: Any, t: int, count: int) -> list[Vehicle]:
@@ -43,7 +61,7 @@ def why_charged(step: Step, charger: int, car: Vehicle) -> Reason:
     missing_kwh = car["needed_kwh"] - car["energy_start_kwh"]
     if missing_kwh > 0.0:
         session = step.scenario.session_at[step.t, charger]
-        leaves = step.scenario.sessions.plug_out[session].tz_convert(step.scenario.grid.zone)
+        leaves = step.scenario.grid.local(step.scenario.sessions.plug_out[session])
         words = f"{what}: it leaves at {leaves:%H:%M} and needs {missing_kwh:.1f} kWh more."
         return Reason("departure", "", words)
     if step.outage:

@@ -50,6 +50,7 @@ DRIVERS = {
     "longest_off": "longest time off",
     "recovery": "catching up",
     "departure": "departure of a vehicle",
+    "past_day": "past day",
     "price": "price",
     "preparation": "preparation",
     "surplus": "PV surplus",

@@ -26,6 +26,7 @@ from vppres.live.state import WHERE, Standing, given_by, restored, saved_state, 
 from vppres.outlook.outlook import OutageOutlook
 from vppres.scenario.history import History
 from vppres.scenario.outage_warnings import OutageWarning
+from vppres.scenario.past_days import PastDays
 from vppres.scenario.scenario import Scenario
 from vppres.solve.isolated import SUPPORTED
 
@@ -75,6 +76,7 @@ class Controller:
         self._past = at.past
         self._step_before: tuple[dict[str, Any], Past] | None = at.before
         self._given = given_by(scenario, options)
+        self._past_days = PastDays.of(scenario, options.seed)
         self._turn = threading.Lock()
 
     @classmethod
@@ -93,7 +95,7 @@ class Controller:
         scenario : Scenario
             The site, its time grid, and the series that replace missing measurements.
         options : RunOptions, optional
-            As for :func:`vppres.day.simulate.run_day`; forecast errors, heating and seed have no
+            As for :func:`vppres.day.simulate.run_day`; forecast errors and heating have no
             effect here. Windows are solved in a separate process unless the options have
             ``isolate=False`` (``docs/operation.md``).
         state : dict, optional
@@ -374,7 +376,8 @@ class Controller:
     def _decided(self, seen: Seen, past: Past) -> tuple[SetPoints, Past]:
         """What was decided for the window as it is expected, and what to remember of it."""
         t = seen.t + self._forgotten
-        present = Present.of(t, seen, self.scenario, self._rows(seen.t), past, self.options)
+        rows = self._rows(seen.t)
+        present = Present.of(t, seen, self.scenario, rows, past, self.options, self._past_days)
         told = present.observation(OutageView.create(self.scenario, self._record))
         decision = _without(self._decider.decide(told), seen.connected)
         reckoned = (*present.indoor.estimated, *present.sets.estimated)

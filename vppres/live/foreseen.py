@@ -89,7 +89,7 @@ def _indoor_c(
 def _left_short(
     decision: Decision, window: Scenario, plugged: Plugged | None
 ) -> pd.DataFrame | None:
-    """Vehicles that leave short within the plan; those that leave after it are not judged."""
+    """Known vehicles that leave short within the plan; what leaves after it is not judged."""
     if plugged is None:
         return None
     chargers = window.chargers
@@ -99,7 +99,7 @@ def _left_short(
     sessions = window.sessions
     _, after = sessions.steps(window.grid)
     rows = []
-    for t, k in np.argwhere(short_kwh > SHORT_KWH).tolist():
+    for t, k in np.argwhere(ahead.known & (short_kwh > SHORT_KWH)).tolist():
         s = int(window.session_at[t, k])
         if after[s] == t + 1:  # what is due by the window's end alone is no departure
             who = (str(chargers.id[k]), str(sessions.vehicle[s]))

@@ -29,6 +29,7 @@ from vppres.physics.cold_load import ColdLoad
 from vppres.plant.plant import BatteryState
 from vppres.plant.vehicles import Garage
 from vppres.scenario.history import History
+from vppres.scenario.past_days import PastDays
 from vppres.scenario.scenario import Scenario
 
 
@@ -78,6 +79,8 @@ class Present:
         Outages up to it, itself included.
     options : RunOptions
         Of the controller.
+    past_days : PastDays or None
+        What vehicles are expected by.
     """
 
     t: int
@@ -92,10 +95,18 @@ class Present:
     sets: SetsNow
     grid_seen: GridSeen
     options: RunOptions
+    past_days: PastDays | None
 
     @classmethod
     def of(
-        cls, t: int, everything: Seen, known: Scenario, rows: Rows, past: Past, options: RunOptions
+        cls,
+        t: int,
+        everything: Seen,
+        known: Scenario,
+        rows: Rows,
+        past: Past,
+        options: RunOptions,
+        past_days: PastDays | None,
     ) -> Present:
         """The step of a measurement.
 
@@ -113,6 +124,8 @@ class Present:
             What the step before led to.
         options : RunOptions
             Of the controller.
+        past_days : PastDays or None
+            What vehicles are expected by.
         """
         beyond, seen = (
             _with_later_refuels(everything.window(part)) for part in (rows.ahead, rows.window)
@@ -140,6 +153,7 @@ class Present:
             ),
             grid_seen=past.grid_seen.after(now.grid.start, float(now.grid_limit_kw[0])),
             options=options,
+            past_days=past_days,
         )
 
     def observation(self, view: OutageView) -> Observation:
@@ -181,7 +195,7 @@ class Present:
         steps = range(day.grid.n_steps)
         held_kwh = Garage(day, self._ev_kwh()).held_kwh(0)
         return KindsAhead(
-            Plugged.of(day, steps, held_kwh),
+            Plugged.of(day, steps, held_kwh, self.past_days),
             Rooms.of(day, steps, self.indoor.now_c),
             self.sets.ahead(day, steps),
         )

@@ -12,6 +12,7 @@ import numpy as np
 
 from vppres.day.trajectory import Trajectory
 from vppres.scenario.option_table import default_of
+from vppres.scenario.past_days import PastDays
 from vppres.scenario.priority import STRICT
 from vppres.scenario.scenario import LIMIT
 
@@ -97,10 +98,7 @@ def simplifications(run: Trajectory) -> list[str]:
             "counts in proportion to what it gets."
         )
     if len(day.chargers):
-        sentences.append(
-            f"{len(day.sessions)} sessions of vehicles at {len(day.chargers)} chargers come after "
-            "service; a plan knows those that are plugged in or announced."
-        )
+        sentences.append(_vehicles(run))
     if len(day.thermal_loads):
         sentences.append(
             f"{len(day.thermal_loads)} rooms and tanks come after service; the temperature outside "
@@ -124,6 +122,20 @@ def simplifications(run: Trajectory) -> list[str]:
             "mismatch; frequency and transients are not simulated."
         )
     return [*sentences, *day.batteries.notes]
+
+
+def _vehicles(run: Trajectory) -> str:
+    """What plans knew of vehicles."""
+    day = run.scenario
+    count = int((~day.sessions.over(day.grid.start)).sum())
+    words = (
+        f"{count} sessions of vehicles at {len(day.chargers)} chargers come after service; a plan "
+        "knows those that are plugged in or announced"
+    )
+    past_days = PastDays.of(day, int(run.options["seed"]))
+    if past_days is None:
+        return f"{words}."
+    return f"{words}, and expects others as on one of {len(past_days.days)} past days."
 
 
 def _order(options: Mapping[str, Any]) -> str:

@@ -5,9 +5,11 @@ A site without chargers has tables of length 0.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from typing import Self
 
 import numpy as np
+import pandas as pd
 
 from vppres.core.arrays import Flags, Floats, Names, Wholes, freeze_arrays, no_items
 from vppres.scenario.assets import Customers, positions_of, without_customer
@@ -109,6 +111,14 @@ class Sessions:
 
     def __len__(self) -> int:
         return len(self.charger)
+
+    def rows(self, which: Flags | Wholes) -> Self:
+        """Some of the sessions."""
+        return type(self)(**{f.name: getattr(self, f.name)[which] for f in fields(self)})
+
+    def over(self, time: pd.Timestamp) -> Flags:
+        """Sessions that ended by a time, (S,)."""
+        return np.array([end <= time for end in self.plug_out], dtype=bool)
 
     @property
     def by_energy(self) -> Flags:

@@ -50,7 +50,7 @@ class Vehicles(Addition):
     discharge, charges : cvxpy.Variable, shape (W, V), or None
         Power that is given back, and 1 for a step in which a charger may charge.
     P_most, P_back : cvxpy.Parameter, shape (W, K), (W, V)
-        Largest powers, 0 where no vehicle is plugged in.
+        Largest powers, 0 where no vehicle is plugged in, or, to discharge, is known.
     stays, held, full, lowest, needed : cvxpy.Parameter, shape (W, K)
         See :class:`vppres.contract.plugged.Plugged`.
     price : cvxpy.Parameter, shape (W, K)
@@ -173,7 +173,7 @@ class Vehicles(Addition):
         plugged = data.ahead.plugged or Plugged.none(data.n_steps, len(site.chargers))
         chargers = site.chargers
         write(self.P_most, plugged.here * chargers.p_charge_kw)
-        write(self.P_back, (plugged.here * chargers.p_discharge_kw)[:, self.two_way])
+        write(self.P_back, (plugged.known * chargers.p_discharge_kw)[:, self.two_way])
         write(self.stays, plugged.stays.astype(float))
         write(self.held, plugged.held_kwh)
         write(self.full, plugged.full_kwh)

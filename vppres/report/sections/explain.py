@@ -44,6 +44,7 @@ ACTIONS = {
     "charge": "battery charged",
     "discharge": "battery discharged",
     "curtail": "PV system curtailed",
+    "expected": "vehicle expected",
     "charged": "vehicle charged",
     "given_back": "vehicle discharged",
     "left_short": "vehicle left short",
