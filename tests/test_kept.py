@@ -85,6 +85,14 @@ def test_a_set_that_is_off_is_not_started_by_rule() -> None:
     assert given_kw(played(powered([OPEN, DARK]), range(1, 2))) == [0.0, 0.0]
 
 
+@pytest.mark.parametrize("only_in_outage", [True, False])
+def test_a_set_for_outages_stops_by_rule_when_the_grid_is_back(only_in_outage: bool) -> None:
+    records = played(powered([DARK, OPEN], only_in_outage=np.array([only_in_outage])), range(1, 2))
+    assert records[1].steps["fallback"] == "rule"
+    assert (given_kw(records)[1] == 0.0) == only_in_outage
+    assert records[1].customers["served"][0]
+
+
 @pytest.mark.parametrize(
     ("limits_kw", "charging_kw"),
     [(OPEN, 7.4), (DARK, 0.0), (50.0, 0.0)],  # 50 kW are the demand: it comes first

@@ -114,7 +114,9 @@ def _running(state: StepState, known: SetsAhead, wanted_kw: Floats) -> StepState
     sets, dt_h = state.site.gensets, state.site.dt_h
     most_kw = np.minimum(sets.p_max_kw, _by_fuel_kw(sets, known.added_litres[0], dt_h))
     least_kw = np.maximum(sets.p_min_kw, known.was_kw[0] - sets.fall_kw(dt_h))
+    in_use = state.island | ~sets.only_in_outage | known.must_run[0]
     on = ((known.was_on[0] > 0.5) | state.forms) & known.can_run[0] & (most_kw >= least_kw)
+    on &= in_use
     given_kw = np.where(on, np.clip(wanted_kw, least_kw, most_kw), 0.0)
     return replace(
         state,
