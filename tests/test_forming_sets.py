@@ -11,7 +11,7 @@ import pytest
 
 from experiments.random_feeders import random_window
 from tests.support.sets import gensets, random_sets
-from tests.support.small_windows import DARK, OPEN, battery, two_buses
+from tests.support.small_windows import DARK, OPEN, battery, two_buses, with_pv
 from vppres import RunOptions, load_scenario, run_day, write_scenario
 from vppres.contract.ahead import KindsAhead
 from vppres.contract.decision import Decision
@@ -27,7 +27,7 @@ from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.model.violations import broken
 from vppres.plant.island import SET_NO_BALANCE
-from vppres.scenario.gensets import GensetState, Refuels
+from vppres.scenario.gensets import Gensets, GensetState, Refuels
 from vppres.scenario.remarks import darkness, former_words
 from vppres.scenario.scenario import Scenario
 from vppres.solve.ladder import METHODS, WindowSolver
@@ -190,8 +190,19 @@ def test_by_rule_a_battery_with_energy_forms_the_grid_and_no_set_starts() -> Non
 def test_the_guard_refuses_supply_in_an_island_that_no_set_forms() -> None:
     run = run_day(hospital(50.0, 50.0, 50.0), PHYSICAL, controller=Idle)
     reason = run.steps["fallback_reason"].iloc[1]
-    assert "balance" in reason and "island: no set forms the grid" in reason
+    assert "balance" in reason and "island: no battery or set forms the grid" in reason
     assert served(run) == [1] * 3
+
+
+def test_by_rule_an_island_that_nothing_can_form_has_no_supply() -> None:
+    """The customer's own PV power is enough for it, but gives no voltage."""
+    day = with_pv(hospital(*[50.0] * 4), [80.0] * 4)
+    day = replace(day, gensets=Gensets())
+    run = run_day(day, PHYSICAL, controller=Broken)
+    assert (run.steps["fallback"] == "rule").all()
+    assert served(run) == [1, 0, 0, 1]
+    assert run.steps["shed_kw"].sum() == 0.0
+    assert run.pv["curtailed_kw"].tolist()[1:3] == [80.0, 80.0]
 
 
 def windows(seed: int) -> tuple[Site, WindowData]:

@@ -14,7 +14,7 @@ import numpy as np
 from vppres.contract.decision import Decision, SolveInfo
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.gensets import SetsAhead
-from vppres.control.rules import POWER_TOLERANCE_KW, Carried, rule_dispatch
+from vppres.control.rules import POWER_TOLERANCE_KW, Carried, carry, rule_dispatch
 from vppres.control.step_state import StepState
 from vppres.core.arrays import Floats
 from vppres.scenario.gensets import Gensets
@@ -30,10 +30,8 @@ def rule_with_kinds(state: StepState, tiers: Sequence[str]) -> Carried:
     tiers : sequence of str
         Names of the tiers, the most important first.
     """
-    if state.forms.any():
-        formed = _formed(state, tiers)
-        if formed is not None:
-            return formed
+    if state.dark:
+        return _formed(state, tiers)
     alone = rule_dispatch(state, tiers)
     least = float(alone.dispatch.served[0] @ state.worth)
     for tried in _kept(state):
@@ -72,21 +70,33 @@ def _kept(state: StepState) -> Iterator[StepState]:
         yield _running(state, sets, wanted_kw)
 
 
-def _formed(state: StepState, tiers: Sequence[str]) -> Carried | None:
-    """The dispatch by rule beside the set that forms the grid, None if that has no balance.
+def _formed(state: StepState, tiers: Sequence[str]) -> Carried:
+    """The dispatch by rule beside the set that forms the grid, no supply if none can.
 
     A customer that it can supply at its largest power gets what it lacks.
     """
     sets = state.ahead.gensets
-    assert sets is not None
     forms = state.forms
+    if sets is None or not forms.any():
+        return nothing(state)
     most = rule_dispatch(_running(state, sets, state.site.gensets.p_max_kw * forms), tiers)
     served = most.dispatch.served[0]
     lacking_kw = float(state.load_kw @ served + state.drawn_kw.sum() - state.usable_pv_kw.sum())
     wanted_kw = np.where(forms, lacking_kw, 0.0)
     found = rule_dispatch(_running(state, sets, wanted_kw), tiers)
     closes = found.surplus_kw <= POWER_TOLERANCE_KW and found.dispatch.served.any()
-    return found if closes else None
+    return found if closes else nothing(state)
+
+
+def nothing(state: StepState) -> Carried:
+    """A step of an island that no source can form: no supply, and all PV power curtailed."""
+    site = state.site
+    without_power = replace(state, pv_kw=0.0 * state.pv_kw, drawn=None)
+    served = np.zeros(len(site.customers), dtype=bool)
+    found = carry(without_power, served, np.zeros(len(site.batteries)))
+    assert found is not None  # with no demand and no power every balance closes
+    curtailed = replace(found.dispatch, pv_curtailed_kw=state.pv_kw[np.newaxis])
+    return replace(found, dispatch=curtailed)
 
 
 def _connected(plan: Dispatch, state: StepState) -> bool:

@@ -102,11 +102,10 @@ class GuardedController:
         return replace(decision, estimated=known.estimated, seen=known.observation)
 
     def _state(self, known: Known) -> StepState:
-        """The step as it is known; of an island that a set may have to form, with that set."""
+        """The step as it is known; of an island, whether a battery or which set can form it."""
         centre = self.options.centre
         state = StepState.of(self.site, known.observation, centre, known.online)
-        may_form = self.options.physical and self.site.gensets.grid_forming.any()
-        if not (may_form and state.island):
+        if not (self.options.physical and state.island):
             return state
         site = site_with(self.site, known.online)
         seen = reduced_observation(known.observation, known.online, self.site.batteries)
