@@ -104,7 +104,7 @@ class WindowTask:
 
     @cached_property
     def everyone(self) -> float:
-        """Service of all customers throughout, in weighted customer hours, and the most of later."""
+        """Service of all customers, in weighted customer hours, and the most of later."""
         now = float(self.site.customers.weight.sum() * self.site.dt_h * self.data.n_steps)
         return now + self.data.kept_range(self.site)[1] if self.data.keeps_service else now
 
