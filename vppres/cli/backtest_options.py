@@ -26,7 +26,7 @@ Every = Annotated[
     typer.Option(
         metavar="HOURS",
         min=0.25,
-        help="Time between two forecasts; one that is no part of a day sees every lead at every "
+        help="Time between two forecasts; one that does not divide 24 h has every lead at every "
         "hour.",
     ),
 ]

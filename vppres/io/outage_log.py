@@ -1,4 +1,4 @@
-"""A file of outages that were: a row each, with ``start``, ``end`` and, if known, ``customer``."""
+"""A file of past outages: a row each, with ``start``, ``end`` and, if known, ``customer``."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ class Plan:
     horizon_h : float
         Length of a forecast.
     every_h : float
-        Time between two issues; one that is no part of a day has every lead at every hour.
+        Time between two issues; one that does not divide 24 h has every lead at every hour.
     first, last : pandas.Timestamp, optional
         Of the issues; all that have enough history before them and enough of it behind.
     """
