@@ -6,6 +6,7 @@ import re
 from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
+from typing import cast
 
 import cvxpy as cp
 import numpy as np
@@ -30,10 +31,12 @@ from vppres.model.data import WindowData
 from vppres.model.numerics import write
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
-from vppres.solve import solvers
+from vppres.solve import solvers, whole
+from vppres.solve.forms import Form
 from vppres.solve.ladder import METHODS, WindowSolver
 from vppres.solve.result import Outcome, SolveLimits, Status, WindowSolution
 from vppres.solve.solvers import SolverSpec, run
+from vppres.solve.task import WindowTask
 
 RANDOM_WINDOWS = [(seed, stressed) for stressed in (False, True) for seed in range(100)]
 NEGATIVE_PRICES = [(seed, stressed) for stressed in (False, True) for seed in range(0, 36, 3)]
@@ -546,3 +549,18 @@ def test_checker_finds_a_fault_in_every_equation() -> None:
     }
     for name, dispatch in spoilt.items():
         assert check_dispatch(*case, dispatch).violations[name] > CHECKER_TOLERANCE, name
+
+
+def test_polygons_are_refined_only_if_there_are_inverters(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without any the sides grew until memory ran out, if the network refused the answer."""
+    searched = []
+
+    def ended(_: object, name: str, form: Form) -> bool:
+        searched.append((name, form.polygon_sides))
+        return True
+
+    monkeypatch.setattr(whole, "_search", ended)
+    loads = SimpleNamespace(batteries=(), pv=())
+    task = SimpleNamespace(sides=16, goes_on=True, data=SimpleNamespace(n_steps=6), site=loads)
+    whole.with_binaries(cast(WindowTask, task))
+    assert searched == [("full_outer", 16), ("full", 16)]

@@ -450,7 +450,6 @@ class Selected:
         """Compose it, if it is not yet."""
         if self.is_compiled:
             return
-        self.is_compiled = True
         selection = self.selection
         ranked = {kind: [p for p in selection.parts if p.kind == kind] for kind in (EQUAL, MOST)}
         cones = [part for part in selection.parts if part.kind == CONE]
@@ -472,6 +471,7 @@ class Selected:
         self.factors = {term.name: factor for term, factor in selection.terms}
         one = sp.csr_array(np.ones((1, 1)))
         self._terms = {term.name: self._ready(term).times(one, T) for term, _ in selection.terms}
+        self.is_compiled = True
 
     def _ready(self, part: Family) -> Linear:
         """Rows on all columns and on all that a window writes."""

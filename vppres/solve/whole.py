@@ -55,8 +55,9 @@ def with_binaries(task: WindowTask) -> None:
     form = Form("service", "integer", "integer", task.sides)
     if task.sides:
         inverters = task.data.n_steps * (len(task.site.batteries) + len(task.site.pv))
+        most = MOST_SIDES // inverters if inverters else task.sides
         done = _search(task, "full_outer", replace(form, outer=True))
-        while done and task.goes_on and FINER * form.polygon_sides * inverters <= MOST_SIDES:
+        while done and task.goes_on and FINER * form.polygon_sides <= most:
             form = replace(form, polygon_sides=FINER * form.polygon_sides)
             done = _search(task, "full_outer", replace(form, outer=True))
     if task.goes_on:
