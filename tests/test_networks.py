@@ -248,6 +248,7 @@ def test_every_simplification_has_its_note() -> None:
     pp.create_gen(net, 3, p_mw=0.1, vm_pu=1.0, name="hydro")
     pp.create_bus(net, vn_kv=20.0)
     pp.create_load(net, 8, p_mw=0.1, name="barn")
+    pp.create_storage(net, 8, p_mw=0.1, max_e_mwh=0.2, name="barn battery")
     line = pp.create_line_from_parameters(net, 3, 0, length_km=1.0, name="tie", **LINE)
     pp.create_switch(net, 0, line, et="l", closed=False)
     feeder = import_network(net)
@@ -255,6 +256,7 @@ def test_every_simplification_has_its_note() -> None:
         "Closed switches make one bus of the buses 1, 2.",
         "Without supply or out of service, and left out: bus 8.",
         "Left out with their buses: load 6 (barn).",
+        "Left out with their buses: storage 1 (barn battery).",
         "Open at one end, and kept as shunts of 0 kvar: line 3 (tie).",
         "The voltage levels 0.4, 10, 20 kV are referred to one by the square of the nominal ratio; "
         "phase shifts have no effect in a radial feeder and are left out.",
@@ -323,6 +325,41 @@ def test_impedances_by_hand() -> None:
             ),
             "pandapower net: impedance 0 differs between its two directions. Give it the same impedance "
             "in both.",
+        ),
+        (
+            lambda net: net.load.__setitem__("p_mw", float("nan")),
+            "pandapower net, load 0 (mill), p_mw = nan: is not a finite number. "
+            "Correct it in the source, or take the element out of service.",
+        ),
+        (
+            lambda net: net.load.__setitem__("q_mvar", float("nan")),
+            "pandapower net, load 0 (mill), q_mvar = nan: is not a finite number. "
+            "Correct it in the source, or take the element out of service.",
+        ),
+        (
+            lambda net: net.line.__setitem__("r_ohm_per_km", float("nan")),
+            "pandapower net, line 0 (feeder), r_ohm_per_km = nan: is not a finite number. "
+            "Correct it in the source, or take the element out of service.",
+        ),
+        (
+            lambda net: net.ext_grid.__setitem__("vm_pu", float("nan")),
+            "pandapower net, ext_grid 0, vm_pu = nan: is not a finite number. "
+            "Correct it in the source, or take the element out of service.",
+        ),
+        (
+            lambda net: pp.create_sgen(net, 1, p_mw=float("nan"), name="roof"),
+            "pandapower net, sgen 0 (roof), p_mw = nan: is not a finite number. "
+            "Correct it in the source, or take the element out of service.",
+        ),
+        (
+            lambda net: pp.create_storage(net, 1, p_mw=float("nan"), max_e_mwh=0.2),
+            "pandapower net, storage 0, p_mw = nan: is not a finite number. "
+            "Correct it in the source, or take the element out of service.",
+        ),
+        (
+            lambda net: net.line.__setitem__("to_bus", 0),
+            "pandapower net: line 0 (feeder) begins and ends at bus 0. Correct its buses, or take it "
+            "out of service.",
         ),
     ],
 )

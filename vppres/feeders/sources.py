@@ -20,9 +20,10 @@ from vppres.feeders.feeder import ImportedFeeder, Profile
 from vppres.feeders.net.balance import PhasePowers, balance_net, balanced, phase_powers
 from vppres.feeders.net.changes import Changes, changed
 from vppres.feeders.net.names import bus_names
+from vppres.feeders.net.numbers import missing_numbers
 from vppres.feeders.net.reduce import feeder_of
 from vppres.feeders.series.source import control_profiles, controls_in_json, profiles_of
-from vppres.io.messages import did_you_mean
+from vppres.io.messages import did_you_mean, folded
 from vppres.scenario.network import BusId
 
 Source = Literal["pandapower", "matpower", "opendss", "simbench"]
@@ -139,6 +140,9 @@ def _to_blame(path: Path, what: str) -> Iterator[None]:
 
 def _feeder(found: _Net, name: str, changes: Changes) -> ImportedFeeder:
     """The feeder of a net, after the changes that were asked for."""
+    problems = folded(missing_numbers(found.net, name))
+    if problems:
+        raise InputError(problems)
     notes = found.notes
     phases = found.phases or phase_powers(found.net)
     keeps_phases = phases is not None and not changes.balance

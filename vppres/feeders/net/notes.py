@@ -15,7 +15,7 @@ from vppres.feeders.feeder import Generators
 from vppres.feeders.net.branches import LEAST_PU, Stub
 from vppres.feeders.net.elements import NetCase, in_service, label, supplied
 
-TABLES_OF_BUSES = ("load", "sgen", "gen")
+TABLES_OF_BUSES = ("load", "sgen", "gen", "storage")
 TAP_TOLERANCE = 1e-9
 FLEXIBLE = {
     # Words of any source, and the profiles of SimBench: air and soil, APLS and HLS.

@@ -40,6 +40,11 @@ from vppres.io.schema import MIN_OHM, MIN_POWER_FACTOR
 from vppres.scenario.network import BusId, Network, find_loops
 
 BRANCHES = ("line", "trafo", "trafo3w", "impedance")
+ENDS = {
+    "line": ("from_bus", "to_bus"),
+    "trafo": ("hv_bus", "lv_bus"),
+    "impedance": ("from_bus", "to_bus"),
+}
 # Three-phase loads, controlled devices and direct current have no place in the model.
 UNSUPPORTED = (
     "asymmetric_load",
@@ -140,6 +145,15 @@ def _check_elements(net: Any, name: str) -> list[Problem]:
         for table in UNSUPPORTED
         if table in net
         for i in in_service(net, table).index
+    ]
+    problems += [
+        Problem(
+            name,
+            f"{label(net, table, i)} begins and ends at bus {net[table][start].at[i]}",
+            "Correct its buses, or take it out of service.",
+        )
+        for table, (start, end) in ENDS.items()
+        for i in in_service(net, table).query(f"{start} == {end}").index
     ]
     impedance = in_service(net, "impedance")
     skewed = (impedance["rft_pu"] != impedance["rtf_pu"]) | (

@@ -417,7 +417,10 @@ def _told_generators(
 ) -> Iterator[str]:
     """Systems of the scenario, what was sized, and generators that the scenario does not have."""
     if len(pv) == 0:
-        yield "No generator: the source has none that the scenario can hold, and none was sized."
+        yield (
+            "No generator: the source has none at a supplied bus that the scenario can hold, and "
+            "none was sized."
+        )
     else:
         alone = [str(name) for name in pv.id[pv.alone]]
         yield (
@@ -478,7 +481,8 @@ def _told_batteries(own: Batteries, added: Batteries) -> Iterator[str]:
         yield f"{_amount(added)} invented, sized by the customers' peak loads."
     if not len(own) and not len(added):
         yield (
-            "No battery: the source has none, and none was added. Without one no island has a grid."
+            "No battery: the source has none at a supplied bus, and none was added. Without one no "
+            "island has a grid."
         )
 
 

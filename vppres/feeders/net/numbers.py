@@ -1,0 +1,74 @@
+"""Numbers that elements of a net must have: without one, an element would vanish in a sum."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from vppres.core.errors import Problem
+from vppres.feeders.net.elements import in_service, label
+
+_BY_PHASE = ("p_a_mw", "q_a_mvar", "p_b_mw", "q_b_mvar", "p_c_mw", "q_c_mvar")
+_WINDINGS = ("hv", "mv", "lv")
+NEEDED = {
+    "bus": ("vn_kv",),
+    "ext_grid": ("vm_pu",),
+    "load": ("p_mw", "q_mvar"),
+    "sgen": ("p_mw", "q_mvar"),
+    "gen": ("p_mw", "vm_pu"),
+    "storage": ("p_mw", "q_mvar"),
+    "motor": ("pn_mech_mw", "loading_percent", "efficiency_percent", "cos_phi"),
+    "ward": ("ps_mw", "qs_mvar", "pz_mw", "qz_mvar"),
+    "shunt": ("p_mw", "q_mvar"),
+    "asymmetric_load": _BY_PHASE,
+    "asymmetric_sgen": _BY_PHASE,
+    "line": ("length_km", "r_ohm_per_km", "x_ohm_per_km", "c_nf_per_km"),
+    "trafo": (
+        "sn_mva",
+        "vn_hv_kv",
+        "vn_lv_kv",
+        "vk_percent",
+        "vkr_percent",
+        "pfe_kw",
+        "i0_percent",
+    ),
+    "trafo3w": (
+        *(
+            f"{name}_{side}_{unit}"
+            for name, unit in (("sn", "mva"), ("vn", "kv"))
+            for side in _WINDINGS
+        ),
+        *(f"{name}_{side}_percent" for name in ("vk", "vkr") for side in _WINDINGS),
+        "pfe_kw",
+        "i0_percent",
+    ),
+    "impedance": ("rft_pu", "xft_pu", "rtf_pu", "xtf_pu", "sn_mva"),
+}
+"""Columns of each table that must be finite numbers for elements in service."""
+
+
+def missing_numbers(net: Any, name: str) -> Iterator[Problem]:
+    """Cells of elements in service that hold no finite number.
+
+    Parameters
+    ----------
+    net : pandapowerNet
+        As it was read.
+    name : str
+        Name of the source, for messages.
+    """
+    for table, columns in NEEDED.items():
+        frame = in_service(net, table) if table in net else pd.DataFrame()
+        for column in frame.columns.intersection([*columns]):
+            values = pd.to_numeric(frame[column], errors="coerce").astype(float)
+            for i in frame.index[~np.isfinite(values)]:
+                yield Problem(
+                    name,
+                    "is not a finite number",
+                    "Correct it in the source, or take the element out of service.",
+                    field=f"{label(net, table, i)}, {column}",
+                    value=frame[column].at[i],
+                )
