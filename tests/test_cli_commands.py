@@ -115,6 +115,20 @@ def test_one_battery_is_no_batteries(tiny_folder: Path) -> None:
     assert "2 PV systems, 1 battery, 6 steps" in call("validate", tiny_folder).stdout
 
 
+def test_a_run_folder_has_the_name_of_the_scenario_folder(
+    tiny_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Copies of a scenario hold the same name inside: their runs must not replace each other."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("a", "b"):
+        shutil.copytree(tiny_folder, name)
+        assert call("validate", name).stdout.startswith(f"{name} is valid: 4 buses")
+        told = call("run", name, "--controller", "idle", "--no-figures", "--no-explain").stdout
+        assert f"Written to results/{name}-idle" in told
+    monkeypatch.chdir("a")  # a folder without a name of its own
+    assert "Written to results/a-mpc" in call("run", ".", "--no-figures").stdout
+
+
 def test_valid_scenario_as_json(tiny_folder: Path) -> None:
     result = call("validate", tiny_folder, "--json")
     assert result.exit_code == 0

@@ -150,7 +150,9 @@ def test_what_the_result_rests_on_is_on_the_first_page() -> None:
     told = foundations(run)
     formers = [words for words in told if words.startswith("The island is formed by ")]
     assert len(formers) == 1 and "10% of the rating stays free as headroom." in formers[0]
-    assert any(words.startswith("The controller knows begin and end") for words in told)
+    assert any(
+        words.startswith("The controller knows when each outage begins and ends") for words in told
+    )
     assert any(words.startswith("Made from net.json (pandapower).") for words in told)
     assert [*(words for words in told if words.startswith("Note")), *further_notes(run)] == notes
     calm = small_run(small_scenario(outage=False))

@@ -409,3 +409,10 @@ def test_names_of_the_source_and_several_customers_on_a_bus(tmp_path: Path) -> N
     net = deepcopy(street())
     run.apply_to(net, feeder, run.steps["time"].iloc[3])
     assert net.load.loc[net.load["name"] == "Kitchen", "in_service"].any()
+
+
+def test_the_only_customer_has_its_tier() -> None:
+    net = buses_in_a_row(2, 11.0)
+    pp.create_load(net, 1, p_mw=0.3)
+    notes = assumptions(import_network(net), NewScenarioOptions())
+    assert "The only customer is in tier 'all': the source names none, and none was drawn." in notes

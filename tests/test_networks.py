@@ -215,6 +215,14 @@ def test_a_source_that_does_not_converge_says_so(tmp_path: Path) -> None:
     deviation = source_deviation(feeder, new_scenario(feeder))
     assert deviation == SourceDeviation()
     assert told_deviation(feeder, deviation) == NOT_CONVERGED
+    # Most likely its loads are in kW: that stands before everything else.
+    notes = write_new_scenario(feeder, NewScenarioOptions(), tmp_path / "kw")
+    assert notes[:2] == [
+        "load_kw.csv, c1: the median customer's largest demand is 500,000 kW at 20 kV. Is the file in "
+        "W? Its numbers are kW.",
+        NOT_CONVERGED,
+    ]
+    assert "First check the units of its loads" in NOT_CONVERGED
 
 
 def test_what_differs_needs_to_be_accepted(tmp_path: Path) -> None:

@@ -15,8 +15,9 @@ from vppres.day.metrics import summarise
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.io import read_scenario, scenario_digest, write_scenario
+from vppres.physics.uncontrolled import without_control
 from vppres.plant.island import NO_FORMER
-from vppres.scenario.remarks import darkness, former_words, remarks
+from vppres.scenario.remarks import darkness, doubtful_units, former_words, remarks
 from vppres.scenario.scenario import ControllerDefaults, Scenario
 from vppres.scenario.source import MAX_NOTE_LENGTH, MAX_NOTES, Source, SourceDeviation
 
@@ -130,12 +131,15 @@ def test_the_battery_that_forms_the_island_is_named() -> None:
     assert former_words(tiny) == ""  # islands of paper mode have no former
     default = former_words(tiny, "physical")
     assert default.startswith("The island is formed by big at bus ")
-    assert "that no one chose: no battery has grid_forming = yes" in default
+    assert "chosen by default, because no battery is marked grid_forming" in default
+    # Powers of customers add as vectors, their apparent powers do not.
+    power = tiny.load_kw + 1j * tiny.load_kvar
+    assert f"The largest demand is {abs(power.sum(axis=1)).max():,.1f} kVA." in default
     assert default in remarks(tiny, "physical")
     chosen = replace(tiny.batteries, grid_forming=np.array([False, True]))
     named = former_words(replace(tiny, batteries=chosen), "physical")
     assert named.startswith("The island is formed by small at bus ")
-    assert "no one chose" not in named
+    assert "by default" not in named
     connected = replace(tiny, grid_limit_kw=np.full(tiny.grid.n_steps, np.inf))
     assert former_words(connected, "physical") == ""
 
@@ -147,3 +151,55 @@ def test_tiers_that_are_not_named_from_the_most_important_one_are_told() -> None
     (words,) = remarks(backwards)
     assert words.endswith("if that is not meant.")
     assert "more than any of tier" in words
+
+
+@pytest.mark.parametrize(
+    ("factors", "words"),
+    [
+        ({}, []),
+        (
+            {"load_kw": 1000.0},
+            [
+                "load_kw.csv, homes: the median customer's largest demand is 55,000 kW at 11 kV. Is the "
+                "file in W? Its numbers are kW."
+            ],
+        ),
+        (
+            {"energy_kwh": 0.001},
+            [
+                "batteries.csv, big (and 1 more): energy_kwh = 0.1 holds p_max_kw = 50 for 0.002 h. Is "
+                "the energy in MWh, or the power in W?"
+            ],
+        ),
+        (
+            {"p_max_kw": 0.001},
+            [
+                "batteries.csv, big (and 1 more): energy_kwh = 100 holds p_max_kw = 0.05 for 2,000 h. Is "
+                "the energy in Wh, or the power in MW?"
+            ],
+        ),
+    ],
+)
+def test_sizes_that_suggest_another_unit_are_remarked(
+    factors: dict[str, float], words: list[str]
+) -> None:
+    tiny = tiny_scenario()
+    b = tiny.batteries
+    own = {name: getattr(b, name) * factors.get(name, 1.0) for name in ("energy_kwh", "p_max_kw")}
+    day = replace(
+        tiny,
+        load_kw=tiny.load_kw * factors.get("load_kw", 1.0),
+        batteries=replace(b, **own),
+    )
+    assert doubtful_units(day) == words
+    assert [one for one in remarks(day) if one in words] == words
+
+
+def test_a_demand_that_the_lines_cannot_carry_asks_for_units() -> None:
+    tiny = tiny_scenario()
+    said = without_control(replace(tiny, load_kw=tiny.load_kw * 1000.0))
+    assert said[-1] == (
+        "Without control the AC power flow has no solution in 4 of 4 steps with grid: customers will "
+        "be switched off with the grid on. Check the units: load_kw.csv is in kW (at most 159,000 kW "
+        "in all), lines.csv in ohm of the whole line."
+    )

@@ -157,13 +157,15 @@ def run(
     """Run a scenario's day and write a run folder."""
     with plain_errors(debug):
         from vppres.io.atomic import check_target
-        from vppres.io.find import load_scenario
+        from vppres.io.find import find_scenario
+        from vppres.io.scenario_folder import read_scenario
 
         kinds = figure_kinds(figures)
-        day = load_scenario(scenario)
+        source = find_scenario(scenario)
+        day = read_scenario(source)
         too_long = not no_figures and day.grid.n_steps > MOST_DRAWN
         options = run_options(day, context.obj)
-        folder = out or RESULTS / f"{day.name}-{options.controller}"
+        folder = out or RESULTS / f"{source.resolve().name}-{options.controller}"
         check_target(folder)  # before the work, not after it
         done = run_with_bar(day, options, quiet)
         if explain:
@@ -227,7 +229,7 @@ def validate(
             }
             _print_json(record | ({} if check is None else {"power_flow": asdict(check)}))
         else:
-            typer.echo(validation_text(problems, content))
+            typer.echo(validation_text(folder.resolve().name, problems, content))
             if check is not None:
                 typer.echo(f"- {check}")
     if problems:

@@ -88,7 +88,9 @@ def problem_record(problem: Problem | str) -> dict[str, Any]:
     }
 
 
-def validation_text(problems: Sequence[Problem | str], content: Mapping[str, Any] | None) -> str:
+def validation_text(
+    folder: str, problems: Sequence[Problem | str], content: Mapping[str, Any] | None
+) -> str:
     """One line per problem and their number, or what the sound scenario holds."""
     if content is None:
         return "\n".join([*map(str, problems), f"{counted(len(problems), 'problem')}."])
@@ -101,11 +103,11 @@ def validation_text(problems: Sequence[Problem | str], content: Mapping[str, Any
     if content["gensets"]:
         kinds.append(counted(content["gensets"], "generating set"))
     holds = (
-        "{name} is valid: {buses} buses, {customers} customers, {generators}, "
+        "{folder} is valid: {buses} buses, {customers} customers, {generators}, "
         f"{', '.join(kinds)}, "
         "{steps} steps of {step_minutes:g} min, {outage_steps} of "
         "them without grid; {export}; islands in {mode} mode."
-    ).format_map(content)
+    ).format_map({**content, "folder": folder})
     return "\n".join([holds, *(f"- {remark}" for remark in content["remarks"])])
 
 

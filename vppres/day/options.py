@@ -58,7 +58,9 @@ class RunOptions:
     centre : {"lossless", "literal", "none"}
         Linearisation centre of the voltages.
     pv_check : {"absorbing", "literal"}
-        Reading of the full horizon's PV check.
+        Full horizon: whether a step needs a correction if the actual PV power is not the planned
+        one (``literal``), or only if batteries, inverters or the balance do not allow it
+        (``absorbing``).
     mode : {"paper", "physical"} or None
         The paper's island, or one with grid-forming batteries and losses in the plan; None uses
         the scenario's.
@@ -71,8 +73,7 @@ class RunOptions:
         Physical mode: share of a grid-forming battery's inverter rating that plans reserve in
         an island; None uses the scenario's.
     rotation, turn_h, minimum_on_h : float or None
-        How supply is shared within a tier, :class:`vppres.scenario.fairness.Fairness`; None uses
-        the scenario's.
+        How supply is shared within a tier, fields of ``Fairness``; None uses the scenario's.
     isolate : bool or None
         Whether windows are solved in a separate process; None: yes for live controllers, no for
         runs.

@@ -32,7 +32,7 @@ POWERS = ("load", "sgen", "gen", "storage", "motor", "asymmetric_load", "asymmet
 LOSSES = ("line", "trafo", "trafo3w", "impedance", "shunt")
 NOT_CONVERGED = (
     "The source's own AC power flow does not converge, so nothing says how close the feeder is to "
-    "it."
+    "it. First check the units of its loads (MW; kW in OpenDSS) and lines."
 )
 
 

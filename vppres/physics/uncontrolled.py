@@ -34,9 +34,12 @@ def without_control(scenario: Scenario) -> list[str]:
     v_pu, failed = _voltages(scenario, steps)
     words = [*_beyond(scenario, steps, v_pu)]
     if failed:
+        most_kw = scenario.load_kw.sum(axis=1).max()
         words.append(
             f"Without control the AC power flow has no solution in {failed} of {len(steps)} steps "
-            "with grid: customers will be switched off with the grid on."
+            "with grid: customers will be switched off with the grid on. Check the units: "
+            f"load_kw.csv is in kW (at most {most_kw:,.6g} kW in all), lines.csv in ohm of the "
+            "whole line."
         )
     return words
 

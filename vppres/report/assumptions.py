@@ -206,7 +206,7 @@ def _tier_words(run: Trajectory, tier: str) -> str:
 def _meanings(options: Any, prefix: str = "") -> Iterator[tuple[str, str]]:
     """Option and meaning from the docstrings, those of nested groups with a dot."""
     for match in _PARAMETER.finditer(inspect.getdoc(options) or ""):
-        text = " ".join(match["text"].split())
+        text = " ".join(match["text"].replace("``", "").split())
         yield from ((prefix + name.strip(), text) for name in match["names"].split(","))
     for f in fields(options):
         if is_dataclass(value := getattr(options, f.name)):

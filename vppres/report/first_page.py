@@ -290,7 +290,7 @@ def island_words(run: Trajectory) -> Iterator[str]:
         kept = f" {headroom:.0%} of the rating stays free as headroom." if headroom else ""
         yield f"{former}{kept}"
     if options.get("outages", "known") == "known":
-        yield "The controller knows begin and end of each outage as soon as its horizon reaches it."
+        yield ("The controller knows when each outage begins and ends once its horizon reaches it.")
 
 
 def _duration(hours: float) -> str:

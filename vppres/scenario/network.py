@@ -24,6 +24,9 @@ LINE_DEFAULTS = {"i_max_a": np.inf, "ratio": 1.0, "b_us": 0.0, "g_us": 0.0}
 BUS_DRAWS = ("p_shunt_kw", "q_shunt_kvar", "p_fixed_kw", "q_fixed_kvar")
 """What a bus may draw without a customer."""
 
+LOW_VOLTAGE_KV = 1.0
+"""Highest nominal voltage between lines that counts as low (EN 50160)."""
+
 MAX_LOOPS = 20  # that are named; each costs a search of the network
 MAX_LOOP_SHOWN = 12  # buses
 

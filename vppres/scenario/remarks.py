@@ -11,6 +11,7 @@ from vppres.core.text import named
 from vppres.scenario.capacitors import too_large
 from vppres.scenario.earthing import floating
 from vppres.scenario.formers import forming_batteries
+from vppres.scenario.network import LOW_VOLTAGE_KV
 from vppres.scenario.priority import STRICT
 
 if TYPE_CHECKING:
@@ -18,6 +19,59 @@ if TYPE_CHECKING:
 
 NAMES_SHOWN = 5
 """Batteries, customers or vehicles named in one sentence."""
+
+LOW_VOLTAGE_KW = (0.1, 1e3)
+MEDIUM_VOLTAGE_KW = (1.0, 1e4)
+"""Least and largest plausible peak of the median customer: of homes, and of substations."""
+
+BATTERY_H = (0.1, 200.0)
+"""Least and most hours at full power that a battery plausibly holds."""
+
+
+def doubtful_units(scenario: Scenario) -> list[str]:
+    """Demand and batteries of a size that suggests another unit, in sentences.
+
+    Examples
+    --------
+    >>> from dataclasses import replace
+    >>> from vppres.io.find import load_scenario
+    >>> day = load_scenario("uk-heatwave-2022")
+    >>> doubtful_units(day)
+    []
+    >>> print(*doubtful_units(replace(day, load_kw=day.load_kw / 1000.0)))
+    load_kw.csv, c18: the median customer's largest demand is 0.098552 kW at 12.66 kV. Is the file \
+in MW? Its numbers are kW.
+    """
+    said = [_doubtful_demand(scenario)]
+    b = scenario.batteries
+    hours = np.divide(b.energy_kwh, b.p_max_kw, out=np.ones(len(b)), where=b.p_max_kw > 0.0)
+    least_h, most_h = BATTERY_H
+    for wrong, question in (
+        (hours < least_h, "Is the energy in MWh, or the power in W?"),
+        (hours > most_h, "Is the energy in Wh, or the power in MW?"),
+    ):
+        for i in np.flatnonzero(wrong)[:1]:
+            others = f" (and {wrong.sum() - 1} more)" if wrong.sum() > 1 else ""
+            said.append(
+                f"batteries.csv, {b.id[i]}{others}: energy_kwh = {b.energy_kwh[i]:.4g} holds "
+                f"p_max_kw = {b.p_max_kw[i]:.4g} for {hours[i]:,.6g} h. {question}"
+            )
+    return [*filter(None, said)]
+
+
+def _doubtful_demand(scenario: Scenario) -> str:
+    """Whether the median customer's peak is that of another unit."""
+    peak_kw = scenario.load_kw.max(axis=0)
+    median = int(np.argsort(peak_kw, kind="stable")[(len(peak_kw) - 1) // 2])
+    base_kv = scenario.network.base_kv
+    least_kw, most_kw = LOW_VOLTAGE_KW if base_kv <= LOW_VOLTAGE_KV else MEDIUM_VOLTAGE_KW
+    if peak_kw[median] == 0.0 or least_kw <= peak_kw[median] <= most_kw:
+        return ""
+    return (
+        f"load_kw.csv, {scenario.customers.id[median]}: the median customer's largest demand is "
+        f"{peak_kw[median]:,.6g} kW at {base_kv:g} kV. Is the file in "
+        f"{'MW' if peak_kw[median] < least_kw else 'W'}? Its numbers are kW."
+    )
 
 
 def darkness(scenario: Scenario, mode: str | None = None) -> str:
@@ -131,13 +185,11 @@ def former_words(scenario: Scenario, mode: str | None = None, always: bool = Fal
     if b.grid_forming.any():
         then = f" Without their energy, it is {named(forming, NAMES_SHOWN)}." if forming else ""
         return f"The island is formed by {named(names, NAMES_SHOWN)}.{then}{_unearthed(scenario)}"
-    bus = b.bus[b.formers][0]
-    whose = "a customer's battery" if bus in scenario.customers.bus else "a battery"
-    peak_kva = float(np.hypot(scenario.load_kw, scenario.load_kvar).sum(axis=1).max())
+    demand_kva = np.hypot(scenario.load_kw.sum(axis=1), scenario.load_kvar.sum(axis=1))
     return (
-        f"The island is formed by {names[0]}, {whose} that no one chose: no battery has "
-        f"grid_forming = yes, so the one with the largest inverter forms it. The largest demand is "
-        f"{peak_kva:,.4g} kVA. Mark the batteries that can form the grid in batteries.csv."
+        f"The island is formed by {names[0]}, chosen by default, because no battery is marked "
+        "grid_forming: it has the largest inverter. The largest demand is "
+        f"{demand_kva.max():,.1f} kVA. Mark the batteries that can form the grid in batteries.csv."
     )
 
 
@@ -237,7 +289,7 @@ def brief_sessions(scenario: Scenario) -> str:
 
 
 def remarks(scenario: Scenario, mode: str | None = None) -> list[str]:
-    """What to know: source and how exact it is, dark islands, dear export, tiers, import.
+    """What to know: source and how exact it is, units, dark islands, dear export, tiers, import.
 
     Examples
     --------
@@ -247,6 +299,7 @@ def remarks(scenario: Scenario, mode: str | None = None) -> list[str]:
     """
     first = [str(scenario.source)] if scenario.source else []
     said = [
+        *doubtful_units(scenario),
         darkness(scenario, mode),
         former_words(scenario, mode),
         held_capacitors(scenario),

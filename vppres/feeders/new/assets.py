@@ -149,10 +149,11 @@ def _told_tiers(
     feeder: ImportedFeeder, tier: Names, tiers: dict[str, float], options: NewScenarioOptions
 ) -> str:
     if len(tiers) == 1:
-        return (
-            f"All {len(tier)} customers are in one tier, {next(iter(tiers))}: the source names "
-            "none, and none was drawn."
-        )
+        name = next(iter(tiers))
+        those = f"All {len(tier)} customers are in one tier, {name}"
+        if len(tier) == 1:
+            those = f"The only customer is in tier {name!r}"
+        return f"{those}: the source names none, and none was drawn."
     count = ", ".join(f"{int((tier == name).sum())} {name}" for name in tiers)
     given = bool(feeder.tier.any())
     if not options.draw_tiers:

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from vppres.scenario.network import Network
-
-LOW_VOLTAGE_KV = 1.0
-"""Highest nominal voltage between lines that counts as low (EN 50160)."""
+from vppres.scenario.network import LOW_VOLTAGE_KV, Network
 
 MARGIN_PU = round(Network.v_min_pu - Network.v_min_ac_pu, 6)
 """By how much limits of plans are tighter than those of the AC voltages."""

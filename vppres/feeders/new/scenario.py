@@ -38,7 +38,7 @@ from vppres.scenario.assets import PV, Batteries, PVSystems
 from vppres.scenario.capacitors import too_large
 from vppres.scenario.network import Network
 from vppres.scenario.priority import STRICT
-from vppres.scenario.remarks import darkness, former_words
+from vppres.scenario.remarks import darkness, doubtful_units, former_words
 from vppres.scenario.scenario import ControllerDefaults, Priority, Scenario
 from vppres.scenario.source import Source, SourceDeviation
 from vppres.scenario.timegrid import TimeGrid
@@ -198,11 +198,11 @@ def write_new_scenario(
         deviation = SourceDeviation(as_given_pu=feeder.phased.difference_pu)
         closeness = str(deviation)
     check_deviation(feeder, deviation, options.accept_deviation)
-    told = [*feeder.notes, *chosen, *causes]
+    told = [*causes, *feeder.notes, *chosen]
     source = Source.of(feeder.name, "", told, deviation, feeder.unbalanced)
     scenario = replace(scenario, source=source)
     said = [former_words(scenario), darkness(scenario), closeness]
-    notes = list(dict.fromkeys([*told, *filter(None, said)]))
+    notes = list(dict.fromkeys([*doubtful_units(scenario), *told, *filter(None, said)]))
     text = "\n".join([f"# {scenario.title}", "", *(f"- {note}" for note in notes), ""])
     with atomic_folder(folder) as aside:
         fill_scenario_folder(scenario, aside)
