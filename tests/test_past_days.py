@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from tests.support.small_windows import DARK, OPEN, battery, two_buses, window
-from tests.test_vehicles import chargers, plugged_in
+from tests.support.vans import chargers, plugged_in
 from vppres import Controller, InputError, Measurement, RunOptions, explain_day, run_day
 from vppres.contract.ahead import KindsAhead
 from vppres.contract.plugged import Plugged

@@ -14,7 +14,7 @@ import pytest
 from experiments.random_feeders import random_window
 from tests.support.agreement import assert_methods_agree
 from tests.support.carried_out import carried_out
-from tests.support.homes import homes, hot
+from tests.support.homes import homes, hot, with_random_homes
 from tests.support.small_windows import DARK, OPEN, first_step, two_buses, window
 from tests.support.vans import van
 from vppres import (
@@ -119,6 +119,20 @@ def test_a_tank_is_heated_with_the_other_sign(method: str) -> None:
     assert power_kw[:, 0] == pytest.approx(1.7 / 2.5, abs=1e-5)
 
 
+def test_a_home_in_the_terms_of_others() -> None:
+    """EMHASS: it cools by 0.875 K/h at 2 kW, and nears 34 °C by 0.025 of the distance an hour.
+
+    Two degrees less are 4.57 kWh of electricity.
+    """
+    day = hot([OPEN] * 2, gain_kw=0.0)
+    day = replace(day, grid=TimeGrid(day.grid.start, 1.0, 2))
+    rest, cooled = (rooms_of(day).t_c(np.full((2, 1), kw))[0, 0] for kw in (0.0, 2.0))
+    assert 60.0 * (rest - 24.0) == pytest.approx(0.025 * (34.0 - 24.0), rel=1e-3)
+    assert 60.0 * (rest - cooled) == pytest.approx(0.875, rel=1e-3)
+    tight = hot([OPEN] * 4, gain_kw=0.0, r_c_per_kw=1e9)
+    assert rooms_of(tight).t_c(np.full((4, 1), 4.57 / 4))[-1, 0] == pytest.approx(22.0, abs=1e-3)
+
+
 def test_limits_of_resistance_and_capacity() -> None:
     """Without losses heat is stored like energy; an endless capacity keeps its temperature."""
     power_kw = np.array([[0.0], [1.0], [2.0]])
@@ -174,22 +188,7 @@ def test_a_hundred_hot_homes_never_outweigh_one_customer() -> None:
 @pytest.mark.parametrize("seed", range(40))
 def test_methods_agree_on_random_windows(seed: int) -> None:
     scenario, data = random_window(seed, stressed=seed % 2 > 0)
-    rng = np.random.default_rng([seed, 42])
-    count = int(rng.integers(1, 8))
-    loads = homes(
-        *rng.choice(scenario.customers.id, count),
-        heats=rng.random(count) < 0.3,
-        p_max_kw=rng.uniform(0.5, 6.0, count),
-        r_c_per_kw=rng.uniform(1.0, 20.0, count),
-        c_kwh_per_c=rng.uniform(0.2, 15.0, count),
-        t_initial_c=rng.uniform(15.0, 35.0, count),
-        gain_kw=rng.uniform(-1.0, 1.0, count),
-    )
-    day = replace(
-        scenario,
-        temperature_c=rng.uniform(-5.0, 40.0, scenario.grid.n_steps),
-        thermal_loads=loads,
-    )
+    day = with_random_homes(scenario, np.random.default_rng([seed, 42]))
     data = replace(data, ahead=KindsAhead(rooms=rooms_of(day)))
     assert_methods_agree(Site.of(day), data)
 

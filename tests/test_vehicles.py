@@ -25,6 +25,7 @@ from tests.support.small_windows import (
     window,
     with_pv,
 )
+from tests.support.vans import chargers, plugged_in, with_random_vehicles
 from vppres import (
     Controller,
     InputError,
@@ -55,48 +56,9 @@ from vppres.report.plots.energy import import_load_pv
 from vppres.report.run_folder import render_report
 from vppres.scenario.remarks import brief_sessions
 from vppres.scenario.scenario import Scenario
-from vppres.scenario.vehicles import Chargers, Sessions
 from vppres.service.clock import SetClock, written
 from vppres.service.runner import Service
 from vppres.solve.ladder import METHODS, WindowSolver
-
-
-def chargers(count: int = 1, **more: Any) -> Chargers:
-    """Chargers that stand alone at bus 2: 7.4 kW, efficiency 0.92, one way."""
-    values: dict[str, Any] = {
-        "id": [f"k{i}" for i in range(count)],
-        "bus": [2] * count,
-        "customer": [""] * count,
-        "p_charge_kw": 7.4,
-        "p_charge_min_kw": 0.0,
-        "p_discharge_kw": 0.0,
-        "eta_charge": 0.92,
-        "eta_discharge": 0.92,
-    } | more
-    return Chargers(**{k: np.broadcast_to(np.asarray(v), count) for k, v in values.items()})
-
-
-def plugged_in(day: Scenario, *hours: tuple[float, float], **more: Any) -> Scenario:
-    """The day with a vehicle of 60 kWh at each charger between these hours: 30 %, needs 80 %."""
-    count = len(hours)
-    times = [
-        [day.grid.start + pd.Timedelta(hours=h) for h in each] for each in zip(*hours, strict=True)
-    ]
-    values: dict[str, Any] = {
-        "charger": day.chargers.id[:count],
-        "vehicle": [f"car{i}" for i in range(count)],
-        "capacity_kwh": 60.0,
-        "soc_at_plug_in": 0.3,
-        "soc_needed": 0.8,
-        "energy_needed_kwh": np.nan,
-        "v2g_soc_floor": np.nan,
-        "tier": "critical",
-        "weight": 1.0,
-        "announced": True,
-    } | more
-    values = {k: np.broadcast_to(np.asarray(v), count) for k, v in values.items()}
-    plug_in, plug_out = (np.array(each, dtype=object) for each in times)
-    return replace(day, sessions=Sessions(plug_in=plug_in, plug_out=plug_out, **values))
 
 
 def known(day: Scenario) -> WindowData:
@@ -282,41 +244,6 @@ def test_methods_agree_on_random_windows(seed: int) -> None:
         plugged = replace(plugged, known=plugged.here & plugged.here[0])
     data = replace(data, ahead=KindsAhead(plugged))
     assert_methods_agree(Site.of(day), data)
-
-
-def with_random_vehicles(scenario: Scenario, seed: int) -> Scenario:
-    """The day with up to five chargers, some two-way and some alone, and a session each."""
-    rng = np.random.default_rng([seed, 12])
-    count = int(rng.integers(1, 6))
-    alone = rng.random(count) < 0.4
-    owner = rng.choice(scenario.customers.id, count)
-    customer = np.where(alone, "", owner).astype(object)
-    bus = np.where(alone, rng.choice(np.array(scenario.network.buses, dtype=object), count), None)
-    back_kw = np.where(rng.random(count) < 0.5, rng.uniform(1.0, 11.0, count), 0.0)
-    day = replace(
-        scenario,
-        chargers=chargers(
-            count,
-            customer=customer,
-            bus=bus,
-            p_charge_kw=rng.uniform(1.0, 22.0, count),
-            p_discharge_kw=back_kw,
-        ),
-    )
-    n_steps = scenario.grid.n_steps
-    begin = rng.integers(-2, n_steps, count)
-    hours = begin * scenario.grid.dt_h
-    ends = (begin + rng.integers(1, n_steps + 4, count)) * scenario.grid.dt_h
-    held = rng.uniform(0.1, 0.9, count)
-    return plugged_in(
-        day,
-        *zip(hours, ends, strict=True),
-        capacity_kwh=rng.uniform(10.0, 80.0, count),
-        soc_at_plug_in=held,
-        soc_needed=rng.uniform(held, 1.0),
-        v2g_soc_floor=np.where(rng.random(count) < 0.5, rng.uniform(0.0, 1.0, count), np.nan),
-        weight=rng.choice([1.0, 2.5, 10.0], count),
-    )
 
 
 # The step: plant and guard.

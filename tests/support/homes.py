@@ -39,3 +39,19 @@ def hot(limits_kw: list[float], load_kw: float = 1.0, **more: Any) -> Scenario:
     steps = len(limits_kw)
     day = two_buses([[load_kw]] * steps, [1.0], limits_kw)
     return replace(day, temperature_c=np.full(steps, 34.0), thermal_loads=homes("c0", **more))
+
+
+def with_random_homes(scenario: Scenario, rng: np.random.Generator) -> Scenario:
+    """The day with up to seven rooms and tanks, in any weather."""
+    count = int(rng.integers(1, 8))
+    loads = homes(
+        *rng.choice(scenario.customers.id, count),
+        heats=rng.random(count) < 0.3,
+        p_max_kw=rng.uniform(0.5, 6.0, count),
+        r_c_per_kw=rng.uniform(1.0, 20.0, count),
+        c_kwh_per_c=rng.uniform(0.2, 15.0, count),
+        t_initial_c=rng.uniform(15.0, 35.0, count),
+        gain_kw=rng.uniform(-1.0, 1.0, count),
+    )
+    outside_c = rng.uniform(-5.0, 40.0, scenario.grid.n_steps)
+    return replace(scenario, temperature_c=outside_c, thermal_loads=loads)
