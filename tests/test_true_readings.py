@@ -404,13 +404,18 @@ def test_a_demand_that_the_import_confirms_is_believed(tiny: Scenario) -> None:
         ([("watch", "grid_on", NOON, 1.0)], True),
         ([("watch", "grid_on", NOON - HOUR, 1.0)], False),
         ([("meter", "import_kw", NOON, 80.0)], True),
+        ([("meter", "import_kw", NOON, -3.0)], True),
+        ([("meter", "import_kw", NOON, 2.5)], False),
         ([("meter", "import_kw", NOON - HOUR, 80.0)], False),
     ],
 )
 def test_a_lost_grid_is_believed_unless_something_contradicts_it(
     live: Live, others: list[Any], available: bool
 ) -> None:
-    """Read at noon, decided 40 s later; what was read before the loss says nothing of it."""
+    """Read at noon, decided 40 s later; what was read before the loss says nothing of it.
+
+    The demand is 153 kW: meters are off by up to 2.53 kW.
+    """
     http, clock = live
     now = NOON + pd.Timedelta("40s")
     clock.set(now)
@@ -422,3 +427,10 @@ def test_a_lost_grid_is_believed_unless_something_contradicts_it(
     plan = http.post("/v1/steps").json()
     assert plan["grid"]["available"] is available
     assert any("is contradicted by" in one for one in plan["estimated"]) is available
+    raised = {one["kind"]: one for one in http.get("/v1/alarms").json()["alarms"]}
+    assert ("grid_contradicted" in raised) is available
+    if available:
+        source = others[0][0] if others[0][1] == "grid_on" else f"an import of {others[0][3]:g} kW"
+        words = f"grid_on = 0 of scada is contradicted by {source}"
+        assert raised["grid_contradicted"]["text"] == f"The plan ignores a reading: {words}."
+        assert raised["grid_contradicted"]["priority"] == "high"

@@ -55,6 +55,12 @@ KINDS = {
     "no_decision": Kind(
         1.0, 0.0, "Look at the log of the service. Until it decides again, set devices by hand."
     ),
+    "grid_contradicted": Kind(
+        0.0,
+        5.0,
+        "Ask on site whether there is grid. If there is none, announce an outage; "
+        "then check both sources.",
+    ),
     "critical_off": Kind(
         0.0, 10.0, "Check the state of charge on site. Bring a generator, or switch by hand."
     ),

@@ -1,4 +1,4 @@
-"""What is wrong now and needs an operator: seven kinds of conditions, each a function."""
+"""What is wrong now and needs an operator: a function for each kind of condition."""
 
 from __future__ import annotations
 
@@ -146,6 +146,7 @@ def _sets_out(plan: Mapping[str, Any] | None) -> list[str]:
 def conditions(now: Situation) -> Iterator[Condition]:
     """All that is wrong."""
     yield from _no_decision(now)
+    yield from _grid_contradicted(now)
     yield from _critical_off(now)
     yield from _longest_off(now)
     yield from _island_margin(now)
@@ -168,6 +169,13 @@ def _no_decision(now: Situation) -> Iterator[Condition]:
         text = f"The plan does not know yet: {'; '.join(now.standing.unaware_of)}."
     if text:
         yield Condition("no_decision", "", HIGH, text)
+
+
+def _grid_contradicted(now: Situation) -> Iterator[Condition]:
+    """The plan ignores a reading that the grid is lost."""
+    for words in (now.standing.plan or {}).get("estimated", ()):
+        if words.startswith("grid_on "):
+            yield Condition("grid_contradicted", "", HIGH, f"The plan ignores a reading: {words}.")
 
 
 def _critical_off(now: Situation) -> Iterator[Condition]:

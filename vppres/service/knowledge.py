@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vppres.control.guard.balance import BALANCE_KW
+from vppres.control.guard.balance import tolerance_kw
 from vppres.core.arrays import Floats, Names
 from vppres.core.errors import InputError, Problem
 from vppres.io.messages import did_you_mean
@@ -300,9 +300,12 @@ def known_at(
     window = Window.of(controller, time)
     replaced = controller.replaced(time)
     events = [event for name, event in store.events().items() if name not in replaced]
-    doubt = _doubt(readings.last.get((GRID, "grid_on")), at, window.length, store)
-    grid = _grid(controller, window, readings, events, at, doubt)
     powers = _Powers(window, readings, store)
+    load_kw = powers.ahead("load_kw", scenario.customers.id)
+    demand_kw = 0.0 if load_kw is None else float(load_kw.iloc[0].sum())
+    zero = readings.last.get((GRID, "grid_on"))
+    doubt = _doubt(zero, at, window.length, store, tolerance_kw(demand_kw))
+    grid = _grid(controller, window, readings, events, at, doubt)
     said = _Said.since(controller.decided, time - window.length, at, store)
     means = _means(store, max(said.decided_at, at - MOST_STEPS * window.length), at)
     batteries = [str(name) for name in scenario.batteries.id]
@@ -315,7 +318,7 @@ def known_at(
     measurement = Measurement(
         time,
         soc=soc_of(soc),
-        load_kw=powers.ahead("load_kw", scenario.customers.id),
+        load_kw=load_kw,
         pv_kw=powers.ahead("pv_kw", scenario.pv.id),
         price_gbp_per_kwh=pd.Series(prices(events, window), window.times),
         grid_limit_kw=pd.Series(grid.limits_kw, window.times),
@@ -640,10 +643,13 @@ def _grid(
     return Grid(bool(limits[0] > 0.0), known_by, limits)
 
 
-def _doubt(zero: Reading | None, now: pd.Timestamp, step: pd.Timedelta, store: Store) -> str:
+def _doubt(
+    zero: Reading | None, now: pd.Timestamp, step: pd.Timedelta, store: Store, off_kw: float
+) -> str:
     """What contradicts a reading that the grid is lost; empty if nothing does.
 
-    Another source that sees it, or an import that was measured, at that time or later.
+    Another source that sees it, or an import that was measured, at that time or later, of more
+    than meters are off by. To count on a grid that is lost is the worse mistake.
     """
     if zero is None or zero.value != 0.0:
         return ""
@@ -651,7 +657,7 @@ def _doubt(zero: Reading | None, now: pd.Timestamp, step: pd.Timedelta, store: S
     for one in store.between(moment(zero.time), end, ("grid_on", "import_kw")):
         if one.quantity == "grid_on" and one.source != zero.source and one.value == 1.0:
             return f"grid_on = 0 of {zero.source} is contradicted by {one.source}"
-        flows = one.quantity == "import_kw" and abs(one.value or 0.0) > BALANCE_KW
+        flows = one.quantity == "import_kw" and abs(one.value or 0.0) > off_kw
         if flows and one.time + one.resolution_s <= seconds(end):
             return f"grid_on = 0 of {zero.source} is contradicted by an import of {one.value:g} kW"
     return ""

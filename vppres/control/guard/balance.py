@@ -15,7 +15,7 @@ from vppres.model.site import Site
 
 BALANCE_KW = 1.0
 BALANCE_SHARE = 0.01
-"""Readings are contradicted by a mismatch above the first plus the second of the demand served.
+"""What meters are off by: the first plus the second of the demand.
 
 Meters of class 1 are off by at most that share each.
 """
@@ -49,6 +49,11 @@ class Readings:
 
     load_kw: Floats
     pv_kw: Floats
+
+
+def tolerance_kw(demand_kw: float) -> float:
+    """By how much power that meters measure may differ from what it is."""
+    return BALANCE_KW + BALANCE_SHARE * demand_kw
 
 
 def feeder_off(seen: Observation) -> bool:
@@ -98,7 +103,7 @@ def mismatch_kw(
 def contradicts(off_kw: float, commanded: Commanded, seen: Observation, readings: Readings) -> bool:
     """Whether a mismatch is more than meters are off by."""
     served_kw = float(readings.load_kw @ _served(commanded, seen))
-    return abs(off_kw) > BALANCE_KW + BALANCE_SHARE * served_kw
+    return abs(off_kw) > tolerance_kw(served_kw)
 
 
 def _served(commanded: Commanded, seen: Observation) -> Flags | Floats:

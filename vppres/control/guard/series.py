@@ -14,12 +14,11 @@ import numpy as np
 
 from vppres.contract.observation import Observation
 from vppres.control.guard.balance import (
-    BALANCE_KW,
-    BALANCE_SHARE,
     Commanded,
     Readings,
     contradicts,
     mismatch_kw,
+    tolerance_kw,
 )
 from vppres.core.arrays import Flags, Floats, Names
 from vppres.model.site import Site
@@ -130,7 +129,7 @@ class SeriesJudge:
         least_kw = np.minimum(ahead.min(axis=0), self._usual.least_kw)
         far = (read_kw > FAR * most_kw) | (read_kw < least_kw / FAR)
         off_kw = np.abs(read_kw - expected.load_kw)
-        matters = off_kw > BALANCE_KW + BALANCE_SHARE * float(expected.load_kw.sum())
+        matters = off_kw > tolerance_kw(float(expected.load_kw.sum()))
         return np.asarray(far & matters & (expected.load_kw > 0.0))
 
     def _learn(self, seen: Observation, commanded: Commanded | None) -> None:
