@@ -105,6 +105,11 @@ def test_an_alarm_from_its_rise_to_its_end(store: Store) -> None:
     ) in book.alarms.store.audit()
 
 
+def test_the_log_says_when(store: Store, caplog: pytest.LogCaptureFixture) -> None:
+    Book(store).look(0, off("a", text="a is off."))
+    assert caplog.messages == [f"{written(NOON)}: alarm raised: a is off."]
+
+
 def test_what_nobody_acknowledged_stays_and_is_told_again(store: Store) -> None:
     book = Book(store)
     assert book.look(0, off("a")) == ["raised"]
@@ -196,7 +201,7 @@ def test_a_critical_customer_that_will_be_off(tiny: Scenario, hours: int, priori
     standing = Standing(plan, 3600.0)
     now = Situation(NOON, tiny, standing, [Heard("big", "soc", "scada", 0, "ok")], {}, False, {})
     found = [(one.kind, one.priority, one.text, one.due) for one in conditions(now)]
-    words = "Planned: hospital of the first tier off supply."
+    words = f"Planned: hospital of the first tier off supply at {NOON + hours * HOUR:%H:%M}."
     expected = [("critical_off", priority, words, NOON + hours * HOUR)] if priority else []
     assert found == expected
     lost = replace(now, failing={"hospital": "rejected"})
@@ -236,6 +241,53 @@ def test_an_island_with_little_left(live: Running) -> None:
     decided(http, clock, NOON, soc=0.2)
     later(runner, 2)
     assert ("island_margin", "medium", "raised") in listed(http)
+
+
+def test_what_is_left_of_an_island_is_estimated_where_the_reading_is_late(live: Running) -> None:
+    """Full when it was read last, and nearly empty by the set-points since."""
+    http, clock, runner = live
+    http.put("/v1/events/storm", DARK)
+    plan = decided(http, clock, NOON, soc=0.34)
+    assert 0.15 < max(plan["expected"]["soc"].values()) < 0.22
+    later(runner, 59)
+    assert "island_margin" not in {kind for kind, *_ in listed(http)}
+    later(runner, 1)
+    assert ("island_margin", "medium", "raised") in listed(http)
+
+
+def test_readings_are_not_late_before_they_can_have_come(live: Running) -> None:
+    """At the end of a step that was decided on fresh readings, and after one without any."""
+    http, clock, runner = live
+    http.put("/v1/events/storm", DARK)
+    decided(http, clock, NOON, soc=0.151)
+    off = "hospital of the first tier off supply"
+
+    def said() -> str:
+        alarms = {one["kind"]: one["text"] for one in http.get("/v1/alarms").json()["alarms"]}
+        return str(alarms["critical_off"])
+
+    later(runner, 60)
+    assert said() == f"{off}."
+    http.post("/v1/steps")
+    assert said() == f"{off}, and the state of charge of big, small is late."
+
+
+def test_an_alarm_whose_condition_is_gone_says_so(live: Running) -> None:
+    http, clock, runner = live
+    http.put("/v1/events/storm", DARK)
+    decided(http, clock, NOON, soc=0.151)
+
+    def gone() -> str | None:
+        (one,) = (a for a in http.get("/v1/alarms").json()["alarms"] if a["kind"] == "critical_off")
+        return one["gone_since"]
+
+    assert gone() is None
+    clock.set(NOON + 5 * MINUTE)
+    http.delete("/v1/events/storm")
+    assert runner.anew() is not None
+    assert gone() == written(NOON + 5 * MINUTE)
+    later(runner, 5)
+    assert gone() == written(NOON + 5 * MINUTE)
 
 
 def test_fallbacks_that_last(live: Running, monkeypatch: pytest.MonkeyPatch) -> None:

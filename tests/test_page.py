@@ -120,6 +120,28 @@ def test_sources_grow_old_and_plans_run_out(runner: Runner) -> None:
     assert missed["steps"]["missed"] == 2
 
 
+def test_a_late_state_of_charge_is_the_reading_and_the_set_points_since(runner: Runner) -> None:
+    """The battery charges before the outage; it is read once more within the hour."""
+    at = NOON + HOUR
+    plan = decide(runner, at, soc=0.2)
+    begun, after = (plan["expected"][name]["big"] for name in ("soc_start", "soc"))
+    assert begun == 0.2 and after > 0.25
+    clock = runner.clock
+    assert isinstance(clock, SetClock)
+    overview = Overview(runner)
+
+    def now(minutes: int) -> float:
+        clock.set(at + pd.Timedelta(minutes=minutes))
+        return float(overview._now()["soc"]["big"])
+
+    assert now(0) == now(1) == 0.2  # it holds for its hour
+    short = [Reading("big", "soc", seconds(at) + 600, "scada", 300, 0.21)]
+    runner.store.write_readings(short, at)
+    assert now(12) == 0.21
+    assert now(40) == pytest.approx(0.21 + (after - begun) / 2)
+    assert now(60) == now(65) == pytest.approx(0.21 + (after - begun) * 5 / 6)
+
+
 def test_older_steps_are_asked_for(runner: Runner) -> None:
     for hour in range(3):
         decide(runner, NOON + hour * HOUR)

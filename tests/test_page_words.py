@@ -152,6 +152,25 @@ def test_the_first_lines_tell_what_is_announced_and_ordered(tiny: Scenario, tmp_
         assert "supplied" not in off["verdict"][1]
 
 
+ALARMS = """
+import { SiteClock, alarms } from "./words.mjs";
+const view = { clock: new SiteClock("UTC"), now: new Date("2026-07-01T18:20:00Z") };
+const off = { text: "c24 off.", priority: "high", state: "raised", raised_at: "2026-07-01T17:00:00Z", advice: "Bring one." };
+const low = { ...off, text: "Low.", priority: "medium" };
+const gone = { ...off, gone_since: "2026-07-01T18:00:00Z" };
+view.overview = { alarms: [gone, low] };
+console.log(JSON.stringify(alarms(view).map((one) => one.slice(0, 3))));
+"""
+
+
+def test_an_alarm_whose_condition_is_gone_is_told_as_over(tmp_path: Path) -> None:
+    """Behind those that stand, and without advice."""
+    assert said_by(ALARMS, tmp_path) == [
+        ["warning", "Low.", "Raised 17:00. Bring one."],
+        ["note", "Over since 18:00: c24 off.", "Raised 17:00."],
+    ]
+
+
 def test_a_tier_order_that_is_not_kept_is_on_the_page(tiny: Scenario, tmp_path: Path) -> None:
     clock = SetClock(NOON)
     with opened(Service(site(tiny), HERE), tmp_path / "state", clock) as runner:

@@ -175,10 +175,16 @@ class Alarms:
             From when on all that were cleared are listed too.
         """
         found = [
-            told(row, now) for row in self.store.alarms(now - SHOWN if since is None else since)
+            self._told_of(row, now)
+            for row in self.store.alarms(now - SHOWN if since is None else since)
         ]
         shown = [one for one in found if since is not None or one["state"] != "closed"]
         return sorted(shown, key=_order)
+
+    def _told_of(self, row: AlarmRow, now: pd.Timestamp) -> dict[str, Any]:
+        """An alarm as answers have it, and since when its condition is gone if it still stands."""
+        gone = self._gone.get(row.key)
+        return {**told(row, now), "gone_since": None if gone is None else written(gone)}
 
     def _change(
         self,
@@ -193,7 +199,7 @@ class Alarms:
             row = self.store.change_alarm(number, values, now, actor, action, reason)
             if row.key in self._standing and row.cleared_at is None:
                 self._standing[row.key] = row
-            return told(row, now)
+            return self._told_of(row, now)
 
     def _is_due(self, key: tuple[str, str], now: pd.Timestamp) -> bool:
         """Whether a condition that is no alarm yet has lasted for its delay."""
@@ -241,8 +247,8 @@ class Alarms:
             return
         for row in loud:
             self._told[row.number] = now
-            log.warning("alarm %s: %s", what, row.text)
-        self.on_notice(Notice(what, [told(row, now) for row in loud]))
+            log.warning("%s: alarm %s: %s", written(now), what, row.text)
+        self.on_notice(Notice(what, [self._told_of(row, now) for row in loud]))
 
 
 def told(row: AlarmRow, now: pd.Timestamp) -> dict[str, Any]:

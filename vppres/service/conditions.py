@@ -13,7 +13,7 @@ from vppres.contract.longest_off import ROUNDING
 from vppres.core.text import named
 from vppres.live.by_phase import GRID
 from vppres.scenario.scenario import Scenario
-from vppres.service.knowledge import Heard, Latest, refusing, soc_of
+from vppres.service.knowledge import Heard, Latest, refusing, soc_now
 from vppres.service.lost import lost_customers
 from vppres.service.plans import points_at, refused_of
 from vppres.service.store import Store
@@ -101,7 +101,7 @@ class Situation:
     heard : sequence of Heard
         How old every reading is.
     soc : mapping of str to float
-        The newest states of charge.
+        The states of charge now.
     is_dark : bool
         Whether there is no grid.
     failing : mapping of str to str
@@ -134,7 +134,8 @@ def situation(now: pd.Timestamp, scenario: Scenario, store: Store, standing: Sta
     grid = (standing.plan or {}).get("grid")
     read = latest.newest("grid_on").get(GRID)
     is_dark = not grid["available"] if grid else read is not None and read.value == 0.0
-    return Situation(now, scenario, standing, latest.heard, soc_of(newest), is_dark, failing)
+    soc = soc_now(latest, standing.plan, scenario.grid.step, now)
+    return Situation(now, scenario, standing, latest.heard, soc, is_dark, failing)
 
 
 def _sets_out(plan: Mapping[str, Any] | None) -> list[str]:
@@ -192,13 +193,15 @@ def _critical_off(now: Situation) -> Iterator[Condition]:
             words += f", and the state of charge of {named(late, NAMES_SHOWN)} is late"
         yield Condition("critical_off", "", HIGH, f"{words}.", tuple(sorted(off)))
         return
+    zone = now.scenario.grid.zone
     ahead = now.standing.plan.get("ahead") or {"times": [], "served": {}}
     for t, text in enumerate(ahead["times"]):
         time = pd.Timestamp(text)
         later = [name for name in able if not ahead["served"].get(name, [True] * (t + 1))[t]]
         if time <= now.now + AHEAD and later:
             priority = HIGH if time <= now.now + SOON else MEDIUM
-            words = f"Planned: {named(sorted(later), NAMES_SHOWN)} of the first tier off supply."
+            names, local = named(sorted(later), NAMES_SHOWN), time.tz_convert(zone)
+            words = f"Planned: {names} of the first tier off supply at {local:%H:%M}."
             yield Condition("critical_off", "", priority, words, tuple(sorted(later)), time)
             return
 
@@ -235,10 +238,12 @@ def _longest_off(now: Situation) -> Iterator[Condition]:
 
 
 def _late_batteries(now: Situation) -> list[str]:
-    """Batteries whose state of charge is late."""
+    """Batteries whose state of charge was late when the plan was made, and still is."""
     heard = {one.asset: one.state for one in now.heard if one.quantity == "soc"}
+    plan = now.standing.plan or {}
+    then = {one["asset"] for one in plan.get("late", ()) if one["quantity"] == "soc"}
     names = [str(name) for name in now.scenario.batteries.id]
-    return [name for name in names if heard.get(name) != "ok"]
+    return [one for one in names if one not in heard or (heard[one] != "ok" and one in then)]
 
 
 def _island_margin(now: Situation) -> Iterator[Condition]:
@@ -246,10 +251,9 @@ def _island_margin(now: Situation) -> Iterator[Condition]:
     if not now.is_dark:
         return
     b = now.scenario.batteries
-    expected = ((now.standing.plan or {}).get("expected") or {}).get("soc", {})
     usable_kwh = left_kwh = 0.0
     for i, name in enumerate(b.id):
-        soc = now.soc.get(str(name), expected.get(str(name)))
+        soc = now.soc.get(str(name))
         if soc is not None:
             usable_kwh += float(b.energy_kwh[i] * (b.soc_max[i] - b.soc_min[i]))
             left_kwh += float(b.energy_kwh[i] * max(soc - b.soc_min[i], 0.0))

@@ -395,6 +395,30 @@ def soc_at(time: pd.Timestamp, scenario: Scenario, store: Store) -> dict[str, fl
     return soc_of(Latest.at(time, scenario, store).newest("soc"))
 
 
+def soc_now(
+    latest: Latest, plan: Mapping[str, Any] | None, step: pd.Timedelta, now: pd.Timestamp
+) -> dict[str, float]:
+    """States of charge at a moment: readings that hold, else the newest and the set-points since.
+
+    The newest alone where the plan expects nothing, as by hand.
+    """
+    newest = latest.newest("soc")
+    found = soc_of(newest)
+    expected = (plan or {}).get("expected")
+    if plan is not None and expected:
+        begin = pd.Timestamp(plan.get("valid_from", plan["start"]))
+        end = pd.Timestamp(plan["start"]) + step
+        for name, start in expected.get("soc_start", {}).items():
+            after = expected["soc"][name]
+            if start is None or after is None:
+                continue
+            at, value = begin, start
+            if name in newest and moment(newest[name].time) > begin:
+                at, value = min(moment(newest[name].time), end), found[name]
+            found[name] = value + (after - start) * ((min(now, end) - at) / (end - begin))
+    return found | _finite(latest.now("soc"))
+
+
 def soc_of(found: Mapping[str, Reading]) -> dict[str, float]:
     """States of charge by battery."""
     return {name: float(one.value) for name, one in found.items() if one.value is not None}

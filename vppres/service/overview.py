@@ -16,7 +16,7 @@ from vppres.scenario.phases import PHASES
 from vppres.scenario.remarks import former_words
 from vppres.service.clock import written
 from vppres.service.conditions import limits_h
-from vppres.service.knowledge import MEAN, Heard, Latest, last_heard
+from vppres.service.knowledge import MEAN, Heard, Latest, last_heard, soc_now
 from vppres.service.payloads import ModeRequest
 from vppres.service.phased_readings import stored
 from vppres.service.plans import points_at, refused_of
@@ -177,6 +177,7 @@ class Overview:
             "events": {name: event.body for name, event in runner.store.events().items()},
             "sources": self._sources(latest.heard),
             "measured": self._measured(latest.found, now),
+            "soc": soc_now(latest, plan, runner.length, now),
             "plan": None if plan is None else self._told(plan, now),
             "past": self._recent(now),
         }

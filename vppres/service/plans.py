@@ -101,6 +101,7 @@ def plan_of(
         "setpoints": _set_points(decision, scenario, known, refused, reason),
         "expected": {
             "import_kw": _number(decision.import_kw),
+            "soc_start": {str(k): _number(v) for k, v in decision.batteries["soc"].items()},
             "soc": {str(k): _number(v) for k, v in decision.batteries["soc_end"].items()},
             **_extremes(decision, v_pu),
             "grid_limit_kw": _number(known.limits_kw.iloc[0]),

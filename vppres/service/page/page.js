@@ -3,7 +3,7 @@
 import { chart, meter, pastOf, stepsOf } from "./chart.js";
 import { Operator } from "./operator.js";
 import {
-  HOUR, MARKS, SiteClock, alarms, announced, attention, counted, covers, facts, farthestOutside, fuelLasts, fuelNow, grouped, indoorNow, isLostByReading, isUncertain, kilo, lasting, lateBy, list, lowest, offByTier, onPhase, percent, socNow, switchedNext, unawareOfLoss, verdict, why,
+  HOUR, MARKS, SiteClock, alarms, announced, attention, counted, covers, facts, farthestOutside, fuelLasts, fuelNow, grouped, indoorNow, isLostByReading, isUncertain, kilo, lasting, lateBy, list, lowest, offByTier, oldSoc, onPhase, percent, socNow, switchedNext, unawareOfLoss, verdict, why,
 } from "./words.js";
 
 const EVERY_MS = 2000, PATIENCE_MS = 5000;
@@ -212,7 +212,7 @@ function storedFigure() {
   const low = lowest(view), late = Math.max(...Object.keys(view.site.batteries).map((name) => lateBy(view, name) ?? 0));
   return figure("Stored energy", kilo(held), `kWh, ${percent(held / all)}`,
     meter(held / all, { kind: "store", marks: [least / all], name: `${percent(held / all)}, lower limit ${percent(least / all)}` }),
-    `${kilo(usable)} kWh above the lower limit; ${power}`, late ? `read up to ${lasting(late)} ago` : "", low && low.share < held / all - 0.005 ? `planned: ${percent(low.share)} at ${view.clock.at(low.time, view.now)}` : "");
+    `${kilo(usable)} kWh above the lower limit; ${power}`, late ? oldSoc(view, late, "read up to") : "", low && low.share < held / all - 0.005 ? `planned: ${percent(low.share)} at ${view.clock.at(low.time, view.now)}` : "");
 }
 
 function importFigure() {
@@ -341,13 +341,13 @@ function showBatteries() {
   document.getElementById("batteries-former").textContent = view.site.former;
   const { plan, measured, sources } = view.overview;
   const all = Object.entries(view.site.batteries);
-  const key = [plan?.batteries, sources, all.map(([name]) => measured[`soc ${name}`]), plan?.expected?.soc, Math.floor(view.now / 60000)];
+  const key = [plan?.batteries, sources, all.map(([name]) => measured[`soc ${name}`]), plan?.id, Math.floor(view.now / 60000)];
   renew("batteries-list", key, () => all.map(([name, b]) => {
     const soc = socNow(view, name), point = plan?.batteries[name], reading = measured[`soc ${name}`];
     const power = point?.p_kw ?? 0;
     const words = power > 0.05 ? `\u25b2 charging ${power.toFixed(1)} kW` : power < -0.05 ? `\u25bc discharging ${(-power).toFixed(1)} kW` : "idle";
     const late = lateBy(view, name);
-    const old = !reading || reading.value === null ? "no reading" : late === null ? "" : `read ${lasting(late)} ago`;
+    const old = !reading || reading.value === null ? "no reading" : late === null ? "" : oldSoc(view, late);
     const notes = [point?.reason.startsWith("default") ? point.reason : "", old].filter(Boolean);
     return node("li", {}, node("b", {}, onPhase(name, view.site)), node("span", { class: "n" }, soc === null ? "no data" : percent(soc)),
       meter(soc ?? 0, { kind: "store", marks: [b.soc_min, b.soc_max], name: `limits ${percent(b.soc_min)} to ${percent(b.soc_max)}` }),

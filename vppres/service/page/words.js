@@ -201,22 +201,32 @@ export function lowest(view) {
 
 // The alarms of the service, those to be seen first first: [level, sentence, what is known of it, alarm].
 export function alarms(view) {
-  return view.overview.alarms.map((alarm) => [alarmLevel(alarm), alarm.text, alarmNotes(alarm, view), alarm]);
+  return view.overview.alarms.map((alarm) => [alarmLevel(alarm), alarmText(alarm, view), alarmNotes(alarm, view), alarm])
+    .sort((a, b) => RANK[a[0]] - RANK[b[0]]);
 }
 
-function alarmLevel({ state, priority }) {
-  if (state !== "raised") return NOTE;
+// Since when the condition of an alarm is gone: it is cleared some minutes later.
+const overSince = (alarm) => alarm.gone_since ?? alarm.cleared_at;
+
+function alarmText(alarm, view) {
+  const over = overSince(alarm);
+  return over ? `Over since ${view.clock.at(over, view.now)}: ${alarm.text}` : alarm.text;
+}
+
+function alarmLevel(alarm) {
+  const { state, priority } = alarm;
+  if (state !== "raised" || overSince(alarm)) return NOTE;
   return priority === "high" ? ALARM : WARNING;
 }
 
 function alarmNotes(alarm, view) {
   const at = (time) => view.clock.at(time, view.now);
   const said = [`raised ${at(alarm.raised_at)}`];
-  if (alarm.due) said.push(`expected at ${at(alarm.due)}`);
+  if (alarm.due && !overSince(alarm)) said.push(`expected at ${at(alarm.due)}`);
   if (alarm.acknowledged_at) said.push(`acknowledged ${at(alarm.acknowledged_at)} by ${alarm.acknowledged_by}`);
   if (alarm.state === "shelved") said.push(`shelved until ${at(alarm.shelved_until)} by ${alarm.shelved_by}`);
   if (alarm.cleared_at) said.push(`cleared ${at(alarm.cleared_at)}`);
-  return `${capital(said.join(", "))}.${alarm.state === "raised" ? ` ${alarm.advice}` : ""}`;
+  return `${capital(said.join(", "))}.${alarm.state === "raised" && !overSince(alarm) ? ` ${alarm.advice}` : ""}`;
 }
 
 // What is worth knowing beside the alarms, the worst first: [level, sentence].
@@ -249,11 +259,8 @@ export function grouped(items, key) {
   return groups;
 }
 
-// The measured value, or the expected one where nothing was read.
-export function socNow(view, name) {
-  const reading = view.overview.measured[`soc ${name}`];
-  return reading?.value ?? view.overview.plan?.expected?.soc[name] ?? null;
-}
+// The state of charge: read, or estimated where the reading is late; null without any.
+export const socNow = (view, name) => view.overview.soc[name] ?? null;
 
 // How long ago a quantity of a device was read, in ms; null if that is not late by its own period.
 export function lateBy(view, name, quantity = "soc") {
@@ -261,6 +268,9 @@ export function lateBy(view, name, quantity = "soc") {
   const late = view.overview.sources.some((source) => [...source.stale, ...source.lost].includes(`${quantity} of ${name}`));
   return late && reading ? view.now - new Date(reading.at) : null;
 }
+
+// How old a late reading of a state of charge is, and what is shown in its place.
+export const oldSoc = (view, ms, words = "read") => `${words} ${lasting(ms)} ago${view.overview.plan?.expected ? "; estimated" : ""}`;
 
 // The temperature of a room or tank, and what to know of its thermometer: {value, old}.
 export function indoorNow(view, name) {
