@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from vppres.scenario.remarks import former_words
 from vppres.scenario.scenario import Scenario
 from vppres.service.access import Access
 from vppres.service.app import make_app
-from vppres.service.clock import SetClock
+from vppres.service.clock import SetClock, written
 from vppres.service.runner import Service
 from vppres.service.serve import opened
 
@@ -93,6 +94,61 @@ def test_what_a_crew_says_is_one_field(tmp_path: Path) -> None:
     assert done["said"] == [*expected, None, None]
     assert done["words"][0] == "Restoration not before 16:00, about 18:00"
     assert "Announced: restoration not before 16:00, about 18:00 (crew)." in done["first"]
+
+
+CREW_EVENT = """
+import { SiteClock, crewEvent } from "./words.mjs";
+import { readFileSync } from "node:fs";
+const { view, said } = JSON.parse(readFileSync(0));
+Object.assign(view, { clock: new SiteClock("UTC"), now: new Date(view.overview.now) });
+let answer;
+try { answer = crewEvent(said, view); } catch (error) { answer = error.message; }
+console.log(JSON.stringify(answer));
+"""
+
+
+def test_what_a_crew_says_is_an_event_that_the_service_takes(
+    tiny: Scenario, tmp_path: Path
+) -> None:
+    """Where outages are taken for known it is the end of the one that is announced or measured."""
+    clock = SetClock(NOON)
+    with opened(Service(site(tiny), HERE), tmp_path / "state", clock) as runner:
+        http = Caller(make_app(runner, Access()))
+
+        def event(said: str) -> Any:
+            parts = {name: http.get(f"/v1/{name}").json() for name in ("site", "overview")}
+            given = json.dumps({"view": parts, "said": said})
+            return said_by(CREW_EVENT, tmp_path, given)
+
+        assert event("about 18:00") == "No outage is announced or measured."
+        http.post("/v1/telemetry", {"series": readings(NOON, "grid_on", {"grid": 0.0})})
+        clock.set(NOON + pd.Timedelta("1min"))
+        name, body = event("not before 14:00, about 18:00")
+        assert (name, body["start"], body["end"][:16]) == (
+            "crew",
+            written(NOON),
+            "2026-11-21T18:00",
+        )
+        assert http.put(f"/v1/events/{name}", body).status == 201
+        name, body = event("by 19:00")
+        assert http.put(f"/v1/events/{name}", body).json()["end"] == "2026-11-21T19:00:00Z"
+        assert event("not before 14:00").startswith("This service plans with a known end.")
+        http.post("/v1/steps")
+        assert told(http, tmp_path)["verdict"][1].startswith("Outage until 19:00")
+
+
+def test_an_outage_of_a_rehearsal_is_not_called_announced(tiny: Scenario, tmp_path: Path) -> None:
+    """The service knows it from the scenario."""
+    day = site(tiny)
+    limits_kw = day.grid_limit_kw.copy()
+    limits_kw[1:4] = 0.0
+    service = Service(replace(day, grid_limit_kw=limits_kw), HERE, rehearsal=True)
+    with opened(service, tmp_path / "state") as runner:
+        http = Caller(make_app(runner, Access()))
+        http.post("/v1/steps")
+        found = told(http, tmp_path)
+        assert found["verdict"][2] == "Outage known from the scenario, from 01:00, in 60 min."
+        assert "Announced: no outage." in found["facts"]
 
 
 def test_fuel_lasts_by_the_line_of_the_set(tmp_path: Path) -> None:

@@ -180,6 +180,11 @@ def certain_interval(body: Mapping[str, Any]) -> tuple[pd.Timestamp, pd.Timestam
     return None
 
 
+def believes(options: RunOptions) -> bool:
+    """Whether plans weigh outages by their probability; otherwise they are known, or unknown."""
+    return options.outages in (BELIEF, LIKELY)
+
+
 def check_belief(body: Mapping[str, Any], options: RunOptions) -> None:
     """Refuse what the controller would have to round, and lengths that no outage has.
 
@@ -189,13 +194,12 @@ def check_belief(body: Mapping[str, Any], options: RunOptions) -> None:
         For an uncertain outage where outages are taken for known, or for unknown; for a
         distribution of which one length in ten is nothing, or without end.
     """
-    believes = options.outages in (BELIEF, LIKELY)
     restoration = body["type"] == RESTORATION
-    if not believes and (restoration or certain_interval(body) is None):
+    if not believes(options) and (restoration or certain_interval(body) is None):
         raise InputError.of(
             "event",
             f"is uncertain, and the service takes outages for {options.outages}",
-            f"Start it with --outages {BELIEF}, or announce a certain outage.",
+            f"Start it with --outages {BELIEF}, or put an event outage, with its end if known.",
             field="type",
             value=body["type"],
         )

@@ -14,6 +14,7 @@ import pandas as pd
 from vppres.live.by_phase import GRID
 from vppres.scenario.phases import PHASES
 from vppres.scenario.remarks import former_words
+from vppres.service.announced import believes
 from vppres.service.clock import written
 from vppres.service.conditions import limits_h
 from vppres.service.knowledge import MEAN, Heard, Latest, last_heard, soc_now
@@ -55,6 +56,7 @@ def site_of(runner: Runner) -> dict[str, Any]:
         "time_zone": day.grid.zone,
         "step_s": round(day.grid.step_minutes * 60),
         "played": runner.played,
+        "believes": believes(runner.options),
         "modes": list(get_args(ModeRequest.model_fields["mode"].annotation)),
         "tiers": list(day.tiers),
         "former": former_words(day, runner.options.mode, always=True),

@@ -1,6 +1,6 @@
 // The operator's form: mode, duration and reason, with a confirmation.
 
-import { HOUR, MINUTE, MODE_WORDS, crewSays, onPhase } from "./words.js";
+import { HOUR, MINUTE, MODE_WORDS, crewEvent, onPhase } from "./words.js";
 
 // Of each kind: its heading, and the number that it is given, with label and unit.
 const KINDS = {
@@ -64,11 +64,14 @@ export class Operator {
 
   // What a crew says of the end of the outage.
   async record() {
-    const body = crewSays($("crew").value, this.view());
-    const failed = (error) => `Not recorded. ${error.message}`;
-    $("crew-said").textContent = body === null
-      ? "Not understood. Write for example: not before 16:00, about 18:00."
-      : await this.ask("v1/events/crew", { method: "PUT", body: JSON.stringify(body) }).then(() => `Recorded: ${$("crew").value}.`, failed);
+    const said = $("crew").value;
+    try {
+      const [name, body] = crewEvent(said, this.view());
+      await this.ask(`v1/events/${encodeURIComponent(name)}`, { method: "PUT", body: JSON.stringify(body) });
+      $("crew-said").textContent = `Recorded: ${said}${body.type === "outage" ? ", as the end of the outage" : ""}.`;
+    } catch (error) {
+      $("crew-said").textContent = `Not recorded. ${error.message}`;
+    }
   }
 
   // The current mode; a choice that is not sent yet stays.

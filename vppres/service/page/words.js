@@ -147,10 +147,12 @@ function next(view, at) {
   const events = Object.values(view.overview.events).filter((event) => event.type === "outage" && new Date(event.start) > view.now);
   const ahead = view.overview.plan?.ahead;
   const dark = ahead?.grid_limit_kw.indexOf(0) ?? -1;
-  if (dark >= 0) events.push({ start: ahead.times[dark], end: ahead.times.find((_, t) => t > dark && ahead.grid_limit_kw[t] !== 0) });
+  // Without an event that says so, a rehearsal's own.
+  const said = Object.values(view.overview.events).some((event) => [...OF_OUTAGES, "import_limit"].includes(event.type));
+  if (dark >= 0) events.push({ start: ahead.times[dark], end: ahead.times.find((_, t) => t > dark && ahead.grid_limit_kw[t] !== 0), known: said ? "announced" : "known from the scenario," });
   if (!events.length) return possible(view, at) || expected(view, at) || "No outage is announced.";
   const [first] = events.sort((a, b) => new Date(a.start) - new Date(b.start));
-  return `Outage announced from ${at(first.start)}${first.end ? ` to ${at(first.end)}` : ""}, in ${lasting(new Date(first.start) - view.now)}.`;
+  return `Outage ${first.known ?? "announced"} from ${at(first.start)}${first.end ? ` to ${at(first.end)}` : ""}, in ${lasting(new Date(first.start) - view.now)}.`;
 }
 
 // The probability of an outage that is not announced as certain.
@@ -381,6 +383,21 @@ export function crewSays(text, view) {
     } else return null;
   }
   return Object.values(body).includes(null) ? null : body;
+}
+
+// The event that records what a crew says, [name, body]: a restoration, or where the service takes
+// outages for known the end of the present one.
+export function crewEvent(text, view) {
+  const said = crewSays(text, view);
+  if (said === null) throw new Error("Not understood. Write for example: not before 16:00, about 18:00.");
+  if (view.site.believes) return ["crew", said];
+  const end = said.by ?? said.likely;
+  if (!end) throw new Error("This service plans with a known end. Write: about, by or within.");
+  const known = Object.entries(view.overview.events).find(([, event]) => event.type === "outage" && covers(event, view.now));
+  if (known) return [known[0], { ...known[1], end }];
+  const read = gridReading(view);
+  if (read?.value === 0) return ["crew", { type: "outage", source: "operator", start: read.at, end }];
+  throw new Error("No outage is announced or measured.");
 }
 
 // The next time at which the clocks of the site show these hours and minutes; null if they never do.

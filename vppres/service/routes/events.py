@@ -7,9 +7,8 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Header, Response
 from starlette.exceptions import HTTPException
 
-from vppres.day.outages import BELIEF, LIKELY
 from vppres.service import payloads
-from vppres.service.announced import check_belief, check_new
+from vppres.service.announced import believes, check_belief, check_new
 from vppres.service.clock import written
 from vppres.service.openadr import OpenADREvent, events_of, those_of
 from vppres.service.records import moment
@@ -93,8 +92,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
     @router.post("/v1/openadr/events", status_code=201)
     def openadr(body: OpenADREvent, actor: str = guarded("events")) -> dict[str, Any]:
         """An event of OpenADR 3 as it stands; it replaces all that an earlier one of it said."""
-        believes = runner.options.outages in (BELIEF, LIKELY)
-        found, ignored = events_of(body, believes)
+        found, ignored = events_of(body, believes(runner.options))
         for event in found.values():
             if isinstance(event, payloads.Prices):
                 check_forecast("load_kw", {}, event.start, event.resolution, runner.scenario)
