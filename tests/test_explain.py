@@ -676,11 +676,18 @@ def test_the_cost_of_a_supply_to_others_by_hand(sun_kw: float) -> None:
     assert answer.prices.service[1] == pytest.approx(0.3 - 30.0 / 60.0, rel=1e-4)
 
 
-def test_a_tier_that_is_supplied_whole_loses_no_part_of_a_customer_hour() -> None:
-    """With 120 customer hours of the second tier in a window, 1.3 of them are 1% of the first."""
+def test_a_value_in_strict_order_is_in_hours_of_the_tier_that_is_rationed() -> None:
+    """A kWh is 0.0027 h of a critical customer of 365 kW: as a weight that is 0.33 of the low tier.
+
+    A tier that is supplied whole has no demand here, and loses no part of a customer hour.
+    """
     ranks = Ranks(
-        ("critical", "high"), np.array([0, 1]), np.ones(2, dtype=int), np.array([120.0, 1.0])
+        ("critical", "low"), np.array([0, 1]), np.ones(2, dtype=int), np.array([120.0, 1.0])
     )
-    assert hours(1.3, ranks, np.array([1])) == "1.3 customer hours of tier high"
-    assert hours(1.3, ranks, np.array([0, 1])) == "0.011 customer hours of tier critical"
-    assert hours(240.0, ranks, np.array([1])) == "2 customer hours of tier critical"
+    kwh = 120.0 / 365.0
+    assert hours(kwh, ranks, np.array([[365.0, 0.0]])) == "0.0027 customer hours of tier critical"
+    assert hours(kwh, ranks, np.array([[365.0, 50.0]])) == "0.0027 customer hours of tier critical"
+    assert hours(kwh, ranks, np.array([[0.0, 3.0]])) == "0.33 customer hours of tier low"
+    assert hours(0.02, ranks, np.array([[365.0, 50.0]])) == "0.02 customer hours of tier low"
+    taken = hours(240.0, ranks, np.array([[365.0, 50.0]]), kwh=730.0)
+    assert taken == "2 customer hours of tier critical"

@@ -95,20 +95,21 @@ def _why_off(step: Step, customer: int) -> Reason:
     if step.service is None:
         return _from_the_record(step, customer)
     gain = float(step.service.service[customer])
+    demand_kwh = float(step.load_kw[customer]) * step.site.dt_h
     binding = step.scarce_for(customer)
     if step.recorded.rules and gain > WORTH:
         return Reason(
             "switching_rule",
             binding,
             "Not supplied: a switching rule keeps it off; "
-            f"supplying it would be worth {service_words(step, gain)}.",
+            f"supplying it would be worth {service_words(step, gain, demand_kwh)}.",
         )
     if step.recorded.options["controller"] in RULES and gain > WORTH:
         return Reason(
             "rule",
             binding,
             f"Not supplied: the fixed rule of controller {step.recorded.options['controller']} "
-            f"leaves it off; supplying it would be worth {service_words(step, gain)}.",
+            f"leaves it off; supplying it would be worth {service_words(step, gain, demand_kwh)}.",
         )
     restored = np.flatnonzero(step.ended & step.served)
     if binding and gain > WORTH and len(restored):
@@ -180,7 +181,8 @@ def _outranked(step: Step, customer: int, binding: Scarce, gain: float) -> Reaso
     weight = float(step.site.customers.weight[customer]) * step.site.dt_h
     ranks = step.site.ranks
     own = figure(weight) if ranks is None else hours_of(weight, ranks, int(ranks.tier[customer]))
-    lost = service_words(step, weight - gain)
+    demand_kwh = float(step.load_kw[customer]) * step.site.dt_h
+    lost = service_words(step, weight - gain, demand_kwh)
     compare = f"supplying it would cost others {lost}, its own value is {own}"
     is_outranked = someone_ranks_higher(step, customer)
     kept = kept_for(step, customer) if binding == "energy" else ""

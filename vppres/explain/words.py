@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from vppres.core.arrays import Floats, Names, Wholes
+from vppres.core.arrays import Floats, Names
 from vppres.core.text import in_pounds
 from vppres.explain.prices import WHOLE, WORTH, WORTH_GBP
 from vppres.explain.step import Binding, Step
 from vppres.model.phases import phased_model
 from vppres.scenario.phases import PHASES
 from vppres.scenario.priority import Ranks
-
-LEAST_SHARE = 0.01
-"""Share of a customer hour of a tier from which a value is stated in that tier: a kW of 100."""
 
 SCARCE: dict[Binding, str] = {
     "energy": "stored energy",
@@ -164,18 +161,18 @@ def phase_name(step: Step, phase: int) -> str:
     return f"phase {PHASES[phase]} of {name}"
 
 
-def service_words(step: Step, value: float) -> str:
-    """Service of a step in words, in strict order in customer hours of a tier that is rationed."""
+def service_words(step: Step, value: float, kwh: float = 1.0) -> str:
+    """Service in words, of so many kWh or kW: in strict order of a tier that is rationed."""
     ranks = step.site.ranks
-    service = step.levels.service
-    if ranks is None or service is None:
-        return hours(value, ranks)
-    share = service.served_share
-    in_part = ((share > WHOLE) & (share < 1.0 - WHOLE)).any(axis=0)
-    return hours(value, ranks, ranks.tier[in_part])
+    load_kw = step.levels.window.load_kw
+    if ranks is None or step.levels.service is None:
+        return hours(value, ranks, load_kw, kwh)
+    share = step.levels.service.served_share
+    in_part = (share > WHOLE) & (share < 1.0 - WHOLE)
+    return hours(value, ranks, np.where(in_part, load_kw, 0.0) if in_part.any() else load_kw, kwh)
 
 
-def hours(value: float, ranks: Ranks | None, rationed: Wholes | None = None) -> str:
+def hours(value: float, ranks: Ranks | None, load_kw: Floats, kwh: float = 1.0) -> str:
     """Service in words: weighted customer hours, in strict order those of the tier it is about.
 
     Parameters
@@ -184,21 +181,24 @@ def hours(value: float, ranks: Ranks | None, rationed: Wholes | None = None) -> 
         In weighted customer hours.
     ranks : Ranks, optional
         The strict order.
-    rationed : array of int, optional
-        Tiers that are supplied in part: of the others no part of a customer hour is lost.
+    load_kw : array, shape (W, C)
+        Demand of the customers that it may be about: it is about the tier of the one whose supply
+        is worth most nearly as much for so much energy.
+    kwh : float, optional
+        Energy that adds or takes this service.
 
     Examples
     --------
-    >>> hours(0.21, None)
+    >>> hours(0.21, None, np.ones((1, 1)))
     '0.21 weighted customer hours'
     """
     if ranks is None:
         return f"{figure(value)} weighted customer hours"
-    about = ranks.worth * LEAST_SHARE <= value
-    if rationed is not None and len(rationed):
-        about &= np.isin(np.arange(len(ranks.tiers)), rationed) | (ranks.worth <= value)
-    tier = int(np.argmax(about)) if about.any() else len(ranks.tiers) - 1
-    return hours_of(value, ranks, tier)
+    takes = load_kw > 0.0
+    worth = np.log(np.broadcast_to(ranks.weight, load_kw.shape)[takes] / load_kw[takes])
+    off = np.abs(worth - np.log(max(value, WORTH) / max(kwh, WORTH)))
+    tiers = np.broadcast_to(ranks.tier, load_kw.shape)[takes]
+    return hours_of(value, ranks, int(tiers[np.argmin(off)]) if len(off) else len(ranks.tiers) - 1)
 
 
 def hours_of(value: float, ranks: Ranks, tier: int) -> str:

@@ -154,7 +154,11 @@ def _range(tables: Tables, name: str, column: str) -> str:
     if best.empty:
         return ""
     ends = float(best.min()), float(best.max())
-    low, high = (money(end) if column == "gbp" else hours(end, tables.ranks) for end in ends)
+    customers = tables.customers
+    load_kw = customers["p_load_kw"].to_numpy(float).reshape(-1, customers["id"].nunique())
+    low, high = (
+        money(end) if column == "gbp" else hours(end, tables.ranks, load_kw) for end in ends
+    )
     unit = " weighted customer hours"
     return low if low == high else f"{low.removesuffix(unit)} to {high}"
 

@@ -207,28 +207,28 @@ export function alarms(view) {
     .sort((a, b) => RANK[a[0]] - RANK[b[0]]);
 }
 
-// Since when the condition of an alarm is gone: it is cleared some minutes later.
-const overSince = (alarm) => alarm.gone_since ?? alarm.cleared_at;
+// Whether the condition of an alarm is gone: it is cleared some minutes later.
+const isOver = (alarm) => Boolean(alarm.gone_since ?? alarm.cleared_at);
 
 function alarmText(alarm, view) {
-  const over = overSince(alarm);
-  return over ? `Over since ${view.clock.at(over, view.now)}: ${alarm.text}` : alarm.text;
+  if (!isOver(alarm)) return alarm.text;
+  return `Over${alarm.gone_since ? ` since ${view.clock.at(alarm.gone_since, view.now)}` : ""}: ${alarm.text}`;
 }
 
 function alarmLevel(alarm) {
   const { state, priority } = alarm;
-  if (state !== "raised" || overSince(alarm)) return NOTE;
+  if (state !== "raised" || isOver(alarm)) return NOTE;
   return priority === "high" ? ALARM : WARNING;
 }
 
 function alarmNotes(alarm, view) {
   const at = (time) => view.clock.at(time, view.now);
   const said = [`raised ${at(alarm.raised_at)}`];
-  if (alarm.due && !overSince(alarm)) said.push(`expected at ${at(alarm.due)}`);
+  if (alarm.due && !isOver(alarm)) said.push(`expected at ${at(alarm.due)}`);
   if (alarm.acknowledged_at) said.push(`acknowledged ${at(alarm.acknowledged_at)} by ${alarm.acknowledged_by}`);
   if (alarm.state === "shelved") said.push(`shelved until ${at(alarm.shelved_until)} by ${alarm.shelved_by}`);
   if (alarm.cleared_at) said.push(`cleared ${at(alarm.cleared_at)}`);
-  return `${capital(said.join(", "))}.${alarm.state === "raised" && !overSince(alarm) ? ` ${alarm.advice}` : ""}`;
+  return `${capital(said.join(", "))}.${alarm.state === "raised" && !isOver(alarm) ? ` ${alarm.advice}` : ""}`;
 }
 
 // What is worth knowing beside the alarms, the worst first: [level, sentence].
