@@ -34,13 +34,12 @@ from vppres.day.priority import site_of
 from vppres.day.simulate import Day
 from vppres.model.beyond_paper.losses import lit_steps
 from vppres.model.data import WindowData
-from vppres.model.phases import phased_model
+from vppres.model.phases import SIDES, phased_model
 from vppres.model.site import Site
 from vppres.scenario.assets import Customers, PVSystems
 from vppres.scenario.phases import PhaseBus, PhaseConnection, PhaseLine, Phases
 from vppres.scenario.scenario import REPORT, ControllerDefaults, Scenario
 from vppres.solve.ladder import WindowSolver
-from vppres.solve.phases import SIDES
 from vppres.solve.result import SolveLimits, WindowSolution
 
 SIDES_OF_INVERTERS = 64

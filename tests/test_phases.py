@@ -12,7 +12,9 @@ import pytest
 
 from experiments.phases import admittances_apart
 from tests.support.command_line import call
+from tests.support.homes import homes
 from tests.support.phased_feeder import CIRCUIT, phased_day
+from tests.support.sets import gensets
 from vppres.contract.decision import Decision, SolveInfo
 from vppres.contract.observation import Observation
 from vppres.control.rules import rule_dispatch
@@ -298,6 +300,21 @@ def test_options_that_are_not_stated_are_refused_by_name(
 ) -> None:
     with pytest.raises(InputError, match=f"{name} = "):
         make_controller(day, RunOptions().having(options))
+
+
+def test_columns_and_kinds_that_are_not_stated_are_refused_at_once(day: Scenario) -> None:
+    longest = np.where(day.customers.id == "ca", np.nan, 4.0)
+    customers = replace(day.customers, max_off_h=longest)
+    more = {"thermal_loads": homes("ca", "cb"), "gensets": gensets(bus="m")}
+    with pytest.raises(InputError) as refused:
+        make_controller(replace(day, customers=customers, **more), RunOptions())
+    why = "is not stated for feeders with phases"
+    otherwise = "or remove the folder's phase_*.csv for its balanced equivalent."
+    assert str(refused.value).splitlines() == [
+        f"customers.csv, max_off_h of cb = 4.0: {why}, and 3 more. Leave the column out, {otherwise}",
+        f"thermal_loads.csv, id = h0: {why}, and 1 more. Remove the file, {otherwise}",
+        f"gensets.csv, id = g0: {why}. Remove the file, {otherwise}",
+    ]
 
 
 def test_validate_shows_the_power_flow_by_phase(circuit: Path, day: Scenario) -> None:

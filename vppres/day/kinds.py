@@ -13,7 +13,7 @@ CONTROLLER = "mpc"
 
 
 def check_kinds(scenario: Scenario, options: RunOptions) -> None:
-    """Refuse feeders with phases, controllers that plan none of them, and cold load twice.
+    """Refuse controllers that plan none of them, and cold load twice.
 
     Raises
     ------
@@ -21,12 +21,6 @@ def check_kinds(scenario: Scenario, options: RunOptions) -> None:
         For the first kind that the site has.
     """
     for kind in map(KINDS.__getitem__, units_of(scenario)):
-        if scenario.phases is not None:
-            raise InputError.of(
-                kind.file,
-                "is not stated for feeders with phases",
-                "Remove the file, or the phase_*.csv for the balanced equivalent.",
-            )
         if options.controller != CONTROLLER:
             raise InputError.of(
                 "options",

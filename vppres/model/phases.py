@@ -31,6 +31,12 @@ from vppres.physics.phases import NoPhasedSolutionError, PhasedFlow, PhasedResul
 GRID, ISLAND = 0, 1
 """What holds the voltage in a step."""
 
+SIDES = 32
+"""Sides of the polygon inside a phase's disc: it takes 0.5% of the rating away."""
+
+REACH = float(np.cos(np.pi / SIDES))
+"""Distance of a side from the middle of its disc, as a share of the radius."""
+
 
 @dataclass(frozen=True, eq=False)
 class Slopes:

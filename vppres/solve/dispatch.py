@@ -111,9 +111,15 @@ def keep_dispatch_in_network(
     The cost without the network is tried first, since most networks carry it. Where batteries'
     turns would have to be searched for, those of a plan ``before`` for the set are tried first:
     others were never worth more by the gap, and took as long to find as the set itself. Of a
-    window with phases ``charges`` has the batteries that charge, (W, B), where they waste energy.
+    window with phases, which has its rows at once, ``charges`` has the batteries that charge, (W,
+    B), where they waste energy.
     """
     if not task.obeys_rules(served):
+        return
+    if task.by_phase:
+        if charges is None and before is not None:
+            charges = before.charge_kw > before.discharge_kw
+        task.certificate.keep(in_network(task, served, charges))
         return
     if task.own_in_network:
         task.certificate.keep(in_network(task, served))
@@ -123,7 +129,7 @@ def keep_dispatch_in_network(
     if before is not None and task.certificate.wasteful:
         found = _cheapest_with_turns(task, before) or cheapest(task, "cost", served, form)
     if found is not None:
-        found = with_tie_breakers(task, found) or in_network(task, served, charges)
+        found = with_tie_breakers(task, found) or in_network(task, served)
         task.certificate.keep(found)
 
 
@@ -165,7 +171,7 @@ def cheapest_with_modes(
 
 def in_network(task: WindowTask, served: Flags, charges: Flags | None = None) -> Candidate | None:
     """Cheapest dispatch of a supply schedule in the network, with the true discs."""
-    if task.data.phased is not None and not task.own:
+    if task.by_phase:
         found, proven = _by_rows(task, served, charges)
         if found is not None or proven:
             return found
@@ -292,6 +298,8 @@ def polished(task: WindowTask, found: Candidate) -> Candidate | None:
     next pass's in physical mode, and from there it may never agree with AC. The least reactive
     power knows the paper's rows alone: with phases the dispatch stays as it is then.
     """
+    if not task.settles and (first := as_it_is(task, found)):
+        return first
     better = with_tie_breakers(task, found)
     if better is not None or task.own:
         return better

@@ -31,8 +31,10 @@ WITHOUT_NETWORK = (
     "pv_active_rating",
     "battery_room",
     "battery_reserve",
+    "former_phase_most",
+    "former_phase_least",
 )
-"""Implied families that stand for what is left out."""
+"""Implied families that stand for what is left out, of those that there are."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +125,8 @@ def without_network(found: Selection, names: list[str]) -> Selection:
     known = [name for name in kept if name in ORDER]
     found = found.keep(*known)
     found = replace(found, parts=(*found.parts, total_balance(sheet)))
-    return found.keep(*WITHOUT_NETWORK).keep(*(n for n in kept if n not in ORDER))
+    found = found.keep(*(n for n in WITHOUT_NETWORK if n in sheet.statement.implied))
+    return found.keep(*(n for n in kept if n not in ORDER))
 
 
 def total_balance(sheet: Sheet, name: str = "active_power_balance") -> Family:

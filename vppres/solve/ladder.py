@@ -130,20 +130,29 @@ class WindowSolver:
         """
         limits = self.limits.at_most(within_s)
         deadline = Deadline(limits.time_s)
-        *tighter, data = giving_way(self.site, data.with_sound_soc(self.site.batteries))
-        found = self._decided(data, limits)
-        found = self._rated(data, found, deadline)
-        return self._within(tighter, found, deadline)
+        ways = giving_way(self.site, data.with_sound_soc(self.site.batteries))
+        *tighter, data = ways
+        settles = data.phased is None or bool(own_of(self.cache, data))
+        found = self._decided(data, limits, settles)
+        if not settles:
+            found = self._within(ways, found, deadline, settled=False)
+        rated = self._rated(data, found, deadline)
+        if rated is found and not settles:
+            return found
+        return self._within(tighter, rated, deadline)
 
-    def _decided(self, data: WindowData, limits: SolveLimits) -> WindowSolution:
+    def _decided(
+        self, data: WindowData, limits: SolveLimits, settles: bool = True
+    ) -> WindowSolution:
         """A window without ratings of lines, of voltages that do not give way."""
+        solve = partial(self._solve, settles=settles)
         if self.method != "decomposed" or own_of(self.cache, data):
-            return self._solve(data, limits)
+            return solve(data, limits)
         if longest_off_of(data) is not None:
             return solve_with_limits(data, limits, self._decided, self._solve)
         if falls_apart(self.site, data):
-            return solve_apart(data, limits, self._solve)
-        return self._solve(data, limits)
+            return solve_apart(data, limits, solve)
+        return solve(data, limits)
 
     def _rated(self, data: WindowData, found: WindowSolution, deadline: Deadline) -> WindowSolution:
         """An answer within the ratings of the lines, which give way where there is none."""
@@ -163,13 +172,22 @@ class WindowSolver:
         return found
 
     def _within(
-        self, tighter: list[WindowData], found: WindowSolution, deadline: Deadline
+        self,
+        ways: list[WindowData],
+        found: WindowSolution,
+        deadline: Deadline,
+        settled: bool = True,
     ) -> WindowSolution:
-        """An answer within the tightest limits in which its supply schedule has a dispatch."""
+        """An answer within the tightest limits in which its supply schedule has a dispatch.
+
+        One without tie-breakers, which has not ``settled``, gets them in the last limits at least.
+        """
         served = found.dispatch.served
-        for data in tighter:
-            if deadline.passed or not broken(self.site, data.for_service(served), found.dispatch):
+        for data in ways:
+            if settled and not broken(self.site, data.for_service(served), found.dispatch):
                 return found
+            if deadline.passed and (settled or data is not ways[-1]):
+                continue
             limits = self.limits.at_most(deadline.left_s)
             kept = self._served(data, limits, served, found.dispatch, keeps_turns=False)
             if kept is not None and not _dims_more(kept.dispatch, found.dispatch, self.site):
@@ -184,9 +202,9 @@ class WindowSolver:
                 )
         return found
 
-    def _solve(self, data: WindowData, limits: SolveLimits) -> WindowSolution:
-        """Solve a window as one problem."""
-        task = self._task(data, limits)
+    def _solve(self, data: WindowData, limits: SolveLimits, settles: bool = True) -> WindowSolution:
+        """Solve a window as one problem, without tie-breakers if it does not settle."""
+        task = replace(self._task(data, limits), settles=settles)
         if self.method == "decomposed":
             climb(task)
             if task.data.switching is not None and not task.certificate.answered:

@@ -19,7 +19,7 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Complexes, Flags, Floats, Wholes
 from vppres.model.beyond_paper.losses import lit_steps
 from vppres.model.data import WindowData
-from vppres.model.phases import GRID, PhasedModel, phased_model
+from vppres.model.phases import GRID, REACH, SIDES, PhasedModel, phased_model
 from vppres.model.site import Site
 from vppres.model.violations import VOLTAGE_TOLERANCE_PU2
 from vppres.scenario.assets import NO_POWER_KW
@@ -28,9 +28,6 @@ from vppres.solve.network.rows import PER_PU2, Rows
 from vppres.solve.result import Outcome, Status
 from vppres.solve.selection import Selected
 from vppres.solve.solvers import run_conic
-
-SIDES = 32
-"""Sides of the polygon inside a phase's disc: it takes 0.5% of the rating away."""
 
 LOW, HIGH = 0, 1
 """Sides of a limit of voltages."""
@@ -58,9 +55,6 @@ linear solution that uses all that it may has no inside else."""
 
 TOWARDS = np.exp(-2j * np.pi * np.arange(SIDES) / SIDES)
 """Turns of a value by which its real part is what it has towards a side."""
-
-REACH = float(np.cos(np.pi / SIDES))
-"""Distance of a side from the middle of its disc, as a share of the radius."""
 
 # Assets from the first one on, their columns, (W, k), and what of a column each draws.
 Term = tuple[int, Wholes, Floats | float]

@@ -54,6 +54,9 @@ class WindowTask:
         When the window's time limit is reached.
     certificate : Certificate
         What is known so far.
+    settles : bool
+        Whether a dispatch by rows of phases gets its tie-breakers, which take longer than all else:
+        only the last one needs them.
     """
 
     data: WindowData
@@ -63,6 +66,7 @@ class WindowTask:
     sides: int
     deadline: Deadline
     certificate: Certificate
+    settles: bool = True
 
     @classmethod
     def begin(
@@ -84,6 +88,11 @@ class WindowTask:
     def own(self) -> tuple[str, ...]:
         """How the page differs from the paper's: families by name, ``own`` for a term of F."""
         return own_of(self.cache, self.data)
+
+    @property
+    def by_phase(self) -> bool:
+        """Whether dispatches in the network come from rows of phases."""
+        return self.data.phased is not None and not self.own
 
     @property
     def changed(self) -> tuple[str, ...]:

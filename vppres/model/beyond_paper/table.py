@@ -10,6 +10,7 @@ from vppres.model.beyond_paper.addition import Addition
 from vppres.model.beyond_paper.dimmed import DimmedDemand
 from vppres.model.beyond_paper.drawn import DrawnByNetwork
 from vppres.model.beyond_paper.export import ExportToGrid
+from vppres.model.beyond_paper.former_phases import FormerPhases
 from vppres.model.beyond_paper.gensets import GensetsModel
 from vppres.model.beyond_paper.longest_off import LongestTimeOff
 from vppres.model.beyond_paper.physical import PhysicalMode
@@ -28,6 +29,7 @@ OF_WINDOWS: tuple[type[Addition], ...] = (
     PhysicalMode,
     ExportToGrid,
     DrawnByNetwork,
+    FormerPhases,
     HeldAtEnd,
     ValueAtEnd,
 )

@@ -17,7 +17,8 @@ from vppres.solve.linear import Linear
 from vppres.solve.selection import MOST, Family, Selected, Selection, Sheet
 
 WITH_SERVICE = ("total_active_power_balance", "circular_charging")
-"""Families of the fleet that service enters by the demand that it brings about."""
+"""Families of the fleet that service enters by the demand that it brings about; others with it tell
+customers apart, and are left out."""
 
 
 class DemandModel(Selected):
@@ -105,7 +106,11 @@ def _select(sheet: Sheet, fleet: Fleet) -> Selection:
     sheet.new_letter("load", (sheet.n_steps,))
     lost = sheet.new_letter("lost", (1,), -np.inf if "f7" in sheet.statement.terms else 0.0)
     spent = sheet.new_letter("spent", (1,), -np.inf)
-    named = {name: family for name, family in fleet.joined.items() if name != "pv_self_consumption"}
+    named = {
+        name: family
+        for name, family in fleet.joined.items()
+        if name in WITH_SERVICE or "x_served" not in family.letters
+    }
     for name in WITH_SERVICE:
         if name in named:
             named[name] = _with_load(sheet, named[name])

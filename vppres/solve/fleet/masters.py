@@ -179,9 +179,14 @@ def demand_of(cache: ModelCache, data: WindowData, lumped: bool) -> DemandModel:
 
 
 def fleets_of(data: WindowData) -> tuple[bool, ...]:
-    """Whether batteries are lumped, in the order of trial; a fleet of none is one fleet."""
+    """Whether batteries are lumped, in the order of trial; a fleet of none is one fleet.
+
+    Phases tell batteries apart: as one they could give their power to any.
+    """
     if len(data.soc) == 0:
         return (True,)
+    if data.phased is not None:
+        return (False,)
     alike = _spread(data.eta_charge) + _spread(data.eta_discharge) < ALIKE
     return (True, False) if alike else (False,)
 

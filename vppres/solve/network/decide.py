@@ -36,6 +36,9 @@ def enter_network(task: WindowTask, master: NetworkMaster | None) -> None:
     best = task.certificate.best
     if best is None or best.in_network:
         return
+    if task.by_phase:
+        _by_phase(task, best)
+        return
     if master is None and task.is_large:
         master = network_master(task)
     found = None
@@ -44,6 +47,14 @@ def enter_network(task: WindowTask, master: NetworkMaster | None) -> None:
     if found is None:
         found = decided_anew(task, master or network_master(task), best)
     task.certificate.best = found
+
+
+def _by_phase(task: WindowTask, best: Candidate) -> None:
+    """The same with phases: the set itself first, if need be at a higher cost."""
+    known = task.certificate
+    known.best = in_network(task, best.dispatch.served)
+    if not known.certified:
+        known.keep(decided_anew(task, network_master(task), best))
 
 
 def decide_at_once(task: WindowTask, master: NetworkMaster) -> bool:
