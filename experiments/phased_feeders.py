@@ -34,6 +34,7 @@ from vppres.day.priority import site_of
 from vppres.day.simulate import Day
 from vppres.model.beyond_paper.losses import lit_steps
 from vppres.model.data import WindowData
+from vppres.model.numerics import objective_scale
 from vppres.model.phases import SIDES, phased_model
 from vppres.model.site import Site
 from vppres.scenario.assets import Customers, PVSystems
@@ -183,11 +184,14 @@ def decided(scenario: Scenario) -> Decided:
 def plainly(site: Site, data: WindowData, inside: bool) -> float:
     """The most that F can be without its tie-breakers, with all rows stated at once.
 
-    -inf if there is no dispatch.
+    -inf if there is no dispatch. It is scaled: a GBP weighs a millionth of a customer, and what a
+    kWh costs would be lost in HiGHS's tolerance.
     """
     problem = plain_problem(site, data, inside)
-    problem.solve(solver=cp.HIGHS, mip_rel_gap=1e-7, mip_abs_gap=1e-6)
-    return -np.inf if problem.value is None else float(problem.value)
+    scale = objective_scale(site)
+    scaled = cp.Problem(cp.Maximize(scale * problem.objective.expr), problem.constraints)
+    scaled.solve(solver=cp.HIGHS, mip_rel_gap=0.0, mip_abs_gap=1e-7 * scale)
+    return -np.inf if scaled.value is None else float(scaled.value) / scale
 
 
 def plain_problem(

@@ -183,7 +183,8 @@ class Statement:
     def named(self, kind: str) -> tuple[str, ...]:
         """Letters or families that additions name as of a kind, of those that there are."""
         names = (name for each in self.additions for name in getattr(each, kind))
-        return tuple(n for n in names if n in self.letters or n in self.families)
+        known = self.letters.keys() | self.families.keys() | self.implied.keys()
+        return tuple(n for n in names if n in known)
 
     def held(self, data: WindowData, dispatch: Dispatch) -> Held:
         """What the tie-breakers hold of a dispatch of what is beyond the paper."""

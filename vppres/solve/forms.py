@@ -31,10 +31,8 @@ WITHOUT_NETWORK = (
     "pv_active_rating",
     "battery_room",
     "battery_reserve",
-    "former_phase_most",
-    "former_phase_least",
 )
-"""Implied families that stand for what is left out, of those that there are."""
+"""Implied families that stand for what is left out."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +123,7 @@ def without_network(found: Selection, names: list[str]) -> Selection:
     known = [name for name in kept if name in ORDER]
     found = found.keep(*known)
     found = replace(found, parts=(*found.parts, total_balance(sheet)))
-    found = found.keep(*(n for n in WITHOUT_NETWORK if n in sheet.statement.implied))
+    found = found.keep(*WITHOUT_NETWORK, *sheet.statement.named("for_network"))
     return found.keep(*(n for n in kept if n not in ORDER))
 
 

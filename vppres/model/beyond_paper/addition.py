@@ -49,6 +49,8 @@ class Addition:
         Its binaries of which relaxations without modes take shares.
     of_network : tuple of str
         Its letters that a relaxation without the network has not.
+    for_network : tuple of str
+        Its implied families that stand for what such a relaxation leaves out.
     of_batteries : tuple of str
         Its letters with a column for each battery: a lumped fleet has their sum.
     by_service : tuple of str
@@ -65,6 +67,7 @@ class Addition:
     rules: ClassVar[bool] = False
     directions: ClassVar[tuple[str, ...]] = ()
     of_network: ClassVar[tuple[str, ...]] = ()
+    for_network: ClassVar[tuple[str, ...]] = ()
     of_batteries: ClassVar[tuple[str, ...]] = ()
     by_service: ClassVar[tuple[str, ...]] = ()
     by_dispatch: ClassVar[tuple[str, ...]] = ()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 from dataclasses import dataclass
-from typing import Self
+from typing import ClassVar, Self
 
 import cvxpy as cp
 import numpy as np
@@ -33,6 +33,8 @@ class FormerPhases(Addition):
     carry with nothing served and all PV power; ``room_kw`` has what reactive power of PV systems
     and batteries may take off a phase.
     """
+
+    for_network: ClassVar[tuple[str, ...]] = ("former_phase_most", "former_phase_least")
 
     by_pv: cp.Parameter
     by_batteries: cp.Parameter
@@ -76,14 +78,12 @@ class FormerPhases(Addition):
         if len(site.pv):
             drawn = drawn + v.P_curt @ self.by_pv
         given_kw = self.rest_kw + drawn + (v.P_ch - v.P_dch) @ self.by_batteries
-        return {
-            "former_phase_most": given_kw <= self.room_kw,
-            "former_phase_least": -given_kw <= self.room_kw,
-        }
+        most, least = self.for_network
+        return {most: given_kw <= self.room_kw, least: -given_kw <= self.room_kw}
 
 
 def _by_kind(site: Site, reactive: bool) -> list[Floats]:
-    """KW of the former's phases for each kW or kvar that assets of a kind draw, (n, 3) each.
+    """Active power of the former's phases for each kW or kvar that assets of a kind draw, (n, 3) each.
 
     The kinds are customers, PV systems and batteries; the former itself is the source.
     """
