@@ -83,7 +83,7 @@ class FormerPhases(Addition):
 
 
 def _by_kind(site: Site, reactive: bool) -> list[Floats]:
-    """Active power of the former's phases for each kW or kvar that assets of a kind draw, (n, 3) each.
+    """Active power of the former's phases for each kW or kvar that assets draw, (n, 3) by kind.
 
     The kinds are customers, PV systems and batteries; the former itself is the source.
     """
