@@ -29,8 +29,6 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "paper": {"mode": "paper"},
     "physical": {"mode": "physical"},
     "without headroom": {"mode": "physical", "headroom": 0.0},
-    "without losses in the plan": {"mode": "physical", "passes": 0},
-    "one pass": {"mode": "physical", "passes": 1},
 }
 PACKAGED = "uk-heatwave-2022"
 

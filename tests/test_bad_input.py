@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -93,6 +94,24 @@ def test_negative_grid_limit_is_refused_and_infinite_is_not(tiny_folder: Path) -
 def test_missing_file(tiny_folder: Path, file: str) -> None:
     (tiny_folder / file).unlink()
     assert messages(tiny_folder) == [f"{file}: the file is missing. {FILE_CURE}"]
+
+
+def test_missing_pv_systems_are_named_by_their_series(tiny_folder: Path) -> None:
+    (tiny_folder / "pv.csv").unlink()
+    assert messages(tiny_folder) == [
+        f"pv.csv: the file is missing, and pv_kw.csv has series of roof, field. {FILE_CURE}"
+    ]
+
+
+def test_a_misspelt_file_is_not_left_out_in_silence(tiny_folder: Path) -> None:
+    table = tiny_folder / "batteries.csv"
+    shutil.copy(table, tiny_folder / "battery.csv")  # an older copy beside the right one
+    assert len(read_scenario(tiny_folder).batteries) == 2
+    table.unlink()
+    assert messages(tiny_folder) == [
+        "battery.csv: is not read: it is no file of a scenario. Did you mean batteries.csv? Rename "
+        "it, or name it under [files]."
+    ]
 
 
 def test_missing_scenario_file(tiny_folder: Path) -> None:

@@ -348,12 +348,13 @@ def documented_options(command: str) -> list[str]:
     return re.findall(r"^\| `(--[a-z-]+)`", found[1], re.MULTILINE) if found else []
 
 
-# What these take of `run`'s own options beside those of the day.
+# What these lack of `run`'s options.
+SIMULATED = {"--load-bias", "--load-error", "--pv-bias", "--pv-error", "--seed", "--thermal"}
 OF_RUN_ALONE = {
     "sweep": {"--out", "--explain", "--figures", "--no-figures"},
-    "serve": {"--out", "--explain", "--figures", "--no-figures", "--json", "--quiet"},
-    "serve export": {"--figures", "--no-figures", "--quiet"},
-    "serve simulate": {"--out", "--explain", "--figures", "--no-figures"},
+    "serve": {*SIMULATED, "--out", "--explain", "--figures", "--no-figures", "--json", "--quiet"},
+    "serve export": {*SIMULATED, "--figures", "--no-figures", "--quiet"},
+    "serve simulate": {*SIMULATED, "--out", "--explain", "--figures", "--no-figures"},
 }
 
 

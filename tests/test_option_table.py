@@ -127,6 +127,11 @@ def test_scenario_may_name_every_controller_of_the_command_line(kind: str, tmp_p
             "options, thermal = hot: is not known. Use one of: off, exact, euler.",
         ),
         ({"seed": -1}, "options, seed = -1: must not be negative. Give a whole number from zero."),
+        (
+            {"forecast_file": "mine.csv"},
+            "options, forecast_file = mine.csv: is not read by the forecaster paper. Add --forecaster "
+            "file.",
+        ),
     ],
 )
 def test_run_options_check_what_the_table_says(changes: dict[str, Any], text: str) -> None:

@@ -17,8 +17,9 @@ from vppres.day.simulate import run_day
 from vppres.io import read_scenario, scenario_digest, write_scenario
 from vppres.physics.uncontrolled import without_control
 from vppres.plant.island import NO_FORMER
+from vppres.scenario.priority import STRICT
 from vppres.scenario.remarks import darkness, doubtful_units, former_words, remarks
-from vppres.scenario.scenario import ControllerDefaults, Scenario
+from vppres.scenario.scenario import ControllerDefaults, Priority, Scenario
 from vppres.scenario.source import MAX_NOTE_LENGTH, MAX_NOTES, Source, SourceDeviation
 
 SOURCE = Source(
@@ -151,6 +152,8 @@ def test_tiers_that_are_not_named_from_the_most_important_one_are_told() -> None
     (words,) = remarks(backwards)
     assert words.endswith("if that is not meant.")
     assert "more than any of tier" in words
+    # Strict order goes by names, but resilience weighs.
+    assert remarks(replace(backwards, priority=Priority(STRICT))) == [words]
 
 
 @pytest.mark.parametrize(

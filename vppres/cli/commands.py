@@ -31,6 +31,7 @@ from vppres.cli.options import (
     Debug,
     Figures,
     Json,
+    LiveCommand,
     NewCommand,
     Quiet,
     RunFolder,
@@ -292,7 +293,7 @@ def compare(
     run_folders: Annotated[
         list[Path],
         typer.Argument(
-            metavar="RUN_FOLDER RUN_FOLDER...", help="Two or more folders that run wrote."
+            metavar="RUN_FOLDER RUN_FOLDER...", help="Two to five folders that run wrote."
         ),
     ],
     out: Annotated[
@@ -458,7 +459,7 @@ def recheck(
         typer.echo(f"Written to {folder}")
 
 
-@app.command(cls=DayCommand, epilog="Example: vppres serve ./my-feeder")
+@app.command(cls=LiveCommand, epilog="Example: vppres serve ./my-feeder")
 def serve(
     context: typer.Context,
     scenario: ScenarioName,
@@ -521,7 +522,7 @@ def _state_place(scenario: str, state: str | None) -> str:
 
 @app.command(
     "serve export",
-    cls=DayCommand,
+    cls=LiveCommand,
     epilog="Example: vppres serve export ./my-feeder --from 2026-11-21 --to 2026-11-22 --out day",
 )
 def export(
@@ -562,7 +563,7 @@ def export(
 
 @app.command(
     "serve simulate",
-    cls=DayCommand,
+    cls=LiveCommand,
     epilog="Example: vppres serve simulate uk-heatwave-2022 --speed 600",
 )
 def simulate(
@@ -579,6 +580,7 @@ def simulate(
     delayed: cli_serve.DelayedShare = 0.0,
     skew: cli_serve.ClockSkew = 0.0,
     repeats: cli_serve.Repeats = False,
+    seed: cli_serve.Seed = 0,
     as_json: Json = False,
     quiet: Quiet = False,
     debug: Debug = False,
@@ -596,7 +598,7 @@ def simulate(
         site = load_scenario(scenario)
         comes = site if world is None else load_scenario(world)
         served = Service(site, run_options(site, context.obj), world is None, world is not None)
-        faults = player.TelemetryFaults(lost, delayed, skew, repeats, served.options.seed)
+        faults = player.TelemetryFaults(lost, delayed, skew, repeats, seed)
         how = player.Play(speed, announced, world is not None, faults)
         where = player.Place(url, token, port, state)
         told = (lambda _: None) if as_json else typer.echo

@@ -195,6 +195,14 @@ class DayCommand(TableCommand):
         return day_options()
 
 
+class LiveCommand(TableCommand):
+    """A command with the options of a live controller."""
+
+    def table(self) -> tuple[Option, ...]:
+        """Those of ``run`` that do not describe a simulated day."""
+        return tuple(option for option in day_options() if option.live)
+
+
 class NewCommand(TableCommand):
     """A command with the options of a new scenario."""
 
@@ -209,12 +217,12 @@ def new_options(given: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def run_options(day: Scenario, given: Mapping[str, Any]) -> RunOptions:
-    """The options of a run from those of a :class:`DayCommand`; the scenario has the defaults."""
+    """The options of a run from those of a command; the scenario has the defaults."""
     from vppres.day.options import RunOptions
 
     values = {}
     for option in day_options():
-        value = given[_key(option)]
+        value = given.get(_key(option), option.run_default)
         if value is None and option.scenario_key:
             value = attrgetter(option.scenario_key)(day)
         values[option.field] = value

@@ -9,7 +9,9 @@ import typer
 
 # serve
 
-Host = Annotated[str, typer.Option(help="Address to listen on.")]
+Host = Annotated[
+    str, typer.Option(help="Address to listen on; others than this machine's need tokens and TLS.")
+]
 Port = Annotated[int, typer.Option(min=1, max=65535, help="Port to listen on.")]
 State = Annotated[
     str | None,
@@ -91,7 +93,7 @@ Speed = Annotated[
 ]
 Url = Annotated[
     str | None,
-    typer.Option(help="A service that was started with --paced; its own if not given."),
+    typer.Option(help="A service started with --paced or --rehearse; its own if not given."),
 ]
 AccessToken = Annotated[
     str | None, typer.Option(envvar="VPPRES_TOKEN", help="Token for that service.")
@@ -112,3 +114,4 @@ DelayedShare = Annotated[
 ]
 ClockSkew = Annotated[float, typer.Option(help="Clock error of sources, in s.")]
 Repeats = Annotated[bool, typer.Option(help="Send every reading twice.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of what is lost, late or skewed.")]

@@ -11,7 +11,7 @@ from vppres.contract.forecast import ForecastErrors
 from vppres.contract.operating_point import Centre
 from vppres.control.baselines import ReserveRule
 from vppres.control.full_horizon import PVCheck
-from vppres.core.errors import InputError
+from vppres.core.errors import InputError, Problem
 from vppres.physics.thermal import ThermalScheme
 from vppres.scenario.option_table import OPTIONS, default_of
 from vppres.scenario.rules import SwitchingRules
@@ -127,6 +127,16 @@ class RunOptions:
             for option in OPTIONS
             for problem in option.problems(attrgetter(option.field)(self))
         ]
+        if self.forecast_file is not None and self.forecaster != "file":
+            problems.append(
+                Problem(
+                    "options",
+                    f"is not read by the forecaster {self.forecaster}",
+                    "Add --forecaster file.",
+                    field="forecast_file",
+                    value=self.forecast_file,
+                )
+            )
         if problems:
             raise InputError(problems)
 

@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
+from math import isfinite
 from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
@@ -199,6 +200,8 @@ def _problem(details: ErrorDetails, model: type[BaseModel], where: str, row: int
         message = "is empty"
     has_value = kind not in ("missing", "too_short")
     cure = details["ctx"]["cure"] if kind == "flawed_name" else _cure(kind, owner, field)
+    if kind in ("float_type", "int_type") and _is_number(details["input"]):
+        message, cure = "is text", "Write the number without quotes."
     return Problem(
         where,
         message,
@@ -207,6 +210,14 @@ def _problem(details: ErrorDetails, model: type[BaseModel], where: str, row: int
         field=name,
         value=shown(details["input"]) if has_value else None,
     )
+
+
+def _is_number(value: object) -> bool:
+    """Whether a value is a number written as text."""
+    try:
+        return isinstance(value, str) and isfinite(float(value))
+    except ValueError:
+        return False
 
 
 def _cure(kind: str, owner: type[BaseModel], field: FieldInfo) -> str:

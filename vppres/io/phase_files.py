@@ -35,6 +35,9 @@ MODELS = {
 }
 """Tables by the last word of their file's name."""
 
+PHASE_FILES = tuple(f"phase_{name}.csv" for name in MODELS)
+"""Their names."""
+
 MUST = ("buses", "lines", "connections")
 LARGEST_CONDITION = 1e12
 """Condition of a line's impedance beyond which rounding decides its currents."""

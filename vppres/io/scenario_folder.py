@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +15,16 @@ from pydantic.fields import FieldInfo
 
 from vppres.core.arrays import Floats
 from vppres.core.errors import InputError, Problem
+from vppres.core.text import named
 from vppres.io import checks, schema
 from vppres.io.genset_rows import check_gensets, gensets_of, refuels_of
 from vppres.io.history import Columns, history_of
 from vppres.io.messages import in_order
 from vppres.io.outage_log import read_interruptions
-from vppres.io.phase_files import read_phases
+from vppres.io.phase_files import PHASE_FILES, read_phases
 from vppres.io.series import TIME, check_times, read_values
 from vppres.io.settings import SCENARIO_FILE, Settings, read_settings
-from vppres.io.tables import Table, check_columns, no_table, read_rows, read_table
+from vppres.io.tables import NAME_ANOTHER, Table, check_columns, no_table, read_rows, read_table
 from vppres.io.thermal_rows import check_thermal_loads, thermal_loads_of
 from vppres.io.vehicle_rows import chargers_of, check_vehicles, sessions_of
 from vppres.io.warning_rows import read_warnings
@@ -166,7 +168,28 @@ def _read_files(folder: Path) -> tuple[_Folder, list[Problem]]:
             continue
         tables[key], found = read_table(folder / file)
         problems += found
+    problems += _misspelt_files(folder, {SCENARIO_FILE, *names.values(), *PHASE_FILES})
+    series = tables["pv_kw"]
+    if series is not None and tables["pv"] is not None and not (folder / names["pv"]).exists():
+        systems = [name for name in series.names if name != TIME]
+        if systems:
+            message = f"the file is missing, and {series.file} has series of {named(systems)}"
+            problems.append(Problem(names["pv"], message, NAME_ANOTHER))
+            tables["pv"] = None
     return _Folder(settings, **tables), problems
+
+
+def _misspelt_files(folder: Path, known: set[str]) -> list[Problem]:
+    """Tables that are not read, and have nearly the name of one that is not there."""
+    present = {entry.name for entry in folder.iterdir()}
+    absent = {Path(name).stem: name for name in sorted(known - present)}
+    problems = []
+    for file in sorted(present - known):
+        near = get_close_matches(Path(file).stem.lower(), absent, n=1, cutoff=0.75)
+        if near and file.endswith((".csv", ".parquet")):
+            cure = f"Did you mean {absent[near[0]]}? Rename it, or name it under [files]."
+            problems.append(Problem(file, "is not read: it is no file of a scenario", cure))
+    return problems
 
 
 def _read_all_rows(content: _Folder) -> tuple[_Rows, list[Problem]]:
@@ -222,8 +245,8 @@ def _check_across(content: _Folder, rows: _Rows) -> list[Problem]:
     chargers = content.ev_chargers
     thermal = content.thermal_loads
     gensets = content.gensets
-    named = (customers, pv, batteries, chargers, thermal, gensets)
-    problems = [p for table in named if table for p in checks.check_ids(table)]
+    with_ids = (customers, pv, batteries, chargers, thermal, gensets)
+    problems = [p for table in with_ids if table for p in checks.check_ids(table)]
     if buses:
         problems += checks.check_once(buses, "bus", "Give each bus one row.")
     if lines:
@@ -340,7 +363,9 @@ def _read_columns(
     """One column of numbers per item, in the order of the items' table."""
     if table is None:
         return {}, []
-    known = items.column("id").values() if items and "id" in items.names else table.names
+    known = [*items.column("id").values()] if items and "id" in items.names else table.names
+    if len({*known}) < len(known):
+        known = table.names  # an identifier that was meant to be another is one mistake, not two
     ids = [name for name in dict.fromkeys(known) if name != TIME]
     time_cure = schema.cure(schema.SystemSeries.model_fields[TIME])
     problems = check_columns(

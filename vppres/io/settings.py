@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import tomllib
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -152,7 +153,23 @@ def check_outages(outages: list[schema.Section], grid: TimeGrid) -> list[Problem
             problems.append(
                 Problem(SCENARIO_FILE, message, day, field=f"outages[{i}].{name}", value=iso(time))
             )
-    return problems
+    return problems or _check_apart(outages)
+
+
+def _check_apart(outages: list[schema.Section]) -> list[Problem]:
+    """Outages that begin before the one before them is over."""
+    order = sorted(range(len(outages)), key=lambda i: outages[i].start)
+    return [
+        Problem(
+            SCENARIO_FILE,
+            f"begins before outages[{before + 1}] is over ({iso(outages[before].end)})",
+            "Join the two outages, or correct one of them.",
+            field=f"outages[{after + 1}].start",
+            value=iso(outages[after].start),
+        )
+        for before, after in pairwise(order)
+        if outages[after].start < outages[before].end
+    ]
 
 
 def _read_toml(path: Path) -> tuple[dict[str, Any], list[Problem]]:

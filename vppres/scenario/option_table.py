@@ -133,6 +133,8 @@ class Option:
         Whether ``run`` and ``sweep`` have it; Python always has.
     sweep : bool
         Whether a sweep can vary it.
+    live : bool
+        Whether it has a meaning for a live controller, whose plant is the site.
     """
 
     name: str
@@ -153,6 +155,7 @@ class Option:
     file_most: float = inf
     command_line: bool = True
     sweep: bool = True
+    live: bool = True
 
     @property
     def run_default(self) -> Value | None:
@@ -205,6 +208,7 @@ def _option(row: dict[str, str]) -> Option:
         file_most=float(row.get("file_most") or inf),
         command_line="python-only" not in flags,
         sweep="unswept" not in flags,
+        live="simulated" not in flags,
         **{name: row.get(name, "") for name in texts},
     )
 

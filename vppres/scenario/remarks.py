@@ -12,7 +12,6 @@ from vppres.scenario.capacitors import too_large
 from vppres.scenario.earthing import floating
 from vppres.scenario.formers import forming_batteries
 from vppres.scenario.network import LOW_VOLTAGE_KV
-from vppres.scenario.priority import STRICT
 
 if TYPE_CHECKING:
     from vppres.scenario.scenario import Scenario
@@ -242,9 +241,7 @@ def dear_export(scenario: Scenario) -> str:
 
 
 def rising_weights(scenario: Scenario) -> str:
-    """Which tier outweighs one that is named before it; empty in strict order, or if none does."""
-    if scenario.priority.rule == STRICT:
-        return ""
+    """Which tier outweighs one that is named before it; empty if none does."""
     customers = scenario.customers
     heaviest = {
         tier: float(customers.weight[customers.tier == tier].max())
