@@ -31,6 +31,7 @@ from vppres.service.limits import Limits, Rate
 from vppres.service.perimeter import MOST_STEPS_ASKED
 from vppres.service.records import Reading, seconds
 from vppres.service.runner import Runner, Service
+from vppres.service.started import started
 
 NOON = pd.Timestamp("2026-11-21T12:00Z")
 OUTAGE = {"type": "outage", "start": "2026-11-21T14:00:00Z"}
@@ -268,6 +269,33 @@ def test_other_machines_need_tokens_and_tls(certificate: tuple[Path, Path]) -> N
         service.Address(certificate=certificate[1], key=certificate[0]).check(some)
     with pytest.raises(InputError, match="is no certificate with its key"):
         service.Address(certificate=Path("nowhere.pem"), key=certificate[1]).check(some)
+
+
+def test_a_port_in_use_is_told_before_anything_is_done(tmp_path: Path) -> None:
+    said: list[str] = []
+    with service.Address(port=0).listening() as other:
+        port = other.getsockname()[1]
+        for starts in (
+            lambda: service.serve(
+                site(), tmp_path / "state", service.Address(port=port), said.append
+            ),
+            lambda: started(site(), tmp_path / "state", port).__enter__(),
+        ):
+            with pytest.raises(
+                InputError, match=f"127.0.0.1:{port}: .*in use. Give another --port"
+            ):
+                starts()
+    assert said == [] and list(tmp_path.iterdir()) == []
+
+
+def test_a_site_without_a_whole_day_leaves_no_state_behind(tmp_path: Path) -> None:
+    short = replace(site(), scenario=tiny_scenario())
+    with (
+        pytest.raises(InputError, match="does not fill a day"),
+        service.opened(short, tmp_path / "state"),
+    ):
+        pass
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_served_with_tls(tmp_path: Path, certificate: tuple[Path, Path]) -> None:

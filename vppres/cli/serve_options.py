@@ -27,7 +27,10 @@ Rehearse = Annotated[
 ]
 Paced = Annotated[
     bool,
-    typer.Option(help="Let the clock be set by PUT /v1/clock, as `vppres serve simulate` does."),
+    typer.Option(
+        help="Let the clock be set by PUT /v1/clock, as `vppres serve simulate` does. "
+        "A step is decided when POST /v1/steps asks for it, not by itself."
+    ),
 ]
 KeepDays = Annotated[
     float, typer.Option(min=1.0, help="How long readings and plans are kept, in days.")

@@ -97,6 +97,11 @@ class Service:
     paced: bool = False
     keep_days: float = KEEP_DAYS
 
+    @property
+    def profile(self) -> Profile | None:
+        """What is repeated day by day; nothing in a rehearsal."""
+        return None if self.rehearsal else Profile.of(self.scenario)
+
 
 @dataclass(frozen=True)
 class Within:
@@ -128,9 +133,13 @@ class Runner:
         Where it is kept.
     clock : Clock
         What time it is.
+    profile : Profile or None
+        Of the service.
     """
 
-    def __init__(self, service: Service, store: Store, clock: Clock) -> None:
+    def __init__(
+        self, service: Service, store: Store, clock: Clock, profile: Profile | None
+    ) -> None:
         self.store = store
         self.clock = clock
         self.rehearsal = service.rehearsal
@@ -138,7 +147,7 @@ class Runner:
         self.played = service.rehearsal or service.paced
         self.scenario = service.scenario
         self.length = self.scenario.grid.step
-        self.profile = None if service.rehearsal else Profile.of(service.scenario)
+        self.profile = profile
         self.options = _in_time(service.options, self.scenario)
         self.heard: list[Heard] = []
         self.expected: OrderedDict[str, Measurement] = OrderedDict()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import socket
 import ssl
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
@@ -63,6 +65,30 @@ class Address:
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"http{'s' if self.encrypts else ''}://{host}:{self.port}"
 
+    @contextmanager
+    def listening(self) -> Iterator[socket.socket]:
+        """A socket that listens there, closed in the end.
+
+        Raises
+        ------
+        InputError
+            If it cannot, for example because another program does.
+        """
+        kind = socket.AF_INET6 if ":" in self.host else socket.AF_INET
+        with socket.socket(kind) as sock:
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                sock.bind((self.host, self.port))
+                sock.listen()
+            except OSError as error:
+                cure = "Give another --port, or end the program that uses it."
+                if error.errno != errno.EADDRINUSE:
+                    cure = "Give an address of this machine with --host, and a port that is open."
+                message = f"cannot be listened on: {error.strerror or error}"
+                where = f"{self.host}:{self.port}"
+                raise InputError.of("options", message, cure, field="port", value=where) from error
+            yield sock
+
     def check(self, access: Access) -> None:
         """Refuse what would be open to strangers, and files that are no certificate and its key.
 
@@ -111,9 +137,10 @@ def opened(service: Service, folder: Path | str, clock: Clock | None = None) -> 
     if clock is None:
         played = service.rehearsal or service.paced
         clock = SetClock(service.scenario.grid.start) if played else SystemClock()
+    profile = service.profile  # a site without a whole day leaves no state behind
     with (
         closing(Store(folder, Site.of(service.scenario).key)) as store,
-        closing(Runner(service, store, clock)) as runner,
+        closing(Runner(service, store, clock, profile)) as runner,
     ):
         yield runner
 
@@ -174,10 +201,15 @@ def serve(
     Raises
     ------
     InputError
-        If another process serves from the folder, or the address needs what is not there.
+        If another program listens there or serves from the folder, or the address needs what is
+        not there.
     """
     targets = [target_of(text) for text in notify]
-    with opened(service, folder) as runner, notifier(service.scenario.name, targets) as tell:
+    with (
+        address.listening() as sock,
+        opened(service, folder) as runner,
+        notifier(service.scenario.name, targets) as tell,
+    ):
         runner.alarms.on_notice = tell
         access = Access(runner.store.tokens())
         address.check(access)
@@ -185,8 +217,6 @@ def serve(
         app = make_app(runner, access, hosts, address.encrypts)
         config = uvicorn.Config(
             app,
-            host=address.host,
-            port=address.port,
             log_level="warning",
             access_log=False,
             server_header=False,
@@ -203,10 +233,7 @@ def serve(
         if loop is not None:
             loop.start()
         try:
-            uvicorn.Server(config).run()
-        except SystemExit as end:  # how uvicorn says that it cannot listen
-            if end.code:
-                raise InputError(f"No service could be started at {address.url}.") from None
+            uvicorn.Server(config).run([sock])
         except KeyboardInterrupt:  # it has ended by then
             pass
         finally:
