@@ -238,7 +238,8 @@ def test_batches_that_are_too_large_are_refused(http: Caller) -> None:
            "resolution": "PT1S", "values": [0.5] * 2000}  # fmt: skip
     answer = http.post("/v1/telemetry", {"series": [one] * 11})
     assert answer.status == 422
-    assert answer.json()["detail"] == "has more than 20000 readings. Send them in parts"
+    detail = answer.json()["detail"]
+    assert detail == "request, body: has more than 20000 readings. Send them in parts."
 
 
 @pytest.fixture(scope="module")

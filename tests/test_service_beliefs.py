@@ -228,8 +228,8 @@ def test_what_would_have_to_be_rounded_is_refused(tiny: Scenario, tmp_path: Path
             ({"duration": {**TWO_HOURS, "hours": [1.0, 2.0]}}, "without a probability"),
             ({"duration": {"family": "lognormal", "median_h": 0, "sigma": 1}}, "greater than 0"),
             ({"duration": {"family": "until", "until": "2026-11-21T13:00:00Z"}}, "ends before"),
-            ({"duration": {"family": "gamma"}}, "does not match any of the expected tags"),
-            ({"limit_kw": 5}, "Input should be 0"),
+            ({"duration": {"family": "gamma"}}, "Known: lognormal, weibull"),
+            ({"limit_kw": 5}, "limit_kw = 5: must be 0."),
         ):
             answer = http.put("/v1/events/storm", {**STORM, **change})
             assert answer.status == 422 and words in answer.json()["detail"], answer.json()

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from experiments.strangers import BEGIN, empty_texts, reading, unknown_fields
-from tests.support.live_service import HERE, NOON, client, decided, site
+from tests.support.live_service import HERE, NOON, at_noon, client, decided, site
 from vppres.day.options import RunOptions
 from vppres.scenario.scenario import Scenario
 from vppres.service import payloads
@@ -22,6 +22,7 @@ from vppres.service.runner import Service
 
 BELIEVING = RunOptions(horizon_h=2.0, isolate=False, outages="belief")
 HUGE = 10**400
+SEE = "The fields are described in /openapi.json."
 LATE = "2199-12-31T00:00:00Z"
 
 
@@ -184,6 +185,40 @@ def test_a_body_of_mistakes_costs_little(
     assert answer.status == status and len(answer.json().get("problems", [])) <= 50
     # A mistake is some 1 kB and 40 us: 2.6 million are 3.3 GB and minutes.
     assert used_s < 2.0
+
+
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [
+        ({"type": "outagee"}, "body.type = outagee: is not known. Did you mean outage?"),
+        ({"start": BEGIN}, f"body.type: is missing. {SEE}"),
+        ({"type": "outage"}, f"body.outage.start: is missing. {SEE}"),
+        (
+            {"type": "outage", "start": BEGIN, "ende": BEGIN},
+            f"body.outage.ende = {BEGIN}: is not a known field. {SEE}",
+        ),
+        (
+            {"type": "import_limit", "start": BEGIN, "limit_kw": "many"},
+            f"body.import_limit.limit_kw = many: must be a valid number. {SEE}",
+        ),
+        (
+            {"type": "import_limit", "start": BEGIN, "limit_kw": -3},
+            f"body.import_limit.limit_kw = -3: must be greater than or equal to 0. {SEE}",
+        ),
+        (
+            {"type": "outage", "start": "noon"},
+            "body.outage.start = noon: is not a time. "
+            "Write ISO 8601, for example 2026-07-19T12:00:00Z.",
+        ),
+        ([], f"body: must be an object with fields. {SEE}"),
+    ],
+)
+def test_a_mistake_has_place_value_and_fix(
+    body: Any, said: str, tiny: Scenario, tmp_path: Path
+) -> None:
+    with at_noon(tiny, tmp_path) as (http, _):
+        answer = http.put("/v1/events/storm", body)
+        assert (answer.status, answer.json()["detail"]) == (422, f"request, {said}")
 
 
 def test_a_batch_of_mistakes_is_told_by_its_first_series() -> None:

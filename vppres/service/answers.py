@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -13,12 +14,25 @@ from starlette.exceptions import HTTPException
 
 from vppres.core.errors import InputError, Problem, StorageError, VppresError
 from vppres.core.text import visible
+from vppres.io.messages import did_you_mean
 from vppres.service.access import Denied
 from vppres.service.records import ChangedError, UnknownError
 
 PROBLEM = "application/problem+json"
 MOST_PROBLEMS = 50
 STATUSES = {StorageError: 503, ChangedError: 412, UnknownError: 404}
+
+SEE = "The fields are described in /openapi.json."
+SHOULD = re.compile(r"^\w+ should ")
+QUOTED = re.compile(r"'([^']*)'")
+SHORT = {
+    "missing": "is missing",
+    "union_tag_not_found": "is missing",
+    "extra_forbidden": "is not a known field",
+    "json_invalid": "is not JSON",
+    "model_attributes_type": "must be an object with fields",
+}
+"""Mistakes by the kind that the library gives them."""
 
 TITLES = {
     400: "The request cannot be read",
@@ -40,17 +54,8 @@ def answer_errors(app: FastAPI) -> None:
 
     @app.exception_handler(RequestValidationError)
     async def mistaken(_: Request, error: RequestValidationError) -> Response:
-        problems = [
-            Problem(
-                "request",
-                str(details["msg"]).removeprefix("Value error, "),
-                "The fields are described in /openapi.json.",
-                field=".".join(str(part) for part in details["loc"])[:200],
-                value=_sent(details),
-            )
-            for details in error.errors()[:MOST_PROBLEMS]
-        ]
-        return problem_answer(422, problems[0].message, problems)
+        problems = [_problem(details) for details in error.errors()[:MOST_PROBLEMS]]
+        return problem_answer(422, str(problems[0]), problems)
 
     @app.exception_handler(VppresError)
     async def known(_: Request, error: VppresError) -> Response:
@@ -72,6 +77,27 @@ def answer_errors(app: FastAPI) -> None:
     async def unforeseen(_: Request, error: Exception) -> Response:
         # What it was stands in the log of the service, and nowhere else.
         return problem_answer(500, "The service has a mistake. Its log says which.")
+
+
+def _problem(details: Mapping[str, Any]) -> Problem:
+    """A mistake in a request in our words: those of the library are no sentence with a place."""
+    kind, context = details["type"], details.get("ctx", {})
+    place, value = list(details["loc"]), _sent(details)
+    # "Input should be a valid number, unable to parse ...", "String should have at most ..."
+    message, cure = SHOULD.sub("must ", str(details["msg"])).partition(", ")[0], SEE
+    message = message.removesuffix(" after validation")
+    if kind == "value_error":  # our own: what is wrong, and what to do
+        said, _, advice = str(details["msg"]).removeprefix("Value error, ").partition(". ")
+        message, cure = said, f"{advice}." if advice else SEE
+    elif kind.startswith("union_tag_"):
+        place.append(context["discriminator"].strip("'"))
+        value = context.get("tag")
+    names = QUOTED.findall(context.get("expected_tags") or context.get("expected") or "")
+    if names:
+        message, cure = "is not known", did_you_mean(str(value), names, SEE)
+    elif kind in SHORT:
+        message = SHORT[kind]
+    return Problem("request", message, cure, field=".".join(map(str, place))[:200], value=value)
 
 
 def _sent(details: Mapping[str, Any]) -> str | float | None:
