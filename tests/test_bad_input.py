@@ -33,6 +33,7 @@ from vppres.feeders import import_network
 from vppres.io import find_scenario, read_scenario, scenario_digest, write_scenario
 from vppres.io.messages import MAX_PROBLEMS_PER_FILE, MAX_PROBLEMS_PER_KIND
 from vppres.io.python_door import check_scenario
+from vppres.scenario.network import check_radial
 
 GRID_CURE = "The scenario's steps begin at 2022-07-19T10:00:00Z and last 60 min; there are 6."
 FILE_CURE = "Add it, or name another file under [files] in scenario.toml."
@@ -112,6 +113,15 @@ def test_a_misspelt_file_is_not_left_out_in_silence(tiny_folder: Path) -> None:
         "battery.csv: is not read: it is no file of a scenario. Did you mean batteries.csv? Rename "
         "it, or name it under [files]."
     ]
+
+
+def test_a_misspelt_bus_of_a_line_is_found() -> None:
+    ends = (["grid", "market", "market"], ["markt", "shop", "mill"])
+    (problem,) = check_radial(*(np.array(end, dtype=object) for end in ends), "grid")
+    assert str(problem) == (
+        "lines, row 1: the network is disconnected: no path from the slack bus to bus market, shop, "
+        "mill. Are market and markt one bus? Otherwise add the missing line or remove these buses."
+    )
 
 
 def test_missing_scenario_file(tiny_folder: Path) -> None:

@@ -388,7 +388,8 @@ def test_nothing_is_asked_unless_a_feed_is_named(monkeypatch: pytest.MonkeyPatch
     assert listed.exit_code == 0
     assert [line.split(":")[0] for line in listed.stdout.splitlines()] == list(FEEDS)
     assert "no postcode" in call("feeds", "ukpn", "--postcode", "London").stderr
-    assert "is not known" in call("feeds", "spen", "--postcode", "CM4").stderr
+    told = call("feeds", "ukpnn").stderr
+    assert "feed = ukpnn: is not a feed. Did you mean ukpn?" in " ".join(told.split())
 
 
 def test_a_recorded_day_is_shown_by_the_command(tmp_path: Path) -> None:

@@ -255,13 +255,12 @@ def test_feeders_that_cannot_be_a_scenario(tagged: ImportedFeeder) -> None:
             replace(
                 tagged,
                 p_load_kw=0.0 * tagged.p_load_kw,
-                tier=np.where(tagged.tier == "low", "vip", tagged.tier),
+                tier=np.where(tagged.tier == "low", "hihg", tagged.tier),
             )
         )
     assert str(caught.value) == (
         "pandapower net: has no load. Add the loads to the source: each bus with a load becomes a "
-        "customer.\npandapower net, tier = vip: is not a tier. Write critical, high, low into the "
-        "loads' column tier, or leave it empty."
+        "customer.\npandapower net, tier = hihg: is not a tier (load at bus 4). Did you mean high?"
     )
 
 

@@ -269,7 +269,7 @@ WHOLE = {
 
 def test_every_element_has_its_power_flow() -> None:
     case = {name: np.array(table, float) for name, table in WHOLE.items()}
-    net = net_of(case | {"baseMVA": np.array([[10.0]])}, "whole.m")
+    net, _ = net_of(case | {"baseMVA": np.array([[10.0]])}, "whole.m")
     pp.runpp(net, calculate_voltage_angles=True, tolerance_mva=1e-9, numba=False)
     # The last generator of bus 10 has the say on its voltage.
     own = voltages(10.0, case["bus"], case["gen"], case["branch"])
@@ -281,9 +281,13 @@ def test_every_element_has_its_power_flow() -> None:
 def test_a_reference_is_chosen_as_in_matpower() -> None:
     case = {name: np.array(table, float) for name, table in WHOLE.items()}
     case["gen"][:2, 7] = 0  # none in service at the swing bus
-    net = net_of(case | {"baseMVA": np.array([[10.0]])}, "whole.m")
+    net, notes = net_of(case | {"baseMVA": np.array([[10.0]])}, "whole.m")
     assert net.ext_grid["bus"].tolist() == [30]
     assert len(net.gen) == 0
+    assert notes == (
+        "No generator in service is at a bus of type 3: bus 30, the first of type 2, is the grid "
+        "connection.",
+    )
 
 
 def test_ratings_are_those_of_the_file(tmp_path: Path) -> None:
@@ -291,7 +295,7 @@ def test_ratings_are_those_of_the_file(tmp_path: Path) -> None:
     case = {name: np.array(table, float) for name, table in WHOLE.items()}
     case["branch"] = case["branch"][[0, 1, 3, 6]]
     case["gen"][2, 7] = 0
-    net = net_of(case | {"baseMVA": np.array([[10.0]])}, "whole.m")
+    net, _ = net_of(case | {"baseMVA": np.array([[10.0]])}, "whole.m")
     network = import_network(net, balance=True).network
     i_max_a = dict(zip(network.to_bus, network.i_max_a, strict=True))
     assert i_max_a.pop(30) == pytest.approx(5e3 / (np.sqrt(3) * 11))

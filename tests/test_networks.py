@@ -365,6 +365,11 @@ def test_impedances_by_hand() -> None:
             "Correct it in the source, or take the element out of service.",
         ),
         (
+            lambda net: net.load.__setitem__("bus", 99),
+            "pandapower net, load 0 (mill), bus = 99: is not a bus of the net. Correct it in the "
+            "source, or take the element out of service.",
+        ),
+        (
             lambda net: net.line.__setitem__("to_bus", 0),
             "pandapower net: line 0 (feeder) begins and ends at bus 0. Correct its buses, or take it "
             "out of service.",

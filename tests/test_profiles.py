@@ -136,17 +136,17 @@ def test_series_of_batteries_are_named(feeder: ImportedFeeder, tmp_path: Path) -
         ),
         (
             {"bakry_kw": RISING},
-            "a.csv, id = bakry: is neither an asset of the scenario nor an element of the network. Did "
+            "a.csv, column = bakry_kw: is neither an asset of the scenario nor an element of the network. Did "
             "you mean bakery?",
         ),
         (
             {"bakery_kw": -RISING},
-            "profiles, customer = c1: falls to -23 kW. Demand and generation count from 0: give "
+            "a.csv, customer = c1: falls to -23 kW at 2025-07-01T23:00:00Z. Demand and generation count from 0: give "
             "generation as a system of its own.",
         ),
         (
             {"roof_mw": RISING},
-            "profiles, system = pv2: reaches 2.3e+04 kW, and its largest power is 40 kW. Correct the "
+            "a.csv, system = pv2: reaches 2.3e+04 kW at 2025-07-01T23:00:00Z, and its largest power is 40 kW. Correct the "
             "unit of the series, or the power in the network.",
         ),
         (
@@ -156,7 +156,7 @@ def test_series_of_batteries_are_named(feeder: ImportedFeeder, tmp_path: Path) -
         ),
         (
             {"bakery_kw": RISING, "load 0_kw": RISING},
-            "a.csv, id = load 0: has a series already. Keep one series for each element.",
+            "a.csv, column = load 0_kw: has a series already. Keep one series for each element.",
         ),
     ],
 )

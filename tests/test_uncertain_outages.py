@@ -252,6 +252,15 @@ def test_what_has_no_meaning_is_refused(tiny: Scenario, controller: str, kind: s
         run_day(tiny, RunOptions(controller=controller, outages=kind))
 
 
+def test_a_horizon_within_a_step_is_refused(tiny: Scenario) -> None:
+    with pytest.raises(InputError) as caught:
+        run_day(tiny, RunOptions(horizon_h=0.5))
+    assert str(caught.value) == (
+        "options, horizon_h = 0.5: is shorter than a step of 1 h. Give 1 or more, or 0 for the present "
+        "step alone."
+    )
+
+
 def test_a_scenario_may_ask_for_it(tiny: Scenario) -> None:
     asked = replace(tiny, controller=ControllerDefaults(mode="paper", outages="none"))
     assert RunOptions().on(asked).outages == "none"

@@ -676,8 +676,9 @@ def _follower(
     from vppres.feeds.follow import Follower, events_at
     from vppres.feeds.incidents import check_areas
 
+    source = feed_named(feed)
     areas = check_areas(postcodes or ())
-    return Follower(feed_named(feed), areas, events_at(service, token), typer.echo)
+    return Follower(source, areas, events_at(service, token), typer.echo)
 
 
 @app.command(epilog="Example: vppres backtest data/homes --zone Etc/GMT+8 --out results/backtest")

@@ -76,6 +76,7 @@ def make_controller(
     check_dimmed(scenario, options)
     check_phased(scenario, options)
     check_kinds(scenario, options)
+    check_horizon(options, grid)
     check_prices(scenario, options.horizon_h, options.seed)
     check_fuel(scenario)
     check_outages(str(options.outages), options.controller)
@@ -111,6 +112,24 @@ def make_controller(
         off_h = hours_off(scenario.interruptions, scenario.customers.id)
         return Rotating(controllers(), scenario, rules, off_h)
     return decider_of(site)
+
+
+def check_horizon(options: RunOptions, grid: TimeGrid) -> None:
+    """Refuse a horizon of the MPC that ends within the present step, which reads like more.
+
+    Raises
+    ------
+    InputError
+        If it is neither 0 nor a step at least.
+    """
+    if options.controller == "mpc" and 0.0 < options.horizon_h < grid.dt_h:
+        raise InputError.of(
+            "options",
+            f"is shorter than a step of {grid.dt_h:g} h",
+            f"Give {grid.dt_h:g} or more, or 0 for the present step alone.",
+            field="horizon_h",
+            value=options.horizon_h,
+        )
 
 
 def check_fairness(controller: str) -> None:

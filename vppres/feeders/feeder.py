@@ -74,6 +74,8 @@ class Profile:
         ``kw``, ``mw``, ``pu`` of the element's power, or empty where nothing says.
     factor : float
         What the values are multiplied by, before the unit.
+    column : str
+        Column of the file; empty where the name stands in rows.
     """
 
     where: str
@@ -81,6 +83,7 @@ class Profile:
     values: pd.Series[float]
     unit: str = ""
     factor: float = 1.0
+    column: str = ""
 
 
 @dataclass(frozen=True, eq=False)

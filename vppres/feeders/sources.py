@@ -20,7 +20,7 @@ from vppres.feeders.feeder import ImportedFeeder, Profile
 from vppres.feeders.net.balance import PhasePowers, balance_net, balanced, phase_powers
 from vppres.feeders.net.changes import Changes, changed
 from vppres.feeders.net.names import bus_names
-from vppres.feeders.net.numbers import missing_numbers
+from vppres.feeders.net.numbers import missing_numbers, unknown_buses
 from vppres.feeders.net.reduce import feeder_of
 from vppres.feeders.series.source import control_profiles, controls_in_json, profiles_of
 from vppres.io.messages import did_you_mean, folded
@@ -140,7 +140,7 @@ def _to_blame(path: Path, what: str) -> Iterator[None]:
 
 def _feeder(found: _Net, name: str, changes: Changes) -> ImportedFeeder:
     """The feeder of a net, after the changes that were asked for."""
-    problems = folded(missing_numbers(found.net, name))
+    problems = folded([*unknown_buses(found.net, name), *missing_numbers(found.net, name)])
     if problems:
         raise InputError(problems)
     notes = found.notes
@@ -277,7 +277,8 @@ def _matpower(path: Path) -> _Net:
     if read is None:
         raise _unreadable(path, what, "its name ends in neither .m nor .mat")
     with _to_blame(path, what):
-        return _Net(read(path))
+        net, notes = read(path)
+    return _Net(net, notes=notes)
 
 
 def _opendss(path: Path, by_phase: bool) -> _Net:

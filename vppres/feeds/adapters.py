@@ -11,6 +11,7 @@ from typing import Any
 
 from vppres.core.errors import InputError
 from vppres.feeds.incidents import Answer, Incident, time_in
+from vppres.io.messages import did_you_mean
 
 Row = Mapping[str, Any]
 
@@ -156,7 +157,11 @@ def feed_named(name: str) -> Feed:
     """
     if name not in FEEDS:
         raise InputError.of(
-            "options", "is not known", f"Use one of: {', '.join(FEEDS)}.", field="feed", value=name
+            "options",
+            "is not a feed",
+            did_you_mean(name, FEEDS, "Correct the feed."),
+            field="feed",
+            value=name,
         )
     return FEEDS[name]
 

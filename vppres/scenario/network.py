@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
 from functools import cached_property
 from itertools import islice
 from typing import Any
@@ -420,13 +421,19 @@ def check_radial(from_bus: Names, to_bus: Names, slack_bus: BusId) -> list[Probl
     ]
     count, label = connected_components(graph, directed=False)
     if count > 1:
-        lost = [str(b) for b in names if label[names[b]] != label[names[slack_bus]]]
+        home = label[names[slack_bus]]
+        lost = [b for b in names if label[names[b]] != home]
+        row = next(i for i, bus in enumerate(from_bus) if label[names[bus]] != home)
+        reached = [b for b in names if isinstance(b, str) and label[names[b]] == home]
+        alike = [(b, near) for b in lost for near in get_close_matches(str(b), reached, n=1)]
+        question = "Are {} and {} one bus? Otherwise add".format(*alike[0]) if alike else "Add"
         problems.append(
             Problem(
                 "lines",
                 "the network is disconnected: no path from the slack bus "
-                f"to bus {', '.join(lost[:8])}{' ...' if len(lost) > 8 else ''}",
-                "Add the missing line or remove these buses.",
+                f"to bus {', '.join(map(str, lost[:8]))}{' ...' if len(lost) > 8 else ''}",
+                f"{question} the missing line or remove these buses.",
+                row=row,
             )
         )
     problems += [

@@ -35,7 +35,7 @@ F_HZ = 50.0  # pandapower has charging as capacitance; any frequency gives it ba
 Case = dict[str, Floats]
 
 
-def read_m(path: Path) -> Any:
+def read_m(path: Path) -> tuple[Any, tuple[str, ...]]:
     """A case written as a MATLAB function; the units that it converts are computed, nothing is run.
 
     Raises
@@ -57,7 +57,7 @@ def read_m(path: Path) -> Any:
     return net_of(case, path.name)
 
 
-def read_mat(path: Path) -> Any:
+def read_mat(path: Path) -> tuple[Any, tuple[str, ...]]:
     """A case in MATLAB's binary format, unpacked in a process of its own.
 
     Raises
@@ -77,8 +77,8 @@ def read_mat(path: Path) -> Any:
     )
 
 
-def net_of(case: Case, name: str) -> Any:
-    """The net of a case's tables, its buses numbered as in the case.
+def net_of(case: Case, name: str) -> tuple[Any, tuple[str, ...]]:
+    """The net of a case's tables, its buses numbered as in the case, and what was chosen.
 
     Parameters
     ----------
@@ -90,8 +90,10 @@ def net_of(case: Case, name: str) -> Any:
 
     Returns
     -------
-    pandapowerNet
+    net : pandapowerNet
         Branches with a ratio, a phase shift or two levels become transformers, others lines.
+    notes : tuple of str
+        The grid connection, if the case names none.
 
     Raises
     ------
@@ -112,9 +114,10 @@ def net_of(case: Case, name: str) -> Any:
         net, len(bus), _of(bus, "BASE_KV"), index=numbers, in_service=_of(bus, "BUS_TYPE") != 4
     )
     _add_powers(net, bus, numbers)
-    _add_generators(net, case["gen"], dict(zip(numbers, _whole(bus, "BUS_TYPE"), strict=True)))
+    kind_of = dict(zip(numbers, _whole(bus, "BUS_TYPE"), strict=True))
+    notes = _add_generators(net, case["gen"], kind_of)
     _add_branches(net, case["branch"])
-    return net
+    return net, notes
 
 
 def _of(table: Floats, column: str) -> Floats:
@@ -205,7 +208,7 @@ def _add_powers(net: Any, bus: Floats, numbers: Wholes) -> None:
     pp.create_shunts(net, numbers[shunted], q_mvar=-b_mvar[shunted], p_mw=g_mw[shunted])
 
 
-def _add_generators(net: Any, gen: Floats, kind_of: dict[int, int]) -> None:
+def _add_generators(net: Any, gen: Floats, kind_of: dict[int, int]) -> tuple[str, ...]:
     """The first generator in service of a bus holds its voltage, if the bus's type says so.
 
     Type 3 makes an external grid of it, type 2 a generator; all others have a fixed power. Without
@@ -216,8 +219,14 @@ def _add_generators(net: Any, gen: Floats, kind_of: dict[int, int]) -> None:
     on = gen[_of(gen, "GEN_STATUS") > 0]
     at = _whole(on, "GEN_BUS")
     kind = np.array([kind_of[bus] for bus in at], dtype=int)
+    notes: tuple[str, ...] = ()
     if len(on) and not (kind == ALL["REF"]).any() and (kind == ALL["PV"]).any():
-        kind[at == at[np.argmax(kind == ALL["PV"])]] = ALL["REF"]
+        reference = at[np.argmax(kind == ALL["PV"])]
+        kind[at == reference] = ALL["REF"]
+        notes = (
+            f"No generator in service is at a bus of type 3: bus {reference}, the first of type 2, "
+            "is the grid connection.",
+        )
     _, first = np.unique(at, return_index=True)
     holds = np.isin(np.arange(len(on)), first)
     # Where several hold one bus, the last has the say.
@@ -229,6 +238,7 @@ def _add_generators(net: Any, gen: Floats, kind_of: dict[int, int]) -> None:
         pp.create_gen(net, at[row], p_mw=p_mw, vm_pu=v_pu[at[row]], sn_mva=s_mva)
     fixed = ~holds | (kind == ALL["PQ"])
     pp.create_sgens(net, at[fixed], _of(on, "PG")[fixed], _of(on, "QG")[fixed], type="")
+    return notes
 
 
 def _add_branches(net: Any, branch: Floats) -> None:

@@ -50,6 +50,25 @@ NEEDED = {
 """Columns of each table that must be finite numbers for elements in service."""
 
 
+ENDS = ("bus", "from_bus", "to_bus", "hv_bus", "mv_bus", "lv_bus")
+"""Columns that name buses."""
+
+
+def unknown_buses(net: Any, name: str) -> Iterator[Problem]:
+    """Elements in service at a bus that the net lacks; parameters as of :func:`missing_numbers`."""
+    for table in (*NEEDED, "switch"):
+        frame = in_service(net, table) if table in net and table != "bus" else pd.DataFrame()
+        for column in frame.columns.intersection([*ENDS]):
+            for i in frame.index[~frame[column].isin(net.bus.index)]:
+                yield Problem(
+                    name,
+                    "is not a bus of the net",
+                    "Correct it in the source, or take the element out of service.",
+                    field=f"{label(net, table, i)}, {column}",
+                    value=frame[column].at[i],
+                )
+
+
 def missing_numbers(net: Any, name: str) -> Iterator[Problem]:
     """Cells of elements in service that hold no finite number.
 

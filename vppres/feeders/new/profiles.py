@@ -18,6 +18,7 @@ from vppres.feeders.series.files import units_missing
 from vppres.feeders.series.resample import OnGrid, on_grid
 from vppres.io.checks import RATING_TOLERANCE
 from vppres.io.messages import Suggestions, folded
+from vppres.io.times import iso
 from vppres.scenario.network import BusId
 from vppres.scenario.timegrid import TimeGrid
 
@@ -171,14 +172,17 @@ def place_profiles(
         if target.kind == "system series":
             system[profile.name] = values.values
         elif key in placed:
-            problems.append(_twice(profile))
+            problems.append(
+                _problem(profile, "has a series already", "Keep one series for each element.")
+            )
         else:
             placed[key] = profile.factor * _scale(profile, target) * values.values
     load_kw, load_notes = _loads(placed, feeder, assets, shapes[0])
     pv_kw, pv_notes = _systems(placed, feeder, assets, shapes[1])
-    problems += _negative(load_kw, assets.customers.id, "customer")
-    problems += _negative(pv_kw, assets.pv.id, "system")
-    problems += _too_large(pv_kw, assets)
+    files = named(dict.fromkeys(profile.where for profile in profiles))
+    problems += _negative(load_kw, assets.customers.id, "customer", files, grid)
+    problems += _negative(pv_kw, assets.pv.id, "system", files, grid)
+    problems += _too_large(pv_kw, assets, files, grid)
     if problems:
         raise InputError(folded(problems))
     notes = [
@@ -253,7 +257,7 @@ class _Sorter:
         else:
             message = "is neither an asset of the scenario nor an element of the network"
             cure = self.suggestions.cure(profile.name)
-        return None, [Problem(profile.where, message, cure, field="id", value=profile.name)]
+        return None, [_problem(profile, message, cure)]
 
 
 def _scale(profile: Profile, target: _Target) -> float:
@@ -261,14 +265,11 @@ def _scale(profile: Profile, target: _Target) -> float:
     return _KW.get(profile.unit, target.rating_kw)
 
 
-def _twice(profile: Profile) -> Problem:
-    return Problem(
-        profile.where,
-        "has a series already",
-        "Keep one series for each element.",
-        field="id",
-        value=profile.name,
-    )
+def _problem(profile: Profile, message: str, cure: str) -> Problem:
+    """What is wrong with a series, by its column, or by the name that its rows have."""
+    field = "column" if profile.column else "id"
+    value = profile.column or profile.name
+    return Problem(profile.where, message, cure, field=field, value=value)
 
 
 def _loads(
@@ -344,12 +345,13 @@ def _told_gap(profile: Profile, found: OnGrid) -> Iterator[str]:
         yield f"{profile.name} ({found.filled} values, up to {found.longest_gap_min:g} min)"
 
 
-def _negative(values: Floats, names: Names, what: str) -> list[Problem]:
+def _negative(values: Floats, names: Names, what: str, files: str, grid: TimeGrid) -> list[Problem]:
     """Assets whose series falls below zero."""
     return [
         Problem(
-            "profiles",
-            f"falls to {values[:, i].min():.4g} kW",
+            files,
+            f"falls to {values[:, i].min():.4g} kW at "
+            f"{iso(grid.times[int(values[:, i].argmin())])}",
             "Demand and generation count from 0: give generation as a system of its own.",
             field=what,
             value=names[i],
@@ -358,14 +360,15 @@ def _negative(values: Floats, names: Names, what: str) -> list[Problem]:
     ]
 
 
-def _too_large(pv_kw: Floats, assets: NewAssets) -> list[Problem]:
+def _too_large(pv_kw: Floats, assets: NewAssets, files: str, grid: TimeGrid) -> list[Problem]:
     """Systems whose series exceeds their largest power."""
     pv = assets.pv
     most = pv_kw.max(axis=0, initial=0.0)
     return [
         Problem(
-            "profiles",
-            f"reaches {most[i]:.4g} kW, and its largest power is {pv.p_max_kw[i]:.4g} kW",
+            files,
+            f"reaches {most[i]:.4g} kW at {iso(grid.times[int(pv_kw[:, i].argmax())])}, and its "
+            f"largest power is {pv.p_max_kw[i]:.4g} kW",
             "Correct the unit of the series, or the power in the network.",
             field="system",
             value=pv.id[i],

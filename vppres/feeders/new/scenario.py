@@ -33,6 +33,7 @@ from vppres.feeders.new.profiles import Series, place_profiles, timed
 from vppres.feeders.series.files import Reading, read_profiles
 from vppres.io import atomic_folder
 from vppres.io.editor import add_editor_schema
+from vppres.io.messages import did_you_mean
 from vppres.io.scenario_writer import fill_scenario_folder
 from vppres.scenario.assets import PV, Batteries, PVSystems
 from vppres.scenario.capacitors import too_large
@@ -256,8 +257,8 @@ def _check_feeder(feeder: ImportedFeeder, options: NewScenarioOptions) -> list[P
     problems += [
         Problem(
             feeder.name,
-            "is not a tier",
-            f"Write {', '.join(TIER_WEIGHTS)} into the loads' column tier, or leave it empty.",
+            f"is not a tier (load at bus {feeder.network.buses[feeder.tier == tier][0]})",
+            did_you_mean(tier, TIER_WEIGHTS, "Correct the loads' column tier, or leave it empty."),
             field="tier",
             value=tier,
         )

@@ -125,8 +125,9 @@ def _wide(
         values, found = _numbers(table, column)
         problems += found
         if len(times) == len(values):
+            series = pd.Series(values, times)
             profiles.append(
-                Profile(table.file, stem if single else name, pd.Series(values, times), unit)
+                Profile(table.file, stem if single else name, series, unit, column=column)
             )
     return profiles, problems
 
