@@ -296,23 +296,25 @@ def polished(task: WindowTask, found: Candidate) -> Candidate | None:
 
     What only minimises cost has any reactive power that the discs allow. Its losses would be the
     next pass's in physical mode, and from there it may never agree with AC. The least reactive
-    power knows the paper's rows alone: with phases the dispatch stays as it is then.
+    power knows the paper's rows alone: with phases, or what the page adds, the dispatch stays as it
+    is then. Shares of dimmed customers that a voltage limit decides leave tie-breakers no inside.
     """
     if not task.settles and (first := as_it_is(task, found)):
         return first
     better = with_tie_breakers(task, found)
-    if better is not None or task.own:
+    if better is not None:
         return better
-    if task.data.phased is not None:
+    if task.data.phased is not None and not task.own:
         return with_tie_breakers(task, found, inside=True) or as_it_is(task, found)
-    return with_least_reactive(task, found)
+    return as_it_is(task, found) if task.own else with_least_reactive(task, found)
 
 
 def as_it_is(task: WindowTask, found: Candidate) -> Candidate | None:
     """A dispatch of the network with the reactive power that it has."""
     data = task.data.for_service(found.dispatch.served)
     known = Outcome(Status.OPTIMAL, np.nan, np.nan, 0.0)
-    return carried(task, data, found, Attempt(known, found.dispatch))
+    own = OwnValues(found.terms.own, found.letters)
+    return carried(task, data, found, Attempt(known, found.dispatch, own=own))
 
 
 def with_least_reactive(task: WindowTask, found: Candidate) -> Candidate | None:

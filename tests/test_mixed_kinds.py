@@ -1,0 +1,76 @@
+"""Random windows with random mixes of all kinds of assets, beside the whole problem."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from experiments.random_feeders import random_window
+from tests.support.agreement import both_methods
+from tests.support.homes import with_random_homes
+from tests.support.sets import random_sets
+from tests.support.vans import with_random_vehicles
+from vppres.contract.ahead import KindsAhead
+from vppres.contract.switching import SwitchingState
+from vppres.model.data import WindowData
+from vppres.model.site import Site
+from vppres.model.violations import broken
+from vppres.plant.plant import Plant
+from vppres.scenario.gensets import GensetState
+from vppres.scenario.rules import SwitchingRules
+from vppres.scenario.scenario import Scenario
+
+OFTEN = 0.7
+"""Share of windows that have a kind; most have three or more of the five."""
+
+
+def mixed(seed: int) -> tuple[Scenario, WindowData]:
+    """A window with vehicles, rooms, sets, dimmed customers, longest times off, or not, of each.
+
+    Half of the vehicles that are yet to come are expected and not known.
+    """
+    day, data = random_window(seed, stressed=seed % 2 > 0)
+    rng = np.random.default_rng([seed, 51])
+    vehicles, rooms, sets, dimmed, limited = rng.random(5) < OFTEN
+    count, dt_h = len(day.customers), day.grid.dt_h
+    if vehicles:
+        day = with_random_vehicles(day, seed)
+    if rooms:
+        day = with_random_homes(day, rng)
+    if sets:
+        day = replace(day, gensets=random_sets(rng, day))
+    if dimmed:
+        share_min = np.where(rng.random(count) < 0.5, rng.choice([0.1, 0.3, 0.7], count), 1.0)
+        day = replace(day, customers=replace(day.customers, share_min=share_min))
+    if limited:
+        longest_h = np.where(rng.random(count) < 0.6, dt_h * rng.integers(0, 3, count), np.nan)
+        day = replace(day, customers=replace(day.customers, max_off_h=longest_h))
+    held_kwh = Plant(day).garage.held_kwh(0)
+    at_first = GensetState.at_first(day.gensets)
+    steps = range(data.n_steps)
+    ahead = KindsAhead.of(day, steps, held_kwh, day.thermal_loads.t_initial_c, at_first, None)
+    if ahead.plugged is not None:
+        known = ahead.plugged.here & (ahead.plugged.here[0] | (rng.random(held_kwh.shape) < 0.5))
+        ahead = replace(ahead, plugged=replace(ahead.plugged, known=known))
+    data = replace(data, ahead=ahead)
+    state = SwitchingState.of(SwitchingRules(), day.customers, dt_h)
+    if state is not None:
+        rules = state.window(data.n_steps).priced(Site.of(day).hour_beyond, dt_h)
+        data = replace(data, switching=None if rules.idle else rules)
+    return day, data
+
+
+@pytest.mark.monolith
+@pytest.mark.parametrize("seed", range(200))
+def test_random_mixes_are_sound_and_no_worse_than_the_whole_problem(seed: int) -> None:
+    """No bound is wrong, no row broken, and what the whole problem certifies is certified."""
+    day, data = mixed(seed)
+    site = Site.of(day)
+    one, other = both_methods(site, data)
+    gap = 1e-4 * max(abs(other.objective), 0.01) + 1e-6
+    assert min(one.bound, other.bound) >= max(one.objective, other.objective) - gap
+    assert one.objective >= other.objective - 2.0 * gap
+    assert one.status == "optimal" or other.status != "optimal"
+    assert not broken(site, data, one.dispatch)
