@@ -137,6 +137,21 @@ def test_what_a_crew_says_is_an_event_that_the_service_takes(
         assert told(http, tmp_path)["verdict"][1].startswith("Outage until 19:00")
 
 
+def test_a_contradicted_loss_of_the_grid_comes_first(tiny: Scenario, tmp_path: Path) -> None:
+    clock = SetClock(NOON)
+    with opened(Service(site(tiny), HERE), tmp_path / "state", clock) as runner:
+        http = Caller(make_app(runner, Access()))
+        series = readings(NOON, "grid_on", {"grid": 0.0})
+        flow = {**readings(NOON, "import_kw", {"grid": 80.0})[0], "resolution": "PT30S"}
+        http.post("/v1/telemetry", {"series": [*series, flow]})
+        decided(http, clock, NOON + pd.Timedelta("1min"))
+        assert told(http, tmp_path)["verdict"] == [
+            "alarm",
+            "Readings contradict each other on whether there is grid: supply is uncertain.",
+            "The plan ignores a reading: grid_on = 0 of scada is contradicted by an import of 80 kW.",
+        ]
+
+
 def test_an_outage_of_a_rehearsal_is_not_called_announced(tiny: Scenario, tmp_path: Path) -> None:
     """The service knows it from the scenario."""
     day = site(tiny)

@@ -324,7 +324,7 @@ function showOff() {
     const parts = Object.entries(dimmed).map(([asset, share]) => `${asset} to ${Math.round(100 * share)}%`);
     const below = parts.length ? [node("p", {}, `Dimmed: ${list(parts, 12)}.`)] : [];
     // Without a phase it is the plan's words again.
-    const step = explained?.phase ? explained.step.words : off.length ? "" : isUncertain(view) ? "Supply is uncertain until there is a new plan." : "All customers supplied.";
+    const step = explained?.phase ? explained.step.words : off.length ? "" : isUncertain(view) ? "Supply is uncertain." : "All customers supplied.";
     if (step) below.unshift(node("p", {}, step));
     if (!off.length) return below;
     const told = off.map((one) => ({ ...one, why: why(one, explained, status) }));

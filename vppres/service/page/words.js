@@ -79,11 +79,17 @@ export const isLostByReading = (view) => gridReading(view)?.value === 0 && !view
 // Whether the grid was read to be lost after the plan was made that counts on it.
 export function unawareOfLoss(view) {
   const { plan } = view.overview, read = gridReading(view);
-  return read?.value === 0 && plan?.grid?.available === true && new Date(read.at) >= new Date(plan.valid_from ?? plan.start);
+  return read?.value === 0 && plan?.grid?.available === true && !contradiction(view) && new Date(read.at) >= new Date(plan.valid_from ?? plan.start);
 }
 
-// Whether supply is uncertain: the plan counts on a grid that is lost, or has ended.
-export const isUncertain = (view) => unawareOfLoss(view) || view.overview.ahead_s <= 0;
+// Why the plan ignores a reading that the grid is lost; empty if it does not, or if there is a newer one.
+function contradiction(view) {
+  const { plan } = view.overview;
+  return (!plan?.unaware_of?.length && plan?.estimated?.find((words) => words.startsWith("grid_on "))) || "";
+}
+
+// Whether supply is uncertain: the plan counts on a grid that is or may be lost, or has ended.
+export const isUncertain = (view) => unawareOfLoss(view) || contradiction(view) !== "" || view.overview.ahead_s <= 0;
 
 const OF_OUTAGES = ["outage", "outage_belief", "restoration"];
 const MOMENT = /\d{4}-\d\d-\d\dT[\d:.]+Z/g;
@@ -114,6 +120,7 @@ export function verdict(view) {
   const uncertain = outage(view) || gridReading(view)?.value === 0 ? " There is no grid: supply is uncertain." : "";
   if (ahead_s <= 0) return [ALARM, `The plan ended at ${at(new Date(new Date(plan.start).getTime() + view.site.step_s * 1000))}, and there is no new one.${uncertain}`, ends];
   if (unawareOfLoss(view)) return [ALARM, `Grid lost, read at ${at(gridReading(view).at)}. The plan of ${at(plan.valid_from ?? plan.start)} does not know it: supply is uncertain.`, "A new plan follows."];
+  if (contradiction(view)) return [ALARM, "Readings contradict each other on whether there is grid: supply is uncertain.", `The plan ignores a reading: ${contradiction(view)}.`];
   if (plan.status === "failed") return [ALARM, "No plan for this step. It is decided by rule.", plan.reason];
   if (plan.status === "missed") return [WARNING, `This step was missed. Devices use default set-points.${uncertain}`, plan.reason];
   const off = offByTier(view), n = Object.values(off).reduce((a, b) => a + b, 0);
@@ -349,7 +356,7 @@ function planned(reason, answered, status) {
 // An event in a sentence, whatever its kind.
 export function announced(event, view) {
   const at = (time) => view.clock.at(time, view.now);
-  const span = event.start ? `${covers(event, view.now) ? "since" : "from"} ${at(event.start)}${event.end ? ` to ${at(event.end)}` : event.type === "price" ? "" : ", end unknown"}` : "";
+  const span = event.start ? `${covers(event, view.now) && !event.end ? "since" : "from"} ${at(event.start)}${event.end ? ` to ${at(event.end)}` : event.type === "price" ? "" : ", end unknown"}` : "";
   switch (event.type) {
     case "outage": return `Outage ${span}`;
     case "import_limit": return `Import at most ${kilo(event.limit_kw)} kW ${span}`;
