@@ -41,7 +41,7 @@ from vppres.scenario.assets import Customers, PVSystems
 from vppres.scenario.phases import PhaseBus, PhaseConnection, PhaseLine, Phases
 from vppres.scenario.scenario import REPORT, ControllerDefaults, Scenario
 from vppres.solve.ladder import WindowSolver
-from vppres.solve.result import SolveLimits, WindowSolution
+from vppres.solve.result import SolveLimits, Status, WindowSolution
 
 SIDES_OF_INVERTERS = 64
 """Sides of the polygons around and inside the inverters' discs: 0.12 % apart."""
@@ -330,11 +330,13 @@ def windows(file: Path, time_s: float) -> str:
 
     Both are at the same linearisation and to the same gap, with tiers weighed against each other.
     The whole problem has a limit in seconds, and polygons of 16 sides around the discs of
-    inverters, so that its F may be larger; without a limit it is left out.
+    inverters, so that its F may be larger; without a limit it is left out. The last row has how
+    many windows are certified, the largest gap, and median and most of the seconds.
     """
     columns = (*WINDOW_COLUMNS, *(WHOLE_COLUMNS if time_s else ()))
     table = [f"| {' | '.join(columns)} |", "| --- " * len(columns) + "|"]
     say("\n".join(table))
+    own: list[Own] = []
     for name in DAYS:
         scenario = of_day(scenario_of(file), name)
         options = RunOptions(horizon_h=HORIZON_H, ratings=REPORT, priority=WEIGHTS)
@@ -345,27 +347,45 @@ def windows(file: Path, time_s: float) -> str:
         for hour in WINDOW_HOURS:
             _, _, data = PhasedPlanner(solver).begun(day.observe(controller, hour))
             dark = int(data.dark.sum())
-            row = f"| {name} | {hour}:00 | {dark} | {_beside(solver, data, time_s)} |"
-            say(row)
-            table.append(row)
+            own.append(Own.of(solver, data))
+            whole = f" | {_as_a_whole(solver, data, own[-1], time_s)}" if time_s else ""
+            table.append(f"| {name} | {hour}:00 | {dark} | {own[-1]}{whole} |")
+            say(table[-1])
+    table.append(_of_all(own) + (" | | | |" if time_s else " |"))
+    say(table[-1])
     return "\n".join(table)
 
 
-def _beside(solver: WindowSolver, data: WindowData, time_s: float) -> str:
-    """F, gap and CPU seconds of a window as plans decide it, then those of the whole problem."""
-    began = time.process_time()
-    found = solver.solve(data)
-    cpu_s = time.process_time() - began
-    own = f"{found.objective:.4f} | {found.gap:.1e} | {cpu_s:.2f}"
-    if not time_s:
-        return own
-    gap_abs = solver.limits.gap_at(found.objective)
-    return f"{own} | {_as_a_whole(solver.site, data, gap_abs, time_s)}"
+def _of_all(own: list[Own]) -> str:
+    """How many windows are certified, their largest gap, and median and most of their seconds."""
+    certified = sum(each.found.status == Status.OPTIMAL for each in own)
+    gap = max(each.found.gap for each in own)
+    cpu_s = [each.cpu_s for each in own]
+    seconds = f"{np.median(cpu_s):.2f}, at most {max(cpu_s):.2f}"
+    return f"| all | {certified} of {len(own)} certified | | | {gap:.1e} | {seconds}"
 
 
-def _as_a_whole(site: Site, data: WindowData, gap_abs: float, time_s: float) -> str:
+class Own(NamedTuple):
+    """A window as plans decide it, and the CPU seconds that it took."""
+
+    found: WindowSolution
+    cpu_s: float
+
+    @classmethod
+    def of(cls, solver: WindowSolver, data: WindowData) -> Own:
+        """A window that is decided now."""
+        began = time.process_time()
+        found = solver.solve(data)
+        return cls(found, time.process_time() - began)
+
+    def __str__(self) -> str:
+        return f"{self.found.objective:.4f} | {self.found.gap:.1e} | {self.cpu_s:.2f}"
+
+
+def _as_a_whole(solver: WindowSolver, data: WindowData, own: Own, time_s: float) -> str:
     """F, gap and CPU seconds of the whole problem, without the time to state it."""
-    problem = plain_problem(site, data, inside=False, sides=FEW_SIDES)
+    problem = plain_problem(solver.site, data, inside=False, sides=FEW_SIDES)
+    gap_abs = solver.limits.gap_at(own.found.objective)
     stated, chain, inverse = problem.get_problem_data(cp.HIGHS)
     options = {"mip_rel_gap": 0.0, "mip_abs_gap": gap_abs, "time_limit": time_s, "threads": 1}
     began = time.process_time()
