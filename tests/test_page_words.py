@@ -166,6 +166,18 @@ def test_an_outage_of_a_rehearsal_is_not_called_announced(tiny: Scenario, tmp_pa
         assert "Announced: no outage." in found["facts"]
 
 
+PHASES = """
+import { onPhase } from "./words.mjs";
+const site = { phases: { c1: "b", c2: "bc", c3: "a b", c4: "a b c" } };
+console.log(JSON.stringify(["c1", "c2", "c3", "c4", "c5"].map((name) => onPhase(name, site).replace("\\u00a0", " "))));
+"""
+
+
+def test_a_device_that_is_not_on_all_phases_is_named_with_its_own(tmp_path: Path) -> None:
+    named = ["c1 (phase b)", "c2 (phase bc)", "c3 (phase a and b)", "c4", "c5"]
+    assert said_by(PHASES, tmp_path) == named
+
+
 def test_fuel_lasts_by_the_line_of_the_set(tmp_path: Path) -> None:
     """14 l/h at 40 kW."""
     assert said_by(FUEL, tmp_path) == ["5 h at 40.0 kW", "30 min at 40.0 kW", "0 s at 12.0 kW"]

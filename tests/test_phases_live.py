@@ -117,6 +117,7 @@ def check_expected(plan: Any, evening: Scenario, lived: Any) -> None:
     share = max(kva.values()) / expected["rating_kva"]
     assert nearest["share"] >= share
     assert min(low for low, _ in expected["v_pu"].values()) >= 0.94
+    assert list(expected["v_pu"])[:3] == ["a", "b", "c"]
 
 
 @pytest.mark.parametrize(

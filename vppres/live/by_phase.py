@@ -86,9 +86,10 @@ class ByPhase:
 
     @property
     def v_pu(self) -> dict[str, tuple[float, float]]:
-        """Lowest and highest voltage of each phase, or pair of phases."""
+        """Lowest and highest voltage of each phase, then of each pair of phases."""
         by_phase = self.nodes.groupby(level="phase")
-        return {str(phase): (float(v_pu.min()), float(v_pu.max())) for phase, v_pu in by_phase}
+        limits = {str(phase): (float(v_pu.min()), float(v_pu.max())) for phase, v_pu in by_phase}
+        return dict(sorted(limits.items(), key=lambda each: (len(each[0]), each[0])))
 
 
 def _nearest(scenario: Scenario, nodes: pd.Series[float]) -> Nearest:

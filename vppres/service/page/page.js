@@ -248,14 +248,15 @@ function phasesFigure() {
   const { source, source_kva: kva, rating_kva: rating, v_pu, unbalance_max: unbalance, nearest } = found;
   const [phase] = Object.entries(kva).sort((one, other) => other[1] - one[1])[0], most = kva[phase];
   const bar = rating ? meter(most / (1.25 * rating), { marks: [1 / 1.25], kind: most > 1.01 * rating ? "over" : "", name: `${percent(most / rating)} of a phase's rating` }) : null;
-  const read = (name) => view.overview.measured[`source_kva/${name} ${source}`]?.value;
+  const readings = Object.fromEntries(Object.keys(kva).map((name) => [name, view.overview.measured[`source_kva/${name} ${source}`]]));
+  const read = (name) => readings[name]?.value, last = Object.values(readings).find((one) => Number.isFinite(one?.value));
   const rows = Object.entries(v_pu).map(([name, [low, high]]) =>
     [name, name in kva ? kilo(kva[name]) : "\u2013", Number.isFinite(read(name)) ? kilo(read(name)) : "\u2013", low.toFixed(3), high.toFixed(3)]);
   const place = nearest.at === source ? `of ${source}` : `at bus ${nearest.at}`;
   const made = figure(source === "grid" ? "Import by phase" : `${source} by phase`, kilo(most), rating ? `of ${kilo(rating)} kVA on phase ${phase}` : `kVA on phase ${phase}`, bar,
     `Nearest its limit: phase ${nearest.phase} ${place}, ${percent(nearest.share)}. Voltage unbalance ${(100 * unbalance).toFixed(1)}%.`);
   made.classList.add("phases");
-  made.append(node("table", {}, ...table(["Phase", "kVA", "measured", "lowest (pu)", "highest (pu)"], rows)));
+  made.append(node("table", {}, ...table(["Phase", "kVA", last ? `measured at ${view.clock.at(last.at, view.now)}` : "measured", "lowest (pu)", "highest (pu)"], rows)));
   return [made];
 }
 
@@ -314,7 +315,7 @@ function chartTable() {
 }
 
 function timeOff({ asset, off_h, longest_off_h }) {
-  return off_h === null || longest_off_h === null ? asset : `${asset} (off ${off_h} h of ${longest_off_h} h)`;
+  return off_h === null || longest_off_h === null ? onPhase(asset, view.site) : `${asset} (off ${off_h} h of ${longest_off_h} h)`;
 }
 
 function showOff() {

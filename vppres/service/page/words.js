@@ -46,7 +46,7 @@ export const list = (names, most = NAMED_HERE) =>
 // A device with its phase, if it is not on all three.
 export function onPhase(name, site) {
   const coils = (site.phases?.[name] ?? "").split(" ");
-  return coils.length >= 3 || !coils[0] ? name : `${name} (phase ${coils.join(" and ")})`;
+  return coils.length >= 3 || !coils[0] ? name : `${name} (phase\u00a0${coils.join(" and ")})`;
 }
 
 // The current outage, if there is one: from an event, or from the plan.
