@@ -218,9 +218,9 @@ def test_a_source_that_does_not_converge_says_so(tmp_path: Path) -> None:
     # Most likely its loads are in kW: that stands before everything else.
     notes = write_new_scenario(feeder, NewScenarioOptions(), tmp_path / "kw")
     assert notes[:2] == [
+        NOT_CONVERGED,
         "load_kw.csv, c1: the median customer's largest demand is 500,000 kW at 20 kV. Is the file in "
         "W? Its numbers are kW.",
-        NOT_CONVERGED,
     ]
     assert "First check the units of its loads" in NOT_CONVERGED
 
@@ -351,7 +351,7 @@ def test_impedances_by_hand() -> None:
         ),
         (
             lambda net: net.ext_grid.__setitem__("vm_pu", float("nan")),
-            "pandapower net, ext_grid 0, vm_pu = nan: is not a finite number. "
+            "pandapower net, ext_grid 0, vm_pu = nan: is not a positive number. "
             "Correct it in the source, or take the element out of service.",
         ),
         (
@@ -363,6 +363,16 @@ def test_impedances_by_hand() -> None:
             lambda net: pp.create_storage(net, 1, p_mw=float("nan"), max_e_mwh=0.2),
             "pandapower net, storage 0, p_mw = nan: is not a finite number. "
             "Correct it in the source, or take the element out of service.",
+        ),
+        (
+            lambda net: net.load.__setitem__("scaling", float("nan")),
+            "pandapower net, load 0 (mill), scaling = nan: is not a finite number. Correct it in the "
+            "source, or take the element out of service.",
+        ),
+        (
+            lambda net: net.bus.__setitem__("vn_kv", [20.0, 0.0]),
+            "pandapower net, bus 1, vn_kv = 0.0: is not a positive number. Correct it in the source, or "
+            "take the element out of service.",
         ),
         (
             lambda net: net.load.__setitem__("bus", 99),

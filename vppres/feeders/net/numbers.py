@@ -16,10 +16,10 @@ _WINDINGS = ("hv", "mv", "lv")
 NEEDED = {
     "bus": ("vn_kv",),
     "ext_grid": ("vm_pu",),
-    "load": ("p_mw", "q_mvar"),
-    "sgen": ("p_mw", "q_mvar"),
-    "gen": ("p_mw", "vm_pu"),
-    "storage": ("p_mw", "q_mvar"),
+    "load": ("p_mw", "q_mvar", "scaling"),
+    "sgen": ("p_mw", "q_mvar", "scaling"),
+    "gen": ("p_mw", "vm_pu", "scaling"),
+    "storage": ("p_mw", "q_mvar", "scaling"),
     "motor": ("pn_mech_mw", "loading_percent", "efficiency_percent", "cos_phi"),
     "ward": ("ps_mw", "qs_mvar", "pz_mw", "qz_mvar"),
     "shunt": ("p_mw", "q_mvar"),
@@ -49,6 +49,9 @@ NEEDED = {
 }
 """Columns of each table that must be finite numbers for elements in service."""
 
+POSITIVE = ("vn_kv", "vn_hv_kv", "vn_mv_kv", "vn_lv_kv", "vm_pu")
+"""Those that must be above zero too."""
+
 
 ENDS = ("bus", "from_bus", "to_bus", "hv_bus", "mv_bus", "lv_bus")
 """Columns that name buses."""
@@ -70,7 +73,7 @@ def unknown_buses(net: Any, name: str) -> Iterator[Problem]:
 
 
 def missing_numbers(net: Any, name: str) -> Iterator[Problem]:
-    """Cells of elements in service that hold no finite number.
+    """Cells of elements in service that hold no finite number, or none above zero.
 
     Parameters
     ----------
@@ -83,10 +86,11 @@ def missing_numbers(net: Any, name: str) -> Iterator[Problem]:
         frame = in_service(net, table) if table in net else pd.DataFrame()
         for column in frame.columns.intersection([*columns]):
             values = pd.to_numeric(frame[column], errors="coerce").astype(float)
-            for i in frame.index[~np.isfinite(values)]:
+            least = 0.0 if column in POSITIVE else -np.inf
+            for i in frame.index[~(np.isfinite(values) & (values > least))]:
                 yield Problem(
                     name,
-                    "is not a finite number",
+                    f"is not a {'positive' if column in POSITIVE else 'finite'} number",
                     "Correct it in the source, or take the element out of service.",
                     field=f"{label(net, table, i)}, {column}",
                     value=frame[column].at[i],

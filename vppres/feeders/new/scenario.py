@@ -203,7 +203,8 @@ def write_new_scenario(
     source = Source.of(feeder.name, "", told, deviation, feeder.unbalanced)
     scenario = replace(scenario, source=source)
     said = [former_words(scenario), darkness(scenario), closeness]
-    notes = list(dict.fromkeys([*doubtful_units(scenario), *told, *filter(None, said)]))
+    first = [*causes, *doubtful_units(scenario)]
+    notes = list(dict.fromkeys([*first, *told, *filter(None, said)]))
     text = "\n".join([f"# {scenario.title}", "", *(f"- {note}" for note in notes), ""])
     with atomic_folder(folder) as aside:
         fill_scenario_folder(scenario, aside)
