@@ -152,8 +152,10 @@ class Sessions:
 
         A step counts if the vehicle is plugged in for the whole of it.
         """
-        begins = np.array([(time - grid.start) / grid.step for time in self.plug_in], dtype=float)
-        ends = np.array([(time - grid.start) / grid.step for time in self.plug_out], dtype=float)
+        begins, ends = (
+            ((pd.to_datetime(times.tolist(), utc=True) - grid.start) / grid.step).to_numpy(float)
+            for times in (self.plug_in, self.plug_out)
+        )
         first = np.ceil(begins - ROUNDING).astype(int)
         return first, np.maximum(np.floor(ends + ROUNDING).astype(int), first)
 
