@@ -135,6 +135,10 @@ def keep_dispatch_in_network(
 
 def keep_with_turns(task: WindowTask, before: Dispatch) -> None:
     """Keep the cheapest dispatch of a plan's set with its batteries' turns, if it has one."""
+    if task.by_phase:
+        charges = before.charge_kw > before.discharge_kw
+        task.certificate.keep(_by_rows(task, before.served, charges, keeps_turns=True)[0])
+        return
     found = _cheapest_with_turns(task, before) if task.obeys_rules(before.served) else None
     if found is not None:
         task.certificate.keep(with_tie_breakers(task, found))
@@ -181,7 +185,7 @@ def in_network(task: WindowTask, served: Flags, charges: Flags | None = None) ->
 
 
 def _by_rows(
-    task: WindowTask, served: Flags, charges: Flags | None
+    task: WindowTask, served: Flags, charges: Flags | None, keeps_turns: bool = False
 ) -> tuple[Candidate | None, bool]:
     """The same by a linear problem that gets rows as they are needed, for windows with phases.
 
@@ -190,7 +194,7 @@ def _by_rows(
     data = replace(task.data.for_service(served), switching=None)
     program = NetworkProgram(task.cache, data)
     way = CheapestDispatch(task.site, data, program)
-    outcome, dispatch = way.of(served, task.answer_by(HALF), charges)
+    outcome, dispatch = way.of(served, task.answer_by(HALF), charges, keeps_turns)
     task.certificate.note("network_dispatch", outcome)
     if dispatch is None:
         return None, outcome.status == Status.INFEASIBLE

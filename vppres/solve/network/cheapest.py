@@ -50,11 +50,16 @@ class CheapestDispatch:
         self.model = network.model
 
     def of(
-        self, served: Flags, deadline: Deadline, charges: Flags | None = None
+        self,
+        served: Flags,
+        deadline: Deadline,
+        charges: Flags | None = None,
+        keeps_turns: bool = False,
     ) -> tuple[Outcome, Dispatch | None]:
         """Cheapest dispatch of a supply schedule, within the discs.
 
-        Where batteries waste energy, those of ``charges``, (W, B), charge and others discharge.
+        Those of ``charges``, (W, B), charge and others discharge where batteries waste energy, or
+        everywhere if it ``keeps_turns``.
         """
         watch = Stopwatch()
         program = self.network.of_set(served)
@@ -62,6 +67,8 @@ class CheapestDispatch:
         cost[self.model.at("P_curt")] += self._worth_of_sun
         program = replace(program, cost=cost)
         solver = self.network.loaded(program)
+        if charges is not None and keeps_turns:
+            self._hold(solver, self._resting(charges), 0.0)
         found = self.network.until_carried(solver, deadline, EXACT_DISC)
         done = found.status == Status.OPTIMAL
         unused = self._unused(found, served, charges) if done else np.arange(0)
@@ -114,8 +121,13 @@ class CheapestDispatch:
         if in_turns and not self._storable(answer, served):
             if charges is None:
                 charges = answer.x[at("P_ch")] >= answer.x[at("P_dch")]
-            unused += [at("P_dch")[charges], at("P_ch")[~charges]]
+            unused += [self._resting(charges)]
         return np.concatenate([np.arange(0), *(columns.ravel() for columns in unused)])
+
+    def _resting(self, charges: Flags) -> Wholes:
+        """Columns of batteries that do not charge, and of those that do not discharge."""
+        at = self.model.at
+        return np.append(at("P_dch")[charges], at("P_ch")[~charges])
 
     def _storable(self, answer: ProgramSolution, served: Flags) -> bool:
         """Whether batteries can store what a solution charges less what it discharges."""
