@@ -216,11 +216,11 @@ def _sets_switched(row: _Row, state: StepState) -> str:
 
 
 def _formed(row: _Row, state: StepState) -> str:
-    """Customers on in an island that no battery can form, without a set that does."""
-    if not state.dark or not row.served.any():
+    """Customers on in an island that only a set can form, without a set that does."""
+    if not state.forms.any() or not row.served.any():
         return ""
     lit = row.running["gensets"] & state.site.gensets.grid_forming
-    return "" if lit.any() else "island: no battery or set forms the grid"
+    return "" if lit.any() else "island: no set forms the grid"
 
 
 def _energy(row: _Row, state: StepState, within: Tolerances) -> str:
