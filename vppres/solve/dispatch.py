@@ -257,10 +257,13 @@ def _as_one_battery(
 
 
 def _curtailed_within_gap_kwh(task: WindowTask, found: Candidate) -> float:
-    """What may be curtailed more than by a dispatch: it is worth a share of the window's gap."""
+    """What may be curtailed more than by a dispatch: it is worth a share of the window's gap.
+
+    Infinite if curtailment is worth nothing.
+    """
     worth = task.site.weights.lambda_curt
     allowed = (1.0 - GAP_SHARE) * task.certificate.limits.gap_at(found.value)
-    return allowed / worth if worth > 0.0 else 0.0
+    return allowed / worth if worth > 0.0 else np.inf
 
 
 def with_tie_breakers(task: WindowTask, found: Candidate, inside: bool = False) -> Candidate | None:
@@ -271,9 +274,10 @@ def with_tie_breakers(task: WindowTask, found: Candidate, inside: bool = False) 
     """
     data = task.data.for_service(found.dispatch.served)
     own = OwnValues(found.terms.own, found.letters)
-    more_kwh = _curtailed_within_gap_kwh(task, found) if inside else 0.0
+    rest_kwh = _curtailed_within_gap_kwh(task, found)
+    more_kwh = rest_kwh if inside and np.isfinite(rest_kwh) else 0.0
     given = with_more_room(data) if inside else data
-    attempt = polish(task.cache, given, found.dispatch, task.answer_by(), own, more_kwh)
+    attempt = polish(task.cache, given, found.dispatch, task.answer_by(), own, more_kwh, rest_kwh)
     task.certificate.note("tie_breakers", attempt.outcome)
     return carried(task, data, found, attempt)
 
@@ -472,12 +476,14 @@ def polish(
     deadline: Deadline,
     own: OwnValues = NO_OWN_VALUES,
     more_kwh: float = 0.0,
+    rest_kwh: float = np.inf,
 ) -> Attempt:
     """Minimise the tie-breakers with service, cost and curtailment held.
 
     It also decides whether a dispatch that was found without the network can be had in it: reactive
     power, voltages and true discs are all here. The answer is dropped if it is inaccurate or
-    worsens cost or curtailment beyond the tolerance.
+    worsens cost or curtailment beyond the tolerance, or curtailment by more than ``rest_kwh``: what
+    the gap leaves, which is less where service and curtailment nearly cancel.
     """
     if deadline.passed:
         return Attempt(Outcome(Status.NO_ANSWER, np.nan, np.nan, 0.0), None)
@@ -487,7 +493,8 @@ def polish(
     # What the cost has besides is held by itself.
     f2 = terms.f2 - sheet.statement.held(data, dispatch).gbp
     f2_max = f2 + HELD_REL * abs(f2) + HELD_ABS
-    f3_max = terms.f3 + SERVICE_HELD_REL * terms.f3 + HELD_ABS + more_kwh
+    missed_kwh = min(SERVICE_HELD_REL * terms.f3 + HELD_ABS, rest_kwh)
+    f3_max = terms.f3 + missed_kwh + more_kwh
     # Where nothing is curtailed, PV export is data and its discs are intervals: far smaller.
     beyond = bool((data.pv_kw > site.pv.s_max_kva).any())
     curtailing = terms.f3 + more_kwh > HELD_ABS or beyond
@@ -503,7 +510,6 @@ def polish(
     better = replace(better, soc=data.soc_path(site, better.charge_kw, better.discharge_kw))
     after = evaluate(site, data, better)
     f2_after = after.f2 - sheet.statement.held(data, better).gbp
-    missed_kwh = SERVICE_HELD_REL * terms.f3 + HELD_ABS
     kept = f2_after <= f2_max + HELD_ABS and after.f3 <= f3_max + missed_kwh
     return Attempt(
         outcome, better if kept else None, own=OwnValues(problem.own_value(), own.letters)
