@@ -9,9 +9,10 @@ import pytest
 
 from experiments.random_feeders import random_window
 from tests.support.agreement import both_methods
-from tests.support.homes import with_random_homes
+from tests.support.homes import homes, with_random_homes
 from tests.support.sets import random_sets
-from tests.support.vans import with_random_vehicles
+from tests.support.small_windows import two_buses, window
+from tests.support.vans import chargers, plugged_in, with_random_vehicles
 from vppres.contract.ahead import KindsAhead
 from vppres.contract.switching import SwitchingState
 from vppres.model.data import WindowData
@@ -21,6 +22,7 @@ from vppres.plant.plant import Plant
 from vppres.scenario.gensets import GensetState
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
+from vppres.solve.ladder import WindowSolver
 
 OFTEN = 0.7
 """Share of windows that have a kind; most have three or more of the five."""
@@ -74,3 +76,26 @@ def test_random_mixes_are_sound_and_no_worse_than_the_whole_problem(seed: int) -
     assert one.objective >= other.objective - 2.0 * gap
     assert one.status == "optimal" or other.status != "optimal"
     assert not broken(site, data, one.dispatch)
+
+
+def test_cars_homes_and_shares_together_never_outweigh_one_customer() -> None:
+    """The kW that there are go to a hospital of weight 1, whatever the weight of all others."""
+    day = two_buses([[20.0, 0.01]] * 3, [1.0, 1000.0], [20.01] * 3)
+    day = replace(day, customers=replace(day.customers, share_min=np.array([1.0, 0.1])))
+    day = replace(day, chargers=chargers(1000))
+    day = plugged_in(day, *[(0, 3)] * 1000, weight=1000.0, soc_needed=0.8)
+    hot = homes(*["c1"] * 100, t_initial_c=40.0)
+    day = replace(day, temperature_c=np.full(3, 45.0), thermal_loads=hot)
+    ahead = KindsAhead.of(
+        day,
+        range(3),
+        Plant(day).garage.held_kwh(0),
+        hot.t_initial_c,
+        GensetState.at_first(day.gensets),
+        None,
+    )
+    answer = WindowSolver(Site.of(day)).solve(replace(window(day), ahead=ahead))
+    assert answer.status == "optimal"
+    assert answer.dispatch.served.all()
+    assert answer.dispatch.share is not None
+    assert answer.dispatch.share[:, 0] == pytest.approx(1.0)
