@@ -302,6 +302,14 @@ def test_impedances_by_hand() -> None:
     assert r_ohm[4, 7] == pytest.approx(0.3 * 0.02 * (20.0 / 0.4) ** 2)
 
 
+def no_number(field: str, kind: str) -> str:
+    """What an import says of a cell that is not a number."""
+    return (
+        f"pandapower net, {field} = nan: is not a {kind} number. "
+        "Correct it in the source, or take the element out of service."
+    )
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -336,33 +344,27 @@ def test_impedances_by_hand() -> None:
         ),
         (
             lambda net: net.load.__setitem__("p_mw", float("nan")),
-            "pandapower net, load 0 (mill), p_mw = nan: is not a finite number. "
-            "Correct it in the source, or take the element out of service.",
+            no_number("load 0 (mill), p_mw", "finite"),
         ),
         (
             lambda net: net.load.__setitem__("q_mvar", float("nan")),
-            "pandapower net, load 0 (mill), q_mvar = nan: is not a finite number. "
-            "Correct it in the source, or take the element out of service.",
+            no_number("load 0 (mill), q_mvar", "finite"),
         ),
         (
             lambda net: net.line.__setitem__("r_ohm_per_km", float("nan")),
-            "pandapower net, line 0 (feeder), r_ohm_per_km = nan: is not a finite number. "
-            "Correct it in the source, or take the element out of service.",
+            no_number("line 0 (feeder), r_ohm_per_km", "finite"),
         ),
         (
             lambda net: net.ext_grid.__setitem__("vm_pu", float("nan")),
-            "pandapower net, ext_grid 0, vm_pu = nan: is not a positive number. "
-            "Correct it in the source, or take the element out of service.",
+            no_number("ext_grid 0, vm_pu", "positive"),
         ),
         (
             lambda net: pp.create_sgen(net, 1, p_mw=float("nan"), name="roof"),
-            "pandapower net, sgen 0 (roof), p_mw = nan: is not a finite number. "
-            "Correct it in the source, or take the element out of service.",
+            no_number("sgen 0 (roof), p_mw", "finite"),
         ),
         (
             lambda net: pp.create_storage(net, 1, p_mw=float("nan"), max_e_mwh=0.2),
-            "pandapower net, storage 0, p_mw = nan: is not a finite number. "
-            "Correct it in the source, or take the element out of service.",
+            no_number("storage 0, p_mw", "finite"),
         ),
         (
             lambda net: net.load.__setitem__("scaling", float("nan")),

@@ -78,17 +78,17 @@ def _formed(state: StepState, tiers: Sequence[str]) -> Carried:
     sets = state.ahead.gensets
     forms = state.forms
     if sets is None or not forms.any():
-        return nothing(state)
+        return _nothing(state)
     most = rule_dispatch(_running(state, sets, state.site.gensets.p_max_kw * forms), tiers)
     served = most.dispatch.served[0]
     lacking_kw = float(state.load_kw @ served + state.drawn_kw.sum() - state.usable_pv_kw.sum())
     wanted_kw = np.where(forms, lacking_kw, 0.0)
     found = rule_dispatch(_running(state, sets, wanted_kw), tiers)
     closes = found.surplus_kw <= POWER_TOLERANCE_KW and found.dispatch.served.any()
-    return found if closes else nothing(state)
+    return found if closes else _nothing(state)
 
 
-def nothing(state: StepState) -> Carried:
+def _nothing(state: StepState) -> Carried:
     """A step of an island that no source can form: no supply, and all PV power curtailed."""
     site = state.site
     without_power = replace(state, pv_kw=0.0 * state.pv_kw, drawn=None)
@@ -124,9 +124,9 @@ def _running(state: StepState, known: SetsAhead, wanted_kw: Floats) -> StepState
     sets, dt_h = state.site.gensets, state.site.dt_h
     most_kw = np.minimum(sets.p_max_kw, _by_fuel_kw(sets, known.added_litres[0], dt_h))
     least_kw = np.maximum(sets.p_min_kw, known.was_kw[0] - sets.fall_kw(dt_h))
+    wanted = (known.was_on[0] > 0.5) | state.forms
     in_use = state.island | ~sets.only_in_outage | known.must_run[0]
-    on = ((known.was_on[0] > 0.5) | state.forms) & known.can_run[0] & (most_kw >= least_kw)
-    on &= in_use
+    on = wanted & in_use & known.can_run[0] & (most_kw >= least_kw)
     given_kw = np.where(on, np.clip(wanted_kw, least_kw, most_kw), 0.0)
     return replace(
         state,

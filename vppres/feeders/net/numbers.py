@@ -53,7 +53,7 @@ POSITIVE = ("vn_kv", "vn_hv_kv", "vn_mv_kv", "vn_lv_kv", "vm_pu")
 """Those that must be above zero too."""
 
 
-ENDS = ("bus", "from_bus", "to_bus", "hv_bus", "mv_bus", "lv_bus")
+BUS_COLUMNS = ("bus", "from_bus", "to_bus", "hv_bus", "mv_bus", "lv_bus")
 """Columns that name buses."""
 
 
@@ -61,7 +61,7 @@ def unknown_buses(net: Any, name: str) -> Iterator[Problem]:
     """Elements in service at a bus that the net lacks; parameters as of :func:`missing_numbers`."""
     for table in (*NEEDED, "switch"):
         frame = in_service(net, table) if table in net and table != "bus" else pd.DataFrame()
-        for column in frame.columns.intersection([*ENDS]):
+        for column in frame.columns.intersection([*BUS_COLUMNS]):
             for i in frame.index[~frame[column].isin(net.bus.index)]:
                 yield Problem(
                     name,
