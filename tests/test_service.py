@@ -32,7 +32,6 @@ from vppres.core.errors import InputError
 from vppres.day.options import RunOptions
 from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
-from vppres.live.set_points import SetPoints
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
 from vppres.service.access import Access, check_address, new_token
@@ -40,6 +39,7 @@ from vppres.service.app import make_app
 from vppres.service.clock import SetClock, written
 from vppres.service.gate import refusals
 from vppres.service.loop import Loop
+from vppres.service.plans import tables_of
 from vppres.service.runner import Service
 from vppres.service.serve import opened
 from vppres.service.store import Store
@@ -289,14 +289,14 @@ def test_off_gives_defaults_until_it_is_over(live: Live) -> None:
 def test_the_gate_lets_nothing_pass_that_a_device_cannot_do(tiny: Scenario) -> None:
     controller = Controller.of(tiny, HERE)
     good = controller.step(Measurement(tiny.grid.times[0], {"big": 0.5, "small": 0.5}))
-    assert refusals(good, tiny, {"big": 0.5, "small": 0.5}) == {}
+    tables = tables_of(good, tiny)
+    assert refusals(tables, tiny, {"big": 0.5, "small": 0.5}) == {}
 
     def refused(soc: dict[str, float], table: str, **values: Any) -> dict[Any, str]:
-        frame = getattr(good, table).copy()
+        frame = tables[table].copy()
         for column, (name, value) in values.items():
             frame.loc[name, column] = value
-        changed: SetPoints = replace(good, **{table: frame})
-        return refusals(changed, tiny, soc)
+        return refusals({**tables, table: frame}, tiny, soc)
 
     half = {"big": 0.5, "small": 0.5}
     battery = ("batteries", "big")  # 50 kW, 60 kVA, 100 kWh, 0.15 to 0.85, 0.95 each way

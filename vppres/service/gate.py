@@ -6,14 +6,18 @@ What does not pass is not sent; the device gets its default.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Protocol
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Floats
+from vppres.scenario.assets import PVSystems
+from vppres.scenario.gensets import Gensets
 from vppres.scenario.scenario import Scenario
+from vppres.scenario.thermal_loads import ThermalLoads
+from vppres.scenario.vehicles import Chargers
 
 RATING_SHARE = 2e-3
 POWER_KW = 0.02
@@ -22,49 +26,15 @@ BAND_C = 0.02
 """What solvers and rounding may be off by."""
 
 
-class Wanted(Protocol):
-    """Set-points as tables by identifier: what decided them does not matter."""
-
-    @property
-    def batteries(self) -> pd.DataFrame:
-        """``p_kw``, charging positive, and ``q_kvar``."""
-        ...
-
-    @property
-    def pv(self) -> pd.DataFrame:
-        """``p_kw``, ``q_kvar`` and ``available_kw``."""
-        ...
-
-    @property
-    def customers(self) -> pd.DataFrame:
-        """``served``."""
-        ...
-
-    @property
-    def chargers(self) -> pd.DataFrame | None:
-        """``p_kw``, charging positive, and ``p_limit_kw``; None without chargers."""
-        ...
-
-    @property
-    def thermal_loads(self) -> pd.DataFrame | None:
-        """``setpoint_c``; None without thermal loads."""
-        ...
-
-    @property
-    def gensets(self) -> pd.DataFrame | None:
-        """``running`` and ``p_kw``; None without generating sets."""
-        ...
-
-
 def refusals(
-    decision: Wanted, scenario: Scenario, soc: Mapping[str, float]
+    wanted: Mapping[str, pd.DataFrame], scenario: Scenario, soc: Mapping[str, float]
 ) -> dict[tuple[str, str], str]:
     """What may not be sent, and why.
 
     Parameters
     ----------
-    decision : Wanted
-        What is to be sent.
+    wanted : mapping of str to DataFrame
+        Set-points by kind of device, each by identifier.
     scenario : Scenario
         The site: ratings and step length.
     soc : mapping of str to float
@@ -75,23 +45,24 @@ def refusals(
     dict
         Reason by kind, such as ``batteries``, and identifier.
     """
-    found: dict[tuple[str, str], str] = {}
-    for kind, reasons in (
-        ("batteries", _batteries(decision, scenario, soc)),
-        ("pv", _pv(decision, scenario)),
-        ("customers", _customers(decision)),
-        ("chargers", _chargers(decision, scenario)),
-        ("thermal_loads", _thermal_loads(decision, scenario)),
-        ("gensets", _gensets(decision, scenario)),
-    ):
-        found.update({(kind, name): reason for name, reason in reasons.items()})
-    return found
+    checks: dict[str, Callable[[pd.DataFrame], dict[str, str]]] = {
+        "batteries": lambda table: _batteries(table, scenario, soc),
+        "pv": lambda table: _pv(table, scenario.pv),
+        "customers": _customers,
+        "chargers": lambda table: _chargers(table, scenario.chargers),
+        "thermal_loads": lambda table: _thermal_loads(table, scenario.thermal_loads),
+        "gensets": lambda table: _gensets(table, scenario.gensets),
+    }
+    return {
+        (kind, name): reason
+        for kind, table in wanted.items()
+        for name, reason in checks[kind](table).items()
+    }
 
 
-def _batteries(decision: Wanted, scenario: Scenario, soc: Mapping[str, float]) -> dict[str, str]:
+def _batteries(table: pd.DataFrame, scenario: Scenario, soc: Mapping[str, float]) -> dict[str, str]:
     """Ratings, the inverter's disc, and what is stored."""
     b = scenario.batteries
-    table = decision.batteries
     p_kw = table["p_kw"].to_numpy(float)
     q_kvar = table["q_kvar"].to_numpy(float)
     held = np.array([soc.get(name, np.nan) for name in b.id], dtype=float)
@@ -111,10 +82,8 @@ def _batteries(decision: Wanted, scenario: Scenario, soc: Mapping[str, float]) -
     return _named(list(b.id), reasons, np.isfinite(p_kw) & np.isfinite(q_kvar))
 
 
-def _pv(decision: Wanted, scenario: Scenario) -> dict[str, str]:
+def _pv(table: pd.DataFrame, pv: PVSystems) -> dict[str, str]:
     """What there is to be fed, and the inverter's disc."""
-    pv = scenario.pv
-    table = decision.pv
     p_kw = table["p_kw"].to_numpy(float)
     q_kvar = table["q_kvar"].to_numpy(float)
     available_kw = table["available_kw"].to_numpy(float)
@@ -128,22 +97,17 @@ def _pv(decision: Wanted, scenario: Scenario) -> dict[str, str]:
     return _named(list(pv.id), reasons, np.isfinite(p_kw) & np.isfinite(q_kvar))
 
 
-def _customers(decision: Wanted) -> dict[str, str]:
+def _customers(table: pd.DataFrame) -> dict[str, str]:
     """Served, or not."""
-    served = decision.customers["served"]
     return {
         str(name): "supply is neither on nor off"
-        for name, value in served.items()
+        for name, value in table["served"].items()
         if not isinstance(value, (bool, np.bool_))
     }
 
 
-def _chargers(decision: Wanted, scenario: Scenario) -> dict[str, str]:
+def _chargers(table: pd.DataFrame, chargers: Chargers) -> dict[str, str]:
     """Ratings of chargers."""
-    table = decision.chargers
-    if table is None:
-        return {}
-    chargers = scenario.chargers
     p_kw = table["p_kw"].to_numpy(float)
     limit_kw = table["p_limit_kw"].to_numpy(float)
     most_kw = np.maximum(p_kw, limit_kw)
@@ -156,12 +120,8 @@ def _chargers(decision: Wanted, scenario: Scenario) -> dict[str, str]:
     return _named(list(chargers.id), reasons, np.isfinite(p_kw) & np.isfinite(limit_kw))
 
 
-def _thermal_loads(decision: Wanted, scenario: Scenario) -> dict[str, str]:
+def _thermal_loads(table: pd.DataFrame, loads: ThermalLoads) -> dict[str, str]:
     """No room is cooled, and none is heated, beyond its comfort band."""
-    table = decision.thermal_loads
-    if table is None:
-        return {}
-    loads = scenario.thermal_loads
     setpoint_c = table["setpoint_c"].to_numpy(float)
     below_c = np.where(loads.heats, -np.inf, loads.t_min_c - setpoint_c)
     above_c = np.where(loads.heats, setpoint_c - loads.t_max_c, -np.inf)
@@ -172,12 +132,8 @@ def _thermal_loads(decision: Wanted, scenario: Scenario) -> dict[str, str]:
     return _named(list(loads.id), reasons, np.isfinite(setpoint_c))
 
 
-def _gensets(decision: Wanted, scenario: Scenario) -> dict[str, str]:
+def _gensets(table: pd.DataFrame, sets: Gensets) -> dict[str, str]:
     """Ratings of generating sets; what stands still gives nothing."""
-    table = decision.gensets
-    if table is None:
-        return {}
-    sets = scenario.gensets
     on = table["running"].to_numpy(bool)
     p_kw = table["p_kw"].to_numpy(float)
     reasons = {

@@ -38,8 +38,17 @@ NOT_TOLD = ("setpoints", "ahead", "before")
 SHOWN = ("soc", "online", "grid_on", "plugged", "indoor_c", "running", "fuel_litres")
 """Last readings that the page shows."""
 
-OF_SETS = ("p_min_kw", "p_max_kw", "tank_litres", "litres_per_kwh", "litres_per_h_idle")
-"""What is shown of each generating set, its line of fuel among it."""
+FIGURES = {
+    "pv": ("p_max_kw",),
+    "batteries": ("energy_kwh", "p_max_kw", "soc_min", "soc_max"),
+    "chargers": ("p_charge_kw",),
+    "thermal_loads": ("t_min_c", "t_max_c"),
+    "gensets": ("p_min_kw", "p_max_kw", "tank_litres", "litres_per_kwh", "litres_per_h_idle"),
+}
+"""What is shown of the devices of each kind."""
+
+ORDERED = ("batteries", "chargers", "thermal_loads", "gensets")
+"""Kinds of which the page shows what each device is to do."""
 
 REFRESH_S = 1
 """For how long the same is shown, if nothing was changed."""
@@ -48,8 +57,6 @@ REFRESH_S = 1
 def site_of(runner: Runner) -> dict[str, Any]:
     """What no step changes: names, limits, ratings, and the modes that there are."""
     day = runner.scenario
-    b = day.batteries
-    loads = day.thermal_loads
     return {
         "name": day.name,
         "title": day.title,
@@ -67,39 +74,21 @@ def site_of(runner: Runner) -> dict[str, Any]:
             str(name): str(tier)
             for name, tier in zip(day.customers.id, day.customers.tier, strict=True)
         },
-        "pv": {
-            str(name): {"p_max_kw": float(p_kw)}
-            for name, p_kw in zip(day.pv.id, day.pv.p_max_kw, strict=True)
-        },
-        "batteries": {
-            str(name): {
-                "energy_kwh": float(b.energy_kwh[i]),
-                "p_max_kw": float(b.p_max_kw[i]),
-                "soc_min": float(b.soc_min[i]),
-                "soc_max": float(b.soc_max[i]),
-            }
-            for i, name in enumerate(b.id)
-        },
         "dimmable": {
             str(name): float(day.customers.least_share[i])
             for i, name in enumerate(day.customers.id)
             if day.customers.dimmable[i]
         },
-        "chargers": {
-            str(name): {"p_charge_kw": float(p_kw)}
-            for name, p_kw in zip(day.chargers.id, day.chargers.p_charge_kw, strict=True)
-        },
-        "thermal_loads": {
-            str(name): {
-                "t_min_c": float(loads.t_min_c[i]),
-                "t_max_c": float(loads.t_max_c[i]),
-            }
-            for i, name in enumerate(loads.id)
-        },
-        "gensets": {
-            str(name): {quantity: float(getattr(day.gensets, quantity)[g]) for quantity in OF_SETS}
-            for g, name in enumerate(day.gensets.id)
-        },
+        **{kind: _figures(getattr(day, kind), names) for kind, names in FIGURES.items()},
+    }
+
+
+def _figures(devices: Any, names: Iterable[str]) -> dict[str, dict[str, float]]:
+    """Some figures of each device."""
+    columns = {name: getattr(devices, name).tolist() for name in names}
+    return {
+        str(device): {name: values[i] for name, values in columns.items()}
+        for i, device in enumerate(devices.id)
     }
 
 
@@ -112,10 +101,10 @@ def _phases_of(runner: Runner) -> dict[str, str] | None:
     return {str(name): phases.connection(str(name)).coils for kind in kinds for name in kind.id}
 
 
-def _orders(points: Iterable[Mapping[str, Any]], kind: str, *names: str) -> dict[str, Any]:
-    """Set-points of devices of a kind, and why."""
+def _orders(points: Iterable[Mapping[str, Any]], kind: str) -> dict[str, Any]:
+    """What is ordered of devices of a kind, and why."""
     return {
-        one["asset"]: {name: one[name] for name in (*names, "reason")}
+        one["asset"]: {name: one[name] for name in (*one["default"], "reason")}
         for one in points
         if one["kind"] == kind
     }
@@ -193,10 +182,7 @@ class Overview:
             "unaware_of": list(self.runner.changes.reasons),
             "valid_until": max((one["valid_until"] for one in points), default=None),
             "active": any(one["active"] for one in points),
-            "batteries": _orders(points, "batteries", "p_kw"),
-            "chargers": _orders(points, "chargers", "p_kw"),
-            "thermal_loads": _orders(points, "thermal_loads", "setpoint_c"),
-            "gensets": _orders(points, "gensets", "running", "p_kw"),
+            **{kind: _orders(points, kind) for kind in ORDERED},
             "off": self._off(points, ahead, plan.get("off_h", {})),
             "dimmed": {
                 one["asset"]: one["share"]

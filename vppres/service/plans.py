@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,6 @@ from vppres.day.recorder import ROTATED
 from vppres.live.foreseen import Foreseen
 from vppres.live.measurement import Measurement
 from vppres.live.set_points import SetPoints
-from vppres.scenario.phases import Phases
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import written
 from vppres.service.knowledge import Known
@@ -40,17 +39,10 @@ DEFAULT = "default: "
 CHECKED = (*DECIDED, "hold", "manual")
 """Outcomes of steps whose set-points pass the last check."""
 
-NUMBERS = {
-    "batteries": ("p_kw", "q_kvar"),
-    "pv": ("p_kw", "q_kvar", "curtailed_kw"),
-    "chargers": ("p_kw", "p_limit_kw"),
-    "thermal_loads": ("setpoint_c",),
-    "gensets": ("p_kw",),
-}
-"""What set-points of each kind say in numbers."""
-
 LOST = "cannot be supplied: "
 """How the reason begins of a customer that cannot be switched on."""
+
+Tables = Mapping[str, pd.DataFrame]  # set-points by kind of device, each by identifier
 
 
 def plan_of(
@@ -72,7 +64,7 @@ def plan_of(
     solve = decision.solve
     fallback = None if solve["fallback"] == "none" else solve["fallback"]
     reason = fallback or ("corrected" if solve["corrected"] else "plan")
-    v_pu = decision.buses["v_ac_pu"]
+    lost = {("customers", name): f"{LOST}{why}" for name, why in known.lost.items()}
     return {
         **_head(decision.time, scenario, "ok" if fallback is None else "fallback"),
         "inputs_digest": f"sha256:{inputs_digest(known.measurement)}",
@@ -98,12 +90,14 @@ def plan_of(
         ],
         "late": [vars(one) for one in known.heard if one.state != "ok"],
         "lost": [{"asset": name, "reason": why} for name, why in known.lost.items()],
-        "setpoints": _set_points(decision, scenario, known, refused, reason),
+        "setpoints": _set_points(
+            decision.time, scenario, tables_of(decision, scenario), refused, reason, lost
+        ),
         "expected": {
             "import_kw": _number(decision.import_kw),
             "soc_start": {str(k): _number(v) for k, v in decision.batteries["soc"].items()},
             "soc": {str(k): _number(v) for k, v in decision.batteries["soc_end"].items()},
-            **_extremes(decision, v_pu),
+            **_extremes(decision),
             "grid_limit_kw": _number(known.limits_kw.iloc[0]),
             "price_gbp_per_kwh": _price(known.measurement),
             **_rooms_expected(decision),
@@ -111,16 +105,20 @@ def plan_of(
             **_sets_expected(decision),
             **_by_phase(decision),
         },
-        "ahead": _ahead(decision, known),
+        "ahead": _ahead(decision.foreseen, known),
         "off_h": _off_h(decision, scenario),
     }
+
+
+def tables_of(decision: SetPoints, scenario: Scenario) -> Tables:
+    """What was decided, by kind of device."""
+    return {kind: getattr(decision, kind) for kind in _defaults(scenario)}
 
 
 def defaults_of(time: pd.Timestamp, scenario: Scenario, status: str, reason: str) -> dict[str, Any]:
     """The plan of a step in which nothing was decided: every device does its default."""
     defaults = _defaults(scenario)
     refused = {(kind, name): reason for kind, names in defaults.items() for name in names}
-    speaker = _Speaker.of(time, scenario, refused)
     return {
         **_head(time, scenario, status),
         "inputs_digest": None,
@@ -129,57 +127,29 @@ def defaults_of(time: pd.Timestamp, scenario: Scenario, status: str, reason: str
         "estimated": [],
         "late": [],
         "lost": [],
-        "setpoints": [
-            speaker.point(kind, name, {}, "default")
-            for kind, names in defaults.items()
-            for name in names
-        ],
+        "setpoints": _set_points(time, scenario, {}, refused, reason),
         "expected": None,
         "ahead": None,
     }
 
 
-@dataclass(frozen=True, eq=False)
-class Ordered:
-    """Set-points without a decision: those before, or an operator's.
-
-    Parameters
-    ----------
-    batteries, pv, customers, chargers, thermal_loads, gensets : DataFrame
-        By identifier, as the gate reads them; None of what the site does not have.
-    """
-
-    batteries: pd.DataFrame
-    pv: pd.DataFrame
-    customers: pd.DataFrame
-    chargers: pd.DataFrame | None = None
-    thermal_loads: pd.DataFrame | None = None
-    gensets: pd.DataFrame | None = None
-
-    @classmethod
-    def of(
-        cls,
-        scenario: Scenario,
-        before: Mapping[str, Any] | None,
-        asked: Iterable[Mapping[str, Any]],
-    ) -> Ordered:
-        """The last plan's set-points, the operator's over them, defaults where there are none."""
-        told = {
-            (one["kind"], one["asset"]): one for one in (before or {"setpoints": []})["setpoints"]
-        }
-        over = {(one["kind"], one["asset"]): one for one in asked}
-        tables = {}
-        for kind, defaults in _defaults(scenario).items():
-            rows = {}
-            for name, default in defaults.items():
-                now = {**default, **told.get((kind, name), {})}
-                if (kind, name) in over:
-                    now = {**default, **_asked(over[kind, name])}
-                rows[name] = {field: now[field] for field in default}
-            tables[kind] = pd.DataFrame.from_dict(rows, orient="index")
-        # The available PV power is not known here; a system feeds what it has.
-        tables["pv"]["available_kw"] = scenario.pv.p_max_kw
-        return cls(**tables)
+def ordered(
+    scenario: Scenario, before: Mapping[str, Any] | None, asked: Iterable[Mapping[str, Any]]
+) -> Tables:
+    """The last plan's set-points, the operator's over them, defaults where there are none."""
+    last = (before or {"setpoints": []})["setpoints"]
+    told = {(one["kind"], one["asset"]): one for one in last}
+    over = {(one["kind"], one["asset"]): _asked(one) for one in asked}
+    tables = {}
+    for kind, defaults in _defaults(scenario).items():
+        rows = {}
+        for name, default in defaults.items():
+            now = {**default, **over.get((kind, name), told.get((kind, name), {}))}
+            rows[name] = {field: now[field] for field in default}
+        tables[kind] = pd.DataFrame.from_dict(rows, orient="index")
+    # The available PV power is not known here; a system feeds what it has.
+    tables["pv"]["available_kw"] = scenario.pv.p_max_kw
+    return tables
 
 
 def _asked(one: Mapping[str, Any]) -> dict[str, Any]:
@@ -197,30 +167,13 @@ def ordered_plan(
     time: pd.Timestamp,
     scenario: Scenario,
     mode: Mapping[str, Any],
-    ordered: Ordered,
+    tables: Tables,
     refused: Mapping[tuple[str, str], str],
 ) -> dict[str, Any]:
     """The plan of a step that an operator decided."""
     reason = mode["reason"] or mode["mode"]
-    kinds = {name: getattr(ordered, name) for name in _defaults(scenario)}
-    speaker = _Speaker.of(time, scenario, refused)
-    return {
-        **defaults_of(time, scenario, mode["mode"], reason),
-        "setpoints": [
-            speaker.point(kind, str(name), _fields(kind, row), reason)
-            for kind, table in kinds.items()
-            for name, row in table.iterrows()
-        ],
-    }
-
-
-def _fields(kind: str, row: pd.Series[Any]) -> dict[str, Any]:
-    """What a set-point of a kind says."""
-    if kind == "customers":
-        share = row.get("share", np.nan)
-        return {"served": bool(row["served"])} | ({"share": float(share)} if share >= 0.0 else {})
-    runs = {"running": bool(row["running"])} if kind == "gensets" else {}
-    return runs | {name: float(row[name]) for name in NUMBERS[kind]}
+    plan = defaults_of(time, scenario, mode["mode"], reason)
+    return {**plan, "setpoints": _set_points(time, scenario, tables, refused, reason)}
 
 
 def made_anew(
@@ -279,36 +232,28 @@ def etag(plan: Mapping[str, Any]) -> str:
     return f'"{hashlib.sha256(text.encode()).hexdigest()[:32]}"'
 
 
-def _ahead(decision: SetPoints, known: Known) -> dict[str, Any]:
+def _ahead(foreseen: Foreseen, known: Known) -> dict[str, Any]:
     """What is foreseen of the steps after this one; it is decided anew when they begin."""
-    foreseen = decision.foreseen
     times = foreseen.import_kw.index[:MOST_AHEAD]
-    n = len(times)
     limits_kw = dict(zip(known.limits_kw.index, known.limits_kw.to_numpy(float), strict=True))
-    soc = foreseen.soc_end.to_numpy(float)[:n].T
-    served = foreseen.served.to_numpy(bool)[:n].T
+    tables = {
+        "soc": foreseen.soc_end,
+        "indoor_c": foreseen.indoor_c,
+        "genset_kw": foreseen.genset_kw,
+        "fuel_litres": foreseen.fuel_litres,
+    }
     return {
         "times": [written(time) for time in times],
         "grid_limit_kw": _numbers(limits_kw.get(time, math.nan) for time in times),
-        "import_kw": _numbers(foreseen.import_kw.to_numpy(float)[:n]),
-        "soc": {
-            str(name): _numbers(values)
-            for name, values in zip(foreseen.soc_end.columns, soc, strict=True)
+        "import_kw": _numbers(foreseen.import_kw[:MOST_AHEAD]),
+        "served": {name: on.tolist() for name, on in foreseen.served[:MOST_AHEAD].items()},
+        **{
+            quantity: {name: _numbers(values) for name, values in table[:MOST_AHEAD].items()}
+            for quantity, table in tables.items()
+            if table is not None
         },
-        "served": dict(zip(foreseen.served.columns, served.tolist(), strict=True)),
-        **_rooms_ahead(foreseen, n),
         **_left_short(foreseen),
-        **_sets_ahead(foreseen, n),
     }
-
-
-def _rooms_ahead(foreseen: Foreseen, n_steps: int) -> dict[str, Any]:
-    """Temperatures after each step, by thermal load; nothing without any."""
-    if foreseen.indoor_c is None:
-        return {}
-    rows = foreseen.indoor_c.to_numpy(float)[:n_steps].T
-    names = foreseen.indoor_c.columns
-    return {"indoor_c": {name: _numbers(row) for name, row in zip(names, rows, strict=True)}}
 
 
 def _left_short(foreseen: Foreseen) -> dict[str, Any]:
@@ -345,16 +290,6 @@ def _vehicles_expected(decision: SetPoints) -> dict[str, Any]:
             }
             for name, row in chargers[chargers["leaves"].notna()].iterrows()
         }
-    }
-
-
-def _sets_ahead(foreseen: Foreseen, n_steps: int) -> dict[str, Any]:
-    """Power of generating sets and what is left in their tanks, by set; nothing without any."""
-    tables = {"genset_kw": foreseen.genset_kw, "fuel_litres": foreseen.fuel_litres}
-    return {
-        quantity: {name: _numbers(table[name].iloc[:n_steps]) for name in table.columns}
-        for quantity, table in tables.items()
-        if table is not None
     }
 
 
@@ -415,98 +350,46 @@ def _head(time: pd.Timestamp, scenario: Scenario, status: str) -> dict[str, Any]
 
 
 def _set_points(
-    decision: SetPoints,
+    time: pd.Timestamp,
     scenario: Scenario,
-    known: Known,
+    tables: Tables,
     refused: Mapping[tuple[str, str], str],
     reason: str,
+    reasons: Mapping[tuple[str, str], str] | None = None,
 ) -> list[dict[str, Any]]:
-    """Batteries, then PV systems, customers, chargers, thermostats, and generating sets."""
-    speaker = _Speaker.of(decision.time, scenario, refused)
-    batteries = _rows(decision.batteries, "p_kw", "q_kvar")
-    pv = _rows(decision.pv, "p_kw", "q_kvar", "curtailed_kw")
-    customers: dict[str, dict[str, Any]] = {
-        str(name): {"served": bool(on)} for name, on in decision.customers.served.items()
-    }
-    for name in scenario.customers.id[scenario.customers.dimmable]:
-        customers[str(name)]["share"] = float(decision.customers.loc[name, "share"])
-    lost = {("customers", name): f"{LOST}{why}" for name, why in known.lost.items()}
-    kinds: dict[str, Mapping[str, Any]] = {
-        "batteries": batteries,
-        "pv": pv,
-        "customers": customers,
-    }
-    if decision.chargers is not None:
-        kinds["chargers"] = _rows(decision.chargers, *NUMBERS["chargers"])
-    if decision.thermal_loads is not None:
-        kinds["thermal_loads"] = _rows(decision.thermal_loads, *NUMBERS["thermal_loads"])
-    if decision.gensets is not None:
-        kinds["gensets"] = {
-            str(name): _fields("gensets", row) for name, row in decision.gensets.iterrows()
-        }
-    return [
-        speaker.point(kind, name, values, lost.get((kind, name), reason))
-        for kind, each in kinds.items()
-        for name, values in each.items()
-    ]
+    """What each device is to do, until when, and what after that: the fields of its default.
 
-
-def _rows(table: pd.DataFrame, *columns: str) -> dict[str, dict[str, float]]:
-    """Numbers of a table by identifier and column."""
-    rows = zip(*(table[name].to_numpy(float).tolist() for name in columns), strict=True)
-    return {
-        str(name): dict(zip(columns, row, strict=True))
-        for name, row in zip(table.index, rows, strict=True)
-    }
-
-
-@dataclass(frozen=True, eq=False)
-class _Speaker:
-    """Says set-points of a step.
-
-    Parameters
-    ----------
-    begin, end : str
-        From when until when they hold.
-    defaults : mapping
-        What devices do without us, by kind and identifier.
-    refused : mapping
-        What is not said, and why, by kind and identifier.
-    phases : Phases or None
-        On which phases devices are.
+    A few devices have ``reasons`` of their own; what is ``refused``, and why, is not said.
     """
+    begin, end = written(time), written(time + (1.0 + OVERLAP) * scenario.grid.step)
+    phases = scenario.phases
+    points = []
+    for kind, defaults in _defaults(scenario).items():
+        rows = tables[kind].to_dict(orient="index") if kind in tables else {}
+        for name, default in defaults.items():
+            stopped = refused.get((kind, name))
+            said = default if stopped is not None else _like(default, rows[name])
+            why = (reasons or {}).get((kind, name), reason)
+            points.append(
+                {
+                    "id": f"{begin}/{kind}/{name}",
+                    "asset": name,
+                    "kind": kind,
+                    **({} if phases is None else {"phases": phases.connection(name).coils}),
+                    **said,
+                    **({"sign": _SIGNS[kind]} if kind in _SIGNS else {}),
+                    "valid_from": begin,
+                    "valid_until": end,
+                    "default": default,
+                    "reason": why if stopped is None else f"{DEFAULT}{stopped}",
+                }
+            )
+    return points
 
-    begin: str
-    end: str
-    defaults: Mapping[str, Mapping[str, dict[str, Any]]]
-    refused: Mapping[tuple[str, str], str]
-    phases: Phases | None
 
-    @classmethod
-    def of(
-        cls, time: pd.Timestamp, scenario: Scenario, refused: Mapping[tuple[str, str], str]
-    ) -> _Speaker:
-        """Of the step that begins at a time."""
-        length = scenario.grid.step
-        end = written(time + (1.0 + OVERLAP) * length)
-        return cls(written(time), end, _defaults(scenario), refused, scenario.phases)
-
-    def point(self, kind: str, name: str, values: Mapping[str, Any], reason: str) -> dict[str, Any]:
-        """What one device is to do, until when, and what after that."""
-        default = self.defaults[kind][name]
-        stopped = self.refused.get((kind, name))
-        return {
-            "id": f"{self.begin}/{kind}/{name}",
-            "asset": name,
-            "kind": kind,
-            **({} if self.phases is None else {"phases": self.phases.connection(name).coils}),
-            **(values if stopped is None else default),
-            **({"sign": _SIGNS[kind]} if kind in _SIGNS else {}),
-            "valid_from": self.begin,
-            "valid_until": self.end,
-            "default": default,
-            "reason": reason if stopped is None else f"{DEFAULT}{stopped}",
-        }
+def _like(default: Mapping[str, Any], row: Mapping[Any, Any]) -> dict[str, Any]:
+    """What a row says of the fields of a default, as far as it does."""
+    return {field: type(value)(row[field]) for field, value in default.items() if field in row}
 
 
 _SIGNS = {
@@ -517,20 +400,13 @@ _SIGNS = {
 
 
 def _defaults(scenario: Scenario) -> dict[str, dict[str, dict[str, Any]]]:
-    """What devices do without us: batteries and sets rest, PV systems feed, rooms are in band."""
-    pv = scenario.pv
-    chargers = scenario.chargers
-    charging = {
-        str(name): {"p_kw": float(p_kw), "p_limit_kw": float(p_kw)}
-        for name, p_kw in zip(chargers.id, chargers.p_charge_kw, strict=True)
-    }
+    """What devices do without us: batteries and sets rest, PV systems feed, rooms are in band.
+
+    By kind and identifier; of kinds that are no part of every site only those that there are.
+    """
+    pv, customers, chargers = scenario.pv, scenario.customers, scenario.chargers
     loads = scenario.thermal_loads
-    holding = {
-        str(name): {"setpoint_c": float(t_c)}
-        for name, t_c in zip(loads.id, loads.held_c, strict=True)
-    }
-    standing = {str(name): {"running": False, "p_kw": 0.0} for name in scenario.gensets.id}
-    return {
+    found: dict[str, dict[str, dict[str, Any]]] = {
         "batteries": {str(name): {"p_kw": 0.0, "q_kvar": 0.0} for name in scenario.batteries.id},
         "pv": {
             str(name): {"p_kw": float(p_kw), "q_kvar": 0.0, "curtailed_kw": 0.0}
@@ -538,14 +414,21 @@ def _defaults(scenario: Scenario) -> dict[str, dict[str, dict[str, Any]]]:
         },
         "customers": {
             str(name): {"served": True} | ({"share": 1.0} if dimmable else {})
-            for name, dimmable in zip(
-                scenario.customers.id, scenario.customers.dimmable, strict=True
-            )
+            for name, dimmable in zip(customers.id, customers.dimmable, strict=True)
         },
-        **({"chargers": charging} if charging else {}),
-        **({"thermal_loads": holding} if holding else {}),
-        **({"gensets": standing} if standing else {}),
     }
+    further: dict[str, dict[str, dict[str, Any]]] = {
+        "chargers": {
+            str(name): {"p_kw": float(p_kw), "p_limit_kw": float(p_kw)}
+            for name, p_kw in zip(chargers.id, chargers.p_charge_kw, strict=True)
+        },
+        "thermal_loads": {
+            str(name): {"setpoint_c": float(t_c)}
+            for name, t_c in zip(loads.id, loads.held_c, strict=True)
+        },
+        "gensets": {str(name): {"running": False, "p_kw": 0.0} for name in scenario.gensets.id},
+    }
+    return found | {kind: each for kind, each in further.items() if each}
 
 
 def _rotated(decision: SetPoints) -> dict[str, float] | None:
@@ -578,22 +461,17 @@ def _by_phase(decision: SetPoints) -> dict[str, Any]:
     }
 
 
-def _extremes(decision: SetPoints, v_pu: pd.Series[float]) -> dict[str, Any]:
-    """Lowest and highest voltage of any bus, or node of a phased feeder."""
-    low = high = v_pu
+def _extremes(decision: SetPoints) -> dict[str, Any]:
+    """Lowest and highest voltage of any bus, or node of a phased feeder; no bus in a blackout."""
+    low = high = decision.buses["v_ac_pu"]
     if decision.by_phase is not None:
         at_bus = decision.by_phase.nodes.groupby(level="bus")
         low, high = at_bus.min(), at_bus.max()
     return {
         "v_min_pu": _number(low.min()),
         "v_max_pu": _number(high.max()),
-        "v_min_bus": _at_lowest(low),
+        "v_min_bus": None if low.isna().all() else str(low.idxmin()),
     }
-
-
-def _at_lowest(v_pu: pd.Series[float]) -> str | None:
-    """The bus of the lowest voltage; none in a blackout."""
-    return None if v_pu.isna().all() else str(v_pu.idxmin())
 
 
 def _numbers(values: Iterable[Any]) -> list[float | None]:

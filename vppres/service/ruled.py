@@ -4,22 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from vppres.control.rules import rule_dispatch
 from vppres.control.step_state import StepState
+from vppres.core.arrays import Floats
 from vppres.live.ranges import RANGES
 from vppres.model.linearise import delta_offset
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
-from vppres.service.plans import Ordered
+from vppres.service.plans import Tables
 
 
 def ruled(
-    now: Scenario, soc: Mapping[str, float], lost: Mapping[str, str], before: Ordered
-) -> Ordered:
+    now: Scenario, soc: Mapping[str, float], lost: Mapping[str, str], before: Tables
+) -> Tables:
     """Set-points by rule, which needs no solver.
 
     Parameters
@@ -30,8 +31,8 @@ def ruled(
         States of charge that were read; a battery without one rests.
     lost : mapping
         Customers that cannot be supplied.
-    before : Ordered
-        Set-points of the last step: generating sets keep theirs.
+    before : mapping of str to DataFrame
+        Set-points of the last step by kind: generating sets keep theirs, chargers charge nothing.
     """
     site = Site.of(now)
     b = site.batteries
@@ -48,50 +49,32 @@ def ruled(
         delta_offset(site.network, None),
         np.isfinite(held),
     )
-    sets = before.gensets
+    sets = before.get("gensets")
     if sets is not None:
         on, given_kw = sets["running"].to_numpy(bool), sets["p_kw"].to_numpy(float)
         state = replace(state, taken_kw={"gensets": -given_kw}, running={"gensets": on})
     found = rule_dispatch(state, now.tiers).dispatch
-    return Ordered(
-        batteries=pd.DataFrame(
-            {"p_kw": (found.charge_kw - found.discharge_kw)[0], "q_kvar": found.batt_q_kvar[0]},
-            [str(name) for name in b.id],
-        ),
-        pv=pd.DataFrame(
-            {
-                "p_kw": found.pv_self_kw[0] + found.pv_export_kw[0],
-                "q_kvar": found.pv_q_kvar[0],
-                "curtailed_kw": found.pv_curtailed_kw[0],
-                "available_kw": state.pv_kw,
-            },
-            [str(name) for name in site.pv.id],
-        ),
-        customers=pd.DataFrame(
-            {"served": np.asarray(found.served[0], dtype=bool) & connected},
-            [str(name) for name in site.customers.id],
-        ),
-        chargers=_resting(now),
-        thermal_loads=_left_alone(now),
-        gensets=sets,
-    )
+    columns: dict[str, dict[str, Any]] = {
+        "batteries": {
+            "p_kw": (found.charge_kw - found.discharge_kw)[0],
+            "q_kvar": found.batt_q_kvar[0],
+        },
+        "pv": {
+            "p_kw": found.pv_self_kw[0] + found.pv_export_kw[0],
+            "q_kvar": found.pv_q_kvar[0],
+            "curtailed_kw": found.pv_curtailed_kw[0],
+        },
+        "customers": {"served": np.asarray(found.served[0], dtype=bool) & connected},
+        "chargers": {"p_kw": 0.0, "p_limit_kw": 0.0},
+        "thermal_loads": {"setpoint_c": _left_alone(now)},
+        "gensets": {},
+    }
+    return {kind: table.assign(**columns[kind]) for kind, table in before.items()}
 
 
-def _left_alone(now: Scenario) -> pd.DataFrame | None:
-    """Thermostats at which no machine runs in an outage, and that hold the band with grid.
-
-    None without thermal loads.
-    """
+def _left_alone(now: Scenario) -> Floats:
+    """Thermostats at which no machine runs in an outage, and that hold the band with grid."""
     loads = now.thermal_loads
-    if not len(loads):
-        return None
     any_c = RANGES["indoor_c"]
     idle_c = np.where(loads.heats, any_c.lowest, any_c.highest)
-    setpoint_c = loads.held_c if now.grid_limit_kw[0] > 0.0 else idle_c
-    return pd.DataFrame({"setpoint_c": setpoint_c}, [str(name) for name in loads.id])
-
-
-def _resting(now: Scenario) -> pd.DataFrame | None:
-    """Chargers that do nothing: the rule supplies customers; None without chargers."""
-    names = [str(name) for name in now.chargers.id]
-    return pd.DataFrame(0.0, names, ["p_kw", "p_limit_kw"]) if names else None
+    return loads.held_c if now.grid_limit_kw[0] > 0.0 else idle_c

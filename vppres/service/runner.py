@@ -34,7 +34,14 @@ from vppres.service.conditions import Standing, conditions, situation
 from vppres.service.gate import refusals
 from vppres.service.knowledge import EARLY_SHARE, Heard, Known, known_at, soc_at
 from vppres.service.learned import learned, measured_in
-from vppres.service.plans import Ordered, defaults_of, made_anew, ordered_plan, plan_of
+from vppres.service.plans import (
+    defaults_of,
+    made_anew,
+    ordered,
+    ordered_plan,
+    plan_of,
+    tables_of,
+)
 from vppres.service.records import DECIDED, After, Asked, Reading, moment, seconds
 from vppres.service.ruled import ruled
 from vppres.service.store import Store
@@ -391,7 +398,8 @@ class Runner:
             self.heard = known.heard
             decision = self._controller.step(known.measurement)
             # What was decided on, not what was read: the gate checks this decision.
-            refused = refusals(decision, self.scenario, dict(decision.batteries["soc"]))
+            tables = tables_of(decision, self.scenario)
+            refused = refusals(tables, self.scenario, dict(decision.batteries["soc"]))
         except StorageError:
             raise
         except Exception as error:
@@ -450,8 +458,8 @@ class Runner:
             now = replace(now, grid_limit_kw=np.zeros(1))
         words = str(error).splitlines()[:1] or [type(error).__name__]
         mode = {"mode": FAILED, "reason": f"by rule: {words[0]}"}
-        ordered = ruled(now, soc, lost, Ordered.of(self.scenario, self.last, []))
-        return self._kept(time, ordered_plan(time, self.scenario, mode, ordered, {}), asked)
+        tables = ruled(now, soc, lost, ordered(self.scenario, self.last, []))
+        return self._kept(time, ordered_plan(time, self.scenario, mode, tables, {}), asked)
 
     def _profile_of(self, time: pd.Timestamp) -> Scenario:
         """What the scenario says of a step."""
@@ -485,9 +493,9 @@ class Runner:
         self, time: pd.Timestamp, mode: dict[str, Any], asked: Asked | None
     ) -> dict[str, Any]:
         """The plan of an operator, through the gate as any other."""
-        ordered = Ordered.of(self.scenario, self.last, mode.get("setpoints", []))
-        refused = refusals(ordered, self.scenario, soc_at(time, self.scenario, self.store))
-        return self._kept(time, ordered_plan(time, self.scenario, mode, ordered, refused), asked)
+        tables = ordered(self.scenario, self.last, mode.get("setpoints", []))
+        refused = refusals(tables, self.scenario, soc_at(time, self.scenario, self.store))
+        return self._kept(time, ordered_plan(time, self.scenario, mode, tables, refused), asked)
 
     def _bridge_gap(self, time: pd.Timestamp) -> None:
         """Write down the steps since the last one as missed; they are not decided any more."""
