@@ -10,7 +10,8 @@ The set is decided anew only where the losses leave it no dispatch.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from math import inf
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
@@ -19,6 +20,7 @@ import numpy as np
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.observation import Observation
 from vppres.control.forming import formed_by_set
+from vppres.control.last_window import NO_ROW, LastWindow, kinds_of
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import InfeasibleError, LimitError, NumericalError
 from vppres.model.beyond_paper.losses import (
@@ -54,20 +56,6 @@ SOC_NUDGE = 1e-6
 
 _NO_POWER_KW = 1e-6
 _MAX_DECISIONS = 3
-
-
-@dataclass(frozen=True, eq=False)
-class _Line:
-    """What a step was linearised at: offset, active and reactive loss of each line, (L,) each.
-
-    ``drawn_kw`` and ``drawn_kvar``, (N,), are what the network itself drew.
-    """
-
-    offset_pu2: Floats
-    loss_kw: Floats
-    loss_kvar: Floats
-    drawn_kw: Floats
-    drawn_kvar: Floats
 
 
 class Points(Protocol):
@@ -230,13 +218,13 @@ class ConvergedPlanner(PassesPlanner[ACPoints]):
         LinDistFlow.
     """
 
-    REMEMBERED: ClassVar[dict[str, Any]] = {"_known": dict[int, tuple[bool, _Line]]}
+    REMEMBERED: ClassVar[dict[str, Any]] = {"_last": LastWindow | None}
 
     def __init__(
         self, solver: WindowSolver, headroom: float = DEFAULT_HEADROOM, passes: int = DEFAULT_PASSES
     ) -> None:
         super().__init__(solver, headroom, passes)
-        self._known: dict[int, tuple[bool, _Line]] = {}
+        self._last: LastWindow | None = None
         self._sweeps: dict[tuple[int, bool], Sweeps] = {}
 
     def plan(
@@ -272,7 +260,7 @@ class ConvergedPlanner(PassesPlanner[ACPoints]):
             start = self._without_losses(whole, dark)
             data, solution = self.decide(start, start, first)
         _, reached, solution = self.converge(data, solution, deadline)
-        self._remember(t0, reached)
+        self._last = LastWindow(t0, kinds_of(reached), _rows(reached))
         return self._in_the_dark(whole, dark, solution)
 
     def _drawn_everywhere(self, observation: Observation, island: Flags) -> Drawn | None:
@@ -362,41 +350,15 @@ class ConvergedPlanner(PassesPlanner[ACPoints]):
         return found
 
     def _guessed(self, t0: int, start: WindowData) -> WindowData:
-        """The window at what is known of each step, or of the last step like it before."""
-        physics = start.require_physics()
-        drawn = start.drawn or self._nothing(start.n_steps)
-        rows = {
-            "offset_pu2": start.delta_pu2.copy(),
-            "loss_kw": physics.loss_kw.copy(),
-            "loss_kvar": physics.loss_kvar.copy(),
-            "drawn_kw": drawn.kw.copy(),
-            "drawn_kvar": drawn.kvar.copy(),
-        }
-        last: dict[bool, _Line] = {}
-        lit = lit_steps(start)
-        for step in sorted(self._known):
-            if step < t0:
-                last[self._known[step][0]] = self._known[step][1]
-        for row in range(start.n_steps):
-            island = bool(start.dark[row])
-            known = self._known.get(t0 + row)
-            if known is not None and known[0] == island:
-                last[island] = known[1]
-            if island in last and (lit[row] or not self._own):
-                for name, values in rows.items():
-                    values[row] = getattr(last[island], name)
-        return replace(
-            start,
-            delta_pu2=rows["offset_pu2"],
-            physics=replace(physics, loss_kw=rows["loss_kw"], loss_kvar=rows["loss_kvar"]),
-            drawn=start.drawn and Drawn(rows["drawn_kw"], rows["drawn_kvar"]),
+        """The window at what its steps, or others like them, were linearised at before."""
+        if self._last is None:
+            return start
+        rows = self._last.rows_for(t0, start)
+        known = (rows != NO_ROW)[:, None]
+        before = (values[rows] for values in self._last.rows)
+        return _linearised_at(
+            start, [np.where(known, *pair) for pair in zip(before, _rows(start), strict=True)]
         )
-
-    @property
-    def _own(self) -> bool:
-        """Whether the network has ratios, or draws power by itself."""
-        network = self.solver.site.network
-        return network.draws or network.has_ratios
 
     def _at_rest(self, data: WindowData) -> WindowData:
         """The window with the slack bus's voltage everywhere in outage steps, ratios or not."""
@@ -407,35 +369,21 @@ class ConvergedPlanner(PassesPlanner[ACPoints]):
         flat = u_pu2[1:] - u_pu2[net.parent]
         return replace(data, delta_pu2=np.where(lit_steps(data)[:, None], data.delta_pu2, flat))
 
-    def _nothing(self, n_steps: int) -> Drawn:
-        """What a network without shunts draws."""
-        nothing = np.zeros((n_steps, self.solver.site.network.n_buses))
-        return Drawn(nothing, nothing)
 
-    def _remember(self, t0: int, data: WindowData) -> None:
-        """Keep what each step was linearised at; the next window starts there."""
-        physics = data.require_physics()
-        self._forget(t0)
-        drawn = data.drawn or self._nothing(data.n_steps)
-        lit = lit_steps(data)
-        for row in range(data.n_steps):
-            if self._own and not lit[row]:
-                continue  # dark: nothing to begin with where there is light
-            line = _Line(
-                data.delta_pu2[row],
-                physics.loss_kw[row],
-                physics.loss_kvar[row],
-                drawn.kw[row],
-                drawn.kvar[row],
-            )
-            self._known[t0 + row] = (bool(data.dark[row]), line)
+def _rows(data: WindowData) -> tuple[Floats, ...]:
+    """What each step is linearised at: offset and losses of each line, and what each bus draws."""
+    physics = data.require_physics()
+    drawn = () if data.drawn is None else (data.drawn.kw, data.drawn.kvar)
+    return data.delta_pu2, physics.loss_kw, physics.loss_kvar, *drawn
 
-    def _forget(self, t0: int) -> None:
-        """Drop what is over, but for the last step of each kind: later guesses need no more."""
-        last = {self._known[step][0]: step for step in sorted(self._known) if step < t0}
-        over = [step for step in self._known if step < t0 and step not in last.values()]
-        for step in over:
-            del self._known[step]
+
+def _linearised_at(data: WindowData, rows: Sequence[Floats]) -> WindowData:
+    """The window with other such rows."""
+    offset_pu2, loss_kw, loss_kvar, *drawn = rows
+    physics = replace(data.require_physics(), loss_kw=loss_kw, loss_kvar=loss_kvar)
+    return replace(
+        data, delta_pu2=offset_pu2, physics=physics, drawn=Drawn(*drawn) if drawn else None
+    )
 
 
 def _marked(attempt: str, solution: WindowSolution) -> WindowSolution:

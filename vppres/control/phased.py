@@ -6,8 +6,6 @@ from dataclasses import replace
 from math import inf
 from typing import Any, ClassVar
 
-import numpy as np
-
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.observation import Observation
 from vppres.control.converged import (
@@ -21,11 +19,12 @@ from vppres.control.converged import (
     physics_of,
     without_power,
 )
+from vppres.control.last_window import NO_ROW, LastWindow, kinds_of
 from vppres.control.phased_window import PhasedLinearisation
-from vppres.core.arrays import Flags, Floats, Wholes
+from vppres.core.arrays import Flags
 from vppres.model.beyond_paper.losses import lit_steps
 from vppres.model.data import WindowData
-from vppres.model.phases import GRID, ISLAND, PhasedPoints, phased_model
+from vppres.model.phases import PhasedPoints, phased_model
 from vppres.physics.phased_sources import farthest
 from vppres.solve.deadline import Deadline
 from vppres.solve.ladder import WindowSolver
@@ -37,9 +36,6 @@ PASSES = 2 * DEFAULT_PASSES
 FIRST_DAMPED = 3
 """Pass after which a window moves only halfway to the AC points: two candidates whose reactive
 power differs may follow each other for ever otherwise."""
-
-NO_POWER = -1
-"""What a step without power is, beside the sources of the others."""
 
 
 class PhasedPlanner(PassesPlanner[PhasedPoints]):
@@ -55,7 +51,7 @@ class PhasedPlanner(PassesPlanner[PhasedPoints]):
         Largest number of solves and power flows of a window.
     """
 
-    REMEMBERED: ClassVar[dict[str, Any]] = {"_last": tuple[int, Wholes, Floats, Floats] | None}
+    REMEMBERED: ClassVar[dict[str, Any]] = {"_last": LastWindow | None}
 
     def __init__(
         self, solver: WindowSolver, headroom: float = DEFAULT_HEADROOM, passes: int = PASSES
@@ -63,7 +59,7 @@ class PhasedPlanner(PassesPlanner[PhasedPoints]):
         super().__init__(solver, headroom, passes)
         self.model = phased_model(solver.site)
         self._linearisation = PhasedLinearisation(self.model)
-        self._last: tuple[int, Wholes, Floats, Floats] | None = None
+        self._last: LastWindow | None = None
 
     def plan(
         self, observation: Observation, n_steps: int | None = None, within_s: float = inf
@@ -103,22 +99,16 @@ class PhasedPlanner(PassesPlanner[PhasedPoints]):
         """
         if self._last is None:
             return start
-        begin, kinds, p, q = self._last
-        rows = np.full(start.n_steps, NO_POWER)
-        for row, kind in enumerate(_kinds(start)):
-            alike = np.flatnonzero(kinds == kind)
-            same = alike[alike == t0 + row - begin]
-            if kind != NO_POWER and len(alike):
-                rows[row] = [*alike, *same][-1]
-        known = rows != NO_POWER
-        p, q = p[rows], q[rows]
+        rows = self._last.rows_for(t0, start)
+        known = rows != NO_ROW
+        p, q = (values[rows] for values in self._last.rows)
         points = self.model.points(start, p, q, known)
         return self._linearisation.at(start, p, q, points, known & points.converged)
 
     def _remember(self, t0: int, data: WindowData, plan: Dispatch) -> None:
         """Keep what assets draw in a plan, and what its steps are."""
         p, q = self.model.drawn(data.for_service(plan.served), plan)
-        self._last = t0, _kinds(data), p, q
+        self._last = LastWindow(t0, kinds_of(data), (p, q))
 
     def ac_points(self, data: WindowData, dispatch: Dispatch) -> PhasedPoints:
         """AC points of a candidate, step by step."""
@@ -146,8 +136,3 @@ class PhasedPlanner(PassesPlanner[PhasedPoints]):
         v_pu = self._linearisation.v_pu(data, p, q)
         at_buses = farthest(v_pu, self.model.at_bus, self.solver.site.network.n_buses)
         return replace(solution, dispatch=replace(plan, v_pu=at_buses, v_node_pu=v_pu))
-
-
-def _kinds(data: WindowData) -> Wholes:
-    """What holds the voltage of each step, (W,)."""
-    return np.where(lit_steps(data), np.where(data.dark, ISLAND, GRID), NO_POWER)

@@ -1,0 +1,56 @@
+"""Where the steps of the last window were linearised: the next window begins there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vppres.core.arrays import Floats, Wholes
+from vppres.model.beyond_paper.losses import lit_steps
+from vppres.model.data import WindowData
+from vppres.model.phases import GRID, ISLAND
+
+NO_POWER = -1
+"""What a step without power is, beside the sources of the others."""
+
+NO_ROW = -1
+"""Instead of a row, if there is none."""
+
+
+@dataclass(frozen=True, eq=False)
+class LastWindow:
+    """What holds the voltage of the last window's steps, and where they were linearised.
+
+    Parameters
+    ----------
+    t0 : int
+        Its first step.
+    kinds : array of int, shape (W,)
+        ``GRID``, ``ISLAND`` or ``NO_POWER`` of each step.
+    rows : tuple of array, shape (W, .)
+        Values of each step.
+    """
+
+    t0: int
+    kinds: Wholes
+    rows: tuple[Floats, ...]
+
+    def rows_for(self, t0: int, data: WindowData) -> Wholes:
+        """Row for each step of a window from ``t0``, ``NO_ROW`` for a step that has none.
+
+        It is that of the same step if the same source holds its voltage now, and else the last one
+        with that source.
+        """
+        found = np.full(data.n_steps, NO_ROW)
+        for step, kind in enumerate(kinds_of(data)):
+            alike = np.flatnonzero(self.kinds == kind)
+            if kind != NO_POWER and len(alike):
+                same = t0 + step - self.t0
+                found[step] = same if same in alike else alike[-1]
+        return found
+
+
+def kinds_of(data: WindowData) -> Wholes:
+    """What holds the voltage of each step, (W,)."""
+    return np.where(lit_steps(data), np.where(data.dark, ISLAND, GRID), NO_POWER)
