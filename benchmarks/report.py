@@ -13,11 +13,11 @@ import pandas as pd
 from jinja2 import Environment
 from matplotlib.figure import Figure
 
+from experiments.drawing import save_figure
 from experiments.tables import template_environment
 from vppres.core.errors import InputError, Problem
 from vppres.day.metrics import versions
 from vppres.io.atomic import atomic_write_text
-from vppres.studies.drawing import save_figure
 
 TEMPLATES = Path(__file__).with_name("templates")
 MARKDOWN = "report.md"

@@ -8,8 +8,8 @@ from pathlib import Path
 import pandas as pd
 from matplotlib.figure import Figure
 
+from experiments.drawing import draw_grid, save_figure
 from vppres.report.plots.palette import BLACK, BLUE, GREEN, ORANGE
-from vppres.studies.drawing import draw_grid, save_figure
 
 STYLES = {"load": ("load", BLUE), "pv": ("PV power", ORANGE), "net": ("load less PV", GREEN)}
 TARGET = Path(__file__).parent / "_static" / "forecasts"

@@ -15,6 +15,7 @@ import typer
 from matplotlib.figure import Figure
 
 import data.uk_heatwave_2022.build as builder
+from experiments.drawing import draw_grid, save_figure
 from experiments.jobs import Day, scenario
 from experiments.paired import Estimate, by_seed
 from experiments.random_days import DRAWINGS
@@ -29,7 +30,6 @@ from vppres.day.metrics import summarise, versions
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.report.plots.palette import BLUE
-from vppres.studies.drawing import draw_grid, save_figure
 
 CONTROLLERS = {
     "mpc": "MPC, H = 5 h",

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from pathlib import Path
+from typing import Any, Literal
 
+import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.container import ErrorbarContainer
@@ -12,13 +14,25 @@ from matplotlib.figure import Figure
 
 from experiments.results import DayResult
 from vppres.core.arrays import Floats
-from vppres.report.plots.palette import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILLION
-from vppres.studies.drawing import draw_grid
+from vppres.report.plots.palette import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    RULE_COLOUR,
+    VERMILLION,
+)
 
 MPC = "MPC"
 FULL = "full horizon"
 WIDTH_IN = 8.0
 DAY_H = 24
+DPI = 150
+
+# A fixed salt keeps two SVG files equal if their data are.
+SVG_HASH_SALT = "vppres"
 
 # The second line is thinner and dashed, so that both are seen where they coincide.
 LINES: dict[str, dict[str, Any]] = {
@@ -33,6 +47,14 @@ SERIES: dict[str, dict[str, Any]] = {
 }
 SPREAD, SPREAD_RANGE = "#8C3A00", "#F4C7A8"
 PUBLISHED_RANGE = "#E4E4E4"
+
+
+def draw_grid(ax: Axes, axis: Literal["both", "x"] = "both") -> None:
+    """Light rules behind the curves, and no frame above and at the right."""
+    ax.grid(True, axis=axis, color=RULE_COLOUR, linewidth=0.5)
+    ax.set_axisbelow(True)
+    for side in ("top", "right"):
+        ax.spines[side].set_visible(False)
 
 
 def panels(heights: tuple[float, ...], height_in: float, title: str) -> tuple[Figure, list[Axes]]:
@@ -93,3 +115,28 @@ def outage_hours(day: DayResult) -> tuple[int, int]:
     """First hour of the outage, and the first after it."""
     hours = np.flatnonzero(day.series("outage"))
     return int(hours[0]), int(hours[-1]) + 1
+
+
+def save_figure(figure: Figure, stem: Path) -> list[Path]:
+    """Write one figure as PNG and SVG; equal figures give equal files.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+        The figure.
+    stem : Path
+        File without its ending, in an existing folder.
+
+    Returns
+    -------
+    list of Path
+        The files written.
+    """
+    png = stem.with_name(f"{stem.name}.png")
+    svg = stem.with_name(f"{stem.name}.svg")
+    with matplotlib.rc_context({"svg.hashsalt": SVG_HASH_SALT}):
+        figure.savefig(svg, metadata={"Date": None})
+    # The places are found; to find them again would take half of the time.
+    figure.set_layout_engine("none")
+    figure.savefig(png, dpi=DPI)
+    return [png, svg]

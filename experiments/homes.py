@@ -16,6 +16,7 @@ import typer
 from matplotlib.figure import Figure
 
 from data.homes.build import HELD_OUT, homes
+from experiments.drawing import draw_grid, save_figure
 from experiments.paired import Estimate, by_seed
 from experiments.report import machine
 from experiments.seeds import (
@@ -28,7 +29,6 @@ from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.report.plots.palette import BLUE
 from vppres.scenario.scenario import Scenario
-from vppres.studies.drawing import draw_grid, save_figure
 
 FORECASTERS = {
     "paper": "perfect forecasts",

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 
 from experiments import efficiency, ideal
 from experiments.config import Config, read_config
-from experiments.drawing import FULL, LINES, MPC, SPREAD, legend
+from experiments.drawing import FULL, LINES, MPC, SPREAD, draw_grid, legend, save_figure
 from experiments.jobs import Day, Job, scenario
 from experiments.results import DayResult
 from experiments.rows import Row, order
@@ -30,7 +30,6 @@ from experiments.tables import markdown_table, write_pages
 from experiments.terminal import plain_errors, show_report
 from experiments.weighted_gap import service_of, terms_beside_gap
 from vppres.report.plots.palette import BLACK
-from vppres.studies.drawing import draw_grid, save_figure
 
 LABEL = "all"
 TITLE = "The paper at the precision of a weighted solve"

@@ -14,12 +14,12 @@ from jinja2 import Environment
 from experiments import precision, sensitivities
 from experiments.catalogue import ALL
 from experiments.config import Config
+from experiments.drawing import save_figure
 from experiments.rows import Row, order
 from experiments.runner import Results
 from experiments.tables import template_environment
 from vppres.day.metrics import versions
 from vppres.io.atomic import atomic_write_text
-from vppres.studies.drawing import save_figure
 
 TEMPLATES = Path(__file__).with_name("templates")
 HTML = "report.html"

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from experiments.config import Config
-from experiments.drawing import FULL, LINES, MPC, WIDTH_IN
+from experiments.drawing import FULL, LINES, MPC, WIDTH_IN, draw_grid
 from experiments.jobs import Job
 from experiments.results import DayResult
 from experiments.rows import Row
@@ -19,7 +19,6 @@ from vppres.contract.forecast import ForecastErrors
 from vppres.day.options import RunOptions
 from vppres.report.plots.palette import GREEN, GREY
 from vppres.scenario.rules import SwitchingRules
-from vppres.studies.drawing import draw_grid
 
 LABEL = "not in the paper"
 TITLE = "Switching rules"

@@ -21,6 +21,7 @@ import typer
 from matplotlib.figure import Figure
 from numpy.random import Generator
 
+from experiments.drawing import draw_grid, save_figure
 from experiments.outage_days import (
     FALSE_SHARE,
     NOTICE_H,
@@ -61,7 +62,6 @@ from vppres.outlook.belief import OutageBelief
 from vppres.outlook.outlook import Announced, OutageOutlook, SeenOutage, announced_by
 from vppres.report.plots.palette import BLUE
 from vppres.scenario.scenario import Scenario
-from vppres.studies.drawing import draw_grid, save_figure
 from vppres.studies.side_by_side import Where
 
 Part = Literal["heatwave", "cigre", "wrong", "names", "notice"]

@@ -616,16 +616,20 @@ def test_figure_orders_numbers_and_leaves_a_gap() -> None:
     summaries = {2.0: {"resilience": 0.2}, 1.0: None, 0.0: {"resilience": 0.0}}
     outcomes = [sweep.SweepRow(value, "", summary, None) for value, summary in summaries.items()]
     figure = sweep_figure("horizon", outcomes, ("critical",))
-    x, y = figure.axes[1].lines[0].get_data()
-    assert list(x) == [0.0, 1.0, 2.0]
-    np.testing.assert_array_equal(y, [0.0, np.nan, 0.2])
+    assert figure.across.places.tolist() == [0.0, 1.0, 2.0]
+    (curve,) = figure.panels[1].curves
+    np.testing.assert_array_equal(curve.values, [0.0, np.nan, 0.2])
+    assert curve.joined
+    left, right = figure.time.edges[[0, 2]]
+    assert re.findall(r'<circle cx="([\d.]+)"', figure.svg()) == [f"{left:.1f}", f"{right:.1f}"]
 
 
 def test_figure_names_words_on_its_axis() -> None:
     outcomes = [sweep.SweepRow(value, "", {"resilience": 0.5}, None) for value in ("mpc", "full")]
-    axis = sweep_figure("controller", outcomes, ("critical",)).axes[-1]
-    assert [label.get_text() for label in axis.get_xticklabels()] == ["mpc", "full"]
-    assert axis.lines[0].get_linestyle() == "None"  # there is nothing between two words
+    figure = sweep_figure("controller", outcomes, ("critical",))
+    assert [name for _, name in figure.time.ticks()] == ["mpc", "full"]
+    # There is nothing between two words.
+    assert not any(curve.joined for panel in figure.panels for curve in panel.curves)
 
 
 # Completion

@@ -23,13 +23,14 @@ from vppres.day.simulate import run_day
 from vppres.day.trajectory import Trajectory
 from vppres.io import read_scenario, write_scenario
 from vppres.report.plots.files import FIGURES, RUN_FIGURES
+from vppres.report.plots.pixels import png_of
 from vppres.report.run_folder import write_run
 from vppres.scenario.scenario import Scenario
 from vppres.studies.sweep import SweepRow, cases_of
 from vppres.studies.sweep_page import sweep_figure
 from vppres.studies.sweep_parameters import find_parameter
 
-FORMULA = r"$\frac{$"  # an error where matplotlib takes it for a formula
+FORMULA = r"$\frac{$"  # an error where it is taken for a formula
 MARKUP = "[/x]"  # an error where rich takes it for markup
 TAG = "</script><b>../../x"
 TITLE = f"[/bold] {FORMULA} {TAG} [red]"
@@ -126,9 +127,12 @@ def test_a_sweep_over_a_tier_writes_inside_its_folder(hostile: Scenario, tier: s
     assert all(folder.parent == Path("out") and ".." not in folder.parts for folder in folders)
 
 
-def test_the_figure_of_a_sweep_shows_formulas_as_text(
+def test_the_figure_of_a_sweep_shows_names_as_text(
     hostile_run: Trajectory, hostile: Scenario
 ) -> None:
     summary = summarise(hostile_run)
     rows: Sequence[SweepRow] = [SweepRow(value, "a", summary, None) for value in (0.1, 0.2)]
-    sweep_figure(f"tiers.{FORMULA}", rows, hostile.tiers).canvas.draw()
+    chart = sweep_figure(f"tiers.{FORMULA}", rows, hostile.tiers)
+    drawn = ElementTree.fromstring(chart.svg())
+    assert {FORMULA, MARKUP, TAG, f"tiers.{FORMULA}"} <= {element.text for element in drawn.iter()}
+    assert png_of(chart.svg()).startswith(b"\x89PNG")

@@ -20,7 +20,7 @@ LIBRARY_HOMES = {
     "highspy": {"solve"},
     "pandapower": {"feeders"},
     "typer": {"cli"},
-    "matplotlib": {"studies"},
+    "matplotlib": set(),
     "resvg_py": {"report"},
     "fastapi": {"service"},
     "paho": {"service"},

@@ -3,33 +3,28 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from markupsafe import Markup
 
 from vppres.core.arrays import Floats
 from vppres.forecasts.interface import quantiles
 from vppres.io.atomic import RUN_MARK, atomic_folder, atomic_write_text
 from vppres.report.key_figures import number
 from vppres.report.pages import page
-from vppres.report.plots.palette import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILLION
+from vppres.report.plots.axes import Scale
+from vppres.report.plots.chart import Band, Chart, Curve, Curves, Limit
+from vppres.report.plots.palette import BLACK, BLUE, GREY, RUN_STYLES, VERMILLION, Style
 from vppres.studies.backtest import Backtest
-from vppres.studies.drawing import draw_grid, embedded
 from vppres.studies.estimate_scores import EstimateScores
-from vppres.studies.issue_scores import ENERGY_H, SHARES
+from vppres.studies.issue_scores import SHARES
 from vppres.studies.warning_scores import WarningScores
-
-Scores = TypeVar("Scores")
 
 PAGE_FILE = "backtest.html"
 TEMPLATE = "backtest.html.j2"
-SIZE_IN = (4.6, 3.2)
 WORDS = {"load": "Load", "pv": "PV power", "net": "Load less PV power"}
-SHARE_COLOURS = dict(zip(SHARES, (GREEN, BLUE, ORANGE), strict=True))
 PIT_BINS = 10
 LENGTH_BINS = 5
 TWO_SIGMA = 1.96
@@ -81,14 +76,7 @@ def render_backtest(result: Backtest, title: str, warned: WarningScores | None =
             "band": _band(result),
             "shares": [f"{share:.0%}" for share in SHARES],
             "figures": [
-                (
-                    WORDS[quantity],
-                    [
-                        (caption, embedded(_figure(draw, result, quantity)))
-                        for caption, draw in FIGURES
-                    ],
-                )
-                for quantity in result.quantities
+                (WORDS[quantity], _figures(result, quantity)) for quantity in result.quantities
             ],
             "warned": warned,
             "warned_figures": [] if warned is None else _warned_figures(warned),
@@ -189,38 +177,14 @@ def _counted(number: int, thing: str) -> str:
     return f"{number} {thing}{'' if number == 1 else 's'}"
 
 
-def _warned_figures(warned: WarningScores) -> list[tuple[str, str]]:
-    """Captions and pictures of what there is enough of."""
-    drawn = []
-    if len(warned.reliability):
-        caption = "How often an outage came of warnings that said as much; bars: a right forecast."
-        drawn.append((caption, embedded(_small(_draw_reliability, warned))))
-    if len(warned.duration_pit):
-        caption = "Where lengths lay in what was said of them; level is right."
-        drawn.append((caption, embedded(_small(_draw_lengths, warned))))
-    return drawn
-
-
-def _draw_reliability(ax: Axes, warned: WarningScores) -> None:
-    table = warned.reliability
-    said = 100.0 * table["said"]
-    middle = 50.0 * (table["low"] + table["high"])
-    half = 50.0 * (table["high"] - table["low"])
-    ax.errorbar(said, middle, half, fmt="none", ecolor=GREY, elinewidth=6.0, alpha=0.6)
-    ax.plot([0.0, 100.0], [0.0, 100.0], color=BLACK, linewidth=1.0, linestyle=(0, (4, 2)))
-    ax.plot(said, 100.0 * table["came"], color=BLUE, marker="o", linestyle="none")
-    for x, y, count in zip(said, 100.0 * table["came"], table["warnings"], strict=True):
-        ax.annotate(f"{count}", (x, y), (6, 4), textcoords="offset points", fontsize=8)
-    ax.set_xlim(-4.0, 104.0)
-    ax.set_ylim(-4.0, 104.0)
-    ax.set_xlabel("Said (%)")
-    ax.set_ylabel("Came (%)")
-
-
-def _draw_lengths(ax: Axes, warned: WarningScores) -> None:
-    _pit_bars(ax, warned.duration_pit, LENGTH_BINS)
-    ax.set_xlabel("Share of what was said below the length that came")
-    ax.set_ylabel("Outages (%)")
+def _warned_figures(warned: WarningScores) -> list[tuple[str, Markup]]:
+    """Captions and drawings of what there is enough of."""
+    if not len(warned.duration_pit):
+        return []
+    caption = "Where lengths lay in what was said of them; level is right."
+    across = "Share of what was said below the length that came"
+    drawn = _ranks("lengths", across, "Outages (%)", warned.duration_pit, LENGTH_BINS)
+    return [(caption, Markup(drawn.svg()))]
 
 
 def _band(result: Backtest) -> float:
@@ -250,95 +214,65 @@ def _percent(share: float) -> str:
     return f"{share:.0%}".replace("%", " %")
 
 
-def _figure(draw: Callable[[Axes, Backtest, str], None], result: Backtest, quantity: str) -> Figure:
-    """One small figure of a quantity."""
-    return _small(lambda ax, scores: draw(ax, scores, quantity), result)
-
-
-def _small(draw: Callable[[Axes, Scores], None], scores: Scores) -> Figure:
-    """One small figure of scores."""
-    figure = Figure(figsize=SIZE_IN, layout="constrained")
-    ax = figure.subplots()
-    draw_grid(ax)
-    draw(ax, scores)
-    return figure
-
-
-def _draw_crps(ax: Axes, result: Backtest, quantity: str) -> None:
-    lines = (
-        ("crps", result.forecaster, BLUE, "-", 2.2),
-        ("climatology", "hour of day", BLACK, (0, (5, 2)), 1.4),
-        ("weekly", "a week before", GREY, (0, (1, 1)), 1.4),
+def _figures(result: Backtest, quantity: str) -> list[tuple[str, Markup]]:
+    """Captions and drawings of a quantity."""
+    ranks = result.scores["pit", quantity]
+    drawn = (
+        (
+            "By lead: error beside the references, lower is better; what intervals covered, dashed "
+            "is what they should; the last forecast with its 50% and 90% intervals, and what came.",
+            _by_lead(result, quantity),
+        ),
+        (
+            "Where what came lay in the forecast; level is right, a hump too wide, a bowl too "
+            "narrow.",
+            _ranks(
+                f"ranks_{quantity}",
+                "Share of the forecast below what came",
+                "Steps (%)",
+                ranks[~np.isnan(ranks)],
+                PIT_BINS,
+            ),
+        ),
+        ("What the 80% interval covered, month by month.", _months(result, quantity)),
     )
-    for name, words, colour, style, width in lines:
-        ax.plot(
-            result.leads_h,
-            result.mean(name, quantity),
-            color=colour,
-            linestyle=style,
-            linewidth=width,
-            label=words,
-        )
-    ax.set_ylim(bottom=0.0)
-    ax.set_ylabel("CRPS (kW)")
-    ax.set_xlabel("Lead (h)")
-    ax.legend(frameon=False, fontsize=8)
+    return [(caption, Markup(chart.svg())) for caption, chart in drawn]
 
 
-def _draw_held(ax: Axes, result: Backtest, quantity: str) -> None:
-    for share, colour in SHARE_COLOURS.items():
-        held = 100.0 * result.mean(f"held {share}", quantity)
-        ax.plot(result.leads_h, held, color=colour, label=f"{share:.0%}".replace("%", " %"))
-        ax.axhline(100.0 * share, color=colour, linewidth=0.8, linestyle=(0, (4, 2)))
-    ax.set_ylim(30.0, 100.0)
-    ax.set_ylabel("Held (%)")
-    ax.set_xlabel("Lead (h)")
-    ax.legend(frameon=False, fontsize=8, ncols=3, loc="lower right")
+def _by_lead(result: Backtest, quantity: str) -> Chart:
+    """Errors, coverage and the last forecast over the lead."""
+    references = (
+        ("crps", result.forecaster, Style(BLUE, "", 2.2)),
+        ("climatology", "hour of day", Style(BLACK, "6 3", 1.4)),
+        ("weekly", "a week before", Style(GREY, "2 2", 1.4)),
+    )
+    errors = [Curve(words, result.mean(name, quantity), look) for name, words, look in references]
+    covered = [
+        Curve(f"{share:.0%} interval", 100.0 * result.mean(f"held {share}", quantity), style)
+        for share, style in zip(SHARES, RUN_STYLES, strict=False)
+    ]
+    issued = f"{result.last.start:%Y-%m-%d %H:%M} UTC"
+    return Chart(
+        f"by_lead_{quantity}",
+        f"{WORDS[quantity]}: error, coverage and the last forecast by lead",
+        Scale("Lead (h)", np.append(0.0, result.leads_h)),
+        [
+            Curves("CRPS (kW)", errors, 150.0, low=0.0),
+            Curves(
+                "Coverage (%)",
+                covered,
+                150.0,
+                low=0.0,
+                high=104.0,
+                limits=[Limit(100.0 * share, f"{share:.0%}") for share in SHARES],
+            ),
+            _last(result, quantity, f"Forecast of\n{issued}\n(kW)"),
+        ],
+    )
 
 
-def _draw_pit(ax: Axes, result: Backtest, quantity: str) -> None:
-    values = result.scores["pit", quantity]
-    _pit_bars(ax, values[~np.isnan(values)], PIT_BINS)
-    ax.set_xlabel("Share of the forecast below what came")
-    ax.set_ylabel("Steps (%)")
-
-
-def _pit_bars(ax: Axes, values: Floats, bins: int) -> None:
-    """How values between 0 and 1 are spread, beside what an even spread is."""
-    count, edges = np.histogram(values, bins=bins, range=(0.0, 1.0))
-    share = 100.0 * count / max(count.sum(), 1)
-    ax.bar(edges[:-1], share, width=1.0 / bins, align="edge", color=BLUE, edgecolor="white")
-    ax.axhline(100.0 / bins, color=BLACK, linewidth=1.0, linestyle=(0, (4, 2)))
-
-
-def _draw_energy(ax: Axes, result: Backtest, quantity: str) -> None:
-    table = result.energy()
-    table = table[table["quantity"] == quantity]
-    place = np.arange(len(table), dtype=float)
-    for i, (share, colour) in enumerate(SHARE_COLOURS.items()):
-        held = 100.0 * table[f"held_{share:.0%}"].to_numpy(float)
-        words = f"{share:.0%}".replace("%", " %")
-        ax.bar(place + 0.27 * (i - 1), held, width=0.25, color=colour, label=words)
-        ax.axhline(100.0 * share, color=colour, linewidth=0.8, linestyle=(0, (4, 2)))
-    ax.set_xticks(place, labels=[f"{hours} h" for hours in table["hours"]])
-    ax.set_ylim(0.0, 119.0)
-    ax.set_yticks(range(0, 101, 20))
-    ax.legend(frameon=False, fontsize=8, ncols=3, loc="upper center")
-    ax.set_xlabel("Energy of the first")
-    ax.set_ylabel("Held (%)")
-
-
-def _draw_months(ax: Axes, result: Backtest, quantity: str) -> None:
-    months = result.by_month()
-    ax.plot(range(len(months)), 100.0 * months[quantity], color=BLUE, marker="o")
-    ax.axhline(80.0, color=BLACK, linewidth=1.0, linestyle=(0, (4, 2)))
-    every = -(-len(months) // 6)
-    ax.set_xticks(range(0, len(months), every), labels=list(months.index)[::every], fontsize=8)
-    ax.set_ylim(50.0, 100.0)
-    ax.set_ylabel("80 % interval held (%)")
-
-
-def _draw_last(ax: Axes, result: Backtest, quantity: str) -> None:
+def _last(result: Backtest, quantity: str, axis: str) -> Curves:
+    """The last forecast, intervals behind each other, and what came."""
     forecast = result.last
     row = result.history.row_of(forecast.start)
     load, pv = (
@@ -350,31 +284,41 @@ def _draw_last(ax: Axes, result: Backtest, quantity: str) -> None:
         "pv": (forecast.pv_kw.sum(axis=2), pv),
         "net": (forecast.net_kw, load - pv),
     }[quantity]
-    _fan(ax, result.leads_h, paths, came)
-    ax.set_xlabel(f"Hours after {forecast.start:%Y-%m-%d %H:%M} UTC")
-    ax.set_ylabel("kW")
+    low, q25, median, q75, high = quantiles(paths, [0.05, 0.25, 0.5, 0.75, 0.95])
+    return Curves(
+        axis,
+        [Curve("median", median, Style(BLUE, "", 1.2)), Curve("came", came, Style(VERMILLION))],
+        170.0,
+        bands=[Band(low, high, BLUE), Band(q25, q75, BLUE)],
+    )
 
 
-def _fan(ax: Axes, x: Floats, paths: Floats, came: Floats) -> None:
-    """Intervals behind each other, and what came."""
-    for share, tone in ((0.9, 0.18), (0.5, 0.35)):
-        low, high = quantiles(paths, [0.5 - share / 2, 0.5 + share / 2])
-        ax.fill_between(
-            x, low, high, color=BLUE, alpha=tone, linewidth=0, label=f"{100 * share:.0f} %"
-        )
-    ax.plot(x, quantiles(paths, 0.5), color=BLUE, linewidth=1.0, label="median")
-    ax.plot(x, came, color=VERMILLION, linewidth=1.6, label="came")
-    ax.legend(frameon=False, fontsize=8, ncols=2)
+def _ranks(key: str, across: str, axis: str, ranks: Floats, bins: int) -> Chart:
+    """How ranks between 0 and 1 are spread, beside an even spread."""
+    count, edges = np.histogram(ranks, bins=bins, range=(0.0, 1.0))
+    share = 100.0 * count / max(count.sum(), 1)
+    panel = Curves(
+        axis,
+        [Curve(axis, share, Style(BLUE), in_legend=False)],
+        140.0,
+        low=0.0,
+        limits=[Limit(100.0 / bins, "level")],
+        bands=[Band(np.zeros(bins), share, BLUE)],
+    )
+    return Chart(key, "Rank of what came", Scale(across, edges), [panel])
 
 
-FIGURES: tuple[tuple[str, Callable[[Axes, Backtest, str], None]], ...] = (
-    ("Error by lead, beside the references; lower is better.", _draw_crps),
-    ("What intervals held, by lead; dashed is what they should.", _draw_held),
-    (
-        "Where what came lay in the forecast; level is right, a hump too wide, a bowl too narrow.",
-        _draw_pit,
-    ),
-    (f"What intervals of the energy of {', '.join(map(str, ENERGY_H))} h held.", _draw_energy),
-    ("What the 80 % interval held, month by month.", _draw_months),
-    ("The last forecast and what came.", _draw_last),
-)
+def _months(result: Backtest, quantity: str) -> Chart:
+    """Coverage by month."""
+    months = result.by_month()
+    covered = 100.0 * months[quantity].to_numpy(float)
+    panel = Curves(
+        "80% interval\ncoverage (%)",
+        [Curve("coverage", covered, Style(BLUE), in_legend=False)],
+        140.0,
+        low=0.0,
+        high=104.0,
+        limits=[Limit(80.0, "80%")],
+    )
+    scale = Scale("Month", np.arange(len(months) + 1.0), list(months.index))
+    return Chart(f"months_{quantity}", "Coverage by month", scale, [panel])

@@ -1,9 +1,9 @@
-"""Axes: where values and times lie, and where their ticks are."""
+"""Axes: where values, times and other quantities lie, and where their ticks are."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,6 +73,65 @@ class TimeAxis:
         clock = Clock.of(self.run)
         below = f", {clock.grid.zone} below" if clock.has_local else ""
         return f"Time (UTC{below}), from {edges_of(self.run)[0]:%d %B %Y}"
+
+
+@dataclass(frozen=True, eq=False)
+class Scale:
+    """What lies across a chart that is not over the time of a run.
+
+    Parameters
+    ----------
+    title : str
+        What it is.
+    places : array, shape (n,)
+        Where points lie; of values that hold over a step the ends of the steps.
+    names : sequence of str
+        Words for the places, or for the steps between them; round values without.
+    room : float
+        What is left free at both ends, as a share of all.
+    """
+
+    title: str
+    places: Floats
+    names: Sequence[str] = ()
+    room: float = 0.0
+
+
+@dataclass(frozen=True)
+class ScaleAxis:
+    """A scale across a drawing, from ``left`` to ``right`` in px."""
+
+    scale: Scale
+    left: float
+    right: float
+
+    outages = ()
+    """It has none."""
+
+    @property
+    def _values(self) -> ValueAxis:
+        low, high = float(self.scale.places.min()), float(self.scale.places.max())
+        free = self.scale.room * ((high - low) or 1.0)
+        return ValueAxis(low - free, high + free, self.left, self.right)
+
+    @property
+    def edges(self) -> Floats:
+        """The places in px, shape (n,)."""
+        return self._values(self.scale.places)
+
+    def ticks(self) -> list[tuple[float, str]]:
+        """Places in px, and their names; of many names only some."""
+        names, at = self.scale.names, self.edges
+        if not names:
+            return self._values.ticks()
+        at = at if len(at) == len(names) else (at[:-1] + at[1:]) / 2.0
+        every = -(-len(names) // MOST_TIMES)
+        return [*zip(at.tolist(), names, strict=True)][::every]
+
+    @property
+    def title(self) -> str:
+        """What it is."""
+        return self.scale.title
 
 
 def _tick_name(run: Trajectory, hours: float) -> Callable[[pd.Timestamp], str]:

@@ -86,6 +86,12 @@ class Canvas:
                 f'{dashes} stroke-linejoin="round"/>'
             )
 
+    def dots(self, points: Iterable[tuple[float, float]], color: str) -> None:
+        """A dot at each point that is a number."""
+        self.parts += [
+            f'<circle cx="{_n(x)}" cy="{_n(y)}" r="3" fill="{color}"/>' for x, y in points if y == y
+        ]
+
     def area(self, points: Iterable[tuple[float, float]], fill: str, opacity: float = 1.0) -> None:
         """A closed area."""
         self.parts.append(f'<path d="{path_of(points)}Z" fill="{fill}" opacity="{_n(opacity)}"/>')

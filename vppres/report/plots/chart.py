@@ -1,4 +1,4 @@
-"""Charts of a run: panels above each other over one time axis, drawn as SVG."""
+"""Charts: panels above each other over one axis, mostly that of time, drawn as SVG."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from vppres.core.arrays import Floats, spans_of
 from vppres.day.metrics import horizon_h
 from vppres.day.trajectory import Trajectory
-from vppres.report.plots.axes import TimeAxis, ValueAxis, range_of
+from vppres.report.plots.axes import Scale, ScaleAxis, TimeAxis, ValueAxis, range_of
 from vppres.report.plots.canvas import FONT_PX, Canvas, text_px
 from vppres.report.plots.palette import (
     BLACK,
@@ -23,6 +23,7 @@ from vppres.report.plots.palette import (
 )
 
 Runs = Trajectory | Mapping[str, Trajectory]
+Across = TimeAxis | ScaleAxis
 
 WIDTH_PX = 860.0
 TITLE_PX, GAP_PX, EDGE_PX = 44.0, 16.0, 10.0
@@ -44,7 +45,7 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """Values over the time of a run.
+    """Values over the time of a run, or over another scale.
 
     Parameters
     ----------
@@ -54,12 +55,18 @@ class Curve:
         Values that hold over each step, drawn as steps; or at the instants between them, joined.
     style : Style
         How it is drawn.
+    in_legend : bool
+        Whether the legend has it.
+    dots, joined : bool
+        Whether there is a dot at each value, and a line.
     """
 
     name: str
     values: Floats
     style: Style
     in_legend: bool = True
+    dots: bool = False
+    joined: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +119,7 @@ class Panel(Protocol):
     def shaded(self) -> bool:
         """Whether outages lie behind it in grey; over it they would be bracketed."""
 
-    def draw(self, canvas: Canvas, frame: Frame, time: TimeAxis) -> None:
+    def draw(self, canvas: Canvas, frame: Frame, time: Across) -> None:
         """Draw it."""
 
     def entries(self) -> Iterable[Entry]:
@@ -175,7 +182,7 @@ class Curves:
         """What the limits' names take."""
         return max((text_px(limit.name, SMALL_PX) + 8.0 for limit in self.limits), default=0.0)
 
-    def draw(self, canvas: Canvas, frame: Frame, time: TimeAxis) -> None:
+    def draw(self, canvas: Canvas, frame: Frame, time: Across) -> None:
         """Rules, limits, bands and curves."""
         axis = self._axis(frame.bottom, frame.top)
         for place, name in axis.ticks():
@@ -192,11 +199,14 @@ class Curves:
             self._draw_band(canvas, axis, time, band)
         for curve in self.curves:
             points = _points(curve.values, axis, time)
-            canvas.line(points, curve.style.color, curve.style.width, curve.style.dash)
+            if curve.joined:
+                canvas.line(points, curve.style.color, curve.style.width, curve.style.dash)
+            if curve.dots:
+                canvas.dots(points, curve.style.color)
         corner = [(frame.left, frame.top), (frame.left, frame.bottom), (frame.right, frame.bottom)]
         canvas.line(corner, BLACK, 0.8)
 
-    def _draw_band(self, canvas: Canvas, axis: ValueAxis, time: TimeAxis, band: Band) -> None:
+    def _draw_band(self, canvas: Canvas, axis: ValueAxis, time: Across, band: Band) -> None:
         """Every stretch of steps in which both values are known."""
         known = np.isfinite(band.lower) & np.isfinite(band.upper)
         fill = canvas.hatched(band.color) if band.name else band.color
@@ -231,13 +241,13 @@ class Curves:
         ]
 
 
-def _points(values: Floats, axis: ValueAxis, time: TimeAxis) -> Iterable[tuple[float, float]]:
+def _points(values: Floats, axis: ValueAxis, time: Across) -> list[tuple[float, float]]:
     """Corners of a curve."""
     places = axis(values)
     edges = time.edges
     if len(values) == len(edges):
-        return zip(edges, places, strict=True)
-    return zip(np.repeat(edges, 2)[1:-1], np.repeat(places, 2), strict=True)
+        return [*zip(edges, places, strict=True)]
+    return [*zip(np.repeat(edges, 2)[1:-1], np.repeat(places, 2), strict=True)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,23 +260,25 @@ class Chart:
         Name of the chart, unique within a page.
     title : str
         What stands above it.
-    run : Trajectory
-        Whose time the axis shows.
+    across : Trajectory or Scale
+        Whose time the axis shows, or what else lies across.
     panels : sequence of Panel
         The panels, from the top.
     """
 
     key: str
     title: str
-    run: Trajectory
+    across: Trajectory | Scale
     panels: Sequence[Panel]
 
     @cached_property
-    def time(self) -> TimeAxis:
-        """The time axis that all panels share."""
+    def time(self) -> Across:
+        """The axis that all panels share."""
         left = max(panel.left_px for panel in self.panels) + EDGE_PX
         right = max([*(panel.right_px for panel in self.panels), 14.0]) + EDGE_PX
-        return TimeAxis(self.run, left, WIDTH_PX - right)
+        if isinstance(self.across, Scale):
+            return ScaleAxis(self.across, left, WIDTH_PX - right)
+        return TimeAxis(self.across, left, WIDTH_PX - right)
 
     def frames(self) -> list[Frame]:
         """Where the panels are."""
@@ -301,7 +313,7 @@ class Chart:
             "right": round(self.time.right, 1),
             "top": frames[0].top,
             "bottom": round(frames[-1].bottom, 1),
-            "steps": len(self.run.steps),
+            "steps": len(self.time.edges) - 1,
             "curves": [reading for panel in self.panels for reading in panel.readings()],
         }
 

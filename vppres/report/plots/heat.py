@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from vppres.core.arrays import Floats
-from vppres.report.plots.axes import TimeAxis, ValueAxis
+from vppres.report.plots.axes import ValueAxis
 from vppres.report.plots.canvas import FONT_PX, Canvas, text_px
-from vppres.report.plots.chart import EDGE_PX, Frame, Panel
+from vppres.report.plots.chart import EDGE_PX, Across, Frame, Panel
 from vppres.report.plots.palette import GREY, blend
 
 MAX_NAMED_ROWS = 70
@@ -70,7 +70,7 @@ class HeatMap(Panel):
     def _scale(self, bottom: float, top: float) -> ValueAxis:
         return ValueAxis(*self._range, bottom, top)
 
-    def draw(self, canvas: Canvas, frame: Frame, time: TimeAxis) -> None:
+    def draw(self, canvas: Canvas, frame: Frame, time: Across) -> None:
         """Rows, their names, and the key."""
         low, high = self._range
         height = frame.bottom - frame.top

@@ -11,10 +11,10 @@ import numpy as np
 from vppres.core.arrays import Floats
 from vppres.day.metrics import service_by_tier as share_by_tier
 from vppres.day.trajectory import Trajectory, supplied
-from vppres.report.plots.axes import TimeAxis
 from vppres.report.plots.canvas import FONT_PX, Canvas, text_px
 from vppres.report.plots.chart import (
     EDGE_PX,
+    Across,
     Chart,
     Curve,
     Curves,
@@ -144,7 +144,7 @@ class Tiles(Panel):
             texts[str(tier)] = f"{tier} ({count}){served}"
         return texts
 
-    def draw(self, canvas: Canvas, frame: Frame, time: TimeAxis) -> None:
+    def draw(self, canvas: Canvas, frame: Frame, time: Across) -> None:
         """Tiles, crosses, names of the rows and tiers."""
         share = self.rows.share
         width = frame.right - frame.left
@@ -166,7 +166,7 @@ class Tiles(Panel):
             top = below
             canvas.line([(frame.left, top), (frame.right, top)], BLACK)
 
-    def _draw_tiles(self, canvas: Canvas, frame: Frame, time: TimeAxis, row_px: float) -> None:
+    def _draw_tiles(self, canvas: Canvas, frame: Frame, time: Across, row_px: float) -> None:
         """Seams between the tiles, and a cross where no customer of a row is supplied."""
         edges = time.edges
         gap = (np.nan, np.nan)

@@ -11,9 +11,8 @@ import numpy as np
 
 from vppres.day.series import battery_power_kw, off_kw
 from vppres.day.trajectory import Trajectory
-from vppres.report.plots.axes import TimeAxis
 from vppres.report.plots.canvas import Canvas, text_px
-from vppres.report.plots.chart import Chart, Entry, Frame, Panel
+from vppres.report.plots.chart import Across, Chart, Entry, Frame, Panel
 from vppres.report.plots.palette import BLACK, GREEN, GREY, ORANGE, SERVED, UNSERVED, WHITE, blend
 
 MAX_COUNTED_STEPS = 50
@@ -119,7 +118,7 @@ class Strips(Panel):
         """What the names take."""
         return max(text_px(strip.name) for strip in self.strips) + 8.0
 
-    def draw(self, canvas: Canvas, frame: Frame, time: TimeAxis) -> None:
+    def draw(self, canvas: Canvas, frame: Frame, time: Across) -> None:
         """Boxes and texts."""
         edges = time.edges
         for row, strip in enumerate(self.strips):
