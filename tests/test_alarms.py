@@ -290,6 +290,22 @@ def test_an_alarm_whose_condition_is_gone_says_so(live: Running) -> None:
     assert gone() == written(NOON + 5 * MINUTE)
 
 
+def test_a_contradiction_ends_with_the_reading(live: Running) -> None:
+    """Although the plan that ignored it still holds."""
+    http, clock, runner = live
+    flow = {**readings(NOON, "import_kw", {"grid": 80.0})[0], "resolution": "PT30S"}
+    lost = readings(NOON, "grid_on", {"grid": 0.0})
+    clock.set(NOON + MINUTE)
+    http.post("/v1/telemetry", {"series": [*lost, flow]})
+    http.post("/v1/steps")
+    assert ("grid_contradicted", "high", "raised") in listed(http)
+    later(runner, 1)
+    http.post("/v1/telemetry", {"series": readings(clock.now(), "grid_on", {"grid": 1.0})})
+    later(runner, 1)
+    later(runner, 5)
+    assert ("grid_contradicted", "high", "cleared") in listed(http)
+
+
 def test_fallbacks_that_last(live: Running, monkeypatch: pytest.MonkeyPatch) -> None:
     http, clock, runner = live
     decided(http, clock, NOON)

@@ -236,7 +236,7 @@ def test_the_page_tells_what_rooms_are_and_become(tmp_path: Path) -> None:
     assert told["now"] == [
         {"value": 25.1, "old": ""},
         {"value": 25.3, "old": "thermometer stands still; reckoned"},
-        {"value": 24, "old": "not read; reckoned"},
+        {"value": 24, "old": "thermometer not read; reckoned"},
     ]
     assert told["outside"] == [
         {"value": 27, "time": "2026-07-01T14:00:00.000Z", "by": 1},

@@ -63,7 +63,7 @@ def test_of_two_that_replace_the_same_event_one_does(
     assert (other, answer.status) == ([200], 412)
     assert answer.json()["detail"] == "The event has another version than 1."
     assert http.get("/v1/events/storm").json()["end"] == "2026-11-21T20:00:00Z"
-    assert len(runner.store.event_versions("storm")) == 2
+    assert len(runner.store.events_ever()["storm"]) == 2
     # To withdraw it is a change like any other.
     other = meanwhile(runner, monkeypatch, lambda: http.delete("/v1/events/storm"))
     assert http.delete("/v1/events/storm").status == 412 and other == [200]

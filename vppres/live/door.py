@@ -112,9 +112,8 @@ class Door:
             pairs = self._pairs(field, given, "a mapping, a Series or a DataFrame by time")
             rows = np.array([self.t])
             columns = self._positions(field, [name for name, _ in pairs], ids)
-            values = np.array(
-                [[self._number(field, value, name, now=True) for name, value in pairs]]
-            ).reshape(1, len(pairs))
+            numbers = [self._number(field, value, name, now=True) for name, value in pairs]
+            values = np.array([numbers], dtype=float)
         if self.problems:
             return series
         result = series.copy()
@@ -171,23 +170,7 @@ class Door:
 
     def moment(self, field: str, given: Any, what: str = "") -> pd.Timestamp | None:
         """A time with an offset; None if it is none, or none is given."""
-        if given is None:
-            return None
-        moment = moment_of(given)
-        if moment is None or moment.tzinfo is None:
-            wrong = "is not a date and time" if moment is None else "has no time zone"
-            self.problem(field, wrong, WRITE_A_TIME, what or field, given)
-            return None
-        return moment
-
-    def ages_h(self, field: str, given: Any, ids: Names, now: pd.Timestamp) -> Floats:
-        """How long ago each item was read, in h; now where no time is given."""
-        result = np.zeros(len(ids))
-        for position, name, value in self._items(field, given, ids):
-            moment = self.moment(field, value, f"{field} of {shown(name)}")
-            if moment is not None and position >= 0:
-                result[position] = max((now - moment) / HOUR, 0.0)  # clocks may be ahead
-        return result
+        return None if given is None else self._moment(field, given, what or field)
 
     def moments(self, field: str, given: Any, ids: Names) -> list[pd.Timestamp | None]:
         """A time for each item, None where none was given."""
@@ -197,6 +180,13 @@ class Door:
             if position >= 0:
                 result[position] = moment
         return result
+
+    def ages_h(self, field: str, given: Any, ids: Names, now: pd.Timestamp) -> Floats:
+        """How long ago each item was read, in h; now where no time is given."""
+        moments = self.moments(field, given, ids)
+        # Clocks may be ahead.
+        ages_h = [0.0 if one is None else max((now - one) / HOUR, 0.0) for one in moments]
+        return np.array(ages_h, dtype=float)
 
     def problem(self, kind: str, message: str, cure: str, field: str, value: object = None) -> None:
         """Keep a problem, or count it where there are many of its kind."""
@@ -312,18 +302,8 @@ class Door:
 
     def _step(self, field: str, time: Any) -> int:
         """The step that begins at a time, -1 if none does."""
-        moment = moment_of(time)
+        moment = self._moment(field, time, field)
         if moment is None:
-            self.problem(
-                field,
-                "is not a date and time",
-                WRITE_A_TIME,
-                field,
-                "None" if time is None else time,
-            )
-            return -1
-        if moment.tzinfo is None:
-            self.problem(field, "has no time zone", WRITE_A_TIME, field, time)
             return -1
         grid = self.grid
         step = self._steps_after_start(moment)
@@ -337,6 +317,15 @@ class Door:
                 time,
             )
         return step
+
+    def _moment(self, field: str, time: Any, what: str) -> pd.Timestamp | None:
+        """A time with an offset, None if it is none."""
+        moment = moment_of(time)
+        if moment is None or moment.tzinfo is None:
+            wrong = "is not a date and time" if moment is None else "has no time zone"
+            self.problem(field, wrong, WRITE_A_TIME, what, "None" if time is None else time)
+            return None
+        return moment
 
     def _steps_after_start(self, moment: pd.Timestamp) -> int:
         """Steps between the first step and a time, -1 where no step begins then."""

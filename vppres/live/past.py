@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass, field
-from typing import Any
+from functools import cache
+from typing import Any, get_type_hints
 
 import numpy as np
 import pandas as pd
@@ -124,19 +125,8 @@ class Past:
 
     def as_plain(self, given: Given) -> dict[str, Any]:
         """What JSON can hold of it, but for the history, which a state holds once."""
-        return {
-            "t": self.t,
-            "operating_point": to_plain(self.operating_point, given),
-            "switching": to_plain(self.switching, given),
-            "cold_load": memory_of(self.cold_load, given),
-            "served": to_plain(self.served, given),
-            "voltages": to_plain(self.voltages, given),
-            "grid_seen": to_plain(self.grid_seen, given),
-            "owed": to_plain(self.owed, given),
-            "vehicles": to_plain(self.vehicles, given),
-            "rooms": to_plain(self.rooms, given),
-            "sets": to_plain(self.sets, given),
-        }
+        plain = {name: to_plain(getattr(self, name), given) for name in _kinds()}
+        return plain | {"cold_load": memory_of(self.cold_load, given)}
 
     def read(self, plain: Any, history: History | None, given: Given, where: str) -> Past:
         """Another past of the same site, from what JSON holds of it and its history.
@@ -149,22 +139,15 @@ class Past:
         found = from_plain(dict, plain, where)
         cold_load = copy(self.cold_load)
         put_back(cold_load, found.get("cold_load"), given, f"{where}.cold_load")
-        kinds = {
-            "t": int,
-            "operating_point": OperatingPoint | None,
-            "switching": SwitchingState | None,
-            "served": Flags | None,
-            "voltages": dict[int, Complexes],
-            "owed": Owed | None,
-            "vehicles": Held | None,
-            "rooms": Felt | None,
-            "sets": Ran | None,
-        }
         values = {
             name: from_plain(kind, found.get(name), f"{where}.{name}", given)
-            for name, kind in kinds.items()
+            for name, kind in _kinds().items()
         }
-        seen = found.get("grid_seen")
-        if seen is not None:  # states from before there were beliefs have none
-            values["grid_seen"] = from_plain(GridSeen, seen, f"{where}.grid_seen", given)
         return Past(cold_load=cold_load, history=history, **values)
+
+
+@cache
+def _kinds() -> dict[str, Any]:
+    """Types of what is written as it is, by field."""
+    kinds = get_type_hints(Past)
+    return {name: kind for name, kind in kinds.items() if name not in ("cold_load", "history")}

@@ -242,12 +242,9 @@ def _known(plain: dict[str, Any], scenario: Scenario) -> Scenario:
         for name, values in plain["series"].items()
     }
     grid = replace(scenario.grid, start=pd.Timestamp(plain["start"]), n_steps=n_steps)
-    warnings = plain.get("warnings")
-    if warnings is not None:
-        series["warnings"] = from_plain(
-            tuple[OutageWarning, ...], warnings, f"{WHERE}.known.warnings"
-        )
-    return replace(scenario, grid=grid, **series)
+    kind, where = tuple[OutageWarning, ...], f"{WHERE}.known.warnings"
+    warnings = from_plain(kind, plain["warnings"], where)
+    return replace(scenario, grid=grid, warnings=warnings, **series)
 
 
 def _text(body: dict[str, Any]) -> str:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from vppres.core.arrays import Floats
 from vppres.live.door import Door
@@ -75,7 +74,7 @@ def with_vehicles(
     held_kwh = none.copy()
     if door.problems or not len(chargers):
         return scenario, held_kwh
-    rows = [_Row.of(scenario.sessions, s) for s in range(len(scenario.sessions))]
+    rows = rows_of(scenario.sessions)
     gone = set()
     for k, name in enumerate(chargers.id):
         s = int(scenario.session_at[door.t, k])
@@ -83,9 +82,9 @@ def with_vehicles(
         if plugged[k] == 0.0:
             if now is not None:
                 gone.add(s)
-                door.left_out.append(f"vehicle {now.vehicle} left {name} before its departure")
+                door.left_out.append(f"vehicle {now['vehicle']} left {name} before its departure")
             continue
-        leaves = departure[k] or (None if now is None else now.plug_out)
+        leaves = departure[k] or (None if now is None else now["plug_out"])
         if np.isfinite(needed_kwh[k]):
             if leaves is None or leaves <= door.begun:
                 door.problem(
@@ -96,62 +95,41 @@ def with_vehicles(
                 )
                 continue
             gone.add(s)
-            rows.append(_Row.needing(scenario, str(name), now, door.begun, leaves, needed_kwh[k]))
+            row = _needing(scenario, str(name), now, needed_kwh[k])
+            rows.append({**row, "plug_in": door.begun, "plug_out": leaves})
         elif now is not None:
-            rows[s] = replace(now, plug_out=max(leaves, door.begun) if leaves else now.plug_out)
+            rows[s] = {**now, "plug_out": max(leaves or now["plug_out"], door.begun)}
             held_kwh[k] = soc[k] * scenario.sessions.full_kwh[s]
     kept = [row for s, row in enumerate(rows) if s not in gone]
-    columns: dict[str, Any] = {
-        f.name: [getattr(row, f.name) for row in kept] for f in fields(Sessions)
+    return replace(scenario, sessions=sessions_of(kept)), held_kwh
+
+
+def rows_of(sessions: Sessions) -> list[dict[str, Any]]:
+    """Sessions one by one."""
+    names = [f.name for f in fields(sessions)]
+    columns = (getattr(sessions, name) for name in names)
+    return [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
+
+
+def sessions_of(rows: Sequence[Mapping[str, Any]]) -> Sessions:
+    """Sessions from their rows."""
+    columns: dict[str, Any] = {f.name: [row[f.name] for row in rows] for f in fields(Sessions)}
+    return Sessions(**columns)
+
+
+def _needing(
+    scenario: Scenario, charger: str, before: Mapping[str, Any] | None, needed_kwh: float
+) -> dict[str, Any]:
+    """A session of a vehicle that tells the energy that it needs; without a name its charger's.
+
+    One of which no tier is known has the weight of the least.
+    """
+    least = float(scenario.sessions.weight.min(initial=np.inf))
+    unknown = {
+        "vehicle": charger,
+        "tier": scenario.tiers[-1],
+        "weight": least if np.isfinite(least) else 1.0,
     }
-    return replace(scenario, sessions=Sessions(**columns)), held_kwh
-
-
-@dataclass(frozen=True)
-class _Row:
-    """One session."""
-
-    charger: str
-    vehicle: str
-    plug_in: pd.Timestamp
-    plug_out: pd.Timestamp
-    capacity_kwh: float
-    soc_at_plug_in: float
-    soc_needed: float
-    energy_needed_kwh: float
-    v2g_soc_floor: float
-    tier: str
-    weight: float
-    announced: bool
-
-    @classmethod
-    def of(cls, sessions: Sessions, s: int) -> _Row:
-        """A session of the table."""
-        return cls(**{f.name: getattr(sessions, f.name)[s] for f in fields(Sessions)})
-
-    @classmethod
-    def needing(
-        cls,
-        scenario: Scenario,
-        charger: str,
-        before: _Row | None,
-        now: pd.Timestamp,
-        leaves: pd.Timestamp,
-        needed_kwh: float,
-    ) -> _Row:
-        """A session of a vehicle that tells the energy that it needs; without a name its charger's.
-
-        One of which no tier is known has the weight of the least.
-        """
-        nothing = dict.fromkeys(OF_SESSIONS, np.nan) | {"energy_needed_kwh": needed_kwh}
-        least = float(scenario.sessions.weight.min(initial=np.inf))
-        return cls(
-            charger=charger,
-            vehicle=charger if before is None else before.vehicle,
-            plug_in=now,
-            plug_out=leaves,
-            tier=scenario.tiers[-1] if before is None else before.tier,
-            weight=(least if np.isfinite(least) else 1.0) if before is None else before.weight,
-            announced=True,
-            **nothing,
-        )
+    nothing = dict.fromkeys(OF_SESSIONS, np.nan)
+    own = {**(before or unknown), "charger": charger, "announced": True}
+    return {**own, **nothing, "energy_needed_kwh": needed_kwh}

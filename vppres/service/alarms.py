@@ -96,11 +96,6 @@ class Notice:
 class Alarms:
     """The alarms of a site.
 
-    Parameters
-    ----------
-    store : Store
-        Where they are kept.
-
     Attributes
     ----------
     on_notice : callable
@@ -117,15 +112,7 @@ class Alarms:
         self._told: dict[int, pd.Timestamp] = {}
 
     def look(self, conditions: Iterable[Condition], now: pd.Timestamp) -> None:
-        """Raise, change and clear alarms.
-
-        Parameters
-        ----------
-        conditions : iterable of Condition
-            All that is wrong.
-        now : pandas.Timestamp
-            What time it is.
-        """
+        """Raise, change and clear alarms."""
         present = {one.key: one for one in conditions}
         with self._turn:
             self._since = {key: self._since.get(key, now) for key in present}
@@ -167,12 +154,7 @@ class Alarms:
     def listed(self, now: pd.Timestamp, since: pd.Timestamp | None = None) -> list[dict[str, Any]]:
         """Alarms that stand or wait for an acknowledgement, those to be seen first first.
 
-        Parameters
-        ----------
-        now : pandas.Timestamp
-            What time it is.
-        since : pandas.Timestamp, optional
-            From when on all that were cleared are listed too.
+        With ``since`` also all that were cleared from then on.
         """
         found = [
             self._told_of(row, now)

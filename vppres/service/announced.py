@@ -218,17 +218,7 @@ def check_belief(body: Mapping[str, Any], options: RunOptions) -> None:
 
 
 def warnings(events: Mapping[str, Event], now: pd.Timestamp, step: pd.Timedelta) -> list[Any]:
-    """Messages of all outages that may be now or later.
-
-    Parameters
-    ----------
-    events : mapping of str to Event
-        What is announced.
-    now : pandas.Timestamp
-        A step's beginning: whatever is stored is known by then.
-    step : pandas.Timedelta
-        Length of a step.
-    """
+    """Messages of all outages that may be now or later; ``now`` is a step's beginning."""
     found = []
     for name, event in events.items():
         message = _message(name, event.body, now, step)
@@ -244,17 +234,7 @@ def warnings(events: Mapping[str, Event], now: pd.Timestamp, step: pd.Timedelta)
 def warnings_ever(
     versions: Mapping[str, Sequence[Event]], start: pd.Timestamp, step: pd.Timedelta
 ) -> list[OutageWarning]:
-    """All that was ever said of outages, each message when it came.
-
-    Parameters
-    ----------
-    versions : mapping of str to sequence of Event
-        Of each event all that was said, empty where it was withdrawn.
-    start : pandas.Timestamp
-        Beginning of a step.
-    step : pandas.Timedelta
-        Length of a step.
-    """
+    """All that was ever said of outages, each message when it came; a step begins at ``start``."""
     found = []
     for name, each in versions.items():
         spoken = False

@@ -6,13 +6,14 @@ A plan says which vehicles were plugged in when it was decided, and how sets wer
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Floats
+from vppres.live.vehicles import rows_of, sessions_of
 from vppres.scenario.gensets import Gensets, GensetState
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.vehicles import OF_SESSIONS, Sessions
@@ -86,14 +87,12 @@ def _sets_at_first(sets: Gensets, told: Mapping[str, Any]) -> Gensets:
 
 def _sessions(scenario: Scenario, stored: Plans) -> Sessions:
     """Stays that plans tell of, and the scenario's sessions after them."""
-    own = [_row(scenario.sessions, s) for s in range(len(scenario.sessions))]
+    own = rows_of(scenario.sessions)
     base = {(row["charger"], row["vehicle"]): row for row in own}
     told = max(t for t, plan in enumerate(stored) if plan is not None) + 1
     end = scenario.grid.start + told * scenario.grid.step
     rows = [_of_stay(stay, base, scenario) for stay in _stays(scenario, stored)]
-    rows += [row for row in own if row["plug_in"] >= end]
-    columns: dict[str, Any] = {f.name: [row[f.name] for row in rows] for f in fields(Sessions)}
-    return Sessions(**columns)
+    return sessions_of(rows + [row for row in own if row["plug_in"] >= end])
 
 
 def _stays(scenario: Scenario, stored: Plans) -> Iterator[Stay]:
@@ -139,7 +138,3 @@ def _of_stay(
     if np.isclose(soc_kwh, stay.needed_kwh):
         return {**head, "soc_at_plug_in": stay.held_kwh / row["capacity_kwh"]}
     return {**head, **nothing, "energy_needed_kwh": stay.needed_kwh}
-
-
-def _row(sessions: Sessions, s: int) -> dict[str, Any]:
-    return {f.name: getattr(sessions, f.name)[s] for f in fields(Sessions)}

@@ -30,15 +30,7 @@ class Answer:
 
 
 class Client:
-    """A caller of a service.
-
-    Parameters
-    ----------
-    url : str
-        Where it listens.
-    token : str, optional
-        Who asks.
-    """
+    """A caller of a service."""
 
     def __init__(self, url: str, token: str | None = None) -> None:
         parts = urlsplit(url)

@@ -69,17 +69,7 @@ class Condition:
 
 @dataclass(frozen=True, eq=False)
 class Standing:
-    """How the service stands.
-
-    Parameters
-    ----------
-    plan : mapping or None
-        The last plan.
-    ahead_s : float
-        How long it still holds, in s.
-    unaware_of : tuple of str
-        Changes that it does not know.
-    """
+    """How the service stands: its last plan, for how long that still holds, and what it misses."""
 
     plan: Mapping[str, Any] | None
     ahead_s: float
@@ -88,25 +78,7 @@ class Standing:
 
 @dataclass(frozen=True, eq=False)
 class Situation:
-    """How a site is.
-
-    Parameters
-    ----------
-    now : pandas.Timestamp
-        What time it is.
-    scenario : Scenario
-        The site.
-    standing : Standing
-        How the service stands.
-    heard : sequence of Heard
-        How old every reading is.
-    soc : mapping of str to float
-        The states of charge now.
-    is_dark : bool
-        Whether there is no grid.
-    failing : mapping of str to str
-        Devices that do not follow their set-points, and why.
-    """
+    """How a site is."""
 
     now: pd.Timestamp
     scenario: Scenario
@@ -115,6 +87,7 @@ class Situation:
     soc: Mapping[str, float]
     is_dark: bool
     failing: Mapping[str, str]
+    grid_on: float | None = None
 
     @property
     def critical(self) -> set[str]:
@@ -133,9 +106,10 @@ def situation(now: pd.Timestamp, scenario: Scenario, store: Store, standing: Sta
     failing = {**batteries, **lost_customers(scenario, latest.found, store), **sets}
     grid = (standing.plan or {}).get("grid")
     read = latest.newest("grid_on").get(GRID)
-    is_dark = not grid["available"] if grid else read is not None and read.value == 0.0
+    grid_on = None if read is None else read.value
+    is_dark = not grid["available"] if grid else grid_on == 0.0
     soc = soc_now(latest, standing.plan, scenario.grid.step, now)
-    return Situation(now, scenario, standing, latest.heard, soc, is_dark, failing)
+    return Situation(now, scenario, standing, latest.heard, soc, is_dark, failing, grid_on)
 
 
 def _sets_out(plan: Mapping[str, Any] | None) -> list[str]:
@@ -173,9 +147,9 @@ def _no_decision(now: Situation) -> Iterator[Condition]:
 
 
 def _grid_contradicted(now: Situation) -> Iterator[Condition]:
-    """The plan ignores a reading that the grid is lost."""
+    """The plan ignores a reading that the grid is lost, and that is still the last one."""
     for words in (now.standing.plan or {}).get("estimated", ()):
-        if words.startswith("grid_on "):
+        if words.startswith("grid_on ") and now.grid_on == 0.0:
             yield Condition("grid_contradicted", "", HIGH, f"The plan ignores a reading: {words}.")
 
 

@@ -71,15 +71,7 @@ def opened_database(place: Path | str, reading: bool = False) -> Database:
 
 
 class InFolder:
-    """SQLite in a folder.
-
-    Parameters
-    ----------
-    folder : Path
-        Made if it is not there and not only read.
-    reading : bool, optional
-        Whether it is only read.
-    """
+    """SQLite in a folder, which is made if it is not only read."""
 
     def __init__(self, folder: Path, reading: bool = False) -> None:
         self.folder = folder
@@ -134,15 +126,7 @@ class InFolder:
 
 
 class OnServer:
-    """PostgreSQL, as long as a session holds a lock there.
-
-    Parameters
-    ----------
-    address : str
-        Of the database, which is one site's.
-    reading : bool, optional
-        Whether it is only read, without a lock.
-    """
+    """PostgreSQL, as long as a session holds a lock there; none if it is only read."""
 
     def __init__(self, address: str, reading: bool = False) -> None:
         url = sa.make_url(address.replace(POSTGRESQL, DRIVER, 1))

@@ -33,13 +33,7 @@ FAILED = "The step could not be explained; see the log of the service."
 
 
 class Explainer:
-    """Explains stored steps, each once.
-
-    Parameters
-    ----------
-    runner : Runner
-        Whose steps they are.
-    """
+    """Explains stored steps, each once."""
 
     def __init__(self, runner: Runner) -> None:
         self.runner = runner

@@ -57,14 +57,7 @@ OF_SOLVE = {
 def export(service: Service, place: Path | str, begin: str, end: str) -> Trajectory:
     """The steps from a time up to another one, read beside a service that may run.
 
-    Parameters
-    ----------
-    service : Service
-        What is served.
-    place : Path or str
-        Where its state is.
-    begin, end : str
-        ISO 8601; without an offset by the clocks at the site.
+    Times are ISO 8601, without an offset by the clocks at the site.
 
     Raises
     ------
@@ -78,16 +71,7 @@ def export(service: Service, place: Path | str, begin: str, end: str) -> Traject
 
 
 def exported(service: Service, store: Store, start: pd.Timestamp, end: pd.Timestamp) -> Trajectory:
-    """The steps from a time up to another one, as a run.
-
-    Parameters
-    ----------
-    service : Service
-        What is served.
-    store : Store
-        Readings and events.
-    start, end : pandas.Timestamp
-        The first step and the end of the last one, or times in them.
+    """The steps that a time touches, as a run.
 
     Raises
     ------

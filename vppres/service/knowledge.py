@@ -107,23 +107,7 @@ class Grid:
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """What is known at a step.
-
-    Parameters
-    ----------
-    measurement : Measurement
-        For the controller.
-    heard : list of Heard
-        Age of everything that was ever received.
-    grid : Grid
-        Whether there is grid.
-    estimated : list of str
-        What stands in for readings that are lost.
-    soc : dict of str to float
-        State of charge that was read.
-    lost : dict of str to str
-        Customers that cannot be supplied, and why.
-    """
+    """What is known at a step."""
 
     measurement: Measurement
     heard: list[Heard]
@@ -163,14 +147,7 @@ def readings_of(
 ) -> tuple[list[Reading], list[Problem]]:
     """Readings that can be kept, and what is wrong with the others.
 
-    Parameters
-    ----------
-    batch : iterable of Readings
-        As they were sent.
-    scenario : Scenario
-        The site.
-    until : pandas.Timestamp
-        End of the next step: later readings are of another clock.
+    Those after ``until``, the end of the next step, are of another clock.
     """
     assets = assets_of(scenario)
     own = ranges_of(scenario)
@@ -493,18 +470,8 @@ def _of_those_here(found: list[Reading]) -> list[Reading]:
 class _Powers:
     """Loads and PV power of a window: what is read now, and what is expected of later steps.
 
-    Parameters
-    ----------
-    window : Window
-        The window.
-    readings : Latest
-        Of its first step.
-    store : Store
-        With the forecasts that were sent.
-    estimated : list of str
-        What stands in for readings that are lost, filled as tables are asked for.
-    foretold : dict of str to list of str
-        Assets of each quantity that a forecast was sent for, filled likewise.
+    As tables are asked for it is noted what stands in for lost readings, and which assets of each
+    quantity a forecast was sent for.
     """
 
     window: Window

@@ -38,14 +38,7 @@ def measured_in(controller: Controller) -> Measured | None:
 def learned(store: Store, scenario: Scenario, now: pd.Timestamp) -> History | None:
     """What was measured up to a time, behind what the site itself brings; None if nothing was.
 
-    Parameters
-    ----------
-    store : Store
-        Where it is kept; what is made of readings is kept there too, so that it stays as it is.
-    scenario : Scenario
-        The site.
-    now : pandas.Timestamp
-        Beginning of the step to come.
+    What is made of readings is kept in the store, so that it stays as it is.
     """
     since = now - pd.Timedelta(days=REMEMBERED_DAYS)
     rows = store.measured(since)
@@ -71,15 +64,7 @@ def learned(store: Store, scenario: Scenario, now: pd.Timestamp) -> History | No
 
 
 class InSteps:
-    """Readings of a time, the first of each step in which one was taken.
-
-    Parameters
-    ----------
-    store : Store
-        What was received.
-    grid : TimeGrid
-        The steps.
-    """
+    """Readings of a time, the first of each step in which one was taken."""
 
     def __init__(self, store: Store, grid: TimeGrid) -> None:
         step = grid.step

@@ -25,13 +25,7 @@ log = logging.getLogger(__name__)
 
 
 class Loop(threading.Thread):
-    """A thread that decides the present step whenever there is a new one.
-
-    Parameters
-    ----------
-    runner : Runner
-        Who decides.
-    """
+    """A thread that decides the present step whenever there is a new one."""
 
     def __init__(self, runner: Runner) -> None:
         super().__init__(name="vppres-loop", daemon=True)

@@ -18,17 +18,7 @@ DISCONNECTED = "reported as not connected"
 
 
 def lost_customers(scenario: Scenario, latest: Iterable[Reading], store: Store) -> dict[str, str]:
-    """Who cannot be supplied, and why.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The site.
-    latest : iterable of Reading
-        The last reading of each asset and quantity.
-    store : Store
-        What devices said of set-points.
-    """
+    """Who cannot be supplied, and why."""
     ids = {str(name) for name in scenario.customers.id}
     online = {
         one.asset: one

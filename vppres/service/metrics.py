@@ -21,13 +21,7 @@ BUCKETS_S = (0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0, 300.0)
 
 
 class Figures(Collector):
-    """What a service is at.
-
-    Parameters
-    ----------
-    runner : Runner
-        The service.
-    """
+    """What a service is at."""
 
     def __init__(self, runner: Runner) -> None:
         self.runner = runner

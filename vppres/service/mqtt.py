@@ -51,11 +51,6 @@ log = logging.getLogger(__name__)
 class Topics:
     """Names at the broker.
 
-    Parameters
-    ----------
-    prefix : str
-        What all of them begin with.
-
     Examples
     --------
     >>> Topics().set_point("b/2")

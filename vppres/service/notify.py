@@ -39,15 +39,7 @@ Send = Callable[[dict[str, Any]], None]
 
 @dataclass(frozen=True)
 class Target:
-    """Where notices go.
-
-    Parameters
-    ----------
-    name : str
-        Its host, which is all that the log says of it.
-    send : callable
-        Sends a message.
-    """
+    """Where notices go; its name, the host, is all that the log says of it."""
 
     name: str
     send: Send
@@ -94,15 +86,7 @@ def message_of(site: str, notice: Notice) -> dict[str, Any]:
 
 @contextmanager
 def notifier(site: str, targets: Iterable[Target]) -> Iterator[Callable[[Notice], None]]:
-    """Something that takes notices, and sends each to all targets until the end.
-
-    Parameters
-    ----------
-    site : str
-        Name of the site.
-    targets : iterable of Target
-        Where to.
-    """
+    """Something that takes notices, and sends each to all targets until the end."""
     waiting: queue.Queue[dict[str, Any] | None] = queue.Queue(MOST_WAITING)
     ended = threading.Event()
 

@@ -99,12 +99,7 @@ class OpenADREvent(_Part):
 def events_of(event: OpenADREvent, believes: bool) -> tuple[dict[str, Any], list[str]]:
     """Our events by name, and types that mean nothing here.
 
-    Parameters
-    ----------
-    event : OpenADREvent
-        As it came.
-    believes : bool
-        Whether the service plans with beliefs; otherwise a possible outage is an alert.
+    Where no beliefs are planned with a possible outage is an alert.
 
     Raises
     ------

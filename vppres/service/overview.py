@@ -111,13 +111,7 @@ def _orders(points: Iterable[Mapping[str, Any]], kind: str) -> dict[str, Any]:
 
 
 class Overview:
-    """How a service is, made once for all who ask.
-
-    Parameters
-    ----------
-    runner : Runner
-        The service.
-    """
+    """How a service is, made once for all who ask."""
 
     def __init__(self, runner: Runner) -> None:
         self.runner = runner

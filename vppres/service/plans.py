@@ -48,19 +48,7 @@ Tables = Mapping[str, pd.DataFrame]  # set-points by kind of device, each by ide
 def plan_of(
     decision: SetPoints, scenario: Scenario, known: Known, refused: Mapping[tuple[str, str], str]
 ) -> dict[str, Any]:
-    """The plan of a step that was decided.
-
-    Parameters
-    ----------
-    decision : SetPoints
-        What was decided.
-    scenario : Scenario
-        The site.
-    known : Known
-        What it was decided on.
-    refused : mapping
-        What the gate does not let pass, by kind and identifier.
-    """
+    """The plan of a step that was decided."""
     solve = decision.solve
     fallback = None if solve["fallback"] == "none" else solve["fallback"]
     reason = fallback or ("corrected" if solve["corrected"] else "plan")
@@ -179,19 +167,7 @@ def ordered_plan(
 def made_anew(
     plan: Mapping[str, Any], at: pd.Timestamp, why: str, before: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """A plan of the rest of a step, instead of one that did not know why.
-
-    Parameters
-    ----------
-    plan : mapping
-        The new one, as for the whole step.
-    at : pandas.Timestamp
-        From when on it holds.
-    why : str
-        What the one before did not know.
-    before : mapping
-        The one before; its set-points are kept beside.
-    """
+    """A plan of the rest of a step, instead of one that did not know why; it is kept beside."""
     begin = written(at)
     points = [
         {**one, "id": f"{begin}/{one['kind']}/{one['asset']}", "valid_from": begin, "anew": why}

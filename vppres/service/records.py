@@ -121,15 +121,7 @@ class AlarmRow:
 
 @dataclass(frozen=True)
 class After:
-    """What a controller is at after a step.
-
-    Parameters
-    ----------
-    state : str
-        Its state as JSON.
-    measured : Measured or None
-        What its forecaster learned; None where none learns.
-    """
+    """A controller's state as JSON after a step, and what its forecaster learned, if one does."""
 
     state: str
     measured: Measured | None = None

@@ -112,17 +112,7 @@ class Service:
 
 @dataclass(frozen=True)
 class Within:
-    """A moment within a step, from which on it is decided anew.
-
-    Parameters
-    ----------
-    at : pandas.Timestamp
-        The moment.
-    why : str
-        What the plan before did not know.
-    before : dict
-        That plan.
-    """
+    """A moment within a step that is decided anew from then on, and why the plan before is not."""
 
     at: pd.Timestamp
     why: str
@@ -130,19 +120,7 @@ class Within:
 
 
 class Runner:
-    """Decides the steps of a site, one after another, and remembers them.
-
-    Parameters
-    ----------
-    service : Service
-        What is served.
-    store : Store
-        Where it is kept.
-    clock : Clock
-        What time it is.
-    profile : Profile or None
-        Of the service.
-    """
+    """Decides the steps of a site, one after another, and remembers them."""
 
     def __init__(
         self, service: Service, store: Store, clock: Clock, profile: Profile | None

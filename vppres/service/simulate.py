@@ -78,13 +78,7 @@ class TelemetryFaults:
 
 
 class Way:
-    """The way of readings from the devices to the service.
-
-    Parameters
-    ----------
-    faults : TelemetryFaults
-        What happens on it.
-    """
+    """The way of readings from the devices to the service."""
 
     def __init__(self, faults: TelemetryFaults) -> None:
         self.faults = faults
@@ -206,17 +200,7 @@ class Tally:
 
 
 class Player:
-    """Plays a scenario against a service.
-
-    Parameters
-    ----------
-    world : World
-        Who lives it.
-    client : Client
-        The service, whose clock can be set.
-    play : Play
-        How.
-    """
+    """Plays a scenario against a service."""
 
     def __init__(self, world: World, client: Client, play: Play) -> None:
         self.world = world

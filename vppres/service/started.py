@@ -26,17 +26,7 @@ END_S = 20.0
 
 @dataclass(frozen=True)
 class Started:
-    """A service that runs.
-
-    Parameters
-    ----------
-    url : str
-        Where it listens.
-    pid : int
-        Its process.
-    folder : Path
-        Its state.
-    """
+    """A service that runs."""
 
     url: str
     pid: int
@@ -57,16 +47,7 @@ class Started:
 
 @contextmanager
 def started(service: Service, folder: Path, port: int | None = None) -> Iterator[Started]:
-    """A service on this machine, ended in the end.
-
-    Parameters
-    ----------
-    service : Service
-        What is served.
-    folder : Path
-        Where its state is.
-    port : int, optional
-        Where it listens; a free one if not given.
+    """A service on this machine, ended in the end, at a free port if none is given.
 
     Raises
     ------

@@ -105,7 +105,7 @@ class Store:
         self._takes = not reading
         self._tried_at = -TRIED_S
         self.changes = 0  # a reader of what is stored looks again when it has grown
-        self._events_known: tuple[int, dict[str, Event]] | None = None
+        self._events_known: tuple[int, dict[str, list[Event]]] | None = None
         self._event_changes = 0
         if not reading:
             with _plain_errors():
@@ -226,56 +226,29 @@ class Store:
 
     def events(self) -> dict[str, Event]:
         """The latest version of each event that holds."""
+        last = {name: each[-1] for name, each in self.events_ever().items()}
+        return {name: event for name, event in last.items() if event.body}
+
+    def events_ever(self) -> dict[str, list[Event]]:
+        """All versions of every event that are kept, in their order; without body if withdrawn."""
         # Nothing else writes here, so that what was read holds until an event changes.
         seen = self._event_changes
         if self._events_known is None or self._events_known[0] != seen or self._reading:
             self._events_known = seen, self._events_stored()
-        return dict(self._events_known[1])
+        return self._events_known[1]
 
-    def _events_stored(self) -> dict[str, Event]:
-        e = EVENTS.c
-        newest = sa.select(e.id, sa.func.max(e.version).label("version")).group_by(e.id).subquery()
-        gone = (
-            sa.select(e.id, sa.func.max(e.version).label("version"))
-            .where(e.body.is_(None))
-            .group_by(e.id)
-            .subquery()
-        )
-        since = (
-            sa.select(e.id, sa.func.min(e.made_at).label("made_at"))
-            .outerjoin(gone, e.id == gone.c.id)
-            .where(sa.or_(gone.c.version.is_(None), e.version > gone.c.version))
-            .group_by(e.id)
-            .subquery()
-        )
-        chosen = (
-            sa.select(EVENTS, since.c.made_at.label("since"))
-            .join(newest, sa.and_(e.id == newest.c.id, e.version == newest.c.version))
-            .join(since, e.id == since.c.id)
-            .order_by(e.id)
-        )
+    def _events_stored(self) -> dict[str, list[Event]]:
+        chosen = sa.select(EVENTS).order_by(EVENTS.c.id, EVENTS.c.version)
         with self._reads() as db:
             rows = db.execute(chosen).all()
-        return {r.id: Event(r.version, json.loads(r.body), r.made_at, r.since) for r in rows}
-
-    def event_versions(self, identifier: str) -> list[Event]:
-        """All versions of an event, in their order; those that withdrew it have no body."""
-        chosen = sa.select(EVENTS).where(EVENTS.c.id == identifier).order_by(EVENTS.c.version)
-        with self._reads() as db:
-            rows = db.execute(chosen).all()
-        found: list[Event] = []
+        found: dict[str, list[Event]] = {}
         for row in rows:
-            again = not found or not found[-1].body
-            since = row.made_at if again else found[-1].since
+            earlier = found.setdefault(row.id, [])
+            goes_on = earlier and earlier[-1].body
+            since = earlier[-1].since if goes_on else row.made_at
             body = json.loads(row.body) if row.body else {}
-            found.append(Event(row.version, body, row.made_at, since))
+            earlier.append(Event(row.version, body, row.made_at, since))
         return found
-
-    def events_ever(self) -> dict[str, list[Event]]:
-        """All versions of every event that there ever was by name, as far as they are kept."""
-        with self._reads() as db:
-            names = db.execute(sa.select(EVENTS.c.id).distinct()).scalars().all()
-        return {name: self.event_versions(name) for name in names}
 
     def put_forecast(
         self, quantity: str, body: dict[str, Any], now: pd.Timestamp, actor: str
@@ -303,19 +276,7 @@ class Store:
         after: After | None = None,
         asked: Asked | None = None,
     ) -> None:
-        """Keep a step: its plan and the controller's state after it, both or neither.
-
-        Parameters
-        ----------
-        time : pandas.Timestamp
-            The step.
-        plan : dict
-            Its plan.
-        after : After, optional
-            What the controller is at; nothing where it did not decide.
-        asked : Asked, optional
-            Who asked for the step, if a sender did.
-        """
+        """Keep a step's plan, and the controller's state after it if it decided: all or nothing."""
         at = seconds(time)
         with self._changes() as db:
             text = json.dumps(plan, allow_nan=False, separators=COMPACT)

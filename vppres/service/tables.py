@@ -2,137 +2,102 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import sqlalchemy as sa
 
 TABLES = sa.MetaData()
 
-META = sa.Table(
-    "meta",
-    TABLES,
-    sa.Column("key", sa.String, primary_key=True),
-    sa.Column("value", sa.String, nullable=False),
-)
-TELEMETRY = sa.Table(
+
+def _table(name: str, *columns: sa.Column[Any]) -> sa.Table:
+    return sa.Table(name, TABLES, *columns)
+
+
+def _key(name: str, kind: Any = sa.String) -> sa.Column[Any]:
+    return sa.Column(name, kind, primary_key=True)
+
+
+def _filled(name: str, kind: Any = sa.String, index: bool = False) -> sa.Column[Any]:
+    return sa.Column(name, kind, nullable=False, index=index or None)
+
+
+META = _table("meta", _key("key"), _filled("value"))
+TELEMETRY = _table(
     "telemetry",
-    TABLES,
-    sa.Column("asset", sa.String, primary_key=True),
-    sa.Column("quantity", sa.String, primary_key=True),
-    sa.Column("time", sa.BigInteger, primary_key=True),
-    sa.Column("source", sa.String, primary_key=True),
-    sa.Column("resolution_s", sa.Integer, nullable=False),
+    _key("asset"),
+    _key("quantity"),
+    _key("time", sa.BigInteger),
+    _key("source"),
+    _filled("resolution_s", sa.Integer),
     sa.Column("value", sa.Float),
 )
-HEARD_OF = sa.Table(
-    "heard_of",
-    TABLES,
-    sa.Column("asset", sa.String, primary_key=True),
-    sa.Column("quantity", sa.String, primary_key=True),
-)
-CONTACTS = sa.Table(
-    "contacts",
-    TABLES,
-    sa.Column("source", sa.String, primary_key=True),
-    sa.Column("last_contact", sa.BigInteger, nullable=False),
-)
-EVENTS = sa.Table(
+HEARD_OF = _table("heard_of", _key("asset"), _key("quantity"))
+CONTACTS = _table("contacts", _key("source"), _filled("last_contact", sa.BigInteger))
+EVENTS = _table(
     "events",
-    TABLES,
-    sa.Column("id", sa.String, primary_key=True),
-    sa.Column("version", sa.Integer, primary_key=True),
-    sa.Column("made_at", sa.BigInteger, nullable=False),
+    _key("id"),
+    _key("version", sa.Integer),
+    _filled("made_at", sa.BigInteger),
     sa.Column("body", sa.Text),  # none: withdrawn
 )
-FORECASTS = sa.Table(
+FORECASTS = _table(
     "forecasts",
-    TABLES,
-    sa.Column("quantity", sa.String, primary_key=True),
-    sa.Column("issued_at", sa.BigInteger, primary_key=True),
-    sa.Column("body", sa.Text, nullable=False),
+    _key("quantity"),
+    _key("issued_at", sa.BigInteger),
+    _filled("body", sa.Text),
 )
-STEPS = sa.Table(
-    "steps",
-    TABLES,
-    sa.Column("time", sa.BigInteger, primary_key=True),
-    sa.Column("outcome", sa.String, nullable=False),
-    sa.Column("plan", sa.Text, nullable=False),
-)
-OUTCOMES = sa.Table(
-    "outcomes",
-    TABLES,
-    sa.Column("outcome", sa.String, primary_key=True),
-    sa.Column("steps", sa.BigInteger, nullable=False),
-)
-STATES = sa.Table(
-    "controller_state",
-    TABLES,
-    sa.Column("time", sa.BigInteger, primary_key=True),
-    sa.Column("state", sa.Text, nullable=False),
-)
-MEASURED = sa.Table(
+STEPS = _table("steps", _key("time", sa.BigInteger), _filled("outcome"), _filled("plan", sa.Text))
+OUTCOMES = _table("outcomes", _key("outcome"), _filled("steps", sa.BigInteger))
+STATES = _table("controller_state", _key("time", sa.BigInteger), _filled("state", sa.Text))
+MEASURED = _table(
     "measured",
-    TABLES,
-    sa.Column("time", sa.BigInteger, primary_key=True),
-    sa.Column("load_kw", sa.Text, nullable=False),
-    sa.Column("pv_kw", sa.Text, nullable=False),
+    _key("time", sa.BigInteger),
+    _filled("load_kw", sa.Text),
+    _filled("pv_kw", sa.Text),
 )
-ACKS = sa.Table(
+ACKS = _table(
     "acks",
-    TABLES,
-    sa.Column("number", sa.Integer, primary_key=True),
-    sa.Column("at", sa.BigInteger, nullable=False),
-    sa.Column("actor", sa.String, nullable=False),
-    sa.Column("setpoint", sa.String, nullable=False, index=True),
-    sa.Column("kind", sa.String, nullable=False),
-    sa.Column("asset", sa.String, nullable=False),
-    sa.Column("status", sa.String, nullable=False),
+    _key("number", sa.Integer),
+    _filled("at", sa.BigInteger),
+    _filled("actor"),
+    _filled("setpoint", index=True),
+    _filled("kind"),
+    _filled("asset"),
+    _filled("status"),
     sa.Column("value", sa.Float),
-    sa.Column("reason", sa.String, nullable=False),
+    _filled("reason"),
 )
-LOST = sa.Table(
-    "lost_customers",
-    TABLES,
-    sa.Column("asset", sa.String, primary_key=True),
-    sa.Column("at", sa.BigInteger, nullable=False),
-    sa.Column("reason", sa.String, nullable=False),
-)
-ALARMS = sa.Table(
+LOST = _table("lost_customers", _key("asset"), _filled("at", sa.BigInteger), _filled("reason"))
+ALARMS = _table(
     "alarms",
-    TABLES,
-    sa.Column("number", sa.Integer, primary_key=True),
-    sa.Column("kind", sa.String, nullable=False),
-    sa.Column("subject", sa.String, nullable=False),
-    sa.Column("priority", sa.String, nullable=False),
-    sa.Column("text", sa.Text, nullable=False),
-    sa.Column("items", sa.Text, nullable=False),
+    _key("number", sa.Integer),
+    _filled("kind"),
+    _filled("subject"),
+    _filled("priority"),
+    _filled("text", sa.Text),
+    _filled("items", sa.Text),
     sa.Column("due_at", sa.BigInteger),
-    sa.Column("raised_at", sa.BigInteger, nullable=False),
+    _filled("raised_at", sa.BigInteger),
     sa.Column("acknowledged_at", sa.BigInteger),
-    sa.Column("acknowledged_by", sa.String, nullable=False),
+    _filled("acknowledged_by"),
     sa.Column("cleared_at", sa.BigInteger, index=True),
     sa.Column("shelved_until", sa.BigInteger),
-    sa.Column("shelved_by", sa.String, nullable=False),
+    _filled("shelved_by"),
 )
-KEYS = sa.Table(
-    "idempotency_keys",
-    TABLES,
-    sa.Column("key", sa.String, primary_key=True),
-    sa.Column("time", sa.BigInteger, nullable=False),
-)
-AUDIT = sa.Table(
+KEYS = _table("idempotency_keys", _key("key"), _filled("time", sa.BigInteger))
+AUDIT = _table(
     "audit",
-    TABLES,
-    sa.Column("number", sa.Integer, primary_key=True),
-    sa.Column("at", sa.BigInteger, nullable=False),
-    sa.Column("actor", sa.String, nullable=False),
-    sa.Column("action", sa.String, nullable=False),
-    sa.Column("detail", sa.Text, nullable=False),
+    _key("number", sa.Integer),
+    _filled("at", sa.BigInteger),
+    _filled("actor"),
+    _filled("action"),
+    _filled("detail", sa.Text),
 )
-TOKENS = sa.Table(
+TOKENS = _table(
     "tokens",
-    TABLES,
-    sa.Column("name", sa.String, primary_key=True),
-    sa.Column("sha256", sa.String, nullable=False),
-    sa.Column("scopes", sa.String, nullable=False),
+    _key("name"),
+    _filled("sha256"),
+    _filled("scopes"),
     sa.Column("expires", sa.Integer),  # none: never
 )
 

@@ -338,6 +338,14 @@ function showOff() {
   });
 }
 
+// A device in a list: what it holds, what it does, and what to know of it.
+function device(name, held, level, words, ...notes) {
+  return node("li", {}, node("b", {}, name), node("span", { class: "n" }, held), level, node("span", { class: "note" }, words),
+    ...notes.filter(Boolean).map((note) => node("span", { class: "late note" }, note)));
+}
+
+const defaulted = (point) => (point?.reason.startsWith("default") ? point.reason : "");
+
 function showBatteries() {
   document.getElementById("batteries-former").textContent = view.site.former;
   const { plan, measured, sources } = view.overview;
@@ -349,10 +357,8 @@ function showBatteries() {
     const words = power > 0.05 ? `\u25b2 charging ${power.toFixed(1)} kW` : power < -0.05 ? `\u25bc discharging ${(-power).toFixed(1)} kW` : "idle";
     const late = lateBy(view, name);
     const old = !reading || reading.value === null ? "no reading" : late === null ? "" : oldSoc(view, late);
-    const notes = [point?.reason.startsWith("default") ? point.reason : "", old].filter(Boolean);
-    return node("li", {}, node("b", {}, onPhase(name, view.site)), node("span", { class: "n" }, soc === null ? "no data" : percent(soc)),
-      meter(soc ?? 0, { kind: "store", marks: [b.soc_min, b.soc_max], name: `limits ${percent(b.soc_min)} to ${percent(b.soc_max)}` }),
-      node("span", { class: "note" }, words), ...notes.map((note) => node("span", { class: "late note" }, note)));
+    const level = meter(soc ?? 0, { kind: "store", marks: [b.soc_min, b.soc_max], name: `limits ${percent(b.soc_min)} to ${percent(b.soc_max)}` });
+    return device(onPhase(name, view.site), soc === null ? "no data" : percent(soc), level, words, defaulted(point), old);
   }));
 }
 
@@ -362,12 +368,12 @@ function showVehicles() {
   const here = plan?.expected?.vehicles ?? {}, short = plan?.ahead?.left_short ?? {};
   const gone = (name) => measured[`plugged ${name}`]?.value === 0 && new Date(measured[`plugged ${name}`].at) > new Date(plan.valid_from ?? plan.start);
   renew("vehicles-list", [here, short, plan?.chargers, names.map(gone), Math.floor(view.now / 60000)], () => Object.entries(here).map(([name, one]) => {
-    const power = plan.chargers[name]?.p_kw ?? 0, reason = plan.chargers[name]?.reason ?? "";
+    const power = plan.chargers[name]?.p_kw ?? 0;
     const words = power > 0.05 ? `\u25b2 charging ${power.toFixed(1)} kW` : power < -0.05 ? `\u25bc giving ${(-power).toFixed(1)} kW` : "not charging";
-    const notes = [short[name] ? `will leave ${short[name].short_kwh.toFixed(1)} kWh short` : "", gone(name) ? "unplugged since the plan" : "", reason.startsWith("default") ? reason : ""].filter(Boolean);
-    return node("li", {}, node("b", {}, one.vehicle), node("span", { class: "n" }, `${one.energy_kwh.toFixed(1)} kWh`),
-      meter(one.energy_kwh / Math.max(one.needed_kwh, 0.001), { kind: "store", name: `${one.energy_kwh.toFixed(1)} of ${one.needed_kwh.toFixed(1)} kWh that it needs` }),
-      node("span", { class: "note" }, `${words}; needs ${one.needed_kwh.toFixed(1)} kWh by ${view.clock.at(one.leaves, view.now)}`), ...notes.map((note) => node("span", { class: "late note" }, note)));
+    const held = one.energy_kwh.toFixed(1), needed = one.needed_kwh.toFixed(1);
+    const level = meter(one.energy_kwh / Math.max(one.needed_kwh, 0.001), { kind: "store", name: `${held} of ${needed} kWh that it needs` });
+    return device(one.vehicle, `${held} kWh`, level, `${words}; needs ${needed} kWh by ${view.clock.at(one.leaves, view.now)}`,
+      short[name] ? `will leave ${short[name].short_kwh.toFixed(1)} kWh short` : "", gone(name) ? "unplugged since the plan" : "", defaulted(plan.chargers[name]));
   }));
   const empty = names.filter((name) => !(name in here));
   write("vehicles-none", empty.length ? `Without a vehicle: ${list(empty, 12)}.` : "");
@@ -382,10 +388,8 @@ function showRooms() {
   renew("rooms-list", key, () => all.map(([name, { t_min_c: low, t_max_c: high }]) => {
     const { value, old } = indoorNow(view, name), point = plan?.thermal_loads[name];
     const span = high - low + 2 * ROOM_SPAN_C, place = (t_c) => (t_c - low + ROOM_SPAN_C) / span;
-    const notes = [point?.reason.startsWith("default") ? point.reason : "", old].filter(Boolean);
-    return node("li", {}, node("b", {}, name), node("span", { class: "n" }, value === null ? "no data" : `${value.toFixed(1)} \u00b0C`),
-      meter(value === null ? 0 : place(value), { kind: value === null || inBand(name) ? "" : "over", marks: [place(low), place(high)], name: `comfort band ${low} to ${high} \u00b0C` }),
-      node("span", { class: "note" }, point ? `set to ${point.setpoint_c.toFixed(1)} \u00b0C` : "no set-point"), ...notes.map((note) => node("span", { class: "late note" }, note)));
+    const level = meter(value === null ? 0 : place(value), { kind: value === null || inBand(name) ? "" : "over", marks: [place(low), place(high)], name: `comfort band ${low} to ${high} \u00b0C` });
+    return device(name, value === null ? "no data" : `${value.toFixed(1)} \u00b0C`, level, point ? `set to ${point.setpoint_c.toFixed(1)} \u00b0C` : "no set-point", defaulted(point), old);
   }));
 }
 
@@ -399,10 +403,9 @@ function showSets() {
     const told = !point ? "no set-point" : point.running ? `ordered ${point.p_kw.toFixed(1)} kW` : "ordered off";
     const then = next ? `; ${next.starts ? "starts" : "stops"} at ${view.clock.at(next.time, view.now)}` : "";
     const lasts = value === null ? "" : `; fuel for ${fuelLasts(set, value, (point?.running && point.p_kw) || set.p_max_kw)}`;
-    const notes = [plan?.expected?.gensets?.[name]?.out ? "out: it does not start" : "", point?.reason.startsWith("default") ? point.reason : "", old].filter(Boolean);
-    return node("li", {}, node("b", {}, name), node("span", { class: "n" }, value === null ? "no data" : `${kilo(value)} l`),
-      meter((value ?? 0) / tank, { kind: "store", name: `${kilo(value ?? 0)} of ${kilo(tank)} l` }),
-      node("span", { class: "note" }, `${read}; ${told}${then}${lasts}`), ...notes.map((note) => node("span", { class: "late note" }, note)));
+    const level = meter((value ?? 0) / tank, { kind: "store", name: `${kilo(value ?? 0)} of ${kilo(tank)} l` });
+    return device(name, value === null ? "no data" : `${kilo(value)} l`, level, `${read}; ${told}${then}${lasts}`,
+      plan?.expected?.gensets?.[name]?.out ? "out: it does not start" : "", defaulted(point), old);
   }));
 }
 

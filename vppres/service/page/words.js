@@ -85,7 +85,8 @@ export function unawareOfLoss(view) {
 // Why the plan ignores a reading that the grid is lost; empty if it does not, or if there is a newer one.
 function contradiction(view) {
   const { plan } = view.overview;
-  return (!plan?.unaware_of?.length && plan?.estimated?.find((words) => words.startsWith("grid_on "))) || "";
+  const ignores = gridReading(view)?.value === 0 && !plan?.unaware_of?.length;
+  return (ignores && plan?.estimated?.find((words) => words.startsWith("grid_on "))) || "";
 }
 
 // Whether supply is uncertain: the plan counts on a grid that is or may be lost, or has ended.
@@ -281,31 +282,23 @@ export function lateBy(view, name, quantity = "soc") {
 // How old a late reading of a state of charge is, and what is shown in its place.
 export const oldSoc = (view, ms, words = "read") => `${words} ${lasting(ms)} ago${view.overview.plan?.expected ? "; estimated" : ""}`;
 
-// The temperature of a room or tank, and what to know of its thermometer: {value, old}.
-export function indoorNow(view, name) {
+// A quantity of a device, and what to know of its instrument: {value, old}; the plan's value where no reading counts.
+function readOrPlanned(view, quantity, name, planned, instrument, words) {
   const { plan, measured } = view.overview;
-  const reading = measured[`indoor_c ${name}`], reckoned = plan?.expected?.indoor_c?.[name] ?? null;
-  const late = lateBy(view, name, "indoor_c");
-  if (plan?.estimated.some((words) => words.startsWith(`indoor_c ${name} `) && words.endsWith("(frozen)"))) {
-    return { value: reckoned, old: "thermometer stands still; reckoned" };
-  }
-  if (late !== null) return { value: reckoned, old: `read ${lasting(late)} ago; reckoned` };
-  if (!reading || reading.value === null) return { value: reckoned, old: "not read; reckoned" };
-  return { value: reading.value, old: "" };
+  const reading = measured[`${quantity} ${name}`], late = lateBy(view, name, quantity);
+  const frozen = plan?.estimated.some((each) => each.startsWith(`${quantity} ${name} `) && each.endsWith("(frozen)"));
+  const missing = !reading || reading.value === null;
+  const state = frozen ? "stands still" : late !== null ? `read ${lasting(late)} ago` : missing ? "not read" : "";
+  return state ? { value: planned ?? null, old: `${instrument} ${state}; ${words}` } : { value: reading.value, old: "" };
 }
 
-// The fuel of a generating set, and what to know of its gauge: {value, old}.
-export function fuelNow(view, name) {
-  const { plan, measured } = view.overview;
-  const reading = measured[`fuel_litres ${name}`], least = plan?.expected?.gensets?.[name]?.fuel_litres ?? null;
-  const late = lateBy(view, name, "fuel_litres");
-  if (plan?.estimated.some((words) => words.startsWith(`fuel_litres ${name} `) && words.endsWith("(frozen)"))) {
-    return { value: least, old: "gauge stands still; at least this" };
-  }
-  if (late !== null) return { value: least, old: `gauge read ${lasting(late)} ago; at least this` };
-  if (!reading || reading.value === null) return { value: least, old: "gauge not read; at least this" };
-  return { value: reading.value, old: "" };
-}
+// The temperature of a room or tank.
+export const indoorNow = (view, name) =>
+  readOrPlanned(view, "indoor_c", name, view.overview.plan?.expected?.indoor_c?.[name], "thermometer", "reckoned");
+
+// The fuel of a generating set.
+export const fuelNow = (view, name) =>
+  readOrPlanned(view, "fuel_litres", name, view.overview.plan?.expected?.gensets?.[name]?.fuel_litres, "gauge", "at least this");
 
 // How long so much fuel lasts a set at a power.
 export function fuelLasts(set, litres, kw) {

@@ -41,10 +41,9 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
     @router.get("/v1/events/{identifier}/versions")
     def versions(identifier: payloads.Name, _: str = guarded("read")) -> list[dict[str, Any]]:
         """All that was ever said of an event, in its order; withdrawn where it has no type."""
-        found = runner.store.event_versions(identifier)
         return [
             {"version": one.version, "made_at": written(moment(one.made_at)), **one.body}
-            for one in found
+            for one in runner.store.events_ever().get(identifier, [])
         ]
 
     @router.put("/v1/events/{identifier}")

@@ -11,15 +11,7 @@ from vppres.service.limits import DENIED, Limits
 
 
 class Guard:
-    """Lets those pass who may, and not too often.
-
-    Parameters
-    ----------
-    access : Access
-        Who may ask.
-    limits : Limits, optional
-        How often.
-    """
+    """Lets those pass who may, and not too often."""
 
     def __init__(self, access: Access, limits: Limits | None = None) -> None:
         self.access = access
