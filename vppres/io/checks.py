@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection
 
 import numpy as np
 
 from vppres.core.arrays import Floats
 from vppres.core.errors import Problem
 from vppres.io import schema
-from vppres.io.messages import Suggestions, few
-from vppres.io.tables import Table, cell_text
+from vppres.io.messages import Suggestions
+from vppres.io.rows import Rows
+from vppres.io.tables import Table
 from vppres.scenario.assets import SOC_ROUNDING
 from vppres.scenario.network import BusId
 
@@ -29,17 +30,50 @@ def bus_reader(lines: Table) -> Callable[[str], BusId]:
     return lambda text: int(text) if _INTEGER.fullmatch(text) else text
 
 
+LIMITS = (
+    (
+        "pv",
+        "p_max_kw",
+        "s_max_kva",
+        "Give the larger inverter, or cap p_max_kw and the series at its rating.",
+    ),
+    ("batteries", "p_max_kw", "s_max_kva", "Correct the power or the inverter rating."),
+    ("batteries", "soc_min", "soc_max", ""),
+    ("ev_chargers", "p_charge_min_kw", "p_charge_kw", ""),
+    ("thermal_loads", "t_min_c", "t_max_c", ""),
+    ("gensets", "p_min_kw", "p_max_kw", ""),
+    ("gensets", "fuel_level_litres", "tank_litres", ""),
+)
+"""Columns that must not exceed another one of their row, and the cure where it is a special one.
+
+What a customer uses of its own PV power is an equality in the model, so power that the inverter
+cannot carry would force the customer to be shed.
+"""
+
+APART = ("soc_min", "t_min_c")
+"""Those that must not equal it either."""
+
+
+def check_limits(table: Table, key: str, rows: Rows) -> list[Problem]:
+    """Values above the limit that the same row gives."""
+    problems = []
+    for row, item in rows.items():
+        for field, most, cure in (limit[1:] for limit in LIMITS if limit[0] == key):
+            value, limit = getattr(item, field), getattr(item, most)
+            apart = field in APART
+            if value is not None and (value > limit or (apart and value == limit)):
+                words = "must be less than" if apart else "must not exceed"
+                message = f"{words} {most} ({limit:g})"
+                cure = cure or "Correct one of the two."
+                problems.append(table.problem(row, field, message, cure, value))
+    return problems
+
+
 def check_ids(table: Table) -> list[Problem]:
     """Identifiers that appear twice, or that a series could not use as a column."""
+    message = "is reserved for the time column"
     reserved = [
-        Problem(
-            table.file,
-            "is reserved for the time column",
-            "Choose another identifier.",
-            row=row,
-            field="id",
-            value=text,
-        )
+        table.problem(row, "id", message, "Choose another identifier.", text)
         for row, text in table.column("id").items()
         if text == _RESERVED
     ]
@@ -47,14 +81,15 @@ def check_ids(table: Table) -> list[Problem]:
     return sorted(twice + reserved, key=lambda problem: problem.row or 0)
 
 
-def check_once(table: Table, field: str, cure: str) -> list[Problem]:
+def check_once(
+    table: Table, field: str, cure: str, message: str = "is already used in row {}"
+) -> list[Problem]:
     """Cells of a column that repeat an earlier one."""
     first: dict[str, int] = {}
     problems = []
     for row, text in table.column(field).items():
         if text in first:
-            message = f"is already used in row {first[text]}"
-            problems.append(Problem(table.file, message, cure, row=row, field=field, value=text))
+            problems.append(table.problem(row, field, message.format(first[text]), cure, text))
         first.setdefault(text, row)
     return problems
 
@@ -78,15 +113,9 @@ def check_buses(table: Table, lines: Table) -> list[Problem]:
     ends = [*lines.column("from_bus").values(), *lines.column("to_bus").values()]
     known = {read_bus(text) for text in ends}
     suggestions = Suggestions(sorted(map(str, known)), "Correct the bus.")
+    message = f"is not a bus of {lines.file}"
     return [
-        Problem(
-            table.file,
-            f"is not a bus of {lines.file}",
-            suggestions.cure(text),
-            row=row,
-            field="bus",
-            value=text,
-        )
+        table.problem(row, "bus", message, suggestions.cure(text), text)
         for row, text in table.column("bus").items()
         if known and read_bus(text) not in known
     ]
@@ -97,13 +126,13 @@ def check_known(table: Table, field: str, known: Collection[str], message: str) 
     names = set(known)
     suggestions = Suggestions(known, f"Correct the {field}.")
     return [
-        Problem(table.file, message, suggestions.cure(text), row=row, field=field, value=text)
+        table.problem(row, field, message, suggestions.cure(text), text)
         for row, text in table.column(field).items()
         if text not in names
     ]
 
 
-def check_parts(table: Table, customers: Mapping[int, schema.Row]) -> list[Problem]:
+def check_parts(table: Table, customers: Rows) -> list[Problem]:
     """Identifiers that the parts of customers in several parts, or of their PV systems, will have.
 
     The parts of ``C7`` are ``C7/1``, ``C7/2`` and so on.
@@ -114,147 +143,52 @@ def check_parts(table: Table, customers: Mapping[int, schema.Row]) -> list[Probl
     for row, text in table.column("id").items():
         whole, _, part = text.rpartition("/")
         if whole in known and part.isdecimal() and 1 <= int(part) <= most:
-            problems.append(
-                Problem(
-                    table.file,
-                    f"is reserved for a part of {whole} while customers have several shed_steps",
-                    "Choose another identifier.",
-                    row=row,
-                    field="id",
-                    value=text,
-                )
-            )
+            message = f"is reserved for a part of {whole} while customers have several shed_steps"
+            problems.append(table.problem(row, "id", message, "Choose another identifier.", text))
     return problems
 
 
-def check_places(pv: Table) -> list[Problem]:
-    """PV systems with a customer and a bus, or with neither."""
-    owner = pv.column("customer")
-    bus = pv.column("bus")
+def check_places(table: Table) -> list[Problem]:
+    """PV systems or chargers with a customer and a bus, or with neither."""
+    owner = table.column("customer")
+    bus = table.column("bus")
     problems = []
-    for row, name in pv.column("id").items():
+    for row, name in table.column("id").items():
         if row in owner and row in bus:
-            problems.append(
-                Problem(
-                    pv.file,
-                    "has a customer too",
-                    "Leave one of them empty: a system is at its customer's bus, or stands alone.",
-                    row=row,
-                    field="bus",
-                    value=bus[row],
-                )
-            )
+            cure = "Leave one of them empty: it is at its customer's bus, or stands alone."
+            problems.append(table.problem(row, "bus", "has a customer too", cure, bus[row]))
         elif row not in owner and row not in bus:
-            problems.append(
-                Problem(
-                    pv.file,
-                    "has neither a customer nor a bus",
-                    "Give the customer that owns it, or the bus at which it stands alone.",
-                    row=row,
-                    field="id",
-                    value=name,
-                )
-            )
+            message = "has neither a customer nor a bus"
+            cure = "Give the customer that owns it, or the bus at which it stands alone."
+            problems.append(table.problem(row, "id", message, cure, name))
     return problems
 
 
 def check_one_pv_each(pv: Table) -> list[Problem]:
     """Customers with several PV systems: the model has one self-consumption per customer."""
-    first: dict[str, int] = {}
+    cure = "Join the two systems: a customer has at most one."
+    return check_once(pv, "customer", cure, "already has the PV system of row {}")
+
+
+def check_soc_initial(table: Table, batteries: Rows) -> list[Problem]:
+    """States of charge at the start that are outside their limits."""
     problems = []
-    for row, text in pv.column("customer").items():
-        if text in first:
-            problems.append(
-                Problem(
-                    pv.file,
-                    f"already has the PV system of row {first[text]}",
-                    "Join the two systems: a customer has at most one.",
-                    row=row,
-                    field="customer",
-                    value=text,
-                )
-            )
-        first.setdefault(text, row)
-    return problems
-
-
-def check_pv_ratings(file: str, rows: dict[int, schema.Row]) -> list[Problem]:
-    """PV systems larger than their inverter.
-
-    What a customer uses of its own PV power is an equality in the model, so power that the
-    inverter cannot carry would force the customer to be shed.
-    """
-    return [
-        Problem(
-            file,
-            f"must not exceed s_max_kva ({pv.s_max_kva:g})",
-            "Give the larger inverter, or cap p_max_kw and the series at its rating.",
-            row=row,
-            field="p_max_kw",
-            value=pv.p_max_kw,
-        )
-        for row, pv in rows.items()
-        if pv.p_max_kw > pv.s_max_kva
-    ]
-
-
-def check_batteries(file: str, rows: dict[int, schema.Row]) -> list[Problem]:
-    """Ratings and state-of-charge limits that contradict each other."""
-    problems = []
-    for row, battery in rows.items():
-        if battery.p_max_kw > battery.s_max_kva:
-            problems.append(
-                Problem(
-                    file,
-                    f"must not exceed s_max_kva ({battery.s_max_kva:g})",
-                    "Correct the power or the inverter rating.",
-                    row=row,
-                    field="p_max_kw",
-                    value=battery.p_max_kw,
-                )
-            )
-        low = battery.soc_min
-        high = battery.soc_max
-        start = battery.soc_initial
-        if not low < high:
-            problems.append(
-                Problem(
-                    file,
-                    f"must be less than soc_max ({high:g})",
-                    "Correct one of the limits.",
-                    row=row,
-                    field="soc_min",
-                    value=low,
-                )
-            )
-        elif start is not None and not (low - SOC_ROUNDING <= start <= high + SOC_ROUNDING):
-            problems.append(
-                Problem(
-                    file,
-                    f"must lie between soc_min ({low:g}) and soc_max ({high:g})",
-                    "Correct the state of charge at the start or the limits.",
-                    row=row,
-                    field="soc_initial",
-                    value=start,
-                )
-            )
+    for row, battery in batteries.items():
+        low, high, start = battery.soc_min, battery.soc_max, battery.soc_initial
+        outside = start is not None and not low - SOC_ROUNDING <= start <= high + SOC_ROUNDING
+        if outside and low < high:
+            message = f"must lie between soc_min ({low:g}) and soc_max ({high:g})"
+            cure = "Correct the state of charge at the start or the limits."
+            problems.append(table.problem(row, "soc_initial", message, cure, start))
     return problems
 
 
 def check_pv_series(series: Table, name: str, values: Floats, p_max_kw: float) -> list[Problem]:
     """Available PV power above the system's rating."""
     over = np.flatnonzero(values > p_max_kw * (1 + RATING_TOLERANCE))
-    return few(
-        over,
-        lambda i: Problem(
-            series.file,
-            f"exceeds the system's p_max_kw ({p_max_kw:g})",
-            "Correct the series or the rating.",
-            row=int(series.frame.index[i]),
-            field=name,
-            value=cell_text(series.frame[name].iloc[i]),
-        ),
-    )
+    message = f"exceeds the system's p_max_kw ({p_max_kw:g})"
+    cure = "Correct the series or the rating."
+    return series.problems(over, name, message, cure)
 
 
 def check_one_export_limit(file: schema.Section | None, system: Table | None) -> list[Problem]:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 from pydantic.fields import FieldInfo
 
-from vppres.core.arrays import Floats, Names
+from vppres.core.arrays import Floats, Names, Wholes
 from vppres.core.errors import InputError, Problem
 from vppres.io import schema
 from vppres.io.messages import few
@@ -145,7 +145,7 @@ def history_of(
 class _Series:
     """One table of measured values, (n, items), at times in UTC."""
 
-    file: str
+    table: Table | None
     times: pd.DatetimeIndex
     lines: pd.Index
     values: Floats
@@ -159,7 +159,7 @@ class _Series:
         none = pd.DatetimeIndex([], tz=UTC)
         if table is None:
             n_items = 0 if ids is None else len(ids)
-            return cls("", none, pd.Index([]), np.empty((0, n_items)), [])
+            return cls(None, none, pd.Index([]), np.empty((0, n_items)), [])
         known = [name for name in table.names if name != TIME] if ids is None else list(ids)
         problems = check_columns(
             table, [TIME, *known], [TIME], {TIME: "Give the beginning of each step."}
@@ -172,46 +172,31 @@ class _Series:
                 values[:, i], found = read_values(table, name, field, gaps=True)
                 problems += found
         if problems:
-            return cls(table.file, none, pd.Index([]), values, problems)
+            return cls(table, none, pd.Index([]), values, problems)
         order = np.argsort(times.to_numpy(), kind="stable")
-        index = pd.DatetimeIndex(times.iloc[order])
-        lines = table.frame.index[order]
-        return cls(table.file, index, lines, values[order], _twice(table.file, index, lines))
+        index, lines = pd.DatetimeIndex(times.iloc[order]), table.frame.index[order]
+        series = cls(table, index, lines, values[order], [])
+        again = np.flatnonzero(index.duplicated())
+        return replace(
+            series, problems=series.at(again, "is given twice", "Remove one of the two rows.")
+        )
+
+    def at(self, rows: Wholes, message: str, cure: str) -> list[Problem]:
+        """What is wrong with some of the times."""
+        return few(rows, lambda i: self._problem(i, message, cure))
+
+    def _problem(self, i: int, message: str, cure: str) -> Problem:
+        assert self.table is not None  # it has times
+        return self.table.problem(int(self.lines[i]), TIME, message, cure, iso(self.times[i]))
 
     def off_grid(self, start: pd.Timestamp, step: pd.Timedelta) -> list[Problem]:
         """Times that are no multiple of the step after the start."""
         off = np.flatnonzero((self.times - start) % step != pd.Timedelta(0))
         cure = f"Give steps of {step / pd.Timedelta(minutes=1):g} min from {iso(start)}."
-        return few(
-            off,
-            lambda i: Problem(
-                self.file,
-                "is not the beginning of a step",
-                cure,
-                row=int(self.lines[i]),
-                field=TIME,
-                value=iso(self.times[i]),
-            ),
-        )
+        return self.at(off, "is not the beginning of a step", cure)
 
     def on(self, times: pd.DatetimeIndex) -> Floats:
         """Values at equal steps, NaN where there is none."""
         values = np.full((len(times), self.values.shape[1]), np.nan)
         values[times.get_indexer(self.times)] = self.values
         return values
-
-
-def _twice(file: str, times: pd.DatetimeIndex, lines: pd.Index) -> list[Problem]:
-    """Steps that are given more than once."""
-    again = np.flatnonzero(times.duplicated())
-    return few(
-        again,
-        lambda i: Problem(
-            file,
-            "is given twice",
-            "Remove one of the two rows.",
-            row=int(lines[i]),
-            field=TIME,
-            value=iso(times[i]),
-        ),
-    )

@@ -68,17 +68,10 @@ def read_warning_file(file: str | Path) -> list[OutageWarning]:
 def _empty(table: Table, outages: dict[int, Interval]) -> list[Problem]:
     """Outages that end before they begin."""
     wrong = [line for line, (start, end) in outages.items() if end <= start]
-    cure = "Give the time at which the grid came back."
+    message, cure = "does not come after start", "Give the time at which the grid came back."
     return few(
-        wrong,
-        lambda i: Problem(
-            table.file,
-            "does not come after start",
-            cure,
-            row=i,
-            field="end",
-            value=outages[i][1].isoformat(),
-        ),
+        range(len(wrong)),
+        lambda i: table.problem(wrong[i], "end", message, cure, outages[wrong[i]][1].isoformat()),
     )
 
 
@@ -87,15 +80,9 @@ def _overlaps(table: Table, outages: list[tuple[int, Interval]]) -> list[Problem
     early = [
         (line, start) for (_, (_, end)), (line, (start, _)) in pairwise(outages) if start < end
     ]
+    message = "begins before the outage before it is over"
     cure = "Join the two rows, or correct one of them."
     return few(
         range(len(early)),
-        lambda i: Problem(
-            table.file,
-            "begins before the outage before it is over",
-            cure,
-            row=early[i][0],
-            field="start",
-            value=early[i][1].isoformat(),
-        ),
+        lambda i: table.problem(early[i][0], "start", message, cure, early[i][1].isoformat()),
     )

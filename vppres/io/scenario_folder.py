@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -17,22 +17,23 @@ from vppres.core.arrays import Floats
 from vppres.core.errors import InputError, Problem
 from vppres.core.text import named
 from vppres.io import checks, schema
-from vppres.io.genset_rows import check_gensets, gensets_of, refuels_of
-from vppres.io.history import Columns, history_of
+from vppres.io.history import Columns as HistoryColumns
+from vppres.io.history import history_of
 from vppres.io.messages import in_order
 from vppres.io.outage_log import read_interruptions
 from vppres.io.phase_files import PHASE_FILES, read_phases
+from vppres.io.rows import columns_of, given_or
 from vppres.io.series import TIME, check_times, read_values
 from vppres.io.settings import SCENARIO_FILE, Settings, read_settings
 from vppres.io.tables import NAME_ANOTHER, Table, check_columns, no_table, read_rows, read_table
-from vppres.io.thermal_rows import check_thermal_loads, thermal_loads_of
-from vppres.io.vehicle_rows import chargers_of, check_vehicles, sessions_of
+from vppres.io.vehicle_rows import check_sessions
 from vppres.io.warning_rows import read_warnings
-from vppres.scenario.assets import OF_TIME_OFF, Batteries, Customers, PVSystems
-from vppres.scenario.fairness import Fairness, Interruption
+from vppres.scenario.assets import Batteries, Customers, PVSystems
+from vppres.scenario.fairness import Fairness
+from vppres.scenario.gensets import Gensets, Refuels
 from vppres.scenario.history import History
 from vppres.scenario.network import BusId, Network, check_radial
-from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
+from vppres.scenario.outage_warnings import OutageStatistics
 from vppres.scenario.phases import Phases
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import (
@@ -43,10 +44,13 @@ from vppres.scenario.scenario import (
     Scenario,
 )
 from vppres.scenario.source import Source, SourceDeviation
+from vppres.scenario.thermal_loads import ThermalLoads
+from vppres.scenario.vehicles import Chargers, Sessions
 
-# Tables that a folder may lack, with the model of their rows.
-_OPTIONAL: dict[str, type[BaseModel]] = {
+MODELS: dict[str, type[BaseModel]] = {
+    "lines": schema.LineRow,
     "buses": schema.BusRow,
+    "customers": schema.CustomerRow,
     "pv": schema.PVRow,
     "batteries": schema.BatteryRow,
     "ev_chargers": schema.ChargerRow,
@@ -57,49 +61,30 @@ _OPTIONAL: dict[str, type[BaseModel]] = {
     "warnings": schema.WarningRow,
     "outages": schema.OutageRow,
 }
+"""Rows of each table, by its key under [files]."""
+
+_NEEDED = ("lines", "customers", "load_kw", "pv_kw", "system")
+"""Files without which there is no scenario; series of PV only where there is PV."""
+
 _HISTORY = ("history_load_kw", "history_pv_kw")
 
+Tables = dict[str, Table | None]
+"""The files of a folder by their keys; None stands for a file that is missing or broken."""
 
-@dataclass(frozen=True, eq=False)
-class _Folder:
-    """The files of a folder; None stands for a file that is missing or broken."""
+AllRows = dict[str, dict[int, Any]]
+"""The sound rows of each table, by line of the file."""
 
-    settings: Settings
-    lines: Table | None
-    buses: Table | None
-    customers: Table | None
-    pv: Table | None
-    batteries: Table | None
-    ev_chargers: Table | None
-    ev_sessions: Table | None
-    thermal_loads: Table | None
-    gensets: Table | None
-    refuel: Table | None
-    load_kw: Table | None
-    pv_kw: Table | None
-    system: Table | None
-    warnings: Table | None
-    outages: Table | None
-    history_load_kw: Table | None
-    history_pv_kw: Table | None
+Columns = dict[str, Any]
 
-
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """The sound rows of each table, by line of the file."""
-
-    lines: dict[int, schema.Row]
-    buses: dict[int, schema.Row]
-    customers: dict[int, schema.Row]
-    pv: dict[int, schema.Row]
-    batteries: dict[int, schema.Row]
-    chargers: dict[int, schema.Row]
-    sessions: dict[int, schema.Row]
-    thermal_loads: dict[int, schema.Row]
-    gensets: dict[int, schema.Row]
-    refuels: dict[int, schema.Row]
-    warnings: dict[int, OutageWarning]
-    outages: dict[int, Interruption]
+_REFERENCES = (
+    ("pv", "customer", "customers", "customer"),
+    ("ev_chargers", "customer", "customers", "customer"),
+    ("thermal_loads", "customer", "customers", "customer"),
+    ("outages", "customer", "customers", "customer"),
+    ("ev_sessions", "charger", "ev_chargers", "charger"),
+    ("refuel", "genset", "gensets", "set"),
+)
+"""Columns with identifiers of another table, and what that one holds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,38 +117,36 @@ def read_scenario(folder: str | Path) -> Scenario:
     if not folder.is_dir():
         message = "is not a folder" if folder.exists() else "there is no such folder"
         raise InputError.of(str(folder), message, "Give the path of a scenario folder.")
-    content, problems = _read_files(folder)
-    rows, row_problems = _read_all_rows(content)
-    series, series_problems = _read_series(content, rows)
-    history, history_problems = _read_history(content, rows)
-    series_problems += history_problems
-    problems += row_problems + _check_across(content, rows) + series_problems
-    phases, phase_problems = _read_phases(folder, content)
-    problems += phase_problems
-    if problems or content.lines is None or content.settings.grid is None:
-        files = [SCENARIO_FILE, *content.settings.files.model_dump().values()]
+    settings, problems = read_settings(folder)
+    tables, table_problems = _read_files(folder, settings)
+    rows, row_problems = _read_all_rows(tables)
+    series, series_problems = _read_series(settings, tables, rows)
+    history, history_problems = _read_history(settings, tables, rows)
+    problems += table_problems + row_problems + _check_across(settings, tables, rows)
+    problems += series_problems + history_problems
+    lines = tables["lines"]
+    read_bus = checks.bus_reader(lines) if lines else str
+    phases: Phases | None = None
+    if lines:
+        phases, phase_problems = read_phases(folder, read_bus)
+        problems += phase_problems
+    if problems:
+        files = [SCENARIO_FILE, *settings.files.model_dump().values()]
         raise InputError(in_order(problems, files))
-    day = _assemble(content.settings, rows, series, checks.bus_reader(content.lines), phases)
+    day = _assemble(settings, rows, series, read_bus, phases)
     return day if history is None else replace(day, history=history)
 
 
-def _read_phases(folder: Path, content: _Folder) -> tuple[Phases | None, list[Problem]]:
-    """The three phases of a folder that has them."""
-    if content.lines is None:
-        return None, []
-    return read_phases(folder, checks.bus_reader(content.lines))
-
-
-def _read_files(folder: Path) -> tuple[_Folder, list[Problem]]:
+def _read_files(folder: Path, settings: Settings) -> tuple[Tables, list[Problem]]:
     """All files of the folder. PV systems and batteries may be absent, unless they are listed."""
-    settings, problems = read_settings(folder)
     names: dict[str, str] = settings.files.model_dump()
-    tables: dict[str, Table | None] = {}
+    tables: Tables = {}
+    problems: list[Problem] = []
     for key, file in names.items():
         without_pv = key == "pv_kw" and (pv := tables["pv"]) is not None and pv.frame.empty
-        optional = key in _OPTIONAL or key in _HISTORY or without_pv
+        optional = key not in _NEEDED or without_pv
         if optional and key not in settings.files.model_fields_set and not (folder / file).exists():
-            absent = no_table(file, _OPTIONAL.get(key, schema.PVSeries))
+            absent = no_table(file, MODELS.get(key, schema.PVSeries))
             tables[key] = None if key in _HISTORY else absent
             continue
         tables[key], found = read_table(folder / file)
@@ -176,7 +159,7 @@ def _read_files(folder: Path) -> tuple[_Folder, list[Problem]]:
             message = f"the file is missing, and {series.file} has series of {named(systems)}"
             problems.append(Problem(names["pv"], message, NAME_ANOTHER))
             tables["pv"] = None
-    return _Folder(settings, **tables), problems
+    return tables, problems
 
 
 def _misspelt_files(folder: Path, known: set[str]) -> list[Problem]:
@@ -192,103 +175,53 @@ def _misspelt_files(folder: Path, known: set[str]) -> list[Problem]:
     return problems
 
 
-def _read_all_rows(content: _Folder) -> tuple[_Rows, list[Problem]]:
-    lines, line_problems = read_rows(content.lines, schema.LineRow)
-    buses, bus_problems = read_rows(content.buses, schema.BusRow)
-    customers, customer_problems = read_rows(content.customers, schema.CustomerRow)
-    pv, pv_problems = read_rows(content.pv, schema.PVRow)
-    batteries, battery_problems = read_rows(content.batteries, schema.BatteryRow)
-    chargers, charger_problems = read_rows(content.ev_chargers, schema.ChargerRow)
-    sessions, session_problems = read_rows(content.ev_sessions, schema.SessionRow)
-    thermal, thermal_problems = read_rows(content.thermal_loads, schema.ThermalLoadRow)
-    gensets, genset_problems = read_rows(content.gensets, schema.GensetRow)
-    refuels, refuel_problems = read_rows(content.refuel, schema.RefuelRow)
-    warnings, warning_problems = read_warnings(content.warnings)
-    outages, outage_problems = read_interruptions(content.outages)
-    return (
-        _Rows(
-            lines,
-            buses,
-            customers,
-            pv,
-            batteries,
-            chargers,
-            sessions,
-            thermal,
-            gensets,
-            refuels,
-            warnings,
-            outages,
-        ),
-        line_problems
-        + bus_problems
-        + customer_problems
-        + pv_problems
-        + battery_problems
-        + charger_problems
-        + session_problems
-        + thermal_problems
-        + genset_problems
-        + refuel_problems
-        + warning_problems
-        + outage_problems,
-    )
+def _read_all_rows(tables: Tables) -> tuple[AllRows, list[Problem]]:
+    """The sound rows of each table by line of the file, and the problems of the others."""
+    readers: dict[str, Callable[[Table | None], tuple[dict[int, Any], list[Problem]]]] = {
+        "warnings": read_warnings,
+        "outages": read_interruptions,
+    }
+    rows: AllRows = {}
+    problems: list[Problem] = []
+    for key, model in MODELS.items():
+        read = readers.get(key)
+        rows[key], found = read(tables[key]) if read else read_rows(tables[key], model)
+        problems += found
+    return rows, problems
 
 
-def _check_across(content: _Folder, rows: _Rows) -> list[Problem]:
+def _check_across(settings: Settings, tables: Tables, rows: AllRows) -> list[Problem]:
     """Every check that needs more than one row or more than one file."""
-    lines = content.lines
-    buses = content.buses
-    customers = content.customers
-    pv = content.pv
-    batteries = content.batteries
-    chargers = content.ev_chargers
-    thermal = content.thermal_loads
-    gensets = content.gensets
-    with_ids = (customers, pv, batteries, chargers, thermal, gensets)
-    problems = [p for table in with_ids if table for p in checks.check_ids(table)]
-    if buses:
-        problems += checks.check_once(buses, "bus", "Give each bus one row.")
-    if lines:
-        problems += _check_network(lines, content.settings.slack_bus)
-        problems += [
-            p
-            for table in (buses, customers, pv, batteries, chargers, gensets)
-            if table
-            for p in checks.check_buses(table, lines)
-        ]
-    if customers:
+    there = {key: table for key, table in tables.items() if table is not None}
+    lines = there.get("lines")
+    problems = _check_network(lines, settings.slack_bus) if lines else []
+    for key, table in there.items():
+        problems += checks.check_ids(table)
+        problems += checks.check_limits(table, key, rows.get(key, {}))
+        if lines and key != "lines":
+            problems += checks.check_buses(table, lines)
+        if settings.tiers:
+            message = f"is not a tier of {SCENARIO_FILE}"
+            problems += checks.check_known(table, "tier", settings.tiers, message)
+    for key, column, other, what in _REFERENCES:
+        if key in there and other in there:
+            known = there[other].column("id").values()
+            message = f"is not a {what} of {there[other].file}"
+            problems += checks.check_known(there[key], column, known, message)
+    if customers := there.get("customers"):
         problems += checks.check_any(customers)
-    if customers and content.settings.tiers:
-        problems += checks.check_known(
-            customers, "tier", content.settings.tiers, f"is not a tier of {SCENARIO_FILE}"
-        )
-    if customers:
-        known = customers.column("id").values()
-        message = f"is not a customer of {customers.file}"
-        for table in (pv, chargers, thermal, content.outages):
-            if table:
-                problems += checks.check_known(table, "customer", known, message)
-    for table in (customers, pv):
-        if customers and table:
-            problems += checks.check_parts(table, rows.customers)
-    if pv:
+        for table in filter(None, (customers, there.get("pv"))):
+            problems += checks.check_parts(table, rows["customers"])
+    if buses := there.get("buses"):
+        problems += checks.check_once(buses, "bus", "Give each bus one row.")
+    if pv := there.get("pv"):
         problems += checks.check_places(pv) + checks.check_one_pv_each(pv)
-        problems += checks.check_pv_ratings(pv.file, rows.pv)
-    if chargers and content.ev_sessions:
-        tables = (chargers, content.ev_sessions)
-        tiers = content.settings.tiers or {}
-        problems += check_vehicles(*tables, rows.chargers, rows.sessions, tiers)
-    if thermal:
-        problems += check_thermal_loads(thermal.file, rows.thermal_loads)
-    if gensets:
-        problems += check_gensets(gensets.file, rows.gensets)
-    if content.refuel:
-        sets = gensets.column("id").values() if gensets else []
-        message = f"is not a set of {content.settings.files.gensets}"
-        problems += checks.check_known(content.refuel, "genset", sets, message)
-    if batteries:
-        problems += checks.check_batteries(batteries.file, rows.batteries)
+    if chargers := there.get("ev_chargers"):
+        problems += checks.check_places(chargers)
+    if batteries := there.get("batteries"):
+        problems += checks.check_soc_initial(batteries, rows["batteries"])
+    if sessions := there.get("ev_sessions"):
+        problems += check_sessions(sessions, rows["ev_sessions"])
     return problems
 
 
@@ -312,48 +245,52 @@ def _check_network(lines: Table, slack_bus: str | None) -> list[Problem]:
     return located
 
 
-def _read_series(content: _Folder, rows: _Rows) -> tuple[_Series, list[Problem]]:
+def _read_series(
+    settings: Settings, tables: Tables, rows: AllRows
+) -> tuple[_Series, list[Problem]]:
     """Times, columns and numbers of the three series; empty arrays where they are not sound."""
     load, load_problems = _read_columns(
-        content.load_kw,
-        content.customers,
+        tables["load_kw"],
+        tables["customers"],
         schema.LoadSeries.model_fields["load_kw"],
-        f"Add one column per customer of {content.settings.files.customers}.",
+        f"Add one column per customer of {settings.files.customers}.",
     )
+    pv_series, systems = tables["pv_kw"], tables["pv"]
     pv, pv_problems = _read_columns(
-        content.pv_kw,
-        content.pv,
+        pv_series,
+        systems,
         schema.PVSeries.model_fields["pv_kw"],
-        f"Add one column per PV system of {content.settings.files.pv}.",
+        f"Add one column per PV system of {settings.files.pv}.",
     )
-    system, system_problems = _read_system(content.system)
+    system, system_problems = _read_system(tables["system"])
     problems = load_problems + pv_problems + system_problems
-    problems += checks.check_one_export_limit(content.settings.file, content.system)
-    if content.pv_kw:
-        rating_kw = {row.id: row.p_max_kw for row in reversed(rows.pv.values())}
+    problems += checks.check_one_export_limit(settings.file, tables["system"])
+    if pv_series:
+        rating_kw = {row.id: row.p_max_kw for row in reversed(rows["pv"].values())}
         for name in rating_kw.keys() & pv.keys():
-            problems += checks.check_pv_series(content.pv_kw, name, pv[name], rating_kw[name])
-    grid = content.settings.grid
+            problems += checks.check_pv_series(pv_series, name, pv[name], rating_kw[name])
+    grid = settings.grid
     if grid:
-        unused = content.pv_kw if content.pv and content.pv.frame.empty else None
-        for table in (content.load_kw, content.pv_kw, content.system):
+        unused = pv_series if systems and systems.frame.empty else None
+        for table in (tables["load_kw"], pv_series, tables["system"]):
             if table and not (table is unused and table.frame.empty):
                 problems += check_times(table, grid)
     n_steps = grid.n_steps if grid else 0
     return _Series(_stack(load, n_steps), _stack(pv, n_steps), **system), problems
 
 
-def _read_history(content: _Folder, rows: _Rows) -> tuple[History | None, list[Problem]]:
+def _read_history(
+    settings: Settings, tables: Tables, rows: AllRows
+) -> tuple[History | None, list[Problem]]:
     """What was measured before the first step, if there is anything."""
-    grid = content.settings.grid
-    if grid is None or (content.history_load_kw is None and content.history_pv_kw is None):
+    grid = settings.grid
+    load, pv = (tables[key] for key in _HISTORY)
+    if grid is None or (load is None and pv is None):
         return None, []
-    columns = Columns(
-        [row.id for row in rows.customers.values()], [row.id for row in rows.pv.values()]
+    columns = HistoryColumns(
+        *([row.id for row in rows[key].values()] for key in ("customers", "pv"))
     )
-    history, problems = history_of(
-        content.history_load_kw, content.history_pv_kw, columns, grid.zone
-    )
+    history, problems = history_of(load, pv, columns, grid.zone)
     return (None if history is None else history.before(grid.start)), problems
 
 
@@ -411,7 +348,7 @@ def _stack(columns: dict[str, Floats], n_steps: int) -> Floats:
 
 def _assemble(
     settings: Settings,
-    rows: _Rows,
+    rows: AllRows,
     series: _Series,
     read_bus: Callable[[str], BusId],
     phases: Phases | None,
@@ -421,21 +358,21 @@ def _assemble(
     grid = settings.grid
     assert file is not None
     assert grid is not None
+    columns = {key: columns_of(rows[key], model, read_bus) for key, model in MODELS.items()}
     limit_kw = series.grid_limit_kw.copy()
     one_limit_kw = file.network.export_limit_kw
-    step = grid.step
     for outage in file.outages:
-        begins = round((pd.Timestamp(outage.start) - grid.start) / step)
-        ends = round((pd.Timestamp(outage.end) - grid.start) / step)
+        begins = round((pd.Timestamp(outage.start) - grid.start) / grid.step)
+        ends = round((pd.Timestamp(outage.end) - grid.start) / grid.step)
         limit_kw[begins:ends] = 0.0
     return Scenario(
         name=file.name,
         title=file.title or file.name,
         grid=grid,
-        network=_network(file.network, rows.lines, rows.buses, read_bus),
-        customers=_customers(rows.customers, file.tiers, read_bus),
-        pv=_pv(rows.pv, read_bus),
-        batteries=_batteries(rows.batteries, read_bus),
+        network=_network(file.network, columns["lines"], columns["buses"], read_bus),
+        customers=_customers(columns["customers"], file.tiers),
+        pv=PVSystems(**columns["pv"]),
+        batteries=_batteries(columns["batteries"]),
         load_kw=series.load_kw,
         pv_kw=series.pv_kw,
         grid_limit_kw=limit_kw,
@@ -452,15 +389,15 @@ def _assemble(
         export_price_gbp_per_kwh=series.export_price_gbp_per_kwh,
         source=_source(file.source),
         voll_gbp_per_kwh=file.reliability.voll_gbp_per_kwh,
-        warnings=tuple(rows.warnings.values()),
-        interruptions=tuple(rows.outages.values()),
+        warnings=tuple(rows["warnings"].values()),
+        interruptions=tuple(rows["outages"].values()),
         outage_statistics=OutageStatistics(**file.outage_statistics.model_dump()),
         phases=phases,
-        chargers=chargers_of(rows.chargers, read_bus),
-        sessions=sessions_of(rows.sessions, file.tiers),
-        thermal_loads=thermal_loads_of(rows.thermal_loads),
-        gensets=gensets_of(rows.gensets, read_bus),
-        refuels=refuels_of(rows.refuels),
+        chargers=Chargers(**columns["ev_chargers"]),
+        sessions=_sessions(columns["ev_sessions"], file.tiers),
+        thermal_loads=ThermalLoads(**columns["thermal_loads"]),
+        gensets=_gensets(columns["gensets"]),
+        refuels=Refuels(**columns["refuel"]),
     )
 
 
@@ -469,58 +406,43 @@ def _source(section: schema.Section) -> Source:
     return Source(section.name, section.kind, tuple(section.notes), deviation, section.unbalanced)
 
 
-def _columns(rows: Mapping[int, BaseModel], model: type[BaseModel]) -> dict[str, Any]:
-    """Rows turned into one list per attribute."""
-    return {name: [getattr(row, name) for row in rows.values()] for name in model.model_fields}
-
-
 def _network(
-    section: schema.Section,
-    rows: Mapping[int, schema.Row],
-    buses: Mapping[int, schema.Row],
-    read_bus: Callable[[str], BusId],
+    section: schema.Section, lines: Columns, buses: Columns, read_bus: Callable[[str], BusId]
 ) -> Network:
-    columns = _columns(rows, schema.LineRow)
-    draws = _columns(buses, schema.BusRow)
-    draws["island"] = [text == "yes" for text in draws["island"]]
-    draws["drawing_bus"] = [read_bus(text) for text in draws.pop("bus")]
-    for end in ("from_bus", "to_bus"):
-        columns[end] = [read_bus(text) for text in columns[end]]
-    columns["i_max_a"] = [np.inf if i_max_a is None else i_max_a for i_max_a in columns["i_max_a"]]
+    rating_a = given_or(lines.pop("i_max_a"), np.inf)
+    drawing_bus = buses.pop("bus")
     scalars = section.model_dump(exclude={"export_limit_kw"})
     scalars["slack_bus"] = read_bus(section.slack_bus)
-    return Network(**columns, **draws, **scalars)
+    return Network(**lines, i_max_a=rating_a, **buses, drawing_bus=drawing_bus, **scalars)
 
 
-def _customers(
-    rows: Mapping[int, schema.Row],
-    tiers: dict[str, float],
-    read_bus: Callable[[str], BusId],
-) -> Customers:
-    columns = _columns(rows, schema.CustomerRow)
-    columns["bus"] = [read_bus(text) for text in columns["bus"]]
-    columns["weight"] = [
-        tiers[row.tier] if row.weight is None else row.weight for row in rows.values()
-    ]
-    for name in OF_TIME_OFF:
-        columns[name] = [np.nan if hours is None else hours for hours in columns[name]]
+def _customers(columns: Columns, tiers: dict[str, float]) -> Customers:
+    of_tier = [tiers[tier] for tier in columns["tier"]]
+    columns["weight"] = given_or(columns["weight"], of_tier)
     return Customers(**columns)
 
 
-def _pv(rows: Mapping[int, schema.Row], read_bus: Callable[[str], BusId]) -> PVSystems:
-    columns = _columns(rows, schema.PVRow)
-    columns["bus"] = [read_bus(row.bus) if row.bus else None for row in rows.values()]
-    return PVSystems(**columns)
-
-
-def _batteries(rows: Mapping[int, schema.Row], read_bus: Callable[[str], BusId]) -> Batteries:
-    columns = _columns(rows, schema.BatteryRow)
-    columns["bus"] = [read_bus(text) for text in columns["bus"]]
-    columns["soc_initial"] = [
-        row.soc_min if row.soc_initial is None else row.soc_initial for row in rows.values()
-    ]
-    columns["t_initial_c"] = [
-        np.nan if row.t_initial_c is None else row.t_initial_c for row in rows.values()
-    ]
-    columns["grid_forming"] = [row.grid_forming == "yes" for row in rows.values()]
+def _batteries(columns: Columns) -> Batteries:
+    columns["soc_initial"] = given_or(columns["soc_initial"], columns["soc_min"])
     return Batteries(**columns)
+
+
+def _sessions(columns: Columns, tiers: dict[str, float]) -> Sessions:
+    """Sessions; a vehicle without a tier is of the last, without a name that of its charger."""
+    pairs = zip(columns["vehicle"], columns["charger"], strict=True)
+    columns["vehicle"] = [vehicle or charger for vehicle, charger in pairs]
+    columns["tier"] = [tier or [*tiers][-1] for tier in columns["tier"]]
+    of_tier = [tiers[tier] for tier in columns["tier"]]
+    columns["weight"] = given_or(columns["weight"], of_tier)
+    return Sessions(**columns)
+
+
+def _gensets(columns: Columns) -> Gensets:
+    """Generating sets: a full tank, no ramps, and off for long, where nothing is said."""
+    unsaid = {
+        "ramp_up_kw_per_h": np.inf,
+        "ramp_down_kw_per_h": np.inf,
+        "fuel_level_litres": columns["tank_litres"],
+        "on_before_h": [-hours for hours in columns["min_off_h"]],
+    }
+    return Gensets(**columns | {name: given_or(columns[name], v) for name, v in unsaid.items()})

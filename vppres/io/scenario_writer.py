@@ -5,31 +5,30 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import tomli_w
 from numpy.typing import ArrayLike
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
 from vppres.core.arrays import Floats
 from vppres.core.errors import InputError
 from vppres.io import schema
 from vppres.io.atomic import atomic_folder
-from vppres.io.genset_rows import genset_frames
 from vppres.io.messages import problems_of
 from vppres.io.phase_files import phase_frames
+from vppres.io.rows import frame_of
 from vppres.io.series import TIME
 from vppres.io.settings import SCENARIO_FILE, outage_intervals
-from vppres.io.thermal_rows import thermal_load_frames
 from vppres.io.times import iso
-from vppres.io.vehicle_rows import vehicle_frames
-from vppres.scenario.assets import PV, Batteries, Customers, PVSystems
+from vppres.scenario.assets import Customers
 from vppres.scenario.fairness import Fairness, Interruption
 from vppres.scenario.history import History
 from vppres.scenario.network import BUS_DRAWS, LINE_DEFAULTS, BusId, Network
-from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
+from vppres.scenario.outage_warnings import OutageStatistics
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import DEFAULT_VOLL_GBP_PER_KWH, ControllerDefaults, Scenario
 from vppres.scenario.source import Source
@@ -188,50 +187,45 @@ def _frames(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, pd.
     network = scenario.network
     customers = scenario.customers
     frames = {
-        "lines": pd.DataFrame(
-            {name: getattr(network, name) for name in schema.LineRow.model_fields}
-        ),
-        "customers": _customer_frame(customers),
-        "pv": _pv_frame(scenario.pv),
-        "batteries": _battery_frame(scenario.batteries),
-        "load_kw": _series_frame(scenario, customers.id, scenario.load_kw),
-        "pv_kw": _series_frame(scenario, scenario.pv.id, scenario.pv_kw),
+        "lines": frame_of(network, schema.LineRow, LINE_DEFAULTS),
+        "customers": frame_of(customers, schema.CustomerRow, ("shed_steps", "homes")),
+        "pv": frame_of(scenario.pv, schema.PVRow, ("kind", "bus")),
+        "batteries": frame_of(scenario.batteries, schema.BatteryRow, ("grid_forming",)),
+        "load_kw": _timed_frame(scenario.grid.times, customers.id, scenario.load_kw),
+        "pv_kw": _timed_frame(scenario.grid.times, scenario.pv.id, scenario.pv_kw),
         "system": _system_frame(scenario),
     }
-    rating_a = frames["lines"]["i_max_a"]
-    frames["lines"]["i_max_a"] = rating_a.where(np.isfinite(rating_a))
-    frames["lines"] = _without(frames["lines"], LINE_DEFAULTS | {"i_max_a": np.nan})
-    if scenario.history is not None:
-        frames |= _history_frames(scenario, scenario.history)
-    if network.has_draws:
-        frames["buses"] = _bus_frame(network)
     if all(w == tier_weights[t] for w, t in zip(customers.weight, customers.tier, strict=True)):
         frames["customers"] = frames["customers"].drop(columns="weight")
+    if network.has_draws:
+        frames["buses"] = _bus_frame(network)
+    if len(scenario.chargers):
+        frames["ev_chargers"] = frame_of(scenario.chargers, schema.ChargerRow)
+        frames["ev_sessions"] = frame_of(scenario.sessions, schema.SessionRow)
+    if len(scenario.thermal_loads):
+        frames["thermal_loads"] = frame_of(scenario.thermal_loads, schema.ThermalLoadRow)
+    if len(scenario.gensets):
+        frames["gensets"] = frame_of(scenario.gensets, schema.GensetRow)
+        if not scenario.gensets.grid_forming.any():
+            unused = ["grid_forming", "power_factor"]
+            frames["gensets"] = frames["gensets"].drop(columns=unused)
+    if len(scenario.refuels):
+        frames["refuel"] = frame_of(scenario.refuels, schema.RefuelRow)
     if scenario.warnings:
-        frames["warnings"] = _warning_frame(scenario.warnings)
+        unsaid = ("outage", "preset")
+        frames["warnings"] = frame_of(scenario.warnings, schema.WarningRow, unsaid)
     if scenario.interruptions:
         frames["outages"] = outage_frame(scenario.interruptions)
-    for name in ("shed_steps", "homes"):
-        if (getattr(customers, name) == 1).all():
-            frames["customers"] = frames["customers"].drop(columns=name)
+    if scenario.history is not None:
+        frames |= _history_frames(scenario, scenario.history)
     if scenario.phases is not None:
         frames |= phase_frames(scenario.phases)
-    frames |= vehicle_frames(scenario.chargers, scenario.sessions)
-    frames |= thermal_load_frames(scenario.thermal_loads)
-    frames |= genset_frames(scenario.gensets, scenario.refuels)
     return frames
-
-
-def _customer_frame(customers: Customers) -> pd.DataFrame:
-    """Customers, without the columns of the longest time off that none has."""
-    names = [name for name in schema.CustomerRow.model_fields if len(getattr(customers, name))]
-    return pd.DataFrame({name: getattr(customers, name) for name in names})
 
 
 def outage_frame(interruptions: Sequence[Interruption]) -> pd.DataFrame:
     """Outages that were as rows of ``outages.csv``."""
-    rows = [(iso(one.start), iso(one.end), one.customer) for one in interruptions]
-    return pd.DataFrame(rows, columns=list(schema.OutageRow.model_fields))
+    return frame_of(tuple(interruptions), schema.OutageRow)
 
 
 def _history_frames(scenario: Scenario, history: History) -> dict[str, pd.DataFrame]:
@@ -247,62 +241,10 @@ def _history_frames(scenario: Scenario, history: History) -> dict[str, pd.DataFr
 
 def _bus_frame(network: Network) -> pd.DataFrame:
     """What the buses draw by themselves, without buses and columns of nothing."""
-    columns = {name: getattr(network, name) for name in BUS_DRAWS}
-    frame = pd.DataFrame({"bus": network.buses, **columns})
-    draws = (frame[[*BUS_DRAWS]] != 0).any(axis=1)
-    if not network.island.all():
-        frame["island"] = np.where(network.island, "yes", "no")
-    return _without(frame[draws], dict.fromkeys(BUS_DRAWS, 0.0))
-
-
-def _warning_frame(warnings: Sequence[OutageWarning]) -> pd.DataFrame:
-    """Messages as they were given, without columns that say nothing."""
-    rows = [
-        {
-            name: iso(value) if isinstance(value, pd.Timestamp) else value
-            for name, value in asdict(warning).items()
-        }
-        for warning in warnings
-    ]
-    frame = pd.DataFrame(rows, columns=list(schema.WarningRow.model_fields))
-    empty = [
-        name for name in frame if frame[name].isin(["", None]).all() or frame[name].isna().all()
-    ]
-    return frame.drop(columns=empty)
-
-
-def _without(frame: pd.DataFrame, neutral: dict[str, float]) -> pd.DataFrame:
-    """A table without the columns that have their neutral value in every row."""
-    says_nothing = [
-        name
-        for name, value in neutral.items()
-        if (frame[name].isna() if np.isnan(value) else frame[name] == value).all()
-    ]
-    return frame.drop(columns=says_nothing)
-
-
-def _frame(assets: object, model: type[BaseModel]) -> pd.DataFrame:
-    return pd.DataFrame({name: getattr(assets, name) for name in model.model_fields})
-
-
-def _pv_frame(pv: PVSystems) -> pd.DataFrame:
-    """Kinds are a column only where one is not PV, buses only where a system stands alone."""
-    frame = _frame(pv, schema.PVRow)
-    if (pv.kind == PV).all():
-        frame = frame.drop(columns="kind")
-    return frame if pv.alone.any() else frame.drop(columns="bus")
-
-
-def _battery_frame(batteries: Batteries) -> pd.DataFrame:
-    """Who forms the grid is a column only where one is named."""
-    frame = _frame(batteries, schema.BatteryRow)
-    if not batteries.grid_forming.any():
-        return frame.drop(columns="grid_forming")
-    return frame.assign(grid_forming=np.where(batteries.grid_forming, "yes", "no"))
-
-
-def _series_frame(scenario: Scenario, ids: ArrayLike, values: Floats) -> pd.DataFrame:
-    return _timed_frame(scenario.grid.times, ids, values)
+    drawing = np.any([getattr(network, name) != 0 for name in BUS_DRAWS], axis=0)
+    columns = {name: getattr(network, name)[drawing] for name in (*BUS_DRAWS, "island")}
+    buses = SimpleNamespace(bus=network.buses[drawing], **columns)
+    return frame_of(buses, schema.BusRow, columns)
 
 
 def _timed_frame(times: pd.DatetimeIndex, ids: ArrayLike, values: Floats) -> pd.DataFrame:

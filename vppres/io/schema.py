@@ -144,6 +144,8 @@ class Section(Row):
     model_config = ConfigDict(strict=True)
 
 
+YES_OR_NO: Any = Literal["yes", "no"]
+
 # What the table calls types; there, [name] is a section and [[name]] a list of them.
 _TYPES: dict[str, Any] = {
     "text": str,
@@ -170,7 +172,7 @@ _TYPES: dict[str, Any] = {
     "tiers": Annotated[
         dict[Name, Annotated[float, Field(ge=MIN_WEIGHT, le=MAX_WEIGHT)]], Field(min_length=1)
     ],
-    "yes or no": Literal["yes", "no"],
+    "yes or no": YES_OR_NO,
     "voltage kind": Literal["ground", "lines"],
     "warning preset": Literal[WARNING_PRESETS],
     "statistics preset": Literal[STATISTICS_PRESETS],

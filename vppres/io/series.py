@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 import pandas as pd
 from pydantic.fields import FieldInfo
@@ -27,9 +25,9 @@ def check_times(table: Table, grid: TimeGrid) -> list[Problem]:
     if times.empty:
         return [Problem(table.file, "has no row", _grid_cure(grid))]
     return (
-        _check_step(table.file, times, grid)
-        or _check_members(table.file, times, grid)
-        or _check_sorted(table.file, times)
+        _check_step(table, times, grid)
+        or _check_members(table, times, grid)
+        or _check_sorted(table, times)
     )
 
 
@@ -71,22 +69,8 @@ def read_values(
     ]
     problems = []
     for bad, message in faults:
-        problems += few(
-            np.flatnonzero(bad), partial(_bad_cell, table, name, message, schema.cure(field))
-        )
+        problems += table.problems(np.flatnonzero(bad), name, message, schema.cure(field))
     return values, problems
-
-
-def _bad_cell(table: Table, name: str, message: str, cure: str, position: int) -> Problem:
-    text = shown(cell_text(table.frame[name].iloc[position]))
-    return Problem(
-        table.file,
-        message if text else "is empty",
-        cure,
-        row=int(table.frame.index[position]),
-        field=name,
-        value=text,
-    )
 
 
 def _as_floats(column: pd.Series[float]) -> Floats:
@@ -114,14 +98,8 @@ def read_times(table: Table) -> tuple[pd.Series[pd.Timestamp], list[Problem]]:
     def problem(i: int) -> Problem:
         text = texts.iloc[i]
         message, cure = time_fault(text, bool(unreadable[i]))
-        return Problem(
-            table.file,
-            message if text else "is empty",
-            cure,
-            row=int(texts.index[i]),
-            field=TIME,
-            value=shown(text),
-        )
+        line = int(texts.index[i])
+        return table.problem(line, TIME, message if text else "is empty", cure, shown(text))
 
     return times, (
         few(np.flatnonzero(unreadable), problem)
@@ -136,7 +114,7 @@ def _grid_cure(grid: TimeGrid) -> str:
     )
 
 
-def _check_step(file: str, times: pd.Series[pd.Timestamp], grid: TimeGrid) -> list[Problem]:
+def _check_step(table: Table, times: pd.Series[pd.Timestamp], grid: TimeGrid) -> list[Problem]:
     """A series in another step length, which would otherwise be hundreds of problems."""
     if len(times) < 3:
         return []
@@ -144,62 +122,40 @@ def _check_step(file: str, times: pd.Series[pd.Timestamp], grid: TimeGrid) -> li
     apart = float(np.median(np.abs(gaps / np.timedelta64(1, "m"))))
     if np.isclose(apart, grid.step_minutes) or apart == 0:
         return []
-    return [Problem(file, f"the rows are {apart:g} min apart", _grid_cure(grid), field=TIME)]
+    return [Problem(table.file, f"the rows are {apart:g} min apart", _grid_cure(grid), field=TIME)]
 
 
-def _check_members(file: str, times: pd.Series[pd.Timestamp], grid: TimeGrid) -> list[Problem]:
+def _check_members(table: Table, times: pd.Series[pd.Timestamp], grid: TimeGrid) -> list[Problem]:
     """Steps that are missing, given twice, or not of the grid."""
     expected = grid.times.tz_convert("UTC")
     member = times.isin(expected).to_numpy(bool)
     again = times.duplicated().to_numpy(bool)
     missing = expected[~expected.isin(times)]
 
-    def foreign(i: int) -> Problem:
-        return Problem(
-            file,
-            "is not a step of the scenario",
-            _grid_cure(grid),
-            row=int(times.index[i]),
-            field=TIME,
-            value=iso(times.iloc[i]),
-        )
+    def of_row(i: int, message: str, cure: str) -> Problem:
+        return table.problem(int(times.index[i]), TIME, message, cure, iso(times.iloc[i]))
 
     def duplicate(i: int) -> Problem:
         first = times.index[int(np.argmax(times == times.iloc[i]))]
-        return Problem(
-            file,
-            f"is a duplicate of row {first}",
-            "Remove one of the two rows.",
-            row=int(times.index[i]),
-            field=TIME,
-            value=iso(times.iloc[i]),
-        )
+        return of_row(i, f"is a duplicate of row {first}", "Remove one of the two rows.")
 
+    def lacking(i: int) -> Problem:
+        step = iso(missing[i])
+        return Problem(table.file, "this step is missing", "Add its row.", field=TIME, value=step)
+
+    strange = "is not a step of the scenario"
     return (
-        few(np.flatnonzero(~member), foreign)
+        few(np.flatnonzero(~member), lambda i: of_row(i, strange, _grid_cure(grid)))
         + few(np.flatnonzero(member & again), duplicate)
-        + few(
-            range(len(missing)),
-            lambda i: Problem(
-                file, "this step is missing", "Add its row.", field=TIME, value=iso(missing[i])
-            ),
-        )
+        + few(range(len(missing)), lacking)
     )
 
 
-def _check_sorted(file: str, times: pd.Series[pd.Timestamp]) -> list[Problem]:
+def _check_sorted(table: Table, times: pd.Series[pd.Timestamp]) -> list[Problem]:
     """The first row that goes back in time."""
     back = np.flatnonzero(np.diff(times.to_numpy(dtype="datetime64[ns]")) < np.timedelta64(0))
     if len(back) == 0:
         return []
-    i = int(back[0]) + 1
-    return [
-        Problem(
-            file,
-            "is out of order",
-            "Sort the rows by time.",
-            row=int(times.index[i]),
-            field=TIME,
-            value=iso(times.iloc[i]),
-        )
-    ]
+    row = int(times.index[back[0] + 1])
+    value = iso(times.iloc[back[0] + 1])
+    return [table.problem(row, TIME, "is out of order", "Sort the rows by time.", value)]

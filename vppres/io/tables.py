@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import re
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from io import StringIO
@@ -15,6 +16,7 @@ import pandas as pd
 import pyarrow as pa
 from pydantic import BaseModel, ValidationError
 
+from vppres.core.arrays import Wholes
 from vppres.core.errors import Problem
 from vppres.core.text import flaw_of_name
 from vppres.io import schema
@@ -55,6 +57,27 @@ class Table:
         if name not in self.frame.columns:
             return {}
         return {int(str(line)): text for line, text in self.texts(name).items() if text}
+
+    def problem(
+        self, row: int, field: str, message: str, cure: str, value: object = None
+    ) -> Problem:
+        """What is wrong with a cell of a line of the file."""
+        return Problem(self.file, message, cure, row=row, field=field, value=value)
+
+    def problems(
+        self, positions: Sequence[int] | Wholes, field: str, message: str, cure: str
+    ) -> list[Problem]:
+        """The same of the first of some cells, by their position; the last one counts the others.
+
+        An empty cell is called empty.
+        """
+
+        def problem(i: int) -> Problem:
+            text = shown(cell_text(self.frame[field].iloc[i]))
+            line = int(self.frame.index[i])
+            return self.problem(line, field, message if text else "is empty", cure, text)
+
+        return few(positions, problem)
 
     @cached_property
     def names(self) -> list[str]:

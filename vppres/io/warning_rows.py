@@ -25,7 +25,7 @@ def read_warnings(table: Table | None) -> tuple[dict[int, OutageWarning], list[P
         try:
             found[line] = OutageWarning(**dict(row))
         except InputError as error:
-            wrong += _located(error, table.file, line)
+            wrong += _located(error, table, line)
     if table is not None:
         wrong += _beside(table, rows, problems)
     return found, problems + few(range(len(wrong)), lambda i: wrong[i])
@@ -45,23 +45,18 @@ def _beside(table: Table, rows: Mapping[int, Any], problems: list[Problem]) -> l
             OutageWarning(**dict(schema.WarningRow.model_validate(given)))
         except InputError as error:
             # That a cell is missing is no mistake of its own if it could not be read.
-            found = _located(error, table.file, line)
+            found = _located(error, table, line)
             wrong += [problem for problem in found if problem.field not in unread]
         except ValidationError:  # beyond the first problems of a table
             continue
     return wrong
 
 
-def _located(error: InputError, file: str, line: int) -> list[Problem]:
+def _located(error: InputError, table: Table, line: int) -> list[Problem]:
     """The problems of a message as those of its row."""
     return [
-        Problem(
-            file,
-            problem.message,
-            problem.cure,
-            row=line,
-            field=problem.field,
-            value=_text(problem.value),
+        table.problem(
+            line, problem.field or "", problem.message, problem.cure, _text(problem.value)
         )
         for problem in error.problems
         if isinstance(problem, Problem)

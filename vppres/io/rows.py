@@ -1,0 +1,89 @@
+"""Rows of a table as columns of assets, and columns of assets as the table that is written."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from pydantic import BaseModel
+
+from vppres.io import schema
+from vppres.io.times import iso
+from vppres.scenario.network import BusId
+
+Rows = Mapping[int, schema.Row]
+"""Sound rows by line of the file."""
+
+BUSES = ("bus", "from_bus", "to_bus")
+ALWAYS = ("t_initial_c",)
+"""Columns that are written though every cell of them is empty."""
+
+
+def columns_of(
+    rows: Rows, model: type[BaseModel], read_bus: Callable[[str], BusId] = str
+) -> dict[str, Any]:
+    """One list for each attribute of some rows.
+
+    Yes and no are flags, buses are read and None where there is none; numbers that are not given
+    are NaN.
+    """
+    columns: dict[str, Any] = {}
+    for name, field in model.model_fields.items():
+        cells = [getattr(row, name) for row in rows.values()]
+        if field.annotation == schema.YES_OR_NO:
+            cells = [cell == "yes" for cell in cells]
+        elif name in BUSES:
+            cells = [read_bus(cell) if cell else None for cell in cells]
+        columns[name] = [np.nan if cell is None and name not in BUSES else cell for cell in cells]
+    return columns
+
+
+def given_or(values: Any, others: Any) -> Any:
+    """Numbers, those that are not given from others."""
+    return np.where(np.isnan(values), others, values)
+
+
+def frame_of(assets: Any, model: type[BaseModel], unsaid: Collection[str] = ()) -> pd.DataFrame:
+    """A table as it is written.
+
+    Parameters
+    ----------
+    assets : Any
+        Arrays by attribute, or a tuple of objects with the attributes of one row each.
+    model : type
+        Rows of the file.
+    unsaid : collection of str
+        Columns that are left out where every row has their default, beside those that are empty.
+    """
+    fields = model.model_fields
+    if isinstance(assets, tuple):
+        told = {name: [getattr(each, name) for each in assets] for name in fields}
+    else:
+        told = {name: getattr(assets, name) for name in fields}
+    first = next(iter(told.values()))
+    columns = {name: _cells(each) for name, each in told.items() if len(each) == len(first)}
+    frame = pd.DataFrame(columns)
+    for name in columns:
+        default = fields[name].default
+        empty = default is None and name not in ALWAYS
+        if (empty or name in unsaid) and _all_are(frame[name], default):
+            frame = frame.drop(columns=name)
+    return frame
+
+
+def _cells(values: Any) -> Any:
+    """Values as files have them: yes and no, times with their offset, no limit empty."""
+    array = np.asarray(values)
+    if array.dtype == bool:
+        return np.where(array, "yes", "no")
+    if array.dtype.kind == "f":
+        return np.where(np.isinf(array), np.nan, array)
+    cells = [iso(each) if isinstance(each, pd.Timestamp) else each for each in values]
+    return pd.Series(cells, dtype=array.dtype)
+
+
+def _all_are(cells: pd.Series[Any], default: object) -> bool:
+    """Whether every row says no more than the default."""
+    return bool((cells.isna() | (cells == default) | (cells == "")).all())
