@@ -251,7 +251,10 @@ def test_every_option_of_a_run_has_a_meaning() -> None:
     assert [row.name for row in rows if not row.meaning] == []
     assert [row.name for row in rows if "`" in row.meaning] == []  # the page shows plain text
     assert {row.name: row.default for row in rows if row.default} == {
+        "outages": "known",
         "mode": "physical",
+        "voltage limits": "soft",
+        "ratings": "limit",
         "priority": "weights",
         "headroom": "0.1",
         "rotation": "0",

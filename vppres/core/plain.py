@@ -208,6 +208,22 @@ def _number_to_plain(value: float) -> float | str:
     return "nan" if math.isnan(value) else ("inf" if value > 0 else "-inf")
 
 
+def flattened(record: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested tables as one, the names joined by dots.
+
+    >>> flattened({"seed": 1, "solve_s": {"total": 2.5}})
+    {'seed': 1, 'solve_s.total': 2.5}
+    """
+    flat: dict[str, Any] = {}
+    for name, value in record.items():
+        flat |= (
+            flattened(value, f"{prefix}{name}.")
+            if isinstance(value, Mapping)
+            else {f"{prefix}{name}": value}
+        )
+    return flat
+
+
 def json_safe(value: Any) -> Any:
     """A copy that strict JSON can hold: numpy scalars as Python's, NaN and infinities as None.
 

@@ -80,7 +80,7 @@ def _service(days: _Days) -> dict[str, Floats]:
     """Resilience of each day, and hours in which customers were off."""
     run = days.run
     outage = run.steps["outage"].to_numpy(bool)
-    served = run.customers["served"].to_numpy(bool).reshape(len(run.steps), -1)
+    served = run.by_step("customers", "served")
     weight = run.scenario.customers.weight
     weighted = days.total((served @ weight) * outage)
     asked = days.total(weight.sum() * outage)

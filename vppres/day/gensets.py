@@ -59,9 +59,7 @@ def genset_figures(trajectory: Trajectory) -> dict[str, Any]:
         return {}
     sets = trajectory.scenario.gensets
     dt_h = trajectory.scenario.grid.dt_h
-    shape = (-1, len(sets))
-    burnt = rows["burnt_litres"].to_numpy(float).reshape(shape)
-    started = rows["started"].to_numpy(bool).reshape(shape)
+    burnt, started = (trajectory.by_step("gensets", name) for name in ("burnt_litres", "started"))
     cost = burnt @ sets.fuel_price_gbp_per_litre + started @ sets.start_cost_gbp
     return {
         "gensets": {
@@ -78,16 +76,14 @@ def genset_figures(trajectory: Trajectory) -> dict[str, Any]:
 
 def genset_words(trajectory: Trajectory) -> list[str]:
     """Sets without fuel in an outage, and those that stopped too early; none if there is none."""
-    rows = trajectory.gensets
-    if rows is None:
+    if trajectory.gensets is None:
         return []
     day = trajectory.scenario
     sets, dt_h = day.gensets, day.grid.dt_h
-    shape = (-1, len(sets))
-    fuel_litres, before_h = (
-        rows[name].to_numpy(float).reshape(shape) for name in ("fuel_start_litres", "hours_before")
+    on, fuel_litres, before_h = (
+        trajectory.by_step("gensets", name)
+        for name in ("running", "fuel_start_litres", "hours_before")
     )
-    on = rows["running"].to_numpy(bool).reshape(shape)
     outage = trajectory.steps["outage"].to_numpy(bool)[:, None]
     dry = outage & ~on & (fuel_litres < sets.least_litres(dt_h))
     early = ~on & (before_h > 0.0) & (before_h < sets.min_on_h - ROUNDING_H)

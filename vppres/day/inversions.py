@@ -97,8 +97,7 @@ class _Fleet:
         usable = np.maximum(table["soc_end"] - tile(b.soc_min, steps), 0.0)
         kept = usable * tile(b.energy_kwh, steps) * table["eta_discharge"]
         free = tile(b.active_max_kw, steps) + table["charge_kw"] - table["discharge_kw"]
-        served = run.customers["served"].to_numpy(float).reshape(steps, -1) > 0.5
-        load_kw = run.customers["p_load_kw"].to_numpy(float).reshape(steps, -1)
+        served, load_kw = (run.by_step("customers", name) for name in ("served", "p_load_kw"))
         dark = run.steps["dark"] > 0 if "dark" in run.steps else np.zeros(steps)
         return cls(
             rank=np.array([position[tier] for tier in day.customers.tier]),
@@ -118,11 +117,11 @@ def _behind_customers(run: Trajectory) -> Floats:
     customers = day.customers
     drawn_kw = np.zeros((len(run.steps), len(customers)))
     for table, owner in (
-        (run.vehicles, np.where(day.chargers.alone, NOBODY, day.chargers.owner(customers))),
-        (run.thermal_loads, day.thermal_loads.owner(customers)),
+        ("vehicles", np.where(day.chargers.alone, NOBODY, day.chargers.owner(customers))),
+        ("thermal_loads", day.thermal_loads.owner(customers)),
     ):
-        if table is not None:
-            p_kw = table["p_kw"].to_numpy(float).reshape(len(run.steps), -1)
+        if table in run.tables:
+            p_kw = run.by_step(table, "p_kw")
             drawn_kw += p_kw @ (owner[:, None] == np.arange(len(customers)))
     return drawn_kw
 

@@ -289,12 +289,10 @@ def line_current_a(trajectory: Trajectory) -> Floats:
     same along the line. Zero where a bus has no voltage.
     """
     net = trajectory.scenario.network
-    lines = trajectory.lines
-    shape = (len(trajectory.steps), net.n_lines)
-    s_kva = np.hypot(lines["p_ac_kw"].to_numpy(float), lines["q_ac_kvar"].to_numpy(float))
-    v_pu = trajectory.buses["v_ac_pu"].to_numpy(float).reshape(shape[0], -1)[:, net.parent]
+    s_kva = np.hypot(*(trajectory.by_step("lines", name) for name in ("p_ac_kw", "q_ac_kvar")))
+    v_pu = trajectory.by_step("buses", "v_ac_pu")[:, net.parent]
     live = np.nan_to_num(v_pu) > 0
-    current = kva_to_a(s_kva.reshape(shape), np.where(live, v_pu, 1.0) * net.base_kv)
+    current = kva_to_a(s_kva, np.where(live, v_pu, 1.0) * net.base_kv)
     return np.where(live, current, 0.0)
 
 

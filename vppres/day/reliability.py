@@ -14,7 +14,7 @@ import pandas as pd
 
 from vppres.core.arrays import Flags, Floats
 from vppres.core.units import h_to_minutes
-from vppres.day.trajectory import Trajectory, supplied
+from vppres.day.trajectory import Trajectory
 
 
 def reliability_figures(run: Trajectory) -> dict[str, float]:
@@ -56,9 +56,8 @@ def reliability_by_tier(run: Trajectory) -> pd.DataFrame:
     """
     c = run.scenario.customers
     dt_h = run.scenario.grid.dt_h
-    off = ~_per_customer(run, "served").astype(bool)
-    given = supplied(run.customers).to_numpy(float).reshape(off.shape)
-    demand_kw = _per_customer(run, "p_load_kw").astype(float)
+    off = ~run.by_step("customers", "served")
+    demand_kw = run.by_step("customers", "p_load_kw")
     share = _shares_of_a_customer(run) * c.homes
     of_customers = pd.DataFrame(
         {
@@ -67,7 +66,7 @@ def reliability_by_tier(run: Trajectory) -> pd.DataFrame:
             "interruptions": share * _losses_of_supply(off),
             "minutes_lost": share * off.sum(axis=0) * h_to_minutes(dt_h),
             "demand_kwh": demand_kw.sum(axis=0) * dt_h,
-            "unserved_kwh": (demand_kw * (1.0 - given)).sum(axis=0) * dt_h,
+            "unserved_kwh": (demand_kw * (1.0 - run.supplied)).sum(axis=0) * dt_h,
         }
     )
     present = [tier for tier in run.scenario.tiers if (c.tier == tier).any()]
@@ -85,7 +84,7 @@ def fairness_figures(run: Trajectory) -> dict[str, dict[str, float | None]]:
         1 where one was off alone. None of a tier without customers; parts of a customer are one.
     """
     c = run.scenario.customers
-    off_h = (~_per_customer(run, "served").astype(bool)).sum(axis=0) * run.scenario.grid.dt_h
+    off_h = (~run.by_step("customers", "served")).sum(axis=0) * run.scenario.grid.dt_h
     minutes = off_h * h_to_minutes(1.0) * _shares_of_a_customer(run)
     parts = run.options.get("parts", {})
     of_part = {f"{name}/{k}": name for name, n in parts.items() for k in range(1, int(n) + 1)}
@@ -111,11 +110,6 @@ def gini(values: Floats) -> float:
         return 0.0
     apart = np.abs(values[:, None] - values).sum()
     return float(apart / (2.0 * len(values) * total))
-
-
-def _per_customer(run: Trajectory, column: str) -> Floats:
-    """A column of the customers' table, shape (T, C)."""
-    return run.customers[column].to_numpy().reshape(len(run.steps), -1)
 
 
 def _losses_of_supply(off: Flags) -> Floats:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from vppres.core.arrays import Flags, Wholes
+from vppres.core.arrays import Flags
 from vppres.day.trajectory import Trajectory
 from vppres.scenario.parts import part_names
 
@@ -26,7 +26,7 @@ def switching_figures(trajectory: Trajectory) -> dict[str, Any]:
         before had foreseen, summed over batteries and steps. ``served_share_of_customer``, where
         customers have parts: share served in the outage, the mean over the parts.
     """
-    actions = actions_of_customers(trajectory)
+    actions = switched(trajectory).sum(axis=0)
     steps = trajectory.steps
     figures = {
         "switching_actions": int(actions.sum()),
@@ -40,15 +40,10 @@ def switching_figures(trajectory: Trajectory) -> dict[str, Any]:
     return figures | ({"served_share_of_customer": shares} if shares else {})
 
 
-def actions_of_customers(trajectory: Trajectory) -> Wholes:
-    """Times that each customer was switched off or on, shape (C,)."""
-    return np.asarray(switched(trajectory).sum(axis=0))
-
-
 def switched(trajectory: Trajectory) -> Flags:
     """Whether each customer was switched off or on at the beginning of each step, (T, C)."""
-    served = trajectory.customers["served"].to_numpy(bool).reshape(len(trajectory.steps), -1)
-    before = np.vstack([np.ones((1, served.shape[1]), dtype=bool), served[:-1]])
+    served = trajectory.by_step("customers", "served")
+    before = np.vstack([np.ones_like(served[:1]), served[:-1]])
     return np.asarray(served != before)
 
 

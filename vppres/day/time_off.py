@@ -61,7 +61,7 @@ def too_long(run: Trajectory) -> list[TooLong]:
     if not len(limited):
         return []
     dt_h = run.scenario.grid.dt_h
-    off = ~run.customers["served"].to_numpy(bool).reshape(len(run.steps), -1)
+    off = ~run.by_step("customers", "served")
     found = [
         TooLong(c, first, (last - first) * dt_h, float(limits[c]))
         for c in limited[np.argsort(-customers.weight[limited], kind="stable")].tolist()

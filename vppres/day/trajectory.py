@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from vppres.core.arrays import Flags, Floats, Names
 from vppres.core.errors import InputError
@@ -121,6 +122,16 @@ class Trajectory:
             return np.zeros(len(self.steps))
         p_grid_kw = self.steps["p_grid_kw"].to_numpy(float)
         return np.where(self.steps["outage"].to_numpy(bool), 0.0, np.maximum(-p_grid_kw, 0.0))
+
+    def by_step(self, table: str, column: str) -> NDArray[Any]:
+        """A column of a table with a row for each step and item, shape (T, n)."""
+        values: NDArray[Any] = getattr(self, table)[column].to_numpy()
+        return values.reshape(len(self.steps), len(values) // len(self.steps))
+
+    @property
+    def supplied(self) -> Floats:
+        """The part of its demand that each customer got in each step, shape (T, C)."""
+        return self.by_step("customers", SHARE if SHARE in self.customers else "served") * 1.0
 
     @property
     def tables(self) -> dict[str, pd.DataFrame]:

@@ -89,7 +89,7 @@ def _weighed(trajectory: Trajectory, steps: slice) -> list[Recorded]:
     n_steps = len(trajectory.steps)
     if ROTATED not in trajectory.customers:
         return [Recorded(trajectory)] * len(range(n_steps)[steps])
-    rows = trajectory.customers[ROTATED].to_numpy(float).reshape(n_steps, -1)[steps]
+    rows = trajectory.by_step("customers", ROTATED)[steps]
     found: dict[bytes, Recorded] = {}
     for weight in rows:
         if weight.tobytes() not in found:

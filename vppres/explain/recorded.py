@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -24,7 +26,7 @@ from vppres.day.metrics import line_loading
 from vppres.day.outages import GridSeen, OutageView, believed_outages
 from vppres.day.priority import site_of, weighed
 from vppres.day.time_off import off_before_h
-from vppres.day.trajectory import Trajectory, supplied
+from vppres.day.trajectory import Trajectory
 from vppres.model.beyond_paper.ratings import LineRatings
 from vppres.model.beyond_paper.table import Beyond, beyond_paper
 from vppres.model.data import WindowData
@@ -72,19 +74,19 @@ class Recorded:
             self.site = weighed(self.site, trajectory.scenario, trajectory.options, weight)
             self.counted = float(self.site.customers.weight.sum() / total)
         self.n_steps = len(trajectory.steps)
-        self.served = self._array(trajectory.customers, "served") > 0.5
-        self.share = supplied(trajectory.customers).to_numpy(float).reshape(self.served.shape)
-        self.shed = self._array(trajectory.customers, "shed") > 0.5
-        self.load_kw = self._array(trajectory.customers, "p_load_kw")
-        self.charge_kw = self._array(trajectory.batteries, "charge_kw")
-        self.discharge_kw = self._array(trajectory.batteries, "discharge_kw")
-        self.batt_q_kvar = self._array(trajectory.batteries, "q_kvar")
-        self.soc_start = self._array(trajectory.batteries, "soc_start")
-        self.soc_end = self._array(trajectory.batteries, "soc_end")
-        self.curtailed_kw = self._array(trajectory.pv, "curtailed_kw")
-        self.v_ac_pu = self._array(trajectory.buses, "v_ac_pu")
-        self.flow_kw = self._array(trajectory.lines, "p_ac_kw")
-        self.flow_kvar = self._array(trajectory.lines, "q_ac_kvar")
+        self.served = trajectory.by_step("customers", "served")
+        self.share = trajectory.supplied
+        self.shed = trajectory.by_step("customers", "shed")
+        self.load_kw = self.trajectory.by_step("customers", "p_load_kw")
+        self.charge_kw = self.trajectory.by_step("batteries", "charge_kw")
+        self.discharge_kw = self.trajectory.by_step("batteries", "discharge_kw")
+        self.batt_q_kvar = self.trajectory.by_step("batteries", "q_kvar")
+        self.soc_start = self.trajectory.by_step("batteries", "soc_start")
+        self.soc_end = self.trajectory.by_step("batteries", "soc_end")
+        self.curtailed_kw = self.trajectory.by_step("pv", "curtailed_kw")
+        self.v_ac_pu = self.trajectory.by_step("buses", "v_ac_pu")
+        self.flow_kw = self.trajectory.by_step("lines", "p_ac_kw")
+        self.flow_kvar = self.trajectory.by_step("lines", "q_ac_kvar")
 
     @cached_property
     def battery_kw(self) -> Floats:
@@ -101,8 +103,9 @@ class Recorded:
 
     def _of_kind(self, kind: str, column: str) -> Floats:
         """A column of a kind of flexible power by step and unit, (T, n)."""
-        rows = getattr(self.trajectory, KINDS[kind].table)
-        return np.zeros((self.n_steps, 0)) if rows is None else self._array(rows, column)
+        table = KINDS[kind].table
+        there = table in self.trajectory.tables
+        return self.trajectory.by_step(table, column) if there else np.zeros((self.n_steps, 0))
 
     def fuel_left(self, t: int) -> Floats:
         """Fuel of each generating set at the end of a step, (G,)."""
@@ -138,6 +141,11 @@ class Recorded:
             owed.append(owed[-1].after(load_kw, share))
         return [*owed]
 
+    @cached_property
+    def _steps(self) -> list[dict[Hashable, Any]]:
+        """Rows of the steps table."""
+        return self.trajectory.steps.to_dict("records")
+
     @property
     def n_seen(self) -> int:
         """Steps of the longest window."""
@@ -155,9 +163,7 @@ class Recorded:
 
     def note(self, t: int, column: str) -> str:
         """A column of text of the steps table, empty where there is none."""
-        if column not in self.trajectory.steps.columns:
-            return ""
-        value = self.trajectory.steps[column].iloc[t]
+        value = self._steps[t].get(column)
         return "" if value is None or pd.isna(value) else str(value)
 
     def flag(self, t: int, column: str) -> bool:
@@ -168,7 +174,7 @@ class Recorded:
         """A column of numbers of the batteries' table, shape (B,), zeros where there is none."""
         if column not in self.trajectory.batteries.columns:
             return np.zeros(len(self.site.batteries))
-        return np.asarray(np.nan_to_num(self._array(self.trajectory.batteries, column)[t]))
+        return np.asarray(np.nan_to_num(self.trajectory.by_step("batteries", column)[t]))
 
     @property
     def soc_asked(self) -> float | None:
@@ -218,7 +224,7 @@ class Recorded:
     def v_node_pu(self) -> Floats:
         """AC voltages by phase, (T, m)."""
         assert self.trajectory.nodes is not None
-        return self._array(self.trajectory.nodes, "v_ac_pu")
+        return self.trajectory.by_step("nodes", "v_ac_pu")
 
     def former_kva(self, t: int) -> Complexes:
         """What the former gave on each phase in a step of an island, (3,)."""
@@ -241,8 +247,8 @@ class Recorded:
     def drawn(self, t: int) -> tuple[Floats, Floats]:
         """What assets of a phased feeder drew in a step, (1, D) each, the former's own left out."""
         run = self.trajectory
-        pv_kw = self._array(run.pv, "self_kw") + self._array(run.pv, "export_kw")
-        pv_kvar = self._array(run.pv, "q_kvar")
+        pv_kw = run.by_step("pv", "self_kw") + run.by_step("pv", "export_kw")
+        pv_kvar = run.by_step("pv", "q_kvar")
         row = slice(t, t + 1)
         return phased_model(self.site).powers(
             self.scenario.outage[row],
@@ -294,11 +300,11 @@ class Recorded:
 
     @cached_property
     def _eta_charge(self) -> Floats:
-        return self._array(self.trajectory.batteries, "eta_charge")
+        return self.trajectory.by_step("batteries", "eta_charge")
 
     @cached_property
     def _eta_discharge(self) -> Floats:
-        return self._array(self.trajectory.batteries, "eta_discharge")
+        return self.trajectory.by_step("batteries", "eta_discharge")
 
     @cached_property
     def _forecaster(self) -> Forecasts:
@@ -377,15 +383,15 @@ class Recorded:
     def _injections(self, t: int) -> tuple[Floats, Floats]:
         """What all devices gave at each bus in a step, in kW and kvar, (N,) each."""
         run = self.trajectory
-        q_load_kvar = self._array(run.customers, "q_load_kvar")[t]
+        q_load_kvar = run.by_step("customers", "q_load_kvar")[t]
         active = {
-            "pv": self._array(run.pv, "self_kw")[t] + self._array(run.pv, "export_kw")[t],
+            "pv": run.by_step("pv", "self_kw")[t] + run.by_step("pv", "export_kw")[t],
             "customers": -self.load_kw[t] * self.share[t],
             "batteries": -self.battery_kw[t],
             **{kind: self._given_kw(kind)[t] for kind in self.site.kinds},
         }
         reactive = {
-            "pv": self._array(run.pv, "q_kvar")[t],
+            "pv": run.by_step("pv", "q_kvar")[t],
             "customers": -q_load_kvar * self.share[t],
             "batteries": self.batt_q_kvar[t],
         }
@@ -395,11 +401,6 @@ class Recorded:
         """What each unit of a kind gave, negative where it took, (T, n)."""
         power_kw = self._of_kind(kind, "p_kw")
         return power_kw if KINDS[kind].gives else -power_kw
-
-    def _array(self, table: pd.DataFrame, column: str) -> Floats:
-        """A column as an array of steps by items."""
-        values = table[column].to_numpy(float)
-        return values.reshape(self.n_steps, len(values) // self.n_steps)
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import inspect
-import re
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, fields, is_dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 
+from vppres.core.plain import flattened
 from vppres.day.trajectory import Trajectory
-from vppres.scenario.option_table import default_of
+from vppres.scenario.option_table import OPTIONS, Option
 from vppres.scenario.past_days import PastDays
 from vppres.scenario.priority import STRICT
 from vppres.scenario.scenario import LIMIT
-
-# A parameter of a numpydoc docstring: one name or several, a type, and an indented text.
-_PARAMETER = re.compile(r"^(?P<names>[\w, ]+) : [^\n]+\n(?P<text>(?:    [^\n]+\n?)+)", re.MULTILINE)
 
 
 @dataclass(frozen=True)
@@ -27,7 +23,7 @@ class OptionWords:
     Parameters
     ----------
     name, value, meaning : str
-        In words; the meaning is that of the options' documentation.
+        In words; the meaning is that of the table of options.
     default : str
         The value when nothing is given, empty where that is the value.
     """
@@ -40,26 +36,28 @@ class OptionWords:
 
 def option_words(options: Mapping[str, Any]) -> list[OptionWords]:
     """Every option of a run with its meaning and its default."""
-    # Only the report of a run needs the options' documentation; the simulator is slow to load.
-    from vppres.day.options import RunOptions
-
-    scenarios = ("mode", "priority", "headroom", "rotation", "turn_h", "minimum_on_h")
-    defaults = RunOptions(**{name: default_of(name) for name in scenarios})
-    meanings = dict(_meanings(defaults))
-    flat_defaults = dict(_flat(asdict(defaults)))
+    known = {option.field: option for option in OPTIONS}
     rows = []
-    for name, value in _flat(options):
-        words = _words(value)
-        default = _words(flat_defaults.get(name, value))
+    for name, value in flattened(options).items():
+        words = value_words(value)
+        option = known.get(name)
+        default = words if option is None else value_words(option.default)
         rows.append(
             OptionWords(
                 name.replace("_", " ").replace(".", ", "),
                 words,
-                meanings.get(name, ""),
+                "" if option is None else _meaning(option),
                 "" if words == default else default,
             )
         )
     return rows
+
+
+def _meaning(option: Option) -> str:
+    """What an option is, in a sentence."""
+    unit = f", in {option.unit}" if option.unit not in ("", "share") else ""
+    words = f": {option.words}" if option.words else ""
+    return f"{option.meaning[0].upper()}{option.meaning[1:]}{unit}{words}."
 
 
 def simplifications(run: Trajectory) -> list[str]:
@@ -203,30 +201,16 @@ def _tier_words(run: Trajectory, tier: str) -> str:
     return f"{tier} {text} ({int(np.sum(customers.tier == tier))})"
 
 
-def _meanings(options: Any, prefix: str = "") -> Iterator[tuple[str, str]]:
-    """Option and meaning from the docstrings, those of nested groups with a dot."""
-    for match in _PARAMETER.finditer(inspect.getdoc(options) or ""):
-        text = " ".join(match["text"].replace("``", "").split())
-        yield from ((prefix + name.strip(), text) for name in match["names"].split(","))
-    for f in fields(options):
-        if is_dataclass(value := getattr(options, f.name)):
-            yield from _meanings(value, f"{f.name}.")
+def value_words(value: Any) -> str:
+    """The value of an option.
 
-
-def _flat(record: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Nested tables as one, the names joined by dots."""
-    for name, value in record.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{prefix}{name}.")
-        else:
-            yield f"{prefix}{name}", value
-
-
-def _words(value: Any) -> str:
+    >>> value_words(None), value_words(True), value_words([0.5, 2.0])
+    ('none', 'yes', '0.5, 2')
+    """
     if value is None:
         return "none"
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, (list, tuple)):
-        return ", ".join(map(_words, value)) or "none"
+        return ", ".join(map(value_words, value)) or "none"
     return f"{value:g}" if isinstance(value, float) else str(value)

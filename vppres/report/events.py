@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from vppres.core.arrays import spans_of
-from vppres.core.text import named
+from vppres.core.text import counted, named
 from vppres.day.series import energy_limits_kwh, outage_spans, stored_energy_kwh
-from vppres.day.trajectory import WHOLE_SHARE, Trajectory, supplied
+from vppres.day.switching_figures import switched
+from vppres.day.trajectory import WHOLE_SHARE, Trajectory
 from vppres.report.clock import Clock
 from vppres.report.key_figures import number
 
@@ -73,12 +74,11 @@ def _outage_events(run: Trajectory) -> Iterator[tuple[int, str]]:
 def _service_events(run: Trajectory) -> Iterator[tuple[int, str]]:
     """Customers that lost supply and were restored, relative to the step before."""
     c = run.scenario.customers
-    served = run.customers["served"].to_numpy(bool).reshape(len(run.steps), -1)
-    before = np.vstack([np.ones_like(served[:1]), served[:-1]])
+    served, changes = run.by_step("customers", "served"), switched(run)
     for t in range(len(served)):
         for changed, words in (
-            (before[t] & ~served[t], "off supply"),
-            (~before[t] & served[t], "restored"),
+            (changes[t] & ~served[t], "off supply"),
+            (changes[t] & served[t], "restored"),
         ):
             if changed.any():
                 order = np.argsort(-c.weight[changed], kind="stable")
@@ -87,12 +87,12 @@ def _service_events(run: Trajectory) -> Iterator[tuple[int, str]]:
                     for name, tier in zip(c.id[changed][order], c.tier[changed][order], strict=True)
                 ]
                 who = named(names, NAMES_SHOWN)
-                yield t, f"{len(names)} {_customers(len(names))} {words}: {who}."
+                yield t, f"{counted(len(names), 'customer')} {words}: {who}."
 
 
 def _dimmed_events(run: Trajectory) -> Iterator[tuple[int, str]]:
     """When customers begin and end to get a part of their demand."""
-    share = supplied(run.customers).to_numpy(float).reshape(len(run.steps), -1)
+    share = run.supplied
     dimmed = (share > 0.0) & (share < WHOLE_SHARE)
     for c in np.flatnonzero(dimmed.any(axis=0)):
         for first, last in spans_of(dimmed[:, c]):
@@ -114,7 +114,7 @@ def _vehicle_events(run: Trajectory) -> Iterator[tuple[int, str]]:
     """Vehicles that leave with less than they need."""
     if run.vehicles is None:
         return
-    lacks_kwh = run.vehicles["short_kwh"].to_numpy(float).reshape(len(run.steps), -1)
+    lacks_kwh = run.by_step("vehicles", "short_kwh")
     for t in np.flatnonzero((lacks_kwh > 0.0).any(axis=1)).tolist():
         count = lacks_kwh.shape[1]
         rows = run.vehicles.iloc[t * count : (t + 1) * count]
@@ -128,13 +128,10 @@ def _vehicle_events(run: Trajectory) -> Iterator[tuple[int, str]]:
 
 def _comfort_events(run: Trajectory) -> Iterator[tuple[int, str]]:
     """Rooms and tanks that leave their comfort band."""
-    rows = run.thermal_loads
-    if rows is None:
+    if run.thermal_loads is None:
         return
     names = run.scenario.thermal_loads.id
-    t_c, away_c = (
-        rows[name].to_numpy(float).reshape(-1, len(names)) for name in ("t_end_c", "outside_band_c")
-    )
+    t_c, away_c = (run.by_step("thermal_loads", name) for name in ("t_end_c", "outside_band_c"))
     leaves = (away_c > 0.0) & ~np.vstack([np.zeros_like(names, dtype=bool), away_c[:-1] > 0.0])
     for t in np.flatnonzero(leaves.any(axis=1)).tolist():
         who = [f"{names[h]} ({t_c[t, h]:.1f} °C)" for h in np.flatnonzero(leaves[t])]
@@ -144,16 +141,13 @@ def _comfort_events(run: Trajectory) -> Iterator[tuple[int, str]]:
 
 def _genset_events(run: Trajectory) -> Iterator[tuple[int, str]]:
     """When generating sets start and stop, with the fuel that they have then."""
-    rows = run.gensets
-    if rows is None:
+    if run.gensets is None:
         return
     names = run.scenario.gensets.id
-    on, fuel_litres = (
-        rows[name].to_numpy(float).reshape(-1, len(names))
-        for name in ("running", "fuel_start_litres")
+    on, fuel_litres, hours_before = (
+        run.by_step("gensets", name) for name in ("running", "fuel_start_litres", "hours_before")
     )
-    was_on = np.vstack([rows["hours_before"].to_numpy(float)[: len(names)] > 0.0, on[:-1] > 0.5])
-    for t, g in np.argwhere((on > 0.5) != was_on).tolist():
+    for t, g in np.argwhere(on != (hours_before > 0.0)).tolist():
         verb = "starts" if on[t, g] else "stops"
         yield t, f"Generator {names[g]} {verb}, with {fuel_litres[t, g]:.0f} l of fuel."
 
@@ -161,9 +155,8 @@ def _genset_events(run: Trajectory) -> Iterator[tuple[int, str]]:
 def _day(run: Trajectory) -> str:
     clock = Clock.of(run)
     n_steps = len(run.steps)
-    steps = "1 step" if n_steps == 1 else f"{n_steps} steps"
     return (
-        f"{steps} of {clock.grid.step_minutes:g} min from {clock.at(0)} to "
+        f"{counted(n_steps, 'step')} of {clock.grid.step_minutes:g} min from {clock.at(0)} to "
         f"{clock.full(clock.grid.end)}."
     )
 
@@ -185,7 +178,3 @@ def _outage(run: Trajectory, summary: Mapping[str, Any]) -> list[str]:
         f"Supplied in the outage, of all customer-steps: {shares}; weighted by priority "
         f"{number(summary['resilience'], '.1%')}.",
     ]
-
-
-def _customers(count: int) -> str:
-    return "customer" if count == 1 else "customers"

@@ -146,10 +146,9 @@ def step_states(run: Trajectory) -> dict[str, Any]:
         there is none); ``served``, a digit per customer; ``amps``; ``soc``, per cent per battery;
         ``time`` and ``info`` in words; ``outage``. And once: ``start``, the step to show first.
     """
-    n_steps = len(run.steps)
-    v = run.buses["v_ac_pu"].to_numpy(float).reshape(n_steps, -1)
-    served = run.customers["served"].to_numpy(bool).reshape(n_steps, -1)
-    soc = run.batteries["soc_end"].to_numpy(float).reshape(n_steps, -1)
+    v = run.by_step("buses", "v_ac_pu")
+    served = run.by_step("customers", "served")
+    soc = run.by_step("batteries", "soc_end")
     clock = Clock.of(run)
     return {
         "start": worst_step(run),

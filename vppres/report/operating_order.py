@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Flags
 from vppres.core.text import named
 from vppres.day.series import off_kw
+from vppres.day.switching_figures import switched
 from vppres.day.trajectory import Trajectory
 from vppres.report.clock import Clock
 
@@ -30,13 +30,11 @@ def operating_order(run: Trajectory) -> pd.DataFrame:
         demand of all customers that are off then. Before the first step all are on supply.
     """
     c = run.scenario.customers
-    served = served_of(run)
-    before = np.vstack([np.ones_like(served[:1]), served[:-1]])
-    step, item = np.nonzero(served != before)
-    closes = served[step, item]
+    step, item = np.nonzero(switched(run))
+    closes = run.by_step("customers", "served")[step, item]
     order = np.lexsort((-c.weight[item], closes, step))
     step, item, closes = step[order], item[order], closes[order]
-    demand_kw = run.customers["p_load_kw"].to_numpy(float).reshape(served.shape)
+    demand_kw = run.by_step("customers", "p_load_kw")
     written = run.steps["time"].dt.strftime("%Y-%m-%dT%H:%M:%SZ").to_list()
     return pd.DataFrame(
         {
@@ -68,11 +66,6 @@ def shown_orders(run: Trajectory) -> list[str]:
     lines = list(order_lines(run))
     more = len(lines) - ORDERS_SHOWN
     return lines[:ORDERS_SHOWN] + ([f"{more} more times in {ORDER_FILE}."] if more > 0 else [])
-
-
-def served_of(run: Trajectory) -> Flags:
-    """Which customers are on supply, shape (T, C)."""
-    return run.customers["served"].to_numpy(bool).reshape(len(run.steps), -1)
 
 
 def off_sentence(run: Trajectory) -> str:

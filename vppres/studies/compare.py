@@ -9,8 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from vppres.core.errors import InputError, Problem
+from vppres.core.plain import flattened
 from vppres.day.metrics import service_by_customer
 from vppres.day.trajectory import OPTIONS
+from vppres.report.assumptions import value_words
 from vppres.report.findings import findings
 from vppres.report.finished import FinishedRun, read_finished
 from vppres.report.key_figures import KEY_FIGURES, OF_TIERS, number
@@ -113,7 +115,7 @@ def differing_options(runs: Runs) -> list[tuple[str, list[str]]]:
     ]
     names = dict.fromkeys(name for record in options for name in record)
     rows = [
-        (name.replace("_", " ").replace(".", ", "), [_text(r.get(name)) for r in options])
+        (name.replace("_", " ").replace(".", ", "), [value_words(r.get(name)) for r in options])
         for name in names
     ]
     return [(words, values) for words, values in rows if len(set(values)) > 1]
@@ -181,22 +183,6 @@ def same_scenario(runs: Runs) -> bool:
     return len({run.summary["input_digest"] for run in runs.values()}) == 1
 
 
-def flattened(record: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested tables as one, the names joined by dots.
-
-    >>> flattened({"seed": 1, "solve_s": {"total": 2.5}})
-    {'seed': 1, 'solve_s.total': 2.5}
-    """
-    flat: dict[str, Any] = {}
-    for name, value in record.items():
-        flat |= (
-            flattened(value, f"{prefix}{name}.")
-            if isinstance(value, Mapping)
-            else {f"{prefix}{name}": value}
-        )
-    return flat
-
-
 def _problems_of(folders: Sequence[Path]) -> list[Problem]:
     """Too few, too many or repeated runs."""
     if len(folders) < 2:
@@ -238,9 +224,3 @@ def _tiers(runs: Runs) -> list[str]:
     return list(
         dict.fromkeys(tier for run in runs.values() for tier in run.trajectory.scenario.tiers)
     )
-
-
-def _text(value: object) -> str:
-    if value is None:
-        return "none"
-    return f"{value:g}" if isinstance(value, float) else str(value)

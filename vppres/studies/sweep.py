@@ -14,13 +14,13 @@ from typing import Any
 import pandas as pd
 
 from vppres.core.errors import ReportError, SolveError, StorageError, VerificationError
+from vppres.core.plain import flattened
 from vppres.day.options import RunOptions
 from vppres.day.simulate import Progress, run_day
 from vppres.io.atomic import RUN_MARK, atomic_folder, atomic_write_text
 from vppres.report.key_figures import KEY_FIGURES, OF_TIERS
 from vppres.report.run_folder import write_run
 from vppres.scenario.scenario import Scenario
-from vppres.studies.compare import flattened
 from vppres.studies.side_by_side import Lost, Where, map_unordered
 from vppres.studies.sweep_parameters import Parameter, Value, changed, value_text
 

@@ -79,7 +79,7 @@ def feeder_maps(run: Trajectory) -> Chart:
     """A row per bus with its voltage, and a row per line with its loading, over the day."""
     net = run.scenario.network
     rated = net.has_ratings
-    v = run.buses["v_ac_pu"].to_numpy(float).reshape(len(run.steps), -1)
+    v = run.by_step("buses", "v_ac_pu")
     order = _along_the_feeder(run)
     lines = order[order > 0] - 1  # by the bus that each feeds
     return Chart(

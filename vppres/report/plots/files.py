@@ -32,14 +32,12 @@ RUN_FIGURES: dict[str, Callable[[Trajectory], Chart]] = {
     "feeder_maps": feeder_maps,
 }
 
-# Figures of one run that did not know the outages ahead.
-BELIEF_FIGURES: dict[str, Callable[[Trajectory], Chart]] = {"outage_belief": outage_belief}
-
-# Figures of one run of a phased feeder.
-PHASED_FIGURES: dict[str, Callable[[Trajectory], Chart]] = {"by_phase": by_phase}
-
-# Figures of one run with rooms or tanks.
-ROOM_FIGURES: dict[str, Callable[[Trajectory], Chart]] = {"indoor": indoor}
+# Figures of one run that has what they show.
+SOME_FIGURES: dict[str, tuple[Callable[[Trajectory], bool], Callable[[Trajectory], Chart]]] = {
+    "by_phase": (lambda run: run.scenario.phases is not None, by_phase),
+    "outage_belief": (has_beliefs, outage_belief),
+    "indoor": (lambda run: run.thermal_loads is not None, indoor),
+}
 
 FIGURE_TEXTS = {
     "by_phase": "Lowest and, dotted, highest voltage of each phase; what the grid or the battery "
@@ -72,17 +70,16 @@ def chart_of(runs: Runs, name: str) -> Chart:
     if name in FIGURES:
         return FIGURES[name](runs)
     assert isinstance(runs, Trajectory)
-    return (RUN_FIGURES | PHASED_FIGURES | BELIEF_FIGURES | ROOM_FIGURES)[name](runs)
+    draw = RUN_FIGURES[name] if name in RUN_FIGURES else SOME_FIGURES[name][1]
+    return draw(runs)
 
 
 def figure_names(runs: Runs) -> list[str]:
     """Names of the figures that one run, or several side by side, have."""
     if not isinstance(runs, Trajectory):
         return [*FIGURES]
-    phased = PHASED_FIGURES if runs.scenario.phases is not None else ()
-    beliefs = BELIEF_FIGURES if has_beliefs(runs) else ()
-    rooms = ROOM_FIGURES if runs.thermal_loads is not None else ()
-    return [*FIGURES, *RUN_FIGURES, *phased, *beliefs, *rooms]
+    some = [name for name, (has, _) in SOME_FIGURES.items() if has(runs)]
+    return [*FIGURES, *RUN_FIGURES, *some]
 
 
 def save_figures(runs: Runs, folder: Path, kinds: Sequence[str] = KINDS) -> list[Path]:

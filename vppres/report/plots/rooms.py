@@ -15,13 +15,8 @@ MEDIAN = Style(BLACK, "", 2.0)
 
 def indoor(run: Trajectory) -> Chart:
     """Temperature of each room and tank, and their median: those that are cooled, then heated."""
-    rows = run.thermal_loads
-    assert rows is not None
     loads = run.scenario.thermal_loads
-    shape = (len(run.steps), len(loads))
-    start_c, end_c = (
-        rows[name].to_numpy(float).reshape(shape) for name in ("t_start_c", "t_end_c")
-    )
+    start_c, end_c = (run.by_step("thermal_loads", name) for name in ("t_start_c", "t_end_c"))
     t_c = np.vstack([start_c[:1], end_c])
     kinds = (("Cooled (°C)", ~loads.heats), ("Heated (°C)", loads.heats))
     panels = [_panel(run, axis, t_c, chosen) for axis, chosen in kinds if chosen.any()]

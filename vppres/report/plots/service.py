@@ -10,7 +10,7 @@ import numpy as np
 
 from vppres.core.arrays import Floats
 from vppres.day.metrics import service_by_tier as share_by_tier
-from vppres.day.trajectory import Trajectory, supplied
+from vppres.day.trajectory import Trajectory
 from vppres.report.plots.canvas import FONT_PX, Canvas, text_px
 from vppres.report.plots.chart import (
     EDGE_PX,
@@ -82,7 +82,7 @@ def tile_rows(run: Trajectory) -> TileRows:
     Neighbours are next to each other along the feeder.
     """
     day = run.scenario
-    served = supplied(run.customers).to_numpy(float).reshape(len(run.steps), -1)
+    served = run.supplied
     at_bus = np.array([day.network.bus_index[bus] for bus in day.customers.bus], dtype=int)
     size = -(-len(day.customers) // MAX_ROWS)
     layout = tree_layout(day.network)

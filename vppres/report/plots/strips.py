@@ -82,7 +82,7 @@ def _sun_strip(run: Trajectory) -> Strip:
 
 def _service_strip(run: Trajectory) -> Strip:
     """How many customers are not served, in numbers while there is room."""
-    served = run.customers["served"].to_numpy(bool).reshape(len(run.steps), -1)
+    served = run.by_step("customers", "served")
     missing = (~served).sum(axis=1).tolist()
     counted = len(missing) <= MAX_COUNTED_STEPS
     return Strip(

@@ -2,25 +2,27 @@
 
 A section is a function of the run and of how it is shown that gives a
 :class:`~vppres.report.sections.base.Section`, or None where it has nothing to say. To add one,
-write such a function in a module of its own with a template in ``templates/sections``, and name it
+write such a function with a template in ``templates/sections``, and name it
 here.
 """
 
 from __future__ import annotations
 
-from vppres.report.sections.assumptions import assumptions_section
 from vppres.report.sections.base import SectionMaker
-from vppres.report.sections.days import days_section
-from vppres.report.sections.energy import energy_section
 from vppres.report.sections.explain import explain_section
 from vppres.report.sections.feeder import feeder_section
-from vppres.report.sections.figures import figures_section
+from vppres.report.sections.listed import (
+    assumptions_section,
+    days_section,
+    energy_section,
+    figures_section,
+    solver_section,
+    timeline_section,
+)
 from vppres.report.sections.network import network_section
 from vppres.report.sections.outages import outages_section
 from vppres.report.sections.overview import overview_section
 from vppres.report.sections.service import service_section
-from vppres.report.sections.solver import solver_section
-from vppres.report.sections.timeline import timeline_section
 
 # Makers of the sections.
 SECTIONS: tuple[SectionMaker, ...] = (
