@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from tests.support.asgi import Caller
-from tests.support.live_service import HERE, NOON, Running, decided, readings, site
+from tests.support.live_service import HERE, NOON, Running, decided, readings, running, site
 from vppres.scenario.scenario import Scenario
 from vppres.service.access import Access, new_token
 from vppres.service.alarms import KINDS, Alarms, Notice
@@ -31,9 +31,8 @@ DARK = {"type": "outage", "start": written(NOON)}
 
 @pytest.fixture
 def live(tiny: Scenario, tmp_path: Path) -> Iterator[Running]:
-    clock = SetClock(NOON)
-    with opened(Service(site(tiny), HERE), tmp_path, clock) as runner:
-        yield Caller(make_app(runner, Access())), clock, runner
+    with running(tiny, tmp_path) as found:
+        yield found
 
 
 @pytest.fixture

@@ -12,14 +12,20 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from tests.support.asgi import Caller
-from tests.support.live_service import HERE, NOON, Running, decided, heard, readings, said, site
+from tests.support.live_service import (
+    HERE,
+    NOON,
+    Running,
+    decided,
+    heard,
+    readings,
+    running,
+    said,
+    site,
+)
 from vppres.core.errors import InputError, StorageError
 from vppres.scenario.scenario import Scenario
-from vppres.service.access import Access
 from vppres.service.announced import check_not_over
-from vppres.service.app import make_app
-from vppres.service.clock import SetClock
 from vppres.service.loop import Loop
 from vppres.service.runner import Service
 from vppres.service.serve import opened
@@ -31,9 +37,7 @@ END = "2026-11-21T13:06:00Z"
 @pytest.fixture
 def live(tiny: Scenario, tmp_path: Path) -> Iterator[Running]:
     """A service that has decided the step of noon, with grid; it is 12:13."""
-    clock = SetClock(NOON)
-    with opened(Service(site(tiny), HERE), tmp_path, clock) as runner:
-        http = Caller(make_app(runner, Access()))
+    with running(tiny, tmp_path) as (http, clock, runner):
         decided(http, clock, NOON, soc=0.85)
         clock.set(LATER)
         yield http, clock, runner
@@ -128,9 +132,7 @@ def test_events_modes_and_refusals_are_planned_for_at_once(live: Running) -> Non
 def test_a_service_that_comes_back_within_a_step_sees_what_it_missed(
     tiny: Scenario, tmp_path: Path
 ) -> None:
-    clock = SetClock(NOON)
-    with opened(Service(site(tiny), HERE), tmp_path, clock) as runner:
-        http = Caller(make_app(runner, Access()))
+    with running(tiny, tmp_path) as (http, clock, runner):
         decided(http, clock, NOON, soc=0.85)
         clock.set(LATER)
         http.post("/v1/telemetry", grid(0.0))

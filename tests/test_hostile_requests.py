@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import json
-from dataclasses import replace
 from typing import Any
 
-import numpy as np
-import pandas as pd
 import pytest
 from fastapi import FastAPI
 
 from experiments import hostile
 from experiments.hostile_requests import Request, hostile_requests
-from tests.support.long_days import repeated
+from tests.support import live_service
 from tests.support.tiny_day import tiny_scenario
 from vppres.day.options import RunOptions
-from vppres.scenario.timegrid import TimeGrid
 from vppres.service.access import Access
 from vppres.service.app import make_app
 from vppres.service.runner import Service
@@ -25,10 +21,7 @@ from vppres.service.runner import Service
 
 def site() -> Service:
     """The tiny day's feeder, in hours."""
-    day = repeated(tiny_scenario(), 24)
-    grid = TimeGrid(pd.Timestamp("2025-07-01T00:00Z"), 60.0, 24)
-    quiet = replace(day, grid=grid, grid_limit_kw=np.full(24, np.inf))
-    return Service(quiet, RunOptions(horizon_h=0.0, isolate=False))
+    return Service(live_service.site(tiny_scenario()), RunOptions(horizon_h=0.0, isolate=False))
 
 
 PLAIN = Request("GET", "/v1/plan", {"host": "localhost"})

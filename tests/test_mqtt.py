@@ -10,20 +10,18 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 import pytest
 
+from tests.support import live_service
 from tests.support.browser import listening
-from tests.support.long_days import repeated
 from tests.support.tiny_day import tiny_scenario
 from vppres.core.errors import InputError
 from vppres.day.options import RunOptions
-from vppres.scenario.timegrid import TimeGrid
 from vppres.service.access import Access, new_token
 from vppres.service.app import make_app
 from vppres.service.client import Answer, Client
@@ -97,9 +95,7 @@ class Device:
 @contextmanager
 def site(folder: Path) -> Iterator[tuple[Runner, str, str]]:
     """A service that has just decided an hour; its address and a token."""
-    day = repeated(tiny_scenario(), 24)
-    grid = TimeGrid(pd.Timestamp("2025-07-01T00:00Z"), 60.0, 24)
-    quiet = replace(day, grid=grid, grid_limit_kw=np.full(24, np.inf))
+    quiet = live_service.site(tiny_scenario())
     served = Service(quiet, RunOptions(horizon_h=0.0, isolate=False))
     secret, token = new_token("bridge:read,telemetry")
     clock = SetClock(pd.Timestamp.now(tz="UTC").floor("s"))

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
-import subprocess
 from pathlib import Path
 
 import pandapower as pp
@@ -13,6 +11,7 @@ import pandas as pd
 import pytest
 
 from tests.support.live_service import NOON, Live, decided, readings, said
+from tests.support.page_words import NODE, said_by
 from vppres import NewScenarioOptions, RunOptions, import_network, new_scenario, run_day
 from vppres.io import read_scenario
 from vppres.scenario.scenario import Scenario
@@ -44,24 +43,14 @@ def test_a_reading_ten_minutes_before_the_step_serves_the_hospital(live: Live) -
     assert said(plan, "customers")["hospital"]["served"]
 
 
-@pytest.mark.skipif(shutil.which("node") is None, reason="no node on the path")
+@pytest.mark.skipif(NODE is None, reason="no node on the path")
 def test_the_page_promises_no_supply_while_the_grid_is_gone(live: Live, tmp_path: Path) -> None:
     http, clock = live
     decided(http, clock, NOON, soc=0.85)
     clock.set(NOON + pd.Timedelta("13min"))
     http.post("/v1/telemetry", {"series": readings(clock.now(), "grid_on", {"grid": 0.0})})
-    words = (ROOT / "vppres" / "service" / "page" / "words.js").read_text(encoding="utf-8")
-    (tmp_path / "words.mjs").write_text(words, encoding="utf-8")
-    (tmp_path / "say.mjs").write_text(VERDICT, encoding="utf-8")
     seen = {name: http.get(f"/v1/{name}").json() for name in ("site", "overview")}
-    done = subprocess.run(
-        [str(shutil.which("node")), str(tmp_path / "say.mjs")],
-        input=json.dumps({**seen, "lost": False}),
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    level, *_ = json.loads(done.stdout)
+    level, *_ = said_by(VERDICT, tmp_path, json.dumps({**seen, "lost": False}))
     assert level == "alarm"
 
 

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 import pytest
 
 from tests.support.asgi import Caller
-from tests.support.long_days import repeated
-from vppres.day.options import RunOptions
+from tests.support.live_service import HERE, NOON, site
 from vppres.scenario.scenario import Scenario
-from vppres.scenario.timegrid import TimeGrid
 from vppres.service.access import Access, new_token
 from vppres.service.app import make_app
 from vppres.service.clock import SetClock, written
@@ -26,18 +22,13 @@ from vppres.service.routes.page import FILES
 from vppres.service.runner import Runner, Service
 from vppres.service.serve import opened
 
-NOON = pd.Timestamp("2026-11-21T12:00Z")
 HOUR = pd.Timedelta("1h")
-OPTIONS = RunOptions(horizon_h=2.0, isolate=False)
 
 
 @pytest.fixture
 def runner(tiny: Scenario, tmp_path: Path) -> Iterator[Runner]:
     """A service at noon; an outage begins at two."""
-    day = repeated(tiny, 24)
-    grid = TimeGrid(pd.Timestamp("2025-07-01T00:00Z"), 60.0, 24)
-    site = replace(day, grid=grid, grid_limit_kw=np.full(24, np.inf))
-    with opened(Service(site, OPTIONS), tmp_path, SetClock(NOON)) as runner:
+    with opened(Service(site(tiny), HERE), tmp_path, SetClock(NOON)) as runner:
         outage = {"type": "outage", "start": written(NOON + 2 * HOUR), "end": None}
         runner.store.put_events({"storm": outage}, NOON, "test")
         yield runner

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,17 +11,16 @@ import pandas as pd
 import pytest
 
 from tests.support.asgi import Caller
-from tests.support.live_service import HERE, NOON, decided, readings, site
+from tests.support.live_service import HERE, NOON, decided, readings, running, site
+from tests.support.page_words import NODE, said_by
 from vppres.scenario.remarks import former_words
 from vppres.scenario.scenario import Scenario
 from vppres.service.access import Access
 from vppres.service.app import make_app
-from vppres.service.clock import SetClock, written
+from vppres.service.clock import written
 from vppres.service.runner import Service
 from vppres.service.serve import opened
 
-NODE = shutil.which("node")
-WORDS = Path(__file__).parents[1] / "vppres" / "service" / "page" / "words.js"
 pytestmark = pytest.mark.skipif(NODE is None, reason="no node on the path")
 
 SCRIPT = """
@@ -36,15 +33,6 @@ const { off, status } = view.overview.plan;
 const reasons = (off ?? []).map((one) => why(one, null, status).words);
 console.log(JSON.stringify({ verdict: verdict(view), facts: facts(view), attention: attention(view), reasons }));
 """
-
-
-def said_by(script: str, folder: Path, given: str = "") -> Any:
-    """What a script beside the page's words prints of what it is given."""
-    (folder / "words.mjs").write_text(WORDS.read_text(encoding="utf-8"), encoding="utf-8")
-    (folder / "say.mjs").write_text(script, encoding="utf-8")
-    asked = [str(NODE), str(folder / "say.mjs")]
-    done = subprocess.run(asked, input=given, capture_output=True, text=True, check=True)
-    return json.loads(done.stdout)
 
 
 def told(http: Caller, folder: Path) -> dict[str, Any]:
@@ -111,9 +99,7 @@ def test_what_a_crew_says_is_an_event_that_the_service_takes(
     tiny: Scenario, tmp_path: Path
 ) -> None:
     """Where outages are taken for known it is the end of the one that is announced or measured."""
-    clock = SetClock(NOON)
-    with opened(Service(site(tiny), HERE), tmp_path / "state", clock) as runner:
-        http = Caller(make_app(runner, Access()))
+    with running(tiny, tmp_path / "state") as (http, clock, _):
 
         def event(said: str) -> Any:
             parts = {name: http.get(f"/v1/{name}").json() for name in ("site", "overview")}
@@ -138,9 +124,7 @@ def test_what_a_crew_says_is_an_event_that_the_service_takes(
 
 
 def test_a_contradicted_loss_of_the_grid_comes_first(tiny: Scenario, tmp_path: Path) -> None:
-    clock = SetClock(NOON)
-    with opened(Service(site(tiny), HERE), tmp_path / "state", clock) as runner:
-        http = Caller(make_app(runner, Access()))
+    with running(tiny, tmp_path / "state") as (http, clock, _):
         series = readings(NOON, "grid_on", {"grid": 0.0})
         flow = {**readings(NOON, "import_kw", {"grid": 80.0})[0], "resolution": "PT30S"}
         http.post("/v1/telemetry", {"series": [*series, flow]})
@@ -184,9 +168,7 @@ def test_fuel_lasts_by_the_line_of_the_set(tmp_path: Path) -> None:
 
 
 def test_the_first_lines_tell_what_is_announced_and_ordered(tiny: Scenario, tmp_path: Path) -> None:
-    clock = SetClock(NOON)
-    with opened(Service(site(tiny), HERE), tmp_path / "state", clock) as runner:
-        http = Caller(make_app(runner, Access()))
+    with running(tiny, tmp_path / "state") as (http, clock, runner):
         http.post("/v1/telemetry", {"series": readings(NOON, "grid_on", {"grid": 1.0})})
         decided(http, clock, NOON, soc=0.85)
         calm = told(http, tmp_path)
@@ -255,9 +237,7 @@ def test_an_alarm_whose_condition_is_gone_is_told_as_over(tmp_path: Path) -> Non
 
 
 def test_a_tier_order_that_is_not_kept_is_on_the_page(tiny: Scenario, tmp_path: Path) -> None:
-    clock = SetClock(NOON)
-    with opened(Service(site(tiny), HERE), tmp_path / "state", clock) as runner:
-        http = Caller(make_app(runner, Access()))
+    with running(tiny, tmp_path / "state") as (http, clock, runner):
         decided(http, clock, NOON, soc=0.85)
         assert runner.last is not None
         runner.last["solve"]["inverted"] = "hospital is off supply, while homes have 50.0 kW"

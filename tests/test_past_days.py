@@ -22,6 +22,8 @@ from vppres.model.violations import broken
 from vppres.report.assumptions import simplifications
 from vppres.scenario.past_days import PastDays
 from vppres.scenario.scenario import Scenario
+from vppres.service.as_told import with_told
+from vppres.service.clock import written
 from vppres.solve.ladder import METHODS, WindowSolver
 
 MONDAY = date(2022, 7, 18).toordinal()  # the day before that of the small windows
@@ -68,6 +70,18 @@ def test_each_day_is_like_a_whole_past_day() -> None:
     assert same is not None and other is not None
     days = range(MONDAY + 1, MONDAY + 61)
     assert [same.drawn_for(d) for d in days] == drawn != [other.drawn_for(d) for d in days]
+
+
+def test_a_replay_of_stored_plans_keeps_past_days() -> None:
+    """Beside the vehicle that a plan tells of."""
+    day = history(two_buses([[1.0]] * 6, [1.0], [OPEN] * 6))
+    told = {"vehicle": "car9", "leaves": written(day.grid.times[2])}
+    plan = {"expected": {"vehicles": {"k0": {**told, "energy_kwh": 5.0, "needed_kwh": 9.0}}}}
+    replayed = with_told(day, [plan, *[None] * 5])
+    assert "car9" in replayed.sessions.vehicle
+    kept, past = PastDays.of(replayed, 0), PastDays.of(day, 0)
+    assert kept is not None and past is not None
+    assert kept.days.tolist() == past.days.tolist()
 
 
 def test_days_that_go_on_in_the_run_are_not_past() -> None:

@@ -10,19 +10,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 import pytest
 import sqlalchemy as sa
 
+from tests.support import live_service
 from tests.support.asgi import Caller
 from tests.support.browser import listening
-from tests.support.long_days import repeated
+from tests.support.live_service import NOON
 from tests.support.tiny_day import tiny_scenario
 from vppres.core.errors import InputError
 from vppres.day.options import RunOptions
 from vppres.io import write_scenario
-from vppres.scenario.timegrid import TimeGrid
 from vppres.service import serve as service
 from vppres.service.access import Access, new_token
 from vppres.service.app import make_app
@@ -33,15 +32,11 @@ from vppres.service.records import Reading, seconds
 from vppres.service.runner import Runner, Service
 from vppres.service.started import started
 
-NOON = pd.Timestamp("2026-11-21T12:00Z")
 OUTAGE = {"type": "outage", "start": "2026-11-21T14:00:00Z"}
 
 
 def site() -> Service:
-    day = repeated(tiny_scenario(), 24)
-    grid = TimeGrid(pd.Timestamp("2025-07-01T00:00Z"), 60.0, 24)
-    quiet = replace(day, grid=grid, grid_limit_kw=np.full(24, np.inf))
-    return Service(quiet, RunOptions(horizon_h=1.0, isolate=False))
+    return Service(live_service.site(tiny_scenario()), RunOptions(horizon_h=1.0, isolate=False))
 
 
 @pytest.fixture(scope="module")
@@ -145,15 +140,6 @@ def test_a_bucket_fills_with_time() -> None:
     assert [limits.wait_s("a", "read") for _ in range(2)] == [0.0, 0.5]
     clock[0] = 100.0
     assert [limits.wait_s("a", "read") for _ in range(4)] == [0.0, 0.0, 0.0, 0.5]
-
-
-def test_who_asks_too_often_is_told_to_wait(runner: Runner) -> None:
-    _, token = new_token("panel:read")
-    http = Caller(make_app(runner, Access([token])))
-    answers = [http.get("/v1/plan", authorization="Bearer wrong") for _ in range(40)]
-    assert [one.status for one in answers[:30]] == [401] * 30
-    assert answers[-1].status == 429 and answers[-1].headers["retry-after"] == "1"
-    assert answers[-1].headers["content-type"] == "application/problem+json"
 
 
 def test_few_wait_for_a_step_and_the_others_are_sent_away(

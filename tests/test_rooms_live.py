@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +13,7 @@ import pytest
 
 from tests.support.homes import homes, hot
 from tests.support.live_service import HERE, NOON, client, decided, readings, said, site
+from tests.support.page_words import NODE, said_by
 from tests.support.played_service import played
 from tests.support.small_windows import DARK, OPEN
 from tests.support.vans import van
@@ -25,8 +24,6 @@ from vppres.service.clock import SetClock, written
 from vppres.service.runner import Service
 from vppres.service.simulate import Play
 
-NODE = shutil.which("node")
-WORDS = Path(__file__).parents[1] / "vppres" / "service" / "page" / "words.js"
 HOUR = pd.Timedelta(hours=1)
 OPTIONS = RunOptions(mode="paper", isolate=False)
 DRIFT = np.exp(-1.0 / 40.0)
@@ -229,10 +226,7 @@ console.log(JSON.stringify({ now, outside: names.map((name) => farthestOutside(v
 @pytest.mark.skipif(NODE is None, reason="no node on the path")
 def test_the_page_tells_what_rooms_are_and_become(tmp_path: Path) -> None:
     """27 °C at the end of the step that begins at 13:00, and a thermometer that stands still."""
-    (tmp_path / "words.mjs").write_text(WORDS.read_text(encoding="utf-8"), encoding="utf-8")
-    (tmp_path / "rooms.mjs").write_text(WORDS_OF_ROOMS, encoding="utf-8")
-    asked = [str(NODE), str(tmp_path / "rooms.mjs")]
-    told = json.loads(subprocess.run(asked, capture_output=True, text=True, check=True).stdout)
+    told = said_by(WORDS_OF_ROOMS, tmp_path)
     assert told["now"] == [
         {"value": 25.1, "old": ""},
         {"value": 25.3, "old": "thermometer stands still; reckoned"},

@@ -15,7 +15,6 @@ import pytest
 import sqlalchemy as sa
 
 import vppres
-from tests.support.asgi import Caller
 from tests.support.live_service import (
     HERE,
     NOON,
@@ -35,7 +34,6 @@ from vppres.live.measurement import Measurement
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
 from vppres.service.access import Access, check_address, new_token
-from vppres.service.app import make_app
 from vppres.service.clock import SetClock, written
 from vppres.service.gate import refusals
 from vppres.service.loop import Loop
@@ -398,20 +396,6 @@ def test_hostile_requests_get_a_problem_and_change_nothing(live: Live) -> None:
     status = http.get("/v1/status").json()
     assert status["sources"] == {} and status["step"] is None
     assert http.get("/v1/events").json() == {}
-
-
-def test_who_changed_what_is_written_down(tiny: Scenario, tmp_path: Path) -> None:
-    clock = SetClock(NOON)
-    with opened(Service(site(tiny), HERE), tmp_path, clock) as runner:
-        http = Caller(make_app(runner, Access()))
-        http.put("/v1/events/storm", {"type": "outage", "start": "2026-11-21T14:00:00Z"})
-        http.delete("/v1/events/storm")
-        http.put("/v1/mode", {"mode": "off"})
-        assert [row[:2] for row in runner.store.audit()] == [
-            ("anybody here", "event"),
-            ("anybody here", "event withdrawn"),
-            ("anybody here", "mode"),
-        ]
 
 
 def test_the_interface_is_the_one_that_is_published(live: Live) -> None:

@@ -11,8 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.support.asgi import Caller
-from tests.support.live_service import HERE, NOON, client, decided, readings, site, told
+from tests.support.live_service import HERE, NOON, client, decided, readings, running, site, told
 from tests.support.long_days import repeated
 from vppres.day.options import RunOptions
 from vppres.day.recorder import ROTATED
@@ -20,9 +19,8 @@ from vppres.day.simulate import run_day
 from vppres.explain.day import explain_day
 from vppres.scenario.scenario import Scenario
 from vppres.service import explainer
-from vppres.service.access import Access, Denied
-from vppres.service.app import make_app
-from vppres.service.clock import SetClock, written
+from vppres.service.access import Denied
+from vppres.service.clock import written
 from vppres.service.explanations import KINDS, explained, question
 from vppres.service.export import exported
 from vppres.service.runner import Service
@@ -92,9 +90,7 @@ def test_every_step_is_explained_as_the_run_is(
 @pytest.fixture
 def stormy(tiny: Scenario, tmp_path: Path) -> Any:
     """A service in an outage with little in store: runner, client and plan."""
-    clock = SetClock(NOON)
-    with opened(Service(site(tiny), HERE), tmp_path, clock) as runner:
-        http = Caller(make_app(runner, Access()))
+    with running(tiny, tmp_path) as (http, clock, runner):
         event = {"type": "outage", "start": written(NOON), "end": "2026-11-21T20:00:00Z"}
         assert http.put("/v1/events/storm", event).status == 201
         yield runner, http, decided(http, clock, NOON, soc=0.25)
@@ -103,9 +99,7 @@ def stormy(tiny: Scenario, tmp_path: Path) -> Any:
 def test_a_plan_of_the_second_half_of_a_step_is_explained_as_it_is(
     tiny: Scenario, tmp_path: Path
 ) -> None:
-    clock = SetClock(NOON)
-    with opened(Service(site(tiny), HERE), tmp_path, clock) as runner:
-        http = Caller(make_app(runner, Access()))
+    with running(tiny, tmp_path) as (http, clock, runner):
         decided(http, clock, NOON, soc=0.25)
         lost = NOON + pd.Timedelta("40min")
         clock.set(lost)

@@ -13,7 +13,7 @@ import pytest
 import sqlalchemy as sa
 
 from tests.support.asgi import Caller
-from tests.support.live_service import HERE, NOON, client, decided, readings, said, site
+from tests.support.live_service import HERE, NOON, client, decided, readings, running, said, site
 from vppres.contract.observation import Observation
 from vppres.scenario.outage_warnings import OutageStatistics
 from vppres.scenario.scenario import Scenario
@@ -151,9 +151,7 @@ def test_a_rehearsal_knows_of_limits_ahead_what_is_announced(
 def test_who_cannot_be_switched_on_is_left_off_until_it_is_back(
     tiny: Scenario, tmp_path: Path
 ) -> None:
-    clock = SetClock(NOON)
-    with opened(Service(site(tiny), HERE), tmp_path, clock) as runner:
-        http = Caller(make_app(runner, Access()))
+    with running(tiny, tmp_path) as (http, clock, runner):
         seen = watch(runner)
         shop = shop_of(tiny)
 

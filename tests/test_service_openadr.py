@@ -9,14 +9,10 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from tests.support.asgi import Caller
-from tests.support.live_service import HERE, NOON, client, decided, said, site
+from tests.support.live_service import HERE, NOON, client, decided, running, said, site
 from vppres.scenario.scenario import Scenario
-from vppres.service.access import Access
-from vppres.service.app import make_app
 from vppres.service.clock import SetClock
 from vppres.service.runner import Service
-from vppres.service.serve import opened
 
 EVENT: dict[str, Any] = {
     "id": "17",
@@ -123,8 +119,7 @@ def test_a_message_is_one_transaction(
     tiny: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     many = [{"payloads": [{"type": "ALERT_OTHER", "values": [i]}]} for i in range(300)]
-    with opened(Service(site(tiny), HERE), tmp_path, SetClock(NOON)) as runner:
-        http = Caller(make_app(runner, Access()))
+    with running(tiny, tmp_path) as (http, _, runner):
         before = runner.store.changes
         assert http.post("/v1/openadr/events", {**EVENT, "intervals": many}).status == 201
         assert runner.store.changes == before + 1

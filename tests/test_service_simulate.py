@@ -10,12 +10,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-import vppres
 from tests.support.command_line import call
 from tests.support.live_service import HERE, NOON, client, site
 from tests.support.long_days import repeated
 from tests.support.played_service import Here, played
-from vppres.day.options import RunOptions
 from vppres.outlook.outlook import OutageOutlook, seen_outages
 from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
 from vppres.scenario.scenario import Scenario
@@ -27,28 +25,6 @@ from vppres.service.simulate import Play, Player, TelemetryFaults, Way, announce
 from vppres.service.world import World, critical_off, energy_allowed
 
 HOUR = pd.Timedelta("1h")
-
-
-def test_a_played_day_is_the_run(tiny: Scenario, tmp_path: Path) -> None:
-    """To the last bit, with what came of it fed back: set-points, telemetry, the next step."""
-    options = RunOptions(horizon_h=2.0, isolate=False)
-    run = vppres.run_day(tiny, options)
-    service = Service(tiny, options, rehearsal=True)
-    player = played(service, tiny, tmp_path, Play(announced=False))
-    assert player.tally.statuses == {"ok": tiny.grid.n_steps}
-    for t, record in enumerate(player.world.records):
-        now = run.scenario.grid.times[t]
-        for table, columns in (
-            ("customers", ("served", "p_load_kw")),
-            ("batteries", ("charge_kw", "discharge_kw", "q_kvar", "soc_end")),
-            ("pv", ("self_kw", "export_kw", "curtailed_kw", "q_kvar")),
-        ):
-            frame = getattr(run, table)
-            frame = frame[frame["time"] == now]
-            for column in columns:
-                found = getattr(record, table)[column]
-                assert np.array_equal(found, frame[column].to_numpy()), (t, table, column)
-        assert record.steps["p_grid_kw"] == run.steps["p_grid_kw"][t]
 
 
 def stormy(tiny: Scenario, days: int) -> Scenario:

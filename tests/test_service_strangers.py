@@ -19,7 +19,7 @@ import pytest
 from experiments.strangers import attacks, lives, silent
 from tests.support.asgi import Caller
 from tests.support.browser import listening
-from tests.support.live_service import HERE, NOON, client, site
+from tests.support.live_service import HERE, NOON, client, running, site
 from tests.support.tiny_day import tiny_scenario
 from vppres.core.errors import StorageError
 from vppres.scenario.scenario import Scenario
@@ -115,8 +115,7 @@ def test_mistakes_of_8_mb_and_13000_reads_stop_no_step(own: Started) -> None:
 def test_who_asks_whether_it_is_ready_writes_nothing(
     tiny: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with opened(Service(site(tiny), HERE), tmp_path, SetClock(NOON)) as runner:
-        http = Caller(make_app(runner, Access()))
+    with running(tiny, tmp_path) as (http, _, runner):
         http.post("/v1/steps")
         writes: list[Any] = []
         monkeypatch.setattr(runner.store._database, "check", writes.append)
@@ -135,10 +134,12 @@ def test_whoever_is_denied_has_no_limit_of_its_own(
     with opened(Service(site(tiny), HERE), tmp_path, SetClock(NOON)) as runner:
         http = Caller(make_app(runner, Access([token])))
         answers = [
-            http.get("/v1/plan", authorization="Bearer x", x_forwarded_for=f"10.0.0.{i}").status
+            http.get("/v1/plan", authorization="Bearer x", x_forwarded_for=f"10.0.0.{i}")
             for i in range(40)
         ]
-        assert answers[:30] == [401] * 30 and answers[30:] == [429] * 10
+    assert [one.status for one in answers] == [401] * 30 + [429] * 10
+    assert answers[-1].headers["retry-after"] == "1"
+    assert answers[-1].headers["content-type"] == "application/problem+json"
 
 
 def test_a_database_that_is_gone_is_noticed(tiny: Scenario, tmp_path: Path) -> None:

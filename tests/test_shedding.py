@@ -13,14 +13,8 @@ import pandas as pd
 import pytest
 
 from experiments.shedding import Judge, Shed
-from tests.support.asgi import Caller
-from tests.support.live_service import HERE, NOON, decided, site
+from tests.support.live_service import NOON, decided, running
 from vppres.scenario.scenario import Scenario
-from vppres.service.access import Access
-from vppres.service.app import make_app
-from vppres.service.clock import SetClock
-from vppres.service.runner import Service
-from vppres.service.serve import opened
 
 ONE = NOON + pd.Timedelta("1h")
 OUTAGE = {"type": "outage", "start": "2026-11-21T13:00:00Z", "end": "2026-11-21T15:00:00Z"}
@@ -48,9 +42,7 @@ def hospital(plan: dict[str, Any], now: bool, later: bool) -> dict[str, Any]:
 def test_it_had_to_be_where_what_was_known_allowed_no_more(
     tiny: Scenario, tmp_path: Path, stored_kwh: float, now: bool, later: bool, avoidable: int
 ) -> None:
-    clock = SetClock(NOON)
-    with opened(Service(site(tiny), HERE), tmp_path, clock) as runner:
-        http = Caller(make_app(runner, Access()))
+    with running(tiny, tmp_path) as (http, clock, runner):
         http.put("/v1/events/storm", OUTAGE)
         plan = decided(http, clock, ONE, soc=0.15 + stored_kwh / 160.0)
         assert plan["ahead"]["grid_limit_kw"] == [0.0, None]

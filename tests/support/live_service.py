@@ -54,10 +54,17 @@ def client(
 
 
 @contextmanager
-def at_noon(tiny: Scenario, folder: Path) -> Iterator[Live]:
-    """A service of the tiny feeder that has decided nothing yet, and its clock."""
+def running(tiny: Scenario, folder: Path) -> Iterator[Running]:
+    """A service of the tiny feeder at noon that has decided nothing yet."""
     clock = SetClock(NOON)
-    with client(Service(site(tiny), HERE), folder, clock) as http:
+    with opened(Service(site(tiny), HERE), folder, clock) as runner:
+        yield Caller(make_app(runner, Access())), clock, runner
+
+
+@contextmanager
+def at_noon(tiny: Scenario, folder: Path) -> Iterator[Live]:
+    """The same, and its clock."""
+    with running(tiny, folder) as (http, clock, _):
         yield http, clock
 
 

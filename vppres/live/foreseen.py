@@ -48,17 +48,7 @@ class Foreseen:
 
     @classmethod
     def of(cls, decision: Decision, window: Scenario, told: Observation) -> Foreseen:
-        """The rows of a decision's plan after its own; none where an answer is for one step.
-
-        Parameters
-        ----------
-        decision : Decision
-            What was decided.
-        window : Scenario
-            The site, beginning with the step that was decided.
-        told : Observation
-            Rooms, tanks and vehicles as they were then.
-        """
+        """The rows of a decision's plan after its own; none where an answer is for one step."""
         plan = decision.dispatch
         rows = slice(decision.row + 1, plan.n_steps)
         ends = slice(decision.row + 2, plan.n_steps + 1)

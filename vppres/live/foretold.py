@@ -15,17 +15,7 @@ from vppres.scenario.scenario import Scenario
 
 @dataclass(frozen=True, eq=False)
 class GivenFirst:
-    """A forecaster's forecasts, but for the series of another provider.
-
-    Parameters
-    ----------
-    own : Forecasts
-        The forecaster's.
-    scenario : Scenario
-        The steps, as they were foretold.
-    load, pv : array of bool, shape (C,) and (P,)
-        Who was.
-    """
+    """A forecaster's forecasts, but for the series that another provider foretold."""
 
     own: Forecasts
     scenario: Scenario

@@ -108,25 +108,7 @@ class Present:
         options: RunOptions,
         past_days: PastDays | None,
     ) -> Present:
-        """The step of a measurement.
-
-        Parameters
-        ----------
-        t : int
-            The step, counted from the controller's first.
-        everything : Seen
-            The measurement, laid over all steps that are known.
-        known : Scenario
-            Those steps without it.
-        rows : Rows
-            Which of them the decision looks at.
-        past : Past
-            What the step before led to.
-        options : RunOptions
-            Of the controller.
-        past_days : PastDays or None
-            What vehicles are expected by.
-        """
+        """The step of a measurement, which is laid over everything that is ``known``."""
         beyond, seen = (
             _with_later_refuels(everything.window(part)) for part in (rows.ahead, rows.window)
         )
@@ -231,15 +213,7 @@ class Present:
         return day
 
     def after(self, day: Day, record: StepRecord) -> Past:
-        """What the next step goes on from.
-
-        Parameters
-        ----------
-        day : Day
-            What :meth:`day` made, one step on.
-        record : StepRecord
-            That step.
-        """
+        """What the next step goes on from: a :meth:`day` after its first step, and that step."""
         return Past(
             t=self.t,
             operating_point=day.operating_point,

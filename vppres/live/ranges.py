@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
+from vppres.core.arrays import Floats
 from vppres.io.schema import MAX_KW, MAX_PRICE
 from vppres.scenario.scenario import Scenario
 
@@ -105,35 +107,26 @@ def ranges_of(scenario: Scenario) -> Ranges:
     >>> ranges_of(vppres.load_scenario("uk-heatwave-2022"))["battery_kw", "b02"].highest
     67.5
     """
-    b = scenario.batteries
-    batteries = {
-        ("battery_kw", str(name)): _rated(-RATED_SHARE, "inverter", rating, _FINITE)
-        for name, rating in zip(b.id, b.s_max_kva.tolist(), strict=True)
-    }
-    pv = scenario.pv
-    systems = {
-        ("pv_kw", str(name)): _rated(0.0, "system", rating, _NUMBER)
-        for name, rating in zip(pv.id, pv.p_max_kw.tolist(), strict=True)
-    }
+    b, pv, sets = scenario.batteries, scenario.pv, scenario.gensets
     loads = scenario.thermal_loads
-    rooms = {
-        ("indoor_c", str(name)): _temperature(t_max_c)
-        for name, t_max_c in zip(loads.id, loads.t_max_c.tolist(), strict=True)
+    own: tuple[tuple[str, Any, Floats, Callable[[float], Range]], ...] = (
+        ("battery_kw", b, b.s_max_kva, lambda kva: _rated(-RATED_SHARE, "inverter", kva, _FINITE)),
+        ("pv_kw", pv, pv.p_max_kw, lambda kw: _rated(0.0, "system", kw, _NUMBER)),
+        ("indoor_c", loads, loads.t_max_c, _temperature),
+        ("genset_kw", sets, sets.p_max_kw, lambda kw: _rated(0.0, "set", kw, _NUMBER)),
+        ("fuel_litres", sets, sets.tank_litres, _in_tank),
+    )
+    return {
+        (quantity, str(name)): range_of(value)
+        for quantity, devices, values, range_of in own
+        for name, value in zip(devices.id, values.tolist(), strict=True)
     }
-    sets = scenario.gensets
-    given = {
-        ("genset_kw", str(name)): _rated(0.0, "set", rating, _NUMBER)
-        for name, rating in zip(sets.id, sets.p_max_kw.tolist(), strict=True)
-    }
-    tanks = {
-        ("fuel_litres", str(name)): replace(
-            RANGES["fuel_litres"],
-            highest=RATED_SHARE * litres,
-            beyond=f"is more than its tank of {litres:g} l holds",
-        )
-        for name, litres in zip(sets.id, sets.tank_litres.tolist(), strict=True)
-    }
-    return batteries | systems | rooms | given | tanks
+
+
+def _in_tank(litres: float) -> Range:
+    """Up to more than what a tank holds."""
+    beyond = f"is more than its tank of {litres:g} l holds"
+    return replace(RANGES["fuel_litres"], highest=RATED_SHARE * litres, beyond=beyond)
 
 
 def _temperature(t_max_c: float) -> Range:

@@ -72,17 +72,7 @@ class Standing:
 
 
 def state_of(standing: Standing, decider: Decider, options: RunOptions) -> dict[str, Any]:
-    """The state as JSON can hold it.
-
-    Parameters
-    ----------
-    standing : Standing
-        Where the controller stands.
-    decider : Decider
-        Who decides; left as it was.
-    options : RunOptions
-        What it was made with.
-    """
+    """The state as JSON can hold it; the decider is left as it was."""
     given = given_by(standing.known, options)
     body = {
         **_body(standing, decider, options),
@@ -126,19 +116,6 @@ def restored(
     state: Any, scenario: Scenario, decider: Decider, options: RunOptions, start: Past
 ) -> Standing:
     """Let a new controller stand where another one stood.
-
-    Parameters
-    ----------
-    state : dict
-        What :func:`state_of` made of the other.
-    scenario : Scenario
-        The same site.
-    decider : Decider
-        The new one's; it remembers what the other did.
-    options : RunOptions
-        Of the new one.
-    start : Past
-        Of a controller that has decided nothing.
 
     Raises
     ------

@@ -55,15 +55,6 @@ def with_vehicles(
     A charger without a vehicle ends its session; that is named. A vehicle that tells the energy
     that it needs has a session from now on; its departure is that of the session before if it tells
     none. Energies are NaN if no state of charge was read.
-
-    Parameters
-    ----------
-    door : Door
-        Keeps what is wrong.
-    scenario : Scenario
-        What holds where nothing was measured.
-    told : mapping
-        By quantity, each by charger.
     """
     chargers = scenario.chargers
     none = np.full(len(chargers), np.nan)

@@ -55,11 +55,6 @@ class Access:
     def known(self, authorization: str | None) -> Token | None:
         """The sender's token; none where none is needed.
 
-        Parameters
-        ----------
-        authorization : str or None
-            Header of the request.
-
         Raises
         ------
         Denied
@@ -81,13 +76,6 @@ class Access:
 
     def actor(self, authorization: str | None, scope: str) -> str:
         """The sender's name.
-
-        Parameters
-        ----------
-        authorization : str or None
-            Header of the request.
-        scope : str
-            What is asked for.
 
         Raises
         ------
@@ -112,14 +100,7 @@ def digest(secret: str) -> str:
 
 
 def new_token(text: str, days: float | None = None) -> tuple[str, Token]:
-    """A secret, and what is kept of it, for ``NAME:SCOPE,SCOPE``.
-
-    Parameters
-    ----------
-    text : str
-        Whose it is, and what for.
-    days : float, optional
-        After which it ends; never if not given.
+    """A secret, and what is kept of it, for ``NAME:SCOPE,SCOPE``; for some days or for good.
 
     Raises
     ------

@@ -79,15 +79,7 @@ KINDS = {
 
 @dataclass(frozen=True)
 class Notice:
-    """Something to tell people.
-
-    Parameters
-    ----------
-    what : {"raised", "reminder", "cleared"}
-        What happened.
-    alarms : list of dict
-        To which alarms, as ``GET /v1/alarms`` has them.
-    """
+    """Something to tell people: alarms "raised" or "cleared", or a "reminder" of them."""
 
     what: str
     alarms: list[dict[str, Any]]

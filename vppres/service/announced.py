@@ -222,12 +222,14 @@ def warnings(events: Mapping[str, Event], now: pd.Timestamp, step: pd.Timedelta)
     found = []
     for name, event in events.items():
         message = _message(name, event.body, now, step)
-        if event.body["type"] == RESTORATION:
-            found.append(_of_crew(name, event, now))
-        elif message is not None:
-            # Since when it is known, and what is said now.
-            issued = {min(moment(at), now) for at in (event.since, event.made_at)}
-            found += [replace(message, issued_at=at) for at in sorted(issued)]
+        if message is None:
+            continue
+        # Since when it is known, and what is said now; of a crew what it said last.
+        crew = event.body["type"] == RESTORATION
+        issued = {
+            min(moment(at), now) for at in (event.made_at, event.made_at if crew else event.since)
+        }
+        found += [replace(message, issued_at=at) for at in sorted(issued)]
     return found
 
 
@@ -242,8 +244,6 @@ def warnings_ever(
             issued = moment(event.made_at)
             if not event.body:
                 message = OutageWarning(issued, name, probability=0.0) if spoken else None
-            elif event.body["type"] == RESTORATION:
-                message = _of_crew(name, event, issued)
             else:
                 message = _message(name, event.body, _step_of(issued, start, step), step)
             spoken = message is not None and bool(event.body)
@@ -256,6 +256,9 @@ def _message(
     name: str, body: Mapping[str, Any], now: pd.Timestamp, step: pd.Timedelta
 ) -> OutageWarning | None:
     """What an event says of an outage; None if it says nothing, or nothing that counts now."""
+    if body["type"] == RESTORATION:  # what a crew says of the end of the present outage
+        said: dict[str, Any] = {field: _moment(body.get(key)) for key, field in SAID_OF_END.items()}
+        return OutageWarning(now, name, **said)
     if body["type"] not in ("outage", "outage_belief"):
         return None
     interval = certain_interval(body)
@@ -270,14 +273,6 @@ def _message(
     names = ("duration_p10_h", "duration_p50_h", "duration_p90_h")
     lasts = dict.fromkeys(names, lasts_h)
     return OutageWarning(now, name, onset_likely=begun, probability=1.0, **lasts)
-
-
-def _of_crew(name: str, event: Event, now: pd.Timestamp) -> OutageWarning:
-    """What a crew says of the end of the present outage."""
-    said: dict[str, Any] = {
-        field: _moment(event.body.get(key)) for key, field in SAID_OF_END.items()
-    }
-    return OutageWarning(min(moment(event.made_at), now), name, **said)
 
 
 def _uncertain(

@@ -86,13 +86,14 @@ def _sets_at_first(sets: Gensets, told: Mapping[str, Any]) -> Gensets:
 
 
 def _sessions(scenario: Scenario, stored: Plans) -> Sessions:
-    """Stays that plans tell of, and the scenario's sessions after them."""
+    """Sessions of past days, stays that plans tell of, and the scenario's sessions after them."""
     own = rows_of(scenario.sessions)
     base = {(row["charger"], row["vehicle"]): row for row in own}
     told = max(t for t, plan in enumerate(stored) if plan is not None) + 1
     end = scenario.grid.start + told * scenario.grid.step
-    rows = [_of_stay(stay, base, scenario) for stay in _stays(scenario, stored)]
-    return sessions_of(rows + [row for row in own if row["plug_in"] >= end])
+    past = [row for row in own if row["plug_out"] <= scenario.grid.start]
+    stays = [_of_stay(stay, base, scenario) for stay in _stays(scenario, stored)]
+    return sessions_of([*past, *stays, *(row for row in own if row["plug_in"] >= end)])
 
 
 def _stays(scenario: Scenario, stored: Plans) -> Iterator[Stay]:

@@ -26,11 +26,6 @@ class SystemClock:
 class SetClock:
     """A clock that shows what it was set to, for rehearsals.
 
-    Parameters
-    ----------
-    time : pandas.Timestamp
-        What it shows at first.
-
     Examples
     --------
     >>> clock = SetClock(pd.Timestamp("2026-11-21T20:00Z"))

@@ -53,13 +53,6 @@ class Database(Protocol):
 def opened_database(place: Path | str, reading: bool = False) -> Database:
     """The database at a place, for this process alone; or to be read beside the one that serves.
 
-    Parameters
-    ----------
-    place : Path or str
-        A folder, or an address that begins with ``postgresql://``.
-    reading : bool, optional
-        Whether it is only read.
-
     Raises
     ------
     InputError

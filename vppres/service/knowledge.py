@@ -67,17 +67,7 @@ WHERE = "telemetry"
 
 @dataclass(frozen=True)
 class Heard:
-    """How old a quantity of an asset is.
-
-    Parameters
-    ----------
-    asset, quantity, source : str
-        What it is, and who said so.
-    age_s : int
-        Time since the reading.
-    state : {"ok", "stale", "lost"}
-        Whether it holds, is estimated, or has been silent for too long.
-    """
+    """How old a reading is: "ok", "stale" where it is estimated, "lost" after long silence."""
 
     asset: str
     quantity: str
@@ -88,17 +78,7 @@ class Heard:
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Whether there is grid in a step, and what is known of the ones behind it.
-
-    Parameters
-    ----------
-    available : bool
-        Whether there is.
-    known_by : {"reading", "event", "last reading", "belief", "profile"}
-        Who says so.
-    limits_kw : array, shape (W,)
-        Largest import in the window, 0 in outages.
-    """
+    """Whether there is grid in a step, who says so, and limits of the window, 0 in outages."""
 
     available: bool
     known_by: str

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -42,114 +43,78 @@ class Figures(Collector):
 
     def collect(self) -> Iterator[Metric]:
         """Figures of now."""
-        runner = self.runner
+        runner, store = self.runner, self.runner.store
+        standing = Counter(row.kind for row in store.standing_alarms())
+        now = runner.clock.now().timestamp()
+        ages_s = {source: now - at for source, at in store.contacts().items()}
         yield GaugeMetricFamily(
             "vppres_plan_ahead_seconds", "How long the last plan still holds.", runner.ahead_s
         )
-        steps = CounterMetricFamily("vppres_steps", "Steps by outcome.", labels=["outcome"])
-        for outcome, count in runner.outcomes.items():
-            steps.add_metric([outcome], count)
-        yield steps
-        yield self._mode()
-        yield self._alarms()
-        yield self._ages()
-        yield from self._plan()
-        build = GaugeMetricFamily("vppres_build_info", "Version.", labels=["version"])
-        build.add_metric([str(vppres.__version__)], 1.0)
-        yield build
-
-    def _mode(self) -> Metric:
-        """What the operator asked for."""
-        mode = GaugeMetricFamily("vppres_mode_info", "What the service does.", labels=["mode"])
-        mode.add_metric([self.runner.mode["mode"]], 1.0)
-        return mode
-
-    def _alarms(self) -> Metric:
-        """How many alarms stand."""
-        alarms = GaugeMetricFamily("vppres_alarms", "Alarms that stand.", labels=["kind"])
-        standing = [row.kind for row in self.runner.store.standing_alarms()]
-        for kind in KINDS:
-            alarms.add_metric([kind], standing.count(kind))
-        return alarms
-
-    def _ages(self) -> Metric:
-        """Since when each source has been silent."""
-        ages = GaugeMetricFamily(
-            "vppres_telemetry_age_seconds", "Time since the last contact.", labels=["source"]
+        yield _by(
+            "vppres_steps", "Steps by outcome.", "outcome", runner.outcomes, CounterMetricFamily
         )
-        now = self.runner.clock.now().timestamp()
-        for source, at in self.runner.store.contacts().items():
-            ages.add_metric([source], now - at)
-        return ages
+        mode = {runner.mode["mode"]: 1.0}
+        yield _by("vppres_mode_info", "What the service does.", "mode", mode)
+        alarms = {kind: standing[kind] for kind in KINDS}
+        yield _by("vppres_alarms", "Alarms that stand.", "kind", alarms)
+        age_words = "Time since the last contact."
+        yield _by("vppres_telemetry_age_seconds", age_words, "source", ages_s)
+        if runner.last is not None:
+            yield from self._plan(runner.last)
+        version = {str(vppres.__version__): 1.0}
+        yield _by("vppres_build_info", "Version.", "version", version)
 
-    def _plan(self) -> Iterator[Metric]:
+    def _plan(self, plan: Mapping[str, Any]) -> Iterator[Metric]:
         """What the last plan says."""
-        plan = self.runner.last
-        if plan is None:
-            return
-        yield GaugeMetricFamily(
-            "vppres_plan_generated_timestamp_seconds",
-            "When the last plan was made.",
-            pd.Timestamp(plan["generated_at"]).timestamp(),
-        )
-        yield self._customers(plan)
-        yield self._fallbacks(plan)
+        solve = plan["solve"] or {}
+        made = pd.Timestamp(plan["generated_at"]).timestamp()
+        words = "When the last plan was made."
+        yield GaugeMetricFamily("vppres_plan_generated_timestamp_seconds", words, made)
+        yield _by("vppres_served_customers", "Customers that are on.", "tier", self._on(plan))
+        fallback = {solve.get("fallback") or "none": 1.0}
+        words = "What decided the last step in the controller's place."
+        yield _by("vppres_fallback_info", words, "kind", fallback)
         refused = sum(one["reason"].startswith(DEFAULT) for one in plan["setpoints"])
-        yield GaugeMetricFamily(
-            "vppres_default_set_points", "Set-points that are a default.", refused
-        )
-        if plan["solve"] is not None and plan["solve"]["relative_gap"] is not None:
-            gap = plan["solve"]["relative_gap"]
+        words = "Set-points that are a default."
+        yield GaugeMetricFamily("vppres_default_set_points", words, refused)
+        if solve.get("relative_gap") is not None:
+            gap = solve["relative_gap"]
             yield GaugeMetricFamily("vppres_solve_gap_ratio", "Gap of the last solve.", gap)
         if plan["expected"] is not None:
             yield from _expected(plan)
 
-    def _customers(self, plan: Mapping[str, Any]) -> Metric:
-        """Who is on."""
+    def _on(self, plan: Mapping[str, Any]) -> dict[str, float]:
+        """Customers of each tier that are on."""
         customers = self.runner.scenario.customers
-        tiers = {
-            str(name): str(tier) for name, tier in zip(customers.id, customers.tier, strict=True)
-        }
-        on = dict.fromkeys(self.runner.scenario.tiers, 0)
+        tiers = dict(zip(map(str, customers.id), map(str, customers.tier), strict=True))
+        on = dict.fromkeys(self.runner.scenario.tiers, 0.0)
         for one in plan["setpoints"]:
             if one["kind"] == "customers":
                 on[tiers[one["asset"]]] += one["served"]
-        served = GaugeMetricFamily(
-            "vppres_served_customers", "Customers that are on.", labels=["tier"]
-        )
-        for tier, count in on.items():
-            served.add_metric([tier], count)
-        return served
+        return on
 
-    def _fallbacks(self, plan: Mapping[str, Any]) -> Metric:
-        """Which fallback decided."""
-        kind = (plan["solve"] or {}).get("fallback") or "none"
-        fallback = GaugeMetricFamily(
-            "vppres_fallback_info",
-            "What decided the last step in the controller's place.",
-            labels=["kind"],
-        )
-        fallback.add_metric([kind], 1.0)
-        return fallback
+
+def _by(
+    name: str, words: str, label: str, values: Mapping[str, float], kind: Any = GaugeMetricFamily
+) -> Metric:
+    """A figure for each value of a label."""
+    found = kind(name, words, labels=[label])
+    for each, value in values.items():
+        found.add_metric([each], value)
+    return found
 
 
 def _expected(plan: Mapping[str, Any]) -> Iterator[Metric]:
     """What the last plan expects of its step."""
     expected = plan["expected"]
-    soc = GaugeMetricFamily(
-        "vppres_battery_soc_ratio", "Expected at the end of the step.", labels=["asset"]
-    )
-    for asset, value in expected["soc"].items():
-        soc.add_metric([asset], _known(value))
-    yield soc
+    soc = {asset: _known(value) for asset, value in expected["soc"].items()}
+    yield _by("vppres_battery_soc_ratio", "Expected at the end of the step.", "asset", soc)
     limit_kw = expected["grid_limit_kw"]
+    limit_w = np.inf if limit_kw is None else W_PER_KW * limit_kw
+    likely = (plan.get("outage_probability") or [None])[0]
     for name, words, value in (
         ("vppres_import_watts", "Expected import.", W_PER_KW * _known(expected["import_kw"])),
-        (
-            "vppres_import_limit_watts",
-            "Import limit; infinite if there is none.",
-            np.inf if limit_kw is None else W_PER_KW * limit_kw,
-        ),
+        ("vppres_import_limit_watts", "Import limit; infinite if there is none.", limit_w),
         (
             "vppres_voltage_min_ratio",
             "Lowest voltage, of the nominal.",
@@ -161,13 +126,9 @@ def _expected(plan: Mapping[str, Any]) -> Iterator[Metric]:
             _known(expected["v_max_pu"]),
         ),
         ("vppres_grid_available", "Whether there is grid.", float(limit_kw != 0.0)),
-        (
-            "vppres_outage_probability_ratio",
-            "Of an outage in the present step.",
-            _known((plan.get("outage_probability") or [None])[0]),
-        ),
+        ("vppres_outage_probability_ratio", "Of an outage in the present step.", _known(likely)),
     ):
-        yield GaugeMetricFamily(name, words, value)  # fmt: skip
+        yield GaugeMetricFamily(name, words, value)
 
 
 def _known(value: float | None) -> float:

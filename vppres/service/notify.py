@@ -46,12 +46,7 @@ class Target:
 
 
 def target_of(text: str) -> Target:
-    """A target from its address.
-
-    Parameters
-    ----------
-    text : str
-        ``https://HOST/PATH`` for a webhook, ``smtp://USER@HOST:PORT/TO?from=FROM`` for mail.
+    """A target: ``https://HOST/PATH`` or, for mail, ``smtp://USER@HOST:PORT/TO?from=FROM``.
 
     Raises
     ------

@@ -55,20 +55,10 @@ class Written:
 
 @dataclass(frozen=True)
 class Event:
-    """A version of an event.
+    """A version of an event: number from 1, body, empty if withdrawn, and when it was written.
 
-    Parameters
-    ----------
-    version : int
-        Its number, from 1.
-    body : dict
-        What it says; empty where it was withdrawn.
-    made_at : int
-        When it was written.
-    since : int
-        When the first version was, after it was withdrawn last.
-    new : bool
-        Whether no version held before it; of one that was just written.
+    ``since`` is when the first version was, after it was withdrawn last; of one that was just
+    written it is ``new`` if none held before it.
     """
 
     version: int

@@ -159,14 +159,7 @@ class Runner:
         self._thread.shutdown()
 
     def step(self, time: pd.Timestamp | None = None, actor: str | None = None) -> dict[str, Any]:
-        """The plan of a step: the stored one, or a new one.
-
-        Parameters
-        ----------
-        time : pandas.Timestamp, optional
-            Its beginning; that of the present step if not given.
-        actor : str, optional
-            Who asks, for the audit; none where the clock does.
+        """The plan of a step, the present one if not given: the stored one, or a new one.
 
         Raises
         ------

@@ -123,17 +123,7 @@ def _no_password() -> str:
 
 @contextmanager
 def opened(service: Service, folder: Path | str, clock: Clock | None = None) -> Iterator[Runner]:
-    """A runner with its store, closed in the end.
-
-    Parameters
-    ----------
-    service : Service
-        What is served.
-    folder : Path or str
-        Where its state is: a folder, or the address of a PostgreSQL database.
-    clock : Clock, optional
-        The machine's, or the scenario's in a rehearsal, if not given.
-    """
+    """A runner with its store, a folder or a PostgreSQL address, closed in the end."""
     if clock is None:
         played = service.rehearsal or service.paced
         clock = SetClock(service.scenario.grid.start) if played else SystemClock()
@@ -184,19 +174,6 @@ def serve(
     notify: Sequence[str] = (),
 ) -> None:
     """Serve until SIGINT or SIGTERM.
-
-    Parameters
-    ----------
-    service : Service
-        What is served.
-    folder : Path or str
-        Where its state is: a folder, or the address of a PostgreSQL database.
-    address : Address
-        Where it listens.
-    told : callable
-        Gets a line about what begins.
-    notify : sequence of str, optional
-        Addresses of webhooks and for mail, which get alarms.
 
     Raises
     ------

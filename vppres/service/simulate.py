@@ -305,20 +305,7 @@ def simulate(
 ) -> dict[str, Any]:
     """Play a scenario against a service, and say in numbers what happened.
 
-    Parameters
-    ----------
-    service : Service
-        What is served, where the service is one of its own; how the plant behaves in any case.
-    scenario : Scenario
-        What comes.
-    play : Play
-        How it is played.
-    place : Place
-        Where the service is.
-    told : callable, optional
-        Gets a line with the address to watch.
-    progress : callable, optional
-        Called as ``progress(steps done, steps in all)`` after every step.
+    The service is one of its own where the place has no address.
 
     Returns
     -------

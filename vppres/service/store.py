@@ -79,16 +79,7 @@ COUNTED = {"preserve_rowcount": True}
 
 
 class Store:
-    """The database of one site.
-
-    Parameters
-    ----------
-    place : Path or str
-        A folder, made if it is not there, or the address of a PostgreSQL database.
-    site : str
-        Key of the site, to which the database belongs.
-    reading : bool, optional
-        Whether it is only read, beside the process that serves from it.
+    """The database of one site, which belongs to that site alone.
 
     Raises
     ------
@@ -111,14 +102,11 @@ class Store:
             with _plain_errors():
                 TABLES.create_all(self._engine)
         self._belongs_to(site, reading)
-        if not reading:
-            self._count_older_steps()
         self._items = self._known_items()
 
     def _known_items(self) -> set[tuple[str, str]]:
         """Assets and quantities that were ever received."""
-        with self._reads() as db:
-            return {(row.asset, row.quantity) for row in db.execute(sa.select(HEARD_OF))}
+        return {(row.asset, row.quantity) for row in self._rows(sa.select(HEARD_OF))}
 
     @property
     def place(self) -> str:
@@ -179,13 +167,11 @@ class Store:
         return self._readings(BETWEEN, named)
 
     def _readings(self, chosen: Any, named: Mapping[str, Any]) -> list[Reading]:
-        with self._reads() as db:
-            return list(starmap(Reading, db.execute(chosen, named)))
+        return list(starmap(Reading, self._rows(chosen, named)))
 
     def contacts(self) -> dict[str, int]:
         """When each source was last heard from."""
-        with self._reads() as db:
-            return {row.source: row.last_contact for row in db.execute(sa.select(CONTACTS))}
+        return {row.source: row.last_contact for row in self._rows(sa.select(CONTACTS))}
 
     # Events and forecasts
 
@@ -196,18 +182,9 @@ class Store:
         actor: str,
         replacing: int | None = None,
     ) -> dict[str, Event]:
-        """Keep versions of events, all or none of them; these versions.
+        """Keep versions of events, all or none of them; these versions. A body of None withdraws.
 
-        Parameters
-        ----------
-        bodies : mapping
-            What each says; None withdraws it.
-        now : pandas.Timestamp
-            When it is said.
-        actor : str
-            Who says it.
-        replacing : int, optional
-            The version that is to be replaced, whichever it is if not given.
+        If it is given, ``replacing`` is the version that each still must have.
 
         Raises
         ------
@@ -239,10 +216,8 @@ class Store:
 
     def _events_stored(self) -> dict[str, list[Event]]:
         chosen = sa.select(EVENTS).order_by(EVENTS.c.id, EVENTS.c.version)
-        with self._reads() as db:
-            rows = db.execute(chosen).all()
         found: dict[str, list[Event]] = {}
-        for row in rows:
+        for row in self._rows(chosen):
             earlier = found.setdefault(row.id, [])
             goes_on = earlier and earlier[-1].body
             since = earlier[-1].since if goes_on else row.made_at
@@ -262,10 +237,7 @@ class Store:
 
     def forecast(self, quantity: str, now: pd.Timestamp) -> dict[str, Any] | None:
         """The forecast that was issued last, up to now."""
-        with self._reads() as db:
-            text = db.execute(FORECAST, {"quantity": quantity, "now": seconds(now)}).scalar()
-        found: dict[str, Any] | None = None if text is None else json.loads(text)
-        return found
+        return self._body(FORECAST, {"quantity": quantity, "now": seconds(now)})
 
     # Steps
 
@@ -297,52 +269,34 @@ class Store:
 
     def step(self, time: pd.Timestamp) -> dict[str, Any] | None:
         """The plan of a step, None if it is none of ours."""
-        chosen = sa.select(STEPS.c.plan).where(STEPS.c.time == seconds(time))
-        return self._plan(chosen)
+        return self._body(sa.select(STEPS.c.plan).where(STEPS.c.time == seconds(time)))
 
     def last_step(self, until: pd.Timestamp | None = None) -> dict[str, Any] | None:
         """The plan of the last step, or of the last one up to a time."""
         chosen = sa.select(STEPS.c.plan).order_by(STEPS.c.time.desc()).limit(1)
         if until is not None:
             chosen = chosen.where(STEPS.c.time <= seconds(until))
-        return self._plan(chosen)
+        return self._body(chosen)
 
     def plans(self, since: pd.Timestamp, until: pd.Timestamp | None = None) -> list[dict[str, Any]]:
         """The plans of the steps that begin from a time on, and before another one."""
         chosen = sa.select(STEPS.c.plan).where(STEPS.c.time >= seconds(since))
         if until is not None:
             chosen = chosen.where(STEPS.c.time < seconds(until))
-        with self._reads() as db:
-            return [json.loads(text) for (text,) in db.execute(chosen.order_by(STEPS.c.time))]
+        return [json.loads(text) for (text,) in self._rows(chosen.order_by(STEPS.c.time))]
 
-    def _plan(self, chosen: Any) -> dict[str, Any] | None:
-        with self._reads() as db:
-            text = db.execute(chosen).scalar()
-        plan: dict[str, Any] | None = None if text is None else json.loads(text)
-        return plan
+    def _body(self, chosen: Any, named: Mapping[str, Any] | None = None) -> dict[str, Any] | None:
+        """What was kept as JSON; None if there is no such row."""
+        return next((json.loads(text) for (text,) in self._rows(chosen, named)), None)
 
     def outcomes(self) -> dict[str, int]:
         """How many steps there were of each outcome, those included that are forgotten."""
-        with self._reads() as db:
-            return {row.outcome: row.steps for row in db.execute(sa.select(OUTCOMES))}
-
-    def _count_older_steps(self) -> None:
-        """Count the steps of a database from before there was a table for it."""
-        by_outcome = sa.select(STEPS.c.outcome, sa.func.count()).group_by(STEPS.c.outcome)
-        with self._reads() as db:
-            if db.execute(sa.select(OUTCOMES).limit(1)).first() is not None:
-                return
-            found = db.execute(by_outcome).all()
-        if found:
-            with self._changes() as db:
-                for outcome, count in found:
-                    count_steps(db, outcome, count)
+        return {row.outcome: row.steps for row in self._rows(sa.select(OUTCOMES))}
 
     def states(self) -> list[str]:
         """The controller's states that are kept, the last one first, as they were written."""
         chosen = sa.select(STATES.c.state).order_by(STATES.c.time.desc())
-        with self._reads() as db:
-            return list(db.execute(chosen).scalars())
+        return [text for (text,) in self._rows(chosen)]
 
     def withdraw(self, since: pd.Timestamp, now: pd.Timestamp, reason: str) -> None:
         """Take back the steps from a time on, with all that came of them."""
@@ -361,11 +315,10 @@ class Store:
         """What was measured in the steps from a time on."""
         m = MEASURED.c
         chosen = sa.select(MEASURED).where(m.time >= seconds(since)).order_by(m.time)
-        with self._reads() as db:
-            return [
-                Measured(row.time, json.loads(row.load_kw), json.loads(row.pv_kw))
-                for row in db.execute(chosen)
-            ]
+        return [
+            Measured(row.time, json.loads(row.load_kw), json.loads(row.pv_kw))
+            for row in self._rows(chosen)
+        ]
 
     def step_of_key(self, key: str, time: pd.Timestamp) -> pd.Timestamp:
         """The step that was asked for with a key: the first one, whatever is asked for now."""
@@ -422,23 +375,20 @@ class Store:
 
     def lost(self) -> dict[str, Lost]:
         """Customers whose device did not switch them on when it was last told to."""
-        with self._reads() as db:
-            return {row.asset: Lost(row.at, row.reason) for row in db.execute(sa.select(LOST))}
+        return {row.asset: Lost(row.at, row.reason) for row in self._rows(sa.select(LOST))}
 
     def acks(self, setpoints: Iterable[str]) -> dict[str, dict[str, Any]]:
         """What was said last of each set-point of which anything was."""
         a = ACKS.c
         chosen = sa.select(ACKS).where(a.setpoint.in_(list(setpoints))).order_by(a.number)
-        with self._reads() as db:
-            return {
-                row.setpoint: {"status": row.status, "value": row.value, "reason": row.reason}
-                for row in db.execute(chosen)
-            }
+        return {
+            row.setpoint: {"status": row.status, "value": row.value, "reason": row.reason}
+            for row in self._rows(chosen)
+        }
 
     def refusing(self, kind: str) -> dict[str, int]:
         """Devices of a kind that did not follow their last set-points, and since when."""
-        with self._reads() as db:
-            return {row.asset: row.at for row in db.execute(REFUSING, {"kind": kind})}
+        return {row.asset: row.at for row in self._rows(REFUSING, {"kind": kind})}
 
     # Alarms
 
@@ -490,8 +440,7 @@ class Store:
         return found[0] if found else None
 
     def _alarms(self, chosen: Any) -> list[AlarmRow]:
-        with self._reads() as db:
-            return [alarm_of(row) for row in db.execute(chosen)]
+        return [alarm_of(row) for row in self._rows(chosen)]
 
     # Settings, people
 
@@ -518,8 +467,7 @@ class Store:
     def setting(self, key: str) -> tuple[Any, str]:
         """A setting, None if there is none, and its tag."""
         chosen = sa.select(META.c.value).where(META.c.key == f"setting.{key}")
-        with self._reads() as db:
-            text = db.execute(chosen).scalar()
+        text = next((row.value for row in self._rows(chosen)), None)
         return (None if text is None else json.loads(text)), tag_of(text)
 
     def add_token(self, token: Token, now: pd.Timestamp) -> None:
@@ -538,21 +486,18 @@ class Store:
 
     def tokens(self) -> list[Token]:
         """All tokens."""
-        with self._reads() as db:
-            rows = db.execute(sa.select(TOKENS).order_by(TOKENS.c.name)).all()
-        return [Token(row.name, row.sha256, row.scopes, row.expires) for row in rows]
+        chosen = sa.select(TOKENS).order_by(TOKENS.c.name)
+        return [Token(row.name, row.sha256, row.scopes, row.expires) for row in self._rows(chosen)]
 
     def audit(self) -> list[tuple[str, str, str]]:
         """Who did what, in order: actor, action, detail."""
-        with self._reads() as db:
-            rows = db.execute(sa.select(AUDIT).order_by(AUDIT.c.number)).all()
-        return [(row.actor, row.action, row.detail) for row in rows]
+        chosen = sa.select(AUDIT).order_by(AUDIT.c.number)
+        return [(row.actor, row.action, row.detail) for row in self._rows(chosen)]
 
     def _belongs_to(self, site: str, reading: bool) -> None:
         """Refuse the database of another site or layout; a new one is this site's."""
         wanted = {"layout": LAYOUT, "site": site}
-        with self._reads() as db:
-            known = {row.key: row.value for row in db.execute(sa.select(META))}
+        known = {row.key: row.value for row in self._rows(sa.select(META))}
         missing = {key: value for key, value in wanted.items() if key not in known}
         if missing and not reading:
             with self._changes() as db:
@@ -586,10 +531,9 @@ class Store:
         self._takes = True
         self.changes += not routine
 
-    @contextmanager
-    def _reads(self) -> Iterator[sa.Connection]:
+    def _rows(self, chosen: Any, named: Mapping[str, Any] | None = None) -> list[Any]:
         with _plain_errors(), self._engine.connect() as db:
-            yield db
+            return list(db.execute(chosen, named))
 
 
 @contextmanager

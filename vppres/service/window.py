@@ -25,17 +25,7 @@ CAUTIOUS = {"load_kw": "p90", "pv_kw": "p10"}
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """The steps that a decision looks at.
-
-    Parameters
-    ----------
-    times : DatetimeIndex, length W
-        Their beginnings.
-    length : Timedelta
-        Of each.
-    series : dict of str to array, shape (W, ...)
-        What the profile says of them.
-    """
+    """The steps that a decision looks at."""
 
     times: pd.DatetimeIndex
     length: pd.Timedelta
