@@ -107,10 +107,12 @@ def test_perfect_information_is_the_best(tiny: Scenario) -> None:
     [
         (
             {"soc": 1.2},
-            "options, reserve_soc = 1.2: must lie between 0 and 1. Give a share of the "
-            "capacity, for example 0.8.",
+            "options, reserve.soc = 1.2: must lie between 0 and 1. Give a share, for example 0.8.",
         ),
-        ({"notice_h": -1.0}, "options, notice_h = -1.0: must be zero or positive. Give hours."),
+        (
+            {"notice_h": -1.0},
+            "options, reserve.notice_h = -1.0: must be zero or positive. Give hours.",
+        ),
     ],
 )
 def test_wrong_reserve_is_named(rule: dict[str, float], text: str) -> None:

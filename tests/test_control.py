@@ -400,18 +400,17 @@ def test_time_may_be_text_and_never_goes_back(tiny: Scenario) -> None:
 @pytest.mark.parametrize(
     ("given", "text"),
     [
-        ({"gap_rel": 0.0}, "gap_rel = 0.0: must be a finite number above 0. Give a share"),
-        (
-            {"gap_abs": float("nan")},
-            "gap_abs = nan: must be a finite number above 0. Give weighted",
-        ),
-        ({"time_s": float("inf")}, "time_s = inf: must be a finite number above 0. Give seconds"),
-        ({"time_s": "long"}, "time_s = long: must be a finite number above 0. Give seconds"),
-        ({"time_s": True}, "time_s = True: must be a finite number above 0. Give seconds"),
+        ({"gap_rel": 0.0}, "gap_rel = 0.0"),
+        ({"gap_abs": float("nan")}, "gap_abs = nan"),
+        ({"time_s": float("inf")}, "time_s = inf"),
+        ({"time_s": "long"}, "time_s = long"),
+        ({"time_s": True}, "time_s = True"),
     ],
 )
 def test_limits_of_a_solve_are_checked(given: dict[str, Any], text: str) -> None:
-    with pytest.raises(InputError, match=f"^limits, {text}"):
+    with pytest.raises(
+        InputError, match=f"^options, limits.{text}: must be positive. Give a number above 0.$"
+    ):
         SolveLimits(**given)
 
 

@@ -175,11 +175,11 @@ def test_wrong_errors_are_all_named() -> None:
     with pytest.raises(InputError) as caught:
         ForecastErrors(load_bias=-1.5, load_alpha_per_h=-0.1, pv_bias=np.nan)
     assert str(caught.value).splitlines() == [
-        "forecast errors, load_bias = -1.5: must be a number not below -1. Give a share, for "
+        "options, errors.load_bias = -1.5: must be a number not below -1. Give a share, for "
         "example 0.05.",
-        "forecast errors, load_alpha_per_h = -0.1: must be a number not below 0. Give a share, for "
+        "options, errors.load_alpha_per_h = -0.1: must be a number not below 0. Give a share, for "
         "example 0.05.",
-        "forecast errors, pv_bias = nan: must be a number not below -1. Give a share, for example "
+        "options, errors.pv_bias = nan: must be a number not below -1. Give a share, for example "
         "0.05.",
     ]
 

@@ -515,12 +515,11 @@ def test_values_out_of_range_are_named() -> None:
     with pytest.raises(InputError) as error:
         SwitchingRules(min_served_h=-1.0, cold_load_factor=0.5, max_actions_per_customer=-1)
     assert str(error.value).splitlines() == [
-        "switching rules, min_served_h = -1.0: must be zero or positive. Give hours, for example "
-        "2.",
-        "switching rules, cold_load_factor = 0.5: must be at least 1. Give a factor, for example "
+        "options, switching.min_served_h = -1.0: must be zero or positive. Give hours.",
+        "options, switching.max_actions_per_customer = -1: must not be negative. Give a whole "
+        "number from zero.",
+        "options, switching.cold_load_factor = 0.5: must be at least 1. Give a factor, for example "
         "1.5.",
-        "switching rules, max_actions_per_customer = -1: must not be negative. Give a whole "
-        "number, for example 2.",
     ]
 
 

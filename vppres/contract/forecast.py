@@ -7,14 +7,15 @@ availability and temperature are known perfectly, as in the paper.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from vppres.contract.export import Export
 from vppres.core.arrays import Floats, Wholes, freeze_arrays
-from vppres.core.errors import InputError, Problem
+from vppres.core.errors import InputError
+from vppres.scenario.option_table import check_group
 from vppres.scenario.scenario import Scenario
 
 Kind = Literal["load", "pv"]
@@ -41,22 +42,7 @@ class ForecastErrors:
     pv_alpha_per_h: float = 0.0
 
     def __post_init__(self) -> None:
-        problems = []
-        for name in (f.name for f in fields(self)):
-            value = getattr(self, name)
-            lowest = -1.0 if name.endswith("bias") else 0.0
-            if not (np.isfinite(value) and value >= lowest):
-                problems.append(
-                    Problem(
-                        "forecast errors",
-                        f"must be a number not below {lowest:g}",
-                        "Give a share, for example 0.05.",
-                        field=name,
-                        value=value,
-                    )
-                )
-        if problems:
-            raise InputError(problems)
+        check_group("errors", self)
 
 
 @dataclass(frozen=True, eq=False)

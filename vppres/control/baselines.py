@@ -16,9 +16,9 @@ from vppres.contract.operating_point import Centre
 from vppres.control.rules import Carried, rule_dispatch
 from vppres.control.step_state import StepState
 from vppres.core.arrays import Floats
-from vppres.core.errors import InputError, Problem
 from vppres.model.formulas import charge_to_kw
 from vppres.model.site import Site
+from vppres.scenario.option_table import check_group
 from vppres.scenario.timegrid import TimeGrid
 
 
@@ -66,29 +66,7 @@ class ReserveRule:
     notice_h: float = 6.0
 
     def __post_init__(self) -> None:
-        problems = []
-        if self.soc is not None and not 0.0 <= self.soc <= 1.0:
-            problems.append(
-                Problem(
-                    "options",
-                    "must lie between 0 and 1",
-                    "Give a share of the capacity, for example 0.8.",
-                    field="reserve_soc",
-                    value=self.soc,
-                )
-            )
-        if not (np.isfinite(self.notice_h) and self.notice_h >= 0):
-            problems.append(
-                Problem(
-                    "options",
-                    "must be zero or positive",
-                    "Give hours.",
-                    field="notice_h",
-                    value=self.notice_h,
-                )
-            )
-        if problems:
-            raise InputError(problems)
+        check_group("reserve", self)
 
 
 class ReserveController:

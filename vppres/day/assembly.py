@@ -21,15 +21,10 @@ from vppres.control.mpc import MPCController
 from vppres.control.phased import PhasedPlanner
 from vppres.control.planner import Planner
 from vppres.control.rotation import Rotating
-from vppres.core.errors import InputError
-from vppres.day.dimmed import check_dimmed
+from vppres.day.checks import check_run
 from vppres.day.faults import FaultInjector, FaultySolver
-from vppres.day.kind_prices import check_fuel, check_prices
-from vppres.day.kinds import check_kinds
 from vppres.day.options import RunOptions
-from vppres.day.outages import check_outages
 from vppres.day.own import ByStepWeights, Own
-from vppres.day.phased import check_phased
 from vppres.day.priority import site_of, weighed
 from vppres.model.site import Site
 from vppres.scenario.fairness import Fairness, hours_off
@@ -69,17 +64,11 @@ def make_controller(
     Raises
     ------
     InputError
-        If it has no use for what the options say of outages.
+        If its plans cannot hold what options or scenario say.
     """
     grid = grid or scenario.grid
     options = options.on(scenario)
-    check_dimmed(scenario, options)
-    check_phased(scenario, options)
-    check_kinds(scenario, options)
-    check_horizon(options, grid)
-    check_prices(scenario, options.horizon_h, options.seed)
-    check_fuel(scenario)
-    check_outages(str(options.outages), options.controller)
+    check_run(scenario, options, grid)
     site = site_of(scenario, options.as_record())
     make = make_solver or _solver_maker(options)
 
@@ -107,46 +96,10 @@ def make_controller(
     if own is not None and own.weights is not None:
         return ByStepWeights(controllers(), own, scenario.customers.weight)
     if options.shares_supply:
-        check_fairness(options.controller)
         rules = Fairness(**{f.name: getattr(options, f.name) for f in fields(Fairness)})
         off_h = hours_off(scenario.interruptions, scenario.customers.id)
         return Rotating(controllers(), scenario, rules, off_h)
     return decider_of(site)
-
-
-def check_horizon(options: RunOptions, grid: TimeGrid) -> None:
-    """Refuse a horizon of the MPC that ends within the present step, which reads like more.
-
-    Raises
-    ------
-    InputError
-        If it is neither 0 nor a step at least.
-    """
-    if options.controller == "mpc" and 0.0 < options.horizon_h < grid.dt_h:
-        raise InputError.of(
-            "options",
-            f"is shorter than a step of {grid.dt_h:g} h",
-            f"Give {grid.dt_h:g} or more, or 0 for the present step alone.",
-            field="horizon_h",
-            value=options.horizon_h,
-        )
-
-
-def check_fairness(controller: str) -> None:
-    """Refuse a controller that does not plan anew in each step.
-
-    Raises
-    ------
-    InputError
-        For any but mpc.
-    """
-    if controller != "mpc":
-        raise InputError.of(
-            "options",
-            "share supply within tiers, which is for the controller mpc",
-            "Leave them at 0, or use the controller mpc.",
-            field="rotation and minimum_on_h",
-        )
 
 
 def _guard_options(scenario: Scenario, options: RunOptions) -> GuardOptions:

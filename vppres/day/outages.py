@@ -19,9 +19,7 @@ from vppres.contract.observation import Observation
 from vppres.contract.stored_value import StoredValue
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
-from vppres.core.errors import InputError
 from vppres.day.forecasting import Forecasts
-from vppres.day.options import PERFECT
 from vppres.day.priority import site_of
 from vppres.model.site import Site
 from vppres.outlook.belief import OutageBelief
@@ -354,29 +352,6 @@ def believed_outages(scenario: Scenario, options: Mapping[str, Any]) -> Floats:
         ahead = min(most, T - t)
         found[t, t : t + ahead] = view.outlook.at(now, ahead, seen.outages).out_probability
     return found
-
-
-def check_outages(kind: str, controller: str) -> None:
-    """Refuse what a controller has no use for.
-
-    Raises
-    ------
-    InputError
-        For beliefs where no window of one step is solved, and perfect information that is none.
-    """
-    if controller == PERFECT and kind != KNOWN:
-        cure = "Use the controller full-horizon, or known outages."
-    elif controller != "mpc" and kind == BELIEF:
-        cure = "Use the controller mpc, or likely outages."
-    else:
-        return
-    raise InputError.of(
-        "options",
-        f"has no meaning for the controller {controller}",
-        cure,
-        field="outages",
-        value=kind,
-    )
 
 
 def _told(

@@ -21,10 +21,10 @@ from vppres.contract.switching import SwitchingState
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
 from vppres.day.assembly import make_controller
+from vppres.day.checks import check_parts
 from vppres.day.faults import FaultInjector, FaultPlan
 from vppres.day.forecasting import Forecasts, MeasuredForecasts, basis_of, forecasts_of
 from vppres.day.kind_tables import records_of
-from vppres.day.kinds import check_parts
 from vppres.day.options import PERFECT, RunOptions
 from vppres.day.outages import BELIEF, LIKELY, GridSeen, OutageView
 from vppres.day.own import Own

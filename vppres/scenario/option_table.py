@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from math import inf, isfinite
 from typing import Any
 
-from vppres.core.errors import Problem
+from vppres.core.errors import InputError, Problem
 from vppres.core.tables import packaged_table
 
 Value = str | float | int | bool
@@ -46,8 +46,10 @@ class Range:
     open_least: bool = False
     open_most: bool = False
 
-    def holds(self, value: float) -> bool:
+    def holds(self, value: Any) -> bool:
         """Whether a number is in the range."""
+        if isinstance(value, bool | str):
+            return False
         above = self.least < value if self.open_least else self.least <= value
         below = value < self.most if self.open_most else value <= self.most
         return isfinite(value) and above and below
@@ -162,11 +164,6 @@ class Option:
         """Default of its field in ``RunOptions``; None where the scenario decides."""
         return None if self.follows_scenario else self.default
 
-    @property
-    def label(self) -> str:
-        """Name in messages: the field, or the option where the field is inside a group."""
-        return self.name if "." in self.field else self.field
-
     def problems(self, value: Any) -> Iterator[Problem]:
         """What is wrong with a value; nothing is wrong with None where it has a meaning."""
         if value is None and self.run_default is None:
@@ -176,12 +173,12 @@ class Option:
                 "options",
                 "is not known",
                 f"Use one of: {', '.join(self.choices)}.",
-                field=self.label,
+                field=self.field,
                 value=value,
             )
         elif self.range is not None and not self.range.holds(value):
             yield Problem(
-                "options", self.range.message, self.range.cure, field=self.label, value=value
+                "options", self.range.message, self.range.cure, field=self.field, value=value
             )
 
 
@@ -226,6 +223,25 @@ def default_of(field: str) -> Any:
     5.0
     """
     return _BY_FIELD[field].default
+
+
+def check_group(group: str, values: object) -> None:
+    """Refuse values of a group of ``RunOptions`` that are out of their range.
+
+    Raises
+    ------
+    InputError
+        With every value that is.
+    """
+    parted = [(option.field.partition("."), option) for option in OPTIONS]
+    problems = [
+        problem
+        for (name, _, field), option in parted
+        if name == group and field
+        for problem in option.problems(getattr(values, field))
+    ]
+    if problems:
+        raise InputError(problems)
 
 
 def section_options(section: str) -> dict[str, Option]:

@@ -3,17 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from math import ceil, isfinite
+from math import ceil
 
-from vppres.core.errors import InputError, Problem
-
-HOURS_OF = {
-    "min_served_h": "hours",
-    "min_unserved_h": "hours",
-    "cold_load_h": "hours",
-    "price_per_action": "weighted customer hours",
-    "move_weight": "kW",
-}
+from vppres.scenario.option_table import check_group
 
 
 @dataclass(frozen=True)
@@ -66,37 +58,7 @@ class SwitchingRules:
     move_weight: float = 0.0
 
     def __post_init__(self) -> None:
-        problems = [
-            _problem(
-                name,
-                getattr(self, name),
-                "must be zero or positive",
-                f"Give {unit}, for example 2.",
-            )
-            for name, unit in HOURS_OF.items()
-            if not (isfinite(getattr(self, name)) and getattr(self, name) >= 0)
-        ]
-        if not (isfinite(self.cold_load_factor) and self.cold_load_factor >= 1):
-            problems.append(
-                _problem(
-                    "cold_load_factor",
-                    self.cold_load_factor,
-                    "must be at least 1",
-                    "Give a factor, for example 1.5.",
-                )
-            )
-        most = self.max_actions_per_customer
-        if most is not None and most < 0:
-            problems.append(
-                _problem(
-                    "max_actions_per_customer",
-                    most,
-                    "must not be negative",
-                    "Give a whole number, for example 2.",
-                )
-            )
-        if problems:
-            raise InputError(problems)
+        check_group("switching", self)
 
     @property
     def active(self) -> bool:
@@ -112,7 +74,3 @@ class SwitchingRules:
     def steps(hours: float, dt_h: float) -> int:
         """Whole steps that a time takes, rounded up."""
         return max(ceil(hours / dt_h - 1e-9), 0)
-
-
-def _problem(field: str, value: object, message: str, cure: str) -> Problem:
-    return Problem("switching rules", message, cure, field=field, value=value)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import enum
 from dataclasses import dataclass, replace
-from numbers import Real
 
 import numpy as np
 
@@ -12,14 +11,13 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Floats
 from vppres.core.errors import (
     InfeasibleError,
-    InputError,
     LimitError,
     NumericalError,
-    Problem,
     SolveError,
     UnboundedError,
 )
 from vppres.model.terms import Terms
+from vppres.scenario.option_table import check_group
 from vppres.solve.deadline import LEAST_S
 
 
@@ -113,22 +111,7 @@ class SolveLimits:
     time_s: float = 60.0
 
     def __post_init__(self) -> None:
-        problems = []
-        for name, cure in (
-            ("gap_rel", "Give a share, for example 1e-4."),
-            ("gap_abs", "Give weighted customer hours, for example 5e-3."),
-            ("time_s", "Give seconds, for example 60."),
-        ):
-            value = getattr(self, name)
-            number = isinstance(value, Real) and not isinstance(value, bool)
-            if not (number and 0.0 < value < np.inf):
-                problems.append(
-                    Problem(
-                        "limits", "must be a finite number above 0", cure, field=name, value=value
-                    )
-                )
-        if problems:
-            raise InputError(problems)
+        check_group("limits", self)
 
     def within(self, share: float) -> SolveLimits:
         """The same gaps in a share of the time."""

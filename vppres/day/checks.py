@@ -1,0 +1,153 @@
+"""What a run refuses: options, columns and kinds of assets that its plans do not state."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from vppres.core.errors import InputError, Problem
+from vppres.day.kind_prices import check_fuel, check_prices
+from vppres.day.options import PERFECT, RunOptions
+from vppres.day.outages import BELIEF, KNOWN
+from vppres.scenario.gensets import Gensets
+from vppres.scenario.kinds import KINDS, units_of
+from vppres.scenario.scenario import HARD, Scenario
+from vppres.scenario.timegrid import TimeGrid
+from vppres.scenario.vehicles import Chargers
+
+MPC = "mpc"
+DECOMPOSED = "decomposed"
+NOT_STATED = "is not stated for feeders with phases"
+BALANCED = "remove the folder's phase_*.csv for its balanced equivalent"
+
+
+def check_run(scenario: Scenario, options: RunOptions, grid: TimeGrid) -> None:
+    """Refuse what the plans of a run cannot hold.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The site and its day.
+    options : RunOptions
+        Those of the run, with the scenario's where they left it the choice.
+    grid : TimeGrid
+        Its steps.
+
+    Raises
+    ------
+    InputError
+        With every option, column and kind of asset that has no meaning there, and the cure.
+    """
+    problems = [*_phased(scenario, options)] or [
+        *_cold(scenario, options),
+        *_controller(scenario, options, grid),
+    ]
+    if problems:
+        raise InputError(problems)
+    check_prices(scenario, options.horizon_h, options.seed)
+    check_fuel(scenario)
+
+
+def _cold(scenario: Scenario, options: RunOptions) -> Iterator[Problem]:
+    """A higher demand after restorations, of what is dimmed or has a temperature."""
+    field, value = "cold_load_factor", options.switching.cold_load_factor
+    if options.switching.cold and scenario.customers.dimmable.any():
+        # Which of the two comes first is not said.
+        message = "is not stated for customers that may be dimmed"
+        cure = "Use 1, or leave the column share_min of customers.csv out."
+        yield Problem("options", message, cure, field=field, value=value)
+    if options.switching.cold and len(scenario.thermal_loads):
+        message = "counts what thermal loads draw after an outage twice"
+        cure = "Use 1: what restored customers draw follows from their temperatures."
+        yield Problem("options", message, cure, field=field, value=value)
+
+
+def _controller(scenario: Scenario, options: RunOptions, grid: TimeGrid) -> Iterator[Problem]:
+    """What only the MPC plans, a horizon that ends within its step, and outages without a use."""
+    name, outages = options.controller, str(options.outages)
+    if name != MPC:
+        for kind in [KINDS[one] for one in units_of(scenario)][:1]:
+            cure = f"Use {MPC}, or remove {kind.file}."
+            yield Problem("options", f"plans no {kind.what}", cure, field="controller", value=name)
+        if options.shares_supply:
+            message = "share supply within tiers, which is for the controller mpc"
+            cure = "Leave them at 0, or use the controller mpc."
+            yield Problem("options", message, cure, field="rotation and minimum_on_h")
+    elif 0.0 < options.horizon_h < grid.dt_h:
+        message = f"is shorter than a step of {grid.dt_h:g} h"
+        cure = f"Give {grid.dt_h:g} or more, or 0 for the present step alone."
+        yield Problem("options", message, cure, field="horizon_h", value=options.horizon_h)
+    message = f"has no meaning for the controller {name}"
+    if name == PERFECT and outages != KNOWN:
+        cure = "Use the controller full-horizon, or known outages."
+        yield Problem("options", message, cure, field="outages", value=outages)
+    elif name != MPC and outages == BELIEF:
+        cure = "Use the controller mpc, or likely outages."
+        yield Problem("options", message, cure, field="outages", value=outages)
+
+
+def _phased(scenario: Scenario, options: RunOptions) -> Iterator[Problem]:
+    """Options, columns of customers and kinds of assets that a phased feeder has no plan for."""
+    if scenario.phases is None:
+        return
+    for field, value, wrong, cure in (
+        ("mode", options.mode, options.mode != "physical", "physical"),
+        ("controller", options.controller, options.controller != MPC, MPC),
+        ("method", options.method, options.method != DECOMPOSED, DECOMPOSED),
+        ("voltage_limits", options.voltage_limits, options.voltage_limits == HARD, "soft"),
+        ("rotation", options.rotation, bool(options.rotation), "0"),
+        ("minimum_on_h", options.minimum_on_h, bool(options.minimum_on_h), "0"),
+        ("cold_load_factor", options.switching.cold_load_factor, options.switching.cold, "1"),
+    ):
+        if wrong:
+            cure = f"Use {cure}, or {BALANCED}."
+            yield Problem("options", NOT_STATED, cure, field=field, value=value)
+    customers = scenario.customers
+    for name in ("max_off_h", "own_backup_h", "share_min"):
+        values = getattr(customers, name)
+        given = np.flatnonzero(~np.isnan(values))
+        if len(given):
+            yield Problem(
+                "customers.csv",
+                NOT_STATED,
+                f"Leave the column out, or {BALANCED}.",
+                field=f"{name} of {customers.id[given[0]]}",
+                value=values[given[0]],
+                more=len(given) - 1,
+            )
+    for name, units in units_of(scenario).items():
+        yield Problem(
+            KINDS[name].file,
+            NOT_STATED,
+            f"Remove the file, or {BALANCED}.",
+            field="id",
+            value=units.id[0],
+            more=len(units) - 1,
+        )
+
+
+def check_parts(scenario: Scenario) -> None:
+    """Refuse items of a customer that is switched in parts: it is not said with which.
+
+    Raises
+    ------
+    InputError
+        If there is one.
+    """
+    parts = dict(zip(scenario.customers.id, scenario.customers.shed_steps, strict=True))
+    for kind, units in units_of(scenario).items():
+        if isinstance(units, Gensets):
+            continue  # they are of no customer
+        for name, customer in zip(units.id, units.customer, strict=True):
+            if parts.get(customer, 1) > 1:
+                cure = "Give the customer a shed_steps of 1."
+                if isinstance(units, Chargers):
+                    cure = f"Give charger {name} a bus instead, or the customer a shed_steps of 1."
+                raise InputError.of(
+                    KINDS[kind].file,
+                    "is switched in parts (shed_steps)",
+                    cure,
+                    field="customer",
+                    value=customer,
+                )
