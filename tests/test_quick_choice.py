@@ -16,6 +16,7 @@ from tests.support.durations import (
     is_random,
     quick_choice,
     read_durations,
+    unmeasured_choice,
     usual_choice,
     write_durations,
 )
@@ -30,7 +31,21 @@ def test_every_test_is_measured(request: pytest.FixtureRequest) -> None:
 def test_quick_runs_take_the_first_case_of_short_functions_that_were_measured() -> None:
     names = ["windows", "windows", "day", "windows", "never measured"]
     seconds = {"windows": QUICK_CASE_S, "day": 1.1 * QUICK_CASE_S}
-    assert quick_choice(names, seconds) == [True, False, False, False, False]
+    assert quick_choice(names, [[]] * 5, seconds) == [True, False, False, False, False]
+
+
+def test_quick_runs_count_the_fixtures_that_a_case_shares() -> None:
+    seconds = {"a": 0.0, "b": 0.6 * QUICK_CASE_S, "run": QUICK_CASE_S, "folder": 0.1 * QUICK_CASE_S}
+    fixtures = [["run"], ["run"], ["folder"], ["never measured"]]
+    assert quick_choice(["a", "b", "b", "a"], fixtures, seconds) == [True, False, False, False]
+    assert quick_choice(["b"], [["folder"]], seconds) == [True]
+
+
+def test_new_functions_are_measured_and_one_function_on_a_new_fixture() -> None:
+    names = ["old", "new", "new", "on it", "on it", "on it too"]
+    fixtures = [[], [], [], ["run"], ["run"], ["run"]]
+    chosen = [False, True, True, True, True, False]
+    assert unmeasured_choice(names, fixtures, {"old": 0, "on it": 0, "on it too": 0}) == chosen
 
 
 def test_usual_runs_take_the_first_random_cases_that_fit_and_one_at_least() -> None:

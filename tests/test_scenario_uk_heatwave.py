@@ -15,11 +15,10 @@ import pandapower.networks
 import pytest
 
 from data.uk_heatwave_2022 import build as builder
-from data.uk_heatwave_2022 import published, series
+from data.uk_heatwave_2022 import series
 from data.uk_heatwave_2022.build import build, feeder
 from tests.support.offenders import assert_for_all
 from vppres.core.arrays import Floats
-from vppres.core.errors import InputError
 from vppres.io import find_scenario, read_scenario, scenario_digest
 from vppres.scenario.scenario import Scenario
 
@@ -372,10 +371,6 @@ def test_larger_loads_tend_to_have_larger_assets() -> None:
         assert 0.3 < np.corrcoef(rank, size_rank)[0, 1] < 0.95
 
 
-def test_seven_outage_steps() -> None:
-    assert np.flatnonzero(build(outage_steps=7).outage).tolist() == list(range(12, 19))
-
-
 def test_zone_pairing() -> None:
     """Buses 2, 19, 23 and 33 lie in different zones."""
     default, same_order = build().batteries, build(zone_pairing=(0, 1, 2, 3)).batteries
@@ -384,44 +379,3 @@ def test_zone_pairing() -> None:
     assert default.c_theta_kwh_per_c[at].tolist() == [0.216, 0.104, 0.439, 0.327]
     assert same_order.c_theta_kwh_per_c[at].tolist() == [0.104, 0.216, 0.327, 0.439]
     assert same_order.r_theta_c_per_kw.tolist() == default.r_theta_c_per_kw.tolist()
-
-
-def test_share_out_of_reach() -> None:
-    """The 12 smallest loads are 45 + 11 x 60 = 705 kW of 3715, the 12 largest 2350 kW."""
-    with pytest.raises(InputError) as caught:
-        build(critical_share=0.9)
-    assert str(caught.value) == (
-        "build, critical_share = 0.9: no 12 customers have this share of the load. "
-        "Choose a share between 0.190 and 0.633."
-    )
-
-
-def test_unknown_price() -> None:
-    with pytest.raises(InputError) as caught:
-        build(price="C")
-    assert str(caught.value) == ("build, price = C: is not a rebuild of the price. Choose A or B.")
-
-
-@pytest.mark.parametrize("steps", [0, 13])
-def test_outage_that_does_not_fit(steps: int) -> None:
-    with pytest.raises(InputError) as caught:
-        build(outage_steps=steps)
-    assert str(caught.value) == (
-        f"build, outage_steps = {steps}: does not fit into the day. Give 1 to 12 steps."
-    )
-
-
-def test_wrong_zone_pairing() -> None:
-    with pytest.raises(InputError) as caught:
-        build(zone_pairing=(0, 0, 1, 2))
-    assert str(caught.value) == (
-        "build, zone_pairing = (0, 0, 1, 2): does not name each rank once. "
-        "Give a permutation of (0, 1, 2, 3)."
-    )
-
-
-def test_aggregates_that_contradict_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(published, "LOAD_ENERGY_KWH", 24 * 4068.0)  # every hour at the peak
-    with pytest.raises(InputError) as caught:
-        series.load_and_pv_kw.__wrapped__()
-    assert str(caught.value) == "The published aggregates contradict each other."

@@ -15,18 +15,16 @@ from typer.testing import CliRunner
 import benchmarks.__main__ as command
 from benchmarks import deadlines, make_instances, profiles
 from benchmarks.clock import in_fresh_process, peak_memory_mb
-from benchmarks.day import error_settings
 from benchmarks.deadlines import by_processor, deadline_table, measure, windows
 from benchmarks.feeders import FEEDERS, feeder_scenario, with_days, with_step
 from benchmarks.findings import deadline_bars, scaling_bars
-from benchmarks.instances import FILE, Instance, packaged, read_instances, window_data
+from benchmarks.instances import Instance, packaged, read_instances, window_data
 from benchmarks.report import BEGIN, END, Section, publish
 from benchmarks.scaling import exponent
 from benchmarks.store import Store
 from benchmarks.throughput import rates, throughput_table
 from benchmarks.windows import NOT_ADMITTED
 from benchmarks.worker import summary
-from vppres.core.errors import InputError
 from vppres.physics.powerflow import ACPowerFlow
 from vppres.solve.deadline import Stopwatch
 
@@ -34,18 +32,6 @@ INSTANCES = read_instances()
 
 
 # Instances
-
-
-def test_set_has_what_it_must_have() -> None:
-    stressed = [i for i in INSTANCES if i.group == "stressed"]
-    assert len(INSTANCES) >= 100
-    assert len(stressed) >= 30
-    assert {1, 24} <= {i.steps for i in INSTANCES}
-    assert {i.place for i in INSTANCES} == {"before", "across", "inside", "after"}
-    wrong = [i for i in INSTANCES if i.load_bias or i.load_alpha_per_h]
-    assert 0.4 < len(wrong) / len(INSTANCES) < 0.6
-    # Too much load, or too much sun: nothing between.
-    assert all(1.35 <= i.load_factor <= 1.6 or i.load_factor <= 0.35 for i in stressed)
 
 
 def test_table_is_what_its_generator_writes() -> None:
@@ -60,45 +46,6 @@ def test_a_row_determines_its_window(instance: Instance) -> None:
     assert one.n_steps == instance.steps
     assert one.load_kw[0] == pytest.approx(packaged().load_kw[instance.t0] * instance.load_factor)
     assert ((one.soc >= 0.15) & (one.soc <= 0.85)).all()
-
-
-@pytest.mark.parametrize(
-    ("column", "value", "message"),
-    [
-        (
-            "steps",
-            25,
-            "instances.csv, row 2, steps = 25: does not fit into the day. t0 + steps may be "
-            "at most 24.",
-        ),
-        (
-            "group",
-            "odd",
-            "instances.csv, row 2, group = odd: is not a known group. Use one of: "
-            "ordinary, stressed.",
-        ),
-        (
-            "name",
-            "o002",
-            "instances.csv, row 3, name = o002: is given twice. Give every instance its own name.",
-        ),
-    ],
-)
-def test_wrong_rows_are_named(tmp_path: Path, column: str, value: object, message: str) -> None:
-    table = pd.read_csv(FILE).astype(object)
-    table.loc[0, column] = value
-    file = tmp_path / FILE.name
-    table.to_csv(file, index=False)
-    with pytest.raises(InputError) as caught:
-        read_instances(file)
-    assert str(caught.value) == message
-
-
-def test_missing_column_is_an_error(tmp_path: Path) -> None:
-    file = tmp_path / FILE.name
-    pd.read_csv(FILE).drop(columns="steps").to_csv(file, index=False)
-    with pytest.raises(InputError, match=r"instances\.csv: has other columns than an instance"):
-        read_instances(file)
 
 
 # Tables, on data worked out by hand
@@ -253,20 +200,6 @@ def test_bars_of_size_need_proofs_and_enough_windows() -> None:
     assert met == [True, True, False, False, True, False, False]
 
 
-def test_unknown_size_is_an_error() -> None:
-    with pytest.raises(InputError) as caught:
-        feeder_scenario(34)
-    assert str(caught.value) == (
-        "feeders, buses = 34: has no feeder. Use one of: 33, 69, 115, 273, 545, 1021, 2993, 9997."
-    )
-
-
-def test_error_settings_are_those_of_the_reproduction() -> None:
-    names = [name for name, _ in error_settings(seeds=3)]
-    assert len(names) == 2 * 4 + 2 * 3 * 3
-    assert {"load_bias -0.2", "pv_alpha_per_h 0.03"} <= set(names)
-
-
 # Runs
 
 
@@ -338,15 +271,6 @@ def test_isolation_by_hand() -> None:
     assert (row["cpu_ratio_median"], row["cpu_ratio_of_sums"]) == (1.5, 1.5)
 
 
-def test_unknown_part_is_an_error(tmp_path: Path) -> None:
-    result = CliRunner().invoke(app(), ["--only", "weather", "--results", str(tmp_path)])
-    assert result.exit_code == 2
-    assert result.stderr.strip() == (
-        "benchmarks, only = weather: is not known. Use one of: "
-        "windows, race, day, scaling, throughput, worker, deadlines."
-    )
-
-
 def app() -> typer.Typer:
     """The command as a typer application."""
     application = typer.Typer()
@@ -388,14 +312,6 @@ def test_stressed_answers_are_counted_by_what_binds() -> None:
     assert profiles.stress(rows).to_dict("records") == [
         {"stressed instances": 4, "at the voltage limit": 2, "curtailed": 2, "either": 3}
     ]
-
-
-def test_document_without_marks_is_left_alone(tmp_path: Path) -> None:
-    document = tmp_path / "benchmarks.md"
-    document.write_text("Words.\n", encoding="utf-8")
-    with pytest.raises(InputError, match="has no marks for the results"):
-        publish([], document, "A run.")
-    assert document.read_text(encoding="utf-8") == "Words.\n"
 
 
 # Deadlines.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import subprocess
 import sys
 from collections.abc import Callable
@@ -14,19 +13,18 @@ import pytest
 from typer.testing import CliRunner
 
 import experiments.__main__ as command
-import vppres
 from experiments import runner
 from experiments.catalogue import ALL, EXPERIMENTS
 from experiments.config import FOLDER, read_config
 from experiments.forecast_errors import Point
-from experiments.jobs import PRESENTATION, RESULT_FORMAT, Day, Job, scenario
+from experiments.jobs import Day, Job, scenario
 from experiments.published import STATEMENTS, Statement
 from experiments.results import DayResult
 from experiments.rows import asserted, measured, measured_all, order
 from experiments.runner import run_jobs
 from experiments.terminal import INTERRUPTED
 from vppres.contract.forecast import ForecastErrors
-from vppres.core.errors import InputError, SolveError
+from vppres.core.errors import SolveError
 from vppres.day.options import RunOptions
 
 ROOT = Path(__file__).parents[2]
@@ -87,17 +85,6 @@ def test_digest_tells_inputs_apart(changed: Job) -> None:
     assert changed.digest() != Job().digest()
 
 
-def test_files_that_only_show_results_are_there() -> None:
-    package = Path(vppres.__file__).parent
-    assert [name for name in PRESENTATION if not (package / name).exists()] == []
-    assert all(file.is_file() for file in RESULT_FORMAT)
-
-
-def test_text_names_what_differs_from_the_defaults() -> None:
-    assert Job().text() == "defaults"
-    assert Job(Day(seed=3), RunOptions(horizon_h=2.0)).text() == "seed = 3, horizon_h = 2.0"
-
-
 # Results
 
 
@@ -125,12 +112,6 @@ def test_result_survives_json(real_days: dict[str, DayResult]) -> None:
     assert DayResult.from_json(day.to_json()) == day
 
 
-def test_plan_of_perfect_foresight_knows_the_demand(real_days: dict[str, DayResult]) -> None:
-    planned = real_days["full-horizon"].planned
-    assert planned["served_forecast_kw"] == planned["served_actual_kw"]
-    assert real_days["mpc"].planned == {}
-
-
 # Cache
 
 
@@ -141,11 +122,6 @@ def test_second_run_takes_everything_from_the_cache(counted: list[Job], tmp_path
     assert (computed, recomputed, len(counted)) == (3, 0, 3)
     assert again == first
     assert list(again) == jobs
-
-
-def test_repeated_jobs_run_once(counted: list[Job], tmp_path: Path) -> None:
-    run_jobs([*jobs_of(2), *jobs_of(2)], tmp_path, 1)
-    assert len(counted) == 2
 
 
 def test_only_what_is_missing_is_run(counted: list[Job], tmp_path: Path) -> None:
@@ -272,21 +248,6 @@ def test_every_experiment_has_its_configuration() -> None:
     assert {file.stem for file in FOLDER.glob("*.toml")} == set(ALL)
 
 
-@pytest.mark.parametrize("quantity", ["load", "pv"])
-def test_levels_span_what_was_promised(quantity: str) -> None:
-    error, bias = read_config(f"{quantity}_error"), read_config(f"{quantity}_bias")
-    assert max(error["levels"]) >= 0.03
-    assert error["error_seeds"] >= 20
-    assert min(bias["levels"]) <= -0.2 and max(bias["levels"]) >= 0.2
-    assert error["builder_seeds"] >= 10 and bias["builder_seeds"] >= 10
-    assert error["field"] == f"{quantity}_alpha_per_h"
-    assert bias["field"] == f"{quantity}_bias"
-
-
-def test_horizons_go_from_0_to_12() -> None:
-    assert read_config("prediction_horizon")["horizons_h"] == list(range(13))
-
-
 @pytest.mark.parametrize("name", ALL)
 def test_quick_is_a_smaller_study(name: str) -> None:
     few, all_jobs = (set(ALL[name].jobs(read_config(name, quick))) for quick in (True, False))
@@ -319,19 +280,6 @@ def test_report_has_every_figure_and_statement(report: Path) -> None:
     for name in EXPERIMENTS:
         for suffix in (".png", ".svg"):
             assert (report / "figures" / name).with_suffix(suffix).stat().st_size > 5000
-
-
-@pytest.mark.nightly
-def test_report_names_machine_versions_seeds_and_time(report: Path) -> None:
-    html = (report / "report.html").read_text(encoding="utf-8")
-    for words in (
-        "logical cores",
-        "min of wall time",
-        "<td>highspy</td>",
-        "error_seeds = 2",
-        "simulated days",
-    ):
-        assert words in html
 
 
 def test_every_miss_has_a_measured_reason(counted: list[Job], tmp_path: Path) -> None:
@@ -375,14 +323,6 @@ def test_only_one_experiment(
     assert "0.9607" in output
 
 
-def test_unknown_experiment_is_refused(invoke: Callable[..., tuple[int, str]]) -> None:
-    status, output = invoke("--only", "volts")
-    assert status == InputError.exit_status
-    assert output.startswith(
-        "experiments, only = volts: is not known. Use one of: prediction_horizon, voltage,"
-    )
-
-
 def test_interrupt_says_that_finished_days_are_kept(
     invoke: Callable[..., tuple[int, str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -393,9 +333,3 @@ def test_interrupt_says_that_finished_days_are_kept(
     status, output = invoke("--only", "voltage")
     assert status == INTERRUPTED
     assert "Days that were finished are kept: run again to go on." in output
-
-
-def test_cache_files_are_plain_json(counted: list[Job], tmp_path: Path) -> None:
-    run_jobs([PLAN], tmp_path, 1)
-    record = json.loads((tmp_path / f"{PLAN.digest()}.json").read_text(encoding="utf-8"))
-    assert set(record) == {"summary", "steps", "planned"}

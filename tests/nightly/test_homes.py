@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
-import pytest
 
 from data.homes.build import HELD_OUT, homes
 from experiments.homes import FORECASTERS, Run, day_of, write_report
@@ -23,18 +21,6 @@ def test_a_day_of_the_homes() -> None:
     assert day.history is not None
     assert day.history.end == day.grid.start
     assert day.history.n_steps == 100 * 24
-
-
-def test_the_year_ends() -> None:
-    with pytest.raises(ValueError, match="the year has no 24 h from"):
-        homes(pd.Timestamp("2017-08-01T00:00Z"))
-
-
-def test_seeds_are_held_out_days_with_outages() -> None:
-    for seed in (0, 17, 119):
-        day = day_of(seed)
-        assert day.grid.start >= HELD_OUT
-        assert 4 <= day.outage.sum() <= 9
 
 
 def test_the_report_holds_the_differences(tmp_path: Path) -> None:

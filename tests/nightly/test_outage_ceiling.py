@@ -12,10 +12,8 @@ from experiments import outage_ceiling
 from experiments.outage_ceiling import (
     MEANS,
     POINTS,
-    POLICIES,
     _next_means,
     best_resilience,
-    ceiling_day,
     heatwave,
     played,
     rationing,
@@ -97,13 +95,6 @@ def test_who_knows_all_does_better_than_the_bound_and_who_spends_all_at_once_wor
     at_once, best, all_known = np.array(found).T
     assert (best <= all_known + 1e-9).all()
     assert best.mean() > at_once.mean() + 0.01
-
-
-def test_a_day_has_all_policies_and_none_is_perfect() -> None:
-    found = {one.policy: one for one in ceiling_day(3)}
-    assert set(found) == set(POLICIES)
-    assert all(0.0 < one.resilience <= 1.0 for one in found.values() if one.resilience)
-    assert found["best"].cost_gbp is None
 
 
 def test_a_day_without_outage_costs_what_is_bought() -> None:

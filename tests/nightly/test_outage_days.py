@@ -13,7 +13,7 @@ from experiments.outage_days import (
     draw_outage_day,
     with_outage_day,
 )
-from experiments.uncertain import cigre, heatwave, known_path, sampled
+from experiments.uncertain import heatwave, known_path, sampled
 from vppres.outlook.belief import OutageBelief
 from vppres.outlook.outlook import OutageOutlook
 
@@ -143,11 +143,3 @@ def test_what_was_said_makes_beliefs_that_hold_the_truth(days: list[OutageDay]) 
         belief = outlook.at(MIDNIGHT + (begin - 1) * HOUR, 24 - begin, [])
         near.append(abs(int(np.argmax(belief.onset[0])) - 1) <= 1)
     assert np.mean(near) > 0.9
-
-
-def test_the_other_feeder_is_a_day_of_hours() -> None:
-    scenario = cigre()
-    assert scenario.grid.n_steps == 24
-    assert scenario.grid.dt_h == 1.0
-    assert not scenario.outage.any()
-    assert scenario.load_kw.shape[0] == 24

@@ -12,7 +12,7 @@ from experiments.config import read_config
 from experiments.jobs import Job
 from experiments.results import DayResult
 from experiments.rows import Row, measured
-from experiments.settings import At, Setting, jobs_of
+from experiments.settings import At, Setting
 from experiments.weighted import WeightedChoices
 from experiments.weighted_gap import service_of, terms_beside_gap
 from tests.support.small_windows import OPEN, battery, two_buses, with_pv
@@ -67,15 +67,6 @@ def test_a_row_holds_as_levelled_first(levelled: bool, again: bool | None, expec
     assert precision.held(one, seen) == expected
 
 
-def test_the_report_takes_one_setting_and_few_days() -> None:
-    days = jobs_of(CONFIG)
-    assert len(precision.jobs(CONFIG)) == 2 * len(days)
-    assert len(days) <= 24
-    assert {
-        day.options.controller for day in days if day.options.errors != RunOptions().errors
-    } == {"full-horizon"}
-
-
 def test_the_study_has_the_named_setting_first_and_each_once() -> None:
     found = precision.settings(precision.study_config())
     assert found[0] == precision.named(CONFIG)
@@ -95,14 +86,6 @@ def test_smaller_gaps_are_seen_beside_the_named_one_in_each_unit() -> None:
     text = precision.sharp_text(config, results)
     assert "| term by term | 0.9000; GBP 1; 2,000 kWh |" in text
     assert text.count(f"| {len(days)} |") == len(found)
-
-
-def test_a_study_of_fewer_settings() -> None:
-    whole = precision.study_config()
-    config = precision._narrowed(whole, [1000.0], 2)
-    assert precision.sharp_settings(config) == precision.sharp_settings(whole)
-    found = precision.settings(config)
-    assert [(one.unit_kw, one.seed) for one in found] == [(1.0, 0), (1000.0, 0), (1000.0, 1)]
 
 
 def test_the_range_is_that_of_numbers() -> None:

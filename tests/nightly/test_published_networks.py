@@ -47,14 +47,6 @@ def test_a_refusal_without_an_option_is_the_outcome(
     assert outcome.options == ()
 
 
-def test_what_was_tried_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    candidate = Candidate("a | net", lambda: None)
-    monkeypatch.setattr(networks, "_run", refusing())
-    first = networks.kept_or_tried(candidate, tmp_path)
-    monkeypatch.setattr(networks, "_run", refusing("not again"))
-    assert networks.kept_or_tried(candidate, tmp_path) == first
-
-
 def test_the_table_replaces_the_one_of_the_page(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text(f"before\n{networks.BEGIN}\nold\n{networks.END}\nafter\n")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict, replace
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -13,20 +12,12 @@ from benchmarks import agreement, findings, race
 from benchmarks.hard import HardInstance, read_hard
 from benchmarks.instances import packaged, read_instances, window_data
 from benchmarks.random_days import STEPS, cut, steps_of, summary
-from experiments.hard_days import KINDS, hard_day
+from experiments.hard_days import hard_day
 from vppres.core.errors import InputError
 from vppres.model.site import Site
 from vppres.solve.result import SolveLimits
 
 # The table.
-
-
-def test_there_are_enough_of_every_kind() -> None:
-    rows = read_hard()
-    assert len(rows) >= 60
-    assert len(rows) + len(read_instances()) >= 180
-    assert {row.kind for row in rows} == set(KINDS)
-    assert all(row.before_s >= 0.5 or row.before != "optimal" for row in rows)
 
 
 @pytest.mark.parametrize("name", ["h001", "h030", "h060"])
@@ -38,17 +29,6 @@ def test_a_row_determines_its_window(name: str) -> None:
     assert row.window.data.n_steps == row.steps
     with pytest.raises(InputError, match="makes a window of t0, steps, buses"):
         _ = replace(row, t0=row.t0 + 1).window
-
-
-def test_unknown_kinds_and_columns_are_refused(tmp_path: Path) -> None:
-    table = pd.DataFrame([asdict(read_hard()[0])])
-    file = tmp_path / "hard.csv"
-    table.assign(kind="none").to_csv(file, index=False)
-    with pytest.raises(InputError, match="kind that is not known"):
-        read_hard(file)
-    table.drop(columns="kind").to_csv(file, index=False)
-    with pytest.raises(InputError, match="other columns"):
-        read_hard(file)
 
 
 # The race.
@@ -125,13 +105,6 @@ def test_summary_counts_steps_that_are_left_open() -> None:
 
 
 # Agreement with a monolith.
-
-
-def test_small_windows_are_of_all_kinds_and_come_again() -> None:
-    names = [runner.name for runner in agreement.small_windows(6, 5000)]
-    assert names == [runner.name for runner in agreement.small_windows(6, 5000)]
-    for runner in agreement.small_windows(6, 5000):
-        assert runner.site.network.n_buses * runner.data.n_steps <= agreement.MOST_CELLS
 
 
 @pytest.mark.parametrize(

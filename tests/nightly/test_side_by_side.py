@@ -181,13 +181,6 @@ def test_workers_of_other_versions_are_refused(
     assert "Install the same versions on all machines" in str(caught.value)
 
 
-@pytest.mark.nightly
-def test_a_scheduler_is_found_by_its_file(cluster: Any, tmp_path: Path) -> None:
-    file = tmp_path / "scheduler.json"
-    file.write_text(f'{{"address": "{cluster.scheduler_address}"}}')
-    assert results(square, [5], Where(scheduler=str(file))) == ({5: 25}, [])
-
-
 @pytest.mark.parametrize("scheduler", ["tcp://127.0.0.1:9", "no-such-file.json", "nonsense://x"])
 def test_a_scheduler_that_is_not_there_is_refused_by_name(
     scheduler: str, monkeypatch: pytest.MonkeyPatch

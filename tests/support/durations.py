@@ -1,16 +1,17 @@
 """What each test function costs, as last measured, and which cases run by that.
 
-``tests/durations.csv`` lists every test function. Three sizes of run follow from it:
+``tests/durations.csv`` lists every test function and every fixture that tests share. Three sizes of
+run follow from it:
 
-- ``pytest --quick``: functions of short cases, and of each the first case. It is an allow list:
-  what was never measured does not run.
+- ``pytest --quick``: functions of short cases on short fixtures, and of each the first case. It is
+  an allow list: what was never measured does not run.
 - ``pytest``: functions of cases of at most ``LONG_S``, and longer ones that are marked daily; none
   that is marked nightly. Of one with random cases (a parameter ``seed``) the first cases that
   together cost at most ``USUAL_S``.
 - ``pytest --nightly``: everything.
 
-``pytest --measure`` adds the functions that the list lacks, in one process. A function that is not
-listed fails ``test_every_test_is_measured``, so the list cannot go stale.
+``pytest --measure`` adds the functions and fixtures that the list lacks. What is not listed fails
+``test_every_test_is_measured``, so the list cannot go stale.
 """
 
 from __future__ import annotations
@@ -19,19 +20,19 @@ import csv
 import os
 from collections import defaultdict
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 
 import pytest
 
 FILE = Path(__file__).parents[1] / "durations.csv"
 QUICK_CASE_S = 0.1
-"""CPU time of a case up to which a function is quick."""
+"""CPU time of a case and its shared fixtures up to which a function is quick."""
 LONG_S = 1.5
 """CPU time of a case above which a function is left for the night, unless it is marked daily."""
 USUAL_S = 1.0
 """CPU time that a usual run grants the random cases of one function; the first always runs."""
 PROPERTY = "processor_s"
-START = pytest.StashKey[float]()
 COLLECTED = pytest.StashKey[set[str]]()
 
 
@@ -46,8 +47,24 @@ def function_of(nodeid: str) -> str:
     return nodeid.partition("[")[0]
 
 
+def name_of(fixture: pytest.FixtureDef[object]) -> str:
+    """Name of a fixture, with the file that offers it."""
+    return f"{fixture.baseid}::{fixture.argname}"
+
+
+def is_shared(fixture: pytest.FixtureDef[object]) -> bool:
+    """Whether a fixture of these tests serves several functions."""
+    return fixture.scope != "function" and fixture.baseid.startswith("tests")
+
+
+def shared_fixtures(item: pytest.Item) -> list[str]:
+    """Fixtures that a case shares with others."""
+    used = [found[-1] for found in item._fixtureinfo.name2fixturedefs.values()]
+    return [name_of(fixture) for fixture in used if is_shared(fixture)]
+
+
 def read_durations() -> dict[str, float]:
-    """CPU seconds of an average case, by test function."""
+    """CPU seconds of an average case, by test function, and of fixtures."""
     if not FILE.exists():
         return {}
     with FILE.open(encoding="utf-8", newline="") as file:
@@ -62,15 +79,30 @@ def write_durations(seconds: dict[str, float]) -> None:
         writer.writerows([name, f"{value:.2f}"] for name, value in sorted(seconds.items()))
 
 
-def quick_choice(names: list[str], seconds: dict[str, float]) -> list[bool]:
-    """Whether each case, given by the name of its function, belongs to the quick run."""
+def quick_choice(
+    names: list[str], fixtures: list[list[str]], seconds: dict[str, float]
+) -> list[bool]:
+    """Whether each case, given by its function and shared fixtures, belongs to the quick run."""
     seen: set[str] = set()
     chosen = []
-    for name in names:
-        short = seconds.get(name, float("inf")) <= QUICK_CASE_S
-        chosen.append(short and name not in seen)
+    for name, shared in zip(names, fixtures, strict=True):
+        cost_s = sum(seconds.get(part, float("inf")) for part in (name, *shared))
+        chosen.append(cost_s <= QUICK_CASE_S and name not in seen)
         seen.add(name)
     return chosen
+
+
+def unmeasured_choice(
+    names: list[str], fixtures: list[list[str]], seconds: dict[str, float]
+) -> list[bool]:
+    """Whether each case is to be measured: of new functions, and of one for each new fixture."""
+    known = set(seconds)
+    chosen = set()
+    for name, shared in zip(names, fixtures, strict=True):
+        if not known.issuperset([name, *shared]):
+            chosen.add(name)
+            known.update([name, *shared])
+    return [name in chosen for name in names]
 
 
 def usual_choice(
@@ -106,28 +138,33 @@ class Durations:
         self.measures = bool(config.getoption("measure"))
         self.quick = bool(config.getoption("quick"))
         self.nightly = bool(config.getoption("nightly"))
+        self.begun_s = 0.0
+        self.fixtures: dict[str, float] = {}
         self.found: dict[str, list[float]] = defaultdict(list)
 
     def pytest_collection_modifyitems(
         self, config: pytest.Config, items: list[pytest.Item]
     ) -> None:
         """Deselect what does not belong to the run."""
-        config.stash[COLLECTED] = {function_of(item.nodeid) for item in items}
-        chosen = self.choice(items)
+        names = [function_of(item.nodeid) for item in items]
+        fixtures = [shared_fixtures(item) for item in items]
+        config.stash[COLLECTED] = {*names, *chain.from_iterable(fixtures)}
+        chosen = self.choice(items, names, fixtures)
         left_out = [item for item, takes in zip(items, chosen, strict=True) if not takes]
         items[:] = [item for item, takes in zip(items, chosen, strict=True) if takes]
         config.hook.pytest_deselected(items=left_out)
 
-    def choice(self, items: list[pytest.Item]) -> list[bool]:
+    def choice(
+        self, items: list[pytest.Item], names: list[str], fixtures: list[list[str]]
+    ) -> list[bool]:
         """Whether each case runs, by the size of the run."""
-        names = [function_of(item.nodeid) for item in items]
         seconds = read_durations()
         if self.measures:
-            return [name not in seconds for name in names]
+            return unmeasured_choice(names, fixtures, seconds)
         if self.nightly:
             return [True] * len(items)
         if self.quick:
-            chosen = quick_choice(names, seconds)
+            chosen = quick_choice(names, fixtures, seconds)
         else:
             random = [is_random(item) for item in items]
             chosen = usual_choice(names, seconds, random, marked(items, "daily"))
@@ -136,24 +173,37 @@ class Durations:
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
-        """Note when a test begins, its fixtures included."""
-        item.stash[START] = processor_s()
+        """Note when a test begins."""
+        self.begun_s, self.fixtures = processor_s(), {}
         return (yield)
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_fixture_setup(self, fixturedef: pytest.FixtureDef[object]) -> Iterator[object]:
+        """Measure a shared fixture apart from the test that happens to need it first."""
+        before_s = processor_s()
+        try:
+            return (yield)
+        finally:
+            if is_shared(fixturedef):
+                self.fixtures[name_of(fixturedef)] = processor_s() - before_s
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_makereport(
         self, item: pytest.Item, call: pytest.CallInfo[None]
     ) -> Iterator[None]:
-        """Send the duration along with the last report of a test, to the process that writes."""
+        """Send the durations along with the last report of a test, to the process that writes."""
         report = yield
         if call.when == "teardown":
-            report.user_properties.append((PROPERTY, processor_s() - item.stash[START]))
+            case_s = processor_s() - self.begun_s - sum(self.fixtures.values())
+            measured = {function_of(item.nodeid): case_s, **self.fixtures}
+            report.user_properties.append((PROPERTY, measured))
         return report
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Collect durations, those of other processes too."""
         if report.when == "teardown":
-            self.found[function_of(report.nodeid)].append(dict(report.user_properties)[PROPERTY])
+            for name, value in dict(report.user_properties)[PROPERTY].items():
+                self.found[name].append(value)
 
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
         """Add what was measured to the table; a run of all tests drops rows without a test."""
