@@ -146,7 +146,7 @@ def solve_weighted(task: WindowTask, choices: WeightedChoices) -> WindowSolution
     served = task.data.for_service(dispatch.served)
     known.bound_by(outcome.bound)
     found = Candidate.of(task.site, served, dispatch, np.inf, in_network=False)
-    known.keep(carried(task, served, found, Attempt(outcome, dispatch)))
+    known.keep(carried(task, found, Attempt(outcome, dispatch)))
     return replace(_with_cost_gap(task.solution(), site.weights.lambda_grid), status=outcome.status)
 
 

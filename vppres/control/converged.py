@@ -186,22 +186,13 @@ class PassesPlanner(ABC, Generic[P]):
             data, plan.served, plan, keeps_turns=keeps_turns, within_s=deadline.left_s
         )
         if found is not None:
-            return after(before, found), False
+            return found.after(before), False
         if not decides or deadline.passed:
             return None, False
         try:
-            return after(before, self.solver.solve(data, deadline.left_s)), True
+            return self.solver.solve(data, deadline.left_s).after(before), True
         except (InfeasibleError, NumericalError, LimitError):
             return None, True
-
-
-def after(before: WindowSolution, found: WindowSolution) -> WindowSolution:
-    """A solution with the seconds of the one before it too."""
-    return replace(
-        found,
-        solve_s=before.solve_s + found.solve_s,
-        solver_s=before.solver_s + found.solver_s,
-    )
 
 
 class ConvergedPlanner(PassesPlanner[ACPoints]):

@@ -9,6 +9,7 @@ from __future__ import annotations
 import cvxpy as cp
 import numpy as np
 
+from vppres.core.arrays import Floats
 from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
 
@@ -30,14 +31,25 @@ def f3_curtailment(site: Site, v: Variables, p: Parameters) -> cp.Expression:
 
 def f4_flows(site: Site, v: Variables, p: Parameters) -> cp.Expression:
     """Proxy of the ohmic losses: r (P² + Q²), in ohm kVA²."""
-    root_r = np.sqrt(site.network.r_ohm)[None, :]
-    return cp.sum_squares(cp.multiply(root_r, v.P_flow)) + cp.sum_squares(
-        cp.multiply(root_r, v.Q_flow)
-    )
+    return _sum_of(f4_squares(site), v)
 
 
 def f5_reactive(site: Site, v: Variables, p: Parameters) -> cp.Expression:
-    """Squared utilisation of the inverters by reactive power, without unit."""
-    return cp.sum_squares(cp.multiply(1 / site.pv.s_max_kva[None, :], v.Q_pv)) + cp.sum_squares(
-        cp.multiply(1 / site.batteries.s_max_kva[None, :], v.Q_batt)
-    )
+    """Squared utilisation of the inverters by reactive power, without unit: (Q / S)²."""
+    return _sum_of(f5_squares(site), v)
+
+
+def f4_squares(site: Site) -> dict[str, Floats]:
+    """Weight of the square of each letter in f4, by its last axis."""
+    return {"P_flow": site.network.r_ohm, "Q_flow": site.network.r_ohm}
+
+
+def f5_squares(site: Site) -> dict[str, Floats]:
+    """Weight of the square of each letter in f5, by its last axis."""
+    return {"Q_pv": site.pv.s_max_kva**-2.0, "Q_batt": site.batteries.s_max_kva**-2.0}
+
+
+def _sum_of(squares: dict[str, Floats], v: Variables) -> cp.Expression:
+    """Weighted squares of letters."""
+    roots = {name: np.sqrt(weight)[None, :] for name, weight in squares.items()}
+    return sum(cp.sum_squares(cp.multiply(root, getattr(v, n))) for n, root in roots.items())

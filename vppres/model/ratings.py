@@ -73,6 +73,13 @@ def loading_of_phases(site: Site, data: WindowData, p_kw: Floats, q_kvar: Floats
     return np.abs(offset + phased_model(site).currents(data, p_kw, q_kvar))
 
 
+def has_ratings(data: WindowData) -> bool:
+    """Whether currents of a window are limited."""
+    if data.phased is not None:
+        return bool(np.isfinite(data.phased.current_max).any())
+    return data.flow_max_kva is not None
+
+
 def limit_kva(data: WindowData) -> Floats | float:
     """Largest flow of each line, (W, L); infinite where nothing limits it."""
     return np.inf if data.flow_max_kva is None else data.flow_max_kva

@@ -7,9 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from vppres.contract.dispatch import Dispatch
+from vppres.core.arrays import Floats
 from vppres.model.beyond_paper.table import beyond_paper
 from vppres.model.data import WindowData
+from vppres.model.objective import f4_squares, f5_squares
 from vppres.model.site import Site
+from vppres.model.variables import FIELDS
 from vppres.scenario.scenario import ObjectiveWeights
 
 
@@ -43,15 +46,12 @@ class Terms:
 
 def evaluate(site: Site, data: WindowData, dispatch: Dispatch, own: float | None = None) -> Terms:
     """Objective terms of a dispatch, recomputed from its arrays, ``own`` if it is not given."""
-    flow2 = dispatch.p_flow_kw**2 + dispatch.q_flow_kvar**2
-    use = np.square(dispatch.pv_q_kvar / site.pv.s_max_kva).sum()
-    use += np.square(dispatch.batt_q_kvar / site.batteries.s_max_kva).sum()
     terms = {
         "f1": float((dispatch.served @ site.customers.weight).sum() * site.dt_h),
         "f2": float(data.price_gbp_per_kwh @ dispatch.p_grid_kw * site.dt_h),
         "f3": float(dispatch.pv_curtailed_kw.sum() * site.dt_h),
-        "f4": float((flow2 @ site.network.r_ohm).sum()),
-        "f5": float(use),
+        "f4": _sum_of(f4_squares(site), dispatch),
+        "f5": _sum_of(f5_squares(site), dispatch),
         "f6": data.switching.price(dispatch.served) if data.switching else 0.0,
         "f7": 0.0,
         "own": 0.0,
@@ -60,3 +60,9 @@ def evaluate(site: Site, data: WindowData, dispatch: Dispatch, own: float | None
         for name, value in addition.worth(site, data, dispatch).items():
             terms[name] += value
     return Terms(**(terms if own is None else terms | {"own": own}))
+
+
+def _sum_of(squares: dict[str, Floats], dispatch: Dispatch) -> float:
+    """Weighted squares of what a dispatch has for letters."""
+    found = (np.square(getattr(dispatch, FIELDS[n])) @ weight for n, weight in squares.items())
+    return float(sum(each.sum() for each in found))

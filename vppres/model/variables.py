@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cvxpy as cp
 import numpy as np
@@ -12,6 +13,23 @@ from vppres.core.arrays import Flags, Floats
 from vppres.model.data import WindowData
 from vppres.model.numerics import write
 from vppres.model.site import Site
+
+FIELDS = {
+    "P_self": "pv_self_kw",
+    "P_exp": "pv_export_kw",
+    "P_curt": "pv_curtailed_kw",
+    "Q_pv": "pv_q_kvar",
+    "P_ch": "charge_kw",
+    "P_dch": "discharge_kw",
+    "Q_batt": "batt_q_kvar",
+    "SoC": "soc",
+    "P_grid": "p_grid_kw",
+    "Q_grid": "q_grid_kvar",
+    "u": "v_pu",
+    "P_flow": "p_flow_kw",
+    "Q_flow": "q_flow_kvar",
+}
+"""What a dispatch has for each letter; voltages of ``u`` squared."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,19 +190,12 @@ class Variables:
             return np.maximum(np.where(np.abs(value) < 1e-7, 0.0, value), lower)
 
         b = site.batteries
-        return Dispatch(
-            served=np.asarray(self.x_served.value) > 0.5 if served is None else served,
-            pv_self_kw=clean(self.P_self, 0.0),
-            pv_export_kw=clean(self.P_exp, 0.0),
-            pv_curtailed_kw=clean(self.P_curt, 0.0),
-            pv_q_kvar=clean(self.Q_pv),
-            charge_kw=clean(self.P_ch, 0.0),
-            discharge_kw=clean(self.P_dch, 0.0),
-            batt_q_kvar=clean(self.Q_batt),
-            soc=np.clip(clean(self.SoC), b.soc_min, b.soc_max),
-            p_grid_kw=clean(self.P_grid, 0.0),
-            q_grid_kvar=clean(self.Q_grid),
-            v_pu=site.network.v_pu(clean(self.u, 0.0)),
-            p_flow_kw=clean(self.P_flow),
-            q_flow_kvar=clean(self.Q_flow),
-        )
+        values: dict[str, Any] = {
+            "served": np.asarray(self.x_served.value) > 0.5 if served is None else served
+        }
+        for letter, field in FIELDS.items():
+            x = getattr(self, letter)
+            values[field] = clean(x, 0.0 if x.is_nonneg() else -np.inf)
+        values["soc"] = np.clip(values["soc"], b.soc_min, b.soc_max)
+        values["v_pu"] = site.network.v_pu(values["v_pu"])
+        return Dispatch(**values)

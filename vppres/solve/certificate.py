@@ -42,6 +42,8 @@ class Candidate:
 
     Parameters
     ----------
+    data : WindowData
+        The window, with the demand that the supply schedule brings about.
     dispatch : Dispatch
         What would be carried out.
     terms : Terms
@@ -54,17 +56,18 @@ class Candidate:
         What its supply schedule costs at least.
     in_network : bool
         Whether flows, reactive power and voltages have been found too.
-    letters : mapping
-        Values of the letters that only the page has.
+    own : OwnValues
+        What only the page has.
     """
 
+    data: WindowData
     dispatch: Dispatch
     terms: Terms
     service: float
     value: float
     cost_bound_gbp: float
     in_network: bool
-    letters: Mapping[str, Floats] = field(default_factory=dict)
+    own: OwnValues = NO_OWN_VALUES
 
     @classmethod
     def of(
@@ -81,14 +84,12 @@ class Candidate:
         value = terms.upper_levels(site.weights)
         service = value + site.weights.lambda_grid * terms.f2
         cost_gbp = terms.f2 - slack_gbp
-        return cls(dispatch, terms, service, value, cost_gbp, in_network, own.letters)
+        return cls(data, dispatch, terms, service, value, cost_gbp, in_network, own)
 
-    def carried_by(
-        self, site: Site, data: WindowData, dispatch: Dispatch, own: OwnValues = NO_OWN_VALUES
-    ) -> Candidate:
+    def carried_by(self, site: Site, dispatch: Dispatch, own: OwnValues) -> Candidate:
         """The same set and cost in the network, with a dispatch that carries them."""
-        terms = evaluate(site, data, dispatch, own.value)
-        return replace(self, dispatch=dispatch, terms=terms, in_network=True)
+        terms = evaluate(site, self.data, dispatch, own.value)
+        return replace(self, dispatch=dispatch, terms=terms, own=own, in_network=True)
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,6 @@ from vppres.solve.fleet.relaxation import fleet_problem
 from vppres.solve.forms import Form, sheet_of, sheet_of_draws, window_problem
 from vppres.solve.netting import SOC_OVER, net_modes
 from vppres.solve.network.cheapest import CheapestDispatch
-from vppres.solve.network.program import NetworkProgram
 from vppres.solve.network.reactive import LeastReactive
 from vppres.solve.phases import near_to, run_in_phases, with_more_room
 from vppres.solve.programs import GAP_SHARE, ProgramSolution, program_of
@@ -191,18 +190,22 @@ def _by_rows(
 
     None where batteries would have to take turns, and where it is proven that there is none.
     """
-    data = replace(task.data.for_service(served), switching=None)
-    program = NetworkProgram(task.cache, data)
-    way = CheapestDispatch(task.site, data, program)
+    way = CheapestDispatch.of_set(task.cache, task.data, served)
     outcome, dispatch = way.of(served, task.answer_by(HALF), charges, keeps_turns)
+    found = netted(task, outcome, dispatch)
+    if found is None:
+        return None, outcome.status == Status.INFEASIBLE
+    return polished(task, found), False
+
+
+def netted(task: WindowTask, outcome: Outcome, dispatch: Dispatch | None) -> Candidate | None:
+    """What a linear problem in the network found; None where batteries would have to take turns."""
     task.certificate.note("network_dispatch", outcome)
     if dispatch is None:
-        return None, outcome.status == Status.INFEASIBLE
-    netted, fits = net_modes(task.site, data, dispatch)
-    if not fits:
-        return None, False
-    found = Candidate.of(task.site, data, netted, 0.0, in_network=False)
-    return polished(task, found), False
+        return None
+    data = task.data.for_service(dispatch.served)
+    dispatch, fits = net_modes(task.site, data, dispatch)
+    return Candidate.of(task.site, data, dispatch, 0.0, in_network=False) if fits else None
 
 
 def cheapest(
@@ -272,19 +275,17 @@ def with_tie_breakers(task: WindowTask, found: Candidate, inside: bool = False) 
     With ``inside`` a window with phases has more than its rows allow, so that interior points have
     an inside: they may curtail more, and load the former's phases by what a check lets pass.
     """
-    data = task.data.for_service(found.dispatch.served)
-    own = OwnValues(found.terms.own, found.letters)
     rest_kwh = _curtailed_within_gap_kwh(task, found)
     more_kwh = rest_kwh if inside and np.isfinite(rest_kwh) else 0.0
-    given = with_more_room(data) if inside else data
-    attempt = polish(task.cache, given, found.dispatch, task.answer_by(), own, more_kwh, rest_kwh)
+    data = with_more_room(found.data) if inside else found.data
+    attempt = polish(
+        task.cache, data, found.dispatch, task.answer_by(), found.own, more_kwh, rest_kwh
+    )
     task.certificate.note("tie_breakers", attempt.outcome)
-    return carried(task, data, found, attempt)
+    return carried(task, found, attempt)
 
 
-def carried(
-    task: WindowTask, data: WindowData, found: Candidate, attempt: Attempt
-) -> Candidate | None:
+def carried(task: WindowTask, found: Candidate, attempt: Attempt) -> Candidate | None:
     """The candidate with a dispatch in the network, None if that breaks a row of the window.
 
     Every answer comes through here: none is one because a solver calls it so.
@@ -293,10 +294,10 @@ def carried(
     if dispatch is None:
         return None
     # The check knows the paper's families, and none that the page changes.
-    if not task.changed and broken(task.site, data, dispatch):
+    if not task.changed and broken(task.site, found.data, dispatch):
         task.certificate.note("checked", Outcome(Status.INACCURATE, np.nan, np.nan, 0.0))
         return None
-    return found.carried_by(task.site, data, dispatch, attempt.own)
+    return found.carried_by(task.site, dispatch, attempt.own)
 
 
 def polished(task: WindowTask, found: Candidate) -> Candidate | None:
@@ -304,33 +305,40 @@ def polished(task: WindowTask, found: Candidate) -> Candidate | None:
 
     What only minimises cost has any reactive power that the discs allow. Its losses would be the
     next pass's in physical mode, and from there it may never agree with AC. The least reactive
-    power knows the paper's rows alone: with phases, or what the page adds, the dispatch stays as it
-    is then. Shares of dimmed customers that a voltage limit decides leave tie-breakers no inside.
+    power knows the paper's rows alone: with what the page adds, the dispatch stays as it is then.
+    By rows of phases tie-breakers take longer than all else, so that they are left to ``settle``.
     """
-    if not task.settles and (first := as_it_is(task, found)):
-        return first
+    if task.by_phase:
+        return as_it_is(task, found) or _with_tie_breakers_by_phase(task, found)
     better = with_tie_breakers(task, found)
     if better is not None:
         return better
-    if task.data.phased is not None and not task.own:
-        return with_tie_breakers(task, found, inside=True) or as_it_is(task, found)
     return as_it_is(task, found) if task.own else with_least_reactive(task, found)
+
+
+def settle(task: WindowTask) -> None:
+    """Give the answer to a window with rows of phases its tie-breakers; others have theirs."""
+    best = task.certificate.best
+    if task.by_phase and best is not None:
+        task.certificate.best = _with_tie_breakers_by_phase(task, best) or best
+
+
+def _with_tie_breakers_by_phase(task: WindowTask, found: Candidate) -> Candidate | None:
+    """With tie-breakers, to which shares of dimmed customers at a voltage limit leave no inside."""
+    return with_tie_breakers(task, found) or with_tie_breakers(task, found, inside=True)
 
 
 def as_it_is(task: WindowTask, found: Candidate) -> Candidate | None:
     """A dispatch of the network with the reactive power that it has."""
-    data = task.data.for_service(found.dispatch.served)
     known = Outcome(Status.OPTIMAL, np.nan, np.nan, 0.0)
-    own = OwnValues(found.terms.own, found.letters)
-    return carried(task, data, found, Attempt(known, found.dispatch, own=own))
+    return carried(task, found, Attempt(known, found.dispatch, own=found.own))
 
 
 def with_least_reactive(task: WindowTask, found: Candidate) -> Candidate | None:
     """A dispatch with the least reactive power that its active power needs."""
-    data = task.data.for_service(found.dispatch.served)
-    attempt = least_reactive(task.cache, data, found.dispatch, task.answer_by())
+    attempt = least_reactive(task.cache, found.data, found.dispatch, task.answer_by())
     task.certificate.note("reactive_power", attempt.outcome)
-    return carried(task, data, found, attempt)
+    return carried(task, found, attempt)
 
 
 # Cost.

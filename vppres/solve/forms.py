@@ -189,6 +189,11 @@ def own_of(cache: ModelCache, data: WindowData) -> tuple[str, ...]:
     return statement.own + statement.changed
 
 
+def by_phase(cache: ModelCache, data: WindowData) -> bool:
+    """Whether a window's dispatches in the network come from rows of phases."""
+    return data.phased is not None and not own_of(cache, data)
+
+
 def window_problem(
     cache: ModelCache, data: WindowData, form: Form, conic: bool = False
 ) -> Selected:

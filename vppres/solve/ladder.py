@@ -18,7 +18,13 @@ from vppres.model.beyond_paper.longest_off import longest_off_of
 from vppres.model.data import WindowData
 from vppres.model.numerics import POLYGON_SIDES
 from vppres.model.own_state import GIVEN, giving_way, with_own_state
-from vppres.model.ratings import MOVED_SHARE, overloaded, with_ratings, with_ratings_given
+from vppres.model.ratings import (
+    MOVED_SHARE,
+    has_ratings,
+    overloaded,
+    with_ratings,
+    with_ratings_given,
+)
 from vppres.model.site import Site
 from vppres.model.violations import broken
 from vppres.solve.apart import falls_apart, solve_apart
@@ -28,6 +34,7 @@ from vppres.solve.dispatch import (
     SERVICE_HELD_REL,
     keep_dispatch_in_network,
     keep_with_turns,
+    settle,
 )
 from vppres.solve.fleet.all_terms import all_terms, require_bounds
 from vppres.solve.fleet.masters import fleets_of, master_of
@@ -38,7 +45,7 @@ from vppres.solve.fleet.rungs import (
     with_modes_of_batteries,
 )
 from vppres.solve.fleet.steady import steady_sets
-from vppres.solve.forms import own_of
+from vppres.solve.forms import by_phase, own_of
 from vppres.solve.longest_off import solve_with_limits
 from vppres.solve.network.decide import decide_at_once, enter_network, network_master
 from vppres.solve.network.rated import decided_within, served_within
@@ -130,81 +137,64 @@ class WindowSolver:
         """
         limits = self.limits.at_most(within_s)
         deadline = Deadline(limits.time_s)
-        ways = giving_way(self.site, data.with_sound_soc(self.site.batteries))
-        *tighter, data = ways
-        settles = data.phased is None or bool(own_of(self.cache, data))
-        found = self._decided(data, limits, settles)
-        if not settles:
-            found = self._within(ways, found, deadline, settled=False)
-        rated = self._rated(data, found, deadline)
-        if rated is found and not settles:
-            return found
-        return self._within(tighter, rated, deadline)
+        *tighter, data = giving_way(self.site, data.with_sound_soc(self.site.batteries))
+        data, found = self._rated(data, self._decided(data, limits), deadline)
+        return self._settled([*tighter, data], found, deadline)
 
-    def _decided(
-        self, data: WindowData, limits: SolveLimits, settles: bool = True
-    ) -> WindowSolution:
-        """A window without ratings of lines, of voltages that do not give way."""
-        solve = partial(self._solve, settles=settles)
+    def _decided(self, data: WindowData, limits: SolveLimits) -> WindowSolution:
+        """The best supply schedule of a window, without ratings of lines."""
         if self.method != "decomposed" or own_of(self.cache, data):
-            return solve(data, limits)
+            return self._solve(data, limits)
         if longest_off_of(data) is not None:
             return solve_with_limits(data, limits, self._decided, self._solve)
         if falls_apart(self.site, data):
-            return solve_apart(data, limits, solve)
-        return solve(data, limits)
+            return solve_apart(data, limits, self._solve)
+        return self._solve(data, limits)
 
-    def _rated(self, data: WindowData, found: WindowSolution, deadline: Deadline) -> WindowSolution:
+    def _rated(
+        self, data: WindowData, found: WindowSolution, deadline: Deadline
+    ) -> tuple[WindowData, WindowSolution]:
         """An answer within the ratings of the lines, which give way where there is none."""
-        if not self.site.rated:
-            return found
-        for share in sorted(GIVEN):
+        for share in sorted(GIVEN) if self.site.rated else ():
             limited = with_ratings_given(self.site, data, found.dispatch, share)
             if deadline.passed or not overloaded(self.site, limited, found.dispatch).any():
-                return found
+                break
             kept = decided_within(self._task(limited, self.limits.at_most(deadline.left_s)))
             if kept is not None:
-                return replace(
-                    kept,
-                    solve_s=found.solve_s + kept.solve_s,
-                    solver_s=found.solver_s + kept.solver_s,
-                )
-        return found
+                return limited, kept.after(found)
+        return data, found
 
-    def _within(
-        self,
-        ways: list[WindowData],
-        found: WindowSolution,
-        deadline: Deadline,
-        settled: bool = True,
+    def _settled(
+        self, ways: list[WindowData], found: WindowSolution, deadline: Deadline
     ) -> WindowSolution:
-        """An answer within the tightest limits in which its supply schedule has a dispatch.
+        """The answer's supply schedule in the tightest limits in which it has a dispatch.
 
-        One without tie-breakers, which has not ``settled``, gets them in the last limits at least.
+        A balanced feeder's answer has its tie-breakers, which say whether the network carries it,
+        and stays if it breaks none of them. With rows of phases it gets them only here.
         """
+        *tighter, last = ways
+        unsettled = by_phase(self.cache, last)
         served = found.dispatch.served
-        for data in ways:
-            if settled and not broken(self.site, data.for_service(served), found.dispatch):
+        for data in ways if unsettled else tighter:
+            if not unsettled and not broken(self.site, data.for_service(served), found.dispatch):
                 return found
-            if deadline.passed and (settled or data is not ways[-1]):
+            if deadline.passed and data is not last:
                 continue
             limits = self.limits.at_most(deadline.left_s)
             kept = self._served(data, limits, served, found.dispatch, keeps_turns=False)
             if kept is not None and not _dims_more(kept.dispatch, found.dispatch, self.site):
                 return replace(
-                    found,
+                    found.after(kept),
                     dispatch=kept.dispatch,
                     terms=kept.terms,
                     loss_kw=kept.loss_kw,
-                    solve_s=found.solve_s + kept.solve_s,
-                    solver_s=found.solver_s + kept.solver_s,
                     stages=found.stages + kept.stages,
                 )
         return found
 
-    def _solve(self, data: WindowData, limits: SolveLimits, settles: bool = True) -> WindowSolution:
-        """Solve a window as one problem, without tie-breakers if it does not settle."""
-        task = replace(self._task(data, limits), settles=settles)
+    def _solve(self, data: WindowData, limits: SolveLimits) -> WindowSolution:
+        """Solve a window as one problem."""
+        task = self._task(data, limits)
         if self.method == "decomposed":
             climb(task)
             if task.data.switching is not None and not task.certificate.answered:
@@ -269,8 +259,9 @@ class WindowSolver:
             keep_dispatch_in_network(task, served, before)
         if not task.certificate.answered:
             return None
+        settle(task)
         found = task.solution()
-        if not self.site.rated:
+        if not self.site.rated or has_ratings(data):
             return found
         limited = with_ratings(self.site, data)
         if not overloaded(self.site, limited, found.dispatch).any():

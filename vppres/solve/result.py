@@ -197,3 +197,9 @@ class WindowSolution:
         if not np.isfinite(self.bound):
             return np.inf
         return self.gap_abs / max(abs(self.objective), LEAST_OBJECTIVE)
+
+    def after(self, before: WindowSolution) -> WindowSolution:
+        """The same with the seconds of a solution before it too."""
+        return replace(
+            self, solve_s=before.solve_s + self.solve_s, solver_s=before.solver_s + self.solver_s
+        )

@@ -14,7 +14,7 @@ from vppres.model.site import Site
 from vppres.solve.cache import ModelCache
 from vppres.solve.certificate import Certificate, CostRange
 from vppres.solve.deadline import Deadline
-from vppres.solve.forms import own_of, sheet_of
+from vppres.solve.forms import by_phase, own_of, sheet_of
 from vppres.solve.result import SolveLimits, WindowSolution
 from vppres.solve.sizes import is_huge, is_large, is_wide
 from vppres.solve.solvers import SolverSpec
@@ -54,9 +54,6 @@ class WindowTask:
         When the window's time limit is reached.
     certificate : Certificate
         What is known so far.
-    settles : bool
-        Whether a dispatch by rows of phases gets its tie-breakers, which take longer than all else:
-        only the last one needs them.
     """
 
     data: WindowData
@@ -66,7 +63,6 @@ class WindowTask:
     sides: int
     deadline: Deadline
     certificate: Certificate
-    settles: bool = True
 
     @classmethod
     def begin(
@@ -92,7 +88,7 @@ class WindowTask:
     @property
     def by_phase(self) -> bool:
         """Whether dispatches in the network come from rows of phases."""
-        return self.data.phased is not None and not self.own
+        return by_phase(self.cache, self.data)
 
     @property
     def changed(self) -> tuple[str, ...]:

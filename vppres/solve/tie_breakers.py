@@ -19,6 +19,7 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.data import WindowData
 from vppres.model.numerics import disc_sides
+from vppres.model.objective import f4_squares, f5_squares
 from vppres.model.polygons import Polygon
 from vppres.model.site import Site
 from vppres.solve.compiled import Numbers
@@ -241,13 +242,8 @@ def squares_of(site: Site) -> dict[str, Floats]:
     w = site.weights
     heaviest = max(w.lambda_l, w.lambda_q) or 1.0
     scale = 1.0 / (1000.0 * site.network.base_kv**2 * heaviest)
-    of_flows = scale * w.lambda_l * site.network.r_ohm
-    return {
-        "P_flow": of_flows,
-        "Q_flow": of_flows,
-        "Q_pv": scale * w.lambda_q * site.pv.s_max_kva**-2.0,
-        "Q_batt": scale * w.lambda_q * site.batteries.s_max_kva**-2.0,
-    }
+    terms = ((w.lambda_l, f4_squares(site)), (w.lambda_q, f5_squares(site)))
+    return {name: scale * weight * of for weight, squares in terms for name, of in squares.items()}
 
 
 def _rank(name: str) -> int:

@@ -12,6 +12,7 @@ from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.model.violations import POWER_TOLERANCE_REL
+from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import HALF, Deadline, Stopwatch
 from vppres.solve.netting import net_modes
 from vppres.solve.network.program import NetworkProgram
@@ -48,6 +49,12 @@ class CheapestDispatch:
         self.data = data
         self.network = network.apart()
         self.model = network.model
+
+    @classmethod
+    def of_set(cls, cache: ModelCache, data: WindowData, served: Flags) -> CheapestDispatch:
+        """For a schedule that meets the rules of a window, with the demand that it brings about."""
+        data = replace(data.for_service(served), switching=None)
+        return cls(cache.site, data, NetworkProgram(cache, data))
 
     def of(
         self,

@@ -16,12 +16,12 @@ from vppres.solve.certificate import Candidate, cost_gap_gbp
 from vppres.solve.deadline import HALF, Deadline
 from vppres.solve.dispatch import (
     in_network,
+    netted,
     polished,
     with_least_reactive,
     with_tie_breakers,
 )
 from vppres.solve.fleet.masters import Master, fleets_of, master_of
-from vppres.solve.netting import net_modes
 from vppres.solve.network.master import NetworkMaster, applies
 from vppres.solve.programs import HALF_UNIT, SOLVED
 from vppres.solve.result import Outcome, Status
@@ -242,15 +242,7 @@ class InNetwork:
     def cheapest(self, served: Flags) -> Candidate | None:
         """Cheapest dispatch of a set, with the tie-breakers if they find one."""
         task = self.task
-        outcome, dispatch = self.master.cheapest(served, task.answer_by())
-        task.certificate.note("network_dispatch", outcome)
-        if dispatch is None:
-            return None
-        data = task.data.for_service(dispatch.served)
-        netted, fits = net_modes(task.site, data, dispatch)
-        if not fits:
-            return None
-        cheapest = Candidate.of(task.site, data, netted, 0.0, in_network=False)
-        if task.is_large and data.phased is None:
-            return with_least_reactive(task, cheapest)
-        return polished(task, cheapest)
+        found = netted(task, *self.master.cheapest(served, task.answer_by()))
+        if found is not None and task.is_large and task.data.phased is None:
+            return with_least_reactive(task, found)
+        return found and polished(task, found)

@@ -507,9 +507,7 @@ class NetworkMaster:
         if self.data.switching is None:
             way = CheapestDispatch(self.site, self.data, self.network)
         else:
-            data = replace(self.data.for_service(served), switching=None)
-            network = NetworkProgram(self.cache, data)
-            way = CheapestDispatch(self.site, data, network)
+            way = CheapestDispatch.of_set(self.cache, self.data, served)
         outcome, dispatch = way.of(served, deadline)
         if outcome.status == Status.OPTIMAL:
             self._dispatched = served, outcome, dispatch

@@ -8,6 +8,7 @@ stays what it is, and the run names the line.
 from __future__ import annotations
 
 from vppres.core.arrays import Flags
+from vppres.solve.dispatch import settle
 from vppres.solve.network.decide import InNetwork, network_master
 from vppres.solve.result import WindowSolution
 from vppres.solve.task import WindowTask
@@ -28,4 +29,5 @@ def served_within(task: WindowTask, served: Flags) -> WindowSolution | None:
     if master is None:
         return None
     task.certificate.best = InNetwork(task, master).cheapest(served)
+    settle(task)
     return task.solution() if task.certificate.answered else None

@@ -17,19 +17,15 @@ from vppres.core.arrays import Floats
 from vppres.model.data import WindowData
 from vppres.model.ratings import limit_kva
 from vppres.model.site import Site
+from vppres.model.variables import FIELDS
 from vppres.solve.selection import Selected, Selection, Sheet
 from vppres.solve.tie_breakers import SHARPER_VOLTAGE, squares_of
 
 ANY_KVAR = 1e6
 """Reactive flow that no line has: a limit for those without a rating."""
 
-LETTERS = {
-    "Q_pv": "pv_q_kvar",
-    "Q_batt": "batt_q_kvar",
-    "Q_grid": "q_grid_kvar",
-    "Q_flow": "q_flow_kvar",
-}
-"""Letters that are free, by which a dispatch has them."""
+LETTERS = ("Q_pv", "Q_batt", "Q_grid", "Q_flow")
+"""Letters that are free."""
 
 
 class LeastReactive(Selected):
@@ -92,7 +88,7 @@ class LeastReactive(Selected):
 
     def put_into(self, dispatch: Dispatch, t: int) -> Dispatch:
         """The dispatch with the last solution in step ``t``."""
-        changed = {field: self.value_of(name) for name, field in LETTERS.items()}
+        changed = {FIELDS[name]: self.value_of(name) for name in LETTERS}
         changed["v_pu"] = self.site.network.v_pu(self.value_of("u"))
         arrays = {}
         for field, values in changed.items():
