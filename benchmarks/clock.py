@@ -21,7 +21,7 @@ import highspy
 from cvxpy.reductions.solvers.solving_chain import SolvingChain
 
 from vppres.solve.certificate import Certificate
-from vppres.solve.direct import solve_by_clarabel, solve_by_highs
+from vppres.solve.direct import solve_by_clarabel
 from vppres.solve.programs import ProgramSolution
 from vppres.solve.result import Outcome
 
@@ -64,7 +64,6 @@ def watched() -> Iterator[Clock]:
     with (
         patch.object(Certificate, "note", noted),
         patch.object(ProgramSolution, "of", timed(ProgramSolution.of)),
-        patch("vppres.solve.solvers.solve_by_highs", timed(solve_by_highs)),
         patch("vppres.solve.solvers.solve_by_clarabel", timed(solve_by_clarabel)),
         patch.object(SolvingChain, "solve_via_data", timed(SolvingChain.solve_via_data)),
     ):

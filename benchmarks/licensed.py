@@ -6,7 +6,7 @@ import cvxpy as cp
 import numpy as np
 
 from vppres.solve.result import Status
-from vppres.solve.solvers import SOLVERS, Answer, SolverSpec
+from vppres.solve.solvers import SOLVERS, Answer, Interface, SolverSpec
 
 
 def _gurobi_slack(answer: Answer) -> float:
@@ -33,30 +33,36 @@ LICENSED: dict[str, SolverSpec] = {
             "gurobi",
             cp.GUROBI,
             True,
-            lambda gap, s: {"MIPGap": 0.0, "MIPGapAbs": gap, "TimeLimit": s, "Threads": 1},
-            _gurobi_slack,
-            _ended_with_values,
+            Interface(
+                lambda gap, s: {"MIPGap": 0.0, "MIPGapAbs": gap, "TimeLimit": s, "Threads": 1},
+                _gurobi_slack,
+                _ended_with_values,
+            ),
         ),
         SolverSpec(
             "copt",
             cp.COPT,
             True,
-            lambda gap, s: {"RelGap": 0.0, "AbsGap": gap, "TimeLimit": s, "Threads": 1},
-            _copt_slack,
-            _ended_with_values,
+            Interface(
+                lambda gap, s: {"RelGap": 0.0, "AbsGap": gap, "TimeLimit": s, "Threads": 1},
+                _copt_slack,
+                _ended_with_values,
+            ),
         ),
         SolverSpec(
             "xpress",
             cp.XPRESS,
             True,
-            lambda gap, s: {
-                "miprelstop": 0.0,
-                "mipabsstop": gap,
-                "maxtime": int(max(s, 1)),
-                "threads": 1,
-            },
-            _no_bound,
-            _ended_with_values,
+            Interface(
+                lambda gap, s: {
+                    "miprelstop": 0.0,
+                    "mipabsstop": gap,
+                    "maxtime": int(max(s, 1)),
+                    "threads": 1,
+                },
+                _no_bound,
+                _ended_with_values,
+            ),
         ),
     )
 }

@@ -22,8 +22,8 @@ from vppres.solve.cache import shared_cache
 from vppres.solve.certificate import Candidate
 from vppres.solve.dispatch import Attempt, carried
 from vppres.solve.ladder import WindowSolver
-from vppres.solve.result import SolveLimits, WindowSolution
-from vppres.solve.solvers import run_with
+from vppres.solve.result import SolveLimits, Status, WindowSolution
+from vppres.solve.solvers import Answer, Interface, SolverSpec, run_by_cvxpy
 from vppres.solve.task import WindowTask
 from vppres.solve.turns import one_at_a_time
 
@@ -71,11 +71,32 @@ def _scip(gap: float, choices: WeightedChoices, time_s: float) -> Mapping[str, A
     return {"scip_params": parameters}
 
 
+def _highs_slack(answer: Answer) -> float:
+    return float(answer.stats.objective_function_value - answer.stats.mip_dual_bound)
+
+
+def _highs_ended(answer: Answer) -> Status:
+    feasible = getattr(answer.stats, "primal_solution_status", 0) == 2
+    return Status.TIME_LIMIT if feasible else Status.NO_ANSWER
+
+
 OPTIONS: dict[str, Callable[[float, WeightedChoices, float], Mapping[str, Any]]] = {
     "highs": _highs,
     "scip": _scip,
 }
 """How each solver is told the choices."""
+
+
+def _asked(task: WindowTask, choices: WeightedChoices) -> SolverSpec:
+    """The solver with the choices; cvxpy asks HiGHS too, since five terms are no selection."""
+    spec = task.spec
+
+    def options(gap: float, time_s: float) -> Mapping[str, Any]:
+        return OPTIONS[spec.name](gap, choices, time_s)
+
+    if spec.interface is None:
+        return replace(spec, interface=Interface(options, _highs_slack, _highs_ended))
+    return replace(spec, interface=spec.interface._replace(options=options))
 
 
 class WeightedSolver(WindowSolver):
@@ -131,12 +152,8 @@ def solve_weighted(task: WindowTask, choices: WeightedChoices) -> WindowSolution
         squares=squares_of(site, data, task.spec.mip_cones, choices.tolerance),
     )
     model.fill(data)
-    ask = OPTIONS[task.spec.name]
-    outcome = run_with(
-        model.problem,
-        task.spec,
-        lambda left_s: ask(task.limits.gap_rel, choices, left_s),
-        task.deadline.left_s,
+    outcome = run_by_cvxpy(
+        model.problem, _asked(task, choices), task.limits.gap_rel, task.deadline.left_s
     )
     known.note("weighted", outcome)
     if not outcome.status.has_answer:

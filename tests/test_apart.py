@@ -27,10 +27,11 @@ from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 from vppres.solve.apart import falls_apart, solve_apart
 from vppres.solve.cache import shared_cache
-from vppres.solve.deadline import Deadline
-from vppres.solve.dispatch import with_modes
+from vppres.solve.dispatch import cheapest_with_modes
 from vppres.solve.ladder import METHODS, WindowSolver
 from vppres.solve.result import SolveLimits, Status, WindowSolution
+from vppres.solve.solvers import find_solver
+from vppres.solve.task import WindowTask
 from vppres.studies.sweep_parameters import scenario_changes
 
 RANDOM = [(seed, stressed) for stressed in (False, True) for seed in range(60)]
@@ -169,8 +170,11 @@ def test_modes_are_dispatched_where_rounding_took_their_energy() -> None:
     cache = shared_cache(Site.of(scenario))
     modes = {"delta": np.zeros((1, 1))}
     served = np.ones((1, 1), dtype=bool)
-    attempt = with_modes(cache, window(scenario), served, modes, Deadline(10.0))
-    assert attempt.dispatch is not None
-    assert attempt.dispatch.discharge_kw[0, 0] == pytest.approx(10.0)
+    limits, highs = SolveLimits(time_s=10.0), find_solver("highs")
+    task = WindowTask.begin(window(scenario), cache, limits, highs, 0)
+    found = cheapest_with_modes(task, served, modes)
+    assert found is not None
+    assert found.dispatch.discharge_kw[0, 0] == pytest.approx(10.0)
     less = replace(scenario, batteries=battery(soc=soc - 1e-6))
-    assert with_modes(cache, window(less), served, modes, Deadline(10.0)).dispatch is None
+    task = WindowTask.begin(window(less), cache, limits, highs, 0)
+    assert cheapest_with_modes(task, served, modes) is None

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
 
+import highspy
 import numpy as np
 import pytest
 
@@ -22,7 +23,9 @@ from vppres.solve.fleet.counts import Counts, _Found
 from vppres.solve.fleet.masters import demand_of
 from vppres.solve.forms import Form, window_problem
 from vppres.solve.ladder import WindowSolver
+from vppres.solve.programs import ProgramSolution
 from vppres.solve.result import SolveLimits, Status
+from vppres.solve.selection import Selected
 from vppres.solve.solvers import find_solver, run, run_conic
 from vppres.solve.task import WindowTask
 
@@ -154,20 +157,22 @@ def test_a_solver_gets_what_compiling_leaves(
     now = [100.0]
     monkeypatch.setattr("vppres.solve.deadline.time", SimpleNamespace(perf_counter=lambda: now[0]))
     given = []
+    of = ProgramSolution.of
 
-    def options(gap: float, time_s: float) -> dict[str, float]:
-        given.append(time_s)
-        return {"time_limit": time_s}
+    def noted(solver: highspy.Highs, deadline: Deadline) -> ProgramSolution:
+        given.append(deadline.left_s)
+        return of(solver, deadline)
 
-    spec = replace(find_solver("highs"), options=options)
+    monkeypatch.setattr(ProgramSolution, "of", noted)
+    spec = find_solver("highs")
     data = window(tiny, slice(1))
     for time_s, ended in ((8.0, Status.OPTIMAL), (4.0, Status.NO_ANSWER)):
         problem = window_problem(ModelCache(Site.of(tiny)), data, Form(network=False))
         problem.fill(data)
         compiled = problem.compile
 
-        def slow(compiled: Callable[[], None] = compiled) -> None:
-            now[0] += 5.0
+        def slow(problem: Selected = problem, compiled: Callable[[], None] = compiled) -> None:
+            now[0] += 0.0 if problem.is_compiled else 5.0
             compiled()
 
         monkeypatch.setattr(problem, "compile", slow)

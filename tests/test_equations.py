@@ -42,7 +42,7 @@ from vppres.solve.forms import Form, form_problem
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import Status
 from vppres.solve.selection import Selected, Selection, Sheet
-from vppres.solve.solvers import find_solver, run
+from vppres.solve.solvers import find_solver, run_by_cvxpy
 from vppres.solve.tie_breakers import TieBreakers
 
 STEPS = 2
@@ -356,7 +356,7 @@ def test_page_of_the_problem_can_be_solved_as_it_stands(tiny: Scenario) -> None:
     )
     whole = paper_problem(site, 2)
     whole.p.fill(site, data)
-    outcome = run(whole.problem, find_solver("scip"), gap_abs=1e-6, time_s=60.0)
+    outcome = run_by_cvxpy(whole.problem, find_solver("scip"), gap_abs=1e-6, time_s=60.0)
     assert outcome.status == Status.OPTIMAL
     assert WindowSolver(site).solve(data).objective == pytest.approx(outcome.value, abs=2e-6)
 

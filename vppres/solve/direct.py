@@ -1,24 +1,22 @@
-"""HiGHS and Clarabel asked with the numbers of selections, as cvxpy asks them.
-
-The model, the options and their order are those of cvxpy's interfaces, and so are the answers.
-"""
+"""HiGHS and Clarabel asked with the numbers of selections; Clarabel as cvxpy asks it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from types import MappingProxyType
+from typing import Any
 
 import clarabel
 import cvxpy as cp
-import highspy
 import numpy as np
 import scipy.sparse as sp
 from cvxpy.reductions.solvers.conic_solvers.clarabel_conif import CLARABEL
-from cvxpy.reductions.solvers.conic_solvers.highs_conif import HIGHS
 from cvxpy.settings import SOLUTION_PRESENT
 
 from vppres.core.arrays import Flags, Floats
-from vppres.solve.programs import begin_with, program_of, stacked
+from vppres.solve.deadline import Deadline, Stopwatch
+from vppres.solve.programs import DIRECT, ProgramSolution, begin_with, program_of, stacked
+from vppres.solve.result import Outcome
 from vppres.solve.selection import Selected
 
 LARGEST_FACTOR = 1e6
@@ -26,45 +24,40 @@ LARGEST_FACTOR = 1e6
 1e11, and from 1e9 on Clarabel calls problems unbounded that have a solution."""
 
 
-class Start(NamedTuple):
-    """What a search begins with: values of binaries, in their shape, by their letter."""
-
-    letter: str
-    values: Flags
-
-
 def solve_by_highs(
-    selected: Selected, options: Mapping[str, Any], start: Start | None = None
-) -> tuple[str, Any, float]:
-    """Solve a problem without cones: cvxpy's word for how it ended, HiGHS's figures, the least.
+    selected: Selected,
+    deadline: Deadline,
+    gap_abs: float = 0.0,
+    more: Mapping[str, Any] = MappingProxyType({}),
+    first: Flags | None = None,
+    held: Mapping[str, Floats] = MappingProxyType({}),
+) -> Outcome:
+    """Solve a problem without cones, with options ``more`` of HiGHS.
 
-    A search begins with the values of ``start``.
+    A search begins with the supply schedule ``first``. Letters of ``held`` have their values.
 
     Raises
     ------
-    ValueError
-        If HiGHS does not know an option.
     NumericalError
         If a coefficient is not finite.
     """
-    solver = highspy.Highs()
-    solver.setOptionValue("log_to_console", False)
-    for name, value in options.items():
-        if solver.setOptionValue(name, value) == highspy.HighsStatus.kError:
-            raise ValueError(f"HiGHS does not take {value!r} for its option {name}.")
+    watch = Stopwatch()
     program = program_of(selected)
     if selected.added is not None:
         matrix, least = selected.added
         program = program.with_rows(sp.csc_array(selected.shown(matrix)), least)
-    solver.passModel(program.model)
-    if start is not None:
-        begin_with(solver, selected.at(start.letter), start.values)
-    solver.run()
-    word = HIGHS.STATUS_MAP.get(solver.getModelStatus().name, cp.SOLVER_ERROR)
-    if word in SOLUTION_PRESENT:
-        selected.put(np.array(solver.getSolution().col_value))
-    info = solver.getInfo()
-    return word, info, info.objective_function_value + selected.offset
+    for name, values in held.items():
+        program = program.with_held(selected.at(name), values)
+    solver = program.loaded(gap_abs, more=more)
+    if first is not None:
+        begin_with(solver, selected.at("x_served"), first)
+    found = ProgramSolution.of(solver, deadline)
+    if not found.status.has_answer:
+        return Outcome(found.status, np.nan, np.nan, watch.spent_s, DIRECT)
+    selected.put(found.x)
+    sign = -1.0 if selected.maximises else 1.0
+    value, bound = (sign * (each + selected.offset) for each in (found.value, found.bound))
+    return Outcome(found.status, value, bound, watch.spent_s, DIRECT)
 
 
 def _cones(dims: Any) -> list[Any]:

@@ -30,15 +30,15 @@ from vppres.solve.certificate import (
     cost_gap_gbp,
 )
 from vppres.solve.deadline import HALF, Deadline, Stopwatch
+from vppres.solve.direct import solve_by_highs
 from vppres.solve.fleet.relaxation import fleet_problem
 from vppres.solve.forms import Form, sheet_of, sheet_of_draws, window_problem
 from vppres.solve.netting import SOC_OVER, net_modes
 from vppres.solve.network.cheapest import CheapestDispatch
 from vppres.solve.network.reactive import LeastReactive
 from vppres.solve.phases import near_to, run_in_phases, with_more_room
-from vppres.solve.programs import GAP_SHARE, ProgramSolution, program_of
+from vppres.solve.programs import GAP_SHARE
 from vppres.solve.result import Outcome, Status
-from vppres.solve.selection import Selected
 from vppres.solve.solvers import SolverSpec, run, run_conic
 from vppres.solve.task import WindowTask
 from vppres.solve.tie_breakers import TieBreakers
@@ -165,7 +165,9 @@ def cheapest_with_modes(
     What other modes leave open of its cost is not known.
     """
     data = task.data.for_service(served)
-    attempt = with_modes(task.cache, data, served, modes, task.answer_by())
+    form = cost_form(0, network=False)
+    deadline = task.answer_by()
+    attempt = solve_cost(task.cache, data, served, task.spec, form, deadline, 0.0, held=modes)
     task.certificate.note("cost", attempt.outcome)
     if attempt.dispatch is None:
         return None
@@ -424,7 +426,7 @@ def _solve_cost(
     if conic:
         outcome = run_in_phases(cache.site, data, problem, served, deadline.left_s)
     elif held:
-        outcome = _with_held(problem, held, gap_gbp, deadline)
+        outcome = solve_by_highs(problem, deadline, gap_gbp, held=held)
     else:
         outcome = run(problem, spec, gap_gbp, deadline.left_s)
     if not outcome.status.has_answer:
@@ -434,44 +436,6 @@ def _solve_cost(
         value -= HELD_REL * (1.0 + abs(value))
     own = OwnValues(value, problem.own_letters())
     return Attempt(outcome, problem.dispatch(served), problem.both_ways_kw(), own=own)
-
-
-def with_modes(
-    cache: ModelCache, data: WindowData, served: Flags, modes: Mapping[str, Floats], end: Deadline
-) -> Attempt:
-    """Cheapest dispatch without the network of a schedule with binaries held, by their names."""
-    attempt = _with_modes(cache, data, served, modes, end)
-    if attempt.outcome.status == Status.INFEASIBLE:
-        return _with_modes(cache, eased(cache.site, data), served, modes, end)
-    return attempt
-
-
-def _with_modes(
-    cache: ModelCache, data: WindowData, served: Flags, modes: Mapping[str, Floats], end: Deadline
-) -> Attempt:
-    """One solve with binaries held."""
-    problem = window_problem(cache, data, cost_form(0, network=False))
-    problem.fill(data, served)
-    outcome = _with_held(problem, modes, 0.0, end)
-    if outcome.status != Status.OPTIMAL:
-        return Attempt(outcome, None)
-    own = OwnValues(problem.own_value(), problem.own_letters())
-    return Attempt(outcome, problem.dispatch(served), own=own)
-
-
-def _with_held(problem: Selected, held: Mapping[str, Floats], gap: float, end: Deadline) -> Outcome:
-    """A solve of a problem with some letters held."""
-    watch = Stopwatch()
-    program = program_of(problem)
-    for name, values in held.items():
-        program = program.with_held(problem.at(name), values)
-    found = ProgramSolution.of(program.loaded(gap), end)
-    outcome = found.outcome(watch.spent_s)
-    if not found.status.has_answer:
-        return outcome
-    problem.put(found.x)
-    offset = problem.value - found.value
-    return replace(outcome, value=found.value + offset, bound=found.bound + offset)
 
 
 # Tie-breakers.

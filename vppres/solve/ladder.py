@@ -52,7 +52,7 @@ from vppres.solve.network.rated import decided_within, served_within
 from vppres.solve.result import SolveLimits, WindowSolution
 from vppres.solve.slack import least_slack
 from vppres.solve.solvers import SolverSpec, find_solver
-from vppres.solve.task import WindowTask
+from vppres.solve.task import NETWORK_RESERVE, WindowTask
 from vppres.solve.turns import one_at_a_time
 from vppres.solve.whole import with_binaries, without_binaries
 
@@ -137,9 +137,9 @@ class WindowSolver:
         """
         limits = self.limits.at_most(within_s)
         deadline = Deadline(limits.time_s)
-        *tighter, data = giving_way(self.site, data.with_sound_soc(self.site.batteries))
-        data, found = self._rated(data, self._decided(data, limits), deadline)
-        return self._settled([*tighter, data], found, deadline)
+        ways = giving_way(self.site, data.with_sound_soc(self.site.batteries))
+        found = self._decided(ways[-1], self._before_settling(ways[-1], limits))
+        return self._rated(ways, self._settled(ways, found, deadline), deadline)
 
     def _decided(self, data: WindowData, limits: SolveLimits) -> WindowSolution:
         """The best supply schedule of a window, without ratings of lines."""
@@ -151,18 +151,9 @@ class WindowSolver:
             return solve_apart(data, limits, self._solve)
         return self._solve(data, limits)
 
-    def _rated(
-        self, data: WindowData, found: WindowSolution, deadline: Deadline
-    ) -> tuple[WindowData, WindowSolution]:
-        """An answer within the ratings of the lines, which give way where there is none."""
-        for share in sorted(GIVEN) if self.site.rated else ():
-            limited = with_ratings_given(self.site, data, found.dispatch, share)
-            if deadline.passed or not overloaded(self.site, limited, found.dispatch).any():
-                break
-            kept = decided_within(self._task(limited, self.limits.at_most(deadline.left_s)))
-            if kept is not None:
-                return limited, kept.after(found)
-        return data, found
+    def _before_settling(self, data: WindowData, limits: SolveLimits) -> SolveLimits:
+        """Limits of a decision that leave time for its tie-breakers where these come later."""
+        return limits.within(1.0 - NETWORK_RESERVE) if by_phase(self.cache, data) else limits
 
     def _settled(
         self, ways: list[WindowData], found: WindowSolution, deadline: Deadline
@@ -190,6 +181,21 @@ class WindowSolver:
                     loss_kw=kept.loss_kw,
                     stages=found.stages + kept.stages,
                 )
+        return found
+
+    def _rated(
+        self, ways: list[WindowData], found: WindowSolution, deadline: Deadline
+    ) -> WindowSolution:
+        """An answer within the ratings of the lines, which give way where there is none."""
+        *tighter, data = ways
+        for share in sorted(GIVEN) if self.site.rated else ():
+            limited = with_ratings_given(self.site, data, found.dispatch, share)
+            if deadline.passed or not overloaded(self.site, limited, found.dispatch).any():
+                break
+            limits = self._before_settling(data, self.limits.at_most(deadline.left_s))
+            kept = decided_within(self._task(limited, limits))
+            if kept is not None:
+                return self._settled([*tighter, limited], kept.after(found), deadline)
         return found
 
     def _solve(self, data: WindowData, limits: SolveLimits) -> WindowSolution:

@@ -378,6 +378,7 @@ def _status(status: highspy.HighsModelStatus, primal: int) -> Status:
     ends = {
         highspy.HighsModelStatus.kOptimal: Status.OPTIMAL,
         highspy.HighsModelStatus.kInfeasible: Status.INFEASIBLE,
+        highspy.HighsModelStatus.kUnboundedOrInfeasible: Status.INFEASIBLE,
         highspy.HighsModelStatus.kUnbounded: Status.UNBOUNDED,
     }
     feasible = primal == highspy.SolutionStatus.kSolutionStatusFeasible

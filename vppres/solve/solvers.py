@@ -5,24 +5,21 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, partial
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import cvxpy as cp
 import numpy as np
-from cvxpy.reductions.solvers.solver import Solver
 
+from vppres.core.arrays import Flags
 from vppres.core.errors import InputError
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.solve.compiled import COMPILER
 from vppres.solve.deadline import LEAST_S, Deadline
-from vppres.solve.direct import Start, solve_by_clarabel, solve_by_highs
-from vppres.solve.programs import (
-    SEARCH_OF_SETS,
-    search_options,
-)
+from vppres.solve.direct import solve_by_clarabel, solve_by_highs
+from vppres.solve.programs import DIRECT, SEARCH_OF_SETS, search_options
 from vppres.solve.result import Outcome, Status
 from vppres.solve.selection import Selected
 
@@ -38,7 +35,7 @@ number that a large one has as a variable or in a constraint, with cones or with
 
 @dataclass(frozen=True)
 class Answer:
-    """How a solve ended.
+    """How a solve by way of cvxpy ended.
 
     Parameters
     ----------
@@ -46,17 +43,31 @@ class Answer:
         cvxpy's word for it.
     stats : object
         The solver's own figures.
-    mixed_integer, has_values : bool
-        Whether the problem has whole numbers; whether its variables got values.
-    least : float, optional
-        Value of the problem as one of a minimum, where the solver says it.
+    has_values : bool
+        Whether its variables got values.
     """
 
     word: str
     stats: Any
-    mixed_integer: bool
     has_values: bool
-    least: float | None = None
+
+
+class Interface(NamedTuple):
+    """How cvxpy asks a solver.
+
+    Attributes
+    ----------
+    options : callable
+        ``(absolute gap, seconds) -> options`` of the solver.
+    slack : callable
+        ``answer -> value - bound`` in the solver's own (minimising) sense.
+    ended : callable
+        ``answer -> Status`` for answers that cvxpy does not call optimal.
+    """
+
+    options: Callable[[float, float], Mapping[str, Any]]
+    slack: Callable[[Answer], float]
+    ended: Callable[[Answer], Status]
 
 
 @dataclass(frozen=True)
@@ -72,22 +83,16 @@ class SolverSpec:
     mip_cones : bool
         Whether it takes second-order cones together with binaries; otherwise inverters become
         polygons.
-    options : callable
-        ``(absolute gap, seconds) -> options`` of the solver.
-    slack : callable
-        ``answer -> value - bound`` in the solver's own (minimising) sense.
-    ended : callable
-        ``answer -> Status`` for answers that cvxpy does not call optimal.
+    interface : Interface, optional
+        How cvxpy asks it; HiGHS, which has none, is asked directly.
     of_sets : mapping
-        Options of the solver for a search for sets, whose time goes into the proof.
+        Options of HiGHS for a search for sets, whose time goes into the proof.
     """
 
     name: str
     cvxpy_name: str
     mip_cones: bool
-    options: Callable[[float, float], Mapping[str, Any]]
-    slack: Callable[[Answer], float]
-    ended: Callable[[Answer], Status]
+    interface: Interface | None = None
     of_sets: Mapping[str, Any] = field(default_factory=dict)
 
     def for_window(self, site: Site, data: WindowData) -> SolverSpec:
@@ -108,18 +113,6 @@ def _installed() -> frozenset[str]:
     return frozenset(cp.installed_solvers())
 
 
-def _highs_slack(answer: Answer) -> float:
-    # For a problem without binaries HiGHS leaves the MIP bound at its default of minus infinity.
-    if not answer.mixed_integer:
-        return 0.0
-    return float(answer.stats.objective_function_value - answer.stats.mip_dual_bound)
-
-
-def _highs_ended(answer: Answer) -> Status:
-    feasible = getattr(answer.stats, "primal_solution_status", 0) == 2
-    return Status.TIME_LIMIT if feasible else Status.NO_ANSWER
-
-
 def _scip_slack(answer: Answer) -> float:
     model = answer.stats["model"]
     return float(model.getPrimalbound() - model.getDualbound())
@@ -136,35 +129,18 @@ def _scip_ended(answer: Answer) -> Status:
     }.get(model.getStatus(), Status.INACCURATE)
 
 
+def _scip_options(gap_abs: float, time_s: float) -> Mapping[str, Any]:
+    # At its default tolerance SCIP 10 calls problems infeasible in which a PV system runs exactly
+    # at its inverter's rating.
+    limits = {"limits/gap": 0.0, "limits/absgap": gap_abs, "limits/time": time_s}
+    return {"scip_params": {**limits, "numerics/feastol": 1e-7}}
+
+
 SOLVERS: dict[str, SolverSpec] = {
     spec.name: spec
     for spec in (
-        SolverSpec(
-            "highs",
-            cp.HIGHS,
-            False,
-            lambda gap, s: {"mip_rel_gap": 0.0, "mip_abs_gap": gap, "time_limit": s},
-            _highs_slack,
-            _highs_ended,
-            of_sets=SEARCH_OF_SETS,
-        ),
-        SolverSpec(
-            "scip",
-            cp.SCIP,
-            True,
-            # At its default tolerance SCIP 10 calls problems infeasible in which a PV system
-            # runs exactly at its inverter's rating.
-            lambda gap, s: {
-                "scip_params": {
-                    "limits/gap": 0.0,
-                    "limits/absgap": gap,
-                    "limits/time": s,
-                    "numerics/feastol": 1e-7,
-                }
-            },
-            _scip_slack,
-            _scip_ended,
-        ),
+        SolverSpec(DIRECT, cp.HIGHS, False, of_sets=SEARCH_OF_SETS),
+        SolverSpec("scip", cp.SCIP, True, Interface(_scip_options, _scip_slack, _scip_ended)),
     )
 }
 
@@ -204,67 +180,66 @@ def find_solver(name: str) -> SolverSpec:
 
 
 def run(
-    problem: cp.Problem | Selected,
+    problem: Selected,
     spec: SolverSpec,
     gap_abs: float,
     time_s: float,
     scale: float = 1.0,
     more: Mapping[str, Any] = MappingProxyType({}),
-    start: Start | None = None,
+    first: Flags | None = None,
 ) -> Outcome:
     """Solve a mixed-integer or linear problem and map its status honestly.
 
     ``scale`` is a factor in the problem's objective; gap, value and bound are meant without it.
-    The time limit holds for compiling too. ``more`` are options of the solver. HiGHS begins with
-    ``start``, others without.
+    The time limit holds for compiling too. HiGHS gets ``more`` options and begins with the supply
+    schedule ``first``; others do without.
     """
+    if spec.interface is not None:
+        return run_by_cvxpy(problem, spec, gap_abs, time_s, scale)
+    deadline = Deadline(time_s)
+    if not compiled_in_time(problem, deadline):
+        return Outcome(Status.NO_ANSWER, np.nan, np.nan, deadline.spent_s, spec.name)
+    found = solve_by_highs(problem, deadline, gap_abs * scale, more, first)
+    value, bound = found.value / scale, found.bound / scale
+    return replace(found, value=value, bound=bound, solve_s=deadline.spent_s)
 
-    def options(left_s: float) -> Mapping[str, Any]:
-        return {**spec.options(gap_abs * scale, left_s), **more}
 
-    return run_with(problem, spec, options, time_s, scale, start)
-
-
-def run_with(
+def run_by_cvxpy(
     problem: cp.Problem | Selected,
     spec: SolverSpec,
-    options: Callable[[float], Mapping[str, Any]],
+    gap_abs: float,
     time_s: float,
     scale: float = 1.0,
-    start: Start | None = None,
 ) -> Outcome:
-    """The same with your own options, of the seconds that are left."""
+    """The same by way of cvxpy."""
+    interface = spec.interface
+    assert interface is not None
+    options = partial(interface.options, gap_abs * scale)
     deadline = Deadline(time_s)
-    try:
-        if spec.cvxpy_name == cp.HIGHS and isinstance(problem, Selected):
-            answer = _by_highs(problem, deadline, options, start)
-        else:
-            answer = _by_cvxpy(problem, spec.cvxpy_name, deadline, options)
-    except cp.SolverError:
-        return Outcome(Status.NUMERICAL, np.nan, np.nan, deadline.spent_s, spec.name)
-    elapsed = deadline.spent_s
-    status = Status.NO_ANSWER if answer is None else _status(answer, spec)
-    if answer is None or not status.has_answer:
-        return Outcome(status, np.nan, np.nan, elapsed, spec.name)
-    sign = 1.0 if _maximises(problem) else -1.0
-    value = _value(problem) if answer.least is None else -sign * answer.least
-    bound = value + sign * max(spec.slack(answer), 0.0)
-    return Outcome(status, value / scale, bound / scale, elapsed, spec.name)
-
-
-def _maximises(problem: cp.Problem | Selected) -> bool:
-    """Whether a problem's objective is maximised."""
+    nothing = Outcome(Status.NO_ANSWER, np.nan, np.nan, 0.0, spec.name)
+    selected = None
     if isinstance(problem, Selected):
-        return problem.maximises
-    return isinstance(problem.objective, cp.Maximize)
+        selected = problem
+        if not compiled_in_time(selected, deadline):
+            return replace(nothing, solve_s=deadline.spent_s)
+        problem, x = as_cvxpy(selected)
+    try:
+        answer = _by_cvxpy(problem, spec.cvxpy_name, deadline, options)
+    except cp.SolverError:
+        return replace(nothing, status=Status.NUMERICAL, solve_s=deadline.spent_s)
+    if selected is not None and answer is not None and answer.has_values:
+        selected.put(np.asarray(x.value, dtype=float))
+    status = Status.NO_ANSWER if answer is None else _status(answer, interface)
+    nothing = replace(nothing, status=status, solve_s=deadline.spent_s)
+    if answer is None or not status.has_answer:
+        return nothing
+    value = float(problem.objective.value)
+    sign = 1.0 if isinstance(problem.objective, cp.Maximize) else -1.0
+    bound = value + sign * max(interface.slack(answer), 0.0)
+    return replace(nothing, value=value / scale, bound=bound / scale)
 
 
-def _value(problem: cp.Problem | Selected) -> float:
-    """Value of the last solution."""
-    return problem.value if isinstance(problem, Selected) else float(problem.objective.value)
-
-
-def _status(answer: Answer, spec: SolverSpec) -> Status:
+def _status(answer: Answer, interface: Interface) -> Status:
     """What an answer is worth."""
     if answer.word == cp.OPTIMAL:
         return Status.OPTIMAL
@@ -277,7 +252,7 @@ def _status(answer: Answer, spec: SolverSpec) -> Status:
     if answer.word in (cp.UNBOUNDED, cp.UNBOUNDED_INACCURATE):
         return Status.UNBOUNDED
     if answer.word in (cp.USER_LIMIT, cp.OPTIMAL_INACCURATE) or answer.stats is not None:
-        return spec.ended(answer)
+        return interface.ended(answer)
     return Status.NUMERICAL
 
 
@@ -314,24 +289,6 @@ def _interior_points(problem: Selected, deadline: Deadline, refined: bool) -> St
     }.get(word, Status.NUMERICAL)
 
 
-# What is asked of a solver in what is left after compiling; None where no time was left to ask.
-
-
-def _by_highs(
-    problem: Selected,
-    deadline: Deadline,
-    options: Callable[[float], Mapping[str, Any]],
-    start: Start | None,
-) -> Answer | None:
-    """Ask HiGHS."""
-    if not compiled_in_time(problem, deadline):
-        return None
-    word, info, least = solve_by_highs(problem, options(max(deadline.left_s, LEAST_S)), start)
-    if word == cp.SOLVER_ERROR:
-        raise cp.SolverError("HiGHS gave up.")
-    return Answer(word, info, len(problem.whole) > 0, word in cp.settings.SOLUTION_PRESENT, least)
-
-
 def compiled_in_time(problem: Selected, deadline: Deadline) -> bool:
     """Compile a problem; whether that was done in time. What would take longer is not begun."""
     if deadline.left_s < _compile_s(problem):
@@ -341,12 +298,12 @@ def compiled_in_time(problem: Selected, deadline: Deadline) -> bool:
 
 
 def _by_cvxpy(
-    problem: cp.Problem | Selected,
-    interface: str | Solver,
+    problem: cp.Problem,
+    solver: str,
     deadline: Deadline,
     options: Callable[[float], Mapping[str, Any]],
 ) -> Answer | None:
-    """Ask by way of cvxpy.
+    """Ask in what compiling leaves of the time; None where it left nothing.
 
     These are the steps of ``Problem.solve``, which hands a solver the whole limit however long
     compiling took.
@@ -358,10 +315,8 @@ def _by_cvxpy(
     """
     if deadline.left_s < _compile_s(problem):
         return None
-    if isinstance(problem, Selected):
-        return _selected_by_cvxpy(problem, interface, deadline, options)
     data, chain, inverse = problem.get_problem_data(
-        interface, canon_backend=COMPILER, solver_opts=dict(options(deadline.left_s))
+        solver, canon_backend=COMPILER, solver_opts=dict(options(deadline.left_s))
     )
     if deadline.passed:
         return None
@@ -372,22 +327,7 @@ def _by_cvxpy(
         )
         problem.unpack_results(solution, chain, inverse)
     stats = None if problem.solver_stats is None else problem.solver_stats.extra_stats
-    has_values = problem.variables()[0].value is not None
-    return Answer(problem.status, stats, problem.is_mixed_integer(), has_values)
-
-
-def _selected_by_cvxpy(
-    selected: Selected,
-    interface: str | Solver,
-    deadline: Deadline,
-    options: Callable[[float], Mapping[str, Any]],
-) -> Answer | None:
-    """The same of a selection: cvxpy gets its numbers as a problem."""
-    problem, x = as_cvxpy(selected)
-    answer = _by_cvxpy(problem, interface, deadline, options)
-    if answer is not None and answer.has_values:
-        selected.put(np.asarray(x.value, dtype=float))
-    return answer
+    return Answer(problem.status, stats, problem.variables()[0].value is not None)
 
 
 def as_cvxpy(selected: Selected) -> tuple[cp.Problem, cp.Variable]:

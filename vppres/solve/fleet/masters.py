@@ -14,7 +14,6 @@ from vppres.core.arrays import Flags, Floats
 from vppres.model.data import WindowData
 from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import Deadline
-from vppres.solve.direct import Start
 from vppres.solve.dispatch import eased
 from vppres.solve.fleet.counts import Counts
 from vppres.solve.fleet.demand import DemandModel
@@ -155,8 +154,7 @@ def search_for_set(
 
     ``scale`` is a factor in the problem's objective as in ``run``.
     """
-    start = None if first is None else Start("x_served", first)
-    return run(problem, spec, gap_abs, time_s, scale, spec.of_sets, start)
+    return run(problem, spec, gap_abs, time_s, scale, spec.of_sets, first)
 
 
 def master_of(task: WindowTask, lumped: bool, deadline: Deadline) -> Master | None:
