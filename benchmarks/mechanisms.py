@@ -118,7 +118,7 @@ MECHANISMS = (
         "options of HiGHS",
         {
             "network.master.search_options": no_options,
-            "solvers.search_options": no_options,
+            "fleet.masters.search_options": no_options,
             "programs.PROOF": {},
             "fleet.counts.PROOF": {},
             "network.feeders.SEARCH": {},
@@ -131,7 +131,7 @@ MECHANISMS = (
     ),
     Mechanism(
         "options by kind of window",
-        {"network.master.search_options": one_set, "solvers.search_options": one_set},
+        {"network.master.search_options": one_set, "fleet.masters.search_options": one_set},
         ("programs.search_options",),
     ),
     Mechanism("whole problem", {"ladder.with_binaries": nothing}, ("whole.with_binaries",)),

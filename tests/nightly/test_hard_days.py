@@ -26,14 +26,14 @@ from vppres.io.python_door import check_scenario
 from vppres.model.numerics import objective_scale
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
-from vppres.solve.cache import ModelCache, shared_cache
+from vppres.solve.cache import ModelCache
 from vppres.solve.fleet.masters import search_for_set
 from vppres.solve.fleet.relaxation import Fleet, counts_of_alike, fleet_problem
 from vppres.solve.ladder import WindowSolver
+from vppres.solve.programs import search_options
 from vppres.solve.result import Outcome, SolveLimits, Status, WindowSolution
 from vppres.solve.selection import Sheet
 from vppres.solve.solvers import find_solver, run
-from vppres.solve.task import WindowTask
 
 # The days.
 
@@ -208,11 +208,6 @@ def test_customers_of_different_weights_have_no_counts() -> None:
     assert not counts_of_alike(Fleet(other, Sheet(other, 2), lumped=True))
 
 
-def test_only_highs_is_told_how_to_search_for_sets() -> None:
-    assert find_solver("highs").of_sets["mip_allow_restart"] is False
-    assert not find_solver("scip").of_sets
-
-
 # Sets to begin with.
 
 
@@ -234,10 +229,10 @@ def test_searches_for_sets_begin_near_the_linear_solution(monkeypatch: pytest.Mo
     asked = 1e-6, 20.0, objective_scale(case.site)
     plain = run(problem, highs, *asked)
     nobody = np.zeros(x.shape, dtype=bool)
-    found = search_for_set(problem, highs, *asked, first=nobody)
+    found = search_for_set(problem, case.data, highs, *asked, first=nobody)
     assert found.value == pytest.approx(plain.value, abs=1e-5)
     assert began[0] is nobody
-    search_for_set(problem, scip, *asked)
+    search_for_set(problem, case.data, scip, *asked)
     assert began[1] is None
 
 
@@ -249,6 +244,7 @@ def test_rules_and_batteries_decide_how_sets_are_searched(ruled: bool, stored: b
     count = 3 if stored else 0
     site = Site.of(replace(case.day.scenario, batteries=battery(count=count)))
     data = case.data if ruled else replace(case.data, switching=None)
-    task = WindowTask.begin(data, shared_cache(site), SolveLimits(), find_solver("highs"), 0)
-    assert task.spec.of_sets["mip_heuristic_run_rins"] is ruled
-    assert ("presolve_rule_off" in task.spec.of_sets) is not (ruled and stored)
+    options = search_options(site, data)
+    assert options["mip_allow_restart"] is False
+    assert options["mip_heuristic_run_rins"] is ruled
+    assert ("presolve_rule_off" in options) is not (ruled and stored)

@@ -21,6 +21,15 @@ ROUNDING = 1e-9
 SAME = 1e-12
 """Share by which numbers may differ and still be the same: rounding of products."""
 
+NOISE_KW = 1e-6
+"""Power of a kind of asset that a solver leaves where there is none."""
+
+LEFT_KW = 1e-7
+"""The same of what the paper has and of export, which are solved to more digits."""
+
+ANY_KW = 1e6
+"""Power, in kW or kvar, that nothing has: a limit where there is none."""
+
 BELOW_ZERO = 1e-8
 """What a value may be below zero by where it may not be negative: rounding, as cvxpy has it."""
 

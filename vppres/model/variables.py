@@ -11,7 +11,7 @@ import numpy as np
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats
 from vppres.model.data import WindowData
-from vppres.model.numerics import write
+from vppres.model.numerics import LEFT_KW, write
 from vppres.model.site import Site
 
 FIELDS = {
@@ -180,14 +180,14 @@ class Variables:
         )
 
     def dispatch(self, site: Site, served: Flags | None = None) -> Dispatch:
-        """The solution as arrays, cleaned of solver noise below 1e-7."""
+        """The solution as arrays, cleaned of solver noise."""
 
         def clean(variable: cp.Expression, lower: float = -np.inf) -> Floats:
             if variable.value is None:  # not part of this form
                 return np.full(variable.shape, np.nan)
             # cvxpy drops the second dimension of an empty expression's value.
             value = np.reshape(np.asarray(variable.value, dtype=float), variable.shape)
-            return np.maximum(np.where(np.abs(value) < 1e-7, 0.0, value), lower)
+            return np.maximum(np.where(np.abs(value) < LEFT_KW, 0.0, value), lower)
 
         b = site.batteries
         values: dict[str, Any] = {

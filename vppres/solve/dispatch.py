@@ -168,10 +168,24 @@ def cheapest_with_modes(
     form = cost_form(0, network=False)
     deadline = task.answer_by()
     attempt = solve_cost(task.cache, data, served, task.spec, form, deadline, 0.0, held=modes)
-    task.certificate.note("cost", attempt.outcome)
+    return _candidate(task, "cost", data, attempt, -np.inf)
+
+
+def _candidate(
+    task: WindowTask,
+    stage: str,
+    data: WindowData,
+    attempt: Attempt,
+    least_gbp: float,
+    in_network: bool = False,
+) -> Candidate | None:
+    """What a solve for the cheapest dispatch of a set found, which costs no less than something."""
+    task.certificate.note(stage, attempt.outcome)
+    task.certificate.wasteful |= attempt.wasteful
     if attempt.dispatch is None:
         return None
-    return Candidate.of(task.site, data, attempt.dispatch, np.inf, False, attempt.own)
+    slack_gbp = max(attempt.outcome.value - least_gbp, 0.0)
+    return Candidate.of(task.site, data, attempt.dispatch, slack_gbp, in_network, attempt.own)
 
 
 def in_network(task: WindowTask, served: Flags, charges: Flags | None = None) -> Candidate | None:
@@ -228,12 +242,7 @@ def cheapest(
         if found is not None or task.certificate.wasteful:
             return found
     attempt = cost()
-    task.certificate.note(name, attempt.outcome)
-    task.certificate.wasteful |= attempt.wasteful
-    if attempt.dispatch is None:
-        return None
-    slack_gbp = abs(attempt.outcome.value - attempt.outcome.bound)
-    return Candidate.of(task.site, data, attempt.dispatch, slack_gbp, form.network, attempt.own)
+    return _candidate(task, name, data, attempt, attempt.outcome.bound, form.network)
 
 
 def _as_one_battery(
@@ -251,14 +260,10 @@ def _as_one_battery(
     task.certificate.note("switched", outcome)
     if not outcome.status.has_answer:
         return None
-    attempt = cost(held=fleet.own_letters())
-    task.certificate.note(name, attempt.outcome)
-    task.certificate.wasteful |= attempt.wasteful
-    if attempt.dispatch is None:
+    found = _candidate(task, name, data, cost(held=fleet.own_letters()), outcome.bound)
+    if found is None or found.terms.f2 - found.cost_bound_gbp > cost_gap_gbp(found.terms.f2):
         return None
-    slack_gbp = max(attempt.outcome.value - outcome.bound, 0.0)
-    found = Candidate.of(task.site, data, attempt.dispatch, slack_gbp, False, attempt.own)
-    return found if slack_gbp <= cost_gap_gbp(found.terms.f2) else None
+    return found
 
 
 def _curtailed_within_gap_kwh(task: WindowTask, found: Candidate) -> float:

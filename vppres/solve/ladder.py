@@ -47,8 +47,13 @@ from vppres.solve.fleet.rungs import (
 from vppres.solve.fleet.steady import steady_sets
 from vppres.solve.forms import by_phase, own_of
 from vppres.solve.longest_off import solve_with_limits
-from vppres.solve.network.decide import decide_at_once, enter_network, network_master
-from vppres.solve.network.rated import decided_within, served_within
+from vppres.solve.network.decide import (
+    decide_at_once,
+    decided_within,
+    enter_network,
+    network_master,
+    served_within,
+)
 from vppres.solve.result import SolveLimits, WindowSolution
 from vppres.solve.slack import least_slack
 from vppres.solve.solvers import SolverSpec, find_solver
@@ -137,9 +142,10 @@ class WindowSolver:
         """
         limits = self.limits.at_most(within_s)
         deadline = Deadline(limits.time_s)
-        ways = giving_way(self.site, data.with_sound_soc(self.site.batteries))
-        found = self._decided(ways[-1], self._before_settling(ways[-1], limits))
-        return self._rated(ways, self._settled(ways, found, deadline), deadline)
+        *tighter, data = giving_way(self.site, data.with_sound_soc(self.site.batteries))
+        found = self._decided(data, self._before_settling(data, limits))
+        found = self._settled(tighter, data, found, deadline)
+        return self._rated(tighter, data, found, deadline)
 
     def _decided(self, data: WindowData, limits: SolveLimits) -> WindowSolution:
         """The best supply schedule of a window, without ratings of lines."""
@@ -156,23 +162,26 @@ class WindowSolver:
         return limits.within(1.0 - NETWORK_RESERVE) if by_phase(self.cache, data) else limits
 
     def _settled(
-        self, ways: list[WindowData], found: WindowSolution, deadline: Deadline
+        self,
+        tighter: list[WindowData],
+        data: WindowData,
+        found: WindowSolution,
+        deadline: Deadline,
     ) -> WindowSolution:
         """The answer's supply schedule in the tightest limits in which it has a dispatch.
 
         A balanced feeder's answer has its tie-breakers, which say whether the network carries it,
         and stays if it breaks none of them. With rows of phases it gets them only here.
         """
-        *tighter, last = ways
-        unsettled = by_phase(self.cache, last)
+        unsettled = by_phase(self.cache, data)
         served = found.dispatch.served
-        for data in ways if unsettled else tighter:
-            if not unsettled and not broken(self.site, data.for_service(served), found.dispatch):
+        for each in (*tighter, data) if unsettled else tighter:
+            if not unsettled and not broken(self.site, each.for_service(served), found.dispatch):
                 return found
-            if deadline.passed and data is not last:
+            if deadline.passed and each is not data:
                 continue
             limits = self.limits.at_most(deadline.left_s)
-            kept = self._served(data, limits, served, found.dispatch, keeps_turns=False)
+            kept = self._served(each, limits, served, found.dispatch, keeps_turns=False)
             if kept is not None and not _dims_more(kept.dispatch, found.dispatch, self.site):
                 return replace(
                     found.after(kept),
@@ -184,10 +193,13 @@ class WindowSolver:
         return found
 
     def _rated(
-        self, ways: list[WindowData], found: WindowSolution, deadline: Deadline
+        self,
+        tighter: list[WindowData],
+        data: WindowData,
+        found: WindowSolution,
+        deadline: Deadline,
     ) -> WindowSolution:
         """An answer within the ratings of the lines, which give way where there is none."""
-        *tighter, data = ways
         for share in sorted(GIVEN) if self.site.rated else ():
             limited = with_ratings_given(self.site, data, found.dispatch, share)
             if deadline.passed or not overloaded(self.site, limited, found.dispatch).any():
@@ -195,7 +207,7 @@ class WindowSolver:
             limits = self._before_settling(data, self.limits.at_most(deadline.left_s))
             kept = decided_within(self._task(limited, limits))
             if kept is not None:
-                return self._settled([*tighter, limited], kept.after(found), deadline)
+                return self._settled(tighter, limited, kept.after(found), deadline)
         return found
 
     def _solve(self, data: WindowData, limits: SolveLimits) -> WindowSolution:

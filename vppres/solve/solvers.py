@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -14,12 +14,10 @@ import numpy as np
 
 from vppres.core.arrays import Flags
 from vppres.core.errors import InputError
-from vppres.model.data import WindowData
-from vppres.model.site import Site
 from vppres.solve.compiled import COMPILER
 from vppres.solve.deadline import LEAST_S, Deadline
 from vppres.solve.direct import solve_by_clarabel, solve_by_highs
-from vppres.solve.programs import DIRECT, SEARCH_OF_SETS, search_options
+from vppres.solve.programs import DIRECT
 from vppres.solve.result import Outcome, Status
 from vppres.solve.selection import Selected
 
@@ -85,21 +83,12 @@ class SolverSpec:
         polygons.
     interface : Interface, optional
         How cvxpy asks it; HiGHS, which has none, is asked directly.
-    of_sets : mapping
-        Options of HiGHS for a search for sets, whose time goes into the proof.
     """
 
     name: str
     cvxpy_name: str
     mip_cones: bool
     interface: Interface | None = None
-    of_sets: Mapping[str, Any] = field(default_factory=dict)
-
-    def for_window(self, site: Site, data: WindowData) -> SolverSpec:
-        """The solver with the options that a window asks for, if it takes any."""
-        if not self.of_sets:
-            return self
-        return replace(self, of_sets=search_options(site, data))
 
     @property
     def installed(self) -> bool:
@@ -139,7 +128,7 @@ def _scip_options(gap_abs: float, time_s: float) -> Mapping[str, Any]:
 SOLVERS: dict[str, SolverSpec] = {
     spec.name: spec
     for spec in (
-        SolverSpec(DIRECT, cp.HIGHS, False, of_sets=SEARCH_OF_SETS),
+        SolverSpec(DIRECT, cp.HIGHS, False),
         SolverSpec("scip", cp.SCIP, True, Interface(_scip_options, _scip_slack, _scip_ended)),
     )
 }

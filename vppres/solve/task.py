@@ -72,7 +72,6 @@ class WindowTask:
         site = cache.site
         cost = CostRange.of(site, data)
         certificate = Certificate(limits, site.weights.lambda_grid, cost)
-        spec = spec.for_window(site, data)
         return cls(data, cache, limits, spec, sides, Deadline(limits.time_s), certificate)
 
     @property

@@ -20,12 +20,9 @@ from vppres.core.arrays import Floats
 from vppres.model.beyond_paper.addition import Addition, Held
 from vppres.model.constraints import Named, at_slack_bus
 from vppres.model.data import WindowData
-from vppres.model.numerics import write
+from vppres.model.numerics import LEFT_KW, write
 from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
-
-NOISE_KW = 1e-7
-"""What a solver leaves where there is no export."""
 
 CIRCLE_KW = 1e-4
 """By how much charging may exceed import and PV export after import and export were netted."""
@@ -130,7 +127,7 @@ class ExportToGrid(Addition):
     def exported_kw(self) -> Floats:
         """Export of the last solve."""
         value = np.asarray(self.P_out.value, dtype=float)
-        return np.where(value < NOISE_KW, 0.0, value)
+        return np.where(value < LEFT_KW, 0.0, value)
 
 
 def net_exchange(data: WindowData, dispatch: Dispatch, both_kw: Floats, dt_h: float) -> bool:

@@ -13,13 +13,10 @@ from vppres.core.arrays import Floats
 from vppres.model.beyond_paper.addition import Addition
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
-from vppres.model.numerics import write
+from vppres.model.numerics import ANY_KW, write
 from vppres.model.phases import ISLAND, REACH, phased_model
 from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
-
-ANY_KW = 1e6
-"""Room of a phase in steps with grid: no limit."""
 
 
 @dataclass(frozen=True, eq=False)

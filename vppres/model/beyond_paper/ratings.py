@@ -1,6 +1,6 @@
 """Currents of lines within their ratings, as rows.
 
-Plans make such rows by hand where a solution exceeds a rating (``solve/network/rated.py``). Shadow
+Plans make such rows by hand where a solution exceeds a rating (``solve/network/decide.py``). Shadow
 prices need those of all lines, for their duals, so they alone state this family.
 """
 

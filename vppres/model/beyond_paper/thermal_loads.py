@@ -21,12 +21,9 @@ from vppres.core.arrays import Floats
 from vppres.model.beyond_paper.addition import Addition, Held
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
-from vppres.model.numerics import write
+from vppres.model.numerics import NOISE_KW, write
 from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
-
-NOISE_KW = 1e-6
-"""Power that a solver leaves where there is none."""
 
 
 @dataclass(frozen=True, eq=False)

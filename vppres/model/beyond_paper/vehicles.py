@@ -22,16 +22,13 @@ from vppres.core.arrays import Floats, Wholes
 from vppres.model.beyond_paper.addition import Addition, Held
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
-from vppres.model.numerics import write
+from vppres.model.numerics import NOISE_KW, write
 from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
 
 LATER_GBP_PER_KWH_H = 1e-6
 """What it costs to charge a kWh an hour later: vehicles charge at once where that costs the same.
 A day later costs less than the smallest difference of prices, 0.01 p."""
-
-NOISE_KW = 1e-6
-"""Power that a solver leaves where there is none."""
 
 
 @dataclass(frozen=True, eq=False)

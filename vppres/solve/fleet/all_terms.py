@@ -74,7 +74,7 @@ def _search(task: WindowTask, lumped: bool, gap: float) -> bool:
     scale = objective_scale(task.site)
     first = None if known.best is None else known.best.dispatch.served
     time_s = task.search.left_s
-    outcome = search_for_set(problem, task.spec, gap, time_s, scale, first)
+    outcome = search_for_set(problem, task.data, task.spec, gap, time_s, scale, first)
     if not known.learn("aggregate", outcome):
         return False
     keep_dispatch(task, problem.value_of("x_served") > 0.5)

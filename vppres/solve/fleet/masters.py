@@ -24,7 +24,7 @@ from vppres.solve.fleet.relaxation import (
     weight_grid,
     whole_price,
 )
-from vppres.solve.programs import GAP_SHARE, SOLVED, WHOLE_GAP
+from vppres.solve.programs import GAP_SHARE, SOLVED, WHOLE_GAP, search_options
 from vppres.solve.result import Outcome, Status
 from vppres.solve.solvers import SolverSpec, run
 from vppres.solve.task import WindowTask
@@ -106,7 +106,7 @@ class Binaries:
         if not self.data.keeps_service:
             open_units = max(WHOLE_GAP, open_units)
         left_s = self.deadline.left_s
-        outcome = search_for_set(problem, self.spec, open_units, left_s)
+        outcome = search_for_set(problem, self.data, self.spec, open_units, left_s)
         if not self.data.keeps_service:
             # The objective is whole, so the bound may be rounded down.
             outcome = replace(outcome, bound=float(np.floor(outcome.bound + SOLVED)))
@@ -124,7 +124,7 @@ class Binaries:
             return bound, None
         problem = self._with_units(units_min, everyone, integer=True)
         left_s = self.deadline.left_s
-        outcome = search_for_set(problem, self.spec, gap_gbp, left_s, first=self.best)
+        outcome = search_for_set(problem, self.data, self.spec, gap_gbp, left_s, first=self.best)
         if not outcome.status.has_answer:
             return replace(bound, status=Status.TIME_LIMIT), None
         return outcome, set_of(problem, outcome)
@@ -144,6 +144,7 @@ def set_of(problem: FleetProblem, outcome: Outcome) -> Flags | None:
 
 def search_for_set(
     problem: FleetProblem,
+    data: WindowData,
     spec: SolverSpec,
     gap_abs: float,
     time_s: float,
@@ -154,7 +155,8 @@ def search_for_set(
 
     ``scale`` is a factor in the problem's objective as in ``run``.
     """
-    return run(problem, spec, gap_abs, time_s, scale, spec.of_sets, first)
+    more = search_options(problem.fleet.site, data)
+    return run(problem, spec, gap_abs, time_s, scale, more, first)
 
 
 def master_of(task: WindowTask, lumped: bool, deadline: Deadline) -> Master | None:

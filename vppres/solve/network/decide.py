@@ -18,13 +18,14 @@ from vppres.solve.dispatch import (
     in_network,
     netted,
     polished,
+    settle,
     with_least_reactive,
     with_tie_breakers,
 )
 from vppres.solve.fleet.masters import Master, fleets_of, master_of
 from vppres.solve.network.master import NetworkMaster, applies
 from vppres.solve.programs import HALF_UNIT, SOLVED
-from vppres.solve.result import Outcome, Status
+from vppres.solve.result import Outcome, Status, WindowSolution
 from vppres.solve.task import COST_SHARE, WindowTask
 
 
@@ -246,3 +247,26 @@ class InNetwork:
         if found is not None and task.is_large and task.data.phased is None:
             return with_least_reactive(task, found)
         return found and polished(task, found)
+
+
+# Ratings of lines: most windows exceed none, and for them nothing changes. Rows are made where a
+# solution violates them, as those of voltages.
+
+
+def decided_within(task: WindowTask) -> WindowSolution | None:
+    """The best set that the ratings of a window allow, None if none was found."""
+    master = network_master(task)
+    if master is None:
+        return None
+    task.certificate.best = InNetwork(task, master).decide()
+    return task.solution() if task.certificate.answered else None
+
+
+def served_within(task: WindowTask, served: Flags) -> WindowSolution | None:
+    """Cheapest dispatch of a schedule within the ratings of a window, None if it has none."""
+    master = network_master(task)
+    if master is None:
+        return None
+    task.certificate.best = InNetwork(task, master).cheapest(served)
+    settle(task)
+    return task.solution() if task.certificate.answered else None

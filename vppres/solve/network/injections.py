@@ -31,6 +31,7 @@ from vppres.solve.forms import (
 from vppres.solve.lumping import eliminated
 from vppres.solve.network.reactance import Reactance
 from vppres.solve.network.rows import PER_PU2, Rows
+from vppres.solve.phases import Draws, PhaseLimits
 from vppres.solve.programs import SOLVED, Program, with_limits_of_columns
 from vppres.solve.selection import Selected, Selection, Sheet
 
@@ -367,3 +368,21 @@ class Injections:
             }
         )
         return self.problem.dispatch(served)
+
+
+class PhasedInjections(Injections):
+    """The same columns and rows, with the limits of a phased window's phases."""
+
+    def __init__(self, cache: ModelCache, data: WindowData) -> None:
+        super().__init__(cache, data)
+        draws = Draws.of_problem(self.site, data, self.problem, None)
+        self.limits = PhaseLimits(self.site, data, draws)
+
+    @property
+    def near(self) -> list[Rows]:
+        """Rows of limits that the last candidate nearly reached."""
+        return [*self.limits.near]
+
+    def voltage_rows(self, x: Floats, tolerance_pu2: float) -> list[Rows]:
+        """Rows of the voltages and of the former's phases that exceed their limits."""
+        return [*self.limits.exceeded(x, tolerance_pu2)]

@@ -18,8 +18,7 @@ from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.data import WindowData
 from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import Deadline
-from vppres.solve.network.injections import Injections
-from vppres.solve.network.phased import PhasedInjections
+from vppres.solve.network.injections import Injections, PhasedInjections
 from vppres.solve.network.rows import Rows, add, limited
 from vppres.solve.programs import SOLVED, Program, ProgramSolution
 from vppres.solve.result import Status

@@ -15,14 +15,12 @@ from cvxpy.constraints.zero import Equality
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Floats
 from vppres.model.data import WindowData
+from vppres.model.numerics import ANY_KW
 from vppres.model.ratings import limit_kva
 from vppres.model.site import Site
 from vppres.model.variables import FIELDS
 from vppres.solve.selection import Selected, Selection, Sheet
 from vppres.solve.tie_breakers import SHARPER_VOLTAGE, squares_of
-
-ANY_KVAR = 1e6
-"""Reactive flow that no line has: a limit for those without a rating."""
 
 LETTERS = ("Q_pv", "Q_batt", "Q_grid", "Q_flow")
 """Letters that are free."""
@@ -78,7 +76,7 @@ class LeastReactive(Selected):
                 site.batteries.s_max_kva - kept_kw, net_kw[step], dispatch.batt_q_kvar[step]
             ),
             "Q_grid": part.grid_q_max_kvar(site),
-            "Q_flow": np.minimum(q_flow, ANY_KVAR),
+            "Q_flow": np.minimum(q_flow, ANY_KW),
         }
         u = site.network.u_pu2(dispatch.v_pu[step])
         lowest, highest = part.u_limits_pu2(site.network)
