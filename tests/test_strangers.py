@@ -195,19 +195,12 @@ LINES = {
     "pv model": (["new pvsystem.p bus1=a usermodel=canary.dll"], NO_PROPERTY),
     "storage library": (["new storage.s bus1=a dynadll=canary"], NO_PROPERTY),
     "edited model": (["generator.g.usermodel=canary.so"], NO_PROPERTY),
-    "control model": (["new capcontrol.c usermodel=canary.so"], NO_PROPERTY),
     # kind 7: substitution
     "variable": (["var @x=canary"], "has '@', which stands for a variable"),
     "variable in a value": (["new load.e bus1=@x"], "has '@', which stands for a variable"),
     "batchedit": (["batchedit load..* kw=1"], f"'batchedit' {NOT_NEEDED}"),
     "query": (["? load.d.kw"], f"'?' {NOT_NEEDED}"),
     "arithmetic": (["new load.e bus1=a kw=(1 2 system)"], "kw = system is not a number"),
-    # kind 8: series in files
-    "csv": (["new loadshape.s npts=9 csvfile=/etc/passwd"], NO_PROPERTY),
-    "doubles": (["new loadshape.s npts=9 dblfile=../secret.txt"], NO_PROPERTY),
-    "singles": (["new loadshape.s npts=9 sngfile=../secret.txt"], NO_PROPERTY),
-    "mult": (["new loadshape.s npts=9 mult=(file=/etc/passwd)"], "names the file /etc/passwd"),
-    "mult above": (["new loadshape.s npts=9 mult=[csvfile=../secret.txt]"], OUT),
     # kind 9: work without end
     "solve for ever": (["solve mode=yearly number=1000000000"], "'solve' with 'mode'"),
     "redirect to itself": (["redirect mill.dss"], "which is read already"),
@@ -223,6 +216,29 @@ def test_hostile_lines_of_opendss(name: str, house: Path) -> None:
     assert reason in message
     if len(lines) == 1 and "\r" not in lines[0] and not message.startswith("../"):
         assert message.startswith(f"{ROW}: ")
+
+
+# kind 8: series in files, and controls with code, which OpenDSS never sees
+UNSEEN = (
+    "new loadshape.s npts=9 csvfile=/etc/passwd",
+    "new loadshape.s npts=9 dblfile=../secret.txt",
+    "new loadshape.s npts=9 sngfile=../secret.txt",
+    "new loadshape.s npts=9 mult=(file=/etc/passwd)",
+    "new loadshape.s npts=9 mult=[csvfile=../secret.txt]",
+    "new capcontrol.c usermodel=canary.so",
+    "edit monitor.m mode=0\n~ action=save",
+    "loadshape.s.csvfile=/etc/passwd",
+    "edit load.d yearly=(file=/etc/passwd) daily=canary",
+    "set mode=(export canary)",
+)
+
+
+@pytest.mark.parametrize("lines", UNSEEN)
+def test_opendss_gets_nothing_of_what_is_left_out(lines: str, house: Path) -> None:
+    file = master(house, lines)
+    given = [command.text for command in dss_text.read_script(file).commands]
+    without = [command.text for command in dss_text.read_script(master(house)).commands]
+    assert [text for text in given if text != "edit load.d"] == without
 
 
 def many_levels(house: Path) -> Path:

@@ -17,7 +17,7 @@ Rows = Mapping[int, schema.Row]
 """Sound rows by line of the file."""
 
 BUSES = ("bus", "from_bus", "to_bus")
-ALWAYS = ("t_initial_c",)
+ALWAYS = ("soc_initial", "t_initial_c")
 """Columns that are written though every cell of them is empty."""
 
 

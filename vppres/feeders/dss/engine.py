@@ -20,12 +20,10 @@ PASSIVE = {
     "storage",
     "capacitor",
     "regcontrol",
-    "capcontrol",
     "swtcontrol",
 }
 LEFT_OUT = {
     "storage": "Batteries of the source are left out",
-    "capcontrol": "Capacitors are controlled in the source, and stay as the solution has them",
 }
 CONSTANT_POWER = 1  # OpenDSS's model of a load; 2 is constant impedance, 5 constant current
 LOAD_MODELS = {2: "constant impedance", 5: "constant current"}

@@ -17,11 +17,11 @@ from vppres.core.errors import InputError, Problem
 from vppres.feeders.dss.words import (
     IDLE,
     IDLE_OPTIONS,
+    IDLE_PROPERTIES,
     LIBRARIES,
     MATHS,
     NETWORK,
     OPTIONS,
-    POSITIONS,
     SKIPPED,
 )
 from vppres.feeders.strangers.files import MOST_PROBLEMS, read_text
@@ -48,9 +48,7 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?%?")
 # No blank, quote, comma, equals sign or @: nothing that ends a value or stands for another.
 _NAME = re.compile(r"[\w.+\-#$%:&*/;]{1,200}", re.ASCII)
 _FILE = re.compile(r"[\w.+\-/ ()]{1,200}")  # no drive, no home folder, no URL
-_IN_FILE = re.compile(
-    r"\s*(?:file|csvfile|sngfile|dblfile|pqcsvfile)\s*=\s*[\"']?([^\s,\"')]+)", re.IGNORECASE
-)
+_IN_FILE = re.compile(r"\s*(?:file|csvfile|sngfile|dblfile|pqcsvfile)\s*=", re.IGNORECASE)
 
 _CLEARS = ("clear", "clearall")
 _READS = ("redirect", "compile")
@@ -140,7 +138,6 @@ class _Reader:
     depth: int = 0
     bytes_left: int = LARGEST_BYTES
     kind: str = ""
-    idle: bool = False
 
     def read(self, shown: str, path: Path, library: bool) -> None:
         """Check the lines of a file."""
@@ -312,43 +309,32 @@ class _Reader:
                 "Copy the file into the folder: from above it only data sheets are read.",
             )
         self.kind = kind
-        self.idle = kind not in NETWORK
-        yield from self._edited(f"{verb} {kind}.{_name(name, 'name')}", values[1:])
+        head = verb if kind in IDLE else f"{verb} {kind}.{_name(name, 'name')}"
+        yield from self._edited(head, values[1:])
 
     def _edited(self, head: str, values: list[_Value]) -> Iterator[str]:
         """The properties of the element at hand; nothing of what is left out."""
+        if self.kind in IDLE:
+            for value in values:
+                if _IN_FILE.match(value.text):
+                    name = value.name.lower()
+                    self.notes[f"Series in files are left out, {self.kind} {name}"] = None
+            return
+        kinds = NETWORK[self.kind]
         words = [head]
-        for position, value in enumerate(values):
-            name = value.name.lower() or _positional(self.kind, position)
-            network = NETWORK.get(self.kind, {}).get(name)
-            kind = network or IDLE.get(self.kind, {}).get(name)
-            if kind is None:
-                everything = sorted({**NETWORK.get(self.kind, {}), **IDLE.get(self.kind, {})})
+        for value in values:
+            name = value.name.lower()
+            if not name:
+                raise _Refused(f"{self.kind} has a value without its name", "Write name=value.")
+            if name in kinds:
+                words.append(f"{name}={_written(kinds[name], value, name)}")
+            elif name not in IDLE_PROPERTIES:
                 raise _Refused(
-                    f"{self.kind} has '{_cut(name or value.text)}', which is not a property that "
-                    "a network needs",
-                    did_you_mean(_cut(name), everything, "Remove it."),
+                    f"{self.kind} has '{_cut(name)}', which is not a property that a network needs",
+                    did_you_mean(_cut(name), sorted({*kinds, *IDLE_PROPERTIES}), "Remove it."),
                 )
-            if self.idle and _IN_FILE.match(value.text):
-                self._series(name, value.text)
-                continue
-            text = _written(kind, value, name)
-            if network:
-                words.append(f"{name}={text}")
-        if not self.idle and (len(words) > 1 or not head.startswith("~")):
+        if len(words) > 1 or not head.startswith("~"):
             yield " ".join(words)
-
-    def _series(self, name: str, text: str) -> None:
-        """A series in a file, which is not read; its place says whether it could be."""
-        found = _IN_FILE.match(text)
-        assert found is not None
-        _, above = self._inside(found[1].replace("\\", "/"), self.root)
-        if above:
-            raise _Refused(
-                f"{name} leads out of the master's folder: {_cut(found[1])}",
-                "Copy the file into the folder, and name it from there.",
-            )
-        self.notes[f"Series in files are left out, {self.kind} {name}"] = None
 
 
 def _after_comment(line: str) -> tuple[bool, str]:
@@ -400,14 +386,6 @@ def _values(line: str) -> list[_Value]:
     return found
 
 
-def _positional(kind: str, position: int) -> str:
-    """Name of a value that was written without it."""
-    names = POSITIONS.get(kind, ())
-    if position >= len(names):
-        raise _Refused(f"{kind} has a value without its name", "Write name=value.")
-    return names[position]
-
-
 def _written(kind: str, value: _Value, name: str) -> str:
     """A value as OpenDSS gets it."""
     if kind == "w":
@@ -440,16 +418,14 @@ def _options(values: list[_Value]) -> Iterator[str]:
     """``set`` with its options, one at a time."""
     for value in values:
         name = value.name.lower()
-        kind = OPTIONS.get(name) or IDLE_OPTIONS.get(name)
-        if kind is None:
+        if name in OPTIONS:
+            yield f"set {name}={_written(OPTIONS[name], value, name)}"
+        elif name not in IDLE_OPTIONS:
             shown = _cut(value.name or value.text)
             raise _Refused(
                 f"'set {shown}' is not an option that a network needs",
-                did_you_mean(_cut(name), sorted({**OPTIONS, **IDLE_OPTIONS}), "Remove it."),
+                did_you_mean(_cut(name), sorted({*OPTIONS, *IDLE_OPTIONS}), "Remove it."),
             )
-        text = _written(kind, value, name)
-        if name in OPTIONS:
-            yield f"set {name}={text}"
 
 
 def _setkvbase(values: list[_Value]) -> str:

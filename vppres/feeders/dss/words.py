@@ -2,8 +2,8 @@
 
 Anything else of a script is refused, so this is the whole surface that a stranger's file has.
 Of each property it says how its value is read: ``n`` a number, ``l`` numbers in rows, ``w`` a name
-or ``yes`` and ``no``, ``ws`` names. What shapes demand over time, meters or controls is checked
-like the rest and then left out; OpenDSS does not see it.
+or ``yes`` and ``no``, ``ws`` names. What shapes demand over time, meters or controls is known by
+its name and left out; OpenDSS does not see it.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ def _kinds(**words: str) -> Kinds:
     return {name: kind for kind, names in words.items() for name in names.split()}
 
 
+def _words(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
+
 _COMMON = _kinds(n="basefreq", w="enabled like")
 _RATING = _kinds(n="normamps emergamps faultrate pctperm repair seasons", l="ratings")
-_SHAPES = _kinds(
-    w="yearly daily duty spectrum growth class status tyearly tdaily tduty cvrcurve "
-    "effcurve p-tcurve dispmode"
-)
 _INVERTER = _kinds(
     n="%cutin %cutout %r %x model vminpu vmaxpu dutystart %pminnovars %pminkvarmax kvarmax "
     "kvarmaxabs kvdc kp pitol safevoltage",
@@ -125,74 +125,17 @@ NETWORK: dict[str, Kinds] = {
 
 NETWORK["circuit"] = NETWORK["vsource"]
 
-IDLE: dict[str, Kinds] = {
-    **{
-        name: _SHAPES for name in ("vsource", "circuit", "load", "generator", "pvsystem", "storage")
-    },
-    "regcontrol": _kinds(w="eventlog"),
-    "capcontrol": _COMMON
-    | _kinds(
-        n="terminal ptratio ctratio onsetting offsetting delay vmax vmin delayoff deadtime "
-        "pctminkvar",
-        w="element capacitor type voltoverride ctphase ptphase vbus eventlog",
-    ),
-    "energymeter": _COMMON
-    | _kinds(
-        n="terminal kvanormal kvaemerg int_rate int_duration",
-        l="peakcurrent",
-        w="element localonly losses linelosses xfmrlosses seqlosses 3phaselosses vbaselosses "
-        "phasevoltagereport",
-        ws="option zonelist",
-    ),
-    "monitor": _COMMON | _kinds(n="terminal mode", w="element residual vipolar ppolar"),
-    "sensor": _COMMON
-    | _kinds(
-        n="terminal kvbase %error weight deltadirection",
-        l="kvs currents kws kvars",
-        w="element clear conn",
-    ),
-    "fuse": _COMMON
-    | _kinds(
-        n="monitoredterm switchedterm ratedcurrent delay",
-        w="monitoredobj switchedobj fusecurve action normal state",
-    ),
-    "relay": _COMMON
-    | _kinds(
-        n="monitoredterm switchedterm phasetrip groundtrip tdphase tdground phaseinst groundinst "
-        "reset shots delay kvbase",
-        l="recloseintervals",
-        w="monitoredobj switchedobj type phasecurve groundcurve action normal state",
-    ),
-    "recloser": _COMMON
-    | _kinds(
-        n="monitoredterm switchedterm numfast phasetrip groundtrip phaseinst groundinst reset "
-        "shots delay tdphfast tdgrfast tdphdelayed tdgrdelayed",
-        l="recloseintervals",
-        w="monitoredobj switchedobj phasefast phasedelayed groundfast grounddelayed action normal "
-        "state",
-    ),
-    "loadshape": _kinds(
-        n="npts interval minterval sinterval mean stddev qmax qbase pmax pbase",
-        l="mult pmult qmult hour",
-        w="useactual like",
-    ),
-    "growthshape": _kinds(n="npts", l="year mult", w="like"),
-    "tshape": _kinds(n="npts interval minterval sinterval mean stddev", l="temp hour", w="like"),
-    "priceshape": _kinds(
-        n="npts interval minterval sinterval mean stddev", l="price hour", w="like"
-    ),
-    "xycurve": _kinds(n="npts x y xshift yshift xscale yscale", l="points xarray yarray", w="like"),
-    "tcc_curve": _kinds(n="npts", l="c_array t_array", w="like"),
-    "spectrum": _kinds(n="numharm", l="harmonic %mag angle", w="like"),
-}
-"""Properties, and classes, that are checked and left out: they change nothing at nominal load."""
+IDLE_PROPERTIES = _words(
+    "yearly daily duty spectrum growth class status tyearly tdaily tduty cvrcurve effcurve "
+    "p-tcurve dispmode eventlog"
+)
+"""Properties of those classes that are left out: they change nothing at nominal load."""
 
-POSITIONS = {
-    "energymeter": ("element", "terminal"),
-    "monitor": ("element", "terminal"),
-    "sensor": ("element", "terminal"),
-}
-"""Classes whose first values are often written without their names."""
+IDLE = _words(
+    "capcontrol energymeter monitor sensor fuse relay recloser loadshape growthshape tshape "
+    "priceshape xycurve tcc_curve spectrum"
+)
+"""Classes that are left out, whatever their properties are."""
 
 LIBRARIES = frozenset(
     {"linecode", "linegeometry", "linespacing", "wiredata", "cndata", "tsdata", "xfmrcode"}
@@ -202,11 +145,11 @@ LIBRARIES = frozenset(
 OPTIONS = _kinds(n="defaultbasefrequency defaultbasefreq", l="voltagebases")
 """Options of ``set`` that OpenDSS sees."""
 
-IDLE_OPTIONS = _kinds(
-    n="maxcontroliter maxcontroliterations maxiterations maxiter tolerance loadmult normvminpu "
-    "normvmaxpu emergvminpu emergvmaxpu %normal %growth genmult pricesignal",
-    w="controlmode loadmodel algorithm mode markertransformers marktransformers markregulators "
-    "markcapacitors trapezoidal cktmodel",
+IDLE_OPTIONS = _words(
+    "maxcontroliter maxcontroliterations maxiterations maxiter tolerance loadmult normvminpu "
+    "normvmaxpu emergvminpu emergvmaxpu %normal %growth genmult pricesignal controlmode loadmodel "
+    "algorithm mode markertransformers marktransformers markregulators markcapacitors trapezoidal "
+    "cktmodel"
 )
 """Options that only a solution or a plot would use; they are left out."""
 
@@ -219,30 +162,7 @@ SKIPPED = {
 }
 """Commands that are not carried out and, without arguments that matter, do no harm."""
 
-MATHS = frozenset(
-    (
-        "+",
-        "-",
-        "*",
-        "/",
-        "^",
-        "sqr",
-        "sqrt",
-        "inv",
-        "exp",
-        "ln",
-        "log10",
-        "sin",
-        "cos",
-        "tan",
-        "asin",
-        "acos",
-        "atan",
-        "atan2",
-        "swap",
-        "rollup",
-        "rolldn",
-        "pi",
-    )
+MATHS = _words(
+    "+ - * / ^ sqr sqrt inv exp ln log10 sin cos tan asin acos atan atan2 swap rollup rolldn pi"
 )
 """Operators of the arithmetic in parentheses that the published feeders use."""
