@@ -19,12 +19,16 @@ import pandas as pd
 from vppres.core.arrays import Floats
 from vppres.core.errors import InputError
 from vppres.core.text import named
+from vppres.core.units import V_PER_KV
 from vppres.feeders.dss import text as dss_text
 from vppres.feeders.dss.circuit import located, read_opendss
 from vppres.feeders.net.changes import Changes, changed
 from vppres.feeders.net.reduce import feeder_of
 from vppres.feeders.strangers.confined import TIME_LIMIT_S, confined
 from vppres.scenario.network import BusId
+
+OWN_SOURCES = ("pvsystem", "generator", "storage")
+"""What the run has its own of, so that the circuit's is off."""
 
 PHASE_NAMES = {"1": "a", "2": "b", "3": "c"}
 STEPS_PER_S = 10.0
@@ -111,118 +115,158 @@ def recheck_opendss(
             "is not a .dss file",
             "Recheck reads OpenDSS; into a pandapower net Trajectory.apply_to puts each step.",
         )
-    script = dss_text.read_script(source)
-    group_of = _groups(source)
+    circuit = _Circuit.of(source)
     job = {
-        "commands": [command.text for command in script.commands],
-        "group_of": group_of,
-        "steps": _steps(run, island_bus),
+        **_steps(run, circuit, island_bus, source.name),
+        "off": OWN_SOURCES,
+        "open_deltas": False,
         "island_bus": None if island_bus is None else str(island_bus),
-        "open": [str(bus) for bus in opened],
-        "constant_power": False,
+        "open": [bus for bus, group in circuit.group_of.items() if group in map(str, opened)],
     }
-    found = solved_steps("dss/day", job, script, source.name)
-    _check_loads(run, found["nominal_kw"], source.name)
-    voltages = _voltages(run, found, group_of)
+    found = solved_steps(job, source)
+    voltages = _voltages(run, found, circuit)
     steps = step_table(run, found, voltages)
-    stiff = solved_steps("dss/day", {**job, "constant_power": True}, script, source.name)
-    cause = _cause(voltages, _voltages(run, stiff, group_of))
+    stiff = solved_steps({**job, "constant_power": True}, source)
+    cause = _cause(voltages, _voltages(run, stiff, circuit))
     return Recheck(voltages, steps, cause, tuple(_notes(found, steps, voltages, island_bus)))
 
 
-def _groups(source: Path) -> dict[str, str]:
-    """The feeder's bus for each bus of the circuit that has supply, both as words."""
-    net, ids, *_ = read_opendss(source)
-    # Which line opens a loop says nothing of which buses are one.
-    net, _ = changed(net, source.name, Changes(open_loops=True), ids)
-    bus_of = feeder_of(net, source.name, bus_ids=ids).bus_of
-    return {str(ids[i]): str(bus) for i, bus in bus_of.items()}
+@dataclass(frozen=True, eq=False)
+class _Circuit:
+    """The buses of a circuit that have supply, as words, and its loads.
+
+    ``group_of`` has the feeder's bus for each, ``base_v`` their nominal volts to ground; ``loads``
+    the columns ``name``, ``group``, ``p`` and ``q``.
+    """
+
+    group_of: dict[str, str]
+    base_v: dict[str, float]
+    loads: pd.DataFrame
+
+    @classmethod
+    def of(cls, source: Path) -> _Circuit:
+        """The circuit of a script."""
+        net, ids, *_ = read_opendss(source)
+        # Which line opens a loop says nothing of which buses are one.
+        radial, _ = changed(net, source.name, Changes(open_loops=True), ids)
+        bus_of = feeder_of(radial, source.name, bus_ids=ids).bus_of
+        group_of = {str(ids[i]): str(bus) for i, bus in bus_of.items()}
+        base_v = {str(ids[i]): kv * V_PER_KV / np.sqrt(3) for i, kv in net.bus["vn_kv"].items()}
+        group = [group_of.get(str(ids[i]), "") for i in net.load["bus"]]
+        power = {"p": net.load["p_mw"], "q": net.load["q_mvar"]}
+        return cls(
+            group_of, base_v, pd.DataFrame({"name": net.load["name"], "group": group} | power)
+        )
 
 
-def solved_steps(
-    engine: str, job: dict[str, Any], script: dss_text.Script, name: str
-) -> dict[str, Any]:
-    """The answer of an engine to a job with steps; what is wrong with the script is raised."""
+def solved_steps(job: dict[str, Any], source: Path) -> dict[str, Any]:
+    """The steps of a job in OpenDSS, with ``v`` (T, nodes) in V, NaN where there is no solution.
+
+    Raises
+    ------
+    InputError
+        If the script cannot be read.
+    """
+    script = dss_text.read_script(source)
+    job = {"constant_power": False, **job}
+    job["commands"] = [command.text for command in script.commands]
     limit_s = TIME_LIMIT_S + len(job["steps"]) / STEPS_PER_S
-    found = confined(engine, job, name, limit_s)
+    found = confined("dss/day", job, source.name, limit_s)
     if found["problems"]:
-        raise InputError([located(problem, script, name) for problem in found["problems"]])
-    return found
+        raise InputError([located(problem, script, source.name) for problem in found["problems"]])
+    lost = [np.nan] * 2 * len(found["nodes"])
+    parts = np.array([lost if step["v"] is None else step["v"] for step in found["steps"]])
+    return {**found, "v": parts[:, ::2] + 1j * parts[:, 1::2]}
 
 
-def _steps(run: Tables, island_bus: BusId | None) -> list[dict[str, Any]]:
-    """Demand that is served and power that is fed in, by bus, of every step."""
+def drawn(run: Tables) -> pd.DataFrame:
+    """What the assets of a run draw: columns ``time``, ``bus``, ``id``, ``table``, ``p``, ``q``."""
     customers, pv, batteries = run["customers"], run["pv"], run["batteries"]
     served = customers.get("share", customers["served"]).astype(float)
-    load = _by_bus(customers, customers["p_load_kw"] * served, customers["q_load_kvar"] * served)
-    fed = _by_bus(pv, pv["self_kw"] + pv["export_kw"], pv["q_kvar"])
-    discharged_kw = batteries["discharge_kw"] - batteries["charge_kw"]
-    stored = _by_bus(batteries, discharged_kw, batteries["q_kvar"])
-    given = [fed, stored]
-    for name, sign in (("vehicles", -1.0), ("thermal_loads", -1.0), ("gensets", 1.0)):
-        if name in run:
-            p_kw = run[name]["p_kw"]
-            given.append(_by_bus(run[name], sign * p_kw, 0.0 * p_kw))
-    feed = pd.concat(given).groupby(level=["time", "bus"]).sum()
-    held = _held(run, island_bus)
-    return [
-        {"load": _at(load, time), "feed": _at(feed, time), "held_pu": held.get(time)}
-        for time in run["steps"]["time"]
-    ]
-
-
-def _held(run: Tables, island_bus: BusId | None) -> dict[Any, float]:
-    """Voltage that the plan has at the island's bus, of the steps without grid that have one."""
-    outages = run["steps"].loc[run["steps"]["outage"].astype(bool), "time"]
-    buses = run["buses"][run["buses"]["bus"].astype(str) == str(island_bus)]
-    v_pu = buses.set_index("time")["v_ac_pu"].reindex(outages).dropna()
-    return {time: float(value) for time, value in v_pu.items()}
-
-
-def _by_bus(table: pd.DataFrame, p_kw: pd.Series[float], q_kvar: pd.Series[float]) -> pd.DataFrame:
-    """Powers by time and bus, the latter as a word."""
-    frame = pd.DataFrame(
-        {"time": table["time"], "bus": table["bus"].astype(str), "p": p_kw, "q": q_kvar}
-    )
-    return frame.groupby(["time", "bus"])[["p", "q"]].sum()
-
-
-def _at(powers: pd.DataFrame, time: pd.Timestamp) -> dict[str, tuple[float, float]]:
-    """Active and reactive power by bus, of one step."""
-    if time not in powers.index.get_level_values("time"):
-        return {}
-    step = powers.xs(time, level="time")
-    return {
-        str(bus): (float(p), float(q))
-        for bus, p, q in zip(step.index, step["p"], step["q"], strict=True)
+    parts = {
+        "customers": (customers["p_load_kw"] * served, customers["q_load_kvar"] * served),
+        "pv": (-(pv["self_kw"] + pv["export_kw"]), -pv["q_kvar"]),
+        "batteries": (batteries["charge_kw"] - batteries["discharge_kw"], -batteries["q_kvar"]),
     }
+    for name, sign in (("vehicles", 1.0), ("thermal_loads", 1.0), ("gensets", -1.0)):
+        if name in run:
+            parts[name] = (sign * run[name]["p_kw"], 0.0 * run[name]["p_kw"])
+    frames = [
+        run[name].reindex(columns=["time", "bus", "id"]).assign(table=name, p=p_kw, q=q_kvar)
+        for name, (p_kw, q_kvar) in parts.items()
+        if len(run[name])
+    ]
+    return pd.concat(frames)
 
 
-def _check_loads(run: Tables, nominal_kw: Mapping[str, float], name: str) -> None:
-    """Every customer needs loads to stand for it."""
-    missing = sorted({str(bus) for bus in run["customers"]["bus"]} - {*nominal_kw})
+def step_jobs(
+    times: pd.Series[Any], p_kw: Any, q_kvar: Any, held_v: pd.Series[float]
+) -> list[dict[str, Any]]:
+    """Steps as the engine gets them: powers by time and asset, and volts that a battery holds."""
+    powers = (frame.reindex(times).to_numpy(float).tolist() for frame in (p_kw, q_kvar))
+    volts = [None if np.isnan(v) else float(v) for v in held_v.reindex(times)]
+    return [{"p_kw": p, "q_kvar": q, "held_v": v} for p, q, v in zip(*powers, volts, strict=True)]
+
+
+def _steps(run: Tables, circuit: _Circuit, island_bus: BusId | None, name: str) -> dict[str, Any]:
+    """Assets and steps for the engine.
+
+    The circuit's loads share what is served at their bus as they share its nominal power; a load of
+    its own at each bus gives or takes everything else.
+    """
+    table = drawn(run)
+    served = table["table"] == "customers"
+    table["bus"] = table["bus"].astype(str)
+    loads = circuit.loads[circuit.loads["group"].isin(table.loc[served, "bus"])]
+    missing = sorted({*table.loc[served, "bus"]} - {*loads["group"]})
     if missing:
         raise InputError.of(
             name,
             f"has no load at the buses of {len(missing)} customers: bus {named(missing)}",
             "Give the file that the run's scenario was made from.",
         )
+    nominal = loads.groupby("group")[["p", "q"]].transform("sum")
+    of_p = (loads["p"] / nominal["p"]).where(nominal["p"] != 0, 0.0)
+    shares = {"p": of_p, "q": (loads["q"] / nominal["q"]).where(nominal["q"] != 0, of_p)}
+    feeds = sorted({*table.loc[~served, "bus"]})
+    powers = []
+    for power, share in shares.items():
+        wide = table.assign(served=served).pivot_table(
+            power, "time", ["served", "bus"], "sum", fill_value=0.0
+        )
+        at_loads = wide[True][loads["group"]].to_numpy() * share.to_numpy()
+        at_feeds = wide[False][feeds].to_numpy() if feeds else at_loads[:, :0]
+        powers.append(pd.DataFrame(np.hstack([at_loads, at_feeds]), wide.index))
+    assets = [{"load": each} for each in loads["name"]] + [{"bus": bus} for bus in feeds]
+    held_v = _held(run, island_bus) * circuit.base_v.get(str(island_bus), np.nan)
+    return {
+        "assets": assets,
+        "steps": step_jobs(run["steps"]["time"], powers[0], powers[1], held_v),
+    }
 
 
-def _voltages(run: Tables, found: dict[str, Any], group_of: Mapping[str, str]) -> pd.DataFrame:
+def _held(run: Tables, island_bus: BusId | None) -> pd.Series[float]:
+    """Voltage that the plan has at the island's bus, of the steps without grid, in pu."""
+    outages = run["steps"].loc[run["steps"]["outage"].astype(bool), "time"]
+    buses = run["buses"][run["buses"]["bus"].astype(str) == str(island_bus)]
+    v_pu: pd.Series[float] = buses.set_index("time")["v_ac_pu"].reindex(outages)
+    return v_pu
+
+
+def _voltages(run: Tables, found: dict[str, Any], circuit: _Circuit) -> pd.DataFrame:
     """Voltages of both, step by step and node by node."""
-    nodes = [node.lower().rpartition(".") for node in found["nodes"]]
+    group_of = circuit.group_of
+    nodes = [node.rpartition(".") for node in found["nodes"]]
     kept = [i for i, (bus, _, node) in enumerate(nodes) if node in PHASE_NAMES and bus in group_of]
     plan = run["buses"].assign(bus=run["buses"]["bus"].astype(str))
     plan = plan.pivot_table(index="time", columns="bus", values="v_ac_pu", dropna=False)
     buses = [group_of[nodes[i][0]] for i in kept]
     v_plan_pu = plan.reindex(index=run["steps"]["time"], columns=buses).to_numpy(float)
-    lost = [np.nan] * len(nodes)
-    v_pu = np.array([lost if step["v_pu"] is None else step["v_pu"] for step in found["steps"]])
+    v_pu = np.abs(found["v"][:, kept]) / [circuit.base_v[nodes[i][0]] for i in kept]
     labels = [(nodes[i][0], PHASE_NAMES[nodes[i][2]]) for i in kept]
     # A feeder that is blacked out in the plan has no voltage, whatever stands in for its source.
     dark = run["steps"]["outage"].to_numpy(bool)[:, None] & np.isnan(v_plan_pu)
-    return side_by_side(run, labels, np.where(dark, np.nan, v_pu[:, kept]), v_plan_pu)
+    return side_by_side(run, labels, np.where(dark, np.nan, v_pu), v_plan_pu)
 
 
 def side_by_side(

@@ -20,7 +20,6 @@ ENGINES = {
     "matpower/binary": (),
     "dss/day": ("dss/engine",),
     "dss/by_phase": ("dss/engine",),
-    "dss/phased_day": ("dss/engine",),
 }
 """Engines of the room around this one, and others that each needs."""
 
