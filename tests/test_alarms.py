@@ -17,7 +17,7 @@ from vppres.service.access import Access, new_token
 from vppres.service.alarms import KINDS, Alarms, Notice
 from vppres.service.app import make_app
 from vppres.service.clock import SetClock, written
-from vppres.service.conditions import Condition, Situation, Standing, conditions, situation
+from vppres.service.conditions import Condition, Situation, conditions, situation
 from vppres.service.knowledge import Heard
 from vppres.service.records import Reading, seconds
 from vppres.service.runner import Runner, Service
@@ -197,8 +197,8 @@ def test_a_critical_customer_that_will_be_off(tiny: Scenario, hours: int, priori
     served = {"hospital": [hour != hours for hour in range(1, 9)], "shop": [False] * 8}
     plan = {"status": "ok", "start": written(NOON), "setpoints": []}
     plan["ahead"] = {"times": times, "served": served}
-    standing = Standing(plan, 3600.0)
-    now = Situation(NOON, tiny, standing, [Heard("big", "soc", "scada", 0, "ok")], {}, False, {})
+    heard = [Heard("big", "soc", "scada", 0, "ok")]
+    now = Situation(NOON, tiny, plan, 3600.0, (), heard, {}, False, {})
     found = [(one.kind, one.priority, one.text, one.due) for one in conditions(now)]
     words = f"Planned: hospital of the first tier off supply at {NOON + hours * HOUR:%H:%M}."
     expected = [("critical_off", priority, words, NOON + hours * HOUR)] if priority else []
@@ -380,7 +380,6 @@ def test_a_day_of_lost_readings_is_told_in_a_few_notices(store: Store, tiny: Sce
     book = Book(store)
     random = np.random.default_rng(1)
     plan = {"status": "ok", "start": written(NOON), "setpoints": []}
-    standing = Standing(plan, 3600.0)
     items = [("soc", "big"), ("soc", "small"), *(("load_kw", str(c)) for c in tiny.customers.id)]
     for quarter in range(96):
         now = NOON + quarter * 15 * MINUTE
@@ -389,5 +388,5 @@ def test_a_day_of_lost_readings_is_told_in_a_few_notices(store: Store, tiny: Sce
             store.write_readings(
                 [Reading(name, kind, seconds(now), "scada", 3600, 0.6) for kind, name in kept], now
             )
-        book.alarms.look(conditions(situation(now, tiny, store, standing)), now)
+        book.alarms.look(conditions(situation(now, tiny, store, plan, 3600.0)), now)
     assert 0 < len(book.notices) < 10

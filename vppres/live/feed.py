@@ -79,11 +79,15 @@ class Feed:
         return tables and needed
 
     @property
+    def moments(self) -> list[pd.Timestamp]:
+        """The times of the demand, those with an offset."""
+        moments = [moment_of(time) for time in self.load_kw.index]
+        return [one for one in moments if one is not None and one.tzinfo is not None]
+
+    @property
     def first(self) -> pd.Timestamp | None:
         """The earliest time of the demand, None if there is none."""
-        moments = [moment_of(time) for time in self.load_kw.index]
-        known = [m for m in moments if m is not None and m.tzinfo is not None]
-        return min(known, default=None)
+        return min(self.moments, default=None)
 
 
 def extended(
@@ -202,10 +206,9 @@ def _read(scenario: Scenario, feed: Feed, start: pd.Timestamp) -> dict[str, Floa
         last = _rows(scenario, name)[-1]
         found[name] = door.series(name, given, np.full(n, last) if given is None else empty)
     if not door.problems:
-        for name, ids in (("load_kw", customers), ("pv_kw", pv)):
-            _complete(door, name, found[name], ids)
-        for name in ("price_gbp_per_kwh", "grid_limit_kw", *LAST_KNOWN):
-            _complete(door, name, found[name][:, None], None)
+        for name, values in found.items():
+            ids = {"load_kw": customers, "pv_kw": pv}.get(name)
+            _complete(door, name, values if ids is not None else values[:, None], ids)
     door.finish()
     found["pv_kw"] = np.minimum(found["pv_kw"], scenario.pv.p_max_kw)
     return found
@@ -213,8 +216,7 @@ def _read(scenario: Scenario, feed: Feed, start: pd.Timestamp) -> dict[str, Floa
 
 def _length(grid: TimeGrid, feed: Feed, start: pd.Timestamp) -> int:
     """Steps from the start to the last time of the demand."""
-    moments = [moment_of(time) for time in feed.load_kw.index]
-    last = max(m for m in moments if m is not None and m.tzinfo is not None)
+    last = max(feed.moments)
     steps = int((last - start) // grid.step) + 1
     if steps > MOST_STEPS:
         raise InputError.of(

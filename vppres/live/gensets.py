@@ -7,7 +7,6 @@ has nothing to take back.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -85,12 +84,6 @@ class Readings:
     fuel_litres: Floats
     start_fault: Floats
     ordered_kw: Floats
-
-    @classmethod
-    def of(cls, sets: Gensets, told: Mapping[str, Floats] | None) -> Readings:
-        """By quantity; nothing where there was no reading."""
-        nothing = np.full(len(sets), np.nan)
-        return cls(*((told or {}).get(name, nothing) for name in (*QUANTITIES, ORDERED)))
 
 
 @dataclass(frozen=True, eq=False)

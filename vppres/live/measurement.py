@@ -177,15 +177,15 @@ class Seen:
         Readings that no device can have, in words; they count as missing.
     elapsed_h : float
         How much of the step is over.
-    soc_age_h : array, shape (B,), or None
+    soc_age_h : array, shape (B,)
         How old the states of charge are.
     told : tuple of Told
         Set-points of batteries since the last decision, where these differ from it.
-    ev_kwh : array, shape (K,), or None
+    ev_kwh : array, shape (K,)
         Energy that was read of the vehicles at chargers, NaN of others.
-    indoor_c : array, shape (H,), or None
+    indoor_c : array, shape (H,)
         Temperatures that were read of rooms and tanks, NaN of others.
-    sets : Readings or None
+    sets : Readings
         What generating sets told.
     """
 
@@ -203,13 +203,13 @@ class Seen:
     announced_kw: Floats | None
     foretold_load: Flags
     foretold_pv: Flags
-    left_out: tuple[str, ...] = ()
-    elapsed_h: float = 0.0
-    soc_age_h: Floats | None = None
-    told: tuple[Told, ...] = ()
-    ev_kwh: Floats | None = None
-    indoor_c: Floats | None = None
-    sets: Readings | None = None
+    left_out: tuple[str, ...]
+    elapsed_h: float
+    soc_age_h: Floats
+    told: tuple[Told, ...]
+    ev_kwh: Floats
+    indoor_c: Floats
+    sets: Readings
 
     def window(self, rows: range) -> Seen:
         """The same of some steps alone, of which the first is the present one."""
@@ -305,10 +305,9 @@ def _seen(scenario: Scenario, measured: Measurement, guard: bool, earliest: int)
     indoor_c = door.values("indoor_c", measured.indoor_c, loads.id, np.full(len(loads), np.nan))
     sets = scenario.gensets
     unread = np.full(len(sets), np.nan)
-    of_sets = {
-        one: door.values(one, getattr(measured, one), sets.id, unread)
-        for one in (*OF_SETS, ORDERED)
-    }
+    of_sets = [
+        door.values(one, getattr(measured, one), sets.id, unread) for one in (*OF_SETS, ORDERED)
+    ]
     door.finish()
     pv_kw = np.minimum(pv_kw, pv.p_max_kw)
     foretold = measured.foretold or {}
@@ -334,7 +333,7 @@ def _seen(scenario: Scenario, measured: Measurement, guard: bool, earliest: int)
         told=told,
         ev_kwh=ev_kwh,
         indoor_c=indoor_c,
-        sets=Readings.of(sets, of_sets),
+        sets=Readings(*of_sets),
     )
 
 

@@ -20,7 +20,7 @@ from vppres.day.outages import Beside, GridSeen, OutageView
 from vppres.day.recorder import StepRecord
 from vppres.day.simulate import Day
 from vppres.live.foretold import GivenFirst
-from vppres.live.gensets import Ran, Readings, SetsNow, after
+from vppres.live.gensets import Ran, SetsNow, after
 from vppres.live.measurement import Seen
 from vppres.live.past import Past
 from vppres.live.rooms import Felt, Indoor
@@ -114,9 +114,8 @@ class Present:
         )
         switching, cold_load = past.held_until(t)
         now = seen.scenario
-        loads = now.thermal_loads
-        unread_c = np.full(len(loads), np.nan)
-        read_c = unread_c if seen.indoor_c is None else seen.indoor_c
+        now_h = t * now.grid.dt_h + seen.elapsed_h
+        felt = past.felt_at(t, known, everything.t)
         return cls(
             t=t,
             seen=seen,
@@ -126,13 +125,8 @@ class Present:
             past=past,
             switching=switching,
             cold_load=cold_load,
-            indoor=Indoor.of(loads.id, read_c, past.felt_at(t, known, everything.t)),
-            sets=past.sets_at(
-                seen.sets or Readings.of(now.gensets, None),
-                t * now.grid.dt_h + seen.elapsed_h,
-                known,
-                everything.t,
-            ),
+            indoor=Indoor.of(now.thermal_loads.id, seen.indoor_c, felt),
+            sets=past.sets_at(seen.sets, now_h, known, everything.t),
             grid_seen=past.grid_seen.after(now.grid.start, float(now.grid_limit_kw[0])),
             options=options,
             past_days=past_days,
@@ -184,11 +178,10 @@ class Present:
 
     def _ev_kwh(self) -> Floats:
         """Energy of the vehicles, as read or else as reckoned; NaN if neither, (K,)."""
-        day = self.seen.scenario
-        read = self.seen.ev_kwh
-        kwh = np.full(len(day.chargers), np.nan) if read is None else read
-        past = self.past.vehicles
-        return kwh if past is None else np.where(np.isnan(kwh), past.at(day, 0), kwh)
+        kwh, past = self.seen.ev_kwh, self.past.vehicles
+        if past is None:
+            return kwh
+        return np.where(np.isnan(kwh), past.at(self.seen.scenario, 0), kwh)
 
     def day(self, known: Observation) -> Day:
         """A day that stands at the step, what the controller took for true being true.

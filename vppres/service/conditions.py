@@ -68,21 +68,14 @@ class Condition:
 
 
 @dataclass(frozen=True, eq=False)
-class Standing:
-    """How the service stands: its last plan, for how long that still holds, and what it misses."""
-
-    plan: Mapping[str, Any] | None
-    ahead_s: float
-    unaware_of: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, eq=False)
 class Situation:
-    """How a site is."""
+    """How a site is, with its last plan, how long that still holds, and what it misses."""
 
     now: pd.Timestamp
     scenario: Scenario
-    standing: Standing
+    plan: Mapping[str, Any] | None
+    ahead_s: float
+    unaware_of: Sequence[str]
     heard: Sequence[Heard]
     soc: Mapping[str, float]
     is_dark: bool
@@ -97,19 +90,29 @@ class Situation:
         return {str(name) for name, tier in zip(c.id, c.tier, strict=True) if tier == first}
 
 
-def situation(now: pd.Timestamp, scenario: Scenario, store: Store, standing: Standing) -> Situation:
+def situation(
+    now: pd.Timestamp,
+    scenario: Scenario,
+    store: Store,
+    plan: Mapping[str, Any] | None,
+    ahead_s: float,
+    unaware_of: Sequence[str] = (),
+) -> Situation:
     """How a site is by what is stored."""
     latest = Latest.at(now, scenario, store)
     newest = latest.newest("soc")
     batteries = dict.fromkeys(refusing(newest, store), "its device rejected it")
-    sets = dict.fromkeys(_sets_out(standing.plan), "it does not start")
+    sets = dict.fromkeys(_sets_out(plan), "it does not start")
     failing = {**batteries, **lost_customers(scenario, latest.found, store), **sets}
-    grid = (standing.plan or {}).get("grid")
+    grid = (plan or {}).get("grid")
     read = latest.newest("grid_on").get(GRID)
     grid_on = None if read is None else read.value
     is_dark = not grid["available"] if grid else grid_on == 0.0
-    soc = soc_now(latest, standing.plan, scenario.grid.step, now)
-    return Situation(now, scenario, standing, latest.heard, soc, is_dark, failing, grid_on)
+    soc = soc_now(latest, plan, scenario.grid.step, now)
+    heard = latest.heard
+    return Situation(
+        now, scenario, plan, ahead_s, unaware_of, heard, soc, is_dark, failing, grid_on
+    )
 
 
 def _sets_out(plan: Mapping[str, Any] | None) -> list[str]:
@@ -132,33 +135,33 @@ def conditions(now: Situation) -> Iterator[Condition]:
 
 def _no_decision(now: Situation) -> Iterator[Condition]:
     """There is no plan for now, or none that knows what has changed."""
-    plan = now.standing.plan
+    plan = now.plan
     text = ""
-    if plan is None or now.standing.ahead_s <= 0.0:
+    if plan is None or now.ahead_s <= 0.0:
         text = "There is no plan for the present step: devices use default set-points."
     elif plan["status"] == "failed":
         text = f"The present step could not be planned: {plan['reason']}."
     elif plan["status"] == "missed":
         text = f"The present step was missed: {plan['reason']}. Devices use default set-points."
-    elif now.standing.unaware_of:
-        text = f"The plan does not know yet: {'; '.join(now.standing.unaware_of)}."
+    elif now.unaware_of:
+        text = f"The plan does not know yet: {'; '.join(now.unaware_of)}."
     if text:
         yield Condition("no_decision", "", HIGH, text)
 
 
 def _grid_contradicted(now: Situation) -> Iterator[Condition]:
     """The plan ignores a reading that the grid is lost, and that is still the last one."""
-    for words in (now.standing.plan or {}).get("estimated", ()):
+    for words in (now.plan or {}).get("estimated", ()):
         if words.startswith("grid_on ") and now.grid_on == 0.0:
             yield Condition("grid_contradicted", "", HIGH, f"The plan ignores a reading: {words}.")
 
 
 def _critical_off(now: Situation) -> Iterator[Condition]:
     """Customers of the first tier are off, or will be; and whether that rests on old readings."""
-    if now.standing.plan is None:
+    if now.plan is None:
         return
     able = now.critical - set(now.failing)
-    off = [p["asset"] for p in points_at(now.standing.plan, now.now) if p.get("served") is False]
+    off = [p["asset"] for p in points_at(now.plan, now.now) if p.get("served") is False]
     off = [name for name in off if name in able]
     late = _late_batteries(now)
     if off:
@@ -168,7 +171,7 @@ def _critical_off(now: Situation) -> Iterator[Condition]:
         yield Condition("critical_off", "", HIGH, f"{words}.", tuple(sorted(off)))
         return
     zone = now.scenario.grid.zone
-    ahead = now.standing.plan.get("ahead") or {"times": [], "served": {}}
+    ahead = now.plan.get("ahead") or {"times": [], "served": {}}
     for t, text in enumerate(ahead["times"]):
         time = pd.Timestamp(text)
         later = [name for name in able if not ahead["served"].get(name, [True] * (t + 1))[t]]
@@ -192,7 +195,7 @@ def _longest_off(now: Situation) -> Iterator[Condition]:
 
     One that the plan restores in the next step needs no operator.
     """
-    plan = now.standing.plan
+    plan = now.plan
     if plan is None:
         return
     limit_h = limits_h(now.scenario)
@@ -214,7 +217,7 @@ def _longest_off(now: Situation) -> Iterator[Condition]:
 def _late_batteries(now: Situation) -> list[str]:
     """Batteries whose state of charge was late when the plan was made, and still is."""
     heard = {one.asset: one.state for one in now.heard if one.quantity == "soc"}
-    plan = now.standing.plan or {}
+    plan = now.plan or {}
     then = {one["asset"] for one in plan.get("late", ()) if one["quantity"] == "soc"}
     names = [str(name) for name in now.scenario.batteries.id]
     return [one for one in names if one not in heard or (heard[one] != "ok" and one in then)]
@@ -242,7 +245,7 @@ def _island_margin(now: Situation) -> Iterator[Condition]:
 def _fuel_kwh(now: Situation) -> tuple[float, float]:
     """Energy of full tanks and of what is in them at full power, of sets that start."""
     sets = now.scenario.gensets
-    told = ((now.standing.plan or {}).get("expected") or {}).get("gensets", {})
+    told = ((now.plan or {}).get("expected") or {}).get("gensets", {})
     per_kwh = sets.litres_per_kwh + sets.litres_per_h_idle / sets.p_max_kw
     full_kwh = left_kwh = 0.0
     for g, name in enumerate(map(str, sets.id)):
@@ -254,12 +257,8 @@ def _fuel_kwh(now: Situation) -> tuple[float, float]:
 
 def _fallback(now: Situation) -> Iterator[Condition]:
     """Fallbacks decide."""
-    if (
-        now.standing.plan is not None
-        and now.standing.plan["status"] == "fallback"
-        and now.standing.ahead_s > 0.0
-    ):
-        solve = now.standing.plan["solve"]
+    if now.plan is not None and now.plan["status"] == "fallback" and now.ahead_s > 0.0:
+        solve = now.plan["solve"]
         kind = str(solve["fallback"]).replace("_", " ")
         words = f"Steps are decided by a fallback ({kind}): {solve['fallback_reason']}."
         yield Condition("fallback", "", MEDIUM, words)
@@ -284,8 +283,8 @@ def _setpoint_rejected(now: Situation) -> Iterator[Condition]:
     found = {
         name: f"{name} did not follow its set-point: {why}." for name, why in now.failing.items()
     }
-    if now.standing.plan is not None and now.standing.ahead_s > 0.0:
-        for one in refused_of(now.standing.plan):
+    if now.plan is not None and now.ahead_s > 0.0:
+        for one in refused_of(now.plan):
             words = f"The last check rejected the set-point of {one['asset']}: {one['reason']}."
             found.setdefault(one["asset"], f"{words} The default was sent.")
     for name, text in found.items():

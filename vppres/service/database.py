@@ -12,7 +12,7 @@ import fcntl
 import importlib.util
 import os
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import sqlalchemy as sa
 
@@ -31,26 +31,7 @@ DRIVER = "postgresql+psycopg://"
 _ONLY_READ = "The state is only read."
 
 
-class Database(Protocol):
-    """Where the state is, and whose it is."""
-
-    engine: sa.Engine
-
-    @property
-    def name(self) -> str:
-        """How messages call it."""
-        ...
-
-    def check(self, db: sa.Connection) -> None:
-        """Raise a StorageError, in a transaction, if it is not this process's any more."""
-        ...
-
-    def close(self) -> None:
-        """Close it."""
-        ...
-
-
-def opened_database(place: Path | str, reading: bool = False) -> Database:
+def opened_database(place: Path | str, reading: bool = False) -> InFolder | OnServer:
     """The database at a place, for this process alone; or to be read beside the one that serves.
 
     Raises

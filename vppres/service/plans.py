@@ -88,9 +88,7 @@ def plan_of(
             **_extremes(decision),
             "grid_limit_kw": _number(known.limits_kw.iloc[0]),
             "price_gbp_per_kwh": _price(known.measurement),
-            **_rooms_expected(decision),
-            **_vehicles_expected(decision),
-            **_sets_expected(decision),
+            **_devices_expected(decision),
             **_by_phase(decision),
         },
         "ahead": _ahead(decision.foreseen, known),
@@ -240,24 +238,15 @@ def _left_short(foreseen: Foreseen) -> dict[str, Any]:
     return {"left_short": {name: {**row, "leaves": written(row["leaves"])} for name, row in rows}}
 
 
-def _rooms_expected(decision: SetPoints) -> dict[str, Any]:
-    """Temperatures that are decided on and after the step; nothing without thermal loads."""
-    rooms = decision.thermal_loads
-    if rooms is None:
-        return {}
-    return {
-        name: {str(one): _number(t_c) for one, t_c in rooms[name].items()}
-        for name in ("indoor_c", "indoor_end_c")
-    }
-
-
-def _vehicles_expected(decision: SetPoints) -> dict[str, Any]:
-    """The vehicle at each charger that has one; nothing without chargers."""
-    chargers = decision.chargers
-    if chargers is None:
-        return {}
-    return {
-        "vehicles": {
+def _devices_expected(decision: SetPoints) -> dict[str, Any]:
+    """Rooms, vehicles that are plugged in, and generating sets; nothing without any."""
+    found: dict[str, Any] = {}
+    rooms, chargers, sets = decision.thermal_loads, decision.chargers, decision.gensets
+    if rooms is not None:
+        for column in ("indoor_c", "indoor_end_c"):
+            found[column] = {str(name): _number(t_c) for name, t_c in rooms[column].items()}
+    if chargers is not None:
+        found["vehicles"] = {
             str(name): {
                 "vehicle": str(row["vehicle"]),
                 "leaves": written(row["leaves"]),
@@ -266,21 +255,13 @@ def _vehicles_expected(decision: SetPoints) -> dict[str, Any]:
             }
             for name, row in chargers[chargers["leaves"].notna()].iterrows()
         }
-    }
-
-
-def _sets_expected(decision: SetPoints) -> dict[str, Any]:
-    """Hours, fuel and failed starts of each generating set; nothing without any."""
-    sets = decision.gensets
-    if sets is None:
-        return {}
-    numbers = ("hours_before", "p_before_kw", "fuel_litres", "fuel_end_litres")
-    return {
-        "gensets": {
+    if sets is not None:
+        numbers = ("hours_before", "p_before_kw", "fuel_litres", "fuel_end_litres")
+        found["gensets"] = {
             str(name): {one: _number(row[one]) for one in numbers} | {"out": bool(row["out"])}
             for name, row in sets.iterrows()
         }
-    }
+    return found
 
 
 def _off_h(decision: SetPoints, scenario: Scenario) -> dict[str, float]:

@@ -30,7 +30,7 @@ from vppres.service.alarms import Alarms
 from vppres.service.announced import warnings
 from vppres.service.changes import Changes
 from vppres.service.clock import Clock, SetClock, written
-from vppres.service.conditions import Standing, conditions, situation
+from vppres.service.conditions import conditions, situation
 from vppres.service.gate import refusals
 from vppres.service.knowledge import EARLY_SHARE, Heard, Known, known_at, soc_at
 from vppres.service.learned import learned, measured_in
@@ -142,7 +142,6 @@ class Runner:
         self.changes = Changes()
         self.alarms = Alarms(store)
         self._within: Within | None = None
-        self._logged: str | None = None
         self._odd = set[str]()
         if isinstance(clock, SetClock) and self.last is not None:
             clock.set(max(clock.now(), pd.Timestamp(self.last["start"])))
@@ -200,8 +199,8 @@ class Runner:
         """Raise, change and clear alarms by what is wrong now."""
         now = self.clock.now()
         with suppress(StorageError):  # /readyz says so, and the next look comes soon
-            standing = Standing(self.last, self.ahead_s, self.changes.reasons)
-            found = situation(now, self.scenario, self.store, standing)
+            unaware_of = self.changes.reasons
+            found = situation(now, self.scenario, self.store, self.last, self.ahead_s, unaware_of)
             self.alarms.look(conditions(found), now)
 
     def begin(self, time: pd.Timestamp | None = None, actor: str | None = None) -> str:
@@ -385,33 +384,22 @@ class Runner:
         except StorageError:
             self._controller = self._restored()  # as if it had not decided
             raise
-        self._log_messages(plan)
-        self._log_estimated(plan)
+        self._log_odd(plan)
         self._state = after.state
         self.expected[plan["id"]] = known.measurement
         while len(self.expected) > MOST_KNOWN:
             self.expected.popitem(last=False)
         return plan
 
-    def _log_messages(self, plan: dict[str, Any]) -> None:
-        """A line for which of several messages about an outage counts, and for one outlasted."""
-        words = plan["solve"]["outage_messages"]
-        if words and words != self._logged:
-            log.warning("%s: %s", plan["start"], words)
-        self._logged = words
+    def _log_odd(self, plan: dict[str, Any]) -> None:
+        """A line for what is odd, when it begins; readings that are only missing are late.
 
-    def _log_estimated(self, plan: dict[str, Any]) -> None:
-        """A line for devices that are not as their readings or sessions say, when it begins.
-
-        Readings that are only missing are listed as late.
+        Several messages speak of one outage, or a device is not as its readings or sessions say.
         """
-        odd = {
-            NUMBERS.sub("", words): words
-            for words in plan["estimated"]
-            if not words.endswith("(missing)")
-        }
+        said = [plan["solve"]["outage_messages"] or "", *plan["estimated"]]
+        odd = {NUMBERS.sub("", words): words for words in said if not words.endswith("(missing)")}
         for key, words in odd.items():
-            if key not in self._odd:
+            if key and key not in self._odd:
                 log.warning("%s: %s", plan["start"], words)
         self._odd = set(odd)
 
