@@ -20,7 +20,7 @@ from vppres.live.feed import Feed, extended
 from vppres.live.foreseen import Foreseen
 from vppres.live.measurement import Measurement, Seen, see, step_at
 from vppres.live.past import Past
-from vppres.live.present import Present, Rows
+from vppres.live.present import Present
 from vppres.live.set_points import SetPoints
 from vppres.live.state import WHERE, Standing, given_by, restored, saved_state, state_of
 from vppres.outlook.outlook import OutageOutlook
@@ -183,21 +183,17 @@ class Controller:
 
         Those of its window; with outage probabilities also those for which energy may be stored.
         """
-        steps = self._rows(step_at(self.scenario.grid, time)).ahead
+        steps = self._ahead(step_at(self.scenario.grid, time))
         return self.times[steps.start : steps.stop]
-
-    def _rows(self, row: int) -> Rows:
-        """Rows of the scenario that the decision on one of them looks at."""
-        window = self._window(row)
-        return Rows(window, self._ahead(row, window))
 
     def _window(self, row: int) -> range:
         """Rows of the scenario that a decision looks at, cut where it ends."""
         stop = self._decider.horizon_steps(row + self._forgotten).stop - self._forgotten
         return range(row, min(stop, self.scenario.grid.n_steps))
 
-    def _ahead(self, row: int, window: range) -> range:
+    def _ahead(self, row: int) -> range:
         """Rows that a belief of outages looks at; without one, those of the window."""
+        window = self._window(row)
         if self.options.outages == KNOWN:
             return window
         grid = self.scenario.grid
@@ -376,8 +372,9 @@ class Controller:
     def _decided(self, seen: Seen, past: Past) -> tuple[SetPoints, Past]:
         """What was decided for the window as it is expected, and what to remember of it."""
         t = seen.t + self._forgotten
-        rows = self._rows(seen.t)
-        present = Present.of(t, seen, self.scenario, rows, past, self.options, self._past_days)
+        window, ahead = self._window(seen.t), self._ahead(seen.t)
+        known, options = self.scenario, self.options
+        present = Present.of(t, seen, known, window, ahead, past, options, self._past_days)
         told = present.observation(OutageView.create(self.scenario, self._record))
         decision = _without(self._decider.decide(told), seen.connected)
         reckoned = (*present.indoor.estimated, *present.sets.estimated)

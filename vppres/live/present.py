@@ -33,54 +33,13 @@ from vppres.scenario.past_days import PastDays
 from vppres.scenario.scenario import Scenario
 
 
-@dataclass(frozen=True)
-class Rows:
-    """Steps that a decision looks at, the present one first.
-
-    Parameters
-    ----------
-    window : range
-        Those that are forecast.
-    ahead : range
-        Those that it may rest on in any way, the window included.
-    """
-
-    window: range
-    ahead: range
-
-
 @dataclass(frozen=True, eq=False)
 class Present:
     """One step between what was measured and what its set-points should lead to.
 
-    Parameters
-    ----------
-    t : int
-        The step, counted from the controller's first.
-    seen : Seen
-        The steps of its window, itself the first.
-    ahead : Scenario
-        All steps that it may rest on, with the history that a forecaster learns from.
-    beside : Beside
-        What is known of outages beside them.
-    ends : bool
-        Whether what is known ends with the window.
-    past : Past
-        What the step before led to.
-    switching : SwitchingState or None
-        Duties at its beginning; None without rules.
-    cold_load : ColdLoad
-        Who takes more than usual at its beginning.
-    indoor : Indoor
-        Temperatures of rooms and tanks at its beginning.
-    sets : SetsNow
-        Generating sets at its beginning.
-    grid_seen : GridSeen
-        Outages up to it, itself included.
-    options : RunOptions
-        Of the controller.
-    past_days : PastDays or None
-        What vehicles are expected by.
+    ``t`` counts from the controller's first step. The steps of the window are in ``seen``, itself
+    the first; the decision may rest on all that are ``ahead``. ``ends``: what is known ends with
+    the window. Duties, cold load, rooms and sets are those of its beginning.
     """
 
     t: int
@@ -103,15 +62,17 @@ class Present:
         t: int,
         everything: Seen,
         known: Scenario,
-        rows: Rows,
+        window: range,
+        ahead: range,
         past: Past,
         options: RunOptions,
         past_days: PastDays | None,
     ) -> Present:
-        """The step of a measurement, which is laid over everything that is ``known``."""
-        beyond, seen = (
-            _with_later_refuels(everything.window(part)) for part in (rows.ahead, rows.window)
-        )
+        """The step of a measurement, which is laid over everything that is ``known``.
+
+        Rows of the ``window`` are forecast, the decision may rest on those ``ahead`` in any way.
+        """
+        beyond, seen = (_with_later_refuels(everything.window(part)) for part in (ahead, window))
         switching, cold_load = past.held_until(t)
         now = seen.scenario
         now_h = t * now.grid.dt_h + seen.elapsed_h
@@ -121,7 +82,7 @@ class Present:
             seen=seen,
             ahead=replace(beyond.scenario, history=past.history),
             beside=Beside(known.price_gbp_per_kwh[: everything.t], beyond.announced_kw),
-            ends=rows.window.stop == known.grid.n_steps,
+            ends=window.stop == known.grid.n_steps,
             past=past,
             switching=switching,
             cold_load=cold_load,

@@ -6,7 +6,7 @@ controllers that plan with beliefs, of which a certain outage is the special cas
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -22,6 +22,8 @@ from vppres.scenario.outage_warnings import OnsetShares, OutageLength, OutageWar
 from vppres.service.payloads import read_duration, read_moment
 from vppres.service.records import Event, moment
 from vppres.service.window import Window
+
+Interval = tuple[pd.Timestamp, pd.Timestamp | None]  # without an end it is not known
 
 HOUR = pd.Timedelta(hours=1)
 
@@ -82,22 +84,20 @@ def _limited(found: Floats, events: Iterable[Event], window: Window) -> Floats:
 def outages(events: Iterable[Event], window: Window) -> Flags:
     """Which steps of a window a certain outage touches, (W,)."""
     found = np.zeros(len(window.times), dtype=bool)
-    for body in _bodies(events, "outage", "outage_belief"):
-        interval = certain_interval(body)
-        if interval is not None:
-            found |= window.touched(*interval)
+    for start, end in _certain(events):
+        found |= window.touched(start, end)
     return found
 
 
 def announced_at(events: Iterable[Event], time: pd.Timestamp) -> bool:
     """Whether a certain outage was announced for a time."""
-    for body in _bodies(events, "outage", "outage_belief"):
-        interval = certain_interval(body)
-        if interval is not None:
-            start, end = interval
-            if start <= time and (end is None or time < end):
-                return True
-    return False
+    return any(start <= time and (end is None or time < end) for start, end in _certain(events))
+
+
+def _certain(events: Iterable[Event]) -> Iterator[Interval]:
+    """Beginnings and ends of outages that are certain."""
+    bodies = _bodies(events, "outage", "outage_belief")
+    return (found for found in map(certain_interval, bodies) if found is not None)
 
 
 def is_over(body: Mapping[str, Any], now: pd.Timestamp) -> bool:
@@ -163,7 +163,7 @@ def _last_end(body: Mapping[str, Any]) -> pd.Timestamp | None:
     return _shares(body["onset"]).end + most_h * HOUR if np.isfinite(most_h) else None
 
 
-def certain_interval(body: Mapping[str, Any]) -> tuple[pd.Timestamp, pd.Timestamp | None] | None:
+def certain_interval(body: Mapping[str, Any]) -> Interval | None:
     """Beginning and end of an outage that leaves nothing to chance; None if this one does."""
     if body["type"] == "outage":
         return read_moment(body["start"]), _moment(body["end"])

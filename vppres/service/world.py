@@ -5,7 +5,7 @@ Behind it stands the plant, with the true demand, sun and grid; it knows nothing
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ import pandas as pd
 
 from vppres.contract.decision import Decision
 from vppres.contract.dispatch import Dispatch
-from vppres.core.arrays import Flags, Floats
+from vppres.core.arrays import Flags, Floats, Names
 from vppres.day.options import RunOptions
 from vppres.day.recorder import StepRecord
 from vppres.day.simulate import Day
@@ -21,7 +21,7 @@ from vppres.live.by_phase import GRID, ByPhase
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.vehicles import NO_CAR
 from vppres.service.clock import written
-from vppres.service.phased_readings import phases_of
+from vppres.service.phased_readings import SUMMED, phases_of
 from vppres.service.plans import at
 from vppres.service.records import seconds
 
@@ -47,53 +47,44 @@ class World:
 
     def readings(self, t: int) -> list[Series]:
         """What devices measure at the beginning of a step, and of the one before, by source."""
-        day = self.day
-        now = self.scenario.grid.times[t]
-        ids = {name: list(getattr(self.scenario, name).id) for name in KINDS}
-        grid_on = float(self.scenario.grid_limit_kw[t] > 0.0)
+        site, plant = self.scenario, self.day.plant
+        now, sets = site.grid.times[t], site.gensets.id
         found = [
-            *self._series("batteries", "soc", now, ids["batteries"], day.state.soc),
-            *self._powers("meters", "load_kw", now, ids["customers"], self.scenario.load_kw[t]),
-            *self._powers("meters", "pv_kw", now, ids["pv"], self.scenario.pv_kw[t]),
-            *self._series("substation", "grid_on", now, [GRID], [grid_on]),
+            *self._each("batteries", "soc", now, site.batteries.id, self.day.state.soc),
+            *self._each("meters", "load_kw", now, site.customers.id, site.load_kw[t]),
+            *self._each("meters", "pv_kw", now, site.pv.id, site.pv_kw[t]),
+            self._one("substation", "grid_on", now, GRID, site.grid_limit_kw[t] > 0.0),
+            *self._each("thermostats", "indoor_c", now, site.thermal_loads.id, plant.climate.t_c),
+            *self._vehicles(t, now),
+            *self._each("gensets", "running", now, sets, plant.engines.state.on),
+            *self._each("gensets", "fuel_litres", now, sets, plant.engines.tank_litres(t)),
+            *self._each("gensets", "start_fault", now, sets, self.start_fault),
         ]
-        rooms = list(self.scenario.thermal_loads.id)
-        found += self._series("thermostats", "indoor_c", now, rooms, day.plant.climate.t_c)
-        found += self._vehicles(t, now)
-        sets = list(self.scenario.gensets.id)
-        engines = day.plant.engines
-        for quantity, values in (
-            ("running", engines.state.on),
-            ("fuel_litres", engines.tank_litres(t)),
-            ("start_fault", self.start_fault),
-        ):
-            found += self._series("gensets", quantity, now, sets, values)
-        if t == 0:
-            return found
-        begun = self.scenario.grid.times[t - 1]
+        return found if t == 0 else [*found, *self._means(site.grid.times[t - 1])]
+
+    def _means(self, begun: pd.Timestamp) -> Iterator[Series]:
+        """What devices measure over the last step."""
+        site, day, record = self.scenario, self.day, self.records[-1]
         if day.battery_kw is not None:
-            found += self._powers(
-                "batteries", "battery_kw", begun, ids["batteries"], day.battery_kw
-            )
+            names = site.batteries.id
+            yield from self._each("batteries", "battery_kw", begun, names, day.battery_kw)
         if day.import_kw is not None:
-            found += self._series("substation", "import_kw", begun, [GRID], [day.import_kw])
-        if sets:
-            given_kw = self.records[-1].kinds["gensets"]["p_kw"]
-            found += self._series("gensets", "genset_kw", begun, sets, given_kw)
-        by_phase = ByPhase.of(self.scenario, self.records[-1])
+            yield self._one("substation", "import_kw", begun, GRID, day.import_kw)
+        if len(site.gensets):
+            given_kw = record.kinds["gensets"]["p_kw"]
+            yield from self._each("gensets", "genset_kw", begun, site.gensets.id, given_kw)
+        by_phase = ByPhase.of(site, record)
         if by_phase is not None:
             source = by_phase.source
             teller = "substation" if source == GRID else "batteries"
             for phase, kva in by_phase.source_kva.items():
-                found += self._series(teller, "source_kva", begun, [source], [kva], str(phase))
+                yield self._one(teller, "source_kva", begun, source, kva, str(phase))
             for (bus, phase), v_pu in zip(by_phase.nodes.index, by_phase.nodes, strict=True):
-                found += self._series("meters", "v_pu", begun, [bus], [v_pu], phase)
-        return found
+                yield self._one("meters", "v_pu", begun, bus, v_pu, phase)
 
-    def _vehicles(self, t: int, now: pd.Timestamp) -> list[Series]:
+    def _vehicles(self, t: int, now: pd.Timestamp) -> Iterator[Series]:
         """What chargers tell of their vehicles: a state of charge, or the energy that they need."""
         sessions, garage = self.scenario.sessions, self.day.plant.garage
-        found: list[Series] = []
         held_kwh = garage.held_kwh(t)
         for k, name in enumerate(self.scenario.chargers.id):
             s = int(self.scenario.session_at[t, k])
@@ -105,56 +96,45 @@ class World:
                 else:
                     told["ev_soc"] = held_kwh[k] / sessions.full_kwh[s]
             for quantity, value in told.items():
-                found += self._series("chargers", quantity, now, [name], [value])
-        return found
+                yield self._one("chargers", quantity, now, name, value)
 
-    def _powers(
-        self, source: str, quantity: str, time: pd.Timestamp, ids: list[Any], values: Any
-    ) -> list[Series]:
-        """Powers of assets, each phase by itself where there are several."""
-        found: list[Series] = []
+    def _each(
+        self, source: str, quantity: str, time: pd.Timestamp, ids: Names, values: Any
+    ) -> Iterator[Series]:
+        """A reading of each asset; of a power one for each phase where there are several."""
         for asset, value in zip(ids, values, strict=True):
-            phases = phases_of(self.scenario, quantity, str(asset))
+            summed = quantity in SUMMED
+            phases = phases_of(self.scenario, quantity, str(asset)) if summed else []
             for phase in phases or (None,):
-                part = [value / max(len(phases), 1)]
-                found += self._series(source, quantity, time, [asset], part, phase)
-        return found
+                yield self._one(source, quantity, time, asset, value / max(len(phases), 1), phase)
 
-    def obey(self, t: int, setpoints: Iterable[Mapping[str, Any]]) -> StepRecord:
-        """Carry out the last set-points for a step; what is over leaves its default."""
-        middle = self.scenario.grid.times[t] + self._step / 2
-        told = {(one["kind"], one["asset"]): at(one, middle) for one in setpoints}
-        record = self.day.settle(t, Decision(self._dispatch(t, told)))
-        self.records.append(record)
-        return record
-
-    @property
-    def _step(self) -> pd.Timedelta:
-        return self.scenario.grid.step
-
-    def _series(
+    def _one(
         self,
         source: str,
         quantity: str,
         time: pd.Timestamp,
-        ids: list[Any],
-        values: Any,
+        asset: Any,
+        value: Any,
         phase: str | None = None,
-    ) -> list[Series]:
-        """One reading for each item."""
-        resolution = f"PT{round(self.scenario.grid.step_minutes * 60)}S"
-        return [
-            {
-                "source": source,
-                "asset": str(asset),
-                "quantity": quantity,
-                **({} if phase is None else {"phase": phase}),
-                "start": written(time),
-                "resolution": resolution,
-                "values": [float(value)],
-            }
-            for asset, value in zip(ids, values, strict=True)
-        ]
+    ) -> Series:
+        """One reading, for a step."""
+        return {
+            "source": source,
+            "asset": str(asset),
+            "quantity": quantity,
+            **({} if phase is None else {"phase": phase}),
+            "start": written(time),
+            "resolution": f"PT{round(self.scenario.grid.step_minutes * 60)}S",
+            "values": [float(value)],
+        }
+
+    def obey(self, t: int, setpoints: Iterable[Mapping[str, Any]]) -> StepRecord:
+        """Carry out the last set-points for a step; what is over leaves its default."""
+        middle = self.scenario.grid.times[t] + self.scenario.grid.step / 2
+        told = {(one["kind"], one["asset"]): at(one, middle) for one in setpoints}
+        record = self.day.settle(t, Decision(self._dispatch(t, told)))
+        self.records.append(record)
+        return record
 
     def _dispatch(self, t: int, told: Mapping[tuple[str, str], Mapping[str, Any]]) -> Dispatch:
         """Set-points of devices, as the plant reads them; a device without one does its default."""
@@ -196,9 +176,6 @@ class World:
             },
             running={"gensets": values("gensets", "running", 0.0) > 0.0},
         )
-
-
-KINDS = ("customers", "batteries", "pv")
 
 
 def critical_off(scenario: Scenario, record: StepRecord) -> Flags:
