@@ -11,13 +11,7 @@ from vppres.io.find import load_scenario
 from vppres.outlook.outlook import SeenOutage
 from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
 from vppres.studies.estimate_scores import EstimateScores
-from vppres.studies.warning_scores import (
-    WarnedOutage,
-    WarningScores,
-    brier,
-    duration_pit,
-    reliability,
-)
+from vppres.studies.warning_scores import WarnedOutage, WarningScores
 
 NOON = pd.Timestamp("2022-07-19T12:00Z")
 
@@ -36,33 +30,40 @@ def pair(probability: float | None, hours: float | None) -> WarnedOutage:
     return WarnedOutage(warning, came)
 
 
+def of_pairs(*pairs: WarnedOutage) -> WarningScores:
+    return WarningScores(pairs, (), EstimateScores.of([], []))
+
+
 def test_what_came_by_what_was_said() -> None:
-    pairs = [pair(0.7, 4.0), pair(0.7, None), pair(0.7, 2.0), pair(0.1, None), pair(None, 3.0)]
-    table = reliability(pairs)
+    scores = of_pairs(
+        pair(0.7, 4.0), pair(0.7, None), pair(0.7, 2.0), pair(0.1, None), pair(None, 3.0)
+    )
+    table = scores.reliability
     assert table["warnings"].tolist() == [1, 3]
     assert table["said"].tolist() == pytest.approx([0.1, 0.7])
     assert table["came"].tolist() == pytest.approx([0.0, 2 / 3])
     # 1.96 sqrt(.7 .3 / 3) = .519
     assert table["low"].tolist() == pytest.approx([0.0, 0.7 - 0.5186], abs=1e-3)
-    assert brier(pairs) == pytest.approx((2 * 0.09 + 0.49 + 0.01) / 4)
+    assert scores.brier == pytest.approx((2 * 0.09 + 0.49 + 0.01) / 4)
 
 
 def test_no_warning_says_nothing() -> None:
-    assert reliability([]).empty
-    assert np.isnan(brier([]))
-    assert duration_pit([pair(0.5, None)]).size == 0
+    assert of_pairs().reliability.empty
+    assert np.isnan(of_pairs().brier)
+    assert of_pairs(pair(0.5, None)).duration_pit.size == 0
 
 
 def test_lengths_lie_where_the_quantiles_say() -> None:
-    pairs = [pair(1.0, hours) for hours in (2.0, 4.0, 8.0)]
-    np.testing.assert_allclose(duration_pit(pairs), [0.1, 0.5, 0.9])
+    scores = of_pairs(*(pair(1.0, hours) for hours in (2.0, 4.0, 8.0)))
+    np.testing.assert_allclose(scores.duration_pit, [0.1, 0.5, 0.9])
 
 
 def test_what_is_drawn_as_said_is_evenly_spread() -> None:
     rng = np.random.default_rng(1)
     spread = np.log(2.0) / 1.2815515655446004
     lengths = 4.0 * np.exp(spread * rng.standard_normal(2000))
-    count, _ = np.histogram(duration_pit([pair(1.0, h) for h in lengths]), 5, (0.0, 1.0))
+    scores = of_pairs(*(pair(1.0, h) for h in lengths))
+    count, _ = np.histogram(scores.duration_pit, 5, (0.0, 1.0))
     assert (np.abs(count / 2000 - 0.2) < 0.04).all()
 
 

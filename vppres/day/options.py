@@ -172,21 +172,14 @@ class RunOptions:
 
     def on(self, scenario: Scenario) -> RunOptions:
         """The options with the scenario's where they leave it the choice."""
-        own = scenario.controller
-        fair = scenario.fairness
-        return replace(
-            self,
-            mode=own.mode if self.mode is None else self.mode,
-            headroom=scenario.headroom.share if self.headroom is None else self.headroom,
-            rotation=fair.rotation if self.rotation is None else self.rotation,
-            turn_h=fair.turn_h if self.turn_h is None else self.turn_h,
-            minimum_on_h=fair.minimum_on_h if self.minimum_on_h is None else self.minimum_on_h,
-            priority=scenario.priority.rule if self.priority is None else self.priority,
-            voltage_limits=self.voltage_limits or own.voltage_limits,
-            ratings=self.ratings or own.ratings,
-            soc_end=own.soc_end if self.soc_end is None else self.soc_end,
-            outages=own.outages if self.outages is None else self.outages,
-        )
+        left = {
+            option.field: attrgetter(option.scenario_key)(scenario)
+            for option in OPTIONS
+            if option.run_default is None
+            and option.scenario_key
+            and getattr(self, option.field, "") is None
+        }
+        return self.having(left)
 
     @property
     def shares_supply(self) -> bool:

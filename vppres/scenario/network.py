@@ -28,6 +28,9 @@ BUS_DRAWS = ("p_shunt_kw", "q_shunt_kvar", "p_fixed_kw", "q_fixed_kvar")
 LOW_VOLTAGE_KV = 1.0
 """Highest nominal voltage between lines that counts as low (EN 50160)."""
 
+RATING_CURE = "Give the thermal rating in A, infinite where a line has none."
+RATIO_CURE = "Give the voltage in pu at from_bus over that at to_bus, 1 where a line has no tap."
+
 MAX_LOOPS = 20  # that are named; each costs a search of the network
 MAX_LOOP_SHOWN = 12  # buses
 
@@ -132,8 +135,8 @@ class Network:
         problems = (
             check_radial(ends[0], ends[1], self.slack_bus)
             + _check_impedance(r, x)
-            + _check_ratings(given["i_max_a"], len(r))
-            + _check_ratios(given["ratio"], len(r))
+            + _check_positive("i_max_a", given["i_max_a"], len(r), np.inf, RATING_CURE)
+            + _check_positive("ratio", given["ratio"], len(r), np.finfo(float).max, RATIO_CURE)
             + self._check_drawing({*ends[0], *ends[1]})
         )
         if problems:
@@ -445,7 +448,7 @@ def check_radial(from_bus: Names, to_bus: Names, slack_bus: BusId) -> list[Probl
             field="to_bus",
             value=to_bus[row],
         )
-        for row, loop in islice(_loops(from_bus, to_bus), MAX_LOOPS)
+        for row, loop in islice(find_loops(from_bus, to_bus), MAX_LOOPS)
         if from_bus[row] != to_bus[row]
     ]
     return problems
@@ -457,13 +460,11 @@ def _loop_words(loop: list[BusId]) -> str:
     return " - ".join(map(str, shown))
 
 
-def find_loops(from_bus: Names, to_bus: Names) -> list[tuple[int, list[BusId]]]:
-    """Lines that close a loop, taken in order, each with the buses of its loop."""
-    return list(_loops(from_bus, to_bus))
+def find_loops(from_bus: Names, to_bus: Names) -> Iterator[tuple[int, list[BusId]]]:
+    """Lines that close a loop, taken in order, each with the buses of its loop.
 
-
-def _loops(from_bus: Names, to_bus: Names) -> Iterator[tuple[int, list[BusId]]]:
-    """Loops one by one: a path is searched only where both ends are joined already."""
+    A path is searched only where both ends are joined already.
+    """
     neighbours: dict[BusId, list[BusId]] = {}
     leader: dict[BusId, BusId] = {}
     for row, (a, b) in enumerate(zip(from_bus, to_bus, strict=True)):
@@ -544,38 +545,14 @@ def _check_impedance(r_ohm: Floats, x_ohm: Floats) -> list[Problem]:
     ]
 
 
-def _check_ratios(ratio: Floats, n_lines: int) -> list[Problem]:
-    """Ratios that are not one positive number for each line."""
-    cure = "Give the voltage in pu at from_bus over that at to_bus, 1 where a line has no tap."
-    if ratio.shape != (n_lines,):
+def _check_positive(
+    name: str, values: Floats, n_lines: int, most: float, cure: str
+) -> list[Problem]:
+    """Values that are not one positive number, up to the most, for each line."""
+    if values.shape != (n_lines,):
         message = f"must have one value for each of the {n_lines} lines"
-        return [Problem("lines", message, cure, field="ratio", value=ratio.shape)]
+        return [Problem("lines", message, cure, field=name, value=values.shape)]
     return [
-        Problem("lines", "must be positive", cure, row=int(i), field="ratio", value=ratio[i])
-        for i in np.flatnonzero(~(ratio > 0) | np.isinf(ratio))
-    ]
-
-
-def _check_ratings(i_max_a: Floats, n_lines: int) -> list[Problem]:
-    """Ratings that are not one positive current for each line."""
-    if i_max_a.shape != (n_lines,):
-        return [
-            Problem(
-                "lines",
-                f"must have one value for each of the {n_lines} lines",
-                "Give the thermal rating in A, infinite where a line has none.",
-                field="i_max_a",
-                value=i_max_a.shape,
-            )
-        ]
-    return [
-        Problem(
-            "lines",
-            "must be positive",
-            "Give the thermal rating in A, infinite where a line has none.",
-            row=int(i),
-            field="i_max_a",
-            value=i_max_a[i],
-        )
-        for i in np.flatnonzero(~(i_max_a > 0))
+        Problem("lines", "must be positive", cure, row=int(i), field=name, value=values[i])
+        for i in np.flatnonzero(~((values > 0) & (values <= most)))
     ]

@@ -55,47 +55,41 @@ class TimeGrid:
     zone: str = UTC
 
     def __post_init__(self) -> None:
-        problems = []
-        if self.start.tzinfo is None:
-            problems.append(
-                Problem(
-                    "time",
-                    "has no time zone",
-                    "Write it with an offset, for example 2022-07-19T00:00:00Z.",
-                    field="start",
-                    value=self.start,
-                )
-            )
-        if not self.step_minutes > 0:
-            problems.append(
-                Problem(
-                    "time",
-                    "must be positive",
-                    "Give minutes, for example 60.",
-                    field="step_minutes",
-                    value=self.step_minutes,
-                )
-            )
-        if self.n_steps < 1:
-            problems.append(
-                Problem(
-                    "time",
-                    "must be at least 1",
-                    "Give the number of steps.",
-                    field="steps",
-                    value=self.n_steps,
-                )
-            )
-        if not is_zone(self.zone):
-            problems.append(
-                Problem(
-                    "time",
-                    "is not the name of a time zone",
-                    "Give one such as Europe/London, or UTC.",
-                    field="zone",
-                    value=self.zone,
-                )
-            )
+        checks = (
+            (
+                "start",
+                self.start,
+                self.start.tzinfo is not None,
+                "has no time zone",
+                "Write it with an offset, for example 2022-07-19T00:00:00Z.",
+            ),
+            (
+                "step_minutes",
+                self.step_minutes,
+                self.step_minutes > 0,
+                "must be positive",
+                "Give minutes, for example 60.",
+            ),
+            (
+                "steps",
+                self.n_steps,
+                self.n_steps >= 1,
+                "must be at least 1",
+                "Give the number of steps.",
+            ),
+            (
+                "zone",
+                self.zone,
+                is_zone(self.zone),
+                "is not the name of a time zone",
+                "Give one such as Europe/London, or UTC.",
+            ),
+        )
+        problems = [
+            Problem("time", message, cure, field=field, value=value)
+            for field, value, sound, message, cure in checks
+            if not sound
+        ]
         if problems:
             raise InputError(problems)
 

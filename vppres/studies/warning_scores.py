@@ -141,13 +141,52 @@ class WarningScores:
 
     @cached_property
     def reliability(self) -> pd.DataFrame:
-        """:func:`reliability` of the pairs."""
-        return reliability(self.pairs)
+        """How often an outage came of warnings of like probability; those without one do not count.
+
+        Returns
+        -------
+        DataFrame
+            One row for each fifth of 0 to 1 that has warnings: their number ``warnings``, the mean
+            probability ``said``, the share ``came``, and ``low`` and ``high``, what a right
+            forecast stays between in 95 of 100 cases (normal approximation).
+        """
+        said, came = self._said
+        part = np.minimum((said * BINS).astype(int), BINS - 1)
+        rows = []
+        for value in np.unique(part):
+            there = part == value
+            mean = float(said[there].mean())
+            band = 1.96 * float(np.sqrt((said[there] * (1.0 - said[there])).sum())) / there.sum()
+            rows.append(
+                {
+                    "warnings": int(there.sum()),
+                    "said": mean,
+                    "came": float(came[there].mean()),
+                    "low": max(mean - band, 0.0),
+                    "high": min(mean + band, 1.0),
+                }
+            )
+        return pd.DataFrame(rows, columns=["warnings", "said", "came", "low", "high"])
 
     @cached_property
     def duration_pit(self) -> Floats:
-        """:func:`duration_pit` of the pairs."""
-        return duration_pit(self.pairs)
+        """Where the lengths of outages lay in what was said of them, evenly spread if it was right.
+
+        The logarithm of the length is normal on either side of the median, such that the quantiles
+        are those of the warning. Outages of unknown length, and warnings without a spread, are left
+        out.
+        """
+        found = []
+        for pair in self.pairs:
+            said = pair.warning
+            low, middle, high = said.duration_p10_h, said.duration_p50_h, said.duration_p90_h
+            if low is None or middle is None or high is None or np.isnan(pair.length_h):
+                continue
+            end = high if pair.length_h > middle else low
+            spread = abs(np.log(end / middle)) / Z90
+            if spread > 0.0:
+                found.append(float(ndtr(np.log(pair.length_h / middle) / spread)))
+        return np.array(found)
 
     def summary(self) -> dict[str, Any]:
         """All figures as JSON can hold them."""
@@ -165,14 +204,22 @@ class WarningScores:
 
     @property
     def brier(self) -> float:
-        """:func:`brier` of the pairs."""
-        return brier(self.pairs)
+        """Mean squared distance of the probability from what came; NaN of no warning."""
+        said, came = self._said
+        return float(((said - came) ** 2).mean()) if len(said) else float("nan")
 
     @property
     def brier_of_share(self) -> float:
         """The same if the share that came had been said each time: what warnings are to beat."""
-        _, came = _said(self.pairs)
+        _, came = self._said
         return float(came.mean() * (1.0 - came.mean())) if len(came) else float("nan")
+
+    @property
+    def _said(self) -> tuple[Floats, Floats]:
+        """Probabilities, and 1 where an outage came."""
+        given = [pair for pair in self.pairs if pair.warning.probability is not None]
+        said = np.array([pair.warning.probability for pair in given], dtype=float)
+        return said, np.array([pair.came is not None for pair in given], dtype=float)
 
 
 def _of_one(
@@ -226,77 +273,6 @@ def _last_before(
         return None
     last = announced_by([one for one in before if not one.all_clear])
     return before[-1] if last is None or before[-1].all_clear else last.message
-
-
-def reliability(pairs: Sequence[WarnedOutage], bins: int = BINS) -> pd.DataFrame:
-    """How often an outage came of warnings of like probability.
-
-    Parameters
-    ----------
-    pairs : sequence of WarnedOutage
-        Those without a probability are left out.
-    bins : int
-        Equal parts of 0 to 1.
-
-    Returns
-    -------
-    DataFrame
-        One row for each part that has warnings: their number ``warnings``, the mean probability
-        ``said``, the share ``came``, and ``low`` and ``high``, what a right forecast stays between
-        in 95 of 100 cases (normal approximation).
-    """
-    said, came = _said(pairs)
-    part = np.minimum((said * bins).astype(int), bins - 1)
-    rows = []
-    for value in np.unique(part):
-        there = part == value
-        mean = float(said[there].mean())
-        band = 1.96 * float(np.sqrt((said[there] * (1.0 - said[there])).sum())) / there.sum()
-        rows.append(
-            {
-                "warnings": int(there.sum()),
-                "said": mean,
-                "came": float(came[there].mean()),
-                "low": max(mean - band, 0.0),
-                "high": min(mean + band, 1.0),
-            }
-        )
-    return pd.DataFrame(rows, columns=["warnings", "said", "came", "low", "high"])
-
-
-def brier(pairs: Sequence[WarnedOutage]) -> float:
-    """Mean squared distance of the probability from what came; NaN of no warning."""
-    said, came = _said(pairs)
-    return float(((said - came) ** 2).mean()) if len(said) else float("nan")
-
-
-def duration_pit(pairs: Sequence[WarnedOutage]) -> Floats:
-    """Where the lengths of outages lay in what was said of them, evenly spread if that was right.
-
-    The logarithm of the length is normal on either side of the median, such that the quantiles are
-    those of the warning. Outages of unknown length, and warnings without a spread, are left out.
-    """
-    found = []
-    for pair in pairs:
-        low, middle, high = (
-            pair.warning.duration_p10_h,
-            pair.warning.duration_p50_h,
-            pair.warning.duration_p90_h,
-        )
-        if low is None or middle is None or high is None or np.isnan(pair.length_h):
-            continue
-        end = high if pair.length_h > middle else low
-        spread = abs(np.log(end / middle)) / Z90
-        if spread > 0.0:
-            found.append(float(ndtr(np.log(pair.length_h / middle) / spread)))
-    return np.array(found)
-
-
-def _said(pairs: Sequence[WarnedOutage]) -> tuple[Floats, Floats]:
-    """Probabilities, and 1 where an outage came."""
-    given = [pair for pair in pairs if pair.warning.probability is not None]
-    said = np.array([pair.warning.probability for pair in given], dtype=float)
-    return said, np.array([pair.came is not None for pair in given], dtype=float)
 
 
 def warnings_scored(
