@@ -35,7 +35,7 @@ AREAS = {"ukpn": "CM4 0", "ssen": "OX26 6JJ", "nged": "TA12"}
 ELEVEN = pd.Timestamp("2026-11-21T11:00Z")
 
 
-class Listed:
+class Listed(follow.Service):
     """Events as they are put and withdrawn."""
 
     def __init__(self) -> None:

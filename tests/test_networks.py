@@ -217,11 +217,8 @@ def test_a_source_that_does_not_converge_says_so(tmp_path: Path) -> None:
     assert told_deviation(feeder, deviation) == NOT_CONVERGED
     # Most likely its loads are in kW: that stands before everything else.
     notes = write_new_scenario(feeder, NewScenarioOptions(), tmp_path / "kw")
-    assert notes[:2] == [
-        NOT_CONVERGED,
-        "load_kw.csv, c1: the median customer's largest demand is 500,000 kW at 20 kV. Is the file in "
-        "W? Its numbers are kW.",
-    ]
+    assert notes[0] == NOT_CONVERGED
+    assert not any("Is the file in W?" in note for note in notes)
     assert "First check the units of its loads" in NOT_CONVERGED
 
 

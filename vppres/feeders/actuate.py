@@ -119,26 +119,25 @@ class Powers:
     @property
     def fed(self) -> pd.DataFrame:
         """PV systems, then generating sets, which are named so."""
-        if self.sets is None:
-            return self.pv
-        sets = self.sets[["bus", "p_kw"]].assign(q_kvar=0.0)
-        return pd.concat([self.pv, sets.rename(index="set {}".format)])
+        return _beside(self.pv, self.sets, "set")
 
     @property
     def drawn(self) -> pd.DataFrame:
         """Customers, then machines, which are named so."""
-        if self.machines is None:
-            return self.customers
-        machines = self.machines[["bus", "p_kw"]].assign(q_kvar=0.0)
-        return pd.concat([self.customers, machines.rename(index="machine {}".format)])
+        return _beside(self.customers, self.machines, "machine")
 
     @property
     def stored(self) -> pd.DataFrame:
         """Batteries, then chargers, which are named so."""
-        if self.chargers is None:
-            return self.batteries
-        chargers = self.chargers[["bus", "p_kw"]].assign(q_kvar=0.0)
-        return pd.concat([self.batteries, chargers.rename(index="charger {}".format)])
+        return _beside(self.batteries, self.chargers, "charger")
+
+
+def _beside(table: pd.DataFrame, more: pd.DataFrame | None, word: str) -> pd.DataFrame:
+    """A table with other assets below it, whose power factor is 1."""
+    if more is None:
+        return table
+    named = more[["bus", "p_kw"]].assign(q_kvar=0.0).rename(index=f"{word} {{}}".format)
+    return pd.concat([table, named])
 
 
 def put_into_net(net: Any, bus_of: Mapping[int, BusId], powers: Powers) -> None:

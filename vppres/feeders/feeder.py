@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Protocol
+from typing import Any, ClassVar, Protocol, Self
 
 import pandas as pd
 
@@ -14,8 +14,26 @@ from vppres.scenario.network import BusId, Network
 from vppres.scenario.phases import PhaseConnection, Phases
 
 
+class _Elements:
+    """A table of elements of the source, an array an attribute."""
+
+    id: Names
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+    def __len__(self) -> int:
+        return len(self.id)
+
+    @classmethod
+    def none(cls) -> Self:
+        """No element."""
+        return cls(**{name: no_items() for name in cls.__dataclass_fields__})
+
+
 @dataclass(frozen=True, eq=False)
-class Generators:
+class Generators(_Elements):
     """Generators that the source has, shape (G,) each; injection is positive.
 
     ``kind`` is the source's word, ``gen`` for a machine that holds its voltage; see
@@ -33,29 +51,15 @@ class Generators:
     p_max_kw: Floats
     p_min_kw: Floats
 
-    def __post_init__(self) -> None:
-        freeze_arrays(self)
-
-    def __len__(self) -> int:
-        return len(self.id)
-
 
 @dataclass(frozen=True, eq=False)
-class Loads:
+class Loads(_Elements):
     """Single loads of the source, shape (E,) each: as they are given, drawn power is positive."""
 
     id: Names
     bus: Names
     p_kw: Floats
     q_kvar: Floats
-
-    def __post_init__(self) -> None:
-        freeze_arrays(self)
-
-    @classmethod
-    def none(cls) -> Loads:
-        """No load that is known by itself."""
-        return cls(**{f.name: no_items() for f in fields(cls)})
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +91,7 @@ class Profile:
 
 
 @dataclass(frozen=True, eq=False)
-class Storages:
+class Storages(_Elements):
     """Batteries that the source has, shape (S,) each.
 
     ``p_kw`` (charging is positive) and ``q_kvar`` (drawn is positive) are the operating point that
@@ -106,17 +110,6 @@ class Storages:
     soc_initial: Floats
     eta_charge: Floats
     eta_discharge: Floats
-
-    def __post_init__(self) -> None:
-        freeze_arrays(self)
-
-    def __len__(self) -> int:
-        return len(self.id)
-
-    @classmethod
-    def none(cls) -> Storages:
-        """No battery."""
-        return cls(**{f.name: no_items() for f in fields(cls)})
 
 
 @dataclass(frozen=True)

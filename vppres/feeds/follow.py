@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 from email.utils import parsedate_to_datetime
 from math import inf
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 from urllib.parse import quote
 
 import pandas as pd
@@ -50,8 +50,8 @@ STAMP = "%Y-%m-%dT%H%M%SZ"
 Told = Callable[[str], None]
 
 
-class Service(Protocol):
-    """Where events go."""
+class Service:
+    """Where events go. This one takes them and does nothing: changes are shown only."""
 
     def put(self, name: str, body: dict[str, Any]) -> None:
         """Announce or change an event."""
@@ -61,12 +61,13 @@ class Service(Protocol):
 
     def said(self, source: str) -> dict[str, dict[str, Any]]:
         """Events of a source that hold."""
+        return {}
 
     def set_clock(self, now: pd.Timestamp) -> None:
         """Let it be so late, in a replay."""
 
 
-class OverHTTP:
+class OverHTTP(Service):
     """A service that listens at an address."""
 
     def __init__(self, client: Client) -> None:
@@ -92,27 +93,9 @@ class OverHTTP:
         self.client.wanted("PUT", "/v1/clock", {"now": written(now)})
 
 
-class Shown:
-    """No service: events are shown only."""
-
-    def put(self, name: str, body: dict[str, Any]) -> None:
-        """Do nothing."""
-
-    def withdraw(self, name: str) -> None:
-        """Do nothing."""
-
-    def said(self, source: str) -> dict[str, dict[str, Any]]:
-        """Nothing was said."""
-        del source
-        return {}
-
-    def set_clock(self, now: pd.Timestamp) -> None:
-        """Do nothing."""
-
-
 def events_at(url: str | None, token: str | None) -> Service:
     """The service at an address, or none: changes are shown only."""
-    return Shown() if url is None else OverHTTP(Client(url, token))
+    return Service() if url is None else OverHTTP(Client(url, token))
 
 
 class Follower:

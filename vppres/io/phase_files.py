@@ -13,7 +13,7 @@ import pandas as pd
 from vppres.core.arrays import Complexes, Floats
 from vppres.core.errors import InputError, Problem
 from vppres.io import schema
-from vppres.io.tables import no_table, read_rows, read_table
+from vppres.io.tables import Table, no_table, read_rows, read_table
 from vppres.scenario.network import BusId
 from vppres.scenario.phases import (
     PHASES,
@@ -61,7 +61,7 @@ def read_phases(
         table, found = read_table(folder / _file(name), BUSES_FIRST)
         rows[name], wrong = read_rows(table, model)
         problems += found + wrong
-    problems += _lines_wrong(rows["lines"])
+        problems += _lines_wrong(table, rows[name]) if name == "lines" else []
     if problems:
         return None, problems
     try:
@@ -106,52 +106,38 @@ def _line(row: Any) -> PhaseLine:
     return PhaseLine(row.from_bus, row.to_bus, z, b, i_max_a)
 
 
-def _lines_wrong(rows: dict[int, Any]) -> list[Problem]:
+def _lines_wrong(table: Table | None, rows: dict[int, Any]) -> list[Problem]:
     """Of each line entries of phases that it lacks, or else an impedance without currents."""
     problems = []
     for place, row in rows.items():
+        assert table is not None  # it has rows
         own = [i for i in range(3) if getattr(row, _names(i, i)[0]) is not None]
-        problems += _lacking(place, row, own) or _without_current(place, row, own)
+        problems += _lacking(table, place, row, own) or _without_current(table, place, row, own)
     return problems
 
 
-def _lacking(place: int, row: Any, own: list[int]) -> list[Problem]:
+def _lacking(table: Table, place: int, row: Any, own: list[int]) -> list[Problem]:
     """Entries of phases that a line lacks."""
-    entries = [((i, j), name) for i, j in TRIANGLE for name in _names(i, j)]
     problems = []
-    for phases, name in entries:
+    for phases, name in [(pair, name) for pair in TRIANGLE for name in _names(*pair)]:
         lacking = [phase for phase in phases if phase not in own]
         value = getattr(row, name)
         if lacking and value is not None:
-            problems.append(
-                Problem(
-                    _file("lines"),
-                    f"is given, and phase {PHASES[lacking[0]]} has no resistance",
-                    f"Give {_names(lacking[0], lacking[0])[0]} too, or leave both empty.",
-                    row=place,
-                    field=name,
-                    value=value,
-                )
-            )
+            message = f"is given, and phase {PHASES[lacking[0]]} has no resistance"
+            cure = f"Give {_names(lacking[0], lacking[0])[0]} too, or leave both empty."
+            problems.append(table.problem(place, name, message, cure, value))
     return problems
 
 
-def _without_current(place: int, row: Any, own: list[int]) -> list[Problem]:
+def _without_current(table: Table, place: int, row: Any, own: list[int]) -> list[Problem]:
     """An impedance that cannot be inverted."""
     z = _line(row).z_ohm[np.ix_(own, own)]
     if not own or np.linalg.cond(z) <= LARGEST_CONDITION:
         return []
     first = _names(own[0], own[0])[0]
-    return [
-        Problem(
-            _file("lines"),
-            "has an impedance that no current can be found for",
-            "Give a resistance above 0 on each phase, and mutual ones below it.",
-            row=place,
-            field=first,
-            value=getattr(row, first),
-        )
-    ]
+    message = "has an impedance that no current can be found for"
+    cure = "Give a resistance above 0 on each phase, and mutual ones below it."
+    return [table.problem(place, first, message, cure, getattr(row, first))]
 
 
 def phase_frames(phases: Phases) -> dict[str, pd.DataFrame]:

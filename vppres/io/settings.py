@@ -71,58 +71,36 @@ def read_settings(folder: Path) -> tuple[Settings, list[Problem]]:
     ), problems
 
 
+def _wrong(field: str, message: str, cure: str, value: object) -> Problem:
+    """What is wrong with a key of scenario.toml."""
+    return Problem(SCENARIO_FILE, message, cure, field=field, value=value)
+
+
 def check_length(time: schema.Section) -> list[Problem]:
     """A time grid too long, or too far away, to be meant."""
-    days = minutes_to_h(time.step_minutes) * time.steps / 24
     if not 1970 <= time.start.year < 2200:
-        return [
-            Problem(
-                SCENARIO_FILE,
-                "must lie in the years 1970 to 2199",
-                "Correct the year.",
-                field="time.start",
-                value=iso(time.start),
-            )
-        ]
-    if days > schema.MAX_GRID_DAYS:
-        return [
-            Problem(
-                SCENARIO_FILE,
-                f"the scenario is longer than {schema.MAX_GRID_DAYS} days",
-                "Reduce steps or step_minutes.",
-                field="time.steps",
-                value=time.steps,
-            )
-        ]
+        message = "must lie in the years 1970 to 2199"
+        return [_wrong("time.start", message, "Correct the year.", iso(time.start))]
+    if minutes_to_h(time.step_minutes) * time.steps / 24 > schema.MAX_GRID_DAYS:
+        message = f"the scenario is longer than {schema.MAX_GRID_DAYS} days"
+        return [_wrong("time.steps", message, "Reduce steps or step_minutes.", time.steps)]
     return []
 
 
 def check_voltages(network: schema.Section) -> list[Problem]:
     """Voltage limits that contradict each other or exclude the slack bus."""
     problems = []
+    v_slack_pu = network.v_slack_pu
     for low, high in (("v_min_pu", "v_max_pu"), ("v_min_ac_pu", "v_max_ac_pu")):
-        lower = getattr(network, low)
-        upper = getattr(network, high)
+        lower, upper = getattr(network, low), getattr(network, high)
         if not lower < upper:
-            problems.append(
-                Problem(
-                    SCENARIO_FILE,
-                    f"must be less than {high} ({upper:g})",
-                    "Correct one of the limits.",
-                    field=f"network.{low}",
-                    value=lower,
-                )
-            )
-        elif not lower <= network.v_slack_pu <= upper:
-            problems.append(
-                Problem(
-                    SCENARIO_FILE,
-                    f"must lie between {low} ({lower:g}) and {high} ({upper:g})",
-                    "Correct the voltage of the slack bus or the limits.",
-                    field="network.v_slack_pu",
-                    value=network.v_slack_pu,
-                )
-            )
+            message = f"must be less than {high} ({upper:g})"
+            cure = "Correct one of the limits."
+            problems.append(_wrong(f"network.{low}", message, cure, lower))
+        elif not lower <= v_slack_pu <= upper:
+            message = f"must lie between {low} ({lower:g}) and {high} ({upper:g})"
+            cure = "Correct the voltage of the slack bus or the limits."
+            problems.append(_wrong("network.v_slack_pu", message, cure, v_slack_pu))
     return problems
 
 
@@ -130,29 +108,20 @@ def check_outages(outages: list[schema.Section], grid: TimeGrid) -> list[Problem
     """Outages that end before they begin, leave the day, or cut a step."""
     problems = []
     day = f"The day is {iso(grid.start)} to {iso(grid.end)}, in steps of {grid.step_minutes:g} min."
-    step = grid.step
     for i, outage in enumerate(outages, start=1):
         if outage.end <= outage.start:
-            problems.append(
-                Problem(
-                    SCENARIO_FILE,
-                    f"must be after the outage's start ({iso(outage.start)})",
-                    "Correct start or end.",
-                    field=f"outages[{i}].end",
-                    value=iso(outage.end),
-                )
-            )
+            message = f"must be after the outage's start ({iso(outage.start)})"
+            cure = "Correct start or end."
+            problems.append(_wrong(f"outages[{i}].end", message, cure, iso(outage.end)))
             continue
         for name, time in (("start", outage.start), ("end", outage.end)):
             if not grid.start <= time <= grid.end:
                 message = "lies outside the scenario's day"
-            elif (time - grid.start) % step != pd.Timedelta(0):
+            elif (time - grid.start) % grid.step != pd.Timedelta(0):
                 message = "lies inside a step"
             else:
                 continue
-            problems.append(
-                Problem(SCENARIO_FILE, message, day, field=f"outages[{i}].{name}", value=iso(time))
-            )
+            problems.append(_wrong(f"outages[{i}].{name}", message, day, iso(time)))
     return problems or _check_apart(outages)
 
 
@@ -160,12 +129,11 @@ def _check_apart(outages: list[schema.Section]) -> list[Problem]:
     """Outages that begin before the one before them is over."""
     order = sorted(range(len(outages)), key=lambda i: outages[i].start)
     return [
-        Problem(
-            SCENARIO_FILE,
+        _wrong(
+            f"outages[{after + 1}].start",
             f"begins before outages[{before + 1}] is over ({iso(outages[before].end)})",
             "Join the two outages, or correct one of them.",
-            field=f"outages[{after + 1}].start",
-            value=iso(outages[after].start),
+            iso(outages[after].start),
         )
         for before, after in pairwise(order)
         if outages[after].start < outages[before].end

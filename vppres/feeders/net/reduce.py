@@ -33,6 +33,7 @@ from vppres.feeders.net.branches import (
     split_stubs,
 )
 from vppres.feeders.net.elements import NetCase, in_service, label, supplied
+from vppres.feeders.net.grids import one_grid
 from vppres.feeders.net.notes import notes_of
 from vppres.feeders.net.ratings import rating_mva
 from vppres.io.messages import did_you_mean
@@ -94,6 +95,7 @@ def feeder_of(
         loops; each problem names the element.
     """
     net = copy.deepcopy(net)
+    notes = [*one_grid(net, name, None, bus_ids)]
     _raise(_check_elements(net, name) + _check_slack(net, name))
     open_named(net, name, open_branches)
     case = case_of(net)
@@ -117,7 +119,7 @@ def feeder_of(
         storages=storages,
         loads=loads_of(net, joined, ids),
         bus_of={bus: ids[row] for bus, row in joined.bus_at.items()},
-        notes=(*notes_of(net, case, stubs, closed, condensers), *storage_notes),
+        notes=(*notes, *notes_of(net, case, stubs, closed, condensers), *storage_notes),
         causes=tuple(causes_of(net, case)),
         source_flow=PandapowerFlow(net, {ids[row]: bus for bus, row in _last_first(joined)}),
     )
@@ -170,34 +172,15 @@ def _check_elements(net: Any, name: str) -> list[Problem]:
 
 
 def _check_slack(net: Any, name: str) -> list[Problem]:
-    """Whether there is exactly one grid connection."""
-    grids = [label(net, "ext_grid", i) for i in in_service(net, "ext_grid").index]
-    gens = in_service(net, "gen")
-    grids += [label(net, "gen", i) for i in gens.index[gens["slack"].astype(bool)]]
-    if not grids:
+    """Whether there is a grid connection, at a bus in service."""
+    grids = in_service(net, "ext_grid")
+    if grids.empty:
         return [Problem(name, "has no external grid", "Add one at the bus of the grid connection.")]
-    if len(grids) > 1:
-        return [
-            Problem(
-                name,
-                f"has {len(grids)} external grids: {named(grids)}",
-                "Keep the one that feeds the feeder and take the others out of service.",
-            )
-        ]
-    if grids[0].startswith("gen"):
-        return [
-            Problem(name, f"{grids[0]} is the grid connection", "Replace it by an external grid.")
-        ]
-    bus = int(in_service(net, "ext_grid")["bus"].iloc[0])
-    if not net.bus["in_service"].at[bus]:
-        return [
-            Problem(
-                name,
-                f"{grids[0]} is at bus {bus}, which is out of service",
-                "Put the bus into service.",
-            )
-        ]
-    return []
+    bus = int(grids["bus"].iloc[0])
+    if net.bus["in_service"].at[bus]:
+        return []
+    where = f"{label(net, 'ext_grid', grids.index[0])} is at bus {bus}, which is out of service"
+    return [Problem(name, where, "Put the bus into service.")]
 
 
 def open_named(net: Any, name: str, wanted: Sequence[str]) -> None:

@@ -18,6 +18,7 @@ from vppres.core.errors import InputError, Problem
 from vppres.core.tables import packaged_table
 from vppres.core.text import named
 from vppres.feeders.closeness import (
+    NOT_CONVERGED,
     check_deviation,
     source_deviation,
     told_causes,
@@ -203,7 +204,8 @@ def write_new_scenario(
     source = Source.of(feeder.name, "", told, deviation, feeder.unbalanced)
     scenario = replace(scenario, source=source)
     said = [former_words(scenario), darkness(scenario), closeness]
-    first = [*causes, *doubtful_units(scenario)]
+    # A source that does not converge is asked for its units itself.
+    first = causes if NOT_CONVERGED in causes else [*causes, *doubtful_units(scenario)]
     notes = list(dict.fromkeys([*first, *told, *filter(None, said)]))
     text = "\n".join([f"# {scenario.title}", "", *(f"- {note}" for note in notes), ""])
     with atomic_folder(folder) as aside:
