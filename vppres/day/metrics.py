@@ -11,7 +11,7 @@ import pandas as pd
 
 from vppres.core.arrays import Floats
 from vppres.core.plain import json_safe
-from vppres.core.text import counted
+from vppres.core.text import counted, named
 from vppres.core.units import kva_to_a
 from vppres.day.inversions import headroom_words, inversion_words
 from vppres.day.kind_tables import kind_figures, kind_words
@@ -129,11 +129,10 @@ def off_with_grid(trajectory: Trajectory) -> str:
     )
     steps = steps.sort_values(["weight", "steps"], ascending=False, kind="stable")
     names = [f"{name} ({row.tier}) {row.steps * dt_h:g} h" for name, row in steps.iterrows()]
-    more = f" and {len(names) - OFF_SHOWN} more" if len(names) > OFF_SHOWN else ""
     return (
         f"Off with the grid on: {len(names)} of {len(trajectory.scenario.customers)} customers, "
         f"{len(rows) * dt_h:g} customer hours. Most important first: "
-        f"{', '.join(names[:OFF_SHOWN])}{more}.{_why_off(trajectory, rows)}"
+        f"{named(names, OFF_SHOWN)}.{_why_off(trajectory, rows)}"
         f"{_at_rating(trajectory, rows)}"
     )
 
@@ -150,8 +149,7 @@ def _at_rating(trajectory: Trajectory, off: pd.DataFrame) -> str:
         for line in np.argsort(-full, kind="stable")
         if full[line]
     ]
-    more = f" and {len(lines) - OFF_SHOWN} more" if len(lines) > OFF_SHOWN else ""
-    return f" Lines at their rating then: {', '.join(lines[:OFF_SHOWN])}{more}." if lines else ""
+    return f" Lines at their rating then: {named(lines, OFF_SHOWN)}." if lines else ""
 
 
 def _why_off(trajectory: Trajectory, off: pd.DataFrame) -> str:

@@ -54,27 +54,6 @@ def battery_power_kw(run: Trajectory) -> Floats:
     return per_step(run, net_kw, run.batteries)
 
 
-def charging_kw(run: Trajectory) -> Floats | None:
-    """Net charging power of all vehicles, shape (T,); None without chargers."""
-    if run.vehicles is None:
-        return None
-    return per_step(run, run.vehicles["p_kw"], run.vehicles)
-
-
-def generated_kw(run: Trajectory) -> Floats | None:
-    """Power of all generating sets, shape (T,); None without any."""
-    if run.gensets is None:
-        return None
-    return per_step(run, run.gensets["p_kw"], run.gensets)
-
-
-def machines_kw(run: Trajectory) -> Floats | None:
-    """Power of all machines that cool or heat, shape (T,); None without any."""
-    if run.thermal_loads is None:
-        return None
-    return per_step(run, run.thermal_loads["p_kw"], run.thermal_loads)
-
-
 def lowest_model_v_pu(run: Trajectory) -> Floats:
     """Lowest bus voltage of the optimisation, shape (T,)."""
     return run.buses.groupby("time")["v_model_pu"].min().to_numpy(float)

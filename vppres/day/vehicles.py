@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vppres.core.text import named
 from vppres.day.trajectory import Trajectory
 from vppres.plant.plant import Plant, Realised
 
@@ -86,9 +87,8 @@ def vehicle_words(trajectory: Trajectory) -> list[str]:
     rows = trajectory.vehicles
     assert rows is not None
     short = rows[rows["short_kwh"] > 0.0].sort_values("short_kwh", ascending=False, kind="stable")
-    names = [f"{row.vehicle} {row.short_kwh:.1f} kWh" for row in short.head(NAMED).itertuples()]
-    more = f" and {len(short) - NAMED} more" if len(short) > NAMED else ""
+    names = [f"{row.vehicle} {row.short_kwh:.1f} kWh" for row in short.itertuples()]
     return [
         f"{figures['left_short']} of {figures['departures']} vehicles left short of "
-        f"{figures['missed_kwh']:.1f} kWh in all: {', '.join(names)}{more}."
+        f"{figures['missed_kwh']:.1f} kWh in all: {named(names, NAMED)}."
     ]

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from vppres.core.plain import json_safe
 from vppres.day.trajectory import Trajectory
 from vppres.feeders.actuate import Feeding
 from vppres.feeders.dss.recheck import Recheck, recheck_opendss
@@ -68,24 +69,24 @@ def write_recheck(run: Trajectory, found: Recheck, folder: Path) -> dict[str, An
 def summary_of(found: Recheck) -> dict[str, Any]:
     """The figures of a recheck: of the largest difference, by phase, and what was assumed."""
     worst = found.worst
-    phases = found.by_phase().round(DECIMALS)
-    return {
-        "largest": None
+    pu = ("v_pu", "v_plan_pu", "difference_pu")
+    largest = (
+        worst
         if worst is None
         else {
             "time": worst["time"].isoformat(),
             "bus": str(worst["bus"]),
             "phase": str(worst["phase"]),
-            "v_pu": round(float(worst["v_pu"]), DECIMALS),
-            "v_plan_pu": round(float(worst["v_plan_pu"]), DECIMALS),
-            "difference_pu": round(float(worst["difference_pu"]), DECIMALS),
-        },
-        "cause": found.cause,
-        "phases": {
-            str(phase): {
-                name: None if value != value else float(value) for name, value in row.items()
-            }
-            for phase, row in phases.iterrows()
-        },
-        "notes": list(found.notes),
-    }
+            **{name: round(float(worst[name]), DECIMALS) for name in pu},
+        }
+    )
+    phases = found.by_phase().round(DECIMALS).astype(float)
+    safe: dict[str, Any] = json_safe(
+        {
+            "largest": largest,
+            "cause": found.cause,
+            "phases": phases.to_dict("index"),
+            "notes": found.notes,
+        }
+    )
+    return safe

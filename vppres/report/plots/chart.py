@@ -19,6 +19,7 @@ from vppres.report.plots.palette import (
     GREY,
     OUTAGE_COLOUR,
     RULE_COLOUR,
+    RUN_STYLES,
     Style,
 )
 
@@ -374,6 +375,12 @@ def _draw_entry(canvas: Canvas, entry: Entry, x: float, y: float) -> None:
         if entry.hatch:
             canvas.box(x, y - 5, SAMPLE_PX, 10, canvas.hatched(entry.hatch, entry.kind))
     canvas.text(x + SAMPLE_PX + 6, y, entry.name)
+
+
+def styled(runs: Runs) -> list[tuple[str, Trajectory, Style]]:
+    """Label, run and style of each run."""
+    pairs = zip(named_runs(runs).items(), RUN_STYLES, strict=False)
+    return [(label, run, style) for (label, run), style in pairs]
 
 
 def named_runs(runs: Runs) -> dict[str, Trajectory]:

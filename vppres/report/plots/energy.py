@@ -8,19 +8,16 @@ import numpy as np
 
 from vppres.day.series import (
     battery_power_kw,
-    charging_kw,
     demand_kw,
     energy_limits_kwh,
-    generated_kw,
     lowest_model_v_pu,
-    machines_kw,
     pv_available_kw,
     served_kw,
     stored_energy_kwh,
 )
 from vppres.day.trajectory import Trajectory
-from vppres.report.plots.chart import Band, Chart, Curve, Curves, Limit, Runs, named_runs
-from vppres.report.plots.palette import BLACK, GREEN, ORANGE, RUN_STYLES, VERMILLION, Style
+from vppres.report.plots.chart import Band, Chart, Curve, Curves, Limit, Runs, styled
+from vppres.report.plots.palette import BLACK, GREEN, ORANGE, VERMILLION, Style
 
 ZERO = Limit(0.0, dash="")
 """A line at zero, without a name."""
@@ -31,11 +28,10 @@ OF_SETS = "5 2 1 2"
 
 def energy_and_price(runs: Runs) -> Chart:
     """Stored energy, net charging power of all batteries, and the import price."""
-    named = named_runs(runs)
-    first = next(iter(named.values()))
     energy = []
     power = []
-    for (label, run), style in zip(named.items(), RUN_STYLES, strict=False):
+    (_, first, _), *_ = every = styled(runs)
+    for label, run, style in every:
         energy.append(Curve(label, stored_energy_kwh(run), style))
         if run.planned is not None:
             planned = np.asarray(run.planned["energy_kwh"], dtype=float)
@@ -74,11 +70,10 @@ def _price_panel(run: Trajectory) -> Curves:
 
 def import_load_pv(runs: Runs) -> Chart:
     """Grid import; demand, served demand, available PV power, vehicles, machines and sets."""
-    named = named_runs(runs)
-    first = next(iter(named.values()))
     imports = []
     load = []
-    for (label, run), style in zip(named.items(), RUN_STYLES, strict=False):
+    (_, first, _), *_ = every = styled(runs)
+    for label, run, style in every:
         drawn = run.steps["p_grid_kw"].to_numpy(float)
         imports.append(Curve(f"{label}: import", drawn, style, in_legend=False))
         load.append(Curve(f"{label}: import, and supplied demand", served_kw(run), style))
@@ -86,22 +81,18 @@ def import_load_pv(runs: Runs) -> Chart:
     load.append(Curve("demand", demand, Style(BLACK, "", 1.2)))
     load.append(Curve("PV available", pv_available_kw(first), Style(ORANGE, "6 2 2 2", 1.8)))
     lowest_kw: float | None = 0.0
-    for (label, run), style in zip(named.items(), RUN_STYLES, strict=False):
-        vehicles_kw = charging_kw(run)
-        if vehicles_kw is not None:
-            load.append(Curve(f"{label}: vehicles", vehicles_kw, style.thin()))
-            lowest_kw = None if (vehicles_kw < 0.0).any() else lowest_kw
-        sets_kw = generated_kw(run)
-        if sets_kw is not None:
-            dashed = Style(style.color, OF_SETS, 1.3)
-            load.append(Curve(f"{label}: generating sets", sets_kw, dashed))
-        cooling_kw = machines_kw(run)
-        if cooling_kw is not None:
-            load.append(
-                Curve(f"{label}: cooling and heat", cooling_kw, replace(style, dash="4 2 1 2"))
-            )
+    for label, run, style in every:
+        for table, words, look in (
+            ("vehicles", "vehicles", style.thin()),
+            ("gensets", "generating sets", Style(style.color, OF_SETS, 1.3)),
+            ("thermal_loads", "cooling and heat", replace(style, dash="4 2 1 2")),
+        ):
+            if table in run.tables:
+                power_kw = run.by_step(table, "p_kw").sum(axis=1)
+                load.append(Curve(f"{label}: {words}", power_kw, look))
+                lowest_kw = None if (power_kw < 0.0).any() else lowest_kw
     unserved = Band(served_kw(first), demand, VERMILLION, "not supplied")
-    exports = any(run.scenario.exports for run in named.values())
+    exports = any(run.scenario.exports for _, run, _ in every)
     below = "; export below 0" if exports else ""
     return Chart(
         "import_load_pv",
@@ -120,7 +111,7 @@ def import_load_pv(runs: Runs) -> Chart:
                 200.0,
                 low=lowest_kw,
                 limits=[ZERO] if lowest_kw is None else (),
-                bands=[unserved] if len(named) == 1 else (),
+                bands=[unserved] if len(every) == 1 else (),
             ),
         ],
     )
@@ -137,18 +128,17 @@ def _export_limit(run: Trajectory) -> list[Curve]:
 
 def voltages(runs: Runs) -> Chart:
     """Lowest voltage of any bus (AC and optimisation), and the largest difference of the two."""
-    named = named_runs(runs)
-    first = next(iter(named.values()))
-    network = first.scenario.network
     lowest = []
     error = []
-    for (label, run), style in zip(named.items(), RUN_STYLES, strict=False):
+    (_, first, _), *_ = every = styled(runs)
+    network = first.scenario.network
+    for label, run, style in every:
         found = run.steps["v_min_ac_pu"].to_numpy(float)
         lowest.append(Curve(f"{label}: lowest, AC power flow", found, style))
         lowest.append(Curve(f"{label}: lowest, optimisation", lowest_model_v_pu(run), style.thin()))
         apart = 1000.0 * run.steps["v_error_pu"].to_numpy(float)
         error.append(Curve(f"{label}: difference (0.001 pu)", apart, style, in_legend=False))
-    if len(named) == 1:
+    if len(every) == 1:
         highest = first.steps["v_max_ac_pu"].to_numpy(float)
         lowest.append(Curve("highest bus voltage", highest, Style(ORANGE, "6 3", 1.4)))
     limits = [

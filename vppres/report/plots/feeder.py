@@ -9,9 +9,9 @@ import numpy as np
 from vppres.core.arrays import Floats, Wholes
 from vppres.day.series import line_values
 from vppres.day.trajectory import Trajectory
-from vppres.report.plots.chart import Chart, Curve, Curves, Limit, Runs, named_runs
+from vppres.report.plots.chart import Chart, Curve, Curves, Limit, Runs, named_runs, styled
 from vppres.report.plots.heat import HeatMap
-from vppres.report.plots.palette import CIVIDIS, RUN_STYLES
+from vppres.report.plots.palette import CIVIDIS
 from vppres.report.tree_layout import tree_layout
 
 GAP_SHOWN = 1e-9
@@ -25,7 +25,7 @@ def _curves(runs: Runs, values: Callable[[Trajectory], Floats]) -> list[Curve]:
     """A quantity of every run."""
     return [
         Curve(label, np.asarray(values(run), dtype=float), style)
-        for (label, run), style in zip(named_runs(runs).items(), RUN_STYLES, strict=False)
+        for label, run, style in styled(runs)
     ]
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from vppres.core.arrays import Floats, Wholes
 from vppres.day.series import battery_power_kw, off_kw
 from vppres.day.trajectory import Trajectory
 from vppres.report.plots.canvas import Canvas, text_px
@@ -81,23 +82,21 @@ def _sun_strip(run: Trajectory) -> Strip:
 
 
 def _service_strip(run: Trajectory) -> Strip:
-    """How many customers are not served, in numbers while there is room."""
-    served = run.by_step("customers", "served")
-    missing = (~served).sum(axis=1).tolist()
-    counted = len(missing) <= MAX_COUNTED_STEPS
-    return Strip(
-        "Off supply",
-        [(UNSERVED if n else SERVED, "", str(n) if n and counted else "") for n in missing],
-    )
+    """How many customers are not served."""
+    return _off("Off supply", (~run.by_step("customers", "served")).sum(axis=1))
 
 
 def _off_strip(run: Trajectory) -> Strip:
-    """Demand of customers that are off supply, in kW where there is room."""
-    off = off_kw(run)
-    counted = len(off) <= MAX_COUNTED_STEPS
+    """Demand of customers that are off supply, in kW."""
+    return _off("kW off", off_kw(run))
+
+
+def _off(name: str, missing: Floats | Wholes) -> Strip:
+    """Steps in which something is off, with its number while there is room."""
+    counted = len(missing) <= MAX_COUNTED_STEPS
     return Strip(
-        "kW off",
-        [(UNSERVED if kw else SERVED, "", f"{kw:.0f}" if kw and counted else "") for kw in off],
+        name,
+        [(UNSERVED if n else SERVED, "", f"{n:.0f}" if n and counted else "") for n in missing],
     )
 
 
