@@ -6,7 +6,7 @@ import hashlib
 import sys
 from dataclasses import fields
 from functools import lru_cache
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -67,6 +67,21 @@ def freeze_arrays(record: Any) -> None:
         if f.type in _DTYPES:
             array = freeze(getattr(record, f.name), _DTYPES[f.type])
             object.__setattr__(record, f.name, array)
+
+
+class Items:
+    """A frozen dataclass of equally long arrays, one for each attribute of its items."""
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+    def __len__(self) -> int:
+        return len(next(iter(vars(self).values())))
+
+    def rows(self, which: Flags | Wholes | slice) -> Self:
+        """Some of the items."""
+        items: Any = self
+        return type(self)(**{f.name: getattr(self, f.name)[which] for f in fields(items)})
 
 
 def no_items() -> NDArray[Any]:

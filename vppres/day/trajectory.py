@@ -191,7 +191,7 @@ class Trajectory:
         from vppres.feeders.actuate import Feeding, Powers
 
         day = self.scenario
-        rows = {name: self._rows(name, t) for name in ("customers", "pv", "batteries")}
+        rows = {name: self.rows(name, t) for name in ("customers", "pv", "batteries")}
         c, pv, b = rows["customers"], rows["pv"], rows["batteries"]
         on = supplied(c).to_numpy()
         return Powers(
@@ -211,7 +211,7 @@ class Trajectory:
                 day,
                 bool(self.steps["outage"].iloc[t]),
                 str(self.options.get("mode", "paper")),
-                self._rows("buses", t)["v_ac_pu"].to_numpy(float),
+                self.rows("buses", t)["v_ac_pu"].to_numpy(float),
                 self.forms(t),
             ),
             *(self._active(kind, t) for kind in KINDS),
@@ -221,7 +221,7 @@ class Trajectory:
         """Generating sets that formed the grid in a step, (G,); None where none can."""
         if self.gensets is None or FORMS not in self.gensets:
             return None
-        return self._rows("gensets", t)[FORMS].to_numpy(bool)
+        return self.rows("gensets", t)[FORMS].to_numpy(bool)
 
     def _active(self, kind: str, t: int) -> pd.DataFrame | None:
         """Powers of the units of a kind in a step by identifier; None without any."""
@@ -229,11 +229,13 @@ class Trajectory:
         if units is None:
             return None
         buses = units.buses(self.scenario.customers)
-        columns = {"bus": buses, "p_kw": self._rows(KINDS[kind].table, t)["p_kw"].to_numpy()}
+        columns = {"bus": buses, "p_kw": self.rows(KINDS[kind].table, t)["p_kw"].to_numpy()}
         return pd.DataFrame(columns, index=pd.Index(units.id, name="id"))
 
-    def _rows(self, name: str, t: int) -> pd.DataFrame:
-        """The rows of a table that belong to a step."""
+    def rows(self, name: str, t: int) -> pd.DataFrame:
+        """The rows of a table that belong to a step; none of a table that is not there."""
+        if name not in self.tables:
+            return pd.DataFrame()
         table: pd.DataFrame = getattr(self, name)
         count = len(table) // len(self.steps)
         return table.iloc[t * count : (t + 1) * count]

@@ -12,11 +12,7 @@ from vppres.explain.step import Reason, Step
 
 def why_gensets(step: Step) -> Iterator[tuple[str, str, Reason]]:
     """Name of each set that runs, or that stopped in an outage, the action, and why."""
-    rows = step.recorded.trajectory.gensets
-    if rows is None:
-        return
-    sets = step.scenario.gensets
-    now: Any = rows.iloc[step.t * len(sets) : (step.t + 1) * len(sets)]
+    now: Any = step.recorded.trajectory.rows("gensets", step.t)
     for g, each in enumerate(now.to_dict("records")):
         name = str(each["genset"])
         if each["running"]:

@@ -14,9 +14,8 @@ from vppres.explain.kept import kept_for
 from vppres.explain.prices import WORTH
 from vppres.explain.recorded import MOVE_KW
 from vppres.explain.room import limits_in_full, overloaded_line, overloaded_phase
-from vppres.explain.step import Binding, Reason, Scarce, Step
+from vppres.explain.step import DRIVERS, Binding, Reason, Scarce, Step
 from vppres.explain.words import (
-    DRIVERS,
     SCARCE,
     TOO_LITTLE,
     figure,

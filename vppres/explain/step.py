@@ -24,27 +24,33 @@ from vppres.solve.shadow_prices import ShadowPrices
 
 Scarce = Literal["energy", "power", "voltage", "inverter", "rating", "phase", "grid"]
 # docs/explanations.md defines them: "grid" limits the import, and the export of what is curtailed.
-Driver = (
-    Scarce
-    | Literal[
-        "priority",
-        "switching_rule",
-        "longest_off",
-        "recovery",
-        "departure",
-        "past_day",
-        "price",
-        "preparation",
-        "surplus",
-        "supply",
-        "mismatch",
-        "plan",
-        "rule",
-        "fallback",
-        "dark",
-        "unexplained",
-    ]
-)
+DRIVERS = {
+    "energy": "stored energy",
+    "power": "battery power",
+    "inverter": "inverter rating",
+    "rating": "line rating",
+    "phase": "phase rating",
+    "voltage": "voltage limit",
+    "grid": "grid limit",
+    "priority": "priority",
+    "switching_rule": "switching rule",
+    "longest_off": "longest time off",
+    "recovery": "catching up",
+    "departure": "departure of a vehicle",
+    "past_day": "past day",
+    "price": "price",
+    "preparation": "preparation",
+    "surplus": "PV surplus",
+    "supply": "island supply",
+    "mismatch": "island mismatch",
+    "plan": "day plan",
+    "rule": "controller rule",
+    "fallback": "fallback",
+    "dark": "blacked-out island",
+    "unexplained": "not explained",
+}
+"""What drives actions, and what it is called in the report."""
+
 Binding = Scarce | Literal[""]
 
 ON_THE_WAY = 0.25
@@ -60,9 +66,12 @@ EXPORT_LIMIT_SHARE = 0.01
 class Reason:
     """Why an action was taken: what drove it, what was at its limit, and a sentence."""
 
-    driver: Driver
+    driver: str
     binding: Binding
     words: str
+
+    def __post_init__(self) -> None:
+        assert self.driver in DRIVERS, self.driver
 
 
 class Step:

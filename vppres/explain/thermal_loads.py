@@ -16,18 +16,16 @@ AHEAD_C = 0.5
 
 def why_prepared(step: Step) -> Iterator[tuple[str, str, Reason]]:
     """Name of each room or tank that was prepared for an outage, the action, and why."""
-    rows = step.recorded.trajectory.thermal_loads
-    if rows is None or step.outage:
-        return
     day = step.scenario
+    if step.outage or not len(day.thermal_loads):
+        return
     seen = day.outage[step.t : step.t + step.recorded.n_seen]
     known = step.recorded.trajectory.options["outages"]
     if known == "none" or not seen.any():
         return
     goes = day.grid.times[step.t + int(np.argmax(seen))].tz_convert(day.grid.zone)
     when = f"goes at {goes:%H:%M}" if known == "known" else "may go"
-    count = len(day.thermal_loads)
-    now: Any = rows.iloc[step.t * count : (step.t + 1) * count]
+    now: Any = step.recorded.trajectory.rows("thermal_loads", step.t)
     for load in now.to_dict("records"):
         change_c = load["t_end_c"] - load["t_start_c"]
         heats = change_c > 0.0

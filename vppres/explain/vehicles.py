@@ -16,12 +16,9 @@ Vehicle = dict[str, Any]
 
 def why_vehicles(step: Step) -> Iterator[tuple[str, str, Reason]]:
     """Name of each vehicle that was expected, charged, discharged or left short, and why."""
-    rows = step.recorded.trajectory.vehicles
-    if rows is None:
-        return
     yield from _expected(step)
-    count = len(step.scenario.chargers)
-    for charger, car in enumerate(_rows(rows, step.t, count)):
+    now: Any = step.recorded.trajectory.rows("vehicles", step.t)
+    for charger, car in enumerate(now.to_dict("records")):
         if not car["plugged"]:
             continue
         name = str(car["vehicle"])
@@ -47,12 +44,6 @@ def _expected(step: Step) -> Iterator[tuple[str, str, Reason]]:
         leaves = grid.local(sessions.plug_out[s])
         words = f"Expected as on {like}: up to {leaves:%H:%M}, to need {needs_kwh[s]:.1f} kWh."
         yield str(sessions.vehicle[s]), "expected", Reason("past_day", "", words)
-
-
-def _rows(rows: Any, t: int, count: int) -> list[Vehicle]:
-    """Rows of a step."""
-    found: list[Vehicle] = rows.iloc[t * count : (t + 1) * count].to_dict("records")
-    return found
 
 
 def why_charged(step: Step, charger: int, car: Vehicle) -> Reason:
@@ -85,10 +76,7 @@ def why_short(step: Step, charger: int, car: Vehicle) -> Reason:
     plugged = np.flatnonzero(day.session_at[:, charger] == session)
     rate_kw = day.chargers.eta_charge[charger] * day.chargers.p_charge_kw[charger]
     most_kwh = rate_kw * len(plugged) * day.grid.dt_h
-    first = plugged[0]
-    rows = step.recorded.trajectory.vehicles
-    assert rows is not None
-    held_kwh = rows["energy_start_kwh"].iloc[first * len(day.chargers) + charger]
+    held_kwh = step.recorded.trajectory.by_step("vehicles", "energy_start_kwh")[plugged[0], charger]
     if car["needed_kwh"] - held_kwh > most_kwh:
         words = f"{what}: its charger gives at most {most_kwh:.1f} kWh while it is plugged in."
         return Reason("power", "power", words)

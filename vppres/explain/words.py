@@ -34,33 +34,6 @@ TOO_LITTLE: dict[Binding, str] = {
     "": "nothing binds",
 }
 
-DRIVERS = {
-    "energy": "stored energy",
-    "power": "battery power",
-    "inverter": "inverter rating",
-    "rating": "line rating",
-    "phase": "phase rating",
-    "voltage": "voltage limit",
-    "grid": "grid limit",
-    "priority": "priority",
-    "switching_rule": "switching rule",
-    "longest_off": "longest time off",
-    "recovery": "catching up",
-    "departure": "departure of a vehicle",
-    "past_day": "past day",
-    "price": "price",
-    "preparation": "preparation",
-    "surplus": "PV surplus",
-    "supply": "island supply",
-    "mismatch": "island mismatch",
-    "plan": "day plan",
-    "rule": "controller rule",
-    "fallback": "fallback",
-    "dark": "blacked-out island",
-    "unexplained": "not explained",
-}
-"""What the drivers of ``explanations`` are called in the report."""
-
 
 def figure(value: float) -> str:
     """A number with two digits that count.

@@ -116,8 +116,7 @@ def _vehicle_events(run: Trajectory) -> Iterator[tuple[int, str]]:
         return
     lacks_kwh = run.by_step("vehicles", "short_kwh")
     for t in np.flatnonzero((lacks_kwh > 0.0).any(axis=1)).tolist():
-        count = lacks_kwh.shape[1]
-        rows = run.vehicles.iloc[t * count : (t + 1) * count]
+        rows = run.rows("vehicles", t)
         names = [
             f"{row['vehicle']} ({row['tier']}, {row['short_kwh']:.1f} kWh)"
             for row in rows[rows["short_kwh"] > 0.0].to_dict("records")

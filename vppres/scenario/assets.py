@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from vppres.core.arrays import Flags, Floats, Names, Wholes, freeze, freeze_arrays, no_items
+from vppres.core.arrays import Flags, Floats, Items, Names, Wholes, freeze, no_items
 from vppres.core.errors import InputError, Problem
 
 # Telemetry in single precision or with six digits: further outside, a limit or a reading is wrong.
@@ -31,7 +31,7 @@ OPTIONAL = ("share_min", *OF_HOURS)
 
 
 @dataclass(frozen=True, eq=False)
-class Customers:
+class Customers(Items):
     """Customers, shape (C,) each.
 
     ``weight`` is the priority weight w_c of the objective's f1; ``power_factor`` is negative where
@@ -71,7 +71,7 @@ class Customers:
                 object.__setattr__(self, name, np.empty(0))
         if (np.asarray(self.share_min, dtype=float) == 1.0).all():
             object.__setattr__(self, "share_min", np.empty(0))
-        freeze_arrays(self)
+        super().__post_init__()
         problems = [
             Problem(
                 f"customer {self.id[i]}",
@@ -94,9 +94,6 @@ class Customers:
         ]
         if problems:
             raise InputError(problems)
-
-    def __len__(self) -> int:
-        return len(self.id)
 
     @property
     def q_per_p(self) -> Floats:
@@ -178,7 +175,7 @@ def kind_label(kind: str) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class PVSystems:
+class PVSystems(Items):
     """PV systems and other generators with a series of available power, shape (P,) each.
 
     ``customer`` is the owner's identifier. A system that stands alone has none (empty text) and
@@ -197,10 +194,7 @@ class PVSystems:
         for name, value in (("kind", PV), ("bus", None)):
             if len(getattr(self, name)) == 0:
                 object.__setattr__(self, name, np.full(len(self.id), value, dtype=object))
-        freeze_arrays(self)
-
-    def __len__(self) -> int:
-        return len(self.id)
+        super().__post_init__()
 
     @property
     def alone(self) -> Flags:
@@ -239,7 +233,7 @@ class PVSystems:
 
 
 @dataclass(frozen=True, eq=False)
-class Batteries:
+class Batteries(Items):
     """Batteries, shape (B,) each: ratings, limits, nominal efficiencies and thermal constants.
 
     The thermal constants are those of the paper's Table "Battery electro-thermal efficiency
@@ -278,7 +272,7 @@ class Batteries:
     def __post_init__(self) -> None:
         if len(self.grid_forming) == 0:
             object.__setattr__(self, "grid_forming", np.zeros(len(self.id), dtype=bool))
-        freeze_arrays(self)
+        super().__post_init__()
         object.__setattr__(self, "_notes", self._take_soc_into_limits())
 
     def _take_soc_into_limits(self) -> tuple[str, ...]:
@@ -307,9 +301,6 @@ class Batteries:
             f"rounding error outside its limits: {clipped[i]:g} is used."
             for i in np.flatnonzero(clipped != given)
         )
-
-    def __len__(self) -> int:
-        return len(self.id)
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from vppres.core.arrays import Flags, Floats, Names, Wholes, freeze_arrays, no_items
+from vppres.core.arrays import Flags, Floats, Items, Names, Wholes, no_items
 from vppres.scenario.assets import Customers
 from vppres.scenario.timegrid import TimeGrid
 
@@ -21,7 +21,7 @@ ROUNDING_H = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Gensets:
+class Gensets(Items):
     """Generating sets, shape (G,) each.
 
     A running set burns ``litres_per_h_idle``, and ``litres_per_kwh`` for what it gives. Ramps are
@@ -55,10 +55,7 @@ class Gensets:
         for name, values in unsaid.items():
             if len(getattr(self, name)) == 0:
                 object.__setattr__(self, name, values)
-        freeze_arrays(self)
-
-    def __len__(self) -> int:
-        return len(self.id)
+        super().__post_init__()
 
     def buses(self, customers: Customers) -> Names:
         """Bus of each set, (G,): sets stand alone."""
@@ -114,18 +111,12 @@ class Gensets:
 
 
 @dataclass(frozen=True, eq=False)
-class Refuels:
+class Refuels(Items):
     """Deliveries of fuel that are known ahead, shape (D,) each; times are timestamps."""
 
     genset: Names = field(default_factory=no_items)
     time: Names = field(default_factory=no_items)
     litres: Floats = field(default_factory=no_items)
-
-    def __post_init__(self) -> None:
-        freeze_arrays(self)
-
-    def __len__(self) -> int:
-        return len(self.genset)
 
     def by_step(self, sets: Gensets, grid: TimeGrid) -> Floats:
         """What is delivered at the beginning of each step, (T, G).

@@ -9,12 +9,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from vppres.core.arrays import Flags, Floats, Names, Wholes, freeze_arrays, no_items
+from vppres.core.arrays import Flags, Floats, Items, Names, Wholes, no_items
 from vppres.scenario.assets import Customers, positions_of
 
 
 @dataclass(frozen=True, eq=False)
-class ThermalLoads:
+class ThermalLoads(Items):
     """Rooms and tanks, shape (H,) each.
 
     Each is behind the switch of its ``customer`` and has its bus, tier and weight. It loses heat
@@ -36,12 +36,6 @@ class ThermalLoads:
     t_initial_c: Floats = field(default_factory=no_items)
     gain_kw: Floats = field(default_factory=no_items)
     around_c: Floats = field(default_factory=no_items)
-
-    def __post_init__(self) -> None:
-        freeze_arrays(self)
-
-    def __len__(self) -> int:
-        return len(self.id)
 
     def owner(self, customers: Customers) -> Wholes:
         """Position of each load's customer, (H,)."""

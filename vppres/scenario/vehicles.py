@@ -5,13 +5,12 @@ A site without chargers has tables of length 0.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
-from typing import Self
+from dataclasses import dataclass, field
 
 import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Flags, Floats, Names, Wholes, freeze_arrays, no_items
+from vppres.core.arrays import Flags, Floats, Items, Names, Wholes, no_items
 from vppres.scenario.assets import Customers, positions_of, without_customer
 from vppres.scenario.timegrid import TimeGrid
 
@@ -32,7 +31,7 @@ ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Chargers:
+class Chargers(Items):
     """Chargers of vehicles, shape (K,) each.
 
     ``customer`` is the customer behind whose switch a charger is; one that stands alone has none
@@ -48,12 +47,6 @@ class Chargers:
     p_discharge_kw: Floats = field(default_factory=no_items)
     eta_charge: Floats = field(default_factory=no_items)
     eta_discharge: Floats = field(default_factory=no_items)
-
-    def __post_init__(self) -> None:
-        freeze_arrays(self)
-
-    def __len__(self) -> int:
-        return len(self.id)
 
     @property
     def alone(self) -> Flags:
@@ -86,7 +79,7 @@ class Chargers:
 
 
 @dataclass(frozen=True, eq=False)
-class Sessions:
+class Sessions(Items):
     """Times in which a vehicle is plugged in, shape (S,) each, as the file says them.
 
     Times are of type :class:`pandas.Timestamp`. Numbers are NaN where the file has none;
@@ -105,16 +98,6 @@ class Sessions:
     tier: Names = field(default_factory=no_items)
     weight: Floats = field(default_factory=no_items)
     announced: Flags = field(default_factory=no_items)
-
-    def __post_init__(self) -> None:
-        freeze_arrays(self)
-
-    def __len__(self) -> int:
-        return len(self.charger)
-
-    def rows(self, which: Flags | Wholes) -> Self:
-        """Some of the sessions."""
-        return type(self)(**{f.name: getattr(self, f.name)[which] for f in fields(self)})
 
     def over(self, time: pd.Timestamp) -> Flags:
         """Sessions that ended by a time, (S,)."""

@@ -17,7 +17,7 @@ from vppres.io.atomic import scratch_folder
 from vppres.io.messages import did_you_mean
 from vppres.io.scenario_folder import read_scenario
 from vppres.io.scenario_writer import fill_scenario_folder
-from vppres.scenario.assets import Batteries, PVSystems
+from vppres.scenario.assets import Batteries
 from vppres.scenario.option_table import OPTIONS, Option
 from vppres.scenario.scenario import ObjectiveWeights, Scenario
 
@@ -124,33 +124,20 @@ def read_values(parameter: Parameter, text: str) -> list[Value]:
         If one is not of the parameter's kind, or comes twice.
     """
     values = []
-    problems = []
+    wrong: list[tuple[str, str]] = []
     for part in (part.strip() for part in text.split(",")):
         value = _read(parameter.kind, part)
         if value is None:
-            problems.append(
-                Problem(
-                    "sweep",
-                    f"{part or 'nothing'} is not {_KINDS.get(parameter.kind, 'a word')}",
-                    f"Give values of {parameter.name}, separated by commas.",
-                    field="--values",
-                    value=text,
-                )
-            )
+            message = f"{part or 'nothing'} is not {_KINDS.get(parameter.kind, 'a word')}"
+            wrong.append((message, f"Give values of {parameter.name}, separated by commas."))
         elif value in values:
-            problems.append(
-                Problem(
-                    "sweep",
-                    f"{part} comes twice",
-                    "Give each value once.",
-                    field="--values",
-                    value=text,
-                )
-            )
+            wrong.append((f"{part} comes twice", "Give each value once."))
         else:
             values.append(value)
-    if problems:
-        raise InputError(problems)
+    if wrong:
+        raise InputError(
+            [Problem("sweep", *words, field="--values", value=text) for words in wrong]
+        )
     return values
 
 
@@ -268,8 +255,7 @@ def _with_outage_hours(day: Scenario, hours: float) -> Scenario:
 def _with_scaled_pv(day: Scenario, factor: float) -> Scenario:
     """All PV systems larger or smaller, with their series; none at 0."""
     if factor == 0:
-        none = {f.name: getattr(day.pv, f.name)[:0] for f in fields(PVSystems)}
-        return replace(day, pv=PVSystems(**none), pv_kw=day.pv_kw[:, :0])
+        return replace(day, pv=day.pv.rows(slice(0)), pv_kw=day.pv_kw[:, :0])
     pv = replace(day.pv, p_max_kw=day.pv.p_max_kw * factor, s_max_kva=day.pv.s_max_kva * factor)
     return replace(day, pv=pv, pv_kw=day.pv_kw * factor)
 
@@ -277,8 +263,7 @@ def _with_scaled_pv(day: Scenario, factor: float) -> Scenario:
 def _with_scaled_batteries(day: Scenario, factor: float) -> Scenario:
     """All batteries larger or smaller in energy and power; none at 0."""
     if factor == 0:
-        none = {f.name: getattr(day.batteries, f.name)[:0] for f in fields(Batteries)}
-        return replace(day, batteries=Batteries(**none))
+        return replace(day, batteries=day.batteries.rows(slice(0)))
     sizes = ("energy_kwh", "p_max_kw", "s_max_kva")
     return replace(
         day,

@@ -7,7 +7,8 @@ from typing import Any
 import pandas as pd
 
 from vppres.day.trajectory import Trajectory
-from vppres.explain.words import DRIVERS, figure, money
+from vppres.explain.step import DRIVERS
+from vppres.explain.words import figure, money
 from vppres.report.clock import Clock
 from vppres.report.plots.worth import worth_of_energy
 from vppres.report.sections.base import FOLDED_ABOVE, Run, Section, figure_of, section
