@@ -12,15 +12,6 @@ from pathlib import Path
 import numpy as np
 import typer
 
-from experiments.injection import (
-    QUANTITIES,
-    FaultInjector,
-    FaultPlan,
-    FaultyDay,
-    MeasurementFault,
-    Quantity,
-    faulty_controller,
-)
 from experiments.random_days import small_day
 from experiments.report import machine
 from experiments.seeds import (
@@ -29,9 +20,18 @@ from experiments.seeds import (
 from experiments.tables import markdown_table, write_pages
 from vppres.contract.forecast import ForecastErrors
 from vppres.core.arrays import Flags, Floats
+from vppres.day.assembly import make_controller
+from vppres.day.faults import (
+    QUANTITIES,
+    FaultInjector,
+    FaultPlan,
+    MeasurementFault,
+    Quantity,
+)
 from vppres.day.metrics import versions
 from vppres.day.options import RunOptions
 from vppres.day.recorder import StepRecord
+from vppres.day.simulate import Day
 from vppres.scenario.scenario import Scenario
 
 MATERIAL = 0.05
@@ -236,8 +236,8 @@ def run_one(seed: int) -> AlarmDay:
         horizon_h=2.0, seed=seed, errors=ForecastErrors(load_bias, load_alpha, pv_bias, pv_alpha)
     )
     injector = FaultInjector(faults, scenario)
-    guard = faulty_controller(scenario, options, injector)
-    day = FaultyDay(scenario, options, injector)
+    guard = make_controller(scenario, options, injector)
+    day = Day(scenario, options, injector)
     for t in range(scenario.grid.n_steps):
         day.step(guard, t)
     return AlarmDay(seed, quantity, counted(scenario, faults, day.recorder.records))

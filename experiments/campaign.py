@@ -16,7 +16,6 @@ import typer
 
 from experiments.alarms import HEADINGS, Alarms, alarm_rows, counted
 from experiments.faults import drawn_faults
-from experiments.injection import FaultInjector, FaultPlan, FaultyDay, faulty_controller
 from experiments.random_days import RandomDay, random_day
 from experiments.report import machine
 from experiments.seeds import (
@@ -29,6 +28,8 @@ from vppres.control.guard.estimation import Known
 from vppres.control.guard.guard import GuardedController
 from vppres.control.guard.partial_fleet import reduced_observation, site_with
 from vppres.core.errors import SolveError
+from vppres.day.assembly import make_controller
+from vppres.day.faults import FaultInjector, FaultPlan
 from vppres.day.metrics import resilience, versions
 from vppres.day.options import RunOptions
 from vppres.day.recorder import StepRecord
@@ -149,9 +150,9 @@ def _play(
 ) -> tuple[Day, list[StepToJudge], str]:
     """The day as far as it went, its steps to judge, and what ended it."""
     injector = FaultInjector(faults, drawn.scenario)
-    guard = faulty_controller(drawn.scenario, options, injector)
+    guard = make_controller(drawn.scenario, options, injector)
     assert isinstance(guard, GuardedController)
-    day = FaultyDay(drawn.scenario, options, injector)
+    day = Day(drawn.scenario, options, injector)
     to_judge = []
     critical = drawn.scenario.customers.tier == drawn.scenario.tiers[0]
     try:

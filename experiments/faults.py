@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.random import Generator
 
-from experiments.injection import (
+from vppres.day.faults import (
     QUANTITIES,
     SOLVER_FAULTS,
     BatteryTrip,

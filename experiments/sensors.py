@@ -16,10 +16,12 @@ import numpy as np
 import pandas as pd
 import typer
 
-from experiments.injection import FaultInjector, FaultPlan, FaultyDay, faulty_controller
 from vppres.contract.observation import Observation
 from vppres.core.arrays import Flags, Floats
+from vppres.day.assembly import make_controller
+from vppres.day.faults import FaultInjector, FaultPlan
 from vppres.day.options import RunOptions
+from vppres.day.simulate import Day
 from vppres.day.trajectory import Trajectory
 from vppres.feeders import import_network
 from vppres.feeders.new.options import NewScenarioOptions
@@ -175,7 +177,7 @@ def played(day: Scenario, lies: Sequence[Lie], silent: bool) -> Trajectory:
     """The day with the readings as they lie, or with those readings missing."""
     options = RunOptions(horizon_h=HORIZON_H).on(day)
     injector = Liars(lies, day, silent)
-    return FaultyDay(day, options, injector).run(faulty_controller(day, options, injector))
+    return Day(day, options, injector).run(make_controller(day, options, injector))
 
 
 def first_tier(run: Trajectory) -> Flags:

@@ -11,9 +11,9 @@ import pandas as pd
 import pytest
 
 import vppres
-from experiments.injection import BatteryTrip, FaultPlan, run_with_faults
 from tests.support.made_up_runs import batteries, small_run
 from tests.support.tiny_day import tiny_scenario
+from vppres.day.faults import BatteryTrip, FaultPlan
 from vppres.day.metrics import reason_figures
 from vppres.day.options import RunOptions
 from vppres.day.phases import phases
@@ -634,7 +634,7 @@ def test_a_day_is_explained_quickly(heatwave: Trajectory) -> None:
 def test_a_battery_that_is_out_is_worth_nothing_and_helps_nobody() -> None:
     day = tiny_scenario()
     options = RunOptions(horizon_h=1.0, mode="paper")
-    tripped = run_with_faults(day, options, FaultPlan(trips=(BatteryTrip(0, 0, 6, silent=False),)))
+    tripped = run_day(day, options, faults=FaultPlan(trips=(BatteryTrip(0, 0, 6, silent=False),)))
     alone = {f.name: getattr(day.batteries, f.name)[1:] for f in fields(Batteries)}
     without = run_day(replace(day, batteries=Batteries(**alone)), options)
     found = explain_day(tripped).shadow_prices.set_index(["time", "constraint", "item"])

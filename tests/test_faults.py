@@ -8,27 +8,25 @@ import numpy as np
 import pytest
 
 from experiments.faults import drawn_faults
-from experiments.injection import (
-    QUANTITIES,
-    SOLVER_FAULTS,
-    BatteryTrip,
-    FaultInjector,
-    FaultPlan,
-    FaultyDay,
-    MeasurementFault,
-    SolverOutage,
-    faulty_controller,
-    run_with_faults,
-)
 from experiments.random_feeders import random_scenario
 from tests.support.set_points import decision
 from vppres.contract.decision import Decision
 from vppres.contract.forecast import ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.core.errors import InputError
+from vppres.day.assembly import make_controller
+from vppres.day.faults import (
+    QUANTITIES,
+    SOLVER_FAULTS,
+    BatteryTrip,
+    FaultInjector,
+    FaultPlan,
+    MeasurementFault,
+    SolverOutage,
+)
 from vppres.day.metrics import summarise
 from vppres.day.options import RunOptions
-from vppres.day.simulate import Day
+from vppres.day.simulate import Day, run_day
 from vppres.day.trajectory import Trajectory
 from vppres.physics import nose
 from vppres.plant.collapse import realise
@@ -39,7 +37,7 @@ OPTIONS = RunOptions(horizon_h=2.0, protect_critical=True)
 
 
 def faulty(scenario: Scenario, plan: FaultPlan, options: RunOptions = OPTIONS) -> Trajectory:
-    return run_with_faults(scenario, options, plan)
+    return run_day(scenario, options, faults=plan)
 
 
 def test_plan_is_drawn_from_its_seed(tiny: Scenario) -> None:
@@ -159,8 +157,8 @@ def test_tripped_battery_gives_nothing(tiny: Scenario, controller: str, silent: 
 
 def test_pv_forecast_is_off_and_the_measurement_is_not(tiny: Scenario) -> None:
     faults = FaultInjector(FaultPlan(pv_bias=-0.5), tiny)
-    day = FaultyDay(tiny, replace(OPTIONS, errors=ForecastErrors(pv_bias=0.1)), faults)
-    seen = day.observe(faulty_controller(tiny, OPTIONS, faults), 0).forecast
+    day = Day(tiny, replace(OPTIONS, errors=ForecastErrors(pv_bias=0.1)), faults)
+    seen = day.observe(make_controller(tiny, OPTIONS, faults), 0).forecast
     assert seen.pv_kw[0].tolist() == tiny.pv_kw[0].tolist()
     assert seen.pv_kw[1] == pytest.approx(0.6 * tiny.pv_kw[1])
 

@@ -11,7 +11,6 @@ import pandas as pd
 import pytest
 
 from experiments.faults import drawn_faults
-from experiments.injection import run_with_faults
 from vppres.contract.export import Export
 from vppres.core.errors import InputError
 from vppres.day.options import RunOptions
@@ -154,9 +153,9 @@ def test_guard_and_fallbacks_see_no_more(tiny: Scenario, kind: str) -> None:
         day = random_day(tiny, seed)
         faults = drawn_faults(tiny, seed)
         options = RunOptions(outages=kind, horizon_h=3.0, protect_critical=True)
-        run = run_with_faults(day, options, faults)
+        run = run_day(day, options, faults=faults)
         fallbacks |= set(run.steps["fallback"])
-        other = run_with_faults(with_another_future(day, 2, seed), options, faults)
+        other = run_day(with_another_future(day, 2, seed), options, faults=faults)
         if not same(run, other, 3):
             leaks.append(seed)
     assert not leaks

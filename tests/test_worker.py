@@ -18,7 +18,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.injection import FaultPlan, SolverOutage, run_with_faults
 from tests.support import failing_solvers as failing
 from tests.support.command_line import call
 from tests.support.failing_solvers import BAD_PRICE, bad
@@ -28,8 +27,9 @@ from vppres.contract.observation import Observation
 from vppres.control.guard.guard import GuardedController, GuardOptions
 from vppres.control.mpc import MPCController
 from vppres.core.errors import InfeasibleError, InputError, SolveError, SolverLostError
+from vppres.day.faults import FaultPlan, SolverOutage
 from vppres.day.options import RunOptions
-from vppres.day.simulate import Day
+from vppres.day.simulate import Day, run_day
 from vppres.io.find import load_scenario
 from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
@@ -361,7 +361,7 @@ def test_a_live_controller_answers_while_its_solver_hangs(tiny: Scenario) -> Non
 def test_a_run_is_isolated_on_request_faults_included(tiny: Scenario) -> None:
     faults = FaultPlan(solver={2: SolverOutage("killed")})
     runs = [
-        run_with_faults(tiny, RunOptions(horizon_h=1.0, isolate=isolate), faults)
+        run_day(tiny, RunOptions(horizon_h=1.0, isolate=isolate), faults=faults)
         for isolate in (None, True)
     ]
     words = ["none", "none", "previous_plan", "none", "none", "none"]

@@ -22,6 +22,7 @@ from vppres.control.phased import PhasedPlanner
 from vppres.control.planner import Planner
 from vppres.control.rotation import Rotating
 from vppres.day.checks import check_run
+from vppres.day.faults import FaultInjector, FaultySolver
 from vppres.day.options import RunOptions
 from vppres.day.own import ByStepWeights, Own
 from vppres.day.priority import site_of, weighed
@@ -38,6 +39,7 @@ from vppres.solve.ladder import WindowSolver
 def make_controller(
     scenario: Scenario,
     options: RunOptions,
+    faults: FaultInjector | None = None,
     grid: TimeGrid | None = None,
     make_solver: Callable[[Site], WindowSolver] | None = None,
     own: Own | None = None,
@@ -50,6 +52,8 @@ def make_controller(
         Its site, steps and tiers; no series of it reaches the controller.
     options : RunOptions
         Which controller, and whether it is guarded.
+    faults : FaultInjector, optional
+        What befalls its solvers.
     grid : TimeGrid, optional
         Steps that there may be, where they are not the scenario's.
     make_solver : callable, optional
@@ -66,7 +70,11 @@ def make_controller(
     options = options.on(scenario)
     check_run(scenario, options, grid)
     site = site_of(scenario, options.as_record())
-    solver_of = make_solver or solver_maker(options)
+    make = make_solver or _solver_maker(options)
+
+    def solver_of(part: Site) -> WindowSolver:
+        solver = make(part)
+        return solver if faults is None else FaultySolver(solver, faults)
 
     def controller_of(part: Site) -> Decider:
         made = None if own is None else own.made_controller(part)
@@ -108,7 +116,7 @@ def _guard_options(scenario: Scenario, options: RunOptions) -> GuardOptions:
     )
 
 
-def solver_maker(options: RunOptions) -> Callable[[Site], WindowSolver]:
+def _solver_maker(options: RunOptions) -> Callable[[Site], WindowSolver]:
     """Makes the solver that the options name, of any site."""
     kind = IsolatedSolver if options.isolate else WindowSolver
     return partial(

@@ -22,6 +22,7 @@ from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
 from vppres.day.assembly import make_controller
 from vppres.day.checks import check_parts
+from vppres.day.faults import FaultInjector, FaultPlan
 from vppres.day.forecasting import Forecasts, MeasuredForecasts, basis_of, forecasts_of
 from vppres.day.kind_tables import records_of
 from vppres.day.options import PERFECT, RunOptions
@@ -37,6 +38,7 @@ from vppres.plant.collapse import realise
 from vppres.plant.island import IslandPlant, Settled
 from vppres.plant.phased import PhasedACFlow, PhasedACResult, PhasedIslandPlant, PhasedPlant
 from vppres.plant.plant import CLIP_TOLERANCE_KW, BatteryState, Plant, Realised
+from vppres.scenario.formers import forming_batteries
 from vppres.scenario.parts import parts_record, split_sheddable
 from vppres.scenario.past_days import PastDays
 from vppres.scenario.phases import PHASES
@@ -50,6 +52,7 @@ def run_day(
     scenario: Scenario,
     options: RunOptions | None = None,
     progress: Progress | None = None,
+    faults: FaultPlan | None = None,
     *,
     controller: Callable[[Site], Decider] | None = None,
     forecaster: Forecaster | None = None,
@@ -65,6 +68,8 @@ def run_day(
         Controller, solver, forecast errors; by default the paper's ideal case at H = 5.
     progress : callable, optional
         Called as ``progress(steps done, steps in all)`` after every step.
+    faults : FaultPlan, optional
+        Faults of the day; none if not given.
     controller : callable, optional
         Makes a controller of your own of a site, ``controller(site)``; a class with
         ``horizon_steps(t0)`` and ``decide(observation)``, for example. The guard checks it too.
@@ -91,8 +96,9 @@ def run_day(
     check_scenario(scenario)
     check_parts(scenario)
     divided = split_sheddable(scenario)
-    decider = make_controller(divided, options, own=own)
-    run = Day(divided, options, forecaster).run(decider, progress)
+    injector = None if faults is None else FaultInjector(faults, divided)
+    decider = make_controller(divided, options, injector, own=own)
+    run = Day(divided, options, injector, forecaster).run(decider, progress)
     return replace(run, options={**run.options, **parts_record(scenario), **own.record()})
 
 
@@ -103,10 +109,12 @@ class Day:
         self,
         scenario: Scenario,
         options: RunOptions,
+        faults: FaultInjector | None = None,
         forecaster: Forecaster | None = None,
     ) -> None:
         self.scenario = scenario
         self.options = options.on(scenario)
+        self.faults = faults
         phased = scenario.phases is not None
         make_plant = PhasedPlant if phased else Plant
         self.plant = make_plant(scenario, options.thermal, options.switching)
@@ -115,6 +123,8 @@ class Day:
         )
         self.state = self.plant.initial_state()
         errors = ForecastErrors() if options.controller == PERFECT else options.errors
+        if faults is not None:
+            errors = faults.plan.forecast_errors(errors)
         self.forecaster: Forecasts = (
             forecasts_of(scenario, self.options, errors)
             if forecaster is None
@@ -159,7 +169,7 @@ class Day:
         self.grid_seen = self.grid_seen.after(now, float(self.scenario.grid_limit_kw[t]))
         seen = self.outages.told(seen, self.grid_seen, self.scenario, t, self.forecaster)
         self.outage_messages = seen.outage_messages
-        return seen
+        return seen if self.faults is None else self.faults.observe(seen)
 
     def ahead(self, steps: range) -> KindsAhead:
         """Vehicles, rooms and sets as they are known at the beginning of a window."""
@@ -194,7 +204,10 @@ class Day:
 
     def play(self, controller: Decider, t: int) -> StepRecord:
         """One step without its record's place in the run: what was decided and what came of it."""
-        return self.settle(t, controller.decide(self.observe(controller, t)))
+        decision = controller.decide(self.observe(controller, t))
+        if self.faults is not None:
+            decision = self.faults.actuate(t, decision)
+        return self.settle(t, decision)
 
     def settle(self, t: int, decision: Decision) -> StepRecord:
         """What comes of a decision; the day is at the step after it."""
@@ -238,6 +251,8 @@ class Day:
         if not self._held_by_batteries(t):
             flow = self.island_ac if self.scenario.outage[t] else self.ac
             return realise(self.plant, flow, t, decision, self.state)
+        if self.faults is not None:
+            self.island.formers = self.faults.online(t) & forming_batteries(self.scenario)
         return self.island.settle(t, self.plant.apply(t, decision, self.state), self.state)
 
     def _held_by_batteries(self, t: int) -> bool:

@@ -1,8 +1,8 @@
 """What goes wrong in a simulated day: solvers, measurements, batteries and forecasts.
 
 Faults are put between plant and controller: a solver that is wrapped, an observation that is
-changed before the controller sees it, a set-point that a battery does not follow. The package knows
-nothing of them.
+changed before the controller sees it, a set-point that a battery does not follow. Neither the plant
+nor the solving code knows of them.
 """
 
 from __future__ import annotations
@@ -14,23 +14,14 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from vppres.contract.decision import Decider, Decision
+from vppres.contract.decision import Decision
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.forecast import ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import InfeasibleError, InputError, LimitError, Problem
-from vppres.day.assembly import make_controller, solver_maker
-from vppres.day.forecasting import forecasts_of
-from vppres.day.options import PERFECT, RunOptions
-from vppres.day.recorder import StepRecord
-from vppres.day.simulate import Day
-from vppres.day.trajectory import Trajectory
 from vppres.model.data import WindowData
 from vppres.model.site import Site
-from vppres.plant.island import Settled
-from vppres.scenario.formers import forming_batteries
-from vppres.scenario.parts import parts_record, split_sheddable
 from vppres.scenario.scenario import Scenario
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import WindowSolution
@@ -281,48 +272,6 @@ class FaultySolver(WindowSolver):
     def least_slack(self, data: WindowData) -> float:
         """Least slack of the voltage limits; no fault befalls it."""
         return self._solver.least_slack(data)
-
-
-class FaultyDay(Day):
-    """A day in which faults befall measurements, forecasts and batteries."""
-
-    def __init__(self, scenario: Scenario, options: RunOptions, faults: FaultInjector) -> None:
-        super().__init__(scenario, options)
-        self.faults = faults
-        errors = ForecastErrors() if options.controller == PERFECT else options.errors
-        errors = faults.plan.forecast_errors(errors)
-        self.forecaster = forecasts_of(scenario, self.options, errors)
-
-    def observe(self, controller: Decider, t: int) -> Observation:
-        """What the controller gets to see."""
-        return self.faults.observe(super().observe(controller, t))
-
-    def settle(self, t: int, decision: Decision) -> StepRecord:
-        """What comes of a decision whose set-points not all batteries follow."""
-        return super().settle(t, self.faults.actuate(t, decision))
-
-    def carry_out(self, t: int, decision: Decision) -> Settled:
-        """The same; a battery that is out holds no island."""
-        self.island.formers = self.faults.online(t) & forming_batteries(self.scenario)
-        return super().carry_out(t, decision)
-
-
-def faulty_controller(scenario: Scenario, options: RunOptions, faults: FaultInjector) -> Decider:
-    """The controller that the options name, whose solvers fail."""
-    make = solver_maker(options)
-    return make_controller(
-        scenario, options, make_solver=lambda site: FaultySolver(make(site), faults)
-    )
-
-
-def run_with_faults(scenario: Scenario, options: RunOptions, plan: FaultPlan) -> Trajectory:
-    """Run a day with faults, as :func:`vppres.day.simulate.run_day` does without."""
-    options = options.on(scenario)
-    divided = split_sheddable(scenario)
-    injector = FaultInjector(plan, divided)
-    controller = faulty_controller(divided, options, injector)
-    run = FaultyDay(divided, options, injector).run(controller)
-    return replace(run, options={**run.options, **parts_record(scenario)})
 
 
 def _fail(fault: SolverFault | None) -> None:
