@@ -61,18 +61,7 @@ class Feeding:
     ) -> Feeding:
         """Who holds the voltage of a step.
 
-        Parameters
-        ----------
-        scenario : Scenario
-            Its batteries and its network.
-        outage : bool
-            Whether the grid is away.
-        mode : {"paper", "physical"}
-            What holds an island.
-        v_ac_pu : array, shape (N,)
-            Voltages of the AC power flow; NaN in a blackout.
-        forms : array of bool, shape (G,), optional
-            Generating sets that form the grid.
+        ``v_ac_pu`` (N,) is NaN in a blackout; ``forms`` (G,) marks sets that form the grid.
         """
         net = scenario.network
         b = scenario.batteries
@@ -143,14 +132,8 @@ def _beside(table: pd.DataFrame, more: pd.DataFrame | None, word: str) -> pd.Dat
 def put_into_net(net: Any, bus_of: Mapping[int, BusId], powers: Powers) -> None:
     """Put a step into a net, in place; a second call replaces the first.
 
-    Parameters
-    ----------
-    net : pandapowerNet
-        The net; branches that were opened for the import have to be open.
-    bus_of : mapping
-        Bus of the scenario for every supplied bus of the net.
-    powers : Powers
-        The step.
+    Branches that were opened for the import have to be open in ``net``; ``bus_of`` has the bus of
+    the scenario for every supplied bus of the net.
 
     Raises
     ------

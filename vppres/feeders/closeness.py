@@ -39,12 +39,7 @@ NOT_CONVERGED = (
 class PandapowerFlow:
     """The power flow of a pandapower net without its own loads and generators.
 
-    Parameters
-    ----------
-    net : pandapowerNet
-        The net; it is not changed.
-    bus_in_net : mapping
-        A bus of the net for every bus of the feeder; the feeder's star points have none.
+    ``bus_in_net`` has a bus of the net for every bus of the feeder but its star points.
     """
 
     def __init__(self, net: Any, bus_in_net: Mapping[BusId, int]) -> None:
@@ -149,8 +144,11 @@ def told_causes(feeder: ImportedFeeder, deviation: SourceDeviation) -> Iterator[
     if feeder.deviation is None:
         yield NOT_CONVERGED
     elif largest is not None and largest > EXACT_PU:
-        causes = "; ".join(feeder.causes) or "no single element of the source"
-        yield f"Causes of the difference of {largest:.2g} pu: {causes}."
+        yield f"Causes of the difference of {largest:.2g} pu: {_causes(feeder)}."
+
+
+def _causes(feeder: ImportedFeeder) -> str:
+    return "; ".join(feeder.causes) or "no single element of the source"
 
 
 def check_deviation(feeder: ImportedFeeder, deviation: SourceDeviation, accepted: bool) -> None:
@@ -164,10 +162,9 @@ def check_deviation(feeder: ImportedFeeder, deviation: SourceDeviation, accepted
     largest = deviation.largest_pu
     if accepted or largest is None or largest <= EXACT_PU:
         return
-    causes = "; ".join(feeder.causes) or "no single element of the source"
     raise InputError.of(
         feeder.name,
-        f"has voltages up to {largest:.2g} pu away from the source's. Causes: {causes}",
+        f"has voltages up to {largest:.2g} pu away from the source's. Causes: {_causes(feeder)}",
         "Accept that with --accept-deviation, or change the source.",
     )
 

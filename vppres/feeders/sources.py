@@ -10,7 +10,6 @@ from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from types import ModuleType
 from typing import Any, Literal, get_args
 
 from vppres.core.errors import InputError, VppresError, first_line
@@ -243,20 +242,14 @@ def _reader(text: str, source: Source | None, by_phase: bool) -> Callable[[], _N
     return lambda: readers[kind](path)
 
 
-def _library(module: str, extra: str) -> ModuleType:
-    """A library that only some imports need."""
-    try:
-        return importlib.import_module(module)
-    except ImportError:
-        raise _missing(module, extra) from None
-
-
-def _missing(module: str, extra: str) -> InputError:
-    return InputError.of(
-        "network",
-        f"needs the library {module}, which is not installed",
-        f"Install it with: pip install 'vppres[{extra}]'",
-    )
+def _needs(module: str, extra: str) -> None:
+    """Refuse an import whose library is not installed."""
+    if importlib.util.find_spec(module) is None:
+        raise InputError.of(
+            "network",
+            f"needs the library {module}, which is not installed",
+            f"Install it with: pip install 'vppres[{extra}]'",
+        )
 
 
 def _pandapower(path: Path) -> _Net:
@@ -283,15 +276,15 @@ def _matpower(path: Path) -> _Net:
 
 def _opendss(path: Path, by_phase: bool) -> _Net:
     # OpenDSS is loaded in a process of its own, never in this one.
-    if importlib.util.find_spec("opendssdirect") is None:
-        raise _missing("opendssdirect", "opendss")
+    _needs("opendssdirect", "opendss")
     from vppres.feeders.dss.circuit import read_opendss
 
     return _Net(*read_opendss(path, by_phase=by_phase))
 
 
 def _simbench(code: str) -> _Net:
-    simbench = _library("simbench", "simbench")
+    _needs("simbench", "simbench")
+    simbench: Any = importlib.import_module("simbench")
     codes = simbench.collect_all_simbench_codes()
     if code not in codes:
         raise InputError.of(

@@ -101,16 +101,7 @@ def events_at(url: str | None, token: str | None) -> Service:
 class Follower:
     """Turns answers of a feed into events.
 
-    Parameters
-    ----------
-    feed : Feed
-        What is followed.
-    areas : list of str
-        Postcodes, sectors or districts of the site.
-    service : Service
-        Where events go.
-    told : callable
-        Gets a line for each change.
+    ``areas`` are postcodes, sectors or districts of the site; ``told`` gets a line for each change.
     """
 
     def __init__(self, feed: Feed, areas: list[str], service: Service, told: Told) -> None:

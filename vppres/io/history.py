@@ -106,14 +106,7 @@ def history_of(
 ) -> tuple[History | None, list[Problem]]:
     """A history from tables as they were read, and what is wrong with them.
 
-    Parameters
-    ----------
-    load, pv : Table or None
-        Demand and PV power; None for none.
-    columns : Columns
-        Identifiers in the order of the arrays.
-    zone : str
-        Time zone of the clocks on the feeder.
+    ``zone`` is that of the clocks on the feeder.
     """
     given = [
         _Series.read(table, ids, field)

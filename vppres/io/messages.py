@@ -63,16 +63,8 @@ def problems_of(
 ) -> list[Problem]:
     """One problem for each mistake that the validation of ``model`` found.
 
-    Parameters
-    ----------
-    error : pydantic.ValidationError
-        What the validation raised.
-    model : type
-        The model that was validated; its fields word the cures.
-    where : str
-        File name.
-    row : int, optional
-        Line in the file. A missing value is an empty cell in a row, a missing key elsewhere.
+    ``row`` is the line in the file: a missing value is an empty cell there, and a missing key
+    elsewhere.
     """
     return [_problem(details, model, where, row) for details in error.errors()]
 
@@ -101,12 +93,7 @@ class Suggestions:
     A message lists no more than ``MAX_PROBLEMS_PER_KIND`` mistakes of a kind, so that
     comparing more of them would be work for nothing.
 
-    Parameters
-    ----------
-    known : iterable of str
-        Names that are allowed.
-    otherwise : str
-        The cure where no name is near.
+    ``otherwise`` is the cure where no name is near.
     """
 
     def __init__(self, known: Iterable[str], otherwise: str) -> None:

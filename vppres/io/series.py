@@ -36,24 +36,7 @@ def read_values(
 ) -> tuple[Floats, list[Problem]]:
     """Numbers of one column and the cells that are none, or out of bounds.
 
-    Parameters
-    ----------
-    table : Table
-        A table that has the column.
-    name : str
-        Column.
-    field : FieldInfo
-        Its bounds and unit.
-    infinite : bool
-        Whether ``inf`` is a value.
-    gaps : bool
-        Whether a cell may be empty.
-
-    Returns
-    -------
-    array, shape (rows,)
-        NaN in cells that are no number.
-    list of Problem
+    Cells that are no number are NaN; ``infinite`` allows ``inf``, ``gaps`` empty cells.
     """
     column = table.frame[name]
     values = _as_floats(column)

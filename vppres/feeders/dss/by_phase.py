@@ -231,7 +231,6 @@ def _powers(engine: Any, refused: Refused) -> Iterator[dict[str, Any]]:
             kv = float(dss.Text.Result())
             dss.Text.Command(f"? {element}.conn")
             delta = dss.Text.Result().strip().lower() in ("delta", "ll")
-            p_kw, q_kvar = _nominal(kind, name)
             phases = [phase for _, phase in ends]
             live = sum(phase >= 0 for phase in phases)
             # What is called a delta at one node is between that node and ground.
@@ -243,8 +242,7 @@ def _powers(engine: Any, refused: Refused) -> Iterator[dict[str, Any]]:
                 "coils": _load_coils(phases, delta, n),
                 "kv": rated,
                 "exponents": _exponents(name, refused) if kind == "load" else (0.0, 0.0),
-                "p_kw": p_kw,
-                "q_kvar": q_kvar,
+                **engine.nominal(kind, name),
             }
 
 
@@ -262,14 +260,3 @@ def _exponents(name: str, refused: Refused) -> tuple[float, float]:
             "Use model 1, 2, 3, 4 or 5, or import the feeder with --balance.",
         )
     return EXPONENTS.get(model, (0.0, 0.0))
-
-
-def _nominal(kind: str, name: str) -> tuple[float, float]:
-    """Nominal power; of PV its peak, without reactive power."""
-    if kind == "pvsystem":
-        dss.PVsystems.Name(name)
-        return float(dss.PVsystems.Pmpp()), 0.0
-    table = dss.Loads if kind == "load" else dss.Generators
-    table.Name(name)
-    factor = dss.Solution.LoadMult() if kind == "load" else 1.0
-    return float(table.kW() * factor), float(table.kvar() * factor)

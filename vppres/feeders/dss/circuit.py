@@ -85,16 +85,7 @@ class OpenDSSFlow:
 
     Its loads keep their phases, so that only their sum can follow the powers of a feeder.
 
-    Parameters
-    ----------
-    job : dict
-        The checked commands that build the circuit.
-    name : str
-        Name of the file, for messages.
-    found : dict
-        The circuit as the engine told it.
-    time_limit_s : float
-        For a solution.
+    ``job`` has the checked commands that build the circuit, ``found`` what the engine told of it.
     """
 
     def __init__(

@@ -22,9 +22,6 @@ PASSIVE = {
     "regcontrol",
     "swtcontrol",
 }
-LEFT_OUT = {
-    "storage": "Batteries of the source are left out",
-}
 CONSTANT_POWER = 1  # OpenDSS's model of a load; 2 is constant impedance, 5 constant current
 LOAD_MODELS = {2: "constant impedance", 5: "constant current"}
 THREE_PHASES = 3
@@ -361,47 +358,39 @@ def _capacitors() -> Iterator[dict[str, Any]]:
 def _causes() -> Iterator[list[Any]]:
     """What the balanced equivalent of constant powers does not have, with its size in kW."""
     drawn_kw: dict[str, float] = {}
-    for name in _of("load"):
-        dss.Loads.Name(name)
-        model = int(dss.Loads.Model())
-        if model != CONSTANT_POWER:
-            kind = LOAD_MODELS.get(model, f"model {model}")
-            drawn_kw[kind] = drawn_kw.get(kind, 0.0) + float(dss.Loads.kW())
-    for kind, kw in drawn_kw.items():
-        yield [kw, f"loads of {kind} in the source, {kw:.4g} kW"]
     single_kw = 0.0
     for name in _of("load"):
-        if dss.CktElement.NumPhases() < THREE_PHASES:
-            dss.Loads.Name(name)
-            single_kw += float(dss.Loads.kW())
+        few = dss.CktElement.NumPhases() < THREE_PHASES
+        dss.Loads.Name(name)
+        model, kw = int(dss.Loads.Model()), float(dss.Loads.kW())
+        single_kw += kw if few else 0.0
+        if model != CONSTANT_POWER:
+            kind = LOAD_MODELS.get(model, f"model {model}")
+            drawn_kw[kind] = drawn_kw.get(kind, 0.0) + kw
+    for kind, kw in drawn_kw.items():
+        yield [kw, f"loads of {kind} in the source, {kw:.4g} kW"]
     if single_kw:
         yield [single_kw, f"unbalance: loads of fewer than three phases, {single_kw:.4g} kW"]
 
 
 def _powers() -> Iterator[dict[str, Any]]:
-    """Loads and generators: nominal powers; PV at its peak and without reactive power."""
+    """Loads and generators with their nominal powers."""
     for kind in ("load", "generator", "pvsystem"):
         for name in _of(kind):
             bus = _buses()[0]
             nodes = _phases_of_active()
-            if kind == "pvsystem":
-                dss.PVsystems.Name(name)
-                p_kw = float(dss.PVsystems.Pmpp())
-                q_kvar = 0.0
-            else:
-                table = dss.Loads if kind == "load" else dss.Generators
-                table.Name(name)
-                factor = dss.Solution.LoadMult() if kind == "load" else 1.0
-                p_kw = float(table.kW() * factor)
-                q_kvar = float(table.kvar() * factor)
-            yield {
-                "kind": kind,
-                "name": name,
-                "bus": bus,
-                "p_kw": p_kw,
-                "q_kvar": q_kvar,
-                "nodes": nodes,
-            }
+            yield {"kind": kind, "name": name, "bus": bus, "nodes": nodes, **nominal(kind, name)}
+
+
+def nominal(kind: str, name: str) -> dict[str, float]:
+    """Nominal power of a load or generator; of PV its peak, without reactive power."""
+    if kind == "pvsystem":
+        dss.PVsystems.Name(name)
+        return {"p_kw": float(dss.PVsystems.Pmpp()), "q_kvar": 0.0}
+    table = dss.Loads if kind == "load" else dss.Generators
+    table.Name(name)
+    factor = dss.Solution.LoadMult() if kind == "load" else 1.0
+    return {"p_kw": float(table.kW() * factor), "q_kvar": float(table.kvar() * factor)}
 
 
 def _phases_of_active() -> list[int]:
@@ -428,22 +417,20 @@ def _notes_on_balance() -> Iterator[str]:
         "of single phases count as spread over three. Voltages are compared with the mean of the "
         "phases in OpenDSS's own solution of the circuit as it is."
     )
-    phases = [dss.CktElement.NumPhases() for _ in _of("line")]
-    few = sum(count < THREE_PHASES for count in phases)
+    few, count = _single_phases().get("line", (0, 0))
     if few:
         yield (
-            f"{few} of {len(phases)} lines have fewer than three phases; their impedance is "
+            f"{few} of {count} lines have fewer than three phases; their impedance is "
             "raised so that drop and losses are those of the phases that they have."
         )
 
 
 def _notes() -> Iterator[str]:
     """What is taken as something else, whether the feeder is balanced or not."""
-    phases = [dss.CktElement.NumPhases() for _ in _of("line")]
-    unrated = [name for name in _of("line") if dss.CktElement.NormalAmps() == DEFAULT_AMPS]
-    if unrated:
+    unrated = [dss.CktElement.NormalAmps() == DEFAULT_AMPS for _ in _of("line")]
+    if any(unrated):
         yield (
-            f"{len(unrated)} of {len(phases)} lines have {DEFAULT_AMPS:g} A, which OpenDSS gives "
+            f"{sum(unrated)} of {len(unrated)} lines have {DEFAULT_AMPS:g} A, which OpenDSS gives "
             "to lines without a rating: they have none here."
         )
     held = [_set_point(name) for name in list(_of("regcontrol"))]
@@ -452,10 +439,9 @@ def _notes() -> Iterator[str]:
             "Regulators are controlled in the source, and stay at the taps of its solution: "
             f"{', '.join(held)}."
         )
-    for kind, words in LEFT_OUT.items():
-        names = list(_of(kind))
-        if names:
-            yield f"{words}: {', '.join(names)}."
+    batteries = list(_of("storage"))
+    if batteries:
+        yield f"Batteries of the source are left out: {', '.join(batteries)}."
 
 
 def _set_point(name: str) -> str:

@@ -27,16 +27,8 @@ from vppres.scenario.phases import PhaseConnection, Phases, coils_of
 def recheck_phased(run: Tables, phases: Phases, source: Path, former: str | None) -> Recheck:
     """Solve the steps of a phased run on the circuit of an OpenDSS script.
 
-    Parameters
-    ----------
-    run : mapping of DataFrame
-        Tables of a finished run.
-    phases : Phases
-        The scenario's.
-    source : Path
-        The script that it was made from.
-    former : str, optional
-        The battery that holds islands.
+    As :func:`vppres.feeders.dss.recheck.recheck_opendss`; ``former`` is the battery that holds
+    islands, None without any.
 
     Raises
     ------

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from itertools import product
 from typing import Any
@@ -38,16 +38,8 @@ def phased_source(
 ) -> PhasedSource:
     """The three phases of a circuit whose balanced tree has been imported.
 
-    Parameters
-    ----------
-    job : mapping
-        The commands that build it.
-    name : str
-        Name of the file, for messages.
-    feeder : ImportedFeeder
-        The tree, with the name of each bus of the circuit in ``source_flow``.
-    disabled : list of str
-        Elements that are out of service.
+    ``job`` has the commands that build it; ``feeder`` is the tree, with the name of each bus of the
+    circuit in ``source_flow``. Elements in ``disabled`` are out of service.
 
     Raises
     ------
@@ -67,7 +59,7 @@ def phased_source(
     loads = tuple(_loads(found, at))
     source = PhasedSource(with_grid(phases), loads, found["source"]["v_pu"])
     difference_pu = _difference(source, found["v_pu"])
-    return replace(source, difference_pu=difference_pu, notes=tuple(_notes(source)))
+    return replace(source, difference_pu=difference_pu, notes=tuple(_notes(source.phases)))
 
 
 def _difference(source: PhasedSource, v_pu: Mapping[str, float]) -> float | None:
@@ -86,19 +78,20 @@ def _difference(source: PhasedSource, v_pu: Mapping[str, float]) -> float | None
     return float(max(apart))
 
 
-def _notes(source: PhasedSource) -> list[str]:
-    """What is known of the phases."""
-    phases = source.phases
-    wires = [row.bus for row in phases.buses if row.limits == LINES]
-    notes = [
+def kept_phases(phases: Phases) -> str:
+    """That a feeder is by phase, in sentences."""
+    return (
         f"The feeder keeps its phases: {len(phases.nodes)} nodes at {len(phases.buses)} buses. "
         "Plans keep each phase of its lines and transformers within its rating."
-    ]
+    )
+
+
+def _notes(phases: Phases) -> Iterator[str]:
+    """What is known of the phases."""
+    yield kept_phases(phases)
+    wires = sum(row.limits == LINES for row in phases.buses)
     if wires:
-        notes.append(
-            f"Limits are for voltages between phases at {len(wires)} buses that nothing earths."
-        )
-    return notes
+        yield f"Limits are for voltages between phases at {wires} buses that nothing earths."
 
 
 def _crossed(found: Mapping[str, Any], name: str) -> list[Problem]:

@@ -37,12 +37,7 @@ class Stub(NamedTuple):
 def split_stubs(branches: pd.DataFrame, own: set[int]) -> tuple[pd.DataFrame, list[Stub]]:
     """Branches without those that end at a bus which only the open end of a line has.
 
-    Parameters
-    ----------
-    branches : DataFrame
-        All branches.
-    own : set of int
-        Rows of the source's buses.
+    ``own`` has the rows of the source's buses.
 
     Returns
     -------

@@ -17,7 +17,7 @@ import pandas as pd
 from vppres.core.arrays import Complexes, Floats
 from vppres.core.errors import InputError, Problem, first_line
 from vppres.core.units import A_PER_KA, US_PER_S, V_PER_KV, W_PER_KW, mw_to_kw
-from vppres.feeders.dss.phases import flow_of_source
+from vppres.feeders.dss.phases import flow_of_source, kept_phases
 from vppres.feeders.feeder import ImportedFeeder, PhasedLoad, PhasedSource
 from vppres.feeders.net.balance import CURE, TABLES
 from vppres.feeders.net.elements import in_service, label
@@ -67,14 +67,7 @@ GS, BS, KV = 4, 5, 9
 def phased_net(net: Any, name: str, feeder: ImportedFeeder) -> PhasedSource:
     """The three phases of a net whose balanced tree has been imported.
 
-    Parameters
-    ----------
-    net : pandapowerNet
-        With its loads by phase, branches opened as in the tree.
-    name : str
-        Name of the source, for messages.
-    feeder : ImportedFeeder
-        The tree.
+    ``net`` has its loads by phase, and branches opened as in the tree ``feeder``.
 
     Raises
     ------
@@ -94,9 +87,7 @@ def phased_net(net: Any, name: str, feeder: ImportedFeeder) -> PhasedSource:
     at = {str(own): solved.bus.index.get_loc(bus) for bus, own in feeder.bus_of.items()}
     theirs = np.concatenate([v_pu[at[row.bus]] for row in source.phases.buses])
     notes = (
-        f"The feeder keeps its phases: {len(source.phases.nodes)} nodes at "
-        f"{len(source.phases.buses)} buses. Plans keep each phase of its lines and transformers "
-        "within its rating.",
+        kept_phases(source.phases),
         "Loads whose phases differ are a customer for each phase. The grid is held stiff.",
     )
     difference_pu = None if np.isnan(theirs).any() else float(np.abs(ours - theirs).max())
@@ -132,17 +123,7 @@ def _solved(net: Any, name: str) -> tuple[Any, Floats]:
 
 
 class _Tables:
-    """Tables of a net that was solved by phase.
-
-    Parameters
-    ----------
-    net : pandapowerNet
-        With its cases of the positive and the zero sequence.
-    name : str
-        For messages.
-    feeder : ImportedFeeder
-        The tree, with the bus of each bus of the net.
-    """
+    """Tables of a net that was solved by phase."""
 
     def __init__(self, net: Any, name: str, feeder: ImportedFeeder) -> None:
         self.net = net

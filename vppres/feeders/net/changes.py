@@ -18,18 +18,7 @@ from vppres.scenario.network import BusId
 class Changes:
     """What may be changed so that a net becomes a balanced radial feeder.
 
-    Parameters
-    ----------
-    open_branches : sequence of str
-        Branches to open, as ``line 7`` or by their name.
-    open_loops : bool
-        Open the branches with the least current until there is no loop.
-    slack : str, optional
-        The grid connection among several: by table and index, name or bus; ``all`` joins them.
-    balance : bool
-        Spread loads of single phases over three; they are refused without it.
-    names : bool
-        Call everything as the source does.
+    As the parameters of :func:`vppres.feeders.import_network`.
     """
 
     open_branches: Sequence[str] = ()

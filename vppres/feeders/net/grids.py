@@ -24,7 +24,15 @@ class _Grid:
     bus: int
     v_pu: float
     label: str
-    names: frozenset[str]
+    name: str
+    bus_word: str
+
+    def is_called(self, word: str) -> bool:
+        """Whether a word is its table and index, its name or its bus."""
+        return word in (f"{self.table} {self.index}", self.name, self.bus_word) and bool(word)
+
+    def __str__(self) -> str:
+        return f"{self.label} at bus {self.bus_word}"
 
 
 def one_grid(
@@ -32,17 +40,8 @@ def one_grid(
 ) -> Iterator[str]:
     """Leave one external grid in the net, in place; notes say what becomes of the others.
 
-    Parameters
-    ----------
-    net : pandapowerNet
-        Changed in place.
-    name : str
-        Name of the source, for messages.
-    wanted : str, optional
-        The grid by table and index, by its name or by its bus, or ``all``; needed where there are
-        several.
-    bus_ids : mapping, optional
-        Identifier of each bus, where it is not its index.
+    ``wanted`` is the grid by table and index, by its name or by its bus, or ``all``; it is needed
+    where there are several.
 
     Raises
     ------
@@ -62,7 +61,7 @@ def one_grid(
         chosen = several
         _check_alike(net, name, several)
     else:
-        chosen = [grid for grid in several + gens if wanted in grid.names][:1]
+        chosen = [grid for grid in several + gens if grid.is_called(wanted)][:1]
         if not chosen:
             raise InputError(_unknown(name, wanted, several or gens))
     if chosen:
@@ -72,22 +71,15 @@ def one_grid(
 def _grid(net: Any, table: str, index: Any, bus_ids: Mapping[int, BusId] | None) -> _Grid:
     row = net[table].loc[index]
     bus = int(row["bus"])
-    named = str(row["name"]) if isinstance(row["name"], str) else ""
-    words = (f"{table} {index}", named, str(bus_ids[bus] if bus_ids else bus))
-    return _Grid(
-        table,
-        index,
-        bus,
-        float(row["vm_pu"]),
-        label(net, table, index),
-        frozenset(word for word in words if word),
-    )
+    name = row["name"] if isinstance(row["name"], str) else ""
+    bus_word = str(bus_ids[bus] if bus_ids else bus)
+    return _Grid(table, index, bus, float(row["vm_pu"]), label(net, table, index), name, bus_word)
 
 
 def _undecided(name: str, grids: list[_Grid]) -> Problem:
     return Problem(
         name,
-        f"has {len(grids)} external grids: {named(_described(grids))}",
+        f"has {len(grids)} external grids: {named(map(str, grids))}",
         "Choose one with --slack, by its name or its bus; --slack all joins those that hold the "
         "same voltage.",
     )
@@ -97,20 +89,10 @@ def _unknown(name: str, wanted: str, grids: list[_Grid]) -> Problem:
     return Problem(
         name,
         "is no external grid of the network",
-        f"There is {named(_described(grids))}." if grids else "Add an external grid to the source.",
+        f"There is {named(map(str, grids))}." if grids else "Add an external grid to the source.",
         field="slack",
         value=wanted,
     )
-
-
-def _described(grids: list[_Grid]) -> list[str]:
-    return [f"{grid.label} at bus {_bus_word(grid)}" for grid in grids]
-
-
-def _bus_word(grid: _Grid) -> str:
-    """The bus as the source calls it: the one of its names that is not of the element."""
-    words = sorted(grid.names - {f"{grid.table} {grid.index}"})
-    return next((word for word in words if word not in grid.label), words[0] if words else "?")
 
 
 def _check_alike(net: Any, name: str, grids: list[_Grid]) -> None:

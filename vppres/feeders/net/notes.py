@@ -29,18 +29,8 @@ def notes_of(
 ) -> Iterator[str]:
     """What was simplified, in sentences.
 
-    Parameters
-    ----------
-    net : pandapowerNet
-        The source.
-    case : NetCase
-        Its branches, before any are merged.
-    stubs : list of Stub
-        Branches that are open at one end.
-    closed : list of str
-        Branches that became closed switches.
-    condensers : Generators
-        Generators that only have reactive power.
+    ``case`` has the branches before any are merged; ``stubs`` are open at one end, ``closed``
+    became closed switches, and ``condensers`` only have reactive power.
     """
     yield from _notes_on_topology(net, case, stubs, closed)
     yield from _notes_on_branches(net, case)

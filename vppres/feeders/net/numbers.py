@@ -75,12 +75,7 @@ def unknown_buses(net: Any, name: str) -> Iterator[Problem]:
 def missing_numbers(net: Any, name: str) -> Iterator[Problem]:
     """Cells of elements in service that hold no finite number, or none above zero.
 
-    Parameters
-    ----------
-    net : pandapowerNet
-        As it was read.
-    name : str
-        Name of the source, for messages.
+    ``name`` is the source's, for messages.
     """
     for table, columns in NEEDED.items():
         frame = in_service(net, table) if table in net else pd.DataFrame()

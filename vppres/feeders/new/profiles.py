@@ -33,16 +33,7 @@ def timed(
 ) -> list[Profile]:
     """Series with their times in UTC.
 
-    Parameters
-    ----------
-    profiles : list of Profile
-        Series whose index may be clock times, or numbers of rows.
-    grid : TimeGrid
-        The steps; rows without times begin with the first of them.
-    zone : str, optional
-        Zone of clock times.
-    row_minutes : float, optional
-        Length of a row without time.
+    Clock times are in ``zone``; rows without times last ``row_minutes`` and begin with the grid.
 
     Raises
     ------
@@ -128,21 +119,8 @@ def place_profiles(
     source, by its label such as ``load 3`` or its name; elements behind one customer add up. What
     has no series follows ``shapes``.
 
-    Parameters
-    ----------
-    profiles : list of Profile
-        What was given.
-    feeder : ImportedFeeder
-        The source.
-    assets : NewAssets
-        The scenario's assets.
-    shapes : tuple of array
-        Loads as shares of their peaks (T,) and systems' power in kW (T, P), for those without a
-        series.
-    grid : TimeGrid
-        The steps.
-    most_gap_min : float
-        Longest gap that is filled.
+    ``shapes`` are the loads as shares of their peaks (T,) and the systems' power in kW (T, P); gaps
+    of at most ``most_gap_min`` are filled.
 
     Raises
     ------
