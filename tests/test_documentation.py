@@ -38,7 +38,9 @@ NIGHTLY = {
     "by-hand.md",
     "change.md",
     "compare.md",
+    "cooling.md",
     "errors.md",
+    "gensets.md",
     "islands.md",
     "networks.md",
     "outages.md",
@@ -52,6 +54,7 @@ NIGHTLY = {
     "sweep.md",
     "tutorial.md",
     "uncertain-outages.md",
+    "vehicles.md",
 }
 
 # The same command on another page; one of them runs it.

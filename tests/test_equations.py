@@ -17,6 +17,7 @@ import pandas as pd
 import pytest
 
 from tests.support.selected import missed_by, rows_missed
+from tests.support.small_windows import window
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.operating_point import OperatingPoint
 from vppres.control.guard.partial_fleet import site_with
@@ -214,18 +215,7 @@ def site() -> Site:
 
 @pytest.fixture
 def data() -> WindowData:
-    day = scenario()
-    b = day.batteries
-    return WindowData(
-        day.load_kw,
-        day.pv_kw,
-        day.price_gbp_per_kwh,
-        day.grid_limit_kw,
-        b.soc_initial,
-        b.eta_charge,
-        b.eta_discharge,
-        np.array([[0.001, 0.002], [0.003, 0.004]]),
-    )
+    return replace(window(scenario()), delta_pu2=np.array([[0.001, 0.002], [0.003, 0.004]]))
 
 
 @pytest.fixture
@@ -343,17 +333,7 @@ def test_offset_of_the_last_ac_point(site: Site, centre: Any, expected: list[flo
 def test_page_of_the_problem_can_be_solved_as_it_stands(tiny: Scenario) -> None:
     """One optimum, found at once by SCIP and level by level by the package."""
     site = Site.of(replace(tiny, objective=ObjectiveWeights(1e-3, 0.1, 1e-9, 1e-9)))
-    b = site.batteries
-    data = WindowData(
-        tiny.load_kw[2:4],
-        tiny.pv_kw[2:4],
-        tiny.price_gbp_per_kwh[2:4],
-        tiny.grid_limit_kw[2:4],
-        b.soc_initial,
-        b.eta_charge,
-        b.eta_discharge,
-        np.zeros((2, site.network.n_lines)),
-    )
+    data = window(tiny, slice(2, 4))
     whole = paper_problem(site, 2)
     whole.p.fill(site, data)
     outcome = run_by_cvxpy(whole.problem, find_solver("scip"), gap_abs=1e-6, time_s=60.0)

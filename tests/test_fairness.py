@@ -113,7 +113,7 @@ def test_without_a_rule_and_with_one_that_has_no_effect_the_run_is_the_same(
 
 
 @pytest.mark.daily
-@pytest.mark.parametrize("outages", ["known", "belief"])
+@pytest.mark.parametrize("outages", ["known", pytest.param("belief", marks=pytest.mark.nightly)])
 def test_a_minimum_takes_supply_within_its_tier_only(
     tiny: Scenario, outages: Literal["known", "belief"]
 ) -> None:

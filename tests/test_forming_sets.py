@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from experiments.random_feeders import random_window
+from tests.support.agreement import assert_methods_agree
 from tests.support.sets import gensets, random_sets
 from tests.support.small_windows import DARK, OPEN, battery, two_buses, with_pv
 from vppres import RunOptions, load_scenario, run_day, write_scenario
@@ -20,17 +21,14 @@ from vppres.contract.observation import Observation
 from vppres.control.converged import dark_steps, physics_of, without_power
 from vppres.control.forming import formed_by_set, headroom_kw
 from vppres.control.step_state import one_step
-from vppres.core.errors import InfeasibleError
 from vppres.day.trajectory import Trajectory
 from vppres.model.beyond_paper.losses import lossless
 from vppres.model.data import WindowData
 from vppres.model.site import Site
-from vppres.model.violations import broken
 from vppres.plant.island import SET_NO_BALANCE
 from vppres.scenario.gensets import Gensets, GensetState, Refuels
 from vppres.scenario.remarks import darkness, former_words
 from vppres.scenario.scenario import Scenario
-from vppres.solve.ladder import METHODS, WindowSolver
 
 PHYSICAL = RunOptions(isolate=False, mode="physical", horizon_h=4.0)
 INDUCTIVE = 0.9
@@ -227,22 +225,7 @@ def windows(seed: int) -> tuple[Site, WindowData]:
 @pytest.mark.monolith
 @pytest.mark.parametrize("seed", range(50))
 def test_methods_agree_on_random_windows(seed: int) -> None:
-    site, data = windows(seed)
-    found = []
-    for method in METHODS:
-        try:
-            found.append(WindowSolver(site, method).solve(data))
-        except InfeasibleError:
-            continue
-    assert len(found) in (0, 2)
-    if not found:
-        return
-    one, other = found
-    gap = 1e-4 * max(abs(other.objective), 0.01) + 1e-6
-    assert one.objective == pytest.approx(other.objective, abs=2.0 * gap)
-    assert min(one.bound, other.bound) >= max(one.objective, other.objective) - gap
-    for answer in found:
-        assert not broken(site, data, answer.dispatch)
+    assert_methods_agree(*windows(seed), always=False)
 
 
 def test_most_random_windows_are_lit_by_a_set() -> None:

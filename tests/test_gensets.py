@@ -11,15 +11,13 @@ import pandas as pd
 import pytest
 
 from experiments.random_feeders import random_window
+from tests.support.agreement import assert_methods_agree
 from tests.support.sets import ahead, gensets, random_sets
 from tests.support.small_windows import DARK, OPEN, battery, first_step, two_buses, window
 from vppres import InputError, RunOptions, explain_day, run_day, summarise
 from vppres.contract.ahead import KindsAhead
 from vppres.contract.decision import Decision
-from vppres.control.guard.balance import Commanded, Readings, mismatch_kw
 from vppres.control.guard.check import violations
-from vppres.day.assembly import make_controller
-from vppres.day.simulate import Day
 from vppres.io import read_scenario, write_scenario
 from vppres.io.digest import scenario_digest
 from vppres.model.data import WindowData
@@ -188,12 +186,7 @@ def test_methods_agree_on_random_windows(seed: int) -> None:
     sets = random_sets(np.random.default_rng([seed, 43]), scenario)
     day = replace(scenario, gensets=sets)
     data = replace(data, ahead=KindsAhead(gensets=ahead(day, data.n_steps)))
-    site = Site.of(day)
-    one, other = (WindowSolver(site, method).solve(data) for method in METHODS)
-    gap = 1e-4 * max(abs(other.objective), 0.01) + 1e-6
-    assert one.objective == pytest.approx(other.objective, abs=2.0 * gap)
-    assert min(one.bound, other.bound) >= max(one.objective, other.objective) - gap
-    assert not broken(site, data, one.dispatch)
+    assert_methods_agree(Site.of(day), data)
 
 
 def test_plant_and_plan_agree_on_what_random_sets_can_do() -> None:
@@ -246,22 +239,6 @@ def test_fuel_that_is_delivered_in_time_is_planned_with(method: str) -> None:
     day = replace(day, refuels=Refuels(["g0"], [late], [40.0]))
     served = solved(day, method).dispatch.served[:, 0]
     assert served[2:].all() and served.sum() == 3
-
-
-def test_readings_are_checked_with_what_a_set_gives() -> None:
-    """The import is less by what a set gives, and that contradicts no reading of a customer."""
-    day = two_buses([[150.0], [150.0]], [1.0], [OPEN, OPEN], price=9.0)
-    day = replace(day, gensets=gensets(only_in_outage=False))
-    options = RunOptions(isolate=False)
-    decider = make_controller(day, options)
-    run = Day(day, options)
-    decision = decider.decide(run.observe(decider, 0))
-    run.settle(0, decision)
-    seen = run.observe(decider, 1)
-    assert seen.flexible_kw == pytest.approx(-100.0)
-    readings = Readings(day.load_kw[0], day.pv_kw[0])
-    off_kw = mismatch_kw(Site.of(day), Commanded.of(decision), seen, readings)
-    assert off_kw == pytest.approx(0.0, abs=0.1)
 
 
 def test_a_run_names_a_set_without_fuel() -> None:

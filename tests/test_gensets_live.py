@@ -8,11 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandapower.networks
 import pandas as pd
 import pytest
 
-from tests.support.carried_out import carried_out
 from tests.support.live_service import HERE, NOON, client, decided, readings, said, site
 from tests.support.played_service import played
 from tests.support.sets import gensets
@@ -20,11 +18,8 @@ from tests.support.small_windows import DARK, OPEN, two_buses
 from vppres import (
     Controller,
     Measurement,
-    NewScenarioOptions,
     RunOptions,
     SetPoints,
-    import_network,
-    new_scenario,
     run_day,
 )
 from vppres.scenario.gensets import Refuels
@@ -252,28 +247,6 @@ def test_a_step_by_rule_leaves_a_set_as_it_was(
             plan = decided(http, clock, NOON + pd.Timedelta(hours=1), soc=0.1)
         point = said(plan, "gensets")["g0"]
         assert plan["status"] == "failed" and point["running"] and point["p_kw"] == first["p_kw"]
-
-
-def test_a_set_that_runs_is_in_the_net_that_the_feeder_came_from() -> None:
-    net = pandapower.networks.simple_four_bus_system()
-    feeder = import_network(net)
-    day = new_scenario(feeder, NewScenarioOptions(step_minutes=360.0, add_batteries=True))
-    free = gensets(
-        bus=[day.customers.bus[0]],
-        fuel_price_gbp_per_litre=0.0,
-        only_in_outage=False,
-        tank_litres=9e3,
-        fuel_level_litres=9e3,
-        p_max_kw=20.0,
-        p_min_kw=20.0,
-    )
-    day = replace(day, gensets=free, load_kw=0.3 * day.load_kw)  # voltages within limits
-    twelve_hours = RunOptions(horizon_h=12.0, isolate=False)
-    run = run_day(day, twelve_hours)
-    step = Controller.of(day, twelve_hours).step(Measurement(day.grid.times[0]))
-    for _ in carried_out(net, feeder, run, step):
-        given = net.sgen[net.sgen["name"] == "set g0"]
-        assert given["p_mw"].item() == pytest.approx(0.02) and given["in_service"].all()
 
 
 def test_what_a_set_that_can_form_the_grid_gave_is_not_known_without_a_meter() -> None:

@@ -17,11 +17,13 @@ from experiments.random_feeders import random_window
 from tests.support.dispatch_check import check_dispatch
 from tests.support.made_up_runs import small_scenario
 from tests.support.set_points import decision
-from tests.support.small_windows import first_step
+from tests.support.sets import gensets
+from tests.support.small_windows import first_step, two_buses
 from vppres.contract.decision import Decider, Decision
 from vppres.contract.forecast import Forecaster, ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import OperatingPoint
+from vppres.control.guard.balance import Commanded, Readings, mismatch_kw
 from vppres.control.guard.check import Tolerances, violations
 from vppres.control.guard.estimation import Estimator
 from vppres.control.guard.guard import GuardedController, GuardOptions
@@ -346,13 +348,7 @@ def test_plan_that_cannot_be_carried_out_is_not_followed(tiny: Scenario) -> None
 
 
 def with_slack(scenario: Scenario, v_slack_pu: float) -> Scenario:
-    net = scenario.network
-    return replace(
-        scenario,
-        network=Network(
-            net.from_bus, net.to_bus, net.r_ohm, net.x_ohm, net.slack_bus, net.base_kv, v_slack_pu
-        ),
-    )
+    return replace(scenario, network=replace(scenario.network, v_slack_pu=v_slack_pu))
 
 
 @pytest.mark.daily
@@ -729,3 +725,28 @@ def test_batteries_of_a_feeder_that_is_off_are_not_silent(tiny: Scenario) -> Non
     assert estimator.known(idle).online.all()  # dark: no operating point
     assert estimator.known(replace(idle, operating_point=off)).online.all()
     assert not estimator.known(replace(idle, operating_point=on)).online.any()
+
+
+def unexplained_kw(day: Scenario) -> float | None:
+    """Import of the first step beyond what its readings explain."""
+    options = replace(OPTIONS, isolate=False)
+    decider, run = make_controller(day, options), Day(day, options)
+    done = decider.decide(run.observe(decider, 0))
+    run.settle(0, done)
+    readings = Readings(day.load_kw[0], day.pv_kw[0])
+    return mismatch_kw(Site.of(day), Commanded.of(done), run.observe(decider, 1), readings)
+
+
+def test_readings_are_checked_with_what_a_set_gives() -> None:
+    """The import is less by what a set gives, and that contradicts no reading of a customer."""
+    day = two_buses([[150.0], [150.0]], [1.0], [np.inf, np.inf], price=9.0)
+    day = replace(day, gensets=gensets(only_in_outage=False))
+    assert unexplained_kw(day) == pytest.approx(0.0, abs=0.1)
+
+
+@pytest.mark.parametrize("bus", [1, 3])
+def test_readings_are_checked_with_what_the_network_draws_itself(tiny: Scenario, bus: int) -> None:
+    """Also at the slack bus, which no line leads to."""
+    nothing = {"p_shunt_kw": [], "q_shunt_kvar": [], "q_fixed_kvar": [], "island": []}
+    network = replace(tiny.network, drawing_bus=[bus], p_fixed_kw=[30.0], **nothing)
+    assert unexplained_kw(replace(tiny, network=network)) == pytest.approx(0.0, abs=1e-6)

@@ -16,7 +16,7 @@ from experiments.islands import claims_of, imbalance_kw, random_day
 from experiments.random_feeders import Window, random_scenario, random_window
 from tests.support.agreement import assert_agree, both_methods
 from tests.support.dispatch_check import check_dispatch
-from tests.support.small_windows import CHECKER_TOLERANCE
+from tests.support.small_windows import CHECKER_TOLERANCE, window
 from vppres.contract.forecast import Forecaster, ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.control.converged import (
@@ -221,17 +221,7 @@ def test_battery_that_is_empty_but_for_rounding_leaves_numbers_solvers_can_work_
 
 
 def island_window(tiny: Scenario, soc: float, first: int, n_steps: int) -> WindowData:
-    rows, b = slice(first, first + n_steps), tiny.batteries
-    return WindowData(
-        tiny.load_kw[rows],
-        tiny.pv_kw[rows],
-        tiny.price_gbp_per_kwh[rows],
-        tiny.grid_limit_kw[rows],
-        np.full(2, soc),
-        b.eta_charge,
-        b.eta_discharge,
-        np.zeros((n_steps, 3)),
-    )
+    return window(tiny, slice(first, first + n_steps), soc)
 
 
 def test_reserve_pays_the_headroom_of_the_island_steps_that_remain(tiny: Scenario) -> None:

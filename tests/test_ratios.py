@@ -18,6 +18,7 @@ from vppres.core.units import mw_to_kw
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.model.beyond_paper.losses import Sweeps
+from vppres.model.elastic import widened
 from vppres.model.linearise import drawn_by
 from vppres.model.site import Site
 from vppres.physics.nose import follow
@@ -261,3 +262,10 @@ def test_a_dark_island_behind_a_tap_needs_no_fallback(tiny: Scenario) -> None:
     assert run.steps["dark"].sum() == day.outage.sum() > 0
     assert (run.steps["fallback"] == "none").all()
     assert run.steps["v_error_pu"].max() < 1e-3
+
+
+def test_limits_give_way_as_far_as_a_bus_behind_a_tap_needs() -> None:
+    """Slack is of voltages referred to the slack bus: behind this tap 0.01 are 0.0108 pu²."""
+    net = Network(["a"], ["b"], [0.4], [0.3], slack_bus="a", base_kv=BASE_KV, ratio=[1.0 / TAP])
+    wide = widened(net, 0.01)
+    assert (wide.v_min_pu, wide.v_max_pu) == (0.941, 1.059)

@@ -20,7 +20,6 @@ from tests.support.small_windows import (
     DARK,
     OPEN,
     battery,
-    replace_slack,
     two_buses,
     window,
 )
@@ -312,7 +311,7 @@ def test_duty_is_let_go_only_where_it_cannot_be_met(
 
 def test_infeasible_window_without_rules_stays_so() -> None:
     day = two_buses([[10.0]], [1.0], [OPEN])
-    day = replace(day, network=replace_slack(day.network, 0.94))
+    day = replace(day, network=replace(day.network, v_slack_pu=0.94))
     observation = replace(seen(day, state_of(SwitchingRules(), [True], [NEVER])), switching=None)
     with pytest.raises(InfeasibleError, match="no feasible dispatch"):
         plan_with_rules(OnePass(WindowSolver(Site.of(day))), observation)

@@ -7,25 +7,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandapower.networks
 import pandas as pd
 import pytest
 
 from experiments.random_feeders import random_window
 from tests.support.agreement import assert_methods_agree
-from tests.support.carried_out import carried_out
 from tests.support.homes import homes, hot, with_random_homes
 from tests.support.small_windows import DARK, OPEN, first_step, two_buses, window
 from tests.support.vans import van
 from vppres import (
-    Controller,
     InputError,
-    Measurement,
-    NewScenarioOptions,
     RunOptions,
     explain_day,
-    import_network,
-    new_scenario,
     run_day,
     summarise,
 )
@@ -34,7 +27,6 @@ from vppres.contract.decision import Decision
 from vppres.contract.rooms import Rooms
 from vppres.control.guard.check import violations
 from vppres.day.thermal_loads import thermal_words
-from vppres.feeders.closeness import extreme_steps
 from vppres.io import read_scenario, write_scenario
 from vppres.io.digest import scenario_digest
 from vppres.model.data import WindowData
@@ -42,8 +34,6 @@ from vppres.model.site import Site
 from vppres.model.violations import broken
 from vppres.plant.plant import Plant
 from vppres.report.events import events_of
-from vppres.report.plots.energy import import_load_pv
-from vppres.report.plots.rooms import indoor
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
@@ -237,33 +227,6 @@ def test_a_day_tells_of_cooling_ahead(tmp_path: Path) -> None:
     table.to_csv(folder, index=False)
     with pytest.raises(InputError, match=r"thermal_loads.csv.*t_min_c.*not below t_max_c"):
         read_scenario(tmp_path / "day")
-
-
-def test_machines_are_in_networks_and_in_charts() -> None:
-    """The net's power flow is the record's, and so is that of set-points."""
-    net = pandapower.networks.simple_four_bus_system()
-    feeder = import_network(net)
-    outage = tuple(pd.Timestamp(f"2025-07-01T{hour}:00Z") for hour in ("12", "20"))
-    made = NewScenarioOptions(step_minutes=240.0, add_batteries=True, outages=(outage,))
-    day = new_scenario(feeder, made)
-    day = replace(day, load_kw=0.3 * day.load_kw)  # voltages within limits
-    rooms = homes(day.customers.id[-1], t_initial_c=27.0, c_kwh_per_c=2.0)
-    day = replace(day, thermal_loads=rooms, temperature_c=np.full(day.grid.n_steps, 34.0))
-    options = RunOptions(horizon_h=8.0, isolate=False)
-    run = run_day(day, options)
-    assert run.thermal_loads is not None
-    power_kw = run.thermal_loads["p_kw"].iloc[0]
-    assert power_kw > 0.5
-    step = Controller.of(day, options).step(Measurement(day.grid.times[0]))
-    for _ in carried_out(net, feeder, run, step):
-        machine = net.load[net.load["name"] == "machine h0"]
-        assert 1000 * machine["p_mw"].item() == pytest.approx(power_kw, abs=1e-6)
-    names = [curve["name"] for curve in import_load_pv(run).data()["curves"]]
-    assert any(name.endswith("cooling and heat") for name in names)
-    assert [curve["name"] for curve in indoor(run).data()["curves"]][-1].endswith("median")
-    sides = (extreme_steps(day), extreme_steps(replace(day, thermal_loads=homes())))
-    with_them, alone = ([p_kw.sum() for p_kw, _ in steps] for steps in sides)
-    assert with_them == pytest.approx([each - 2.0 for each in alone])
 
 
 def test_rooms_beside_vehicles_switch_nobody_off_in_an_island(tiny: Scenario) -> None:

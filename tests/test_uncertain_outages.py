@@ -204,7 +204,9 @@ def test_batteries_are_charged_for_what_may_come(tiny: Scenario) -> None:
 
 
 @pytest.mark.daily
-@pytest.mark.parametrize("controller", ["mpc", "full-horizon", "reserve"])
+@pytest.mark.parametrize(
+    "controller", ["mpc", pytest.param("full-horizon", marks=pytest.mark.nightly), "reserve"]
+)
 def test_a_guess_takes_nobody_off_the_grid(tiny: Scenario, controller: str) -> None:
     """An import limit that leaves little to charge with while homes are on.
 

@@ -8,13 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandapower.networks
 import pandas as pd
 import pytest
 
 from experiments.random_feeders import random_window
 from tests.support.agreement import assert_methods_agree
-from tests.support.carried_out import carried_out
 from tests.support.live_service import HERE, NOON, client, decided, readings, said, site
 from tests.support.small_windows import (
     DARK,
@@ -30,11 +28,8 @@ from vppres import (
     Controller,
     InputError,
     Measurement,
-    NewScenarioOptions,
     RunOptions,
     explain_day,
-    import_network,
-    new_scenario,
     run_day,
     summarise,
 )
@@ -43,8 +38,6 @@ from vppres.contract.decision import Decision
 from vppres.contract.plugged import Plugged
 from vppres.control.guard.check import violations
 from vppres.day.metrics import cautions
-from vppres.feeders.closeness import extreme_steps
-from vppres.feeders.cross_check import cross_check
 from vppres.io import read_scenario, write_scenario
 from vppres.io.digest import scenario_digest
 from vppres.io.python_door import check_scenario
@@ -52,7 +45,6 @@ from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.model.violations import broken
 from vppres.plant.plant import Plant
-from vppres.report.plots.energy import import_load_pv
 from vppres.report.run_folder import render_report
 from vppres.scenario.remarks import brief_sessions
 from vppres.scenario.scenario import Scenario
@@ -318,31 +310,6 @@ def test_a_day_says_who_left_short() -> None:
     page = render_report(run, summary)
     assert "1 vehicle leaves short: car0 (critical, 7.8 kWh)." in page
     assert "Vehicles charged" in page
-
-
-@pytest.mark.daily
-def test_vehicles_are_in_networks_and_in_the_chart() -> None:
-    """A power flow of the network that a feeder came from is that of the run, and of set-points."""
-    net = pandapower.networks.simple_four_bus_system()
-    feeder = import_network(net)
-    outage = tuple(pd.Timestamp(f"2025-07-01T{hour}:00Z") for hour in ("12", "20"))
-    made = NewScenarioOptions(step_minutes=240.0, add_batteries=True, outages=(outage,))
-    day = new_scenario(feeder, made)
-    day = replace(day, load_kw=0.3 * day.load_kw)  # voltages within limits
-    two_way = chargers(bus=day.network.buses[-1], p_discharge_kw=7.4)
-    day = plugged_in(replace(day, chargers=two_way), (0, 4), soc_at_plug_in=0.5)
-    options = RunOptions(horizon_h=8.0, isolate=False)
-    run = run_day(day, options)
-    assert run.vehicles is not None and run.vehicles["p_kw"].iloc[0] > 1.0
-    step = Controller.of(day, options).step(Measurement(day.grid.times[0]))
-    for _ in carried_out(net, feeder, run, step):
-        charger = net.storage[net.storage["name"] == "charger k0"]
-        assert 1000 * charger["p_mw"].item() == pytest.approx(18.0 / 0.92 / 4.0, abs=1e-4)
-    chart = import_load_pv(run)
-    assert any(curve["name"].endswith("vehicles") for curve in chart.data()["curves"])
-    drawn = [-p_kw.sum() for p_kw, _ in extreme_steps(day)]
-    assert max(drawn) == pytest.approx(day.load_kw[0].sum() + 7.4)
-    assert cross_check(day).agrees
 
 
 # Live.

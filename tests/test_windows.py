@@ -20,7 +20,6 @@ from tests.support.small_windows import (
     DARK,
     OPEN,
     battery,
-    replace_slack,
     two_buses,
     window,
     with_pv,
@@ -302,7 +301,7 @@ def test_solver_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch) 
 @pytest.mark.parametrize("solver", ["highs", "scip"])
 def test_infeasible_window_says_so(method: str, solver: str) -> None:
     day = two_buses([[10.0]], [1.0], [OPEN])
-    day = replace(day, network=replace_slack(day.network, 0.94))
+    day = replace(day, network=replace(day.network, v_slack_pu=0.94))
     with pytest.raises(InfeasibleError) as error:
         solve(day, method, solver)
     assert str(error.value) == (

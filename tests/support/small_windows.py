@@ -98,19 +98,6 @@ def window(scenario: Scenario, steps: slice = slice(None), soc: float | None = N
     )
 
 
-def replace_slack(network: Network, v_slack_pu: float) -> Network:
-    """The network with another voltage at the slack bus."""
-    return Network(
-        network.from_bus,
-        network.to_bus,
-        network.r_ohm,
-        network.x_ohm,
-        network.slack_bus,
-        network.base_kv,
-        v_slack_pu=v_slack_pu,
-    )
-
-
 def first_step(scenario: Scenario, data: WindowData) -> StepState:
     """What a guard knows in the first step of a window, all batteries there."""
     return StepState(

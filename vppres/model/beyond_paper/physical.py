@@ -70,10 +70,9 @@ class PhysicalMode(Addition):
             "SoC_min": (W, B),
         }
         # A series capacitor gives reactive power where others lose it.
-        signed = {"Q_loss"} if (site.network.x_ohm < 0).any() else set()
         return cls(
             **{
-                name: cp.Parameter(shape, name=name, nonneg=name not in signed)
+                name: cp.Parameter(shape, name=name, nonneg=name != "Q_loss")
                 for name, shape in shapes.items()
             }
         )
