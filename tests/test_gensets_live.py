@@ -187,6 +187,8 @@ def test_an_operator_runs_a_set_and_sees_that_it_does_not_start(
         assert said(first, "gensets")["g0"]["running"]
         point = said(first, "gensets")["g0"]
         assert point["default"] == {"running": False, "p_kw": 0.0}
+        (shown,) = http.get("/v1/setpoints?asset=g0").json()["setpoints"]
+        assert shown["id"] == point["id"]
         rejected = {"status": "rejected", "reason": "no oil"}
         answer = http.post(f"/v1/setpoints/{point['id']}/status", rejected)
         assert answer.status == 200

@@ -18,7 +18,7 @@ import pandas as pd
 import pytest
 
 from tests.support import live_service
-from tests.support.browser import listening
+from tests.support.browser import free_port, listening
 from tests.support.tiny_day import tiny_scenario
 from vppres.core.errors import InputError
 from vppres.day.options import RunOptions
@@ -30,6 +30,8 @@ from vppres.service.runner import Runner, Service
 from vppres.service.serve import opened
 
 paho = pytest.importorskip("paho.mqtt.client", reason="paho-mqtt is not installed")
+mqtt = pytest.importorskip("vppres.service.mqtt")
+Bridge, Topics = mqtt.Bridge, mqtt.Topics
 BROKER = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin")
 
 
@@ -38,12 +40,6 @@ def broker(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
     port = free_port()
     with brokering(tmp_path_factory.mktemp("mqtt"), port):
         yield port
-
-
-def free_port() -> int:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return int(free.getsockname()[1])
 
 
 @contextmanager
@@ -106,8 +102,6 @@ def site(folder: Path) -> Iterator[tuple[Runner, str, str]]:
 
 
 def test_readings_go_in_and_set_points_come_out(tmp_path: Path, broker: int) -> None:
-    from vppres.service.mqtt import Bridge, Topics
-
     with site(tmp_path) as (runner, address, secret):
         device = Device(broker)
         bridge = Bridge(Client(address, secret), Topics(), "PT1H")
@@ -142,8 +136,6 @@ def test_readings_go_in_and_set_points_come_out(tmp_path: Path, broker: int) -> 
 
 
 def test_the_broker_forgets_a_set_point_that_has_ended(tmp_path: Path, broker: int) -> None:
-    from vppres.service.mqtt import Bridge, Topics
-
     with site(tmp_path) as (runner, address, secret):
         bridge = Bridge(Client(address, secret), Topics("vppres/short"))
         bridge.broker.connect("127.0.0.1", broker)
@@ -175,8 +167,6 @@ class Message:
 
 
 def test_what_the_service_does_not_take_is_kept_or_told(tmp_path: Path) -> None:
-    from vppres.service.mqtt import Bridge, Topics
-
     with site(tmp_path) as (runner, address, secret):
         bridge = Bridge(Client(address, "wrong"), Topics())
         bridge._heard(None, None, Message())
@@ -206,8 +196,6 @@ ODD = (
 
 
 def test_one_odd_message_loses_no_other(tmp_path: Path) -> None:
-    from vppres.service.mqtt import Bridge, Topics
-
     now = pd.Timestamp.now(tz="UTC") + pd.Timedelta("1min")
     with site(tmp_path) as (runner, address, secret):
         bridge = Bridge(Client(address, secret), Topics())
@@ -224,9 +212,7 @@ def test_one_odd_message_loses_no_other(tmp_path: Path) -> None:
 
 def test_what_waited_is_sent_in_parts(tmp_path: Path) -> None:
     """Of readings that waited, a request takes as many as the service does."""
-    from vppres.service.mqtt import MOST_SERIES, Bridge, Topics
-
-    count = 2 * MOST_SERIES + 1
+    count = 2 * mqtt.MOST_SERIES + 1
 
     with site(tmp_path) as (runner, address, secret):
         bridge = Bridge(Client(address, secret), Topics())
@@ -240,8 +226,6 @@ def test_what_waited_is_sent_in_parts(tmp_path: Path) -> None:
 
 
 def test_what_comes_while_others_are_sent_is_not_dropped(tmp_path: Path) -> None:
-    from vppres.service.mqtt import MOST_WAITING, Bridge, Topics
-
     class Service:
         """Hears more while it is asked."""
 
@@ -250,15 +234,13 @@ def test_what_comes_while_others_are_sent_is_not_dropped(tmp_path: Path) -> None
             return Answer(200, {"refused": []}, 0.0)
 
     bridge = Bridge(Service(), Topics())  # type: ignore[arg-type]
-    for _ in range(MOST_WAITING):
+    for _ in range(mqtt.MOST_WAITING):
         bridge._heard(None, None, Message())
     bridge._send(list(bridge._waiting))
     assert [one["values"] for one in bridge._waiting] == [[0.9]]
 
 
 def test_a_bridge_waits_for_its_broker(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    from vppres.service.mqtt import Bridge, Topics
-
     port = free_port()
     with site(tmp_path) as (_, address, secret):
         bridge = Bridge(Client(address, secret), Topics())

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from tests.support.asgi import Caller
-from tests.support.live_service import HERE, NOON, site
+from tests.support.live_service import HERE, NOON, decide, site
 from vppres.scenario.scenario import Scenario
 from vppres.service.access import Access, new_token
 from vppres.service.app import make_app
@@ -32,14 +32,6 @@ def runner(tiny: Scenario, tmp_path: Path) -> Iterator[Runner]:
         outage = {"type": "outage", "start": written(NOON + 2 * HOUR), "end": None}
         runner.store.put_events({"storm": outage}, NOON, "test")
         yield runner
-
-
-def decide(runner: Runner, time: pd.Timestamp, soc: float = 0.3) -> dict[str, Any]:
-    assert isinstance(runner.clock, SetClock)
-    runner.clock.set(time)
-    heard = [Reading(b, "soc", seconds(time), "scada", 3600, soc) for b in ("big", "small")]
-    runner.store.write_readings(heard, time)
-    return runner.step(time)
 
 
 def test_before_the_first_step_there_is_no_plan(runner: Runner) -> None:

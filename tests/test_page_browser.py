@@ -16,6 +16,7 @@ import pandas as pd
 import pytest
 
 from tests.support.browser import FLAGS, chromium, listening
+from tests.support.live_service import decide
 from tests.support.long_days import repeated
 from tests.support.tiny_day import tiny_scenario
 from vppres.day.options import RunOptions
@@ -25,7 +26,6 @@ from vppres.service.access import Access, new_token
 from vppres.service.app import make_app
 from vppres.service.clock import SetClock
 from vppres.service.explanations import explained
-from vppres.service.records import Reading, seconds
 from vppres.service.runner import Runner, Service
 from vppres.service.serve import opened
 
@@ -46,15 +46,6 @@ def site() -> Any:
     grid = TimeGrid(pd.Timestamp("2025-07-01T00:00Z"), 60.0, 24, "Europe/London")
     title = "Docks & <b>Harbour</b>"
     return replace(day, grid=grid, grid_limit_kw=np.full(24, np.inf), title=title)
-
-
-def decide(runner: Runner, time: pd.Timestamp, soc: float = 0.5) -> None:
-    """A step of which both batteries were heard."""
-    assert isinstance(runner.clock, SetClock)
-    runner.clock.set(time)
-    heard = [Reading(b, "soc", seconds(time), "scada", 3600, soc) for b in ("big", "small")]
-    runner.store.write_readings(heard, time)
-    runner.step(time)
 
 
 @pytest.fixture(scope="module")

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import ssl
 import subprocess
+import sys
+import threading
+import time
 import urllib.request
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +20,7 @@ import sqlalchemy as sa
 
 from tests.support import live_service
 from tests.support.asgi import Caller
-from tests.support.browser import listening
+from tests.support.browser import free_port, listening
 from tests.support.live_service import NOON
 from tests.support.tiny_day import tiny_scenario
 from vppres.core.errors import InputError
@@ -146,9 +150,6 @@ def test_few_wait_for_a_step_and_the_others_are_sent_away(
     runner: Runner, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """While one is decided that takes long; whoever looks on is not kept waiting."""
-    import threading
-    from concurrent.futures import ThreadPoolExecutor
-
     go_on = threading.Event()
 
     def long(*_: Any) -> dict[str, Any]:
@@ -250,6 +251,8 @@ def test_other_machines_need_tokens_and_tls(certificate: tuple[Path, Path]) -> N
     service.Address().check(Access())
     with pytest.raises(InputError, match=r"TLS \(--certificate and --key\), or a proxy"):
         service.Address("0.0.0.0").check(some)
+    with pytest.raises(InputError, match=r"needs a token .* and TLS .*, or a proxy in front"):
+        service.Address("0.0.0.0").check(Access())
     with pytest.raises(InputError, match="needs --key"):
         service.Address(certificate=certificate[0]).check(some)
     with pytest.raises(InputError, match="is no certificate with its key"):
@@ -287,13 +290,7 @@ def test_a_site_without_a_whole_day_leaves_no_state_behind(tmp_path: Path) -> No
 
 def test_served_with_tls(tmp_path: Path, certificate: tuple[Path, Path]) -> None:
     """As a process of its own, from the command line."""
-    import socket
-    import sys
-    import time
-
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
+    port = free_port()
     write_scenario(site().scenario, tmp_path / "site")
     command = [sys.executable, "-m", "vppres", "serve", "site", "--controller", "idle", "--port", str(port),
                "--certificate", str(certificate[0]), "--key", str(certificate[1])]  # fmt: skip

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import socket
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -25,6 +26,13 @@ FLAGS = (
 def chromium() -> str | None:
     """The Chromium or Chrome of this machine, None if it has none."""
     return next(filter(None, map(shutil.which, NAMES)), None)
+
+
+def free_port() -> int:
+    """A port of this machine that is free."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return int(free.getsockname()[1])
 
 
 @contextmanager

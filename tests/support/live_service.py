@@ -20,6 +20,7 @@ from vppres.scenario.timegrid import TimeGrid
 from vppres.service.access import Access
 from vppres.service.app import make_app
 from vppres.service.clock import SetClock, written
+from vppres.service.records import Reading, seconds
 from vppres.service.runner import Runner, Service
 from vppres.service.serve import opened
 
@@ -119,3 +120,12 @@ def decided(http: Caller, clock: SetClock, time: pd.Timestamp, soc: float = 0.5)
     assert http.post("/v1/telemetry", heard(time, soc)).status == 200
     plan: dict[str, Any] = http.post("/v1/steps").json()
     return plan
+
+
+def decide(runner: Runner, time: pd.Timestamp, soc: float = 0.5) -> dict[str, Any]:
+    """The plan of a step of which both batteries were heard, without a request."""
+    assert isinstance(runner.clock, SetClock)
+    runner.clock.set(time)
+    values = [Reading(b, "soc", seconds(time), "scada", 3600, soc) for b in ("big", "small")]
+    runner.store.write_readings(values, time)
+    return runner.step(time)

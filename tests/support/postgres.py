@@ -6,12 +6,13 @@ import os
 import pwd
 import shutil
 import signal
-import socket
 import subprocess
 import tempfile
 import time
 from importlib.util import find_spec
 from pathlib import Path
+
+from tests.support.browser import free_port
 
 START_S = 30.0
 
@@ -57,9 +58,7 @@ class Server:
             os.chown(self.folder, other.pw_uid, other.pw_gid)
             ids = [f"--reuid={other.pw_uid}", f"--regid={other.pw_gid}", "--clear-groups"]
             self._as = ["setpriv", *ids]
-        with socket.socket() as sock:
-            sock.bind(("127.0.0.1", 0))
-            self.port = sock.getsockname()[1]
+        self.port = free_port()
         self._run("initdb", "-D", str(self.folder / "data"), "-A", "trust", "-U", "vppres", "-N")
         self._process: subprocess.Popen[bytes] | None = None
         self._databases = 0

@@ -127,30 +127,3 @@ def new_token(text: str, days: float | None = None) -> tuple[str, Token]:
     secret = secrets.token_urlsafe(32)
     expires = None if days is None else int(time.time() + days * DAY_S)
     return secret, Token(name.strip(), digest(secret), " ".join(scopes), expires)
-
-
-def check_address(host: str, access: Access, encrypted: bool) -> None:
-    """Refuse to listen to other machines without tokens and encryption.
-
-    Raises
-    ------
-    InputError
-        If that is asked for.
-    """
-    if host in LOOPBACK:
-        return
-    missing = []
-    if not access.tokens:
-        missing.append("a token (--add-token NAME:SCOPES)")
-    if not encrypted:
-        missing.append(
-            "TLS (--certificate and --key), or a proxy in front that does it (--behind-proxy)"
-        )
-    if missing:
-        raise InputError.of(
-            "options",
-            "is an address for other machines",
-            f"It needs {' and '.join(missing)}; 127.0.0.1 needs neither.",
-            field="host",
-            value=host,
-        )

@@ -11,6 +11,7 @@ from pydantic import (
     BaseModel,
     ConfigDict,
     Field,
+    PlainSerializer,
     PlainValidator,
     WithJsonSchema,
     model_validator,
@@ -75,11 +76,13 @@ def _within(quantity: str) -> Any:
 Moment = Annotated[
     pd.Timestamp,
     PlainValidator(read_moment),
+    PlainSerializer(written),
     WithJsonSchema({"type": "string", "format": "date-time"}),
 ]
 Duration = Annotated[
     pd.Timedelta,
     PlainValidator(read_duration),
+    PlainSerializer(lambda length: f"PT{round(length.total_seconds())}S"),
     WithJsonSchema({"type": "string", "pattern": f"^{_DURATION.pattern}$", "examples": ["PT1H"]}),
 ]
 Name = Annotated[str, Field(min_length=1, max_length=LONGEST_NAME, pattern=r"^[^\x00-\x1f\x7f]+$")]
@@ -466,21 +469,3 @@ class SetpointStatus(Body):
     status: Literal["accepted", "rejected", "started", "succeeded", "aborted"]
     value: Number | None = None
     reason: str = Field("", max_length=200)
-
-
-def plain(body: Body) -> dict[str, Any]:
-    """A body as it is kept: times with offsets, durations as they were read."""
-    found: dict[str, Any] = _plain(body.model_dump())
-    return found
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _plain(each) for name, each in value.items()}
-    if isinstance(value, list):
-        return [_plain(each) for each in value]
-    if isinstance(value, pd.Timestamp):
-        return written(value)
-    if isinstance(value, pd.Timedelta):
-        return f"PT{round(value.total_seconds())}S"
-    return value

@@ -15,7 +15,7 @@ import uvicorn
 from vppres.core.errors import InputError
 from vppres.io.messages import did_you_mean
 from vppres.model.site import Site
-from vppres.service.access import LOOPBACK, Access, check_address, new_token
+from vppres.service.access import LOOPBACK, Access, new_token
 from vppres.service.app import make_app
 from vppres.service.clock import Clock, SetClock, SystemClock
 from vppres.service.connections import MOST_AT_ONCE, Connection
@@ -97,7 +97,19 @@ class Address:
         InputError
             With the cure.
         """
-        check_address(self.host, access, self.behind_proxy or self.encrypts)
+        needs = []
+        if not access.tokens:
+            needs.append("a token (--add-token NAME:SCOPES)")
+        if not (self.behind_proxy or self.encrypts):
+            needs.append("TLS (--certificate and --key), or a proxy in front (--behind-proxy)")
+        if needs and self.host not in LOOPBACK:
+            raise InputError.of(
+                "options",
+                "is an address for other machines",
+                f"It needs {' and '.join(needs)}; 127.0.0.1 needs neither.",
+                field="host",
+                value=self.host,
+            )
         if (self.certificate is None) != (self.key is None):
             given, missing = ("certificate", "key") if self.encrypts else ("key", "certificate")
             raise InputError.of("options", f"needs --{missing}", "Give both files.", field=given)

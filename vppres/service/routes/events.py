@@ -60,7 +60,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         """
         if isinstance(body, payloads.Prices):
             check_forecast("load_kw", {}, body.start, body.resolution, runner.scenario)
-        plain = payloads.plain(body)
+        plain = body.model_dump()
         if isinstance(body, payloads.Belief | payloads.Restoration):
             check_belief(plain, runner.options)
         now = runner.clock.now()
@@ -97,7 +97,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
                 check_forecast("load_kw", {}, event.start, event.resolution, runner.scenario)
         known = runner.store.events()
         now = runner.clock.now()
-        said = {name: payloads.plain(event) for name, event in found.items()}
+        said = {name: event.model_dump() for name, event in found.items()}
         check_new(said, known, now)
         bodies = {**dict.fromkeys(those_of(body, known)), **said}
         runner.store.put_events(bodies, now, actor)

@@ -48,7 +48,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
     ) -> dict[str, Any]:
         """Decide, hold the last set-points, give the operator's or defaults, at once."""
         check_setpoints(body.setpoints, runner.scenario)
-        asked = payloads.plain(body)
+        asked = body.model_dump()
         replacing = None if if_match is None else if_match.strip().strip('"')
         tag = runner.store.put_setting(MODE, asked, runner.clock.now(), actor, replacing)
         runner.changes.note(f"mode {body.mode}")

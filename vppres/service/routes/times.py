@@ -8,7 +8,7 @@ from starlette.exceptions import HTTPException
 from vppres.core.errors import InputError
 from vppres.io.messages import did_you_mean
 from vppres.scenario.scenario import Scenario
-from vppres.service.payloads import read_moment
+from vppres.service.payloads import OF_KIND, read_moment
 
 
 def moment_asked(text: str) -> pd.Timestamp:
@@ -27,14 +27,7 @@ def moment_asked(text: str) -> pd.Timestamp:
 
 def check_asset(asset: str | None, scenario: Scenario) -> None:
     """Whether an asset that a request asks about is at the site; 404 if not."""
-    kinds = (
-        scenario.batteries,
-        scenario.pv,
-        scenario.customers,
-        scenario.chargers,
-        scenario.thermal_loads,
-    )
-    known = [str(name) for kind in kinds for name in kind.id]
+    known = [str(name) for kind in OF_KIND for name in getattr(scenario, kind).id]
     if asset is not None and asset not in known:
         cure = did_you_mean(asset, known, "Ask /v1/site.")
         raise HTTPException(404, f"There is no such asset. {cure}")
