@@ -42,73 +42,54 @@ def openadr(kind: str, values: list[Any], **period: str) -> dict[str, Any]:
     return {"programID": "p", "intervalPeriod": common, "intervals": [part, part]}
 
 
+def weibull(**more: float) -> dict[str, Any]:
+    return belief(duration={"family": "weibull", "scale_h": 4.0, "shape": 0.003, **more})
+
+
+CENTURIES = {"start": LATE, "resolution": "PT9999H"}
+EVENTS = {
+    "weibull of nothing": weibull(),
+    "weibull without end": weibull(max_h=9.0),
+    "onset of centuries": belief(onset={**CENTURIES, "probabilities": [0.0] * 1999 + [1]}),
+    "prices of centuries": {"type": "price", "start": LATE, "resolution": "PT1H",
+                            "price_gbp_per_kwh": [1.0] * 2000},
+    "limit of 400 digits": {"type": "import_limit", "start": BEGIN, "limit_kw": HUGE},
+}  # fmt: skip
+FORECASTS = {"a gigawatt": forecast([2e6]), "400 digits": forecast([HUGE])}
+TELEMETRY = {
+    "centuries": reading(**CENTURIES, values=[0.5] * 2000),
+    "400 digits": reading(values=[HUGE]),
+    "a gigawatt": reading(asset="shop", quantity="load_kw", values=[2e6]),
+}
+OPENADR = {
+    "400 digits": openadr("PRICE", [HUGE]),
+    "centuries": openadr("ALERT_OTHER", [], start=LATE, duration="P300D"),
+    "a gigawatt": openadr("IMPORT_CAPACITY_LIMIT", [1e10]),
+}
 REFUSED = {
-    "forecast of a gigawatt": ("PUT", "/v1/forecasts/load_kw", forecast([2e6])),
-    "forecast of 400 digits": ("PUT", "/v1/forecasts/load_kw", forecast([HUGE])),
-    "weibull of nothing": (
-        "PUT",
-        "/v1/events/x",
-        belief(duration={"family": "weibull", "scale_h": 4.0, "shape": 0.003}),
-    ),
-    "weibull without end": (
-        "PUT",
-        "/v1/events/x",
-        belief(duration={"family": "weibull", "scale_h": 4.0, "shape": 0.003, "max_h": 9.0}),
-    ),
-    "onset of centuries": (
-        "PUT",
-        "/v1/events/x",
-        belief(onset={"start": LATE, "resolution": "PT9999H", "probabilities": [0.0] * 1999 + [1]}),
-    ),
-    "prices of centuries": (
-        "PUT",
-        "/v1/events/x",
-        {"type": "price", "start": LATE, "resolution": "PT1H", "price_gbp_per_kwh": [1.0] * 2000},
-    ),
-    "limit of 400 digits": (
-        "PUT",
-        "/v1/events/x",
-        {"type": "import_limit", "start": BEGIN, "limit_kw": HUGE},
-    ),
-    "readings of centuries": (
-        "POST",
-        "/v1/telemetry",
-        reading(start=LATE, resolution="PT9999H", values=[0.5] * 2000),
-    ),
-    "reading of 400 digits": ("POST", "/v1/telemetry", reading(values=[HUGE])),
-    "reading of a gigawatt": (
-        "POST",
-        "/v1/telemetry",
-        reading(asset="shop", quantity="load_kw", values=[2e6]),
-    ),
-    "OpenADR of 400 digits": ("POST", "/v1/openadr/events", openadr("PRICE", [HUGE])),
-    "OpenADR of centuries": (
-        "POST",
-        "/v1/openadr/events",
-        openadr("ALERT_OTHER", [], start=LATE, duration="P300D"),
-    ),
-    "OpenADR of a gigawatt": (
-        "POST",
-        "/v1/openadr/events",
-        openadr("IMPORT_CAPACITY_LIMIT", [1e10]),
-    ),
+    "PUT /v1/events/x": EVENTS,
+    "PUT /v1/forecasts/load_kw": FORECASTS,
+    "POST /v1/telemetry": TELEMETRY,
+    "POST /v1/openadr/events": OPENADR,
 }
 
 
-@pytest.mark.parametrize("name", REFUSED)
-def test_what_no_step_could_take_is_refused(name: str, tiny: Scenario, tmp_path: Path) -> None:
-    method, path, body = REFUSED[name]
+@pytest.mark.parametrize(
+    ("route", "name"), [(route, name) for route, bodies in REFUSED.items() for name in bodies]
+)
+def test_what_no_step_could_take_is_refused(
+    route: str, name: str, tiny: Scenario, tmp_path: Path
+) -> None:
     with client(Service(site(tiny), BELIEVING), tmp_path, SetClock(NOON)) as http:
-        answer = http.ask(method, path, body, {})
+        answer = http.ask(*route.split(), REFUSED[route][name], {})
         assert answer.status == 422, answer
         problem = answer.json()["problems"][0]
         assert problem["message"] and problem["cure"]
 
 
 def test_a_length_that_cannot_be_is_named_with_its_shape(tiny: Scenario, tmp_path: Path) -> None:
-    method, path, body = REFUSED["weibull of nothing"]
     with client(Service(site(tiny), BELIEVING), tmp_path, SetClock(NOON)) as http:
-        (problem,) = http.ask(method, path, body, {}).json()["problems"]
+        (problem,) = http.put("/v1/events/x", weibull()).json()["problems"]
     assert (problem["field"], problem["value"]) == ("duration.shape", "0.003")
 
 

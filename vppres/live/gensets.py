@@ -117,22 +117,10 @@ class SetsNow:
     def of(
         cls, sets: Gensets, told: Readings, past: Ran, at_h: float, dt_h: float, added: Floats
     ) -> SetsNow:
-        """The sets after their set-points.
+        """The sets after their set-points, ``added`` fuel having been delivered since.
 
-        Parameters
-        ----------
-        sets : Gensets
-            Who they are.
-        told : Readings
-            What they say.
-        past : Ran
-            How they were to run since. After the end of its step they have no set-point: they stop.
-        at_h : float
-            Now, in h since the controller's first step.
-        dt_h : float
-            Length of a step.
-        added : array
-            Fuel that was delivered since, (G,).
+        ``past`` says how they were to run since. After the end of its step they have no set-point:
+        they stop. Times are in h since the controller's first step.
         """
         by_others = np.isfinite(told.ordered_kw)
         past = past.as_ordered(told.ordered_kw)

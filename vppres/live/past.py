@@ -36,32 +36,9 @@ REMEMBERED_DAYS = 100
 class Past:
     """The site after a step.
 
-    Parameters
-    ----------
-    t : int
-        The step, counted from the controller's first; -1 before it.
-    operating_point : OperatingPoint or None
-        AC point of its set-points.
-    switching : SwitchingState or None
-        Switching duties; None without rules.
-    cold_load : ColdLoad
-        Who takes more than usual.
-    served : array of bool, shape (C,), or None
-        Who was served.
-    history : History or None
-        What was measured; None where no forecaster learns from it.
-    voltages : dict of int to array of complex, shape (N,)
-        Solutions by the position of the source's bus, from which the next power flow starts.
-    grid_seen : GridSeen
-        Outages so far.
-    owed : Owed or None
-        What dimmed customers may still catch up.
-    vehicles : Held or None
-        Vehicles at chargers and their energy; None before the first step.
-    rooms : Felt or None
-        Temperatures of rooms and tanks; None before the first step.
-    sets : Ran or None
-        Generating sets; None before the first step.
+    ``t`` counts from the controller's first step, -1 before it. ``voltages`` are solutions by the
+    position of the source's bus, from which the next power flow starts. None is what no step has
+    led to yet, duties without switching rules, and measurements that no forecaster learns from.
     """
 
     t: int

@@ -83,7 +83,16 @@ class Profile:
             If no step begins then.
         """
         scenario = self.scenario
-        self.check_start(start)
+        begun = scenario.grid.begun(start)
+        if begun != start:
+            raise InputError.of(
+                "site",
+                "is not the beginning of a step",
+                f"Steps last {scenario.grid.step_minutes:g} min; the one then began at "
+                f"{begun.isoformat()}.",
+                field="time",
+                value=start.isoformat(),
+            )
         grid = replace(scenario.grid, start=start, n_steps=n_steps)
         now = _minutes(grid.times, grid.zone, self.weekly)
         # Where the profile lacks a time, as after a change of clocks, the one before it holds.
@@ -95,19 +104,6 @@ class Profile:
             history=None,
             **series,  # type: ignore[arg-type]
         )
-
-    def check_start(self, time: pd.Timestamp) -> None:
-        """Raise an InputError if no step begins at a time."""
-        begun = self.scenario.grid.begun(time)
-        if begun != time:
-            raise InputError.of(
-                "site",
-                "is not the beginning of a step",
-                f"Steps last {self.scenario.grid.step_minutes:g} min; the one then began at "
-                f"{begun.isoformat()}.",
-                field="time",
-                value=time.isoformat(),
-            )
 
 
 def _minutes(times: pd.DatetimeIndex, zone: str, weekly: bool) -> Wholes:

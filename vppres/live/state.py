@@ -53,16 +53,8 @@ DECISIVE = ("controller", "mode", "guard", "switching")
 class Standing:
     """Where a controller stands between two steps.
 
-    Parameters
-    ----------
-    known : Scenario
-        The steps that are known.
-    forgotten : int
-        Steps before them, since the controller's first.
-    past : Past
-        What the last step led to.
-    before : tuple of dict and Past, or None
-        The same before the last step, which may be decided again.
+    The first of the known steps has ``forgotten`` ones before it, since the controller's first;
+    ``before`` is memory and past before the last step, which may be decided again.
     """
 
     known: Scenario

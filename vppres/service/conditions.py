@@ -38,20 +38,8 @@ NAMES_SHOWN = 5
 class Condition:
     """Something that is wrong.
 
-    Parameters
-    ----------
-    kind : str
-        What kind of alarm it is.
-    subject : str
-        The asset or source that it is about; empty if it is the site.
-    priority : {"high", "medium"}
-        From what it does to supply, and how soon.
-    text : str
-        What is wrong, in a sentence.
-    items : tuple of str, optional
-        What an acknowledgement is about, for example the customers that are off.
-    due : pandas.Timestamp, optional
-        When it takes effect, if that is later.
+    Its ``subject`` is an asset or source, empty if it is the site. An acknowledgement is about its
+    ``items``, for example the customers that are off; it may be ``due`` later.
     """
 
     kind: str

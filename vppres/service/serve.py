@@ -31,20 +31,9 @@ GRACE_S = 10
 
 @dataclass(frozen=True)
 class Address:
-    """Where a service listens.
+    """Where a service listens, and whether itself or a proxy in front does TLS.
 
-    Parameters
-    ----------
-    host : str
-        Name or address.
-    port : int
-        Port.
-    behind_proxy : bool
-        Whether a proxy in front does TLS, which other machines need.
-    names : tuple of str
-        Further names under which it is called, as a proxy passes them on.
-    certificate, key : Path, optional
-        Files for TLS of its own.
+    ``names`` are further ones under which it is called, as a proxy passes them on.
     """
 
     host: str = LOOPBACK[0]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import random
 import time as machine
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
@@ -143,7 +144,7 @@ class Tally:
 
     Parameters
     ----------
-    statuses : dict
+    statuses : Counter
         Steps by what became of them; ``missed`` where the machine was too slow for the speed.
     answers_s : list of float
         How long each step's answer took, and
@@ -158,7 +159,7 @@ class Tally:
         Set-points that the service held back.
     """
 
-    statuses: dict[str, int] = field(default_factory=dict)
+    statuses: Counter[str] = field(default_factory=Counter)
     answers_s: list[float] = field(default_factory=list)
     overheads_s: list[float] = field(default_factory=list)
     estimated: int = 0
@@ -167,13 +168,9 @@ class Tally:
     off_needlessly: int = 0
     gate: int = 0
 
-    def count(self, status: str) -> None:
-        """One more step."""
-        self.statuses[status] = self.statuses.get(status, 0) + 1
-
     def heard(self, plan: dict[str, Any], seconds: float) -> None:
         """An answer to a step."""
-        self.count(plan["status"])
+        self.statuses[plan["status"]] += 1
         self.answers_s.append(seconds)
         solver_s = 0.0 if plan["solve"] is None else plan["solve"]["seconds"] or 0.0
         self.overheads_s.append(seconds - solver_s)
@@ -222,7 +219,7 @@ class Player:
         begin = machine.monotonic()
         for t in range(scenario.grid.n_steps):
             if self._present(begin) > t:
-                self.tally.count("missed")
+                self.tally.statuses["missed"] += 1
             else:
                 self._wait_until(begin, t)
                 self._step(t)
@@ -275,18 +272,9 @@ class Player:
 
 @dataclass(frozen=True)
 class Place:
-    """Where the service is that is played against.
+    """Where the service is that is played against: a running one, else one of its own.
 
-    Parameters
-    ----------
-    url : str or None
-        Of one that runs, with its clock to be set; None for one of its own.
-    token : str or None
-        For the one that runs.
-    port : int or None
-        Of its own one; a free one if not given.
-    state : Path or None
-        State of its own one; a folder that is dropped in the end if not given.
+    Its own one has a free port and a folder that is dropped in the end, if none are given.
     """
 
     url: str | None = None

@@ -101,12 +101,9 @@ class Store:
         if not reading:
             with _plain_errors():
                 TABLES.create_all(self._engine)
-        self._belongs_to(site, reading)
-        self._items = self._known_items()
-
-    def _known_items(self) -> set[tuple[str, str]]:
-        """Assets and quantities that were ever received."""
-        return {(row.asset, row.quantity) for row in self._rows(sa.select(HEARD_OF))}
+        self._belongs_to(site)
+        # Assets and quantities that were ever received.
+        self._items = {(row.asset, row.quantity) for row in self._rows(sa.select(HEARD_OF))}
 
     @property
     def place(self) -> str:
@@ -494,12 +491,12 @@ class Store:
         chosen = sa.select(AUDIT).order_by(AUDIT.c.number)
         return [(row.actor, row.action, row.detail) for row in self._rows(chosen)]
 
-    def _belongs_to(self, site: str, reading: bool) -> None:
+    def _belongs_to(self, site: str) -> None:
         """Refuse the database of another site or layout; a new one is this site's."""
         wanted = {"layout": LAYOUT, "site": site}
         known = {row.key: row.value for row in self._rows(sa.select(META))}
         missing = {key: value for key, value in wanted.items() if key not in known}
-        if missing and not reading:
+        if missing and not self._reading:
             with self._changes() as db:
                 for key, value in missing.items():
                     put(db, META, key=key, value=value)
