@@ -37,7 +37,7 @@ from vppres.model.site import Site
 from vppres.solve.cache import SITES_KEPT
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import SolveLimits, WindowSolution
-from vppres.solve.tasks import OUT_OF_MEMORY, Channel, Reply, Setup, Start, Task
+from vppres.solve.tasks import OUT_OF_MEMORY, Channel, Reply, Setup, Task
 
 SUPPORTED = os.name == "posix"
 """Whether this system has what isolation needs: inherited sockets and ``SIGKILL``."""
@@ -60,9 +60,6 @@ An entry is a bus in a step. Compiling took 0.2 s for 33 buses and 6 steps, and 
 START_S = 60.0
 """Time for a process to load the libraries: 3.5 s of CPU time that others may want too."""
 
-REPLAY_S = 5.0
-"""Largest time limit of the window with which a process that replaces another warms up."""
-
 MEMORY_SHARE = 0.5
 """Share of the memory there is that a solver may allocate: the controller has to live as well."""
 
@@ -83,8 +80,6 @@ class Worker:
     ----------
     memory_bytes : int
         What it may allocate.
-    last : (Task, object), optional
-        Task and kind with which it compiles problems before the first task.
 
     Raises
     ------
@@ -92,25 +87,17 @@ class Worker:
         If the process cannot be started.
     """
 
-    def __init__(self, memory_bytes: int, last: tuple[Task, object] | None = None) -> None:
+    def __init__(self, memory_bytes: int) -> None:
         self.memory_bytes = memory_bytes
-        self.last: tuple[Task, object] | None = None
         self._warm: OrderedDict[str, set[object]] = OrderedDict()
-        self._start_s = START_S
-        if last is not None:
-            self._start_s += 2.0 * REPLAY_S
-            self.done(*last)
         self._begin = time.monotonic()
         self._ready = False
         self._log = tempfile.TemporaryFile()  # noqa: SIM115 (as long as the process)
         ours, theirs = socket.socketpair()
         self._channel = Channel(ours)
         try:
-            with theirs, tempfile.TemporaryFile() as start:
-                replay = None if last is None else _replay(last[0])
-                pickle.dump(Start(memory_bytes, replay), start, protocol=5)
-                start.seek(0)
-                self.process = _spawned(theirs, start, self._log)
+            with theirs:
+                self.process = _spawned(theirs, memory_bytes, self._log)
         except (OSError, ValueError) as error:
             self._channel.close()
             self._log.close()
@@ -134,7 +121,6 @@ class Worker:
 
     def done(self, task: Task, kind: object) -> None:
         """Remember a task that was done."""
-        self.last = task, kind
         kinds = self._warm.pop(task.key, set())
         self._warm[task.key] = kinds | {kind}
         while len(self._warm) > SITES_KEPT:
@@ -156,7 +142,7 @@ class Worker:
             If there is no reply in time; the process is to be ended then.
         """
         if not self._ready:
-            self._hear(self._begin + self._start_s, "start", self._start_s)
+            self._hear(self._begin + START_S, "start", START_S)
             self._ready = True
         due = time.monotonic() + within_s
         reply = self._exchange(replace(task, setup=None), due, within_s)
@@ -234,15 +220,6 @@ class Worker:
         self.process.returncode = 0
 
 
-def _replay(task: Task) -> Task:
-    """The task with a time limit that ends a search soon: it is there for its problems."""
-    setup = task.setup
-    assert setup is not None
-    limits = replace(setup.limits, time_s=min(setup.limits.time_s, REPLAY_S))
-    cut = replace(setup, limits=limits)
-    return replace(task, key=cut.key, setup=cut)
-
-
 def _late(verb: str, within_s: float) -> SolverLostError:
     """The error of a process that has passed its deadline."""
     return SolverLostError(
@@ -250,7 +227,7 @@ def _late(verb: str, within_s: float) -> SolverLostError:
     )
 
 
-def _spawned(theirs: socket.socket, start: Any, log: Any) -> subprocess.Popen[bytes]:
+def _spawned(theirs: socket.socket, memory_bytes: int, log: Any) -> subprocess.Popen[bytes]:
     """A fresh interpreter that finds the modules that this one finds.
 
     ``-P`` keeps the working folder, which may hold anything, out of its path.
@@ -258,10 +235,10 @@ def _spawned(theirs: socket.socket, start: Any, log: Any) -> subprocess.Popen[by
     if not sys.executable:
         raise ValueError("this Python does not know its own executable")
     path = os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)
-    python, *rest = command("vppres.solve.worker", str(theirs.fileno()))
+    python, *rest = command("vppres.solve.worker", str(theirs.fileno()), str(memory_bytes))
     return subprocess.Popen(
         [python, "-P", "-X", "faulthandler", *rest],
-        stdin=start,
+        stdin=subprocess.DEVNULL,
         stdout=log,
         stderr=log,
         pass_fds=[theirs.fileno()],
@@ -316,7 +293,7 @@ class Workers:
         Raises
         ------
         SolverLostError
-            If the process died or was late. Another one is started at once: it warms up while the
+            If the process died or was late. Another one is started at once: it loads while the
             caller falls back.
         """
         worker = self._taken(task.key)
@@ -324,7 +301,8 @@ class Workers:
             reply = worker.ask(task, within_s(worker.knows(task, kind)))
         except SolverLostError:
             worker.end()
-            self._replace(worker)
+            with suppress(SolverLostError):  # the next task tries again and says why
+                self._put(Worker(self.memory_bytes))
             raise
         except BaseException:
             worker.end()  # a later task must not get the answer to this one
@@ -367,11 +345,6 @@ class Workers:
         """Let others have a process."""
         with self._lock:
             self._idle.append(worker)
-
-    def _replace(self, lost: Worker) -> None:
-        """Start another process in the place of one, if that can be done."""
-        with suppress(SolverLostError):  # the next task tries again and says why
-            self._put(Worker(self.memory_bytes, lost.last))
 
 
 def memory_limit_bytes() -> int:

@@ -118,22 +118,6 @@ class Reply:
     unknown: bool = False
 
 
-@dataclass(frozen=True, eq=False)
-class Start:
-    """What a process begins with.
-
-    Parameters
-    ----------
-    memory_bytes : int
-        What it may allocate.
-    replay : Task, optional
-        A task whose answer is not waited for: it compiles the problems that will be needed.
-    """
-
-    memory_bytes: int
-    replay: Task | None = None
-
-
 class Channel:
     """One end of a socket that carries Python objects, each within a deadline.
 

@@ -8,7 +8,6 @@ is curtailed PV export is data too, so that a PV inverter's disc leaves a plain 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from copy import copy
 from dataclasses import replace
 from functools import cached_property
 
@@ -157,19 +156,8 @@ class TieBreakers(Selected):
         self.limits["own"] = -least
 
     def numbers(self) -> Numbers:
-        """The numbers with what is held put in, and one signed power for each battery.
-
-        Its column has the factors of charging or, negative, of discharging, whichever is the mode.
-        """
+        """The numbers with what is held put in, and one signed power for each battery."""
         n = super().numbers()
-        charges = np.zeros(len(self.x_lower))
-        if "P_ch" in self.first:
-            charges[self.at("P_ch")] = self._charging
-            charges[self.at("P_dch")] = self._charging - 1.0
-        weight = np.where(self._turned, charges, 1.0)
-        places, number, column = self._places
-        rows = copy(places)
-        rows.data = np.bincount(number, weight[column] * n.rows.data, minlength=places.nnz)
         diagonal = n.squares.diagonal()[self._y]
         cost = np.zeros(len(diagonal))
         if self._near is not None:
@@ -178,16 +166,8 @@ class TieBreakers(Selected):
             P_batt = (np.cumsum(self._y) - 1)[self.at("P_ch")]
             diagonal[P_batt] += 2.0 * factor**2
             cost[P_batt] -= 2.0 * factor * value
+        rows = self.shown(n.rows.tocsr()).tocsc()
         return Numbers(diagonal_of(diagonal), cost, n.offset, rows, n.limit)
-
-    @cached_property
-    def _turned(self) -> Flags:
-        """Columns that a battery's signed power stands for."""
-        found = np.zeros(len(self.x_lower), dtype=bool)
-        for name in ("P_ch", "P_dch"):
-            if name in self.first:
-                found[self.at(name)] = True
-        return found
 
     @cached_property
     def _y(self) -> Flags:
@@ -197,42 +177,34 @@ class TieBreakers(Selected):
             found[self.at("P_dch")] = False
         return found
 
-    @cached_property
-    def _places(self) -> tuple[sp.csc_array, Wholes, Wholes]:
-        """The pattern that is left, and each entry's place in it and column of before."""
-        shown = np.cumsum(self._y) - 1
-        if "P_ch" in self.first:
-            shown[self.at("P_dch")] = shown[self.at("P_ch")]
-        before = np.repeat(np.arange(len(shown)), np.diff(self._pattern.indptr))
-        count = self._pattern.shape[0]
-        column = shown[before].astype(np.int64)
-        places, number = np.unique(column * count + self._pattern.indices, return_inverse=True)
-        size = int(self._y.sum())
-        begins = np.searchsorted(places, count * np.arange(size + 1))
-        left = (np.ones(len(places)), places % count, begins)
-        return sp.csc_array(left, shape=(count, size)), number, before
+    @property
+    def _signed(self) -> tuple[Floats, Wholes]:
+        """Of each of the problem's columns, a column that is solved and its factor.
 
-    def shown(self, rows: sp.csr_array) -> sp.csr_array:
-        """Rows on its columns with one signed power for each battery."""
-        weight = np.ones(len(self.x_lower))
+        A battery's power is that of charging or, negative, of discharging, whichever is its mode.
+        """
+        weight = np.ones(len(self._y))
         places = np.cumsum(self._y) - 1
         if "P_ch" in self.first:
             charging, discharging = self.at("P_ch"), self.at("P_dch")
             weight[charging] = self._charging
             weight[discharging] = self._charging - 1.0
             places[discharging] = places[charging]
-        entries = (weight, (np.arange(len(weight)), places))
-        return sp.csr_array(rows @ sp.csr_array(entries, shape=(len(weight), self._y.sum())))
+        return weight, places
+
+    def shown(self, rows: sp.csr_array) -> sp.csr_array:
+        """Rows on its columns with one signed power for each battery."""
+        weight, places = self._signed
+        entries = rows.tocoo()
+        values = weight[entries.col] * entries.data
+        at = entries.row, places[entries.col]
+        # What is zero in this mode keeps its place, so that all modes are solved alike.
+        return sp.coo_array((values, at), shape=(rows.shape[0], self._y.sum())).tocsr()
 
     def put(self, x: Floats) -> None:
         """Give the statement's letters the values of a solution, exactly in its modes."""
-        found = np.zeros(len(self.x_lower))
-        found[self._y] = x
-        if "P_ch" in self.first:
-            P_batt = found[self.at("P_ch")]
-            found[self.at("P_ch")] = np.where(self._charging, P_batt, 0.0)
-            found[self.at("P_dch")] = np.where(self._charging, 0.0, -P_batt)
-        super().put(found)
+        weight, places = self._signed
+        super().put(weight * x[places])
         P_exp = self._pv_kw - self._own_kw - self.value_of("P_curt")
         self.statement.put({"P_self": self._own_kw, "P_exp": P_exp})
 

@@ -1,8 +1,8 @@
 """The process that solves windows for another: ``python -m vppres.solve.worker``.
 
-It is started by :mod:`vppres.solve.isolated` and is of no use by itself. Its first object comes
-through standard input, tasks and replies go through the socket that it inherits. It ends with the
-process that started it (:mod:`vppres.core.parent`), however that one ends.
+It is started by :mod:`vppres.solve.isolated` and is of no use by itself. Tasks and replies go
+through the socket that it inherits. It ends with the process that started it
+(:mod:`vppres.core.parent`), however that one ends.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pathlib import Path
 
 from vppres.core.errors import SolveError
 from vppres.solve.ladder import WindowSolver
-from vppres.solve.tasks import OUT_OF_MEMORY, Channel, Reply, Start, Task
+from vppres.solve.tasks import OUT_OF_MEMORY, Channel, Reply, Task
 
 SOLVERS_KEPT = 8
 """Solvers of the last setups: whole fleet, parts of it, wider voltages, the first tier."""
@@ -64,24 +64,23 @@ class Solvers:
             return Reply(error=_portable(error))
 
 
-def serve(fd: int) -> None:
+def serve(fd: int, memory_bytes: int) -> None:
     """Do tasks until the other end of the socket is closed.
 
     Parameters
     ----------
     fd : int
         Number of the socket.
+    memory_bytes : int
+        What the process may allocate.
     """
     _prepare()
     channel = Channel(socket.socket(fileno=fd))
     inbox: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     threading.Thread(target=_read, args=(channel, inbox), daemon=True).start()
     try:
-        start: Start = pickle.load(sys.stdin.buffer)
-        _limit_memory(start.memory_bytes)
+        _limit_memory(memory_bytes)
         solvers = Solvers()
-        if start.replay is not None:
-            solvers.reply(start.replay)
         channel.send(Reply())
         while True:
             channel.send(solvers.reply(pickle.loads(inbox.get())))
@@ -132,4 +131,4 @@ def _portable(error: Exception) -> Exception:
 
 
 if __name__ == "__main__":
-    serve(int(sys.argv[1]))
+    serve(int(sys.argv[1]), int(sys.argv[2]))
