@@ -71,7 +71,3 @@ class Deadline(Stopwatch):
     def later(self, time_s: float) -> Deadline:
         """The deadline of a stage that may take some seconds beyond this one."""
         return Deadline(self.left_s + time_s)
-
-    def within(self, time_s: float) -> Deadline:
-        """The deadline of a stage that may take at most so many seconds of what is left."""
-        return Deadline(min(self.left_s, time_s))

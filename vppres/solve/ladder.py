@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags
-from vppres.core.errors import InputError
+from vppres.core.errors import InputError, SolveError
 from vppres.model.beyond_paper.longest_off import longest_off_of
 from vppres.model.data import WindowData
 from vppres.model.numerics import POLYGON_SIDES
@@ -49,10 +50,10 @@ from vppres.solve.forms import by_phase, own_of
 from vppres.solve.longest_off import solve_with_limits
 from vppres.solve.network.decide import (
     decide_at_once,
-    decided_within,
+    decide_within_ratings,
     enter_network,
     network_master,
-    served_within,
+    serve_within_ratings,
 )
 from vppres.solve.result import SolveLimits, WindowSolution
 from vppres.solve.slack import least_slack
@@ -140,48 +141,38 @@ class WindowSolver:
         SolveError
             If no dispatch was found: infeasible, unbounded, numerical or out of time.
         """
-        limits = self.limits.at_most(within_s)
-        deadline = Deadline(limits.time_s)
+        deadline = Deadline(self.limits.at_most(within_s).time_s)
         *tighter, data = giving_way(self.site, data.with_sound_soc(self.site.batteries))
-        found = self._decided(data, self._before_settling(data, limits))
-        found = self._settled(tighter, data, found, deadline)
-        return self._rated(tighter, data, found, deadline)
+        found = self._answer(tighter, data, deadline)
+        # Most windows exceed no rating. Where there is no answer within them, they give way.
+        for share in sorted(GIVEN) if self.site.rated else ():
+            limited = with_ratings_given(self.site, data, found.dispatch, share)
+            if deadline.passed or not overloaded(self.site, limited, found.dispatch).any():
+                break
+            with suppress(SolveError):
+                return self._answer(tighter, limited, deadline).after(found)
+        return found
 
-    def _decided(self, data: WindowData, limits: SolveLimits) -> WindowSolution:
-        """The best supply schedule of a window, without ratings of lines."""
-        if self.method != "decomposed" or own_of(self.cache, data):
-            return self._solve(data, limits)
-        if longest_off_of(data) is not None:
-            return solve_with_limits(data, limits, self._decided, self._solve)
-        if falls_apart(self.site, data):
-            return solve_apart(data, limits, self._solve)
-        return self._solve(data, limits)
-
-    def _before_settling(self, data: WindowData, limits: SolveLimits) -> SolveLimits:
-        """Limits of a decision that leave time for its tie-breakers where these come later."""
-        return limits.within(1.0 - NETWORK_RESERVE) if by_phase(self.cache, data) else limits
-
-    def _settled(
-        self,
-        tighter: list[WindowData],
-        data: WindowData,
-        found: WindowSolution,
-        deadline: Deadline,
+    def _answer(
+        self, tighter: list[WindowData], data: WindowData, deadline: Deadline
     ) -> WindowSolution:
-        """The answer's supply schedule in the tightest limits in which it has a dispatch.
+        """The best supply schedule of a window, in the tightest limits in which it has a dispatch.
 
         A balanced feeder's answer has its tie-breakers, which say whether the network carries it,
-        and stays if it breaks none of them. With rows of phases it gets them only here.
+        and stays if it breaks none of the tighter limits. With rows of phases a schedule gets them
+        only here, and the last part of the time is theirs.
         """
-        unsettled = by_phase(self.cache, data)
+        settles = by_phase(self.cache, data)
+        limits = self.limits.at_most(deadline.left_s)
+        found = self._decided(data, limits.within(1.0 - NETWORK_RESERVE) if settles else limits)
         served = found.dispatch.served
-        for each in (*tighter, data) if unsettled else tighter:
-            if not unsettled and not broken(self.site, each.for_service(served), found.dispatch):
+        for each in (*tighter, data) if settles else tighter:
+            if not settles and not broken(self.site, each.for_service(served), found.dispatch):
                 return found
             if deadline.passed and each is not data:
                 continue
             limits = self.limits.at_most(deadline.left_s)
-            kept = self._served(each, limits, served, found.dispatch, keeps_turns=False)
+            kept = self._served(each, limits, served, found.dispatch)
             if kept is not None and not _dims_more(kept.dispatch, found.dispatch, self.site):
                 return replace(
                     found.after(kept),
@@ -192,23 +183,19 @@ class WindowSolver:
                 )
         return found
 
-    def _rated(
-        self,
-        tighter: list[WindowData],
-        data: WindowData,
-        found: WindowSolution,
-        deadline: Deadline,
-    ) -> WindowSolution:
-        """An answer within the ratings of the lines, which give way where there is none."""
-        for share in sorted(GIVEN) if self.site.rated else ():
-            limited = with_ratings_given(self.site, data, found.dispatch, share)
-            if deadline.passed or not overloaded(self.site, limited, found.dispatch).any():
-                break
-            limits = self._before_settling(data, self.limits.at_most(deadline.left_s))
-            kept = decided_within(self._task(limited, limits))
-            if kept is not None:
-                return self._settled(tighter, limited, kept.after(found), deadline)
-        return found
+    def _decided(self, data: WindowData, limits: SolveLimits) -> WindowSolution:
+        """The best supply schedule of a window."""
+        if has_ratings(data):
+            task = self._task(data, limits)
+            decide_within_ratings(task)
+            return task.solution()
+        if self.method != "decomposed" or own_of(self.cache, data):
+            return self._solve(data, limits)
+        if longest_off_of(data) is not None:
+            return solve_with_limits(data, limits, self._decided, self._solve)
+        if falls_apart(self.site, data):
+            return solve_apart(data, limits, self._solve)
+        return self._solve(data, limits)
 
     def _solve(self, data: WindowData, limits: SolveLimits) -> WindowSolution:
         """Solve a window as one problem."""
@@ -266,34 +253,35 @@ class WindowSolver:
         data: WindowData,
         limits: SolveLimits,
         served: Flags,
-        before: Dispatch | None,
-        keeps_turns: bool,
+        before: Dispatch | None = None,
+        keeps_turns: bool = False,
     ) -> WindowSolution | None:
         """Cheapest dispatch of a supply schedule within a window's limits, None if it has none."""
         task = self._task(data, limits)
-        if before is not None and keeps_turns:
-            keep_with_turns(task, before)
-        if not task.certificate.answered:
-            keep_dispatch_in_network(task, served, before)
+        rated = has_ratings(data)
+        if rated:
+            serve_within_ratings(task, served)
+        else:
+            if before is not None and keeps_turns:
+                keep_with_turns(task, before)
+            if not task.certificate.answered:
+                keep_dispatch_in_network(task, served, before)
         if not task.certificate.answered:
             return None
         settle(task)
         found = task.solution()
-        if not self.site.rated or has_ratings(data):
+        if rated or not self.site.rated:
             return found
         limited = with_ratings(self.site, data)
         if not overloaded(self.site, limited, found.dispatch).any():
             return found
-        kept = served_within(self._task(limited, limits), served)
-        if kept is not None:
-            return kept
-        if before is None:
-            return found
+        kept = self._served(limited, limits, served)
+        if kept is not None or before is None:
+            return kept or found
         if not overloaded(self.site, limited, before, MOVED_SHARE).any():
             return None
         # A plan that exceeded ratings already has no set within them: they give way to it.
-        limited = with_ratings_given(self.site, data, before, 1.0)
-        return served_within(self._task(limited, limits), served)
+        return self._served(with_ratings_given(self.site, data, before, 1.0), limits, served)
 
     @one_at_a_time
     def least_slack(self, data: WindowData) -> float:

@@ -117,12 +117,9 @@ def _select(sheet: Sheet, fleet: Fleet) -> Selection:
     parts = fleet.put_in(named, ("pv_balance",), ("P_exp",))
     parts.append(sheet.limit_of("demand_of_all", {"load": 1.0}))
     if len(site.pv):
-        parts.append(sheet.limit_of("curtailment_min", {"all P_curt": -1.0}))
         parts.append(sheet.limit_of("own_of_all", {"all P_self": 1.0}))
         parts.append(sheet.limit_of("own_of_some", {"load": 1.0, "all P_self": -1.0}))
-    parts += fleet.lumping.range_rows()
-    if fleet.groups:
-        parts += fleet.first_step((fleet.name_of("P_ch"), fleet.name_of("P_dch")))
+    parts += fleet.limits()
     parts.sort(key=rank)
     unit = fleet.grid or 1.0
     loss = fleet.sum_of_terms(

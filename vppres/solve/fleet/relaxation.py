@@ -180,10 +180,20 @@ class Fleet:
         rest = [family for name, family in named.items() if name not in equal]
         return eliminated(self.sheet, rest, names, [named[name] for name in equal])
 
+    def limits(self) -> list[Family]:
+        """What no family of the statement says: of curtailment, sums and the first step."""
+        found = self.lumping.range_rows()
+        if len(self.site.pv):
+            found.append(self.sheet.limit_of("curtailment_min", {"all P_curt": -1.0}))
+        if self.groups:
+            found += self._first_step()
+        return found
+
     # First step.
 
-    def first_step(self, letters: tuple[str, str]) -> tuple[Family, Family]:
+    def _first_step(self) -> tuple[Family, Family]:
         """Limits of the first step, in which the SoC is known; ratios and limits are a window's."""
+        letters = (self.name_of("P_ch"), self.name_of("P_dch"))
         G = self.groups
         width = self.sheet.width + self.extras
         number = np.arange(G)
@@ -306,16 +316,11 @@ class FleetProblem(Selected):
 
 def _select(sheet: Sheet, fleet: Fleet, integer: bool, goal: Goal) -> Selection:
     """The fleet's rows with a goal."""
-    site = fleet.site
     found = Selection(sheet)
     parts = [*fleet.families.values()]
     parts.append(sheet.limit_of("service_max", {"x_served": 1.0}))
     parts.append(sheet.limit_of("service_min", {"x_served": -1.0}))
-    if len(site.pv):
-        parts.append(sheet.limit_of("curtailment_min", {"all P_curt": -1.0}))
-    parts += fleet.lumping.range_rows()
-    if fleet.groups:
-        parts += fleet.first_step((fleet.name_of("P_ch"), fleet.name_of("P_dch")))
+    parts += fleet.limits()
     if integer:
         parts += counts_of_alike(fleet)
     else:

@@ -18,14 +18,13 @@ from vppres.solve.dispatch import (
     in_network,
     netted,
     polished,
-    settle,
     with_least_reactive,
     with_tie_breakers,
 )
 from vppres.solve.fleet.masters import Master, fleets_of, master_of
 from vppres.solve.network.master import NetworkMaster, applies
 from vppres.solve.programs import HALF_UNIT, SOLVED
-from vppres.solve.result import Outcome, Status, WindowSolution
+from vppres.solve.result import Outcome, Status
 from vppres.solve.task import COST_SHARE, WindowTask
 
 
@@ -249,24 +248,18 @@ class InNetwork:
         return found and polished(task, found)
 
 
-# Ratings of lines: most windows exceed none, and for them nothing changes. Rows are made where a
-# solution violates them, as those of voltages.
+# Ratings of lines: rows are made where a solution violates them, as those of voltages.
 
 
-def decided_within(task: WindowTask) -> WindowSolution | None:
-    """The best set that the ratings of a window allow, None if none was found."""
+def decide_within_ratings(task: WindowTask) -> None:
+    """Find the best set that the ratings of a window allow."""
     master = network_master(task)
-    if master is None:
-        return None
-    task.certificate.best = InNetwork(task, master).decide()
-    return task.solution() if task.certificate.answered else None
+    if master is not None:
+        task.certificate.best = InNetwork(task, master).decide()
 
 
-def served_within(task: WindowTask, served: Flags) -> WindowSolution | None:
-    """Cheapest dispatch of a schedule within the ratings of a window, None if it has none."""
+def serve_within_ratings(task: WindowTask, served: Flags) -> None:
+    """Find the cheapest dispatch of a schedule within the ratings of a window."""
     master = network_master(task)
-    if master is None:
-        return None
-    task.certificate.best = InNetwork(task, master).cheapest(served)
-    settle(task)
-    return task.solution() if task.certificate.answered else None
+    if master is not None:
+        task.certificate.best = InNetwork(task, master).cheapest(served)
