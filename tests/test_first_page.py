@@ -202,27 +202,27 @@ def test_local_time_stands_beside_utc() -> None:
 
 
 @pytest.mark.parametrize(
-    ("start", "shown", "axis"),
+    ("start", "shown", "changes"),
     [
         # Clocks go forward at 01:00 UTC: local time jumps from 01:00 to 02:00.
         (
             "2026-03-29T00:00Z",
             ["00:00 GMT", "02:00 BST", "03:00 BST"],
-            "Time (UTC; Europe/London is UTC+0 h, UTC+1 h from 29 Mar 01:00)",
+            "Europe/London, UTC+0 h, UTC+1 h from 29 Mar 01:00.",
         ),
         # Clocks go back at 01:00 UTC: 01:00 comes twice.
         (
             "2026-10-25T00:00Z",
             ["01:00 BST", "01:00 GMT", "02:00 GMT"],
-            "Time (UTC; Europe/London is UTC+1 h, UTC+0 h from 25 Oct 01:00)",
+            "Europe/London, UTC+1 h, UTC+0 h from 25 Oct 01:00.",
         ),
     ],
 )
-def test_days_of_23_and_25_hours(start: str, shown: list[str], axis: str) -> None:
+def test_days_of_23_and_25_hours(start: str, shown: list[str], changes: str) -> None:
     clock = Clock(TimeGrid(pd.Timestamp(start), 60, 24, LONDON))
     words = [clock.at(t) for t in range(3)]
     assert [re.sub(r".*\((.*)\)", r"\1", text) for text in words] == shown
-    assert clock.axis == axis
+    assert clock.note == f"Times are UTC, in brackets local: {changes}"
 
 
 def test_another_date_on_the_feeder_is_written() -> None:

@@ -14,7 +14,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from vppres.core.errors import InputError
-from vppres.scenario.option_table import NEW_OPTIONS, OPTIONS, POSITIVE, Option
+from vppres.scenario.option_table import NEW_OPTIONS, OPTIONS, RANGES, Option
 
 if TYPE_CHECKING:
     from vppres.day.options import RunOptions
@@ -123,7 +123,7 @@ def _declared(option: Option) -> Parameter:
         names,
         help=help_text(option),
         metavar=METAVARS.get(option.unit),
-        callback=_positive if option.range is POSITIVE else None,
+        callback=_positive if option.range is RANGES["positive"] else None,
         rich_help_panel=option.group or None,
     )
     return Parameter(

@@ -45,15 +45,12 @@ class Clock:
     def words(self, time: pd.Timestamp) -> str:
         """A time in UTC, and on the feeder's clocks where the scenario names their zone."""
         utc = time.tz_convert(UTC)
-        if not self.has_local:
-            return f"{utc:%d %b %H:%M}"
-        return f"{utc:%d %b %H:%M} ({self._local(utc)})"
+        return f"{utc:%d %b %H:%M}{self._local(utc)}"
 
     def full(self, time: pd.Timestamp) -> str:
         """A time as :meth:`words` has it, that says that it is UTC."""
         utc = time.tz_convert(UTC)
-        local = f" ({self._local(utc)})" if self.has_local else ""
-        return f"{utc:%d %b %H:%M} UTC{local}"
+        return f"{utc:%d %b %H:%M} UTC{self._local(utc)}"
 
     def at(self, t: int) -> str:
         """Beginning of step ``t``, or the end of the last."""
@@ -72,20 +69,13 @@ class Clock:
         changes = ", ".join(self._offsets())
         return f"Times are UTC, in brackets local: {self.grid.zone}, {changes}."
 
-    @property
-    def axis(self) -> str:
-        """Name of a time axis in UTC, with what local clocks are ahead."""
-        return (
-            f"Time (UTC; {self.grid.zone} is {', '.join(self._offsets())})"
-            if self.has_local
-            else "Time (UTC)"
-        )
-
     def _local(self, utc: pd.Timestamp) -> str:
-        """What a clock on the feeder shows; with its date where that is another one."""
+        """What a clock on the feeder shows, if it has its own; with a date that is another one."""
+        if not self.has_local:
+            return ""
         local = self.grid.local(utc)
         date = "" if local.date() == utc.date() else f"{local:%d %b} "
-        return f"{date}{local:%H:%M %Z}"
+        return f" ({date}{local:%H:%M %Z})"
 
     def _offsets(self) -> Iterator[str]:
         """How far local time is ahead of UTC, and from when where clocks are changed."""

@@ -35,8 +35,8 @@ class Range:
 
     Examples
     --------
-    >>> POSITIVE.holds(0.0), POSITIVE.holds(float("nan")), POSITIVE.holds(0.1)
-    (False, False, True)
+    >>> [RANGES["positive"].holds(number) for number in (0.0, float("nan"), 0.1)]
+    [False, False, True]
     """
 
     least: float
@@ -55,35 +55,30 @@ class Range:
         return isfinite(value) and above and below
 
 
-HOURS = Range(0, inf, "must be zero or positive", "Give hours.")
-COUNT = Range(0, inf, "must not be negative", "Give a whole number from zero.")
-NOT_NEGATIVE = Range(0, inf, "must be zero or positive", "Give a number from 0.")
-POSITIVE = Range(0, inf, "must be positive", "Give a number above 0.", open_least=True)
-AT_LEAST_ONE = Range(1, inf, "must be at least 1", "Give a factor, for example 1.5.")
-SHARE = Range(0, 1, "must lie between 0 and 1", "Give a share, for example 0.8.")
-ERROR_BIAS = Range(-1, inf, "must be a number not below -1", "Give a share, for example 0.05.")
-ERROR_GROWTH = Range(0, inf, "must be a number not below 0", "Give a share, for example 0.05.")
-HEADROOM = Range(
-    0,
-    1,
-    "must be a share from 0 to below 1",
-    "Give a share of the inverter's rating, for example 0.1.",
-    open_most=True,
-)
-ROTA = Range(0, 24, "must lie between 0 and 24", "Give hours of 24, for example 1.")
-
-_RANGES = {
-    "hours": HOURS,
-    "count": COUNT,
-    "not negative": NOT_NEGATIVE,
-    "positive": POSITIVE,
-    "at least one": AT_LEAST_ONE,
-    "share": SHARE,
-    "error bias": ERROR_BIAS,
-    "error growth": ERROR_GROWTH,
-    "headroom": HEADROOM,
-    "rota": ROTA,
+RANGES = {
+    "hours": Range(0, inf, "must be zero or positive", "Give hours."),
+    "count": Range(0, inf, "must not be negative", "Give a whole number from zero."),
+    "not negative": Range(0, inf, "must be zero or positive", "Give a number from 0."),
+    "positive": Range(0, inf, "must be positive", "Give a number above 0.", open_least=True),
+    "at least one": Range(1, inf, "must be at least 1", "Give a factor, for example 1.5."),
+    "share": Range(0, 1, "must lie between 0 and 1", "Give a share, for example 0.8."),
+    "error bias": Range(
+        -1, inf, "must be a number not below -1", "Give a share, for example 0.05."
+    ),
+    "error growth": Range(
+        0, inf, "must be a number not below 0", "Give a share, for example 0.05."
+    ),
+    "headroom": Range(
+        0,
+        1,
+        "must be a share from 0 to below 1",
+        "Give a share of the inverter's rating, for example 0.1.",
+        open_most=True,
+    ),
+    "rota": Range(0, 24, "must lie between 0 and 24", "Give hours of 24, for example 1."),
 }
+"""Ranges by the names that the tables give them."""
+
 _KINDS: dict[str, Any] = {
     "text": str,
     "number": float,
@@ -200,7 +195,7 @@ def _option(row: dict[str, str]) -> Option:
         default=_default(kind, row["default"]),
         choices=tuple(row["choices"].split()),
         hidden=tuple(row.get("hidden", "").split()),
-        range=_RANGES.get(row.get("range", "")),
+        range=RANGES.get(row.get("range", "")),
         follows_scenario="follows-scenario" in flags,
         file_most=float(row.get("file_most") or inf),
         command_line="python-only" not in flags,
