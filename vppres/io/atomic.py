@@ -197,14 +197,10 @@ def full_disk(target: str, older: bool) -> str:
 def _check_place(given: str, target: Path) -> None:
     """Whether the nearest folder above the target can be written."""
     place = next(folder for folder in target.parents if folder.exists())
-    if not place.is_dir():
-        raise InputError(
-            _unwritable(given, NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR)))
-        )
-    if not os.access(place, os.W_OK | os.X_OK):
-        raise InputError(
-            _unwritable(given, PermissionError(errno.EACCES, os.strerror(errno.EACCES)))
-        )
+    code = 0 if os.access(place, os.W_OK | os.X_OK) else errno.EACCES
+    code = code if place.is_dir() else errno.ENOTDIR
+    if code:
+        raise InputError(_unwritable(given, OSError(code, os.strerror(code))))
 
 
 @contextmanager

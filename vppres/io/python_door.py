@@ -49,7 +49,7 @@ def check_scenario(scenario: Scenario) -> None:
     >>> from vppres.io.find import load_scenario
     >>> check_scenario(load_scenario("uk-heatwave-2022"))
     """
-    numbers = [*_numbers(scenario), *_power_factors(scenario), *_limits(scenario)]
+    numbers = [*_numbers(scenario), *_limits(scenario)]
     problems = folded([*_names(scenario), *numbers])
     if problems:
         raise InputError(problems)
@@ -107,7 +107,7 @@ def _numbers(scenario: Scenario) -> Iterator[Problem]:
 
 
 def _limits(scenario: Scenario) -> Iterator[Problem]:
-    """Limits of the state of charge that leave nothing between them."""
+    """Limits of the state of charge that leave nothing between them, and loads without power."""
     batteries = scenario.batteries
     for i in np.flatnonzero(~(batteries.soc_min < batteries.soc_max)):
         yield Problem(
@@ -117,19 +117,15 @@ def _limits(scenario: Scenario) -> Iterator[Problem]:
             field="soc_min",
             value=float(batteries.soc_min[i]),
         )
-
-
-def _power_factors(scenario: Scenario) -> Iterator[Problem]:
-    """Loads of hardly any active power."""
-    customers = scenario.customers
-    for i in np.flatnonzero(np.abs(customers.power_factor) < schema.MIN_POWER_FACTOR):
+    power_factor = scenario.customers.power_factor
+    for i in np.flatnonzero(np.abs(power_factor) < schema.MIN_POWER_FACTOR):
         yield Problem(
             "customers",
             f"must be at least {schema.MIN_POWER_FACTOR:g} in size",
             schema.cure(schema.CustomerRow.model_fields["power_factor"]),
             row=int(i),
             field="power_factor",
-            value=float(customers.power_factor[i]),
+            value=float(power_factor[i]),
         )
 
 

@@ -109,7 +109,7 @@ def read_table(
     table, problems = _read_parquet(path) if path.suffix == ".parquet" else _read_csv(path)
     if table is not None:
         problems = [
-            _bad_name(path.name, i, *flaw)
+            Problem(path.name, f"the name of column {i} {flaw[0]}", flaw[1], row=1)
             for i, name in enumerate(table.names, start=1)
             if (flaw := flaw_of_name(name, schema.MAX_NAME_LENGTH))
         ]
@@ -321,10 +321,6 @@ def _too_many(file: str) -> Problem:
     return _too_large(
         file, f"more than {MAX_ROWS} rows, {MAX_COLUMNS} columns or {MAX_CELLS} cells"
     )
-
-
-def _bad_name(file: str, column: int, message: str, cure: str) -> Problem:
-    return Problem(file, f"the name of column {column} {message}", cure, row=1)
 
 
 def cell_text(cell: object) -> str:

@@ -283,30 +283,23 @@ def _check_outages(options: NewScenarioOptions) -> list[Problem]:
         end = options.grid.end
     except InputError as error:
         return [problem for problem in error.problems if isinstance(problem, Problem)]
-    step = pd.Timedelta(minutes=options.step_minutes)
+    start, step = options.start, pd.Timedelta(minutes=options.step_minutes)
+    cure = (
+        f"The scenario is {start.isoformat()} to {end.isoformat()} in steps of "
+        f"{options.step_minutes:g} min."
+    )
     problems = []
     for first, last in outages_of(options):
-        cut = any((moment - options.start) % step != pd.Timedelta(0) for moment in (first, last))
-        message = (
-            "must end after it begins"
-            if not first < last
-            else "lies outside the scenario"
-            if first < options.start or last > end
-            else "begins or ends inside a step"
-            if cut
-            else None
-        )
-        if message:
-            problems.append(
-                Problem(
-                    "options",
-                    message,
-                    f"The scenario is {options.start.isoformat()} to "
-                    f"{end.isoformat()} in steps of {options.step_minutes:g} min.",
-                    field="outage",
-                    value=f"{first.isoformat()}..{last.isoformat()}",
-                )
-            )
+        interval = f"{first.isoformat()}..{last.isoformat()}"
+        if not first < last:
+            message = "must end after it begins"
+        elif first < start or last > end:
+            message = "lies outside the scenario"
+        elif any((moment - start) % step != pd.Timedelta(0) for moment in (first, last)):
+            message = "begins or ends inside a step"
+        else:
+            continue
+        problems.append(_fault("outage", interval, message, cure))
     return problems
 
 

@@ -13,7 +13,6 @@ import pandas as pd
 from vppres.core.errors import InputError, Problem
 from vppres.feeders.feeder import Profile
 from vppres.feeders.series.clocks import in_utc
-from vppres.io.messages import few
 from vppres.io.tables import Table, read_table
 
 SUFFIXES = (".csv", ".parquet")
@@ -169,17 +168,9 @@ def _numbers(table: Table, column: str) -> tuple[np.ndarray, list[Problem]]:
     values = pd.to_numeric(texts.where(texts != ""), errors="coerce").to_numpy(dtype=float)
     wrong = np.flatnonzero((np.isnan(values) & (texts != "").to_numpy()) | np.isinf(values))
     told = [int(i) for i in wrong if texts.iloc[i].lower() not in ("nan", "null", "na", "none")]
-    return np.where(np.isinf(values), np.nan, values), few(
-        told,
-        lambda i: Problem(
-            table.file,
-            "is not a number",
-            "Correct it, or leave it empty: a gap is filled, and the notes say so.",
-            row=int(table.frame.index[i]),
-            field=column,
-            value=texts.iloc[i][:60],
-        ),
-    )
+    cure = "Correct it, or leave it empty: a gap is filled, and the notes say so."
+    problems = table.problems(told, column, "is not a number", cure)
+    return np.where(np.isinf(values), np.nan, values), problems
 
 
 def _named(text: str) -> tuple[str, str]:

@@ -28,16 +28,8 @@ def confined(
 ) -> dict[str, Any]:
     """What an engine answers.
 
-    Parameters
-    ----------
-    engine : str
-        One of :mod:`vppres.feeders.strangers.child`.
-    job : dict
-        What JSON can hold.
-    name : str
-        The file, for messages.
-    time_limit_s : float, optional
-        From the moment in which the engine is loaded.
+    ``engine`` is one of :mod:`vppres.feeders.strangers.child`, ``job`` what JSON can hold; the time
+    counts from the moment in which the engine is loaded.
 
     Raises
     ------
