@@ -17,16 +17,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.asgi import Caller
 from tests.support.command_line import call
 from tests.support.live_service import HERE, Live, client, decided, site
+from tests.support.played_service import Here
 from vppres.core.errors import InputError
 from vppres.feeds import follow
 from vppres.feeds.adapters import FEEDS, Feed
 from vppres.feeds.follow import Asker, Follower, OverHTTP, recorded, replay
 from vppres.feeds.incidents import Incident, check_areas
 from vppres.scenario.scenario import Scenario
-from vppres.service.client import Answer, Client
 from vppres.service.clock import SetClock
 from vppres.service.runner import Service
 
@@ -180,18 +179,6 @@ def test_areas_meet_where_one_holds_the_other() -> None:
 # Into a service
 
 
-class Inside(Client):
-    """A client of a service that is asked without a network in between."""
-
-    def __init__(self, http: Caller) -> None:
-        super().__init__("http://127.0.0.1:8420")
-        self.http = http
-
-    def ask(self, method: str, path: str, body: Any = None) -> Answer:
-        found = self.http.ask(method, path, body, {})
-        return Answer(found.status, found.json(), 0.0)
-
-
 @contextmanager
 def serving(tiny: Scenario, folder: Path) -> Iterator[Live]:
     """A service that believes, at eleven."""
@@ -204,7 +191,7 @@ def serving(tiny: Scenario, folder: Path) -> Iterator[Live]:
 def test_a_day_is_replayed_into_a_service(tiny: Scenario, tmp_path: Path) -> None:
     """What was said stays in the history; a follower that begins anew knows what it said."""
     with serving(tiny, tmp_path) as (http, clock):
-        place = OverHTTP(Inside(http))
+        place = OverHTTP(Here(http))
         feed = FEEDS["ukpn"]
         answers = list(recorded(ROOT / "ukpn", feed))
         replay(

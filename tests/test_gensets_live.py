@@ -7,12 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 import pytest
 
 from tests.support.live_service import HERE, NOON, client, decided, readings, said, site
-from tests.support.played_service import played
 from tests.support.sets import gensets
 from tests.support.small_windows import DARK, OPEN, two_buses
 from vppres import (
@@ -20,14 +18,12 @@ from vppres import (
     Measurement,
     RunOptions,
     SetPoints,
-    run_day,
 )
 from vppres.scenario.gensets import Refuels
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock, written
 from vppres.service.export import export
 from vppres.service.runner import Service
-from vppres.service.simulate import Play
 
 OPTIONS = RunOptions(mode="paper", isolate=False, horizon_h=3.0)
 HALF_L, LEAST_L = 20.715, 15.795
@@ -158,20 +154,6 @@ def test_a_set_started_by_hand_is_on_and_may_have_given_all_that_it_can() -> Non
 def with_set(tiny: Scenario, **more: Any) -> Scenario:
     """The day with a set that all of its demand can be served by."""
     return replace(tiny, gensets=gensets(bus=[4], p_min_kw=10.0, **more))
-
-
-def test_a_played_day_of_sets_is_the_run(tiny: Scenario, tmp_path: Path) -> None:
-    """Sets that are told to start and stop do what those of a run do."""
-    day = with_set(tiny, min_on_h=2.0)
-    options = RunOptions(horizon_h=2.0, isolate=False)
-    run = run_day(day, options)
-    assert run.gensets is not None and run.gensets["running"].any()
-    service = Service(day, options, rehearsal=True)
-    player = played(service, day, tmp_path, Play(announced=False))
-    assert player.tally.statuses == {"ok": day.grid.n_steps} and player.tally.estimated == 0
-    for column in ("running", "p_kw", "fuel_end_litres", "hours_before"):
-        found = np.concatenate([one.kinds["gensets"][column] for one in player.world.records])
-        assert found == pytest.approx(run.gensets[column].to_numpy(float), abs=1e-6)
 
 
 def test_an_operator_runs_a_set_and_sees_that_it_does_not_start(

@@ -15,9 +15,9 @@ import pandas as pd
 import pytest
 
 from tests.support.asgi import Caller
-from tests.support.homes import homes, hot
+from tests.support.homes import hot
 from tests.support.live_service import HERE, NOON, client, decided, readings, site
-from tests.support.played_service import Here
+from tests.support.played_service import Here, crowded
 from tests.support.sets import gensets
 from tests.support.small_windows import DARK
 from tests.support.vans import van
@@ -57,19 +57,6 @@ class Odd(World):
         """What becomes of set-points for sets, and for a van that is not there."""
         odd = ("gensets", "chargers")
         return super().obey(t, [one for one in setpoints if one["kind"] not in odd])
-
-
-def crowded(tiny: Scenario) -> Scenario:
-    """The tiny day with a set, a van and a home that is cooled."""
-    charger, vehicle = van(tiny.grid.start, tiny.grid.end)
-    return replace(
-        tiny,
-        gensets=gensets(bus=[4], p_min_kw=10.0),
-        chargers=charger,
-        sessions=vehicle,
-        thermal_loads=homes("homes", c_kwh_per_c=1.0),
-        objective=replace(tiny.objective, lambda_grid=1e-7),
-    )
 
 
 def test_what_is_odd_is_named_and_nobody_is_off_for_it(

@@ -11,16 +11,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 import pytest
 
+from tests.support import live_service
 from tests.support.browser import FLAGS, chromium, listening
 from tests.support.live_service import decide
-from tests.support.long_days import repeated
 from tests.support.tiny_day import tiny_scenario
 from vppres.day.options import RunOptions
-from vppres.scenario.timegrid import TimeGrid
 from vppres.service import explainer
 from vppres.service.access import Access, new_token
 from vppres.service.app import make_app
@@ -42,10 +40,9 @@ DARK = {"type": "outage", "source": "operator", "start": "2026-10-25T01:00:00Z",
 
 def site() -> Any:
     """A day of hours in London, with names that a page must not take for its own."""
-    day = repeated(tiny_scenario(), 24)
-    grid = TimeGrid(pd.Timestamp("2025-07-01T00:00Z"), 60.0, 24, "Europe/London")
-    title = "Docks & <b>Harbour</b>"
-    return replace(day, grid=grid, grid_limit_kw=np.full(24, np.inf), title=title)
+    day = live_service.site(tiny_scenario())
+    london = replace(day.grid, zone="Europe/London")
+    return replace(day, grid=london, title="Docks & <b>Harbour</b>")
 
 
 @pytest.fixture(scope="module")

@@ -14,15 +14,13 @@ import pytest
 from tests.support.homes import homes, hot
 from tests.support.live_service import HERE, NOON, client, decided, readings, said, site
 from tests.support.page_words import NODE, said_by
-from tests.support.played_service import played
 from tests.support.small_windows import DARK, OPEN
 from tests.support.vans import van
-from vppres import Controller, InputError, Measurement, RunOptions, SetPoints, run_day
+from vppres import Controller, InputError, Measurement, RunOptions, SetPoints
 from vppres.plant.rooms import Climate
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock, written
 from vppres.service.runner import Service
-from vppres.service.simulate import Play
 
 HOUR = pd.Timedelta(hours=1)
 OPTIONS = RunOptions(mode="paper", isolate=False)
@@ -145,19 +143,6 @@ def test_a_service_tells_thermostats_temperatures(tiny: Scenario, tmp_path: Path
             said(held, "thermal_loads")["h0"]["setpoint_c"]
             == (said(plan, "thermal_loads")["h0"]["setpoint_c"])
         )
-
-
-def test_a_played_day_of_rooms_is_the_run(tiny: Scenario, tmp_path: Path) -> None:
-    """Thermostats that are told temperatures do what a run's machines do."""
-    day = cooled(tiny)
-    options = RunOptions(horizon_h=2.0, isolate=False)
-    run = run_day(day, options)
-    assert run.thermal_loads is not None
-    player = played(Service(day, options, rehearsal=True), day, tmp_path, Play(announced=False))
-    assert player.tally.statuses == {"ok": day.grid.n_steps} and player.tally.estimated == 0
-    for column in ("p_kw", "t_end_c"):
-        found = np.concatenate([one.kinds["thermal_loads"][column] for one in player.world.records])
-        assert found == pytest.approx(run.thermal_loads[column].to_numpy(), abs=1e-6)
 
 
 def equipped(tiny: Scenario) -> Scenario:

@@ -10,10 +10,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import vppres
 from tests.support.command_line import call
 from tests.support.live_service import HERE, NOON, client, site
 from tests.support.long_days import repeated
-from tests.support.played_service import Here, played
+from tests.support.played_service import Here, crowded, played
 from vppres.outlook.outlook import OutageOutlook, seen_outages
 from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
 from vppres.scenario.scenario import Scenario
@@ -25,6 +26,24 @@ from vppres.service.simulate import Play, Player, TelemetryFaults, Way, announce
 from vppres.service.world import World, critical_off, energy_allowed
 
 HOUR = pd.Timedelta("1h")
+
+
+def test_a_played_day_is_the_run(tiny: Scenario, tmp_path: Path) -> None:
+    """Devices of all kinds that follow their set-points do what those of a run do."""
+    day = crowded(tiny)
+    run = vppres.run_day(day, HERE)
+    assert run.gensets is not None and run.gensets["running"].any()
+    player = played(Service(day, HERE, rehearsal=True), day, tmp_path, Play(announced=False))
+    assert player.tally.statuses == {"ok": day.grid.n_steps} and player.tally.estimated == 0
+    assert run.thermal_loads is not None and run.vehicles is not None
+    for kind, table, columns in (
+        ("gensets", run.gensets, ("running", "p_kw", "fuel_end_litres", "hours_before")),
+        ("thermal_loads", run.thermal_loads, ("p_kw", "t_end_c")),
+        ("chargers", run.vehicles, ("p_kw",)),
+    ):
+        for column in columns:
+            found = np.concatenate([one.kinds[kind][column] for one in player.world.records])
+            assert found == pytest.approx(table[column].to_numpy(float), abs=1e-6), (kind, column)
 
 
 def stormy(tiny: Scenario, days: int) -> Scenario:

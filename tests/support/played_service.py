@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from tests.support.asgi import Caller
+from tests.support.homes import homes
 from tests.support.live_service import client
+from tests.support.sets import gensets
+from tests.support.vans import van
 from vppres.scenario.scenario import Scenario
 from vppres.service.client import Answer, Client
 from vppres.service.clock import SetClock
@@ -35,3 +39,16 @@ def played(
         player = Player(World(scenario, service.options), Here(http), play)
         player.play()
         return player
+
+
+def crowded(tiny: Scenario) -> Scenario:
+    """The tiny day with a set, a van and a home that is cooled."""
+    charger, vehicle = van(tiny.grid.start, tiny.grid.end)
+    return replace(
+        tiny,
+        gensets=gensets(bus=[4], p_min_kw=10.0),
+        chargers=charger,
+        sessions=vehicle,
+        thermal_loads=homes("homes", c_kwh_per_c=1.0),
+        objective=replace(tiny.objective, lambda_grid=1e-7),
+    )

@@ -293,7 +293,10 @@ def _seen(scenario: Scenario, measured: Measurement, guard: bool, earliest: int)
     of_batteries = _of_batteries(door, b, measured)
     import_kw = door.number("import_kw", measured.import_kw)
     connected = door.flags("connected", measured.connected, c.id)
-    announced = _announced(door, scenario, measured)
+    announced = None
+    if measured.announced_limit_kw is not None:
+        unknown = np.full(scenario.grid.n_steps, np.nan)
+        announced = door.series("announced_limit_kw", measured.announced_limit_kw, unknown)
     now = _now(door, measured)
     soc_age_h = door.ages_h("soc_at", measured.soc_at, b.id, now)
     told = _told(door, measured.ordered_kw, b.id, now)
@@ -365,14 +368,6 @@ def _grid_series(door: Door, scenario: Scenario, measured: Measurement) -> dict[
         "export_price_gbp_per_kwh": (measured.export_price_gbp_per_kwh, scenario.export_price),
     }
     return {name: door.series(name, told, known) for name, (told, known) in own.items()}
-
-
-def _announced(door: Door, scenario: Scenario, measured: Measurement) -> Floats | None:
-    """Limits of import that are announced, NaN where none is; None if no event says any."""
-    if measured.announced_limit_kw is None:
-        return None
-    unknown = np.full(scenario.grid.n_steps, np.nan)
-    return door.series("announced_limit_kw", measured.announced_limit_kw, unknown)
 
 
 def _among(ids: Names, named: Sequence[str]) -> Flags:
