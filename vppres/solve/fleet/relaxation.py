@@ -327,18 +327,13 @@ def _select(sheet: Sheet, fleet: Fleet, integer: bool, goal: Goal) -> Selection:
         found = found.relax("x_served", 0.0, 1.0)
     found = found.relaxed_to_shares(sheet.statement.named("directions"))
     found = replace(found, parts=tuple(sorted(parts, key=rank)))
-    return _with_goal(found, fleet, integer, goal)
-
-
-def _with_goal(found: Selection, fleet: Fleet, integer: bool, goal: Goal) -> Selection:
-    """Rows with what is minimised or maximised."""
-    if goal == "weighted":
-        return _all_terms(found, fleet)
-    if goal == "dispatch":
-        return _cheapest(found, fleet)
-    if goal == "cost":
-        return _least_cost(found, fleet)
-    return _most_service(found, fleet, integer)
+    with_goal = {
+        "weighted": _all_terms,
+        "service": _most_service,
+        "cost": _least_cost,
+        "dispatch": _cheapest,
+    }
+    return with_goal[goal](found, fleet)
 
 
 def _order(fleet: Fleet, *first: str) -> tuple[str, ...]:
@@ -375,7 +370,7 @@ def _cheapest(found: Selection, fleet: Fleet) -> Selection:
     return replace(found, terms=((term, cost_scale(fleet.site)),), order=order)
 
 
-def _most_service(found: Selection, fleet: Fleet, integer: bool) -> Selection:
+def _most_service(found: Selection, fleet: Fleet) -> Selection:
     """The most service in units, less a whole penalty of curtailment.
 
     The penalty is rounded down, so that the optimum stays an upper bound and a solver may round its
@@ -384,7 +379,7 @@ def _most_service(found: Selection, fleet: Fleet, integer: bool) -> Selection:
     sheet = fleet.sheet
     unit = fleet.grid or 1.0
     (penalty,) = sheet.new_letter("penalty", (1,), whole=True)
-    if not integer:
+    if "x_served" in found.relaxed:
         found = found.relax("penalty", 0.0)
     lost = fleet.sum_of_terms("penalty", MOST, ("f3", fleet.site.weights.lambda_curt / unit))
     rounded = lost.with_column(int(penalty), -1.0, "penalty", limit=1.0)
