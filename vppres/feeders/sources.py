@@ -146,7 +146,7 @@ def _feeder(found: _Net, name: str, changes: Changes) -> ImportedFeeder:
     phases = found.phases or phase_powers(found.net)
     keeps_phases = phases is not None and not changes.balance
     if phases is not None and not keeps_phases:
-        notes += (balanced(phases, name, changes.balance),)
+        notes += (balanced(phases),)
     ids = found.bus_ids
     if ids is None and changes.names:
         ids = bus_names(found.net)

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vppres.core.errors import InputError
 from vppres.core.units import mw_to_kw
 from vppres.feeders.net.elements import in_service
 
@@ -38,16 +37,8 @@ class PhasePowers:
     p_kw: pd.DataFrame
 
 
-def balanced(found: PhasePowers, name: str, wanted: bool) -> str:
-    """The note on what balancing leaves out.
-
-    Raises
-    ------
-    InputError
-        If it is not wanted.
-    """
-    if not wanted:
-        raise InputError.of(name, f"is not balanced: {found.what}", CURE)
+def balanced(found: PhasePowers) -> str:
+    """The note on what balancing leaves out."""
     return f"Balanced on request (--balance): {found.what}. {unbalance(found.p_kw)}"
 
 
