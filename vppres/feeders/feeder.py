@@ -5,31 +5,22 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, ClassVar, Protocol, Self
+from typing import Protocol, Self
 
 import pandas as pd
 
-from vppres.core.arrays import Floats, Names, freeze_arrays, no_items
+from vppres.core.arrays import Floats, Items, Names, freeze_arrays, no_items
 from vppres.scenario.network import BusId, Network
 from vppres.scenario.phases import PhaseConnection, Phases
 
 
-class _Elements:
-    """A table of elements of the source, an array an attribute."""
-
-    id: Names
-    __dataclass_fields__: ClassVar[dict[str, Any]]
-
-    def __post_init__(self) -> None:
-        freeze_arrays(self)
-
-    def __len__(self) -> int:
-        return len(self.id)
+class _Elements(Items):
+    """Elements of the source."""
 
     @classmethod
     def none(cls) -> Self:
         """No element."""
-        return cls(**{name: no_items() for name in cls.__dataclass_fields__})
+        return cls(**{name: no_items() for name in cls.__annotations__})
 
 
 @dataclass(frozen=True, eq=False)

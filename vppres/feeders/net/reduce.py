@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -455,8 +455,4 @@ def fixed_power(loads: pd.DataFrame, condensers: Generators) -> pd.DataFrame:
 def _without_power(generators: Generators) -> tuple[Generators, Generators]:
     """Generators with active power, and those with reactive power only."""
     idle = (generators.p_kw == 0) & (generators.q_kvar != 0)
-    names = [f.name for f in fields(generators)]
-    active, condensers = (
-        Generators(*(getattr(generators, name)[rows] for name in names)) for rows in (~idle, idle)
-    )
-    return active, condensers
+    return generators.rows(~idle), generators.rows(idle)
