@@ -307,6 +307,8 @@ def test_guard_changes_nothing_where_nothing_fails(tiny: Scenario, kind: str) ->
     options = RunOptions(controller=kind, horizon_h=2.0, errors=ForecastErrors(0.05, 0.05))
     runs = [run_day(tiny, replace(options, guard=guard)) for guard in (True, False)]
     assert (runs[0].steps["fallback"] == "none").all()
+    gaps = runs[0].steps["gap_abs"]
+    assert 0.0 <= gaps.max() <= runs[0].options["limits"]["gap_abs"]
     for name in ("customers", "pv", "batteries"):
         assert runs[0].tables[name].equals(runs[1].tables[name])
 
@@ -330,6 +332,8 @@ def test_plan_that_is_used_up_is_followed_by_the_rule(tiny: Scenario) -> None:
     script = {t: RuntimeError("gone") for t in range(1, 6)}
     day = played(tiny, guarded(tiny, script))
     assert fallbacks(day) == ["none", "previous_plan", "previous_plan", "rule", "rule", "rule"]
+    statuses = [record.steps["status"] for record in day.recorder.records]
+    assert statuses == ["optimal", "previous_plan", "previous_plan", "rule", "rule", "rule"]
     assert fallbacks(played(tiny, guarded(tiny, {0: RuntimeError("gone")})))[0] == "rule"
 
 

@@ -63,21 +63,18 @@ def test_usual_runs_leave_long_functions_for_the_night_unless_they_are_daily() -
     assert usual_choice(names, seconds, [False] * 3, daily) == [False, True, True]
 
 
-@pytest.mark.parametrize("seed", [0])
-def test_cases_are_random_by_their_seed(seed: int, request: pytest.FixtureRequest) -> None:
+@pytest.mark.parametrize(("seed", "case"), [(0, "a-[1]")])
+def test_cases_are_random_by_their_seed(
+    seed: int, case: str, request: pytest.FixtureRequest
+) -> None:
     assert is_random(request.node)
+    assert function_of(request.node.nodeid).endswith("::test_cases_are_random_by_their_seed")
 
 
-def test_other_cases_are_not_random(request: pytest.FixtureRequest) -> None:
+def test_durations_are_written_by_name(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
     assert not is_random(request.node)
-
-
-def test_cases_of_a_function_share_its_name() -> None:
-    assert function_of("tests/test_x.py::test_y[a-[1]]") == "tests/test_x.py::test_y"
-    assert function_of("vppres/x.py::vppres.x.f") == "vppres/x.py::vppres.x.f"
-
-
-def test_durations_are_written_by_name(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(durations, "FILE", tmp_path / "durations.csv")
     assert read_durations() == {}
     write_durations({"b": 2.0, "a": 0.5, "short": 0.01})
