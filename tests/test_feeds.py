@@ -24,7 +24,7 @@ from vppres.core.errors import InputError
 from vppres.feeds import follow
 from vppres.feeds.adapters import FEEDS, Feed
 from vppres.feeds.follow import Asker, Follower, OverHTTP, recorded, replay
-from vppres.feeds.incidents import Incident, check_areas
+from vppres.feeds.incidents import Incident, check_areas, time_in
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock
 from vppres.service.runner import Service
@@ -127,6 +127,12 @@ def test_planned_work_is_an_outage_and_an_estimate_what_a_crew_says() -> None:
             "likely": "2026-11-21T15:00:00Z",
         },
     }
+
+
+@pytest.mark.parametrize("text", ["2026-11-21T15:00:0AZ", "21/11/2026 15:00", "soon", "nan"])
+def test_what_is_no_time_is_refused(text: str) -> None:
+    with pytest.raises(ValueError):
+        time_in(text)
 
 
 @pytest.mark.parametrize("name", FEEDS)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from datetime import datetime
 from typing import Any
 
 import pandas as pd
@@ -125,12 +126,12 @@ def _overlap(one: str, other: str) -> bool:
 
 
 def time_in(value: Any) -> pd.Timestamp | None:
-    """A time of a feed in UTC; None where there is none.
+    """A time of a feed in UTC, from ISO 8601; None where there is none.
 
     Raises
     ------
     ValueError
-        If it is no time.
+        If it is no such time.
 
     Examples
     --------
@@ -141,9 +142,7 @@ def time_in(value: Any) -> pd.Timestamp | None:
         return None
     if not isinstance(value, str):
         raise ValueError(f"{value!r} is no time")
-    found = pd.Timestamp(value)
-    if pd.isna(found):
-        raise ValueError(f"{value!r} is no time")
+    found = pd.Timestamp(datetime.fromisoformat(value))
     if found.tzinfo is None:
         found = found.tz_localize(ZONE, ambiguous=True, nonexistent="shift_forward")
     return found.tz_convert("UTC").floor("s")
