@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pandas as pd
@@ -22,6 +22,7 @@ from vppres.day.trajectory import Trajectory
 from vppres.explain.day import explain_day, steps_of
 from vppres.explain.prices import day_prices, step_prices
 from vppres.explain.recorded import Recorded
+from vppres.explain.step import DRIVERS, Driver
 from vppres.explain.words import figure, hours
 from vppres.model.data import WindowData
 from vppres.model.site import Site
@@ -113,6 +114,10 @@ def solved(
 
 def with_battery(day: Scenario, **values: float) -> Scenario:
     return replace(day, batteries=replace(day.batteries, **{n: [v] for n, v in values.items()}))
+
+
+def test_every_driver_has_its_words() -> None:
+    assert DRIVERS.keys() == {name for part in get_args(Driver) for name in get_args(part)}
 
 
 def test_energy_by_hand() -> None:

@@ -67,7 +67,7 @@ def _controller(scenario: Scenario, options: RunOptions, grid: TimeGrid) -> Iter
     """What only the MPC plans, a horizon that ends within its step, and outages without a use."""
     name, outages = options.controller, str(options.outages)
     if name != MPC:
-        for kind in [KINDS[one] for one in units_of(scenario)][:1]:
+        for kind in map(KINDS.__getitem__, units_of(scenario)):
             cure = f"Use {MPC}, or remove {kind.file}."
             yield Problem("options", f"plans no {kind.what}", cure, field="controller", value=name)
         if options.shares_supply:

@@ -131,7 +131,8 @@ class Trajectory:
     @property
     def supplied(self) -> Floats:
         """The part of its demand that each customer got in each step, shape (T, C)."""
-        return self.by_step("customers", SHARE if SHARE in self.customers else "served") * 1.0
+        share: Floats = supplied(self.customers).to_numpy(float)
+        return share.reshape(len(self.steps), -1)
 
     @property
     def tables(self) -> dict[str, pd.DataFrame]:

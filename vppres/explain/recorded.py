@@ -77,16 +77,16 @@ class Recorded:
         self.served = trajectory.by_step("customers", "served")
         self.share = trajectory.supplied
         self.shed = trajectory.by_step("customers", "shed")
-        self.load_kw = self.trajectory.by_step("customers", "p_load_kw")
-        self.charge_kw = self.trajectory.by_step("batteries", "charge_kw")
-        self.discharge_kw = self.trajectory.by_step("batteries", "discharge_kw")
-        self.batt_q_kvar = self.trajectory.by_step("batteries", "q_kvar")
-        self.soc_start = self.trajectory.by_step("batteries", "soc_start")
-        self.soc_end = self.trajectory.by_step("batteries", "soc_end")
-        self.curtailed_kw = self.trajectory.by_step("pv", "curtailed_kw")
-        self.v_ac_pu = self.trajectory.by_step("buses", "v_ac_pu")
-        self.flow_kw = self.trajectory.by_step("lines", "p_ac_kw")
-        self.flow_kvar = self.trajectory.by_step("lines", "q_ac_kvar")
+        self.load_kw = trajectory.by_step("customers", "p_load_kw")
+        self.charge_kw = trajectory.by_step("batteries", "charge_kw")
+        self.discharge_kw = trajectory.by_step("batteries", "discharge_kw")
+        self.batt_q_kvar = trajectory.by_step("batteries", "q_kvar")
+        self.soc_start = trajectory.by_step("batteries", "soc_start")
+        self.soc_end = trajectory.by_step("batteries", "soc_end")
+        self.curtailed_kw = trajectory.by_step("pv", "curtailed_kw")
+        self.v_ac_pu = trajectory.by_step("buses", "v_ac_pu")
+        self.flow_kw = trajectory.by_step("lines", "p_ac_kw")
+        self.flow_kvar = trajectory.by_step("lines", "q_ac_kvar")
 
     @cached_property
     def battery_kw(self) -> Floats:

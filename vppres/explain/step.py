@@ -24,7 +24,28 @@ from vppres.solve.shadow_prices import ShadowPrices
 
 Scarce = Literal["energy", "power", "voltage", "inverter", "rating", "phase", "grid"]
 # docs/explanations.md defines them: "grid" limits the import, and the export of what is curtailed.
-DRIVERS = {
+Driver = (
+    Scarce
+    | Literal[
+        "priority",
+        "switching_rule",
+        "longest_off",
+        "recovery",
+        "departure",
+        "past_day",
+        "price",
+        "preparation",
+        "surplus",
+        "supply",
+        "mismatch",
+        "plan",
+        "rule",
+        "fallback",
+        "dark",
+        "unexplained",
+    ]
+)
+DRIVERS: dict[str, str] = {
     "energy": "stored energy",
     "power": "battery power",
     "inverter": "inverter rating",
@@ -66,12 +87,9 @@ EXPORT_LIMIT_SHARE = 0.01
 class Reason:
     """Why an action was taken: what drove it, what was at its limit, and a sentence."""
 
-    driver: str
+    driver: Driver
     binding: Binding
     words: str
-
-    def __post_init__(self) -> None:
-        assert self.driver in DRIVERS, self.driver
 
 
 class Step:

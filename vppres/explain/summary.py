@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from vppres.explain.kept import why_kept
 from vppres.explain.prices import WORTH
-from vppres.explain.step import Reason, Step
+from vppres.explain.step import Driver, Reason, Step
 from vppres.explain.words import SCARCE, figure, money, one_more, service_words
 
 
@@ -35,7 +35,7 @@ def _driven(step: Step) -> Reason:
     return Reason(_calm_driver(step), scarce, f"{_headline(step)} {_worth(step)}".rstrip())
 
 
-def _calm_driver(step: Step) -> str:
+def _calm_driver(step: Step) -> Driver:
     """The driver of a step without shortage."""
     if step.phase == "island":
         return "supply"

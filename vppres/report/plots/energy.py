@@ -30,7 +30,8 @@ def energy_and_price(runs: Runs) -> Chart:
     """Stored energy, net charging power of all batteries, and the import price."""
     energy = []
     power = []
-    (_, first, _), *_ = every = styled(runs)
+    every = styled(runs)
+    first = every[0][1]
     for label, run, style in every:
         energy.append(Curve(label, stored_energy_kwh(run), style))
         if run.planned is not None:
@@ -72,7 +73,8 @@ def import_load_pv(runs: Runs) -> Chart:
     """Grid import; demand, served demand, available PV power, vehicles, machines and sets."""
     imports = []
     load = []
-    (_, first, _), *_ = every = styled(runs)
+    every = styled(runs)
+    first = every[0][1]
     for label, run, style in every:
         drawn = run.steps["p_grid_kw"].to_numpy(float)
         imports.append(Curve(f"{label}: import", drawn, style, in_legend=False))
@@ -130,7 +132,8 @@ def voltages(runs: Runs) -> Chart:
     """Lowest voltage of any bus (AC and optimisation), and the largest difference of the two."""
     lowest = []
     error = []
-    (_, first, _), *_ = every = styled(runs)
+    every = styled(runs)
+    first = every[0][1]
     network = first.scenario.network
     for label, run, style in every:
         found = run.steps["v_min_ac_pu"].to_numpy(float)
