@@ -46,7 +46,7 @@ def read_m(path: Path) -> tuple[Any, tuple[str, ...]]:
     text = read_text(path, LARGEST_BYTES)
     try:
         case = tables_of(text)
-    except* Refused as refused:
+    except ExceptionGroup as refused:  # before Python 3.11.4 except* wraps what is raised in it
         raise InputError(
             [
                 Problem(path.name, one.message, CURE, row=one.line)
