@@ -440,9 +440,9 @@ def test_sigterm_before_a_command_has_begun() -> None:
     """Outside of a command's own block typer would end with the status of Ctrl-C."""
     code = textwrap.dedent("""
         import os, signal, sys
-        from vppres.cli import commands
+        from vppres.cli import commands, options
 
-        commands.plain_errors = lambda debug: os.kill(os.getpid(), signal.SIGTERM)
+        options.plain_errors = lambda debug: os.kill(os.getpid(), signal.SIGTERM)
         sys.argv = ["vppres", "scenarios"]
         commands.main()
     """)

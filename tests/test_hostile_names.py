@@ -107,7 +107,7 @@ def test_the_terminal_shows_brackets_as_text(hostile_run: Trajectory) -> None:
     summary = summarise(hostile_run)
     text = shown(figures_table(summary, TITLE))
     assert TITLE in text
-    assert f"served in the outage, {MARKUP}" in text
+    assert f"Share served in the outage, {MARKUP}" in text
     assert MARKUP in shown(sweep_table(MARKUP, [SweepRow(1.0, "a", summary, None)]))
 
 

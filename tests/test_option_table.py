@@ -72,7 +72,7 @@ def test_sections_hold_what_a_scenario_carries(section: str, frozen: type) -> No
 def test_page_has_the_rows_of_the_table() -> None:
     page = PAGE.read_text(encoding="utf-8").splitlines()
     first = page.index("## Options of `run`") + 4
-    rows = [page_row(option) for option in cli_options.day_options()]
+    rows = [page_row(option) for option in cli_options.DAY_OPTIONS]
     assert page[first : first + len(rows)] == rows
 
 
@@ -109,10 +109,10 @@ def test_every_option_of_a_sweep_changes_its_own_field() -> None:
 def test_scenario_may_name_every_controller_of_the_command_line(kind: str, tmp_path: Path) -> None:
     day = replace(tiny_scenario(), controller=ControllerDefaults(kind, 2.0))
     write_scenario(day, tmp_path / "tiny")
-    given = dict.fromkeys(cli_options._key(option) for option in cli_options.day_options())
+    given = dict.fromkeys(cli_options._key(option) for option in cli_options.DAY_OPTIONS)
     given |= {
         cli_options._key(option): option.default
-        for option in cli_options.day_options()
+        for option in cli_options.DAY_OPTIONS
         if not option.scenario_key
     }
     options = cli_options.run_options(read_scenario(tmp_path / "tiny"), given)
@@ -158,7 +158,9 @@ def gap_row(monkeypatch: pytest.MonkeyPatch) -> Option:
         range=next(option.range for option in OPTIONS if option.field == "limits.gap_abs"),
     )
     rows = tuple(row if option.field == "limits.gap_abs" else option for option in OPTIONS)
-    monkeypatch.setattr(cli_options, "OPTIONS", rows)
+    of_command = tuple(option for option in rows if option.command_line)
+    monkeypatch.setattr(cli_options, "DAY_OPTIONS", of_command)
+    monkeypatch.setattr(cli_options.DayCommand, "table", of_command)
     monkeypatch.setattr(day_options, "OPTIONS", rows)
     monkeypatch.setitem(sweep_parameters.OPTION_OF, "gap-abs", row)
     return row

@@ -18,17 +18,18 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 from rich.console import Console
+from rich.table import Table
 
 from vppres.cli import backtest_options as cli_backtest
 from vppres.cli import feeds_options as cli_feeds
 from vppres.cli import new_options as cli_new
 from vppres.cli import serve_options as cli_serve
 from vppres.cli import sweep_options as cli_sweep
-from vppres.cli.endings import TERMINATED, Terminated, extra, plain_errors
+from vppres.cli.endings import TERMINATED, Terminated, extra
 from vppres.cli.options import (
+    Command,
     Commands,
     DayCommand,
-    Debug,
     Figures,
     Json,
     LiveCommand,
@@ -36,11 +37,11 @@ from vppres.cli.options import (
     Quiet,
     RunFolder,
     ScenarioName,
+    fields_of,
     figure_kinds,
-    new_options,
     run_options,
 )
-from vppres.cli.progress import progress_bar, run_with_bar
+from vppres.cli.progress import progress_bar
 from vppres.cli.tables import (
     comparison_table,
     content_of,
@@ -55,6 +56,7 @@ from vppres.cli.tables import (
     validation_text,
 )
 from vppres.core.errors import InputError, Problem, VerificationError
+from vppres.scenario.option_table import IMPORT_OPTIONS, NEW_OPTIONS
 
 if TYPE_CHECKING:
     from vppres.day.trajectory import Trajectory
@@ -153,42 +155,42 @@ def run(
     ] = False,
     as_json: Json = False,
     quiet: Quiet = False,
-    debug: Debug = False,
 ) -> None:
     """Run a scenario's day and write a run folder."""
-    with plain_errors(debug):
-        from vppres.io.atomic import check_target
-        from vppres.io.find import find_scenario
-        from vppres.io.scenario_folder import read_scenario
+    from vppres.day.simulate import run_day
+    from vppres.io.atomic import check_target
+    from vppres.io.find import find_scenario
+    from vppres.io.scenario_folder import read_scenario
+    from vppres.report.run_folder import write_run
 
-        kinds = figure_kinds(figures)
-        source = find_scenario(scenario)
-        day = read_scenario(source)
-        too_long = not no_figures and day.grid.n_steps > MOST_DRAWN
-        options = run_options(day, context.obj)
-        folder = out or RESULTS / f"{source.resolve().name}-{options.controller}"
-        check_target(folder)  # before the work, not after it
-        done = run_with_bar(day, options, quiet)
-        if explain:
-            done = _explained(done)
-        summary = _written(done, folder, not (no_figures or too_long), kinds)
-        if as_json:
-            _print_json({"folder": str(folder), "summary": summary})
-            return
-        for caution in summary["cautions"]:
-            typer.secho(f"- {caution}", fg=typer.colors.RED)
-        Console().print(figures_table(summary, day.title))
-        for line in (*order_told(done), *remarks_told(done)):
-            typer.echo(line)
-        if too_long:
-            typer.echo(
-                f"Without figures and report: {day.grid.n_steps} steps are more than the "
-                f"{MOST_DRAWN} that a page can hold. The tables hold them all."
-            )
-        typer.echo(f"Written to {folder}")
+    kinds = figure_kinds(figures)
+    source = find_scenario(scenario)
+    day = read_scenario(source)
+    too_long = not no_figures and day.grid.n_steps > MOST_DRAWN
+    options = run_options(day, context.obj)
+    folder = out or RESULTS / f"{source.resolve().name}-{options.controller}"
+    check_target(folder)  # before the work, not after it
+    with progress_bar(options.controller, quiet) as bar:
+        done = run_day(day, options, progress=bar)
+    if explain:
+        done = _explained(done)
+    summary = write_run(done, folder, not (no_figures or too_long), kinds)
+    without = (
+        f"Without figures and report: {day.grid.n_steps} steps are more than the "
+        f"{MOST_DRAWN} that a page can hold. The tables hold them all."
+    )
+    _show(
+        {"folder": str(folder), "summary": summary} if as_json else None,
+        *(typer.style(f"- {caution}", fg=typer.colors.RED) for caution in summary["cautions"]),
+        figures_table(summary, day.title),
+        *order_told(done),
+        *remarks_told(done),
+        *([without] if too_long else []),
+        f"Written to {folder}",
+    )
 
 
-@app.command(epilog="Example: vppres validate ./my-feeder")
+@app.command(cls=Command, epilog="Example: vppres validate ./my-feeder")
 def validate(
     scenario: ScenarioName,
     power_flow: Annotated[
@@ -200,39 +202,37 @@ def validate(
         ),
     ] = False,
     as_json: Json = False,
-    debug: Debug = False,
 ) -> None:
     """Check a scenario and list all its problems with their fixes; the status is 2 if it has any.
 
     The problems are sorted by file and row.
     """
-    with plain_errors(debug):
-        from vppres.io.find import find_scenario
-        from vppres.io.scenario_folder import read_scenario
+    from vppres.io.find import find_scenario
+    from vppres.io.scenario_folder import read_scenario
 
-        folder = find_scenario(scenario)
-        problems: tuple[Problem | str, ...] = ()
-        content: dict[str, Any] | None = None
-        check: CrossCheck | PhasedCheck | None = None
-        try:
-            day = read_scenario(folder)
-            content = content_of(day)
-        except InputError as error:
-            problems = error.problems
-        if power_flow and not problems:
-            check = _cross_check(day)
-        if as_json:
-            record = {
-                "folder": str(folder),
-                "valid": not problems,
-                "content": content,
-                "problems": [problem_record(problem) for problem in problems],
-            }
-            _print_json(record | ({} if check is None else {"power_flow": asdict(check)}))
-        else:
-            typer.echo(validation_text(folder.resolve().name, problems, content))
-            if check is not None:
-                typer.echo(f"- {check}")
+    folder = find_scenario(scenario)
+    problems: tuple[Problem | str, ...] = ()
+    content: dict[str, Any] | None = None
+    check: CrossCheck | PhasedCheck | None = None
+    try:
+        day = read_scenario(folder)
+        content = content_of(day)
+    except InputError as error:
+        problems = error.problems
+    if power_flow and not problems:
+        check = _cross_check(day)
+    record = {
+        "folder": str(folder),
+        "valid": not problems,
+        "content": content,
+        "problems": [problem_record(problem) for problem in problems],
+        **({} if check is None else {"power_flow": asdict(check)}),
+    }
+    _show(
+        record if as_json else None,
+        validation_text(folder.resolve().name, problems, content),
+        *([] if check is None else [f"- {check}"]),
+    )
     if problems:
         raise typer.Exit(InputError.exit_status)
     if check is not None and not check.agrees:
@@ -250,7 +250,9 @@ def _cross_check(day: Scenario) -> CrossCheck | PhasedCheck:
     return cross_check(day)
 
 
-@app.command(epilog="Example: vppres report results/uk-heatwave-2022-mpc --out report.html")
+@app.command(
+    cls=Command, epilog="Example: vppres report results/uk-heatwave-2022-mpc --out report.html"
+)
 def report(
     run_folder: RunFolder,
     out: Annotated[
@@ -269,26 +271,26 @@ def report(
         ),
     ] = None,
     figures: Figures = "none",
-    debug: Debug = False,
 ) -> None:
     """Draw the figures of a finished run again and write its report as one HTML file."""
-    with plain_errors(debug):
-        from vppres.io.atomic import check_file
-        from vppres.report.finished import priced, read_finished, rewrite_report
-        from vppres.report.pdf import find_browser
-        from vppres.report.run_folder import REPORT_FILE
+    from vppres.io.atomic import check_file
+    from vppres.report.finished import priced, read_finished, rewrite_report
+    from vppres.report.pdf import find_browser
+    from vppres.report.run_folder import REPORT_FILE
 
-        file = out or run_folder / REPORT_FILE
-        if out is not None:
-            check_file(out)  # before the work, not after it
-        browser = find_browser() if pdf else ""
-        done = read_finished(run_folder)
-        done = done if voll is None else priced(done, voll)
-        for written in rewrite_report(done, file, browser, figure_kinds(figures)):
-            typer.echo(f"Written to {written}")
+    file = out or run_folder / REPORT_FILE
+    if out is not None:
+        check_file(out)  # before the work, not after it
+    browser = find_browser() if pdf else ""
+    done = read_finished(run_folder)
+    done = done if voll is None else priced(done, voll)
+    for written in rewrite_report(done, file, browser, figure_kinds(figures)):
+        typer.echo(f"Written to {written}")
 
 
-@app.command(epilog="Example: vppres compare results/mpc results/plan --out mpc-or-plan.html")
+@app.command(
+    cls=Command, epilog="Example: vppres compare results/mpc results/plan --out mpc-or-plan.html"
+)
 def compare(
     run_folders: Annotated[
         list[Path],
@@ -303,29 +305,27 @@ def compare(
         ),
     ] = RESULTS,
     as_json: Json = False,
-    debug: Debug = False,
 ) -> None:
     """Compare runs of the same day in one HTML file, with differences to the first."""
-    with plain_errors(debug):
-        from vppres.io.atomic import check_file
-        from vppres.report.pages import write_page
-        from vppres.studies.compare import (
-            COMPARISON_FILE,
-            compared_figures,
-            comparison_record,
-            read_runs,
-            render_comparison,
-        )
+    from vppres.io.atomic import check_file
+    from vppres.report.pages import write_page
+    from vppres.studies.compare import (
+        COMPARISON_FILE,
+        compared_figures,
+        comparison_record,
+        read_runs,
+        render_comparison,
+    )
 
-        file = out if out.suffix == ".html" else out / COMPARISON_FILE
-        check_file(file)  # before the work, not after it
-        runs = read_runs(run_folders)
-        write_page(file, render_comparison(runs))
-        if as_json:
-            _print_json({"report": str(file), **comparison_record(runs)})
-            return
-        Console().print(comparison_table(list(runs), compared_figures(runs)))
-        typer.echo(f"Written to {file}")
+    file = out if out.suffix == ".html" else out / COMPARISON_FILE
+    check_file(file)  # before the work, not after it
+    runs = read_runs(run_folders)
+    write_page(file, render_comparison(runs))
+    _show(
+        {"report": str(file), **comparison_record(runs)} if as_json else None,
+        comparison_table(list(runs), compared_figures(runs)),
+        f"Written to {file}",
+    )
 
 
 @app.command(
@@ -344,42 +344,38 @@ def sweep(
     scheduler: cli_sweep.Scheduler = None,
     as_json: Json = False,
     quiet: Quiet = False,
-    debug: Debug = False,
 ) -> None:
     """Run a scenario for several values of one parameter, in parallel.
 
     Each run is a run folder; a table (summary.csv) and a page (sweep.html) hold all of them.
     """
-    with plain_errors(debug):
-        from vppres.io.atomic import check_target
-        from vppres.io.find import load_scenario
-        from vppres.studies.side_by_side import Where
-        from vppres.studies.sweep import cases_of, outcome_records, run_cases
-        from vppres.studies.sweep_page import write_sweep_page
-        from vppres.studies.sweep_parameters import chosen_values, find_parameter
+    from vppres.io.atomic import check_target
+    from vppres.io.find import load_scenario
+    from vppres.studies.side_by_side import Where
+    from vppres.studies.sweep import cases_of, outcome_records, run_cases
+    from vppres.studies.sweep_page import write_sweep_page
+    from vppres.studies.sweep_parameters import chosen_values, find_parameter
 
-        day = load_scenario(scenario)
-        parameter = find_parameter(param, day)
-        cases = cases_of(
-            parameter, chosen_values(parameter, values, range_), day, run_options(day, context.obj)
+    day = load_scenario(scenario)
+    parameter = find_parameter(param, day)
+    cases = cases_of(
+        parameter, chosen_values(parameter, values, range_), day, run_options(day, context.obj)
+    )
+    check_target(out)
+    with progress_bar(parameter.name, quiet) as bar:
+        outcomes = run_cases(
+            cases,
+            out,
+            Where(jobs, scheduler),
+            bar,
+            lambda found, folder: write_sweep_page(parameter.name, day, found, folder),
         )
-        check_target(out)
-        with progress_bar(quiet) as bar:
-            task = bar.add_task(parameter.name, total=len(cases))
-            outcomes = run_cases(
-                cases,
-                out,
-                Where(jobs, scheduler),
-                lambda done, _: bar.update(task, completed=done),
-                lambda found, folder: write_sweep_page(parameter.name, day, found, folder),
-            )
-        if as_json:
-            _print_json(
-                {"folder": str(out), "parameter": parameter.name, **outcome_records(outcomes)}
-            )
-        else:
-            Console().print(sweep_table(parameter.name, outcomes))
-            typer.echo(f"Written to {out}")
+    record = {"folder": str(out), "parameter": parameter.name, **outcome_records(outcomes)}
+    _show(
+        record if as_json else None,
+        sweep_table(parameter.name, outcomes),
+        f"Written to {out}",
+    )
     _report_failures(parameter.name, outcomes)
 
 
@@ -390,44 +386,28 @@ def new(
     context: typer.Context,
     network: cli_new.NetworkName,
     folder: cli_new.NewFolder,
-    source: cli_new.From = None,
-    open_branch: cli_new.Open = None,
-    open_loops: cli_new.OpenLoops = False,
-    slack: cli_new.Slack = None,
-    balance: cli_new.Balance = False,
-    source_names: cli_new.SourceNames = False,
     outage: cli_new.Outages = None,
     start: cli_new.Start = None,
     date: cli_new.Date = None,
-    debug: Debug = False,
 ) -> None:
     """Make an editable scenario folder from a network."""
-    with plain_errors(debug):
-        from vppres.feeders import import_network
-        from vppres.feeders.new.options import NewScenarioOptions, first_day, parse_outage
-        from vppres.feeders.new.scenario import write_new_scenario
-        from vppres.io.atomic import check_target
+    from vppres.feeders import import_network
+    from vppres.feeders.new.options import NewScenarioOptions, first_day, parse_outage
+    from vppres.feeders.new.scenario import write_new_scenario
+    from vppres.io.atomic import check_target
 
-        check_target(folder)  # before the work, not after it
-        rules = new_options(context.obj)
-        begin = first_day(start, date, rules["time_zone"])
-        outages = tuple(parse_outage(text, begin) for text in outage or ())
-        options = NewScenarioOptions(start=begin, outages=outages, **rules)
-        feeder = import_network(
-            network,
-            source,
-            open_branch or (),
-            open_loops=open_loops,
-            slack=slack,
-            balance=balance,
-            names=source_names,
-        )
-        for note in write_new_scenario(feeder, options, folder):
-            typer.echo(f"- {note}")
-        typer.echo(f"Written to {folder}")
+    check_target(folder)  # before the work, not after it
+    rules = fields_of(NEW_OPTIONS, context.obj)
+    begin = first_day(start, date, rules.get("time_zone"))
+    outages = tuple(parse_outage(text, begin) for text in outage or ())
+    options = NewScenarioOptions(start=begin, outages=outages, **rules)
+    feeder = import_network(network, **fields_of(IMPORT_OPTIONS, context.obj))
+    for note in write_new_scenario(feeder, options, folder):
+        typer.echo(f"- {note}")
+    typer.echo(f"Written to {folder}")
 
 
-@app.command(epilog="Example: vppres recheck results/my-feeder-mpc feeder/Master.dss")
+@app.command(cls=Command, epilog="Example: vppres recheck results/my-feeder-mpc feeder/Master.dss")
 def recheck(
     run_folder: RunFolder,
     source: Annotated[
@@ -438,25 +418,22 @@ def recheck(
         typer.Option(metavar="DIR", help="Where to write; RUN_FOLDER/recheck if not given."),
     ] = None,
     as_json: Json = False,
-    debug: Debug = False,
 ) -> None:
     """Solve a run's set-points on the original, unbalanced feeder in OpenDSS."""
-    with plain_errors(debug):
-        from vppres.io.atomic import check_target
-        from vppres.report.finished import read_finished
-        from vppres.report.rechecked import recheck_run, write_recheck
+    from vppres.io.atomic import check_target
+    from vppres.report.finished import read_finished
+    from vppres.report.rechecked import recheck_run, write_recheck
 
-        folder = out or run_folder / "recheck"
-        check_target(folder)  # before the work, not after it
-        run = read_finished(run_folder).trajectory
-        summary = write_recheck(run, recheck_run(run, source), folder)
-        if as_json:
-            _print_json({"folder": str(folder), **summary})
-            return
-        Console().print(phases_table(summary))
-        for line in recheck_lines(summary):
-            typer.echo(line)
-        typer.echo(f"Written to {folder}")
+    folder = out or run_folder / "recheck"
+    check_target(folder)  # before the work, not after it
+    run = read_finished(run_folder).trajectory
+    summary = write_recheck(run, recheck_run(run, source), folder)
+    _show(
+        {"folder": str(folder), **summary} if as_json else None,
+        phases_table(summary),
+        *recheck_lines(summary),
+        f"Written to {folder}",
+    )
 
 
 @app.command(cls=LiveCommand, epilog="Example: vppres serve ./my-feeder")
@@ -477,30 +454,28 @@ def serve(
     key: cli_serve.Key = None,
     behind_proxy: cli_serve.BehindProxy = False,
     name: cli_serve.ProxyName = None,
-    debug: Debug = False,
 ) -> None:
     r"""Run the controller of a scenario's site as an HTTP service.
 
     Needs the extra: pip install "vppres\[serve]".
     """
-    with plain_errors(debug):
-        from vppres.io.find import load_scenario
+    from vppres.io.find import load_scenario
 
-        with extra("serve"):
-            from vppres.service import serve as service
-            from vppres.service.runner import Service
-        day = load_scenario(scenario)
-        served = Service(day, run_options(day, context.obj), rehearse, paced, keep_days)
-        folder = _state_place(scenario, state)
-        if add_token is not None:
-            typer.echo(service.add_token(served, folder, add_token, token_days))
-            return
-        if remove_token is not None:
-            service.remove_token(served, folder, remove_token)
-            return
-        names = tuple(name or ())
-        address = service.Address(host, port, behind_proxy, names, certificate, key)
-        service.serve(served, folder, address, typer.echo, notify or ())
+    with extra("serve"):
+        from vppres.service import serve as service
+        from vppres.service.runner import Service
+    day = load_scenario(scenario)
+    served = Service(day, run_options(day, context.obj), rehearse, paced, keep_days)
+    folder = _state_place(scenario, state)
+    if add_token is not None:
+        typer.echo(service.add_token(served, folder, add_token, token_days))
+        return
+    if remove_token is not None:
+        service.remove_token(served, folder, remove_token)
+        return
+    names = tuple(name or ())
+    address = service.Address(host, port, behind_proxy, names, certificate, key)
+    service.serve(served, folder, address, typer.echo, notify or ())
 
 
 def _state_place(scenario: str, state: str | None) -> str:
@@ -534,31 +509,30 @@ def export(
     state: cli_serve.ReadState = None,
     explain: cli_serve.Explain = False,
     as_json: Json = False,
-    debug: Debug = False,
 ) -> None:
     """Export a service's readings and plans as a run folder, for reports and what-ifs.
 
     The service may run meanwhile. Times without an offset are those of the clocks at the site.
     """
-    with plain_errors(debug):
-        from vppres.io.atomic import check_target
-        from vppres.io.find import load_scenario
+    from vppres.io.atomic import check_target
+    from vppres.io.find import load_scenario
+    from vppres.report.run_folder import write_run
 
-        with extra("serve"):
-            from vppres.service import export as past
-            from vppres.service.runner import Service
-        check_target(out)
-        day = load_scenario(scenario)
-        served = Service(day, run_options(day, context.obj))
-        run = past.export(served, _state_place(scenario, state), begin, end)
-        if explain:
-            run = _explained(run)
-        summary = _written(run, out, False, ())
-        if as_json:
-            _print_json({"folder": str(out), **summary})
-            return
-        Console().print(figures_table(summary, run.scenario.name))
-        typer.echo(f"Written to {out}")
+    with extra("serve"):
+        from vppres.service import export as past
+        from vppres.service.runner import Service
+    check_target(out)
+    day = load_scenario(scenario)
+    served = Service(day, run_options(day, context.obj))
+    run = past.export(served, _state_place(scenario, state), begin, end)
+    if explain:
+        run = _explained(run)
+    summary = write_run(run, out, figures=False)
+    _show(
+        {"folder": str(out), **summary} if as_json else None,
+        figures_table(summary, run.scenario.name),
+        f"Written to {out}",
+    )
 
 
 @app.command(
@@ -583,40 +557,32 @@ def simulate(
     seed: cli_serve.Seed = 0,
     as_json: Json = False,
     quiet: Quiet = False,
-    debug: Debug = False,
 ) -> None:
     r"""Test a service over HTTP against a simulated plant.
 
     Needs the extra: pip install "vppres\[serve]".
     """
-    with plain_errors(debug):
-        from vppres.io.find import load_scenario
+    from vppres.io.find import load_scenario
 
-        with extra("serve"):
-            from vppres.service import simulate as player
-            from vppres.service.runner import Service
-        site = load_scenario(scenario)
-        comes = site if world is None else load_scenario(world)
-        served = Service(site, run_options(site, context.obj), world is None, world is not None)
-        faults = player.TelemetryFaults(lost, delayed, skew, repeats, seed)
-        how = player.Play(speed, announced, world is not None, faults)
-        where = player.Place(url, token, port, state)
-        told = (lambda _: None) if as_json else typer.echo
-        with progress_bar(quiet) as bar:
-            task = bar.add_task("steps", total=comes.grid.n_steps)
-
-            def show(done: int, total: int) -> None:
-                bar.update(task, completed=done, total=total)
-
-            found = player.simulate(served, comes, how, where, told, show)
-        if as_json:
-            _print_json(found)
-            return
-        for line in simulation_lines(found):
-            typer.echo(line)
+    with extra("serve"):
+        from vppres.service import simulate as player
+        from vppres.service.runner import Service
+    site = load_scenario(scenario)
+    comes = site if world is None else load_scenario(world)
+    served = Service(site, run_options(site, context.obj), world is None, world is not None)
+    faults = player.TelemetryFaults(lost, delayed, skew, repeats, seed)
+    how = player.Play(speed, announced, world is not None, faults)
+    where = player.Place(url, token, port, state)
+    told = (lambda _: None) if as_json else typer.echo
+    with progress_bar("steps", quiet) as bar:
+        found = player.simulate(served, comes, how, where, told, bar)
+    _show(found if as_json else None, *simulation_lines(found))
 
 
-@app.command(epilog='Example: vppres feeds ukpn --postcode "CM4 0" --service http://127.0.0.1:8420')
+@app.command(
+    cls=Command,
+    epilog='Example: vppres feeds ukpn --postcode "CM4 0" --service http://127.0.0.1:8420',
+)
 def feeds(
     feed: cli_feeds.Which = None,
     postcode: cli_feeds.Postcodes = None,
@@ -624,26 +590,25 @@ def feeds(
     token: cli_serve.AccessToken = None,
     every: cli_feeds.Every = 5.0,
     record: cli_feeds.Record = None,
-    debug: Debug = False,
 ) -> None:
     """Follow a public feed of outages as events of a service, until Ctrl-C.
 
     Without a feed the feeds are listed, and nothing is asked.
     """
-    with plain_errors(debug):
-        from vppres.feeds.adapters import FEEDS
-        from vppres.feeds.follow import Asker, follow
+    from vppres.feeds.adapters import FEEDS
+    from vppres.feeds.follow import Asker, follow
 
-        if feed is None:
-            for one in FEEDS.values():
-                typer.echo(f"{one.name}: {one.operator}, {one.licence}, {one.url}")
-            return
-        follower = _follower(feed, postcode, service, token)
-        follow(follower, Asker(follower.feed, 60.0 * every), threading.Event(), record)
+    if feed is None:
+        for one in FEEDS.values():
+            typer.echo(f"{one.name}: {one.operator}, {one.licence}, {one.url}")
+        return
+    follower = _follower(feed, postcode, service, token)
+    follow(follower, Asker(follower.feed, 60.0 * every), threading.Event(), record)
 
 
 @app.command(
     "feeds replay",
+    cls=Command,
     epilog='Example: vppres feeds replay day ukpn --postcode "CM4 0" --speed 600',
 )
 def replay_feed(
@@ -653,19 +618,17 @@ def replay_feed(
     service: cli_feeds.Url = None,
     token: cli_serve.AccessToken = None,
     speed: cli_feeds.Speed = 0.0,
-    debug: Debug = False,
 ) -> None:
     """Play recorded answers of a feed: events come, change and go.
 
     With --service they go to a service that was started with --paced, and its clock is set.
     """
-    with plain_errors(debug):
-        from vppres.feeds.follow import recorded, replay
+    from vppres.feeds.follow import recorded, replay
 
-        follower = _follower(feed, postcode, service, token)
-        wrong = replay(follower, recorded(folder, follower.feed), speed, threading.Event().wait)
-        if wrong:
-            typer.echo(f"Answers that could not be read: {wrong}.", err=True)
+    follower = _follower(feed, postcode, service, token)
+    wrong = replay(follower, recorded(folder, follower.feed), speed, threading.Event().wait)
+    if wrong:
+        typer.echo(f"Answers that could not be read: {wrong}.", err=True)
 
 
 def _follower(
@@ -681,7 +644,10 @@ def _follower(
     return Follower(source, areas, events_at(service, token), typer.echo)
 
 
-@app.command(epilog="Example: vppres backtest data/homes --zone Etc/GMT+8 --out results/backtest")
+@app.command(
+    cls=Command,
+    epilog="Example: vppres backtest data/homes --zone Etc/GMT+8 --out results/backtest",
+)
 def backtest(
     history: cli_backtest.HistoryName,
     out: cli_backtest.Out = RESULTS / "backtest",
@@ -695,63 +661,49 @@ def backtest(
     zone: cli_backtest.Zone = None,
     as_json: Json = False,
     quiet: Quiet = False,
-    debug: Debug = False,
 ) -> None:
     """Score forecasts of load and PV power: tables and a page."""
-    with plain_errors(debug):
-        from vppres.io.atomic import check_target
-        from vppres.io.times import option_time
-        from vppres.studies.backtest import Plan, forecasts_in, measured_in
-        from vppres.studies.backtest import backtest as run_backtest
-        from vppres.studies.backtest_page import backtest_findings, write_backtest
-        from vppres.studies.warning_scores import warnings_scored
+    from vppres.io.atomic import check_target
+    from vppres.io.times import option_time
+    from vppres.studies.backtest import Plan, forecasts_in, measured_in
+    from vppres.studies.backtest import backtest as run_backtest
+    from vppres.studies.backtest_page import backtest_findings, write_backtest
+    from vppres.studies.warning_scores import warnings_scored
 
-        cli_backtest.require_both(warnings, outages)
-        measured = measured_in(history, zone)
-        warned = warnings_scored(history, warnings, outages)
-        begin, end = (None if text is None else option_time(text) for text in (first, last))
-        plan = Plan(horizon, every, begin, end)
-        check_target(out)  # before the work, not after it
-        own = None if forecasts is None else forecasts_in(forecasts, measured)
-        with progress_bar(quiet) as bar:
-            task = bar.add_task("forecasts", total=None)
-            result = run_backtest(
-                measured,
-                plan,
-                own,
-                "seasonal" if forecasts is None else forecasts.stem,
-                progress=lambda done, total: bar.update(task, completed=done, total=total),
-            )
-        summary = write_backtest(result, out, Path(history).name, warned)
-        if as_json:
-            _print_json({"folder": str(out), "summary": summary})
-            return
-        for words in backtest_findings(result, warned):
-            typer.echo(f"- {words}")
-        typer.echo(f"Written to {out}")
+    cli_backtest.require_both(warnings, outages)
+    measured = measured_in(history, zone)
+    warned = warnings_scored(history, warnings, outages)
+    begin, end = (None if text is None else option_time(text) for text in (first, last))
+    plan = Plan(horizon, every, begin, end)
+    check_target(out)  # before the work, not after it
+    own = None if forecasts is None else forecasts_in(forecasts, measured)
+    name = "seasonal" if forecasts is None else forecasts.stem
+    with progress_bar("forecasts", quiet) as bar:
+        result = run_backtest(measured, plan, own, name, progress=bar)
+    summary = write_backtest(result, out, Path(history).name, warned)
+    _show(
+        {"folder": str(out), "summary": summary} if as_json else None,
+        *(f"- {words}" for words in backtest_findings(result, warned)),
+        f"Written to {out}",
+    )
 
 
-@app.command(epilog="Example: vppres schema > my-feeder/scenario.schema.json")
+@app.command(cls=Command, epilog="Example: vppres schema > my-feeder/scenario.schema.json")
 def schema() -> None:
     """Print the JSON Schema of scenario.toml, for editors that complete it."""
-    with plain_errors(debug=False):
-        from vppres.io.editor import schema_text
+    from vppres.io.editor import schema_text
 
-        typer.echo(schema_text(), nl=False)
+    typer.echo(schema_text(), nl=False)
 
 
-@app.command(epilog="Example: vppres scenarios --json")
+@app.command(cls=Command, epilog="Example: vppres scenarios --json")
 def scenarios(as_json: Json = False) -> None:
     """List the scenarios that come with the package."""
-    with plain_errors(debug=False):
-        from vppres.io.find import find_scenario, packaged_scenarios
+    from vppres.io.find import find_scenario, packaged_scenarios
 
-        names = packaged_scenarios()
-        if as_json:
-            _print_json([{"name": name, "folder": str(find_scenario(name))} for name in names])
-            return
-        for name in names:
-            typer.echo(name)
+    names = packaged_scenarios()
+    records = [{"name": name, "folder": str(find_scenario(name))} for name in names]
+    _show(records if as_json else None, *names)
 
 
 def _explained(done: Trajectory) -> Trajectory:
@@ -761,15 +713,16 @@ def _explained(done: Trajectory) -> Trajectory:
     return explain_day(done)
 
 
-def _written(done: Trajectory, folder: Path, figures: bool, kinds: Sequence[str]) -> dict[str, Any]:
-    """Write a run folder; its summary."""
-    from vppres.report.run_folder import write_run
-
-    return write_run(done, folder, figures, kinds)
-
-
-def _print_json(record: object) -> None:
-    typer.echo(json.dumps(record, indent=2, allow_nan=False))
+def _show(record: object, *shown: Table | str) -> None:
+    """Print a record as JSON for machines, or without one what people read."""
+    if record is not None:
+        typer.echo(json.dumps(record, indent=2, allow_nan=False))
+        return
+    for each in shown:
+        if isinstance(each, Table):
+            Console().print(each)
+        else:
+            typer.echo(each)
 
 
 def _report_failures(name: str, outcomes: Sequence[SweepRow]) -> None:

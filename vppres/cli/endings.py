@@ -46,8 +46,8 @@ def plain_errors(debug: bool) -> Iterator[None]:
         _fail("Interrupted; nothing was written.", INTERRUPTED, debug)
     except VppresError as error:
         _fail(str(error), error.exit_status, debug)
-    except BrokenPipeError:
-        raise  # the reader of the output has seen enough, as `head` has: typer ends without a word
+    except (BrokenPipeError, typer.Exit):
+        raise  # the reader of the output has seen enough, as `head` has, or all is said
     except Exception as error:
         _fail(
             f"Unexpected {type(error).__name__}: {error}. Run again with --debug for the "

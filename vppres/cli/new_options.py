@@ -1,9 +1,9 @@
-"""Arguments and options of the command `new`."""
+"""Arguments of the command `new`, and options of its days."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
@@ -16,42 +16,6 @@ NetworkName = Annotated[
     ),
 ]
 NewFolder = Annotated[Path, typer.Argument(metavar="OUT_DIR", help="The scenario's folder.")]
-From = Annotated[
-    Literal["pandapower", "matpower", "opendss", "simbench"] | None,
-    typer.Option("--from", help="Where the network comes from; by the file's suffix if not given."),
-]
-Open = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--open",
-        metavar="BRANCH",
-        help="Open a branch, as 'line 7' or by its name; may be repeated.",
-    ),
-]
-OpenLoops = Annotated[
-    bool,
-    typer.Option(
-        "--open-loops",
-        help="Open the branches with the least current until the network is radial.",
-    ),
-]
-Slack = Annotated[
-    str | None,
-    typer.Option(
-        metavar="GRID",
-        help="The grid connection of several, by its name or bus, or 'all' to join them.",
-    ),
-]
-Balance = Annotated[
-    bool, typer.Option("--balance", help="Spread loads of single phases over three.")
-]
-SourceNames = Annotated[
-    bool,
-    typer.Option(
-        "--source-names",
-        help="Names of the network for everything, and a customer for each of its loads.",
-    ),
-]
 Outages = Annotated[
     list[str] | None,
     typer.Option(

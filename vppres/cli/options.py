@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cache
-from inspect import Parameter, Signature
+from inspect import Parameter, signature
 from math import isfinite
 from operator import attrgetter
 from pathlib import Path
@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from vppres.cli.endings import plain_errors
 from vppres.core.errors import InputError
-from vppres.scenario.option_table import NEW_OPTIONS, OPTIONS, RANGES, Option
+from vppres.scenario.option_table import IMPORT_OPTIONS, NEW_OPTIONS, OPTIONS, RANGES, Option
 
 if TYPE_CHECKING:
     from vppres.day.options import RunOptions
@@ -85,6 +86,8 @@ METAVARS = {
     "share": "SHARE",
     "zone": "ZONE",
     "path": "PATH|source",
+    "branch": "BRANCH",
+    "grid": "GRID",
 }
 """What stands for the value of an option with a unit."""
 
@@ -132,24 +135,23 @@ def _declared(option: Option) -> Parameter:
 
 
 def _key(option: Option) -> str:
-    return option.name.replace("-", "_")
+    return option.field.rpartition(".")[2]
 
 
-def day_options() -> tuple[Option, ...]:
-    """The options that `run` and `sweep` share."""
-    return tuple(option for option in OPTIONS if option.command_line)
+DAY_OPTIONS = tuple(option for option in OPTIONS if option.command_line)
+"""The options that `run` and `sweep` share."""
 
 
 @cache
 def _parameters(options: tuple[Option, ...]) -> tuple[Any, ...]:
-    """Options of a table as typer makes them for a command of its own."""
+    """``--debug`` and the options of a table as typer makes them for a command of its own."""
 
-    def declared() -> None:
-        """Have the options of the table as its parameters."""
+    def declared(debug: Debug = False) -> None:
+        """Have the options of the table as its parameters too."""
 
-    declared.__signature__ = Signature(  # type: ignore[attr-defined]
-        [_declared(option) for option in options]
-    )
+    own = signature(declared, eval_str=True)
+    parameters = [*own.parameters.values(), *map(_declared, options)]
+    declared.__signature__ = own.replace(parameters=parameters)  # type: ignore[attr-defined]
     app = typer.Typer(add_completion=False)
     app.command()(declared)
     return tuple(typer.main.get_command(app).params)
@@ -166,54 +168,50 @@ class Commands(TyperGroup):
         return super().resolve_command(ctx, args)
 
 
-class TableCommand(TyperCommand):
-    """A command with the options of a table besides its own.
+class Command(TyperCommand):
+    """A command that ends in a sentence and an exit status, whatever happens.
 
-    Its function does not take them: it finds them in ``context.obj``, by name.
+    It has the options of its ``table`` besides those of its function, which finds them in
+    ``context.obj``, by name; and ``--debug``.
     """
 
-    def table(self) -> tuple[Option, ...]:
-        """The options."""
-        raise NotImplementedError
+    table: tuple[Option, ...] = ()
 
     def get_params(self, ctx: Any) -> list[Any]:
         """All arguments and options, those that must be given first."""
-        both = [*_parameters(self.table()), *super().get_params(ctx)]
-        return sorted(both, key=lambda parameter: not parameter.required)
+        both = [*_parameters(self.table), *super().get_params(ctx)]
+        return sorted(both, key=lambda p: (not p.required, p.name == "help", p.name == "debug"))
 
     def invoke(self, ctx: Any) -> Any:
         """Call the function with its own options."""
-        ctx.obj = {one.name: ctx.params.pop(one.name) for one in _parameters(self.table())}
-        return super().invoke(ctx)
+        debug, *table = (ctx.params.pop(one.name) for one in _parameters(self.table))
+        ctx.obj = {_key(option): value for option, value in zip(self.table, table, strict=True)}
+        with plain_errors(debug):
+            return super().invoke(ctx)
 
 
-class DayCommand(TableCommand):
+class DayCommand(Command):
     """A command with the options of a day's run."""
 
-    def table(self) -> tuple[Option, ...]:
-        """Those of ``run``."""
-        return day_options()
+    table = DAY_OPTIONS
 
 
-class LiveCommand(TableCommand):
-    """A command with the options of a live controller."""
+class LiveCommand(Command):
+    """A command with the options of ``run`` that do not describe a simulated day."""
 
-    def table(self) -> tuple[Option, ...]:
-        """Those of ``run`` that do not describe a simulated day."""
-        return tuple(option for option in day_options() if option.live)
+    table = tuple(option for option in DAY_OPTIONS if option.live)
 
 
-class NewCommand(TableCommand):
+class NewCommand(Command):
     """A command with the options of a new scenario."""
 
-    def table(self) -> tuple[Option, ...]:
-        """Those of ``new``."""
-        return NEW_OPTIONS
+    table = NEW_OPTIONS + IMPORT_OPTIONS
 
 
-def new_options(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Fields of ``NewScenarioOptions`` from the options of a :class:`NewCommand`."""
-    return {option.field: given[_key(option)] for option in NEW_OPTIONS}
+def fields_of(table: tuple[Option, ...], given: Mapping[str, Any]) -> dict[str, Any]:
+    """What the options of a table fill, from those of a command; those that say something."""
+    values = {option.field: given[_key(option)] for option in table}
+    return {field: value for field, value in values.items() if value is not None}
 
 
 def run_options(day: Scenario, given: Mapping[str, Any]) -> RunOptions:
@@ -221,7 +219,7 @@ def run_options(day: Scenario, given: Mapping[str, Any]) -> RunOptions:
     from vppres.day.options import RunOptions
 
     values = {}
-    for option in day_options():
+    for option in DAY_OPTIONS:
         value = given.get(_key(option), option.run_default)
         if value is None and option.scenario_key:
             value = attrgetter(option.scenario_key)(day)

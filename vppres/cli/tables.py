@@ -21,21 +21,21 @@ if TYPE_CHECKING:
 
 REMARKS_SHOWN = 20
 
-# Key of the summary, words, format, unit; in the order of the printed table.
 FIGURES = (
-    ("resilience", "resilience", ".4f", ""),
-    ("cost_gbp", "cost of the import", ",.2f", "GBP"),
-    ("import_kwh", "imported energy", ",.1f", "kWh"),
-    ("export_kwh", "exported energy", ",.1f", "kWh"),
-    ("export_revenue_gbp", "earned by the export", ",.2f", "GBP"),
-    ("pv_curtailed_kwh", "curtailed PV energy", ",.2f", "kWh"),
-    ("v_min_ac_pu", "lowest AC voltage", ".4f", "pu"),
-    ("v_max_ac_pu", "highest AC voltage", ".4f", "pu"),
-    ("v_error_max_pu", "largest voltage error of the model", ".4f", "pu"),
-    ("corrections", "corrected steps", "d", ""),
-    ("fallbacks", "steps with a fallback", "d", ""),
-    ("gap_max", "largest optimality gap", ".2e", ""),
+    "resilience",
+    "cost_gbp",
+    "import_kwh",
+    "export_kwh",
+    "export_revenue_gbp",
+    "pv_curtailed_kwh",
+    "v_min_ac_pu",
+    "v_max_ac_pu",
+    "v_error_max_pu",
+    "corrections",
+    "fallbacks",
+    "gap_max",
 )
+"""Keys of the figures of a run that a terminal shows."""
 
 
 def content_of(day: Scenario) -> dict[str, Any]:
@@ -145,17 +145,19 @@ def _plain(text: str) -> Text:
 
 def figures_table(summary: dict[str, Any], title: str) -> Table:
     """Key figures of a run; what is not defined is left out."""
+    from vppres.report.key_figures import key_figures
+
     table = Table(title=_plain(title), show_header=False)
     table.add_column()
     table.add_column(justify="right")
     table.add_column()
-    for key, words, form, unit in FIGURES:
-        if summary[key] is not None and (not key.startswith("export") or summary["export_kwh"]):
-            table.add_row(words, format(summary[key], form), unit)
+    shown = {key: summary[key] for key in FIGURES if summary[key] is not None}
+    for row in key_figures(shown):
+        table.add_row(*row)
     for tier, share in summary["served_share"].items():
         if share is not None:
-            table.add_row(_plain(f"served in the outage, {tier}"), f"{share:.1%}", "")
-    table.add_row("solve time", f"{summary['solve_s']['total']:.1f}", "s")
+            table.add_row(_plain(f"Share served in the outage, {tier}"), f"{share:.1%}", "")
+    table.add_row("Time for all decisions", f"{summary['solve_s']['total']:.1f}", "s")
     return table
 
 

@@ -3,8 +3,8 @@
 A row of ``options.csv`` beside this module states an option's name, type, default, bounds, unit and
 meaning once. From it come the checks and defaults of :class:`vppres.day.options.RunOptions`, the
 command line of ``run`` and ``sweep``, the parameters of a sweep, two sections of scenario.toml with
-their JSON Schema, and the table in ``docs/command-line.md``. ``new_options.csv`` has those of
-``new``.
+their JSON Schema, and the table in ``docs/command-line.md``. ``new_options.csv`` and
+``import_options.csv`` have those of ``new``.
 """
 
 from __future__ import annotations
@@ -81,6 +81,7 @@ RANGES = {
 
 _KINDS: dict[str, Any] = {
     "text": str,
+    "texts": list[str],
     "number": float,
     "whole number": int,
     "switch": bool,
@@ -208,6 +209,10 @@ def _option(row: dict[str, str]) -> Option:
 OPTIONS = tuple(_option(row) for row in packaged_table(__file__, "options.csv"))
 NEW_OPTIONS = tuple(_option(row) for row in packaged_table(__file__, "new_options.csv"))
 """Options of a new scenario, fields of ``NewScenarioOptions``."""
+
+IMPORT_OPTIONS = tuple(_option(row) for row in packaged_table(__file__, "import_options.csv"))
+"""Options of the network that it is made of, parameters of ``import_network``."""
+
 _BY_FIELD = {option.field: option for option in OPTIONS}
 
 
