@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import shutil
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -60,6 +61,10 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 def pytest_collection_finish() -> None:
     """What was imported stays: the collector need not walk through it, nor so often."""
+    if "pandapower" in sys.modules:
+        from tests.support.small_nets import empty_tables_are_copied
+
+        empty_tables_are_copied()
     gc.collect()
     gc.freeze()
     gc.set_threshold(20_000, 20, 50)

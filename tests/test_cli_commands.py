@@ -241,11 +241,20 @@ BAD_COMMANDS = (
 )
 
 
+@pytest.fixture(scope="module")
+def two_scenarios(written_tiny: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the scenarios of bad_commands.txt."""
+    folder = tmp_path_factory.mktemp("scenarios")
+    shutil.copytree(written_tiny, folder / "tiny")
+    write_scenario(small_scenario(), folder / "small")
+    return folder
+
+
 @pytest.mark.parametrize("told", BAD_COMMANDS, ids=lambda told: told.partition("\n")[0])
 def test_wrong_options_are_told_in_sentences(
-    tiny_folder: Path, small_folder: Path, monkeypatch: pytest.MonkeyPatch, told: str
+    two_scenarios: Path, monkeypatch: pytest.MonkeyPatch, told: str
 ) -> None:
-    monkeypatch.chdir(tiny_folder.parent)
+    monkeypatch.chdir(two_scenarios)
     command, _, words = told.strip().partition("\n")
     result = call(command.removeprefix("$ vppres "), "--out", "out")
     assert (result.exit_code, result.stdout) == (2, "")
@@ -519,14 +528,14 @@ def test_sweep_writes_table_page_and_figure(small_folder: Path, tmp_path: Path) 
 def test_failed_run_does_not_end_the_others(small_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "sweep"
     result = call(
-        "sweep", small_folder, "--param", "horizon", "--values", "3,4,5", "--out", out, "--jobs", 1
+        "sweep", small_folder, "--param", "horizon", "--values", "4,5", "--out", out, "--jobs", 1
     )
     assert result.exit_code == 1
     assert result.stderr == "horizon = 4.0: Step 2 has no feasible dispatch.\n"
     assert "failed" in result.stdout
     table = pd.read_csv(out / "summary.csv")
-    assert table["error"].fillna("").tolist() == ["", "Step 2 has no feasible dispatch.", ""]
-    assert table["resilience"].notna().tolist() == [True, False, True]
+    assert table["error"].fillna("").tolist() == ["Step 2 has no feasible dispatch.", ""]
+    assert table["resilience"].notna().tolist() == [False, True]
     assert not (out / "horizon=4").exists()
     text = (out / "sweep.html").read_text(encoding="utf-8")
     assert re.search(r'class="error" colspan="\d+">Step 2 has no feasible dispatch.<', text)

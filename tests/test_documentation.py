@@ -10,10 +10,9 @@ from __future__ import annotations
 import doctest
 import re
 import shlex
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import pytest
 from sybil import Document, Example, Region, Sybil
@@ -131,22 +130,32 @@ SYBIL = Sybil(
 )
 
 
-def cases() -> Iterator[Any]:
-    """Pages with something to run; those that take long for the night."""
-    for page in PAGES:
-        if any(SYBIL.parse(page).examples()):
-            marks = [pytest.mark.nightly] if page.name in NIGHTLY else []
-            yield pytest.param(page, id=str(page.relative_to(ROOT)), marks=marks)
+RUN = [page for page in PAGES if any(SYBIL.parse(page).examples())]
+LONG = [page for page in RUN if page.name in NIGHTLY]
+
+
+@pytest.fixture
+def run_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[Path], None]:
+    """Runs the blocks of a page in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(page: Path) -> None:
+        for example in SYBIL.parse(page).examples():
+            example.evaluate()
+
+    return run
 
 
 @pytest.mark.daily
-@pytest.mark.parametrize("page", list(cases()))
-def test_blocks_of_the_page_run(
-    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    for example in SYBIL.parse(page).examples():
-        example.evaluate()
+@pytest.mark.parametrize("page", sorted({*RUN} - {*LONG}), ids=lambda page: page.stem)
+def test_blocks_of_the_page_run(page: Path, run_blocks: Callable[[Path], None]) -> None:
+    run_blocks(page)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("page", LONG, ids=lambda page: page.stem)
+def test_blocks_of_a_long_page_run(page: Path, run_blocks: Callable[[Path], None]) -> None:
+    run_blocks(page)
 
 
 def test_no_block_is_overlooked() -> None:

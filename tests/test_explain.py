@@ -447,10 +447,10 @@ def test_a_battery_that_settles_the_mismatch_says_so(tiny_run: Trajectory) -> No
 def test_an_owner_whose_inverter_is_too_small(tiny: Scenario) -> None:
     # The roof's 20 kW would all be consumed, but its inverter passes 10 kVA.
     pv = replace(tiny.pv, s_max_kva=[10.0, 30.0])
-    run = run_day(replace(tiny, pv=pv), RunOptions(horizon_h=1.0))
+    run = run_day(replace(tiny, pv=pv).between(2, 5), RunOptions(horizon_h=1.0))
     reasons, _ = tables(explain_day(run))
     hospital = reasons[reasons["id"] == "hospital"]
-    assert len(hospital) == 6 and set(hospital["driver"]) == {"inverter"}
+    assert len(hospital) == 3 and set(hospital["driver"]) == {"inverter"}
 
 
 def test_surplus_is_curtailed_and_stored_for_what_it_is(tiny: Scenario) -> None:
@@ -513,7 +513,7 @@ def test_energy_goes_to_who_counts_more() -> None:
     assert whole["words"].startswith("Not supplied: not enough stored energy")
 
 
-@pytest.mark.parametrize(("rule", "end"), [("weights", 3), ("strict", 3), ("strict", 4)])
+@pytest.mark.parametrize(("rule", "end"), [("weights", 3), ("strict", 4)])
 def test_energy_that_is_kept_for_more_of_them_later_says_for_whom(rule: str, end: int) -> None:
     """72 kWh: both of a tier now, or the second now and both twice later."""
     day = island(energy_kwh=72.0, steps=end)

@@ -46,8 +46,8 @@ def decided(runner: Runner, http: Caller) -> dict[str, Any]:
     return runner.step()
 
 
-JUMPS = [("400D", False), ("2h", True)]
-MORE_JUMPS = [("2h", False), ("400D", True), ("3650D", False), ("3650D", True)]
+JUMPS = [("60D", False), ("2h", True)]
+MORE_JUMPS = [("2h", False), ("60D", True), ("3650D", False), ("3650D", True)]
 
 
 @pytest.mark.parametrize(

@@ -28,6 +28,7 @@ from vppres.day.options import RunOptions
 from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
 from vppres.live.ranges import RANGES
+from vppres.live.set_points import SetPoints
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock
 from vppres.service.runner import Service
@@ -60,41 +61,42 @@ def test_a_meter_in_watts_is_refused_by_name_and_the_island_is_held(
     assert on["hospital"]["served"] and not all(one["served"] for one in on.values())
 
 
-@pytest.mark.parametrize(
-    ("wrong", "words"),
-    [
-        (
-            {"battery_kw": {"big": 40e3}},
+IMPOSSIBLE: tuple[tuple[dict[str, Any], set[str]], ...] = (
+    (
+        {"battery_kw": {"big": 40e3}, "soc": {"big": 50.0}, "import_kw": 1e9},
+        {
             "battery_kw of big = 40000 is beyond the inverter's rating of 60 kVA",
-        ),
-        (
-            {"load_kw": {"shop": 1e300}},
+            "soc of big = 50 must lie between 0 and 1",
+            "import_kw = 1e+09 is more than any feeder has: check the unit",
+        },
+    ),
+    (
+        {
+            "load_kw": {"shop": 1e300, "homes": np.inf},
+            "pv_kw": pd.DataFrame({"roof": [2e4]}, ["2022-07-19T11:00Z"]),
+        },
+        {
             "load_kw of shop = 1e+300 is more than any feeder has: check the unit",
-        ),
-        ({"load_kw": {"shop": np.inf}}, "load_kw of shop = inf must be a number not below 0"),
-        (
-            {"pv_kw": pd.DataFrame({"roof": [2e4]}, ["2022-07-19T11:00Z"])},
+            "load_kw of homes = inf must be a number not below 0",
             "pv_kw of roof = 20000 is beyond the system's rating of 30 kW",
-        ),
-        ({"soc": {"big": 50.0}}, "soc of big = 50 must lie between 0 and 1"),
-        ({"import_kw": 1e9}, "import_kw = 1e+09 is more than any feeder has: check the unit"),
-    ],
+        },
+    ),
 )
-def test_a_controller_leaves_out_what_no_device_can_have(
-    tiny: Scenario, wrong: dict[str, Any], words: str
-) -> None:
-    """It decides as it does without the reading."""
-    answers = []
-    for given_now in (wrong, {"soc": {}} if "soc" in wrong else {}):
+
+
+def test_a_controller_leaves_out_what_no_device_can_have(tiny: Scenario) -> None:
+    """It decides as it does without the readings."""
+
+    def second_step(**given: Any) -> SetPoints:
         controller = Controller.of(tiny, RunOptions(horizon_h=1.0, isolate=False))
         controller.step(Measurement(controller.times[0], SOC))
-        answers.append(
-            controller.step(Measurement(controller.times[1], **{"soc": SOC, **given_now}))
-        )
-    assert words in answers[0].solve["estimated"].split("; ")
-    if "load_kw" not in wrong and "pv_kw" not in wrong:  # of these the scenario says the same
-        assert answers[0].batteries["q_kvar"].equals(answers[1].batteries["q_kvar"])
-    assert answers[0].solve["fallback"] == "none"
+        return controller.step(Measurement(controller.times[1], **given))
+
+    devices, demand = (second_step(**wrong) for wrong, _ in IMPOSSIBLE)
+    for found, (_, words) in zip((devices, demand), IMPOSSIBLE, strict=True):
+        assert words <= set(found.solve["estimated"].split("; "))
+        assert found.solve["fallback"] == "none"
+    assert devices.batteries["q_kvar"].equals(second_step(soc={}).batteries["q_kvar"])
 
 
 @pytest.mark.parametrize("wrong", [ValueError("odd"), KeyError("who")])
@@ -361,7 +363,7 @@ def test_a_critical_customer_that_is_off_on_an_old_reading_is_an_alarm(live: Liv
 # A reading that others contradict.
 
 
-@pytest.mark.parametrize("factor", [1000.0, 100.0, 0.001])
+@pytest.mark.parametrize("factor", [100.0, 0.001])
 def test_a_demand_far_from_its_forecast_is_estimated(live: Live, factor: float) -> None:
     """The hospital's meter says W, or spikes, from the first step or the second on."""
     http, clock = live

@@ -60,10 +60,11 @@ def make_app(
         redirect_slashes=False,
     )
     answer_errors(app)
-    app.include_router(health.routes(runner))
+    # Not by `include_router`, which prepares every route once more at the first request.
+    app.router.routes += health.routes(runner).routes
     # Who rehearses asks for one step after another.
     guarded = Guard(access, Limits({} if runner.rehearsal else rates))
     app.add_middleware(Perimeter, guard=guarded, hosts=hosts, encrypted=encrypted)
     for subject in GUARDED:
-        app.include_router(subject.routes(runner, guarded))
+        app.router.routes += subject.routes(runner, guarded).routes
     return app
