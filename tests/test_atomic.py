@@ -463,7 +463,7 @@ def test_killed_commands_leave_the_old_result_and_no_process(
             "experiments.kills",
             str(tiny_folder),
             "--kills",
-            "5",
+            "3",
             "--out",
             str(tmp_path),
         ],
@@ -472,8 +472,8 @@ def test_killed_commands_leave_the_old_result_and_no_process(
     )
     assert done.returncode == 0, (tmp_path / "kills.json").read_text(encoding="utf-8")
     tally = json.loads((tmp_path / "kills.json").read_text(encoding="utf-8"))
-    assert tally["kills"] + tally["finished"] == 5
-    assert tally["old"] + tally["absent"] + tally["new"] == 5
+    assert tally["kills"] + tally["finished"] == 3
+    assert tally["old"] + tally["absent"] + tally["new"] == 3
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="names of open files are read in /proc")

@@ -33,6 +33,25 @@ NOT_OF_A_RUN = (
 """What other commands need, and no run."""
 
 HEAVY = ("cvxpy", "matplotlib", "numpy", "pandapower", "pandas", "scipy")
+NOT_OF_VALIDATE = ("cvxpy", "highspy", "matplotlib", "pandapower", "pyscipopt")
+
+STARTS = """
+import sys
+from vppres.cli.commands import app
+
+def loaded(names, *arguments):
+    app(arguments, standalone_mode=False)
+    print("loaded", [name for name in names if name in sys.modules])
+"""
+"""What a process says of the libraries that commands loaded, one after the other."""
+
+
+def lines_of(code: str, *arguments: object) -> list[str]:
+    """What a process prints that runs commands."""
+    command = [sys.executable, "-c", STARTS + code, *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stderr == ""
+    return done.stdout.splitlines()
 
 
 def names_below(folder: Path) -> list[str]:
@@ -40,32 +59,31 @@ def names_below(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 
 
-@pytest.mark.parametrize("argument", ["--help", "--version"])
-def test_start_loads_no_heavy_library(argument: str) -> None:
-    code = (
-        "import sys\nfrom vppres.cli.commands import app\n"
-        f"app([{argument!r}], standalone_mode=False)\n"
-        f"print('loaded', [name for name in {HEAVY!r} if name in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[-1] == "loaded []"
+def test_commands_load_only_what_they_need() -> None:
+    code = f"loaded({HEAVY}, '--help')\nloaded({HEAVY}, '--version')\n"
+    code += f"loaded({NOT_OF_VALIDATE}, 'validate', 'uk-heatwave-2022')"
+    said = [line for line in lines_of(code) if line.startswith("loaded")]
+    assert said == ["loaded []"] * 3
 
 
 @pytest.mark.daily
-def test_a_run_with_its_report_loads_what_it_needs(tiny_folder: Path, tmp_path: Path) -> None:
-    code = (
-        "import sys\nfrom vppres.cli.commands import app\n"
-        "app(sys.argv[1:], standalone_mode=False)\n"
-        f"print('loaded', [name for name in {NOT_OF_A_RUN!r} if name in sys.modules])"
+def test_a_run_with_its_report_prints_its_figures_and_loads_what_it_needs(
+    tiny_folder: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "run"
+    options = (
+        "--horizon 2 --load-bias 0.1 --pv-error 0.05 --seed 3 --thermal exact --gap 1e-3 "
+        "--time-limit 30"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code, "run", tiny_folder, "--out", tmp_path / "run", "--horizon=0"],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert done.stdout.splitlines()[-1] == "loaded []"
-    assert (tmp_path / "run" / "report.html").is_file()
+    code = f"loaded({NOT_OF_A_RUN}, 'run', *sys.argv[1:])"
+    *said, written, loaded = lines_of(code, tiny_folder, "--out", out, *options.split())
+    summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    figures = "\n".join(said)
+    assert f"{summary['resilience']:.4f}" in figures
+    assert f"{summary['cost_gbp']:,.2f} │ GBP" in figures
+    assert (written, loaded) == (f"Written to {out}", "loaded []")
+    assert (out / "report.html").is_file()
+    assert sorted(tmp_path.iterdir()) == [out, tiny_folder]
 
 
 def test_figures_on_demand(tiny_folder: Path, tmp_path: Path) -> None:
@@ -124,22 +142,6 @@ def test_scenarios_lists_one_name_per_line(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr("vppres.io.find.packaged_scenarios", lambda: ["flood", "heat"])
     result = call("scenarios")
     assert (result.exit_code, result.stdout) == (0, "flood\nheat\n")
-
-
-@pytest.mark.daily
-def test_run_writes_the_run_and_prints_its_figures(tiny_folder: Path, tmp_path: Path) -> None:
-    out = tmp_path / "run"
-    options = (
-        "--horizon 2 --load-bias 0.1 --pv-error 0.05 --seed 3 --thermal exact --gap 1e-3 "
-        "--time-limit 30"
-    )
-    result = call(f"run {options}", tiny_folder, "--out", out)
-    assert (result.exit_code, result.stderr) == (0, "")
-    summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
-    assert f"{summary['resilience']:.4f}" in result.stdout
-    assert f"{summary['cost_gbp']:,.2f} │ GBP" in result.stdout
-    assert result.stdout.endswith(f"Written to {out}\n")
-    assert sorted(tmp_path.iterdir()) == [out, tiny_folder]
 
 
 def test_options_reach_the_run(
