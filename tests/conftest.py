@@ -59,12 +59,18 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     return None if whole or collection_path != TESTS / "nightly" else True
 
 
+SITES_KEPT = 16
+"""Sites whose compiled problems stay: tests go from one to another, where a study has one."""
+
+
 def pytest_collection_finish() -> None:
     """What was imported stays: the collector need not walk through it, nor so often."""
     if "pandapower" in sys.modules:
         from tests.support.small_nets import empty_tables_are_copied
 
         empty_tables_are_copied()
+    if cache := sys.modules.get("vppres.solve.cache"):
+        cache.SITES_KEPT = SITES_KEPT  # type: ignore[attr-defined]
     gc.collect()
     gc.freeze()
     gc.set_threshold(20_000, 20, 50)
