@@ -254,7 +254,9 @@ def test_wrong_options_are_told_in_sentences(
 
 
 def test_run_as_json(tiny_folder: Path, tmp_path: Path) -> None:
-    result = call("run", tiny_folder, "--horizon", 0, "--no-figures", "--out", tmp_path / "run", "--json")
+    result = call(
+        "run", tiny_folder, "--horizon", 0, "--no-figures", "--out", tmp_path / "run", "--json"
+    )
     assert (result.exit_code, result.stderr) == (0, "")
     summary = json.loads((tmp_path / "run" / "summary.json").read_text(encoding="utf-8"))
     assert json.loads(result.stdout) == {"folder": str(tmp_path / "run"), "summary": summary}
