@@ -27,6 +27,7 @@ from vppres.core.errors import InputError, StorageError
 from vppres.scenario.scenario import Scenario
 from vppres.service.announced import check_not_over
 from vppres.service.loop import Loop
+from vppres.service.payloads import Belief
 from vppres.service.runner import Service
 from vppres.service.serve import opened
 
@@ -245,7 +246,7 @@ def test_a_believed_outage_is_over_when_its_longest_is(
     onset = {"start": "2026-11-21T08:00Z", "resolution": "PT1H", "probabilities": [0.5, 0.5]}
     body = {"type": "outage_belief", "probability": 0.6, "onset": onset, "duration": duration}
     with pytest.raises(InputError, match="wholly in the past") if over else nullcontext():
-        check_not_over(body, NOON)
+        check_not_over(Belief.model_validate(body), NOON)
 
 
 def test_set_points_beyond_a_rating_and_unknown_assets_are_refused(live: Running) -> None:

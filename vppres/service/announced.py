@@ -19,15 +19,13 @@ from vppres.day.options import RunOptions
 from vppres.day.outages import BELIEF, LIKELY, LOOKAHEAD_H
 from vppres.outlook.durations import Z90
 from vppres.scenario.outage_warnings import OnsetShares, OutageLength, OutageWarning
-from vppres.service.payloads import read_duration, read_moment
+from vppres.service import payloads
 from vppres.service.records import Event, moment
 from vppres.service.window import Window
 
 Interval = tuple[pd.Timestamp, pd.Timestamp | None]  # without an end it is not known
 
 HOUR = pd.Timedelta(hours=1)
-
-RESTORATION = "restoration"
 
 SAID_OF_END = {
     "not_before": "restored_not_before",
@@ -36,15 +34,13 @@ SAID_OF_END = {
 }
 """What a crew says of the end, and the field of a warning that it becomes."""
 
-SHAPES = {"lognormal": "sigma", "weibull": "shape"}
-"""What says of a family how different its lengths are."""
-
 
 def prices(events: Iterable[Event], window: Window) -> Floats:
     """Import prices of a window, (W,): those of events over those of the profile."""
     found = window.series["price_gbp_per_kwh"].copy()
-    for body in _bodies(events, "price"):
-        window.lay(found, body, body["price_gbp_per_kwh"])
+    for event in events:
+        if isinstance(event.said, payloads.Prices):
+            window.lay(found, event.said, event.said.price_gbp_per_kwh)
     return found
 
 
@@ -75,9 +71,10 @@ def announced_kw(events: Iterable[Event], window: Window, own_days: bool) -> Flo
 
 def _limited(found: Floats, events: Iterable[Event], window: Window) -> Floats:
     """Limits with those of events below them."""
-    for body in _bodies(events, "import_limit"):
-        touched = window.touched(read_moment(body["start"]), _moment(body["end"]))
-        found = np.where(touched, np.fmin(found, float(body["limit_kw"])), found)
+    for event in events:
+        if isinstance(event.said, payloads.ImportLimit):
+            touched = window.touched(event.said.start, event.said.end)
+            found = np.where(touched, np.fmin(found, event.said.limit_kw), found)
     return np.array(found)
 
 
@@ -96,17 +93,16 @@ def announced_at(events: Iterable[Event], time: pd.Timestamp) -> bool:
 
 def _certain(events: Iterable[Event]) -> Iterator[Interval]:
     """Beginnings and ends of outages that are certain."""
-    bodies = _bodies(events, "outage", "outage_belief")
-    return (found for found in map(certain_interval, bodies) if found is not None)
+    found = (certain_interval(event.said) for event in events)
+    return (interval for interval in found if interval is not None)
 
 
-def is_over(body: Mapping[str, Any], now: pd.Timestamp) -> bool:
+def is_over(said: payloads.Event, now: pd.Timestamp) -> bool:
     """Whether an event has ended, by its own end."""
-    end = _moment(body.get("end"))
-    return end is not None and end <= now
+    return isinstance(said, payloads.Interval) and said.end is not None and said.end <= now
 
 
-def check_not_over(body: Mapping[str, Any], now: pd.Timestamp) -> None:
+def check_not_over(said: payloads.Event, now: pd.Timestamp) -> None:
     """Refuse to announce what is wholly in the past; an event that is known may be ended so.
 
     Raises
@@ -114,35 +110,27 @@ def check_not_over(body: Mapping[str, Any], now: pd.Timestamp) -> None:
     InputError
         If it is over.
     """
-    end = _moment(body.get("end"))
-    if body["type"] == "price":
-        end = read_moment(body["start"]) + len(body["price_gbp_per_kwh"]) * read_duration(
-            body["resolution"]
-        )
-    elif body["type"] == RESTORATION:
-        end = max(read_moment(body[name]) for name in SAID_OF_END if body.get(name))
-    elif body["type"] == "outage_belief":
-        end = _last_end(body)
+    end = _last_end(said)
     if end is not None and end <= now:
         raise InputError.of(
             "event",
             "lies wholly in the past",
             f"It is {now.isoformat()}; give times that are still to come.",
             field="end",
-            value=end.isoformat(),
+            value=end.tz_convert("UTC").isoformat(),
         )
 
 
 def check_new(
-    said: Mapping[str, Mapping[str, Any]], known: Mapping[str, Any], now: pd.Timestamp
+    said: Mapping[str, payloads.Event], known: Mapping[str, Any], now: pd.Timestamp
 ) -> None:
     """Refuse events by name none of which is known or to come; InputError with the first."""
     if not said or known.keys() & said.keys():
         return
     past: list[InputError] = []
-    for body in said.values():
+    for event in said.values():
         try:
-            check_not_over(body, now)
+            check_not_over(event, now)
         except InputError as error:
             past.append(error)
         else:
@@ -150,33 +138,37 @@ def check_new(
     raise past[0]
 
 
-def _last_end(body: Mapping[str, Any]) -> pd.Timestamp | None:
-    """When a believed outage is over at the latest; None if nothing says so."""
-    length = body["duration"]
-    if length is not None and length["family"] == "until":
-        return read_moment(length["until"])
-    interval = certain_interval(body)
+def _last_end(said: payloads.Event) -> pd.Timestamp | None:
+    """When an event is over at the latest; None if nothing says so."""
+    if isinstance(said, payloads.Interval):
+        return said.end
+    if isinstance(said, payloads.Restoration):
+        return said.times[-1]
+    if isinstance(said, payloads.Prices):
+        return said.start + len(said.price_gbp_per_kwh) * said.resolution
+    if isinstance(said.duration, payloads.Until):
+        return said.duration.until
+    interval = certain_interval(said)
     if interval is not None:
         return interval[1]
-    longest = _distribution(length)
+    longest = _distribution(said.duration)
     most_h = np.inf if longest is None else max(longest.hours, default=longest.max_h)
-    return _shares(body["onset"]).end + most_h * HOUR if np.isfinite(most_h) else None
+    return _shares(said.onset).end + most_h * HOUR if np.isfinite(most_h) else None
 
 
-def certain_interval(body: Mapping[str, Any]) -> Interval | None:
+def certain_interval(said: payloads.Event | None) -> Interval | None:
     """Beginning and end of an outage that leaves nothing to chance; None if this one does."""
-    if body["type"] == "outage":
-        return read_moment(body["start"]), _moment(body["end"])
-    onset = body["onset"]
-    length = body["duration"]
-    if body["probability"] < 1.0 or len(_possible(onset["probabilities"])) > 1 or length is None:
+    if isinstance(said, payloads.Outage):
+        return said.start, said.end
+    if not isinstance(said, payloads.Belief) or said.probability < 1.0:
         return None
-    start = _shares(onset).likely
-    if length["family"] == "until":
-        return start, read_moment(length["until"])
-    if length["family"] == "discrete" and len(_possible(length["probabilities"])) == 1:
-        only = _possible(length["probabilities"])[0]
-        return start, start + length["hours"][only] * HOUR
+    if len(_possible(said.onset.probabilities)) > 1:
+        return None
+    start, length = _shares(said.onset).likely, said.duration
+    if isinstance(length, payloads.Until):
+        return start, length.until
+    if isinstance(length, payloads.Discrete) and len(_possible(length.probabilities)) == 1:
+        return start, start + length.hours[_possible(length.probabilities)[0]] * HOUR
     return None
 
 
@@ -185,7 +177,7 @@ def believes(options: RunOptions) -> bool:
     return options.outages in (BELIEF, LIKELY)
 
 
-def check_belief(body: Mapping[str, Any], options: RunOptions) -> None:
+def check_belief(said: payloads.Event, options: RunOptions) -> None:
     """Refuse what the controller would have to round, and lengths that no outage has.
 
     Raises
@@ -194,26 +186,27 @@ def check_belief(body: Mapping[str, Any], options: RunOptions) -> None:
         For an uncertain outage where outages are taken for known, or for unknown; for a
         distribution of which one length in ten is nothing, or without end.
     """
-    restoration = body["type"] == RESTORATION
-    if not believes(options) and (restoration or certain_interval(body) is None):
+    if not isinstance(said, payloads.Belief | payloads.Restoration):
+        return
+    if not believes(options) and certain_interval(said) is None:
         raise InputError.of(
             "event",
             f"is uncertain, and the service takes outages for {options.outages}",
             f"Start it with --outages {BELIEF}, or put an event outage, with its end if known.",
             field="type",
-            value=body["type"],
+            value=said.type,
         )
-    if restoration:
+    if isinstance(said, payloads.Restoration):
         return
-    lengths_h = list(_quantiles_h(_distribution(body["duration"])).values())
-    if not all(np.isfinite(hours) and hours > 0.0 for hours in lengths_h):
-        name = SHAPES[body["duration"]["family"]]
+    length = _distribution(said.duration)
+    if length is not None and not all(0.0 < h < np.inf for h in _quantiles_h(length).values()):
+        name = "sigma" if length.family == "lognormal" else "shape"
         raise InputError.of(
             "event",
             "gives lengths that no outage has",
             "Give one between 0.5 and 2, as outages have it.",
             field=f"duration.{name}",
-            value=body["duration"][name],
+            value=length.shape,
         )
 
 
@@ -221,11 +214,11 @@ def warnings(events: Mapping[str, Event], now: pd.Timestamp, step: pd.Timedelta)
     """Messages of all outages that may be now or later; ``now`` is a step's beginning."""
     found = []
     for name, event in events.items():
-        message = _message(name, event.body, now, step)
+        message = _message(name, event.said, now, step)
         if message is None:
             continue
         # Since when it is known, and what is said now; of a crew what it said last.
-        crew = event.body["type"] == RESTORATION
+        crew = isinstance(event.said, payloads.Restoration)
         issued = {
             min(moment(at), now) for at in (event.made_at, event.made_at if crew else event.since)
         }
@@ -242,28 +235,26 @@ def warnings_ever(
         spoken = False
         for event in each:
             issued = moment(event.made_at)
-            if not event.body:
+            if event.said is None:
                 message = OutageWarning(issued, name, probability=0.0) if spoken else None
             else:
-                message = _message(name, event.body, _step_of(issued, start, step), step)
-            spoken = message is not None and bool(event.body)
+                message = _message(name, event.said, _step_of(issued, start, step), step)
+            spoken = message is not None and event.said is not None
             if message is not None:
                 found.append(replace(message, issued_at=issued))
     return sorted(found, key=lambda one: one.issued_at)
 
 
 def _message(
-    name: str, body: Mapping[str, Any], now: pd.Timestamp, step: pd.Timedelta
+    name: str, said: payloads.Event | None, now: pd.Timestamp, step: pd.Timedelta
 ) -> OutageWarning | None:
     """What an event says of an outage; None if it says nothing, or nothing that counts now."""
-    if body["type"] == RESTORATION:  # what a crew says of the end of the present outage
-        said: dict[str, Any] = {field: _moment(body.get(key)) for key, field in SAID_OF_END.items()}
-        return OutageWarning(now, name, **said)
-    if body["type"] not in ("outage", "outage_belief"):
-        return None
-    interval = certain_interval(body)
+    if isinstance(said, payloads.Restoration):
+        of_end: dict[str, Any] = {field: getattr(said, key) for key, field in SAID_OF_END.items()}
+        return OutageWarning(now, name, **of_end)
+    interval = certain_interval(said)
     if interval is None:
-        return _uncertain(name, body, now, step)
+        return _uncertain(name, said, now, step) if isinstance(said, payloads.Belief) else None
     start, end = interval
     # One that was seen is explained by what was said of it, when it is over too.
     if end is not None and end + LOOKAHEAD_H * HOUR <= now:
@@ -276,11 +267,11 @@ def _message(
 
 
 def _uncertain(
-    name: str, body: Mapping[str, Any], now: pd.Timestamp, step: pd.Timedelta
+    name: str, said: payloads.Belief, now: pd.Timestamp, step: pd.Timedelta
 ) -> OutageWarning:
     """A belief as a message: distributions, and the quantiles that sum them up."""
-    shares = _shares(body["onset"])
-    length = _length(body["duration"], _step_of(shares.likely, now, step), step)
+    shares = _shares(said.onset)
+    length = _length(said.duration, _step_of(shares.likely, now, step), step)
     known = shares.end - shares.start <= step
     onset = _step_of(shares.start, now, step)
     times: dict[str, Any] = (
@@ -296,53 +287,42 @@ def _uncertain(
     return OutageWarning(
         now,
         name,
-        probability=body["probability"],
+        probability=said.probability,
         length=length,
         **times,
-        **(_quantiles_h(length) or _alone(body["duration"])),
+        **(_alone(said.duration) if length is None else _quantiles_h(length)),
     )
 
 
-def _alone(duration: Mapping[str, Any] | None) -> dict[str, Any]:
+def _alone(duration: payloads.Length | None) -> dict[str, Any]:
     """An estimate without a spread."""
-    return {} if duration is None else {"duration_p50_h": duration["median_h"]}
+    return {"duration_p50_h": duration.median_h} if isinstance(duration, payloads.Lognormal) else {}
 
 
 def _length(
-    body: Mapping[str, Any] | None, begun: pd.Timestamp, step: pd.Timedelta
+    said: payloads.Length | None, begun: pd.Timestamp, step: pd.Timedelta
 ) -> OutageLength | None:
     """How long it lasts; up to a known end, from its likeliest beginning on."""
-    if body is None:
-        return None
-    if body["family"] == "until":
-        steps = max(-((begun - read_moment(body["until"])) // step), 1)
+    if isinstance(said, payloads.Until):
+        steps = max(-((begun - said.until) // step), 1)
         return OutageLength("discrete", hours=(steps * (step / HOUR),), probability=(1.0,))
-    return _distribution(body)
+    return _distribution(said)
 
 
-def _distribution(body: Mapping[str, Any] | None) -> OutageLength | None:
-    """A length that does not depend on the beginning; None if there is none, or a known end."""
-    if body is None or body["family"] == "until":
-        return None
-    if body["family"] == "discrete":
-        return OutageLength(
-            "discrete", hours=tuple(body["hours"]), probability=tuple(body["probabilities"])
-        )
-    scale = "median_h" if body["family"] == "lognormal" else "scale_h"
-    if body[SHAPES[body["family"]]] is None:
-        return None  # an estimate alone
-    return OutageLength(
-        body["family"],
-        scale_h=body[scale],
-        shape=body[SHAPES[body["family"]]],
-        max_h=np.inf if body["max_h"] is None else body["max_h"],
-    )
+def _distribution(said: payloads.Length | None) -> OutageLength | None:
+    """A length that does not depend on the beginning; None of a known end or an estimate alone."""
+    if isinstance(said, payloads.Discrete):
+        shares = tuple(said.probabilities)
+        return OutageLength(said.family, hours=tuple(said.hours), probability=shares)
+    if isinstance(said, payloads.Weibull):
+        return OutageLength(said.family, said.scale_h, said.shape, max_h=said.max_h or np.inf)
+    if isinstance(said, payloads.Lognormal) and said.sigma is not None:
+        return OutageLength(said.family, said.median_h, said.sigma, max_h=said.max_h or np.inf)
+    return None
 
 
-def _quantiles_h(length: OutageLength | None) -> dict[str, Any]:
+def _quantiles_h(length: OutageLength) -> dict[str, Any]:
     """The lengths that 10, 50 and 90 % stay below, for people."""
-    if length is None:
-        return {}
     if length.family == "discrete":
         order = np.argsort(length.hours)
         below = np.cumsum(np.array(length.probability)[order])
@@ -359,12 +339,10 @@ def _quantiles_h(length: OutageLength | None) -> dict[str, Any]:
     }
 
 
-def _shares(onset: Mapping[str, Any]) -> OnsetShares:
-    probability = np.array(onset["probabilities"]) / sum(onset["probabilities"])
-    start = read_moment(onset["start"]).tz_convert("UTC")
-    return OnsetShares(
-        start, read_duration(onset["resolution"]) / HOUR, tuple(probability.tolist())
-    )
+def _shares(onset: payloads.Onset) -> OnsetShares:
+    probability = np.array(onset.probabilities) / sum(onset.probabilities)
+    start = onset.start.tz_convert("UTC")
+    return OnsetShares(start, onset.resolution / HOUR, tuple(probability.tolist()))
 
 
 def _step_of(time: pd.Timestamp, now: pd.Timestamp, step: pd.Timedelta) -> pd.Timestamp:
@@ -375,11 +353,3 @@ def _step_of(time: pd.Timestamp, now: pd.Timestamp, step: pd.Timedelta) -> pd.Ti
 def _possible(probabilities: list[float]) -> list[int]:
     """Places of what can happen."""
     return [place for place, each in enumerate(probabilities) if each > 0.0]
-
-
-def _bodies(events: Iterable[Event], *kinds: str) -> list[Mapping[str, Any]]:
-    return [event.body for event in events if event.body["type"] in kinds]
-
-
-def _moment(text: str | None) -> pd.Timestamp | None:
-    return None if text is None else read_moment(text)

@@ -468,7 +468,7 @@ class _Powers:
         forecast = self.store.forecast(quantity, window.times[0] + window.length)
         lost = self.readings.lost(quantity)
         table, cautious = window.expected(quantity, ids, forecast, lost)
-        self.foretold[quantity] = list((forecast or {"assets": {}})["assets"])
+        self.foretold[quantity] = [] if forecast is None else list(forecast.assets)
         self.estimated.extend(
             f"{quantity} {name} is {CAUTIOUS[quantity]} of its forecast" for name in cautious
         )
@@ -585,7 +585,7 @@ def _grid(
     A reading that it is lost, and that another one contradicts, counts for nothing.
     """
     # What ended within the step is over for the rest of it.
-    lasting = [one for one in events if not is_over(one.body, now)]
+    lasting = [one for one in events if one.said and not is_over(one.said, now)]
     limits = limits_kw(lasting, window)
     out = outages(lasting, window) | (limits <= 0.0)
     read = readings.now("grid_on").get(GRID, np.nan)

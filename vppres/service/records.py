@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import pandas as pd
+from pydantic import TypeAdapter
 
 from vppres.core.errors import VppresError
+from vppres.service import payloads
+
+_EVENT: TypeAdapter[Any] = TypeAdapter(payloads.Event)
 
 DECIDED = ("ok", "fallback")
 """Outcomes of steps in which the controller decided."""
@@ -66,6 +71,12 @@ class Event:
     made_at: int
     since: int
     new: bool = False
+
+    @cached_property
+    def said(self) -> payloads.Event | None:
+        """The body as its kind; None if it was withdrawn."""
+        found: payloads.Event | None = _EVENT.validate_python(self.body) if self.body else None
+        return found
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ from vppres.day.outages import BELIEF, LOOKAHEAD_H
 from vppres.outlook.outlook import Announced, length_of, said_so_far
 from vppres.scenario.outage_warnings import OutageWarning
 from vppres.scenario.scenario import Scenario
+from vppres.service.announced import SAID_OF_END
 from vppres.service.client import Client
 from vppres.service.clock import written
 from vppres.service.payloads import read_moment
@@ -378,12 +379,8 @@ def _belief(
 
 def _of_crew(message: OutageWarning) -> dict[str, Any] | None:
     """What a warning says of the end, as an event of the service; None if it says nothing."""
-    said = {
-        "not_before": message.restored_not_before,
-        "likely": message.restored_likely,
-        "by": message.restored_by,
-    }
-    times = {name: written(time) for name, time in said.items() if time is not None}
+    said = {key: getattr(message, field) for key, field in SAID_OF_END.items()}
+    times = {key: written(time) for key, time in said.items() if time is not None}
     return {"type": "restoration", "source": "simulation", **times} if times else None
 
 

@@ -17,6 +17,7 @@ import sqlalchemy as sa
 from vppres.core.errors import InputError, Problem, StorageError
 from vppres.service.clock import written
 from vppres.service.database import opened_database
+from vppres.service.payloads import Forecasts
 from vppres.service.records import (
     After,
     AlarmRow,
@@ -232,9 +233,10 @@ class Store:
             put(db, FORECASTS, quantity=quantity, issued_at=seconds(issued_at), body=text)
             note(db, now, actor, "forecast", f"{quantity} {body['issued_at']}")
 
-    def forecast(self, quantity: str, now: pd.Timestamp) -> dict[str, Any] | None:
+    def forecast(self, quantity: str, now: pd.Timestamp) -> Forecasts | None:
         """The forecast that was issued last, up to now."""
-        return self._body(FORECAST, {"quantity": quantity, "now": seconds(now)})
+        body = self._body(FORECAST, {"quantity": quantity, "now": seconds(now)})
+        return None if body is None else Forecasts.model_validate(body)
 
     # Steps
 

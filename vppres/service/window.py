@@ -16,9 +16,8 @@ from vppres.live.controller import Controller
 from vppres.live.ranges import ranges_of
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import written
-from vppres.service.payloads import Quantiles, read_duration, read_moment
+from vppres.service.payloads import Forecasts, Prices, Quantiles
 
-MEDIAN = "p50"
 CAUTIOUS = {"load_kw": "p90", "pv_kw": "p10"}
 """Quantiles that stand in for what has been silent for too long."""
 
@@ -45,12 +44,11 @@ class Window:
         touched = np.asarray(self.times + self.length > start)
         return touched if end is None else touched & np.asarray(self.times < end)
 
-    def lay(self, series: Floats, body: Mapping[str, Any], values: list[float]) -> None:
+    def lay(self, series: Floats, body: Prices | Forecasts, values: list[float]) -> None:
         """Put those values of a body in a series' place that begin with a step of the window."""
-        start = read_moment(body["start"]).tz_convert("UTC")
-        every = read_duration(body["resolution"])
+        start = body.start.tz_convert("UTC")
         for row, time in enumerate(self.times):
-            place, rest = divmod(time - start, every)
+            place, rest = divmod(time - start, body.resolution)
             if not rest and 0 <= place < len(values):
                 series[row] = values[place]
 
@@ -58,7 +56,7 @@ class Window:
         self,
         quantity: str,
         ids: Iterable[Any],
-        forecast: Mapping[str, Any] | None,
+        forecast: Forecasts | None,
         lost: Iterable[str] = (),
     ) -> tuple[Floats, list[str]]:
         """What is expected, (W, items), and of which items that are lost it is cautious.
@@ -69,7 +67,7 @@ class Window:
             Of customers or PV systems.
         ids : iterable
             These.
-        forecast : mapping, optional
+        forecast : Forecasts, optional
             The one that was issued last; over it stands nothing, under it the profile.
         lost : iterable of str
             Who has been silent for too long.
@@ -77,16 +75,16 @@ class Window:
         table = self.series[quantity].copy()
         columns = {str(name): column for column, name in enumerate(ids)}
         silent = set(lost)
-        cautious = []
-        for name, quantiles in (forecast or {"assets": {}})["assets"].items():
+        cautious = list[str]()
+        if forecast is None:
+            return table, cautious
+        for name, quantiles in forecast.assets.items():
             if name not in columns:
                 continue
-            level = CAUTIOUS[quantity]
-            if name in silent and quantiles[level] is not None:
+            careful = getattr(quantiles, CAUTIOUS[quantity]) if name in silent else None
+            if careful is not None:
                 cautious.append(name)
-            else:
-                level = MEDIAN
-            self.lay(table[:, columns[name]], forecast or {}, quantiles[level])
+            self.lay(table[:, columns[name]], forecast, careful or quantiles.p50)
         return table, cautious
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Header, Response
@@ -11,7 +12,7 @@ from vppres.service import payloads
 from vppres.service.announced import believes, check_belief, check_new
 from vppres.service.clock import written
 from vppres.service.openadr import OpenADREvent, events_of, those_of
-from vppres.service.records import moment
+from vppres.service.records import Event, moment
 from vppres.service.routes.guard import Guard
 from vppres.service.runner import Runner
 from vppres.service.window import check_forecast
@@ -58,20 +59,10 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
 
         It replaces the old one.
         """
-        if isinstance(body, payloads.Prices):
-            check_forecast("load_kw", {}, body.start, body.resolution, runner.scenario)
-        plain = body.model_dump()
-        if isinstance(body, payloads.Belief | payloads.Restoration):
-            check_belief(plain, runner.options)
-        now = runner.clock.now()
-        check_new({identifier: plain}, runner.store.events(), now)
-        version = _version(if_match)
-        put = runner.store.put_events({identifier: plain}, now, actor, version)[identifier]
-        if not isinstance(body, payloads.Alert):
-            runner.changes.note(f"event {identifier}")
+        put = _put(identifier, {identifier: body}, (), actor, _version(if_match))[identifier]
         response.status_code = 201 if put.new else 200
         response.headers["ETag"] = f'"{put.version}"'
-        return {"version": put.version, **plain}
+        return {"version": put.version, **put.body}
 
     @router.delete("/v1/events/{identifier}")
     def delete_event(
@@ -92,18 +83,28 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
     def openadr(body: OpenADREvent, actor: str = guarded("events")) -> dict[str, Any]:
         """An event of OpenADR 3 as it stands; it replaces all that an earlier one of it said."""
         found, ignored = events_of(body, believes(runner.options))
-        for event in found.values():
-            if isinstance(event, payloads.Prices):
-                check_forecast("load_kw", {}, event.start, event.resolution, runner.scenario)
-        known = runner.store.events()
-        now = runner.clock.now()
-        said = {name: event.model_dump() for name, event in found.items()}
-        check_new(said, known, now)
-        bodies = {**dict.fromkeys(those_of(body, known)), **said}
-        runner.store.put_events(bodies, now, actor)
-        if any(not isinstance(event, payloads.Alert) for event in found.values()):
-            runner.changes.note(f"event {body.name}")
+        _put(body.name, found, those_of(body, runner.store.events()), actor)
         return {"events": list(found), "ignored": ignored}
+
+    def _put(
+        name: str,
+        said: Mapping[str, payloads.Event],
+        replaced: Iterable[str],
+        actor: str,
+        version: int | None = None,
+    ) -> dict[str, Event]:
+        """Keep events that can be, in the place of others; a plan does not know them yet."""
+        for one in said.values():
+            if isinstance(one, payloads.Prices):
+                check_forecast("load_kw", {}, one.start, one.resolution, runner.scenario)
+            check_belief(one, runner.options)
+        now = runner.clock.now()
+        check_new(said, runner.store.events(), now)
+        bodies = {**dict.fromkeys(replaced), **{key: one.model_dump() for key, one in said.items()}}
+        put = runner.store.put_events(bodies, now, actor, version)
+        if not all(isinstance(one, payloads.Alert) for one in said.values()):
+            runner.changes.note(f"event {name}")
+        return put
 
     return router
 
