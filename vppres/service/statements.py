@@ -1,4 +1,4 @@
-"""Statements of every step, put together once, and how rows are written."""
+"""Statements of several lines, and how rows are written."""
 
 from __future__ import annotations
 
@@ -14,11 +14,9 @@ from sqlalchemy.dialects import postgresql, sqlite
 
 from vppres.service.records import AlarmRow, ChangedError, Event, Measured, seconds
 from vppres.service.tables import (
-    ACKS,
     ALARMS,
     AUDIT,
     EVENTS,
-    FORECASTS,
     HEARD_OF,
     LOST,
     MEASURED,
@@ -30,8 +28,8 @@ REFUSED = ("rejected", "aborted")
 """What devices say that did not follow their set-points."""
 
 
-def _latest() -> Any:
-    """The last reading of each asset and quantity up to a time."""
+def last_readings(until: int, quantities: Iterable[str]) -> Any:
+    """The last readings of each asset and quantity up to a time."""
     named = HEARD_OF
     t = TELEMETRY.c
     earlier = TELEMETRY.alias("earlier")
@@ -40,44 +38,14 @@ def _latest() -> Any:
         .where(
             earlier.c.asset == named.c.asset,
             earlier.c.quantity == named.c.quantity,
-            earlier.c.time <= sa.bindparam("until"),
+            earlier.c.time <= until,
         )
         .scalar_subquery()
     )
     same = sa.and_(t.asset == named.c.asset, t.quantity == named.c.quantity, t.time == last)
     chosen = sa.select(TELEMETRY).select_from(named.join(TELEMETRY, same))
-    chosen = chosen.where(named.c.quantity.in_(sa.bindparam("quantities", expanding=True)))
+    chosen = chosen.where(named.c.quantity.in_(list(quantities)))
     return chosen.order_by(t.asset, t.quantity, t.source.desc())
-
-
-def _between() -> Any:
-    """Readings from a time on, before another one."""
-    t = TELEMETRY.c
-    inside = sa.and_(t.time >= sa.bindparam("start"), t.time < sa.bindparam("end"))
-    named = t.quantity.in_(sa.bindparam("quantities", expanding=True))
-    return sa.select(TELEMETRY).where(inside, named).order_by(t.time, t.source)
-
-
-def _forecast() -> Any:
-    """The forecast of a quantity that was issued last, up to a time."""
-    f = FORECASTS.c
-    issued = sa.and_(f.quantity == sa.bindparam("quantity"), f.issued_at <= sa.bindparam("now"))
-    return sa.select(f.body).where(issued).order_by(f.issued_at.desc()).limit(1)
-
-
-def _refusing() -> Any:
-    """Devices of a kind whose last word is that they did not."""
-    a = ACKS.c
-    newest = sa.select(sa.func.max(a.number)).where(a.kind == sa.bindparam("kind"))
-    last = newest.group_by(a.asset).scalar_subquery()
-    return sa.select(a.asset, a.at).where(a.number.in_(last), a.status.in_(REFUSED))
-
-
-# Statements of every step are put together once.
-LATEST = _latest()
-BETWEEN = _between()
-FORECAST = _forecast()
-REFUSING = _refusing()
 
 
 def put(db: sa.Connection, table: sa.Table, **row: Any) -> None:

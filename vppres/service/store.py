@@ -34,13 +34,11 @@ from vppres.service.records import (
     seconds,
 )
 from vppres.service.statements import (
-    BETWEEN,
-    FORECAST,
-    LATEST,
-    REFUSING,
+    REFUSED,
     alarm_of,
     as_text,
     count_steps,
+    last_readings,
     note,
     note_lost,
     put,
@@ -154,18 +152,20 @@ class Store:
     def latest(self, until: pd.Timestamp, quantities: Iterable[str]) -> list[Reading]:
         """The last reading of each asset and quantity up to a time, that time included."""
         # Of two sources that speak at once the first by name counts.
-        found = self._readings(LATEST, {"until": seconds(until), "quantities": list(quantities)})
+        found = self._readings(last_readings(seconds(until), quantities))
         return list({(r.asset, r.quantity): r for r in found}.values())
 
     def between(
         self, start: pd.Timestamp, end: pd.Timestamp, quantities: Iterable[str]
     ) -> list[Reading]:
         """Readings from a time on, up to but without another one."""
-        named = {"start": seconds(start), "end": seconds(end), "quantities": list(quantities)}
-        return self._readings(BETWEEN, named)
+        t = TELEMETRY.c
+        inside = sa.and_(t.time >= seconds(start), t.time < seconds(end))
+        chosen = sa.select(TELEMETRY).where(inside, t.quantity.in_(list(quantities)))
+        return self._readings(chosen.order_by(t.time, t.source))
 
-    def _readings(self, chosen: Any, named: Mapping[str, Any]) -> list[Reading]:
-        return list(starmap(Reading, self._rows(chosen, named)))
+    def _readings(self, chosen: Any) -> list[Reading]:
+        return list(starmap(Reading, self._rows(chosen)))
 
     def contacts(self) -> dict[str, int]:
         """When each source was last heard from."""
@@ -235,7 +235,9 @@ class Store:
 
     def forecast(self, quantity: str, now: pd.Timestamp) -> Forecasts | None:
         """The forecast that was issued last, up to now."""
-        body = self._body(FORECAST, {"quantity": quantity, "now": seconds(now)})
+        f = FORECASTS.c
+        issued = sa.select(f.body).where(f.quantity == quantity, f.issued_at <= seconds(now))
+        body = self._body(issued.order_by(f.issued_at.desc()).limit(1))
         return None if body is None else Forecasts.model_validate(body)
 
     # Steps
@@ -284,9 +286,9 @@ class Store:
             chosen = chosen.where(STEPS.c.time < seconds(until))
         return [json.loads(text) for (text,) in self._rows(chosen.order_by(STEPS.c.time))]
 
-    def _body(self, chosen: Any, named: Mapping[str, Any] | None = None) -> dict[str, Any] | None:
+    def _body(self, chosen: Any) -> dict[str, Any] | None:
         """What was kept as JSON; None if there is no such row."""
-        return next((json.loads(text) for (text,) in self._rows(chosen, named)), None)
+        return next((json.loads(text) for (text,) in self._rows(chosen)), None)
 
     def outcomes(self) -> dict[str, int]:
         """How many steps there were of each outcome, those included that are forgotten."""
@@ -387,7 +389,10 @@ class Store:
 
     def refusing(self, kind: str) -> dict[str, int]:
         """Devices of a kind that did not follow their last set-points, and since when."""
-        return {row.asset: row.at for row in self._rows(REFUSING, {"kind": kind})}
+        a = ACKS.c
+        last = sa.select(sa.func.max(a.number)).where(a.kind == kind).group_by(a.asset)
+        refused = a.number.in_(last.scalar_subquery()), a.status.in_(REFUSED)
+        return {row.asset: row.at for row in self._rows(sa.select(a.asset, a.at).where(*refused))}
 
     # Alarms
 
@@ -485,13 +490,13 @@ class Store:
 
     def tokens(self) -> list[Token]:
         """All tokens."""
-        chosen = sa.select(TOKENS).order_by(TOKENS.c.name)
-        return [Token(row.name, row.sha256, row.scopes, row.expires) for row in self._rows(chosen)]
+        return list(starmap(Token, self._rows(sa.select(TOKENS).order_by(TOKENS.c.name))))
 
     def audit(self) -> list[tuple[str, str, str]]:
         """Who did what, in order: actor, action, detail."""
-        chosen = sa.select(AUDIT).order_by(AUDIT.c.number)
-        return [(row.actor, row.action, row.detail) for row in self._rows(chosen)]
+        a = AUDIT.c
+        chosen = sa.select(a.actor, a.action, a.detail).order_by(a.number)
+        return [tuple(row) for row in self._rows(chosen)]
 
     def _belongs_to(self, site: str) -> None:
         """Refuse the database of another site or layout; a new one is this site's."""
@@ -530,9 +535,9 @@ class Store:
         self._takes = True
         self.changes += not routine
 
-    def _rows(self, chosen: Any, named: Mapping[str, Any] | None = None) -> list[Any]:
+    def _rows(self, chosen: Any) -> list[Any]:
         with _plain_errors(), self._engine.connect() as db:
-            return list(db.execute(chosen, named))
+            return list(db.execute(chosen))
 
 
 @contextmanager
