@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Floats
+from vppres.core.arrays import Floats, Names
 from vppres.live.vehicles import rows_of, sessions_of
 from vppres.scenario.gensets import Gensets, GensetState
 from vppres.scenario.scenario import Scenario
@@ -34,26 +34,28 @@ class Stay:
     needed_kwh: float
 
 
-def expected(plan: Plan | None, kind: str) -> Mapping[str, Any]:
-    """What a plan says of the devices of a kind, by name."""
-    found: Mapping[str, Any] = ((plan or {}).get("expected") or {}).get(kind, {})
-    return found
+def expected_by(plan: Plan | None) -> Mapping[str, Any]:
+    """What a plan expects of its step; nothing where it is none of the controller's."""
+    return (plan or {}).get("expected") or {}
+
+
+def said_of(
+    plan: Plan | None, what: str, ids: Names, reckoned: Floats, field: str | None = None
+) -> Floats:
+    """What a step was decided on, by unit; as reckoned where its plan does not say it."""
+    told = expected_by(plan).get(what, {})
+    values = [told.get(str(name)) for name in ids]
+    found = [one[field] if field is not None and one is not None else one for one in values]
+    return np.where([one is None for one in found], reckoned, np.array(found, dtype=float))
 
 
 def with_told(scenario: Scenario, stored: Plans) -> Scenario:
     """The scenario with vehicles as plans tell of them, and sets as the first plan does."""
-    told = expected(stored[0], "gensets")
+    told = expected_by(stored[0]).get("gensets", {})
     scenario = replace(scenario, gensets=_sets_at_first(scenario.gensets, told))
-    if not any(expected(plan, "vehicles") for plan in stored):
+    if not any(expected_by(plan).get("vehicles", {}) for plan in stored):
         return scenario
     return replace(scenario, sessions=_sessions(scenario, stored))
-
-
-def vehicles_kwh(scenario: Scenario, plan: Plan | None, reckoned_kwh: Floats) -> Floats:
-    """Energy of vehicles that a step was decided on, (K,); as reckoned without a plan."""
-    told = expected(plan, "vehicles")
-    pairs = zip(map(str, scenario.chargers.id), reckoned_kwh.tolist(), strict=True)
-    return np.array([told.get(name, {"energy_kwh": kwh})["energy_kwh"] for name, kwh in pairs])
 
 
 def set_state(scenario: Scenario, t: int, plan: Plan | None, reckoned: GensetState) -> GensetState:
@@ -61,7 +63,7 @@ def set_state(scenario: Scenario, t: int, plan: Plan | None, reckoned: GensetSta
 
     Plans count what is delivered at the beginning of their step.
     """
-    told = expected(plan, "gensets")
+    told = expected_by(plan).get("gensets", {})
     names = [str(name) for name in scenario.gensets.id]
     if not names or not all(name in told for name in names):
         return reckoned
@@ -106,7 +108,7 @@ def _stays(scenario: Scenario, stored: Plans) -> Iterator[Stay]:
         for time, plan in zip(scenario.grid.times, stored, strict=False):
             if plan is None or not plan.get("expected"):
                 continue
-            told = expected(plan, "vehicles").get(charger)
+            told = expected_by(plan).get("vehicles", {}).get(charger)
             if stay is not None and told is not None and _same(stay, told):
                 stay.plug_out = pd.Timestamp(told["leaves"])
                 continue

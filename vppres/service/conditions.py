@@ -13,6 +13,7 @@ from vppres.contract.longest_off import ROUNDING
 from vppres.core.text import named
 from vppres.live.by_phase import GRID
 from vppres.scenario.scenario import Scenario
+from vppres.service.as_told import expected_by
 from vppres.service.knowledge import Heard, Latest, refusing, soc_now
 from vppres.service.lost import lost_customers
 from vppres.service.plans import points_at, refused_of
@@ -105,7 +106,7 @@ def situation(
 
 def _sets_out(plan: Mapping[str, Any] | None) -> list[str]:
     """Generating sets that a plan does without."""
-    sets = ((plan or {}).get("expected") or {}).get("gensets", {})
+    sets = expected_by(plan).get("gensets", {})
     return [name for name, one in sets.items() if one["out"]]
 
 
@@ -233,7 +234,7 @@ def _island_margin(now: Situation) -> Iterator[Condition]:
 def _fuel_kwh(now: Situation) -> tuple[float, float]:
     """Energy of full tanks and of what is in them at full power, of sets that start."""
     sets = now.scenario.gensets
-    told = ((now.plan or {}).get("expected") or {}).get("gensets", {})
+    told = expected_by(now.plan).get("gensets", {})
     per_kwh = sets.litres_per_kwh + sets.litres_per_h_idle / sets.p_max_kw
     full_kwh = left_kwh = 0.0
     for g, name in enumerate(map(str, sets.id)):

@@ -1,7 +1,7 @@
 """Why the devices of a step do what they do: its stored plan, replayed and explained.
 
-``python -m vppres.service.explanations`` does so for a :class:`Question` that it reads, in a
-process of its own that may be killed: shadow prices have to be solved for.
+``python -m vppres.service.explanations`` does so for a :class:`~vppres.service.export.Replay` that
+it reads, in a process of its own that may be killed: shadow prices have to be solved for.
 """
 
 from __future__ import annotations
@@ -12,25 +12,22 @@ import pickle
 import resource
 import sys
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from vppres.contract.forecast import ForecastErrors
-from vppres.core.arrays import Floats
 from vppres.core.plain import json_safe
 from vppres.day.forecasting import PAPER
-from vppres.day.options import RunOptions
 from vppres.day.outages import KNOWN
 from vppres.day.recorder import Recorder
 from vppres.explain.day import explain_step
 from vppres.explain.recorded import MOVE_KW
 from vppres.live.measurement import Measurement
 from vppres.scenario.scenario import Scenario
-from vppres.service.clock import written
-from vppres.service.export import as_it_was, replayed, site_of
+from vppres.service.export import Replay, site_of
 from vppres.service.records import DECIDED
 from vppres.service.runner import Runner, Service
 
@@ -54,30 +51,11 @@ PROCESSOR_S = 30
 """CPU time in s after which the process is ended: it takes three."""
 
 
-@dataclass(frozen=True, eq=False)
-class Question:
-    """A step to be explained.
+def question(runner: Runner, plan: Mapping[str, Any]) -> Replay:
+    """What is needed to explain a step that was decided.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        Steps before it, itself, and those that its plan looked at, as they were expected.
-    options : RunOptions
-        How it was decided.
-    stored : list of dict or None
-        Plans of the steps up to it, None for a step without.
-    soc : array, shape (T, B)
-        States of charge that were read, NaN where none was.
+    It has the steps before it, itself, and those that its plan looked at, as they were expected.
     """
-
-    scenario: Scenario
-    options: RunOptions
-    stored: list[dict[str, Any] | None]
-    soc: Floats
-
-
-def question(runner: Runner, plan: Mapping[str, Any]) -> Question:
-    """What is needed to explain a step that was decided."""
     time = pd.Timestamp(plan["start"])
     end = time + (runner.n_ahead + 1) * runner.length
     if runner.rehearsal:
@@ -86,9 +64,8 @@ def question(runner: Runner, plan: Mapping[str, Any]) -> Question:
     begin = pd.Timestamp(stored[0]["start"])
     service = Service(runner.scenario, runner.options)
     scenario = site_of(service, begin, end)
-    plans = {one["start"]: one for one in stored}
-    every = [plans.get(written(each)) for each in scenario.grid.times]
-    scenario, soc = as_it_was(scenario, every, runner.store)
+    replay = Replay.of(scenario, runner.options, stored, runner.store)
+    scenario = replay.scenario
     if runner.options.outages != KNOWN:
         scenario = replace(scenario, warnings=tuple(runner.warnings(time)))
     t = round((time - begin) / runner.length)
@@ -96,7 +73,7 @@ def question(runner: Runner, plan: Mapping[str, Any]) -> Question:
         runner.options.on(scenario), errors=ForecastErrors(), forecaster=PAPER, thermal="off"
     )
     expected = _expected(scenario, plan, t, runner.expected.get(plan["id"]))
-    return Question(expected, options, every[: t + 1], soc)
+    return Replay(expected, options, replay.stored[: t + 1], replay.soc)
 
 
 def _expected(
@@ -125,11 +102,11 @@ def _expected(
     return replace(scenario, **series)  # type: ignore[arg-type]
 
 
-def explained(asked: Question) -> dict[str, Any]:
+def explained(asked: Replay) -> dict[str, Any]:
     """Phase, reasons and prices of the step that a question is about."""
     scenario = asked.scenario
     recorder = Recorder(scenario)
-    for record in replayed(scenario, asked.options, asked.stored, asked.soc):
+    for record in asked.records():
         recorder.add(record)
     # Those ahead stand for their number alone: what was expected of them is the scenario's.
     for t in range(len(asked.stored), scenario.grid.n_steps):

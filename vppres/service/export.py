@@ -7,9 +7,9 @@ answer: not all of it is measured.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +24,9 @@ from vppres.day.trajectory import Trajectory
 from vppres.io.times import option_time
 from vppres.live.profile import Profile
 from vppres.model.site import Site
-from vppres.plant.plant import BatteryState
 from vppres.scenario.scenario import Scenario
 from vppres.service.announced import limits_kw, prices, warnings_ever
-from vppres.service.as_told import set_state, vehicles_kwh, with_told
+from vppres.service.as_told import Plan, expected_by, said_of, set_state, with_told
 from vppres.service.clock import written
 from vppres.service.learned import InSteps
 from vppres.service.records import Event, seconds
@@ -79,10 +78,9 @@ def exported(service: Service, store: Store, start: pd.Timestamp, end: pd.Timest
         If no step of that time is stored, or there are too many.
     """
     scenario = site_of(service, start, end)
-    plans = {plan["start"]: plan for plan in store.plans(scenario.grid.start, scenario.grid.end)}
     times = scenario.grid.times
-    stored = [plans.get(written(time)) for time in times]
-    if not any(stored):
+    plans = store.plans(times[0], scenario.grid.end)
+    if not plans:
         raise InputError(
             Problem(
                 "export",
@@ -90,18 +88,14 @@ def exported(service: Service, store: Store, start: pd.Timestamp, end: pd.Timest
                 "Give a time in which the service ran.",
             )
         )
-    scenario, soc = as_it_was(scenario, stored, store)
-    step = scenario.grid.step
-    warnings = [
-        one
-        for one in warnings_ever(store.events_ever(), scenario.grid.start, step)
-        if one.issued_at < scenario.grid.end
-    ]
-    scenario = replace(scenario, warnings=tuple(warnings))
-    recorder = Recorder(scenario)
-    for record in replayed(scenario, service.options, stored, soc):
+    replay = Replay.of(scenario, service.options, plans, store)
+    said = warnings_ever(store.events_ever(), times[0], scenario.grid.step)
+    warnings = tuple(one for one in said if one.issued_at < scenario.grid.end)
+    replay = replace(replay, scenario=replace(replay.scenario, warnings=warnings))
+    recorder = Recorder(replay.scenario)
+    for record in replay.records():
         recorder.add(record)
-    return recorder.finish(service.options.on(scenario).as_record())
+    return recorder.finish(service.options.on(replay.scenario).as_record())
 
 
 def site_of(service: Service, start: pd.Timestamp, end: pd.Timestamp) -> Scenario:
@@ -121,34 +115,81 @@ def site_of(service: Service, start: pd.Timestamp, end: pd.Timestamp) -> Scenari
     return replace(profile.steps(first, n_steps), warnings=())
 
 
-def as_it_was(
-    scenario: Scenario, stored: list[dict[str, Any] | None], store: Store
-) -> tuple[Scenario, Floats]:
-    """What was measured and announced, without grid where plans say so; and SoC, NaN if not so."""
-    measured = InSteps(store, scenario.grid)
-    dark = [plan is not None and not plan.get("grid", CONNECTED)["available"] for plan in stored]
-    price, limit_kw = _announced(scenario, stored, store)
-    nothing = np.full((scenario.grid.n_steps, len(scenario.batteries)), np.nan)
-    soc = measured.laid("soc", scenario.batteries.id, nothing)
-    first = np.where(np.isfinite(soc[0]), soc[0], scenario.batteries.soc_initial)
-    b = scenario.batteries
-    loads = scenario.thermal_loads
-    known = replace(
-        scenario,
-        load_kw=measured.laid("load_kw", scenario.customers.id, scenario.load_kw),
-        pv_kw=np.minimum(
-            measured.laid("pv_kw", scenario.pv.id, scenario.pv_kw), scenario.pv.p_max_kw
-        ),
-        price_gbp_per_kwh=price,
-        grid_limit_kw=np.where(dark, 0.0, limit_kw),
-        batteries=replace(b, soc_initial=np.clip(first, b.soc_min, b.soc_max)),
-        thermal_loads=replace(loads, t_initial_c=_indoor_c(scenario, stored[0], loads.t_initial_c)),
-    )
-    return with_told(known, stored), soc
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """Stored steps, as they were: what was said of them is played again on the plant.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The steps as they were measured and announced; without grid where plans say so.
+    options : RunOptions
+        How they were decided.
+    stored : list of dict or None
+        Their plans, None for a step without; none of steps that were not replayed yet.
+    soc : array, shape (T, B)
+        States of charge that were read, NaN where none was.
+    """
+
+    scenario: Scenario
+    options: RunOptions
+    stored: list[Plan | None]
+    soc: Floats
+
+    @classmethod
+    def of(
+        cls, scenario: Scenario, options: RunOptions, plans: Iterable[Plan], store: Store
+    ) -> Replay:
+        """The steps of a scenario, with what is stored of them."""
+        by_start = {plan["start"]: plan for plan in plans}
+        stored = [by_start.get(written(time)) for time in scenario.grid.times]
+        measured = InSteps(store, scenario.grid)
+        dark = [
+            plan is not None and not plan.get("grid", CONNECTED)["available"] for plan in stored
+        ]
+        price, limit_kw = _announced(scenario, stored, store)
+        b, loads, pv = scenario.batteries, scenario.thermal_loads, scenario.pv
+        soc = measured.laid("soc", b.id, np.full((len(stored), len(b)), np.nan))
+        first = np.where(np.isfinite(soc[0]), soc[0], b.soc_initial)
+        start_c = said_of(stored[0], "indoor_c", loads.id, loads.t_initial_c)
+        known = replace(
+            scenario,
+            load_kw=measured.laid("load_kw", scenario.customers.id, scenario.load_kw),
+            pv_kw=np.minimum(measured.laid("pv_kw", pv.id, scenario.pv_kw), pv.p_max_kw),
+            price_gbp_per_kwh=price,
+            grid_limit_kw=np.where(dark, 0.0, limit_kw),
+            batteries=replace(b, soc_initial=np.clip(first, b.soc_min, b.soc_max)),
+            thermal_loads=replace(loads, t_initial_c=start_c),
+        )
+        return cls(with_told(known, stored), options, stored, soc)
+
+    def records(self) -> Iterator[StepRecord]:
+        """The plant's answer to every step that is stored.
+
+        Batteries, rooms, tanks, vehicles and generating sets begin it with what was measured. Of a
+        step that was decided anew it answers the last plan, as if that had held all along.
+        """
+        scenario = self.scenario
+        world = World(scenario, self.options)
+        day, plant, b = world.day, world.day.plant, scenario.batteries
+        shared = self.options.on(scenario).shares_supply
+        told: list[dict[str, Any]] = []
+        for t, plan in enumerate(self.stored):
+            read = np.isfinite(self.soc[t])
+            held = np.where(read, np.clip(self.soc[t], b.soc_min, b.soc_max), day.state.soc)
+            day.state = replace(day.state, soc=held)
+            rooms, chargers = scenario.thermal_loads.id, scenario.chargers.id
+            plant.climate.t_c = said_of(plan, "indoor_c", rooms, plant.climate.t_c)
+            plant.garage.kwh = said_of(plan, "vehicles", chargers, plant.garage.kwh, "energy_kwh")
+            plant.engines.state = set_state(scenario, t, plan, plant.engines.state)
+            if plan is not None:
+                told = [{**one, "valid_from": plan["start"]} for one in plan["setpoints"]]
+            record = _noted(world.obey(t, told), plan)
+            yield _weighed(record, scenario, plan) if shared else record
 
 
 def _announced(
-    scenario: Scenario, stored: Sequence[Mapping[str, Any] | None], store: Store
+    scenario: Scenario, stored: Sequence[Plan | None], store: Store
 ) -> tuple[Floats, Floats]:
     """Import price and limit of each step, (T,), as they were known when it was decided.
 
@@ -159,7 +200,7 @@ def _announced(
     versions = list(store.events_ever().values())
     step = scenario.grid.step
     for t, (time, plan) in enumerate(zip(scenario.grid.times, stored, strict=True)):
-        expected = (plan or {}).get("expected") or {}
+        expected = expected_by(plan)
         if "price_gbp_per_kwh" in expected:
             known_kw = expected["grid_limit_kw"]
             price[t] = expected["price_gbp_per_kwh"]
@@ -181,42 +222,7 @@ def _known_by(versions: Sequence[Sequence[Event]], time: Any) -> list[Event]:
     return [one for one in last if one is not None and one.body]
 
 
-def replayed(
-    scenario: Scenario, options: RunOptions, stored: list[dict[str, Any] | None], soc: Floats
-) -> Iterator[StepRecord]:
-    """The plant's answer to every stored step.
-
-    Batteries, rooms, tanks, vehicles and generating sets begin it with what was measured.
-
-    Of a step that was decided anew it answers the last plan, as if that had held all along.
-    """
-    world = World(scenario, options)
-    b = scenario.batteries
-    shared = options.on(scenario).shares_supply
-    told: list[dict[str, Any]] = []
-    for t, plan in enumerate(stored):
-        state = world.day.state
-        held = np.where(np.isfinite(soc[t]), np.clip(soc[t], b.soc_min, b.soc_max), state.soc)
-        world.day.state = BatteryState(held, state.eta_charge, state.eta_discharge, state.t_cell_c)
-        climate = world.day.plant.climate
-        climate.t_c = _indoor_c(scenario, plan, climate.t_c)
-        garage, engines = world.day.plant.garage, world.day.plant.engines
-        garage.kwh = vehicles_kwh(scenario, plan, garage.kwh)
-        engines.state = set_state(scenario, t, plan, engines.state)
-        if plan is not None:
-            told = [{**one, "valid_from": plan["start"]} for one in plan["setpoints"]]
-        record = _noted(world.obey(t, told), plan)
-        yield _weighed(record, scenario, plan) if shared else record
-
-
-def _indoor_c(scenario: Scenario, plan: Mapping[str, Any] | None, reckoned_c: Floats) -> Floats:
-    """Temperatures that a step was decided on, (H,); those that are reckoned without a plan."""
-    known = ((plan or {}).get("expected") or {}).get("indoor_c", {})
-    pairs = zip(map(str, scenario.thermal_loads.id), reckoned_c.tolist(), strict=True)
-    return np.array([known.get(name, t_c) for name, t_c in pairs], dtype=float)
-
-
-def _weighed(record: StepRecord, scenario: Scenario, plan: dict[str, Any] | None) -> StepRecord:
+def _weighed(record: StepRecord, scenario: Scenario, plan: Plan | None) -> StepRecord:
     """A step with the weights of its plan; a step without a plan has those of the site."""
     rotated = ((plan or {}).get("solve") or {}).get(ROTATED) or {}
     c = scenario.customers
@@ -225,7 +231,7 @@ def _weighed(record: StepRecord, scenario: Scenario, plan: dict[str, Any] | None
     return replace(record, customers={**record.customers, ROTATED: weight})
 
 
-def _noted(record: StepRecord, plan: dict[str, Any] | None) -> StepRecord:
+def _noted(record: StepRecord, plan: Plan | None) -> StepRecord:
     """A step with what its plan says of how it was found."""
     # No model's answer is stored: that of the AC power flow stands in its place.
     buses = {**record.buses, "v_model_pu": record.buses["v_ac_pu"]}
