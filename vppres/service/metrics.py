@@ -47,39 +47,29 @@ class Figures(Collector):
         standing = Counter(row.kind for row in store.standing_alarms())
         now = runner.clock.now().timestamp()
         ages_s = {source: now - at for source, at in store.contacts().items()}
-        yield GaugeMetricFamily(
-            "vppres_plan_ahead_seconds", "How long the last plan still holds.", runner.ahead_s
-        )
-        yield _by(
-            "vppres_steps", "Steps by outcome.", "outcome", runner.outcomes, CounterMetricFamily
-        )
-        mode = {runner.mode["mode"]: 1.0}
-        yield _by("vppres_mode_info", "What the service does.", "mode", mode)
+        yield _figure("plan_ahead_seconds", "How long the last plan still holds.", runner.ahead_s)
+        steps = CounterMetricFamily("vppres_steps", "Steps by outcome.", labels=["outcome"])
+        yield _with(steps, runner.outcomes)
+        yield _by("mode_info", "What the service does.", "mode", {runner.mode["mode"]: 1.0})
         alarms = {kind: standing[kind] for kind in KINDS}
-        yield _by("vppres_alarms", "Alarms that stand.", "kind", alarms)
-        age_words = "Time since the last contact."
-        yield _by("vppres_telemetry_age_seconds", age_words, "source", ages_s)
+        yield _by("alarms", "Alarms that stand.", "kind", alarms)
+        yield _by("telemetry_age_seconds", "Time since the last contact.", "source", ages_s)
         if runner.last is not None:
             yield from self._plan(runner.last)
-        version = {str(vppres.__version__): 1.0}
-        yield _by("vppres_build_info", "Version.", "version", version)
+        yield _by("build_info", "Version.", "version", {str(vppres.__version__): 1.0})
 
     def _plan(self, plan: Mapping[str, Any]) -> Iterator[Metric]:
         """What the last plan says."""
         solve = plan["solve"] or {}
         made = pd.Timestamp(plan["generated_at"]).timestamp()
-        words = "When the last plan was made."
-        yield GaugeMetricFamily("vppres_plan_generated_timestamp_seconds", words, made)
-        yield _by("vppres_served_customers", "Customers that are on.", "tier", self._on(plan))
-        fallback = {solve.get("fallback") or "none": 1.0}
+        yield _figure("plan_generated_timestamp_seconds", "When the last plan was made.", made)
+        yield _by("served_customers", "Customers that are on.", "tier", self._on(plan))
         words = "What decided the last step in the controller's place."
-        yield _by("vppres_fallback_info", words, "kind", fallback)
+        yield _by("fallback_info", words, "kind", {solve.get("fallback") or "none": 1.0})
         refused = sum(one["reason"].startswith(DEFAULT) for one in plan["setpoints"])
-        words = "Set-points that are a default."
-        yield GaugeMetricFamily("vppres_default_set_points", words, refused)
+        yield _figure("default_set_points", "Set-points that are a default.", refused)
         if solve.get("relative_gap") is not None:
-            gap = solve["relative_gap"]
-            yield GaugeMetricFamily("vppres_solve_gap_ratio", "Gap of the last solve.", gap)
+            yield _figure("solve_gap_ratio", "Gap of the last solve.", solve["relative_gap"])
         if plan["expected"] is not None:
             yield from _expected(plan)
 
@@ -94,41 +84,38 @@ class Figures(Collector):
         return on
 
 
-def _by(
-    name: str, words: str, label: str, values: Mapping[str, float], kind: Any = GaugeMetricFamily
-) -> Metric:
-    """A figure for each value of a label."""
-    found = kind(name, words, labels=[label])
-    for each, value in values.items():
-        found.add_metric([each], value)
-    return found
-
-
 def _expected(plan: Mapping[str, Any]) -> Iterator[Metric]:
     """What the last plan expects of its step."""
     expected = plan["expected"]
-    soc = {asset: _known(value) for asset, value in expected["soc"].items()}
-    yield _by("vppres_battery_soc_ratio", "Expected at the end of the step.", "asset", soc)
     limit_kw = expected["grid_limit_kw"]
     limit_w = np.inf if limit_kw is None else W_PER_KW * limit_kw
+    import_w = W_PER_KW * _known(expected["import_kw"])
     likely = (plan.get("outage_probability") or [None])[0]
-    for name, words, value in (
-        ("vppres_import_watts", "Expected import.", W_PER_KW * _known(expected["import_kw"])),
-        ("vppres_import_limit_watts", "Import limit; infinite if there is none.", limit_w),
-        (
-            "vppres_voltage_min_ratio",
-            "Lowest voltage, of the nominal.",
-            _known(expected["v_min_pu"]),
-        ),
-        (
-            "vppres_voltage_max_ratio",
-            "Highest voltage, of the nominal.",
-            _known(expected["v_max_pu"]),
-        ),
-        ("vppres_grid_available", "Whether there is grid.", float(limit_kw != 0.0)),
-        ("vppres_outage_probability_ratio", "Of an outage in the present step.", _known(likely)),
-    ):
-        yield GaugeMetricFamily(name, words, value)
+    low, high = expected["v_min_pu"], expected["v_max_pu"]
+    soc = expected["soc"]
+    yield _by("battery_soc_ratio", "Expected at the end of the step.", "asset", soc)
+    yield _figure("import_watts", "Expected import.", import_w)
+    yield _figure("import_limit_watts", "Import limit; infinite if there is none.", limit_w)
+    yield _figure("voltage_min_ratio", "Lowest voltage, of the nominal.", low)
+    yield _figure("voltage_max_ratio", "Highest voltage, of the nominal.", high)
+    yield _figure("grid_available", "Whether there is grid.", float(limit_kw != 0.0))
+    yield _figure("outage_probability_ratio", "Of an outage in the present step.", likely)
+
+
+def _figure(name: str, words: str, value: float | None) -> Metric:
+    """A figure without a label."""
+    return GaugeMetricFamily(f"vppres_{name}", words, _known(value))
+
+
+def _by(name: str, words: str, label: str, values: Mapping[str, float | None]) -> Metric:
+    """A figure for each value of a label."""
+    return _with(GaugeMetricFamily(f"vppres_{name}", words, labels=[label]), values)
+
+
+def _with(found: Any, values: Mapping[str, float | None]) -> Metric:
+    for each, value in values.items():
+        found.add_metric([each], _known(value))
+    return found
 
 
 def _known(value: float | None) -> float:
