@@ -30,6 +30,7 @@ MOST_OF_A_KIND = 20
 HOUR = pd.Timedelta(hours=1)
 
 WRITE_A_TIME = "Write it with an offset, for example 2022-07-19T12:00:00Z."
+BY_ASSET = "a mapping or a Series"
 LEAVE_OUT = "Give a number; leave out what was not measured, or give NaN."
 
 
@@ -104,19 +105,16 @@ class Door:
         """
         if given is None:
             return series
-        if isinstance(given, pd.DataFrame):
-            rows = self._steps(field, list(given.index))
-            columns = self._positions(field, list(given.columns), ids)
-            values = self._values_of(field, given, rows)
-        else:
-            pairs = self._pairs(field, given, "a mapping, a Series or a DataFrame by time")
-            rows = np.array([self.t])
-            columns = self._positions(field, [name for name, _ in pairs], ids)
-            numbers = [self._number(field, value, name, now=True) for name, value in pairs]
-            values = np.array([numbers], dtype=float)
+        result = series.copy()
+        if not isinstance(given, pd.DataFrame):
+            wanted = "a mapping, a Series or a DataFrame by time"
+            result[self.t] = self.values(field, given, ids, series[self.t], wanted)
+            return result
+        rows = self._steps(field, list(given.index))
+        columns = self._positions(field, list(given.columns), ids)
+        values = self._values_of(field, given, rows)
         if self.problems:
             return series
-        result = series.copy()
         result[np.ix_(rows, columns)] = values
         return result
 
@@ -136,10 +134,12 @@ class Door:
         result[steps] = values
         return result
 
-    def values(self, field: str, given: Any, ids: Names, default: Floats) -> Floats:
+    def values(
+        self, field: str, given: Any, ids: Names, default: Floats, wanted: str = BY_ASSET
+    ) -> Floats:
         """One number for each item; the default where none was given, NaN where it is missing."""
         result = default.copy()
-        for position, name, value in self._items(field, given, ids):
+        for position, name, value in self._items(field, given, ids, wanted):
             number = self._number(field, value, name, now=True)
             if position >= 0:
                 result[position] = number
@@ -202,9 +202,11 @@ class Door:
                 )
             )
 
-    def _items(self, field: str, given: Any, ids: Names) -> Iterator[tuple[int, Any, Any]]:
+    def _items(
+        self, field: str, given: Any, ids: Names, wanted: str = BY_ASSET
+    ) -> Iterator[tuple[int, Any, Any]]:
         """Position, identifier and value of what was given for items; none of nothing."""
-        named = {} if given is None else dict(self._pairs(field, given, "a mapping or a Series"))
+        named = {} if given is None else dict(self._pairs(field, given, wanted))
         positions = self._positions(field, list(named), ids).tolist()
         for (name, value), position in zip(named.items(), positions, strict=True):
             yield position, name, value
@@ -230,32 +232,24 @@ class Door:
         return []
 
     def _values_of(self, field: str, frame: pd.DataFrame, rows: Wholes) -> Floats:
-        """A table's numbers, one by one only where a column holds anything but floats."""
+        """A table's numbers, one by one only where a column has any that is not in its range."""
         limits = RANGES[field]
-        values = frame.to_numpy()
-        numeric = values.dtype.kind in "fiu"
-        values = values.astype(float) if numeric else np.full(frame.shape, np.nan)
-        good = ((values >= limits.lowest) & (values <= limits.highest)).all(axis=0)
-        for column in np.flatnonzero(~good).tolist():
+        now = rows == self.t
+        found = np.empty(frame.shape)
+        for column, name in enumerate(frame.columns):
+            own = self.ranges.get((field, name), limits)
+            lowest, highest = (
+                np.where(now, getattr(own, end), getattr(limits, end))
+                for end in ("lowest", "highest")
+            )
             cells = frame.iloc[:, column]
             plain = isinstance(cells.dtype, np.dtype) and cells.dtype.kind in "fiu"
-            numbers = cells.to_numpy(dtype=float) if plain else None
-            if (
-                numbers is not None
-                and ((numbers >= limits.lowest) & (numbers <= limits.highest)).all()
-            ):
-                values[:, column] = numbers
-                continue
-            name = frame.columns[column]
-            values[:, column] = [
-                self._number(field, value, name, now=bool(step == self.t))
-                for value, step in zip(cells.to_list(), rows, strict=True)
-            ]
-        for row in np.flatnonzero(rows == self.t).tolist():
-            for column, name in enumerate(frame.columns):
-                if (field, name) in self.ranges and np.isfinite(values[row, column]):
-                    values[row, column] = self._number(field, values[row, column], name, now=True)
-        return values
+            numbers = cells.to_numpy(dtype=float) if plain else np.full(len(cells), np.nan)
+            if not ((numbers >= lowest) & (numbers <= highest)).all():
+                pairs = zip(cells.to_list(), now.tolist(), strict=True)
+                numbers = np.array([self._number(field, one, name, at) for one, at in pairs])
+            found[:, column] = numbers
+        return found
 
     def _number(self, field: str, value: Any, name: Any = None, now: bool = False) -> float:
         """A number in its range; NaN for a reading of now that the guard estimates."""
@@ -305,18 +299,22 @@ class Door:
         moment = self._moment(field, time, field)
         if moment is None:
             return -1
+        try:
+            step, rest = divmod(moment - self._start, self._length)
+        except (OverflowError, ValueError):  # centuries away
+            step, rest = -1, None
         grid = self.grid
-        step = self._steps_after_start(moment)
-        if step < 0:
-            self.problem(
-                field,
-                "is not the beginning of a step",
-                f"The scenario's steps begin at {grid.start.isoformat()} and last "
-                f"{grid.step_minutes:g} min; there are {grid.n_steps}.",
-                field,
-                time,
-            )
-        return step
+        if rest == pd.Timedelta(0) and 0 <= step < grid.n_steps:
+            return int(step)
+        self.problem(
+            field,
+            "is not the beginning of a step",
+            f"The scenario's steps begin at {grid.start.isoformat()} and last "
+            f"{grid.step_minutes:g} min; there are {grid.n_steps}.",
+            field,
+            time,
+        )
+        return -1
 
     def _moment(self, field: str, time: Any, what: str) -> pd.Timestamp | None:
         """A time with an offset, None if it is none."""
@@ -326,15 +324,6 @@ class Door:
             self.problem(field, wrong, WRITE_A_TIME, what, "None" if time is None else time)
             return None
         return moment
-
-    def _steps_after_start(self, moment: pd.Timestamp) -> int:
-        """Steps between the first step and a time, -1 where no step begins then."""
-        try:
-            step, rest = divmod(moment - self._start, self._length)
-        except (OverflowError, ValueError):  # centuries away
-            return -1
-        begins = rest == pd.Timedelta(0) and 0 <= step < self.grid.n_steps
-        return int(step) if begins else -1
 
     def _positions(self, field: str, names: Iterable[Any], ids: Names) -> Wholes:
         """Positions of identifiers, each once; -1 for those that the scenario does not have."""
