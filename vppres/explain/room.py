@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vppres.core.arrays import Floats
+from vppres.core.arrays import Complexes, Floats
 from vppres.explain.prices import WORTH
 from vppres.explain.step import Binding, Scarce, Step
 from vppres.model.data import PhasedWindow
@@ -52,11 +52,9 @@ def overloaded_line(step: Step, customer: int) -> int | None:
     most_kva = step.levels.window.flow_max_kva
     if most_kva is None:
         return None
-    now_kw, now_kvar = step.recorded.flow_kw[step.t], step.recorded.flow_kvar[step.t]
+    now = step.recorded.flow_kw[step.t] + 1j * step.recorded.flow_kvar[step.t]
     kw, kvar = _flows_for(step, customer)
-    more = np.hypot(now_kw + kw, now_kvar + kvar)
-    share = np.where(more > np.hypot(now_kw, now_kvar), more / most_kva[0], 0.0)
-    return int(np.argmax(share)) if share.max(initial=0.0) > 1.0 else None
+    return _furthest(now, now + (kw + 1j * kvar), most_kva[0])
 
 
 def _overloaded_current(step: Step, customer: int) -> int | None:
@@ -67,9 +65,8 @@ def _overloaded_current(step: Step, customer: int) -> int | None:
     slopes = model.slopes[ISLAND if step.outage else GRID]
     kw, kvar = _demand(step, customer)
     now = step.recorded.currents(step.t)
-    more = np.abs(now + slopes.current_p[:, customer] * kw + slopes.current_q[:, customer] * kvar)
-    share = np.where(more > np.abs(now), more, 0.0)
-    return int(np.argmax(share)) if share.max() > 1.0 else None
+    more = now + slopes.current_p[:, customer] * kw + slopes.current_q[:, customer] * kvar
+    return _furthest(now, more, np.ones(len(now)))
 
 
 def overloaded_phase(step: Step, customer: int) -> int | None:
@@ -81,9 +78,14 @@ def overloaded_phase(step: Step, customer: int) -> int | None:
     slopes = model.slopes[ISLAND]
     kw, kvar = _demand(step, customer)
     now = step.recorded.former_kva(step.t)
-    more = np.abs(now + slopes.former_p[:, customer] * kw + slopes.former_q[:, customer] * kvar)
-    share = np.where(more > np.abs(now), more / phased.room_kva[0], 0.0)
-    return int(np.argmax(share)) if share.max() > 1.0 else None
+    more = now + slopes.former_p[:, customer] * kw + slopes.former_q[:, customer] * kvar
+    return _furthest(now, more, phased.room_kva[0])
+
+
+def _furthest(now: Complexes, more: Complexes, most: Floats) -> int | None:
+    """Which of some flows grows furthest beyond its limit; None if none does."""
+    share = np.where(np.abs(more) > np.abs(now), np.abs(more) / most, 0.0)
+    return int(np.argmax(share)) if share.max(initial=0.0) > 1.0 else None
 
 
 def _demand(step: Step, customer: int) -> tuple[float, float]:

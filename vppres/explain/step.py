@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -277,12 +277,8 @@ class Step:
         on top is due to ratings of lines and to voltage; reactive power at the slack bus is due to
         inverters.
         """
-        count = len(self.site.customers)
         if self.service is None:
-            return {
-                name: np.zeros(count)
-                for name in ("energy", "power", "inverter", "grid", "rating", "phase", "voltage")
-            }
+            return dict.fromkeys(get_args(Scarce), np.zeros(len(self.site.customers)))
         p = self.service
         bus = self.site.customer_bus
         load_kvar = self.load_kw * self.site.customers.q_per_p
@@ -293,14 +289,20 @@ class Step:
         beyond = (active - p.active[0]) * self.load_kw + (reactive - p.reactive[0]) * load_kvar
         rating = bus.T @ p.line_active * self.load_kw + bus.T @ p.line_reactive * load_kvar
         inverter = share["inverter"] * system + np.maximum(p.reactive[0] * load_kvar, 0.0)
+        rated = nodes = np.zeros(len(load_kvar))
+        if p.phases is not None:
+            of_ratings = self._cost_by(p.phases.rated_active, p.phases.rated_reactive)
+            rated = np.maximum(of_ratings, 0.0).sum(axis=0)
+            of_nodes = self._cost_by(p.phases.by_voltage, p.phases.by_voltage_kvar)
+            nodes = np.maximum(of_nodes, 0.0)
         return {
             "energy": share["energy"] * system,
             "power": share["power"] * system,
             "inverter": inverter,
             "grid": share["grid"] * system,
-            "rating": np.maximum(rating, 0.0) + self.rated_cost.sum(axis=0),
+            "rating": np.maximum(rating, 0.0) + rated,
             "phase": np.maximum(self.phase_cost.sum(axis=0), 0.0),
-            "voltage": np.maximum(beyond - rating, 0.0) + self._node_cost,
+            "voltage": np.maximum(beyond - rating, 0.0) + nodes,
         }
 
     @cached_property
@@ -309,31 +311,13 @@ class Step:
         phases = None if self.service is None else self.service.phases
         if phases is None:
             return np.zeros((3, len(self.load_kw)))
-        n = len(self.load_kw)
-        kvar = self.load_kw * self.site.customers.q_per_p
-        return np.asarray(phases.active[:, :n] * self.load_kw + phases.reactive[:, :n] * kvar)
+        return self._cost_by(phases.active, phases.reactive)
 
-    @cached_property
-    def rated_cost(self) -> Floats:
-        """What ratings of phases make of the cost of each customer, (k, C)."""
-        phases = None if self.service is None else self.service.phases
-        n = len(self.load_kw)
-        if phases is None:
-            return np.zeros((0, n))
-        kvar = self.load_kw * self.site.customers.q_per_p
-        cost = phases.rated_active[:, :n] * self.load_kw + phases.rated_reactive[:, :n] * kvar
-        return np.asarray(np.maximum(cost, 0.0))
-
-    @property
-    def _node_cost(self) -> Floats:
-        """What voltage limits of nodes make of it, (C,)."""
-        phases = None if self.service is None else self.service.phases
-        if phases is None:
-            return np.zeros(len(self.load_kw))
+    def _cost_by(self, active: Floats, reactive: Floats) -> Floats:
+        """What prices of powers, (..., D), make of the cost of each customer, (..., C)."""
         n = len(self.load_kw)
         kvar = self.load_kw * self.site.customers.q_per_p
-        cost = phases.by_voltage[:n] * self.load_kw + phases.by_voltage_kvar[:n] * kvar
-        return np.asarray(np.maximum(cost, 0.0))
+        return np.asarray(active[..., :n] * self.load_kw + reactive[..., :n] * kvar)
 
     def full_phase(self, customer: int) -> int | None:
         """The former's phase that costs most of what supplying a customer does; None if none."""

@@ -74,43 +74,32 @@ def one_more(step: Step, binding: Binding, which: int | None = None) -> str:
     p = step.service
     if p is None:
         return ""
-    b = step.site.batteries
-    buses = step.scenario.network.buses
+    batteries, buses = step.site.batteries.id, step.scenario.network.buses
     rated = p.former_phase if binding == "phase" else p.line_rating
     full = int(np.argmax(rated)) if which is None and len(rated) else which or 0
-    offers: dict[Binding, tuple[float, str]] = {
-        "energy": (_most(p.stored_energy), "one more stored kWh"),
-        "power": _first(
-            (
-                _most(p.battery_discharging),
-                f"one more kW of battery {_name(b.id, p.battery_discharging)}",
-            ),
-            (_most(p.active), f"one more kW at bus {_name(buses, p.active)}"),
-        ),
-        "inverter": _first(
-            (
-                _most(p.battery_inverter),
-                f"one more kVA of battery {_name(b.id, p.battery_inverter)}",
-            ),
-            (_most(p.reactive), f"one more kvar at bus {_name(buses, p.reactive)}"),
-        ),
-        "voltage": (
-            _most(p.voltage_floor),
-            f"a voltage limit 0.001 pu lower at bus {_name(buses, p.voltage_floor)}",
-        ),
-        "rating": (
-            float(p.line_rating[full]),
-            f"one more kVA through {line_name(step, full)}",
-        )
-        if binding == "rating"
-        else (0.0, ""),
-        "phase": (float(p.former_phase[full]), f"one more kVA on {phase_name(step, full)}")
-        if binding == "phase"
-        else (0.0, ""),
-        "grid": (p.grid, "one more kW from the grid"),
-    }
-    value, what = offers.get(binding, (0.0, ""))
-    return f"{what} would add {service_words(step, value)}" if value > WORTH else ""
+    offers: list[tuple[float, str]] = []
+    if binding == "energy":
+        offers = [(_most(p.stored_energy), "one more stored kWh")]
+    elif binding == "power":
+        offers = [
+            _dearest("one more kW of battery", batteries, p.battery_discharging),
+            _dearest("one more kW at bus", buses, p.active),
+        ]
+    elif binding == "inverter":
+        offers = [
+            _dearest("one more kVA of battery", batteries, p.battery_inverter),
+            _dearest("one more kvar at bus", buses, p.reactive),
+        ]
+    elif binding == "voltage":
+        offers = [_dearest("a voltage limit 0.001 pu lower at bus", buses, p.voltage_floor)]
+    elif binding == "rating":
+        offers = [(float(rated[full]), f"one more kVA through {line_name(step, full)}")]
+    elif binding == "phase":
+        offers = [(float(rated[full]), f"one more kVA on {phase_name(step, full)}")]
+    elif binding == "grid":
+        offers = [(p.grid, "one more kW from the grid")]
+    worth = ((value, what) for value, what in offers if value > WORTH)
+    return next((f"{what} would add {service_words(step, value)}" for value, what in worth), "")
 
 
 def line_words(step: Step, line: int) -> str:
@@ -193,10 +182,6 @@ def _most(values: Floats) -> float:
     return float(values.max()) if len(values) else 0.0
 
 
-def _name(names: Names, values: Floats) -> str:
-    return str(names[int(np.argmax(values))]) if len(values) else ""
-
-
-def _first(*offers: tuple[float, str]) -> tuple[float, str]:
-    """The first offer with a value, otherwise the last."""
-    return next((offer for offer in offers if offer[0] > WORTH), offers[-1])
+def _dearest(what: str, names: Names, values: Floats) -> tuple[float, str]:
+    """The highest of some values, and at which of the names it is."""
+    return _most(values), f"{what} {names[int(np.argmax(values))]}" if len(values) else what
