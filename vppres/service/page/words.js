@@ -6,7 +6,7 @@ export const MARKS = { [ALARM]: "\u25a0", [WARNING]: "\u25b2", [NOTE]: "\u25cb",
 
 export const SECOND = 1000, MINUTE = 60 * SECOND, HOUR = 60 * MINUTE;
 const BAND_C = 0.05; // what is shown as 26.0 is not above 26
-export const NAMED_HERE = 3; // assets of a kind, before "and n more"
+const NAMED_HERE = 3; // assets of a kind, before "and n more"
 
 // Times by the clocks at the site; the zone is named if it differs from the current one.
 export class SiteClock {
@@ -17,7 +17,6 @@ export class SiteClock {
     this.full = format({ weekday: "short", day: "numeric", month: "short", ...hm, timeZoneName: "short" });
     this.day = format({ weekday: "short", day: "numeric", month: "short" });
     this.weekday = format({ weekday: "short" });
-    this.seconds = format({ ...hm, second: "2-digit" });
     this.named = format({ timeZoneName: "short" });
   }
   zone(time) { return this.named.formatToParts(time).find((part) => part.type === "timeZoneName").value; }
