@@ -9,6 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.support.small_windows import OPEN, two_buses, window
+from vppres.core.units import kva_to_a
 from vppres.day.metrics import cautions, line_current_a, line_loading
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
@@ -18,10 +20,13 @@ from vppres.feeders import import_network
 from vppres.feeders.new.options import NewScenarioOptions
 from vppres.feeders.new.scenario import new_scenario
 from vppres.model.beyond_paper.ratings import LineRatings
+from vppres.model.ratings import with_ratings_given
 from vppres.model.site import Site
 from vppres.model.statement import Statement
 from vppres.report.findings import findings
+from vppres.scenario.network import Network
 from vppres.scenario.scenario import LIMIT, REPORT, Scenario
+from vppres.solve.ladder import WindowSolver
 
 OUTAGE = (pd.Timestamp("2025-07-01T12:00Z"), pd.Timestamp("2025-07-01T16:00Z"))
 
@@ -73,6 +78,23 @@ def test_shadow_prices_state_the_ratings_of_lines(tiny: Scenario) -> None:
     priced = Statement(site, 1, ((LineRatings, True),))
     assert "line_rating" in priced.families
     assert priced.own == ()  # every stage of the prices knows them
+
+
+def test_ratings_give_way_by_a_share_of_what_is_beyond_them() -> None:
+    """Eight customers of 4 kW behind 5 kVA, and behind it a line of 100 kVA that stays as it is."""
+    day = two_buses([[4.0] * 8], [1.0] * 8, [OPEN])
+    i_max_a = kva_to_a(np.array([5.0, 100.0]), 11.0)
+    network = Network([1, 2], [2, 3], [0.01] * 2, [0.01] * 2, 1, base_kv=11.0, i_max_a=i_max_a)
+    customers = replace(day.customers, bus=[3] * 8)
+    data = window(day := replace(day, network=network, customers=customers))
+    site = Site.of(day)
+    free = WindowSolver(site).solve(data).dispatch
+    assert free.p_flow_kw == pytest.approx(32.0, abs=1e-4)
+    assert WindowSolver(replace(site, rated=True)).solve(data).dispatch.served.sum() == 1
+    for share in (0.0, 0.25, 1.0):
+        given = with_ratings_given(site, data, free, share).flow_max_kva
+        # A thousandth of a rating is left free.
+        assert given == pytest.approx(np.array([[4.995 + share * (32.0 - 4.995), 99.9]]), rel=1e-4)
 
 
 def test_ratings_that_bind_nothing_change_nothing() -> None:

@@ -156,6 +156,20 @@ def test_a_car_that_never_leaves_is_a_battery(method: str) -> None:
     assert not broken(Site.of(other), data, by_car.dispatch)
 
 
+@pytest.mark.parametrize("method", METHODS)
+def test_a_charger_does_not_burn_sun_by_charging_and_discharging_at_once(method: str) -> None:
+    """A car of 57 of 60 kWh gives a home 1 kWh; then 19 kW of sun are too much in the dark."""
+    day = with_pv(two_buses([[1.0]] * 3, [1.0], [OPEN, DARK, OPEN]), [0, 20, 0])
+    day = replace(day, chargers=chargers(p_discharge_kw=7.4))
+    session = {"soc_at_plug_in": 0.95, "soc_needed": 0.5, "v2g_soc_floor": 0.0}
+    day = plugged_in(day, (0, 3), **session)
+    answer = WindowSolver(Site.of(day), method).solve(known(day))
+    charged_kw = (3.0 + 1.0 / 0.92) / 0.92
+    taken_kw = answer.dispatch.taken_kw["chargers"][:, 0]
+    assert taken_kw == pytest.approx([-1.0, charged_kw, -1.0], abs=1e-4)
+    assert answer.terms.f3 == pytest.approx(19.0 - charged_kw, abs=1e-4)
+
+
 def test_the_floor_holds_what_a_car_keeps() -> None:
     """FlexMeasures' tutorial: 60 kWh, never below 25 %, 95 % at 08:00; it supplies a dark evening.
 
