@@ -17,8 +17,9 @@ from tests.support.live_service import HERE, NOON, client, decided, said, site
 from tests.support.small_windows import (
     DARK,
     OPEN,
-    battery,
     first_step,
+    full_of,
+    site_of,
     two_buses,
     window,
     with_pv,
@@ -50,8 +51,7 @@ def dimmable(day: Scenario, *least: float) -> Scenario:
 def dark_hours(energy_kwh: float, weights: Sequence[float], *least: float) -> Scenario:
     """Two dark hours; a battery gives this much energy to customers of 10 kW each."""
     day = two_buses([[10.0] * len(weights)] * 2, weights, [DARK] * 2)
-    stored = battery(energy_kwh=energy_kwh / 0.7 / 0.95, p_max_kw=1e3, s_max_kva=1e3)
-    return dimmable(replace(day, batteries=replace(stored, soc_initial=stored.soc_max)), *least)
+    return dimmable(replace(day, batteries=full_of(energy_kwh)), *least)
 
 
 # Hand-solved windows.
@@ -73,7 +73,7 @@ def test_energy_is_shared_down_to_the_least_share(
     method: str, energy_kwh: float, least: float, supplied: float
 ) -> None:
     day = dark_hours(energy_kwh, [1.0], least)
-    answer = WindowSolver(Site.of(day), method).solve(window(day))
+    answer = WindowSolver(site_of(day), method).solve(window(day))
     share = answer.dispatch.supplied.astype(float)
     assert share.sum() == pytest.approx(supplied, abs=1e-4)
     assert ((share == 0.0) | (share >= least)).all()
@@ -109,12 +109,11 @@ def test_many_that_may_be_dimmed_never_outweigh_a_critical_one_in_strict_order()
     """The hospital needs all of the energy, which would give 100 homes their least share."""
     homes = 100
     day = two_buses([[50.0] + [1.0] * homes], [1.0] * (1 + homes), [DARK])
-    stored = battery(energy_kwh=51.0 / 0.7 / 0.95, p_max_kw=1e3, s_max_kva=1e3)
     tier = np.array(["critical"] + ["low"] * homes, dtype=object)
     day = replace(
         day,
         tiers=("critical", "low"),
-        batteries=replace(stored, soc_initial=stored.soc_max),
+        batteries=full_of(51.0),
         customers=replace(day.customers, tier=tier, share_min=[1.0] + [0.0] * homes),
     )
     ranked = Site.of(day).ranked(Ranks.of(day.customers, day.tiers, 1), 1)
@@ -138,7 +137,7 @@ def test_what_is_caught_up_counts_again(
     method: str, recover_h: float, limit_kw: float, service: float
 ) -> None:
     day = dark_then_open(recover_h, limit_kw)
-    answer = WindowSolver(Site.of(day), method).solve(window(day))
+    answer = WindowSolver(site_of(day), method).solve(window(day))
     share = answer.dispatch.supplied.astype(float)[:, 0]
     assert share.sum() == pytest.approx(service, abs=1e-4)
     assert answer.objective == pytest.approx(service, abs=2e-2)  # less the cost of import
@@ -148,9 +147,8 @@ def test_what_is_caught_up_counts_again(
 def dark_then_open(recover_h: float, limit_kw: float) -> Scenario:
     """Two dark hours with 15 of 20 kWh, and four with so much import."""
     day = two_buses([[10.0]] * 6, [1.0], [DARK] * 2 + [limit_kw] * 4)
-    stored = battery(energy_kwh=15.0 / 0.7 / 0.95, p_max_kw=1e3, s_max_kva=1e3)
-    day = replace(day, batteries=replace(stored, soc_initial=stored.soc_max))
-    return replace(day, customers=replace(day.customers, share_min=[0.5], recover_h=[recover_h]))
+    customers = replace(day.customers, share_min=[0.5], recover_h=[recover_h])
+    return replace(day, batteries=full_of(15.0), customers=customers)
 
 
 def test_what_is_owed_survives_a_restart() -> None:

@@ -13,13 +13,13 @@ import pytest
 
 from experiments.random_feeders import random_rules, random_window
 from tests.support.agreement import assert_methods_agree
-from tests.support.small_windows import DARK, OPEN, battery, two_buses, window
+from tests.support.small_windows import DARK, OPEN, full_of, site_of, two_buses, window
 from vppres import Controller, Measurement, RunOptions, explain_day, run_day, summarise
 from vppres.contract.switching import SwitchingState
 from vppres.control.planner import levels_of
 from vppres.control.rules import rule_dispatch
 from vppres.control.step_state import StepState
-from vppres.day.priority import site_of
+from vppres.day import priority
 from vppres.io import read_scenario, write_scenario
 from vppres.io.digest import scenario_digest
 from vppres.model.beyond_paper.table import beyond_paper
@@ -47,9 +47,8 @@ def dark_hours(
 ) -> Scenario:
     """A dark feeder whose battery can give this much energy at its terminals, and any power."""
     day = two_buses([load_kw] * hours, weights, [DARK] * hours)
-    stored = battery(energy_kwh=max(energy_kwh, 1e-3) / 0.7 / 0.95, p_max_kw=1e3, s_max_kva=1e3)
-    full = replace(stored, soc_initial=stored.soc_max if energy_kwh else stored.soc_min)
-    return replace(day, customers=replace(day.customers, max_off_h=longest_h), batteries=full)
+    customers = replace(day.customers, max_off_h=longest_h)
+    return replace(day, customers=customers, batteries=full_of(energy_kwh))
 
 
 def with_limits(day: Scenario, data: WindowData, state: SwitchingState) -> WindowData:
@@ -96,7 +95,7 @@ def test_limit_is_kept_or_broken_by_the_least(
     data = window(day)
     if start is not None:
         data = with_limits(day, data, state_of(day, [0.0, off_h]))
-    answer = WindowSolver(Site.of(day), method).solve(data)
+    answer = WindowSolver(site_of(day), method).solve(data)
     assert tuple(answer.dispatch.served.sum(axis=0)) == hours_on
     assert answer.terms.f6 == pytest.approx(1.0 * beyond)
     assert answer.objective == pytest.approx(hours_on @ np.array([1.0, 0.5]) - beyond, abs=1e-3)
@@ -106,7 +105,7 @@ def test_limit_is_kept_or_broken_by_the_least(
 def test_a_due_customer_is_served_at_once() -> None:
     day = dark_hours([10.0, 10.0], [1.0, 0.5], 41.0, [np.nan, 2.0])
     data = with_limits(day, window(day), state_of(day, [0.0, 2.0]))
-    served = WindowSolver(Site.of(day)).solve(data).dispatch.served
+    served = WindowSolver(site_of(day)).solve(data).dispatch.served
     assert served[0].tolist() == [False, True]
 
 
@@ -172,7 +171,7 @@ def test_no_limit_of_lower_tiers_outweighs_a_unit_of_a_higher_one() -> None:
     state = state_of(day, [0.0] + [3.0] * 40)
     rules = state.window(2)
     for site, hours in (
-        (site_of(day, RunOptions(priority="strict", horizon_h=2.0).as_record()), 1),
+        (priority.site_of(day, RunOptions(priority="strict", horizon_h=2.0).as_record()), 1),
         (Site.of(day), 0),
     ):
         priced = replace(window(day), switching=rules.priced(site.hour_beyond, site.dt_h))
@@ -255,7 +254,7 @@ def test_since_when_a_customer_is_off_survives_a_restart() -> None:
     served = []
     for restarts in (False, True):
         controller = Controller.of(day, options)
-        soc = {"b0": 0.85}
+        soc = {"b0": float(day.batteries.soc_initial[0])}
         for time in day.grid.times:
             if restarts:
                 state = json.loads(json.dumps(controller.state(), allow_nan=False))
@@ -303,7 +302,7 @@ def test_bounds_of_the_levels_hold_for_every_schedule() -> None:
     day = dark_hours([30.0, 10.0, 10.0], [1.0, 0.4, 0.4], 41.0, [np.nan, 0.0, np.nan], hours=2)
     tier = np.array(["critical", "low", "low"], dtype=object)
     day = replace(day, tiers=("critical", "low"), customers=replace(day.customers, tier=tier))
-    site = site_of(day, RunOptions(priority="strict", horizon_h=2.0).as_record())
+    site = priority.site_of(day, RunOptions(priority="strict", horizon_h=2.0).as_record())
     assert site.ranks is not None
     rules = state_of(day, [0.0, 0.0, 0.0]).window(2).priced(site.hour_beyond, site.dt_h)
     data = replace(window(day), switching=rules)

@@ -20,6 +20,8 @@ from tests.support.small_windows import (
     DARK,
     OPEN,
     battery,
+    full_of,
+    site_of,
     two_buses,
     window,
 )
@@ -70,7 +72,7 @@ def solved(day: Scenario, state: SwitchingState, method: str) -> WindowSolution:
     """All steps of a scenario as one window with rules."""
     data = window(day)
     data = replace(data, switching=state.window(data.n_steps))
-    answer = WindowSolver(Site.of(day), method).solve(data)
+    answer = WindowSolver(site_of(day), method).solve(data)
     check = check_dispatch(day, data, answer.dispatch, state)
     assert check.worst[1] <= CHECKER_TOLERANCE, check.worst
     assert answer.objective == pytest.approx(check.objective, abs=1e-9)
@@ -81,12 +83,8 @@ def island(
     load_kw: Sequence[Sequence[float]], weights: Sequence[float], energy_kwh: float
 ) -> Scenario:
     """A dark feeder whose battery can give this much energy at its terminals, and any power."""
-    return replace(
-        two_buses(load_kw, weights, [DARK] * len(load_kw)),
-        batteries=battery(
-            energy_kwh=energy_kwh / 0.7 / 0.95, p_max_kw=1e3, s_max_kva=1e3, soc=0.85
-        ),
-    )
+    day = two_buses(load_kw, weights, [DARK] * len(load_kw))
+    return replace(day, batteries=full_of(energy_kwh))
 
 
 NEVER = float("inf")
@@ -304,7 +302,7 @@ def test_duty_is_let_go_only_where_it_cannot_be_met(
     # With 35 kWh the duty costs the critical customer: 30 go to the one that was just restored.
     day = island([[30.0, 10.0]], [0.1, 1.0], energy_kwh)
     state = state_of(SwitchingRules(min_served_h=2.0), [True, True], [1.0, NEVER])
-    planner = OnePass(WindowSolver(Site.of(day), method))
+    planner = OnePass(WindowSolver(site_of(day), method))
     answer, relaxed = plan_with_rules(planner, seen(day, state))
     assert (relaxed, answer.dispatch.served[0].tolist()) == (let_go, served)
 
