@@ -76,12 +76,16 @@ def window_of(state: StepState) -> WindowData:
 
 @pytest.mark.daily
 @settings(max_examples=50, deadline=None)
-@given(seed=SEEDS, charge_kw=st.floats(-500.0, 500.0))
-def test_rule_is_always_feasible(seed: int, charge_kw: float) -> None:
-    scenario, state = state_of(seed)
+@given(seed=SEEDS, charge_kw=st.floats(-500.0, 500.0), stressed=st.booleans())
+def test_rule_is_always_feasible_and_carried_out_as_it_is(
+    seed: int, charge_kw: float, stressed: bool
+) -> None:
+    scenario, state = state_of(seed, stressed)
     carried = rule_dispatch(state, TIERS, np.full(len(scenario.batteries), charge_kw))
-    found = check_dispatch(scenario, window_of(state), carried.dispatch).violations
-    first = carried.dispatch.served[0] & (scenario.customers.tier == "critical")
+    plan = carried.dispatch
+    # Inverters of stressed windows may be too small for what their owners consume themselves.
+    found = {} if stressed else check_dispatch(scenario, window_of(state), plan).violations
+    first = plan.served[0] & (scenario.customers.tier == "critical")
     alone = carry(state, first, np.zeros(len(scenario.batteries)))
     assert carried.no_worse_than(alone)
     exempt = {"voltage limits"}  # the rule goes by those of the AC voltages
@@ -90,17 +94,9 @@ def test_rule_is_always_feasible(seed: int, charge_kw: float) -> None:
     assert {
         name: value for name, value in found.items() if value > 1e-7 and name not in exempt
     } == {}
-
-
-@settings(max_examples=40, deadline=None)
-@given(seed=SEEDS, stressed=st.booleans())
-def test_plant_carries_the_rule_out_as_it_is(seed: int, stressed: bool) -> None:
-    scenario, state = state_of(seed, stressed)
-    plan = rule_dispatch(state, TIERS).dispatch
+    steps = (scenario.grid.n_steps, 1)
     now = replace(
-        scenario,
-        load_kw=np.tile(state.load_kw, (scenario.grid.n_steps, 1)),
-        pv_kw=np.tile(state.pv_kw, (scenario.grid.n_steps, 1)),
+        scenario, load_kw=np.tile(state.load_kw, steps), pv_kw=np.tile(state.pv_kw, steps)
     )
     battery = BatteryState(state.soc, state.eta_charge, state.eta_discharge, 25.0 + 0 * state.soc)
     done = Plant(now).apply(0, Decision(plan), battery)
@@ -364,7 +360,7 @@ def with_slack(scenario: Scenario, v_slack_pu: float) -> Scenario:
     ],
 )
 def test_voltage_limits_give_by_as_little_as_possible(v_slack_pu: float, limits: str) -> None:
-    scenario = with_slack(small_scenario(), v_slack_pu)
+    scenario = with_slack(small_scenario(), v_slack_pu).between(0, 2)
     day = played(scenario, guarded(scenario, {}, horizon_h=0.0))
     assert set(fallbacks(day)) == {"voltage"}
     reason = day.recorder.records[0].steps["fallback_reason"]
@@ -394,9 +390,10 @@ class OnlyOneStep(WindowSolver):
 @pytest.mark.daily
 def test_service_is_let_go_where_wider_limits_do_not_help(tiny: Scenario) -> None:
     error = InfeasibleError("The rules of switching leave nothing.")
-    day = played(tiny, guarded(tiny, {3: error}, solver_of=OnlyOneStep))
-    assert fallbacks(day) == ["none"] * 3 + ["service"] + ["none"] * 2
-    reason = day.recorder.records[3].steps["fallback_reason"]
+    evening = tiny.between(2, 5)
+    day = played(evening, guarded(evening, {1: error}, solver_of=OnlyOneStep))
+    assert fallbacks(day) == ["none", "service", "none"]
+    reason = day.recorder.records[1].steps["fallback_reason"]
     assert reason.startswith(
         "InfeasibleError: The rules of switching leave nothing.; voltage: "
         "InfeasibleError: The future has no feasible dispatch."
@@ -586,18 +583,41 @@ def test_missing_series_come_from_the_forecast_of_the_step_before(
     assert [r.steps["estimated"] for r in day.recorder.records][:3] == ["", words[name], ""]
 
 
-def test_frozen_load_is_replaced_while_the_forecast_moves(tiny: Scenario) -> None:
-    moving = replace(tiny, load_kw=tiny.load_kw * np.linspace(1.0, 0.5, 6)[:, None])
+def frozen_load(day: Scenario, first: int, last: int) -> Callable[[Observation], Observation]:
+    """Demand is read as it was in one step until another."""
 
     def frozen(seen: Observation) -> Observation:
         rows = np.array(seen.forecast.load_kw)
-        rows[0] = moving.load_kw[0]
+        if first <= seen.t0 <= last:
+            rows[0] = day.load_kw[first]
         return replace(seen, forecast=replace(seen.forecast, load_kw=rows))
 
-    words = [r.steps["estimated"] for r in seen_day(moving, frozen, OPTIONS).recorder.records]
-    assert words[:2] == ["", ""]  # two forecasts are needed to see that it should move
-    assert words[2:] == [
-        f"load of all 3, {moving.load_kw[t].sum():.1f} kW (frozen)" for t in range(2, 6)
+    return frozen
+
+
+FALLING = np.linspace(1.0, 0.5, 6)
+DIP = np.array([1.0, 1.0, 0.6, 0.6, 1.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("share", "first", "last", "replaced"),
+    [
+        (FALLING, 0, 5, [2, 3, 4, 5]),  # two forecasts are needed to see that it should move
+        # Step 2 reads what is no longer true, and steps 3 and 4 know by the import before.
+        (FALLING, 1, 4, [3, 4]),
+        (DIP, 0, 5, [3]),  # the forecast of step 4 says what is read
+    ],
+)
+def test_frozen_load_is_replaced_until_it_moves_or_is_true(
+    tiny: Scenario, share: Floats, first: int, last: int, replaced: list[int]
+) -> None:
+    load = np.tile(tiny.load_kw[0], (6, 1)) if share is DIP else tiny.load_kw
+    limit_kw = np.full(6, np.inf) if share is DIP else tiny.grid_limit_kw
+    day = replace(tiny, load_kw=load * share[:, None], grid_limit_kw=limit_kw)
+    done = seen_day(day, frozen_load(day, first, last), OPTIONS)
+    assert [r.steps["estimated"] for r in done.recorder.records] == [
+        f"load of all 3, {day.load_kw[t].sum():.1f} kW (frozen)" if t in replaced else ""
+        for t in range(6)
     ]
 
 
@@ -652,38 +672,6 @@ def test_state_of_charge_in_whole_per_cent_is_believed(tiny: Scenario) -> None:
     assert [r.steps["estimated"] for r in day.recorder.records] == [""] * 6
 
 
-def frozen_load(day: Scenario, first: int, last: int) -> Callable[[Observation], Observation]:
-    """Demand is read as it was in one step until another."""
-
-    def frozen(seen: Observation) -> Observation:
-        rows = np.array(seen.forecast.load_kw)
-        if first <= seen.t0 <= last:
-            rows[0] = day.load_kw[first]
-        return replace(seen, forecast=replace(seen.forecast, load_kw=rows))
-
-    return frozen
-
-
-def test_frozen_load_is_believed_again_once_it_moves(tiny: Scenario) -> None:
-    falling = replace(tiny, load_kw=tiny.load_kw * np.linspace(1.0, 0.5, 6)[:, None])
-    day = seen_day(falling, frozen_load(falling, 1, 4), OPTIONS)
-    words = [r.steps["estimated"] for r in day.recorder.records]
-    # Step 2 reads what is no longer true, and steps 3 and 4 know by the import of the step before.
-    assert [bool(text) for text in words] == [False, False, False, True, True, False]
-
-
-def test_frozen_load_is_believed_again_once_it_is_true(tiny: Scenario) -> None:
-    load = np.tile(tiny.load_kw[0], (6, 1))
-    load[2:4] *= 0.6
-    dip = replace(tiny, load_kw=load, grid_limit_kw=np.full(6, np.inf))
-    words = [
-        r.steps["estimated"]
-        for r in seen_day(dip, frozen_load(dip, 0, 5), OPTIONS).recorder.records
-    ]
-    # The forecast of step 4 says what is read.
-    assert [bool(text) for text in words] == [False, False, False, True, False, False]
-
-
 def test_frozen_load_is_kept_where_the_forecast_is_further_off(tiny: Scenario) -> None:
     falling = replace(tiny, load_kw=tiny.load_kw * np.linspace(1.0, 0.7, 6)[:, None])
     wild = replace(OPTIONS, errors=ForecastErrors(load_bias=0.9))
@@ -695,7 +683,7 @@ def test_frozen_load_is_kept_where_the_forecast_is_further_off(tiny: Scenario) -
 
 
 def test_without_a_measured_import_nothing_is_frozen(tiny: Scenario) -> None:
-    falling = replace(tiny, load_kw=tiny.load_kw * np.linspace(1.0, 0.5, 6)[:, None])
+    falling = replace(tiny, load_kw=tiny.load_kw * FALLING[:, None])
     frozen = frozen_load(falling, 0, 5)
     for blind in ("import_kw", "battery_kw", "one battery"):
 
