@@ -41,6 +41,12 @@ def ran(day: Scenario, limits: str, mode: str = "physical", **options: str) -> T
     return run_day(day, RunOptions(horizon_h=4.0, voltage_limits=limits, mode=mode, **options))
 
 
+@cache
+def without_control(mode: str) -> Trajectory:
+    """The weak feeder by itself."""
+    return ran(weak_feeder(), SOFT, mode, controller="idle")
+
+
 @pytest.mark.parametrize("mode", ["physical", "paper"])
 @pytest.mark.parametrize("method", ["decomposed", "monolithic"])
 def test_limits_give_way_to_the_feeder_itself(mode: str, method: str) -> None:
@@ -49,7 +55,7 @@ def test_limits_give_way_to_the_feeder_itself(mode: str, method: str) -> None:
     assert soft.customers["served"].all()
     assert cautions(soft) == []
     assert (soft.steps["fallback"] == "none").all()
-    idle = ran(day, SOFT, mode, controller="idle")
+    idle = without_control(mode)
     np.testing.assert_allclose(soft.buses["v_ac_pu"], idle.buses["v_ac_pu"], atol=1e-6)
     assert idle.buses["v_ac_pu"].min() < day.network.v_min_ac_pu
 

@@ -59,20 +59,20 @@ def certainly(tiny: Scenario) -> Scenario:
     return replace(tiny, warnings=(warned,), outage_statistics=NEVER)
 
 
-@pytest.mark.parametrize("kind", ["belief", "likely"])
-@pytest.mark.parametrize("mode", ["paper", "physical"])
-def test_certainty_is_what_is_known_to_the_last_bit(tiny: Scenario, kind: str, mode: str) -> None:
+@pytest.mark.parametrize(
+    ("mode", "exports"), [("paper", False), ("paper", True), ("physical", False)]
+)
+def test_certainty_is_what_is_known_to_the_last_bit(
+    tiny: Scenario, mode: str, exports: bool
+) -> None:
     day = certainly(tiny)
+    if exports:
+        more = {"export_limit_kw": np.array(30.0), "export_price_gbp_per_kwh": np.array(0.1)}
+        day = replace(day, **more)
     options = RunOptions(horizon_h=2.0, mode=mode)
     known = run_day(day, options)
-    assert same(known, run_day(day, replace(options, outages=kind)))
-
-
-def test_certainty_is_what_is_known_where_something_is_exported(tiny: Scenario) -> None:
-    day = replace(certainly(tiny), export_limit_kw=np.array(30.0))
-    day = replace(day, export_price_gbp_per_kwh=np.array(0.1))
-    known = run_day(day, RunOptions(horizon_h=2.0))
-    assert same(known, run_day(day, RunOptions(horizon_h=2.0, outages="belief")))
+    for kind in ("belief",) if exports else ("belief", "likely"):
+        assert same(known, run_day(day, replace(options, outages=kind))), kind
 
 
 def random_day(tiny: Scenario, seed: int) -> Scenario:
@@ -120,9 +120,8 @@ def with_another_future(day: Scenario, step: int, seed: int) -> Scenario:
 @pytest.mark.parametrize(
     ("controller", "kind"),
     [
-        ("mpc", "belief"),
-        pytest.param("mpc", "likely", marks=pytest.mark.nightly),
-        pytest.param("mpc", "none", marks=pytest.mark.nightly),
+        # By day with faults, below.
+        *(pytest.param("mpc", k, marks=pytest.mark.nightly) for k in ("belief", "likely", "none")),
         ("full-horizon", "likely"),
         ("reserve", "likely"),
         pytest.param("reserve", "none", marks=pytest.mark.nightly),
