@@ -6,10 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from vppres.core.errors import InputError
+from vppres.core.errors import InputError, Problem
 from vppres.feeders.new.options import parse_outage
 from vppres.feeders.series.clocks import days_later, grid_from, in_utc, local_midnight, time_of_day
-from vppres.feeders.series.resample import on_grid
+from vppres.feeders.series.resample import OnGrid, on_grid
 from vppres.scenario.timegrid import TimeGrid
 
 LONDON = "Europe/London"
@@ -139,11 +139,11 @@ GRID = TimeGrid(pd.Timestamp("2025-01-01T00:00Z"), 60.0, 3)
     ],
 )
 def test_means_are_kept(given: pd.Series, expected: list[float] | None) -> None:
-    found, problems = on_grid(given, GRID, 120.0, "a.csv", "x")
+    found = on_grid(given, GRID, 120.0, "a.csv", "x")
     if expected is None:
-        assert problems
+        assert isinstance(found, Problem)
         return
-    assert not problems
+    assert isinstance(found, OnGrid)
     assert found.values == pytest.approx(expected, abs=1e-12)
 
 
@@ -152,24 +152,27 @@ def test_energy_is_that_of_the_series() -> None:
     given = series(values.tolist(), minutes=5)
     for minutes in (1, 7, 5, 15, 60, 180):
         grid = TimeGrid(pd.Timestamp("2025-01-02T00:00Z"), minutes, 1260 // minutes)
-        found, _ = on_grid(given, grid, 120.0, "a.csv", "x")
+        found = on_grid(given, grid, 120.0, "a.csv", "x")
+        assert isinstance(found, OnGrid)
         energy = found.values.sum() * minutes
         assert energy == pytest.approx(values[288 : 288 + 252].sum() * 5, rel=1e-12)
 
 
 def test_gaps_lie_on_a_line_and_are_counted() -> None:
-    found, problems = on_grid(series([1.0, np.nan, 3.0]), GRID, 60.0, "a.csv", "x")
-    assert not problems
-    assert found.values.tolist() == [1.0, 2.0, 3.0]
-    assert (found.filled, found.longest_gap_min) == (1, 60.0)
     absent = series([1.0, 9.0, 3.0, 4.0]).drop(pd.Timestamp("2025-01-01T01:00Z"))
-    assert on_grid(absent, GRID, 60.0, "a.csv", "x")[0].values.tolist() == [1.0, 2.0, 3.0]
+    for given in (series([1.0, np.nan, 3.0]), absent):
+        found = on_grid(given, GRID, 60.0, "a.csv", "x")
+        assert isinstance(found, OnGrid)
+        assert found.values.tolist() == [1.0, 2.0, 3.0]
+        assert (found.filled, found.longest_gap_min) == (1, 60.0)
 
 
 def test_lines_reach_beyond_the_days_that_are_chosen() -> None:
     given = series([0.0, np.nan, 2.0, 3.0, np.nan, 5.0])
     grid = TimeGrid(pd.Timestamp("2025-01-01T01:00Z"), 60.0, 4)
-    assert on_grid(given, grid, 60.0, "a.csv", "x")[0].values.tolist() == [1.0, 2.0, 3.0, 4.0]
+    found = on_grid(given, grid, 60.0, "a.csv", "x")
+    assert isinstance(found, OnGrid)
+    assert found.values.tolist() == [1.0, 2.0, 3.0, 4.0]
 
 
 @pytest.mark.parametrize(
@@ -197,8 +200,7 @@ def test_lines_reach_beyond_the_days_that_are_chosen() -> None:
     ],
 )
 def test_series_that_are_refused(given: pd.Series, message: str) -> None:
-    _, problems = on_grid(given, GRID, 60.0, "a.csv", "x")
-    assert [str(p) for p in problems] == [message]
+    assert str(on_grid(given, GRID, 60.0, "a.csv", "x")) == message
 
 
 def test_hours_of_the_long_day_keep_their_energy() -> None:
@@ -209,6 +211,6 @@ def test_hours_of_the_long_day_keep_their_energy() -> None:
     assert not problems
     grid = grid_from(local_midnight("2025-10-26", LONDON), 1, 60.0, LONDON)
     values = np.arange(50.0)
-    found, problems = on_grid(pd.Series(values, times), grid, 60.0, "a.csv", "x")
-    assert not problems
+    found = on_grid(pd.Series(values, times), grid, 60.0, "a.csv", "x")
+    assert isinstance(found, OnGrid)
     assert found.values.tolist() == (2 * np.arange(25) + 0.5).tolist()

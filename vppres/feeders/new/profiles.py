@@ -141,9 +141,9 @@ def place_profiles(
         if target.kind in _UNUSED:
             unused.setdefault(target.kind, []).append(profile.name)
             continue
-        values, found = on_grid(profile.values, grid, most_gap_min, profile.where, profile.name)
-        problems += found
-        if found:
+        values = on_grid(profile.values, grid, most_gap_min, profile.where, profile.name)
+        if isinstance(values, Problem):
+            problems.append(values)
             continue
         gaps += _told_gap(profile, values)
         key = (target.kind, target.at)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,7 +28,7 @@ class OnGrid:
 
 def on_grid(
     series: pd.Series[float], grid: TimeGrid, most_gap_min: float, where: str, name: str
-) -> tuple[OnGrid, list[Problem]]:
+) -> OnGrid | Problem:
     """Means of a series over the steps of a grid.
 
     Each value holds from its time to the next, at the regular distance of the times. A step's value
@@ -48,27 +49,20 @@ def on_grid(
 
     Returns
     -------
-    OnGrid
-        Empty where there are problems.
-    list of Problem
+    OnGrid or Problem
+        What is wrong with the series, if anything is.
 
     Examples
     --------
     >>> times = pd.date_range("2025-01-01", periods=4, freq="30min", tz="UTC")
     >>> hours = TimeGrid(times[0], 60, 2)
-    >>> on_grid(pd.Series([1.0, 3.0, 5.0, 5.0], times), hours, 60, "a.csv", "a")[0].values
+    >>> on_grid(pd.Series([1.0, 3.0, 5.0, 5.0], times), hours, 60, "a.csv", "a").values
     array([2., 5.])
     """
     times = pd.DatetimeIndex(series.index)
-    problem = _check_order(times, where, name)
-    if problem is not None:
-        return OnGrid(np.empty(0)), [problem]
+    for message, cure, value in _faults(times, grid):
+        return Problem(where, message, cure, field=name, value=value)
     step = usual_step(times)
-    problem = _check_cover(times, step, grid, where, name) or _check_regular(
-        times, step, where, name
-    )
-    if problem is not None:
-        return OnGrid(np.empty(0)), [problem]
     # As much beyond the grid as a gap may have, so that lines have both their ends.
     margin = pd.Timedelta(minutes=most_gap_min) + 2 * step
     own = series.asfreq(to_offset(step)).loc[grid.start - margin : grid.end + margin]
@@ -78,9 +72,12 @@ def on_grid(
     run = missing.groupby((missing != missing.shift()).cumsum()).transform("sum")
     longest_min = float(run[lost].max() * (step / _MINUTE)) if lost.any() else 0.0
     if longest_min > most_gap_min or missing.all():
-        return OnGrid(np.empty(0)), [_gap(begins[lost], longest_min, most_gap_min, where, name)]
+        at = f" at {iso(begins[lost][0])}" if lost.any() else ""
+        words = f"has a gap of {longest_min:g} min{at}, and {most_gap_min:g} min are filled at most"
+        cure = "Complete the series, choose other days, or allow longer gaps with --max-gap."
+        return Problem(where, words, cure, field=name)
     filled = own.interpolate(limit_direction="both")
-    return OnGrid(_means(filled, step, grid), int(lost.sum()), longest_min), []
+    return OnGrid(_means(filled, step, grid), int(lost.sum()), longest_min)
 
 
 def _means(own: pd.Series[float], step: pd.Timedelta, grid: TimeGrid) -> Floats:
@@ -98,60 +95,23 @@ def _means(own: pd.Series[float], step: pd.Timedelta, grid: TimeGrid) -> Floats:
     return means
 
 
-def _check_order(times: pd.DatetimeIndex, where: str, name: str) -> Problem | None:
-    """A series without values, or with times that do not rise."""
+def _faults(times: pd.DatetimeIndex, grid: TimeGrid) -> Iterator[tuple[str, str, str | None]]:
+    """What is wrong with the times of a series, the gravest first: message, cure and time."""
     if len(times) == 0:
-        return Problem(where, "has no value", "Give a value for every step.", field=name)
-    back = np.flatnonzero(times[1:] <= times[:-1])
-    if len(back) == 0:
-        return None
-    again = times[back[0] + 1] == times[back[0]]
-    return Problem(
-        where,
-        "has a time twice" if again else "has times that are out of order",
-        "Remove one of the two rows." if again else "Sort the rows by time.",
-        field=name,
-        value=iso(times[back[0] + 1]),
-    )
-
-
-def _check_cover(
-    times: pd.DatetimeIndex, step: pd.Timedelta, grid: TimeGrid, where: str, name: str
-) -> Problem | None:
-    """A series that does not cover the grid."""
+        yield "has no value", "Give a value for every step.", None
+    for i in np.flatnonzero(times[1:] <= times[:-1]):
+        if times[i + 1] == times[i]:
+            yield "has a time twice", "Remove one of the two rows.", iso(times[i])
+        yield "has times that are out of order", "Sort the rows by time.", iso(times[i + 1])
+    step = usual_step(times)
     end = times[-1] + step
-    if times[0] <= grid.start and end >= grid.end:
-        return None
-    return Problem(
-        where,
-        f"covers {iso(times[0])} to {iso(end)}, and the scenario is {iso(grid.start)} to "
-        f"{iso(grid.end)}",
-        "Choose days that it covers with --date or --start, and --days.",
-        field=name,
-    )
-
-
-def _check_regular(
-    times: pd.DatetimeIndex, step: pd.Timedelta, where: str, name: str
-) -> Problem | None:
-    """Times that are not all on the same steps."""
-    off = np.flatnonzero((times - times[0]) % step != pd.Timedelta(0))
-    if len(off) == 0:
-        return None
-    return Problem(
-        where,
-        f"has a time that is not a multiple of {step / _MINUTE:g} min after the first",
-        "Give equal steps; steps that are missing are filled.",
-        field=name,
-        value=iso(times[off[0]]),
-    )
-
-
-def _gap(lost: pd.DatetimeIndex, longest: float, most: float, where: str, name: str) -> Problem:
-    at = f" at {iso(lost[0])}" if len(lost) else ""
-    return Problem(
-        where,
-        f"has a gap of {longest:g} min{at}, and {most:g} min are filled at most",
-        "Complete the series, choose other days, or allow longer gaps with --max-gap.",
-        field=name,
-    )
+    if times[0] > grid.start or end < grid.end:
+        covered = f"{iso(times[0])} to {iso(end)}"
+        yield (
+            f"covers {covered}, and the scenario is {iso(grid.start)} to {iso(grid.end)}",
+            "Choose days that it covers with --date or --start, and --days.",
+            None,
+        )
+    for i in np.flatnonzero((times - times[0]) % step != pd.Timedelta(0)):
+        words = f"has a time that is not a multiple of {step / _MINUTE:g} min after the first"
+        yield words, "Give equal steps; steps that are missing are filled.", iso(times[i])
