@@ -147,28 +147,29 @@ class Backtest:
 
     def by_lead(self) -> pd.DataFrame:
         """All scores by lead, one row for each quantity and lead; powers in kW."""
-        rows = []
+        columns = {
+            "crps_kw": "crps",
+            "crps_climatology_kw": "climatology",
+            "crps_weekly_kw": "weekly",
+            **{f"held_{share:.0%}": f"held {share}" for share in SHARES},
+            **{f"width_{share:.0%}_kw": f"width {share}" for share in SHARES},
+        }
+        tables = []
         for quantity in self.quantities:
-            rows.append(
-                pd.DataFrame(
-                    {
-                        "quantity": quantity,
-                        "lead_h": self.leads_h,
-                        "crps_kw": self.mean("crps", quantity),
-                        "crps_climatology_kw": self.mean("climatology", quantity),
-                        "crps_weekly_kw": self.mean("weekly", quantity),
-                        **{
-                            f"held_{share:.0%}": self.mean(f"held {share}", quantity)
-                            for share in SHARES
-                        },
-                        **{
-                            f"width_{share:.0%}_kw": self.mean(f"width {share}", quantity)
-                            for share in SHARES
-                        },
-                    }
-                )
-            )
-        return pd.concat(rows, ignore_index=True)
+            scores = {column: self.mean(name, quantity) for column, name in columns.items()}
+            tables.append(pd.DataFrame({"quantity": quantity, "lead_h": self.leads_h, **scores}))
+        return pd.concat(tables, ignore_index=True)
+
+    def _errors(
+        self, quantity: str, leads: Any = slice(None), where: Any = slice(None)
+    ) -> dict[str, float]:
+        """CRPS of some leads and issues: in kW, and relative to the references."""
+        own, climatology, weekly = (
+            float(np.nanmean(self.mean(name, quantity, where)[leads]))
+            for name in ("crps", "climatology", "weekly")
+        )
+        to = {"to_climatology": own / climatology - 1.0, "to_weekly": own / weekly - 1.0}
+        return {"crps_kw": own, **to}
 
     def ranges(self) -> pd.DataFrame:
         """CRPS over ranges of leads: in kW, and relative to the references."""
@@ -176,22 +177,9 @@ class Backtest:
         for quantity in self.quantities:
             for after, until in LEAD_RANGES:
                 leads = (self.leads_h > after) & (self.leads_h <= until)
-                if not leads.any():
-                    continue
-                own, climatology, weekly = (
-                    float(np.nanmean(self.mean(name, quantity)[leads]))
-                    for name in ("crps", "climatology", "weekly")
-                )
-                rows.append(
-                    {
-                        "quantity": quantity,
-                        "after_h": after,
-                        "until_h": until,
-                        "crps_kw": own,
-                        "to_climatology": own / climatology - 1.0,
-                        "to_weekly": own / weekly - 1.0,
-                    }
-                )
+                if leads.any():
+                    place = {"quantity": quantity, "after_h": after, "until_h": until}
+                    rows.append(place | self._errors(quantity, leads))
         return pd.DataFrame(rows)
 
     def energy(self) -> pd.DataFrame:
@@ -217,11 +205,8 @@ class Backtest:
         for quantity in self.quantities:
             row: dict[str, Any] = {"quantity": quantity}
             for words, where in (("all", slice(None)), ("recent", self.recent)):
-                own, climatology = (
-                    float(np.nanmean(self.mean(name, quantity, where)))
-                    for name in ("crps", "climatology")
-                )
-                row[f"to_climatology_{words}"] = own / climatology - 1.0
+                errors = self._errors(quantity, where=where)
+                row[f"to_climatology_{words}"] = errors["to_climatology"]
                 row[f"held_80%_{words}"] = float(np.nanmean(self.mean("held 0.8", quantity, where)))
             rows.append(row)
         return pd.DataFrame(rows)
@@ -229,14 +214,14 @@ class Backtest:
     def by_month(self) -> pd.DataFrame:
         """What the 80 % interval held in each month, one column for each quantity."""
         month = self.issues.strftime("%Y-%m")
-        columns = {
+        names = pd.Index(dict.fromkeys(month), name="month")
+        held = {
             quantity: [
-                float(np.nanmean(self.mean("held 0.8", quantity, month == name)))
-                for name in dict.fromkeys(month)
+                float(np.nanmean(self.mean("held 0.8", quantity, month == name))) for name in names
             ]
             for quantity in self.quantities
         }
-        return pd.DataFrame(columns, index=pd.Index(list(dict.fromkeys(month)), name="month"))
+        return pd.DataFrame(held, index=names)
 
     def summary(self) -> dict[str, Any]:
         """All tables as JSON can hold them."""

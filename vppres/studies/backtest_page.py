@@ -19,7 +19,7 @@ from vppres.report.plots.chart import Band, Chart, Curve, Curves, Limit
 from vppres.report.plots.palette import BLACK, BLUE, GREY, RUN_STYLES, VERMILLION, Style
 from vppres.studies.backtest import Backtest
 from vppres.studies.estimate_scores import EstimateScores
-from vppres.studies.issue_scores import SHARES
+from vppres.studies.issue_scores import SHARES, came_in, totals_of
 from vppres.studies.warning_scores import WarningScores
 
 PAGE_FILE = "backtest.html"
@@ -273,17 +273,10 @@ def _by_lead(result: Backtest, quantity: str) -> Chart:
 
 def _last(result: Backtest, quantity: str, axis: str) -> Curves:
     """The last forecast, intervals behind each other, and what came."""
-    forecast = result.last
-    row = result.history.row_of(forecast.start)
-    load, pv = (
-        values[row : row + len(result.leads_h)].sum(axis=1)
-        for values in (result.history.load_kw, result.history.pv_kw)
-    )
-    paths, came = {
-        "load": (forecast.load_kw.sum(axis=2), load),
-        "pv": (forecast.pv_kw.sum(axis=2), pv),
-        "net": (forecast.net_kw, load - pv),
-    }[quantity]
+    forecast, history = result.last, result.history
+    paths = totals_of(forecast)[quantity]
+    row = history.row_of(forecast.start)
+    came = came_in(history, row, len(result.leads_h))[quantity]
     low, q25, median, q75, high = quantiles(paths, [0.05, 0.25, 0.5, 0.75, 0.95])
     return Curves(
         axis,

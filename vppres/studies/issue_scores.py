@@ -97,11 +97,8 @@ def scores_of_issue(
     """
     own = found[FORECAST]
     steps = own.load_kw.shape[1]
-    load_kw = history.load_kw[row : row + steps]
-    pv_kw = history.pv_kw[row : row + steps]
-    came = {"load": load_kw.sum(axis=1), "pv": pv_kw.sum(axis=1)}
-    came["net"] = came["load"] - came["pv"]
-    totals = {words: _totals(one) for words, one in found.items()}
+    came = came_in(history, row, steps)
+    totals = {words: totals_of(one) for words, one in found.items()}
     counts = dict.fromkeys(QUANTITIES, np.ones(steps, dtype=bool))
     counts["pv"] = _daylight(found["climatology"].pv_kw, history.pv_kw[:row])
     scores: dict[tuple[str, str], Any] = {}
@@ -109,12 +106,20 @@ def scores_of_issue(
         paths = {words: total[quantity] for words, total in totals.items()}
         issued = Issued(paths, came[quantity], counts[quantity], history.dt_h)
         scores |= {(name, quantity): value for name, value in issued.scores()}
-    scores["each", "load"] = crps(own.load_kw, load_kw).sum(axis=1)
-    scores["each", "pv"] = crps(own.pv_kw, pv_kw).sum(axis=1)
+    rows = slice(row, row + steps)
+    scores["each", "load"] = crps(own.load_kw, history.load_kw[rows]).sum(axis=1)
+    scores["each", "pv"] = crps(own.pv_kw, history.pv_kw[rows]).sum(axis=1)
     return scores
 
 
-def _totals(forecast: LoadAndPV) -> dict[str, Floats]:
+def came_in(history: History, row: int, steps: int) -> dict[str, Floats]:
+    """What came of each quantity in some steps from a row on, (W,)."""
+    rows = slice(row, row + steps)
+    load, pv = history.load_kw[rows].sum(axis=1), history.pv_kw[rows].sum(axis=1)
+    return {"load": load, "pv": pv, "net": load - pv}
+
+
+def totals_of(forecast: LoadAndPV) -> dict[str, Floats]:
     """Paths of the feeder's totals, (M, W)."""
     return {
         "load": forecast.load_kw.sum(axis=2),

@@ -99,7 +99,7 @@ def _faults(times: pd.DatetimeIndex, grid: TimeGrid) -> Iterator[tuple[str, str,
     """What is wrong with the times of a series, the gravest first: message, cure and time."""
     if len(times) == 0:
         yield "has no value", "Give a value for every step.", None
-    for i in np.flatnonzero(times[1:] <= times[:-1]):
+    for i in np.flatnonzero(times[1:] <= times[:-1]).tolist():
         if times[i + 1] == times[i]:
             yield "has a time twice", "Remove one of the two rows.", iso(times[i])
         yield "has times that are out of order", "Sort the rows by time.", iso(times[i + 1])
@@ -112,6 +112,6 @@ def _faults(times: pd.DatetimeIndex, grid: TimeGrid) -> Iterator[tuple[str, str,
             "Choose days that it covers with --date or --start, and --days.",
             None,
         )
-    for i in np.flatnonzero((times - times[0]) % step != pd.Timedelta(0)):
+    for i in np.flatnonzero((times - times[0]) % step != pd.Timedelta(0)).tolist():
         words = f"has a time that is not a multiple of {step / _MINUTE:g} min after the first"
         yield words, "Give equal steps; steps that are missing are filled.", iso(times[i])
