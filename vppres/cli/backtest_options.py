@@ -74,13 +74,7 @@ Zone = Annotated[
 
 
 def require_both(warnings: Path | None, outages: Path | None) -> None:
-    """Refuse warnings without the outages that came of them, and the other way round.
-
-    Raises
-    ------
-    InputError
-        If one is there without the other.
-    """
+    """Refuse warnings without the outages that came of them, and the other way round."""
     if (warnings is None) == (outages is None):
         return
     missing, there = ("outages", "warnings") if outages is None else ("warnings", "outages")

@@ -134,11 +134,6 @@ def put_into_net(net: Any, bus_of: Mapping[int, BusId], powers: Powers) -> None:
 
     Branches that were opened for the import have to be open in ``net``; ``bus_of`` has the bus of
     the scenario for every supplied bus of the net.
-
-    Raises
-    ------
-    InputError
-        If a bus of the step is not in the net, or a customer has no load there.
     """
     bus_in_net = {bus: source for source, bus in reversed([*bus_of.items()])}
     problems = _unknown_buses(powers, bus_in_net) + _without_load(net, bus_of, powers.customers)

@@ -152,13 +152,7 @@ def _causes(feeder: ImportedFeeder) -> str:
 
 
 def check_deviation(feeder: ImportedFeeder, deviation: SourceDeviation, accepted: bool) -> None:
-    """Refuse a feeder whose voltages are not the source's, unless that was accepted.
-
-    Raises
-    ------
-    InputError
-        With the largest difference and its causes.
-    """
+    """Refuse a feeder whose voltages are not the source's, unless that was accepted."""
     largest = deviation.largest_pu
     if accepted or largest is None or largest <= EXACT_PU:
         return

@@ -80,13 +80,7 @@ def atomic_folder(target: str | Path) -> Iterator[Path]:
 
 @contextmanager
 def scratch_folder() -> Iterator[Path]:
-    """A folder for a moment, in the place for temporary files; those of killed runs are removed.
-
-    Yields
-    ------
-    Path
-        An empty folder that only this user can open, removed after the block.
-    """
+    """An empty folder for a moment, this user's alone; those of killed runs are removed."""
     with _hidden_folder(Path(tempfile.gettempdir()) / "scratch") as hidden:
         hidden.chmod(0o700)
         yield hidden
@@ -108,18 +102,10 @@ def atomic_write_bytes(path: str | Path, content: bytes) -> None:
 
 
 def check_target(target: str | Path) -> Path:
-    """Refuse a target that would destroy something other than an older run.
+    """The folder that will be written, a link followed; refused where something else is than a run.
 
-    Returns
-    -------
-    Path
-        The folder that will be written: the target, or what it links to.
-
-    Raises
-    ------
-    InputError
-        If the target is a file, a symbolic link to nothing or to something that is not a run, a
-        folder that is not empty and not a run folder, or in a place that cannot be written.
+    That is a file, a link to nothing or to something that is not a run, a folder that is neither
+    empty nor a run's, or a place that cannot be written.
     """
     given = str(target)
     target = Path(target).absolute()
@@ -150,13 +136,7 @@ def check_target(target: str | Path) -> Path:
 
 
 def check_file(target: str | Path) -> Path:
-    """Refuse a file that cannot be written, before the work and not after it.
-
-    Raises
-    ------
-    InputError
-        If the target is a folder, a symbolic link, or in a place that cannot be written.
-    """
+    """Refuse a file that cannot be written, before the work: a folder, a link, or such a place."""
     given = str(target)
     target = Path(target).absolute()
     if target.is_symlink():

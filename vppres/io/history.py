@@ -27,12 +27,9 @@ SUFFIXES = (".csv", ".parquet")
 
 @dataclass(frozen=True)
 class Columns:
-    """The columns that a history is read in: all of a file in their order, or those asked for.
+    """Identifiers of the columns that a history has; all of a file in their order if not given.
 
-    Parameters
-    ----------
-    customers, pv : sequence of str, optional
-        Identifiers; one that a file lacks has no known value.
+    One that a file lacks has no known value.
     """
 
     customers: Sequence[str] | Names | None = None

@@ -19,13 +19,7 @@ Interval = tuple[pd.Timestamp, pd.Timestamp]
 
 
 def read_outage_log(file: str | Path) -> list[Interval]:
-    """Outages of the feeder by their beginning, each as the times between which there was no grid.
-
-    Raises
-    ------
-    InputError
-        With every problem of the file.
-    """
+    """Outages of the feeder by their beginning: times between which there was no grid."""
     table, problems = read_table(Path(file), CHECK_PATH)
     rows, found = read_interruptions(table)
     if problems + found:
@@ -51,13 +45,7 @@ def read_interruptions(table: Table | None) -> tuple[dict[int, Interruption], li
 
 
 def read_warning_file(file: str | Path) -> list[OutageWarning]:
-    """Messages of a file like ``warnings.csv`` of a scenario.
-
-    Raises
-    ------
-    InputError
-        With every problem of the file.
-    """
+    """Messages of a file like ``warnings.csv`` of a scenario."""
     table, problems = read_table(Path(file), CHECK_PATH)
     messages, found = read_warnings(table)
     if problems + found:

@@ -30,19 +30,9 @@ _MAY_BE_INFINITE = {
 
 
 def check_scenario(scenario: Scenario) -> None:
-    """Refuse names that cannot be shown and numbers that no equipment has.
+    """Refuse names that cannot be shown and numbers that no equipment has, all of them at once.
 
     Files are checked cell by cell when they are read; this asks the same of arrays.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        Built in Python, or read.
-
-    Raises
-    ------
-    InputError
-        With every attribute that is out of its bounds, folded by kind.
 
     Examples
     --------

@@ -46,16 +46,9 @@ def given_or(values: Any, others: Any) -> Any:
 
 
 def frame_of(assets: Any, model: type[BaseModel], unsaid: Collection[str] = ()) -> pd.DataFrame:
-    """A table as it is written.
+    """A table as it is written: of arrays by attribute, or of objects with the attributes of a row.
 
-    Parameters
-    ----------
-    assets : Any
-        Arrays by attribute, or a tuple of objects with the attributes of one row each.
-    model : type
-        Rows of the file.
-    unsaid : collection of str
-        Columns that are left out where every row has their default, beside those that are empty.
+    Columns are left out that are empty, and those of ``unsaid`` where every row has the default.
     """
     fields = model.model_fields
     if isinstance(assets, tuple):

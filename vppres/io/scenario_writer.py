@@ -59,13 +59,7 @@ def write_scenario(scenario: Scenario, folder: str | Path) -> None:
 
 
 def fill_scenario_folder(scenario: Scenario, folder: Path) -> None:
-    """Write the files of a scenario into an existing folder.
-
-    Raises
-    ------
-    InputError
-        If scenario.toml could not say what the scenario says.
-    """
+    """Write the files of a scenario into an existing folder."""
     document = _document(scenario)
     (folder / SCENARIO_FILE).write_text(tomli_w.dumps(document), encoding="utf-8")
     for name, frame in _frames(scenario, document["tiers"]).items():

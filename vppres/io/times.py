@@ -47,11 +47,6 @@ def time_of(text: str) -> tuple[pd.Timestamp | None, str, str]:
 def option_time(text: str, zone: str = "UTC") -> pd.Timestamp:
     """A time of the command line; by the clocks of a zone if it says nothing else.
 
-    Raises
-    ------
-    InputError
-        If it is none.
-
     Examples
     --------
     >>> option_time("2017-04-01").isoformat()

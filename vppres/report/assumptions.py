@@ -18,15 +18,7 @@ from vppres.scenario.scenario import LIMIT
 
 @dataclass(frozen=True)
 class OptionWords:
-    """One option of the run.
-
-    Parameters
-    ----------
-    name, value, meaning : str
-        In words; the meaning is that of the table of options.
-    default : str
-        The value when nothing is given, empty where that is the value.
-    """
+    """One option of the run in words; the default is empty where it is the value."""
 
     name: str
     value: str

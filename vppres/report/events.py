@@ -22,17 +22,7 @@ EMPTY_SHARE = 0.01  # of the usable energy
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened at the beginning of a step.
-
-    Parameters
-    ----------
-    t : int
-        Step; ``T`` for the end of the day.
-    time : str
-        Its beginning, UTC, and local where the scenario names the zone.
-    words : str
-        What happened.
-    """
+    """What happened at the beginning of a step ``t``, and its time; ``T`` is the end of the day."""
 
     t: int
     time: str

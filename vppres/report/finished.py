@@ -24,17 +24,7 @@ _CURE = "Give a folder written by a run."
 
 @dataclass(frozen=True, eq=False)
 class FinishedRun:
-    """A run folder's content.
-
-    Parameters
-    ----------
-    folder : Path
-        Where it was read from.
-    trajectory : Trajectory
-        The record.
-    summary : mapping
-        The figures of ``summary.json``, and those that a newer version of the package adds.
-    """
+    """A run folder's content; the summary has the figures that a newer version adds too."""
 
     folder: Path
     trajectory: Trajectory
@@ -42,13 +32,7 @@ class FinishedRun:
 
 
 def read_finished(folder: Path) -> FinishedRun:
-    """Read a run folder with its summary.
-
-    Raises
-    ------
-    InputError
-        If it is not a folder, not a whole run folder, or a file in it is broken.
-    """
+    """Read a run folder with its summary."""
     if not folder.exists():
         remove_leftovers(folder.absolute().parent)  # a killed run may have been replacing it
     if not folder.is_dir():
@@ -76,25 +60,10 @@ def priced(run: FinishedRun, voll_gbp_per_kwh: float) -> FinishedRun:
 def rewrite_report(
     run: FinishedRun, file: Path, browser: str = "", kinds: Sequence[str] = ()
 ) -> list[Path]:
-    """Draw the figures of a run again and write its report into a file.
+    """Draw the figures of a run again and write its report into a file; what was written.
 
-    Parameters
-    ----------
-    run : FinishedRun
-        The run.
-    file : Path
-        HTML file.
-    browser : str
-        From :func:`vppres.report.pdf.find_browser`, to print the report beside the file as PDF;
-        not printed without.
-    kinds : sequence of str
-        Files of the figures to write into ``figures/`` beside the file: ``svg``, ``png``, both or
-        none.
-
-    Returns
-    -------
-    list of Path
-        What was written; of the figures their folder.
+    A ``browser`` (:func:`vppres.report.pdf.find_browser`) prints it beside the file as PDF. Figures
+    of the ``kinds`` ``svg`` and ``png`` go into ``figures/`` beside the file.
     """
     text = render_report(run.trajectory, dict(run.summary))
     write_page(file, text)

@@ -31,15 +31,7 @@ def _environment() -> Environment:
 
 
 def write_page(file: Path, content: str | bytes) -> None:
-    """Write a page, whole or not at all; its folder is made if missing.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written.
-    StorageError
-        If the disk is full.
-    """
+    """Write a page, whole or not at all; its folder is made if missing."""
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         atomic_write_bytes(file, content.encode() if isinstance(content, str) else content)

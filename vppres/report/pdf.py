@@ -43,13 +43,7 @@ _QUIET = (
 
 
 def find_browser() -> str:
-    """Path of a browser that can print.
-
-    Raises
-    ------
-    InputError
-        If none is on the path.
-    """
+    """Path of a browser that can print."""
     found = next(filter(None, map(shutil.which, BROWSERS)), None)
     if found is None:
         raise InputError.of(
@@ -62,25 +56,9 @@ def find_browser() -> str:
 
 
 def write_pdf(html: str, file: Path, browser: str) -> None:
-    """Print a page to a file, whole or not at all.
+    """Print a page that needs nothing beside it to a file, whole or not at all.
 
-    Parameters
-    ----------
-    html : str
-        A page that needs nothing beside it.
-    file : Path
-        PDF file; an older one is replaced.
-    browser : str
-        From :func:`find_browser`.
-
-    Raises
-    ------
-    ReportError
-        If the browser fails or takes too long.
-    InputError
-        If the file cannot be written.
-    StorageError
-        If the disk is full.
+    A browser that fails or takes too long is a ReportError.
     """
     with scratch_folder() as aside:
         page = aside / "report.html"

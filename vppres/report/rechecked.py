@@ -46,15 +46,10 @@ def recheck_run(run: Trajectory, source: Path) -> Recheck:
 
 
 def write_recheck(run: Trajectory, found: Recheck, folder: Path) -> dict[str, Any]:
-    """Write a recheck's folder, whole or not at all.
+    """Write a recheck's folder, whole or not at all; returns the summary.
 
     ``voltages.csv`` has a row for each step, bus and phase, ``steps.csv`` one for each step,
     ``summary.json`` what :func:`summary_of` gives; ``voltages_per_phase`` is the figure.
-
-    Returns
-    -------
-    dict
-        The summary.
     """
     summary = summary_of(found)
     with atomic_folder(folder) as aside:

@@ -106,15 +106,7 @@ def _without_report(folder: Path, failure: Exception) -> VppresError:
 
 
 def render_report(trajectory: Trajectory, summary: Mapping[str, Any]) -> str:
-    """The report as HTML.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-        A finished run.
-    summary : mapping
-        Its figures, from :func:`vppres.day.metrics.summarise`.
-    """
+    """The report of a run with its summary, as HTML."""
     run = Run(trajectory, summary)
     made = [make(run) for make in SECTIONS]
     return page(

@@ -58,12 +58,8 @@ def _place(
 ) -> tuple[dict[int, int], dict[int, Wholes]]:
     """Lay out a bus and all that it feeds, towards the given sides.
 
-    Returns
-    -------
-    rows : dict
-        Row of each bus, counted from that of the first.
-    used : dict
-        For each side, how many rows are in use, by column.
+    Gives the row of each bus, counted from that of the first, and for each side how many rows are
+    in use, by column.
     """
     trunk = [bus]
     while children[trunk[-1]]:

@@ -226,13 +226,7 @@ def default_of(field: str) -> Any:
 
 
 def check_group(group: str, values: object) -> None:
-    """Refuse values of a group of ``RunOptions`` that are out of their range.
-
-    Raises
-    ------
-    InputError
-        With every value that is.
-    """
+    """Refuse values of a group of ``RunOptions`` that are out of their range."""
     parted = [(option.field.partition("."), option) for option in OPTIONS]
     problems = [
         problem

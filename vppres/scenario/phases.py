@@ -344,13 +344,7 @@ def check_phases(
     pv: PVSystems,
     batteries: Batteries,
 ) -> None:
-    """Whether the phases are those of a feeder's buses and assets, and the source reaches them.
-
-    Raises
-    ------
-    InputError
-        With every mistake, by file, row, field, value and cure.
-    """
+    """Refuse phases that are not those of buses and assets, or that the source does not reach."""
     problems = [*_places(phases, network), *_connected(phases, network, customers, pv, batteries)]
     problems = problems or [*_unreached(phases), *_formers(phases, batteries)]
     if problems:

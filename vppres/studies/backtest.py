@@ -61,13 +61,7 @@ class Plan:
     last: pd.Timestamp | None = None
 
     def issues(self, history: History) -> pd.DatetimeIndex:
-        """Times at which forecasts are issued.
-
-        Raises
-        ------
-        InputError
-            If the history has none.
-        """
+        """Times at which forecasts are issued."""
         learning = pd.Timedelta(days=min(LEARNING_DAYS, FEWEST_DAYS + history.n_days / 4.0))
         horizon = pd.Timedelta(hours=self.horizon_h)
         earliest = (history.start + learning).ceil(history.step)
@@ -266,25 +260,9 @@ def backtest(
     name: str = "seasonal",
     progress: Progress | None = None,
 ) -> Backtest:
-    """Score a forecaster on a history.
+    """Score a forecaster, the seasonal one if none is given, on a history; ``name`` is its name.
 
-    Parameters
-    ----------
-    history : History
-        What came.
-    plan : Plan, optional
-        Which forecasts are made.
-    forecaster : Forecaster, optional
-        The seasonal one if not given.
-    name : str
-        Its name.
-    progress : callable, optional
-        Called as ``progress(forecasts done, forecasts in all)``.
-
-    Raises
-    ------
-    InputError
-        If the history is too short.
+    ``progress`` is called as ``progress(forecasts done, forecasts in all)``.
     """
     plan = plan or Plan()
     issues = plan.issues(history)
@@ -305,17 +283,8 @@ def backtest(
 def measured_in(name_or_path: str, zone: str | None = None) -> History:
     """The history of a scenario with its own days, or of a folder or file of series.
 
-    Parameters
-    ----------
-    name_or_path : str
-        Packaged name, scenario folder, or what :func:`vppres.io.history.read_history` takes.
-    zone : str, optional
-        Time zone of the clocks; the scenario's, or UTC.
-
-    Raises
-    ------
-    InputError
-        If it is none of these, or with every problem of its files.
+    The series are what :func:`vppres.io.history.read_history` takes; ``zone`` is that of the
+    clocks, the scenario's or UTC if not given.
     """
     if zone is not None and not is_zone(zone):
         raise InputError.of(
@@ -333,13 +302,7 @@ def measured_in(name_or_path: str, zone: str | None = None) -> History:
 
 
 def forecasts_in(file: str | Path, history: History) -> Forecaster:
-    """A provider's quantiles of the totals ``load`` and ``pv``, to be scored on a history.
-
-    Raises
-    ------
-    InputError
-        With every problem of the file.
-    """
+    """A provider's quantiles of the totals ``load`` and ``pv``, to be scored on a history."""
     load_ids, pv_ids = (
         np.array([f"{words} {i}" for i in range(values.shape[1])], dtype=object)
         for words, values in (("customer", history.load_kw), ("system", history.pv_kw))

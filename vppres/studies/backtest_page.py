@@ -33,18 +33,9 @@ TWO_SIGMA = 1.96
 def write_backtest(
     result: Backtest, folder: Path, title: str, warned: WarningScores | None = None
 ) -> dict[str, Any]:
-    """Write page, tables and summary into a folder; returns the summary.
+    """Write page, tables and summary into a folder, whole or not at all; returns the summary.
 
-    Parameters
-    ----------
-    result : Backtest
-        The scores.
-    folder : Path
-        A folder that does not exist yet, or an older back-test.
-    title : str
-        What was tested, for the heading.
-    warned : WarningScores, optional
-        Outage warnings, scored beside the forecasts.
+    ``title`` says what was tested; ``warned`` has the scores of outage warnings.
     """
     summary = {"title": title, **result.summary()}
     if warned is not None:

@@ -86,14 +86,7 @@ def scores_of_issue(
 ) -> dict[tuple[str, str], Any]:
     """All scores of one issue, by name and quantity.
 
-    Parameters
-    ----------
-    history : History
-        What came.
-    found : mapping of str to LoadAndPV
-        The forecast and the references'.
-    row : int
-        The history's step with which they begin.
+    ``found`` has the forecast and the references', which begin with a ``row`` of the history.
     """
     own = found[FORECAST]
     steps = own.load_kw.shape[1]

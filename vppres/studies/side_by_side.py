@@ -81,25 +81,10 @@ def map_unordered(
 ) -> Generator[Done[J, R] | Lost[J], None, None]:
     """Results of all jobs, each as soon as it is there.
 
-    Parameters
-    ----------
-    function : callable
-        Makes a result of a job; a function of a module.
-    jobs : sequence
-        What is handed to it; they can be pickled.
-    where : Where, optional
-        On how many processes of this machine, or on which cluster.
-
-    Yields
-    ------
-    Done or Lost
-        Close the iterator (``contextlib.closing``) to stop what still runs. An exception that the
-        function raises ends it and is raised here; a process that dies costs no job but its own.
-
-    Raises
-    ------
-    InputError
-        If the cluster cannot be reached, or its workers have other versions or several threads.
+    Function and jobs can be pickled. Close the iterator (``contextlib.closing``) to stop what still
+    runs. An exception that the function raises ends it and is raised here; a process that dies
+    costs no job but its own. A cluster that cannot be reached, or whose workers have other versions
+    or several threads, is an InputError.
 
     Examples
     --------
@@ -231,13 +216,7 @@ def _on_worker(function: Callable[[J], R], job: J, expected: dict[str, str | Non
 
 @contextmanager
 def _client(scheduler: str) -> Iterator[Any]:
-    """A connection to a scheduler, by its address or by its file.
-
-    Raises
-    ------
-    InputError
-        If Dask is not installed, or no scheduler answers.
-    """
+    """A connection to a scheduler, by its address or by its file."""
     if not _dask_is_there():
         raise InputError(
             _problem(
@@ -273,13 +252,7 @@ def _dask_is_there() -> bool:
 
 
 def _check_workers(client: Any, expected: dict[str, str | None], package: str) -> None:
-    """Refuse workers with other versions, or with several threads.
-
-    Raises
-    ------
-    InputError
-        With all that is wrong, by worker.
-    """
+    """Refuse workers with other versions, or with several threads."""
     try:
         client.wait_for_workers(1, timeout=PATIENCE_S)
         found: dict[str, dict[str, str | None]] = client.run(identity, package)

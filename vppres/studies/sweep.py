@@ -66,13 +66,7 @@ Finish = Callable[[Sequence[SweepRow], Path], None]
 def cases_of(
     parameter: Parameter, values: Sequence[Value], scenario: Scenario, options: RunOptions
 ) -> list[Case]:
-    """The runs of a sweep, all of them checked.
-
-    Raises
-    ------
-    InputError
-        If a value makes the scenario or the options wrong.
-    """
+    """The runs of a sweep, all of them checked."""
     cases = []
     for value in values:
         day, chosen = changed(parameter, value, scenario, options)
@@ -89,23 +83,9 @@ def run_cases(
 ) -> list[SweepRow]:
     """Run all cases and write their folders into one, which is whole or absent.
 
-    Parameters
-    ----------
-    cases : sequence of Case
-        From :func:`cases_of`.
-    folder : Path
-        The folder to make; an older sweep or run in its place is replaced.
-    where : Where, optional
-        Runs at a time, or the cluster that runs them; one per core if not given.
-    progress : callable, optional
-        Called as ``progress(runs done, runs in all)`` after every run.
-    finish : callable, optional
-        Called as ``finish(outcomes, folder)`` to write more, before the folder takes its name.
-
-    Returns
-    -------
-    list of SweepRow
-        In the order of the cases. A run that has no answer does not end the others.
+    ``progress`` is called as ``progress(runs done, runs in all)`` after every run, and ``finish``
+    as ``finish(outcomes, folder)`` to write more, before the folder takes its name. A run that has
+    no answer does not end the others.
     """
     with atomic_folder(folder) as aside:
         outcomes = _outcomes(cases, aside, where or Where(), progress)

@@ -52,13 +52,7 @@ class Parameter:
 
 
 def find_parameter(name: str, scenario: Scenario) -> Parameter:
-    """The parameter of that name; underscores count as hyphens in the names of options.
-
-    Raises
-    ------
-    InputError
-        If there is none.
-    """
+    """The parameter of that name; underscores count as hyphens in the names of options."""
     option = name.replace("_", "-")
     if option in OPTION_OF:
         row = OPTION_OF[option]
@@ -97,13 +91,7 @@ def scenario_changes(scenario: Scenario) -> dict[str, ChangeScenario]:
 
 
 def chosen_values(parameter: Parameter, values: str | None, range_: str | None) -> list[Value]:
-    """The values of a sweep, written as a list or as a range.
-
-    Raises
-    ------
-    InputError
-        If none or both are given, or a value does not fit the parameter.
-    """
+    """The values of a sweep, written as a list or as a range."""
     if values is not None and range_ is None:
         return read_values(parameter, values)
     if range_ is not None and values is None:
@@ -116,13 +104,7 @@ def chosen_values(parameter: Parameter, values: str | None, range_: str | None) 
 
 
 def read_values(parameter: Parameter, text: str) -> list[Value]:
-    """Values that are separated by commas.
-
-    Raises
-    ------
-    InputError
-        If one is not of the parameter's kind, or comes twice.
-    """
+    """Values that are separated by commas."""
     values = []
     wrong: list[tuple[str, str]] = []
     for part in (part.strip() for part in text.split(",")):
@@ -142,13 +124,7 @@ def read_values(parameter: Parameter, text: str) -> list[Value]:
 
 
 def read_range(parameter: Parameter, text: str) -> list[Value]:
-    """Equidistant values ``start:stop:n``, both ends included.
-
-    Raises
-    ------
-    InputError
-        If the text is not such a range, or the parameter does not take its values.
-    """
+    """Equidistant values ``start:stop:n``, both ends included."""
     parts = text.split(":")
     numbers = [_read(float, part) for part in parts[:2]]
     count = _read(int, parts[2]) if len(parts) == 3 else None
@@ -187,13 +163,7 @@ def value_text(value: Value) -> str:
 def changed(
     parameter: Parameter, value: Value, scenario: Scenario, options: RunOptions
 ) -> tuple[Scenario, RunOptions]:
-    """Scenario and options with a value of the parameter, checked like a scenario folder.
-
-    Raises
-    ------
-    InputError
-        If the value makes them wrong; the message says which value.
-    """
+    """Scenario and options with a value of the parameter, checked like a scenario folder."""
     try:
         day, options = parameter.change(scenario, options, value)
         return (day if day is scenario else _checked(day)), options

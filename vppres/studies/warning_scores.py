@@ -77,16 +77,10 @@ class WarningScores:
     def of(
         cls, warnings: Iterable[OutageWarning], outages: Sequence[SeenOutage], step_h: float
     ) -> WarningScores:
-        """Scores of messages by the outages that were.
+        """Scores of messages by all outages of the time, which are over.
 
-        Parameters
-        ----------
-        warnings : iterable of OutageWarning
-            Those of the same name of an outage speak of one.
-        outages : sequence of SeenOutage
-            All outages of the time, over.
-        step_h : float
-            What an onset may be off by at least.
+        Messages of the same name of an outage speak of one; onsets may be off by ``step_h`` at
+        least.
         """
         step = pd.Timedelta(hours=step_h)
         said = [completed(warning) for warning in warnings]
@@ -108,20 +102,7 @@ class WarningScores:
 
     @classmethod
     def of_files(cls, warnings: str | Path, outages: str | Path) -> WarningScores:
-        """Scores of a file of messages by a file of outages.
-
-        Parameters
-        ----------
-        warnings : path
-            Like ``warnings.csv`` of a scenario.
-        outages : path
-            A table with ``start`` and ``end``.
-
-        Raises
-        ------
-        InputError
-            With every problem of the files.
-        """
+        """Scores of a file like ``warnings.csv`` by a table of outages, ``start`` and ``end``."""
         messages = read_warning_file(warnings)
         came = [SeenOutage(start, end) for start, end in read_outage_log(outages)]
         return cls.of(messages, came, HOUR_H)
@@ -278,20 +259,7 @@ def _last_before(
 def warnings_scored(
     history: str, warnings: Path | None = None, outages: Path | None = None
 ) -> WarningScores | None:
-    """Scores of the files that are given, or of a scenario's own messages; None without any.
-
-    Parameters
-    ----------
-    history : str
-        What :func:`vppres.studies.backtest.measured_in` takes.
-    warnings, outages : Path, optional
-        What :meth:`WarningScores.of_files` takes.
-
-    Raises
-    ------
-    InputError
-        With every problem of the files.
-    """
+    """Scores of the files that are given, or of a scenario's own messages; None without any."""
     if warnings is not None and outages is not None:
         return WarningScores.of_files(warnings, outages)
     if not is_scenario(history):

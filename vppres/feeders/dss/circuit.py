@@ -36,17 +36,10 @@ Contents = tuple[Any, dict[int, BusId], tuple[str, ...], PhasePowers | None, "Op
 def read_opendss(
     path: Path, time_limit_s: float = TIME_LIMIT_S, by_phase: bool = False
 ) -> Contents:
-    """Read a circuit.
+    """Read the circuit of a master file; what it redirects to lies in its folder.
 
-    Parameters
-    ----------
-    path : Path
-        The master file; what it redirects to lies in its folder.
-    time_limit_s : float, optional
-        For OpenDSS to build the circuit.
-    by_phase : bool, optional
-        Whether the net is only the tree of a feeder with its phases: then open deltas are part of
-        it, and notes say nothing of a balanced equivalent.
+    With ``by_phase`` the net is only the tree of a feeder with its phases: then open deltas are
+    part of it, and notes say nothing of a balanced equivalent.
 
     Returns
     -------
@@ -60,12 +53,6 @@ def read_opendss(
         What is not balanced, if anything has fewer than three phases.
     flow : OpenDSSFlow
         OpenDSS's own solution.
-
-    Raises
-    ------
-    InputError
-        If a line is not one that a network needs, OpenDSS refuses the file or takes too long, or
-        an element has no balanced equivalent here.
     """
     script = dss_text.read_script(path)
     job: dict[str, Any] = {"commands": [command.text for command in script.commands]}

@@ -29,11 +29,6 @@ def recheck_phased(run: Tables, phases: Phases, source: Path, former: str | None
 
     As :func:`vppres.feeders.dss.recheck.recheck_opendss`; ``former`` is the battery that holds
     islands, None without any.
-
-    Raises
-    ------
-    InputError
-        If the script cannot be read.
     """
     assets = [*_ids(run, "customers"), *_ids(run, "pv"), *_ids(run, "batteries")]
     rows = [phases.connection(name) for name in assets]

@@ -40,11 +40,6 @@ def phased_source(
 
     ``job`` has the commands that build it; ``feeder`` is the tree, with the name of each bus of the
     circuit in ``source_flow``. Elements in ``disabled`` are out of service.
-
-    Raises
-    ------
-    InputError
-        With everything that has no table.
     """
     found = confined("dss/by_phase", {**job, "disabled": disabled}, name, TIME_LIMIT_S)
     problems = [Problem(name, each["message"], each["cure"]) for each in found["problems"]]

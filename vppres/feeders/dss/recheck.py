@@ -86,28 +86,11 @@ class Recheck:
 def recheck_opendss(
     run: Tables, source: Path, island_bus: BusId | None = None, opened: Sequence[BusId] = ()
 ) -> Recheck:
-    """Solve the steps of a run on the circuit of an OpenDSS script.
+    """Solve the steps of a run on the circuit of the script that its scenario was made from.
 
-    Parameters
-    ----------
-    run : mapping of DataFrame
-        Tables of a finished run, of a scenario that was made from the script.
-    source : Path
-        The script.
-    island_bus : int or str, optional
-        Bus of the battery that holds the voltage without the grid; in those steps a source stands
-        there with the plan's voltage. Without it the circuit's own source holds islands too.
-    opened : sequence of int or str, optional
-        Buses whose capacitors are off in islands.
-
-    Returns
-    -------
-    Recheck
-
-    Raises
-    ------
-    InputError
-        If the script cannot be read, or has no load where the run has a customer.
+    In steps without grid a source stands at ``island_bus``, with the plan's voltage; without it the
+    circuit's own source holds islands too. Capacitors at the buses of ``opened`` are off in
+    islands. A script without a load where the run has a customer is an InputError.
     """
     if source.suffix.lower() != ".dss":
         raise InputError.of(
@@ -160,13 +143,7 @@ class _Circuit:
 
 
 def solved_steps(job: dict[str, Any], source: Path) -> dict[str, Any]:
-    """The steps of a job in OpenDSS, with ``v`` (T, nodes) in V, NaN where there is no solution.
-
-    Raises
-    ------
-    InputError
-        If the script cannot be read.
-    """
+    """The steps of a job in OpenDSS, with ``v`` (T, nodes) in V, NaN where there is no solution."""
     script = dss_text.read_script(source)
     job = {"constant_power": False, **job}
     job["commands"] = [command.text for command in script.commands]

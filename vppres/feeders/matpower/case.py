@@ -36,13 +36,7 @@ Case = dict[str, Floats]
 
 
 def read_m(path: Path) -> tuple[Any, tuple[str, ...]]:
-    """A case written as a MATLAB function; the units that it converts are computed, nothing is run.
-
-    Raises
-    ------
-    InputError
-        If it is too large, has statements that are no arithmetic on its tables, or is no case.
-    """
+    """A case written as a MATLAB function; units that it converts are computed, nothing is run."""
     text = read_text(path, LARGEST_BYTES)
     try:
         case = tables_of(text)
@@ -80,25 +74,9 @@ def read_mat(path: Path) -> tuple[Any, tuple[str, ...]]:
 def net_of(case: Case, name: str) -> tuple[Any, tuple[str, ...]]:
     """The net of a case's tables, its buses numbered as in the case, and what was chosen.
 
-    Parameters
-    ----------
-    case : dict of array
-        ``baseMVA``, ``bus``, ``gen`` and ``branch``, shape (rows, columns) each, in MATPOWER's
-        format of version 2.
-    name : str
-        Name of the file, for messages.
-
-    Returns
-    -------
-    net : pandapowerNet
-        Branches with a ratio, a phase shift or two levels become transformers, others lines.
-    notes : tuple of str
-        The grid connection, if the case names none.
-
-    Raises
-    ------
-    InputError
-        If a table is missing or too narrow, or has values that no network has.
+    The tables are ``baseMVA``, ``bus``, ``gen`` and ``branch``, shape (rows, columns) each, in
+    MATPOWER's format of version 2. Branches with a ratio, a phase shift or two levels become
+    transformers, others lines.
     """
     problems = _check_tables(case, name) or _check_values(case, name)
     if problems:

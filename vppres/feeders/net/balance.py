@@ -23,14 +23,9 @@ CURE = (
 
 @dataclass(frozen=True, eq=False)
 class PhasePowers:
-    """Active power that each bus draws on each phase.
+    """Active power that each bus draws on each phase, columns ``a``, ``b`` and ``c``.
 
-    Parameters
-    ----------
-    what : str
-        What is not balanced, as ``12 of 15 loads``.
-    p_kw : DataFrame
-        Columns ``a``, ``b`` and ``c``, indexed by bus.
+    ``what`` is not balanced, as ``12 of 15 loads``.
     """
 
     what: str

@@ -35,16 +35,10 @@ class Stub(NamedTuple):
 
 
 def split_stubs(branches: pd.DataFrame, own: set[int]) -> tuple[pd.DataFrame, list[Stub]]:
-    """Branches without those that end at a bus which only the open end of a line has.
+    """Branches without those that end at a bus which only the open end of a line has, and these.
 
-    ``own`` has the rows of the source's buses.
-
-    Returns
-    -------
-    branches : DataFrame
-        The others.
-    stubs : list of Stub
-        From the outermost inwards; the admittance of one holds that of those behind it.
+    ``own`` has the rows of the source's buses. Stubs come from the outermost inwards; the
+    admittance of one holds that of those behind it.
     """
     stubs: list[Stub] = []
     behind: dict[int, complex] = {}

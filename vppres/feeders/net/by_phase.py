@@ -68,11 +68,6 @@ def phased_net(net: Any, name: str, feeder: ImportedFeeder) -> PhasedSource:
     """The three phases of a net whose balanced tree has been imported.
 
     ``net`` has its loads by phase, and branches opened as in the tree ``feeder``.
-
-    Raises
-    ------
-    InputError
-        With everything that has no table, or zero sequence.
     """
     problems = [*_unknown(net, name)]
     if problems:

@@ -31,13 +31,7 @@ class Changes:
 def changed(
     net: Any, name: str, changes: Changes, bus_ids: Mapping[int, BusId] | None = None
 ) -> tuple[Any, tuple[str, ...]]:
-    """A changed copy of a net, and notes on what was changed.
-
-    Raises
-    ------
-    InputError
-        If a branch or grid is not there, or a change is needed that was not asked for.
-    """
+    """A changed copy of a net, and notes on what was changed."""
     net = copy.deepcopy(net)
     notes = [*one_grid(net, name, changes.slack, bus_ids)]
     if changes.balance:

@@ -10,13 +10,7 @@ import pandapower as pp
 
 
 def empty_net(**values: object) -> Any:
-    """A new pandapower net without elements.
-
-    Parameters
-    ----------
-    **values
-        ``name``, ``f_hz`` (50) and ``sn_mva`` (1), as ``pandapower.create_empty_network`` takes
-        them.
+    """A new pandapower net without elements; ``name``, ``f_hz`` (50) and ``sn_mva`` (1) as given.
 
     Examples
     --------

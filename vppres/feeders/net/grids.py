@@ -42,12 +42,6 @@ def one_grid(
 
     ``wanted`` is the grid by table and index, by its name or by its bus, or ``all``; it is needed
     where there are several.
-
-    Raises
-    ------
-    InputError
-        If there are several and none is chosen, the choice is not among them, or ``all`` hold
-        different voltages.
     """
     grids = [_grid(net, "ext_grid", i, bus_ids) for i in in_service(net, "ext_grid").index]
     gens = [_grid(net, "gen", i, bus_ids) for i in in_service(net, "gen").index]

@@ -38,11 +38,6 @@ def open_loops(net: Any, name: str) -> Iterator[str]:
 
     Parallel branches count as one. Transformers with three windings are never opened. Where the
     power flow has no solution, the branches with the largest impedance are opened.
-
-    Raises
-    ------
-    InputError
-        If loops of transformers with three windings are left.
     """
     before = after = _solved(net)
     closing = _closing(net, after is not None)

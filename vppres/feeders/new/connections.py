@@ -42,11 +42,6 @@ def connected(
 
     A customer is connected as its load, and so are PV system and battery behind its meter, at
     constant power; a battery with three phases has a coil to ground on each where there is ground.
-
-    Raises
-    ------
-    InputError
-        If generators that became one system are not connected alike.
     """
     loads = {f"c{load.connection.id}": load for load in source.loads if load.kind == LOAD}
     rows = [replace(loads[str(each)].connection, id=str(each)) for each in customers.id]

@@ -34,11 +34,6 @@ def timed(
     """Series with their times in UTC.
 
     Clock times are in ``zone``; rows without times last ``row_minutes`` and begin with the grid.
-
-    Raises
-    ------
-    InputError
-        If times need a zone, or rows a length, that was not given.
     """
     problems: list[Problem] = []
     done: list[Profile] = []
@@ -121,11 +116,6 @@ def place_profiles(
 
     ``shapes`` are the loads as shares of their peaks (T,) and the systems' power in kW (T, P); gaps
     of at most ``most_gap_min`` are filled.
-
-    Raises
-    ------
-    InputError
-        With every problem, those of one kind folded.
     """
     sorter = _Sorter(feeder, assets)
     problems = [*units_missing([p for p in profiles if p.name not in OF_SYSTEM])]

@@ -69,13 +69,7 @@ def days_later(start: pd.Timestamp, days: int, zone: str) -> pd.Timestamp:
 
 
 def grid_from(start: pd.Timestamp, days: int, step_minutes: float, zone: str) -> TimeGrid:
-    """The steps of some days on the clock.
-
-    Raises
-    ------
-    InputError
-        If the steps do not fill the days, as hours of 4 do not fill a day of 23.
-    """
+    """The steps of some days on the clock, if they fill them: hours of 4 fill no day of 23."""
     hours = (days_later(start, days, zone) - start) / pd.Timedelta(hours=1)
     steps = hours * 60.0 / step_minutes
     if not float(steps).is_integer():

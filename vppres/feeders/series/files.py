@@ -25,15 +25,7 @@ _PLAIN = re.compile(r"(kw|mw|pu|p\.u\.)", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class Reading:
-    """How times and values of files are meant, where they do not say so themselves.
-
-    Parameters
-    ----------
-    zone : str, optional
-        Zone of times without offset.
-    unit : str, optional
-        ``kw``, ``mw`` or ``pu``.
-    """
+    """Zone of times without offset, and unit (``kw``, ``mw`` or ``pu``), of files that say none."""
 
     zone: str | None = None
     unit: str | None = None
@@ -46,11 +38,6 @@ def read_profiles(path: str | Path, reading: Reading) -> list[Profile]:
     kinds: long, with the columns ``id`` and a value; of one asset, after which the file is named,
     with a single column named ``value``, ``p`` or after a unit; or wide, with a column for each
     asset. The unit is the end of a column's or file's name, such as ``_kw``, or ``reading``'s.
-
-    Raises
-    ------
-    InputError
-        With every problem of every file, those of one kind folded.
     """
     path = Path(path)
     profiles: list[Profile] = []

@@ -54,13 +54,7 @@ def profiles_of(net: Any) -> tuple[Profile, ...]:
 
 
 def simbench_profiles(net: Any) -> tuple[Profile, ...]:
-    """The year of every element that has a profile.
-
-    Raises
-    ------
-    InputError
-        If the times are not those of German clocks.
-    """
+    """The year of every element that has a profile."""
     profiles: list[Profile] = []
     for table, kind, suffix in _SIMBENCH:
         year = net.profiles.get(kind)

@@ -30,11 +30,6 @@ def confined(
 
     ``engine`` is one of :mod:`vppres.feeders.strangers.child`, ``job`` what JSON can hold; the time
     counts from the moment in which the engine is loaded.
-
-    Raises
-    ------
-    InputError
-        If there is no answer in time, or none at all.
     """
     child = Path(__file__).with_name("child.py")
     text = json.dumps({**job, "engine": engine, "limit_s": time_limit_s, "parent": me()})

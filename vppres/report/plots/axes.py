@@ -29,15 +29,7 @@ SMALLEST_DECIMAL = 1e-4
 
 @dataclass(frozen=True)
 class TimeAxis:
-    """Times of a run across a drawing.
-
-    Parameters
-    ----------
-    run : Trajectory
-        The run.
-    left, right : float
-        Where it begins and ends, in px.
-    """
+    """Times of a run across a drawing, from ``left`` to ``right`` in px."""
 
     run: Trajectory
     left: float
@@ -156,16 +148,10 @@ def time_step_min(minutes: float) -> int:
 
 @dataclass(frozen=True)
 class ValueAxis:
-    """Values up a panel.
+    """Values from ``low`` to ``high`` up a panel, between two places in px.
 
-    Parameters
-    ----------
-    low, high : float
-        Values at its bottom and top.
-    bottom, top : float
-        Their places in px.
-    logarithmic : bool
-        Whether equal ratios are equally far apart; values below ``low`` lie at the bottom.
+    On a logarithmic one equal ratios are equally far apart, and values below ``low`` lie at the
+    bottom.
     """
 
     low: float

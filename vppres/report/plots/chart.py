@@ -46,20 +46,10 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """Values over the time of a run, or over another scale.
+    """Values over the time of a run, or over another scale; dots mark them if wanted.
 
-    Parameters
-    ----------
-    name : str
-        What it is; its entry in the legend.
-    values : array, shape (T,) or (T + 1,)
-        Values that hold over each step, drawn as steps; or at the instants between them, joined.
-    style : Style
-        How it is drawn.
-    in_legend : bool
-        Whether the legend has it.
-    dots, joined : bool
-        Whether there is a dot at each value, and a line.
+    Values (T,) hold over each step and are drawn as steps; (T + 1,) are at the instants between
+    them, and joined.
     """
 
     name: str
@@ -134,22 +124,10 @@ class Panel(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Curves:
-    """A panel of curves.
+    """A panel of curves, later ones on top; ``height`` is in px.
 
-    Parameters
-    ----------
-    axis : str
-        Name of the value axis.
-    curves : sequence of Curve
-        The curves, later ones on top.
-    height : float
-        Height in px.
-    low, high : float, optional
-        Ends of the value axis; found from the values if not given.
-    limits, bands : sequence
-        What is drawn across, and between.
-    logarithmic : bool
-        Whether the value axis is; values below ``low`` lie at its bottom.
+    The ends of the value axis are found from the values if not given. On a logarithmic one values
+    below ``low`` lie at its bottom.
     """
 
     axis: str
@@ -253,18 +231,9 @@ def _points(values: Floats, axis: ValueAxis, time: Across) -> list[tuple[float, 
 
 @dataclass(frozen=True, eq=False)
 class Chart:
-    """Panels above each other.
+    """Panels above each other over the time of a run, or over another scale.
 
-    Parameters
-    ----------
-    key : str
-        Name of the chart, unique within a page.
-    title : str
-        What stands above it.
-    across : Trajectory or Scale
-        Whose time the axis shows, or what else lies across.
-    panels : sequence of Panel
-        The panels, from the top.
+    ``key`` names the chart, uniquely within a page.
     """
 
     key: str

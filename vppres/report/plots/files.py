@@ -83,23 +83,9 @@ def figure_names(runs: Runs) -> list[str]:
 
 
 def save_figures(runs: Runs, folder: Path, kinds: Sequence[str] = KINDS) -> list[Path]:
-    """Write every figure into a folder, which is made if missing.
+    """Write every figure into a folder, which is made if missing; the files written.
 
-    Those of one run alone are left out for several.
-
-    Parameters
-    ----------
-    runs : Trajectory or mapping of str to Trajectory
-        One run, or several of the same day by their labels.
-    folder : Path
-        Where to.
-    kinds : sequence of str
-        ``png``, ``svg`` or both.
-
-    Returns
-    -------
-    list of Path
-        The files written.
+    Those of one run alone are left out for several of the same day, which come by their labels.
     """
     folder.mkdir(parents=True, exist_ok=True)
     names = figure_names(runs)

@@ -22,20 +22,10 @@ KEY_PX, KEY_COLOURS = 14.0, 64
 
 @dataclass(frozen=True, eq=False)
 class HeatMap(Panel):
-    """Values of rows over the time of a run.
+    """Values of rows over the time of a run, (rows, T); NaN stays white.
 
-    Parameters
-    ----------
-    axis : str
-        What a row is.
-    names : sequence of str
-        Names of the rows.
-    values : array, shape (rows, T)
-        Their values; NaN stays white.
-    scale : str
-        What the values are.
-    colours : tuple of str
-        Colours from the least value to the largest.
+    ``axis`` says what a row is, ``scale`` what the values are; colours go from the least to the
+    largest.
     """
 
     axis: str

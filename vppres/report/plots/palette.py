@@ -39,17 +39,7 @@ CIVIDIS = (
 
 @dataclass(frozen=True)
 class Style:
-    """How a curve is drawn.
-
-    Parameters
-    ----------
-    color : str
-        Colour.
-    dash : str
-        Lengths of its dashes and gaps in px; a solid line without.
-    width : float
-        Width in px.
-    """
+    """How a curve is drawn: colour, lengths of dashes and gaps in px, and width in px."""
 
     color: str
     dash: str = ""

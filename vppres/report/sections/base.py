@@ -18,15 +18,7 @@ FOLDED_ABOVE = 40  # rows; longer tables are opened by a click
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """What a section may draw on.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-        A finished run.
-    summary : mapping
-        Its figures, from :func:`vppres.day.metrics.summarise`.
-    """
+    """A run that is shown, and its figures (:func:`vppres.day.metrics.summarise`)."""
 
     trajectory: Trajectory
     summary: Mapping[str, Any]
@@ -38,17 +30,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure of the page.
-
-    Parameters
-    ----------
-    text : str
-        What it shows.
-    svg : Markup
-        The drawing.
-    data : mapping
-        Where scripts find its time axis, and the values of its curves.
-    """
+    """A figure of the page: what it shows, its drawing, and what scripts read in it."""
 
     text: str
     svg: Markup
@@ -62,17 +44,7 @@ def figure_of(chart: Chart, text: str) -> Figure:
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the report with its own heading.
-
-    Parameters
-    ----------
-    key : str
-        Anchor in the page: lower case, unique.
-    title : str
-        Heading, and entry of the contents.
-    html : Markup
-        What follows the heading.
-    """
+    """A part of the report; its key is its anchor in the page, unique and in lower case."""
 
     key: str
     title: str

@@ -63,15 +63,7 @@ class Tables:
 def episodes(
     run: Trajectory, explanations: pd.DataFrame, shadow_prices: pd.DataFrame
 ) -> list[Episode]:
-    """The day as consecutive phases.
-
-    Parameters
-    ----------
-    run : Trajectory
-        A finished run.
-    explanations, shadow_prices : DataFrame
-        Its tables of these names.
-    """
+    """The day as consecutive phases, of a run and its tables of these names."""
     of_steps = explanations[explanations["item"] == "step"].to_dict("records")
     step = run.scenario.grid.step
     clock = Clock.of(run)
