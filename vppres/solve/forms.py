@@ -167,15 +167,18 @@ def form_problem(site: Site, sheet: Sheet, form: Form, conic: bool) -> Selected:
 
 def sheet_of(cache: ModelCache, data: WindowData) -> Sheet:
     """The compiled statement of the window's length and of what it has beyond the paper."""
-    beyond = beyond_paper(cache.site, data)
-    return cache.problem(sheet_of_page, n_steps=data.n_steps, beyond=beyond, page=page())
+    return sheet_for(cache, data.n_steps, beyond_paper(cache.site, data))
 
 
 def sheet_of_draws(cache: ModelCache, data: WindowData) -> Sheet:
     """The compiled statement of one step with nothing beyond the paper but what draws power."""
     found = beyond_paper(cache.site, data)
-    beyond = tuple((each, shape) for each, shape in found if each.draws)
-    return cache.problem(sheet_of_page, n_steps=1, beyond=beyond, page=page())
+    return sheet_for(cache, 1, tuple((each, shape) for each, shape in found if each.draws))
+
+
+def sheet_for(cache: ModelCache, n_steps: int, beyond: Beyond) -> Sheet:
+    """The compiled statement of so many steps and of what is beyond the paper."""
+    return cache.problem(sheet_of_page, n_steps=n_steps, beyond=beyond, page=page())
 
 
 def sheet_of_page(site: Site, n_steps: int, beyond: Beyond, page: tuple[object, ...]) -> Sheet:

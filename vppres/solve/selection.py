@@ -168,21 +168,15 @@ class Sheet:
         return found
 
     def _compile_with(self, name: str) -> None:
-        """Compile a family, and in one go all others that need the network, or do not, as it does.
+        """Compile a family, and in one go all others: a call of cvxpy takes longer than their rows.
 
-        A call of cvxpy takes much longer than the rows of a family do. One that is not affine gets
-        columns of its own, and is compiled alone.
+        One that is not affine gets columns of its own, and is compiled alone.
         """
         constraint = self._constraints[name]
         if not _joins(constraint):
             self._families[name] = self._alone(name, constraint)
             return
-        in_network = self._needs_network(name)
-        named = {
-            each: other
-            for each, other in self._constraints.items()
-            if _joins(other) and self._needs_network(each) == in_network
-        }
+        named = {each: other for each, other in self._constraints.items() if _joins(other)}
         rows = self._placed(name, affine(joined([c for c in named.values() if c.size])))
         first = 0
         for each, other in named.items():
@@ -190,12 +184,6 @@ class Sheet:
             part = rows.between(first, first + size)
             self._families[each] = (Family(each, part, *_kind(other), _letters(other)),)
             first += size
-
-    def _needs_network(self, name: str) -> bool:
-        """Whether a family has letters of the network; the balance, summed over buses, has none."""
-        if name == "active_power_balance":
-            return False
-        return bool(self.statement.network_letters.intersection(_letters(self._constraints[name])))
 
     def _alone(self, name: str, constraint: cp.Constraint) -> tuple[Family, ...]:
         """Rows of a constraint that is compiled by itself."""

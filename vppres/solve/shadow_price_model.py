@@ -20,7 +20,8 @@ from vppres.model.linearise import Drawn
 from vppres.model.numerics import disc_sides
 from vppres.model.polygons import Polygon
 from vppres.model.site import Site
-from vppres.solve.forms import in_order, with_discs
+from vppres.solve.cache import shared_cache
+from vppres.solve.forms import in_order, sheet_for, with_discs
 from vppres.solve.phases import PhaseRows
 from vppres.solve.selection import Family, Selected, Selection, Sheet
 
@@ -78,7 +79,8 @@ class ShadowPriceModel(Selected):
         self.data: WindowData | None = None
         self.phase_rows: list[PhaseRows] = []
         self.sides = disc_sides(site, n_steps)
-        super().__init__(Sheet(site, n_steps, beyond), self._selected, conic=True)
+        sheet = sheet_for(shared_cache(site), n_steps, beyond)
+        super().__init__(sheet, self._selected, conic=True)
 
     def _selected(self, sheet: Sheet) -> Selection:
         """All families, and what is held.
