@@ -147,8 +147,8 @@ class Forecaster:
         rows = self._checked(t0, steps)
         s = self.scenario
         e = self.errors
-        load_error = e.load_bias + e.load_alpha_per_h * self._spread("load", t0, rows)
-        pv_error = e.pv_bias + e.pv_alpha_per_h * self._spread("pv", t0, rows)
+        load_error = e.load_bias + self._random("load", e.load_alpha_per_h, t0, rows)
+        pv_error = e.pv_bias + self._random("pv", e.pv_alpha_per_h, t0, rows)
         load = np.maximum(s.load_kw[rows] * (1.0 + load_error), 0.0)
         pv = np.clip(s.pv_kw[rows] * (1.0 + pv_error), 0.0, s.pv.p_max_kw)
         ahead = (rows > t0)[:, np.newaxis]
@@ -176,12 +176,12 @@ class Forecaster:
             )
         return rows
 
-    def _spread(self, kind: Kind, t0: int, rows: Wholes) -> Floats:
-        """Standard normal draws times the hours ahead, shape (W, items)."""
+    def _random(self, kind: Kind, alpha_per_h: float, t0: int, rows: Wholes) -> Floats:
+        """Normal draws whose standard deviation grows with the hours ahead, shape (W, items)."""
         items = len(self.scenario.customers if kind == "load" else self.scenario.pv)
-        spread = np.empty((len(rows), items))
-        for row, step in enumerate(rows):
+        spread = np.zeros((len(rows), items))
+        for row, step in enumerate(rows) if alpha_per_h else ():
             key = np.random.SeedSequence([self.seed, t0, int(step), STREAM_OF_KIND[kind]])
             draws = np.random.Generator(np.random.PCG64(key)).standard_normal(items)
             spread[row] = draws * (step - t0) * self.scenario.grid.dt_h
-        return spread
+        return alpha_per_h * spread
