@@ -315,26 +315,53 @@ class Runner:
     def _planned(self, time: pd.Timestamp, asked: Asked | None) -> dict[str, Any]:
         """A plan as the mode has it, kept."""
         begin = machine.monotonic()
-        known = self.changes.reasons
+        reasons = self.changes.reasons
         mode = self.mode
+        known: Known | None = None
         if mode["mode"] == "off":
-            plan = self._without(time, "off", mode["reason"] or "switched off", asked)
+            reason = mode["reason"] or "switched off"
+            plan = defaults_of(time, self.scenario, "off", reason)
         elif mode["mode"] in BY_HAND:
-            plan = self._by_hand(time, mode, asked)
+            plan = self._by_hand(time, mode)
         else:
-            plan = self._decided(time, asked)
+            plan, known = self._decided(time)
+        plan = self._kept(time, plan, asked, known)
         self.on_step(machine.monotonic() - begin)
         self._forget(time)
         self.last = plan
-        self.changes.known(known)
+        self.changes.known(reasons)
         self.check_alarms()
         return plan
 
-    def _said(self, plan: dict[str, Any]) -> dict[str, Any]:
-        """A plan with its time, for the rest of the step where it is decided anew."""
+    def _kept(
+        self,
+        time: pd.Timestamp,
+        plan: dict[str, Any],
+        asked: Asked | None = None,
+        known: Known | None = None,
+    ) -> dict[str, Any]:
+        """A plan as it is stored: with its time, and for the rest of the step if decided anew.
+
+        Where the controller decided on what is ``known`` its state is stored too.
+        """
         plan = {**plan, "generated_at": written(self.clock.now())}
-        within = self._within
-        return plan if within is None else made_anew(plan, within.at, within.why, within.before)
+        if self._within is not None:
+            plan = made_anew(plan, self._within.at, self._within.why, self._within.before)
+        if known is None:
+            self.store.write_step(time, plan, asked=asked)
+            return plan
+        after = After(self._controller.saved(), measured_in(self._controller))
+        try:
+            self.store.write_step(time, plan, after, asked)
+        except StorageError:
+            self._controller = self._restored()  # as if it had not decided
+            raise
+        self._log_odd(plan)
+        self._state = after.state
+        self.expected[plan["id"]] = known.measurement
+        while len(self.expected) > MOST_KNOWN:
+            self.expected.popitem(last=False)
+        return plan
 
     def _check(self, time: pd.Timestamp, now: pd.Timestamp) -> None:
         """Whether a step may be decided now."""
@@ -357,8 +384,8 @@ class Runner:
         if problem is not None:
             raise InputError.of("step", *problem, field="time", value=written(time))
 
-    def _decided(self, time: pd.Timestamp, asked: Asked | None) -> dict[str, Any]:
-        """The plan of the controller; by rule, whatever it is that fails."""
+    def _decided(self, time: pd.Timestamp) -> tuple[dict[str, Any], Known | None]:
+        """The controller's plan, and on what; by rule on nothing, whatever it is that fails."""
         known: Known | None = None
         try:
             self._feed(time)
@@ -375,21 +402,9 @@ class Runner:
         except Exception as error:
             # A step without an answer is worse than any of it.
             log.exception("step")
-            return self._ruled(time, known, error, asked)
-        found = plan_of(decision, self.scenario, known, refused)
-        plan = self._said({**found, "outage_probability": self._believed(known)})
-        after = After(self._controller.saved(), measured_in(self._controller))
-        try:
-            self.store.write_step(time, plan, after, asked)
-        except StorageError:
-            self._controller = self._restored()  # as if it had not decided
-            raise
-        self._log_odd(plan)
-        self._state = after.state
-        self.expected[plan["id"]] = known.measurement
-        while len(self.expected) > MOST_KNOWN:
-            self.expected.popitem(last=False)
-        return plan
+            return self._ruled(time, known, error), None
+        plan = plan_of(decision, self.scenario, known, refused)
+        return {**plan, "outage_probability": self._believed(known)}, known
 
     def _log_odd(self, plan: dict[str, Any]) -> None:
         """A line for what is odd, when it begins; readings that are only missing are late.
@@ -403,9 +418,7 @@ class Runner:
                 log.warning("%s: %s", plan["start"], words)
         self._odd = set(odd)
 
-    def _ruled(
-        self, time: pd.Timestamp, known: Known | None, error: Exception, asked: Asked | None
-    ) -> dict[str, Any]:
+    def _ruled(self, time: pd.Timestamp, known: Known | None, error: Exception) -> dict[str, Any]:
         """The plan of a rule that needs no solver, for a step in which everything else failed."""
         now = self._profile_of(time)
         if known is None:
@@ -418,7 +431,7 @@ class Runner:
         words = str(error).splitlines()[:1] or [type(error).__name__]
         mode = {"mode": FAILED, "reason": f"by rule: {words[0]}"}
         tables = ruled(now, soc, lost, ordered(self.scenario, self.last, []))
-        return self._kept(time, ordered_plan(time, self.scenario, mode, tables, {}), asked)
+        return ordered_plan(time, self.scenario, mode, tables, {})
 
     def _profile_of(self, time: pd.Timestamp) -> Scenario:
         """What the scenario says of a step."""
@@ -427,20 +440,6 @@ class Runner:
         row = round((time - self.scenario.grid.start) / self.length)
         return self.scenario.between(row, row + 1)
 
-    def _kept(
-        self, time: pd.Timestamp, plan: dict[str, Any], asked: Asked | None
-    ) -> dict[str, Any]:
-        """A plan that was not the controller's, kept."""
-        said = self._said(plan)
-        self.store.write_step(time, said, asked=asked)
-        return said
-
-    def _without(
-        self, time: pd.Timestamp, status: str, reason: str, asked: Asked | None = None
-    ) -> dict[str, Any]:
-        """The plan of a step in which nothing is decided."""
-        return self._kept(time, defaults_of(time, self.scenario, status, reason), asked)
-
     def _forget(self, time: pd.Timestamp) -> None:
         """Once a day drop what is too old."""
         begun = time if self.last is None else pd.Timestamp(self.last["start"])
@@ -448,13 +447,11 @@ class Runner:
             with suppress(StorageError):  # the step is kept; tomorrow is another day
                 self.store.forget(time - self.keeps, time - pd.Timedelta(days=REMEMBERED_DAYS))
 
-    def _by_hand(
-        self, time: pd.Timestamp, mode: dict[str, Any], asked: Asked | None
-    ) -> dict[str, Any]:
+    def _by_hand(self, time: pd.Timestamp, mode: dict[str, Any]) -> dict[str, Any]:
         """The plan of an operator, through the gate as any other."""
         tables = ordered(self.scenario, self.last, mode.get("setpoints", []))
         refused = refusals(tables, self.scenario, soc_at(time, self.scenario, self.store))
-        return self._kept(time, ordered_plan(time, self.scenario, mode, tables, refused), asked)
+        return ordered_plan(time, self.scenario, mode, tables, refused)
 
     def _bridge_gap(self, time: pd.Timestamp) -> None:
         """Write down the steps since the last one as missed; they are not decided any more."""
@@ -466,7 +463,8 @@ class Runner:
             self._controller = self._restored()
             return
         while missed < time:
-            self._without(missed, "missed", "the service did not run")
+            reason = "the service did not run"
+            self._kept(missed, defaults_of(missed, self.scenario, "missed", reason))
             missed += self.length
 
     def _made_later(self, plan: dict[str, Any] | None, now: pd.Timestamp) -> bool:
