@@ -6,7 +6,7 @@ A plan says which vehicles were plugged in when it was decided, and how sets wer
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,18 +20,6 @@ from vppres.scenario.vehicles import OF_SESSIONS, Sessions
 
 Plan = Mapping[str, Any]
 Plans = Sequence[Plan | None]  # by step, None for a step without
-
-
-@dataclass
-class Stay:
-    """A vehicle at a charger, from the first step on that tells of it."""
-
-    charger: str
-    vehicle: str
-    plug_in: pd.Timestamp
-    plug_out: pd.Timestamp
-    held_kwh: float
-    needed_kwh: float
 
 
 def expected_by(plan: Plan | None) -> Mapping[str, Any]:
@@ -90,54 +78,51 @@ def _sets_at_first(sets: Gensets, told: Mapping[str, Any]) -> Gensets:
 def _sessions(scenario: Scenario, stored: Plans) -> Sessions:
     """Sessions of past days, stays that plans tell of, and the scenario's sessions after them."""
     own = rows_of(scenario.sessions)
-    base = {(row["charger"], row["vehicle"]): row for row in own}
     told = max(t for t, plan in enumerate(stored) if plan is not None) + 1
     end = scenario.grid.start + told * scenario.grid.step
     past = [row for row in own if row["plug_out"] <= scenario.grid.start]
-    stays = [_of_stay(stay, base, scenario) for stay in _stays(scenario, stored)]
-    return sessions_of([*past, *stays, *(row for row in own if row["plug_in"] >= end)])
+    return sessions_of(
+        [*past, *_stays(scenario, stored), *(row for row in own if row["plug_in"] >= end)]
+    )
 
 
-def _stays(scenario: Scenario, stored: Plans) -> Iterator[Stay]:
-    """Each vehicle once for as long as plans tell of it; one that leaves early ends then.
+def _stays(scenario: Scenario, stored: Plans) -> Iterator[dict[str, Any]]:
+    """Each vehicle once for as long as plans tell of it, as a session.
 
-    A vehicle with a new need begins a new entry.
+    One that leaves early ends then; a vehicle with a new need begins a new session.
     """
     for charger in map(str, scenario.chargers.id):
-        stay: Stay | None = None
+        begun: Mapping[str, Any] | None = None
+        row: dict[str, Any] = {}
         for time, plan in zip(scenario.grid.times, stored, strict=False):
-            if plan is None or not plan.get("expected"):
+            if not expected_by(plan):
                 continue
             told = expected_by(plan).get("vehicles", {}).get(charger)
-            if stay is not None and told is not None and _same(stay, told):
-                stay.plug_out = pd.Timestamp(told["leaves"])
+            if begun and told and all(told[one] == begun[one] for one in ("vehicle", "needed_kwh")):
+                row["plug_out"] = pd.Timestamp(told["leaves"])
                 continue
-            if stay is not None:
-                yield replace(stay, plug_out=min(stay.plug_out, time))
-            stay = None if told is None else _begun(charger, time, told)
-        if stay is not None:
-            yield stay
+            if begun is not None:
+                yield {**row, "plug_out": min(row["plug_out"], time)}
+            begun = told
+            row = {} if told is None else _session(scenario, charger, time, told)
+        if begun is not None:
+            yield row
 
 
-def _same(stay: Stay, told: Mapping[str, Any]) -> bool:
-    return (stay.vehicle, stay.needed_kwh) == (told["vehicle"], told["needed_kwh"])
-
-
-def _begun(charger: str, time: pd.Timestamp, told: Mapping[str, Any]) -> Stay:
-    leaves = pd.Timestamp(told["leaves"])
-    return Stay(charger, told["vehicle"], time, leaves, told["energy_kwh"], told["needed_kwh"])
-
-
-def _of_stay(
-    stay: Stay, base: Mapping[tuple[str, str], dict[str, Any]], scenario: Scenario
+def _session(
+    scenario: Scenario, charger: str, time: pd.Timestamp, told: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """A row for a stay: with the vehicle's own capacity if the scenario knows it."""
+    """A vehicle that a plan tells of: with its own capacity if the scenario knows it."""
     nothing = dict.fromkeys(OF_SESSIONS, np.nan)
     unknown = {**nothing, "tier": scenario.tiers[-1], "weight": 1.0, "announced": True}
-    row = base.get((stay.charger, stay.vehicle), unknown)
-    times = {"plug_in": stay.plug_in, "plug_out": stay.plug_out}
-    head = {**row, "charger": stay.charger, "vehicle": stay.vehicle, **times}
-    soc_kwh = row["soc_needed"] * row["capacity_kwh"]
-    if np.isclose(soc_kwh, stay.needed_kwh):
-        return {**head, "soc_at_plug_in": stay.held_kwh / row["capacity_kwh"]}
-    return {**head, **nothing, "energy_needed_kwh": stay.needed_kwh}
+    own = {(row["charger"], row["vehicle"]): row for row in rows_of(scenario.sessions)}
+    row = {
+        **own.get((charger, told["vehicle"]), unknown),
+        "charger": charger,
+        "vehicle": told["vehicle"],
+        "plug_in": time,
+        "plug_out": pd.Timestamp(told["leaves"]),
+    }
+    if np.isclose(row["soc_needed"] * row["capacity_kwh"], told["needed_kwh"]):
+        return {**row, "soc_at_plug_in": told["energy_kwh"] / row["capacity_kwh"]}
+    return {**row, **nothing, "energy_needed_kwh": told["needed_kwh"]}

@@ -257,9 +257,9 @@ def known_at(
     window = Window.of(controller, time)
     replaced = controller.replaced(time)
     events = [event for name, event in store.events().items() if name not in replaced]
-    powers = _Powers(window, readings, store)
-    load_kw = powers.ahead("load_kw", scenario.customers.id)
-    demand_kw = 0.0 if load_kw is None else float(load_kw.iloc[0].sum())
+    load = _Powers.of("load_kw", scenario.customers.id, window, readings, store)
+    pv = _Powers.of("pv_kw", scenario.pv.id, window, readings, store)
+    demand_kw = 0.0 if load.table is None else float(load.table.iloc[0].sum())
     zero = readings.last.get((GRID, "grid_on"))
     doubt = _doubt(zero, at, window.length, store, tolerance_kw(demand_kw))
     grid = _grid(controller, window, readings, events, at, doubt)
@@ -275,8 +275,8 @@ def known_at(
     measurement = Measurement(
         time,
         soc=soc_of(soc),
-        load_kw=load_kw,
-        pv_kw=powers.ahead("pv_kw", scenario.pv.id),
+        load_kw=load.table,
+        pv_kw=pv.table,
         price_gbp_per_kwh=pd.Series(prices(events, window), window.times),
         grid_limit_kw=pd.Series(grid.limits_kw, window.times),
         battery_kw=moved or None,
@@ -286,7 +286,7 @@ def known_at(
         announced_limit_kw=None
         if announced is None
         else pd.Series(announced, window.times).dropna(),
-        foretold=powers.foretold,
+        foretold=load.foretold | pv.foretold,
         now=now,
         soc_at={name: moment(reading.time) for name, reading in soc.items()},
         ordered_kw=said.ordered_kw,
@@ -295,7 +295,7 @@ def known_at(
         **told_of_sets(scenario, readings, store, said),
         genset_kw={name: kw for (name, one), kw in means.items() if one == "genset_kw"} or None,
     )
-    estimated = [*powers.estimated, doubt] if doubt else powers.estimated
+    estimated = [*load.estimated, *pv.estimated, *([doubt] if doubt else [])]
     return Known(measurement, readings.heard, grid, estimated, soc_of(soc), lost)
 
 
@@ -448,34 +448,31 @@ def _of_those_here(found: list[Reading]) -> list[Reading]:
 
 @dataclass(frozen=True, eq=False)
 class _Powers:
-    """Loads and PV power of a window: what is read now, and what is expected of later steps.
+    """Loads or PV power of a window: what is read now, and what is expected of later steps.
 
-    As tables are asked for it is noted what stands in for lost readings, and which assets of each
-    quantity a forecast was sent for.
+    By quantity assets that a forecast was sent for are ``foretold``; of some of them that are silent
+    for too long what is ``estimated`` stands in.
     """
 
-    window: Window
-    readings: Latest
-    store: Store
-    estimated: list[str] = field(default_factory=list)
-    foretold: dict[str, list[str]] = field(default_factory=dict)
+    table: pd.DataFrame | None
+    foretold: dict[str, list[str]]
+    estimated: list[str]
 
-    def ahead(self, quantity: str, ids: Names) -> pd.DataFrame | None:
-        """A quantity of the assets, a row for each step; None where there are no assets."""
+    @classmethod
+    def of(
+        cls, quantity: str, ids: Names, window: Window, readings: Latest, store: Store
+    ) -> _Powers:
+        """A row for each step; no table where there are no assets."""
         if not len(ids):
-            return None
-        window = self.window
-        forecast = self.store.forecast(quantity, window.times[0] + window.length)
-        lost = self.readings.lost(quantity)
-        table, cautious = window.expected(quantity, ids, forecast, lost)
-        self.foretold[quantity] = [] if forecast is None else list(forecast.assets)
-        self.estimated.extend(
-            f"{quantity} {name} is {CAUTIOUS[quantity]} of its forecast" for name in cautious
-        )
-        read = {k: v for k, v in self.readings.now(quantity).items() if k not in cautious}
+            return cls(None, {}, [])
+        forecast = store.forecast(quantity, window.times[0] + window.length)
+        table, cautious = window.expected(quantity, ids, forecast, readings.lost(quantity))
+        foretold = {quantity: [] if forecast is None else list(forecast.assets)}
+        words = [f"{quantity} {name} is {CAUTIOUS[quantity]} of its forecast" for name in cautious]
+        read = {k: v for k, v in readings.now(quantity).items() if k not in cautious}
         names = [str(name) for name in ids]
         table[0] = [read.get(name, old) for name, old in zip(names, table[0], strict=True)]
-        return pd.DataFrame(table, window.times, names)
+        return cls(pd.DataFrame(table, window.times, names), foretold, words)
 
 
 @dataclass(frozen=True, eq=False)
