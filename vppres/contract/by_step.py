@@ -20,8 +20,8 @@ class ByStep:
 
     def followed_by_none(self, n_steps: int) -> Self:
         """The same with steps behind it in which all is 0: nothing is there, or can be missed."""
-        rows = [(0, n_steps), (0, 0)]
-        return type(self)(*(np.pad(each, rows) for each in self._arrays()))
+        rows = ((0, n_steps), (0, 0))
+        return type(self)(*(np.pad(each, rows[: each.ndim]) for each in self._arrays()))
 
     def _arrays(self) -> list[Any]:
         return [getattr(self, field.name) for field in fields(self)]

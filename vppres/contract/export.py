@@ -6,12 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vppres.contract.by_step import ByStep
 from vppres.core.arrays import Floats, Wholes, freeze_arrays
 from vppres.scenario.scenario import Scenario
 
 
 @dataclass(frozen=True, eq=False)
-class Export:
+class Export(ByStep):
     """Export over a window of W steps; a connection that imports only has none.
 
     Parameters
@@ -53,17 +54,6 @@ class Export:
             return None
         limit_kw = np.broadcast_to(scenario.export_limit_kw, scenario.price_gbp_per_kwh.shape)
         return cls(limit_kw[rows], scenario.export_price[rows]).within(grid_limit_kw)
-
-    def part(self, steps: slice) -> Export:
-        """Some of the steps."""
-        return Export(self.limit_kw[steps], self.price_gbp_per_kwh[steps])
-
-    def followed_by_none(self, n_steps: int) -> Export:
-        """The same with steps behind it in which nothing is taken."""
-        none = np.zeros(n_steps)
-        return Export(
-            np.concatenate([self.limit_kw, none]), np.concatenate([self.price_gbp_per_kwh, none])
-        )
 
     def within(self, grid_limit_kw: Floats) -> Export:
         """The same with nothing taken where the grid gives nothing: in an outage."""

@@ -31,6 +31,7 @@ HOUR = pd.Timedelta(hours=1)
 
 WRITE_A_TIME = "Write it with an offset, for example 2022-07-19T12:00:00Z."
 BY_ASSET = "a mapping or a Series"
+TWICE = ("is given more than once", "Give each identifier once.")
 LEAVE_OUT = "Give a number; leave out what was not measured, or give NaN."
 
 
@@ -150,13 +151,7 @@ class Door:
         result = np.ones(len(ids), dtype=bool)
         for position, name, value in self._items(field, given, ids):
             if not isinstance(value, (bool, np.bool_)):
-                self.problem(
-                    field,
-                    "is neither true nor false",
-                    "Give True or False.",
-                    f"{field} of {shown(name)}",
-                    value,
-                )
+                self.problem(field, "is neither true nor false", "Give True or False.", value, name)
             elif position >= 0:
                 result[position] = value
         return result
@@ -168,15 +163,15 @@ class Door:
         value = self._number(field, given, now=True)
         return None if np.isnan(value) else value
 
-    def moment(self, field: str, given: Any, what: str = "") -> pd.Timestamp | None:
+    def moment(self, field: str, given: Any, of: Any = None) -> pd.Timestamp | None:
         """A time with an offset; None if it is none, or none is given."""
-        return None if given is None else self._moment(field, given, what or field)
+        return None if given is None else self._moment(field, given, of)
 
     def moments(self, field: str, given: Any, ids: Names) -> list[pd.Timestamp | None]:
         """A time for each item, None where none was given."""
         result: list[pd.Timestamp | None] = [None] * len(ids)
         for position, name, value in self._items(field, given, ids):
-            moment = self.moment(field, value, f"{field} of {shown(name)}")
+            moment = self.moment(field, value, name)
             if position >= 0:
                 result[position] = moment
         return result
@@ -188,19 +183,15 @@ class Door:
         ages_h = [0.0 if one is None else max((now - one) / HOUR, 0.0) for one in moments]
         return np.array(ages_h, dtype=float)
 
-    def problem(self, kind: str, message: str, cure: str, field: str, value: object = None) -> None:
-        """Keep a problem, or count it where there are many of its kind."""
-        self._counts[kind] += 1
-        if self._counts[kind] <= MOST_OF_A_KIND:
-            self.problems.append(
-                Problem(
-                    self.where,
-                    message,
-                    cure,
-                    field=field,
-                    value=None if value is None else readable(value),
-                )
-            )
+    def problem(
+        self, field: str, message: str, cure: str, value: object = None, of: Any = None
+    ) -> None:
+        """Keep a problem of a quantity, or of one asset's; count it where there are many."""
+        self._counts[field] += 1
+        if self._counts[field] <= MOST_OF_A_KIND:
+            text = None if value is None else readable(value)
+            what = _named(field, of)
+            self.problems.append(Problem(self.where, message, cure, field=what, value=text))
 
     def _items(
         self, field: str, given: Any, ids: Names, wanted: str = BY_ASSET
@@ -218,17 +209,11 @@ class Door:
             if isinstance(given, Mapping) or given.index.is_unique:
                 return pairs
             for name in given.index[given.index.duplicated()].unique():
-                self.problem(
-                    field, "is given more than once", "Give each identifier once.", field, name
-                )
+                self.problem(field, *TWICE, name)
             return list(dict(pairs).items())
-        self.problem(
-            field,
-            f"is not {wanted}",
-            "Give values by identifier, for example {'a': 1}.",
-            field,
-            f"{type(given).__name__} {readable(given)}",
-        )
+        cure = "Give values by identifier, for example {'a': 1}."
+        value = f"{type(given).__name__} {readable(given)}"
+        self.problem(field, f"is not {wanted}", cure, value)
         return []
 
     def _values_of(self, field: str, frame: pd.DataFrame, rows: Wholes) -> Floats:
@@ -256,12 +241,10 @@ class Door:
         limits = RANGES[field]
         if now and isinstance(name, str):
             limits = self.ranges.get((field, name), limits)
-        what = field if name is None else f"{field} of {shown(name)}"
         number = _float_of(value)
         if number is None:
-            self.problem(
-                field, "is not a number", LEAVE_OUT, what, "None" if value is None else value
-            )
+            shown_as = "None" if value is None else value
+            self.problem(field, "is not a number", LEAVE_OUT, shown_as, name)
             return np.nan
         if limits.holds(number):
             return number
@@ -269,9 +252,9 @@ class Door:
         if now and np.isnan(number) and (self.estimates or measured_after):
             return np.nan
         if not (now and self.estimates):
-            self.problem(field, limits.text(number), limits.cure, what, value)
+            self.problem(field, limits.text(number), limits.cure, value, name)
         elif number >= 0.0 or field not in ("load_kw", "pv_kw"):  # else a wrong sign or offset
-            self._leave_out(field, f"{what} = {number:g} {limits.text(number)}")
+            self._leave_out(field, f"{_named(field, name)} = {number:g} {limits.text(number)}")
         return np.nan
 
     def _leave_out(self, field: str, words: str) -> None:
@@ -285,18 +268,13 @@ class Door:
         steps = np.array([self._step(field, time) for time in times], dtype=np.int64)
         known = steps[steps >= 0]
         for step in (np.bincount(known, minlength=1) > 1).nonzero()[0].tolist():
-            self.problem(
-                field,
-                "is given more than once",
-                "Give each time once.",
-                field,
-                self.grid.times[step],
-            )
+            time = self.grid.times[step]
+            self.problem(field, "is given more than once", "Give each time once.", time)
         return steps
 
     def _step(self, field: str, time: Any) -> int:
         """The step that begins at a time, -1 if none does."""
-        moment = self._moment(field, time, field)
+        moment = self._moment(field, time)
         if moment is None:
             return -1
         try:
@@ -306,22 +284,19 @@ class Door:
         grid = self.grid
         if rest == pd.Timedelta(0) and 0 <= step < grid.n_steps:
             return int(step)
-        self.problem(
-            field,
-            "is not the beginning of a step",
+        cure = (
             f"The scenario's steps begin at {grid.start.isoformat()} and last "
-            f"{grid.step_minutes:g} min; there are {grid.n_steps}.",
-            field,
-            time,
+            f"{grid.step_minutes:g} min; there are {grid.n_steps}."
         )
+        self.problem(field, "is not the beginning of a step", cure, time)
         return -1
 
-    def _moment(self, field: str, time: Any, what: str) -> pd.Timestamp | None:
+    def _moment(self, field: str, time: Any, of: Any = None) -> pd.Timestamp | None:
         """A time with an offset, None if it is none."""
         moment = moment_of(time)
         if moment is None or moment.tzinfo is None:
             wrong = "is not a date and time" if moment is None else "has no time zone"
-            self.problem(field, wrong, WRITE_A_TIME, what, "None" if time is None else time)
+            self.problem(field, wrong, WRITE_A_TIME, "None" if time is None else time, of)
             return None
         return moment
 
@@ -334,22 +309,20 @@ class Door:
             at = position.get(name, -1) if isinstance(name, Hashable) else -1
             found.append(at)
             if at in taken:
-                self.problem(
-                    field, "is given more than once", "Give each identifier once.", field, name
-                )
+                self.problem(field, *TWICE, name)
             if at >= 0:
                 taken.add(at)
             elif self._counts[field] >= MOST_OF_A_KIND:
                 self._counts[field] += 1  # looking for a similar name takes time
             else:
-                self.problem(
-                    field,
-                    "is not in the scenario",
-                    did_you_mean(readable(name), [*map(str, ids)], "Correct the identifier."),
-                    field,
-                    name,
-                )
+                cure = did_you_mean(readable(name), [*map(str, ids)], "Correct the identifier.")
+                self.problem(field, "is not in the scenario", cure, name)
         return np.array(found, dtype=np.int64)
+
+
+def _named(field: str, of: Any) -> str:
+    """A quantity, or that of an asset."""
+    return field if of is None else f"{field} of {shown(of)}"
 
 
 def moment_of(time: Any) -> pd.Timestamp | None:

@@ -234,14 +234,11 @@ def _complete(door: Door, name: str, values: Floats, ids: Any) -> None:
     missing = np.isnan(values)
     if ids is not None:
         for i in np.flatnonzero(missing.all(axis=0)):
-            door.problem(
-                name, "is missing", "Give every identifier a column.", f"{name} of {ids[i]}"
-            )
+            door.problem(name, "is missing", "Give every identifier a column.", of=ids[i])
         missing = missing[:, ~missing.all(axis=0)]
     for t in np.flatnonzero(missing.any(axis=1)).tolist():
-        door.problem(
-            name, "has no value for a step", "Give every step a row.", name, door.grid.times[t]
-        )
+        time = door.grid.times[t]
+        door.problem(name, "has no value for a step", "Give every step a row.", time)
 
 
 def _rows(scenario: Scenario, name: str) -> Floats:

@@ -148,7 +148,7 @@ class Measurement:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """A measurement in arrays; NaN where a reading is missing.
+    """A measurement in arrays, by its own names; NaN where a reading is missing.
 
     Parameters
     ----------
@@ -157,18 +157,6 @@ class Seen:
     scenario : Scenario
         The scenario with what was expected in its place, and what was measured where that is
         anything.
-    load_kw, pv_kw : array, shape (C,) and (P,)
-        Readings of the step.
-    soc, eta_charge, eta_discharge : array, shape (B,)
-        Readings of the batteries.
-    battery_kw : array, shape (B,), or None
-        Their power since the last step.
-    online : array of bool, shape (B,)
-        Which of them report to be able to work.
-    import_kw : float or None
-        Import since the last step.
-    connected : array of bool, shape (C,)
-        Who can be supplied at all.
     announced_kw : array, shape (T,), or None
         Largest import while there is grid, as far as it was announced; NaN elsewhere.
     foretold_load, foretold_pv : array of bool, shape (C,) and (P,)
@@ -182,9 +170,7 @@ class Seen:
     told : tuple of Told
         Set-points of batteries since the last decision, where these differ from it.
     ev_kwh : array, shape (K,)
-        Energy that was read of the vehicles at chargers, NaN of others.
-    indoor_c : array, shape (H,)
-        Temperatures that were read of rooms and tanks, NaN of others.
+        Energy that was read of the vehicles at chargers.
     sets : Readings
         What generating sets told.
     """
@@ -380,7 +366,7 @@ def _now(door: Door, measured: Measurement) -> pd.Timestamp:
     """The moment of the decision, within its step."""
     now = door.moment("now", measured.now) or door.begun
     if not door.begun <= now < door.begun + door.grid.step:
-        door.problem("now", "lies outside the step", "Give a time within it.", "now", measured.now)
+        door.problem("now", "lies outside the step", "Give a time within it.", measured.now)
     return now
 
 
@@ -404,7 +390,6 @@ def _check_order(door: Door, measured: Measurement, earliest: int) -> None:
             "time",
             f"lies before the step that was decided last, {door.grid.times[earliest].isoformat()}",
             "Decide steps in their order; to begin again, make another Controller.",
-            "time",
             measured.time,
         )
 
@@ -417,20 +402,11 @@ def _check_complete(
     given = measured.soc.keys() if isinstance(measured.soc, (Mapping, pd.Series)) else ()
     for i in np.flatnonzero(np.isnan(soc)):
         if b.id[i] not in given:
-            door.problem(
-                "soc",
-                "is missing",
-                "Give the state of charge of every battery.",
-                f"soc of {b.id[i]}",
-            )
+            cure = "Give the state of charge of every battery."
+            door.problem("soc", "is missing", cure, of=b.id[i])
     for i in np.flatnonzero(~online):
-        door.problem(
-            "online",
-            "needs a guard, which plans without the battery",
-            "Leave RunOptions.guard as it is.",
-            f"online of {b.id[i]}",
-            False,
-        )
+        message = "needs a guard, which plans without the battery"
+        door.problem("online", message, "Leave RunOptions.guard as it is.", False, b.id[i])
 
 
 def _with_row(series: Floats, t: int, row: Floats) -> Floats:

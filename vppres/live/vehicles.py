@@ -78,12 +78,8 @@ def with_vehicles(
         leaves = departure[k] or (None if now is None else now["plug_out"])
         if np.isfinite(needed_kwh[k]):
             if leaves is None or leaves <= door.begun:
-                door.problem(
-                    "departure",
-                    "is not known of a vehicle that needs energy",
-                    "Give a time after now.",
-                    f"departure of {name}",
-                )
+                message = "is not known of a vehicle that needs energy"
+                door.problem("departure", message, "Give a time after now.", of=name)
                 continue
             gone.add(s)
             row = _needing(scenario, str(name), now, needed_kwh[k])

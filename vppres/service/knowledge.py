@@ -450,8 +450,8 @@ def _of_those_here(found: list[Reading]) -> list[Reading]:
 class _Powers:
     """Loads or PV power of a window: what is read now, and what is expected of later steps.
 
-    By quantity assets that a forecast was sent for are ``foretold``; of some of them that are silent
-    for too long what is ``estimated`` stands in.
+    Assets that a forecast was sent for are ``foretold``, by quantity; of some of them that are
+    silent for too long what is ``estimated`` stands in.
     """
 
     table: pd.DataFrame | None
