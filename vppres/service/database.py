@@ -179,11 +179,8 @@ def _check_driver() -> None:
 
 
 def _in_use(name: str) -> Problem:
-    return Problem(
-        name,
-        "is in use: another process serves from it",
-        "End that one first, or give another place with --state.",
-    )
+    cure = "End that one first, or give another place with --state."
+    return Problem(name, "is in use: another process serves from it", cure)
 
 
 def _durable(connection: Any, _record: Any) -> None:

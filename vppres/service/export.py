@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Floats
-from vppres.core.errors import InputError, Problem
+from vppres.core.errors import InputError
 from vppres.day.options import RunOptions
 from vppres.day.recorder import ROTATED, Recorder, StepRecord
 from vppres.day.trajectory import Trajectory
@@ -81,13 +81,8 @@ def exported(service: Service, store: Store, start: pd.Timestamp, end: pd.Timest
     times = scenario.grid.times
     plans = store.plans(times[0], scenario.grid.end)
     if not plans:
-        raise InputError(
-            Problem(
-                "export",
-                f"finds no step from {written(times[0])} up to {written(scenario.grid.end)}",
-                "Give a time in which the service ran.",
-            )
-        )
+        message = f"finds no step from {written(times[0])} up to {written(scenario.grid.end)}"
+        raise InputError.of("export", message, "Give a time in which the service ran.")
     replay = Replay.of(scenario, service.options, plans, store)
     said = warnings_ever(store.events_ever(), times[0], scenario.grid.step)
     warnings = tuple(one for one in said if one.issued_at < scenario.grid.end)
@@ -106,12 +101,10 @@ def site_of(service: Service, start: pd.Timestamp, end: pd.Timestamp) -> Scenari
     n_steps = -((first - end) // step)
     if n_steps <= 0:
         cure = f"Give an end after {written(first)}, the beginning of its first step."
-        raise InputError(
-            Problem("export", "does not end after it begins", cure, value=written(end))
-        )
+        raise InputError.of("export", "does not end after it begins", cure, value=written(end))
     if n_steps > MOST_STEPS:
         cure = f"Give {MOST_STEPS} steps at most, and export the others apart."
-        raise InputError(Problem("export", "is too long", cure, value=f"{n_steps} steps"))
+        raise InputError.of("export", "is too long", cure, value=f"{n_steps} steps")
     return replace(profile.steps(first, n_steps), warnings=())
 
 

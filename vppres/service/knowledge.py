@@ -145,16 +145,9 @@ def readings_of(
             continue
         last = one.start + (len(one.values) - 1) * one.resolution
         if last >= until:
-            problems.append(
-                Problem(
-                    WHERE,
-                    "lies in the future",
-                    f"Set the clock of {one.source}; the present step ends at {written(until)}.",
-                    None,
-                    f"time of {one.asset}",
-                    written(last),
-                )
-            )
+            field_name, message = f"time of {one.asset}", "lies in the future"
+            cure = f"Set the clock of {one.source}; the present step ends at {written(until)}."
+            problems.append(Problem(WHERE, message, cure, None, field_name, written(last)))
             continue
         permitted = own.get((one.quantity, one.asset), RANGES[one.quantity])
         for step, value in enumerate(one.values):

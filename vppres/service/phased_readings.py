@@ -68,13 +68,9 @@ def sums(readings: Iterable[Reading], scenario: Scenario) -> Iterator[Reading | 
     for (asset, quantity, source, time, long), values in found.items():
         lacking = [p for p in phases_of(scenario, quantity, asset) if p not in values]
         if lacking:
-            yield Problem(
-                WHERE,
-                f"lacks phase {' and '.join(lacking)}",
-                "Send all phases of an asset in one batch.",
-                None,
-                f"{quantity} of {asset}",
-            )
+            message = f"lacks phase {' and '.join(lacking)}"
+            cure = "Send all phases of an asset in one batch."
+            yield Problem(WHERE, message, cure, None, f"{quantity} of {asset}")
             continue
         known = [value for value in values.values() if value is not None]
         total = sum(known) if len(known) == len(values) else None

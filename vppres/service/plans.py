@@ -49,7 +49,7 @@ def plan_of(
     decision: SetPoints, scenario: Scenario, known: Known, refused: Mapping[tuple[str, str], str]
 ) -> dict[str, Any]:
     """The plan of a step that was decided."""
-    solve = decision.solve
+    solve, customers = decision.solve, decision.customers
     fallback = None if solve["fallback"] == "none" else solve["fallback"]
     reason = fallback or ("corrected" if solve["corrected"] else "plan")
     lost = {("customers", name): f"{LOST}{why}" for name, why in known.lost.items()}
@@ -64,7 +64,7 @@ def plan_of(
             "seconds": _number(solve["solve_s"]),
             "stored_value_gbp_per_kwh": _number(solve.get("stored_value_gbp_per_kwh", math.nan)),
             "outage_messages": str(solve.get("outage_messages", "")) or None,
-            ROTATED: _rotated(decision),
+            ROTATED: _by_name(customers[ROTATED]) if ROTATED in customers else None,
             "levels": solve.get("levels"),
             "inverted": solve.get("inverted"),
             "fallback": fallback,
@@ -83,8 +83,8 @@ def plan_of(
         ),
         "expected": {
             "import_kw": _number(decision.import_kw),
-            "soc_start": {str(k): _number(v) for k, v in decision.batteries["soc"].items()},
-            "soc": {str(k): _number(v) for k, v in decision.batteries["soc_end"].items()},
+            "soc_start": _by_name(decision.batteries["soc"]),
+            "soc": _by_name(decision.batteries["soc_end"]),
             **_extremes(decision),
             "grid_limit_kw": _number(known.limits_kw.iloc[0]),
             "price_gbp_per_kwh": _price(known.measurement),
@@ -244,7 +244,7 @@ def _devices_expected(decision: SetPoints) -> dict[str, Any]:
     rooms, chargers, sets = decision.thermal_loads, decision.chargers, decision.gensets
     if rooms is not None:
         for column in ("indoor_c", "indoor_end_c"):
-            found[column] = {str(name): _number(t_c) for name, t_c in rooms[column].items()}
+            found[column] = _by_name(rooms[column])
     if chargers is not None:
         found["vehicles"] = {
             str(name): {
@@ -388,13 +388,6 @@ def _defaults(scenario: Scenario) -> dict[str, dict[str, dict[str, Any]]]:
     return found | {kind: each for kind, each in further.items() if each}
 
 
-def _rotated(decision: SetPoints) -> dict[str, float] | None:
-    """Weights of the customers in the plan; None where they are the site's."""
-    if ROTATED not in decision.customers:
-        return None
-    return {str(name): float(one) for name, one in decision.customers[ROTATED].items()}
-
-
 def _price(measured: Measurement) -> float | None:
     """Import price of the step."""
     prices = measured.price_gbp_per_kwh
@@ -429,6 +422,11 @@ def _extremes(decision: SetPoints) -> dict[str, Any]:
         "v_max_pu": _number(high.max()),
         "v_min_bus": None if low.isna().all() else str(low.idxmin()),
     }
+
+
+def _by_name(column: pd.Series[float]) -> dict[str, float | None]:
+    """Numbers by asset."""
+    return {str(name): _number(value) for name, value in column.items()}
 
 
 def _numbers(values: Iterable[Any]) -> list[float | None]:

@@ -14,7 +14,7 @@ from typing import Any
 import pandas as pd
 import sqlalchemy as sa
 
-from vppres.core.errors import InputError, Problem, StorageError
+from vppres.core.errors import InputError, StorageError
 from vppres.service.clock import written
 from vppres.service.database import opened_database
 from vppres.service.payloads import Forecasts
@@ -510,15 +510,10 @@ class Store:
         for key, value in wanted.items():
             if known.get(key, value) != value:
                 self.close()
-                raise InputError(
-                    Problem(
-                        self._database.name,
-                        f"holds the state of another {key}",
-                        "Give another place with --state, or remove this one.",
-                        field=key,
-                        value=known[key][:12],
-                    )
-                )
+                message = f"holds the state of another {key}"
+                cure = "Give another place with --state, or remove this one."
+                place = {"field": key, "value": known[key][:12]}
+                raise InputError.of(self._database.name, message, cure, **place)
 
     @contextmanager
     def _changes(self, routine: bool = False) -> Iterator[sa.Connection]:

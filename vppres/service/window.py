@@ -109,27 +109,14 @@ def check_forecast(
         if name not in known
     ]
     problems += _beyond_ratings(quantity, assets, of)
-    step = of.grid.step
+    step, lasts = of.grid.step, f"Steps last {of.grid.step_minutes:g} min"
     if length != step:
-        problems.append(
-            Problem(
-                "forecast",
-                "is not the length of a step",
-                f"Steps last {of.grid.step_minutes:g} min.",
-                field="resolution",
-                value=str(length),
-            )
-        )
+        message, cure = "is not the length of a step", f"{lasts}."
+        problems.append(Problem("forecast", message, cure, None, "resolution", str(length)))
     elif (start - of.grid.start) % step != pd.Timedelta(0):
-        problems.append(
-            Problem(
-                "forecast",
-                "is not the beginning of a step",
-                f"Steps last {of.grid.step_minutes:g} min; one begins at {written(of.grid.start)}.",
-                field="start",
-                value=written(start),
-            )
-        )
+        message = "is not the beginning of a step"
+        cure = f"{lasts}; one begins at {written(of.grid.start)}."
+        problems.append(Problem("forecast", message, cure, None, "start", written(start)))
     if problems:
         raise InputError(problems)
 
