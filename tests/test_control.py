@@ -555,8 +555,9 @@ def test_days_in_two_threads_are_those_of_one(tiny: Scenario) -> None:
     days = [tiny, replace(tiny, load_kw=0.5 * tiny.load_kw)] * 2
     with ThreadPoolExecutor(2) as pool:
         together = list(pool.map(lambda day: vppres.run_day(day, options), days))
-    for day, run in zip(days, together, strict=True):
-        alone = vppres.run_day(day, options)
+    for run, alone in zip(
+        together, [vppres.run_day(day, options) for day in days[:2]] * 2, strict=True
+    ):
         for name in ("customers", "batteries", "pv", "buses"):
             assert run.tables[name].equals(alone.tables[name]), name
 

@@ -137,6 +137,9 @@ def test_measurement_faults_are_recorded(tiny: Scenario, quantity: str, frozen: 
     assert [t for t, text in enumerate(words) if f"{quantity} " in text] == expected
     assert all(("frozen" if frozen else "missing") in words[t] for t in expected)
     assert summarise(run)["estimated_steps"] == len(expected)
+    # Plant and record keep the truth.
+    assert (run.customers["p_load_kw"].to_numpy().reshape(6, 3) == day.load_kw).all()
+    assert np.isfinite(run.batteries["soc_end"]).all()
 
 
 @pytest.mark.parametrize("silent", [False, True])
@@ -161,15 +164,6 @@ def test_pv_forecast_is_off_and_the_measurement_is_not(tiny: Scenario) -> None:
     seen = day.observe(make_controller(tiny, OPTIONS, faults), 0).forecast
     assert seen.pv_kw[0].tolist() == tiny.pv_kw[0].tolist()
     assert seen.pv_kw[1] == pytest.approx(0.6 * tiny.pv_kw[1])
-
-
-def test_plant_and_record_keep_the_truth(tiny: Scenario) -> None:
-    plan = FaultPlan(
-        measurements=(MeasurementFault("load", False, 0, 6), MeasurementFault("soc", False, 0, 6))
-    )
-    run = faulty(tiny, plan)
-    assert (run.customers["p_load_kw"].to_numpy().reshape(6, 3) == tiny.load_kw).all()
-    assert np.isfinite(run.batteries["soc_end"]).all()
 
 
 @pytest.mark.daily

@@ -31,38 +31,32 @@ def storage(**values: float) -> Any:
     return lambda net: pp.create_storage(net, 2, **{"p_mw": 0.0, "max_e_mwh": np.nan, **values})
 
 
-@pytest.mark.parametrize(
-    ("values", "expected"),
-    [
-        # energy and power given: soc limits from the least energy, start from the percentage
-        (
-            {"p_mw": 0.0, "max_e_mwh": 0.4, "min_e_mwh": 0.04, "sn_mva": 0.1, "soc_percent": 50.0},
-            {
-                "energy_kwh": 400,
-                "p_max_kw": 100,
-                "s_max_kva": 100,
-                "soc_min": 0.1,
-                "soc_initial": 0.5,
-            },
-        ),
-        # no energy: two hours of the power; a start that is unknown is the lowest
-        ({"p_mw": 0.05}, {"energy_kwh": 100, "p_max_kw": 50, "s_max_kva": 50, "soc_initial": 0.0}),
-        # no power: emptied in two hours
-        ({"max_e_mwh": 0.3}, {"energy_kwh": 300, "p_max_kw": 150, "s_max_kva": 150}),
-        # the smaller limit of both directions, within the inverter's rating
-        (
-            {"max_e_mwh": 0.3, "max_p_mw": 0.2, "min_p_mw": -0.1, "sn_mva": 0.08},
-            {"energy_kwh": 300, "p_max_kw": 80, "s_max_kva": 80},
-        ),
-        # a limit of 0 in one direction says nothing (SimBench)
-        ({"max_e_mwh": 0.3, "max_p_mw": 0.0, "min_p_mw": -0.1}, {"p_max_kw": 100}),
-    ],
-)
-def test_battery_of_the_source(values: dict[str, float], expected: dict[str, float]) -> None:
-    day = new_scenario(feeder_with(storage(**values)))
-    assert day.batteries.bus.tolist() == [2]
-    found = {name: float(getattr(day.batteries, name)[0]) for name in expected}
-    assert found == pytest.approx(expected)
+BATTERIES: list[tuple[dict[str, float], dict[str, float]]] = [
+    # energy and power given: soc limits from the least energy, start from the percentage
+    (
+        {"p_mw": 0.0, "max_e_mwh": 0.4, "min_e_mwh": 0.04, "sn_mva": 0.1, "soc_percent": 50.0},
+        {"energy_kwh": 400, "p_max_kw": 100, "s_max_kva": 100, "soc_min": 0.1, "soc_initial": 0.5},
+    ),
+    # no energy: two hours of the power; a start that is unknown is the lowest
+    ({"p_mw": 0.05}, {"energy_kwh": 100, "p_max_kw": 50, "s_max_kva": 50, "soc_initial": 0.0}),
+    # no power: emptied in two hours
+    ({"max_e_mwh": 0.3}, {"energy_kwh": 300, "p_max_kw": 150, "s_max_kva": 150}),
+    # the smaller limit of both directions, within the inverter's rating
+    (
+        {"max_e_mwh": 0.3, "max_p_mw": 0.2, "min_p_mw": -0.1, "sn_mva": 0.08},
+        {"energy_kwh": 300, "p_max_kw": 80, "s_max_kva": 80},
+    ),
+    # a limit of 0 in one direction says nothing (SimBench)
+    ({"max_e_mwh": 0.3, "max_p_mw": 0.0, "min_p_mw": -0.1}, {"p_max_kw": 100}),
+]
+
+
+def test_batteries_of_the_source() -> None:
+    own = new_scenario(feeder_with(*(storage(**values) for values, _ in BATTERIES))).batteries
+    assert own.bus.tolist() == [2] * len(BATTERIES)
+    for i, (_, expected) in enumerate(BATTERIES):
+        found = {name: float(getattr(own, name)[i]) for name in expected}
+        assert found == pytest.approx(expected), own.id[i]
 
 
 def test_batteries_count_in_the_operating_point() -> None:

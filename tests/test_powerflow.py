@@ -328,7 +328,6 @@ def with_transformers(n_buses: int, seed: int) -> Network:
 @pytest.mark.parametrize(
     "make_network",
     [
-        pytest.param(lambda: case33()[0], id="33 buses"),
         pytest.param(lambda: reconfigured()[0], id="33 reconfigured"),
         pytest.param(lambda: with_shunts()[0], id="69 with shunts"),
         pytest.param(lambda: with_transformers(12, 0), id="12 with transformers"),
