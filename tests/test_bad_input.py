@@ -89,19 +89,42 @@ def test_negative_grid_limit_is_refused_and_infinite_is_not(tiny_folder: Path) -
     ]
 
 
+MISSING = "the file is missing"
+WRONG_BYTE = "row 2: is not UTF-8 text (byte 0xe9). Save the file with UTF-8 encoding."
+
+
 @pytest.mark.parametrize(
-    "file", ["lines.csv", "customers.csv", "load_kw.csv", "pv_kw.csv", "system.csv"]
+    ("file", "content", "message"),
+    [
+        *(
+            (f"{name}.csv", None, f"{name}.csv: {MISSING}. {FILE_CURE}")
+            for name in ("lines", "customers", "load_kw", "pv_kw", "system")
+        ),
+        (
+            "pv.csv",
+            None,
+            f"pv.csv: {MISSING}, and pv_kw.csv has series of roof, field. {FILE_CURE}",
+        ),
+        (
+            "scenario.toml",
+            None,
+            f"scenario.toml: {MISSING}. A scenario folder needs it: see the page on the scenario "
+            "format.",
+        ),
+        ("lines.csv", b"", "lines.csv: is empty. Write a header row with column names."),
+        ("pv_kw.csv", b"time,roof,field\n", f"pv_kw.csv: has no row. {GRID_CURE}"),
+        *(
+            (name, b"name,caf\xc3\xa9\nx,caf\xe9\n", f"{name}, {WRONG_BYTE}")
+            for name in ("lines.csv", "scenario.toml")
+        ),
+    ],
 )
-def test_missing_file(tiny_folder: Path, file: str) -> None:
-    (tiny_folder / file).unlink()
-    assert messages(tiny_folder) == [f"{file}: the file is missing. {FILE_CURE}"]
-
-
-def test_missing_pv_systems_are_named_by_their_series(tiny_folder: Path) -> None:
-    (tiny_folder / "pv.csv").unlink()
-    assert messages(tiny_folder) == [
-        f"pv.csv: the file is missing, and pv_kw.csv has series of roof, field. {FILE_CURE}"
-    ]
+def test_whole_files(tiny_folder: Path, file: str, content: bytes | None, message: str) -> None:
+    if content is None:
+        (tiny_folder / file).unlink()
+    else:
+        (tiny_folder / file).write_bytes(content)
+    assert messages(tiny_folder) == [message]
 
 
 def test_a_misspelt_file_is_not_left_out_in_silence(tiny_folder: Path) -> None:
@@ -122,32 +145,6 @@ def test_a_misspelt_bus_of_a_line_is_found() -> None:
         "lines, row 1: the network is disconnected: no path from the slack bus to bus market, shop, "
         "mill. Are market and markt one bus? Otherwise add the missing line or remove these buses."
     )
-
-
-def test_missing_scenario_file(tiny_folder: Path) -> None:
-    (tiny_folder / "scenario.toml").unlink()
-    assert messages(tiny_folder) == [
-        "scenario.toml: the file is missing. A scenario folder needs it: see the page on the "
-        "scenario format."
-    ]
-
-
-def test_empty_file(tiny_folder: Path) -> None:
-    (tiny_folder / "lines.csv").write_text("", encoding="utf-8")
-    assert messages(tiny_folder) == ["lines.csv: is empty. Write a header row with column names."]
-
-
-def test_series_without_rows(tiny_folder: Path) -> None:
-    (tiny_folder / "pv_kw.csv").write_text("time,roof,field\n", encoding="utf-8")
-    assert messages(tiny_folder) == [f"pv_kw.csv: has no row. {GRID_CURE}"]
-
-
-@pytest.mark.parametrize("file", ["lines.csv", "scenario.toml"])
-def test_wrong_encoding(tiny_folder: Path, file: str) -> None:
-    (tiny_folder / file).write_bytes(b"name,caf\xc3\xa9\nx,caf\xe9\n")
-    assert messages(tiny_folder) == [
-        f"{file}, row 2: is not UTF-8 text (byte 0xe9). Save the file with UTF-8 encoding."
-    ]
 
 
 def test_broken_parquet(tiny_folder: Path) -> None:

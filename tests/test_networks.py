@@ -400,6 +400,7 @@ def test_published_feeders_by_name(name: str, losses_kw: float, v_min_pu: float)
     assert result.losses_kw == pytest.approx(losses_kw, abs=1e-3)
     assert result.v_pu.min() == pytest.approx(v_min_pu, abs=6e-6)
     assert feeder.network.slack_bus == 1
+    assert np.isinf(feeder.network.i_max_a).all()  # a current that no line carries is no rating
     assert feeder.notes == ()
 
 

@@ -328,16 +328,8 @@ def test_agreement_is_of_every_step(tiny: Scenario) -> None:
     one_off = met.v_pu.copy()
     one_off[2, 3] += 2 * VOLTAGE_TOLERANCE_PU
     assert not agree(exact, replace(met, v_pu=one_off), points, tiny.network)
-
-
-def test_no_ac_point_is_never_agreement(tiny: Scenario) -> None:
-    site = Site.of(tiny)
-    data = island_window(tiny, 0.85, 0, 3)
-    start = lossless(data, physics_of(site, data, 0.1))
-    dispatch = WindowSolver(site).solve(start).dispatch
-    points = Sweeps(tiny.network).solve(*injections(site, start, dispatch))
     none = replace(points, converged=np.zeros(3, dtype=bool))
-    assert not agree(start, dispatch, none, tiny.network)
+    assert not agree(exact, met, none, tiny.network)
 
 
 def with_capacitor(day: Scenario, share: float) -> Scenario:

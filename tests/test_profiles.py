@@ -246,19 +246,17 @@ def test_controllers_of_constants(as_file: bool, index: pd.Index, tmp_path: Path
         net = tmp_path / "net.json"
     feeder = import_network(net)
     assert len(feeder.profiles) == 2
-    rows = {"profile_step_minutes": 60.0} if len(index) and index.dtype == "int64" else {}
+    rows = {"profile_step_minutes": 60.0} if index.dtype == "int64" else {}
+    if rows:
+        with pytest.raises(InputError) as caught:
+            new_scenario(feeder, options("source"))
+        assert str(caught.value) == (
+            "ConstControl: has rows without times. Say how long a row is with --profile-step, in "
+            "minutes; the first begins with the scenario."
+        )
     day = new_scenario(feeder, options("source", time_zone="UTC", **rows))
     assert day.load_kw[:, 0] == pytest.approx(RISING)
     assert day.pv_kw[:, 0] == pytest.approx(RISING)
-
-
-def test_rows_without_times_need_a_length() -> None:
-    with pytest.raises(InputError) as caught:
-        new_scenario(import_network(controlled(pd.RangeIndex(24))), options("source"))
-    assert str(caught.value) == (
-        "ConstControl: has rows without times. Say how long a row is with --profile-step, in minutes; "
-        "the first begins with the scenario."
-    )
 
 
 def test_year_of_simbench_follows_german_clocks() -> None:

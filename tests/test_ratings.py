@@ -84,11 +84,6 @@ def test_a_folder_keeps_ratings_and_an_empty_cell_is_none(tmp_path: Path) -> Non
     assert scenario_digest(again) == scenario_digest(day) != scenario_digest(small_scenario())
 
 
-def test_a_folder_without_ratings_has_no_such_column(tmp_path: Path) -> None:
-    write_scenario(small_scenario(), tmp_path / "day")
-    assert "i_max_a" not in pd.read_csv(tmp_path / "day" / "lines.csv")
-
-
 def test_currents_and_loading_by_hand() -> None:
     run = small_run(rated_scenario())
     # 3 kW and 4 kvar in every line; only bus 1 of the arrays is not at 1 pu.
@@ -160,10 +155,6 @@ def test_parallel_lines_are_limited_by_the_first_that_is_full() -> None:
     )
     pp.create_load(net, 1, p_mw=0.1)
     assert import_network(net).network.i_max_a == pytest.approx([200.0])
-
-
-def test_a_current_that_no_line_carries_is_no_rating() -> None:
-    assert np.isinf(import_network("case33bw").network.i_max_a).all()
 
 
 def test_opendss_gives_its_normal_currents(tmp_path: Path) -> None:

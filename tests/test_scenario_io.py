@@ -69,6 +69,10 @@ def test_round_trip(tiny: Scenario, tiny_folder: Path) -> None:
     assert_equal(read, tiny)
     assert scenario_digest(read) == scenario_digest(tiny)
     assert [type(bus) for bus in read.customers.bus] == [int, int, int]
+    # Nothing stands in the files that the scenario does not have.
+    assert not (tiny_folder / "buses.csv").exists()
+    header = (tiny_folder / "lines.csv").read_text(encoding="utf-8").splitlines()[0]
+    assert header == "from_bus,to_bus,r_ohm,x_ohm"
 
 
 def with_transformer(scenario: Scenario) -> Scenario:
@@ -97,12 +101,6 @@ def test_ratios_charging_and_shunts_come_back(tiny: Scenario, tmp_path: Path) ->
     buses = (tmp_path / "other" / "buses.csv").read_text(encoding="utf-8").splitlines()
     assert buses == ["bus,q_shunt_kvar,p_fixed_kw,island", "3,0.0,1.5,yes", "4,-300.0,0.0,no"]
     assert read.customers.q_per_p[1] == pytest.approx(-np.tan(np.arccos(0.9)))
-
-
-def test_a_network_without_them_has_no_file_and_no_column_of_them(tiny_folder: Path) -> None:
-    assert not (tiny_folder / "buses.csv").exists()
-    header = (tiny_folder / "lines.csv").read_text(encoding="utf-8").splitlines()[0]
-    assert header == "from_bus,to_bus,r_ohm,x_ohm"
 
 
 def test_round_trip_of_everything_that_is_not_a_default(tiny: Scenario, tmp_path: Path) -> None:

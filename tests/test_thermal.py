@@ -97,15 +97,6 @@ def test_joule_loss_is_that_of_the_net_power() -> None:
     assert heat == pytest.approx([40 * 0.05 + 4 / 9 + 1600 * 0.00329 / 1000], abs=1e-9)
 
 
-def test_wrong_unit_takes_the_watts_of_the_joule_term_as_kilowatts() -> None:
-    heat = heat_kw(ONE, power(36.0, 0.0), state(45.0), joule_unit="kw")
-    assert heat == pytest.approx([36 * 0.05 + 1600 * 0.00329])
-
-
-def test_an_idle_battery_makes_no_heat() -> None:
-    assert heat_kw(ONE, power(0.0, 0.0), state(80.0)).tolist() == [0.0]
-
-
 # Steps
 
 
@@ -117,15 +108,6 @@ def test_exact_step_by_hand() -> None:
 def test_euler_step_by_hand() -> None:
     # (2 kW - 20 / 4 kW) for a quarter of an hour into 0.25 kWh/°C: 3 °C less.
     assert step_euler(40.0, 2.0, 20.0, 4.0, 0.25, 0.25) == pytest.approx(37.0)
-
-
-def test_long_exact_step_settles_at_ambient_plus_r_times_heat() -> None:
-    assert step_exact(80.0, 2.0, 20.0, 4.0, 0.25, 1e3) == pytest.approx(28.0, abs=1e-12)
-
-
-@pytest.mark.parametrize("step", [step_exact, step_euler])
-def test_without_heat_a_cell_at_ambient_stays(step: Step) -> None:
-    assert step(22.0, 0.0, 22.0, 4.0, 0.25, 1.0) == 22.0
 
 
 def test_without_heat_loss_both_steps_store_all_heat() -> None:
@@ -140,13 +122,6 @@ def test_euler_is_the_first_order_of_the_exact_step() -> None:
         args = (40.0, 2.0, 20.0, 4.0, 0.25, dt_h)
         difference_c = step_exact(*args) - step_euler(*args)
         assert difference_c == pytest.approx(12.0 * dt_h**2 / 2, rel=dt_h)
-
-
-def test_two_half_steps_of_the_exact_solution_are_one_whole() -> None:
-    half = step_exact(40.0, 2.0, 20.0, 4.0, 0.25, 0.5)
-    assert step_exact(half, 2.0, 20.0, 4.0, 0.25, 0.5) == pytest.approx(
-        step_exact(40.0, 2.0, 20.0, 4.0, 0.25, 1.0), abs=1e-12
-    )
 
 
 @pytest.mark.parametrize(("dt_over_time_constant", "grows"), [(1.9, False), (2.1, True)])
@@ -198,11 +173,6 @@ def test_efficiencies_by_hand() -> None:
         charge, discharge = efficiencies(ONE, t_cell_c)
         assert charge == pytest.approx([0.95 * 0.96])
         assert discharge == pytest.approx([0.9 * 0.92])
-
-
-def test_efficiencies_are_nominal_at_the_reference() -> None:
-    charge, discharge = efficiencies(ONE, 25.0)
-    assert (charge[0], discharge[0]) == (0.95, 0.9)
 
 
 @pytest.mark.parametrize("t_cell_c", [-200.0, 130.0, 1e6])
