@@ -290,7 +290,7 @@ class _Problem:
         """Charging powers within two: those of whole cells, and others to be tried too."""
         whole_kw = self._whole_kw[(self._whole_kw > least_kw) & (self._whole_kw < most_kw)]
         others_kw = np.clip([least_kw, most_kw, *special_kw], least_kw, most_kw)
-        return np.union1d(whole_kw, others_kw)
+        return np.append(whole_kw, others_kw)
 
     @cached_property
     def _whole_kw(self) -> Floats:
@@ -312,7 +312,8 @@ class _Problem:
             charge_kw / self.fleet.eta_discharge,
         )
         cells = stored_kw / cell_kw
-        return np.where(np.abs(cells - np.round(cells)) < 1e-9, np.round(cells), cells)
+        whole = np.round(cells)
+        return np.where(np.abs(cells - whole) < 1e-9, whole, cells)
 
     @property
     def _cell_kwh(self) -> float:

@@ -135,8 +135,9 @@ class Sessions(Items):
 
         A step counts if the vehicle is plugged in for the whole of it.
         """
+        start, step = grid.start.value, grid.step.value
         begins, ends = (
-            ((pd.to_datetime(times.tolist(), utc=True) - grid.start) / grid.step).to_numpy(float)
+            np.array([(time.value - start) / step for time in times], dtype=float)
             for times in (self.plug_in, self.plug_out)
         )
         first = np.ceil(begins - ROUNDING).astype(int)
