@@ -116,14 +116,9 @@ def import_network(
     with _quiet():
         if source is None and text in NAMED:
             return _feeder(NAMED[text](), text, changes)
-        return _of_file(_reader(text, source, not balance), Path(text), changes)
-
-
-def _of_file(read: Callable[[], _Net], path: Path, changes: Changes) -> ImportedFeeder:
-    """The feeder of a file or code."""
-    found = read()
-    with _to_blame(path, "a network"):
-        return _feeder(found, path.name, changes)
+        found = _read(text, source, not balance)
+        with _to_blame(Path(text), "a network"):
+            return _feeder(found, Path(text).name, changes)
 
 
 @contextmanager
@@ -210,8 +205,8 @@ def _quiet() -> Iterator[None]:
         yield
 
 
-def _reader(text: str, source: Source | None, by_phase: bool) -> Callable[[], _Net]:
-    """The reader of a file or code; of OpenDSS with its phases, or as a balanced equivalent."""
+def _read(text: str, source: Source | None, by_phase: bool) -> _Net:
+    """The net of a file or code; of OpenDSS with its phases, or as a balanced equivalent."""
     never = NEVER.get(Path(text).suffix.lower())
     if never and source != "simbench":
         raise InputError.of(
@@ -232,14 +227,13 @@ def _reader(text: str, source: Source | None, by_phase: bool) -> Callable[[], _N
             ),
         )
     if kind == "simbench":
-        return lambda: _simbench(text)
+        return _simbench(text)
     path = Path(text)
     if not path.is_file():
         raise InputError.of(f"network {text}", "there is no such file", "Correct the path.")
     if kind == "opendss":
-        return lambda: _opendss(path, by_phase)
-    readers = {"pandapower": _pandapower, "matpower": _matpower}
-    return lambda: readers[kind](path)
+        return _opendss(path, by_phase)
+    return _pandapower(path) if kind == "pandapower" else _matpower(path)
 
 
 def _needs(module: str, extra: str) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -76,6 +76,17 @@ AllRows = dict[str, dict[int, Any]]
 
 Columns = dict[str, Any]
 
+_SECTIONS: dict[str, type[Any]] = {
+    "objective": ObjectiveWeights,
+    "controller": ControllerDefaults,
+    "priority": Priority,
+    "headroom": Headroom,
+    "fairness": Fairness,
+    "switching": SwitchingRules,
+    "outage_statistics": OutageStatistics,
+}
+"""Sections of scenario.toml that are fields of a scenario, key by key."""
+
 _REFERENCES = (
     ("pv", "customer", "customers", "customer"),
     ("ev_chargers", "customer", "customers", "customer"),
@@ -85,19 +96,6 @@ _REFERENCES = (
     ("refuel", "genset", "gensets", "set"),
 )
 """Columns with identifiers of another table, and what that one holds."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Series:
-    """The series, shapes (T, C), (T, P) and (T,)."""
-
-    load_kw: Floats
-    pv_kw: Floats
-    price_gbp_per_kwh: Floats
-    temperature_c: Floats
-    grid_limit_kw: Floats
-    export_limit_kw: Floats
-    export_price_gbp_per_kwh: Floats
 
 
 def read_scenario(folder: str | Path) -> Scenario:
@@ -247,8 +245,8 @@ def _check_network(lines: Table, slack_bus: str | None) -> list[Problem]:
 
 def _read_series(
     settings: Settings, tables: Tables, rows: AllRows
-) -> tuple[_Series, list[Problem]]:
-    """Times, columns and numbers of the three series; empty arrays where they are not sound."""
+) -> tuple[dict[str, Floats], list[Problem]]:
+    """The series by name, (T, C), (T, P) and (T,); empty arrays where they are not sound."""
     load, load_problems = _read_columns(
         tables["load_kw"],
         tables["customers"],
@@ -276,7 +274,8 @@ def _read_series(
             if table and not (table is unused and table.frame.empty):
                 problems += check_times(table, grid)
     n_steps = grid.n_steps if grid else 0
-    return _Series(_stack(load, n_steps), _stack(pv, n_steps), **system), problems
+    stacked = {"load_kw": _stack(load, n_steps), "pv_kw": _stack(pv, n_steps)}
+    return stacked | system, problems
 
 
 def _read_history(
@@ -349,7 +348,7 @@ def _stack(columns: dict[str, Floats], n_steps: int) -> Floats:
 def _assemble(
     settings: Settings,
     rows: AllRows,
-    series: _Series,
+    series: dict[str, Floats],
     read_bus: Callable[[str], BusId],
     phases: Phases | None,
 ) -> Scenario:
@@ -359,12 +358,14 @@ def _assemble(
     assert file is not None
     assert grid is not None
     columns = {key: columns_of(rows[key], model, read_bus) for key, model in MODELS.items()}
-    limit_kw = series.grid_limit_kw.copy()
-    one_limit_kw = file.network.export_limit_kw
+    limit_kw = series["grid_limit_kw"].copy()
+    if file.network.export_limit_kw is not None:
+        series["export_limit_kw"] = np.array(file.network.export_limit_kw)
     for outage in file.outages:
         begins = round((pd.Timestamp(outage.start) - grid.start) / grid.step)
         ends = round((pd.Timestamp(outage.end) - grid.start) / grid.step)
         limit_kw[begins:ends] = 0.0
+    arrays: Columns = series | {"grid_limit_kw": limit_kw}
     return Scenario(
         name=file.name,
         title=file.title or file.name,
@@ -373,31 +374,19 @@ def _assemble(
         customers=_customers(columns["customers"], file.tiers),
         pv=PVSystems(**columns["pv"]),
         batteries=_batteries(columns["batteries"]),
-        load_kw=series.load_kw,
-        pv_kw=series.pv_kw,
-        grid_limit_kw=limit_kw,
-        price_gbp_per_kwh=series.price_gbp_per_kwh,
-        temperature_c=series.temperature_c,
         tiers=tuple(file.tiers),
-        objective=ObjectiveWeights(**file.objective.model_dump()),
-        controller=ControllerDefaults(**file.controller.model_dump()),
-        priority=Priority(**file.priority.model_dump()),
-        headroom=Headroom(**file.headroom.model_dump()),
-        fairness=Fairness(**file.fairness.model_dump()),
-        switching=SwitchingRules(**file.switching.model_dump()),
-        export_limit_kw=series.export_limit_kw if one_limit_kw is None else np.array(one_limit_kw),
-        export_price_gbp_per_kwh=series.export_price_gbp_per_kwh,
         source=_source(file.source),
         voll_gbp_per_kwh=file.reliability.voll_gbp_per_kwh,
         warnings=tuple(rows["warnings"].values()),
         interruptions=tuple(rows["outages"].values()),
-        outage_statistics=OutageStatistics(**file.outage_statistics.model_dump()),
         phases=phases,
         chargers=Chargers(**columns["ev_chargers"]),
         sessions=_sessions(columns["ev_sessions"], file.tiers),
         thermal_loads=ThermalLoads(**columns["thermal_loads"]),
         gensets=_gensets(columns["gensets"]),
         refuels=Refuels(**columns["refuel"]),
+        **arrays,
+        **{key: kind(**getattr(file, key).model_dump()) for key, kind in _SECTIONS.items()},
     )
 
 

@@ -55,41 +55,20 @@ class TimeGrid:
     zone: str = UTC
 
     def __post_init__(self) -> None:
-        checks = (
-            (
-                "start",
-                self.start,
-                self.start.tzinfo is not None,
-                "has no time zone",
-                "Write it with an offset, for example 2022-07-19T00:00:00Z.",
-            ),
-            (
-                "step_minutes",
-                self.step_minutes,
-                self.step_minutes > 0,
-                "must be positive",
-                "Give minutes, for example 60.",
-            ),
-            (
-                "steps",
-                self.n_steps,
-                self.n_steps >= 1,
-                "must be at least 1",
-                "Give the number of steps.",
-            ),
-            (
-                "zone",
-                self.zone,
-                is_zone(self.zone),
-                "is not the name of a time zone",
-                "Give one such as Europe/London, or UTC.",
-            ),
-        )
-        problems = [
-            Problem("time", message, cure, field=field, value=value)
-            for field, value, sound, message, cure in checks
-            if not sound
-        ]
+        problems: list[Problem] = []
+
+        def check(sound: bool, field: str, value: object, message: str, cure: str) -> None:
+            if not sound:
+                problems.append(Problem("time", message, cure, field=field, value=value))
+
+        cure = "Write it with an offset, for example 2022-07-19T00:00:00Z."
+        check(self.start.tzinfo is not None, "start", self.start, "has no time zone", cure)
+        cure = "Give minutes, for example 60."
+        check(self.step_minutes > 0, "step_minutes", self.step_minutes, "must be positive", cure)
+        cure = "Give the number of steps."
+        check(self.n_steps >= 1, "steps", self.n_steps, "must be at least 1", cure)
+        cure = "Give one such as Europe/London, or UTC."
+        check(is_zone(self.zone), "zone", self.zone, "is not the name of a time zone", cure)
         if problems:
             raise InputError(problems)
 
