@@ -23,14 +23,7 @@ to a limit, far above what a mismatch of 1 mW at each bus makes of it."""
 
 @dataclass(frozen=True)
 class CrossCheck:
-    """How far the two power flows are apart.
-
-    Parameters
-    ----------
-    steps : int
-        Steps that both have solved.
-    difference_pu : float, optional
-        Largest difference of a bus voltage in these steps; None without such a step.
+    """How far the two power flows are apart, in steps that both have solved; None without any.
 
     Examples
     --------

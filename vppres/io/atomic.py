@@ -31,29 +31,12 @@ _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 @contextmanager
 def atomic_folder(target: str | Path) -> Iterator[Path]:
-    """A temporary folder that becomes ``target`` when the block succeeds.
+    """A temporary folder that becomes ``target``, a link followed, when the block succeeds.
 
     Whatever ends the block early, an interrupt included, leaves the target as it was. An older run
     (a folder with ``summary.json``) is replaced by two renames; if the process is killed between
-    them, the next one puts the old folder back.
-
-    Parameters
-    ----------
-    target : str or Path
-        The folder to be. A symbolic link to a run is followed.
-
-    Yields
-    ------
-    Path
-        An empty folder to write into.
-
-    Raises
-    ------
-    InputError
-        Before the block runs, if the target holds something other than a run, or cannot be
-        written.
-    StorageError
-        If the disk is full.
+    them, the next one puts the old folder back. A target that holds something other than a run, or
+    cannot be written, is an InputError before the block runs; a full disk is a StorageError.
     """
     given = str(target)
     target = check_target(target)

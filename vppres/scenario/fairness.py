@@ -40,14 +40,9 @@ class Fairness:
 
 @dataclass(frozen=True)
 class Interruption:
-    """A time off supply that was.
+    """A time off supply that was, ``end`` not included.
 
-    Parameters
-    ----------
-    start, end : pandas.Timestamp
-        Half-open interval.
-    customer : str
-        Who was off; empty for an outage of the feeder, of which no customer's time off is known.
+    ``customer`` is empty for an outage of the feeder, of which no customer's time off is known.
     """
 
     start: pd.Timestamp

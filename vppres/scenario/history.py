@@ -116,14 +116,9 @@ class History:
         return self.rows(self.n_steps - round(days * 1440 / self.step_minutes), self.n_steps)
 
     def followed_by(self, start: pd.Timestamp, load_kw: Floats, pv_kw: Floats) -> History:
-        """The history with further steps; steps in between are not known, older ones replaced.
+        """The history with further steps from ``start`` on, (m, C) and (m, P).
 
-        Parameters
-        ----------
-        start : pandas.Timestamp
-            Beginning of the first further step.
-        load_kw, pv_kw : array, shape (m, C) and (m, P)
-            What was measured in them.
+        Steps in between are not known, older ones are replaced.
         """
         kept = self.before(start)
         if not kept.n_steps:

@@ -17,17 +17,7 @@ def split_sheddable(scenario: Scenario) -> Scenario:
 
     The parts of ``C7`` are ``C7/1`` to ``C7/K``. Each has a K-th of the demand and of the weight,
     and a K-th of the PV system in power, rating and series. The served share of the customer is
-    the mean over its parts.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        As it was read.
-
-    Returns
-    -------
-    Scenario
-        The same object where all customers are all or nothing.
+    the mean over its parts. Where all customers are all or nothing it is the same object.
     """
     customers = scenario.customers
     pv = scenario.pv

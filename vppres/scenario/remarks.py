@@ -76,12 +76,7 @@ def _doubtful_demand(scenario: Scenario) -> str:
 def darkness(scenario: Scenario, mode: str | None = None) -> str:
     """Why every island of a scenario blacks out, or would; empty if something can form the grid.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        Whose outages.
-    mode : {"paper", "physical"}, optional
-        How its islands are run; the scenario's own choice if not given.
+    ``mode`` is that of its islands; the scenario's own if not given.
     """
     sets = scenario.gensets
     forming = sets.grid_forming
@@ -155,14 +150,8 @@ def held_capacitors(scenario: Scenario) -> str:
 def former_words(scenario: Scenario, mode: str | None = None, always: bool = False) -> str:
     """What forms the grid of an island; empty where no island needs it.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        Whose outages.
-    mode : {"paper", "physical"}, optional
-        How its islands are run; the scenario's own choice if not given.
-    always : bool, optional
-        Whether an outage may come that is not in the scenario, as it may for a service.
+    ``mode`` is that of its islands, the scenario's own if not given; with ``always`` an outage may
+    come that is not in the scenario, as it may for a service.
     """
     b = scenario.batteries
     physical = (mode or scenario.controller.mode) == "physical"

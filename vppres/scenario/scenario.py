@@ -82,26 +82,14 @@ class ControllerDefaults:
 
 @dataclass(frozen=True)
 class Priority:
-    """How tiers are ranked.
-
-    Parameters
-    ----------
-    rule : {"weights", "strict"}
-        Customers weighed against each other, or tier by tier.
-    """
+    """How tiers are ranked: by ``weights`` against each other, or in ``strict`` order."""
 
     rule: str = default_of("priority")
 
 
 @dataclass(frozen=True)
 class Headroom:
-    """What plans of physical mode leave free in an island.
-
-    Parameters
-    ----------
-    share : float
-        Of a grid-forming battery's inverter rating.
-    """
+    """Share of a forming battery's rating that plans of physical mode leave free in an island."""
 
     share: float = default_of("headroom")
 

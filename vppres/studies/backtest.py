@@ -45,14 +45,8 @@ Progress = Callable[[int, int], None]
 class Plan:
     """Which forecasts are made.
 
-    Parameters
-    ----------
-    horizon_h : float
-        Length of a forecast.
-    every_h : float
-        Time between two issues; one that does not divide 24 h has every lead at every hour.
-    first, last : pandas.Timestamp, optional
-        Of the issues; all that have enough history before them and enough of it behind.
+    One that is issued at times that do not divide 24 h has every lead at every hour. Issues are
+    from ``first`` to ``last``, as far as there is enough history before them and behind.
     """
 
     horizon_h: float = 48.0
@@ -90,14 +84,6 @@ class Backtest:
 
     Parameters
     ----------
-    history : History
-        What came.
-    plan : Plan
-        Which forecasts were made.
-    forecaster : str
-        Name of what was tested.
-    issues : DatetimeIndex
-        When forecasts were issued, N.
     scores : mapping of (name, quantity) to array
         ``crps``, ``climatology`` and ``weekly`` (the references' CRPS), ``each`` (mean CRPS of the
         single items), ``pit``, ``width 0.8`` and ``held 0.8`` of each interval, (N, W); ``energy
@@ -106,8 +92,6 @@ class Backtest:
         known, or PV at night.
     bases : list of str
         What each forecast rested on.
-    last : tuple of LoadAndPV and arrays
-        The last forecast, and what came of load and PV power.
     """
 
     history: History

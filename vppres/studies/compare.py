@@ -34,16 +34,9 @@ Runs = Mapping[str, FinishedRun]
 
 @dataclass(frozen=True)
 class ComparedFigure:
-    """One figure of every run; None where it is not defined.
+    """One figure of every run in words, with its unit and format; None where it is not defined.
 
-    Parameters
-    ----------
-    key : str
-        Key of the summary, nested ones with a dot.
-    words, unit, form : str
-        For people: what it is, its unit, and the format of its values.
-    values : tuple of float or None
-        One value per run.
+    The key is that of the summary, nested ones with a dot.
     """
 
     key: str
@@ -70,14 +63,7 @@ class ComparedFigure:
 
 
 def read_runs(folders: Sequence[Path]) -> dict[str, FinishedRun]:
-    """Run folders by label: the folder's name, or its path as given where names repeat.
-
-    Raises
-    ------
-    InputError
-        If there are fewer than two or too many runs, one comes twice, a folder is not a run, or
-        the runs are not of the same day.
-    """
+    """Run folders by label: the folder's name, or its path as given where names repeat."""
     problems = _problems_of(folders)
     if problems:
         raise InputError(problems)

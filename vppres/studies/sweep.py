@@ -40,18 +40,9 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class SweepRow:
-    """What became of a case.
+    """What became of a case: its run folder below that of the sweep.
 
-    Parameters
-    ----------
-    value : float, int or str
-        Value of the parameter.
-    folder : str
-        Run folder below that of the sweep.
-    summary : dict or None
-        Figures of the run; None if it failed.
-    error : str or None
-        Why it failed.
+    Without a summary the run failed, and the error says why.
     """
 
     value: Value

@@ -34,16 +34,9 @@ _DIGITS = 12  # of a point of a range: 0.3, not 0.30000000000000004
 
 @dataclass(frozen=True)
 class Parameter:
-    """Something that a sweep varies.
+    """Something that a sweep varies: its name, and ``float``, ``int`` or ``str``.
 
-    Parameters
-    ----------
-    name : str
-        As on the command line.
-    kind : type
-        ``float``, ``int`` or ``str``.
-    change : callable
-        Scenario, options and a value to the scenario and options with that value.
+    ``change`` takes scenario, options and a value to the scenario and options with that value.
     """
 
     name: str

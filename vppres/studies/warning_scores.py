@@ -31,15 +31,7 @@ HOUR_H = 1.0
 
 @dataclass(frozen=True)
 class WarnedOutage:
-    """A warning and what came of it.
-
-    Parameters
-    ----------
-    warning : OutageWarning
-        What was said.
-    came : SeenOutage or None
-        The outage, over; None if none came.
-    """
+    """A warning and the outage that came of it, which is over; None if none came."""
 
     warning: OutageWarning
     came: SeenOutage | None

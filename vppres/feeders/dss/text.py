@@ -92,18 +92,10 @@ class _Refused(Exception):
 
 
 def read_script(master: Path) -> Script:
-    """Check a script and everything that it redirects to.
+    """Check a script and everything that it redirects to, in its folder and below.
 
-    Parameters
-    ----------
-    master : Path
-        The file. Others are read from its folder and below; a file one level above may hold line
-        codes and other data sheets.
-
-    Raises
-    ------
-    InputError
-        With every line that a network does not need, by file, row and cure.
+    A file one level above may hold line codes and other data sheets. Every line that a network does
+    not need is told, by file, row and cure.
     """
     reader = _Reader(master.resolve().parent)
     reader.read(master.name, master.resolve(), library=False)

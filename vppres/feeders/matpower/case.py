@@ -52,15 +52,7 @@ def read_m(path: Path) -> tuple[Any, tuple[str, ...]]:
 
 
 def read_mat(path: Path) -> tuple[Any, tuple[str, ...]]:
-    """A case in MATLAB's binary format, unpacked in a process of its own.
-
-    Raises
-    ------
-    InputError
-        If it is too large, takes more time or memory than a case, or is no case.
-    ValueError
-        With what the reader stumbles over.
-    """
+    """A case in MATLAB's binary format, unpacked in a process of its own."""
     content = base64.b64encode(read_bytes(path, LARGEST_BYTES)).decode("ascii")
     found = confined("matpower/binary", {"content": content}, path.name)
     if "error" in found:

@@ -79,15 +79,7 @@ NOTE = "Controllers and protection of the source do not act."
 
 
 def read_pandapower(path: Path) -> tuple[Any, tuple[str, ...], list[dict[str, Any]]]:
-    """A net from a file, what is left out of it, and the texts of its controllers of constants.
-
-    Raises
-    ------
-    InputError
-        If the file names a module or class that no net needs, is too large or too deep.
-    Exception
-        Whatever pandapower stumbles over.
-    """
+    """A net from a file, what is left out of it, and the texts of its controllers of constants."""
     text = read_text(path, LARGEST_BYTES)
     if text.count("{") + text.count("[") > MOST_BRACKETS:
         raise InputError.of(

@@ -71,19 +71,7 @@ def _rows_in_utc(
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """Series of a new scenario.
-
-    Parameters
-    ----------
-    load_kw : array, shape (T, C)
-        Demand of the customers.
-    pv_kw : array, shape (T, P)
-        Available power of the systems.
-    system : dict
-        Series of the feeder that were given, (T,) each, by name.
-    notes : tuple of str
-        Where they come from, in sentences.
-    """
+    """Series of a new scenario, (T, C), (T, P), and (T,) for given ones of the feeder."""
 
     load_kw: Floats
     pv_kw: Floats

@@ -84,13 +84,7 @@ def grid_from(start: pd.Timestamp, days: int, step_minutes: float, zone: str) ->
 
 
 def time_of_day(start: pd.Timestamp, hours: int, minutes: int) -> pd.Timestamp:
-    """A time on the clock of the day on which ``start`` is; 24:00 is the next midnight.
-
-    Raises
-    ------
-    InputError
-        If the clocks skip that time on this day, or show it twice.
-    """
+    """A time on the clock of the day on which ``start`` is; 24:00 is the next midnight."""
     clock = start.tz_localize(None).normalize() + timedelta(hours=hours, minutes=minutes)
     zone = start.tzinfo
     naive: datetime = clock.to_pydatetime()

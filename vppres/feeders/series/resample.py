@@ -29,28 +29,13 @@ class OnGrid:
 def on_grid(
     series: pd.Series[float], grid: TimeGrid, most_gap_min: float, where: str, name: str
 ) -> OnGrid | Problem:
-    """Means of a series over the steps of a grid.
+    """Means of a series over the steps of a grid, or what is wrong with the series.
 
-    Each value holds from its time to the next, at the regular distance of the times. A step's value
-    is the mean over the step, so that sums times step lengths, energies, are those of the series:
-    longer steps average, shorter ones repeat. Missing values within the grid lie on a straight line
-    between their neighbours, or are the nearest at the ends of the series.
-
-    Parameters
-    ----------
-    series : Series
-        Indexed by times in UTC in rising order; NaN counts as missing.
-    grid : TimeGrid
-        The steps.
-    most_gap_min : float
-        Longest gap that is filled.
-    where, name : str
-        Source and name of the series, for messages.
-
-    Returns
-    -------
-    OnGrid or Problem
-        What is wrong with the series, if anything is.
+    Each value holds from its time (UTC) to the next, at the regular distance of the times. A step's
+    value is the mean over the step, so that sums times step lengths, energies, are those of the
+    series: longer steps average, shorter ones repeat. Missing values within the grid, no more than
+    ``most_gap_min`` in a row, lie on a straight line between their neighbours, or are the nearest
+    at the ends of the series.
 
     Examples
     --------

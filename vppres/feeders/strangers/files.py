@@ -13,13 +13,7 @@ MOST_PROBLEMS = 20
 
 
 def read_bytes(path: Path, limit: int = LARGEST_BYTES, shown: str = "") -> bytes:
-    """The content of a regular file of limited size.
-
-    Raises
-    ------
-    InputError
-        If it is a device, a pipe or a folder, or larger; never more than the limit is read.
-    """
+    """The content of a regular file of limited size."""
     name = shown or path.name
     if not path.is_file():  # the end of a pipe or a device is not known
         raise InputError.of(name, "is not a regular file", "Give a file.")

@@ -27,10 +27,7 @@ def text_px(text: object, size: float = FONT_PX) -> float:
 class Canvas:
     """Elements one after the other; later ones lie above.
 
-    Parameters
-    ----------
-    key : str
-        What ids of this drawing begin with: they must be its own in a page with others.
+    Ids of a drawing begin with its ``key``: they must be its own in a page with others.
     """
 
     def __init__(self, key: str) -> None:
