@@ -11,7 +11,11 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.csgraph import breadth_first_order, connected_components
+from scipy.sparse.csgraph import (
+    breadth_first_order,
+    connected_components,
+    minimum_spanning_tree,
+)
 
 from vppres.core.arrays import Flags, Floats, Names, Wholes, freeze, no_items
 from vppres.core.errors import InputError, Problem
@@ -463,46 +467,27 @@ def _loop_words(loop: list[BusId]) -> str:
 def find_loops(from_bus: Names, to_bus: Names) -> Iterator[tuple[int, list[BusId]]]:
     """Lines that close a loop, taken in order, each with the buses of its loop.
 
-    A path is searched only where both ends are joined already.
+    >>> list(find_loops([1, 2, 3, 3], [2, 3, 1, 3]))
+    [(2, [1, 2, 3]), (3, [3])]
     """
-    neighbours: dict[BusId, list[BusId]] = {}
-    leader: dict[BusId, BusId] = {}
-    for row, (a, b) in enumerate(zip(from_bus, to_bus, strict=True)):
-        if _root(leader, a) == _root(leader, b):
-            yield row, _path(neighbours, a, b)
-        else:
-            leader[_root(leader, a)] = _root(leader, b)
-            neighbours.setdefault(a, []).append(b)
-            neighbours.setdefault(b, []).append(a)
-
-
-def _root(leader: dict[BusId, BusId], bus: BusId) -> BusId:
-    """The bus that stands for all that are joined with this one (Tarjan's disjoint sets)."""
-    above = leader.get(bus, bus)
-    while above != bus:
-        # Halving the path keeps the next search short.
-        leader[bus] = leader.get(above, above)
-        bus = leader[bus]
-        above = leader.get(bus, bus)
-    return bus
-
-
-def _path(neighbours: dict[BusId, list[BusId]], start: BusId, goal: BusId) -> list[BusId]:
-    """Buses of the path between two buses of a forest, empty if there is none."""
-    came_from: dict[BusId, BusId | None] = {start: None}
-    queue = [start]
-    while queue and goal not in came_from:
-        bus = queue.pop()
-        for other in neighbours.get(bus, []):
-            if other not in came_from:
-                came_from[other] = bus
-                queue.append(other)
-    path: list[BusId] = []
-    bus_back: BusId | None = goal if goal in came_from else None
-    while bus_back is not None:
-        path.append(bus_back)
-        bus_back = came_from[bus_back]
-    return path
+    if not len(from_bus):
+        return
+    names, _ = _graph(from_bus, to_bus)
+    buses = [*names]
+    ends = [(names[a], names[b]) for a, b in zip(from_bus, to_bus, strict=True)]
+    pairs, first = np.unique(np.sort(ends, axis=1), axis=0, return_index=True)
+    two = pairs[:, 0] != pairs[:, 1]
+    # Lines weigh their places: one is in the lightest forest if none before it joins its ends.
+    places = sp.coo_array((first[two] + 1.0, pairs[two].T), shape=(len(names),) * 2)
+    forest = minimum_spanning_tree(places.tocsr())
+    laid = {int(place) - 1 for place in forest.data}
+    for row, (start, goal) in enumerate(ends):
+        if row not in laid:
+            _, before = breadth_first_order(forest, start, directed=False)
+            loop = [goal]
+            while loop[-1] != start:
+                loop.append(int(before[loop[-1]]))
+            yield row, [buses[place] for place in loop]
 
 
 def _graph(from_bus: Names, to_bus: Names) -> tuple[dict[BusId, int], sp.csr_array]:
