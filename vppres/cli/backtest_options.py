@@ -7,8 +7,6 @@ from typing import Annotated
 
 import typer
 
-from vppres.core.errors import InputError
-
 HistoryName = Annotated[
     str,
     typer.Argument(
@@ -71,16 +69,3 @@ Zone = Annotated[
         help="Local time zone, for example Europe/London; the scenario's, or UTC, if not given.",
     ),
 ]
-
-
-def require_both(warnings: Path | None, outages: Path | None) -> None:
-    """Refuse warnings without the outages that came of them, and the other way round."""
-    if (warnings is None) == (outages is None):
-        return
-    missing, there = ("outages", "warnings") if outages is None else ("warnings", "outages")
-    raise InputError.of(
-        "options",
-        "is missing",
-        f"Give --{missing} FILE beside --{there}: one is scored against the other.",
-        field=missing,
-    )

@@ -670,9 +670,8 @@ def backtest(
     from vppres.studies.backtest_page import backtest_findings, write_backtest
     from vppres.studies.warning_scores import warnings_scored
 
-    cli_backtest.require_both(warnings, outages)
-    measured = measured_in(history, zone)
     warned = warnings_scored(history, warnings, outages)
+    measured = measured_in(history, zone)
     begin, end = (None if text is None else option_time(text) for text in (first, last))
     plan = Plan(horizon, every, begin, end)
     check_target(out)  # before the work, not after it

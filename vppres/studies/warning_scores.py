@@ -13,6 +13,7 @@ import pandas as pd
 from scipy.special import ndtr
 
 from vppres.core.arrays import Floats
+from vppres.core.errors import InputError
 from vppres.core.plain import json_safe
 from vppres.io.find import is_scenario, load_scenario
 from vppres.io.outage_log import read_outage_log, read_warning_file
@@ -254,6 +255,10 @@ def warnings_scored(
     """Scores of the files that are given, or of a scenario's own messages; None without any."""
     if warnings is not None and outages is not None:
         return WarningScores.of_files(warnings, outages)
+    if warnings is not None or outages is not None:
+        missing, there = ("outages", "warnings") if outages is None else ("warnings", "outages")
+        cure = f"Give --{missing} FILE beside --{there}: one is scored against the other."
+        raise InputError.of("options", "is missing", cure, field=missing)
     if not is_scenario(history):
         return None
     return WarningScores.of_scenario(load_scenario(history))
