@@ -351,15 +351,11 @@ class Controller:
         try:
             self._recall(start[0])
             points, past = self._decided(seen, start[1])
-        except VppresError:
+        except BaseException as error:  # Ctrl-C too
             self._recall(latest)
-            raise
-        except Exception as error:
-            self._recall(latest)
+            if isinstance(error, VppresError) or not isinstance(error, Exception):
+                raise
             raise SolveError(f"The step failed: {type(error).__name__}: {error}") from error
-        except BaseException:  # Ctrl-C
-            self._recall(latest)
-            raise
         self._past = past
         if not seen.elapsed_h or self._step_before is None:
             self._step_before = start

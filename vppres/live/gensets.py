@@ -92,25 +92,17 @@ class SetsNow:
 
     Parameters
     ----------
-    at_h : float
-        When that is, in h since the controller's first step.
     state : GensetState
         The estimate. Fuel is the reading, or the least that may be left.
-    reckoned_litres : array
-        The least that may be left since the gauge moved.
-    most_litres, read_litres, out, fault : array
-        As :class:`Ran` has them.
+    known : Ran
+        What is known of them now, before they are told how to run from now on; fuel is the least
+        that may be left since the gauge moved.
     estimated : tuple of str
         Readings that are missing or frozen, and sets that are out, in words.
     """
 
-    at_h: float
     state: GensetState
-    reckoned_litres: Floats
-    most_litres: Floats
-    read_litres: Floats
-    out: Flags
-    fault: Floats
+    known: Ran
     estimated: tuple[str, ...]
 
     @classmethod
@@ -131,16 +123,22 @@ class SetsNow:
         gave_kw = np.where(np.isfinite(told.power_kw), told.power_kw, past.power_kw)
         # A mean is less than the least power where the set started within it.
         power_kw = np.where(runs.on, np.clip(gave_kw, sets.p_min_kw, sets.p_max_kw), 0.0)
-        return cls(
+        state = GensetState(runs.on, runs.hours, power_kw, fuel.litres)
+        known = replace(
+            past,
             at_h=at_h,
-            state=GensetState(runs.on, runs.hours, power_kw, fuel.litres),
-            reckoned_litres=fuel.least_litres,
+            before=replace(state, fuel_litres=fuel.least_litres),
             most_litres=fuel.most_litres,
             read_litres=fuel.read_litres,
             out=runs.out,
             fault=np.where(np.isfinite(told.start_fault), told.start_fault, past.fault),
-            estimated=(*fuel.words(sets.id), *runs.words(sets.id)),
         )
+        return cls(state, known, (*fuel.words(sets.id), *runs.words(sets.id)))
+
+    @property
+    def out(self) -> Flags:
+        """Sets that do not start."""
+        return self.known.out
 
     def ahead(self, day: Scenario, steps: range) -> SetsAhead | None:
         """What a window that begins now knows of them; None without any.
@@ -155,9 +153,7 @@ class SetsNow:
 
     def told(self, on: Flags, power_kw: Floats) -> Ran:
         """How they are to run from now on."""
-        before = replace(self.state, fuel_litres=self.reckoned_litres)
-        known = (self.most_litres, self.read_litres, self.out, self.fault)
-        return Ran(self.at_h, before, *known, on, power_kw)
+        return replace(self.known, on=on, power_kw=power_kw)
 
 
 def after(refuels: Refuels, day: Scenario) -> Refuels:

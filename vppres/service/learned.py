@@ -6,7 +6,6 @@ is chosen for a service that ran without one, the rows are made of the readings 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -105,9 +104,9 @@ def _read(
     ]
 
 
-def _laid(places: list[int], rows: Iterable[list[float | None]], n_steps: int) -> Floats:
-    """Rows in their places, NaN in between, (n, items)."""
-    values = np.array([[np.nan if v is None else v for v in row] for row in rows], dtype=float)
-    found = np.full((n_steps, values.shape[1] if values.ndim > 1 else 0), np.nan)
+def _laid(places: list[int], rows: list[list[float | None]], n_steps: int) -> Floats:
+    """Rows in their places, NaN in between and for what is not known, (n, items)."""
+    values = np.array(rows, dtype=float)
+    found = np.full((n_steps, values.shape[1]), np.nan)
     found[places] = values
     return found
