@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from tests.support.asgi import Caller
-from tests.support.live_service import HERE, NOON, Running, decided, readings, running, site
+from tests.support.live_service import HERE, NOON, Running, client, decided, readings, running, site
 from vppres.scenario.scenario import Scenario
 from vppres.service.access import Access, new_token
 from vppres.service.alarms import KINDS, Alarms, Notice
@@ -21,7 +21,6 @@ from vppres.service.conditions import Condition, Situation, conditions, situatio
 from vppres.service.knowledge import Heard
 from vppres.service.records import Reading, seconds
 from vppres.service.runner import Runner, Service
-from vppres.service.serve import opened
 from vppres.service.store import Store
 
 HOUR = pd.Timedelta("1h")
@@ -214,9 +213,8 @@ def test_a_longest_time_off_that_ends(tiny: Scenario, tmp_path: Path) -> None:
     backup = np.where(day.customers.id == "shop", 2.0, np.nan)
     day = replace(day, customers=replace(day.customers, own_backup_h=backup), pv_kw=0.0 * day.pv_kw)
     found, shown = [], []
-    with opened(Service(day, HERE), tmp_path, SetClock(NOON)) as runner:
-        http, clock = Caller(make_app(runner, Access())), runner.clock
-        assert isinstance(clock, SetClock)
+    clock = SetClock(NOON)
+    with client(Service(day, HERE), tmp_path, clock) as http:
         http.put("/v1/events/storm", DARK)
         for hour in range(3):
             decided(http, clock, NOON + hour * HOUR, soc=0.1)

@@ -203,7 +203,9 @@ def low_voltage(clock: int) -> Any:
     return net
 
 
-@pytest.mark.parametrize("clock", [1, 5, 11])
+@pytest.mark.parametrize(
+    "clock", [5, *(pytest.param(clock, marks=pytest.mark.nightly) for clock in (1, 11))]
+)
 def test_single_phases_are_kept_with_the_voltages_of_pandapower(clock: int) -> None:
     feeder = import_network(low_voltage(clock))
     assert feeder.phased is not None and feeder.phased.difference_pu is not None

@@ -151,7 +151,7 @@ def test_options_reach_the_run(
     words = (
         "--controller full-horizon --horizon 2 --solver scip --method monolithic --load-bias 0.1 "
         "--load-error 0.2 --pv-bias -0.3 --pv-error 0.4 --thermal euler --seed 3 --gap 1e-3 "
-        "--time-limit 30"
+        "--time-limit 30 --isolate"
     )
     call(f"run {words}", tiny_folder, "--out", tmp_path / "run")
     errors = {"load_bias": 0.1, "load_alpha_per_h": 0.2, "pv_bias": -0.3, "pv_alpha_per_h": 0.4}
@@ -164,6 +164,7 @@ def test_options_reach_the_run(
         "method": "monolithic",
         "errors": errors,
         "thermal": "euler",
+        "isolate": True,
     }
     assert {name: record[name] for name in expected} == expected
     assert (record["limits"]["gap_rel"], record["limits"]["time_s"]) == (1e-3, 30.0)

@@ -8,7 +8,6 @@ import shutil
 import subprocess
 from pathlib import Path
 
-import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
@@ -101,10 +100,3 @@ def test_systemd_takes_the_unit(tmp_path: Path) -> None:
     found = subprocess.run([analyze, "verify", str(unit)], capture_output=True, text=True)
     ours = [line for line in found.stderr.splitlines() if "vppres.service" in line]
     assert ours == []
-
-
-def test_steps_of_the_simulation_are_as_long_as_said() -> None:
-    """An outage after 12 h at 600 times the speed: 72 s, and six hours of it: 36 s."""
-    speed = int(re.findall(r"--speed (\d+)", HOWTO.read_text(encoding="utf-8"))[0])
-    assert pd.Timedelta("12h").total_seconds() / speed == 72
-    assert pd.Timedelta("6h").total_seconds() / speed == 36

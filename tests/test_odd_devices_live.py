@@ -14,21 +14,17 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.support.asgi import Caller
 from tests.support.homes import hot
-from tests.support.live_service import HERE, NOON, client, decided, readings, site
+from tests.support.live_service import HERE, NOON, client, decided, readings, serving, site
 from tests.support.played_service import Here, crowded
 from tests.support.sets import gensets
 from tests.support.small_windows import DARK
 from tests.support.vans import van
 from vppres import Controller, Measurement, RunOptions
 from vppres.scenario.scenario import Scenario
-from vppres.service.access import Access
-from vppres.service.app import make_app
 from vppres.service.clock import SetClock
 from vppres.service.explanations import explained, question
 from vppres.service.runner import Service
-from vppres.service.serve import opened
 from vppres.service.simulate import Play, Player
 from vppres.service.world import Series, World
 
@@ -123,8 +119,7 @@ def test_a_vehicle_that_only_its_charger_told_of_is_explained(
     """No session of the scenario knows it; it comes for two hours, and its need is told anew."""
     day = replace(site(tiny), chargers=van(NOON, NOON)[0])
     clock = SetClock(NOON)
-    with opened(Service(day, HERE), tmp_path, clock) as runner:
-        http = Caller(make_app(runner, Access()))
+    with serving(Service(day, HERE), tmp_path, clock) as (http, runner):
         leaves = (NOON + 2 * HOUR).timestamp()
         for hours, needed_kwh in ((0, None), (1, 5.0), (2, None)):
             time = NOON + hours * HOUR

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
 
 import pandapower as pp
 import pandas as pd
-import pytest
 
-from tests.support.live_service import NOON, Live, decided, readings, said
-from tests.support.page_words import NODE, said_by
 from vppres import NewScenarioOptions, RunOptions, import_network, new_scenario, run_day
 from vppres.io import read_scenario
 from vppres.scenario.scenario import Scenario
@@ -19,39 +15,6 @@ from vppres.scenario.scenario import Scenario
 ROOT = Path(__file__).parents[1]
 BY_HAND = ROOT / "docs" / "howto" / "by-hand.md"
 BLOCK = re.compile(r"```\{code-block\} \w+\n:caption: my-feeder/(\S+)\n\n(.*?)```", re.DOTALL)
-
-VERDICT = """
-import { SiteClock, verdict } from "./words.mjs";
-import { readFileSync } from "node:fs";
-const view = JSON.parse(readFileSync(0));
-view.clock = new SiteClock("UTC");
-view.now = new Date(view.overview.now);
-console.log(JSON.stringify(verdict(view)));
-"""
-
-
-def test_a_reading_ten_minutes_before_the_step_serves_the_hospital(live: Live) -> None:
-    """The scenario begins nearly empty; 62% is read before the outage."""
-    http, _ = live
-    http.put(
-        "/v1/events/storm",
-        {"type": "outage", "start": "2026-11-21T12:00:00Z", "end": "2026-11-21T15:00:00Z"},
-    )
-    before = NOON - pd.Timedelta("10min")
-    http.post("/v1/telemetry", {"series": readings(before, "soc", {"big": 0.62, "small": 0.62})})
-    plan = http.post("/v1/steps").json()
-    assert said(plan, "customers")["hospital"]["served"]
-
-
-@pytest.mark.skipif(NODE is None, reason="no node on the path")
-def test_the_page_promises_no_supply_while_the_grid_is_gone(live: Live, tmp_path: Path) -> None:
-    http, clock = live
-    decided(http, clock, NOON, soc=0.85)
-    clock.set(NOON + pd.Timedelta("13min"))
-    http.post("/v1/telemetry", {"series": readings(clock.now(), "grid_on", {"grid": 0.0})})
-    seen = {name: http.get(f"/v1/{name}").json() for name in ("site", "overview")}
-    level, *_ = said_by(VERDICT, tmp_path, json.dumps({**seen, "lost": False}))
-    assert level == "alarm"
 
 
 def days_outage(start: str, end: str) -> tuple[pd.Timestamp, pd.Timestamp]:

@@ -11,31 +11,35 @@ import pandas as pd
 import pytest
 
 from tests.support.asgi import Caller
-from tests.support.live_service import HERE, NOON, decide, site
+from tests.support.live_service import NOON, Running, decide, running
 from vppres.scenario.scenario import Scenario
 from vppres.service.access import Access, new_token
 from vppres.service.app import make_app
-from vppres.service.clock import SetClock, written
+from vppres.service.clock import written
 from vppres.service.overview import Overview
 from vppres.service.records import Reading, seconds
 from vppres.service.routes.page import FILES
-from vppres.service.runner import Runner, Service
-from vppres.service.serve import opened
+from vppres.service.runner import Runner
 
 HOUR = pd.Timedelta("1h")
 
 
 @pytest.fixture
-def runner(tiny: Scenario, tmp_path: Path) -> Iterator[Runner]:
+def live(tiny: Scenario, tmp_path: Path) -> Iterator[Running]:
     """A service at noon; an outage begins at two."""
-    with opened(Service(site(tiny), HERE), tmp_path, SetClock(NOON)) as runner:
+    with running(tiny, tmp_path) as found:
         outage = {"type": "outage", "start": written(NOON + 2 * HOUR), "end": None}
-        runner.store.put_events({"storm": outage}, NOON, "test")
-        yield runner
+        found[2].store.put_events({"storm": outage}, NOON, "test")
+        yield found
 
 
-def test_before_the_first_step_there_is_no_plan(runner: Runner) -> None:
-    found = Caller(make_app(runner, Access())).get("/v1/overview").json()
+@pytest.fixture
+def runner(live: Running) -> Runner:
+    return live[2]
+
+
+def test_before_the_first_step_there_is_no_plan(live: Running) -> None:
+    found = live[0].get("/v1/overview").json()
     assert (found["plan"], found["past"], found["ahead_s"]) == (None, [], None)
     assert found["now"] == "2026-11-21T12:00:00Z" and found["mode"]["mode"] == "auto"
 
@@ -53,11 +57,12 @@ def test_a_plan_tells_what_it_foresees(runner: Runner) -> None:
     assert later["expected"]["grid_limit_kw"] == 0.0 and later["expected"]["v_min_bus"] is not None
 
 
-def test_the_overview_names_who_is_off_until_when_and_by_tier(runner: Runner) -> None:
+def test_the_overview_names_who_is_off_until_when_and_by_tier(live: Running) -> None:
+    http, _, runner = live
     decide(runner, NOON)
     decide(runner, NOON + HOUR)
     plan = decide(runner, NOON + 2 * HOUR, soc=0.2)
-    found = Caller(make_app(runner, Access())).get("/v1/overview").json()
+    found = http.get("/v1/overview").json()
     off = {one["asset"] for one in plan["setpoints"] if one.get("served") is False}
     assert off and {one["asset"] for one in found["plan"]["off"]} == off
     tiers = {"hospital": "critical", "shop": "high", "homes": "low"}
@@ -83,10 +88,9 @@ def test_the_overview_names_who_is_off_until_when_and_by_tier(runner: Runner) ->
     ]
 
 
-def test_sources_grow_old_and_plans_run_out(runner: Runner) -> None:
+def test_sources_grow_old_and_plans_run_out(live: Running) -> None:
+    _, clock, runner = live
     decide(runner, NOON)
-    clock = runner.clock
-    assert isinstance(clock, SetClock)
     overview = Overview(runner)
 
     def now(after: str) -> dict[str, Any]:
@@ -103,14 +107,13 @@ def test_sources_grow_old_and_plans_run_out(runner: Runner) -> None:
     assert missed["steps"]["missed"] == 2
 
 
-def test_a_late_state_of_charge_is_the_reading_and_the_set_points_since(runner: Runner) -> None:
+def test_a_late_state_of_charge_is_the_reading_and_the_set_points_since(live: Running) -> None:
     """The battery charges before the outage; it is read once more within the hour."""
+    _, clock, runner = live
     at = NOON + HOUR
     plan = decide(runner, at, soc=0.2)
     begun, after = (plan["expected"][name]["big"] for name in ("soc_start", "soc"))
     assert begun == 0.2 and after > 0.25
-    clock = runner.clock
-    assert isinstance(clock, SetClock)
     overview = Overview(runner)
 
     def now(minutes: int) -> float:
@@ -125,10 +128,10 @@ def test_a_late_state_of_charge_is_the_reading_and_the_set_points_since(runner: 
     assert now(60) == now(65) == pytest.approx(0.21 + (after - begun) * 5 / 6)
 
 
-def test_older_steps_are_asked_for(runner: Runner) -> None:
+def test_older_steps_are_asked_for(live: Running) -> None:
+    http, _, runner = live
     for hour in range(3):
         decide(runner, NOON + hour * HOUR)
-    http = Caller(make_app(runner, Access()))
     asked = f"/v1/history?since={written(NOON)}&until={written(NOON + 2 * HOUR)}"
     steps = http.get(asked).json()["steps"]
     assert [step["start"] for step in steps] == [written(NOON), written(NOON + HOUR)]
@@ -181,9 +184,9 @@ def test_the_page_asks_for_nothing_but_itself(runner: Runner) -> None:
     assert http.get("/v1/overview").status == 401 and http.get("/v1/site").status == 401
 
 
-def test_steps_that_the_operator_holds_are_shown_too(runner: Runner) -> None:
+def test_steps_that_the_operator_holds_are_shown_too(live: Running) -> None:
+    http, _, runner = live
     decide(runner, NOON)
-    http = Caller(make_app(runner, Access()))
     until = written(NOON + 5 * HOUR)
     assert http.put("/v1/mode", {"mode": "hold", "until": until, "reason": "works"}).status == 200
     held = decide(runner, NOON + HOUR)

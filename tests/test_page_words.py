@@ -11,15 +11,12 @@ import pandas as pd
 import pytest
 
 from tests.support.asgi import Caller
-from tests.support.live_service import HERE, NOON, decided, readings, running, site
+from tests.support.live_service import HERE, NOON, Live, client, decided, readings, running, site
 from tests.support.page_words import NODE, said_by
 from vppres.scenario.remarks import former_words
 from vppres.scenario.scenario import Scenario
-from vppres.service.access import Access
-from vppres.service.app import make_app
 from vppres.service.clock import written
 from vppres.service.runner import Service
-from vppres.service.serve import opened
 
 pytestmark = pytest.mark.skipif(NODE is None, reason="no node on the path")
 
@@ -95,45 +92,43 @@ console.log(JSON.stringify(answer));
 """
 
 
-def test_what_a_crew_says_is_an_event_that_the_service_takes(
-    tiny: Scenario, tmp_path: Path
-) -> None:
+def test_what_a_crew_says_is_an_event_that_the_service_takes(live: Live, tmp_path: Path) -> None:
     """Where outages are taken for known it is the end of the one that is announced or measured."""
-    with running(tiny, tmp_path / "state") as (http, clock, _):
+    http, clock = live
 
-        def event(said: str) -> Any:
-            parts = {name: http.get(f"/v1/{name}").json() for name in ("site", "overview")}
-            given = json.dumps({"view": parts, "said": said})
-            return said_by(CREW_EVENT, tmp_path, given)
+    def event(said: str) -> Any:
+        parts = {name: http.get(f"/v1/{name}").json() for name in ("site", "overview")}
+        given = json.dumps({"view": parts, "said": said})
+        return said_by(CREW_EVENT, tmp_path, given)
 
-        assert event("about 18:00") == "No outage is announced or measured."
-        http.post("/v1/telemetry", {"series": readings(NOON, "grid_on", {"grid": 0.0})})
-        clock.set(NOON + pd.Timedelta("1min"))
-        name, body = event("not before 14:00, about 18:00")
-        assert (name, body["start"], body["end"][:16]) == (
-            "crew",
-            written(NOON),
-            "2026-11-21T18:00",
-        )
-        assert http.put(f"/v1/events/{name}", body).status == 201
-        name, body = event("by 19:00")
-        assert http.put(f"/v1/events/{name}", body).json()["end"] == "2026-11-21T19:00:00Z"
-        assert event("not before 14:00").startswith("This service plans with a known end.")
-        http.post("/v1/steps")
-        assert told(http, tmp_path)["verdict"][1].startswith("Outage until 19:00")
+    assert event("about 18:00") == "No outage is announced or measured."
+    http.post("/v1/telemetry", {"series": readings(NOON, "grid_on", {"grid": 0.0})})
+    clock.set(NOON + pd.Timedelta("1min"))
+    name, body = event("not before 14:00, about 18:00")
+    assert (name, body["start"], body["end"][:16]) == (
+        "crew",
+        written(NOON),
+        "2026-11-21T18:00",
+    )
+    assert http.put(f"/v1/events/{name}", body).status == 201
+    name, body = event("by 19:00")
+    assert http.put(f"/v1/events/{name}", body).json()["end"] == "2026-11-21T19:00:00Z"
+    assert event("not before 14:00").startswith("This service plans with a known end.")
+    http.post("/v1/steps")
+    assert told(http, tmp_path)["verdict"][1].startswith("Outage until 19:00")
 
 
-def test_a_contradicted_loss_of_the_grid_comes_first(tiny: Scenario, tmp_path: Path) -> None:
-    with running(tiny, tmp_path / "state") as (http, clock, _):
-        series = readings(NOON, "grid_on", {"grid": 0.0})
-        flow = {**readings(NOON, "import_kw", {"grid": 80.0})[0], "resolution": "PT30S"}
-        http.post("/v1/telemetry", {"series": [*series, flow]})
-        decided(http, clock, NOON + pd.Timedelta("1min"))
-        assert told(http, tmp_path)["verdict"] == [
-            "alarm",
-            "Readings contradict each other on whether there is grid: supply is uncertain.",
-            "The plan ignores a reading: grid_on = 0 of scada is contradicted by an import of 80 kW.",
-        ]
+def test_a_contradicted_loss_of_the_grid_comes_first(live: Live, tmp_path: Path) -> None:
+    http, clock = live
+    series = readings(NOON, "grid_on", {"grid": 0.0})
+    flow = {**readings(NOON, "import_kw", {"grid": 80.0})[0], "resolution": "PT30S"}
+    http.post("/v1/telemetry", {"series": [*series, flow]})
+    decided(http, clock, NOON + pd.Timedelta("1min"))
+    assert told(http, tmp_path)["verdict"] == [
+        "alarm",
+        "Readings contradict each other on whether there is grid: supply is uncertain.",
+        "The plan ignores a reading: grid_on = 0 of scada is contradicted by an import of 80 kW.",
+    ]
 
 
 def test_an_outage_of_a_rehearsal_is_not_called_announced(tiny: Scenario, tmp_path: Path) -> None:
@@ -142,8 +137,7 @@ def test_an_outage_of_a_rehearsal_is_not_called_announced(tiny: Scenario, tmp_pa
     limits_kw = day.grid_limit_kw.copy()
     limits_kw[1:4] = 0.0
     service = Service(replace(day, grid_limit_kw=limits_kw), HERE, rehearsal=True)
-    with opened(service, tmp_path / "state") as runner:
-        http = Caller(make_app(runner, Access()))
+    with client(service, tmp_path / "state") as http:
         http.post("/v1/steps")
         found = told(http, tmp_path)
         assert found["verdict"][2] == "Outage known from the scenario, from 01:00, in 60 min."

@@ -362,5 +362,5 @@ def test_a_feeder_of_many_buses_goes_without_names() -> None:
 
 
 def test_figures_of_one_run_alone_are_left_out_for_several(tmp_path: Path) -> None:
-    files = save_figures({"one": small_run()}, tmp_path)
+    files = save_figures({"one": small_run()}, tmp_path, ("svg",))
     assert {file.stem for file in files} == set(FIGURES)

@@ -11,13 +11,12 @@ import pandas as pd
 import pytest
 
 from tests.support.asgi import Answer, Caller
-from tests.support.live_service import HERE, NOON, decided, site
+from tests.support.live_service import HERE, NOON, Running, decided, running, serving, site
 from vppres.scenario.scenario import Scenario
 from vppres.service.access import Access, new_token
 from vppres.service.app import make_app
 from vppres.service.clock import SetClock
 from vppres.service.runner import Runner, Service
-from vppres.service.serve import opened
 
 HOUR = pd.Timedelta("1h")
 OUTAGE = {"type": "outage", "start": "2026-11-21T15:00:00Z", "end": "2026-11-21T16:00:00Z"}
@@ -25,10 +24,9 @@ HOLD = {"mode": "hold", "until": "2026-11-21T18:00:00Z", "reason": "a look"}
 
 
 @pytest.fixture
-def runner(tiny: Scenario, tmp_path: Path) -> Iterator[Runner]:
-    """A service at noon."""
-    with opened(Service(site(tiny), HERE), tmp_path, SetClock(NOON)) as runner:
-        yield runner
+def live(tiny: Scenario, tmp_path: Path) -> Iterator[Running]:
+    with running(tiny, tmp_path) as found:
+        yield found
 
 
 def meanwhile(
@@ -50,10 +48,10 @@ def meanwhile(
 
 
 def test_of_two_that_replace_the_same_event_one_does(
-    runner: Runner, monkeypatch: pytest.MonkeyPatch
+    live: Running, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Both have read its first version; the second one writes before the first one does."""
-    http = Caller(make_app(runner, Access()))
+    http, _, runner = live
     tag = http.put("/v1/events/storm", OUTAGE).headers["etag"]
     longer = {**OUTAGE, "end": "2026-11-21T20:00:00Z"}
     other = meanwhile(
@@ -74,9 +72,9 @@ def test_of_two_that_replace_the_same_event_one_does(
 
 
 def test_of_two_operators_the_second_sees_what_the_first_did(
-    runner: Runner, monkeypatch: pytest.MonkeyPatch
+    live: Running, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    http = Caller(make_app(runner, Access()))
+    http, _, runner = live
     tag = http.get("/v1/mode").headers["etag"]
     other = meanwhile(
         runner, monkeypatch, lambda: http.put("/v1/mode", {"mode": "off"}, if_match=tag)
@@ -88,15 +86,15 @@ def test_of_two_operators_the_second_sees_what_the_first_did(
     assert put.status == 200 and put.headers["etag"] == http.get("/v1/mode").headers["etag"]
 
 
-def test_who_asked_for_a_step_is_written_down_once(runner: Runner) -> None:
+def test_who_asked_for_a_step_is_written_down_once(live: Running) -> None:
+    _, clock, runner = live
     secret, token = new_token("control-room:operator,read,telemetry")
     http = Caller(make_app(runner, Access([token])))
     bearer = {"authorization": f"Bearer {secret}"}
     for _ in range(2):
         assert http.post("/v1/steps", **bearer).status == 200
     http.post("/v1/steps", **bearer, prefer="respond-async")
-    assert isinstance(runner.clock, SetClock)
-    runner.clock.set(NOON + HOUR)
+    clock.set(NOON + HOUR)
     runner.step()  # as the clock does
     steps = [row for row in runner.store.audit() if row[1] == "step"]
     assert steps == [("control-room", "step", "p-2026-11-21T12:00:00Z ok")]
@@ -105,14 +103,10 @@ def test_who_asked_for_a_step_is_written_down_once(runner: Runner) -> None:
 def test_steps_are_counted_as_they_are_kept(tiny: Scenario, tmp_path: Path) -> None:
     clock = SetClock(NOON)
     service = Service(site(tiny), HERE)
-    with opened(service, tmp_path, clock) as runner:
-        http = Caller(make_app(runner, Access()))
+    with serving(service, tmp_path, clock) as (http, runner):
         for hours in (0, 1, 3):
             decided(http, clock, NOON + hours * HOUR)
         assert runner.store.outcomes() == {"ok": 3, "missed": 1}
-    with opened(service, tmp_path, clock) as runner:
+    with serving(service, tmp_path, clock) as (http, runner):
         assert runner.store.outcomes() == {"ok": 3, "missed": 1}
-        assert (
-            'vppres_steps_total{outcome="ok"} 3.0'
-            in Caller(make_app(runner, Access())).get("/metrics").content.decode()
-        )
+        assert 'vppres_steps_total{outcome="ok"} 3.0' in http.get("/metrics").content.decode()

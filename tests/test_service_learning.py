@@ -13,15 +13,22 @@ import pytest
 import sqlalchemy as sa
 
 from tests.support.asgi import Caller
-from tests.support.live_service import HERE, NOON, client, decided, readings, running, said, site
+from tests.support.live_service import (
+    HERE,
+    NOON,
+    client,
+    decided,
+    readings,
+    running,
+    said,
+    serving,
+    site,
+)
 from vppres.contract.observation import Observation
 from vppres.scenario.outage_warnings import OutageStatistics
 from vppres.scenario.scenario import Scenario
-from vppres.service.access import Access
-from vppres.service.app import make_app
 from vppres.service.clock import SetClock, written
 from vppres.service.runner import Runner, Service
-from vppres.service.serve import opened
 
 HOUR = pd.Timedelta("1h")
 LEARNING = replace(HERE, forecaster="seasonal")
@@ -92,8 +99,7 @@ def test_a_forecaster_that_is_new_learns_from_readings_that_are_kept(
     with client(Service(site(tiny), HERE), tmp_path, clock) as http:
         for t in range(25):
             hour(http, clock, t)
-    with opened(Service(site(tiny), LEARNING), tmp_path, clock) as runner:
-        http = Caller(make_app(runner, Access()))
+    with serving(Service(site(tiny), LEARNING), tmp_path, clock) as (http, runner):
         seen = watch(runner)
         hour(http, clock, 25)
         shop = shop_of(tiny)
@@ -113,8 +119,7 @@ def test_limits_that_are_announced_reach_plans_with_beliefs(tiny: Scenario, tmp_
     options = replace(BELIEVING, horizon_h=5.0)
     limit = {"type": "import_limit", "start": "2026-11-21T13:00:00Z", "limit_kw": 40.0,
              "end": "2026-11-21T15:00:00Z"}  # fmt: skip
-    with opened(Service(quiet, options), tmp_path, clock) as runner:
-        http = Caller(make_app(runner, Access()))
+    with serving(Service(quiet, options), tmp_path, clock) as (http, runner):
         seen = watch(runner)
         http.put("/v1/events/cap", limit)
         hour(http, clock, 0)
@@ -134,8 +139,7 @@ def test_a_rehearsal_knows_of_limits_ahead_what_is_announced(
     limits = np.where(np.arange(24) == 3, 0.0, 90.0)
     day = replace(day, grid_limit_kw=limits)
     options = replace(BELIEVING, horizon_h=5.0)
-    with opened(Service(day, options, rehearsal=True), tmp_path) as runner:
-        http = Caller(make_app(runner, Access()))
+    with serving(Service(day, options, rehearsal=True), tmp_path) as (http, runner):
         seen = watch(runner)
         for announced, expected in ((False, [90.0] * 6), (True, [90.0, 50.0, 50.0, *[90.0] * 3])):
             if announced:
@@ -185,5 +189,5 @@ def test_who_cannot_be_switched_on_is_left_off_until_it_is_back(
         assert hour(http, clock, 9)["lost"] == [
             {"asset": "shop", "reason": "reported as not connected"}
         ]
-    with opened(Service(site(tiny), HERE), tmp_path, clock) as runner:
-        assert hour(Caller(make_app(runner, Access())), clock, 10)["lost"]
+    with client(Service(site(tiny), HERE), tmp_path, clock) as http:
+        assert hour(http, clock, 10)["lost"]

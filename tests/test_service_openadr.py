@@ -9,7 +9,7 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from tests.support.live_service import HERE, NOON, client, decided, running, said, site
+from tests.support.live_service import HERE, NOON, Live, client, decided, running, said, site
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock
 from vppres.service.runner import Service
@@ -38,29 +38,28 @@ EVENT: dict[str, Any] = {
 }  # fmt: skip
 
 
-def test_an_event_is_taken_as_it_stands(tiny: Scenario, tmp_path: Path) -> None:
-    clock = SetClock(NOON)
-    with client(Service(site(tiny), HERE), tmp_path, clock) as http:
-        answer = http.post("/v1/openadr/events", EVENT)
-        assert (answer.status, answer.json()["ignored"]) == (201, ["GHG"])
-        known = http.get("/v1/events").json()
-        assert set(known) == set(answer.json()["events"])
-        assert known["17.0.PRICE"]["price_gbp_per_kwh"] == [0.01]
-        assert known["17.1.PRICE"]["start"] == "2026-11-21T13:00:00Z"
-        assert known["17.0.IMPORT_CAPACITY_LIMIT"]["limit_kw"] == 180.0
-        alert = known["17.1.ALERT_POSSIBLE_OUTAGE"]
-        assert (alert["type"], alert["text"]) == ("alert", "ALERT_POSSIBLE_OUTAGE storm")
-        plan = decided(http, clock, NOON, soc=0.2)
-        # Cheap now and dear in an hour, with a limit: it charges as much as it may.
-        assert plan["expected"]["import_kw"] == pytest.approx(180.0, abs=3.0)
-        assert http.post("/v1/openadr/events", EVENT).status == 201
-        assert http.get("/v1/events").json()["17.0.PRICE"]["version"] == 2
-        clock.set(NOON + pd.Timedelta("3h"))
-        late = http.post("/v1/openadr/events", {**EVENT, "id": "18"})
-        assert (late.status, late.json()["problems"][0]["message"]) == (
-            422,
-            "lies wholly in the past",
-        )
+def test_an_event_is_taken_as_it_stands(live: Live) -> None:
+    http, clock = live
+    answer = http.post("/v1/openadr/events", EVENT)
+    assert (answer.status, answer.json()["ignored"]) == (201, ["GHG"])
+    known = http.get("/v1/events").json()
+    assert set(known) == set(answer.json()["events"])
+    assert known["17.0.PRICE"]["price_gbp_per_kwh"] == [0.01]
+    assert known["17.1.PRICE"]["start"] == "2026-11-21T13:00:00Z"
+    assert known["17.0.IMPORT_CAPACITY_LIMIT"]["limit_kw"] == 180.0
+    alert = known["17.1.ALERT_POSSIBLE_OUTAGE"]
+    assert (alert["type"], alert["text"]) == ("alert", "ALERT_POSSIBLE_OUTAGE storm")
+    plan = decided(http, clock, NOON, soc=0.2)
+    # Cheap now and dear in an hour, with a limit: it charges as much as it may.
+    assert plan["expected"]["import_kw"] == pytest.approx(180.0, abs=3.0)
+    assert http.post("/v1/openadr/events", EVENT).status == 201
+    assert http.get("/v1/events").json()["17.0.PRICE"]["version"] == 2
+    clock.set(NOON + pd.Timedelta("3h"))
+    late = http.post("/v1/openadr/events", {**EVENT, "id": "18"})
+    assert (late.status, late.json()["problems"][0]["message"]) == (
+        422,
+        "lies wholly in the past",
+    )
 
 
 def test_a_possible_outage_is_believed_where_beliefs_are_planned_with(
@@ -75,44 +74,44 @@ def test_a_possible_outage_is_believed_where_beliefs_are_planned_with(
         assert sum(one["p_kw"] for one in said(plan, "batteries").values()) > 20.0
 
 
-def test_what_is_none_is_refused_by_name(tiny: Scenario, tmp_path: Path) -> None:
-    with client(Service(site(tiny), HERE), tmp_path, SetClock(NOON)) as http:
-        for change, words in (
-            ({"intervalPeriod": {"start": "2026-11-21T12:00:00Z"}}, "intervalPeriod: is missing"),
-            ({"intervalPeriod": {"start": "noon", "duration": "PT1H"}}, "is not a time"),
-            ({"intervalPeriod": {"start": "2026-11-21T12:00:00Z", "duration": "1"}}, "no duration"),
-            ({"payloadDescriptors": [{"payloadType": "PRICE", "currency": "EUR"}]}, "another than"),
-            ({"intervals": [{"payloads": [{"type": "PRICE", "values": ["a"]}]}]}, "not one number"),
-            ({"intervals": [{"payloads": [{"type": "PRICE", "values": [1e9]}]}]}, "price"),
-            (
-                {"intervalPeriod": {"start": "2026-11-21T12:10:00Z", "duration": "PT1H"}},
-                "beginning",
-            ),
-        ):
-            answer = http.post("/v1/openadr/events", {**EVENT, **change})
-            assert answer.status == 422, (change, answer)
-            assert words in answer.content.decode(), answer.json()
-        assert http.get("/v1/events").json() == {}
+def test_what_is_none_is_refused_by_name(live: Live) -> None:
+    http, _ = live
+    for change, words in (
+        ({"intervalPeriod": {"start": "2026-11-21T12:00:00Z"}}, "intervalPeriod: is missing"),
+        ({"intervalPeriod": {"start": "noon", "duration": "PT1H"}}, "is not a time"),
+        ({"intervalPeriod": {"start": "2026-11-21T12:00:00Z", "duration": "1"}}, "no duration"),
+        ({"payloadDescriptors": [{"payloadType": "PRICE", "currency": "EUR"}]}, "another than"),
+        ({"intervals": [{"payloads": [{"type": "PRICE", "values": ["a"]}]}]}, "not one number"),
+        ({"intervals": [{"payloads": [{"type": "PRICE", "values": [1e9]}]}]}, "price"),
+        (
+            {"intervalPeriod": {"start": "2026-11-21T12:10:00Z", "duration": "PT1H"}},
+            "beginning",
+        ),
+    ):
+        answer = http.post("/v1/openadr/events", {**EVENT, **change})
+        assert answer.status == 422, (change, answer)
+        assert words in answer.content.decode(), answer.json()
+    assert http.get("/v1/events").json() == {}
 
 
-def test_what_is_sent_again_replaces_all_that_was_said(tiny: Scenario, tmp_path: Path) -> None:
-    with client(Service(site(tiny), HERE), tmp_path, SetClock(NOON)) as http:
-        http.post("/v1/openadr/events", EVENT)
-        http.post("/v1/openadr/events", {**EVENT, "id": "17.0"})
-        before = set(http.get("/v1/events").json())
-        again = {**EVENT, "intervals": EVENT["intervals"][:1]}
-        assert http.post("/v1/openadr/events", again).status == 201
-        gone = before - set(http.get("/v1/events").json())
-        assert gone == {"17.1.PRICE", "17.1.ALERT_POSSIBLE_OUTAGE"}
+def test_what_is_sent_again_replaces_all_that_was_said(live: Live) -> None:
+    http, _ = live
+    http.post("/v1/openadr/events", EVENT)
+    http.post("/v1/openadr/events", {**EVENT, "id": "17.0"})
+    before = set(http.get("/v1/events").json())
+    again = {**EVENT, "intervals": EVENT["intervals"][:1]}
+    assert http.post("/v1/openadr/events", again).status == 201
+    gone = before - set(http.get("/v1/events").json())
+    assert gone == {"17.1.PRICE", "17.1.ALERT_POSSIBLE_OUTAGE"}
 
 
-def test_names_may_be_as_long_as_openadr_has_them(tiny: Scenario, tmp_path: Path) -> None:
-    with client(Service(site(tiny), HERE), tmp_path, SetClock(NOON)) as http:
-        for tail in "ab":
-            name = 99 * "x" + tail
-            assert http.post("/v1/openadr/events", {**EVENT, "id": name}).status == 201
-        names = list(http.get("/v1/events").json())
-        assert len(names) == 8 and max(map(len, names)) <= 100
+def test_names_may_be_as_long_as_openadr_has_them(live: Live) -> None:
+    http, _ = live
+    for tail in "ab":
+        name = 99 * "x" + tail
+        assert http.post("/v1/openadr/events", {**EVENT, "id": name}).status == 201
+    names = list(http.get("/v1/events").json())
+    assert len(names) == 8 and max(map(len, names)) <= 100
 
 
 def test_a_message_is_one_transaction(

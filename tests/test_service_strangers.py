@@ -19,7 +19,7 @@ import pytest
 from experiments.strangers import attacks, lives, silent
 from tests.support.asgi import Caller
 from tests.support.browser import listening
-from tests.support.live_service import HERE, NOON, client, running, site
+from tests.support.live_service import HERE, NOON, Live, running, site
 from tests.support.tiny_day import tiny_scenario
 from vppres.core.errors import StorageError
 from vppres.scenario.scenario import Scenario
@@ -142,20 +142,20 @@ def test_whoever_is_denied_has_no_limit_of_its_own(
     assert answers[-1].headers["content-type"] == "application/problem+json"
 
 
-def test_a_database_that_is_gone_is_noticed(tiny: Scenario, tmp_path: Path) -> None:
+def test_a_database_that_is_gone_is_noticed(live: Live, tmp_path: Path) -> None:
     """Nothing is acknowledged that is not kept."""
-    with client(Service(site(tiny), HERE), tmp_path, SetClock(NOON)) as http:
-        event = {"type": "outage", "start": "2026-11-21T14:00:00Z"}
-        assert http.put("/v1/events/storm", event).status == 201
-        assert http.post("/v1/steps").status == 200 and http.get("/readyz").status == 200
-        os.unlink(tmp_path / "service.db")
-        answer = http.put("/v1/events/storm", event)
-        assert answer.status == 503 and "was removed or replaced" in answer.json()["detail"]
-        ready = http.get("/readyz")
-        assert ready.status == 503 and not ready.json()["checks"]["database"]
-        (tmp_path / "service.db").write_bytes(b"")
-        assert http.put("/v1/events/storm", event).status == 503
-        assert http.get("/v1/plan").status == 200
+    http, _ = live
+    event = {"type": "outage", "start": "2026-11-21T14:00:00Z"}
+    assert http.put("/v1/events/storm", event).status == 201
+    assert http.post("/v1/steps").status == 200 and http.get("/readyz").status == 200
+    os.unlink(tmp_path / "state" / "service.db")
+    answer = http.put("/v1/events/storm", event)
+    assert answer.status == 503 and "was removed or replaced" in answer.json()["detail"]
+    ready = http.get("/readyz")
+    assert ready.status == 503 and not ready.json()["checks"]["database"]
+    (tmp_path / "state" / "service.db").write_bytes(b"")
+    assert http.put("/v1/events/storm", event).status == 503
+    assert http.get("/v1/plan").status == 200
 
 
 def test_a_table_that_breaks_is_said(tiny: Scenario, tmp_path: Path) -> None:

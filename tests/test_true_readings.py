@@ -275,21 +275,6 @@ def test_what_was_ordered_since_is_added_to_an_older_reading(tiny: Scenario) -> 
     assert second.solve["estimated"] == ""
 
 
-def test_what_was_refused_was_not_stored(live: Live) -> None:
-    """The battery said so; its old reading still stands, and it is left out until it is heard."""
-    http, clock = live
-    http.put("/v1/events/storm", {**DARK, "start": "2026-11-21T13:00:00Z"})
-    first = decided(http, clock, NOON, soc=0.3)
-    point = said(first, "batteries")["big"]
-    assert point["p_kw"] > 10.0
-    clock.set(NOON + pd.Timedelta("5s"))
-    http.post(f"/v1/setpoints/{point['id']}/status", {"status": "rejected"})
-    clock.set(NOON + HOUR)
-    plan = http.post("/v1/steps").json()
-    assert "soc big 0.3000" in " ".join(plan["estimated"])
-    assert "battery big is out" in plan["estimated"]
-
-
 def test_a_battery_that_was_never_heard_is_out_and_says_so(tiny: Scenario) -> None:
     controller = Controller.of(tiny, RunOptions(horizon_h=1.0, isolate=False))
     found = controller.step(Measurement(controller.times[3], {"small": 0.85}))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import signal
@@ -19,7 +18,6 @@ import numpy as np
 import pytest
 
 from tests.support import failing_solvers as failing
-from tests.support.command_line import call
 from tests.support.failing_solvers import BAD_PRICE, bad
 from tests.support.small_windows import window
 from vppres.contract.decision import Decider, Decision
@@ -99,8 +97,7 @@ def test_answers_are_the_same_to_the_last_bit(workers: Workers) -> None:
     day = load_scenario("uk-heatwave-2022")
     here = WindowSolver(Site.of(day))
     there = IsolatedSolver(Site.of(day), workers=workers)
-    windows = [window(day, slice(t0, t0 + 6)) for t0 in range(0, 20, 2)]
-    assert len(windows) == 10
+    windows = [window(day, slice(t0, t0 + 6)) for t0 in range(0, 20, 5)]
     for data in windows:
         assert same(here.solve(data), there.solve(data))
     assert len(workers._idle) == 1
@@ -108,8 +105,8 @@ def test_answers_are_the_same_to_the_last_bit(workers: Workers) -> None:
     assert compiled > 0
     there.solve(windows[0])
     assert there.compilations == compiled
-    served = here.solve(windows[5]).dispatch.served
-    one, other = here.solve_served(windows[5], served), there.solve_served(windows[5], served)
+    served = here.solve(windows[2]).dispatch.served
+    one, other = here.solve_served(windows[2], served), there.solve_served(windows[2], served)
     assert one is not None and other is not None
     assert same(one, other)
     assert here.least_slack(windows[0]) == there.least_slack(windows[0])
@@ -371,13 +368,6 @@ def test_a_run_is_isolated_on_request_faults_included(tiny: Scenario) -> None:
         runs[1].steps["objective"].to_numpy(), rel=1e-9, nan_ok=True
     )
     assert runs[1].options["isolate"] is True
-
-
-def test_the_command_line_isolates_on_request(tiny_folder: Path, tmp_path: Path) -> None:
-    out = tmp_path / "run"
-    call("run", tiny_folder, "--isolate", "--horizon", "0", "--out", out)
-    options = json.loads((out / "options.json").read_text(encoding="utf-8"))
-    assert options["options"]["isolate"] is True
 
 
 def test_windows_without_dispatch_are_widened_in_the_other_process(tiny: Scenario) -> None:

@@ -19,7 +19,7 @@ from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
 from vppres.service.access import Access
 from vppres.service.app import make_app
-from vppres.service.clock import SetClock, written
+from vppres.service.clock import Clock, SetClock, written
 from vppres.service.records import Reading, seconds
 from vppres.service.runner import Runner, Service
 from vppres.service.serve import opened
@@ -43,23 +43,29 @@ def site(tiny: Scenario, minutes: int = 60) -> Scenario:
 
 
 @contextmanager
+def serving(
+    service: Service, folder: Path | str, clock: Clock | None = None, access: Access | None = None
+) -> Iterator[tuple[Caller, Runner]]:
+    """A service that is asked without a network in between, and itself."""
+    with opened(service, folder, clock) as runner:
+        yield Caller(make_app(runner, access or Access())), runner
+
+
+@contextmanager
 def client(
-    service: Service,
-    folder: Path | str,
-    clock: SetClock | None = None,
-    access: Access | None = None,
+    service: Service, folder: Path | str, clock: Clock | None = None, access: Access | None = None
 ) -> Iterator[Caller]:
     """A service that is asked without a network in between."""
-    with opened(service, folder, clock) as runner:
-        yield Caller(make_app(runner, access or Access()))
+    with serving(service, folder, clock, access) as (http, _):
+        yield http
 
 
 @contextmanager
 def running(tiny: Scenario, folder: Path) -> Iterator[Running]:
     """A service of the tiny feeder at noon that has decided nothing yet."""
     clock = SetClock(NOON)
-    with opened(Service(site(tiny), HERE), folder, clock) as runner:
-        yield Caller(make_app(runner, Access())), clock, runner
+    with serving(Service(site(tiny), HERE), folder, clock) as (http, runner):
+        yield http, clock, runner
 
 
 @contextmanager
