@@ -124,10 +124,10 @@ def test_cars_machines_and_sets_are_in_networks_and_in_charts() -> None:
     feeder = import_network(net)
     outage = tuple(pd.Timestamp(f"2025-07-01T{hour}:00Z") for hour in ("12", "20"))
     made = NewScenarioOptions(step_minutes=240.0, add_batteries=True, outages=(outage,))
-    day = new_scenario(feeder, made).between(1, 4)
+    day = new_scenario(feeder, made)
     day = replace(day, load_kw=0.3 * day.load_kw)  # voltages within limits
     two_way = chargers(bus=day.network.buses[-1], p_discharge_kw=7.4)
-    day = plugged_in(replace(day, chargers=two_way), (0, 3), soc_at_plug_in=0.5)
+    day = plugged_in(replace(day, chargers=two_way), (0, 4), soc_at_plug_in=0.5)
     alone = max(-p_kw.sum() for p_kw, _ in extreme_steps(day))
     assert alone == pytest.approx(day.load_kw[0].sum() + 7.4)
     rooms = homes(day.customers.id[-1], t_initial_c=27.0, c_kwh_per_c=2.0)
