@@ -59,6 +59,7 @@ def names_below(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 
 
+@pytest.mark.daily
 def test_commands_load_only_what_they_need() -> None:
     code = f"loaded({HEAVY}, '--help')\nloaded({HEAVY}, '--version')\n"
     code += f"loaded({NOT_OF_VALIDATE}, 'validate', 'uk-heatwave-2022')"

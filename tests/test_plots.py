@@ -118,10 +118,6 @@ def test_runs_are_told_apart_without_colour(draw):
     assert {*RUN_STYLES[:2]} <= drawn
 
 
-def test_styles_differ_in_grey():
-    assert len({(style.dash, style.width) for style in RUN_STYLES}) == len(RUN_STYLES)
-
-
 def test_a_plan_is_drawn_beside_what_happened():
     run = replace(
         small_run(planned={"served": SERVED, "energy_kwh": [15.0, 20, 30, 20, 15]}),
