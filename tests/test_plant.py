@@ -120,6 +120,16 @@ def test_inverter_curtails_what_it_cannot_pass(tiny: Scenario) -> None:
     assert done.pv_export_kw == pytest.approx([21.0, 19.0])
 
 
+def test_inverter_below_the_owners_demand_neither_overloads_nor_makes_energy(
+    tiny: Scenario,
+) -> None:
+    # 28 kW of sun, 62 kW of demand, 21 kVA between them.
+    small = replace(tiny, pv=replace(tiny.pv, s_max_kva=np.array([21.0, 30.0])))
+    done = happened(small, 1, 0.5, decision(small))
+    assert (done.pv_self_kw + done.pv_export_kw)[0] <= 21.0 + 1e-9
+    assert (done.pv_self_kw + done.pv_export_kw + done.pv_curtailed_kw)[0] == pytest.approx(28.0)
+
+
 def test_reactive_limit_counts_what_passes_the_inverter(tiny: Scenario) -> None:
     # 28 kW of sun, 20 kW for the owner and 8 kW exported: 40 kVA leave sqrt(40^2 - 28^2) kvar.
     low = replace(tiny, load_kw=np.tile([20.0, 40.0, 50.0], (6, 1)))
