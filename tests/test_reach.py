@@ -1,4 +1,4 @@
-"""Whether everyone can be served, before anything is solved: never wrong in saying no."""
+"""Whether everyone can be served, before anything is solved; random windows: test_windows.py."""
 
 from __future__ import annotations
 
@@ -7,9 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.random_feeders import random_window
-from tests.support.small_windows import DARK, OPEN, battery, site_of, two_buses, window
-from vppres.core.errors import SolveError
+from tests.support.small_windows import DARK, OPEN, battery, site_of, two_buses, window, with_pv
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
 from vppres.solve.fleet.reach import everyone_in_reach
@@ -47,26 +45,10 @@ def test_everyone_in_an_outage_is_served_without_a_search() -> None:
     assert answer.gap < 1e-6
 
 
-@pytest.mark.daily
-def test_whoever_is_served_was_in_reach(nightly: bool) -> None:
-    served = 0
-    seeds = range(30 if nightly else 2)
-    for stressed in (False, True):
-        for seed in seeds:
-            case = random_window(seed, stressed)
-            site = Site.of(case.scenario)
-            try:
-                answer = WindowSolver(site).solve(case.data)
-            except SolveError:
-                continue
-            if answer.dispatch.served.all():
-                served += 1
-                assert everyone_in_reach(site, case.data), (seed, stressed)
-    assert 4 * served >= len(seeds)
-
-
 def test_nothing_stored_and_nothing_given_reaches_nobody() -> None:
     day = two_buses([[10.0], [5.0]], [1.0], [OPEN, DARK])
     assert not everyone_in_reach(Site.of(day), window(day))
     lit = replace(day, grid_limit_kw=np.array([OPEN, 5.0]))
     assert everyone_in_reach(Site.of(lit), window(lit))
+    sunny = with_pv(day, [0.0, 5.0])
+    assert everyone_in_reach(Site.of(sunny), window(sunny))

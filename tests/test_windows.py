@@ -32,6 +32,7 @@ from vppres.model.numerics import write
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
 from vppres.solve import solvers, whole
+from vppres.solve.fleet.reach import everyone_in_reach
 from vppres.solve.forms import Form
 from vppres.solve.ladder import METHODS, WindowSolver
 from vppres.solve.result import Outcome, SolveLimits, Status, WindowSolution
@@ -398,6 +399,8 @@ def test_decomposed_equals_monolithic(seed: int, stressed: bool) -> None:
     case, answer = random_answer(seed, stressed, "decomposed", "highs")
     _, other = random_answer(seed, stressed, "monolithic", "highs")
     assert_agree(*case, [answer, other])
+    if answer.dispatch.served.all():
+        assert everyone_in_reach(Site.of(case.scenario), case.data)
 
 
 @pytest.mark.monolith
