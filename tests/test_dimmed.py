@@ -19,7 +19,6 @@ from tests.support.small_windows import (
     OPEN,
     first_step,
     full_of,
-    site_of,
     two_buses,
     window,
     with_pv,
@@ -73,7 +72,7 @@ def test_energy_is_shared_down_to_the_least_share(
     method: str, energy_kwh: float, least: float, supplied: float
 ) -> None:
     day = dark_hours(energy_kwh, [1.0], least)
-    answer = WindowSolver(site_of(day), method).solve(window(day))
+    answer = WindowSolver(Site.of(day), method).solve(window(day))
     share = answer.dispatch.supplied.astype(float)
     assert share.sum() == pytest.approx(supplied, abs=1e-4)
     assert ((share == 0.0) | (share >= least)).all()
@@ -137,7 +136,7 @@ def test_what_is_caught_up_counts_again(
     method: str, recover_h: float, limit_kw: float, service: float
 ) -> None:
     day = dark_then_open(recover_h, limit_kw)
-    answer = WindowSolver(site_of(day), method).solve(window(day))
+    answer = WindowSolver(Site.of(day), method).solve(window(day))
     share = answer.dispatch.supplied.astype(float)[:, 0]
     assert share.sum() == pytest.approx(service, abs=1e-4)
     assert answer.objective == pytest.approx(service, abs=2e-2)  # less the cost of import

@@ -13,7 +13,7 @@ import pytest
 
 from experiments.random_feeders import random_rules, random_window
 from tests.support.agreement import assert_methods_agree
-from tests.support.small_windows import DARK, OPEN, full_of, site_of, two_buses, window
+from tests.support.small_windows import DARK, OPEN, full_of, two_buses, window
 from vppres import Controller, Measurement, RunOptions, explain_day, run_day, summarise
 from vppres.contract.switching import SwitchingState
 from vppres.control.planner import levels_of
@@ -95,7 +95,7 @@ def test_limit_is_kept_or_broken_by_the_least(
     data = window(day)
     if start is not None:
         data = with_limits(day, data, state_of(day, [0.0, off_h]))
-    answer = WindowSolver(site_of(day), method).solve(data)
+    answer = WindowSolver(Site.of(day), method).solve(data)
     assert tuple(answer.dispatch.served.sum(axis=0)) == hours_on
     assert answer.terms.f6 == pytest.approx(1.0 * beyond)
     assert answer.objective == pytest.approx(hours_on @ np.array([1.0, 0.5]) - beyond, abs=1e-3)
@@ -105,7 +105,7 @@ def test_limit_is_kept_or_broken_by_the_least(
 def test_a_due_customer_is_served_at_once() -> None:
     day = dark_hours([10.0, 10.0], [1.0, 0.5], 41.0, [np.nan, 2.0])
     data = with_limits(day, window(day), state_of(day, [0.0, 2.0]))
-    served = WindowSolver(site_of(day)).solve(data).dispatch.served
+    served = WindowSolver(Site.of(day)).solve(data).dispatch.served
     assert served[0].tolist() == [False, True]
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.support.small_windows import DARK, OPEN, battery, site_of, two_buses, window, with_pv
+from tests.support.small_windows import DARK, OPEN, battery, two_buses, window, with_pv
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
 from vppres.solve.fleet.reach import everyone_in_reach
@@ -33,14 +33,14 @@ def one_hour_then_dark(load_kw: float, soc: float) -> Scenario:
 def test_reach_is_that_of_power_and_energy(load_kw: float, soc: float, within: bool) -> None:
     scenario = one_hour_then_dark(load_kw, soc)
     data = window(scenario)
-    assert everyone_in_reach(site_of(scenario), data) is within
-    answer = WindowSolver(site_of(scenario)).solve(data)
+    assert everyone_in_reach(Site.of(scenario), data) is within
+    answer = WindowSolver(Site.of(scenario)).solve(data)
     assert answer.dispatch.served.all() == within
 
 
 def test_everyone_in_an_outage_is_served_without_a_search() -> None:
     scenario = one_hour_then_dark(40.0, 0.5)
-    answer = WindowSolver(site_of(scenario)).solve(window(scenario))
+    answer = WindowSolver(Site.of(scenario)).solve(window(scenario))
     assert answer.stages == ("cost[highs]", "tie_breakers[clarabel]")
     assert answer.gap < 1e-6
 

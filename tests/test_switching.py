@@ -21,7 +21,6 @@ from tests.support.small_windows import (
     OPEN,
     battery,
     full_of,
-    site_of,
     two_buses,
     window,
 )
@@ -72,7 +71,7 @@ def solved(day: Scenario, state: SwitchingState, method: str) -> WindowSolution:
     """All steps of a scenario as one window with rules."""
     data = window(day)
     data = replace(data, switching=state.window(data.n_steps))
-    answer = WindowSolver(site_of(day), method).solve(data)
+    answer = WindowSolver(Site.of(day), method).solve(data)
     check = check_dispatch(day, data, answer.dispatch, state)
     assert check.worst[1] <= CHECKER_TOLERANCE, check.worst
     assert answer.objective == pytest.approx(check.objective, abs=1e-9)
@@ -302,7 +301,7 @@ def test_duty_is_let_go_only_where_it_cannot_be_met(
     # With 35 kWh the duty costs the critical customer: 30 go to the one that was just restored.
     day = island([[30.0, 10.0]], [0.1, 1.0], energy_kwh)
     state = state_of(SwitchingRules(min_served_h=2.0), [True, True], [1.0, NEVER])
-    planner = OnePass(WindowSolver(site_of(day), method))
+    planner = OnePass(WindowSolver(Site.of(day), method))
     answer, relaxed = plan_with_rules(planner, seen(day, state))
     assert (relaxed, answer.dispatch.served[0].tolist()) == (let_go, served)
 

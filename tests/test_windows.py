@@ -20,7 +20,6 @@ from tests.support.small_windows import (
     DARK,
     OPEN,
     battery,
-    site_of,
     two_buses,
     window,
     with_pv,
@@ -58,7 +57,7 @@ def solve(
     limits: SolveLimits | None = None,
 ) -> WindowSolution:
     """All steps of a scenario as one window."""
-    return WindowSolver(site_of(scenario), method, solver, limits).solve(window(scenario))
+    return WindowSolver(Site.of(scenario), method, solver, limits).solve(window(scenario))
 
 
 @pytest.fixture(scope="module")
@@ -245,14 +244,18 @@ def test_answer_does_not_depend_on_what_was_solved_before(seed: int) -> None:
 
 
 def test_compiled_problems_are_kept() -> None:
-    day = replace(
-        two_buses([[66.0, 66.0]], [0.1, 1.0], [DARK]), batteries=battery(p_max_kw=200.0, soc=0.85)
+    full, poor = (
+        replace(
+            two_buses([[66.0, 66.0]], [0.1, 1.0], [DARK]),
+            batteries=battery(p_max_kw=200.0, soc=soc),
+        )
+        for soc in (0.85, 0.5)
     )
-    solver = WindowSolver(Site.of(day))
-    first = solver.solve(window(day))
+    solver = WindowSolver(Site.of(full))
+    first = solver.solve(window(full))
     compiled = solver.cache.compilations
     problems = solver.cache.problems
-    poorer = solver.solve(replace(window(day), soc=np.array([0.5])))
+    poorer = WindowSolver(Site.of(poor)).solve(window(poor))
     assert first.dispatch.served.any() and not poorer.dispatch.served.any()
     assert solver.cache.compilations == compiled
     assert all(a is b for a, b in zip(solver.cache.problems, problems, strict=True))

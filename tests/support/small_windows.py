@@ -81,12 +81,6 @@ def full_of(energy_kwh: float) -> Batteries:
     return battery(2e3, 1e3, 1e3, soc=0.15 + energy_kwh / 0.95 / 2e3)
 
 
-def site_of(day: Scenario) -> Site:
-    """Site of a day, whatever its batteries hold: windows of equal sites share their problems."""
-    b = day.batteries
-    return Site.of(replace(day, batteries=replace(b, soc_initial=b.soc_max)))
-
-
 def with_pv(scenario: Scenario, pv_kw: Sequence[float], s_max_kva: float = 100.0) -> Scenario:
     """The scenario with a PV system of customer ``c0``."""
     pv = PVSystems(id=["p0"], customer=["c0"], p_max_kw=[max(pv_kw)], s_max_kva=[s_max_kva])

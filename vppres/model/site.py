@@ -146,14 +146,18 @@ class Site:
 
     @cached_property
     def key(self) -> str:
-        """Digest of the content: sites of equal content have equal problems."""
+        """Digest of the content: sites of equal content have equal problems.
+
+        What batteries hold at first is in no problem: each window says what they hold.
+        """
+        anyhow = replace(self.batteries, soc_initial=self.batteries.soc_min)
         more: list[Any] = [] if self.ranks is None else [self.ranks]
         more += self.kinds.values()
         rules = " soft" * self.soft_voltages + " rated" * self.rated
         if self.phases is not None:
             rules += f" {self.phases.key} {content_key(self.feeder)}"
         return f"{self.dt_h}{rules} " + content_key(
-            self.weights, self.network, self.customers, self.pv, self.batteries, *more
+            self.weights, self.network, self.customers, self.pv, anyhow, *more
         )
 
     @cached_property
