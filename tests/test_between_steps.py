@@ -249,6 +249,29 @@ def test_a_believed_outage_is_over_when_its_longest_is(
         check_not_over(Belief.model_validate(body), NOON)
 
 
+@pytest.mark.parametrize("certain", [True, False])
+def test_an_outage_that_ended_within_the_step_is_over_for_the_rest_of_it(
+    live: Running, certain: bool
+) -> None:
+    """Also one that is stated as a belief of certain length."""
+    http, clock, runner = live
+    storm: dict[str, Any] = {
+        "type": "outage", "start": "2026-11-21T12:05:00Z", "end": "2026-11-21T12:20:00Z",
+    }  # fmt: skip
+    if not certain:
+        onset = {"start": "2026-11-21T12:00:00Z", "resolution": "PT10M", "probabilities": [1.0]}
+        length = {"family": "until", "until": storm["end"]}
+        storm = {"type": "outage_belief", "probability": 1.0, "onset": onset, "duration": length}
+    assert http.put("/v1/events/storm", storm).status in (200, 201)
+    dark = runner.anew()
+    assert dark is not None and not dark["grid"]["available"]
+    clock.set(LATER + pd.Timedelta("20min"))
+    http.put("/v1/mode", {"mode": "off", "reason": "work"})
+    http.put("/v1/mode", {"mode": "auto"})
+    light = runner.anew()
+    assert light is not None and light["grid"]["available"]
+
+
 def test_set_points_beyond_a_rating_and_unknown_assets_are_refused(live: Running) -> None:
     http, _, _ = live
     manual = {

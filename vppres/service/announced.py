@@ -98,8 +98,9 @@ def _certain(events: Iterable[Event]) -> Iterator[Interval]:
 
 
 def is_over(said: payloads.Event, now: pd.Timestamp) -> bool:
-    """Whether an event has ended, by its own end."""
-    return isinstance(said, payloads.Interval) and said.end is not None and said.end <= now
+    """Whether an event has ended, as it says itself."""
+    end = _last_end(said)
+    return end is not None and end <= now
 
 
 def check_not_over(said: payloads.Event, now: pd.Timestamp) -> None:
