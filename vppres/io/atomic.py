@@ -177,7 +177,8 @@ def _hidden_folder(target: Path) -> Iterator[Path]:
         # Processes of a command that ends may still write to the name; they find nothing there.
         with suppress(OSError):
             hidden = hidden.rename(_hidden_name(target))
-        shutil.rmtree(hidden, ignore_errors=True)
+        for _ in range(2):  # the second takes what was being made under the old name meanwhile
+            shutil.rmtree(hidden, ignore_errors=True)
         os.close(descriptor)
 
 
