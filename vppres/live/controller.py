@@ -353,9 +353,9 @@ class Controller:
             points, past = self._decided(seen, start[1])
         except BaseException as error:  # Ctrl-C too
             self._recall(latest)
-            if isinstance(error, VppresError) or not isinstance(error, Exception):
-                raise
-            raise SolveError(f"The step failed: {type(error).__name__}: {error}") from error
+            if isinstance(error, Exception) and not isinstance(error, VppresError):
+                raise SolveError(f"The step failed: {type(error).__name__}: {error}") from error
+            raise
         self._past = past
         if not seen.elapsed_h or self._step_before is None:
             self._step_before = start

@@ -91,6 +91,13 @@ def _stays(scenario: Scenario, stored: Plans) -> Iterator[dict[str, Any]]:
 
     One that leaves early ends then; a vehicle with a new need begins a new session.
     """
+    own = {(row["charger"], row["vehicle"]): row for row in rows_of(scenario.sessions)}
+    unknown = {
+        **dict.fromkeys(OF_SESSIONS, np.nan),
+        "tier": scenario.tiers[-1],
+        "weight": 1.0,
+        "announced": True,
+    }
     for charger in map(str, scenario.chargers.id):
         begun: Mapping[str, Any] | None = None
         row: dict[str, Any] = {}
@@ -104,20 +111,18 @@ def _stays(scenario: Scenario, stored: Plans) -> Iterator[dict[str, Any]]:
             if begun is not None:
                 yield {**row, "plug_out": min(row["plug_out"], time)}
             begun = told
-            row = {} if told is None else _session(scenario, charger, time, told)
+            if told is not None:
+                row = _session(own.get((charger, told["vehicle"]), unknown), charger, time, told)
         if begun is not None:
             yield row
 
 
 def _session(
-    scenario: Scenario, charger: str, time: pd.Timestamp, told: Mapping[str, Any]
+    known: Mapping[str, Any], charger: str, time: pd.Timestamp, told: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """A vehicle that a plan tells of: with its own capacity if the scenario knows it."""
-    nothing = dict.fromkeys(OF_SESSIONS, np.nan)
-    unknown = {**nothing, "tier": scenario.tiers[-1], "weight": 1.0, "announced": True}
-    own = {(row["charger"], row["vehicle"]): row for row in rows_of(scenario.sessions)}
+    """A vehicle that a plan tells of, with the capacity that is known of it, if any is."""
     row = {
-        **own.get((charger, told["vehicle"]), unknown),
+        **known,
         "charger": charger,
         "vehicle": told["vehicle"],
         "plug_in": time,
@@ -125,4 +130,4 @@ def _session(
     }
     if np.isclose(row["soc_needed"] * row["capacity_kwh"], told["needed_kwh"]):
         return {**row, "soc_at_plug_in": told["energy_kwh"] / row["capacity_kwh"]}
-    return {**row, **nothing, "energy_needed_kwh": told["needed_kwh"]}
+    return {**row, **dict.fromkeys(OF_SESSIONS, np.nan), "energy_needed_kwh": told["needed_kwh"]}
