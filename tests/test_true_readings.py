@@ -421,3 +421,25 @@ def test_a_lost_grid_is_believed_unless_something_contradicts_it(
         words = f"grid_on = 0 of scada is contradicted by {source}"
         assert raised["grid_contradicted"]["text"] == f"The plan ignores a reading: {words}."
         assert raised["grid_contradicted"]["priority"] == "high"
+
+
+@pytest.mark.parametrize("horizon_h", [0.0, 2.0])
+@pytest.mark.parametrize("import_factor", [1.0, 1000.0])
+def test_a_meter_in_watts_since_it_was_mounted_puts_nobody_off(
+    tiny: Scenario, horizon_h: float, import_factor: float
+) -> None:
+    """Its first reading is judged as any other; an import in W confirms nothing."""
+    day = site(tiny)
+    controller = Controller.of(day, RunOptions(horizon_h=horizon_h, isolate=False))
+    came: dict[str, Any] = {}
+    for t in range(4):
+        found = controller.step(
+            Measurement(controller.times[t], SOC, load_kw={"hospital": 64e3}, **came)
+        )
+        assert found.customers["served"].all(), t
+        assert found.solve["fallback"] == "none"
+        assert "load hospital" in found.solve["estimated"]
+        came = {
+            "battery_kw": dict(found.batteries["p_kw"]),
+            "import_kw": import_factor * found.import_kw,
+        }

@@ -101,6 +101,9 @@ class Observation:
         Vehicles, rooms and generating sets over the window; none if not given.
     told : tuple of Told
         Set-points of batteries since the last decision, where these differ from it.
+    profile_kw : array, shape (C,), optional
+        What the site's own series say of the demand in this step; where not given, they are those
+        of ``forecast``.
     """
 
     t0: int
@@ -127,6 +130,7 @@ class Observation:
     owed: Owed | None = None
     ahead: KindsAhead = field(default_factory=KindsAhead)
     flexible_kw: float | None = None
+    profile_kw: Floats | None = None
 
     def counted(self, times: float) -> Observation:
         """The same where a weighted customer hour in an outage counts as so many."""

@@ -173,6 +173,8 @@ class Seen:
         Energy that was read of the vehicles at chargers.
     sets : Readings
         What generating sets told.
+    profile_kw : array, shape (C,)
+        What the scenario says of the demand in the step.
     """
 
     t: int
@@ -196,6 +198,7 @@ class Seen:
     ev_kwh: Floats
     indoor_c: Floats
     sets: Readings
+    profile_kw: Floats
 
     def window(self, rows: range) -> Seen:
         """The same of some steps alone, of which the first is the present one."""
@@ -309,6 +312,7 @@ def _seen(scenario: Scenario, measured: Measurement, guard: bool, earliest: int)
             **of_grid,
         ),
         load_kw=np.where(connected, load_kw[door.t], 0.0),
+        profile_kw=scenario.load_kw[door.t] * connected,
         pv_kw=pv_kw[door.t],
         **of_batteries,
         import_kw=import_kw,

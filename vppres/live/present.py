@@ -124,6 +124,7 @@ class Present:
             elapsed_h=seen.elapsed_h,
             soc_age_h=seen.soc_age_h,
             told=seen.told,
+            profile_kw=seen.profile_kw,
         )
 
     def _ahead(self) -> KindsAhead:

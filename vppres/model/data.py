@@ -280,7 +280,9 @@ class WindowData:
         highest = np.broadcast_to(network.u_max_pu2, shape)
         if self.own_u_pu2 is None:
             return lowest, highest
-        return np.fmin(lowest, self.own_u_pu2), np.fmax(highest, self.own_u_pu2)
+        # Linear voltages of a feeder that cannot carry its demand fall below 0.
+        own = np.maximum(self.own_u_pu2, 0.0)
+        return np.fmin(lowest, own), np.fmax(highest, own)
 
     @property
     def ending(self) -> Ending:

@@ -2,7 +2,8 @@
 
 A frozen reading is replaced where the plant contradicts it. A demand that is ten times, or a tenth
 of, all that was forecast or read before is in another unit or a spike: it is replaced until the
-import that is measured over a step says that it was right.
+import that is measured over a step says that it was right. One that the lines to the customer
+could not carry is never right, and an import that the connection could not pass says nothing.
 """
 
 from __future__ import annotations
@@ -41,12 +42,16 @@ class _Frozen:
 
 @dataclass(frozen=True, eq=False)
 class _Step:
-    """A step: readings that are usable, what had been forecast, and demand as it was read."""
+    """A step: readings that are usable, what had been forecast, and demand as it was read.
+
+    An import beyond ``most_import_kw`` says nothing of it.
+    """
 
     t: int
     seen: Readings
     expected: Readings
     read_kw: Floats
+    most_import_kw: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +86,7 @@ class SeriesJudge:
         )
         self._far = np.zeros(len(site.customers), dtype=bool)
         self._usual = _Usual(np.full(len(site.customers), np.inf), np.zeros(len(site.customers)))
+        self._carried_kw = _carried_kw(site)
 
     def judged(
         self, seen: Observation, expected: Readings, foretold: bool, commanded: Commanded | None
@@ -100,9 +106,12 @@ class SeriesJudge:
         """
         read_kw = seen.forecast.load_kw[0]
         self._learn(seen, commanded)
-        self._far = far = self._far_now(read_kw, seen, expected) & foretold
+        profiled = foretold or seen.profile_kw is not None
+        far = self._far_now(read_kw, seen, expected) & profiled
+        beyond = read_kw > self._carried_kw
+        self._far = far = far | (beyond & (expected.load_kw < self._carried_kw))
         usable = Readings(np.where(far, expected.load_kw, read_kw), seen.forecast.pv_kw[0])
-        now = _Step(seen.t0, usable, expected, read_kw)
+        now = _Step(seen.t0, usable, expected, read_kw, _most_import_kw(seen, expected, usable))
         frozen = self._frozen_now(now, seen, commanded)
         kept = frozen.any and not self._forecast_was_nearer(seen, commanded, frozen)
         self._frozen = frozen
@@ -124,7 +133,8 @@ class SeriesJudge:
 
         By more than meters are off by; where no demand was expected nothing is far.
         """
-        ahead = np.vstack([expected.load_kw, seen.forecast.load_kw[1:]])
+        profile_kw = expected.load_kw if seen.profile_kw is None else seen.profile_kw
+        ahead = np.vstack([expected.load_kw, profile_kw, seen.forecast.load_kw[1:]])
         most_kw = np.maximum(ahead.max(axis=0), self._usual.most_kw)
         least_kw = np.minimum(ahead.min(axis=0), self._usual.least_kw)
         far = (read_kw > FAR * most_kw) | (read_kw < least_kw / FAR)
@@ -140,7 +150,7 @@ class SeriesJudge:
         used = self._mismatch(seen, commanded, before.seen)
         read = self._mismatch(seen, commanded, replace(before.seen, load_kw=before.read_kw))
         if used is not None and read is not None and abs(read) < abs(used):
-            kw = before.read_kw
+            kw = np.where(before.read_kw > self._carried_kw, before.seen.load_kw, before.read_kw)
             self._usual = _Usual(
                 np.where(self._far, np.minimum(self._usual.least_kw, kw), self._usual.least_kw),
                 np.where(self._far, np.maximum(self._usual.most_kw, kw), self._usual.most_kw),
@@ -184,9 +194,41 @@ class SeriesJudge:
         self, seen: Observation, commanded: Commanded | None, readings: Readings
     ) -> float | None:
         """Mismatch of the step before, None where it is not known."""
-        if commanded is None or self._before is None or seen.t0 != self._before.t + 1:
+        before = self._before
+        if commanded is None or before is None or seen.t0 != before.t + 1:
+            return None
+        if seen.import_kw is None or seen.import_kw > before.most_import_kw:
             return None
         return mismatch_kw(self.site, commanded, seen, readings)
+
+
+def _carried_kw(site: Site) -> Floats:
+    """The most demand that the lines to each customer could carry, were it the only one, (C,).
+
+    Beyond the nose of its power flow there is no voltage, and linear squared voltages fall below
+    half of the slack bus's no later than there.
+    """
+    net = site.network
+    r, x = (
+        site.customer_bus.T @ (drop @ net.downstream)
+        for drop in (net.r_pu2_per_kw, net.x_pu2_per_kvar)
+    )
+    per_kw = np.maximum(r + x * site.customers.q_per_p, 0.0)
+    most = np.full(len(per_kw), np.inf)
+    return np.divide(0.25 * net.v_slack_pu**2, per_kw, out=most, where=per_kw > 0.0)
+
+
+def _most_import_kw(seen: Observation, expected: Readings, usable: Readings) -> float:
+    """The most import of a step that is one: what the connection passes, and no more than far.
+
+    A demand that was believed counts as expected.
+    """
+    limit_kw = float(seen.forecast.grid_limit_kw[0])
+    demand_kw = float(np.fmax(expected.load_kw, usable.load_kw).sum())
+    battery_kw = 0.0 if seen.battery_kw is None else float(np.abs(seen.battery_kw).sum())
+    far_kw = FAR * (demand_kw + battery_kw) + tolerance_kw(demand_kw)
+    passes_kw = limit_kw + tolerance_kw(limit_kw) if limit_kw > 0.0 else np.inf
+    return min(far_kw, passes_kw)
 
 
 def _estimated(
