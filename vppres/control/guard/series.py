@@ -51,7 +51,7 @@ class _Step:
     seen: Readings
     expected: Readings
     read_kw: Floats
-    most_import_kw: float
+    most_import_kw: float = np.inf
 
 
 @dataclass(frozen=True, eq=False)
