@@ -164,6 +164,7 @@ class Message:
 
     topic: str = "vppres/telemetry/big/soc"
     payload: bytes = b"0.4"
+    retain: bool = False
 
 
 def test_what_the_service_does_not_take_is_kept_or_told(tmp_path: Path) -> None:
@@ -261,3 +262,16 @@ def test_a_bridge_waits_for_its_broker(tmp_path: Path, caplog: pytest.LogCapture
             running.join(20)
         assert not running.is_alive()
         bridge.service.close()
+
+
+def test_a_retained_message_is_left_out_and_a_text_is_told(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    bridge = Bridge(Client("http://127.0.0.1:9"), Topics())
+    topic = "vppres/telemetry/big/soc"
+    bridge._heard(None, None, Message(topic, b".9", retain=True))
+    for payload in (b".5", b"62 %", b"1_0e-1"):
+        bridge._heard(None, None, Message(topic, payload))
+    assert [one["values"] for one in bridge._waiting] == [[0.5], [None], [None]]
+    assert "is retained" in caplog.text
+    assert "is no number: b'62 %'" in caplog.text

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import logging
+import socket
 import threading
 from collections.abc import Iterator
+from contextlib import suppress
 from email.message import EmailMessage
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from typing import Any
@@ -119,3 +121,63 @@ def test_an_address_that_is_none(text: str) -> None:
     with pytest.raises(InputError, match="is no address of a webhook or for mail") as found:
         target_of(text)
     assert "Write https://HOST/PATH, or smtp://" in str(found.value)
+
+
+ODD_ANSWERS = {
+    "of another protocol": b"SSH-2.0-OpenSSH_9.2\r\n",
+    "with a status that is no number": b"HTTP/1.1 ok fine\r\n\r\n",
+    "of a redirect": b"HTTP/1.1 302 Found\r\nLocation: http://127.0.0.1:9/\r\n\r\n",
+    "of nothing": b"",
+}
+
+
+@pytest.mark.parametrize("answer", ODD_ANSWERS.values(), ids=ODD_ANSWERS)
+def test_an_odd_answer_of_one_webhook_keeps_no_notice_from_another(
+    answer: bytes,
+    hook: tuple[str, list[Any]],
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    monkeypatch.setattr(notify, "ATTEMPTS_AFTER_S", (0.0, 0.0))
+    odd = socket.create_server(("127.0.0.1", 0))
+
+    def talk() -> None:
+        for _ in range(4):
+            with suppress(OSError), odd.accept()[0] as other:
+                other.recv(65536)
+                other.sendall(answer)
+
+    threading.Thread(target=talk, daemon=True).start()
+    address, posted = hook
+    targets = [target_of(f"http://127.0.0.1:{odd.getsockname()[1]}/"), target_of(address)]
+    with notifier("my-feeder", targets) as take, caplog.at_level(logging.ERROR):
+        take(NOTICE)
+        take(Notice("cleared", [ALARM]))
+    odd.close()
+    assert [one["what"] for one in posted] == ["raised", "cleared"]
+    assert caplog.text.count("notice given up for 127.0.0.1") == 2
+
+
+def test_a_webhook_that_never_ends_its_answer_holds_up_no_other(
+    hook: tuple[str, list[Any]], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(notify, "ATTEMPTS_AFTER_S", (0.0,))
+    monkeypatch.setattr(notify, "DELIVERY_S", 0.1)
+    hangs = threading.Event()
+    address, posted = hook
+    with notifier(
+        "my-feeder", [Target("slow", lambda _: hangs.wait() and None), target_of(address)]
+    ) as take:
+        take(NOTICE)
+        take(NOTICE)
+    hangs.set()
+    assert len(posted) == 2
+    assert caplog.text.count("notice given up for slow") == 2
+
+
+@pytest.mark.parametrize(
+    "text", ["http://[::1", "https://host/a b", "https://host:port/x", "http://h\n/"]
+)
+def test_an_address_that_cannot_be_one_is_refused_at_the_start(text: str) -> None:
+    with pytest.raises(InputError, match="is no address of a webhook or for mail"):
+        target_of(text)

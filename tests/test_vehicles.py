@@ -30,6 +30,7 @@ from vppres import (
     Measurement,
     RunOptions,
     explain_day,
+    load_scenario,
     run_day,
     summarise,
 )
@@ -455,3 +456,15 @@ def test_what_plans_no_vehicles_is_refused() -> None:
     )
     with pytest.raises(InputError, match=r"customer.*c0.*switched in parts.*charger k0"):
         run_day(parts)
+
+
+def test_a_vehicle_that_needs_more_than_it_holds_is_refused_by_row(tmp_path: Path) -> None:
+    folder = tmp_path / "village"
+    write_scenario(load_scenario("village-hot-week"), folder)
+    file = folder / "ev_sessions.csv"
+    sessions = pd.read_csv(file, dtype=str)
+    sessions.loc[0, ["energy_needed_kwh", "capacity_kwh"]] = ["90", "40"]
+    sessions.loc[0, ["soc_at_plug_in", "soc_needed"]] = np.nan
+    sessions.to_csv(file, index=False)
+    with pytest.raises(InputError, match=r"row 2.*energy_needed_kwh.*more than the vehicle holds"):
+        load_scenario(folder)

@@ -31,6 +31,10 @@ def _of_session(table: Table, row: int, session: schema.Row) -> list[Problem]:
         message = "is said beside states of charge"
         cure = "Keep the energy, or capacity_kwh, soc_at_plug_in and soc_needed."
         found.append(table.problem(row, "energy_needed_kwh", message, cure, kwh))
+    if kwh is not None and session.capacity_kwh is not None and kwh > session.capacity_kwh:
+        message = f"is more than the vehicle holds (capacity_kwh {session.capacity_kwh:g})"
+        cure = "Give at most capacity_kwh, or correct capacity_kwh."
+        found.append(table.problem(row, "energy_needed_kwh", message, cure, kwh))
     for name in STATES:
         if kwh is None and name not in told:
             message = "is missing, and so is energy_needed_kwh"

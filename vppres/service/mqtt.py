@@ -3,7 +3,9 @@
 ``python -m vppres.service.mqtt`` needs the extra ``vppres[mqtt]`` and a broker that speaks MQTT 5.
 
 ============================================  ==================================================
-``vppres/telemetry/ASSET/QUANTITY``           read: a number, or nothing where it is missing
+``vppres/telemetry/ASSET/QUANTITY``           read: a number, or nothing where it is missing;
+                                              retained messages are left out, since nothing says
+                                              from when they are
 ``vppres/setpoints/ASSET``                    written, retained: the set-point as JSON, which the
                                               broker forgets when it ends
 ``vppres/status``                             written, retained: ``online``, and ``offline`` as
@@ -113,14 +115,22 @@ class Bridge:
 
     def _heard(self, _broker: Any, _data: Any, message: Any) -> None:
         """A reading; what is no number is known to be missing, what is no reading is left out."""
+        # The broker keeps no time with a retained message: stamped now, it would replace readings
+        # that are newer. A source's next message is not marked as retained.
+        if message.retain:
+            log.warning("%r is retained, from an unknown time: left out", message.topic)
+            return
         asset, quantity = self.topics.reading(message.topic)
+        value = _number(message.payload)
+        if value is None and message.payload:
+            log.warning("%r is no number: %r", message.topic, message.payload[:40])
         reading = {
             "source": "mqtt",
             "asset": asset,
             "quantity": quantity,
             "start": written(pd.Timestamp.now(tz="UTC").floor("s")),
             "resolution": self.resolution,
-            "values": [_number(message.payload)],
+            "values": [value],
         }
         try:
             Readings.model_validate(reading)
@@ -204,7 +214,8 @@ def _number(payload: bytes) -> float | None:
         value = float(payload)
     except ValueError:
         return None
-    return value if math.isfinite(value) else None
+    # Python reads 1_0 as ten; no device means that.
+    return value if math.isfinite(value) and b"_" not in payload else None
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

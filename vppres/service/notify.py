@@ -1,4 +1,4 @@
-"""Tells people of alarms: webhooks and mail, in a thread of its own that holds up no step."""
+"""Tells people of alarms: webhooks and mail, each in a thread of its own that holds up no step."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import queue
 import smtplib
 import ssl
 import threading
+import time
+import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -23,6 +25,9 @@ from vppres.core.text import visible
 from vppres.service.alarms import Notice
 
 TIMEOUT_S = 10.0
+DELIVERY_S = 30.0
+"""Limit of one attempt as a whole: a server that sends a byte now and then never times out."""
+
 ATTEMPTS_AFTER_S = (0.0, 5.0, 60.0)
 """Waits before each attempt: a server that restarts is back by the last one."""
 
@@ -53,7 +58,7 @@ def target_of(text: str) -> Target:
     InputError
         If it is neither.
     """
-    parts = urlsplit(text)
+    parts = _parts(text)
     kinds: dict[str, Callable[[SplitResult], Send]] = {
         "http": _webhook,
         "https": _webhook,
@@ -62,12 +67,26 @@ def target_of(text: str) -> Target:
     }
     mail = parts.scheme in SMTP_PORTS
     if parts.scheme not in kinds or not parts.hostname or (mail and "@" not in parts.path):
-        cure = "Write https://HOST/PATH, or smtp://USER@HOST:PORT/TO?from=FROM."
-        shown = f"{parts.scheme}://{parts.hostname or ''}"
-        raise InputError.of(
-            "options", "is no address of a webhook or for mail", cure, field="notify", value=shown
-        )
+        raise _no_address(f"{parts.scheme}://{parts.hostname or ''}")
     return Target(parts.hostname, kinds[parts.scheme](parts))
+
+
+def _parts(text: str) -> SplitResult:
+    """Parts of an address; InputError if it cannot be one. What may be secret is not shown."""
+    if not text.isprintable() or " " in text:
+        raise _no_address("an address with a space or a control character")
+    try:
+        parts = urlsplit(text)
+        _ = parts.port
+    except ValueError as error:
+        raise _no_address(text.partition(":")[0] + "://...") from error
+    return parts
+
+
+def _no_address(shown: str) -> InputError:
+    cure = "Write https://HOST/PATH, or smtp://USER@HOST:PORT/TO?from=FROM."
+    problem = "is no address of a webhook or for mail"
+    return InputError.of("options", problem, cure, field="notify", value=shown)
 
 
 def message_of(site: str, notice: Notice) -> dict[str, Any]:
@@ -81,56 +100,104 @@ def message_of(site: str, notice: Notice) -> dict[str, Any]:
 
 @contextmanager
 def notifier(site: str, targets: Iterable[Target]) -> Iterator[Callable[[Notice], None]]:
-    """Something that takes notices, and sends each to all targets until the end."""
-    waiting: queue.Queue[dict[str, Any] | None] = queue.Queue(MOST_WAITING)
+    """Something that takes notices, and sends each to every target until the end."""
     ended = threading.Event()
-
-    def work() -> None:
-        while (message := waiting.get()) is not None:
-            for target in every:
-                _deliver(target, message, ended)
+    couriers = [_Courier(target, ended) for target in targets]
 
     def take(notice: Notice) -> None:
-        try:
-            waiting.put_nowait(message_of(site, notice))
-        except queue.Full:
-            log.error("notice dropped: %d wait to be sent", MOST_WAITING)
+        message = message_of(site, notice)
+        for courier in couriers:
+            courier.take(message)
 
-    every = list(targets)
-    thread = threading.Thread(target=work, name="vppres-notify", daemon=True)
-    thread.start()
     try:
         yield take
     finally:
         ended.set()
+        until = time.monotonic() + TIMEOUT_S
+        for courier in couriers:
+            courier.end(until)
+
+
+class _Courier:
+    """Delivers to one target in a thread of its own: one that hangs holds up no other."""
+
+    def __init__(self, target: Target, ended: threading.Event) -> None:
+        self._target, self._ended = target, ended
+        self._waiting: queue.Queue[dict[str, Any] | None] = queue.Queue(MOST_WAITING)
+        self._attempt: threading.Thread | None = None
+        self._thread = threading.Thread(target=self._work, name="vppres-notify", daemon=True)
+        self._thread.start()
+
+    def take(self, message: dict[str, Any]) -> None:
         try:
-            waiting.put(None, timeout=TIMEOUT_S)
+            self._waiting.put_nowait(message)
+        except queue.Full:
+            log.error("notice dropped: %d wait to be sent", MOST_WAITING)
+
+    def end(self, until: float) -> None:
+        """Send what waits, until a time of the monotonic clock."""
+        try:
+            self._waiting.put(None, timeout=max(until - time.monotonic(), 0.0))
         except queue.Full:
             log.error("notices dropped at the end")
-        thread.join(TIMEOUT_S)
+        self._thread.join(max(until - time.monotonic(), 0.0))
+
+    def _work(self) -> None:
+        while (message := self._waiting.get()) is not None:
+            self._deliver(message)
+
+    def _deliver(self, message: dict[str, Any]) -> None:
+        """Send a message, again if that fails; after the end without a wait."""
+        for wait_s in ATTEMPTS_AFTER_S:
+            self._ended.wait(wait_s)
+            failure = self._failure(message)
+            if failure is None:
+                return
+            log.warning("notice not sent to %s: %s", self._target.name, type(failure).__name__)
+        log.error("notice given up for %s", self._target.name)
+
+    def _failure(self, message: dict[str, Any]) -> Exception | None:
+        """Send once, within the limit; what went wrong, or None."""
+        # An attempt that hangs is left to itself, and none begins beside it: one thread at most.
+        if self._attempt is not None and self._attempt.is_alive():
+            return TimeoutError()
+        results: list[Exception | None] = []
+
+        def attempt() -> None:
+            try:
+                self._target.send(message)
+                results.append(None)
+            # Whatever a server answers ends the attempt, never the courier.
+            except Exception as error:
+                results.append(error)
+
+        self._attempt = threading.Thread(target=attempt, name="vppres-notice", daemon=True)
+        self._attempt.start()
+        self._attempt.join(DELIVERY_S)
+        return results[0] if results else TimeoutError()
 
 
-def _deliver(target: Target, message: dict[str, Any], ended: threading.Event) -> None:
-    """Send a message, again if that fails; after the end without a wait."""
-    for wait_s in ATTEMPTS_AFTER_S:
-        ended.wait(wait_s)
-        try:
-            target.send(message)
-            return
-        except (OSError, smtplib.SMTPException) as error:
-            log.warning("notice not sent to %s: %s", target.name, type(error).__name__)
-    log.error("notice given up for %s", target.name)
+class _NoRedirect(urllib.request.HTTPRedirectHandler):
+    """A redirect is no delivery: the notice would be posted to nobody, as a GET."""
+
+    def redirect_request(self, *_: Any) -> None:
+        return None
 
 
 def _webhook(parts: SplitResult) -> Send:
     """Posts JSON."""
+    opener = urllib.request.build_opener(_NoRedirect)
 
     def send(message: dict[str, Any]) -> None:
         body = json.dumps(message).encode()
         headers = {"Content-Type": "application/json"}
         request = urllib.request.Request(parts.geturl(), body, headers, method="POST")
-        with urllib.request.urlopen(request, timeout=TIMEOUT_S) as answer:
-            answer.read(0)
+        try:
+            with opener.open(request, timeout=TIMEOUT_S) as answer:
+                answer.read(0)
+        except urllib.error.HTTPError as error:
+            error.close()
+            raise
 
     return send
 

@@ -215,7 +215,8 @@ def _carried_kw(site: Site) -> Floats:
     )
     per_kw = np.maximum(r + x * site.customers.q_per_p, 0.0)
     most = np.full(len(per_kw), np.inf)
-    return np.divide(0.25 * net.v_slack_pu**2, per_kw, out=most, where=per_kw > 0.0)
+    found: Floats = np.divide(0.25 * net.v_slack_pu**2, per_kw, out=most, where=per_kw > 0.0)
+    return found
 
 
 def _most_import_kw(seen: Observation, expected: Readings, usable: Readings) -> float:
