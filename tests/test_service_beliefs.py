@@ -11,11 +11,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy import stats
 
 from tests.support.asgi import Caller
 from tests.support.live_service import HERE, NOON, client, decided, readings, said, site
 from vppres.outlook.durations import of_length
+from vppres.outlook.outlook import OutageOutlook, seen_outages
 from vppres.scenario.outage_warnings import OnsetShares, OutageLength, OutageStatistics
 from vppres.scenario.scenario import Scenario
 from vppres.service.announced import warnings
@@ -303,3 +306,53 @@ def test_who_is_silent_for_long_is_taken_for_what_may_be(tiny: Scenario, tmp_pat
         assert "pv_kw roof is p10 of its forecast" in words
         roof = said(imports[1], "pv")["roof"]
         assert roof["p_kw"] <= 5.0 + 1e-6
+
+
+MINUTE = pd.Timedelta("1min")
+
+
+@given(
+    st.lists(
+        st.tuples(st.integers(1, 400), st.integers(1, 200)),
+        min_size=1,
+        max_size=5,
+    ),
+    st.permutations(range(5)),
+)
+def test_certain_outages_are_dark_in_each_step_that_one_of_them_touches(
+    spans: list[tuple[int, int]], order: list[int]
+) -> None:
+    """Whatever their names, order and lengths, in every step of the day."""
+    events: dict[str, Event] = {}
+    dark = np.zeros(14, dtype=bool)
+    for place, (start, length) in enumerate(spans):
+        end = start + length
+        times = {"start": NOON + start * MINUTE, "end": NOON + end * MINUTE}
+        body = {"type": "outage"} | {key: time.isoformat() for key, time in times.items()}
+        told = seconds(NOON) - 3600 + 60 * order[place]
+        events[f"event {place}"] = Event(1, body, told, told)
+        dark[start // 60 : -(-end // 60)] = True
+
+    times = pd.date_range(NOON, periods=14, freq="h")
+    for t, now in enumerate(times):
+        outlook = OutageOutlook(warnings(events, now, HOUR), OutageStatistics("none"), 1.0)
+        seen = seen_outages(times[: t + 1], [*dark[: t + 1]])
+        believed = outlook.at(now, 14 - t, seen).out_probability
+        assert believed == pytest.approx(dark[t:].astype(float))
+
+
+def test_two_outages_that_touch_one_step_are_both_planned_for(
+    tiny: Scenario, tmp_path: Path
+) -> None:
+    spans = {"a": ("12:05", "12:20"), "b": ("12:40", "16:00")}
+    with believing(tiny, tmp_path) as (http, clock):
+        for name, (start, end) in spans.items():
+            body = {
+                "type": "outage",
+                "start": f"2026-11-21T{start}:00Z",
+                "end": f"2026-11-21T{end}:00Z",
+            }
+            assert http.put(f"/v1/events/{name}", body).status == 201
+        grid_on(http, NOON, False)
+        plan = decided(http, clock, NOON)
+        assert plan["outage_probability"][:5] == pytest.approx([1.0, 1.0, 1.0, 1.0, 0.0])
