@@ -40,6 +40,7 @@ from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock, written
 from vppres.service.runner import Service
 from vppres.solve.ladder import METHODS, WindowSolver
+from vppres.solve.result import SolveLimits
 
 
 def dimmable(day: Scenario, *least: float) -> Scenario:
@@ -141,6 +142,20 @@ def test_what_is_caught_up_counts_again(
     assert share.sum() == pytest.approx(service, abs=1e-4)
     assert answer.objective == pytest.approx(service, abs=2e-2)  # less the cost of import
     assert answer.status == "optimal"
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_connection_carries_what_is_caught_up(method: str) -> None:
+    """30 kW are missing of the first hour, and no battery takes more than the customers do."""
+    day = two_buses([[50.0, 50.0]] * 3, [1.0, 0.1], [70.0, OPEN, OPEN])
+    customers = replace(day.customers, share_min=[1.0, 0.2], recover_h=[np.nan, 2.0])
+    day = replace(day, customers=customers)
+    answer = WindowSolver(Site.of(day), method, limits=SolveLimits(1e-7, 1e-6)).solve(window(day))
+    share = answer.dispatch.supplied.astype(float)
+    assert share[0] == pytest.approx([1.0, 0.4], abs=1e-4)
+    assert share[1:].sum() == pytest.approx(2.0 + 2.6, abs=1e-4)
+    assert answer.objective == pytest.approx(3.3, abs=2e-2)  # less the cost of import
+    assert answer.bound >= answer.objective - 1e-6
 
 
 def dark_then_open(recover_h: float, limit_kw: float) -> Scenario:

@@ -27,6 +27,23 @@ HERE = vppres.RunOptions(horizon_h=1.0, priority="weights", isolate=False, guard
 HOUR = pd.Timedelta(hours=1)
 
 
+@pytest.mark.parametrize("seed", range(20))
+def test_rotation_of_single_weights_keeps_sums_and_passes_no_tier(seed: int) -> None:
+    """Whoever weighed more than one of any lower tier still does."""
+    rng = np.random.default_rng(seed)
+    n = 8
+    tier, weight = rng.choice(TIERS, n), rng.uniform(0.02, 2.0, n).round(2)
+    ids = np.arange(n).astype(object)
+    customers = Customers(ids, ids, tier, weight, np.full(n, 0.9))
+    off_h = rng.uniform(0.0, 40.0, n) * rng.integers(0, 2, n)
+    after = rotated(customers, TIERS, off_h, 0.5)
+    for name in TIERS:
+        assert after[tier == name].sum() == pytest.approx(weight[tier == name].sum(), rel=1e-9)
+    rank = np.array([TIERS.index(name) for name in tier])
+    before_all = (rank[:, None] < rank) & (weight[:, None] >= weight)
+    assert (after[:, None] >= after - 1e-12)[before_all].all()
+
+
 @given(
     st.lists(st.tuples(st.sampled_from(TIERS), st.integers(0, 30_000)), min_size=1, max_size=12),
     st.integers(0, 1_000),

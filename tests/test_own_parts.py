@@ -17,6 +17,7 @@ from vppres.control.mpc import MPCController
 from vppres.day.options import RunOptions
 from vppres.day.recorder import ROTATED
 from vppres.forecasts.interface import LoadAndPV
+from vppres.model import problem
 from vppres.model.site import Site
 from vppres.scenario.history import History
 from vppres.scenario.scenario import Scenario
@@ -44,6 +45,38 @@ def test_a_controller_of_ones_own_decides_each_step(tiny: Scenario) -> None:
     for name in ("customers", "batteries", "pv"):
         pd.testing.assert_frame_equal(run.tables[name], same.tables[name])
     assert run.options["own"]["controller"].endswith("Idle")
+
+
+@pytest.mark.parametrize("part", ["objective", "constraint", "controller", "forecaster"])
+def test_a_typo_of_ones_own_is_raised(
+    tiny: Scenario, monkeypatch: pytest.MonkeyPatch, part: str
+) -> None:
+    """No step is decided by rule for it: the error names the step and the function."""
+
+    class Mistaken(IdleController):
+        def __init__(self, site: Site) -> None:
+            super().__init__(site, tiny.tiers)
+
+        def decide(self, observation: Observation) -> Decision:
+            return typo(observation)
+
+        def forecast(self, history: History, issued_at: pd.Timestamp, steps: int) -> Any:
+            return typo(history)
+
+    def typo(first: Any, v: Any = None, p: Any = None) -> Any:
+        return (first if v is None else v).serverd
+
+    name = {"objective": "paper_objective", "constraint": "paper_constraints"}.get(part)
+    if name is not None:
+        monkeypatch.setattr(problem, name, typo)
+    own: dict[str, Any] = {
+        "controller": {"controller": Mistaken},
+        "forecaster": {"forecaster": Mistaken(Site.of(tiny))},
+    }.get(part, {})
+    # A site of its own: problems that were compiled before have no typo in them.
+    customers = replace(tiny.customers, weight=tiny.customers.weight * 1.01)
+    with pytest.raises(AttributeError, match=r"(?s)serverd.*step 0 of the day, in .*typo"):
+        vppres.run_day(replace(tiny, customers=customers), HERE, **own)
 
 
 def test_a_forecaster_of_ones_own_is_asked_for_what_comes(tiny: Scenario) -> None:

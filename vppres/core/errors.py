@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import os
+import sysconfig
 from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
+from traceback import walk_tb
 from typing import Any
 
 from vppres.core.text import brief, visible
+
+_LIBRARIES = tuple(f"{path}{os.sep}" for path in map(sysconfig.get_path, ("stdlib", "purelib")))
+_PACKAGE = f"{Path(__file__).parents[1]}{os.sep}"
 
 
 @dataclass(frozen=True)
@@ -78,6 +85,15 @@ def named_line(error: BaseException) -> str:
     """
     lines = str(error).splitlines()
     return f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__
+
+
+def function_of(error: BaseException) -> str:
+    """The function that an exception comes from: the innermost one outside of libraries."""
+    frames = [frame.f_code for frame, _ in walk_tb(error.__traceback__)]
+    written = [code for code in frames if not code.co_filename.startswith(_LIBRARIES)]
+    own = [code for code in written if not code.co_filename.startswith(_PACKAGE)]
+    code = (own or written or frames)[-1]
+    return f"{code.co_qualname}, {Path(code.co_filename).name} line {code.co_firstlineno}"
 
 
 class VppresError(Exception):

@@ -21,8 +21,9 @@ from vppres.control.mpc import MPCController
 from vppres.control.phased import PhasedPlanner
 from vppres.control.planner import Planner
 from vppres.control.rotation import Rotating
+from vppres.core.errors import SolveError, VerificationError
 from vppres.day.checks import check_run
-from vppres.day.faults import FaultInjector, FaultySolver
+from vppres.day.faults import FaultInjector, FaultySolver, SolverKilledError
 from vppres.day.options import RunOptions
 from vppres.day.own import ByStepWeights, Own
 from vppres.day.priority import site_of, weighed
@@ -34,6 +35,10 @@ from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
 from vppres.solve.isolated import IsolatedSolver
 from vppres.solve.ladder import WindowSolver
+
+FAILURES = (SolveError, VerificationError, SolverKilledError, MemoryError, OSError)
+"""Errors that the guard answers in a simulated day. Any other one is a mistake in code, and figures
+of a day that rules decided for it would look like figures."""
 
 
 def make_controller(
@@ -59,7 +64,8 @@ def make_controller(
     make_solver : callable, optional
         Makes the solver of a site; that of the options if not given.
     own : Own, optional
-        What replaces the controller that the options name, or the weights of its customers.
+        What replaces the controller that the options name, or the weights of its customers; given
+        for a simulated day only.
 
     Raises
     ------
@@ -70,6 +76,7 @@ def make_controller(
     options = options.on(scenario)
     check_run(scenario, options, grid)
     site = site_of(scenario, options.as_record())
+    guard_options = _guard_options(scenario, options, simulated=own is not None)
     make = make_solver or _solver_maker(options)
 
     def solver_of(part: Site) -> WindowSolver:
@@ -83,7 +90,7 @@ def make_controller(
     def decider_of(whole: Site) -> Decider:
         if not options.guard:
             return controller_of(whole)
-        return GuardedController(controller_of, solver_of, whole, _guard_options(scenario, options))
+        return GuardedController(controller_of, solver_of, whole, guard_options)
 
     def controllers() -> ByWeight:
         return ByWeight(
@@ -102,17 +109,19 @@ def make_controller(
     return decider_of(site)
 
 
-def _guard_options(scenario: Scenario, options: RunOptions) -> GuardOptions:
-    """What the guard holds decisions to."""
+def _guard_options(scenario: Scenario, options: RunOptions, simulated: bool) -> GuardOptions:
+    """What the guard holds decisions to, and which errors it answers."""
     # A rule does not plan for voltages, and must not be replaced by another rule for them.
     v_pu = np.inf if options.controller in ("idle", "reserve") else Tolerances().v_pu
     physical = options.mode == "physical"
+    answers = FAILURES if simulated else (Exception,)
     return GuardOptions(
         scenario.tiers,
         options.protect_critical,
         options.centre,
         Tolerances(v_pu=v_pu, losses=physical),
         physical=physical,
+        answers=answers,
     )
 
 

@@ -20,6 +20,7 @@ from vppres.contract.owed import Owed
 from vppres.contract.switching import SwitchingState
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
+from vppres.core.errors import ModelError, VppresError, function_of
 from vppres.day.assembly import make_controller
 from vppres.day.checks import check_parts
 from vppres.day.faults import FaultInjector, FaultPlan
@@ -89,6 +90,8 @@ def run_day(
         If an option is unknown, or the scenario holds a number that no equipment has.
     SolveError
         If a window has no solution and the guard is off.
+    Exception
+        Whatever your own parts raise, with the step and the function in a note.
     """
     options = (options or RunOptions()).on(scenario)
     own = Own(controller, forecaster, weights)
@@ -200,7 +203,12 @@ class Day:
 
     def step(self, controller: Decider, t: int) -> None:
         """Observe, decide, actuate, verify, record."""
-        self.recorder.add(self.play(controller, t))
+        try:
+            self.recorder.add(self.play(controller, t))
+        except Exception as error:
+            if isinstance(error, ModelError) or not isinstance(error, VppresError):
+                error.add_note(f"In step {t} of the day, in {function_of(error)}.")
+            raise
 
     def play(self, controller: Decider, t: int) -> StepRecord:
         """One step without its record's place in the run: what was decided and what came of it."""

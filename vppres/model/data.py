@@ -12,7 +12,7 @@ from vppres.contract.export import Export
 from vppres.contract.moves import Moves
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
-from vppres.contract.owed import Owed
+from vppres.contract.owed import MOST_SHARE, Owed
 from vppres.contract.stored_value import Ending, StoredValue
 from vppres.contract.switching import SwitchingData
 from vppres.contract.terminal import Terminal
@@ -378,6 +378,11 @@ class WindowData:
             return self
         return replace(self, load_kw=self.load_kw * self.switching.cold_factor)
 
+    def most_load_kw(self, site: Site) -> Floats:
+        """Largest demand of each customer, just restored or catching up, (W, C)."""
+        most_share = np.where(site.customers.recovery_h > 0.0, MOST_SHARE, 1.0)
+        return np.asarray(self.all_cold().load_kw * most_share)
+
     def self_limit_kw(self, site: Site) -> Floats:
         """Self-consumption of each PV system if its owner is served, shape (W, P)."""
         return np.minimum(site.behind_meter(self.load_kw), self.pv_kw)
@@ -385,10 +390,10 @@ class WindowData:
     def grid_p_max_kw(self, site: Site) -> Floats:
         """Largest import that can ever be useful, or the limit where that is smaller, (W,).
 
-        Nothing is exported at the same time, so no more than all demand and all charging is ever
-        imported.
+        Nothing is exported at the same time, so no more than all demand, with what is caught up,
+        and all charging is ever imported.
         """
-        load_kw = self.all_cold().load_kw.sum(axis=1)
+        load_kw = self.most_load_kw(site).sum(axis=1)
         useful = load_kw + site.batteries.p_max_kw.sum() + self.network_kw
         useful = sum(self.ahead.most_taken_kw(site.kinds), start=useful)
         return np.asarray(np.minimum(np.maximum(self.grid_limit_kw, 0.0), useful))
@@ -423,7 +428,7 @@ class WindowData:
     def grid_q_max_kvar(self, site: Site) -> Floats:
         """Largest reactive exchange with the grid that devices and loads allow, (W,)."""
         possible = (
-            self.all_cold().load_kw @ np.abs(site.customers.q_per_p)
+            self.most_load_kw(site) @ np.abs(site.customers.q_per_p)
             + site.batteries.s_max_kva.sum()
             + site.pv.s_max_kva.sum()
         )

@@ -15,6 +15,9 @@ from vppres.scenario.option_table import default_of
 ROTA_H = 24.0
 """Hours of outage in which each customer's turn of a minimum comes once: a day, as in rotas."""
 
+ROUNDING = 1e-9
+"""Share of a sum of weights that numbers of a computer may miss it by."""
+
 PARTS = 20
 """Weights change in twentieths: with whole multiples of a unit, windows are proven by counting."""
 
@@ -70,8 +73,8 @@ def rotated(
 ) -> Floats:
     """Weights that grow with the time off supply, (C,).
 
-    The sum of each tier stays. No weight passes the middle between its tier and the next one, so
-    that a customer never overtakes another tier.
+    The sum of each tier stays. No weight passes the middle between its tier and those above and
+    below, so that a customer never overtakes one of another tier.
 
     Parameters
     ----------
@@ -91,11 +94,13 @@ def rotated(
     array([0.65, 1.35])
     """
     weight = customers.weight.copy()
+    none = np.zeros(len(customers), dtype=bool)
     members = [found for tier in tiers if (found := np.asarray(customers.tier == tier)).any()]
     for k, own in enumerate(members):
         before = customers.weight[own]
-        above = customers.weight[members[k - 1]].min() if k else np.inf
-        below = customers.weight[members[k + 1]].max() if k + 1 < len(members) else 0.0
+        higher, lower = (np.any([none, *each], axis=0) for each in (members[:k], members[k + 1 :]))
+        above = customers.weight[higher].min(initial=np.inf)
+        below = customers.weight[lower].max(initial=0.0)
         least = min(np.sqrt(below / before.min()), 1.0)
         most = max(np.sqrt(above / before.max()), 1.0)
         grown = 1.0 + growth_per_h * off_h[own]
@@ -108,7 +113,8 @@ def rotated(
 def _scaled(weight: Floats, grown: Floats, least: float, most: float) -> Floats:
     """Factors in the proportions of ``grown``, within bounds, that leave the sum of weights.
 
-    They are twentieths: those that lose most by rounding down are rounded up.
+    They are twentieths where these leave it, as they do of equal weights: those that lose most by
+    rounding down are rounded up.
     """
     lowest, highest = max(np.ceil(PARTS * least), 1.0), np.floor(PARTS * most)
     # Between the scales at which a factor meets a bound, the sum is linear.
@@ -123,7 +129,8 @@ def _scaled(weight: Floats, grown: Floats, least: float, most: float) -> Floats:
         if short > 0.5 * weight[c] and parts[c] < highest:
             parts[c] += 1.0
             short -= weight[c]
-    return np.asarray(parts / PARTS)
+    met = np.isclose(weight @ parts, PARTS * weight.sum(), rtol=ROUNDING, atol=0.0)
+    return np.asarray((parts if met else exact) / PARTS)
 
 
 def turns(n_customers: int, out_h: float, length_h: float) -> Flags:

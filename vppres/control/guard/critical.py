@@ -108,7 +108,7 @@ class CriticalFirst:
             )
             wrong = violations(decision, state, self.options.within)
             return by_rule(state, self.options.tiers, "; ".join(wrong)) if wrong else decision
-        except Exception as error:
+        except self.options.answers as error:
             return by_rule(state, self.options.tiers, named_line(error))
 
     def _solver(self, online: Flags) -> WindowSolver:

@@ -138,8 +138,7 @@ class GuardedController:
             found, reason = self._relaxed(known, state, reason)
             if found is not None:
                 return found
-        except Exception as error:
-            # Whatever a solver raises: a step without an answer is worse than any of it.
+        except self.options.answers as error:
             reason = named_line(error)
         return self._without_solver(known, state, reason)
 
@@ -179,7 +178,7 @@ class GuardedController:
         for name, answer in relaxed_answers(site, data, self._solver_of):
             try:
                 solution, limits_pu, words = answer()
-            except Exception as error:
+            except self.options.answers as error:
                 failed.setdefault(named_line(error), []).append(name)
                 continue
             dispatch = whole_fleet(solution.dispatch, known.online, known.observation.soc)

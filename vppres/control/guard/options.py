@@ -30,6 +30,9 @@ class GuardOptions:
         What passes as a decision that can be carried out.
     physical : bool
         Whether batteries hold the islands, and so do not follow their set-points there.
+    answers : tuple of type
+        Errors that get a fallback; others are raised. In operation any error does: a step without
+        an answer is worse than all of them.
     """
 
     tiers: tuple[str, ...]
@@ -37,3 +40,4 @@ class GuardOptions:
     centre: Centre = "lossless"
     within: Tolerances = PAPER
     physical: bool = False
+    answers: tuple[type[Exception], ...] = (Exception,)
