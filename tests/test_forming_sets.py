@@ -21,6 +21,7 @@ from vppres.contract.observation import Observation
 from vppres.control.converged import dark_steps, physics_of, without_power
 from vppres.control.forming import formed_by_set, headroom_kw
 from vppres.control.step_state import one_step
+from vppres.core.errors import NumericalError
 from vppres.day.trajectory import Trajectory
 from vppres.model.beyond_paper.losses import lossless
 from vppres.model.data import WindowData
@@ -155,7 +156,7 @@ class Broken(Idle):
     """Has no answer."""
 
     def decide(self, observation: Observation) -> Decision:
-        raise RuntimeError("out of order")
+        raise NumericalError("out of order")
 
 
 def test_a_fallback_by_rule_starts_the_set_that_forms_the_grid() -> None:
@@ -248,3 +249,11 @@ def test_the_duty_is_written_read_and_told(tmp_path: Path) -> None:
     assert darkness(empty, "physical").startswith(
         "No battery can form a grid, and no generating set with this duty has fuel for a step"
     )
+
+
+@pytest.mark.parametrize("method", ["decomposed", "monolithic"])
+def test_a_set_that_forms_the_grid_follows_the_load_beyond_its_ramps(method: str) -> None:
+    day = hospital(50.0, 80.0, 20.0, 80.0, 50.0, bus=[1], ramp_up_kw_per_h=5.0, p_min_kw=10.0)
+    run = run_day(day, replace(PHYSICAL, method=method))
+    assert served(run) == [1] * 5
+    assert set(run.steps["status"]) == {"optimal"}

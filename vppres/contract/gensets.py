@@ -155,12 +155,15 @@ class SetsAhead(UnitsAhead):
         return np.array(rows).reshape(burnt.shape)
 
     def moved_too_fast_kw(self, sets: Gensets, on: Flags, power_kw: Floats, dt_h: float) -> Floats:
-        """By how much powers move more than ramps allow, (W, G); a set may stop from any power."""
+        """By how much powers move more than ramps allow, (W, G).
+
+        A set may stop from any power, and one that forms the grid follows the load at once.
+        """
         before_on = self.on_before(on)
         before_kw = np.vstack([self.was_kw[:1], power_kw[:-1]])
         most_kw = np.where(before_on, before_kw + sets.rise_kw(dt_h), sets.first_kw(dt_h))
         least_kw = np.where(before_on, before_kw - sets.fall_kw(dt_h), 0.0)
-        return np.where(on, np.maximum(power_kw - most_kw, least_kw - power_kw), 0.0)
+        return np.where(on & ~self.forms, np.maximum(power_kw - most_kw, least_kw - power_kw), 0.0)
 
     def wrongly_switched(self, sets: Gensets, on: Flags, outage: Flags, dt_h: float) -> Flags:
         """Steps in which a set is on or off against a rule, (W, G)."""

@@ -123,7 +123,8 @@ def _running(state: StepState, known: SetsAhead, wanted_kw: Floats) -> StepState
     """With the sets that are on or form the grid, and have fuel, near what is wanted of them."""
     sets, dt_h = state.site.gensets, state.site.dt_h
     most_kw = np.minimum(sets.p_max_kw, _by_fuel_kw(sets, known.added_litres[0], dt_h))
-    least_kw = np.maximum(sets.p_min_kw, known.was_kw[0] - sets.fall_kw(dt_h))
+    fallen_kw = np.where(state.forms, 0.0, known.was_kw[0] - sets.fall_kw(dt_h))
+    least_kw = np.maximum(sets.p_min_kw, fallen_kw)
     wanted = (known.was_on[0] > 0.5) | state.forms
     in_use = state.island | ~sets.only_in_outage | known.must_run[0]
     on = wanted & in_use & known.can_run[0] & (most_kw >= least_kw)

@@ -44,8 +44,9 @@ class GensetsModel(Addition):
         See :class:`vppres.contract.gensets.SetsAhead`.
     reactive : cvxpy.Variable, shape (W, G), optional
         Reactive power as a share of the largest; none where no set can form the grid.
-    headroom, q_most : cvxpy.Parameter, shape (W, G), optional
-        What a set that forms the grid leaves free in kW, and its largest reactive power.
+    headroom, q_most, at_once : cvxpy.Parameter, shape (W, G), optional
+        What a set that forms the grid leaves free in kW, its largest reactive power, and by how
+        much it moves beyond its ramps in kW: it follows the load.
     stands_for : cvxpy.Parameter, shape (G,)
         Energy in a battery that a litre stands for at the end, where such energy has a value.
     """
@@ -84,6 +85,7 @@ class GensetsModel(Addition):
     reactive: cp.Variable | None = None
     headroom: cp.Parameter | None = None
     q_most: cp.Parameter | None = None
+    at_once: cp.Parameter | None = None
 
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
@@ -103,6 +105,7 @@ class GensetsModel(Addition):
                 "reactive": cp.Variable(size, name="gs_reactive", bounds=[-1.0, 1.0]),
                 "headroom": cp.Parameter(size, name="gs_headroom_by_step", nonneg=True),
                 "q_most": cp.Parameter(size, name="gs_q_most_by_step", nonneg=True),
+                "at_once": cp.Parameter(size, name="gs_at_once_by_step", nonneg=True),
             }
         return cls(
             site,
@@ -156,13 +159,16 @@ class GensetsModel(Addition):
         on_before = self._before(self.on, self.was_on)
         rise = self.power - self._before(self.power, self.was_kw)
         stop = on_before - self.on + self.start
+        at_once = 0.0 if self.at_once is None else self.at_once
         return {
             "gs_most": self.power <= _times(self.on, sets.p_max_kw),
             "gs_least": self.power >= _times(self.on, sets.p_min_kw),
             "gs_ramp_up": rise
-            <= _times(on_before, sets.rise_kw(dt_h)) + _times(self.start, sets.first_kw(dt_h)),
+            <= _times(on_before, sets.rise_kw(dt_h))
+            + _times(self.start, sets.first_kw(dt_h))
+            + at_once,
             "gs_ramp_down": -rise
-            <= _times(self.on, sets.fall_kw(dt_h)) + _times(stop, sets.p_max_kw),
+            <= _times(self.on, sets.fall_kw(dt_h)) + _times(stop, sets.p_max_kw) + at_once,
         }
 
     def _fuel(self) -> Named:
@@ -239,8 +245,9 @@ class GensetsModel(Addition):
         write(self.was_on, ahead.was_on)
         write(self.was_kw, ahead.was_kw)
         write(self.added, ahead.added_litres)
-        if self.headroom is not None and self.q_most is not None:
+        if self.headroom is not None and self.q_most is not None and self.at_once is not None:
             write(self.headroom, ahead.headroom_kw)
+            write(self.at_once, np.where(ahead.forms, site.gensets.p_max_kw, 0.0))
             write(self.q_most, ahead.q_most_kvar(site.gensets))
         nothing = np.zeros(len(site.gensets))
         value = data.stored_value
