@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -443,3 +444,27 @@ def test_a_meter_in_watts_since_it_was_mounted_puts_nobody_off(
             "battery_kw": dict(found.batteries["p_kw"]),
             "import_kw": import_factor * found.import_kw,
         }
+
+
+@pytest.mark.parametrize(("soc", "grid_limit_kw"), [(0.05, 500.0), (0.98, 500.0), (0.98, 0.0)])
+def test_a_battery_beyond_its_limits_is_used_within_them(
+    tiny: Scenario, soc: float, grid_limit_kw: float
+) -> None:
+    """Below it may only charge, above it takes nothing; it holds an island as a full one does."""
+    day = site(tiny)
+    count = len(day.batteries)
+    limits = {"soc_min": np.full(count, 0.2), "soc_max": np.full(count, 0.9)}
+    limits["soc_initial"] = np.full(count, 0.5)
+    day = replace(day, batteries=replace(day.batteries, **limits))
+    controller = Controller.of(day, RunOptions(horizon_h=2.0, isolate=False))
+    socs = dict.fromkeys(day.batteries.id, soc)
+    found = controller.step(Measurement(controller.times[0], socs, grid_limit_kw=grid_limit_kw))
+    assert found.solve["estimated"] == ""
+    assert found.solve["fallback"] == "none"
+    charge_kw = found.batteries["p_kw"].to_numpy(float)
+    if soc < 0.2:
+        assert (charge_kw >= -1e-6).all()
+    else:
+        assert (charge_kw <= 1e-6).all()
+    if grid_limit_kw == 0.0:
+        assert found.customers["served"].any()

@@ -27,9 +27,6 @@ reading bears it out; that of another battery, or one that drifts, does not.
 SAME_MOMENT_H = 1.0 / 3600.0
 """Readings less apart than a second are the same one: times since the first step are rounded."""
 
-SOC_MARGIN = 0.05
-"""A state of charge further outside the battery's limits than this is no measurement."""
-
 
 @dataclass(frozen=True, eq=False)
 class SocReckoning:
@@ -105,11 +102,10 @@ class SocReckoning:
         since = moved.since(read_h, now_h, b)
         reckoned = np.clip(self.reckoned + lately.share, b.soc_min, b.soc_max)
         evident = self.evident & lately.evident
-        plausible = (
-            np.isfinite(seen) & (seen >= b.soc_min - SOC_MARGIN) & (seen <= b.soc_max + SOC_MARGIN)
-        )
+        # Beyond the limits of its use a battery is still there: plans take it for empty or full.
+        plausible = (seen >= 0.0) & (seen <= 1.0)
         newer = plausible & ~(read_h <= self.read_h + SAME_MOMENT_H)  # also before the first
-        # A reading just outside would leave a window without any feasible dispatch.
+        # A reading outside would leave a window without any feasible dispatch.
         inside = np.clip(np.clip(seen, b.soc_min, b.soc_max) + since.share, b.soc_min, b.soc_max)
         on_from_reading = np.abs(inside - self.reading - lately.share) <= SOC_TOLERANCE
         borne_out = newer & self.jumped & on_from_reading
