@@ -468,3 +468,18 @@ def test_a_battery_beyond_its_limits_is_used_within_them(
         assert (charge_kw <= 1e-6).all()
     if grid_limit_kw == 0.0:
         assert found.customers["served"].any()
+
+
+def test_what_an_inverter_takes_at_night_counts_as_nothing(live: Live, tiny: Scenario) -> None:
+    http, _ = live
+    pv = site(tiny).pv
+    night_kw = -0.005 * float(pv.p_max_kw[0])
+    for kw, refused in ((night_kw, 0), (-float(pv.p_max_kw[0]), 1)):
+        sent = readings(NOON, "pv_kw", {str(pv.id[0]): kw}) + heard(NOON)["series"][:1]
+        answer = http.post("/v1/telemetry", {"series": sent}).json()
+        assert len(answer["refused"]) == refused, answer
+    controller = Controller.of(site(tiny), RunOptions(horizon_h=0.0, isolate=False))
+    now = Measurement(controller.times[0], SOC, pv_kw={str(pv.id[0]): night_kw})
+    found = controller.step(now)
+    assert "pv" not in found.solve["estimated"]
+    assert found.solve["fallback"] == "none"

@@ -301,7 +301,7 @@ def _seen(scenario: Scenario, measured: Measurement, guard: bool, earliest: int)
         door.values(one, getattr(measured, one), sets.id, unread) for one in (*OF_SETS, ORDERED)
     ]
     door.finish()
-    pv_kw = np.minimum(pv_kw, pv.p_max_kw)
+    pv_kw = np.clip(pv_kw, 0.0, pv.p_max_kw)
     foretold = measured.foretold or {}
     return Seen(
         t=door.t,

@@ -52,6 +52,9 @@ class Range:
         return self.beyond if above else self.message
 
 
+NIGHT_SHARE = 0.01
+"""Share of its rating that an inverter takes from the feeder at night, at most."""
+
 Ranges = Mapping[tuple[str, str], Range]  # by quantity and asset, where an asset has its own
 
 _FINITE = "must be a finite number"
@@ -111,7 +114,7 @@ def ranges_of(scenario: Scenario) -> Ranges:
     loads = scenario.thermal_loads
     own: tuple[tuple[str, Any, Floats, Callable[[float], Range]], ...] = (
         ("battery_kw", b, b.s_max_kva, lambda kva: _rated(-RATED_SHARE, "inverter", kva, _FINITE)),
-        ("pv_kw", pv, pv.p_max_kw, lambda kw: _rated(0.0, "system", kw, _NUMBER)),
+        ("pv_kw", pv, pv.p_max_kw, _of_pv),
         ("indoor_c", loads, loads.t_max_c, _temperature),
         ("genset_kw", sets, sets.p_max_kw, lambda kw: _rated(0.0, "set", kw, _NUMBER)),
         ("fuel_litres", sets, sets.tank_litres, _in_tank),
@@ -121,6 +124,11 @@ def ranges_of(scenario: Scenario) -> Ranges:
         for quantity, devices, values, range_of in own
         for name, value in zip(devices.id, values.tolist(), strict=True)
     }
+
+
+def _of_pv(kw: float) -> Range:
+    """Down to what an inverter takes for itself at night, which counts as nothing."""
+    return replace(_rated(0.0, "system", kw, _NUMBER), lowest=-NIGHT_SHARE * kw)
 
 
 def _in_tank(litres: float) -> Range:

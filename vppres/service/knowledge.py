@@ -156,6 +156,8 @@ def readings_of(
                 message = permitted.text(value)
                 problems.append(Problem(WHERE, message, permitted.cure, None, field_name, value))
                 continue
+            if value is not None and one.quantity == "pv_kw":
+                value = max(value, 0.0)
             time = seconds(one.start + step * one.resolution)
             long = int(one.resolution.total_seconds())
             quantity = stored(one.quantity, one.phase)
