@@ -204,6 +204,9 @@ def test_a_critical_customer_that_will_be_off(tiny: Scenario, hours: int, priori
     assert found == expected
     lost = replace(now, failing={"hospital": "rejected"})
     assert [one.kind for one in conditions(lost)] == ["setpoint_rejected"]
+    alone = replace(now, unreached=["hooks.example"])
+    kinds = [one.kind for one in conditions(alone) if one.subject == "hooks.example"]
+    assert kinds == ["notices_undelivered"]
 
 
 @pytest.mark.daily

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -511,3 +512,34 @@ def test_what_is_read_of_mutated_folders_runs_to_the_end(tiny_folder: Path) -> N
     assert tally.sound, tally
     assert tally.runs["finished"] >= 1
     assert tally.refused > 13
+
+
+@pytest.mark.parametrize("file", ["lines.csv", "scenario.toml"])
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ("folder", "is a folder, not a file"),
+        ("pipe", "is a pipe or a device, not a file"),
+        ("link", "leads out of the scenario folder, and is not read"),
+    ],
+)
+def test_what_is_no_file_of_the_folder_is_named(
+    tiny_folder: Path, tmp_path_factory: pytest.TempPathFactory, file: str, kind: str, words: str
+) -> None:
+    path = tiny_folder / file
+    elsewhere = path.rename(tmp_path_factory.mktemp("elsewhere") / file)
+    if kind == "folder":
+        path.mkdir()
+    elif kind == "pipe":
+        os.mkfifo(path)
+    else:
+        path.symlink_to(elsewhere)
+    with pytest.raises(InputError) as caught:
+        read_scenario(tiny_folder)
+    assert f"{file}: {words}" in str(caught.value)
+
+
+def test_a_link_within_the_folder_is_read(tiny_folder: Path) -> None:
+    path = tiny_folder / "lines.csv"
+    path.symlink_to(path.rename(tiny_folder / "feeder-17.csv").name)
+    read_scenario(tiny_folder)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
+import socket
 import threading
 import time
 import urllib.request
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -339,6 +341,51 @@ def test_what_is_no_answer_is_named(
         follow.Redirected().redirect_request(safe, None, 302, "", {}, "http://a.org/")
 
 
+def test_a_head_that_drips_is_no_answer_and_late_is_said_beside_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(follow, "TIMEOUT_S", 0.3)
+    monkeypatch.setattr(follow, "LATE_S", 0.0)
+    monkeypatch.setattr(follow, "LOOK_S", 0.02)
+    monkeypatch.setattr(follow, "LATE", pd.Timedelta(milliseconds=100))
+    ended = threading.Event()
+
+    def drip() -> None:
+        connection, _ = listening.accept()
+        with connection, suppress(OSError):
+            while not ended.wait(0.05):
+                connection.sendall(b"H")
+
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        threading.Thread(target=drip, daemon=True).start()
+        feed = replace(FEEDS["ukpn"], url=f"http://127.0.0.1:{listening.getsockname()[1]}/")
+        listed, told = Listed(), list[str]()
+        follower = Follower(feed, ["CM4 0"], listed, told.append)
+        end = threading.Event()
+        threading.Timer(0.6, end.set).start()
+        begin = time.monotonic()
+        follow.follow(follower, Asker(feed, 60.0), end)
+        ended.set()
+    assert time.monotonic() - begin < 2.0
+    assert "is late" in told[0]  # before the limit of the answer
+    assert "it is not done within 0.3 s" in told[1]
+    assert set(listed.events) == {"ukpn late"}
+
+
+def test_rows_of_one_reference_are_read_in_a_time_of_their_number() -> None:
+    row = {"incidentreference": "one", "postcodesaffected": "CM4 0AB", "powercuttype": "Unplanned"}
+
+    def took_s(n: int) -> float:
+        content = json.dumps([row] * n).encode()
+        begin = time.process_time()
+        answer = FEEDS["ukpn"].read(content)
+        assert len(answer.incidents) == 1 and len(answer.incidents[0].postcodes) == n
+        return time.process_time() - begin
+
+    took_s(100)
+    assert took_s(40_000) < 20.0 * max(took_s(4_000), 0.01)
+
+
 def test_a_feed_that_is_silent_is_late_and_the_service_may_be_gone(
     line: tuple[Feed, type[Lines]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -365,6 +412,7 @@ def test_a_feed_that_is_silent_is_late_and_the_service_may_be_gone(
 
     monkeypatch.setattr(listed, "put", gone)
     monkeypatch.setattr(follow, "_now", lambda: now)
+    monkeypatch.setattr(follow, "_watch", lambda *_: None)  # whose clock is not this one
     asker = Asker(feed, 60.0, lambda: now.timestamp())
     follow.follow(follower, asker, End())
     assert told[0] == "the service does not answer"

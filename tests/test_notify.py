@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import logging
+import queue
 import socket
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import suppress
 from email.message import EmailMessage
@@ -181,3 +183,28 @@ def test_a_webhook_that_never_ends_its_answer_holds_up_no_other(
 def test_an_address_that_cannot_be_one_is_refused_at_the_start(text: str) -> None:
     with pytest.raises(InputError, match="is no address of a webhook or for mail"):
         target_of(text)
+
+
+def test_a_target_that_no_notice_reaches_is_named_until_one_does(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(notify, "ATTEMPTS_AFTER_S", (0.0,))
+    broken = threading.Event()
+    broken.set()
+    sent: queue.Queue[str] = queue.Queue()
+
+    def send(_: dict[str, Any]) -> None:
+        sent.put("")
+        if broken.is_set():
+            raise ValueError("no HTTP")
+
+    with notifier("s", [Target("one", send), Target("two", lambda _: None)]) as take:
+        for unreached in (["one"], []):
+            take(NOTICE)
+            sent.get(timeout=5.0)
+            begin = time.monotonic()
+            while take.unreached() != unreached and time.monotonic() < begin + 5.0:
+                time.sleep(0.01)
+            assert take.unreached() == unreached and take.alive()
+            broken.clear()
+    assert take.unreached() == ["one", "two"] and not take.alive()

@@ -8,13 +8,15 @@ from itertools import product
 import numpy as np
 import pandas as pd
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from vppres.core.arrays import Floats
 from vppres.core.errors import InputError
 from vppres.outlook import durations
 from vppres.outlook.belief import OutageBelief
-from vppres.outlook.outlook import HOUR, OutageOutlook, SeenOutage
+from vppres.outlook.outlook import HOUR, OutageOutlook, SeenOutage, seen_outages
 from vppres.outlook.presets import STATISTICS, WARNINGS, Statistics, completed
 from vppres.outlook.value import Ahead, Fleet, concave_above, stored_value
 from vppres.scenario.outage_warnings import (
@@ -324,6 +326,46 @@ def test_probabilities_are_those_of_all_futures_drawn() -> None:
     assert belief.out_probability == pytest.approx(total)
 
 
+STRETCH = st.tuples(st.integers(1, 6), st.integers(1, 6), st.integers(0, 4))
+"""Of an outage the step of its beginning, its length, and four times its probability."""
+
+
+@given(st.lists(STRETCH, min_size=1, max_size=4))
+def test_a_step_is_out_if_any_of_all_outages_touches_it(spans: list[tuple[int, int, int]]) -> None:
+    spans = sorted(spans)
+    onset, duration = np.zeros((len(spans), 9)), np.zeros((len(spans) + 1, 9))
+    quiet = np.ones(9)
+    for row, (begin, length, quarters) in enumerate(spans):
+        onset[row, begin] = quarters / 4.0
+        duration[row + 1, length - 1] = 1.0
+        quiet[begin : begin + length] *= 1.0 - quarters / 4.0
+    belief = OutageBelief(onset, duration, hazard=0.0)
+    assert belief.out_probability == pytest.approx(1.0 - quiet)
+
+
+@given(
+    st.lists(STRETCH, min_size=1, max_size=4),
+    st.permutations(range(4)),
+    st.permutations(["a", "b", "c", "d"]),
+)
+def test_sure_outages_are_all_there_before_and_in_them(
+    spans: list[tuple[int, int, int]], order: list[int], names: list[str]
+) -> None:
+    """Whatever their names, order and lengths; those that leave no step between them are one."""
+    messages = [
+        warned(-9 + issued, outage=name, onset_likely=begin, probability=1.0, duration_p50_h=length)
+        for (begin, length, _), issued, name in zip(spans, order, names, strict=False)
+    ]
+    dark = np.zeros(13, dtype=bool)
+    for begin, length, _ in spans:
+        dark[begin : begin + length] = True
+    times = pd.date_range(NOON, periods=13, freq="h")
+    for t, now in enumerate(times):
+        seen = seen_outages(times[: t + 1], [*dark[: t + 1]])
+        believed = outlook(*messages).at(now, 13 - t, seen).out_probability
+        assert believed == pytest.approx(dark[t:].astype(float))
+
+
 def _weight(belief: OutageBelief, out: tuple[int, ...]) -> float:
     """Probability of a path of outages, over all that may have caused it."""
 
@@ -336,9 +378,13 @@ def _weight(belief: OutageBelief, out: tuple[int, ...]) -> float:
                 return (1.0 - begins.sum()) * onwards(t + 1, None, 0, come)
             return sum(p * onwards(t + 1, k, 1, come) for k, p in enumerate(begins) if p)
         ends = belief.restored[kind, lasted - 1]
-        if out[t]:
-            return (1.0 - ends) * onwards(t + 1, kind, lasted + 1, come)
-        return ends * onwards(t + 1, None, 0, kind)
+        lasts = (1.0 - ends) * out[t] * onwards(t + 1, kind, lasted + 1, come)
+        found, left = 0.0, ends
+        for other, began in belief.behind(kind, t):
+            gone_on = sum(p * onwards(t + 1, other, k + 1, other) for k, p in enumerate(began) if p)
+            found += left * out[t] * gone_on
+            left *= 1.0 - began.sum()
+        return lasts + found + left * (1 - out[t]) * onwards(t + 1, None, 0, kind)
 
     return onwards(1, None, 0, 0)
 
@@ -525,6 +571,20 @@ def test_steps_of_any_length_agree() -> None:
         value = stored_value(belief, fleet(), known, VOLL, nothing)
         found.append([value.at(e) for e in (30.0, 60.0, 90.0)])
     assert found[0] == pytest.approx(found[1], rel=0.06)
+
+
+def test_outages_that_overlap_are_worth_what_one_that_spans_them_is() -> None:
+    known = ahead(np.full((6, 2), 10.0), np.zeros(6))
+    worth = []
+    for spans in ([(1, 2), (2, 3)], [(1, 3), (1, 4)], [(1, 1), (2, 3)], [(1, 4)]):
+        onset, duration = np.zeros((len(spans), 6)), np.zeros((len(spans) + 1, 6))
+        for row, (begin, length) in enumerate(spans):
+            onset[row, begin] = duration[row + 1, length - 1] = 1.0
+        belief = OutageBelief(onset, duration, hazard=0.0)
+        assert belief.out_probability.tolist() == [0, 1, 1, 1, 1, 0]
+        worth.append(stored_value(belief, fleet(), known, 20.0, nothing).service)
+    for other in worth[:-1]:
+        assert other == pytest.approx(worth[-1])
 
 
 def test_functions_are_made_concave() -> None:

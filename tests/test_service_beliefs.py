@@ -356,3 +356,21 @@ def test_two_outages_that_touch_one_step_are_both_planned_for(
         grid_on(http, NOON, False)
         plan = decided(http, clock, NOON)
         assert plan["outage_probability"][:5] == pytest.approx([1.0, 1.0, 1.0, 1.0, 0.0])
+
+
+@pytest.mark.parametrize("first", ["fact", "belief"])
+def test_a_step_is_dark_with_the_probability_of_any_outage_that_touches_it(
+    tiny: Scenario, tmp_path: Path, first: str
+) -> None:
+    span = {"start": "2026-11-21T13:05:00Z", "end": "2026-11-21T14:30:00Z"}
+    onset = {"start": "2026-11-21T14:00:00Z", "resolution": "PT1H", "probabilities": [1.0]}
+    three = {"family": "discrete", "hours": [3.0], "probabilities": [1.0]}
+    events = {
+        "fact": {"type": "outage", **span},
+        "belief": STORM | {"probability": 0.5, "onset": onset, "duration": three},
+    }
+    with believing(tiny, tmp_path) as (http, clock):
+        for name in sorted(events, key=lambda name: name != first):
+            assert http.put(f"/v1/events/{name}", events[name]).status == 201
+        plan = decided(http, clock, NOON)
+        assert plan["outage_probability"][:6] == [0.0, 1.0, 1.0, 0.5, 0.5, 0.0]

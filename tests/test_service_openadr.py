@@ -62,6 +62,22 @@ def test_an_event_is_taken_as_it_stands(live: Live) -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("drawn", "ignored"), [("PT10M", ["randomizeStart"]), ("PT0S", []), (None, [])]
+)
+def test_a_start_that_is_to_be_drawn_is_named(
+    live: Live, drawn: str | None, ignored: list[str]
+) -> None:
+    http, _ = live
+    period = {"start": "2026-11-21T12:00:00Z", "duration": "PT1H", "randomizeStart": drawn}
+    price = {"payloads": [{"type": "PRICE", "values": [0.01]}]}
+    for where in ({"intervalPeriod": period, "intervals": [price]},
+                  {"intervals": [price | {"intervalPeriod": period}]}):  # fmt: skip
+        answer = http.post("/v1/openadr/events", {"programID": "tariff", **where})
+        assert (answer.status, answer.json()["ignored"]) == (201, ignored)
+        assert http.get("/v1/events").json()["tariff.0.PRICE"]["start"] == period["start"]
+
+
 def test_a_possible_outage_is_believed_where_beliefs_are_planned_with(
     tiny: Scenario, tmp_path: Path
 ) -> None:

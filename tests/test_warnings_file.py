@@ -5,6 +5,8 @@ What can be wrong with them stands in bad_scenarios.txt.
 
 from __future__ import annotations
 
+import time
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -128,3 +130,12 @@ def test_many_bad_rows_are_folded(tiny_folder: Path) -> None:
         read_scenario(with_warnings(tiny_folder, text))
     assert len(caught.value.problems) <= 11
     assert "and 3" in str(caught.value)
+
+
+@pytest.mark.parametrize("probability", ["0.5", "many"])
+def test_a_thousand_rows_are_checked_soon(tiny_folder: Path, probability: str) -> None:
+    row = f"2022-07-19T05:00Z,,2022-07-19T12:00Z,,{probability},,4,\n"
+    begin = time.process_time()
+    with suppress(InputError):
+        read_scenario(with_warnings(tiny_folder, HEADER + 1000 * row))
+    assert time.process_time() - begin < 3.0

@@ -275,6 +275,20 @@ def test_a_process_that_is_killed_or_stopped_in_a_window_is_named(
     assert gone(pid)
 
 
+def test_a_process_that_is_stopped_while_it_starts_is_replaced_soon(
+    tiny: Scenario, workers: Workers
+) -> None:
+    solver = IsolatedSolver(Site.of(tiny), limits=SHORT, workers=workers)
+    workers.close()
+    workers.start()
+    os.kill(idle(workers).process.pid, signal.SIGSTOP)
+    begin = time.monotonic()
+    with pytest.raises(SolverLostError, match="was stopped while it started"):
+        solver.solve(window(tiny, slice(3)))
+    assert time.monotonic() - begin < 5.0
+    solver.solve(window(tiny, slice(3)))
+
+
 @pytest.mark.daily
 def test_nothing_is_left_when_the_processes_are_closed(tiny: Scenario) -> None:
     files = set(os.listdir("/dev/fd"))

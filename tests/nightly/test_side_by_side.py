@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass
@@ -190,6 +191,18 @@ def test_a_scheduler_that_is_not_there_is_refused_by_name(
         results(square, [1], Where(scheduler=scheduler))
     assert f"cluster, scheduler = {scheduler}: cannot be reached" in str(caught.value)
     assert "dask scheduler" in str(caught.value)
+
+
+def test_who_listens_and_is_no_scheduler_is_refused_by_name(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(side_by_side, "PATIENCE_S", 0.5)
+    empty = tmp_path / "scheduler.json"
+    empty.write_text("[]", encoding="utf-8")
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        for scheduler in (f"tcp://127.0.0.1:{silent.getsockname()[1]}", str(empty)):
+            with pytest.raises(InputError, match="cannot be reached"):
+                results(square, [1], Where(scheduler=scheduler))
 
 
 @pytest.mark.nightly

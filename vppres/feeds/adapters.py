@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -192,20 +192,21 @@ def _read(row: Any, incident: Callable[[Row], Incident]) -> Incident | None:
 
 def _once(incidents: Iterable[Incident]) -> list[Incident]:
     """Rows of one reference as one incident, with the postcodes of all and the latest end."""
-    found: dict[str, Incident] = {}
+    rows: dict[str, list[Incident]] = {}
     for one in incidents:
-        other = found.get(one.name)
-        if other is None or other.restored:
-            found[one.name] = one
-        elif not one.restored:
-            ends = [end for end in (one.end, other.end) if end is not None]
-            found[one.name] = replace(
-                other,
-                postcodes=(*other.postcodes, *one.postcodes),
-                planned=one.planned and other.planned,
-                end=max(ends, default=None),
-            )
-    return list(found.values())
+        rows.setdefault(one.name, []).append(one)
+    return [_joined(each) for each in rows.values()]
+
+
+def _joined(rows: Sequence[Incident]) -> Incident:
+    """The rows of one reference that are not restored, or the last one if all are."""
+    last = [one for one in rows if not one.restored] or rows[-1:]
+    return replace(
+        last[0],
+        postcodes=tuple(postcode for one in last for postcode in one.postcodes),
+        planned=all(one.planned for one in last),
+        end=max((one.end for one in last if one.end is not None), default=None),
+    )
 
 
 def _json(feed: str, content: bytes) -> Any:

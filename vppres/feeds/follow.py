@@ -41,7 +41,13 @@ MOST_BYTES = 20_000_000
 """Of an answer; a storm's has some hundred kilobytes."""
 
 TIMEOUT_S = 30.0
-"""For a whole answer."""
+"""For a whole answer, its head included."""
+
+MOST_PAUSE_S = 6 * 3600.0
+"""Longest pause that a feed may want: outages last for hours."""
+
+LATE_S = 1.0
+"""Beyond the limit: the part that comes last is still looked at."""
 
 CHUNK_BYTES = 65_536
 STAMP = "%Y-%m-%dT%H%M%SZ"
@@ -113,6 +119,7 @@ class Follower:
         self._begun: pd.Timestamp | None = None
         self._refused: dict[str, dict[str, Any]] = {}
         kept = service.said(feed.name)
+        self._late = kept.pop(self._alert, None) is not None
         self._said = {name: _without_version(body) for name, body in kept.items()}
 
     def hear(self, content: bytes, now: pd.Timestamp) -> None:
@@ -135,7 +142,7 @@ class Follower:
         """The events of an answer in the place of those before."""
         near = [one for one in answer.incidents if one.touches(self.areas)]
         there = {f"{self.feed.name} {one.name}": one for one in near if not one.restored}
-        for name in [name for name in self._said if name not in there and name != self._alert]:
+        for name in [name for name in self._said if name not in there]:
             self.service.withdraw(name)
             del self._said[name]
             self.told(f"{name}: over")
@@ -164,15 +171,15 @@ class Follower:
         self._begun = self._begun or now
         since = self.heard or self._begun
         late = now - since > LATE
-        if late and self._alert not in self._said:
+        if late and not self._late:
             text = f"The feed of {self.feed.operator} is late: nothing since {written(since)}"
             alert = {"type": "alert", "source": self.feed.name, "start": written(now), "text": text}
             self.service.put(self._alert, alert)
-            self._said[self._alert] = alert
+            self._late = True
             self.told(f"{text}. What it said before stays.")
-        elif not late and self._alert in self._said:
+        elif not late and self._late:
             self.service.withdraw(self._alert)
-            del self._said[self._alert]
+            self._late = False
             self.told(f"The feed of {self.feed.operator} is back.")
 
     @property
@@ -240,6 +247,7 @@ class Asker:
         self._content: bytes | None = None
         self._failures = 0
         self._next_s = -inf
+        self._asking: threading.Thread | None = None
 
     def ask(self) -> bytes | None:
         """The answer, the one before if nothing has changed; None if it is not time to ask.
@@ -255,7 +263,7 @@ class Asker:
         self._failures += 1
         self._next_s = now_s + self._every_s * min(2**self._failures, MOST_OFTEN)
         try:
-            self._content = self._answer()
+            self._content = self._within_limit()
         except urllib.error.HTTPError as error:
             if error.code != http.client.NOT_MODIFIED or self._content is None:
                 pause_s = _pause_s(error.headers.get("Retry-After"))
@@ -267,6 +275,31 @@ class Asker:
         self._failures = 0
         self._next_s = now_s + self._every_s
         return self._content
+
+    def _within_limit(self) -> bytes:
+        """The answer, within the limit of time for the whole of it.
+
+        A head that drips never times out: it is left to itself, and nothing is asked beside it.
+        """
+        if self._asking is not None and self._asking.is_alive():
+            raise TimeoutError("its answer before is still on the way")
+        found: list[bytes] = []
+        failed: list[Exception] = []
+
+        def ask() -> None:
+            try:
+                found.append(self._answer())
+            except Exception as error:
+                failed.append(error)
+
+        self._asking = threading.Thread(target=ask, name="vppres-feed", daemon=True)
+        self._asking.start()
+        self._asking.join(TIMEOUT_S + LATE_S)
+        if failed:
+            raise failed.pop()
+        if not found:
+            raise TimeoutError(f"it is not done within {TIMEOUT_S:g} s")
+        return found[0]
 
     def _answer(self) -> bytes:
         """What the feed sends now."""
@@ -292,24 +325,34 @@ class Asker:
 def _pause_s(said: str | None) -> float:
     """Time for which a feed does not want to be asked, 0 if it says nothing of it.
 
-    >>> _pause_s("120"), _pause_s(None), _pause_s("soon")
-    (120.0, 0.0, 0.0)
+    >>> _pause_s("120"), _pause_s(None), _pause_s("soon"), _pause_s("9" * 400)
+    (120.0, 0.0, 0.0, 21600.0)
     """
     if said is None:
         return 0.0
-    if said.isdecimal():
-        return float(said)
     try:
-        until = parsedate_to_datetime(said)
-        return max((until - datetime.now(UTC)).total_seconds(), 0.0)
-    except (TypeError, ValueError):
+        wanted_s = float(said) if said.isdecimal() else _until_s(said)
+    except (OverflowError, TypeError, ValueError):
         return 0.0
+    return min(max(wanted_s, 0.0), MOST_PAUSE_S)
+
+
+def _until_s(said: str) -> float:
+    """Time until a date of HTTP, in s."""
+    return (parsedate_to_datetime(said) - datetime.now(UTC)).total_seconds()
 
 
 def follow(
     follower: Follower, asker: Asker, end: threading.Event, record: Path | None = None
 ) -> None:
-    """Ask whenever it is time, until the end; what fails is said and tried again."""
+    """Ask whenever it is time, until the end; what fails is said and tried again.
+
+    Whether the feed is late is looked at beside it, however long an answer takes.
+    """
+    watching = threading.Thread(
+        target=_watch, args=(follower, end), name="vppres-late", daemon=True
+    )
+    watching.start()
     while not end.is_set():
         now = _now()
         with _failures_told(follower):
@@ -320,8 +363,14 @@ def follow(
                     stamp = now.strftime(STAMP)
                     (record / f"{stamp}{follower.feed.suffix}").write_bytes(content)
                 follower.hear(content, now)
+        end.wait(LOOK_S)
+
+
+def _watch(follower: Follower, end: threading.Event) -> None:
+    """Look whether the feed is late, until the end."""
+    while not end.is_set():
         with _failures_told(follower):
-            follower.watch(now)
+            follower.watch(_now())
         end.wait(LOOK_S)
 
 

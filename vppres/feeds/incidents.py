@@ -49,7 +49,10 @@ class Incident:
 
     def touches(self, areas: Iterable[str]) -> bool:
         """Whether it is in one of some areas: postcodes, sectors or districts."""
-        return any(_overlap(one, other) for one in self.postcodes for other in areas)
+        others = [area(other).partition(" ") for other in areas]
+        return any(
+            _overlap(area(one).partition(" "), other) for one in self.postcodes for other in others
+        )
 
     def event(self, source: str, now: pd.Timestamp) -> dict[str, Any] | None:
         """The event of the service that says the same; None if it says nothing of what comes.
@@ -119,9 +122,9 @@ def check_areas(texts: Iterable[str]) -> list[str]:
     return found
 
 
-def _overlap(one: str, other: str) -> bool:
-    """Whether one area holds the other."""
-    (here, _, rest), (there, _, other_rest) = (area(text).partition(" ") for text in (one, other))
+def _overlap(one: tuple[str, str, str], other: tuple[str, str, str]) -> bool:
+    """Whether one area holds the other, each as outward code, space and the rest."""
+    (here, _, rest), (there, _, other_rest) = one, other
     return here == there and (rest.startswith(other_rest) or other_rest.startswith(rest))
 
 

@@ -13,7 +13,7 @@ import pandas as pd
 from vppres.core.arrays import Complexes, Floats
 from vppres.core.errors import InputError, Problem
 from vppres.io import schema
-from vppres.io.tables import Table, no_table, read_rows, read_table
+from vppres.io.tables import Table, leads_out, no_table, read_rows, read_table
 from vppres.scenario.network import BusId
 from vppres.scenario.phases import (
     PHASES,
@@ -58,7 +58,8 @@ def read_phases(
         if name not in present and name not in MUST:
             rows[name] = read_rows(no_table(_file(name), model), model)[0]
             continue
-        table, found = read_table(folder / _file(name), BUSES_FIRST)
+        found = leads_out(folder, _file(name))
+        table, found = (None, found) if found else read_table(folder / _file(name), BUSES_FIRST)
         rows[name], wrong = read_rows(table, model)
         problems += found + wrong
         problems += _lines_wrong(table, rows[name]) if name == "lines" else []

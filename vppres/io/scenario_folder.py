@@ -25,7 +25,15 @@ from vppres.io.phase_files import PHASE_FILES, read_phases
 from vppres.io.rows import columns_of, given_or
 from vppres.io.series import TIME, check_times, read_values
 from vppres.io.settings import SCENARIO_FILE, Settings, read_settings
-from vppres.io.tables import NAME_ANOTHER, Table, check_columns, no_table, read_rows, read_table
+from vppres.io.tables import (
+    NAME_ANOTHER,
+    Table,
+    check_columns,
+    leads_out,
+    no_table,
+    read_rows,
+    read_table,
+)
 from vppres.io.vehicle_rows import check_sessions
 from vppres.io.warning_rows import read_warnings
 from vppres.scenario.assets import Batteries, Customers, PVSystems
@@ -147,7 +155,8 @@ def _read_files(folder: Path, settings: Settings) -> tuple[Tables, list[Problem]
             absent = no_table(file, MODELS.get(key, schema.PVSeries))
             tables[key] = None if key in _HISTORY else absent
             continue
-        tables[key], found = read_table(folder / file)
+        found = leads_out(folder, file)
+        tables[key], found = (None, found) if found else read_table(folder / file)
         problems += found
     problems += _misspelt_files(folder, {SCENARIO_FILE, *names.values(), *PHASE_FILES})
     series = tables["pv_kw"]

@@ -17,7 +17,7 @@ from vppres.core.errors import Problem
 from vppres.core.units import minutes_to_h
 from vppres.io import schema
 from vppres.io.messages import problems_of
-from vppres.io.tables import read_text
+from vppres.io.tables import leads_out, no_file, read_text
 from vppres.io.times import iso
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
@@ -142,13 +142,10 @@ def _check_apart(outages: list[schema.Section]) -> list[Problem]:
 
 def _read_toml(path: Path) -> tuple[dict[str, Any], list[Problem]]:
     if not path.is_file():
-        return {}, [
-            Problem(
-                path.name,
-                "the file is missing",
-                "A scenario folder needs it: see the page on the scenario format.",
-            )
-        ]
+        cure = "A scenario folder needs it: see the page on the scenario format."
+        return {}, [no_file(path, cure)]
+    if out := leads_out(path.parent, path.name):
+        return {}, out
     text, problems = read_text(path, MAX_SETTINGS_BYTES)
     if problems:
         return {}, problems

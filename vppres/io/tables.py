@@ -105,7 +105,7 @@ def read_table(
 ) -> tuple[Table | None, list[Problem]]:
     """A table, or the problems that keep the file from being one."""
     if not path.is_file():
-        return None, [Problem(path.name, "the file is missing", cure_if_missing)]
+        return None, [no_file(path, cure_if_missing)]
     table, problems = _read_parquet(path) if path.suffix == ".parquet" else _read_csv(path)
     if table is not None:
         problems = [
@@ -114,6 +114,22 @@ def read_table(
             if (flaw := flaw_of_name(name, schema.MAX_NAME_LENGTH))
         ]
     return (None, problems) if problems else (table, [])
+
+
+def no_file(path: Path, cure_if_missing: str) -> Problem:
+    """What is there in the place of a file, or that nothing is."""
+    if not path.exists():
+        return Problem(path.name, "the file is missing", cure_if_missing)
+    kind = "folder" if path.is_dir() else "pipe or a device"
+    return Problem(path.name, f"is a {kind}, not a file", "Put a file in its place.")
+
+
+def leads_out(folder: Path, file: str) -> list[Problem]:
+    """The problem of a link that leads out of a folder, whose files belong together."""
+    if (folder / file).resolve().is_relative_to(folder.resolve()):
+        return []
+    cure = "Put the file itself into the folder."
+    return [Problem(file, "leads out of the scenario folder, and is not read", cure)]
 
 
 def read_text(path: Path, most_bytes: int = MAX_FILE_BYTES) -> tuple[str, list[Problem]]:

@@ -34,11 +34,18 @@ def read_warnings(table: Table | None) -> tuple[dict[int, OutageWarning], list[P
 def _beside(table: Table, rows: Mapping[int, Any], problems: list[Problem]) -> list[Problem]:
     """What else is wrong in rows that have a cell that cannot be read."""
     wrong: list[Problem] = []
+    fields: dict[int | None, set[str | None]] = {}
+    for problem in problems:
+        fields.setdefault(problem.row, set()).add(problem.field)
+    names = [name for name in table.names if name in schema.WarningRow.model_fields]
+    cells = {name: table.column(name) for name in names}
     for line in map(int, table.frame.index):
-        unread = {problem.field for problem in problems if problem.row == line}
-        names = [name for name in table.names if name in schema.WarningRow.model_fields]
-        cells = {name: table.column(name) for name in names if name not in unread}
-        given = {name: texts[line] for name, texts in cells.items() if line in texts}
+        unread = fields.get(line, set())
+        given = {
+            name: texts[line]
+            for name, texts in cells.items()
+            if name not in unread and line in texts
+        }
         if line in rows or "issued_at" not in given:
             continue
         try:

@@ -3,7 +3,8 @@
 An outage is not there, or has lasted for some steps; the state of the present step is seen. Of the
 steps to come a belief says with which probability each announced outage begins, that of an outage
 that was not announced, and how long outages of each kind last. Announced outages come in their
-order: once one has come, only later ones are waited for.
+order: once one has come, only later ones are waited for. One that begins while another lasts goes
+on behind it: a step is out if any of them touches it.
 """
 
 from __future__ import annotations
@@ -111,6 +112,33 @@ class OutageBelief:
         return found
 
     @cached_property
+    def covers(self) -> Floats:
+        """Probability that each announced outage began some steps before a step and still lasts.
+
+        By outage, the step and the steps before it, (A, T, T).
+        """
+        T = self.n_steps
+        longer = self.duration[1:, ::-1].cumsum(axis=1)[:, ::-1]
+        lasts = np.zeros((self.n_announced, T))
+        n = min(T, longer.shape[1])
+        lasts[:, :n] = longer[:, :n]
+        found = np.zeros((self.n_announced, T, T))
+        for t in range(T):
+            found[:, t, : t + 1] = self.onset[:, t::-1] * lasts[:, : t + 1]
+        return found
+
+    def behind(self, kind: int, t: int) -> list[tuple[int, Floats]]:
+        """Announced outages that still last in step ``t`` when one of a kind has ended before it.
+
+        Each with the probability of the steps that it has lasted, (T,), given that none before it
+        does: outages that come later than that one only.
+        """
+        if not kind or t >= self.n_steps:
+            return []
+        later = range(kind, self.n_announced)
+        return [(row + 1, self.covers[row, t]) for row in later if self.covers[row, t].any()]
+
+    @cached_property
     def certain(self) -> bool:
         """Whether nothing is left to chance: every probability is zero or one."""
         begins = self.hazard == 0.0 and np.isin(self.onset, (0.0, 1.0)).all()
@@ -141,6 +169,11 @@ class OutageBelief:
             # What was not announced leaves all that was announced to wait for.
             arrived = waiting.copy()
             waiting = over.sum(axis=1)
+            for kind in range(1, A + 1):
+                for other, began in self.behind(kind, t):
+                    n = min(self.n_steps, D)
+                    lasting[other, :n] += waiting[kind] * began[:n]
+                    waiting[kind] *= 1.0 - began.sum()
             for come in range(A + 1):
                 begins = self.onsets_from(come, t)
                 lasting[:, 0] += arrived[come] * begins

@@ -88,6 +88,11 @@ class Announced:
         longest_h = message.duration_p90_h or message.duration_p50_h
         return onset_h + longest_h - shortest_h
 
+    @property
+    def sure(self) -> bool:
+        """Whether it comes for certain, at a time that is known."""
+        return self.message.probability == 1.0 and self.earliest == self.latest
+
     def off(self, seen: SeenOutage) -> pd.Timedelta:
         """How far an outage that was seen began from the announced time."""
         return max(self.earliest - seen.start, seen.start - self.latest, pd.Timedelta(0))
@@ -106,8 +111,12 @@ class Announced:
         """Whether two messages of different names speak of one outage.
 
         Their onsets may be the same; or both explain an outage that was seen, and one was first
-        announced when it had begun. What was announced beforehand for different times is two.
+        announced when it had begun. What was announced beforehand for different times is two. An
+        outage that is sure stands for itself: neither another one that is sure, nor what was said
+        beforehand after it, is a message of it.
         """
+        if other.sure and (self.sure or self.first_issued < self.earliest):
+            return False
         if self.earliest < other.latest + step and other.earliest < self.latest + step:
             return True
         later = max(self.first_issued, other.first_issued)
@@ -185,6 +194,8 @@ class OutageOutlook:
             # The present one comes first: those behind it are still waited for.
             kind = 1
             present = self._lasting(explained[-1], lasting, now, length)
+            others = [one for one in announced if one is not explained[-1]]
+            present = self._with_others(present, others, lasting, now)
             onset.insert(0, np.zeros(n_steps))
             kinds.insert(0, present.duration)
             words += [present.words] if present.words else []
@@ -262,6 +273,27 @@ class OutageOutlook:
         step = pd.Timedelta(hours=self.step_h)
         able = [one for one in announced if one.explains(seen, step)]
         return min(able, key=lambda one: one.off(seen), default=None)
+
+    def _with_others(
+        self, present: Lasting, others: Sequence[Announced], seen: SeenOutage, now: pd.Timestamp
+    ) -> Lasting:
+        """How long it is dark: until the last one ends of those that have begun for sure."""
+        step = pd.Timedelta(hours=self.step_h)
+        length = len(present.duration)
+        elapsed = min(round((now - seen.start) / step), length - 1)
+        laws = []
+        for one in others:
+            if one.sure and one.likely <= now:
+                since = np.arange(length) - round((one.likely - seen.start) / step)
+                own = self._length(one, one.likely, length).cumsum()
+                law = np.where(since < 0, 0.0, own[np.clip(since, 0, length - 1)])
+                over = elapsed > 0 and law[elapsed - 1] >= 1.0 - BEYOND
+                laws += [] if over else [law]
+        if not laws:
+            return present
+        if not present.words:  # what it was taken for is not outlasted
+            laws.append(present.duration.cumsum() / present.duration.sum())
+        return Lasting(np.diff(np.prod(laws, axis=0), prepend=0.0), "")
 
     def _onset(self, one: Announced, now: pd.Timestamp, n_steps: int) -> Floats:
         """Probability that it begins at each step, given that it has not so far."""

@@ -326,6 +326,7 @@ def _behind_present(belief: OutageBelief, problem: _Problem, end: Floats) -> Flo
     T = belief.n_steps
     restored = belief.restored
     possible = np.flatnonzero(np.append(belief.hazard > 0.0, belief.onset.any(axis=1)))
+    places = {int(kind): place for place, kind in enumerate(possible)}
     # By the outages that have come; by kind and length so far; and of the one that is seen now.
     waiting = np.tile(end, (kinds, 1))
     lasting = np.tile(end, (len(possible), T, 1))
@@ -335,12 +336,18 @@ def _behind_present(belief: OutageBelief, problem: _Problem, end: Floats) -> Flo
         left = 1.0 - begins.sum(axis=1, keepdims=True)
         later_waiting = left * waiting + begins[:, possible] @ lasting[:, 0]
         over = restored[belief.kind, min(belief.elapsed + t, restored.shape[1] - 1)]
-        later_present = over * waiting[belief.kind] + (1.0 - over) * present
+        # Behind an outage another one may last, which began in it.
+        behind = waiting.copy()
+        for kind in range(1, kinds):
+            for other, began in reversed(belief.behind(kind, t + 1)):
+                goes_on = began[: t + 1] @ lasting[places[other], : t + 1]
+                behind[kind] = (1.0 - began.sum()) * behind[kind] + goes_on
+        later_present = over * behind[belief.kind] + (1.0 - over) * present
         if t == 0:
             break
         ends = restored[possible][:, np.minimum(np.arange(t), restored.shape[1] - 1), None]
         stays = lasting[:, 1 : t + 1]
-        later_lasting = ends * waiting[possible][:, None] + (1.0 - ends) * stays
+        later_lasting = ends * behind[possible][:, None] + (1.0 - ends) * stays
         waiting = problem.before_delivery(t, problem.with_grid(t).best(later_waiting))
         states = np.vstack([later_lasting.reshape(-1, len(end)), later_present])
         best = problem.before_delivery(t, problem.out(t).best(states))

@@ -73,6 +73,9 @@ KINDS = {
     "fallback": Kind(30.0, 0.0, "Look at the reason and at the log. Check the set-points."),
     "source_lost": Kind(5.0, 5.0, "Check the source and its connection."),
     "setpoint_rejected": Kind(0.0, 0.0, "Check the device on site."),
+    "notices_undelivered": Kind(
+        0.0, 0.0, "Check the address of --notify and its server; look at this list until then."
+    ),
 }
 """Delays outlast a reading that is late, and a plan that changes its mind from step to step."""
 

@@ -214,7 +214,7 @@ def check_belief(said: payloads.Event, options: RunOptions) -> None:
 def warnings(events: Mapping[str, Event], now: pd.Timestamp, step: pd.Timedelta) -> list[Any]:
     """Messages of all outages that may be now or later; ``now`` is a step's beginning."""
     found = []
-    for name, event in _united(events, now, step).items():
+    for name, event in events.items():
         message = _message(name, event.said, now, step)
         if message is None:
             continue
@@ -224,37 +224,6 @@ def warnings(events: Mapping[str, Event], now: pd.Timestamp, step: pd.Timedelta)
             min(moment(at), now) for at in (event.made_at, event.made_at if crew else event.since)
         }
         found += [replace(message, issued_at=at) for at in sorted(issued)]
-    return found
-
-
-def _united(events: Mapping[str, Event], now: pd.Timestamp, step: pd.Timedelta) -> dict[str, Event]:
-    """Events with certain outages that leave no step between them as one, named as told last.
-
-    Each step that one of them touches is dark: none may stand for another, as messages of one
-    uncertain outage do.
-    """
-    spans = [
-        (interval[0], interval[1], name)
-        for name, event in events.items()
-        if (interval := certain_interval(event.said)) is not None and interval[1] is not None
-    ]
-    stretches: list[tuple[pd.Timestamp, pd.Timestamp, list[str]]] = []
-    for start, end, name in sorted(spans, key=lambda span: span[0]):
-        names = [name]
-        if stretches and _step_of(start, now, step) <= _step_end(stretches[-1][1], now, step):
-            first, last, before = stretches.pop()
-            start, end, names = first, max(last, end), [*before, name]
-        stretches.append((start, end, names))
-    found = dict(events)
-    for start, end, names in stretches:
-        if len(names) == 1:
-            continue
-        since = min(found[name].since for name in names)
-        told_last = max(names, key=lambda name: events[name].made_at)
-        for name in names:
-            del found[name]
-        body = {"type": "outage", "start": start.isoformat(), "end": end.isoformat()}
-        found[told_last] = replace(events[told_last], body=body, since=since)
     return found
 
 

@@ -70,6 +70,7 @@ class Situation:
     is_dark: bool
     failing: Mapping[str, str]
     grid_on: float | None = None
+    unreached: Sequence[str] = ()
 
     @property
     def critical(self) -> set[str]:
@@ -120,6 +121,7 @@ def conditions(now: Situation) -> Iterator[Condition]:
     yield from _fallback(now)
     yield from _source_lost(now)
     yield from _setpoint_rejected(now)
+    yield from _notices_undelivered(now)
 
 
 def _no_decision(now: Situation) -> Iterator[Condition]:
@@ -278,3 +280,10 @@ def _setpoint_rejected(now: Situation) -> Iterator[Condition]:
             found.setdefault(one["asset"], f"{words} The default was sent.")
     for name, text in found.items():
         yield Condition("setpoint_rejected", name, HIGH if name in now.critical else MEDIUM, text)
+
+
+def _notices_undelivered(now: Situation) -> Iterator[Condition]:
+    """People are not told of alarms."""
+    for name in now.unreached:
+        text = f"The last notice of an alarm did not reach {name}."
+        yield Condition("notices_undelivered", name, MEDIUM, text)

@@ -12,7 +12,7 @@ import threading
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from email.message import EmailMessage
@@ -98,19 +98,35 @@ def message_of(site: str, notice: Notice) -> dict[str, Any]:
     return {"site": site, "what": notice.what, "text": "\n".join(lines), "alarms": notice.alarms}
 
 
+class Notifier:
+    """Takes notices, and sends each to every target."""
+
+    def __init__(self, site: str, couriers: Sequence[_Courier]) -> None:
+        self._site = site
+        self._couriers = couriers
+
+    def __call__(self, notice: Notice) -> None:
+        """Take a notice, and do not wait."""
+        message = message_of(self._site, notice)
+        for courier in self._couriers:
+            courier.take(message)
+
+    def unreached(self) -> list[str]:
+        """Names of targets that the last notice did not reach, or whose courier has ended."""
+        return sorted({one.name for one in self._couriers if one.failed or not one.alive})
+
+    def alive(self) -> bool:
+        """Whether every target has its courier."""
+        return all(one.alive for one in self._couriers)
+
+
 @contextmanager
-def notifier(site: str, targets: Iterable[Target]) -> Iterator[Callable[[Notice], None]]:
+def notifier(site: str, targets: Iterable[Target]) -> Iterator[Notifier]:
     """Something that takes notices, and sends each to every target until the end."""
     ended = threading.Event()
     couriers = [_Courier(target, ended) for target in targets]
-
-    def take(notice: Notice) -> None:
-        message = message_of(site, notice)
-        for courier in couriers:
-            courier.take(message)
-
     try:
-        yield take
+        yield Notifier(site, couriers)
     finally:
         ended.set()
         until = time.monotonic() + TIMEOUT_S
@@ -127,11 +143,19 @@ class _Courier:
         self._attempt: threading.Thread | None = None
         self._thread = threading.Thread(target=self._work, name="vppres-notify", daemon=True)
         self._thread.start()
+        self.name = target.name
+        self.failed = False
+
+    @property
+    def alive(self) -> bool:
+        """Whether it still delivers."""
+        return self._thread.is_alive()
 
     def take(self, message: dict[str, Any]) -> None:
         try:
             self._waiting.put_nowait(message)
         except queue.Full:
+            self.failed = True
             log.error("notice dropped: %d wait to be sent", MOST_WAITING)
 
     def end(self, until: float) -> None:
@@ -152,8 +176,10 @@ class _Courier:
             self._ended.wait(wait_s)
             failure = self._failure(message)
             if failure is None:
+                self.failed = False
                 return
             log.warning("notice not sent to %s: %s", self._target.name, type(failure).__name__)
+        self.failed = True
         log.error("notice given up for %s", self._target.name)
 
     def _failure(self, message: dict[str, Any]) -> Exception | None:

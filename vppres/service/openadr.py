@@ -26,6 +26,7 @@ LONGEST_NAME = 60
 """Of an event: what is longer is cut, with a hash instead of its end."""
 
 SOURCE = "openadr"
+RANDOMISED = "randomizeStart"
 POUND = "GBP"
 POWER_KW = {"KW": 1.0, "W": 1e-3, "MW": 1e3}
 ALERTS = (
@@ -51,6 +52,13 @@ class Period(_Part):
 
     start: Annotated[str, Field(max_length=40)] | None = None
     duration: Annotated[str, Field(max_length=40)] | None = None
+    randomizeStart: Annotated[str, Field(max_length=40)] | None = None
+
+    @property
+    def randomised(self) -> bool:
+        """Whether the start is to be drawn: a plan that is repeated needs the one that is said."""
+        text = self.randomizeStart
+        return text is not None and any(digit in "123456789" for digit in text)
 
 
 class Payload(_Part):
@@ -97,7 +105,7 @@ class OpenADREvent(_Part):
 
 
 def events_of(event: OpenADREvent, believes: bool) -> tuple[dict[str, Any], list[str]]:
-    """Our events by name, and types that mean nothing here.
+    """Our events by name, and what means nothing here: types, and a start that is to be drawn.
 
     Where no beliefs are planned with a possible outage is an alert.
 
@@ -107,7 +115,9 @@ def events_of(event: OpenADREvent, believes: bool) -> tuple[dict[str, Any], list
         If times or values are not those of its types.
     """
     found: dict[str, Any] = {}
-    ignored = set()
+    periods = [event.intervalPeriod, *(part.intervalPeriod for part in event.intervals)]
+    drawn = any(period is not None and period.randomised for period in periods)
+    ignored = {RANDOMISED} if drawn else set()
     for number, (start, length, part) in enumerate(_intervals(event)):
         for payload in part.payloads:
             body = _body(payload, start, length, event, believes)

@@ -34,6 +34,7 @@ from vppres.service.conditions import conditions, situation
 from vppres.service.gate import refusals
 from vppres.service.knowledge import EARLY_SHARE, Heard, Known, known_at, soc_at
 from vppres.service.learned import learned, measured_in
+from vppres.service.notify import Notifier
 from vppres.service.plans import (
     defaults_of,
     made_anew,
@@ -128,6 +129,7 @@ class Runner:
         self.store = store
         self.clock = clock
         self.rehearsal = service.rehearsal
+        self.notifier: Notifier | None = None
         self.keeps = pd.Timedelta(days=service.keep_days)
         self.played = service.rehearsal or service.paced
         self.scenario = service.scenario
@@ -201,6 +203,7 @@ class Runner:
         with suppress(StorageError):  # /readyz says so, and the next look comes soon
             unaware_of = self.changes.reasons
             found = situation(now, self.scenario, self.store, self.last, self.ahead_s, unaware_of)
+            found = replace(found, unreached=self.notifier.unreached() if self.notifier else ())
             self.alarms.look(conditions(found), now)
 
     def begin(self, time: pd.Timestamp | None = None, actor: str | None = None) -> str:

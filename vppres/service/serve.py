@@ -189,6 +189,7 @@ def serve(
         notifier(service.scenario.name, targets) as tell,
     ):
         runner.alarms.on_notice = tell
+        runner.notifier = tell
         access = Access(runner.store.tokens())
         address.check(access)
         hosts = (*LOOPBACK, address.host, *address.names)

@@ -63,6 +63,9 @@ START_S = 60.0
 MEMORY_SHARE = 0.5
 """Share of the memory there is that a solver may allocate: the controller has to live as well."""
 
+LOOK_S = 0.2
+"""Time between two looks at a process that loads: whether it was stopped."""
+
 LOG_READ = 20_000
 """How much of what a process wrote goes into the note of its error, in bytes."""
 
@@ -142,11 +145,31 @@ class Worker:
             If there is no reply in time; the process is to be ended then.
         """
         if not self._ready:
-            self._hear(self._begin + START_S, "start", START_S)
+            self._started()
             self._ready = True
         due = time.monotonic() + within_s
         reply = self._exchange(replace(task, setup=None), due, within_s)
         return self._exchange(task, due, within_s) if reply.unknown else reply
+
+    def _started(self) -> None:
+        """Wait until the process has loaded; one that is stopped never will."""
+        due = self._begin + START_S
+        while not self._channel.waits(LOOK_S) and time.monotonic() < due:
+            if self._stopped:
+                raise SolverLostError(
+                    "The solver's process was stopped while it started, and was killed."
+                )
+        self._hear(due, "start", START_S)
+
+    @property
+    def _stopped(self) -> bool:
+        """Whether a signal keeps the process from running."""
+        with suppress(ChildProcessError):
+            pid, status = os.waitpid(self.process.pid, os.WNOHANG | os.WUNTRACED)
+            if pid and not os.WIFSTOPPED(status):  # it has ended, which Popen is to know
+                self.process.returncode = os.waitstatus_to_exitcode(status)
+            return bool(pid) and os.WIFSTOPPED(status)
+        return False
 
     def _exchange(self, task: Task, due: float, within_s: float) -> Reply:
         """Send and hear."""

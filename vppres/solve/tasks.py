@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import select
 import socket
 import struct
 import time
@@ -143,6 +144,12 @@ class Channel:
         body = pickle.dumps(message, protocol=5)
         self._end.settimeout(within_s)
         self._end.sendall(_LENGTH.pack(len(body)) + body)
+
+    def waits(self, within_s: float) -> bool:
+        """Whether something is to be received, or the other end is closed, within a time."""
+        poll = select.poll()
+        poll.register(self._end, select.POLLIN)
+        return bool(poll.poll(1e3 * within_s))
 
     def receive(self, within_s: float | None = None) -> bytes:
         """An object as it was pickled.

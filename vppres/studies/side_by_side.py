@@ -8,6 +8,7 @@ a job that is asked for twice is run once, and a job whose worker dies is run ag
 from __future__ import annotations
 
 import importlib.util
+import threading
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, contextmanager
@@ -25,6 +26,7 @@ from vppres.day.metrics import versions
 
 J = TypeVar("J")
 R = TypeVar("R")
+C = TypeVar("C")
 
 RETRIES = 2
 """Times that a cluster runs a failed job again before its error counts."""
@@ -232,8 +234,9 @@ def _client(scheduler: str) -> Iterator[Any]:
     try:
         if "://" not in scheduler and not Path(scheduler).is_file():
             raise FileNotFoundError("there is no such file")
-        client = Client(**place, timeout=PATIENCE_S, set_as_default=False)
-    except (OSError, TimeoutError, ValueError) as error:
+        client = _within_patience(lambda: Client(**place, timeout=PATIENCE_S, set_as_default=False))
+    # Who listens there may be anybody, and a file may hold anything.
+    except Exception as error:
         raise InputError(
             _problem(
                 "scheduler",
@@ -245,6 +248,27 @@ def _client(scheduler: str) -> Iterator[Any]:
         ) from error
     with client:
         yield client
+
+
+def _within_patience(connect: Callable[[], C]) -> C:
+    """A connection, in the time for it: Dask asks for ever whoever does not speak its language."""
+    found: list[C] = []
+    failed: list[Exception] = []
+
+    def attempt() -> None:
+        try:
+            found.append(connect())
+        except Exception as error:
+            failed.append(error)
+
+    thread = threading.Thread(target=attempt, name="vppres-scheduler", daemon=True)
+    thread.start()
+    thread.join(2.0 * PATIENCE_S)
+    if failed:
+        raise failed.pop()
+    if not found:
+        raise TimeoutError("what listens there does not answer as a Dask scheduler")
+    return found[0]
 
 
 def _dask_is_there() -> bool:

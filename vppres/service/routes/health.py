@@ -26,6 +26,7 @@ def routes(runner: Runner) -> APIRouter:
             "database": runner.store.ready(),
             "plan": runner.ahead_s > 0.0,
             "decided": runner.last is not None and runner.last["status"] != "failed",
+            "notices": runner.notifier is None or runner.notifier.alive(),
         }
         ready = all(checks.values())
         ahead = runner.ahead_s if runner.last is not None else None
