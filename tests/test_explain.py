@@ -305,6 +305,17 @@ def explained(heatwave: Trajectory) -> Trajectory:
     return explain_day(heatwave)
 
 
+def test_at_the_end_of_an_outage_no_energy_is_said_to_have_a_later_use(
+    explained: Trajectory,
+) -> None:
+    reasons = explained.explanations
+    assert reasons is not None
+    at = {h: reasons[reasons["time"].dt.hour == h]["words"].str.cat(sep=" ") for h in (16, 17)}
+    assert "a kWh kept for later" in at[16]
+    assert "kept for later" not in at[17]
+    assert "Discharges: supplies customers with all that it may give; one more stored" in at[17]
+
+
 def tables(run: Trajectory) -> tuple[pd.DataFrame, pd.DataFrame]:
     assert run.explanations is not None and run.shadow_prices is not None
     return run.explanations, run.shadow_prices

@@ -104,12 +104,12 @@ def test_the_reference_is_the_largest_inverter_that_has_energy(tiny: Scenario) -
 
 
 def test_missing_power_sheds_the_least_weight_per_kw_of_the_lowest_tier(tiny: Scenario) -> None:
-    # 47.5 + 48 kW planned, 30 kW more from the battery that holds the grid, 156 kW asked for.
+    # 47.5 + 50 kW planned, 30 kW more from the battery that holds the grid, 156 kW asked for.
     day = replace(tiny, customers=replace(tiny.customers, power_factor=np.ones(3)))
-    done = settle(day, decision(day, battery_kw=[-20.0, -28.0]), state([0.85, 0.85]))
+    done = settle(day, decision(day, battery_kw=[-20.0, -30.0]), state([0.85, 0.85]))
     assert done.shed.tolist() == [False, False, True]
     assert done.realised.served.tolist() == [True, True, False]
-    assert done.mismatch_kw[0] == pytest.approx(110.0 - 47.5 - 48.0 + done.ac.losses_kw, abs=1e-5)
+    assert done.mismatch_kw[0] == pytest.approx(110.0 - 47.5 - 50.0 + done.ac.losses_kw, abs=1e-5)
     # The shed customer's PV system goes on feeding the island.
     assert done.realised.pv_self_kw[1] == 0.0
     assert done.realised.pv_export_kw[1] == pytest.approx(18.5)
@@ -125,6 +125,18 @@ def test_order_of_shedding(tiny: Scenario) -> None:
     )
     assert shedding_order(alike, T) == [2, 1, 0]
     assert shedding_order(replace(alike, load_kw=np.full((6, 3), [1.0, 50.0, 2.0])), T) == [1, 2, 0]
+
+
+def test_other_batteries_cover_a_need_before_a_customer_is_shed(tiny: Scenario) -> None:
+    # 106 kW of demand less 47.5 kW of sun: the 50 kW of the former and 5 kW planned are too little.
+    day = replace(tiny, load_kw=tiny.load_kw * 0.68)
+    done = settle(day, decision(day, battery_kw=[-50.0, -5.0]), state([0.85, 0.85]))
+    assert not done.shed.any()
+    needed_kw = day.load_kw[T].sum() - 47.5 - done.realised.discharge_kw[0] + done.ac.losses_kw
+    assert done.realised.discharge_kw[1] == pytest.approx(needed_kw, abs=5e-3)
+    assert done.realised.discharge_kw[1] > 5.0
+    empty = settle(day, decision(day, battery_kw=[-50.0, 0.0]), state([0.85, 0.15]))
+    assert empty.shed.tolist() == [False, False, True]
 
 
 def test_charging_stops_before_anyone_is_shed(tiny: Scenario) -> None:
@@ -219,7 +231,8 @@ def test_island_whose_lines_lose_more_than_its_batteries_have_is_dark(tiny: Scen
     # 1e-4 of a kWh is left, and no customer whose shedding could help.
     night = replace(tiny, pv_kw=np.zeros((6, 2)))
     plan = decision(night, served=False, batt_q_kvar=[0.0, 30.0])
-    assert settle(night, plan, state([0.15 + 1e-6, 0.5])).dark_reason == NO_BALANCE
+    assert settle(night, plan, state([0.15 + 2e-6, 0.15])).dark_reason == NO_BALANCE
+    assert not settle(night, plan, state([0.15 + 2e-6, 0.5])).dark
 
 
 @settings(max_examples=100, deadline=None, derandomize=True)

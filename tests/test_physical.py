@@ -332,6 +332,16 @@ def test_agreement_is_of_every_step(tiny: Scenario) -> None:
     assert not agree(exact, met, none, tiny.network)
 
 
+def test_an_outage_that_finds_the_former_empty_is_blacked_out_from_its_first_step() -> None:
+    day = read_scenario(find_scenario("uk-heatwave-2022"))
+    run = run_day(day.between(8, 14), RunOptions(mode="physical", outages="none"))
+    dark = run.steps["dark"] > 0
+    assert dark.tolist() == [False] * 4 + [True] * 2
+    assert ((run.steps["status"] == "blacked_out") == dark).all()
+    assert run.steps["shed_kw"].tolist() == [0.0] * 6
+    assert not any("promised" in words for words in cautions(run))
+
+
 def with_capacitor(day: Scenario, share: float) -> Scenario:
     """The day with a capacitor at its last bus, as a share of all batteries' inverters."""
     net = day.network

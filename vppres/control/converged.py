@@ -464,7 +464,7 @@ def dark_steps(site: Site, data: WindowData) -> Flags:
     if not formers.any():
         return island
     held_kw = (data.soc - b.soc_min) * b.energy_kwh * data.eta_discharge / site.dt_h
-    able = bool((held_kw[formers] > _NO_POWER_KW).any())
+    able = bool((b.holds_energy(data.soc) & (held_kw > _NO_POWER_KW))[formers].any())
     return np.zeros_like(island) if able else np.logical_and.accumulate(island)
 
 

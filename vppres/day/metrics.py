@@ -92,11 +92,11 @@ def cautions(trajectory: Trajectory) -> list[str]:
     """What has to be known before any figure, in sentences."""
     off = off_with_grid(trajectory)
     return [
+        *_blackouts(trajectory),
         *([off] if off else []),
         *time_off_words(trajectory),
         *kind_words(trajectory),
         *unknown_phases(trajectory.scenario),
-        *_blackouts(trajectory),
         *inversion_words(trajectory),
         *headroom_words(trajectory),
     ]

@@ -45,6 +45,7 @@ from vppres.scenario.past_days import PastDays
 from vppres.scenario.phases import PHASES
 from vppres.scenario.priority import STRICT
 from vppres.scenario.scenario import Scenario
+from vppres.solve.result import Status
 
 Progress = Callable[[int, int], None]
 
@@ -314,7 +315,7 @@ def _record(
     held_by_batteries = str(options.mode) == "physical" and bool(scenario.outage[t])
     steps = {
         **_supply(done, buses, held_by_batteries),
-        **_answer(decision),
+        **_answer(decision, done),
         "ac_failed": done.ac_failed,
         **_effort(decision.info, done.realised.clipped_kw),
         "mode": str(options.mode),
@@ -434,14 +435,17 @@ def _supply(
     }
 
 
-def _answer(decision: Decision) -> dict[str, Any]:
-    """What was found for the step, and what overruled or replaced it."""
+def _answer(decision: Decision, done: Settled) -> dict[str, Any]:
+    """What was found for the step, and what overruled or replaced it.
+
+    A blacked-out island is one in its status too, whatever the plan had promised.
+    """
     info = decision.info
     return {
         "objective": info.objective,
         "bound": info.bound,
         "gap": info.gap,
-        "status": info.status,
+        "status": Status.BLACKED_OUT if done.dark else info.status,
         "solve_s": info.solve_s,
         "corrected": decision.corrected,
         "correction_reason": decision.reason,

@@ -312,7 +312,10 @@ def _discharge_in_island(step: Step, battery: int) -> Reason:
             _sentence(f"Discharges as much as {SCARCE[limit]} allows", one_more(step, limit)),
         )
     worth = float(step.service.kept_energy[battery])
-    if worth > WORTH:
+    if limit == "energy" and not step.off_later:
+        words = "Discharges: supplies customers with all that it may give"
+        return Reason(limit, limit, _sentence(words, one_more(step, limit)))
+    if worth > WORTH and step.off_later:
         return Reason(
             "energy",
             "energy",

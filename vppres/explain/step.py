@@ -194,6 +194,12 @@ class Step:
         return np.asarray(kept * b.energy_kwh * window.eta_discharge)
 
     @property
+    def off_later(self) -> bool:
+        """Whether a customer goes without full supply in a later step of the window."""
+        later = slice(self.t + 1, self.t + self.levels.window.n_steps)
+        return bool((self.recorded.share[later] * self.recorded.served[later] < 1.0).any())
+
+    @property
     def dark_steps(self) -> int:
         """Steps of the window without grid, from this one on until it is back."""
         dark = self.levels.window.grid_limit_kw <= 0.0

@@ -3,8 +3,9 @@
 The set of grid-forming batteries holds the voltage and takes up what generation and demand differ
 by, losses included, in proportion to its ratings. Where no battery of the set is able, or they
 cannot hold the island, a grid-forming generating set does. What is beyond that is cut off by rules
-that need no communication: surplus PV power is curtailed, customers are shed from the least
-important tier upwards. Where nothing is able, the island blacks out.
+that need no communication: surplus PV power is curtailed; what is missing is first given by the
+other batteries, then customers are shed from the least important tier upwards. Where nothing is
+able, the island blacks out.
 """
 
 from __future__ import annotations
@@ -143,7 +144,8 @@ class IslandPlant:
     def _able(self, t: int, planned: Realised, state: BatteryState) -> Iterator[Former]:
         """What can form the grid: batteries first, then one generating set after another."""
         _, most_discharge = self.plant.battery_limits_kw(state)
-        able = self.formers & (most_discharge > BALANCE_TOLERANCE_KW)
+        holds = self.plant.scenario.batteries.holds_energy(state.soc)
+        able = self.formers & holds & (most_discharge > BALANCE_TOLERANCE_KW)
         if able.any():
             yield FormingBatteries(self.plant, state, able)
         if "gensets" in planned.running:
@@ -182,7 +184,7 @@ class IslandPlant:
                     ac_failed=found.not_found,
                     by_set_kw=_given_beyond_kw(set_points, found.powers),
                 )
-            cut = self._cut(t, powers, found)
+            cut = self._cut(t, powers, found, state)
             if cut is None:
                 break
             powers = cut
@@ -220,7 +222,15 @@ class IslandPlant:
         """Customers that are on in the order in which they are shed."""
         return [c for c in shedding_order(self.plant.scenario, t) if powers.served[c]]
 
-    def _cut(self, t: int, powers: Powers, found: Balance) -> Powers | None:
+    def _others_room_kw(self, powers: Powers, state: BatteryState, others: Flags) -> Floats:
+        """What batteries that do not form the grid can discharge beyond what they do, (B,)."""
+        _, most_discharge = self.plant.battery_limits_kw(state)
+        s_max_kva = self.plant.scenario.batteries.s_max_kva
+        disc_kw = np.sqrt(np.maximum(s_max_kva**2 - powers.batt_q_kvar**2, 0.0))
+        room_kw = np.minimum(most_discharge, disc_kw) + np.minimum(powers.battery_kw, 0.0)
+        return np.where(others, np.maximum(room_kw, 0.0), 0.0)
+
+    def _cut(self, t: int, powers: Powers, found: Balance, state: BatteryState) -> Powers | None:
         """One more protective action, None if there is none left."""
         need_kw = max(found.left_kw, found.excess_kvar) + CUT_MARGIN_KW
         others = ~found.former.batteries
@@ -233,6 +243,9 @@ class IslandPlant:
             charging = np.where(others, np.maximum(powers.battery_kw, 0.0), 0.0)
             if found.left_kw > self.tolerance_kw and charging.sum() > 0:
                 return replace(powers, battery_kw=powers.battery_kw - part_of(charging, need_kw))
+            room_kw = self._others_room_kw(powers, state, others)
+            if found.left_kw > self.tolerance_kw and room_kw.sum() > self.tolerance_kw:
+                return replace(powers, battery_kw=powers.battery_kw - part_of(room_kw, need_kw))
             return self._shed(t, powers, need_kw, found.ac)
         surplus_kw = -found.left_kw + CUT_MARGIN_KW
         for kind, spare_kw in spare(self.plant, powers).items():

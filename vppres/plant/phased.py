@@ -26,7 +26,7 @@ from vppres.physics.phases import NoPhasedSolutionError, PhasedFlow, PhasedResul
 from vppres.physics.powerflow import ACPowerFlow, ACResult, NoSolutionError
 from vppres.plant.formers import Former, FormingBatteries
 from vppres.plant.island import Balance, IslandPlant
-from vppres.plant.plant import Plant, Powers, Realised
+from vppres.plant.plant import BatteryState, Plant, Powers, Realised
 from vppres.scenario.scenario import Scenario
 
 TOLERANCE_KVA = 1e-3
@@ -200,20 +200,20 @@ class PhasedIslandPlant(IslandPlant):
         on_phase = self._on_phase(_worst_phase(ac))
         return sorted(super()._order(t, powers, ac), key=lambda c: not on_phase[c])
 
-    def _cut(self, t: int, powers: Powers, found: Balance) -> Powers | None:
+    def _cut(self, t: int, powers: Powers, found: Balance, state: BatteryState) -> Powers | None:
         """What relieves an overloaded phase: less of what feeds it, else customers on it.
 
         Where no customer is left to be shed, everything but the former stops.
         """
         if abs(found.left_kw) > self.tolerance_kw:
-            return super()._cut(t, powers, found)
+            return super()._cut(t, powers, found, state)
         worst = _worst_phase(found.ac)
         if _former_kva(found.ac)[worst].real < 0.0:
             less = self._without(powers, self._on_phase(worst))
             if less is not None:
                 return less
         everything = np.ones(len(self.flow.grid.assets), dtype=bool)
-        return super()._cut(t, powers, found) or self._without(powers, everything)
+        return super()._cut(t, powers, found, state) or self._without(powers, everything)
 
     def _without(self, powers: Powers, which: Flags) -> Powers | None:
         """Powers without PV export and discharge of some assets; None if they have neither."""

@@ -319,6 +319,10 @@ class Batteries(Items):
         """Whether none has any power, or there is none."""
         return not self.active_max_kw.any()
 
+    def holds_energy(self, soc: Floats) -> Flags:
+        """Batteries that hold more than rounding above their lowest state of charge, (B,)."""
+        return np.asarray(soc - self.soc_min > SOC_ROUNDING)
+
     @property
     def formers(self) -> Flags:
         """Who forms an island's grid, (B,): those that are named, else the largest inverter.
