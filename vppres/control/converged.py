@@ -434,8 +434,9 @@ def _reserve(site: Site, data: WindowData, headroom_kw: Floats, left_kw: Floats)
     for t in range(data.n_steps - 1, -1, -1):
         after = later
         later = np.where(headroom_kw[t] > 0, later + headroom_kw[t] * dt_h, 0.0)
-        # In strict order nothing is kept behind the last step of an outage that ends in the window.
-        released = site.ranks is not None and t + 1 < data.n_steps
+        # Nothing is kept behind the last step of the run, nor, in strict order, behind that of an
+        # outage that ends in the window.
+        released = site.ranks is not None if t + 1 < data.n_steps else data.ends
         kept_kwh = after + left_kw[t] * dt_h if released else later
         wanted[t] = np.minimum(
             kept_kwh / (data.eta_discharge * b.energy_kwh), LARGEST_RESERVE * usable

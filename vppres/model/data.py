@@ -136,6 +136,8 @@ class WindowData:
         What the grid takes back; None is the paper's connection, which imports only.
     drawn : Drawn, optional
         What the network itself draws; None where it has no shunt, charging or fixed demand.
+    ends : bool
+        Whether the run is known to end with the window, so that no outage goes on behind it.
     terminal : Terminal, optional
         What batteries are to hold at the end; None, the paper, lets them end empty.
     stored_value : StoredValue, optional
@@ -166,6 +168,7 @@ class WindowData:
     moves: Moves | None = None
     export: Export | None = None
     drawn: Drawn | None = None
+    ends: bool = False
     terminal: Terminal | None = None
     stored_value: StoredValue | None = None
     own_u_pu2: Floats | None = None
@@ -197,6 +200,7 @@ class WindowData:
             moves=observation.moves,
             export=forecast.export,
             drawn=drawn_by(site.network, None if point is None else point.v_pu, island),
+            ends=observation.ends and observation.stored_value is None,
             terminal=observation.end if stores else None,
             stored_value=observation.stored_value if stores else None,
             owed=observation.owed,
@@ -265,6 +269,7 @@ class WindowData:
             moves=self.moves and self.moves.part(steps),
             export=self.export and self.export.part(steps),
             drawn=self.drawn and self.drawn.part(steps),
+            ends=self.ends and to_the_end,
             terminal=self.terminal if to_the_end else None,
             stored_value=self.stored_value if to_the_end else None,
             own_u_pu2=None if self.own_u_pu2 is None else self.own_u_pu2[steps],
