@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
+import numpy as np
 import pytest
 
-from tests.support.small_windows import DARK, OPEN, battery, two_buses
+from tests.support.small_windows import DARK, OPEN, battery, two_buses, window
 from vppres import RunOptions, run_day
+from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
+from vppres.solve.ladder import WindowSolver
 
 
 def hours(limits_kw: list[float], load_kw: float = 3.0) -> Scenario:
@@ -34,3 +38,51 @@ def test_nothing_is_kept_behind_an_outage_that_ends_with_the_run(
 def test_only_who_knows_that_the_outage_ends_keeps_nothing(outages: str, served: int) -> None:
     run = run_day(hours([DARK]), RunOptions(priority="strict", mode="physical", outages=outages))
     assert run.customers["served"].sum() == served
+
+
+# Of equal service the earlier one.
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"mode": "physical", "outages": "none", "priority": "strict"},
+        {"mode": "physical", "outages": "known", "priority": "strict"},
+        {"mode": "physical", "outages": "known", "headroom": 0.0},
+        {"mode": "physical", "outages": "none", "priority": "strict", "method": "monolithic"},
+        {"mode": "physical", "outages": "none", "controller": "full-horizon", "headroom": 0.0},
+        {"mode": "paper", "outages": "none"},
+        {"mode": "paper", "outages": "none", "controller": "full-horizon"},
+    ],
+    ids=lambda options: "-".join(str(value) for value in options.values()),
+)
+def test_a_lone_customer_is_not_put_off(options: dict[str, Any]) -> None:
+    """6.65 kWh are enough for three of nine dark hours of 2 kW: for the first three."""
+    day = hours([DARK] * 9, load_kw=2.0)
+    alone = two_buses([[2.0]] * 9, [1.0], [DARK] * 9)
+    day = replace(alone, tiers=("critical",), batteries=day.batteries)
+    run = run_day(day, RunOptions(horizon_h=5, **options))
+    assert run.customers["served"].tolist() == [1] * 3 + [0] * 6
+
+
+def test_higher_tiers_come_first_and_then_sooner() -> None:
+    """Energy for six customer hours of 1 kW: four of the first tier, the others at once."""
+    day = hours([DARK] * 4, load_kw=1.0)
+    run = run_day(day, RunOptions(horizon_h=3, priority="strict", mode="physical", headroom=0.0))
+    served = run.customers.pivot(index="time", columns="id", values="served")
+    assert served.to_numpy(dtype=int).tolist() == [[1, 1], [1, 1], [1, 0], [1, 0]]
+
+
+# Nobody is switched for nothing.
+
+
+@pytest.mark.parametrize("on", [0, 1])
+@pytest.mark.parametrize("method", ["decomposed", "monolithic"])
+def test_of_equal_customers_the_one_that_is_on_stays_on(on: int, method: str) -> None:
+    """The battery's 4 kW are enough for one of two customers of 3 kW."""
+    day = two_buses([[3.0, 3.0]] * 2, [1.0, 1.0], [DARK, DARK])
+    day = replace(day, batteries=battery(p_max_kw=4.0, soc=0.85))
+    data = replace(window(day), open_ended=True, on_before=np.arange(2) == on)
+    found = WindowSolver(Site.of(day), method).solve(data)
+    assert found.dispatch.served.sum(axis=1).tolist() == [1, 1]
+    assert found.dispatch.served[0, on]

@@ -84,6 +84,8 @@ class Observation:
         known. The window is then the present step alone.
     ends : bool
         Whether the run ends with the window, and its outages are known: nothing is kept behind it.
+    open_ended : bool
+        Whether outages in ``forecast`` may last longer or shorter than it says.
     guessed : bool
         Whether outages ahead in ``forecast`` are the likely ones and not known.
     kept_on : array of bool, shape (n, C), optional
@@ -123,6 +125,7 @@ class Observation:
     terminal: Terminal | None = None
     stored_value: StoredValue | None = None
     ends: bool = False
+    open_ended: bool = False
     guessed: bool = False
     kept_on: Flags | None = None
     turns: Turns | None = None

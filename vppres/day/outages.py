@@ -235,6 +235,7 @@ class OutageView:
             outage_messages=belief.words,
             guessed=not belief.certain,
             ends=seen.ends and belief.certain,
+            open_ended=not belief.certain,
         )
         if self.kind == LIKELY or belief.certain or not len(scenario.batteries):
             return told
@@ -367,4 +368,4 @@ def _told(
     limit_kw[0] = seen.forecast.grid_limit_kw[0]
     export = Export.believed(scenario, slice(window.start, window.stop), limit_kw)
     forecast = replace(seen.forecast, grid_limit_kw=limit_kw, export=export)
-    return replace(seen, forecast=forecast, ends=False)
+    return replace(seen, forecast=forecast, ends=False, open_ended=True)

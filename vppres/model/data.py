@@ -136,6 +136,10 @@ class WindowData:
         What the grid takes back; None is the paper's connection, which imports only.
     drawn : Drawn, optional
         What the network itself draws; None where it has no shunt, charging or fixed demand.
+    on_before : array of bool, shape (C,), optional
+        Who was on supply just before the window; None if it is not known.
+    open_ended : bool
+        Whether outages may last longer than the window says.
     ends : bool
         Whether the run is known to end with the window, so that no outage goes on behind it.
     terminal : Terminal, optional
@@ -168,6 +172,8 @@ class WindowData:
     moves: Moves | None = None
     export: Export | None = None
     drawn: Drawn | None = None
+    on_before: Flags | None = None
+    open_ended: bool = False
     ends: bool = False
     terminal: Terminal | None = None
     stored_value: StoredValue | None = None
@@ -200,6 +206,8 @@ class WindowData:
             moves=observation.moves,
             export=forecast.export,
             drawn=drawn_by(site.network, None if point is None else point.v_pu, island),
+            on_before=observation.served,
+            open_ended=observation.open_ended,
             ends=observation.ends and observation.stored_value is None,
             terminal=observation.end if stores else None,
             stored_value=observation.stored_value if stores else None,
@@ -215,6 +223,11 @@ class WindowData:
         inside = np.clip(self.soc, batteries.soc_min, batteries.soc_max)
         rounding = np.abs(self.soc - inside) <= SOC_ROUNDING
         return replace(self, soc=np.where(rounding, inside, self.soc))
+
+    @property
+    def asks_for_sooner(self) -> bool:
+        """Whether the paper is silent on which of equal plans is taken (``docs/method.md``)."""
+        return self.physical or self.open_ended
 
     @property
     def physical(self) -> bool:
@@ -269,6 +282,7 @@ class WindowData:
             moves=self.moves and self.moves.part(steps),
             export=self.export and self.export.part(steps),
             drawn=self.drawn and self.drawn.part(steps),
+            on_before=None if steps.indices(self.n_steps)[0] else self.on_before,
             ends=self.ends and to_the_end,
             terminal=self.terminal if to_the_end else None,
             stored_value=self.stored_value if to_the_end else None,

@@ -30,7 +30,7 @@ from vppres.solve.linear import Linear
 from vppres.solve.lumping import Lumping, eliminated
 from vppres.solve.selection import EQUAL, MOST, Family, Selected, Selection, Sheet
 
-Goal = Literal["weighted", "service", "cost", "dispatch"]
+Goal = Literal["weighted", "service", "cost", "dispatch", "sooner"]
 
 OF_ENERGY = (
     "battery_soc_start",
@@ -274,11 +274,13 @@ class FleetProblem(Selected):
         Its rows.
     integer : bool
         Whether service is all or nothing; without it the problem is linear and a weaker bound.
-    goal : {"weighted", "service", "cost", "dispatch"}
+    goal : {"weighted", "service", "cost", "dispatch", "sooner"}
         ``weighted`` maximises all linear terms as weighted, times the objective's scale;
         ``service`` maximises f1 and f3 in units of the weights' grid, f3 rounded in favour;
         ``cost`` minimises the cost (GBP) of all sets whose service reaches ``service_min``;
-        ``dispatch`` minimises in GBP all that a supply schedule leaves to decide, see :meth:`hold`.
+        ``dispatch`` minimises in GBP all that a supply schedule leaves to decide, see :meth:`hold`;
+        ``sooner`` has all sets whose service reaches ``service_min`` at a cost that a window
+        writes, and no objective of its own.
     """
 
     def __init__(self, site: Site, fleet: Fleet, integer: bool, goal: Goal) -> None:
@@ -332,6 +334,7 @@ def _select(sheet: Sheet, fleet: Fleet, integer: bool, goal: Goal) -> Selection:
         "service": _most_service,
         "cost": _least_cost,
         "dispatch": _cheapest,
+        "sooner": _as_good,
     }
     return with_goal[goal](found, fleet)
 
@@ -353,12 +356,24 @@ def _all_terms(found: Selection, fleet: Fleet) -> Selection:
 
 def _least_cost(found: Selection, fleet: Fleet) -> Selection:
     """The least cost of schedules with enough service, in units; a window writes how much."""
-    unit = fleet.grid or 1.0
-    lack = [(name, -factor / unit) for name, factor in fleet.service]
-    enough = fleet.sum_of_terms("service_enough", MOST, *lack)
     spent = fleet.sum_of_terms("cost", EQUAL, ("f2", 1.0))
     order = _order(fleet, "P_grid", "P_curt", "P_dch", "x_served")
-    return replace(found, parts=(*found.parts, enough), terms=((spent, 1.0),), order=order)
+    parts = (*found.parts, _enough(fleet))
+    return replace(found, parts=parts, terms=((spent, 1.0),), order=order)
+
+
+def _as_good(found: Selection, fleet: Fleet) -> Selection:
+    """Schedules with enough service at no more than a cost; a window writes both."""
+    spent = fleet.sum_of_terms("cost_most", MOST, ("f2", 1.0))
+    order = _order(fleet, "x_served", "P_curt", "P_grid", "P_dch")
+    return replace(found, parts=(*found.parts, _enough(fleet), spent), order=order)
+
+
+def _enough(fleet: Fleet) -> Family:
+    """A row for enough service, in units."""
+    unit = fleet.grid or 1.0
+    lack = [(name, -factor / unit) for name, factor in fleet.service]
+    return fleet.sum_of_terms("service_enough", MOST, *lack)
 
 
 def _cheapest(found: Selection, fleet: Fleet) -> Selection:
