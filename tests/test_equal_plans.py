@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support.small_windows import DARK, OPEN, battery, two_buses, window
-from vppres import RunOptions, run_day
+from tests.support.small_windows import DARK, OPEN, battery, two_buses, window, with_pv
+from vppres import RunOptions, Trajectory, run_day
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
 from vppres.solve.ladder import WindowSolver
@@ -86,3 +86,41 @@ def test_of_equal_customers_the_one_that_is_on_stays_on(on: int, method: str) ->
     found = WindowSolver(Site.of(day), method).solve(data)
     assert found.dispatch.served.sum(axis=1).tolist() == [1, 1]
     assert found.dispatch.served[0, on]
+
+
+# Nothing stored is spent beside curtailed sun.
+
+
+def spent_kw(run: Trajectory) -> float:
+    """Most power that batteries gave beside as much curtailed sun."""
+    powers = run.batteries.groupby("time")[["charge_kw", "discharge_kw"]].sum()
+    curtailed_kw = run.pv.groupby("time")["curtailed_kw"].sum()
+    given_kw = powers["discharge_kw"] - powers["charge_kw"]
+    return float(np.minimum(given_kw, curtailed_kw).max())
+
+
+@pytest.mark.parametrize("priority", ["strict", "weights"])
+@pytest.mark.parametrize("outages", ["known", "none"])
+@pytest.mark.parametrize(
+    ("limits_kw", "sun_kw", "soc"),
+    [
+        ([DARK] * 6, [8.0] * 6, 0.85),  # more than enough in every hour
+        ([DARK] * 6, [8.0] * 4 + [0.0] * 2, 0.4),  # it is filled while there is sun
+        ([DARK] * 6, [8.0, 1.0] * 3, 0.6),  # every other hour needs it
+        ([OPEN, *[DARK] * 4, OPEN], [8.0] * 6, 0.85),  # and with a grid that takes nothing back
+    ],
+)
+def test_nothing_stored_is_spent_beside_curtailed_sun(
+    limits_kw: list[float], sun_kw: list[float], soc: float, outages: str, priority: str
+) -> None:
+    day = with_pv(hours(limits_kw, load_kw=1.0), sun_kw)
+    day = replace(
+        day,
+        batteries=replace(day.batteries, soc_initial=[soc]),
+        export_limit_kw=np.zeros(len(limits_kw)),
+    )
+    options = RunOptions(horizon_h=4, mode="physical", outages=outages, priority=priority)
+    run = run_day(day, options)
+    assert spent_kw(run) <= 2e-3
+    assert run.customers["served"].all()
+    assert (run.steps["status"] == "optimal").all()

@@ -58,6 +58,26 @@ class Physics:
 
 
 @dataclass(frozen=True, eq=False)
+class Unspent:
+    """What keeps stored energy while PV power is curtailed, in a window of W steps.
+
+    Parameters
+    ----------
+    discharge_kw : array, shape (W, B)
+        Largest discharging power: none where PV power is enough.
+    curtailed_kw : array, shape (W,)
+        Largest curtailed power: none where it is not.
+    """
+
+    discharge_kw: Floats
+    curtailed_kw: Floats
+
+    def part(self, steps: slice) -> Unspent:
+        """Some of the steps."""
+        return Unspent(self.discharge_kw[steps], self.curtailed_kw[steps])
+
+
+@dataclass(frozen=True, eq=False)
 class PhasedWindow:
     """What a window of W steps on a phased feeder is linearised at; m voltages have limits.
 
@@ -155,6 +175,8 @@ class WindowData:
         Voltages and former by phase; None for a balanced feeder.
     owed : Owed, optional
         What dimmed customers may catch up from before the window; None for nothing.
+    unspent : Unspent, optional
+        What keeps stored energy while PV power is curtailed; None, the paper, for nothing.
     ahead : KindsAhead, optional
         Vehicles, rooms and generating sets; none if not given.
     """
@@ -181,6 +203,7 @@ class WindowData:
     flow_max_kva: Floats | None = None
     phased: PhasedWindow | None = None
     owed: Owed | None = None
+    unspent: Unspent | None = None
     ahead: KindsAhead = field(default_factory=KindsAhead)
 
     @classmethod
@@ -289,6 +312,7 @@ class WindowData:
             own_u_pu2=None if self.own_u_pu2 is None else self.own_u_pu2[steps],
             flow_max_kva=None if self.flow_max_kva is None else self.flow_max_kva[steps],
             phased=self.phased and self.phased.part(steps),
+            unspent=self.unspent and self.unspent.part(steps),
             ahead=self.ahead.part(steps),
         )
 
