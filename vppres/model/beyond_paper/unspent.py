@@ -1,8 +1,8 @@
 """What keeps stored energy while PV power is curtailed, in physical mode.
 
-The paper counts the curtailed energy alone. A battery that gives power beside curtailed PV power, and
-takes it back an hour later, loses some on the way and so has less curtailed: nothing is gained by
-it, and an outage that lasts longer finds the battery empty. Once it is known who is served, the
+The paper counts the curtailed energy alone. A battery that gives power beside curtailed PV power,
+and takes it back an hour later, loses some on the way and so has less curtailed: nothing is gained
+by it, and an outage that lasts longer finds the battery empty. Once it is known who is served, the
 demand says of each step whether PV power exceeds it and what the grid takes back: then no battery
 gives power. In an island nothing is curtailed otherwise. Without it no problem has any of this.
 """
