@@ -50,6 +50,14 @@ def tagged() -> ImportedFeeder:
 INVENTED = NewScenarioOptions(draw_tiers=True, pv="sized", add_batteries=True)
 
 
+def test_a_restored_customer_stays_on_supply_for_an_hour(
+    tagged: ImportedFeeder, tmp_path: Path
+) -> None:
+    notes = write_new_scenario(tagged, NewScenarioOptions(step_minutes=15), tmp_path / "mine")
+    assert read_scenario(tmp_path / "mine").switching.min_served_h == 1.0
+    assert any("stays on supply for at least 1 h" in note for note in notes)
+
+
 def test_nothing_is_invented_unasked(case33: ImportedFeeder) -> None:
     day = new_scenario(case33)
     assert (len(day.pv), len(day.batteries), day.tiers) == (0, 0, ("all",))

@@ -18,9 +18,11 @@ from experiments.random_feeders import random_state, random_window
 from tests.support.dispatch_check import check_dispatch
 from tests.support.injections import columns_of
 from tests.support.programs import knapsack
+from tests.support.small_windows import DARK, battery, two_buses, window, with_pv
 from vppres.contract.dispatch import Dispatch
 from vppres.io import find_scenario, read_scenario
 from vppres.model.data import WindowData
+from vppres.model.numerics import objective_scale
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
 from vppres.solve.cache import ModelCache, shared_cache
@@ -31,6 +33,7 @@ from vppres.solve.fleet.counts import Counts
 from vppres.solve.fleet.cuts import Reach
 from vppres.solve.fleet.demand import DemandModel
 from vppres.solve.fleet.masters import Binaries, demand_of
+from vppres.solve.fleet.relaxation import fleet_problem
 from vppres.solve.fleet.rungs import service_then_cost
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.network.injections import Injections
@@ -46,7 +49,7 @@ from vppres.solve.programs import (
     with_sums,
 )
 from vppres.solve.result import SolveLimits, Status
-from vppres.solve.solvers import find_solver
+from vppres.solve.solvers import find_solver, run
 from vppres.solve.task import COST_SHARE, NETWORK_RESERVE, WindowTask
 
 SEEDS = [seed for seed in range(0, 100, 9) if seed != 54]
@@ -581,3 +584,17 @@ def test_stacked_rows_are_scipy_s(seed: int) -> None:
     theirs = sp.csc_array(sp.vstack([above, below]))
     for part in ("indptr", "indices", "data"):
         np.testing.assert_array_equal(getattr(ours, part), getattr(theirs, part))
+
+
+@pytest.mark.parametrize("lumped", [True, False])
+def test_what_is_eased_for_exact_energy_takes_no_dispatch_away(lumped: bool) -> None:
+    """More energy at first would leave the batteries less room for surplus PV power."""
+    day = with_pv(two_buses([[20.0, 30.0]] * 2, [1.0, 0.1], [DARK, DARK]), [120.0, 140.0], 200.0)
+    day = replace(day, batteries=battery(energy_kwh=100.0, count=3, soc=0.7))
+    problem = fleet_problem(ModelCache(Site.of(day)), window(day), lumped, False, "weighted")
+    best = []
+    for eased in (False, True):
+        problem.write(window(day), eased=eased)
+        scale = objective_scale(problem.fleet.site)
+        best.append(run(problem, find_solver("highs"), 0.0, 10.0, scale).value)
+    assert best[1] >= best[0] - 1e-12 * abs(best[0])

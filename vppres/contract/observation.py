@@ -82,6 +82,10 @@ class Observation:
     stored_value : StoredValue, optional
         What energy is worth behind the present step, where the steps behind it are believed and not
         known. The window is then the present step alone.
+    ends : bool
+        Whether the run ends with the window, and its outages are known: nothing is kept behind it.
+    open_ended : bool
+        Whether outages in ``forecast`` may last longer or shorter than it says.
     guessed : bool
         Whether outages ahead in ``forecast`` are the likely ones and not known.
     kept_on : array of bool, shape (n, C), optional
@@ -120,6 +124,8 @@ class Observation:
     served: Flags | None = None
     terminal: Terminal | None = None
     stored_value: StoredValue | None = None
+    ends: bool = False
+    open_ended: bool = False
     guessed: bool = False
     kept_on: Flags | None = None
     turns: Turns | None = None

@@ -31,6 +31,7 @@ from vppres.model.beyond_paper.losses import (
     lit_steps,
     lossless,
 )
+from vppres.model.beyond_paper.unspent import SPENT_KW, spent_kw, unspent
 from vppres.model.data import Physics, WindowData
 from vppres.model.linearise import Drawn, drawn_at
 from vppres.model.site import Site
@@ -134,12 +135,17 @@ class PassesPlanner(ABC, Generic[P]):
         self, data: WindowData, solution: WindowSolution, deadline: Deadline
     ) -> tuple[WindowData, WindowData, WindowSolution]:
         """The candidate at which model and AC meet: its window, that linearised there, and it."""
+        data, solution = self.kept(data, solution, deadline)
         decided = solution
         decisions = 1
         passes = 1
         points = self.ac_points(data, solution.dispatch)
         while passes < self.passes and not self.agrees(data, solution.dispatch, points):
             closer = self.closer(data, solution.dispatch, points, passes)
+            if data.unspent is not None:
+                plan = solution.dispatch
+                limits = unspent(self.solver.site, closer, plan, data.network_kw)
+                closer = replace(closer, unspent=limits)
             more = decisions < _MAX_DECISIONS
             again, anew = self.again(
                 closer, solution, deadline, keeps_turns=passes > 1, decides=more
@@ -147,6 +153,7 @@ class PassesPlanner(ABC, Generic[P]):
             if again is None:
                 break
             if anew:
+                closer, again = self.kept(replace(closer, unspent=None), again, deadline)
                 decided = again
                 decisions += 1
             data = closer
@@ -190,9 +197,50 @@ class PassesPlanner(ABC, Generic[P]):
         if not decides or deadline.passed:
             return None, False
         try:
-            return self.solver.solve(data, deadline.left_s).after(before), True
+            freed = replace(data, unspent=None)
+            return self.solver.solve(freed, deadline.left_s).after(before), True
         except (InfeasibleError, NumericalError, LimitError):
             return None, True
+
+    def kept(
+        self, data: WindowData, solution: WindowSolution, deadline: Deadline
+    ) -> tuple[WindowData, WindowSolution]:
+        """The same supply with nothing stored spent while PV power is curtailed.
+
+        Objective and bound stay those of the window in which the supply was decided. If the
+        network has no such dispatch, both stay as they are.
+        """
+        site = self.solver.site
+        plan = solution.dispatch
+        if deadline.passed or not (spent_kw(site, data, plan) > SPENT_KW).any():
+            return data, solution
+        limited = replace(data, unspent=unspent(site, data, plan, data.network_kw))
+        found = self.solver.solve_served(
+            limited, plan.served, _charging_beside_pv(limited, plan), within_s=deadline.left_s
+        )
+        if found is None or (spent_kw(site, data, found.dispatch) > SPENT_KW).any():
+            return data, solution
+        kept = replace(
+            found.after(solution),
+            objective=solution.objective,
+            bound=solution.bound,
+            status=solution.status,
+            service_gap=solution.service_gap,
+            cost_gap_gbp=solution.cost_gap_gbp,
+            stages=(*solution.stages, "unspent", *found.stages),
+        )
+        return limited, kept
+
+
+def _charging_beside_pv(data: WindowData, plan: Dispatch) -> Dispatch:
+    """A plan whose batteries' turns are to charge wherever they may give nothing."""
+    assert data.unspent is not None
+    nothing = data.unspent.discharge_kw <= 0.0
+    return replace(
+        plan,
+        charge_kw=np.where(nothing, np.maximum(plan.charge_kw, _NO_POWER_KW), plan.charge_kw),
+        discharge_kw=np.where(nothing, 0.0, plan.discharge_kw),
+    )
 
 
 class ConvergedPlanner(PassesPlanner[ACPoints]):
@@ -434,8 +482,9 @@ def _reserve(site: Site, data: WindowData, headroom_kw: Floats, left_kw: Floats)
     for t in range(data.n_steps - 1, -1, -1):
         after = later
         later = np.where(headroom_kw[t] > 0, later + headroom_kw[t] * dt_h, 0.0)
-        # In strict order nothing is kept behind the last step of an outage that ends in the window.
-        released = site.ranks is not None and t + 1 < data.n_steps
+        # Nothing is kept behind the last step of the run, nor, in strict order, behind that of an
+        # outage that ends in the window.
+        released = site.ranks is not None if t + 1 < data.n_steps else data.ends
         kept_kwh = after + left_kw[t] * dt_h if released else later
         wanted[t] = np.minimum(
             kept_kwh / (data.eta_discharge * b.energy_kwh), LARGEST_RESERVE * usable

@@ -230,7 +230,13 @@ class OutageView:
         )
         belief = self.outlook.at(scenario.grid.times[row], n_ahead, grid.outages)
         told = _told(seen, scenario, window, belief.likely[: len(window)], grid, beside)
-        told = replace(told, outage_messages=belief.words, guessed=not belief.certain)
+        told = replace(
+            told,
+            outage_messages=belief.words,
+            guessed=not belief.certain,
+            ends=seen.ends and belief.certain,
+            open_ended=not belief.certain,
+        )
         if self.kind == LIKELY or belief.certain or not len(scenario.batteries):
             return told
         ahead = forecaster.at(row, range(row, row + n_ahead))
@@ -362,4 +368,4 @@ def _told(
     limit_kw[0] = seen.forecast.grid_limit_kw[0]
     export = Export.believed(scenario, slice(window.start, window.stop), limit_kw)
     forecast = replace(seen.forecast, grid_limit_kw=limit_kw, export=export)
-    return replace(seen, forecast=forecast)
+    return replace(seen, forecast=forecast, ends=False, open_ended=True)

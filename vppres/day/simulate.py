@@ -151,6 +151,7 @@ class Day:
         steps = controller.horizon_steps(t)
         forecast = self.forecaster.at(t, steps)
         s = self.state
+        ends = steps.stop == self.scenario.grid.n_steps
         seen = Observation(
             t,
             forecast,
@@ -165,9 +166,8 @@ class Day:
             flexible_kw=self.flexible_kw,
             owed=self.owed,
             ahead=self.ahead(steps),
-            terminal=Terminal.of(
-                self.options.soc_end, forecast, ends=steps.stop == self.scenario.grid.n_steps
-            ),
+            terminal=Terminal.of(self.options.soc_end, forecast, ends),
+            ends=ends,
         )
         now = self.scenario.grid.times[t]
         self.grid_seen = self.grid_seen.after(now, float(self.scenario.grid_limit_kw[t]))

@@ -332,6 +332,7 @@ class Recorded:
     def _told(self, t: int, steps: range) -> Observation:
         """What the controller knew: of outages no more than could be known."""
         forecast = self._forecast(t, steps)
+        ends = steps.stop == self.n_steps
         seen = Observation(
             t,
             forecast,
@@ -340,7 +341,8 @@ class Recorded:
             self._eta_discharge[t],
             owed=self._owed[t],
             ahead=self._ahead(steps),
-            terminal=Terminal.of(self.soc_asked, forecast, ends=steps.stop == self.n_steps),
+            terminal=Terminal.of(self.soc_asked, forecast, ends),
+            ends=ends,
         )
         told = self._view.told(seen, self._grid_seen[t], self.scenario, t, self._forecaster)
         return told.counted(self.counted)

@@ -58,6 +58,26 @@ class Physics:
 
 
 @dataclass(frozen=True, eq=False)
+class Unspent:
+    """What keeps stored energy while PV power is curtailed, in a window of W steps.
+
+    Parameters
+    ----------
+    discharge_kw : array, shape (W, B)
+        Largest discharging power: none where PV power is enough.
+    curtailed_kw : array, shape (W,)
+        Largest curtailed power: none where it is not.
+    """
+
+    discharge_kw: Floats
+    curtailed_kw: Floats
+
+    def part(self, steps: slice) -> Unspent:
+        """Some of the steps."""
+        return Unspent(self.discharge_kw[steps], self.curtailed_kw[steps])
+
+
+@dataclass(frozen=True, eq=False)
 class PhasedWindow:
     """What a window of W steps on a phased feeder is linearised at; m voltages have limits.
 
@@ -136,6 +156,12 @@ class WindowData:
         What the grid takes back; None is the paper's connection, which imports only.
     drawn : Drawn, optional
         What the network itself draws; None where it has no shunt, charging or fixed demand.
+    on_before : array of bool, shape (C,), optional
+        Who was on supply just before the window; None if it is not known.
+    open_ended : bool
+        Whether outages may last longer than the window says.
+    ends : bool
+        Whether the run is known to end with the window, so that no outage goes on behind it.
     terminal : Terminal, optional
         What batteries are to hold at the end; None, the paper, lets them end empty.
     stored_value : StoredValue, optional
@@ -149,6 +175,8 @@ class WindowData:
         Voltages and former by phase; None for a balanced feeder.
     owed : Owed, optional
         What dimmed customers may catch up from before the window; None for nothing.
+    unspent : Unspent, optional
+        What keeps stored energy while PV power is curtailed; None, the paper, for nothing.
     ahead : KindsAhead, optional
         Vehicles, rooms and generating sets; none if not given.
     """
@@ -166,12 +194,16 @@ class WindowData:
     moves: Moves | None = None
     export: Export | None = None
     drawn: Drawn | None = None
+    on_before: Flags | None = None
+    open_ended: bool = False
+    ends: bool = False
     terminal: Terminal | None = None
     stored_value: StoredValue | None = None
     own_u_pu2: Floats | None = None
     flow_max_kva: Floats | None = None
     phased: PhasedWindow | None = None
     owed: Owed | None = None
+    unspent: Unspent | None = None
     ahead: KindsAhead = field(default_factory=KindsAhead)
 
     @classmethod
@@ -197,6 +229,9 @@ class WindowData:
             moves=observation.moves,
             export=forecast.export,
             drawn=drawn_by(site.network, None if point is None else point.v_pu, island),
+            on_before=observation.served,
+            open_ended=observation.open_ended,
+            ends=observation.ends and observation.stored_value is None,
             terminal=observation.end if stores else None,
             stored_value=observation.stored_value if stores else None,
             owed=observation.owed,
@@ -211,6 +246,11 @@ class WindowData:
         inside = np.clip(self.soc, batteries.soc_min, batteries.soc_max)
         rounding = np.abs(self.soc - inside) <= SOC_ROUNDING
         return replace(self, soc=np.where(rounding, inside, self.soc))
+
+    @property
+    def asks_for_sooner(self) -> bool:
+        """Whether the paper is silent on which of equal plans is taken (``docs/method.md``)."""
+        return self.physical or self.open_ended
 
     @property
     def physical(self) -> bool:
@@ -265,11 +305,14 @@ class WindowData:
             moves=self.moves and self.moves.part(steps),
             export=self.export and self.export.part(steps),
             drawn=self.drawn and self.drawn.part(steps),
+            on_before=None if steps.indices(self.n_steps)[0] else self.on_before,
+            ends=self.ends and to_the_end,
             terminal=self.terminal if to_the_end else None,
             stored_value=self.stored_value if to_the_end else None,
             own_u_pu2=None if self.own_u_pu2 is None else self.own_u_pu2[steps],
             flow_max_kva=None if self.flow_max_kva is None else self.flow_max_kva[steps],
             phased=self.phased and self.phased.part(steps),
+            unspent=self.unspent and self.unspent.part(steps),
             ahead=self.ahead.part(steps),
         )
 

@@ -33,7 +33,7 @@ from vppres.solve.deadline import HALF, Deadline, Stopwatch
 from vppres.solve.direct import solve_by_highs
 from vppres.solve.fleet.relaxation import fleet_problem
 from vppres.solve.forms import Form, sheet_of, sheet_of_draws, window_problem
-from vppres.solve.netting import SOC_OVER, net_modes
+from vppres.solve.netting import eased_soc, net_modes
 from vppres.solve.network.cheapest import CheapestDispatch
 from vppres.solve.network.reactive import LeastReactive
 from vppres.solve.phases import near_to, run_in_phases, with_more_room
@@ -59,12 +59,6 @@ to have an inside at all."""
 SERVICE_HELD_REL = 1e-7
 """The same of what weighs as much as service: curtailment, and the page's own term. As much again
 is what interior points may miss it by."""
-
-EASED_KWH = 1e-5
-"""Energy by which every battery may miss what a set needs: five times what the masters accept in a
-step of an hour, since a few batteries may lack what the fleet misses. A plan that lives on exactly
-the energy it has charged misses it by rounding one step later, and a set that lacks so little is
-served."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -254,7 +248,7 @@ def _as_one_battery(
     such dispatch, or if the fleet's bound leaves more of its cost open than a search for cost may.
     """
     fleet = fleet_problem(task.cache, data, lumped=True, integer=True, goal="dispatch")
-    fleet.write(eased(task.site, data))
+    fleet.write(data, eased=True)
     fleet.hold(served)
     outcome = run(fleet, task.spec, COST_GAP_GBP, task.answer_by().left_s)
     task.certificate.note("switched", outcome)
@@ -404,10 +398,13 @@ def solve_cost(
 
 
 def eased(site: Site, data: WindowData) -> WindowData:
-    """The window with as much energy more as rounding may have taken, at most ``SOC_OVER``."""
+    """The window with as much energy more as rounding may have taken.
+
+    It is for dispatches and for no bound: a battery that holds more has less room for surplus PV.
+    """
     b = site.batteries
-    more = np.minimum(EASED_KWH / b.energy_kwh, SOC_OVER)
-    return replace(data, soc=np.maximum(data.soc, np.minimum(data.soc + more, b.soc_max)))
+    more = data.soc + eased_soc(b)
+    return replace(data, soc=np.maximum(data.soc, np.minimum(more, b.soc_max)))
 
 
 def _solve_cost(

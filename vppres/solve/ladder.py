@@ -58,7 +58,8 @@ from vppres.solve.network.decide import (
 from vppres.solve.result import SolveLimits, WindowSolution
 from vppres.solve.slack import least_slack
 from vppres.solve.solvers import SolverSpec, find_solver
-from vppres.solve.task import NETWORK_RESERVE, WindowTask
+from vppres.solve.sooner import as_good, is_settled, sooner
+from vppres.solve.task import COST_SHARE, NETWORK_RESERVE, WindowTask
 from vppres.solve.turns import one_at_a_time
 from vppres.solve.whole import with_binaries, without_binaries
 
@@ -165,6 +166,7 @@ class WindowSolver:
         settles = by_phase(self.cache, data)
         limits = self.limits.at_most(deadline.left_s)
         found = self._decided(data, limits.within(1.0 - NETWORK_RESERVE) if settles else limits)
+        found = self._sooner(data, found, deadline)
         served = found.dispatch.served
         for each in (*tighter, data) if settles else tighter:
             if not settles and not broken(self.site, each.for_service(served), found.dispatch):
@@ -180,6 +182,30 @@ class WindowSolver:
                     terms=kept.terms,
                     loss_kw=kept.loss_kw,
                     stages=found.stages + kept.stages,
+                )
+        return found
+
+    def _sooner(
+        self, data: WindowData, found: WindowSolution, deadline: Deadline
+    ) -> WindowSolution:
+        """An equal plan that serves sooner, if there is one, or the plan itself."""
+        served = found.dispatch.served
+        if is_settled(self.site, data, served) or deadline.passed:
+            return found
+        task = self._task(data, self.limits.at_most(deadline.left_s))
+        if task.is_large or task.own:
+            return found
+        for other in sooner(task, served, found.terms, task.deadline.part(COST_SHARE)):
+            limits = self.limits.at_most(deadline.left_s)
+            kept = self._served(data, limits, other)
+            if kept is not None and as_good(self.site, kept.terms, found.terms):
+                return replace(
+                    found.after(kept),
+                    dispatch=kept.dispatch,
+                    terms=kept.terms,
+                    objective=kept.objective,
+                    loss_kw=kept.loss_kw,
+                    stages=(*found.stages, *task.certificate.stages, *kept.stages),
                 )
         return found
 

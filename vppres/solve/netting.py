@@ -7,11 +7,24 @@ from dataclasses import replace
 import numpy as np
 
 from vppres.contract.dispatch import Dispatch
+from vppres.core.arrays import Floats
 from vppres.model.data import WindowData
 from vppres.model.site import Site
+from vppres.scenario.assets import Batteries
 
 SOC_OVER = 1e-7
 """By how much a netted battery may exceed its largest SoC: the linear solver's own tolerance."""
+
+EASED_KWH = 1e-5
+"""Energy by which every battery may miss what a set needs: five times what the masters accept in a
+step of an hour, since a few batteries may lack what the fleet misses. A plan that lives on exactly
+the energy it has charged misses it by rounding one step later, and a set that lacks so little is
+served."""
+
+
+def eased_soc(batteries: Batteries) -> Floats:
+    """That energy as a state of charge, (B,), at most ``SOC_OVER``."""
+    return np.minimum(EASED_KWH / batteries.energy_kwh, SOC_OVER)
 
 
 def net_modes(site: Site, data: WindowData, dispatch: Dispatch) -> tuple[Dispatch, bool]:

@@ -41,6 +41,7 @@ from vppres.scenario.capacitors import too_large
 from vppres.scenario.network import Network
 from vppres.scenario.priority import STRICT
 from vppres.scenario.remarks import darkness, doubtful_units, former_words
+from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import ControllerDefaults, Priority, Scenario
 from vppres.scenario.source import Source, SourceDeviation
 from vppres.scenario.timegrid import TimeGrid
@@ -60,6 +61,14 @@ NIGHT_PRICE = 0.20
 EVENING = (16, 20)
 EVENING_PRICE = 0.54
 TEMPERATURE_C = 20.0
+
+LEAST_SERVED_H = 1.0
+"""Time on supply of a restored customer: none is switched on for less than an hour."""
+
+TOLD_SERVED = (
+    f"Chosen: a customer that is restored stays on supply for at least {LEAST_SERVED_H:g} h, where "
+    "that is possible. Edit min_served_h in [switching] of scenario.toml for another time."
+)
 
 
 def new_scenario(feeder: ImportedFeeder, options: NewScenarioOptions | None = None) -> Scenario:
@@ -118,9 +127,10 @@ def _built(feeder: ImportedFeeder, options: NewScenarioOptions) -> tuple[Scenari
         export_price_gbp_per_kwh=np.array(options.export_price_gbp_per_kwh),
         controller=ControllerDefaults(mode="physical"),
         priority=Priority(STRICT),
+        switching=SwitchingRules(min_served_h=LEAST_SERVED_H),
         phases=phases,
     )
-    notes = (*assets.notes, *switched, *series.notes, *_told_constants(series))
+    notes = (*assets.notes, *switched, *series.notes, *_told_constants(series), TOLD_SERVED)
     return scenario, [*notes, *_told_limits(network, options)]
 
 

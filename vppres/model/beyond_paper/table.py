@@ -19,6 +19,7 @@ from vppres.model.beyond_paper.stored_value import ValueAtEnd
 from vppres.model.beyond_paper.switching import SwitchingModel
 from vppres.model.beyond_paper.terminal import HeldAtEnd
 from vppres.model.beyond_paper.thermal_loads import ThermalLoadsModel
+from vppres.model.beyond_paper.unspent import StoredIsKept
 from vppres.model.beyond_paper.vehicles import Vehicles
 from vppres.model.data import WindowData
 from vppres.model.site import Site
@@ -32,6 +33,7 @@ OF_WINDOWS: tuple[type[Addition], ...] = (
     FormerPhases,
     HeldAtEnd,
     ValueAtEnd,
+    StoredIsKept,
 )
 """What the stages of a window know that know the paper by heart."""
 

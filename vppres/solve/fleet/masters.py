@@ -14,7 +14,6 @@ from vppres.core.arrays import Flags, Floats
 from vppres.model.data import WindowData
 from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import Deadline
-from vppres.solve.dispatch import eased
 from vppres.solve.fleet.counts import Counts
 from vppres.solve.fleet.demand import DemandModel
 from vppres.solve.fleet.relaxation import (
@@ -86,7 +85,7 @@ class Binaries:
         lumped: bool,
     ) -> None:
         self.cache = cache
-        self.data = eased(cache.site, data)
+        self.data = data
         self.spec = spec
         self.deadline = deadline
         self.lumped = lumped
@@ -101,7 +100,7 @@ class Binaries:
     def service(self, gap: float) -> tuple[Outcome, Flags | None]:
         """Most service in units, f3 rounded in favour to a whole number, and a set that has it."""
         problem = fleet_problem(self.cache, self.data, self.lumped, integer=True, goal="service")
-        problem.write(self.data, all_connected=True)
+        problem.write(self.data, all_connected=True, eased=True)
         open_units = GAP_SHARE * gap
         if not self.data.keeps_service:
             open_units = max(WHOLE_GAP, open_units)
@@ -133,7 +132,7 @@ class Binaries:
         """The relaxation of all sets with so many units."""
         problem = fleet_problem(self.cache, self.data, self.lumped, integer, "cost")
         problem.service_min = units_min * self.unit
-        problem.write(self.data, all_connected=everyone)
+        problem.write(self.data, all_connected=everyone, eased=True)
         return problem
 
 

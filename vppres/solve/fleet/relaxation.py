@@ -28,9 +28,10 @@ from vppres.solve.cache import ModelCache
 from vppres.solve.forms import MODES, OF_PV, one_mode_at_a_time, sheet_of, total_balance
 from vppres.solve.linear import Linear
 from vppres.solve.lumping import Lumping, eliminated
+from vppres.solve.netting import eased_soc
 from vppres.solve.selection import EQUAL, MOST, Family, Selected, Selection, Sheet
 
-Goal = Literal["weighted", "service", "cost", "dispatch"]
+Goal = Literal["weighted", "service", "cost", "dispatch", "sooner"]
 
 OF_ENERGY = (
     "battery_soc_start",
@@ -210,7 +211,9 @@ class Fleet:
             found.append(Family(name, rows, MOST, (G,), letters))
         return found[0], found[1]
 
-    def first_limits(self, data: WindowData) -> tuple[dict[str, Floats], Floats]:
+    def first_limits(
+        self, data: WindowData, missed_soc: Floats
+    ) -> tuple[dict[str, Floats], Floats]:
         """The limits, (G,) each, and the ratios one after the other.
 
         With ``a`` and ``b`` a battery's largest charge and discharge, exclusivity implies
@@ -219,7 +222,7 @@ class Fleet:
         b = self.site.batteries
         dt_h = self.site.dt_h
         limit = data.active_max_kw(b)[0]
-        least = data.soc_min(b)[0]
+        least = data.soc_min(b)[0] - missed_soc
         until_full = charge_to_kw(b.soc_max, data.soc, data.eta_charge, b, dt_h)
         until_empty = discharge_to_kw(least, data.soc, data.eta_discharge, b, dt_h)
         charge = np.minimum(limit, until_full)
@@ -234,9 +237,21 @@ class Fleet:
         limits = {"first_charge": charge, "first_discharge": discharge}
         return limits, np.concatenate([a_per_b, b_per_a])
 
-    def written(self, data: WindowData, values: Floats) -> tuple[dict[str, Floats], Floats]:
-        """Limits that a window writes, and all that it writes behind the statement's values."""
-        limits, ratios = self.first_limits(data)
+    def written(
+        self, data: WindowData, values: Floats, eased: bool = False
+    ) -> tuple[dict[str, Floats], Floats]:
+        """Limits that a window writes, and all that it writes behind the statement's values.
+
+        With ``eased`` each battery may be emptied by a little more than its lowest state of charge.
+        That takes no dispatch away, whereas more energy at first would leave less room.
+        """
+        b = self.site.batteries
+        missed_soc = eased_soc(b) if eased else np.zeros(len(b))
+        limits, ratios = self.first_limits(data, missed_soc)
+        if eased and self.groups:
+            each = np.atleast_1d(b.energy_kwh @ missed_soc) if self.lumped else missed_soc
+            missed = np.tile(each, (data.n_steps, 1))
+            limits |= {"battery_soc_min": missed, "battery_reserve": missed}
         lost = np.maximum(data.pv_kw - self.site.pv.s_max_kva, 0.0).sum(axis=1)
         limits["curtailment_min"] = -lost
         return limits, np.concatenate([values, self.lumping.written(values), ratios])
@@ -274,11 +289,13 @@ class FleetProblem(Selected):
         Its rows.
     integer : bool
         Whether service is all or nothing; without it the problem is linear and a weaker bound.
-    goal : {"weighted", "service", "cost", "dispatch"}
+    goal : {"weighted", "service", "cost", "dispatch", "sooner"}
         ``weighted`` maximises all linear terms as weighted, times the objective's scale;
         ``service`` maximises f1 and f3 in units of the weights' grid, f3 rounded in favour;
         ``cost`` minimises the cost (GBP) of all sets whose service reaches ``service_min``;
-        ``dispatch`` minimises in GBP all that a supply schedule leaves to decide, see :meth:`hold`.
+        ``dispatch`` minimises in GBP all that a supply schedule leaves to decide, see :meth:`hold`;
+        ``sooner`` has all sets whose service reaches ``service_min`` at a cost that a window
+        writes, and no objective of its own.
     """
 
     def __init__(self, site: Site, fleet: Fleet, integer: bool, goal: Goal) -> None:
@@ -293,14 +310,14 @@ class FleetProblem(Selected):
         """Hold a supply schedule in the window that was written last."""
         self.limits |= {"service_max": served.astype(float), "service_min": -served.astype(float)}
 
-    def write(self, data: WindowData, all_connected: bool = False) -> None:
-        """Write the window's data.
+    def write(self, data: WindowData, all_connected: bool = False, eased: bool = False) -> None:
+        """Write the window's data, ``eased`` for sets that live on exactly the energy there is.
 
         With ``all_connected`` all customers that can be are supplied in steps without a limit of
         import. That loses no service: more import serves them, and no battery notices.
         """
         fleet = self.fleet
-        limits, self.values = fleet.written(data, fleet.sheet.statement.write(data))
+        limits, self.values = fleet.written(data, fleet.sheet.statement.write(data), eased)
         unlimited = all_connected & np.isinf(data.grid_limit_kw)
         connected = (
             unlimited[:, None] if data.switching is None else data.switching.connected(unlimited)
@@ -332,6 +349,7 @@ def _select(sheet: Sheet, fleet: Fleet, integer: bool, goal: Goal) -> Selection:
         "service": _most_service,
         "cost": _least_cost,
         "dispatch": _cheapest,
+        "sooner": _as_good,
     }
     return with_goal[goal](found, fleet)
 
@@ -353,12 +371,24 @@ def _all_terms(found: Selection, fleet: Fleet) -> Selection:
 
 def _least_cost(found: Selection, fleet: Fleet) -> Selection:
     """The least cost of schedules with enough service, in units; a window writes how much."""
-    unit = fleet.grid or 1.0
-    lack = [(name, -factor / unit) for name, factor in fleet.service]
-    enough = fleet.sum_of_terms("service_enough", MOST, *lack)
     spent = fleet.sum_of_terms("cost", EQUAL, ("f2", 1.0))
     order = _order(fleet, "P_grid", "P_curt", "P_dch", "x_served")
-    return replace(found, parts=(*found.parts, enough), terms=((spent, 1.0),), order=order)
+    parts = (*found.parts, _enough(fleet))
+    return replace(found, parts=parts, terms=((spent, 1.0),), order=order)
+
+
+def _as_good(found: Selection, fleet: Fleet) -> Selection:
+    """Schedules with enough service at no more than a cost; a window writes both."""
+    spent = fleet.sum_of_terms("cost_most", MOST, ("f2", 1.0))
+    order = _order(fleet, "x_served", "P_curt", "P_grid", "P_dch")
+    return replace(found, parts=(*found.parts, _enough(fleet), spent), order=order)
+
+
+def _enough(fleet: Fleet) -> Family:
+    """A row for enough service, in units."""
+    unit = fleet.grid or 1.0
+    lack = [(name, -factor / unit) for name, factor in fleet.service]
+    return fleet.sum_of_terms("service_enough", MOST, *lack)
 
 
 def _cheapest(found: Selection, fleet: Fleet) -> Selection:

@@ -1,0 +1,114 @@
+"""What keeps stored energy while PV power is curtailed, in physical mode.
+
+The paper counts the curtailed energy alone. A battery that gives power beside curtailed PV power,
+and takes it back an hour later, loses some on the way and so has less curtailed: nothing is gained
+by it, and an outage that lasts longer finds the battery empty. Once it is known who is served, the
+demand says of each step whether PV power exceeds it and what the grid takes back: then no battery
+gives power. In an island nothing is curtailed otherwise. Without it no problem has any of this.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from dataclasses import dataclass
+from typing import Self
+
+import cvxpy as cp
+import numpy as np
+
+from vppres.contract.dispatch import Dispatch
+from vppres.core.arrays import Floats
+from vppres.model.beyond_paper.addition import Addition
+from vppres.model.constraints import Named
+from vppres.model.data import Unspent, WindowData
+from vppres.model.numerics import write
+from vppres.model.site import Site
+from vppres.model.variables import Parameters, Variables
+
+SPENT_KW = 1e-3
+"""Power that is given beside as much curtailed and is no more than rounding."""
+
+
+def spent_kw(site: Site, data: WindowData, plan: Dispatch) -> Floats:
+    """Power that batteries give beside as much curtailed PV power, (W,)."""
+    given_kw = (plan.discharge_kw - plan.charge_kw).sum(axis=1)
+    curtailed_kw = plan.pv_curtailed_kw.sum(axis=1) - _beyond_inverters_kw(site, data)
+    return np.asarray(np.maximum(np.minimum(given_kw, curtailed_kw), 0.0))
+
+
+def unspent(site: Site, data: WindowData, plan: Dispatch, network_kw: Floats) -> Unspent:
+    """What a plan's supply leaves batteries to give, and PV systems to curtail.
+
+    Parameters
+    ----------
+    site : Site
+        Fixed data.
+    data : WindowData
+        The window.
+    plan : Dispatch
+        A plan for its supply.
+    network_kw : array, shape (W,)
+        What the network takes in that plan; the window may say something else by now.
+    """
+    lost_kw = _beyond_inverters_kw(site, data)
+    taken_kw = (plan.charge_kw - plan.discharge_kw).sum(axis=1) - plan.p_grid_kw
+    left_kw = plan.pv_curtailed_kw.sum(axis=1) - lost_kw + taken_kw + network_kw - data.network_kw
+    enough = left_kw > np.where(data.dark, 0.0, _most_sold_kw(data))
+    most_kw = np.tile(site.batteries.p_max_kw, (data.n_steps, 1))
+    return Unspent(
+        np.where(enough[:, None], 0.0, most_kw),
+        np.where(data.dark & ~enough, lost_kw, data.pv_kw.sum(axis=1)),
+    )
+
+
+def _most_sold_kw(data: WindowData) -> Floats:
+    """What the grid takes back, (W,)."""
+    return np.zeros(data.n_steps) if data.export is None else data.export.limit_kw
+
+
+def _beyond_inverters_kw(site: Site, data: WindowData) -> Floats:
+    """PV power that no inverter can take, (W,)."""
+    return np.asarray(np.maximum(data.pv_kw - site.pv.s_max_kva, 0.0).sum(axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class StoredIsKept(Addition):
+    """Parameters of what batteries may give and of what may be curtailed.
+
+    Parameters
+    ----------
+    given : cvxpy.Parameter, shape (W, B)
+        Largest discharging power.
+    curtailed : cvxpy.Parameter, shape (W,)
+        Largest curtailed power of all systems.
+    """
+
+    given: cp.Parameter
+    curtailed: cp.Parameter
+
+    @classmethod
+    def shape(cls, site: Site, data: WindowData) -> Hashable | None:
+        """No more than whether there are such limits."""
+        return data.unspent is not None or None
+
+    @classmethod
+    def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
+        """Limits of a window."""
+        W = v.u.shape[0]
+        return cls(
+            cp.Parameter((W, len(site.batteries)), name="P_dch_unspent", nonneg=True),
+            cp.Parameter(W, name="P_curt_unspent", nonneg=True),
+        )
+
+    def families(self, site: Site, v: Variables, p: Parameters) -> Named:
+        """No power from batteries beside curtailed PV power."""
+        return {
+            "unspent_discharge": v.P_dch <= self.given,
+            "unspent_curtailment": cp.sum(v.P_curt, axis=1) <= self.curtailed,
+        }
+
+    def fill(self, site: Site, data: WindowData) -> None:
+        """Write the limits."""
+        assert data.unspent is not None
+        write(self.given, data.unspent.discharge_kw)
+        write(self.curtailed, data.unspent.curtailed_kw)
