@@ -438,14 +438,16 @@ def _supply(
 def _answer(decision: Decision, done: Settled) -> dict[str, Any]:
     """What was found for the step, and what overruled or replaced it.
 
-    A blacked-out island is one in its status too, whatever the plan had promised.
+    A blacked-out island is one in its status too, whatever an optimal plan had promised; what is
+    wrong with an answer stays said.
     """
     info = decision.info
+    refuted = done.dark and info.status == Status.OPTIMAL
     return {
         "objective": info.objective,
         "bound": info.bound,
         "gap": info.gap,
-        "status": Status.BLACKED_OUT if done.dark else info.status,
+        "status": Status.BLACKED_OUT if refuted else info.status,
         "solve_s": info.solve_s,
         "corrected": decision.corrected,
         "correction_reason": decision.reason,
