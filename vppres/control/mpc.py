@@ -115,16 +115,13 @@ class MPCController:
         """The plan of a window, which loses no customer of the plan before to rounding.
 
         That one charged no more than its last customer needs. So a state of charge that is as it
-        was planned may miss the need by the solver's tolerance. An empty battery stays empty:
-        rounding forms no grid.
+        was planned may miss the need by the solver's tolerance.
         """
         found = plan_with_rules(self.planner, observation)
         foreseen = self._foreseen_on(observation)
         if foreseen is None or np.array_equal(foreseen, found[0].dispatch.served[0]):
             return found
-        b = self.solver.site.batteries
-        raised = np.minimum(observation.soc + SOC_ROUNDING, b.soc_max)
-        soc = np.where(b.holds_energy(observation.soc), raised, observation.soc)
+        soc = np.minimum(observation.soc + SOC_ROUNDING, self.solver.site.batteries.soc_max)
         sound = plan_with_rules(self.planner, replace(observation, soc=soc))
         site = self.solver.site
         least = 0.5 * float(site.customers.weight.min()) * site.dt_h

@@ -215,6 +215,10 @@ class PhasedIslandPlant(IslandPlant):
         everything = np.ones(len(self.flow.grid.assets), dtype=bool)
         return super()._cut(t, powers, found, state) or self._without(powers, everything)
 
+    def _others_room_kw(self, powers: Powers, state: BatteryState, others: Flags) -> Floats:
+        """None: on their phases other batteries may overload what forms the grid."""
+        return np.zeros(len(others))
+
     def _without(self, powers: Powers, which: Flags) -> Powers | None:
         """Powers without PV export and discharge of some assets; None if they have neither."""
         s = self.plant.scenario

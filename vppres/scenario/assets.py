@@ -320,8 +320,11 @@ class Batteries(Items):
         return not self.active_max_kw.any()
 
     def holds_energy(self, soc: Floats) -> Flags:
-        """Batteries that hold more than rounding above their lowest state of charge, (B,)."""
-        return np.asarray(soc - self.soc_min > SOC_ROUNDING)
+        """Batteries that hold more than rounding above their lowest state of charge, (B,).
+
+        What a plan is forgiven (:data:`SOC_ROUNDING`) forms no grid.
+        """
+        return np.asarray(soc - self.soc_min > 1.5 * SOC_ROUNDING)
 
     @property
     def formers(self) -> Flags:
