@@ -303,3 +303,57 @@ def test_an_announced_end_ends_an_outage_that_nobody_reads_any_more(live: Runnin
     # Its reading holds for an hour; after that nobody has seen the outage go on.
     seen = [decided(http, clock, NOON + hours * pd.Timedelta("1h"))["grid"] for hours in (1, 2)]
     assert [one["available"] for one in seen] == [False, True]
+
+
+def test_a_device_that_is_back_is_planned_for_at_once(live: Running) -> None:
+    http, clock, runner = live
+
+    def anew(why: str) -> dict[str, Any]:
+        clock.set(clock.now() + pd.Timedelta("1min"))
+        found = runner.anew()
+        assert found is not None and found["anew"] == why
+        return found
+
+    def said_of(quantity: str, asset: str, value: float) -> None:
+        sent = {"series": readings(clock.now(), quantity, {asset: value})}
+        assert http.post("/v1/telemetry", sent).status == 200
+
+    http.put("/v1/events/storm", {"type": "outage", "start": "2026-11-21T12:10:00Z"})
+    point = said(anew("event storm"), "batteries")["big"]
+    status = f"/v1/setpoints/{point['id']}/status"
+    http.post(status, {"status": "rejected"})
+    assert "battery big is out" in anew("big rejected")["estimated"]
+    http.post(status, {"status": "accepted"})
+    assert "battery big is out" not in anew("big accepted")["estimated"]
+    point = said(runner.last, "batteries")["big"]
+    http.post(f"/v1/setpoints/{point['id']}/status", {"status": "aborted"})
+    assert "battery big is out" in anew("big aborted")["estimated"]
+    said_of("soc", "big", 0.8)
+    assert "battery big is out" not in anew("battery big is heard")["estimated"]
+    said_of("soc", "big", 0.8)
+    assert runner.anew() is None
+    said_of("online", "big", 0.0)
+    assert "battery big is out" in anew("big online = 0 (scada)")["estimated"]
+    said_of("online", "big", 0.0)
+    assert runner.anew() is None
+    said_of("online", "big", 1.0)
+    assert (
+        "battery big is out"
+        not in anew("battery big is heard; big online = 1 (scada)")["estimated"]
+    )
+    said_of("online", "hospital", 0.0)
+    assert not said(anew("hospital online = 0 (scada)"), "customers")["hospital"]["served"]
+    said_of("online", "hospital", 1.0)
+    assert said(anew("hospital online = 1 (scada)"), "customers")["hospital"]["served"]
+
+
+def test_a_first_reading_is_planned_for_when_it_comes(tiny: Scenario, tmp_path: Path) -> None:
+    with running(tiny, tmp_path) as (http, clock, runner):
+        first = runner.step()
+        assert "battery big is out" in first["estimated"]
+        clock.set(NOON + pd.Timedelta("20s"))
+        http.post("/v1/telemetry", {"series": readings(NOON, "soc", {"big": 0.6, "small": 0.6})})
+        plan = runner.anew()
+        assert plan is not None
+        assert plan["anew"] == "battery big is heard; battery small is heard"
+        assert not any("is out" in one for one in plan["estimated"])

@@ -363,8 +363,11 @@ def test_what_a_vehicle_tells_holds() -> None:
         "plugged": {"k1": 1.0},
         "energy_needed_kwh": {"k1": 3.0},
     }
-    with pytest.raises(InputError, match=r"departure of k1.*is not known"):
-        controller.step(Measurement(times[0], **told))
+    other = Controller.of(day, RunOptions(mode="paper", horizon_h=6.0, isolate=False))
+    unknown = other.step(Measurement(times[0], **told))
+    assert "vehicle k1 at k1 is here and its departure is not known" in unknown.solve["estimated"]
+    assert unknown.chargers is not None
+    assert unknown.chargers["p_kw"]["k1"] == pytest.approx(3.0 / 0.92, abs=1e-4)
     step = controller.step(Measurement(times[0], **told, departure={"k1": times[2]}))
     assert step.chargers is not None
     assert step.chargers["p_kw"].tolist() == pytest.approx([0.6 / 0.92, 3.0 / 0.92], abs=1e-4)
@@ -468,3 +471,26 @@ def test_a_vehicle_that_needs_more_than_it_holds_is_refused_by_row(tmp_path: Pat
     sessions.to_csv(file, index=False)
     with pytest.raises(InputError, match=r"row 2.*energy_needed_kwh.*more than the vehicle holds"):
         load_scenario(folder)
+
+
+@pytest.mark.parametrize("departure", [{"k0": 1}, None], ids=["passed", "not said"])
+def test_a_vehicle_that_is_there_after_its_departure_is_charged_and_the_rest_decided(
+    tiny: Scenario, departure: dict[str, int] | None
+) -> None:
+    day = plugged_in(replace(tiny, chargers=chargers(1)), (0, 1))
+    controller = Controller.of(day, RunOptions(horizon_h=1.0, isolate=False))
+    leaves = departure and {"k0": day.grid.times[departure["k0"]]}
+    measured = Measurement(
+        controller.times[1],
+        {"big": 0.5, "small": 0.5},
+        plugged={"k0": 1.0},
+        energy_needed_kwh={"k0": 2.0},
+        departure=leaves,
+    )
+    found = controller.step(measured)
+    assert found.solve["fallback"] == "none"
+    assert "vehicle car0 at k0 is here after its departure" in found.solve["estimated"]
+    assert found.customers["served"].all()
+    assert found.chargers is not None
+    stored_kw = found.chargers["p_kw"].iloc[0] * day.chargers.eta_charge[0]
+    assert stored_kw == pytest.approx(2.0, rel=1e-3)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from vppres.core.arrays import Floats
 from vppres.live.door import Door
@@ -54,7 +55,8 @@ def with_vehicles(
 
     A charger without a vehicle ends its session; that is named. A vehicle that tells the energy
     that it needs has a session from now on; its departure is that of the session before if it tells
-    none. Energies are NaN if no state of charge was read.
+    none. One that is plugged in after its departure, or of which none is known, stays for this
+    step, and is named. Energies are NaN if no state of charge was read.
     """
     chargers = scenario.chargers
     none = np.full(len(chargers), np.nan)
@@ -66,9 +68,12 @@ def with_vehicles(
     if door.problems or not len(chargers):
         return scenario, held_kwh
     rows = rows_of(scenario.sessions)
+    end = door.begun + scenario.grid.step
     gone = set()
     for k, name in enumerate(chargers.id):
         s = int(scenario.session_at[door.t, k])
+        if s == NO_CAR and plugged[k] == 1.0:
+            s = _last_before(scenario.sessions, str(name), door.begun, end)
         now = None if s == NO_CAR else rows[s]
         if plugged[k] == 0.0:
             if now is not None:
@@ -76,11 +81,14 @@ def with_vehicles(
                 door.left_out.append(f"vehicle {now['vehicle']} left {name} before its departure")
             continue
         leaves = departure[k] or (None if now is None else now["plug_out"])
+        here = plugged[k] == 1.0 or np.isfinite(needed_kwh[k])
+        if here and (leaves is None or leaves <= door.begun):
+            if leaves is not None or np.isfinite(needed_kwh[k]):
+                vehicle = name if now is None else now["vehicle"]
+                known = "after its departure" if leaves else "and its departure is not known"
+                door.left_out.append(f"vehicle {vehicle} at {name} is here {known}")
+            leaves = end
         if np.isfinite(needed_kwh[k]):
-            if leaves is None or leaves <= door.begun:
-                message = "is not known of a vehicle that needs energy"
-                door.problem("departure", message, "Give a time after now.", of=name)
-                continue
             gone.add(s)
             row = _needing(scenario, str(name), now, needed_kwh[k])
             rows.append({**row, "plug_in": door.begun, "plug_out": leaves})
@@ -89,6 +97,15 @@ def with_vehicles(
             held_kwh[k] = soc[k] * scenario.sessions.full_kwh[s]
     kept = [row for s, row in enumerate(rows) if s not in gone]
     return replace(scenario, sessions=sessions_of(kept)), held_kwh
+
+
+def _last_before(sessions: Sessions, charger: str, begun: pd.Timestamp, end: pd.Timestamp) -> int:
+    """The session of a charger that was over last, unless another one begins in this step."""
+    own = np.flatnonzero(sessions.charger == charger)
+    over = [int(s) for s in own if sessions.plug_out[s] <= begun]
+    if not over or any(begun < sessions.plug_in[s] < end for s in own):
+        return NO_CAR
+    return max(over, key=lambda s: sessions.plug_out[s])
 
 
 def rows_of(sessions: Sessions) -> list[dict[str, Any]]:

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from vppres.contract.decision import OUT
 from vppres.core.errors import InputError, StorageError
 from vppres.day.forecasting import FORECASTERS
 from vppres.day.options import RunOptions
@@ -43,7 +44,7 @@ from vppres.service.plans import (
     plan_of,
     tables_of,
 )
-from vppres.service.records import DECIDED, After, Asked, Reading, moment, seconds
+from vppres.service.records import DECIDED, After, Asked, Reading, Written, moment, seconds
 from vppres.service.ruled import ruled
 from vppres.service.store import Store
 
@@ -54,6 +55,9 @@ FAILED = "failed"
 """The status of a step that only the rule could decide."""
 
 GRID_ON = "grid_on"
+
+STATES = {"online": 1.0, "start_fault": 0.0}
+"""What devices say of whether they can work, and what stands until they do."""
 
 MODE = "mode"
 """The setting of what an operator asked for."""
@@ -175,13 +179,38 @@ class Runner:
         """Decide the rest of the present step, if its plan does not know something; else None."""
         return self._thread.submit(self._anew).result()
 
+    def hear(self, readings: list[Reading], now: pd.Timestamp, actor: str) -> Written:
+        """Keep readings, and note what the present plan does not know of them.
+
+        A device that is back or gone is planned for at once, as the grid is.
+        """
+        told = [one for one in readings if one.quantity in STATES and one.value is not None]
+        latest = self.store.latest(now, tuple(STATES)) if told else ()
+        before = {(one.asset, one.quantity): one.value for one in latest}
+        kept = self.store.write_readings(readings, now, actor)
+        self.heard_of(readings)
+        for one in told if self.last is not None else ():
+            if one.value != before.get((one.asset, one.quantity), STATES[one.quantity]):
+                self.changes.note(f"{one.asset} {one.quantity} = {one.value:g} ({one.source})")
+        return kept
+
     def heard_of(self, readings: Iterable[Reading]) -> None:
-        """Note what readings say that the present plan does not know: grid lost, or back."""
+        """Note what readings say that the present plan does not know.
+
+        The grid is lost or back, or a battery that the plan leaves out is heard: once for a plan,
+        since what leaves it out may be something else.
+        """
         grid = (self.last or {}).get("grid")
         if self.last is None or grid is None:
             return
         since = seconds(pd.Timestamp(self.last["valid_from"]))
+        said = self.last.get("estimated", ())
         for one in readings:
+            heard = one.value is not None if one.quantity == "soc" else one.value == 1.0
+            if one.quantity in ("soc", "online") and heard and OUT.format(one.asset) in said:
+                word = f"battery {one.asset} is heard"
+                if word not in self.last.get("anew", ""):
+                    self.changes.note(word)
             new = one.quantity == GRID_ON and one.value is not None and one.time >= since
             if new and (one.value == 1.0) != grid["available"]:
                 word = "back" if one.value else "lost"

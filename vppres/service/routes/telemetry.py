@@ -25,8 +25,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         good, problems = readings_of(body.series, runner.scenario, until)
         if problems and not good:
             raise InputError(problems)
-        kept = runner.store.write_readings(good, now, actor)
-        runner.heard_of(good)
+        kept = runner.hear(good, now, actor)
         return JSONResponse(
             {
                 "accepted": kept.accepted,
