@@ -135,7 +135,7 @@ def test_whatever_is_said_the_step_is_decided(
 ) -> None:
     """By property: a message is refused, or the next step stands on it."""
 
-    @settings(max_examples=7, deadline=None, suppress_health_check=list(HealthCheck))
+    @settings(max_examples=7, suppress_health_check=list(HealthCheck))
     @given(st.lists(messages, min_size=1, max_size=3))
     def check(said: list[tuple[str, dict[str, Any]]]) -> None:
         clock = SetClock(NOON)
