@@ -264,14 +264,44 @@ def test_a_bridge_waits_for_its_broker(tmp_path: Path, caplog: pytest.LogCapture
         bridge.service.close()
 
 
-def test_a_retained_message_is_left_out_and_a_text_is_told(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_a_retained_message_is_left_out(caplog: pytest.LogCaptureFixture) -> None:
     bridge = Bridge(Client("http://127.0.0.1:9"), Topics())
-    topic = "vppres/telemetry/big/soc"
-    bridge._heard(None, None, Message(topic, b".9", retain=True))
-    for payload in (b".5", b"62 %", b"1_0e-1"):
-        bridge._heard(None, None, Message(topic, payload))
-    assert [one["values"] for one in bridge._waiting] == [[0.5], [None], [None]]
+    bridge._heard(None, None, Message(payload=b".9", retain=True))
+    bridge._heard(None, None, Message(payload=b".5"))
+    assert [one["values"] for one in bridge._waiting] == [[0.5]]
     assert "is retained" in caplog.text
-    assert "is no number: b'62 %'" in caplog.text
+
+
+NO_NUMBERS = (b"62 %", b"0,62", b'{"value": 0.62}', b"unavailable", b"1_0e-1", b"nan", b"\xff")
+
+
+@pytest.mark.parametrize("payload", NO_NUMBERS)
+def test_what_is_no_number_is_logged_by_topic_and_named_on_the_page(
+    payload: bytes, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with site(tmp_path) as (_, address, secret):
+        bridge = Bridge(Client(address, secret), Topics())
+        for message in (Message(), Message(payload=payload)):
+            bridge._heard(None, None, message)
+        bridge.turn()
+        text = payload.decode(errors="replace")
+        assert f"'vppres/telemetry/big/soc' is no number: {text!r}" in caplog.text
+        (source,) = bridge.service.wanted("GET", "/v1/overview").body["sources"]
+        assert source["source"] == "mqtt" and source["ok"] == 1
+        assert source["refused"] == [f"soc of big = {text}: is not a number"]
+        bridge.service.close()
+
+
+def test_the_bridge_says_which_asset_and_quantity_are_unknown(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with site(tmp_path) as (_, address, secret):
+        bridge = Bridge(Client(address, secret), Topics())
+        for topic in ("nobody/soc", "big/mood", "small/soc"):
+            bridge._heard(None, None, Message(f"vppres/telemetry/{topic}"))
+        bridge.turn()
+        assert "telemetry: asset = nobody: is not at the site" in caplog.text
+        assert "telemetry: quantity of big = mood: is not known" in caplog.text
+        (source,) = bridge.service.wanted("GET", "/v1/overview").body["sources"]
+        assert source["ok"] == 1 and len(source["refused"]) == 2
+        bridge.service.close()

@@ -4,8 +4,9 @@
 
 ============================================  ==================================================
 ``vppres/telemetry/ASSET/QUANTITY``           read: a number, or nothing where it is missing;
-                                              retained messages are left out, since nothing says
-                                              from when they are
+                                              what is neither is logged, and named on the
+                                              service's page; retained messages are left out,
+                                              since nothing says from when they are
 ``vppres/setpoints/ASSET``                    written, retained: the set-point as JSON, which the
                                               broker forgets when it ends
 ``vppres/status``                             written, retained: ``online``, and ``offline`` as
@@ -36,15 +37,17 @@ import pandas as pd
 from paho.mqtt.enums import CallbackAPIVersion
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
-from pydantic import ValidationError
 
 from vppres.core.errors import InputError
 from vppres.service.client import Client
 from vppres.service.clock import written
-from vppres.service.payloads import MOST_SERIES, Readings
+from vppres.service.payloads import MOST_SERIES
 
 MOST_WAITING = 10_000
 """Readings that are kept while the service does not answer; then the oldest are dropped."""
+
+LONGEST_SHOWN = 40
+"""Bytes of a payload that is no number."""
 
 log = logging.getLogger(__name__)
 
@@ -114,7 +117,7 @@ class Bridge:
         self._published.clear()
 
     def _heard(self, _broker: Any, _data: Any, message: Any) -> None:
-        """A reading; what is no number is known to be missing, what is no reading is left out."""
+        """A reading; what is none is sent as it is: the service names it, and its page does."""
         # The broker keeps no time with a retained message: stamped now, it would replace readings
         # that are newer. A source's next message is not marked as retained.
         if message.retain:
@@ -122,22 +125,18 @@ class Bridge:
             return
         asset, quantity = self.topics.reading(message.topic)
         value = _number(message.payload)
-        if value is None and message.payload:
-            log.warning("%r is no number: %r", message.topic, message.payload[:40])
-        reading = {
-            "source": "mqtt",
-            "asset": asset,
-            "quantity": quantity,
-            "start": written(pd.Timestamp.now(tz="UTC").floor("s")),
-            "resolution": self.resolution,
-            "values": [value],
-        }
-        try:
-            Readings.model_validate(reading)
-        except ValidationError as error:
-            log.warning("%r is no topic of a reading: %s", message.topic, error.errors()[0]["msg"])
-        else:
-            self._waiting.append(reading)
+        if isinstance(value, str):
+            log.warning("%r is no number: %r", message.topic, value)
+        self._waiting.append(
+            {
+                "source": "mqtt",
+                "asset": asset,
+                "quantity": quantity,
+                "start": written(pd.Timestamp.now(tz="UTC").floor("s")),
+                "resolution": self.resolution,
+                "values": [value],
+            }
+        )
 
     def turn(self) -> None:
         """Send what was read, and publish what is new of the set-points.
@@ -160,7 +159,10 @@ class Bridge:
         if answer.status >= 500 or answer.status in (401, 403, 429):
             raise InputError(f"telemetry: the service answers {answer.status}")
         for refused in answer.body.get("refused") or answer.body.get("problems") or []:
-            log.warning("telemetry: %s %s", refused["field"], refused["message"])
+            what = (
+                f"{refused['field']} = {refused['value']}" if refused["value"] else refused["field"]
+            )
+            log.warning("telemetry: %s: %s", what, refused["message"])
         for one in sending:
             # The oldest may have been dropped for newer ones meanwhile.
             if self._waiting and self._waiting[0] is one:
@@ -208,14 +210,16 @@ class Bridge:
             self.broker.loop_stop()
 
 
-def _number(payload: bytes) -> float | None:
-    """The number of a payload; None if it is none, or no finite one."""
-    try:
-        value = float(payload)
-    except ValueError:
+def _number(payload: bytes) -> float | str | None:
+    """The number of a payload; its text if it is none, or no finite one; None if it is empty."""
+    if not payload:
         return None
-    # Python reads 1_0 as ten; no device means that.
-    return value if math.isfinite(value) and b"_" not in payload else None
+    with suppress(ValueError):
+        value = float(payload)
+        # Python reads 1_0 as ten; no device means that.
+        if math.isfinite(value) and b"_" not in payload:
+            return value
+    return payload[:LONGEST_SHOWN].decode(errors="replace")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
