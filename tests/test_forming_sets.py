@@ -28,7 +28,7 @@ from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.plant.island import SET_NO_BALANCE
 from vppres.scenario.gensets import Gensets, GensetState, Refuels
-from vppres.scenario.remarks import darkness, former_words
+from vppres.scenario.remarks import ONE_FORMER, darkness, former_words
 from vppres.scenario.scenario import Scenario
 
 PHYSICAL = RunOptions(isolate=False, mode="physical", horizon_h=4.0)
@@ -242,7 +242,8 @@ def test_the_duty_is_written_read_and_told(tmp_path: Path) -> None:
     read = load_scenario(tmp_path / "day").gensets
     assert read.grid_forming.tolist() == [True] and read.power_factor.tolist() == [0.9]
     assert former_words(day, "physical") == (
-        "The island is formed by generating set g0 at bus 2 (100 kW), as long as it has fuel."
+        "The island is formed by generating set g0 at bus 2 (100 kW), as long as it has fuel. "
+        + ONE_FORMER
     )
     assert darkness(day, "physical") == ""
     empty = replace(day, gensets=replace(day.gensets, fuel_level_litres=[1.0]))

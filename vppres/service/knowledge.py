@@ -265,14 +265,10 @@ def known_at(
     at = time if now is None else now
     readings = Latest.at(at, scenario, store)
     window = Window.of(controller, time)
-    replaced = controller.replaced(time)
-    events = [event for name, event in store.events().items() if name not in replaced]
+    events = _events(time, controller, store)
     load = _Powers.of("load_kw", scenario.customers.id, window, readings, store)
     pv = _Powers.of("pv_kw", scenario.pv.id, window, readings, store)
-    demand_kw = 0.0 if load.table is None else float(load.table.iloc[0].sum())
-    zero = readings.last.get((GRID, "grid_on"))
-    doubt = _doubt(zero, at, window.length, store, tolerance_kw(demand_kw))
-    grid = _grid(controller, window, readings, events, at, doubt)
+    grid, doubt = _grid(controller, window, readings, events, at, load, store)
     said = _Said.since(controller.decided, time - window.length, at, store)
     means = _means(store, max(said.decided_at, at - MOST_STEPS * window.length), at)
     batteries = [str(name) for name in scenario.batteries.id]
@@ -307,6 +303,21 @@ def known_at(
     )
     estimated = [*load.estimated, *pv.estimated, *([doubt] if doubt else [])]
     return Known(measurement, readings.heard, grid, estimated, soc_of(soc), lost)
+
+
+def grid_at(time: pd.Timestamp, controller: Controller, store: Store, now: pd.Timestamp) -> Grid:
+    """Whether there is grid in a step that nobody decides; a moment in it counts."""
+    readings = Latest.at(now, controller.scenario, store)
+    window = Window.of(controller, time)
+    load = _Powers.of("load_kw", controller.scenario.customers.id, window, readings, store)
+    events = _events(time, controller, store)
+    return _grid(controller, window, readings, events, now, load, store)[0]
+
+
+def _events(time: pd.Timestamp, controller: Controller, store: Store) -> list[Event]:
+    """Events that count."""
+    replaced = controller.replaced(time)
+    return [event for name, event in store.events().items() if name not in replaced]
 
 
 def _of_vehicles(scenario: Scenario, readings: Latest) -> dict[str, Any]:
@@ -564,7 +575,8 @@ def _sets_ordered(
     for one in said:
         for point in one["setpoints"]:
             if point["kind"] == "gensets":
-                runs = bool(point["running"]) and now <= pd.Timestamp(point["valid_until"])
+                over = now > pd.Timestamp(point["valid_until"])
+                runs = bool((point["default"] if over else point)["running"])
                 most_kw = max(float(point["p_kw"]), found.get(point["asset"], (False, 0.0))[1])
                 found[point["asset"]] = (runs, most_kw)
     return found
@@ -585,12 +597,17 @@ def _grid(
     readings: Latest,
     events: list[Event],
     now: pd.Timestamp,
-    doubt: str,
-) -> Grid:
+    load: _Powers,
+    store: Store,
+) -> tuple[Grid, str]:
     """Whether there is grid: by its own reading, else by what is announced or believed.
 
-    A reading that it is lost, and that another one contradicts, counts for nothing.
+    A reading that it is lost, and that another one contradicts, counts for nothing; in words what
+    contradicts it.
     """
+    demand_kw = 0.0 if load.table is None else float(load.table.iloc[0].sum())
+    zero = readings.last.get((GRID, "grid_on"))
+    doubt = _doubt(zero, now, window.length, store, tolerance_kw(demand_kw))
     # What ended within the step is over for the rest of it.
     lasting = [one for one in events if one.said and not is_over(one.said, now)]
     limits = limits_kw(lasting, window)
@@ -618,7 +635,7 @@ def _grid(
         known_by = "belief"
         out[0] = True
     limits = np.where(out, 0.0, limits)
-    return Grid(bool(limits[0] > 0.0), known_by, limits)
+    return Grid(bool(limits[0] > 0.0), known_by, limits), doubt
 
 
 def _doubt(

@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import fields
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -45,8 +45,45 @@ LOST = "cannot be supplied: "
 Tables = Mapping[str, pd.DataFrame]  # set-points by kind of device, each by identifier
 
 
+Told = Mapping[tuple[str, str], Mapping[str, Any]]  # set-points by kind and identifier
+
+
+@dataclass(frozen=True)
+class Left:
+    """How devices are left where no plan comes: whether there is grid, and what they were told.
+
+    Parameters
+    ----------
+    available : bool
+        Whether there is grid.
+    known_by : str
+        Who says so.
+    told : mapping
+        Set-points that devices had last.
+    """
+
+    available: bool = True
+    known_by: str = "profile"
+    told: Told = field(default_factory=dict)
+
+    @property
+    def grid(self) -> dict[str, Any]:
+        """What plans say of the grid."""
+        return {"available": self.available, "known_by": self.known_by}
+
+
+def told_at(plan: Mapping[str, Any] | None, time: pd.Timestamp) -> Told:
+    """What devices were told by the last plan, or do without it once it is over."""
+    last = (plan or {"setpoints": []})["setpoints"]
+    return {(one["kind"], one["asset"]): at(one, time) for one in last}
+
+
 def plan_of(
-    decision: SetPoints, scenario: Scenario, known: Known, refused: Mapping[tuple[str, str], str]
+    decision: SetPoints,
+    scenario: Scenario,
+    known: Known,
+    refused: Mapping[tuple[str, str], str],
+    left: Left,
 ) -> dict[str, Any]:
     """The plan of a step that was decided."""
     solve, customers = decision.solve, decision.customers
@@ -71,7 +108,7 @@ def plan_of(
             "fallback_reason": solve["fallback_reason"] or None,
             "correction_reason": solve["reason"] or None,
         },
-        "grid": {"available": known.grid.available, "known_by": known.grid.known_by},
+        "grid": left.grid,
         "estimated": [
             *(words for words in str(solve["estimated"]).split("; ") if words),
             *known.estimated,
@@ -79,7 +116,7 @@ def plan_of(
         "late": [vars(one) for one in known.heard if one.state != "ok"],
         "lost": [{"asset": name, "reason": why} for name, why in known.lost.items()],
         "setpoints": _set_points(
-            decision.time, scenario, tables_of(decision, scenario), refused, reason, lost
+            decision.time, scenario, left, tables_of(decision, scenario), refused, reason, lost
         ),
         "expected": {
             "import_kw": _number(decision.import_kw),
@@ -101,19 +138,20 @@ def tables_of(decision: SetPoints, scenario: Scenario) -> Tables:
     return {kind: getattr(decision, kind) for kind in _defaults(scenario)}
 
 
-def defaults_of(time: pd.Timestamp, scenario: Scenario, status: str, reason: str) -> dict[str, Any]:
+def defaults_of(
+    time: pd.Timestamp, scenario: Scenario, status: str, reason: str, left: Left
+) -> dict[str, Any]:
     """The plan of a step in which nothing was decided: every device does its default."""
-    defaults = _defaults(scenario)
-    refused = {(kind, name): reason for kind, names in defaults.items() for name in names}
     return {
         **_head(time, scenario, status),
         "inputs_digest": None,
         "solve": None,
         "reason": reason,
+        "grid": left.grid,
         "estimated": [],
         "late": [],
         "lost": [],
-        "setpoints": _set_points(time, scenario, {}, refused, reason),
+        "setpoints": _set_points(time, scenario, left, None, {}, reason),
         "expected": None,
         "ahead": None,
     }
@@ -155,11 +193,12 @@ def ordered_plan(
     mode: Mapping[str, Any],
     tables: Tables,
     refused: Mapping[tuple[str, str], str],
+    left: Left,
 ) -> dict[str, Any]:
     """The plan of a step that an operator decided."""
     reason = mode["reason"] or mode["mode"]
-    plan = defaults_of(time, scenario, mode["mode"], reason)
-    return {**plan, "setpoints": _set_points(time, scenario, tables, refused, reason)}
+    plan = defaults_of(time, scenario, mode["mode"], reason, left)
+    return {**plan, "setpoints": _set_points(time, scenario, left, tables, refused, reason)}
 
 
 def made_anew(
@@ -309,23 +348,29 @@ def _head(time: pd.Timestamp, scenario: Scenario, status: str) -> dict[str, Any]
 def _set_points(
     time: pd.Timestamp,
     scenario: Scenario,
-    tables: Tables,
+    left: Left,
+    tables: Tables | None,
     refused: Mapping[tuple[str, str], str],
     reason: str,
     reasons: Mapping[tuple[str, str], str] | None = None,
 ) -> list[dict[str, Any]]:
     """What each device is to do, until when, and what after that: the fields of its default.
 
-    A few devices have ``reasons`` of their own; what is ``refused``, and why, is not said.
+    A few devices have ``reasons`` of their own; what is ``refused``, and why, is not said. Without
+    tables every device does its default.
     """
     begin, end = written(time), written(time + (1.0 + OVERLAP) * scenario.grid.step)
     phases = scenario.phases
     points = []
     for kind, defaults in _defaults(scenario).items():
-        rows = tables[kind].to_dict(orient="index") if kind in tables else {}
+        rows = tables[kind].to_dict(orient="index") if tables and kind in tables else {}
         for name, default in defaults.items():
-            stopped = refused.get((kind, name))
-            said = default if stopped is not None else _like(default, rows[name])
+            stopped = reason if tables is None else refused.get((kind, name))
+            row: Mapping[Any, Any] = rows[name] if stopped is None else {}
+            if stopped is not None and not (kind == "batteries" and tables is not None):
+                row = left.told.get((kind, name), {})
+            if not left.available:
+                default = _kept(kind, default, row)
             why = (reasons or {}).get((kind, name), reason)
             points.append(
                 {
@@ -333,7 +378,7 @@ def _set_points(
                     "asset": name,
                     "kind": kind,
                     **({} if phases is None else {"phases": phases.connection(name).coils}),
-                    **said,
+                    **(default if stopped is not None else _like(default, row)),
                     **({"sign": _SIGNS[kind]} if kind in _SIGNS else {}),
                     "valid_from": begin,
                     "valid_until": end,
@@ -342,6 +387,15 @@ def _set_points(
                 }
             )
     return points
+
+
+def _kept(kind: str, default: Mapping[str, Any], told: Mapping[Any, Any]) -> dict[str, Any]:
+    """The default of a device in an island: what it was told last, so that nothing is switched.
+
+    A PV system that was not curtailed goes on feeding what it has.
+    """
+    free = kind == "pv" and not told.get("curtailed_kw")
+    return {**default, **({} if free else _like(default, told))}
 
 
 def _like(default: Mapping[str, Any], row: Mapping[Any, Any]) -> dict[str, Any]:

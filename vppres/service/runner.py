@@ -33,16 +33,18 @@ from vppres.service.changes import Changes
 from vppres.service.clock import Clock, SetClock, written
 from vppres.service.conditions import conditions, situation
 from vppres.service.gate import refusals
-from vppres.service.knowledge import EARLY_SHARE, Heard, Known, known_at, soc_at
+from vppres.service.knowledge import EARLY_SHARE, Grid, Heard, Known, grid_at, known_at, soc_at
 from vppres.service.learned import learned, measured_in
 from vppres.service.notify import Notifier
 from vppres.service.plans import (
+    Left,
     defaults_of,
     made_anew,
     ordered,
     ordered_plan,
     plan_of,
     tables_of,
+    told_at,
 )
 from vppres.service.records import DECIDED, After, Asked, Reading, Written, moment, seconds
 from vppres.service.refused import Refused
@@ -56,6 +58,9 @@ FAILED = "failed"
 """The status of a step that only the rule could decide."""
 
 GRID_ON = "grid_on"
+
+LAST_PLAN = "last plan"
+"""Who says whether there is grid where nothing else does."""
 
 STATES = {"online": 1.0, "start_fault": 0.0}
 """What devices say of whether they can work, and what stands until they do."""
@@ -353,8 +358,8 @@ class Runner:
         mode = self.mode
         known: Known | None = None
         if mode["mode"] == "off":
-            reason = mode["reason"] or "switched off"
-            plan = defaults_of(time, self.scenario, "off", reason)
+            reason, left = mode["reason"] or "switched off", self._left(time, self._grid(time))
+            plan = defaults_of(time, self.scenario, "off", reason, left)
         elif mode["mode"] in BY_HAND:
             plan = self._by_hand(time, mode)
         else:
@@ -422,10 +427,7 @@ class Runner:
         """The controller's plan, and on what; by rule on nothing, whatever it is that fails."""
         known: Known | None = None
         try:
-            self._feed(time)
-            self._controller.warn(*self.warnings(time), replacing=True)
-            now = None if self._within is None else self._within.at
-            known = known_at(time, self._controller, self.store, self.rehearsal, now)
+            known = self._known(time)
             self.heard = known.heard
             decision = self._controller.step(known.measurement)
             # What was decided on, not what was read: the gate checks this decision.
@@ -437,8 +439,37 @@ class Runner:
             # A step without an answer is worse than any of it.
             log.exception("step")
             return self._ruled(time, known, error), None
-        plan = plan_of(decision, self.scenario, known, refused)
+        plan = plan_of(decision, self.scenario, known, refused, self._left(time, known.grid))
         return {**plan, "outage_probability": self._believed(known)}, known
+
+    def _known(self, time: pd.Timestamp) -> Known:
+        """What is known at a step, or at the moment from which its rest is decided anew."""
+        self._feed(time)
+        now = None if self._within is None else self._within.at
+        return known_at(time, self._controller, self.store, self.rehearsal, now)
+
+    def _grid(self, time: pd.Timestamp) -> Grid | None:
+        """Whether there is grid in a step that the controller does not decide; None if unknown."""
+        try:
+            self._feed(time)
+            return grid_at(time, self._controller, self.store, self._moment(time))
+        except StorageError:
+            raise
+        except Exception:
+            log.exception("whether there is grid at %s", written(time))
+            return None
+
+    def _left(self, time: pd.Timestamp, grid: Grid | None) -> Left:
+        """What devices were told last, and whether there is grid: as it was if that is unknown."""
+        told = told_at(self.last, self._moment(time))
+        if grid is not None:
+            return Left(grid.available, grid.known_by, told)
+        before = (self.last or {}).get("grid") or {"available": True}
+        return Left(before["available"], LAST_PLAN, told)
+
+    def _moment(self, time: pd.Timestamp) -> pd.Timestamp:
+        """From when on a plan of a step holds."""
+        return time if self._within is None else self._within.at
 
     def _log_odd(self, plan: dict[str, Any]) -> None:
         """A line for what is odd, when it begins; readings that are only missing are late.
@@ -455,17 +486,17 @@ class Runner:
     def _ruled(self, time: pd.Timestamp, known: Known | None, error: Exception) -> dict[str, Any]:
         """The plan of a rule that needs no solver, for a step in which everything else failed."""
         now = self._profile_of(time)
+        left = self._left(time, None if known is None else known.grid)
         if known is None:
-            dark = self.last is not None and (self.last.get("grid") or {}).get("available") is False
             soc, lost = soc_at(time, self.scenario, self.store), dict[str, str]()
         else:
-            dark, soc, lost = not known.grid.available, known.soc, known.lost
-        if dark:
+            soc, lost = known.soc, known.lost
+        if not left.available:
             now = replace(now, grid_limit_kw=np.zeros(1))
         words = str(error).splitlines()[:1] or [type(error).__name__]
         mode = {"mode": FAILED, "reason": f"by rule: {words[0]}"}
         tables = ruled(now, soc, lost, ordered(self.scenario, self.last, []))
-        return ordered_plan(time, self.scenario, mode, tables, {})
+        return ordered_plan(time, self.scenario, mode, tables, {}, left)
 
     def _profile_of(self, time: pd.Timestamp) -> Scenario:
         """What the scenario says of a step."""
@@ -485,7 +516,8 @@ class Runner:
         """The plan of an operator, through the gate as any other."""
         tables = ordered(self.scenario, self.last, mode.get("setpoints", []))
         refused = refusals(tables, self.scenario, soc_at(time, self.scenario, self.store))
-        return ordered_plan(time, self.scenario, mode, tables, refused)
+        left = self._left(time, self._grid(time))
+        return ordered_plan(time, self.scenario, mode, tables, refused, left)
 
     def _bridge_gap(self, time: pd.Timestamp) -> None:
         """Write down the steps since the last one as missed; they are not decided any more."""
@@ -497,8 +529,10 @@ class Runner:
             self._controller = self._restored()
             return
         while missed < time:
-            reason = "the service did not run"
-            self._kept(missed, defaults_of(missed, self.scenario, "missed", reason))
+            reason, left = "the service did not run", self._left(missed, None)
+            plan = defaults_of(missed, self.scenario, "missed", reason, left)
+            del plan["grid"]  # nobody looked
+            self._kept(missed, plan)
             missed += self.length
 
     def _made_later(self, plan: dict[str, Any] | None, now: pd.Timestamp) -> bool:
@@ -544,13 +578,13 @@ class Runner:
         return None
 
     def _feed(self, time: pd.Timestamp) -> None:
-        """Let the controller know the steps up to the horizon's end and one more."""
-        if self.profile is None:
-            return
-        end = self._controller.scenario.grid.end
-        missing = round((time - end) / self.length) + self.n_ahead
-        if missing > 0:
-            self._controller.extend(self.profile.steps(end, missing))
+        """Let the controller know the steps up to the horizon's end and one more, and messages."""
+        if self.profile is not None:
+            end = self._controller.scenario.grid.end
+            missing = round((time - end) / self.length) + self.n_ahead
+            if missing > 0:
+                self._controller.extend(self.profile.steps(end, missing))
+        self._controller.warn(*self.warnings(time), replacing=True)
 
     def warnings(self, time: pd.Timestamp) -> list[OutageWarning]:
         """Messages of outages: those of events, and the scenario's own where it is rehearsed."""

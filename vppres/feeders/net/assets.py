@@ -51,8 +51,16 @@ def _generators(net: Any, table: str, case: NetCase, ids: Mapping[int, BusId]) -
             "s_kva": mw_to_kw(rating_mva.fillna(pd.Series(np.hypot(p_mw, q_mvar), frame.index))),
             "p_max_kw": mw_to_kw(largest_mw.fillna(p_mw.where(p_mw > 0)).fillna(p_mw)),
             "p_min_kw": mw_to_kw(_positive(frame, "min_p_mw")),
+            "grid_forming": _said(frame, "grid_forming"),
         }
     )
+
+
+def _said(frame: pd.DataFrame, name: str) -> list[bool | None]:
+    """A column of yes and no, None where the source does not say."""
+    if name not in frame:
+        return [None] * len(frame)
+    return [None if pd.isna(value) or value == "" else bool(value) for value in frame[name]]
 
 
 def _words(frame: pd.DataFrame, table: str) -> pd.Series[str]:

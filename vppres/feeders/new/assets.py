@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -102,12 +102,16 @@ def new_assets(feeder: ImportedFeeder, options: NewScenarioOptions) -> NewAssets
         _told_tiers(feeder, tier, tiers, options),
         *_told_generators(feeder, pv, options),
         *sets.told(),
-        *_told_batteries(own, added),
+        *_told_batteries(own, added, sets.sets.grid_forming),
         *_told_merged(feeder, connections),
         *_told_loads(feeder),
     ]
     of_generator = _positions(table, kept, grouped, before)
     batteries = _joined(own, added)
+    if sets.sets.grid_forming.any():
+        # Where a set is named, a battery that comes first has to be named too.
+        batteries = replace(batteries, grid_forming=batteries.formers)
+        notes += _told_former(batteries)
     of_load = connections.attrs["of_load"]
     tables = (customers, pv, batteries, sets.sets)
     return NewAssets(*tables, tiers, peak_kw, of_generator, of_load, tuple(notes))
@@ -489,16 +493,24 @@ def _told_replaced(table: pd.DataFrame, options: NewScenarioOptions) -> Iterator
         )
 
 
-def _told_batteries(own: Batteries, added: Batteries) -> Iterator[str]:
-    """Batteries of the source, and those that were added."""
+def _told_batteries(own: Batteries, added: Batteries, forming: Flags) -> Iterator[str]:
+    """Batteries of the source, and those that were added, beside sets that form the grid."""
     if len(own):
         yield f"{_amount(own)} of the source."
     if len(added):
         yield f"{_amount(added)} invented, sized by the customers' peak loads."
     if not len(own) and not len(added):
+        without = "" if forming.any() else " Without one no island has a grid."
+        yield f"No battery: the source has none at a supplied bus, and none was added.{without}"
+
+
+def _told_former(batteries: Batteries) -> Iterator[str]:
+    """Which battery comes before the sets."""
+    if batteries.grid_forming.any():
         yield (
-            "No battery: the source has none at a supplied bus, and none was added. Without one no "
-            "island has a grid."
+            f"Chosen: {named(batteries.id[batteries.grid_forming])} forms the grid of an island "
+            "before a generating set does, because it has the largest inverter. Correct "
+            "grid_forming in batteries.csv."
         )
 
 

@@ -14,7 +14,7 @@ import pandas as pd
 
 from vppres.core.arrays import Flags
 from vppres.core.text import named
-from vppres.feeders.new.kinds import runs_on_a_tank
+from vppres.feeders.new.kinds import GENSET, runs_on_a_tank
 from vppres.io import schema
 from vppres.scenario.gensets import Gensets
 
@@ -55,6 +55,7 @@ class NewSets:
         least_kw = np.where(assumed, LEAST_SHARE * p_max_kw, given_kw)
         idle = LITRES_PER_H_PER_KW * p_max_kw
         count = len(rows)
+        said = zip(rows["grid_forming"], rows["kind"] == GENSET, strict=True)
         return cls(
             Gensets(
                 id=np.array(ids, dtype=object),
@@ -73,6 +74,7 @@ class NewSets:
                 tank_litres=np.round(TANK_H * (idle + LITRES_PER_KWH * p_max_kw), 1),
                 fuel_level_litres=np.round(TANK_H * (idle + LITRES_PER_KWH * p_max_kw), 1),
                 only_in_outage=np.ones(count, dtype=bool),
+                grid_forming=np.array([own if own is not None else is_set for own, is_set in said]),
             ),
             assumed,
         )
@@ -84,10 +86,15 @@ class NewSets:
             return
         pairs = zip(sets.id, sets.p_max_kw, strict=True)
         sizes = named(f"{name}, {p_kw:.4g} kW" for name, p_kw in pairs)
-        yield (
-            f"Generating sets of the source: {sizes}. They run in outages only, and follow a "
-            "battery that forms the grid."
-        )
+        yield f"Generating sets of the source: {sizes}. They run in outages only."
+        forming, following = sets.id[sets.grid_forming], sets.id[~sets.grid_forming]
+        if len(forming):
+            yield (
+                f"Generating sets that form the grid of an island that no battery forms: "
+                f"{named(forming)}. Write no in grid_forming of gensets.csv for a set that cannot."
+            )
+        if len(following):
+            yield f"Generating sets that only follow what forms the grid: {named(following)}."
         least = (
             f" a least power of {LEAST_SHARE:.0%} ({named(sets.id[self.assumed])}),"
             if self.assumed.any()

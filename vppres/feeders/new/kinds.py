@@ -6,6 +6,9 @@ import re
 
 PV = "pv"
 WIND = "wind"
+GENSET = "genset"
+"""A diesel or standby set: what it is for is to run alone."""
+
 UNKNOWN = "generator"
 """Kind of a generator of which the source says nothing."""
 
@@ -15,13 +18,14 @@ _WORDS = (
     ("hydro", r"hydro|run.?of.?river|small.?water"),
     ("biomass", r"biomass|biogas|bm\b"),
     ("chp", r"chp|bhkw|co-?gen|combined.heat"),
-    ("genset", r"diesel|gen.?set|gas|oil\b|coal|nuclear|turbine|engine|synchronous|machine"),
+    (GENSET, r"diesel|gen.?set|stand.?by|back.?up|emergency"),
+    (GENSET, r"gas|oil\b|coal|nuclear|turbine|engine|synchronous|machine"),
     ("fuel cell", r"(residential )?fuel.?cell"),
 )
 # The connection of the windings, which pandapower writes without a type, and the word of OpenDSS.
 _NO_WORD = ("", "wye", "delta", "none", "nan", "gen", "generator")
-_FUELLED = ("chp", "genset", "fuel cell")
-_ENGINES = ("chp", "genset")
+_FUELLED = ("chp", GENSET, "fuel cell")
+_ENGINES = ("chp", GENSET)
 
 
 def kind_of(word: str, name: str = "") -> str:

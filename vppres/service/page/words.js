@@ -122,12 +122,12 @@ export function verdict(view) {
   if (unawareOfLoss(view)) return [ALARM, `Grid lost, read at ${at(gridReading(view).at)}. The plan of ${at(plan.valid_from ?? plan.start)} does not know it: supply is uncertain.`, "A new plan follows."];
   if (contradiction(view)) return [ALARM, "Readings contradict each other on whether there is grid: supply is uncertain.", `The plan ignores a reading: ${contradiction(view)}.`];
   if (plan.status === "failed") return [ALARM, "No plan for this step. It is decided by rule.", plan.reason];
-  if (plan.status === "missed") return [WARNING, `This step was missed. Devices use default set-points.${uncertain}`, plan.reason];
+  if (plan.status === "missed") return [WARNING, `This step was missed. ${capital(undecided(plan))}.${uncertain}`, plan.reason];
   const off = offByTier(view), n = Object.values(off).reduce((a, b) => a + b, 0);
   const tiers = view.site.tiers, [first] = tiers, all = Object.keys(view.site.customers).length;
   const dark = outage(view);
   const head = dark ? `Outage${dark.end ? ` until ${at(dark.end)}` : ", end unknown"}` : "";
-  if (mode.mode === "off") return [WARNING, `${head ? `${head}. ` : ""}Switched off by the operator: devices use default set-points.${uncertain}`, mode.until ? `Until ${at(mode.until)}. ${mode.reason}` : mode.reason];
+  if (mode.mode === "off") return [WARNING, `${head ? `${head}. ` : ""}Switched off by the operator: ${undecided(plan)}.${uncertain}`, mode.until ? `Until ${at(mode.until)}. ${mode.reason}` : mode.reason];
   const words = n === 0 ? `all ${counted(all, "customer")} supplied` : `${n} of ${counted(all, "customer")} off supply`;
   if (off[first] > 0) return [ALARM, `${head ? `${head}: ` : ""}${counted(off[first], tiers.length > 1 ? `${first} customer` : "customer")} off supply.`, `${capital(words)}. ${next(view, at)}`];
   const saved = n > 0 ? `, all ${first} customers supplied` : "";
@@ -141,9 +141,14 @@ export function verdict(view) {
 }
 
 function holds(view, at) {
-  const over = new Date(view.overview.plan.valid_until);
-  return view.now < over ? `Set-points hold until ${at(over)}; then devices revert to default set-points.` : `Set-points ended at ${at(over)}. Devices use default set-points.`;
+  const { plan } = view.overview, over = new Date(plan.valid_until);
+  return view.now < over ? `Set-points hold until ${at(over)}; then ${undecided(plan)}.` : `Set-points ended at ${at(over)}. ${capital(undecided(plan))}.`;
 }
+
+// What devices do where nobody decides, and what is not known then.
+const undecided = (plan) => (plan.grid?.available === false
+  ? "devices keep their last state, and how long the island lasts is not known"
+  : "devices use default set-points");
 
 const small = (text) => text.charAt(0).toLowerCase() + text.slice(1);
 const capital = (text) => text.charAt(0).toUpperCase() + text.slice(1);
@@ -428,5 +433,5 @@ export const MODE_WORDS = {
   auto: ["decide every step", "From now on the controller decides."],
   hold: ["keep the last set-points", "From now on the last set-points are held."],
   manual: ["use the operator\u2019s set-points", "From now on the operator\u2019s set-points are used."],
-  off: ["defaults only", "From now on devices use default set-points: batteries idle, PV at available power, all customers connected even in an outage, generating sets stopped, chargers and thermostats by themselves."],
+  off: ["defaults only", "From now on devices use default set-points. With grid: batteries idle, PV at available power, all customers connected, generating sets stopped, chargers and thermostats by themselves. In an outage every device keeps its last state, and nothing is reconnected."],
 };
