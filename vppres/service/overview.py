@@ -17,12 +17,13 @@ from vppres.scenario.remarks import former_words
 from vppres.service.announced import believes
 from vppres.service.clock import written
 from vppres.service.conditions import limits_h
+from vppres.service.export import off_minutes
 from vppres.service.knowledge import MEAN, Heard, Latest, last_heard, soc_now
 from vppres.service.payloads import ModeRequest
 from vppres.service.phased_readings import stored
 from vppres.service.plans import points_at, refused_of
 from vppres.service.records import Reading, moment
-from vppres.service.runner import Runner
+from vppres.service.runner import Runner, Service
 
 PAST_H = 12.0
 """How much of the past is shown."""
@@ -32,6 +33,9 @@ MOST_PAST = 96
 
 MOST_HISTORY = 1_000
 """Steps of an answer, the last ones: ten days of quarter hours, read in a second or so."""
+
+ROUNDING = 1e-6
+"""Minutes that are none."""
 
 NOT_TOLD = ("setpoints", "ahead", "before")
 
@@ -274,21 +278,23 @@ class Overview:
         return list(self._past.values())
 
     def _summary(self, plan: Mapping[str, Any]) -> dict[str, Any]:
-        """A step in a few numbers."""
-        on = {
-            one["asset"]: one["served"] for one in plan["setpoints"] if one["kind"] == "customers"
-        }
+        """A step in a few numbers; supply counts by the parts of one that was decided anew."""
         solve = plan["solve"] or {}
-        expected = plan["expected"]
+        runner = self.runner
+        service = Service(runner.scenario, runner.options)
+        off_min, minutes = off_minutes(service, runner.store, plan, runner.clock.now())
         return {
             "start": plan["start"],
             "status": plan["status"],
             "reason": plan.get("reason") or solve.get("fallback_reason"),
+            "anew": plan.get("anew"),
             "fallback": solve.get("fallback"),
             "refused": refused_of(plan),
             "served": {
-                tier: sum(on[name] for name in names) / len(names)
+                tier: 1.0 - sum(off_min.get(name, 0.0) for name in names) / minutes / len(names)
                 for tier, names in self._by_tier().items()
             },
-            "expected": expected,
+            # Who was off all the time is in the shares.
+            "off_min": {name: each for name, each in off_min.items() if each < minutes - ROUNDING},
+            "expected": plan["expected"],
         }

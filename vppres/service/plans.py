@@ -171,7 +171,8 @@ def made_anew(
         {**one, "id": f"{begin}/{one['kind']}/{one['asset']}", "valid_from": begin, "anew": why}
         for one in plan["setpoints"]
     ]
-    said = {name: before[name] for name in ("id", "valid_from", "status", "setpoints")}
+    kept = ("id", "valid_from", "status", "setpoints", "grid")
+    said = {name: before[name] for name in kept if name in before}
     return {
         **plan,
         "id": f"p-{begin}",

@@ -3,7 +3,7 @@
 import { chart, meter, pastOf, stepsOf } from "./chart.js";
 import { Operator } from "./operator.js";
 import {
-  HOUR, MARKS, SiteClock, alarms, announced, attention, counted, covers, facts, farthestOutside, fuelLasts, fuelNow, grouped, indoorNow, isLostByReading, isUncertain, kilo, lasting, lateBy, list, lowest, offByTier, oldSoc, onPhase, percent, socNow, switchedNext, unawareOfLoss, verdict, why,
+  HOUR, MARKS, MINUTE, SiteClock, alarms, announced, attention, counted, covers, facts, farthestOutside, fuelLasts, fuelNow, grouped, indoorNow, isLostByReading, isUncertain, kilo, lasting, lateBy, list, lowest, offByTier, oldSoc, onPhase, percent, socNow, switchedNext, unawareOfLoss, verdict, why,
 } from "./words.js";
 
 const EVERY_MS = 2000, PATIENCE_MS = 5000;
@@ -428,10 +428,12 @@ function showEvents() {
 
 function showSteps() {
   const { steps } = view.overview, past = pastOf(view);
-  const odd = past.filter((step) => step.status !== "ok" || step.refused.length).reverse();
+  const within = (step) => Object.entries(step.off_min ?? {});
+  const odd = past.filter((step) => step.status !== "ok" || step.refused.length || within(step).length).reverse();
   renew("steps-list", [odd, view.overview.now.slice(0, 10)], () => odd.length
     ? odd.map((step) => node("li", {}, node("b", {}, `${view.clock.at(step.start, view.now)} ${step.status}`),
       `${step.fallback ? `, ${step.fallback.replaceAll("_", " ")}` : ""}${step.reason ? `: ${step.reason}` : ""}`,
+      within(step).length ? `. Off for a part of the step: ${list(within(step).map(([name, minutes]) => `${name} ${lasting(minutes * MINUTE)}`))}` : "",
       step.refused.length ? `. Rejected: ${list(step.refused.map((one) => `${one.asset} ${one.reason}`))}` : ""))
     : [node("li", {}, "None in recent hours.")]);
   write("steps-counts", `Since the start: ${Object.entries(steps).filter(([, n]) => n).map(([outcome, n]) => `${n} ${outcome}`).join(", ") || "no step"}.`);
