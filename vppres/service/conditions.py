@@ -16,7 +16,7 @@ from vppres.scenario.scenario import Scenario
 from vppres.service.announced import announced_at
 from vppres.service.as_told import expected_by
 from vppres.service.changes import GRID_LOST
-from vppres.service.forming import Former, formers_now
+from vppres.service.forming import Former, formers_now, why_dark
 from vppres.service.knowledge import Heard, Latest, refusing, soc_now
 from vppres.service.lost import lost_customers
 from vppres.service.plans import points_at, refused_of
@@ -67,6 +67,7 @@ class Situation:
     """How a site is, with its last plan, how long that still holds, and what it misses.
 
     Whether there is grid was ``read_by`` a source last; an outage of now may be ``announced``.
+    ``formers`` can form the grid of an island; None in paper mode, whose islands need none.
     """
 
     now: pd.Timestamp
@@ -82,7 +83,14 @@ class Situation:
     unreached: Sequence[str] = ()
     read_by: str = ""
     announced: bool = False
-    formers: Sequence[Former] = ()
+    formers: Sequence[Former] | None = None
+
+    @property
+    def why_dark(self) -> str:
+        """Why nobody is supplied in an island; empty if something forms its grid, or may."""
+        if self.formers is None:
+            return ""
+        return why_dark(self.plan, self.formers, self.is_dark)
 
     @property
     def critical(self) -> set[str]:
@@ -103,10 +111,7 @@ def situation(
 ) -> Situation:
     """How a site is by what is stored; ``mode`` is that of its islands, if not the scenario's."""
     latest = Latest.at(now, scenario, store)
-    newest = latest.newest("soc")
-    batteries = dict.fromkeys(refusing(newest, store), "its device rejected it")
-    sets = dict.fromkeys(_sets_out(plan), "it does not start")
-    failing = {**batteries, **lost_customers(scenario, latest.found, store), **sets}
+    failing = failing_now(scenario, latest, store, plan)
     grid = (plan or {}).get("grid")
     read = latest.newest("grid_on").get(GRID)
     grid_on = None if read is None else read.value
@@ -127,8 +132,17 @@ def situation(
         grid_on,
         read_by="" if read is None else read.source,
         announced=announced_at([*store.events().values()], now),
-        formers=formers_now(scenario, plan, soc, failing) if physical else (),
+        formers=formers_now(scenario, plan, soc, failing) if physical else None,
     )
+
+
+def failing_now(
+    scenario: Scenario, latest: Latest, store: Store, plan: Mapping[str, Any] | None
+) -> dict[str, str]:
+    """Devices that do not follow their set-points, and why."""
+    batteries = dict.fromkeys(refusing(latest.newest("soc"), store), "its device rejected it")
+    sets = dict.fromkeys(_sets_out(plan), "it does not start")
+    return {**batteries, **lost_customers(scenario, latest.found, store), **sets}
 
 
 def _sets_out(plan: Mapping[str, Any] | None) -> list[str]:
@@ -221,8 +235,8 @@ def _off_with_grid(now: Situation) -> Iterator[Condition]:
 
 def _one_former_left(now: Situation) -> Iterator[Condition]:
     """Of the devices that can form the grid of an island one is left, or none."""
-    able = [one.asset for one in now.formers if not one.why_not]
-    missing = [one for one in now.formers if one.why_not]
+    able = [one.asset for one in now.formers or () if not one.why_not]
+    missing = [one for one in now.formers or () if one.why_not]
     if now.plan is None or not missing or len(able) > 1:
         return
     others = named([f"{one.asset} ({one.why_not})" for one in missing], NAMES_SHOWN)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +11,9 @@ import numpy as np
 from vppres.contract.decision import OUT
 from vppres.scenario.scenario import Scenario
 from vppres.service.as_told import expected_by
+
+EMPTY = "it is empty"
+NOTHING = "nothing can form the grid"
 
 
 @dataclass(frozen=True)
@@ -68,7 +71,7 @@ def _batteries(
         if not why and OUT.format(name) in said:
             why = "it is out"
         if not why and empty[i]:
-            why = "it is empty"
+            why = EMPTY
         yield Former(name, "batteries", why)
 
 
@@ -86,3 +89,22 @@ def _sets(
         if not why and litres is not None and litres < least_litres[g]:
             why = "it has no fuel for a step"
         yield Former(name, "gensets", why)
+
+
+def why_dark(plan: Mapping[str, Any] | None, formers: Sequence[Former], island: bool) -> str:
+    """Why nobody is supplied in an island now; empty if something forms its grid, or may.
+
+    A plan says so of itself. Where nobody decided, and where devices failed since, it follows from
+    the ``formers``.
+    """
+    if plan is None or not island:
+        return ""
+    said = (plan.get("solve") or {}).get("dark_reason") or ""
+    decided = plan.get("solve") is not None
+    # An empty battery was planned for; how much is left at a moment is not known that exactly.
+    able = [one for one in formers if not one.why_not or (decided and one.why_not == EMPTY)]
+    if said and any(not one.why_not for one in formers):
+        return str(said)
+    if said or not able:
+        return NOTHING
+    return ""

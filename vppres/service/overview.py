@@ -16,9 +16,9 @@ from vppres.scenario.phases import PHASES
 from vppres.scenario.remarks import former_words
 from vppres.service.announced import believes
 from vppres.service.clock import written
-from vppres.service.conditions import limits_h
+from vppres.service.conditions import limits_h, situation
 from vppres.service.export import off_minutes
-from vppres.service.knowledge import MEAN, Heard, Latest, last_heard, soc_now
+from vppres.service.knowledge import MEAN, Heard, Latest, last_heard
 from vppres.service.payloads import ModeRequest
 from vppres.service.phased_readings import stored
 from vppres.service.plans import points_at, refused_of
@@ -36,6 +36,9 @@ MOST_HISTORY = 1_000
 
 ROUNDING = 1e-6
 """Minutes that are none."""
+
+DARK = "blacked out: "
+"""How the reason begins of a customer in an island that is dark."""
 
 NOT_TOLD = ("setpoints", "ahead", "before")
 
@@ -114,6 +117,14 @@ def _orders(points: Iterable[Mapping[str, Any]], kind: str) -> dict[str, Any]:
     }
 
 
+def _in_the_dark(point: Mapping[str, Any], why: str) -> dict[str, Any]:
+    """A set-point as it is where nothing forms the grid: nothing flows."""
+    if point["kind"] == "customers":
+        return {**point, "served": False, "reason": f"{DARK}{why}"}
+    powers = {name: 0.0 for name in ("p_kw", "q_kvar") if name in point}
+    return {**point, **powers}
+
+
 class Overview:
     """How a service is, made once for all who ask."""
 
@@ -157,6 +168,15 @@ class Overview:
         now = runner.clock.now()
         plan = runner.last
         latest = Latest.at(now, runner.scenario, runner.store)
+        found = situation(
+            now,
+            runner.scenario,
+            runner.store,
+            plan,
+            runner.ahead_s,
+            runner.changes.reasons,
+            runner.options.mode,
+        )
         return {
             "now": written(now.floor("s")),
             "mode": runner.mode,
@@ -166,19 +186,26 @@ class Overview:
             "events": {name: event.body for name, event in runner.store.events().items()},
             "sources": self._sources(latest.heard),
             "measured": self._measured(latest.found, now),
-            "soc": soc_now(latest, plan, runner.length, now),
-            "plan": None if plan is None else self._told(plan, now),
+            "soc": found.soc,
+            "formers": [vars(one) for one in found.formers or ()],
+            "plan": None if plan is None else self._told(plan, now, found.why_dark),
             "past": self._recent(now),
         }
 
-    def _told(self, plan: Mapping[str, Any], now: pd.Timestamp) -> dict[str, Any]:
-        """What holds of the last plan, without the customers that are on."""
+    def _told(self, plan: Mapping[str, Any], now: pd.Timestamp, dark: str) -> dict[str, Any]:
+        """What holds of the last plan, without the customers that are on.
+
+        Where an island is ``dark``, whatever was ordered, nobody is.
+        """
         points = points_at(plan, now)
+        if dark:
+            points = [_in_the_dark(one, dark) for one in points]
         ahead = plan.get("ahead")
         return {
             **{key: value for key, value in plan.items() if key not in NOT_TOLD},
             "unaware_of": list(self.runner.changes.reasons),
             "valid_until": max((one["valid_until"] for one in points), default=None),
+            "dark": dark or None,
             "active": any(one["active"] for one in points),
             **{kind: _orders(points, kind) for kind in ORDERED},
             "off": self._off(points, ahead, plan.get("off_h", {})),

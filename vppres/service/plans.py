@@ -67,6 +67,7 @@ def plan_of(
             ROTATED: _by_name(customers[ROTATED]) if ROTATED in customers else None,
             "levels": solve.get("levels"),
             "inverted": solve.get("inverted"),
+            "dark_reason": solve.get("dark_reason") or None,
             "fallback": fallback,
             "fallback_reason": solve["fallback_reason"] or None,
             "correction_reason": solve["reason"] or None,

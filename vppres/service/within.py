@@ -129,10 +129,12 @@ def off_in(part: Part, plan: Plan, now: Scenario, options: RunOptions, store: St
     if as_planned or options.mode != "physical":
         return off
     grid = replace(now.grid, start=part.begin, step_minutes=h_to_minutes(part.hours), n_steps=1)
-    world = World(replace(now, grid=grid, grid_limit_kw=np.zeros(1)), options)
+    rests = replace(b, p_max_kw=np.where(follows, b.p_max_kw, 0.0))
+    alone = replace(now, grid=grid, grid_limit_kw=np.zeros(1), batteries=rests)
+    world = World(alone, options)
     day = world.day
     day.plant.engines.state = set_state(world.scenario, 0, plan, day.plant.engines.state)
-    day.island.formers = day.island.formers & follows
+    day.island.formers = now.formers & follows  # nobody told others to form it
     told = [
         {**one, "valid_from": written(part.begin)}
         for one in part.setpoints
