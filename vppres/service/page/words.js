@@ -96,7 +96,7 @@ function couldForm(view) {
   return `What could form it: ${[...known, "a generator that a crew brings", "the grid when it is back"].join("; ")}.`;
 }
 
-// Whether a reading has come that counts: without any nobody knows how the site is.
+// Whether a reading counts: without any the state of the site is not known.
 const isHeard = (view) => view.overview.sources.some((source) => source.ok > 0);
 
 // Whether supply is uncertain: the plan counts on a grid that is or may be lost, or has ended.
