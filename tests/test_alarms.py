@@ -11,7 +11,17 @@ import pandas as pd
 import pytest
 
 from tests.support.asgi import Caller
-from tests.support.live_service import HERE, NOON, Running, client, decided, readings, running, site
+from tests.support.live_service import (
+    HERE,
+    NOON,
+    Running,
+    client,
+    decided,
+    readings,
+    running,
+    serving,
+    site,
+)
 from vppres.scenario.scenario import Scenario
 from vppres.service.access import Access, new_token
 from vppres.service.alarms import KINDS, Alarms, Notice
@@ -176,9 +186,9 @@ def test_nobody_decides(live: Running) -> None:
     decided(http, clock, NOON)
     http.post("/v1/telemetry", {"series": readings(NOON, "grid_on", {"grid": 0.0})})
     runner.check_alarms()
-    assert listed(http) == []
+    assert listed(http) == [("grid_lost", "high", "raised")]
     later(runner, 2)  # it should have been decided anew by now
-    (found,) = http.get("/v1/alarms").json()["alarms"]
+    found = http.get("/v1/alarms").json()["alarms"][0]
     assert found["text"].startswith("The plan does not know yet: grid lost at")
     runner.anew()
     assert ("no_decision", "high", "cleared") in listed(http)
@@ -304,6 +314,81 @@ def test_a_contradiction_ends_with_the_reading(live: Running) -> None:
     later(runner, 1)
     later(runner, 5)
     assert ("grid_contradicted", "high", "cleared") in listed(http)
+
+
+def texts(http: Caller) -> dict[str, str]:
+    """The text of each alarm whose condition holds, by kind."""
+    alarms = http.get("/v1/alarms").json()["alarms"]
+    return {a["kind"]: a["text"] for a in alarms if not (a["cleared_at"] or a["gone_since"])}
+
+
+def test_a_grid_that_is_lost_is_an_alarm_until_it_is_back(live: Running) -> None:
+    http, clock, runner = live
+    decided(http, clock, NOON, soc=0.85)
+
+    def read(on: float, minutes: float) -> dict[str, str]:
+        clock.set(NOON + minutes * MINUTE)
+        http.post("/v1/telemetry", {"series": readings(clock.now(), "grid_on", {"grid": on})})
+        runner.anew()
+        runner.check_alarms()
+        return texts(http)
+
+    lost = "The grid is lost, by scada. No outage is announced for now."
+    assert read(0.0, 10)["grid_lost"] == lost
+    assert ("grid_lost", "high", "raised") in listed(http)
+    http.put("/v1/mode", {"mode": "off"})
+    assert read(0.0, 12)["grid_lost"] == lost  # no plan says whether there is grid
+    http.put("/v1/mode", {"mode": "auto"})
+    http.put("/v1/events/storm", {"type": "outage", "start": written(NOON), "end": None})
+    assert read(0.0, 14)["grid_lost"] == "The grid is lost, by scada, as announced."
+    assert ("grid_lost", "medium", "raised") in listed(http)
+    assert "grid_lost" not in read(1.0, 20)
+
+
+def test_customers_off_with_grid_are_an_alarm(live: Running) -> None:
+    http, clock, _ = live
+    limit = {"type": "import_limit", "start": written(NOON), "limit_kw": 5.0}
+    http.put("/v1/events/cap", {**limit, "end": written(NOON + HOUR)})
+    plan = decided(http, clock, NOON, soc=0.16)
+    off = [p["asset"] for p in plan["setpoints"] if p.get("served") is False]
+    words = texts(http)["off_with_grid"]
+    assert off and words.endswith(" off supply, and there is grid of at most 5 kW.")
+    assert all(name in words for name in off)
+    until = {"until": written(NOON + 3 * HOUR)}
+    one = {"kind": "customers", "asset": "homes", "served": False}
+    http.put("/v1/mode", {"mode": "manual", **until, "setpoints": [one]})
+    clock.set(NOON + HOUR)
+    http.post("/v1/telemetry", {"series": readings(clock.now(), "grid_on", {"grid": 1.0})})
+    http.post("/v1/steps")
+    assert texts(http)["off_with_grid"].endswith("by the operator's mode manual.")
+    http.put("/v1/mode", {"mode": "auto"})
+    decided(http, clock, NOON + 2 * HOUR, soc=0.8)
+    assert "off_with_grid" not in texts(http)
+
+
+def test_one_former_that_is_left_is_an_alarm(tiny: Scenario, tmp_path: Path) -> None:
+    clock = SetClock(NOON)
+    service = Service(site(tiny), replace(HERE, mode="physical"))
+    with serving(service, tmp_path, clock) as (http, runner):
+        http.put("/v1/events/storm", DARK)
+        plan = decided(http, clock, NOON, soc=0.8)
+        assert "one_former_left" not in texts(http)
+
+        def told(asset: str, status: str) -> str:
+            clock.set(clock.now() + MINUTE)
+            (point,) = (one for one in plan["setpoints"] if one["asset"] == asset)
+            http.post(f"/v1/setpoints/{point['id']}/status", {"status": status})
+            runner.anew()
+            return texts(http).get("one_former_left", "")
+
+        why = "its device rejected it"
+        only = f"Only small can form the grid of an island; not big ({why})."
+        assert told("big", "rejected") == only
+        none = f"Nothing can form the grid of an island: not big ({why}), small ({why})."
+        assert told("small", "rejected") == none
+        assert ("one_former_left", "high", "raised") in listed(http)
+        assert told("small", "accepted") == only
+        assert told("big", "accepted") == ""
 
 
 def test_fallbacks_that_last(live: Running, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,25 +11,39 @@ import pandas as pd
 import pytest
 
 from tests.support.asgi import Caller
-from tests.support.live_service import HERE, NOON, Live, client, decided, readings, running, site
+from tests.support.live_service import (
+    HERE,
+    NOON,
+    Live,
+    client,
+    decided,
+    readings,
+    running,
+    said,
+    serving,
+    site,
+)
 from tests.support.page_words import NODE, said_by
 from vppres.scenario.remarks import former_words
 from vppres.scenario.scenario import Scenario
-from vppres.service.clock import written
+from vppres.service.clock import SetClock, written
 from vppres.service.runner import Service
 
 pytestmark = pytest.mark.skipif(NODE is None, reason="no node on the path")
 
 SCRIPT = """
-import { SiteClock, attention, facts, verdict, why } from "./words.mjs";
+import { SiteClock, announcesNothing, attention, facts, verdict, why } from "./words.mjs";
 import { readFileSync } from "node:fs";
 const view = JSON.parse(readFileSync(0));
 view.clock = new SiteClock("UTC");
 view.now = new Date(view.overview.now);
 const { off, status } = view.overview.plan;
 const reasons = (off ?? []).map((one) => why(one, null, status).words);
-console.log(JSON.stringify({ verdict: verdict(view), facts: facts(view), attention: attention(view), reasons }));
+console.log(JSON.stringify({ verdict: verdict(view), facts: facts(view), attention: attention(view), announced: announcesNothing(view), reasons }));
 """
+
+
+OFF = {"mode": "off", "reason": "work"}
 
 
 def told(http: Caller, folder: Path) -> dict[str, Any]:
@@ -142,6 +156,69 @@ def test_an_outage_of_a_rehearsal_is_not_called_announced(tiny: Scenario, tmp_pa
         found = told(http, tmp_path)
         assert found["verdict"][2] == "Outage known from the scenario, from 01:00, in 60 min."
         assert "Announced: no outage." in found["facts"]
+
+
+def test_an_outage_of_a_scenario_is_told_as_such(tiny: Scenario, tmp_path: Path) -> None:
+    """Its end, and beside it what no event says."""
+    day = site(tiny)
+    limits_kw = day.grid_limit_kw.copy()
+    limits_kw[:2] = 0.0
+    service = Service(replace(day, grid_limit_kw=limits_kw), HERE, rehearsal=True)
+    with client(service, tmp_path / "state") as http:
+        http.post("/v1/steps")
+        found = told(http, tmp_path)
+    assert found["verdict"][1].startswith("Outage until 02:00 by the scenario")
+    assert found["announced"] == "No event; the scenario has an outage until 02:00."
+
+
+def test_nothing_that_can_form_the_grid_is_said_first(tiny: Scenario, tmp_path: Path) -> None:
+    """With what could form it; also where nobody decided, and before a plan knows of it."""
+    clock = SetClock(NOON)
+    service = Service(site(tiny), replace(HERE, mode="physical"))
+    with serving(service, tmp_path / "state", clock) as (http, runner):
+        http.post("/v1/telemetry", {"series": readings(NOON, "grid_on", {"grid": 0.0})})
+        lit = decided(http, clock, NOON, soc=0.8)
+        clock.set(NOON + pd.Timedelta("1min"))
+        for asset in ("big", "small"):
+            point = said(lit, "batteries")[asset]["id"]
+            http.post(f"/v1/setpoints/{point}/status", {"status": "rejected"})
+        first = "Nothing can form the grid: all 3 customers are off supply."
+        more = (
+            "What could form it: big (its device rejected it); small (its device rejected it); "
+            "a generator that a crew brings; the grid when it is back. Outage, end unknown."
+        )
+        dark = []
+        for change in (None, runner.anew, lambda: http.put("/v1/mode", OFF)):
+            if change is not None:
+                change()
+                clock.set(clock.now() + pd.Timedelta("1min"))
+                runner.anew()
+            found, overview = told(http, tmp_path), http.get("/v1/overview").json()
+            assert found["verdict"] == ["alarm", first, more]
+            assert set(found["reasons"]) == {"nothing can form the grid"}
+            plan = overview["plan"]
+            assert len(plan["off"]) == 3
+            assert all(one["p_kw"] == 0.0 for one in plan["batteries"].values())
+            dark.append(plan["expected"] and plan["expected"]["v_min_pu"])
+        assert dark[1:] == [None, None]  # no voltage
+        blacked_out = runner.store.step(NOON)["before"][-1]["id"]
+        assert blacked_out != lit["id"]
+        http.put("/v1/mode", {"mode": "auto"})
+        clock.set(clock.now() + pd.Timedelta("1min"))
+        runner.anew()
+        why = http.get("/v1/explanations").json()
+    words = "nothing can form the grid: not big (it is out), small (it is out)."
+    assert why["step"]["words"] == f"The island is blacked out: {words}"
+    assert {one["words"] for one in why["reasons"]} == {f"Not supplied: {words}"}
+
+
+def test_nothing_is_green_before_a_reading_has_come(tiny: Scenario, tmp_path: Path) -> None:
+    with running(tiny, tmp_path / "state") as (http, clock, _):
+        http.post("/v1/steps")
+        words = "3 customers connected by the plan; no reading is in time."
+        assert told(http, tmp_path)["verdict"][:2] == ["warning", words]
+        decided(http, clock, NOON + pd.Timedelta("1h"))
+        assert told(http, tmp_path)["verdict"][:2] == ["fine", "All 3 customers supplied."]
 
 
 PHASES = """

@@ -11,14 +11,26 @@ import pandas as pd
 import pytest
 
 from tests.support.command_line import call
-from tests.support.live_service import HERE, NOON, client, decided, readings, site
+from tests.support.live_service import (
+    HERE,
+    NOON,
+    client,
+    decided,
+    heard,
+    readings,
+    said,
+    serving,
+    site,
+)
 from tests.support.long_days import repeated
 from tests.support.played_service import played
 from vppres.core.errors import InputError
 from vppres.day.options import RunOptions
+from vppres.day.reliability import reliability_by_tier
 from vppres.day.simulate import run_day
 from vppres.io.scenario_writer import write_scenario
 from vppres.model.site import Site
+from vppres.report.events import events_of
 from vppres.report.finished import read_finished
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock, written
@@ -140,3 +152,83 @@ def test_what_is_old_is_forgotten_and_what_holds_is_not(tiny: Scenario, tmp_path
     assert store.outcomes() == {"ok": 2, "missed": 71}  # those that are forgotten too
     store.close()
     assert written(NOON) == "2026-11-21T12:00:00Z"
+
+
+MINUTE = pd.Timedelta("1min")
+ISLAND = RunOptions(horizon_h=2.0, isolate=False, mode="physical")
+
+
+def test_a_dark_minute_between_two_steps_is_in_history_and_export(
+    tiny: Scenario, tmp_path: Path
+) -> None:
+    """The former rejects its set-point of 12:20, and is back a minute later."""
+    clock = SetClock(NOON)
+    service = Service(site(tiny), ISLAND)
+
+    def grid(on: float, minutes: float) -> None:
+        clock.set(NOON + minutes * MINUTE)
+        http.post("/v1/telemetry", {"series": readings(clock.now(), "grid_on", {"grid": on})})
+        assert runner.anew() is not None
+
+    with serving(service, tmp_path, clock) as (http, runner):
+        decided(http, clock, NOON, soc=0.85)
+        grid(0.0, 20.0)
+        island = said(http.get("/v1/plan").json(), "customers")
+        assert island["hospital"]["served"]
+        clock.set(NOON + 21 * MINUTE)
+        for former in ("big", "small"):
+            point = said(http.get("/v1/plan").json(), "batteries")[former]["id"]
+            http.post(f"/v1/setpoints/{point}/status", {"status": "rejected"})
+        assert runner.anew() is not None
+        dark = said(http.get("/v1/plan").json(), "customers")
+        assert not dark["hospital"]["served"]
+        clock.set(NOON + 22 * MINUTE)
+        http.post("/v1/telemetry", heard(clock.now(), 0.8))
+        assert runner.anew() is not None
+        grid(1.0, 40.0)
+        clock.set(NOON + HOUR)
+        (hour,) = http.get(f"/v1/history?since={written(NOON)}").json()["steps"]
+        run = export(service, tmp_path, "2026-11-21T12:00", "2026-11-21T13:00")
+    assert hour["off_min"]["hospital"] == pytest.approx(2.0)
+    assert hour["served"]["critical"] == pytest.approx(58.0 / 60.0)
+    hospital = run.customers.set_index("id").loc["hospital"]
+    assert (hospital["served"], hospital["losses"]) == (True, 1)
+    assert hospital["time_on"] == pytest.approx(58.0 / 60.0)
+    by_tier = reliability_by_tier(run).loc["critical"]
+    assert by_tier["interruptions"] == 1.0
+    assert by_tier["minutes_lost"] == pytest.approx(2.0)
+    assert by_tier["unserved_kwh"] == pytest.approx(hospital["p_load_kw"] * 2.0 / 60.0)
+    words = [one.words for one in events_of(run)]
+    assert any("hospital (critical) 2 min" in one for one in words), words
+    assert sum(run.time_off[0] * 60.0) == pytest.approx(sum(hour["off_min"].values()))
+
+
+@pytest.mark.parametrize(("mode", "dark_min"), [("auto", 33.0), ("off", 30.0)])
+def test_what_nobody_planned_for_is_the_plants_answer(
+    tiny: Scenario, tmp_path: Path, mode: str, dark_min: float
+) -> None:
+    """Empty batteries; lost at 12:10, back at 12:40, each read three minutes later.
+
+    With ``auto`` the plan of 12:13 leaves all off, up to that of 12:43; with ``off`` everybody is
+    connected, as before, but nothing forms the grid up to 12:40.
+    """
+    clock = SetClock(NOON)
+    service = Service(site(tiny), ISLAND)
+    with serving(service, tmp_path, clock) as (http, runner):
+        decided(http, clock, NOON, soc=0.15)
+        clock.set(NOON + 5 * MINUTE)
+        http.put("/v1/mode", {"mode": mode, "reason": "work"})
+        runner.anew()
+        for minutes, on in ((10, 0.0), (40, 1.0)):
+            clock.set(NOON + (minutes + 3) * MINUTE)
+            read = readings(NOON + minutes * MINUTE, "grid_on", {"grid": on})
+            http.post("/v1/telemetry", {"series": read})
+            runner.anew()
+        clock.set(NOON + HOUR)
+        (hour,) = http.get(f"/v1/history?since={written(NOON)}").json()["steps"]
+        run = export(service, tmp_path, "2026-11-21T12:00", "2026-11-21T13:00")
+    everybody = ("homes", "hospital", "shop")
+    assert hour["off_min"] == {name: pytest.approx(dark_min) for name in everybody}
+    assert not run.steps["outage"][0]
+    assert run.customers["losses"].tolist() == [1, 1, 1]
+    assert run.customers["time_on"].to_numpy() == pytest.approx(1.0 - dark_min / 60.0)

@@ -80,14 +80,14 @@ def _service(days: _Days) -> dict[str, Floats]:
     """Resilience of each day, and hours in which customers were off."""
     run = days.run
     outage = run.steps["outage"].to_numpy(bool)
-    served = run.by_step("customers", "served")
+    off = run.time_off
     weight = run.scenario.customers.weight
-    weighted = days.total((served @ weight) * outage)
+    weighted = days.total(((1.0 - off) @ weight) * outage)
     asked = days.total(weight.sum() * outage)
     unknown = np.full(len(days.first), np.nan)
     return {
         "resilience": np.divide(weighted, asked, where=asked > 0, out=unknown),
-        "unserved_customer_h": days.hours((~served).sum(axis=1)),
+        "unserved_customer_h": days.hours(off.sum(axis=1)),
     }
 
 

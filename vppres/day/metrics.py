@@ -19,7 +19,7 @@ from vppres.day.phase_figures import phase_figures
 from vppres.day.reliability import fairness_figures, reliability_figures
 from vppres.day.switching_figures import switching_figures
 from vppres.day.time_off import time_off_figures, time_off_words
-from vppres.day.trajectory import OPTIONS, Trajectory, supplied
+from vppres.day.trajectory import OPTIONS, Trajectory, supplied, time_on
 from vppres.io.digest import scenario_digest
 from vppres.plant.plant import NOBODY
 from vppres.scenario.remarks import darkness, unknown_phases
@@ -218,9 +218,9 @@ def service_by_customer(trajectory: Trajectory) -> pd.DataFrame:
     """
     dt_h = trajectory.scenario.grid.dt_h
     rows = trajectory.customers
-    off = ~rows["served"].astype(bool)
     lost_kw = (1.0 - supplied(rows)) * rows["p_load_kw"]
-    lost = rows.assign(unserved_h=off * dt_h, unserved_kwh=lost_kw * dt_h)
+    off_h = (1.0 - time_on(rows)) * dt_h
+    lost = rows.assign(unserved_h=off_h, unserved_kwh=lost_kw * dt_h)
     return (
         lost.groupby("id", sort=False)
         .agg(

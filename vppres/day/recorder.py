@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from vppres.core.arrays import Floats, Names
 from vppres.day.phases import phases, returning_steps
-from vppres.day.trajectory import OPTIONS, SHARE, Trajectory
+from vppres.day.trajectory import LOSSES, OPTIONS, SHARE, TIME_ON, Trajectory
 from vppres.physics.phased_sources import labels_by_source
 from vppres.scenario.kinds import KINDS, Units, units_of
 from vppres.scenario.network import BusId
@@ -40,7 +40,7 @@ ITEM_COLUMNS = {
 ROTATED = "rotated_weight"
 """Column of the customers in runs that share supply within tiers: the weights of the plans."""
 
-OPTIONAL = (ROTATED, SHARE)
+OPTIONAL = (ROTATED, SHARE, TIME_ON, LOSSES)
 
 
 @dataclass(frozen=True, eq=False)

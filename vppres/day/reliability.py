@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Flags, Floats
+from vppres.core.arrays import Floats
 from vppres.core.units import h_to_minutes
 from vppres.day.trajectory import Trajectory
 
@@ -53,17 +53,18 @@ def reliability_by_tier(run: Trajectory) -> pd.DataFrame:
     DataFrame
         By tier, in the scenario's order: ``customers``; ``interrupted``, those that lost supply at
         least once; ``interruptions``; ``minutes_lost``; ``demand_kwh`` and ``unserved_kwh``.
+        Steps of a service that were decided anew count by their parts.
     """
     c = run.scenario.customers
     dt_h = run.scenario.grid.dt_h
-    off = ~run.by_step("customers", "served")
+    off, losses = run.time_off, run.losses_of_supply.sum(axis=0)
     demand_kw = run.by_step("customers", "p_load_kw")
     share = _shares_of_a_customer(run) * c.homes
     of_customers = pd.DataFrame(
         {
             "customers": share,
-            "interrupted": share * off.any(axis=0),
-            "interruptions": share * _losses_of_supply(off),
+            "interrupted": share * (losses > 0.0),
+            "interruptions": share * losses,
             "minutes_lost": share * off.sum(axis=0) * h_to_minutes(dt_h),
             "demand_kwh": demand_kw.sum(axis=0) * dt_h,
             "unserved_kwh": (demand_kw * (1.0 - run.supplied)).sum(axis=0) * dt_h,
@@ -84,7 +85,7 @@ def fairness_figures(run: Trajectory) -> dict[str, dict[str, float | None]]:
         1 where one was off alone. None of a tier without customers; parts of a customer are one.
     """
     c = run.scenario.customers
-    off_h = (~run.by_step("customers", "served")).sum(axis=0) * run.scenario.grid.dt_h
+    off_h = run.time_off.sum(axis=0) * run.scenario.grid.dt_h
     minutes = off_h * h_to_minutes(1.0) * _shares_of_a_customer(run)
     parts = run.options.get("parts", {})
     of_part = {f"{name}/{k}": name for name, n in parts.items() for k in range(1, int(n) + 1)}
@@ -110,12 +111,6 @@ def gini(values: Floats) -> float:
         return 0.0
     apart = np.abs(values[:, None] - values).sum()
     return float(apart / (2.0 * len(values) * total))
-
-
-def _losses_of_supply(off: Flags) -> Floats:
-    """How often each customer lost supply, (C,): the day before it had some."""
-    before = np.vstack([np.zeros_like(off[:1]), off[:-1]])
-    return np.asarray((off & ~before).sum(axis=0), dtype=float)
 
 
 def _shares_of_a_customer(run: Trajectory) -> Floats:

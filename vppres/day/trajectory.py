@@ -35,6 +35,10 @@ FORMS = "forms"
 """Column of the generating sets on sites where one can form the grid of an island."""
 SHARE = "share"
 """Column of the customers on sites that dim some: the part of its demand that each got."""
+TIME_ON = "time_on"
+"""Column of the customers where steps were decided anew: the share of its time that each was on."""
+LOSSES = "losses"
+"""With it: how often each lost supply in the step."""
 OPTIONS = ("controller", "horizon_h", "solver", "method", "seed")
 
 
@@ -47,8 +51,23 @@ def supplied(customers: pd.DataFrame) -> pd.Series[Any]:
 
     >>> supplied(pd.DataFrame({"served": [True, False], "share": [0.4, 0.0]})).tolist()
     [0.4, 0.0]
+    >>> supplied(pd.DataFrame({"served": [True, False], "time_on": [0.9, 0.5]})).tolist()
+    [0.9, 0.5]
     """
+    if TIME_ON not in customers:
+        return taken(customers)
+    # What one got while it was on is known only of the end of the step.
+    return customers[TIME_ON] * taken(customers).where(customers["served"], 1.0)
+
+
+def taken(customers: pd.DataFrame) -> pd.Series[Any]:
+    """The part of its demand that each customer takes at the end of each step."""
     return customers[SHARE if SHARE in customers else "served"]
+
+
+def time_on(customers: pd.DataFrame) -> pd.Series[Any]:
+    """The share of each step's time in which each customer was on."""
+    return customers[TIME_ON if TIME_ON in customers else "served"].astype(float)
 
 
 class Feeder(Protocol):
@@ -135,6 +154,21 @@ class Trajectory:
         return share.reshape(len(self.steps), -1)
 
     @property
+    def time_off(self) -> Floats:
+        """The share of each step's time in which each customer was off, shape (T, C)."""
+        share: Floats = 1.0 - time_on(self.customers).to_numpy(float)
+        return share.reshape(len(self.steps), -1)
+
+    @property
+    def losses_of_supply(self) -> Floats:
+        """How often each customer lost supply in each step, shape (T, C); before, all were on."""
+        if LOSSES in self.customers:
+            return np.asarray(self.by_step("customers", LOSSES), dtype=float)
+        off = ~self.by_step("customers", "served")
+        before = np.vstack([np.zeros_like(off[:1]), off[:-1]])
+        return np.asarray(off & ~before, dtype=float)
+
+    @property
     def tables(self) -> dict[str, pd.DataFrame]:
         """The six tables by name, and those of the explanation if there is one."""
         found = {name: getattr(self, name) for name in (*TABLES, *OPTIONAL_TABLES)}
@@ -194,7 +228,7 @@ class Trajectory:
         day = self.scenario
         rows = {name: self.rows(name, t) for name in ("customers", "pv", "batteries")}
         c, pv, b = rows["customers"], rows["pv"], rows["batteries"]
-        on = supplied(c).to_numpy()
+        on = taken(c).to_numpy()
         return Powers(
             _powers(
                 day.customers.id, day.customers.bus, c["p_load_kw"] * on, c["q_load_kvar"] * on

@@ -376,7 +376,7 @@ class Controller:
         reckoned = (*present.indoor.estimated, *present.sets.estimated)
         estimated = _joined(*seen.left_out, *reckoned, decision.estimated)
         decision = replace(decision, estimated=estimated)
-        day = present.day(decision.seen or told)
+        day = present.day(decision.seen or told, decision.estimated)
         record = day.settle(0, decision)
         foreseen = Foreseen.of(decision, day.scenario, told)
         points = SetPoints.of(day.scenario, record, foreseen, day.switching, present.sets.out)

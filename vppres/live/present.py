@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vppres.contract.ahead import KindsAhead
+from vppres.contract.decision import batteries_out
 from vppres.contract.forecast import Forecast, ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.contract.plugged import Plugged
@@ -145,12 +146,18 @@ class Present:
             return kwh
         return np.where(np.isnan(kwh), past.at(self.seen.scenario, 0), kwh)
 
-    def day(self, known: Observation) -> Day:
+    def day(self, known: Observation, estimated: str = "") -> Day:
         """A day that stands at the step, what the controller took for true being true.
 
         Its first step carries out the decision. It owns the step's cold load and advances it.
+        Batteries that the decision ``estimated`` to be out have no power: they form no grid.
         """
         scenario = self.seen.believed(known.forecast.load_kw[0], known.forecast.pv_kw[0])
+        batteries = scenario.batteries
+        out = batteries_out(estimated, batteries.id)
+        if out.any():
+            p_max_kw = np.where(out, 0.0, batteries.p_max_kw)
+            scenario = replace(scenario, batteries=replace(batteries, p_max_kw=p_max_kw))
         if self.sets.out.any():  # nor do they start by themselves
             forming = scenario.gensets.grid_forming & ~self.sets.out
             scenario = replace(scenario, gensets=replace(scenario.gensets, grid_forming=forming))

@@ -63,9 +63,10 @@ class SetPoints:
         ``corrected`` with its ``reason`` where a plan was overruled; ``fallback`` ("none" where
         none was needed) with its ``fallback_reason``; what was ``estimated``; and with beliefs of
         outages ``stored_value_gbp_per_kwh``, what one more stored kWh is worth later, and
-        ``outage_messages``, which of several messages about one outage counts. In strict order
-        ``levels`` has what was supplied of each tier and what could be at most; ``inverted`` names
-        a customer off supply whose demand lower tiers take.
+        ``outage_messages``, which of several messages about one outage counts. ``dark_reason`` says
+        why an island is blacked out. In strict order ``levels`` has what was supplied of each tier
+        and what could be at most; ``inverted`` names a customer off supply whose demand lower tiers
+        take.
     feeding : Feeding
         What holds the voltage: the grid, a battery, or nothing.
     foreseen : Foreseen
@@ -307,7 +308,7 @@ def _phases(scenario: Scenario, ids: Names) -> dict[str, Any]:
 def _solve(figures: Mapping[str, Any]) -> dict[str, Any]:
     """How the decision was found."""
     solve = {name: figures[name] for name in SOLVE_FIGURES}
-    for name in ("stored_value_gbp_per_kwh", "outage_messages"):
+    for name in ("stored_value_gbp_per_kwh", "outage_messages", "dark_reason"):
         if name in figures:
             solve[name] = figures[name]
     return {**solve, "reason": figures["correction_reason"]}

@@ -12,7 +12,7 @@ from vppres.core.arrays import spans_of
 from vppres.core.text import counted, named
 from vppres.day.series import energy_limits_kwh, outage_spans, stored_energy_kwh
 from vppres.day.switching_figures import switched
-from vppres.day.trajectory import WHOLE_SHARE, Trajectory
+from vppres.day.trajectory import WHOLE_SHARE, Trajectory, taken
 from vppres.report.clock import Clock
 from vppres.report.key_figures import number
 
@@ -35,6 +35,7 @@ def events_of(run: Trajectory) -> list[Event]:
         [
             *_outage_events(run),
             *_service_events(run),
+            *_within_events(run),
             *_dimmed_events(run),
             *_battery_events(run),
             *_vehicle_events(run),
@@ -80,9 +81,21 @@ def _service_events(run: Trajectory) -> Iterator[tuple[int, str]]:
                 yield t, f"{counted(len(names), 'customer')} {words}: {who}."
 
 
+def _within_events(run: Trajectory) -> Iterator[tuple[int, str]]:
+    """Customers that were off for a part of a step, the most important first."""
+    c, off = run.scenario.customers, run.time_off
+    within = (off > 0.0) & (off < 1.0)
+    minutes = off * run.scenario.grid.step_minutes
+    for t in np.flatnonzero(within.any(axis=1)).tolist():
+        order = [i for i in np.argsort(-c.weight, kind="stable") if within[t, i]]
+        names = [f"{c.id[i]} ({c.tier[i]}) {minutes[t, i]:.3g} min" for i in order]
+        words = f"{counted(len(names), 'customer')} off supply for a part of the step"
+        yield t, f"{words}: {named(names, NAMES_SHOWN)}."
+
+
 def _dimmed_events(run: Trajectory) -> Iterator[tuple[int, str]]:
     """When customers begin and end to get a part of their demand."""
-    share = run.supplied
+    share = taken(run.customers).to_numpy(float).reshape(len(run.steps), -1)
     dimmed = (share > 0.0) & (share < WHOLE_SHARE)
     for c in np.flatnonzero(dimmed.any(axis=0)):
         for first, last in spans_of(dimmed[:, c]):

@@ -61,6 +61,18 @@ KINDS = {
         "Ask on site whether there is grid. If there is none, announce an outage; "
         "then check both sources.",
     ),
+    "grid_lost": Kind(
+        0.0, 0.0, "Ask the network operator how long it will last, and record it as an event."
+    ),
+    "off_with_grid": Kind(
+        0.0, 0.0, "Look at the reason. If the mode or a limit of import is yours, change it."
+    ),
+    "one_former_left": Kind(
+        0.0,
+        0.0,
+        "Bring back what cannot form the grid, or bring a generator that can: "
+        "without any, nobody is supplied in an island.",
+    ),
     "critical_off": Kind(
         0.0, 10.0, "Check the state of charge on site. Bring a generator, or switch by hand."
     ),

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import threading
 
+GRID_LOST = "grid lost"
+"""How the reason begins that the grid is lost, by a reading."""
+
 
 class Changes:
     """Reasons to decide the present step anew, in their order.

@@ -13,7 +13,10 @@ from vppres.contract.longest_off import ROUNDING
 from vppres.core.text import named
 from vppres.live.by_phase import GRID
 from vppres.scenario.scenario import Scenario
+from vppres.service.announced import announced_at
 from vppres.service.as_told import expected_by
+from vppres.service.changes import GRID_LOST
+from vppres.service.forming import Former, formers_now, why_dark
 from vppres.service.knowledge import Heard, Latest, refusing, soc_now
 from vppres.service.lost import lost_customers
 from vppres.service.plans import points_at, refused_of
@@ -33,6 +36,9 @@ LEAST_MARGIN = 0.1
 """Share of the usable energy below which an island is about to end."""
 
 NAMES_SHOWN = 5
+
+BY_HAND = ("hold", "manual")
+"""Modes in which an operator decides."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +64,11 @@ class Condition:
 
 @dataclass(frozen=True, eq=False)
 class Situation:
-    """How a site is, with its last plan, how long that still holds, and what it misses."""
+    """How a site is, with its last plan, how long that still holds, and what it misses.
+
+    Whether there is grid was ``read_by`` a source last; an outage of now may be ``announced``.
+    ``formers`` can form the grid of an island; None in paper mode, whose islands need none.
+    """
 
     now: pd.Timestamp
     scenario: Scenario
@@ -71,6 +81,16 @@ class Situation:
     failing: Mapping[str, str]
     grid_on: float | None = None
     unreached: Sequence[str] = ()
+    read_by: str = ""
+    announced: bool = False
+    formers: Sequence[Former] | None = None
+
+    @property
+    def why_dark(self) -> str:
+        """Why nobody is supplied in an island; empty if something forms its grid, or may."""
+        if self.formers is None:
+            return ""
+        return why_dark(self.plan, self.formers, self.is_dark)
 
     @property
     def critical(self) -> set[str]:
@@ -87,22 +107,42 @@ def situation(
     plan: Mapping[str, Any] | None,
     ahead_s: float,
     unaware_of: Sequence[str] = (),
+    mode: str | None = None,
 ) -> Situation:
-    """How a site is by what is stored."""
+    """How a site is by what is stored; ``mode`` is that of its islands, if not the scenario's."""
     latest = Latest.at(now, scenario, store)
-    newest = latest.newest("soc")
-    batteries = dict.fromkeys(refusing(newest, store), "its device rejected it")
-    sets = dict.fromkeys(_sets_out(plan), "it does not start")
-    failing = {**batteries, **lost_customers(scenario, latest.found, store), **sets}
+    failing = failing_now(scenario, latest, store, plan)
     grid = (plan or {}).get("grid")
     read = latest.newest("grid_on").get(GRID)
     grid_on = None if read is None else read.value
     is_dark = not grid["available"] if grid else grid_on == 0.0
     soc = soc_now(latest, plan, scenario.grid.step, now)
     heard = latest.heard
+    physical = (mode or scenario.controller.mode) == "physical"
     return Situation(
-        now, scenario, plan, ahead_s, unaware_of, heard, soc, is_dark, failing, grid_on
+        now,
+        scenario,
+        plan,
+        ahead_s,
+        unaware_of,
+        heard,
+        soc,
+        is_dark,
+        failing,
+        grid_on,
+        read_by="" if read is None else read.source,
+        announced=announced_at([*store.events().values()], now),
+        formers=formers_now(scenario, plan, soc, failing) if physical else None,
     )
+
+
+def failing_now(
+    scenario: Scenario, latest: Latest, store: Store, plan: Mapping[str, Any] | None
+) -> dict[str, str]:
+    """Devices that do not follow their set-points, and why."""
+    batteries = dict.fromkeys(refusing(latest.newest("soc"), store), "its device rejected it")
+    sets = dict.fromkeys(_sets_out(plan), "it does not start")
+    return {**batteries, **lost_customers(scenario, latest.found, store), **sets}
 
 
 def _sets_out(plan: Mapping[str, Any] | None) -> list[str]:
@@ -115,6 +155,9 @@ def conditions(now: Situation) -> Iterator[Condition]:
     """All that is wrong."""
     yield from _no_decision(now)
     yield from _grid_contradicted(now)
+    yield from _grid_lost(now)
+    yield from _off_with_grid(now)
+    yield from _one_former_left(now)
     yield from _critical_off(now)
     yield from _longest_off(now)
     yield from _island_margin(now)
@@ -149,6 +192,64 @@ def _grid_contradicted(now: Situation) -> Iterator[Condition]:
     for words in (now.plan or {}).get("estimated", ()):
         if words.startswith("grid_on ") and now.grid_on == 0.0:
             yield Condition("grid_contradicted", "", HIGH, f"The plan ignores a reading: {words}.")
+
+
+def _is_lost(now: Situation) -> bool:
+    """Whether the grid is lost by a reading that counts."""
+    if now.grid_on != 0.0 or any(_grid_contradicted(now)):
+        return False
+    grid = (now.plan or {}).get("grid")
+    if grid is None or not grid["available"]:
+        return True
+    return any(words.startswith(GRID_LOST) for words in now.unaware_of)
+
+
+def _grid_lost(now: Situation) -> Iterator[Condition]:
+    """There is no grid, by a reading."""
+    if not _is_lost(now):
+        return
+    if now.announced:
+        words = "as announced"
+        yield Condition("grid_lost", "", MEDIUM, f"The grid is lost, by {now.read_by}, {words}.")
+    else:
+        words = "No outage is announced for now"
+        yield Condition("grid_lost", "", HIGH, f"The grid is lost, by {now.read_by}. {words}.")
+
+
+def _off_with_grid(now: Situation) -> Iterator[Condition]:
+    """Customers are off although there is grid, and they could be switched on."""
+    plan = now.plan
+    if plan is None or now.ahead_s <= 0.0 or now.is_dark or _is_lost(now):
+        return
+    if not plan.get("grid") and now.grid_on != 1.0:
+        return  # as by hand: nobody knows
+    off = [p["asset"] for p in points_at(plan, now.now) if p.get("served") is False]
+    off = [name for name in off if name not in now.failing]
+    if not off:
+        return
+    words = f"{named(off, NAMES_SHOWN)} off supply, and there is grid"
+    limit_kw = expected_by(plan).get("grid_limit_kw")
+    if limit_kw is not None:
+        words += f" of at most {limit_kw:g} kW"
+    if plan["status"] in BY_HAND:
+        words += f", by the operator's mode {plan['status']}"
+    priority = HIGH if now.critical.intersection(off) else MEDIUM
+    yield Condition("off_with_grid", "", priority, f"{words}.", tuple(sorted(off)))
+
+
+def _one_former_left(now: Situation) -> Iterator[Condition]:
+    """Of the devices that can form the grid of an island one is left, or none."""
+    able = [one.asset for one in now.formers or () if not one.why_not]
+    missing = [one for one in now.formers or () if one.why_not]
+    if now.plan is None or not missing or len(able) > 1:
+        return
+    others = named([f"{one.asset} ({one.why_not})" for one in missing], NAMES_SHOWN)
+    priority = HIGH if now.is_dark else MEDIUM
+    if able:
+        words = f"Only {able[0]} can form the grid of an island; not {others}."
+    else:
+        words = f"Nothing can form the grid of an island: not {others}."
+    yield Condition("one_former_left", "", priority, words, tuple(one.asset for one in missing))
 
 
 def _critical_off(now: Situation) -> Iterator[Condition]:

@@ -17,7 +17,7 @@ from typing import Any
 from vppres.core.errors import StorageError, VppresError
 from vppres.core.parent import command
 from vppres.service.access import Denied
-from vppres.service.explanations import question, unsolved
+from vppres.service.explanations import blacked_out, question, unsolved
 from vppres.service.records import DECIDED
 from vppres.service.runner import Runner
 
@@ -68,6 +68,8 @@ class Explainer:
     def _explained(self, plan: Mapping[str, Any]) -> dict[str, Any]:
         if plan["status"] not in DECIDED:
             return unsolved(plan, UNDECIDED)
+        if plan["solve"].get("dark_reason"):
+            return blacked_out(plan, self.runner.scenario)
         try:
             asked = pickle.dumps(question(self.runner, plan), protocol=5)
         except StorageError:

@@ -20,6 +20,7 @@ import pandas as pd
 
 from vppres.contract.forecast import ForecastErrors
 from vppres.core.plain import json_safe
+from vppres.core.text import named
 from vppres.day.forecasting import PAPER
 from vppres.day.outages import KNOWN
 from vppres.day.recorder import Recorder
@@ -27,7 +28,9 @@ from vppres.explain.day import explain_step
 from vppres.explain.recorded import MOVE_KW
 from vppres.live.measurement import Measurement
 from vppres.scenario.scenario import Scenario
+from vppres.service.as_told import expected_by
 from vppres.service.export import Replay, site_of
+from vppres.service.forming import NOTHING, formers_now, why_dark
 from vppres.service.records import DECIDED
 from vppres.service.runner import Runner, Service
 
@@ -43,6 +46,9 @@ KINDS = {
     "genset": "gensets",
 }
 """Kinds by the items of explanations: those of set-points, and vehicles."""
+
+NOT_SERVED = "not_served"
+FORMERS_SHOWN = 5
 
 NICE = 5
 """Steps that are decided go first."""
@@ -148,6 +154,34 @@ def _prices(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
     ]
 
 
+def blacked_out(plan: Mapping[str, Any], scenario: Scenario) -> dict[str, Any]:
+    """Of an island that was dark: no price explains it, and no other problem does."""
+    held = {name: soc for name, soc in expected_by(plan)["soc_start"].items() if soc is not None}
+    formers = formers_now(scenario, plan, held, {})
+    words = why_dark(plan, formers, island=True)
+    if words == NOTHING and formers:
+        each = [f"{one.asset} ({one.why_not})" for one in formers]
+        words = f"{words}: not {named(each, FORMERS_SHOWN)}"
+    told = {"driver": "dark", "binding": ""}
+    return {
+        "phase": "island",
+        "step": {**told, "words": f"The island is blacked out: {words}."},
+        "reasons": [
+            {
+                "kind": one["kind"],
+                "asset": one["asset"],
+                "action": action,
+                **told,
+                "words": f"Not supplied: {words}.",
+            }
+            for one in plan["setpoints"]
+            if (action := _action(one)) == NOT_SERVED
+        ],
+        "price": None,
+        "price_reason": "The island is blacked out.",
+    }
+
+
 def unsolved(plan: Mapping[str, Any], why_no_price: str) -> dict[str, Any]:
     """What the plan itself says, for want of anything else."""
     return {
@@ -176,7 +210,7 @@ def _action(one: Mapping[str, Any]) -> str:
     """What a set-point asks for, in the words of explanations; empty if nothing."""
     if one["kind"] == "customers":
         if not one["served"]:
-            return "not_served"
+            return NOT_SERVED
         return "dimmed" if one.get("share", 1.0) < 1.0 else ""
     if one["kind"] == "pv":
         return "curtail" if one["curtailed_kw"] > MOVE_KW else ""

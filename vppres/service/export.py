@@ -2,7 +2,8 @@
 
 Of every step the set-points that were said, the demand, sun and state of charge that were measured
 (the profile's where nothing was), and whether there was grid. What they led to is the plant's
-answer: not all of it is measured.
+answer: not all of it is measured. Of a step that was decided anew powers are those of its last
+plan; who was off, and for how long, counts by its parts.
 """
 
 from __future__ import annotations
@@ -16,11 +17,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Floats
+from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import InputError
+from vppres.core.units import h_to_minutes
 from vppres.day.options import RunOptions
 from vppres.day.recorder import ROTATED, Recorder, StepRecord
-from vppres.day.trajectory import Trajectory
+from vppres.day.trajectory import LOSSES, TIME_ON, Trajectory
 from vppres.io.times import option_time
 from vppres.live.profile import Profile
 from vppres.model.site import Site
@@ -33,13 +35,11 @@ from vppres.service.records import Event, seconds
 from vppres.service.runner import Service
 from vppres.service.store import Store
 from vppres.service.window import Window
+from vppres.service.within import Part, off_in, parts_of
 from vppres.service.world import World
 
 MOST_STEPS = 40_000
 """At once: more than a year of quarter hours."""
-
-CONNECTED = {"available": True}
-"""Of plans without a decision: they do not say."""
 
 OF_SOLVE = {
     "status": "status",
@@ -88,7 +88,7 @@ def exported(service: Service, store: Store, start: pd.Timestamp, end: pd.Timest
     warnings = tuple(one for one in said if one.issued_at < scenario.grid.end)
     replay = replace(replay, scenario=replace(replay.scenario, warnings=warnings))
     recorder = Recorder(replay.scenario)
-    for record in replay.records():
+    for record in counted(replay, store):
         recorder.add(record)
     return recorder.finish(service.options.on(replay.scenario).as_record())
 
@@ -137,9 +137,8 @@ class Replay:
         by_start = {plan["start"]: plan for plan in plans}
         stored = [by_start.get(written(time)) for time in scenario.grid.times]
         measured = InSteps(store, scenario.grid)
-        dark = [
-            plan is not None and not plan.get("grid", CONNECTED)["available"] for plan in stored
-        ]
+        step = scenario.grid.step
+        dark = [plan is not None and parts_of(plan, step, store)[-1].island for plan in stored]
         price, limit_kw = _announced(scenario, stored, store)
         b, loads, pv = scenario.batteries, scenario.thermal_loads, scenario.pv
         soc = measured.laid("soc", b.id, np.full((len(stored), len(b)), np.nan))
@@ -160,7 +159,8 @@ class Replay:
         """The plant's answer to every step that is stored.
 
         Batteries, rooms, tanks, vehicles and generating sets begin it with what was measured. Of a
-        step that was decided anew it answers the last plan, as if that had held all along.
+        step that was decided anew it answers the last plan, as if that had held all along; supply
+        counts by the parts of the step.
         """
         scenario = self.scenario
         world = World(scenario, self.options)
@@ -179,6 +179,63 @@ class Replay:
                 told = [{**one, "valid_from": plan["start"]} for one in plan["setpoints"]]
             record = _noted(world.obey(t, told), plan)
             yield _weighed(record, scenario, plan) if shared else record
+
+    def alone(self, t: int) -> Scenario:
+        """A step by itself, with the states of charge that were read at its beginning."""
+        alone = self.scenario.between(t, t + 1)
+        b = alone.batteries
+        soc = np.where(np.isfinite(self.soc[t]), self.soc[t], b.soc_initial)
+        held = np.clip(soc, b.soc_min, b.soc_max)
+        return replace(alone, batteries=replace(b, soc_initial=held))
+
+
+def counted(replay: Replay, store: Store) -> Iterator[StepRecord]:
+    """The steps of a replay, in which supply counts by the parts of those decided anew."""
+    parts = [
+        [] if plan is None else parts_of(plan, replay.scenario.grid.step, store)
+        for plan in replay.stored
+    ]
+    if all(len(each) < 2 for each in parts):
+        yield from replay.records()
+        return
+    before = np.ones(len(replay.scenario.customers), dtype=bool)
+    for record in replay.records():
+        t, ends_on = record.t, record.customers["served"]
+        earlier = parts[t][:-1]
+        hours = np.array([one.hours for one in parts[t]] or [1.0])
+        on = np.array([*(_on_in(one, t, replay, store) for one in earlier), ends_on], dtype=bool)
+        losses = (np.vstack([before, on[:-1]]) & ~on).sum(axis=0)
+        share = hours @ on / hours.sum()
+        yield replace(record, customers={**record.customers, TIME_ON: share, LOSSES: losses})
+        before = ends_on
+
+
+def off_minutes(
+    service: Service, store: Store, plan: Plan, until: pd.Timestamp
+) -> tuple[dict[str, float], float]:
+    """For how many minutes of a step, up to a time in it, customers were off; and of how many."""
+    length = service.scenario.grid.step
+    parts = parts_of(plan, length, store, until)
+    minutes = [h_to_minutes(part.hours) for part in parts]
+    if len(parts) == 1:
+        whole = minutes[0] or h_to_minutes(service.scenario.grid.dt_h)  # it begins now
+        return dict.fromkeys(sorted(parts[0].off()), whole), whole
+    begin = pd.Timestamp(plan["start"])
+    alone = site_of(service, begin, begin + length)
+    replay = Replay.of(alone, service.options, [plan], store)
+    found: dict[str, float] = {}
+    for part, each in zip(parts, minutes, strict=True):
+        for name in sorted(off_in(part, plan, replay.alone(0), service.options, store)):
+            found[name] = found.get(name, 0.0) + each
+    return found, sum(minutes)
+
+
+def _on_in(part: Part, t: int, replay: Replay, store: Store) -> Flags:
+    """Who was on in a part of a step, (C,)."""
+    plan = replay.stored[t]
+    assert plan is not None
+    off = off_in(part, plan, replay.alone(t), replay.options, store)
+    return np.array([str(name) not in off for name in replay.scenario.customers.id], dtype=bool)
 
 
 def _announced(

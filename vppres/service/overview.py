@@ -16,13 +16,14 @@ from vppres.scenario.phases import PHASES
 from vppres.scenario.remarks import former_words
 from vppres.service.announced import believes
 from vppres.service.clock import written
-from vppres.service.conditions import limits_h
-from vppres.service.knowledge import MEAN, Heard, Latest, last_heard, soc_now
+from vppres.service.conditions import limits_h, situation
+from vppres.service.export import off_minutes
+from vppres.service.knowledge import MEAN, Heard, Latest, last_heard
 from vppres.service.payloads import ModeRequest
 from vppres.service.phased_readings import stored
 from vppres.service.plans import points_at, refused_of
 from vppres.service.records import Reading, moment
-from vppres.service.runner import Runner
+from vppres.service.runner import Runner, Service
 
 PAST_H = 12.0
 """How much of the past is shown."""
@@ -32,6 +33,12 @@ MOST_PAST = 96
 
 MOST_HISTORY = 1_000
 """Steps of an answer, the last ones: ten days of quarter hours, read in a second or so."""
+
+ROUNDING = 1e-6
+"""Minutes that are none."""
+
+DARK = "blacked out: "
+"""How the reason begins of a customer in an island that is dark."""
 
 NOT_TOLD = ("setpoints", "ahead", "before")
 
@@ -110,6 +117,14 @@ def _orders(points: Iterable[Mapping[str, Any]], kind: str) -> dict[str, Any]:
     }
 
 
+def _in_the_dark(point: Mapping[str, Any], why: str) -> dict[str, Any]:
+    """A set-point as it is where nothing forms the grid: nothing flows."""
+    if point["kind"] == "customers":
+        return {**point, "served": False, "reason": f"{DARK}{why}"}
+    powers = {name: 0.0 for name in ("p_kw", "q_kvar") if name in point}
+    return {**point, **powers}
+
+
 class Overview:
     """How a service is, made once for all who ask."""
 
@@ -154,6 +169,15 @@ class Overview:
         now = runner.clock.now()
         plan = runner.last
         latest = Latest.at(now, runner.scenario, runner.store)
+        found = situation(
+            now,
+            runner.scenario,
+            runner.store,
+            plan,
+            runner.ahead_s,
+            runner.changes.reasons,
+            runner.options.mode,
+        )
         return {
             "now": written(now.floor("s")),
             "mode": runner.mode,
@@ -163,19 +187,26 @@ class Overview:
             "events": {name: event.body for name, event in runner.store.events().items()},
             "sources": self._sources(latest.heard, now),
             "measured": self._measured(latest.found, now),
-            "soc": soc_now(latest, plan, runner.length, now),
-            "plan": None if plan is None else self._told(plan, now),
+            "soc": found.soc,
+            "formers": [vars(one) for one in found.formers or ()],
+            "plan": None if plan is None else self._told(plan, now, found.why_dark),
             "past": self._recent(now),
         }
 
-    def _told(self, plan: Mapping[str, Any], now: pd.Timestamp) -> dict[str, Any]:
-        """What holds of the last plan, without the customers that are on."""
+    def _told(self, plan: Mapping[str, Any], now: pd.Timestamp, dark: str) -> dict[str, Any]:
+        """What holds of the last plan, without the customers that are on.
+
+        Where an island is ``dark``, whatever was ordered, nobody is.
+        """
         points = points_at(plan, now)
+        if dark:
+            points = [_in_the_dark(one, dark) for one in points]
         ahead = plan.get("ahead")
         return {
             **{key: value for key, value in plan.items() if key not in NOT_TOLD},
             "unaware_of": list(self.runner.changes.reasons),
             "valid_until": max((one["valid_until"] for one in points), default=None),
+            "dark": dark or None,
             "active": any(one["active"] for one in points),
             **{kind: _orders(points, kind) for kind in ORDERED},
             "off": self._off(points, ahead, plan.get("off_h", {})),
@@ -286,21 +317,23 @@ class Overview:
         return list(self._past.values())
 
     def _summary(self, plan: Mapping[str, Any]) -> dict[str, Any]:
-        """A step in a few numbers."""
-        on = {
-            one["asset"]: one["served"] for one in plan["setpoints"] if one["kind"] == "customers"
-        }
+        """A step in a few numbers; supply counts by the parts of one that was decided anew."""
         solve = plan["solve"] or {}
-        expected = plan["expected"]
+        runner = self.runner
+        service = Service(runner.scenario, runner.options)
+        off_min, minutes = off_minutes(service, runner.store, plan, runner.clock.now())
         return {
             "start": plan["start"],
             "status": plan["status"],
             "reason": plan.get("reason") or solve.get("fallback_reason"),
+            "anew": plan.get("anew"),
             "fallback": solve.get("fallback"),
             "refused": refused_of(plan),
             "served": {
-                tier: sum(on[name] for name in names) / len(names)
+                tier: 1.0 - sum(off_min.get(name, 0.0) for name in names) / minutes / len(names)
                 for tier, names in self._by_tier().items()
             },
-            "expected": expected,
+            # Who was off all the time is in the shares.
+            "off_min": {name: each for name, each in off_min.items() if each < minutes - ROUNDING},
+            "expected": plan["expected"],
         }

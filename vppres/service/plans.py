@@ -104,6 +104,7 @@ def plan_of(
             ROTATED: _by_name(customers[ROTATED]) if ROTATED in customers else None,
             "levels": solve.get("levels"),
             "inverted": solve.get("inverted"),
+            "dark_reason": solve.get("dark_reason") or None,
             "fallback": fallback,
             "fallback_reason": solve["fallback_reason"] or None,
             "correction_reason": solve["reason"] or None,
@@ -210,7 +211,8 @@ def made_anew(
         {**one, "id": f"{begin}/{one['kind']}/{one['asset']}", "valid_from": begin, "anew": why}
         for one in plan["setpoints"]
     ]
-    said = {name: before[name] for name in ("id", "valid_from", "status", "setpoints")}
+    kept = ("id", "valid_from", "status", "setpoints", "grid")
+    said = {name: before[name] for name in kept if name in before}
     return {
         **plan,
         "id": f"p-{begin}",

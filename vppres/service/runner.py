@@ -29,9 +29,9 @@ from vppres.scenario.outage_warnings import OutageWarning
 from vppres.scenario.scenario import Scenario
 from vppres.service.alarms import Alarms
 from vppres.service.announced import warnings
-from vppres.service.changes import Changes
+from vppres.service.changes import GRID_LOST, Changes
 from vppres.service.clock import Clock, SetClock, written
-from vppres.service.conditions import conditions, situation
+from vppres.service.conditions import BY_HAND, conditions, situation
 from vppres.service.gate import refusals
 from vppres.service.knowledge import EARLY_SHARE, Grid, Heard, Known, grid_at, known_at, soc_at
 from vppres.service.learned import learned, measured_in
@@ -67,9 +67,6 @@ STATES = {"online": 1.0, "start_fault": 0.0}
 
 MODE = "mode"
 """The setting of what an operator asked for."""
-
-BY_HAND = ("hold", "manual")
-"""Modes in which an operator decides."""
 
 MOST_JOBS = 100
 """Steps that were asked for and are remembered, beside those that are stored."""
@@ -220,8 +217,8 @@ class Runner:
                     self.changes.note(word)
             new = one.quantity == GRID_ON and one.value is not None and one.time >= since
             if new and (one.value == 1.0) != grid["available"]:
-                word = "back" if one.value else "lost"
-                self.changes.note(f"grid {word} at {written(moment(one.time))} ({one.source})")
+                word = "grid back" if one.value else GRID_LOST
+                self.changes.note(f"{word} at {written(moment(one.time))} ({one.source})")
 
     def look(self) -> None:
         """Note what has changed while the service did not run."""
@@ -238,7 +235,15 @@ class Runner:
         now = self.clock.now()
         with suppress(StorageError):  # /readyz says so, and the next look comes soon
             unaware_of = self.changes.reasons
-            found = situation(now, self.scenario, self.store, self.last, self.ahead_s, unaware_of)
+            found = situation(
+                now,
+                self.scenario,
+                self.store,
+                self.last,
+                self.ahead_s,
+                unaware_of,
+                self.options.mode,
+            )
             found = replace(found, unreached=self.notifier.unreached() if self.notifier else ())
             self.alarms.look(conditions(found), now)
 

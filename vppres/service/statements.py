@@ -24,7 +24,8 @@ from vppres.service.tables import (
     TELEMETRY,
 )
 
-REFUSED = ("rejected", "aborted")
+REJECTED = "rejected"
+REFUSED = (REJECTED, "aborted")
 """What devices say that did not follow their set-points."""
 
 

@@ -35,6 +35,7 @@ from vppres.service.records import (
 )
 from vppres.service.statements import (
     REFUSED,
+    REJECTED,
     alarm_of,
     as_text,
     count_steps,
@@ -386,6 +387,12 @@ class Store:
             row.setpoint: {"status": row.status, "value": row.value, "reason": row.reason}
             for row in self._rows(chosen)
         }
+
+    def rejected(self, setpoints: Iterable[str]) -> set[str]:
+        """Set-points of these that devices rejected at any time: they never followed them."""
+        a = ACKS.c
+        found = sa.select(a.setpoint).where(a.setpoint.in_(list(setpoints)), a.status == REJECTED)
+        return {row.setpoint for row in self._rows(found)}
 
     def refusing(self, kind: str) -> dict[str, int]:
         """Devices of a kind that did not follow their last set-points, and since when."""

@@ -3,7 +3,7 @@
 import { chart, meter, pastOf, stepsOf } from "./chart.js";
 import { Operator } from "./operator.js";
 import {
-  HOUR, MARKS, SiteClock, alarms, announced, attention, counted, covers, facts, farthestOutside, fuelLasts, fuelNow, grouped, indoorNow, isLostByReading, isUncertain, kilo, lasting, lateBy, list, lowest, offByTier, oldSoc, onPhase, percent, socNow, sourceState, switchedNext, unawareOfLoss, verdict, why,
+  HOUR, MARKS, MINUTE, SiteClock, alarms, announced, announcesNothing, attention, counted, covers, facts, farthestOutside, fuelLasts, fuelNow, grouped, indoorNow, isLostByReading, isUncertain, kilo, lasting, lateBy, list, lowest, offByTier, oldSoc, onPhase, percent, socNow, sourceState, switchedNext, unawareOfLoss, verdict, why,
 } from "./words.js";
 
 const EVERY_MS = 2000, PATIENCE_MS = 5000;
@@ -231,6 +231,7 @@ function importFigure() {
 function voltageFigure() {
   const { v_min_pu: low, v_max_pu: high } = view.site;
   const expected = view.overview.plan?.expected;
+  if (view.overview.plan?.dark) return figure("Lowest voltage", "\u2013", "pu", null, "No voltage: the island is blacked out.");
   if (unawareOfLoss(view)) return figure("Lowest voltage", "\u2013", "pu", null, "The plan counts on the grid.");
   if (!expected || expected.v_min_pu === null) return figure("Lowest voltage", "\u2013", "pu", null, "No data.");
   const span = high - low, place = (value) => (value - low + 0.15 * span) / (1.3 * span);
@@ -319,13 +320,13 @@ function timeOff({ asset, off_h, longest_off_h }) {
 }
 
 function showOff() {
-  const { off = [], dimmed = {}, status, id } = view.overview.plan ?? {};
+  const { off = [], dimmed = {}, status, id, dark } = view.overview.plan ?? {};
   const explained = view.why?.plan === id ? view.why : null;
-  renew("off-list", [off, dimmed, status, isUncertain(view), explained, view.overview.now.slice(0, 13)], () => {
+  renew("off-list", [off, dark, dimmed, status, isUncertain(view), explained, view.overview.now.slice(0, 13)], () => {
     const parts = Object.entries(dimmed).map(([asset, share]) => `${asset} to ${Math.round(100 * share)}%`);
     const below = parts.length ? [node("p", {}, `Dimmed: ${list(parts, 12)}.`)] : [];
     // Without a phase it is the plan's words again.
-    const step = explained?.phase ? explained.step.words : off.length ? "" : isUncertain(view) ? "Supply is uncertain." : "All customers supplied.";
+    const step = explained?.phase && !dark ? explained.step.words : off.length ? "" : isUncertain(view) ? "Supply is uncertain." : "All customers supplied.";
     if (step) below.unshift(node("p", {}, step));
     if (!off.length) return below;
     const told = off.map((one) => ({ ...one, why: why(one, explained, status) }));
@@ -421,17 +422,19 @@ function showSources() {
 
 function showEvents() {
   const events = Object.entries(view.overview.events).filter(([, event]) => !event.end || new Date(event.end) > view.now);
-  renew("events-list", [events, Math.floor(view.now / 60000)], () => events.length
+  renew("events-list", [events, announcesNothing(view), Math.floor(view.now / 60000)], () => events.length
     ? events.map(([name, event]) => node("li", {}, announced(event, view), " ", node("span", { class: "note" }, `${name}, ${event.source ?? ""}${covers(event, view.now) ? ", now" : ""}`)))
-    : [node("li", {}, "Nothing is announced.")]);
+    : [node("li", {}, announcesNothing(view))]);
 }
 
 function showSteps() {
   const { steps } = view.overview, past = pastOf(view);
-  const odd = past.filter((step) => step.status !== "ok" || step.refused.length).reverse();
+  const within = (step) => Object.entries(step.off_min ?? {});
+  const odd = past.filter((step) => step.status !== "ok" || step.refused.length || within(step).length).reverse();
   renew("steps-list", [odd, view.overview.now.slice(0, 10)], () => odd.length
     ? odd.map((step) => node("li", {}, node("b", {}, `${view.clock.at(step.start, view.now)} ${step.status}`),
       `${step.fallback ? `, ${step.fallback.replaceAll("_", " ")}` : ""}${step.reason ? `: ${step.reason}` : ""}`,
+      within(step).length ? `. Off for a part of the step: ${list(within(step).map(([name, minutes]) => `${name} ${lasting(minutes * MINUTE)}`))}` : "",
       step.refused.length ? `. Rejected: ${list(step.refused.map((one) => `${one.asset} ${one.reason}`))}` : ""))
     : [node("li", {}, "None in recent hours.")]);
   write("steps-counts", `Since the start: ${Object.entries(steps).filter(([, n]) => n).map(([outcome, n]) => `${n} ${outcome}`).join(", ") || "no step"}.`);

@@ -55,9 +55,9 @@ export function outage(view) {
   const dark = plan?.active && (plan.grid?.available === false || plan.expected?.grid_limit_kw === 0 || isLostByReading(view));
   if (!known.length && !dark) return null;
   const ends = known.map((event) => event.end).filter(Boolean).sort();
-  if (known.length) return { end: ends.length === known.length ? ends.at(-1) : null };
+  if (known.length) return { end: ends.length === known.length ? ends.at(-1) : null, known: true };
   const back = plan.ahead?.grid_limit_kw.findIndex((limit) => limit !== 0) ?? -1;
-  return { end: back < 0 ? null : plan.ahead.times[back] };
+  return { end: back < 0 ? null : plan.ahead.times[back], known: false };
 }
 
 export const covers = (event, now) =>
@@ -87,6 +87,17 @@ function contradiction(view) {
   const ignores = gridReading(view)?.value === 0 && !plan?.unaware_of?.length;
   return (ignores && plan?.estimated?.find((words) => words.startsWith("grid_on "))) || "";
 }
+
+const NOTHING_FORMS = "nothing can form the grid";
+
+// What can form the grid of an island, if it is brought back: named with what is wrong, or brought by a crew.
+function couldForm(view) {
+  const known = (view.overview.formers ?? []).map((one) => `${one.asset}${one.why_not ? ` (${one.why_not})` : ""}`);
+  return `What could form it: ${[...known, "a generator that a crew brings", "the grid when it is back"].join("; ")}.`;
+}
+
+// Whether a reading counts: without any the state of the site is not known.
+const isHeard = (view) => view.overview.sources.some((source) => source.ok > 0);
 
 // Whether supply is uncertain: the plan counts on a grid that is or may be lost, or has ended.
 export const isUncertain = (view) => unawareOfLoss(view) || contradiction(view) !== "" || view.overview.ahead_s <= 0;
@@ -121,12 +132,17 @@ export function verdict(view) {
   if (ahead_s <= 0) return [ALARM, `The plan ended at ${at(new Date(new Date(plan.start).getTime() + view.site.step_s * 1000))}, and there is no new one.${uncertain}`, ends];
   if (unawareOfLoss(view)) return [ALARM, `Grid lost, read at ${at(gridReading(view).at)}. The plan of ${at(plan.valid_from ?? plan.start)} does not know it: supply is uncertain.`, "A new plan follows."];
   if (contradiction(view)) return [ALARM, "Readings contradict each other on whether there is grid: supply is uncertain.", `The plan ignores a reading: ${contradiction(view)}.`];
+  if (plan.dark) {
+    const off = `all ${counted(Object.keys(view.site.customers).length, "customer")} are off supply.`, lasts = `${lastingOutage(view, at)}.`;
+    return plan.dark === NOTHING_FORMS ? [ALARM, `${capital(plan.dark)}: ${off}`, `${couldForm(view)} ${lasts}`]
+      : [ALARM, `The island is blacked out: ${off}`, `${capital(plan.dark)}. ${lasts}`];
+  }
   if (plan.status === "failed") return [ALARM, "No plan for this step. It is decided by rule.", plan.reason];
   if (plan.status === "missed") return [WARNING, `This step was missed. ${capital(undecided(plan))}.${uncertain}`, plan.reason];
   const off = offByTier(view), n = Object.values(off).reduce((a, b) => a + b, 0);
   const tiers = view.site.tiers, [first] = tiers, all = Object.keys(view.site.customers).length;
   const dark = outage(view);
-  const head = dark ? `Outage${dark.end ? ` until ${at(dark.end)}` : ", end unknown"}` : "";
+  const head = dark ? lastingOutage(view, at) : "";
   if (mode.mode === "off") return [WARNING, `${head ? `${head}. ` : ""}Switched off by the operator: ${undecided(plan)}.${uncertain}`, mode.until ? `Until ${at(mode.until)}. ${mode.reason}` : mode.reason];
   const words = n === 0 ? `all ${counted(all, "customer")} supplied` : `${n} of ${counted(all, "customer")} off supply`;
   if (off[first] > 0) return [ALARM, `${head ? `${head}: ` : ""}${counted(off[first], tiers.length > 1 ? `${first} customer` : "customer")} off supply.`, `${capital(words)}. ${next(view, at)}`];
@@ -137,7 +153,21 @@ export function verdict(view) {
   if (dark) return [WARNING, `${head}: ${words}${saved}.`, next(view, at)];
   if (n > 0) return [WARNING, `${capital(words)}${saved}.`, next(view, at)];
   if (plan.status === "fallback") return [WARNING, `${capital(words)}, decided by a fallback.`, plan.solve.fallback_reason ?? ""];
+  if (!isHeard(view)) return [WARNING, `${counted(all, "customer")} connected by the plan; no reading is in time.`, next(view, at)];
   return [FINE, `${capital(words)}.`, next(view, at)];
+}
+
+// The current outage and its end.
+function lastingOutage(view, at) {
+  const { end, known } = outage(view);
+  return `Outage${end ? ` until ${at(end)}${known ? "" : " by the scenario"}` : ", end unknown"}`;
+}
+
+// What is announced where no event is: what the scenario itself has of outages.
+export function announcesNothing(view) {
+  const at = (time) => view.clock.at(time, view.now), now = outage(view), limits = view.overview.plan?.ahead?.grid_limit_kw ?? [];
+  if (now) return now.end ? `No event; the scenario has an outage until ${at(now.end)}.` : "No event announces the outage.";
+  return limits.includes(0) ? "No event; the scenario has an outage ahead." : "Nothing is announced.";
 }
 
 function holds(view, at) {
@@ -338,13 +368,14 @@ export function farthestOutside(view, name) {
   return most && most.by > BAND_C ? most : null;
 }
 
-const CANNOT = "cannot be supplied", BY_OPERATOR = ["manual", "hold"];
+const CANNOT = "cannot be supplied", DARK = "blacked out", BY_OPERATOR = ["manual", "hold"];
 const REASONS = { plan: "planned", corrected: "planned, then corrected", critical_only: "only the first tier stays supplied" };
 
 // The reason of a customer off supply: the service's explanation if it is there, else the plan's.
 // The short form leaves out the figures of a single customer, which follow a semicolon.
 export function why(one, explained, status) {
-  const told = explained?.phase ? explained.reasons : []; // without a phase it is the plan's words again
+  const dark = one.reason.startsWith(DARK);
+  const told = explained?.phase && !dark ? explained.reasons : []; // without a phase it is the plan's words again
   const said = told.find((reason) => reason.kind === "customers" && reason.asset === one.asset);
   const words = said ? capital(said.words.replace(/^Not supplied: /, "")) : planned(one.reason, explained !== null, status);
   return { words, short: said ? words.split("; ")[0].replace(/\.$/, "") : words };
@@ -354,6 +385,7 @@ function planned(reason, answered, status) {
   const [kind, ...rest] = reason.split(": ");
   if (kind === "default") return rest.length ? `default: ${rest.join(": ")}` : "default";
   if (kind === CANNOT) return reason;
+  if (kind === DARK) return rest.join(": ");
   if (BY_OPERATOR.includes(status)) return `by the operator: ${reason}`;
   const words = REASONS[kind] ?? `fallback ${kind.replaceAll("_", " ")}`;
   return kind === "plan" && !answered ? "planned; the reason follows" : words;

@@ -1,0 +1,110 @@
+"""What can form the grid of an island now, and why the others cannot."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from vppres.contract.decision import OUT
+from vppres.scenario.scenario import Scenario
+from vppres.service.as_told import expected_by
+
+EMPTY = "it is empty"
+NOTHING = "nothing can form the grid"
+
+
+@dataclass(frozen=True)
+class Former:
+    """A device that can form the grid of an island, and why it cannot now; empty if it can."""
+
+    asset: str
+    kind: str
+    why_not: str
+
+
+def formers_now(
+    scenario: Scenario,
+    plan: Mapping[str, Any] | None,
+    soc: Mapping[str, float],
+    failing: Mapping[str, str],
+) -> list[Former]:
+    """Devices that are there to form the grid.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The site.
+    plan : mapping or None
+        The last plan: what it does without.
+    soc : mapping
+        States of charge as far as they are known.
+    failing : mapping
+        Devices that do not follow, and why.
+    """
+    return [*_batteries(scenario, plan, soc, failing), *_sets(scenario, plan, failing)]
+
+
+def _batteries(
+    scenario: Scenario,
+    plan: Mapping[str, Any] | None,
+    soc: Mapping[str, float],
+    failing: Mapping[str, str],
+) -> Iterator[Former]:
+    """Named ones; where nothing is named, one after another stands in for the largest."""
+    b, sets = scenario.batteries, scenario.gensets
+    there = scenario.formers
+    if not (b.grid_forming.any() or sets.grid_forming.any()):
+        complete = np.ones(len(b), dtype=bool)
+        if scenario.phases is not None:
+            phases = scenario.phases
+            complete = np.array([phases.connection(str(one)).three_coils for one in b.id])
+        there = complete & (b.active_max_kw > 0.0)
+    said = (plan or {}).get("estimated", ())
+    held = np.array([soc.get(str(name), np.inf) for name in b.id], dtype=float)
+    empty = ~b.holds_energy(held)
+    for i in np.flatnonzero(there):
+        name = str(b.id[i])
+        why = failing.get(name, "")
+        if not why and OUT.format(name) in said:
+            why = "it is out"
+        if not why and empty[i]:
+            why = EMPTY
+        yield Former(name, "batteries", why)
+
+
+def _sets(
+    scenario: Scenario, plan: Mapping[str, Any] | None, failing: Mapping[str, str]
+) -> Iterator[Former]:
+    """Generating sets that are named; none forms a feeder by phases."""
+    sets = scenario.gensets
+    told = expected_by(plan).get("gensets", {})
+    least_litres = sets.least_litres(scenario.grid.dt_h)
+    for g in np.flatnonzero(sets.grid_forming) if scenario.phases is None else ():
+        name = str(sets.id[g])
+        litres = told.get(name, {}).get("fuel_litres")
+        why = failing.get(name, "")
+        if not why and litres is not None and litres < least_litres[g]:
+            why = "it has no fuel for a step"
+        yield Former(name, "gensets", why)
+
+
+def why_dark(plan: Mapping[str, Any] | None, formers: Sequence[Former], island: bool) -> str:
+    """Why nobody is supplied in an island now; empty if something forms its grid, or may.
+
+    A plan says so of itself. Where nobody decided, and where devices failed since, it follows from
+    the ``formers``.
+    """
+    if plan is None or not island:
+        return ""
+    said = (plan.get("solve") or {}).get("dark_reason") or ""
+    decided = plan.get("solve") is not None
+    # An empty battery was planned for; how much is left at a moment is not known that exactly.
+    able = [one for one in formers if not one.why_not or (decided and one.why_not == EMPTY)]
+    if said and any(not one.why_not for one in formers):
+        return str(said)
+    if said or not able:
+        return NOTHING
+    return ""
