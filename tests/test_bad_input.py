@@ -367,6 +367,10 @@ def test_numbers_that_no_equipment_has_are_refused(
             {"title": "a\x1b[2J"},
             "scenario, title = a\\x1b[2J: holds the character U+001B, which cannot be shown",
         ),
+        (
+            {"customers": replace(tiny_scenario().customers, tier=["critcal", "high", "low"])},
+            "customers, tier = critcal: is not a tier of the scenario (hospital). Did you mean critical?",
+        ),
     ],
 )
 def test_python_has_the_same_door_as_files(change: dict[str, Any], message: str) -> None:

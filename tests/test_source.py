@@ -11,6 +11,7 @@ import pytest
 
 from tests.support.command_line import call
 from tests.support.tiny_day import tiny_scenario
+from vppres.core.errors import InputError
 from vppres.day.metrics import summarise
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
@@ -154,6 +155,22 @@ def test_tiers_that_are_not_named_from_the_most_important_one_are_told() -> None
     assert "more than any of tier" in words
     # Strict order goes by names, but resilience weighs.
     assert remarks(replace(backwards, priority=Priority(STRICT))) == [words]
+
+
+def test_a_tier_in_python_moves_its_weight() -> None:
+    tiny = tiny_scenario()
+    moved = tiny.with_tiers({"homes": "critical", "shop": "low"})
+    assert moved.customers.tier.tolist() == ["critical", "low", "critical"]
+    assert moved.customers.weight.tolist() == [1.0, 0.02, 1.0]
+    assert remarks(moved) == []
+    # The weight alone stays behind where a table is replaced by hand, which is told.
+    alone = replace(tiny.customers, tier=["critical", "high", "critical"])
+    (words,) = remarks(replace(tiny, customers=alone))
+    assert "'high' weighs 0.1, more than homes of tier 'critical' (0.02)" in words
+    with pytest.raises(InputError, match=r"tier = vital: is not known. Known: critical, high, low"):
+        tiny.with_tiers({"homes": "vital"})
+    with pytest.raises(InputError, match=r"id = house: is not known. Known: hospital, shop, homes"):
+        tiny.with_tiers({"house": "low"})
 
 
 @pytest.mark.parametrize(

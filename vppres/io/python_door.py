@@ -12,7 +12,7 @@ from pydantic.fields import FieldInfo
 from vppres.core.errors import InputError, Problem
 from vppres.core.text import flaw_of_name
 from vppres.io import schema
-from vppres.io.messages import few, folded, shown
+from vppres.io.messages import Suggestions, few, folded, shown
 from vppres.scenario.assets import OF_HOURS
 from vppres.scenario.kinds import units_of
 from vppres.scenario.scenario import Scenario
@@ -40,7 +40,7 @@ def check_scenario(scenario: Scenario) -> None:
     >>> check_scenario(load_scenario("uk-heatwave-2022"))
     """
     numbers = [*_numbers(scenario), *_limits(scenario)]
-    problems = folded([*_names(scenario), *numbers])
+    problems = folded([*_names(scenario), *_tiers(scenario), *numbers])
     if problems:
         raise InputError(problems)
 
@@ -68,6 +68,25 @@ def _names(scenario: Scenario) -> Iterator[Problem]:
     flaw = flaw_of_name(scenario.title, schema.MAX_TITLE_LENGTH)
     if flaw:
         yield Problem("scenario", flaw[0], flaw[1], field="title", value=shown(scenario.title))
+
+
+def _tiers(scenario: Scenario) -> Iterator[Problem]:
+    """Customers and vehicles of tiers that the scenario does not have."""
+    suggestions = Suggestions(scenario.tiers, "Correct it, or add the tier to the scenario's.")
+    sessions = scenario.sessions
+    for table, names, tiers in (
+        ("customers", scenario.customers.id, scenario.customers.tier),
+        ("sessions", sessions.vehicle, sessions.tier),
+    ):
+        for name, tier in zip(names, tiers, strict=True):
+            if tier not in scenario.tiers:
+                yield Problem(
+                    table,
+                    f"is not a tier of the scenario ({name})",
+                    suggestions.cure(str(tier)),
+                    field="tier",
+                    value=shown(tier),
+                )
 
 
 def _numbers(scenario: Scenario) -> Iterator[Problem]:

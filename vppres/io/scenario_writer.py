@@ -24,7 +24,6 @@ from vppres.io.rows import frame_of
 from vppres.io.series import TIME
 from vppres.io.settings import SCENARIO_FILE, outage_intervals
 from vppres.io.times import iso
-from vppres.scenario.assets import Customers
 from vppres.scenario.fairness import Fairness, Interruption
 from vppres.scenario.history import History
 from vppres.scenario.network import BUS_DRAWS, LINE_DEFAULTS, BusId, Network
@@ -74,7 +73,7 @@ def _document(scenario: Scenario) -> dict[str, Any]:
         "title": scenario.title,
         "time": _time(scenario.grid),
         "network": _network(scenario),
-        "tiers": {tier: _tier_weight(scenario.customers, tier) for tier in scenario.tiers},
+        "tiers": {tier: scenario.customers.tier_weight(tier) for tier in scenario.tiers},
         "priority": asdict(scenario.priority),
         "headroom": asdict(scenario.headroom),
         "objective": {f.name: float(getattr(objective, f.name)) for f in fields(objective)},
@@ -167,13 +166,6 @@ def _source(source: Source) -> dict[str, Any]:
 def _plain(bus: object) -> BusId:
     """A bus identifier without NumPy's types."""
     return str(bus) if isinstance(bus, str) else int(str(bus))
-
-
-def _tier_weight(customers: Customers, tier: str) -> float:
-    """The weight that most customers of a tier have; 1 for a tier without customers."""
-    weights = customers.weight[customers.tier == tier]
-    found, count = np.unique(weights, return_counts=True)
-    return float(found[np.argmax(count)]) if len(found) else 1.0
 
 
 def _frames(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, pd.DataFrame]:

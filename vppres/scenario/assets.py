@@ -141,6 +141,11 @@ class Customers(Items):
         _, tier, count = np.unique(self.tier.astype(str), return_inverse=True, return_counts=True)
         return self.weight * count[tier]
 
+    def tier_weight(self, tier: str) -> float:
+        """The weight that most customers of a tier have; 1 for a tier without customers."""
+        found, count = np.unique(self.weight[self.tier == tier], return_counts=True)
+        return float(found[np.argmax(count)]) if len(found) else 1.0
+
 
 def without_customer(owners: Names) -> Flags:
     """Which assets stand alone: those whose owner is an empty text.

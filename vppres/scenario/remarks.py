@@ -241,17 +241,18 @@ def dear_export(scenario: Scenario) -> str:
 
 
 def rising_weights(scenario: Scenario) -> str:
-    """Which tier outweighs one that is named before it; empty if none does."""
+    """Which tier outweighs customers of one that is named before it; empty if none does."""
     customers = scenario.customers
-    heaviest = {
-        tier: float(customers.weight[customers.tier == tier].max())
-        for tier in scenario.tiers
-        if (customers.tier == tier).any()
-    }
-    for (before, less), (after, more) in pairwise(heaviest.items()):
-        if more > less:
+    present = [tier for tier in scenario.tiers if (customers.tier == tier).any()]
+    for before, after in pairwise(present):
+        more = float(customers.weight[customers.tier == after].max())
+        above = customers.tier == before
+        lighter = above & (customers.weight < more)
+        if lighter.any():
+            less = float(customers.weight[lighter].max())
+            who = "any" if (lighter == above).all() else named(customers.id[lighter], NAMES_SHOWN)
             return (
-                f"A customer of tier {after!r} weighs {more:g}, more than any of tier {before!r} "
+                f"A customer of tier {after!r} weighs {more:g}, more than {who} of tier {before!r} "
                 f"({less:g}), though tiers are named from the most important one: check [tiers] "
                 "and the column weight, if that is not meant."
             )

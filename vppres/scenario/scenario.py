@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
@@ -10,7 +11,9 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Flags, Floats, Wholes, freeze_arrays
+from vppres.core.errors import InputError
 from vppres.core.notebook import facts_html
+from vppres.core.text import named
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.fairness import Fairness, Interruption
 from vppres.scenario.formers import forming_batteries
@@ -286,6 +289,46 @@ class Scenario:
         limit = np.where(self.outage, np.inf, self.grid_limit_kw)
         limit = np.where((times >= start) & (times < end), 0.0, limit)
         return replace(self, grid_limit_kw=limit)
+
+    def with_tiers(self, tiers: Mapping[str, str]) -> Scenario:
+        """The same scenario with some customers in other tiers, with the weight of these tiers.
+
+        Parameters
+        ----------
+        tiers : mapping
+            Tier of each customer that changes, by identifier.
+
+        Raises
+        ------
+        InputError
+            If there is no such customer, or the scenario has no such tier.
+
+        Examples
+        --------
+        >>> from vppres.io.find import load_scenario
+        >>> day = load_scenario("uk-heatwave-2022").with_tiers({"c18": "critical"})
+        >>> float(day.customers.weight[day.customers.id == "c18"][0])
+        1.0
+        """
+        customers = self.customers
+        for field_, asked, known in (
+            ("id", tiers, customers.id),
+            ("tier", tiers.values(), self.tiers),
+        ):
+            unknown = sorted({*asked} - {*known})
+            if unknown:
+                raise InputError.of(
+                    "customers",
+                    "is not known",
+                    f"Known: {named(known)}.",
+                    field=field_,
+                    value=unknown[0],
+                )
+        pairs = zip(customers.id, customers.tier, strict=True)
+        tier = np.array([tiers.get(name, now) for name, now in pairs], dtype=object)
+        of_tier = [customers.tier_weight(name) for name in tier]
+        weight = np.where(tier == customers.tier, customers.weight, of_tier)
+        return replace(self, customers=replace(customers, tier=tier, weight=weight))
 
     def _repr_html_(self) -> str:
         """What the scenario holds, for a notebook."""
