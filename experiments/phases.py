@@ -85,11 +85,11 @@ def admittances_apart(file: Path, flow: Any) -> float:
     """Largest difference of an entry from OpenDSS's, as a share of its row's diagonal."""
     import opendssdirect as dss
 
-    from vppres.feeders.dss import engine, text
+    from vppres.feeders.dss import commands, engine, script
 
+    sys.modules["dss/commands"] = commands
     engine._elements.cache_clear()
-    commands = [command.text for command in text.read_script(file).commands]
-    assert not engine.build(commands, open_deltas=True)
+    assert not engine.build({**script.read_script(file).job(), "open_deltas": True})
     engine.settled()
     for kind in ("load", "generator", "pvsystem"):
         for element in list(engine._of(kind)):

@@ -677,7 +677,7 @@ def test_simbench_code_that_does_not_exist() -> None:
         (
             "a.dss",
             "new nothing.x",
-            "a.dss, row 1: 'nothing' is not a class that a network needs. Remove the element.",
+            "a.dss, row 1: 'nothing' is not a class of OpenDSS. Correct it, or remove the element.",
         ),
         ("a.dss", "new circuit.x\nnew line.y like=z", "a.dss, row 2: OpenDSS refuses the file ("),
         ("a.dss", "clear", "a.dss: OpenDSS refuses the file ((#301) You must create a new circuit"),

@@ -30,7 +30,7 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
     The job has the ``commands`` of the circuit, and ``disabled``: elements that are out of service.
     """
     engine: Any = sys.modules["dss/engine"]
-    problems = engine.build(job["commands"], open_deltas=True)
+    problems = engine.build({**job, "open_deltas": True})
     if problems:
         return {"problems": problems}
     engine.settled()

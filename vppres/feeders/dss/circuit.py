@@ -1,8 +1,8 @@
 """An OpenDSS circuit as a pandapower net: its balanced positive-sequence equivalent.
 
-The script is checked and written anew (:mod:`vppres.feeders.dss.text`). OpenDSS builds the circuit
-in a process of its own (:mod:`vppres.feeders.dss.engine`), in an empty folder that is thrown away,
-and only numbers and names come back.
+The script is taken apart (:mod:`vppres.feeders.dss.script`). OpenDSS builds the circuit in a
+process of its own (:mod:`vppres.feeders.dss.engine`), in an empty folder that is thrown away, and
+only numbers and names come back.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from vppres.core.arrays import Floats, Names
 from vppres.core.errors import InputError, Problem
 from vppres.core.units import A_PER_KA, kw_to_mw
 from vppres.feeders.closeness import largest_difference
-from vppres.feeders.dss import text as dss_text
+from vppres.feeders.dss import script as dss_script
 from vppres.feeders.feeder import ImportedFeeder
 from vppres.feeders.net.balance import PHASES, PhasePowers
 from vppres.feeders.net.ratings import NO_LIMIT_KA
@@ -54,12 +54,12 @@ def read_opendss(
     flow : OpenDSSFlow
         OpenDSS's own solution.
     """
-    script = dss_text.read_script(path)
-    job: dict[str, Any] = {"commands": [command.text for command in script.commands]}
+    script = dss_script.read_script(path)
+    job = script.job()
     asked = {**job, "open_deltas": by_phase}
     found = confined("dss/engine", asked, path.name, time_limit_s)
     if found["problems"]:
-        raise InputError([located(problem, script, path.name) for problem in found["problems"]])
+        raise InputError(located(found["problems"], script, path.name))
     net, ids = _build(found)
     notes = (*script.notes, *found["balanced_notes"], *found["notes"])
     if by_phase and found["single_phases"]:
@@ -173,13 +173,15 @@ def _phase_powers(found: dict[str, Any]) -> PhasePowers | None:
     return PhasePowers(f"fewer than three phases have {', '.join(words)}", p_kw)
 
 
-def located(problem: dict[str, Any], script: dss_text.Script, name: str) -> Problem:
-    """A problem of the engine, at the file and row of its command if it has one."""
-    at = problem["command"]
-    if at is None:
-        return Problem(name, problem["message"], problem["cure"])
-    command = script.commands[at]
-    return Problem(command.file, problem["message"], problem["cure"], row=command.row)
+def located(problems: list[dict[str, Any]], script: dss_script.Script, name: str) -> list[Problem]:
+    """Problems of the engine, each at the file and row of its command if it has one."""
+    found = []
+    for problem in problems:
+        at = problem["command"]
+        place = None if at is None else script.commands[at]
+        file, row = (name, None) if place is None else (place.file, place.row)
+        found.append(Problem(file, problem["message"], problem["cure"], row=row))
+    return dss_script.folded_lines(found, name)
 
 
 def _build(found: dict[str, Any]) -> tuple[Any, dict[int, BusId]]:

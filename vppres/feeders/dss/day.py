@@ -34,7 +34,7 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
     """
     # Loaded by child.py: a package is not known there.
     engine: Any = sys.modules["dss/engine"]
-    problems = engine.build(job["commands"], job["open_deltas"])
+    problems = engine.build(job)
     if problems:
         return {"problems": problems}
     engine.settled()  # the taps of the plan are those of the state that the file gives

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from functools import cache
 from typing import Any
@@ -9,26 +10,30 @@ from typing import Any
 import numpy as np
 import opendssdirect as dss
 
-# Classes that carry no power in steady state, or only shape it over time.
-PASSIVE = {
-    "vsource",
-    "line",
-    "transformer",
-    "load",
-    "generator",
-    "pvsystem",
-    "storage",
-    "capacitor",
-    "regcontrol",
-    "swtcontrol",
-}
+# Classes that carry no power, and those that have a counterpart here.
+_CONTROLS = """
+regcontrol capcontrol swtcontrol invcontrol expcontrol storagecontroller gendispatcher relay
+recloser fuse upfccontrol espvlcontrol
+"""
+CONTROLS = frozenset(_CONTROLS.split())
+_CARRYING = "vsource line transformer load generator pvsystem storage capacitor"
+CARRYING = frozenset(_CARRYING.split())
 CONSTANT_POWER = 1  # OpenDSS's model of a load; 2 is constant impedance, 5 constant current
 LOAD_MODELS = {2: "constant impedance", 5: "constant current"}
 THREE_PHASES = 3
 W_PER_KW = 1000.0
 DEFAULT_AMPS = 400.0
-SOURCE_TOLERANCE, WINDING_TOLERANCE = 0.01, 0.1  # windings are often rated above their level
+TOLERANCE, GUESSED_TOLERANCE = 0.1, 0.01  # sources and windings are often rated above their level
+MOST_TOLD = 200
 CURE = "Correct the file until OpenDSS solves it."
+SOLVES = ("solve", "calcvoltagebases")
+"""Commands that may fail where they stand: a solution is looked for at the end."""
+
+LEFT_OUT: list[str] = []
+"""Options of ``set`` that the script has and OpenDSS did not get."""
+
+REFUSED_CONTROLS: dict[str, str] = {}
+"""Controls that OpenDSS refuses, and why: without them the circuit is what it is."""
 
 Problems = list[dict[str, Any]]
 Table = list[dict[str, Any]]
@@ -36,7 +41,7 @@ Table = list[dict[str, Any]]
 
 def answer(job: dict[str, Any]) -> dict[str, Any]:
     """The circuit of the job's commands as tables, or what is wrong with it."""
-    problems = build(job["commands"], job.get("open_deltas", False))
+    problems = build(job)
     if problems:
         return {"problems": problems}
     solved = settled()
@@ -98,29 +103,47 @@ def _voltages(solved: bool) -> dict[str, Any]:
     return {"v_pu": found, "losses_kw": losses_kw, "complete": complete}
 
 
-def build(commands: list[str], open_deltas: bool = False) -> Problems:
-    """Build the circuit; what is wrong with it, open deltas if they are not allowed."""
+def build(job: dict[str, Any]) -> Problems:
+    """Build the circuit of the job's commands; what is wrong with it."""
+    words: Any = sys.modules["dss/commands"]
     dss.Basic.AllowChangeDir(False)
     dss.Basic.AllowForms(False)
     dss.Basic.AllowEditor(False)
     dss.Basic.AllowDOScmd(False)
+    commands = words.Commands(job["files"])
+    refused: Problems = []
+    texts: list[tuple[int, str]] = []
+    for i, (verb, target, values) in enumerate(job["commands"]):
+        try:
+            texts.append((i, commands.text(verb, target, values)))
+        except words.Refused as no:
+            refused.append(_wrong(no.message, no.cure, i))
+    if refused:
+        return refused
     dss.Text.Command("clear")
-    done = 0
+    levels = False
+    for i, text in texts:
+        if not text:
+            continue
+        levels |= text == "calcvoltagebases"
+        try:
+            dss.Text.Command(text)
+        except Exception as error:  # the engine's own class has no public name
+            element = _control(commands.elements.get(i, ""))
+            if not element and text not in SOLVES:
+                return [_wrong(f"OpenDSS refuses the file ({told(error)})", CURE, i)]
+            if element:
+                REFUSED_CONTROLS[element] = told(error)
+                dss.Circuit.Disable(element)
     try:
-        for command in (*commands, "makebuslist", "calcvoltagebases"):
-            dss.Text.Command(command)
-            done += 1
-    except Exception as error:  # the engine's own class has no public name
-        return [
-            {
-                "message": f"OpenDSS refuses the file ({str(error).strip()})",
-                "cure": CURE,
-                "command": done if done < len(commands) else None,
-            }
-        ]
+        for text in ("makebuslist", *(() if levels else ("calcvoltagebases",))):
+            dss.Text.Command(text)
+    except Exception as error:
+        return [_wrong(f"OpenDSS refuses the file ({told(error)})", CURE)]
+    LEFT_OUT[:] = commands.left_out
     unfit = [p for name in _elements() if (p := _problem(name))]
-    banks = [] if open_deltas else [*_open_deltas()]
-    return [*unfit, *banks] or _check_levels()
+    banks = [] if job.get("open_deltas") else [*_open_deltas()]
+    return [*unfit, *banks] or _check_levels(commands.named_levels)
 
 
 @cache
@@ -142,14 +165,26 @@ def _of(kind: str) -> Iterator[str]:
             yield element.partition(".")[2]
 
 
-def _wrong(message: str, cure: str) -> dict[str, Any]:
-    return {"message": message, "cure": cure, "command": None}
+def _control(element: str) -> str:
+    """The element if it is a control."""
+    return element if element.partition(".")[0] in CONTROLS else ""
+
+
+def told(error: Exception) -> str:
+    """What the engine says, in a line; without what it says of itself."""
+    lines = [line.strip() for line in str(error).splitlines()]
+    kept = [line for line in lines if line and not line.endswith(":")]
+    return " ".join(kept or lines)[:MOST_TOLD].rstrip(".")
+
+
+def _wrong(message: str, cure: str, command: int | None = None) -> dict[str, Any]:
+    return {"message": message, "cure": cure, "command": command}
 
 
 def _problem(element: str) -> dict[str, Any] | None:
     """Why an element has no equivalent here; None if it has."""
     kind, _, name = element.partition(".")
-    if kind not in PASSIVE:
+    if kind not in CONTROLS | CARRYING:
         return _wrong(
             f"{element} is not supported",
             "Disable it, or replace it by lines, transformers, loads and generators.",
@@ -189,10 +224,11 @@ def _open_deltas() -> Iterator[dict[str, Any]]:
             )
 
 
-def _check_levels() -> Problems:
+def _check_levels(levels_named: bool) -> Problems:
     """Ratings that do not fit their bus: without ``voltagebases`` OpenDSS guesses the levels."""
     problems = []
-    for element, bus, rated_kv, tolerance in list(_ratings()):
+    for element, bus, rated_kv, guessed in list(_ratings()):
+        tolerance = TOLERANCE if levels_named else guessed
         base_kv = _base_kv(bus)
         # The rating of a single phase may be that between line and neutral.
         if min(abs(rated_kv * f - base_kv) for f in (1.0, np.sqrt(3))) > tolerance * rated_kv:
@@ -207,18 +243,18 @@ def _check_levels() -> Problems:
 
 
 def _ratings() -> Iterator[tuple[str, str, float, float]]:
-    """Element, bus, rated voltage in kV, and by which share the bus may differ."""
+    """Element, bus, rated voltage in kV, and by which share a bus may differ that is guessed."""
     for name in _of("vsource"):
         bus = _buses()[0]
         dss.Vsources.Name(name)
-        yield f"vsource.{name}", bus, dss.Vsources.BasekV(), SOURCE_TOLERANCE
+        yield f"vsource.{name}", bus, dss.Vsources.BasekV(), GUESSED_TOLERANCE
     for name in list(_of("transformer")):
         dss.Circuit.SetActiveElement(f"transformer.{name}")
         buses = _buses()
         for winding, bus in enumerate(buses, start=1):
             dss.Transformers.Name(name)
             dss.Transformers.Wdg(winding)
-            yield f"transformer.{name}", bus, dss.Transformers.kV(), WINDING_TOLERANCE
+            yield f"transformer.{name}", bus, dss.Transformers.kV(), TOLERANCE
 
 
 def _base_kv(bus: str) -> float:
@@ -427,6 +463,10 @@ def _notes_on_balance() -> Iterator[str]:
 
 def _notes() -> Iterator[str]:
     """What is taken as something else, whether the feeder is balanced or not."""
+    if LEFT_OUT:
+        yield f"Options of 'set' are left out: {', '.join(LEFT_OUT)}."
+    for control, why in REFUSED_CONTROLS.items():
+        yield f"{control} is left out, as OpenDSS refuses it ({why})."
     unrated = [dss.CktElement.NormalAmps() == DEFAULT_AMPS for _ in _of("line")]
     if any(unrated):
         yield (

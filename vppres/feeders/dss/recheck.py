@@ -20,7 +20,7 @@ from vppres.core.arrays import Floats
 from vppres.core.errors import InputError
 from vppres.core.text import named
 from vppres.core.units import V_PER_KV
-from vppres.feeders.dss import text as dss_text
+from vppres.feeders.dss import script as dss_script
 from vppres.feeders.dss.circuit import located, read_opendss
 from vppres.feeders.net.changes import Changes, changed
 from vppres.feeders.net.reduce import feeder_of
@@ -144,13 +144,12 @@ class _Circuit:
 
 def solved_steps(job: dict[str, Any], source: Path) -> dict[str, Any]:
     """The steps of a job in OpenDSS, with ``v`` (T, nodes) in V, NaN where there is no solution."""
-    script = dss_text.read_script(source)
-    job = {"constant_power": False, **job}
-    job["commands"] = [command.text for command in script.commands]
+    script = dss_script.read_script(source)
+    job = {"constant_power": False, **job, **script.job()}
     limit_s = TIME_LIMIT_S + len(job["steps"]) / STEPS_PER_S
     found = confined("dss/day", job, source.name, limit_s)
     if found["problems"]:
-        raise InputError([located(problem, script, source.name) for problem in found["problems"]])
+        raise InputError(located(found["problems"], script, source.name))
     lost = [np.nan] * 2 * len(found["nodes"])
     parts = np.array([lost if step["v"] is None else step["v"] for step in found["steps"]])
     return {**found, "v": parts[:, ::2] + 1j * parts[:, 1::2]}

@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import Any
 
 ENGINES = {
-    "dss/engine": (),
+    "dss/commands": (),
+    "dss/engine": ("dss/commands",),
     "matpower/binary": (),
     "dss/day": ("dss/engine",),
     "dss/by_phase": ("dss/engine",),
