@@ -20,7 +20,7 @@ LIBRARY_HOMES = {
     "highspy": {"solve"},
     "pandapower": {"feeders"},
     "typer": {"cli"},
-    "matplotlib": set(),
+    "matplotlib": {"report"},
     "resvg_py": {"report"},
     "fastapi": {"service"},
     "paho": {"service"},

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from vppres.core.arrays import Flags, Floats, Names
 from vppres.core.errors import InputError
 from vppres.core.notebook import facts_html
+from vppres.core.offered import offered
 from vppres.scenario.kinds import KINDS, units_of
 from vppres.scenario.network import BusId
 from vppres.scenario.scenario import Scenario
@@ -167,9 +168,9 @@ class Trajectory:
 
         known = {str(bus): bus for bus in self.scenario.network.buses}
         bus_of = {source: known.get(str(bus), bus) for source, bus in feeder.bus_of.items()}
-        put_into_net(net, bus_of, self._powers(self._step_at(time)))
+        put_into_net(net, bus_of, self._powers(self.step_at(time)))
 
-    def _step_at(self, time: pd.Timestamp | str) -> int:
+    def step_at(self, time: pd.Timestamp | str) -> int:
         """The step that begins at a time."""
         times = pd.DatetimeIndex(self.steps["time"])
         try:
@@ -232,6 +233,23 @@ class Trajectory:
         buses = units.buses(self.scenario.customers)
         columns = {"bus": buses, "p_kw": self.rows(KINDS[kind].table, t)["p_kw"].to_numpy()}
         return pd.DataFrame(columns, index=pd.Index(units.id, name="id"))
+
+    def plot(self, kind: str = "day", **options: Any) -> Any:
+        """Draw the run with matplotlib; :mod:`vppres.report.plot` has every kind of picture.
+
+        Parameters
+        ----------
+        kind : str
+            ``day``, ``supply``, ``energy``, ``voltages``, ``feeder`` or ``compare``.
+        **options
+            As the kind takes them; ``ax`` says where to draw.
+
+        Returns
+        -------
+        Axes, or a sequence of them
+            Where it was drawn.
+        """
+        return offered("plot").drawn(kind, self, **options)
 
     def rows(self, name: str, t: int) -> pd.DataFrame:
         """The rows of a table that belong to a step; none of a table that is not there."""

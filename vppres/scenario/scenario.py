@@ -11,6 +11,7 @@ import pandas as pd
 
 from vppres.core.arrays import Flags, Floats, Wholes, freeze_arrays
 from vppres.core.notebook import facts_html
+from vppres.core.offered import offered
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.fairness import Fairness, Interruption
 from vppres.scenario.formers import forming_batteries
@@ -286,6 +287,10 @@ class Scenario:
         limit = np.where(self.outage, np.inf, self.grid_limit_kw)
         limit = np.where((times >= start) & (times < end), 0.0, limit)
         return replace(self, grid_limit_kw=limit)
+
+    def plot(self, ax: Any = None) -> Any:
+        """Draw the feeder with its tiers and, below it, the series; gives back both Axes."""
+        return offered("plot").scenario(self, ax=ax)
 
     def _repr_html_(self) -> str:
         """What the scenario holds, for a notebook."""
