@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from vppres.core.arrays import Flags, Floats, Names
 from vppres.core.errors import InputError
 from vppres.core.notebook import facts_html
-from vppres.core.offered import offered
+from vppres.day.wide import Wide
 from vppres.scenario.kinds import KINDS, units_of
 from vppres.scenario.network import BusId
 from vppres.scenario.scenario import Scenario
@@ -234,6 +235,12 @@ class Trajectory:
         columns = {"bus": buses, "p_kw": self.rows(KINDS[kind].table, t)["p_kw"].to_numpy()}
         return pd.DataFrame(columns, index=pd.Index(units.id, name="id"))
 
+    @property
+    def t(self) -> Wide:
+        """Columns of the tables by time, a column for each item: ``run.t.served``."""
+        grid = self.scenario.grid
+        return Wide(self.tables, grid.start + len(self.steps) * grid.step)
+
     def plot(self, kind: str = "day", **options: Any) -> Any:
         """Draw the run with matplotlib; :mod:`vppres.report.plot` has every kind of picture.
 
@@ -249,7 +256,7 @@ class Trajectory:
         Axes, or a sequence of them
             Where it was drawn.
         """
-        return offered("plot").drawn(kind, self, **options)
+        return import_module("vppres.report.plot").drawn(kind, self, **options)
 
     def rows(self, name: str, t: int) -> pd.DataFrame:
         """The rows of a table that belong to a step; none of a table that is not there."""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -11,7 +13,6 @@ import pandas as pd
 
 from vppres.core.arrays import Flags, Floats, Wholes, freeze_arrays
 from vppres.core.notebook import facts_html
-from vppres.core.offered import offered
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.fairness import Fairness, Interruption
 from vppres.scenario.formers import forming_batteries
@@ -288,9 +289,64 @@ class Scenario:
         limit = np.where((times >= start) & (times < end), 0.0, limit)
         return replace(self, grid_limit_kw=limit)
 
+    @classmethod
+    def from_tables(cls, tables: Mapping[str, Any]) -> Scenario:
+        """The scenario of tables in memory, with the checks and messages of a folder.
+
+        Parameters
+        ----------
+        tables : mapping
+            ``scenario``, a dictionary with what ``scenario.toml`` says, and a DataFrame for each
+            CSV file by its name without the ending, with the columns of the file. Series may have
+            their times as index.
+
+        Raises
+        ------
+        InputError
+            With every problem of every table, by the name of its file and its row there.
+        """
+        found: Scenario = import_module("vppres.io.scenario_tables").scenario_of(tables)
+        return found
+
+    def to_tables(self) -> dict[str, Any]:
+        """The tables that :meth:`from_tables` makes this scenario of, to be changed."""
+        found: dict[str, Any] = import_module("vppres.io.scenario_tables").tables_of(self)
+        return found
+
+    def replace(self, table: str, name: object, **values: Any) -> Scenario:
+        """The same scenario with other values in one row of a table.
+
+        A customer that had the weight of its tier gets that of its new one. What else follows from
+        a value is not changed with it, as the power of a battery with its energy.
+
+        Parameters
+        ----------
+        table : str
+            Name of the file without its ending.
+        name : str or int
+            Identifier of the row; of ``buses`` the bus, of ``lines`` the bus that the line feeds.
+        **values
+            By column of the file; None empties the cell.
+
+        Raises
+        ------
+        InputError
+            If there is no such row, or with what a folder with these values would be refused for.
+
+        Examples
+        --------
+        >>> from vppres.io.find import load_scenario
+        >>> day = load_scenario("uk-heatwave-2022")
+        >>> day.replace("batteries", "b1", energy_kwh=500).batteries.energy_kwh[0]
+        500.0
+        """
+        door = import_module("vppres.io.scenario_tables")
+        found: Scenario = door.replaced(self, table, name, values)
+        return found
+
     def plot(self, ax: Any = None) -> Any:
         """Draw the feeder with its tiers and, below it, the series; gives back both Axes."""
-        return offered("plot").scenario(self, ax=ax)
+        return import_module("vppres.report.plot").scenario(self, ax=ax)
 
     def _repr_html_(self) -> str:
         """What the scenario holds, for a notebook."""
