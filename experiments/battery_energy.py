@@ -6,23 +6,13 @@ from matplotlib.figure import Figure
 
 from experiments import ideal
 from experiments.config import Config
-from experiments.drawing import (
-    FULL,
-    LINES,
-    MPC,
-    SERIES,
-    day_axis,
-    legend,
-    limit,
-    outage_hours,
-    over_steps,
-    panels,
-)
+from experiments.drawing import FULL, MPC, PRICE, day_axis, outage_hours, panels
 from experiments.ideal import jobs as jobs
 from experiments.jobs import Day, scenario
 from experiments.results import DayResult
 from experiments.rows import Row, asserted, measured, numbers
 from experiments.runner import Results
+from vppres.report import plot
 
 LABEL = "fig:1c"
 TITLE = "Total battery energy and electricity price"
@@ -43,11 +33,10 @@ def figure(config: Config, results: Results) -> Figure:
     """Stored energy above, price below."""
     days = ideal.days(config, results)
     picture, (energy, price) = panels((3, 1.3), 5.6, "Battery energy and price, ideal conditions")
-    for name, day in days.items():
-        energy.plot(day.series("energy_kwh"), label=name, **LINES[name])
+    plot.energy(days, energy)
     lowest, highest = energy_limits_kwh()
-    limit(energy, highest, "SoC 0.85")
-    limit(energy, lowest, "SoC 0.15")
+    plot.limit(energy, highest, "SoC 0.85")
+    plot.limit(energy, lowest, "SoC 0.15")
     energy.axvline(ALERT_HOUR, color="#888888", linewidth=0.8, linestyle=":")
     energy.text(
         ALERT_HOUR - 0.1,
@@ -58,12 +47,10 @@ def figure(config: Config, results: Results) -> Figure:
         fontsize=8,
         transform=energy.get_xaxis_transform(),
     )
-    over_steps(price, days[MPC].series("price_gbp_per_kwh"), SERIES["price"])
-    energy.set_ylabel("Stored energy (kWh)")
-    energy.set_ylim(bottom=0.0)
+    plot.steps(price, days[MPC], days[MPC].series("price_gbp_per_kwh"), PRICE)
     price.set_ylabel("Price\n(GBP/kWh)")
     day_axis([energy, price], days[MPC])
-    return legend(picture, energy, 2)
+    return picture
 
 
 def rows(config: Config, results: Results) -> list[Row]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,17 +12,8 @@ from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 
 from experiments.results import DayResult
-from vppres.core.arrays import Floats
-from vppres.report.plots.palette import (
-    BLACK,
-    BLUE,
-    GREEN,
-    GREY,
-    ORANGE,
-    PURPLE,
-    RULE_COLOUR,
-    VERMILLION,
-)
+from vppres.report.plot import finish, line_of
+from vppres.report.plots.palette import PURPLE, RULE_COLOUR, RUN_STYLES, Style
 
 MPC = "MPC"
 FULL = "full horizon"
@@ -34,17 +24,9 @@ DPI = 150
 # A fixed salt keeps two SVG files equal if their data are.
 SVG_HASH_SALT = "vppres"
 
-# The second line is thinner and dashed, so that both are seen where they coincide.
-LINES: dict[str, dict[str, Any]] = {
-    MPC: {"color": BLUE, "linewidth": 2.4, "linestyle": "-"},
-    FULL: {"color": VERMILLION, "linewidth": 1.5, "linestyle": (0, (5, 2))},
-}
-PLANNED: dict[str, Any] = {"color": GREEN, "linewidth": 1.3, "linestyle": (0, (1, 1))}
-SERIES: dict[str, dict[str, Any]] = {
-    "load": {"color": BLACK, "linewidth": 1.3},
-    "pv": {"color": ORANGE, "linewidth": 1.5},
-    "price": {"color": PURPLE, "linewidth": 1.3},
-}
+STYLES: dict[str, Style] = dict(zip((MPC, FULL), RUN_STYLES, strict=False))
+LINES: dict[str, dict[str, Any]] = {name: line_of(style) for name, style in STYLES.items()}
+PRICE = Style(PURPLE, "", 1.3)
 SPREAD, SPREAD_RANGE = "#8C3A00", "#F4C7A8"
 PUBLISHED_RANGE = "#E4E4E4"
 
@@ -79,36 +61,12 @@ def legend(figure: Figure, ax: Axes, columns: int) -> Figure:
 
 
 def day_axis(axes: list[Axes], day: DayResult) -> None:
-    """Hours of the day on the lowest panel, the outage shaded on all."""
-    first, last = outage_hours(day)
-    for ax in axes:
-        ax.axvspan(first, last, color="#F6DCD3", zorder=0)
-    axes[0].text(
-        (first + last) / 2,
-        1.01,
-        "outage",
-        ha="center",
-        va="bottom",
-        fontsize=8,
-        transform=axes[0].get_xaxis_transform(),
-    )
-    axes[-1].set_xlim(0, DAY_H)
+    """Hours of the day on the lowest panel, below the first, which has the legend."""
+    for ax in axes[1:]:
+        finish(ax, day).legend().remove()
+    axes[0].label_outer()
     axes[-1].set_xticks(range(0, DAY_H + 1, 2))
     axes[-1].set_xlabel("Hour of 19 July 2022 (UTC)")
-
-
-def over_steps(ax: Axes, values: Floats, line: Mapping[str, Any], label: str = "_") -> None:
-    """A quantity that holds over each hour."""
-    edges = np.arange(len(values) + 1)
-    ax.plot(edges, np.append(values, values[-1]), drawstyle="steps-post", label=label, **line)
-
-
-def limit(ax: Axes, value: float, text: str, linestyle: str = "--") -> None:
-    """A horizontal limit with its name at the right."""
-    ax.axhline(value, color=GREY, linestyle=linestyle, linewidth=1.0)
-    ax.text(
-        1.005, value, text, transform=ax.get_yaxis_transform(), va="center", fontsize=8, color=GREY
-    )
 
 
 def outage_hours(day: DayResult) -> tuple[int, int]:

@@ -6,23 +6,14 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from experiments.config import Config
-from experiments.drawing import (
-    FULL,
-    LINES,
-    MPC,
-    PLANNED,
-    day_axis,
-    legend,
-    limit,
-    over_steps,
-    panels,
-)
+from experiments.drawing import FULL, MPC, STYLES, day_axis, panels
 from experiments.jobs import Day, Job
 from experiments.results import DayResult
 from experiments.rows import Row, measured
 from experiments.runner import Results
 from vppres.day.options import RunOptions
 from vppres.physics.thermal import ThermalScheme
+from vppres.report import plot
 
 LABEL = "fig:3, tab:eff"
 TITLE = "Time-varying battery efficiency"
@@ -64,20 +55,13 @@ def figure(config: Config, results: Results) -> Figure:
     picture, (energy, efficiency) = panels(
         (3, 1.3), 5.8, f"Battery energy with heating, {config['scheme']} temperature step"
     )
+    plot.energy(days, energy)
     for name, day in days.items():
-        energy.plot(
-            day.series("energy_kwh"),
-            label="MPC" if name == MPC else "full horizon, actual",
-            **LINES[name],
-        )
-        over_steps(efficiency, day.series("eta_charge"), LINES[name])
-    energy.plot(days[FULL].planned["energy_kwh"], label="full horizon, planned", **PLANNED)
-    limit(efficiency, 0.95, "nominal")
-    energy.set_ylabel("Stored energy (kWh)")
-    energy.set_ylim(bottom=0.0)
+        plot.steps(efficiency, day, day.series("eta_charge"), STYLES[name])
+    plot.limit(efficiency, 0.95, "nominal")
     efficiency.set_ylabel("Charging\nefficiency,\nmean")
     day_axis([energy, efficiency], days[MPC])
-    return legend(picture, energy, 3)
+    return picture
 
 
 def rows(config: Config, results: Results) -> list[Row]:

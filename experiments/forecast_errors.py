@@ -17,10 +17,10 @@ from experiments.drawing import (
     FULL,
     LINES,
     MPC,
-    PLANNED,
     PUBLISHED_RANGE,
     SPREAD,
     SPREAD_RANGE,
+    STYLES,
     legend,
     panels,
 )
@@ -32,6 +32,7 @@ from experiments.runner import Results
 from vppres.contract.forecast import ForecastErrors
 from vppres.core.arrays import Floats
 from vppres.day.options import RunOptions
+from vppres.report.plot import line_of
 
 Quantity = Callable[[DayResult], float]
 
@@ -107,7 +108,7 @@ def figure(config: Config, results: Results, title: str, axis: str) -> Figure:
         )
         _errorbars(below, found, cost_gbp, LINES[name], "_")
     full = points(config, results, FULL)
-    _errorbars(above, full, planned, PLANNED, "full horizon, planned")
+    _errorbars(above, full, planned, line_of(STYLES[FULL].thin()), "full horizon, planned")
     _draw_spread(above, full)
     _draw_published(above)
     above.set_ylabel("Resilience R")

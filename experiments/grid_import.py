@@ -7,20 +7,12 @@ from matplotlib.figure import Figure
 
 from experiments import ideal
 from experiments.config import Config
-from experiments.drawing import (
-    FULL,
-    LINES,
-    MPC,
-    SERIES,
-    day_axis,
-    legend,
-    over_steps,
-    panels,
-)
+from experiments.drawing import FULL, MPC, day_axis, panels
 from experiments.ideal import jobs as jobs
 from experiments.results import DayResult
 from experiments.rows import Row, asserted, measured
 from experiments.runner import Results
+from vppres.report import plot
 
 LABEL = "fig:1d"
 TITLE = "Grid import, total load, total PV"
@@ -35,17 +27,9 @@ def figure(config: Config, results: Results) -> Figure:
     """Imports of both controllers, load and PV in one panel."""
     days = ideal.days(config, results)
     picture, (ax,) = panels((1,), 4.8, "Grid import, load and PV, ideal conditions")
-    over_steps(ax, days[MPC].series("load_kw"), SERIES["load"], "load")
-    over_steps(ax, days[MPC].series("pv_kw"), SERIES["pv"], "PV available")
-    for name, day in days.items():
-        over_steps(ax, day.series("p_grid_kw"), LINES[name], f"import, {name}")
-    over_steps(
-        ax, days[MPC].series("served_kw"), SERIES["load"] | {"linestyle": ":"}, "load served, MPC"
-    )
-    ax.set_ylabel("Power (kW)")
-    ax.set_ylim(bottom=0.0)
+    plot.supply(days, ax)
     day_axis([ax], days[MPC])
-    return legend(picture, ax, 3)
+    return picture
 
 
 def rows(config: Config, results: Results) -> list[Row]:

@@ -7,11 +7,12 @@ from matplotlib.figure import Figure
 
 from experiments import ideal
 from experiments.config import Config
-from experiments.drawing import FULL, LINES, MPC, legend, panels
+from experiments.drawing import panels
 from experiments.jobs import Job
 from experiments.rows import Row, asserted, measured, numbers
 from experiments.runner import Results
 from vppres.core.arrays import Floats
+from vppres.report import plot
 
 LABEL = "fig:1a"
 TITLE = "MPC prediction horizon"
@@ -42,15 +43,10 @@ def curves(config: Config, results: Results) -> tuple[Floats, Floats, Floats]:
 
 def figure(config: Config, results: Results) -> Figure:
     """Resilience above, cost below, each with the full horizon as a reference."""
-    horizons, resilience, cost = curves(config, results)
-    full = results[ideal.FULL_HORIZON]
+    days = [results[job] for job in jobs(config)]
     picture, (above, below) = panels((3, 2), 5.6, "Prediction horizon, ideal conditions")
-    for ax, values, reference in (
-        (above, resilience, full.resilience),
-        (below, cost, full.summary["cost_gbp"]),
-    ):
-        ax.plot(horizons, values, marker="o", label=MPC, **LINES[MPC])
-        ax.axhline(reference, label=FULL, **LINES[FULL])
+    for ax, value in ((above, "resilience"), (below, "cost_gbp")):
+        plot.horizon(days, value, ax).label_outer()
         ax.axvline(CHOSEN_H, color="#999999", linewidth=0.8, linestyle=":")
     above.text(
         CHOSEN_H,
@@ -61,11 +57,7 @@ def figure(config: Config, results: Results) -> Figure:
         va="bottom",
         fontsize=8,
     )
-    above.set_ylabel("Resilience R")
-    below.set_ylabel("Cost of the import (GBP)")
-    below.set_xlabel("Prediction horizon H (h)")
-    below.set_xticks(horizons)
-    return legend(picture, above, 2)
+    return picture
 
 
 def rows(config: Config, results: Results) -> list[Row]:

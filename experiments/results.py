@@ -33,6 +33,11 @@ class DayResult:
     planned: Mapping[str, list[float]]
 
     @property
+    def edges(self) -> Floats:
+        """Hours of the day at which steps begin, and the end of the last."""
+        return np.arange(len(self.steps["outage"]) + 1, dtype=float)
+
+    @property
     def resilience(self) -> float:
         """Weighted share of service in the outage."""
         return float(self.summary["resilience"])

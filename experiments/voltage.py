@@ -6,12 +6,13 @@ from matplotlib.figure import Figure
 
 from experiments import ideal
 from experiments.config import Config
-from experiments.drawing import FULL, LINES, MPC, day_axis, legend, limit, over_steps, panels
+from experiments.drawing import FULL, MPC, STYLES, day_axis, panels
 from experiments.ideal import jobs as jobs
 from experiments.published import V_MIN_AC_PU, V_MIN_MODEL_PU
 from experiments.results import DayResult
 from experiments.rows import Row, measured
 from experiments.runner import Results
+from vppres.report import plot
 
 LABEL = "fig:1b"
 TITLE = "Voltage comparison"
@@ -27,19 +28,16 @@ def figure(config: Config, results: Results) -> Figure:
     """Lowest voltages above, difference of optimisation and AC below."""
     days = ideal.days(config, results)
     picture, (lowest, error) = panels((3, 1.4), 5.8, "Lowest bus voltage, ideal conditions")
+    plot.voltages(days, lowest)
     for name, day in days.items():
-        over_steps(lowest, day.series("v_min_ac_pu"), LINES[name], f"{name}: AC power flow")
-        thin = LINES[name] | {"linewidth": 1.0, "linestyle": ":"}
-        over_steps(lowest, day.series("v_min_model_pu"), thin, f"{name}: optimisation")
-        over_steps(error, 1000 * day.series("v_error_pu"), LINES[name])
-    limit(lowest, V_MIN_MODEL_PU, "0.947\noptimisation")
-    limit(lowest, V_MIN_AC_PU, "0.94 AC", "-")
-    limit(error, 5.0, "5")
-    lowest.set_ylabel("Lowest bus voltage (pu)")
+        plot.steps(error, day, 1000 * day.series("v_error_pu"), STYLES[name])
+    plot.limit(lowest, V_MIN_MODEL_PU, "0.947 optimisation")
+    plot.limit(lowest, V_MIN_AC_PU, "0.94 AC", "-")
+    plot.limit(error, 5.0, "5")
     error.set_ylabel("Largest\n|optim. \N{MINUS SIGN} AC|\n(0.001 pu)")
     error.set_ylim(bottom=0.0)
     day_axis([lowest, error], days[MPC])
-    return legend(picture, lowest, 2)
+    return picture
 
 
 def rows(config: Config, results: Results) -> list[Row]:

@@ -20,7 +20,7 @@ LIBRARY_HOMES = {
     "highspy": {"solve"},
     "pandapower": {"feeders"},
     "typer": {"cli"},
-    "matplotlib": set(),
+    "matplotlib": {"report"},
     "resvg_py": {"report"},
     "fastapi": {"service"},
     "paho": {"service"},
@@ -142,6 +142,21 @@ def test_modules_import_in_no_circle() -> None:
         if module
     }
     assert set(TopologicalSorter(graph).static_order()) >= set(graph)
+
+
+DOORS = {
+    "day.trajectory": {"report.plot"},
+    "scenario.scenario": {"report.plot", "io.scenario_tables"},
+}
+"""Modules above its own layer that a method loads when it is called."""
+
+
+def test_doors_upwards_are_few() -> None:
+    found: dict[str, set[str]] = {}
+    for module in FILES:
+        for call in re.findall(r"import_module\(\"vppres\.([\w.]+)\"\)", FILES[module].read_text()):
+            found.setdefault(module, set()).add(call)
+    assert found == DOORS
 
 
 def test_plant_and_control_meet_only_at_the_contract() -> None:

@@ -34,6 +34,7 @@ _HOME_OF = {
     "load_scenario": "vppres.io.find",
     "new_scenario": "vppres.feeders.new.scenario",
     "packaged_scenarios": "vppres.io.find",
+    "plot": "vppres.report.plot",
     "read_run": "vppres.day.run_files",
     "read_scenario": "vppres.io.scenario_folder",
     "run_day": "vppres.day.simulate",
@@ -42,7 +43,7 @@ _HOME_OF = {
     "write_run": "vppres.report.run_folder",
     "write_scenario": "vppres.io.scenario_writer",
 }
-"""Public name to the module that defines it; a new public name is one row."""
+"""Public name to the module that defines it, or is it; a new public name is one row."""
 
 __all__ = ["__version__", *_HOME_OF]
 
@@ -52,7 +53,8 @@ def __getattr__(name: str) -> Any:
     if name == "__version__":
         value: Any = _installed_version()
     elif name in _HOME_OF:
-        value = getattr(import_module(_HOME_OF[name]), name)
+        home = import_module(_HOME_OF[name])
+        value = home if home.__name__.endswith(f".{name}") else getattr(home, name)
     else:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     globals()[name] = value

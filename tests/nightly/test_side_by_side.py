@@ -123,6 +123,12 @@ def test_an_error_of_a_job_is_raised_here(cluster: Any) -> None:
 
 
 @pytest.mark.nightly
+def test_a_cluster_of_this_machine_is_started_and_ends() -> None:
+    where = Where(2, scheduler="local")
+    assert results(square, range(4), where) == ({n: n * n for n in range(4)}, [])
+
+
+@pytest.mark.nightly
 def test_equal_jobs_are_all_answered(cluster: Any) -> None:
     where = Where(scheduler=cluster.scheduler_address)
     with closing(map_unordered(square, [2, 2, 3], where)) as outcomes:

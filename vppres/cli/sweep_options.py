@@ -30,9 +30,10 @@ Jobs = Annotated[int | None, typer.Option(min=1, help="Runs at a time; one per c
 Scheduler = Annotated[
     str | None,
     typer.Option(
-        metavar="ADDRESS|FILE",
+        metavar="ADDRESS|FILE|local",
         envvar="DASK_SCHEDULER_ADDRESS",
-        help="Run on a Dask cluster: the address of its scheduler (tcp://...), or its file. "
+        help="Run on a Dask cluster: the address of its scheduler (tcp://...), its file, or "
+        "local to start one on this machine. "
         "DIR must be a folder that all machines see.",
     ),
 ]

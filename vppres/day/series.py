@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from datetime import UTC
 from typing import Any
 
@@ -80,3 +81,21 @@ def per_step(run: Trajectory, values: pd.Series[Any], table: pd.DataFrame) -> Fl
 def outage_spans(run: Trajectory) -> list[tuple[int, int]]:
     """Half-open ranges of steps without grid."""
     return spans_of(run.steps["outage"].to_numpy(bool))
+
+
+QUANTITIES: dict[str, Callable[[Trajectory], Floats]] = {
+    "load_kw": demand_kw,
+    "served_kw": served_kw,
+    "pv_kw": pv_available_kw,
+    "charge_kw": battery_power_kw,
+    "energy_kwh": stored_energy_kwh,
+    "v_min_model_pu": lowest_model_v_pu,
+}
+"""Totals of a run by name, beside the columns of its steps."""
+
+
+def quantity(run: Trajectory, name: str) -> Floats:
+    """A total of a run, or a column of its steps, shape (T,); energy at instants, (T + 1,)."""
+    if name in QUANTITIES:
+        return QUANTITIES[name](run)
+    return run.steps[name].to_numpy(float)

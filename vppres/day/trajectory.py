@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from vppres.core.arrays import Flags, Floats, Names
 from vppres.core.errors import InputError
 from vppres.core.notebook import facts_html
+from vppres.day.wide import Wide
 from vppres.scenario.kinds import KINDS, units_of
 from vppres.scenario.network import BusId
 from vppres.scenario.scenario import Scenario
@@ -201,9 +203,9 @@ class Trajectory:
 
         known = {str(bus): bus for bus in self.scenario.network.buses}
         bus_of = {source: known.get(str(bus), bus) for source, bus in feeder.bus_of.items()}
-        put_into_net(net, bus_of, self._powers(self._step_at(time)))
+        put_into_net(net, bus_of, self._powers(self.step_at(time)))
 
-    def _step_at(self, time: pd.Timestamp | str) -> int:
+    def step_at(self, time: pd.Timestamp | str) -> int:
         """The step that begins at a time."""
         times = pd.DatetimeIndex(self.steps["time"])
         try:
@@ -266,6 +268,29 @@ class Trajectory:
         buses = units.buses(self.scenario.customers)
         columns = {"bus": buses, "p_kw": self.rows(KINDS[kind].table, t)["p_kw"].to_numpy()}
         return pd.DataFrame(columns, index=pd.Index(units.id, name="id"))
+
+    @property
+    def t(self) -> Wide:
+        """Columns of the tables by time, a column for each item: ``run.t.served``."""
+        grid = self.scenario.grid
+        return Wide(self.tables, grid.start + len(self.steps) * grid.step)
+
+    def plot(self, kind: str = "day", **options: Any) -> Any:
+        """Draw the run with matplotlib; :mod:`vppres.report.plot` has every kind of picture.
+
+        Parameters
+        ----------
+        kind : str
+            ``day``, ``supply``, ``energy``, ``voltages``, ``feeder`` or ``compare``.
+        **options
+            As the kind takes them; ``ax`` says where to draw.
+
+        Returns
+        -------
+        Axes, or a sequence of them
+            Where it was drawn.
+        """
+        return import_module("vppres.report.plot").drawn(kind, self, **options)
 
     def rows(self, name: str, t: int) -> pd.DataFrame:
         """The rows of a table that belong to a step; none of a table that is not there."""

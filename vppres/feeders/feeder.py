@@ -11,11 +11,9 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Floats, Items, Names, freeze_arrays, no_items
+from vppres.scenario.assets import TIER_WEIGHTS
 from vppres.scenario.network import BusId, Network
 from vppres.scenario.phases import PhaseConnection, Phases
-
-TIER_WEIGHTS = {"critical": 1.0, "high": 0.1, "low": 0.02}
-"""Tiers that loads of a source may name, and their weights (paper, Parameter Selection)."""
 
 
 def highest_tier(tiers: Iterable[str]) -> str:

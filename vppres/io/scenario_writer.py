@@ -52,20 +52,20 @@ def write_scenario(scenario: Scenario, folder: str | Path) -> None:
     InputError
         If the folder holds something, or scenario.toml could not say what the scenario says.
     """
-    _document(scenario)  # refused before anything is touched
+    document_of(scenario)  # refused before anything is touched
     with atomic_folder(folder) as aside:
         fill_scenario_folder(scenario, aside)
 
 
 def fill_scenario_folder(scenario: Scenario, folder: Path) -> None:
     """Write the files of a scenario into an existing folder."""
-    document = _document(scenario)
+    document = document_of(scenario)
     (folder / SCENARIO_FILE).write_text(tomli_w.dumps(document), encoding="utf-8")
-    for name, frame in _frames(scenario, document["tiers"]).items():
+    for name, frame in frames_of(scenario, document["tiers"]).items():
         frame.to_csv(folder / f"{name}.csv", index=False, lineterminator="\n")
 
 
-def _document(scenario: Scenario) -> dict[str, Any]:
+def document_of(scenario: Scenario) -> dict[str, Any]:
     """scenario.toml as nested dictionaries, checked like one that was read."""
     objective = scenario.objective
     document: dict[str, Any] = {
@@ -168,7 +168,7 @@ def _plain(bus: object) -> BusId:
     return str(bus) if isinstance(bus, str) else int(str(bus))
 
 
-def _frames(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, pd.DataFrame]:
+def frames_of(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, pd.DataFrame]:
     """The tables by name of their file."""
     network = scenario.network
     customers = scenario.customers

@@ -20,6 +20,9 @@ NO_POWER_KW = 1e-3
 """A battery of no more power than this, the smallest that files may give, is no battery."""
 
 
+TIER_WEIGHTS = {"critical": 1.0, "high": 0.1, "low": 0.02}
+"""The paper's tiers and their weights (Parameter Selection)."""
+
 OF_TIME_OFF = ("max_off_h", "own_backup_h")
 """Columns of customers that say how long they may be off."""
 
@@ -142,9 +145,9 @@ class Customers(Items):
         return self.weight * count[tier]
 
     def tier_weight(self, tier: str) -> float:
-        """The weight that most customers of a tier have; 1 for a tier without customers."""
+        """The weight that most customers of a tier have; the paper's, or 1, without customers."""
         found, count = np.unique(self.weight[self.tier == tier], return_counts=True)
-        return float(found[np.argmax(count)]) if len(found) else 1.0
+        return float(found[np.argmax(count)]) if len(found) else TIER_WEIGHTS.get(tier, 1.0)
 
 
 def without_customer(owners: Names) -> Flags:

@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from importlib import import_module
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Flags, Floats, Wholes, freeze_arrays
-from vppres.core.errors import InputError
 from vppres.core.notebook import facts_html
-from vppres.core.text import named
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.fairness import Fairness, Interruption
 from vppres.scenario.formers import forming_batteries
@@ -290,45 +289,64 @@ class Scenario:
         limit = np.where((times >= start) & (times < end), 0.0, limit)
         return replace(self, grid_limit_kw=limit)
 
-    def with_tiers(self, tiers: Mapping[str, str]) -> Scenario:
-        """The same scenario with some customers in other tiers, with the weight of these tiers.
+    @classmethod
+    def from_tables(cls, tables: Mapping[str, Any]) -> Scenario:
+        """The scenario of tables in memory, with the checks and messages of a folder.
 
         Parameters
         ----------
-        tiers : mapping
-            Tier of each customer that changes, by identifier.
+        tables : mapping
+            ``scenario``, a dictionary with what ``scenario.toml`` says, and a DataFrame for each
+            CSV file by its name without the ending, with the columns of the file. Series may have
+            their times as index.
 
         Raises
         ------
         InputError
-            If there is no such customer, or the scenario has no such tier.
+            With every problem of every table, by the name of its file and its row there.
+        """
+        found: Scenario = import_module("vppres.io.scenario_tables").scenario_of(tables)
+        return found
+
+    def to_tables(self) -> dict[str, Any]:
+        """The tables that :meth:`from_tables` makes this scenario of, to be changed."""
+        found: dict[str, Any] = import_module("vppres.io.scenario_tables").tables_of(self)
+        return found
+
+    def replace(self, table: str, name: object, **values: Any) -> Scenario:
+        """The same scenario with other values in one row of a table.
+
+        A customer that had the weight of its tier gets that of its new one. What else follows from
+        a value is not changed with it, as the power of a battery with its energy.
+
+        Parameters
+        ----------
+        table : str
+            Name of the file without its ending.
+        name : str or int
+            Identifier of the row; of ``buses`` the bus, of ``lines`` the bus that the line feeds.
+        **values
+            By column of the file; None empties the cell.
+
+        Raises
+        ------
+        InputError
+            If there is no such row, or with what a folder with these values would be refused for.
 
         Examples
         --------
         >>> from vppres.io.find import load_scenario
-        >>> day = load_scenario("uk-heatwave-2022").with_tiers({"c18": "critical"})
-        >>> float(day.customers.weight[day.customers.id == "c18"][0])
-        1.0
+        >>> day = load_scenario("uk-heatwave-2022")
+        >>> day.replace("batteries", "b1", energy_kwh=500).batteries.energy_kwh[0]
+        500.0
         """
-        customers = self.customers
-        for field_, asked, known in (
-            ("id", tiers, customers.id),
-            ("tier", tiers.values(), self.tiers),
-        ):
-            unknown = sorted({*asked} - {*known})
-            if unknown:
-                raise InputError.of(
-                    "customers",
-                    "is not known",
-                    f"Known: {named(known)}.",
-                    field=field_,
-                    value=unknown[0],
-                )
-        pairs = zip(customers.id, customers.tier, strict=True)
-        tier = np.array([tiers.get(name, now) for name, now in pairs], dtype=object)
-        of_tier = [customers.tier_weight(name) for name in tier]
-        weight = np.where(tier == customers.tier, customers.weight, of_tier)
-        return replace(self, customers=replace(customers, tier=tier, weight=weight))
+        door = import_module("vppres.io.scenario_tables")
+        found: Scenario = door.replaced(self, table, name, values)
+        return found
+
+    def plot(self, ax: Any = None) -> Any:
+        """Draw the feeder with its tiers and, below it, the series; gives back both Axes."""
+        return import_module("vppres.report.plot").scenario(self, ax=ax)
 
     def _repr_html_(self) -> str:
         """What the scenario holds, for a notebook."""

@@ -31,6 +31,9 @@ C = TypeVar("C")
 RETRIES = 2
 """Times that a cluster runs a failed job again before its error counts."""
 
+LOCAL = "local"
+"""Scheduler that is started on this machine, and ends with the work."""
+
 PATIENCE_S = 30.0
 """In which a scheduler must answer and have a worker."""
 
@@ -45,7 +48,7 @@ class Where:
         Jobs at a time on this machine; -1 or nothing is one for each core.
     scheduler : str, optional
         Address (``tcp://...``) or scheduler file of a Dask cluster, which is then used instead of
-        this machine.
+        joblib; ``local`` starts one on this machine, with as many workers as ``processes`` says.
 
     Examples
     --------
@@ -95,7 +98,7 @@ def map_unordered(
     """
     where = where or Where()
     if jobs and where.scheduler:
-        yield from _on_cluster(function, jobs, where.scheduler)
+        yield from _on_cluster(function, jobs, where)
     elif jobs:
         yield from _on_this_machine(function, jobs, min(where.count, len(jobs)))
 
@@ -153,14 +156,14 @@ def _numbered(function: Callable[[J], R], number: int, job: J) -> tuple[int, R]:
 
 
 def _on_cluster(
-    function: Callable[[J], R], jobs: Sequence[J], scheduler: str
+    function: Callable[[J], R], jobs: Sequence[J], where: Where
 ) -> Generator[Done[J, R] | Lost[J], None, None]:
     """Jobs as tasks of a Dask cluster, keyed by what they depend on.
 
     With a worker die the tasks that wait on it, and the scheduler gives all of them up after some
     deaths. So those that it gave up go on alone, and the one to blame is found.
     """
-    with _client(scheduler) as client:
+    with _client(where) as client:
         from distributed import KilledWorker, as_completed
 
         expected = identity(_package(function))
@@ -217,8 +220,9 @@ def _on_worker(function: Callable[[J], R], job: J, expected: dict[str, str | Non
 
 
 @contextmanager
-def _client(scheduler: str) -> Iterator[Any]:
-    """A connection to a scheduler, by its address or by its file."""
+def _client(where: Where) -> Iterator[Any]:
+    """A connection to a scheduler: by its address, by its file, or to one that is started here."""
+    scheduler = str(where.scheduler)
     if not _dask_is_there():
         raise InputError(
             _problem(
@@ -228,6 +232,10 @@ def _client(scheduler: str) -> Iterator[Any]:
                 'Install it: pip install "vppres[cluster]".',
             )
         )
+    if scheduler == LOCAL:
+        with _local_client(where.count) as client:
+            yield client
+        return
     from distributed import Client
 
     place = {"scheduler_file": scheduler} if "://" not in scheduler else {"address": scheduler}
@@ -242,11 +250,28 @@ def _client(scheduler: str) -> Iterator[Any]:
                 "scheduler",
                 scheduler,
                 f"cannot be reached ({first_line(error)})",
-                "Give the address that `dask scheduler` prints (tcp://host:8786), or its "
-                "--scheduler-file.",
+                "Give the address that `dask scheduler` prints (tcp://host:8786), its "
+                "--scheduler-file, or local.",
             )
         ) from error
     with client:
+        yield client
+
+
+@contextmanager
+def _local_client(workers: int) -> Iterator[Any]:
+    """A cluster of this machine's processes, which ends with the work."""
+    import dask.config
+    from distributed import Client, LocalCluster
+
+    # Workers of a busy machine take longer to begin than Dask waits by itself.
+    with (
+        dask.config.set({"distributed.deploy.lost-worker-timeout": f"{10.0 * PATIENCE_S:g} s"}),
+        LocalCluster(
+            n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None
+        ) as cluster,
+        Client(cluster, set_as_default=False) as client,
+    ):
         yield client
 
 

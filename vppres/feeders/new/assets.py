@@ -12,7 +12,7 @@ import pandas as pd
 
 from vppres.core.arrays import Flags, Floats, Names, Wholes
 from vppres.core.text import named
-from vppres.feeders.feeder import TIER_WEIGHTS, ImportedFeeder
+from vppres.feeders.feeder import ImportedFeeder
 from vppres.feeders.net.names import identifiers
 from vppres.feeders.new.connections import loads_of
 from vppres.feeders.new.gensets import NewSets, taken
@@ -25,7 +25,7 @@ from vppres.feeders.new.options import (
     NewScenarioOptions,
 )
 from vppres.io import schema
-from vppres.scenario.assets import Batteries, Customers, PVSystems
+from vppres.scenario.assets import TIER_WEIGHTS, Batteries, Customers, PVSystems
 from vppres.scenario.gensets import Gensets
 
 DECIMALS = 6

@@ -24,7 +24,7 @@ from vppres.feeders.closeness import (
     told_causes,
     told_deviation,
 )
-from vppres.feeders.feeder import TIER_WEIGHTS, ImportedFeeder, Profile
+from vppres.feeders.feeder import ImportedFeeder, Profile
 from vppres.feeders.new.assets import NewAssets, new_assets, written
 from vppres.feeders.new.connections import connected, shunts_in_islands, with_former
 from vppres.feeders.new.kinds import WIND
@@ -36,7 +36,7 @@ from vppres.io import atomic_folder
 from vppres.io.editor import add_editor_schema
 from vppres.io.messages import did_you_mean
 from vppres.io.scenario_writer import fill_scenario_folder
-from vppres.scenario.assets import PV, Batteries, PVSystems
+from vppres.scenario.assets import PV, TIER_WEIGHTS, Batteries, PVSystems
 from vppres.scenario.capacitors import too_large
 from vppres.scenario.network import Network
 from vppres.scenario.priority import STRICT

@@ -175,7 +175,7 @@ function holds(view, at) {
   return view.now < over ? `Set-points hold until ${at(over)}; then ${undecided(plan)}.` : `Set-points ended at ${at(over)}. ${capital(undecided(plan))}.`;
 }
 
-// What devices do where nobody decides, and what is not known then.
+// What devices do without a plan, and what is not known then.
 const undecided = (plan) => (plan.grid?.available === false
   ? "devices keep their last state, and how long the island lasts is not known"
   : "devices use default set-points");

@@ -1,0 +1,730 @@
+"""Pictures of runs and scenarios with matplotlib, for notebooks and papers: ``vppres.plot``.
+
+Each takes a run, or several by label or in a row, and the Axes to draw into; it makes a figure of
+its own without. What is given back is the Axes, to be changed further. Curves are told apart by
+colour, dashes and width, and areas by hatches, so that a grey print shows the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import cycle
+from typing import Any, Protocol, cast
+
+import numpy as np
+import pandas as pd
+from matplotlib import dates, pyplot
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.ticker import MaxNLocator
+from matplotlib.transforms import ScaledTranslation
+
+from vppres.core.arrays import Flags, Floats, Wholes, spans_of
+from vppres.core.errors import InputError
+from vppres.core.plain import flattened
+from vppres.day.metrics import horizon_h, service_by_tier, summarise
+from vppres.day.series import edges_of, per_step, quantity
+from vppres.day.trajectory import Trajectory
+from vppres.report.key_figures import KEY_FIGURES
+from vppres.report.one_line import loading_classes, voltage_edges, worst_step
+from vppres.report.plots.palette import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    OUTAGE_COLOUR,
+    PURPLE,
+    RULE_COLOUR,
+    RUN_STYLES,
+    SKY,
+    TIER_STYLES,
+    VERMILLION,
+    WHITE,
+    Style,
+    cividis,
+)
+from vppres.report.tree_layout import tree_layout
+from vppres.scenario.kinds import KINDS
+from vppres.scenario.scenario import Scenario
+
+_OF_RUNS = ("day", "supply", "energy", "voltages", "feeder", "compare")
+"""Kinds of pictures of one run."""
+
+_SMALL = 8.0
+_MOST_NAMED_BUSES = 60
+_LOAD, _PV = Style(BLACK, "", 1.3), Style(ORANGE, "6 2 2 2", 1.6)
+_SOURCES = {
+    "PV": (ORANGE, "||"),
+    "batteries": (GREEN, "///"),
+    "generating sets": (PURPLE, "xx"),
+    "vehicles": (BLUE, "++"),
+    "grid": (SKY, ""),
+}
+_TIER_MARKS = ("s", "o", "^", "v", "<", ">")
+_FIRST_MARK, _NEXT_MARK, _POINTS_PER_INCH = 12.0, 8.0, 72.0
+"""Distances of marks below a bus, in points."""
+_HATCHES = ("", "///", "...", "xx", "---")
+_LINE_WIDTHS = (0.8, 1.4, 2.0, 2.8, 3.6, 5.0)
+"""Width of a line in each class of its loading."""
+
+
+class Record(Protocol):
+    """What is drawn of a run; also of one that only its series are kept of."""
+
+    @property
+    def edges(self) -> Any:
+        """Beginning of every step and the end of the last: times, or hours."""
+
+    @property
+    def summary(self) -> Mapping[str, Any]:
+        """Its key figures."""
+
+    @property
+    def planned(self) -> Mapping[str, Any] | None:
+        """What a full horizon's plan promised."""
+
+    def series(self, name: str) -> Floats:
+        """A quantity of :data:`vppres.day.series.QUANTITIES`, or a column of the steps."""
+
+
+Run = Trajectory | Record
+Runs = Run | Mapping[str, Run] | Sequence[Run]
+
+
+class _OfTrajectory:
+    """The record of a run in full."""
+
+    def __init__(self, run: Trajectory) -> None:
+        self.run = run
+
+    @property
+    def edges(self) -> Any:
+        return edges_of(self.run)
+
+    @property
+    def summary(self) -> Mapping[str, Any]:
+        return summarise(self.run)
+
+    @property
+    def planned(self) -> Mapping[str, Any] | None:
+        return self.run.planned
+
+    def series(self, name: str) -> Floats:
+        return quantity(self.run, name)
+
+
+def line_of(style: Style) -> dict[str, Any]:
+    """A style in matplotlib's words.
+
+    >>> line_of(Style("#000000", "8 4", 2.0))
+    {'color': '#000000', 'linewidth': 2.0, 'linestyle': (0, (4.0, 2.0))}
+    """
+    dashes = tuple(float(length) / style.width for length in style.dash.split())
+    line = (0, dashes) if dashes else "-"
+    return {"color": style.color, "linewidth": style.width, "linestyle": line}
+
+
+def drawn(kind: str, run: Trajectory, **options: Any) -> Any:
+    """A picture of a run by the name of its kind."""
+    if kind not in _OF_RUNS:
+        raise InputError.of(
+            "plot",
+            "is no picture of a run",
+            f"Give one of {', '.join(_OF_RUNS)}.",
+            field="kind",
+            value=kind,
+        )
+    return globals()[kind](run, **options)
+
+
+def day(run: Trajectory, ax: Sequence[Axes] | None = None) -> Sequence[Axes]:
+    """The day in three panels: supply, share of each tier that is supplied, stored energy.
+
+    Parameters
+    ----------
+    run : Trajectory
+        One run.
+    ax : sequence of three Axes, optional
+        Where to draw; below each other in a new figure if not given.
+
+    Returns
+    -------
+    sequence of Axes
+        The three.
+    """
+    panels = _panels((2.2, 1.2, 1.2), (8.0, 6.6), ax)
+    supply(run, panels[0])
+    _service(run, panels[1])
+    energy(run, panels[2])
+    for panel in panels[:-1]:
+        panel.set_xlabel("")
+        panel.tick_params(labelbottom=False)
+    return panels
+
+
+def supply(runs: Runs, ax: Axes | None = None) -> Axes:
+    """Demand and what supplied it; of several runs import and supplied demand of each.
+
+    Parameters
+    ----------
+    runs : Trajectory, or several by label or in a row
+        What to draw.
+    ax : Axes, optional
+        Where to draw; a new figure if not given.
+
+    Returns
+    -------
+    Axes
+        Where it was drawn.
+    """
+    ax = _axes(ax)
+    named = _named(runs)
+    first = next(iter(named.values()))
+    if isinstance(runs, Trajectory):
+        _stack(runs, ax)
+    else:
+        steps(ax, first, first.series("pv_kw"), _PV, "PV available")
+        for (label, run), style in zip(named.items(), RUN_STYLES, strict=False):
+            steps(ax, run, run.series("p_grid_kw"), style, f"{label}: import")
+            thin = style.thin()
+            steps(ax, run, run.series("served_kw"), thin, f"{label}: demand supplied")
+    steps(ax, first, first.series("load_kw"), _LOAD, "demand")
+    ax.set_ylabel("Power (kW)")
+    if ax.get_ylim()[0] > 0.0 or isinstance(runs, Trajectory):
+        ax.set_ylim(bottom=0.0)
+    return finish(ax, runs)
+
+
+def energy(runs: Runs, ax: Axes | None = None) -> Axes:
+    """Energy in all batteries, what a full horizon planned, and the limits of the SoC.
+
+    Parameters
+    ----------
+    runs : Trajectory, or several by label or in a row
+        What to draw.
+    ax : Axes, optional
+        Where to draw; a new figure if not given.
+
+    Returns
+    -------
+    Axes
+        Where it was drawn.
+    """
+    ax = _axes(ax)
+    for (label, run), style in zip(_named(runs).items(), RUN_STYLES, strict=False):
+        ax.plot(run.edges, run.series("energy_kwh"), label=label, **line_of(style))
+        if run.planned:
+            planned = np.asarray(run.planned["energy_kwh"], dtype=float)
+            ax.plot(run.edges, planned, label=f"{label}: planned", **line_of(style.thin()))
+    first = next(_each(runs))
+    if isinstance(first, Trajectory):
+        b = first.scenario.batteries
+        for share, words in ((b.soc_max, "upper SoC limit"), (b.soc_min, "lower SoC limit")):
+            limit(ax, float(b.energy_kwh @ share), words)
+    ax.set_ylabel("Stored energy (kWh)")
+    ax.set_ylim(bottom=0.0)
+    return finish(ax, runs)
+
+
+def voltages(runs: Runs, ax: Axes | None = None) -> Axes:
+    """Lowest bus voltage of each step: of the AC power flow, and thin that of the optimisation.
+
+    Parameters
+    ----------
+    runs : Trajectory, or several by label or in a row
+        What to draw.
+    ax : Axes, optional
+        Where to draw; a new figure if not given.
+
+    Returns
+    -------
+    Axes
+        Where it was drawn.
+    """
+    ax = _axes(ax)
+    for (label, run), style in zip(_named(runs).items(), RUN_STYLES, strict=False):
+        steps(ax, run, run.series("v_min_ac_pu"), style, f"{label}: AC power flow")
+        steps(ax, run, run.series("v_min_model_pu"), style.thin(), f"{label}: optimisation")
+    first = next(_each(runs))
+    if isinstance(first, Trajectory):
+        network = first.scenario.network
+        limit(ax, network.v_min_pu, f"{network.v_min_pu:g} optimisation")
+        limit(ax, network.v_min_ac_pu, f"{network.v_min_ac_pu:g} AC", "-")
+    ax.set_ylabel("Lowest bus voltage (pu)")
+    return finish(ax, runs)
+
+
+def feeder(
+    shown: Trajectory | Scenario,
+    time: pd.Timestamp | str | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """The feeder with its customers by tier, PV systems and batteries.
+
+    Of a run the buses have the colour of their voltage in a step, lines are as wide as they are
+    loaded, and customers that are off supply are crossed out.
+
+    Parameters
+    ----------
+    shown : Trajectory or Scenario
+        A run, or a scenario without one.
+    time : pandas.Timestamp or str, optional
+        Beginning of the step; that with the least service in the outage if not given.
+    ax : Axes, optional
+        Where to draw; a new figure if not given.
+
+    Returns
+    -------
+    Axes
+        Where it was drawn.
+    """
+    site = shown.scenario if isinstance(shown, Trajectory) else shown
+    net = site.network
+    layout = tree_layout(net)
+    x, y = layout.column.astype(float), -layout.row.astype(float)
+    ax = _axes(ax, (min(16.0, 3.0 + 0.45 * x.max()), min(10.0, 2.0 + 0.8 * (1.0 - y.min()))))
+    ax.grid(False)
+    widths = np.full(net.n_lines, _LINE_WIDTHS[1])
+    colours: list[str] | str = WHITE
+    off = np.zeros(len(site.customers), dtype=bool)
+    if isinstance(shown, Trajectory):
+        t = worst_step(shown) if time is None else shown.step_at(time)
+        widths = np.array(_LINE_WIDTHS)[loading_classes(shown)[t]]
+        colours = _voltage_colours(shown, t, ax)
+        off = ~shown.by_step("customers", "served")[t].astype(bool)
+        local = site.grid.local(pd.Timestamp(shown.steps["time"].iloc[t]))
+        ax.set_title(f"{local:%d %b %Y %H:%M} ({site.grid.zone})", fontsize=10)
+    for line, (start, end) in enumerate(zip(net.parent, range(1, net.n_buses), strict=True)):
+        corner = ([x[start], x[start], x[end]], [y[start], y[end], y[end]])
+        ax.plot(*corner, color=GREY, linewidth=widths[line], zorder=1, solid_capstyle="round")
+    ax.scatter(x, y, s=46, c=colours, edgecolors=BLACK, linewidths=0.8, zorder=3)
+    ax.scatter(x[:1], y[:1], s=90, marker="D", color=BLACK, zorder=4, label="grid connection")
+    _devices(site, x, y, off, ax)
+    if net.n_buses <= _MOST_NAMED_BUSES:
+        for bus in range(net.n_buses):
+            name = str(net.buses[bus])
+            short = name if len(name) <= 10 else f"{name[:9]}\N{HORIZONTAL ELLIPSIS}"
+            ax.annotate(
+                short,
+                (x[bus], y[bus]),
+                (0.0, 7.0),
+                textcoords="offset points",
+                ha="left" if len(short) > 3 else "center",
+                va="bottom",
+                rotation=40.0 if len(short) > 3 else 0.0,
+                fontsize=7.0,
+                color="#444444",
+            )
+    ax.set_xlabel("Lines from the grid connection")
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    ax.set_yticks([])
+    ax.spines["left"].set_visible(False)
+    ax.set_ylim(y.min() - 1.0, 0.6)
+    return _legend(ax)
+
+
+def horizon(runs: Runs, value: str = "resilience", ax: Axes | None = None) -> Axes:
+    """A key figure of runs of the MPC against their prediction horizon; others as a level.
+
+    Parameters
+    ----------
+    runs : several runs, by label or in a row
+        Of the same day.
+    value : str
+        Key of the summary; of nested ones with a dot, as ``served_share.critical``.
+    ax : Axes, optional
+        Where to draw; a new figure if not given.
+
+    Returns
+    -------
+    Axes
+        Where it was drawn.
+    """
+    ax = _axes(ax)
+    points = []
+    levels: dict[str, float] = {}
+    for run in _each(runs):
+        summary = _record(run).summary
+        found = _figure(summary, value)
+        if summary["horizon_h"] is None:
+            levels[str(summary["controller"]).replace("-", " ")] = found
+        else:
+            points.append((float(summary["horizon_h"]), found))
+    points.sort()
+    ax.plot(*zip(*points, strict=True), marker="o", label="MPC", **line_of(RUN_STYLES[0]))
+    for (label, level), style in zip(levels.items(), RUN_STYLES[1:], strict=False):
+        ax.axhline(level, label=label, **line_of(style))
+    ax.set_xticks([at for at, _ in points])
+    ax.ticklabel_format(axis="y", useOffset=False)
+    ax.set_xlabel("Prediction horizon H (h)")
+    ax.set_ylabel(_words(value))
+    return _legend(ax)
+
+
+def compare(runs: Runs, ax: Axes | None = None) -> Axes:
+    """Share of each tier's customers that is supplied in the outage, the runs side by side.
+
+    Parameters
+    ----------
+    runs : several runs, by label or in a row
+        Of the same day; where it has no outage, all steps count.
+    ax : Axes, optional
+        Where to draw; a new figure if not given.
+
+    Returns
+    -------
+    Axes
+        Where it was drawn.
+    """
+    ax = _axes(ax)
+    named = _named(runs)
+    summaries = [run.summary for run in named.values()]
+    in_outage = any(share is not None for s in summaries for share in s["served_share"].values())
+    key = "served_share" if in_outage else "served_share_connected"
+    tiers = [
+        tier for tier in summaries[0][key] if any(s[key].get(tier) is not None for s in summaries)
+    ]
+    width = 0.8 / len(named)
+    for i, (label, summary) in enumerate(zip(named, summaries, strict=True)):
+        shares = [100.0 * (summary[key].get(tier) or 0.0) for tier in tiers]
+        bars = ax.bar(
+            np.arange(len(tiers)) + (i - 0.5 * (len(named) - 1)) * width,
+            shares,
+            width,
+            label=label,
+            facecolor=RUN_STYLES[i % len(RUN_STYLES)].color,
+            edgecolor=WHITE,
+            hatch=_HATCHES[i % len(_HATCHES)],
+        )
+        ax.bar_label(bars, [f"{share:.0f}" for share in shares], fontsize=_SMALL, padding=1)
+    ax.set_xticks(range(len(tiers)), tiers)
+    ax.set_xlabel("Tier")
+    ax.set_ylabel(f"Customers supplied {'in the outage' if in_outage else 'with grid'} (%)")
+    ax.set_ylim(0.0, 108.0)
+    return _legend(ax)
+
+
+def scenario(site: Scenario, ax: Sequence[Axes] | None = None) -> Sequence[Axes]:
+    """The feeder with its tiers, and below it demand by tier and available PV power.
+
+    Parameters
+    ----------
+    site : Scenario
+        What to draw.
+    ax : sequence of two Axes, optional
+        Where to draw; below each other in a new figure if not given.
+
+    Returns
+    -------
+    sequence of Axes
+        The two.
+    """
+    rows = 2.0 + 0.7 * float(tree_layout(site.network).row.max())
+    panels = _panels((rows, 3.0), (9.0, min(14.0, rows + 3.4)), ax)
+    feeder(site, ax=panels[0])
+    below = panels[1]
+    grid = site.grid
+    edges = pd.date_range(grid.start, periods=grid.n_steps + 1, freq=grid.step)
+    times = np.asarray(edges.to_pydatetime())
+    for tier, style in zip(site.tiers, _tier_styles(), strict=False):
+        of_tier = site.customers.tier == tier
+        if of_tier.any():
+            demand = site.load_kw[:, of_tier].sum(axis=1)
+            label = f"demand, {tier} ({int(of_tier.sum())})"
+            below.step(times, _held(demand), where="post", label=label, **line_of(style))
+    if len(site.pv):
+        available = _held(site.pv_kw.sum(axis=1))
+        below.step(times, available, where="post", label="PV available", **line_of(_PV))
+    _shade(below, times, site.outage)
+    below.set_ylabel("Power (kW)")
+    below.set_ylim(bottom=0.0)
+    _clock(below, times, grid.zone)
+    _legend(below)
+    return panels
+
+
+def limit(ax: Axes, value: float, text: str, linestyle: str = "--") -> None:
+    """A horizontal limit with its name at the right."""
+    ax.axhline(value, color=GREY, linestyle=linestyle, linewidth=1.0)
+    ax.annotate(
+        text,
+        (0.0, value),
+        (3.0, 2.0),
+        xycoords=ax.get_yaxis_transform(),
+        textcoords="offset points",
+        fontsize=_SMALL,
+        color=GREY,
+        bbox={"facecolor": WHITE, "edgecolor": "none", "alpha": 0.7, "pad": 0.5},
+    )
+
+
+def _each(runs: Runs) -> Iterator[Run]:
+    """The runs one after the other."""
+    if isinstance(runs, Mapping):
+        return iter(runs.values())
+    return iter(runs if isinstance(runs, Sequence) else [runs])
+
+
+def _record(run: Run) -> Record:
+    return _OfTrajectory(run) if isinstance(run, Trajectory) else run
+
+
+def _named(runs: Runs) -> dict[str, Record]:
+    """Runs by label: as given, else by controller and horizon, with a number where that repeats."""
+    if isinstance(runs, Mapping):
+        named = {str(label): _record(run) for label, run in runs.items()}
+    else:
+        named = {}
+        for run in _each(runs):
+            label = _label(run)
+            copies = sum(name == label or name.startswith(f"{label} (") for name in named)
+            named[f"{label} ({copies + 1})" if copies else label] = _record(run)
+    if not 1 <= len(named) <= len(RUN_STYLES):
+        raise InputError.of(
+            "plot",
+            f"draws 1 to {len(RUN_STYLES)} runs in one picture",
+            "Give fewer runs.",
+            field="runs",
+            value=len(named),
+        )
+    return named
+
+
+def _label(run: Run) -> str:
+    """A run's controller, with its horizon."""
+    if not isinstance(run, Trajectory):
+        return str(run.summary["controller"])
+    hours = horizon_h(run)
+    return (
+        str(run.options["controller"]).replace("-", " ")
+        if hours is None
+        else f"MPC, H = {hours:g} h"
+    )
+
+
+def _axes(ax: Axes | None, size: tuple[float, float] = (8.0, 4.2)) -> Axes:
+    """Axes to draw into, with light rules."""
+    if ax is None:
+        _, ax = pyplot.subplots(figsize=size, layout="constrained")
+    ax.grid(True, color=RULE_COLOUR, linewidth=0.5)
+    ax.set_axisbelow(True)
+    for side in ("top", "right"):
+        ax.spines[side].set_visible(False)
+    return ax
+
+
+def _panels(
+    heights: Sequence[float], size: tuple[float, float], ax: Sequence[Axes] | None
+) -> list[Axes]:
+    """Axes below each other, or those that were given."""
+    if ax is None:
+        _, made = pyplot.subplots(
+            len(heights), 1, figsize=size, layout="constrained", height_ratios=heights
+        )
+        ax = cast(Sequence[Axes], made)
+    given = list(ax)
+    if len(given) != len(heights):
+        raise InputError.of(
+            "plot",
+            f"needs {len(heights)} Axes",
+            f"Give those of matplotlib's subplots({len(heights)}, 1).",
+            field="ax",
+            value=len(given),
+        )
+    return given
+
+
+def _held(values: Floats) -> Floats:
+    """Values of steps, the last one again for the end of the last step."""
+    return np.append(values, values[-1])
+
+
+def steps(ax: Axes, run: Record, values: Floats, style: Style, label: str = "_") -> None:
+    """A quantity that holds over each step."""
+    ax.step(run.edges, _held(values), where="post", label=label, **line_of(style))
+
+
+def _stack(run: Trajectory, ax: Axes) -> None:
+    """What supplied the customers' demand, one above the other, and what was not supplied."""
+    edges = edges_of(run)
+    served, demand = quantity(run, "served_kw"), quantity(run, "load_kw")
+    given = {
+        "PV": per_step(run, run.pv["self_kw"] + run.pv["export_kw"], run.pv),
+        "batteries": per_step(run, run.batteries["discharge_kw"], run.batteries),
+    }
+    for kind in KINDS.values():
+        if kind.table in run.tables:
+            sign = 1.0 if kind.gives else -1.0
+            power_kw = sign * run.by_step(kind.table, "p_kw").astype(float)
+            given[kind.what] = np.maximum(power_kw, 0.0).sum(axis=1)
+    below = np.zeros(len(served))
+    # What charges batteries supplies no customer yet: the grid gives what the others do not.
+    for name, power_kw in {**given, "grid": np.full(len(served), np.inf)}.items():
+        above = np.minimum(below + power_kw, served)
+        if (above > below + 1e-9).any():
+            colour, hatch = _SOURCES.get(name, (GREY, ""))
+            ax.fill_between(
+                edges,
+                _held(below),
+                _held(above),
+                step="post",
+                facecolor=colour,
+                edgecolor=WHITE,
+                hatch=hatch,
+                linewidth=0.0,
+                label=name,
+            )
+        below = np.maximum(above, below)
+    if (demand > served + 1e-9).any():
+        ax.fill_between(
+            edges,
+            _held(served),
+            _held(demand),
+            step="post",
+            facecolor=WHITE,
+            edgecolor=VERMILLION,
+            hatch="\\\\\\",
+            linewidth=0.0,
+            label="not supplied",
+        )
+
+
+def _service(run: Trajectory, ax: Axes) -> None:
+    """Share of each tier's customers that is supplied."""
+    _axes(ax)
+    shares = service_by_tier(run)
+    for tier, style in zip(shares.columns, _tier_styles(), strict=False):
+        values = _held(100.0 * shares[tier].to_numpy(float))
+        ax.step(edges_of(run), values, where="post", label=str(tier), **line_of(style))
+    ax.set_ylabel("Customers\nsupplied (%)")
+    ax.set_ylim(-5.0, 108.0)
+    finish(ax, run)
+
+
+def _voltage_colours(run: Trajectory, t: int, ax: Axes) -> list[str]:
+    """Colour of each bus by the class of its voltage, with a scale beside the feeder."""
+    net = run.scenario.network
+    edges = voltage_edges(run)
+    known = [cividis(share) for share in np.linspace(0.0, 1.0, len(edges) - 1)]
+    v_pu = run.by_step("buses", "v_ac_pu")[t].astype(float)
+    classes = np.clip(np.digitize(v_pu, edges) - 1, 0, len(known) - 1)
+    inside = (v_pu >= net.v_min_ac_pu) & (v_pu <= net.v_max_ac_pu)
+    scale = ScalarMappable(BoundaryNorm(edges.tolist(), len(known)), ListedColormap(known))
+    ax.figure.colorbar(scale, ax=ax, label="AC voltage (pu)", shrink=0.8, pad=0.02)
+    if not inside.all():
+        ax.scatter([], [], s=46, c=VERMILLION, edgecolors=BLACK, label="voltage outside its limits")
+    return [known[c] if ok else VERMILLION for c, ok in zip(classes, inside, strict=True)]
+
+
+def _tier_styles() -> Iterator[Style]:
+    """Styles of the tiers, again from the first where there are many."""
+    return cycle(TIER_STYLES)
+
+
+def _devices(site: Scenario, x: Floats, y: Floats, off: Flags, ax: Axes) -> None:
+    """Customers by tier below their bus, then PV systems, batteries and other units."""
+    used = np.zeros(len(x), dtype=int)
+
+    def marks(at: Wholes, level: Wholes, **look: Any) -> None:
+        """Marks below their buses, each so many places down."""
+        for down in np.unique(level):
+            inches = -(_FIRST_MARK + _NEXT_MARK * down) / _POINTS_PER_INCH
+            moved = ScaledTranslation(0.0, inches, ax.figure.dpi_scale_trans)
+            here = at[level == down]
+            ax.scatter(x[here], y[here], transform=ax.transData + moved, **look)
+
+    def put(at: Wholes, label: str, mark: str, colour: str, crossed: Wholes | None = None) -> None:
+        level = used[at]
+        used[np.unique(at)] += 1  # one mark for all of the kind at a bus
+        look: dict[str, Any] = {
+            "s": 28,
+            "marker": mark,
+            "color": colour,
+            "edgecolors": BLACK,
+            "linewidths": 0.5,
+        }
+        marks(at, level, zorder=4, **look)
+        ax.scatter([], [], label=f"{label} ({len(at)})", **look)
+        if crossed is not None:
+            off_look = {"s": 56, "marker": "x", "color": VERMILLION, "linewidths": 1.6}
+            marks(at[crossed], level[crossed], zorder=5, **off_look)
+
+    def at(buses: Iterable[Any]) -> Wholes:
+        return np.array([site.network.bus_index[name] for name in buses], dtype=int)
+
+    c = site.customers
+    for tier, mark, style in zip(site.tiers, _TIER_MARKS, _tier_styles(), strict=False):
+        of_tier = c.tier == tier
+        if of_tier.any():
+            put(at(c.bus[of_tier]), str(tier), mark, style.color, np.flatnonzero(off[of_tier]))
+    if off.any():
+        ax.scatter([], [], s=60, marker="x", color=VERMILLION, label="off supply")
+    if len(site.pv):
+        put(at(site.pv.buses(c)), site.pv.word, "*", ORANGE)
+    if len(site.batteries):
+        put(at(site.batteries.bus), "batteries", "P", GREEN)
+    for name, kind in KINDS.items():
+        units = getattr(site, name)
+        if len(units):
+            put(at(units.buses(c)), kind.what, "h", PURPLE)
+
+
+def _figure(summary: Mapping[str, Any], value: str) -> float:
+    """A key figure of a run."""
+    found = flattened(dict(summary)).get(value)
+    if not isinstance(found, int | float):
+        raise InputError.of(
+            "plot",
+            "is no number of the run's summary",
+            "Give a key of vppres.summarise(run), as resilience or cost_gbp.",
+            field="value",
+            value=value,
+        )
+    return float(found)
+
+
+def _words(value: str) -> str:
+    """A key figure in words, with its unit."""
+    for key, words, unit, _ in KEY_FIGURES:
+        if key == value:
+            return f"{words.partition(':')[0]} ({unit})" if unit else words.partition(":")[0]
+    return value.replace("_", " ").replace(".", ", ")
+
+
+def finish(ax: Axes, runs: Runs) -> Axes:
+    """Shade outages, put the site's clock below and a legend beside."""
+    first = next(_each(runs))
+    record = _record(first)
+    _shade(ax, record.edges, record.series("outage") > 0)
+    zone = first.scenario.grid.zone if isinstance(first, Trajectory) else ""
+    _clock(ax, record.edges, zone)
+    return _legend(ax)
+
+
+def _shade(ax: Axes, edges: Any, outage: Flags) -> None:
+    """Outages in grey."""
+    for i, (first, last) in enumerate(spans_of(outage)):
+        label = "_" if i else "outage"
+        ax.axvspan(edges[first], edges[last], color=OUTAGE_COLOUR, zorder=0, label=label)
+
+
+def _clock(ax: Axes, edges: Any, zone: str) -> None:
+    """Times as the clocks of the site show them; numbers are hours of a day."""
+    ax.set_xlim(edges[0], edges[-1])
+    if isinstance(edges[0], int | float | np.number):
+        ax.set_xlabel("Hour of the day")
+        return
+    ticks: Any = dates  # without annotations
+    locator = ticks.AutoDateLocator(tz=zone)
+    ax.xaxis.set_major_locator(locator)
+    ax.xaxis.set_major_formatter(ticks.ConciseDateFormatter(locator, tz=zone, show_offset=False))
+    first = pd.Timestamp(edges[0]).tz_convert(zone)
+    ax.set_xlabel(f"Time ({zone}), from {first:%d %B %Y}")
+
+
+def _legend(ax: Axes) -> Axes:
+    """The legend beside the picture."""
+    ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=_SMALL, frameon=False)
+    return ax
