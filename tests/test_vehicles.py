@@ -53,6 +53,8 @@ from vppres.service.clock import SetClock, written
 from vppres.service.runner import Service
 from vppres.solve.ladder import METHODS, WindowSolver
 
+HOUR = pd.Timedelta("1h")
+
 
 def known(day: Scenario) -> WindowData:
     """All steps as one window, with the vehicles that are known in the first."""
@@ -473,24 +475,132 @@ def test_a_vehicle_that_needs_more_than_it_holds_is_refused_by_row(tmp_path: Pat
         load_scenario(folder)
 
 
-@pytest.mark.parametrize("departure", [{"k0": 1}, None], ids=["passed", "not said"])
-def test_a_vehicle_that_is_there_after_its_departure_is_charged_and_the_rest_decided(
-    tiny: Scenario, departure: dict[str, int] | None
+SAID: dict[str, list[dict[str, float]]] = {
+    # Of each hour: whether it is plugged in, what it needs, and in how many hours of the first it leaves.
+    "departure passed": [{"plugged": 1, "need": 20, "leaves": 1}]
+    + [{"plugged": 1, "leaves": 1}] * 3,
+    "departure never said": [{"plugged": 1, "need": 20}] + [{"plugged": 1}] * 3,
+    "said once": [{"plugged": 1, "need": 20, "leaves": 4}, {}, {}, {}],
+    "need said once": [{"plugged": 1, "need": 20, "leaves": 4}] + [{"plugged": 1}] * 3,
+    "departure moved": [{"plugged": 1, "need": 20, "leaves": 4}, {"leaves": 2}]
+    + [{"plugged": 1}] * 2,
+    "departure put off": [
+        {"plugged": 1, "need": 20, "leaves": 1},
+        {"plugged": 1, "leaves": 4},
+        {},
+        {},
+    ],
+    "need said again": [
+        {"plugged": 1, "need": need, "leaves": 1} for need in (20, 13.192, 6.384, 0.0)
+    ],
+}
+
+
+def left_kwh(said: list[dict[str, float]]) -> list[float]:
+    """What a charger of 7.4 kW and 0.92 has given by the beginning of each hour, of 20 kWh."""
+    return [min(7.4 * 0.92 * hour, 20.0) for hour in range(len(said))]
+
+
+@pytest.mark.parametrize("name", SAID)
+def test_a_vehicle_that_is_here_is_charged_whatever_it_says(name: str) -> None:
+    """By Python: 20 kWh in three hours, whether or not it says so again; and it is named late."""
+    steps = SAID[name]
+    day = replace(two_buses([[2.0]] * 4, [1.0], [OPEN] * 4), chargers=chargers(1))
+    options = RunOptions(horizon_h=1.0, isolate=False)
+    controller = Controller.of(day, options)
+    times = controller.times
+    leaves = 0.0
+    for hour, told in enumerate(steps):
+        if hour == 2:  # another process goes on
+            controller = Controller.of(day, options, state=json.loads(controller.saved()))
+        leaves = told.get("leaves", leaves)
+        measured = Measurement(
+            times[hour],
+            plugged={"k0": told["plugged"]} if "plugged" in told else None,
+            energy_needed_kwh={"k0": told["need"]} if "need" in told else None,
+            departure={"k0": times[0] + told["leaves"] * HOUR} if "leaves" in told else None,
+        )
+        found = controller.step(measured)
+        assert found.solve["fallback"] == "none" and found.customers["served"].all()
+        assert found.chargers is not None
+        given_kwh = left_kwh(steps)[hour]
+        power_kw = float(found.chargers["p_kw"].iloc[0])
+        assert power_kw == pytest.approx(min((20.0 - given_kwh) / 0.92, 7.4), abs=1e-3), hour
+        late = "vehicle k0 at k0 is here" in found.solve["estimated"]
+        assert late == (told.get("plugged") == 1 and leaves <= hour), hour
+
+
+@pytest.mark.parametrize("name", SAID)
+def test_a_service_charges_a_vehicle_that_is_here_whatever_it_says(
+    name: str, tiny: Scenario, tmp_path: Path
 ) -> None:
-    day = plugged_in(replace(tiny, chargers=chargers(1)), (0, 1))
+    """The same by HTTP, with readings that hold for a minute; the page names it too."""
+    day = replace(site(tiny), chargers=chargers(1, bus=4))
+    clock = SetClock(NOON)
+    leaves = 0.0
+    with client(Service(day, HERE), tmp_path, clock) as http:
+        for hour, said_now in enumerate(SAID[name]):
+            clock.set(NOON + hour * HOUR)
+            leaves = said_now.get("leaves", leaves)
+            values = {
+                "plugged": said_now.get("plugged"),
+                "energy_needed_kwh": said_now.get("need"),
+                "departure": (NOON + leaves * HOUR).timestamp() if "leaves" in said_now else None,
+            }
+            series = [
+                {**one, "resolution": "PT1M"}
+                for quantity, value in values.items()
+                if value is not None
+                for one in readings(clock.now(), quantity, {"k0": float(value)})
+            ]
+            if series:
+                assert http.post("/v1/telemetry", {"series": series}).json()["refused"] == []
+            plan = decided(http, clock, clock.now())
+            assert plan["status"] == "ok"
+            power_kw = said(plan, "chargers")["k0"]["p_kw"]
+            given_kwh = left_kwh(SAID[name])[hour]
+            assert power_kw == pytest.approx(min((20.0 - given_kwh) / 0.92, 7.4), abs=1e-3), hour
+            late = [one for one in plan["estimated"] if one.startswith("vehicle k0 at k0 is here")]
+            assert len(late) == (said_now.get("plugged") == 1 and leaves <= hour), hour
+            shown = http.get("/v1/overview").json()["plan"]
+            assert set(late) <= set(shown["estimated"])
+            assert "k0" in shown["expected"]["vehicles"]
+
+
+def test_what_is_odd_of_a_vehicle_is_named(tiny: Scenario) -> None:
+    day = plugged_in(replace(tiny, chargers=chargers(2)), (0, 2))
     controller = Controller.of(day, RunOptions(horizon_h=1.0, isolate=False))
-    leaves = departure and {"k0": day.grid.times[departure["k0"]]}
-    measured = Measurement(
-        controller.times[1],
-        {"big": 0.5, "small": 0.5},
-        plugged={"k0": 1.0},
-        energy_needed_kwh={"k0": 2.0},
-        departure=leaves,
-    )
-    found = controller.step(measured)
-    assert found.solve["fallback"] == "none"
-    assert "vehicle car0 at k0 is here after its departure" in found.solve["estimated"]
-    assert found.customers["served"].all()
-    assert found.chargers is not None
-    stored_kw = found.chargers["p_kw"].iloc[0] * day.chargers.eta_charge[0]
-    assert stored_kw == pytest.approx(2.0, rel=1e-3)
+
+    def estimated(**told: Any) -> str:
+        found = controller.step(
+            Measurement(controller.times[0], {"big": 0.5, "small": 0.5}, **told)
+        )
+        assert found.solve["fallback"] == "none"
+        return str(found.solve["estimated"])
+
+    more = estimated(energy_needed_kwh={"k0": 90.0})
+    assert "vehicle car0 at k0 needs 90 kWh, and holds 60 kWh" in more
+    unknown = estimated(plugged={"k1": 1.0})
+    assert "vehicle at k1 is here and what it needs is not known" in unknown
+    soon = controller.times[0] + pd.Timedelta("20min")
+    told = estimated(plugged={"k0": 1.0}, departure={"k0": soon})
+    assert "vehicle car0 at k0 leaves within this step and is not charged in it" in told
+    assert estimated() == ""
+
+
+def test_a_vehicle_that_stays_leaves_no_time_for_the_next_one(tiny: Scenario) -> None:
+    """It was to leave at one, and stays until three: the next one, announced for two, comes then."""
+    day = plugged_in(replace(tiny, chargers=chargers(1)), (0, 1), (2, 4), charger="k0")
+    controller = Controller.of(day, RunOptions(horizon_h=4.0, isolate=False))
+    times = controller.times
+    soc = {"big": 0.5, "small": 0.5}
+    leaves = {"k0": times[0] + 3 * HOUR}
+    first = controller.step(Measurement(times[0], soc, plugged={"k0": 1.0}, departure=leaves))
+    assert first.chargers is not None
+    assert first.chargers["vehicle"].tolist() == ["car0"]
+    found = [controller.step(Measurement(times[t], soc)).chargers for t in (1, 2, 3)]
+    assert [None if one is None else one["vehicle"].iloc[0] for one in found] == [
+        "car0",
+        "car0",
+        "car1",
+    ]

@@ -23,6 +23,7 @@ from vppres.live.past import Past
 from vppres.live.present import Present
 from vppres.live.set_points import SetPoints
 from vppres.live.state import WHERE, Standing, given_by, restored, saved_state, state_of
+from vppres.live.vehicles import Stay
 from vppres.outlook.outlook import OutageOutlook
 from vppres.scenario.history import History
 from vppres.scenario.outage_warnings import OutageWarning
@@ -340,11 +341,13 @@ class Controller:
     def _step(self, observation: Measurement) -> SetPoints:
         """One step, undone if it fails."""
         earliest = max(self._past.t - self._forgotten, 0)
-        seen = see(self.scenario, observation, self.options.guard, earliest)
+        guard = self.options.guard
+        seen = see(self.scenario, observation, guard, earliest, self._stays_before)
         latest = memory_of(self._decider, self._given)
         start = (latest, self._past)
-        if seen.t + self._forgotten == self._past.t and self._step_before is not None:
-            start = self._step_before
+        again = self._before_again(seen.t)
+        if again is not None:
+            start = again
             if seen.elapsed_h:
                 # Anew within the step: what was ordered and seen in it has happened.
                 start = (latest, replace(start[1], sets=self._past.sets))
@@ -360,6 +363,16 @@ class Controller:
         if not seen.elapsed_h or self._step_before is None:
             self._step_before = start
         return points
+
+    def _before_again(self, row: int) -> tuple[dict[str, Any], Past] | None:
+        """What was remembered before a step, if it is the last one, which is decided again."""
+        return self._step_before if row + self._forgotten == self._past.t else None
+
+    def _stays_before(self, row: int) -> tuple[Stay, ...]:
+        """Vehicles as they were known before a step."""
+        again = self._before_again(row)
+        past = self._past if again is None else again[1]
+        return () if past.vehicles is None else past.vehicles.stays
 
     def _recall(self, memory: dict[str, Any]) -> None:
         """Let the decider stand where a memory of it was made."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Any
@@ -17,7 +17,7 @@ from vppres.live.door import HOUR, WHERE, Door, readable
 from vppres.live.gensets import ORDERED, Readings
 from vppres.live.gensets import QUANTITIES as OF_SETS
 from vppres.live.ranges import ranges_of
-from vppres.live.vehicles import QUANTITIES, with_vehicles
+from vppres.live.vehicles import QUANTITIES, Stay, with_vehicles
 from vppres.scenario.assets import Batteries
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
@@ -219,7 +219,13 @@ class Seen:
         )
 
 
-def see(scenario: Scenario, measured: Measurement, guard: bool = True, earliest: int = 0) -> Seen:
+def see(
+    scenario: Scenario,
+    measured: Measurement,
+    guard: bool = True,
+    earliest: int = 0,
+    stays_at: Callable[[int], Iterable[Stay]] = lambda _: (),
+) -> Seen:
     """Lay a measurement over a scenario.
 
     Parameters
@@ -232,6 +238,8 @@ def see(scenario: Scenario, measured: Measurement, guard: bool = True, earliest:
         Whether a guard estimates what is missing; otherwise it is refused.
     earliest : int, optional
         First step that can still be decided.
+    stays_at : callable, optional
+        Vehicles as they were known before a step.
 
     Raises
     ------
@@ -247,7 +255,7 @@ def see(scenario: Scenario, measured: Measurement, guard: bool = True, earliest:
             value=readable(measured),
         )
     try:
-        return _seen(scenario, measured, guard, earliest)
+        return _seen(scenario, measured, guard, earliest, stays_at)
     except VppresError:
         raise
     except Exception as error:  # a mapping may come from any caller
@@ -271,7 +279,13 @@ def step_at(grid: TimeGrid, time: Any) -> int:
     return door.t
 
 
-def _seen(scenario: Scenario, measured: Measurement, guard: bool, earliest: int) -> Seen:
+def _seen(
+    scenario: Scenario,
+    measured: Measurement,
+    guard: bool,
+    earliest: int,
+    stays_at: Callable[[int], Iterable[Stay]],
+) -> Seen:
     """The measurement, read; problems are listed in the order of the readings."""
     door = Door(scenario.grid, measured.time, guard, ranges=ranges_of(scenario))
     _check_order(door, measured, earliest)
@@ -292,7 +306,7 @@ def _seen(scenario: Scenario, measured: Measurement, guard: bool, earliest: int)
     if not guard:
         _check_complete(door, scenario, measured, of_batteries["soc"], of_batteries["online"])
     of_vehicles = {name: getattr(measured, name) for name in QUANTITIES}
-    scenario, ev_kwh = with_vehicles(door, scenario, of_vehicles)
+    scenario, ev_kwh = with_vehicles(door, scenario, of_vehicles, stays_at(door.t))
     loads = scenario.thermal_loads
     indoor_c = door.values("indoor_c", measured.indoor_c, loads.id, np.full(len(loads), np.nan))
     sets = scenario.gensets

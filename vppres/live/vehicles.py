@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -18,20 +18,42 @@ QUANTITIES = ("plugged", "ev_soc", "energy_needed_kwh", "departure")
 """What can be known of the vehicle at a charger."""
 
 
+@dataclass(frozen=True)
+class Stay:
+    """A vehicle as it was known at a charger in a step: a row of :class:`Sessions`."""
+
+    charger: str
+    vehicle: str
+    plug_in: pd.Timestamp
+    plug_out: pd.Timestamp
+    capacity_kwh: float
+    soc_at_plug_in: float
+    soc_needed: float
+    energy_needed_kwh: float
+    v2g_soc_floor: float
+    tier: str
+    weight: float
+    announced: bool
+
+
 @dataclass(frozen=True, eq=False)
 class Held:
-    """Energy of the vehicles at chargers, and since when they are plugged in, (K,) each.
+    """The vehicles at chargers after a step, and their energy.
 
-    ``since`` is the time of plug-in as text, empty without a vehicle.
+    ``since`` is the time of plug-in as text by charger, empty without a vehicle; ``kwh`` has the
+    shape (K,).
     """
 
     since: tuple[str, ...]
     kwh: Floats
+    stays: tuple[Stay, ...] = ()
 
     @classmethod
     def of(cls, scenario: Scenario, t: int, kwh: Floats) -> Held:
         """The vehicles of a step with their energy at its end."""
-        return cls(_since(scenario, t), kwh)
+        here = [s for s in scenario.session_at[t].tolist() if s != NO_CAR]
+        rows = rows_of(scenario.sessions) if here else []
+        return cls(_since(scenario, t), kwh, tuple(Stay(**rows[s]) for s in here))
 
     def at(self, scenario: Scenario, t: int) -> Floats:
         """Energy of the vehicles of a step that have been here before, NaN of others, (K,)."""
@@ -49,14 +71,15 @@ def _since(scenario: Scenario, t: int) -> tuple[str, ...]:
 
 
 def with_vehicles(
-    door: Door, scenario: Scenario, told: Mapping[str, Any]
+    door: Door, scenario: Scenario, told: Mapping[str, Any], stays: Iterable[Stay] = ()
 ) -> tuple[Scenario, Floats]:
     """The scenario with sessions as they are measured, and energies that were read, (K,).
 
-    A charger without a vehicle ends its session; that is named. A vehicle that tells the energy
-    that it needs has a session from now on; its departure is that of the session before if it tells
-    none. One that is plugged in after its departure, or of which none is known, stays for this
-    step, and is named. Energies are NaN if no state of charge was read.
+    Vehicles stay as they were known in the step before until they leave. A charger without
+    a vehicle ends its session; that is named. A vehicle that tells the energy that it needs has
+    a session from now on; its departure is that of the session before if it tells none. One that is
+    plugged in after its departure, or of which none is known, stays for this step, and is named.
+    Energies are NaN if no state of charge was read.
     """
     chargers = scenario.chargers
     none = np.full(len(chargers), np.nan)
@@ -67,45 +90,106 @@ def with_vehicles(
     held_kwh = none.copy()
     if door.problems or not len(chargers):
         return scenario, held_kwh
-    rows = rows_of(scenario.sessions)
-    end = door.begun + scenario.grid.step
-    gone = set()
-    for k, name in enumerate(chargers.id):
-        s = int(scenario.session_at[door.t, k])
-        if s == NO_CAR and plugged[k] == 1.0:
-            s = _last_before(scenario.sessions, str(name), door.begun, end)
-        now = None if s == NO_CAR else rows[s]
-        if plugged[k] == 0.0:
-            if now is not None:
-                gone.add(s)
-                door.left_out.append(f"vehicle {now['vehicle']} left {name} before its departure")
-            continue
-        leaves = departure[k] or (None if now is None else now["plug_out"])
-        here = plugged[k] == 1.0 or np.isfinite(needed_kwh[k])
-        if here and (leaves is None or leaves <= door.begun):
-            if leaves is not None or np.isfinite(needed_kwh[k]):
-                vehicle = name if now is None else now["vehicle"]
-                known = "after its departure" if leaves else "and its departure is not known"
-                door.left_out.append(f"vehicle {vehicle} at {name} is here {known}")
-            leaves = end
-        if np.isfinite(needed_kwh[k]):
-            gone.add(s)
-            row = _needing(scenario, str(name), now, needed_kwh[k])
-            rows.append({**row, "plug_in": door.begun, "plug_out": leaves})
-        elif now is not None:
-            rows[s] = {**now, "plug_out": max(leaves or now["plug_out"], door.begun)}
-            held_kwh[k] = soc[k] * scenario.sessions.full_kwh[s]
-    kept = [row for s, row in enumerate(rows) if s not in gone]
-    return replace(scenario, sessions=sessions_of(kept)), held_kwh
+    own: dict[str, list[Row]] = {str(name): [] for name in chargers.id}
+    for row in rows_of(scenario.sessions):
+        own[row["charger"]].append(row)
+    for stay in stays:
+        row = dict(vars(stay))
+        own[stay.charger] = [*_beside(own[stay.charger], row, door.begun), row]
+    for k, (name, rows) in enumerate(own.items()):
+        read = _Read(plugged[k], soc[k], needed_kwh[k], departure[k])
+        before = _at_charger(rows, read.here, door.begun, scenario.grid.step)
+        now, words = _as_read(read, before, name, scenario, door.begun)
+        door.left_out.extend(words)
+        own[name] = [row for row in rows if row is not before]
+        if now is not None:
+            own[name] = [*_beside(own[name], now, door.begun), now]
+            held_kwh[k] = read.soc * now["capacity_kwh"] if _by_soc(now) else np.nan
+    told_of = [row for rows in own.values() for row in rows]
+    return replace(scenario, sessions=sessions_of(told_of)), held_kwh
 
 
-def _last_before(sessions: Sessions, charger: str, begun: pd.Timestamp, end: pd.Timestamp) -> int:
-    """The session of a charger that was over last, unless another one begins in this step."""
-    own = np.flatnonzero(sessions.charger == charger)
-    over = [int(s) for s in own if sessions.plug_out[s] <= begun]
-    if not over or any(begun < sessions.plug_in[s] < end for s in own):
-        return NO_CAR
-    return max(over, key=lambda s: sessions.plug_out[s])
+Row = dict[str, Any]  # of a session, by column
+
+
+@dataclass(frozen=True)
+class _Read:
+    """What is read of the vehicle at a charger, NaN or None where nothing is."""
+
+    plugged: float
+    soc: float
+    needed_kwh: float
+    departure: pd.Timestamp | None
+
+    @property
+    def here(self) -> bool:
+        """Whether a vehicle is read to be here."""
+        return self.plugged == 1.0 or bool(self.plugged != 0.0 and np.isfinite(self.needed_kwh))
+
+
+def _as_read(
+    read: _Read,
+    before: Row | None,
+    charger: str,
+    scenario: Scenario,
+    begun: pd.Timestamp,
+) -> tuple[Row | None, list[str]]:
+    """The session of a charger as it is read, and what is odd about it."""
+    end = begun + scenario.grid.step
+    if read.plugged == 0.0:
+        left = f"vehicle {before['vehicle']} left {charger} before its departure" if before else ""
+        return None, [left] if left else []
+    if before is None and not np.isfinite(read.needed_kwh):
+        unknown = f"vehicle at {charger} is here and what it needs is not known"
+        return None, [unknown] if read.here else []
+    words = []
+    vehicle = f"vehicle {before['vehicle'] if before else charger} at {charger}"
+    leaves = read.departure or (before["plug_out"] if before else None)
+    if read.here and (leaves is None or leaves <= begun):
+        known = "after its departure" if leaves else "and its departure is not known"
+        words.append(f"{vehicle} is here {known}")
+        leaves = end
+    elif read.here and leaves is not None and leaves < end:
+        words.append(f"{vehicle} leaves within this step and is not charged in it")
+    leaves = max(leaves or begun, begun)
+    if not np.isfinite(read.needed_kwh):
+        assert before is not None
+        return {**before, "plug_out": leaves}, words
+    row = _needing(scenario, charger, before, read.needed_kwh)
+    most_kwh = (before or row)["capacity_kwh"]
+    if read.needed_kwh > most_kwh:
+        words.append(f"{vehicle} needs {read.needed_kwh:g} kWh, and holds {most_kwh:g} kWh")
+        row["energy_needed_kwh"] = most_kwh
+    return {**row, "plug_in": begun, "plug_out": leaves}, words
+
+
+def _at_charger(
+    rows: Sequence[Row], here: bool, begun: pd.Timestamp, step: pd.Timedelta
+) -> Row | None:
+    """The session of a charger now, of its own.
+
+    Where a vehicle is here that is the one that was over last, unless another begins in this step.
+    """
+    now = [row for row in rows if row["plug_in"] <= begun < row["plug_out"]]
+    if not now and here and not any(begun < row["plug_in"] < begun + step for row in rows):
+        now = [row for row in rows if row["plug_out"] <= begun]
+    return max(now, key=lambda row: row["plug_out"], default=None)
+
+
+def _beside(rows: Iterable[Row], one: Row, begun: pd.Timestamp) -> list[Row]:
+    """Sessions of a charger for which a vehicle at it leaves time; some begin later."""
+    found = []
+    for row in rows:
+        if row["plug_out"] <= begun:
+            found.append(row)
+        elif row["plug_in"] > one["plug_in"] and row["plug_out"] > one["plug_out"]:
+            found.append({**row, "plug_in": max(row["plug_in"], one["plug_out"])})
+    return found
+
+
+def _by_soc(row: Row) -> bool:
+    """Whether a session is of a vehicle that tells its state of charge."""
+    return bool(np.isnan(row["energy_needed_kwh"]))
 
 
 def rows_of(sessions: Sessions) -> list[dict[str, Any]]:
@@ -135,5 +219,6 @@ def _needing(
         "weight": least if np.isfinite(least) else 1.0,
     }
     nothing = dict.fromkeys(OF_SESSIONS, np.nan)
-    own = {**(before or unknown), "charger": charger, "announced": True}
-    return {**own, **nothing, "energy_needed_kwh": needed_kwh}
+    own = {**nothing, **(before or unknown), "charger": charger, "announced": True}
+    told = {"soc_at_plug_in": np.nan, "soc_needed": np.nan, "v2g_soc_floor": np.nan}
+    return {**own, **told, "energy_needed_kwh": needed_kwh}

@@ -297,7 +297,7 @@ def known_at(
         soc_at={name: moment(reading.time) for name, reading in soc.items()},
         ordered_kw=said.ordered_kw,
         indoor_c=_finite(readings.now("indoor_c")) or None,
-        **_of_vehicles(scenario, readings),
+        **_of_vehicles(scenario, readings, time, store),
         **told_of_sets(scenario, readings, store, said),
         genset_kw={name: kw for (name, one), kw in means.items() if one == "genset_kw"} or None,
     )
@@ -320,12 +320,21 @@ def _events(time: pd.Timestamp, controller: Controller, store: Store) -> list[Ev
     return [event for name, event in store.events().items() if name not in replaced]
 
 
-def _of_vehicles(scenario: Scenario, readings: Latest) -> dict[str, Any]:
-    """What chargers tell of their vehicles, by quantity; what is too old is left out.
+def _of_vehicles(
+    scenario: Scenario, readings: Latest, time: pd.Timestamp, store: Store
+) -> dict[str, Any]:
+    """What chargers tell of their vehicles, by quantity.
 
-    A vehicle that left during its session is not back until its charger says so.
+    The controller knows what was told before the step that it decided last. What came since counts
+    however short it holds: a vehicle is plugged in once. One that left during its session is not
+    back until its charger says so.
     """
-    told: dict[str, Any] = {name: _finite(readings.now(name)) for name in QUANTITIES}
+    before = store.last_step(time - pd.Timedelta("1s"))
+    known = time - scenario.grid.step if before is None else _decided_at(before)
+    told: dict[str, Any] = {}
+    for name in QUANTITIES:
+        since = {k: r for k, r in readings.newest(name).items() if moment(r.time) > known}
+        told[name] = _finite(readings.now(name)) | {k: r.value for k, r in since.items()}
     sessions = scenario.sessions
     for name, last in readings.newest("plugged").items():
         at = moment(last.time)
@@ -335,6 +344,11 @@ def _of_vehicles(scenario: Scenario, readings: Latest) -> dict[str, Any]:
     leaves = told["departure"].items()
     told["departure"] = {one: moment(int(value)) for one, value in leaves}
     return {name: values or None for name, values in told.items()}
+
+
+def _decided_at(plan: Mapping[str, Any]) -> pd.Timestamp:
+    """When a plan was made, within its step if it was anew."""
+    return pd.Timestamp(plan.get("valid_from", plan["start"]))
 
 
 def told_of_sets(scenario: Scenario, readings: Latest, store: Store, said: _Said) -> dict[str, Any]:
@@ -428,7 +442,7 @@ class Latest:
         """Those of a time, by clocks that may be a little off."""
         step_s = round(scenario.grid.step_minutes * 60)
         found = store.latest(time + pd.Timedelta(seconds=EARLY_SHARE * step_s), INSTANT)
-        found = _of_those_here(found)
+        found = of_those_here(found)
         now_s = seconds(time)
         heard = [_heard(reading, now_s, step_s) for reading in found]
         values = {
@@ -457,7 +471,7 @@ class Latest:
         return {h.asset for h in self.heard if h.quantity == quantity and h.state == "lost"}
 
 
-def _of_those_here(found: list[Reading]) -> list[Reading]:
+def of_those_here(found: list[Reading]) -> list[Reading]:
     """Readings without those of vehicles that have left since: they will tell nothing more."""
     left = {one.asset: one.time for one in found if one.quantity == "plugged" and one.value == 0.0}
     return [
