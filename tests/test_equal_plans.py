@@ -34,6 +34,23 @@ def test_nothing_is_kept_behind_an_outage_that_ends_with_the_run(
     assert run_day(day, options).customers["served"].all()
 
 
+@pytest.mark.parametrize("priority", ["strict", "weights"])
+def test_nothing_is_kept_behind_an_outage_that_ends_before_the_run(priority: str) -> None:
+    day = hours([OPEN, OPEN, DARK, OPEN])
+    run = run_day(day, RunOptions(priority=priority, mode="physical"))
+    assert run.customers["served"].all()
+
+
+@pytest.mark.parametrize("controller", ["mpc", "full-horizon"])
+def test_headroom_that_moves_on_with_the_window_puts_nobody_off(controller: str) -> None:
+    """7 kWh are stored; two hours take 4.2, and 1.3 stay in the battery for a tenth of 12 kVA."""
+    day = hours([DARK] * 9, load_kw=2.0)
+    alone = two_buses([[2.0]] * 9, [1.0], [DARK] * 8 + [OPEN])
+    day = replace(alone, tiers=("critical",), batteries=day.batteries)
+    options = RunOptions(horizon_h=5, mode="physical", outages="none", controller=controller)
+    assert run_day(day, options).customers["served"].tolist() == [1, 1, *[0] * 6, 1]
+
+
 @pytest.mark.parametrize(("outages", "served"), [("known", 2), ("none", 1)])
 def test_only_who_knows_that_the_outage_ends_keeps_nothing(outages: str, served: int) -> None:
     run = run_day(hours([DARK]), RunOptions(priority="strict", mode="physical", outages=outages))

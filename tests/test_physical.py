@@ -228,7 +228,7 @@ def test_reserve_pays_the_headroom_of_the_island_steps_that_remain(tiny: Scenari
     physics = physics_of(Site.of(tiny), island_window(tiny, 0.85, 2, 4), 0.1)
     # 6 kW of a 60 kVA inverter for two hours, then one: 12 / 0.95 and 6 / 0.95 of 100 kWh.
     assert physics.headroom_kw.tolist() == [[0, 0], [6, 0], [6, 0], [0, 0]]
-    assert physics.soc_reserve[:, 0] == pytest.approx([0, 0.12 / 0.95, 0.06 / 0.95, 0])
+    assert physics.soc_reserve[:, 0] == pytest.approx([0.12 / 0.95, 0.06 / 0.95, 0, 0])
     assert physics.reference.tolist() == [0, 1, 1, 0]
 
 
@@ -237,10 +237,16 @@ def test_reserve_asks_for_nothing_that_cannot_be_there(tiny: Scenario) -> None:
     inside = physics_of(site, island_window(tiny, 0.15 + 0.05, 3, 2), 0.1)
     assert inside.soc_reserve[:, 0] == pytest.approx([0.05, 0.05])
     before = physics_of(site, island_window(tiny, 0.15, 2, 3), 0.1)
-    assert before.soc_reserve[1, 0] == pytest.approx(0.12 / 0.95)
+    assert before.soc_reserve[0, 0] == pytest.approx(0.12 / 0.95)
     slow = replace(tiny, batteries=replace(tiny.batteries, p_max_kw=np.array([8.0, 8.0])))
     late = physics_of(Site.of(slow), island_window(slow, 0.15, 2, 3), 0.1)
-    assert late.soc_reserve[1, 0] == pytest.approx(0.95 * 8.0 / 100.0)
+    assert late.soc_reserve[0, 0] == pytest.approx(0.95 * 8.0 / 100.0)
+
+
+def test_an_outage_without_a_known_end_keeps_the_headroom_of_each_step(tiny: Scenario) -> None:
+    data = replace(island_window(tiny, 0.85, 2, 4), open_ended=True)
+    kept = physics_of(Site.of(tiny), data, 0.1).soc_reserve[:, 0]
+    assert kept == pytest.approx([0, 0.06 / 0.95, 0.06 / 0.95, 0])
 
 
 def test_steps_that_nobody_can_hold_are_dark(tiny: Scenario) -> None:

@@ -473,19 +473,20 @@ def physics_of(site: Site, data: WindowData, headroom: float, open_kw: float = 0
 
 
 def _reserve(site: Site, data: WindowData, headroom_kw: Floats, left_kw: Floats) -> Floats:
-    """Reserve for the headroom of the island steps that remain, as far as it can be had."""
+    """Reserve for the headroom of the island steps that follow, as far as it can be had."""
     b = site.batteries
     dt_h = site.dt_h
     usable = b.soc_max - b.soc_min
     wanted = np.zeros_like(headroom_kw)
-    later = np.zeros(len(b))
+    after_kwh = np.zeros(len(b))
     for t in range(data.n_steps - 1, -1, -1):
-        after = later
-        later = np.where(headroom_kw[t] > 0, later + headroom_kw[t] * dt_h, 0.0)
-        # Nothing is kept behind the last step of the run, nor, in strict order, behind that of an
-        # outage that ends in the window.
-        released = site.ranks is not None if t + 1 < data.n_steps else data.ends
-        kept_kwh = after + left_kw[t] * dt_h if released else later
+        own_kwh = headroom_kw[t] * dt_h
+        # Nothing is kept behind the last step of an outage that ends in the window or with the run.
+        # Of one whose end is not known, what is kept for later steps would move on with the window
+        # and never be given: there it is that of the step itself.
+        known = data.ends if t + 1 == data.n_steps else not data.open_ended
+        kept_kwh = after_kwh + left_kw[t] * dt_h if known else own_kwh
+        after_kwh = np.where(own_kwh > 0, after_kwh + own_kwh, 0.0)
         wanted[t] = np.minimum(
             kept_kwh / (data.eta_discharge * b.energy_kwh), LARGEST_RESERVE * usable
         )
@@ -493,12 +494,10 @@ def _reserve(site: Site, data: WindowData, headroom_kw: Floats, left_kw: Floats)
     reach = np.maximum(data.soc - b.soc_min, 0.0)
     charge = data.eta_charge * b.active_max_kw * dt_h / b.energy_kwh
     for t in range(data.n_steps):
-        if data.grid_limit_kw[t] > 0.0:
-            free = np.isinf(data.grid_limit_kw[t])
-            reach = np.minimum(reach + charge, usable) if free else reach
-        else:
-            wanted[t] = np.minimum(wanted[t], reach)
-            reach = np.where(headroom_kw[t] > 0, wanted[t], reach)
+        if np.isinf(data.grid_limit_kw[t]):
+            reach = np.minimum(reach + charge, usable)
+        wanted[t] = np.minimum(wanted[t], reach)
+        reach = np.where(headroom_kw[t] > 0, wanted[t], reach)
     return wanted
 
 

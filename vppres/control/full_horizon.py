@@ -109,7 +109,7 @@ class FullHorizonController:
             self.plan = solution.dispatch
             self.loss_kw = solution.loss_kw
             self.first = observation.t0
-            self.guessed = observation.guessed
+            self.guessed = observation.open_ended
             info = solve_info(self.solver.site, solution, self.solver.compilations)
         f = observation.forecast
         row = observation.t0 - self.first
@@ -142,7 +142,7 @@ class FullHorizonController:
         return Decision(solution.dispatch, 0, info, True, reason)
 
     def _kept_on(self, observation: Observation, row: int) -> Decision:
-        """The step alone, with those who would be off for an outage that is only likely.
+        """The step alone, with those who would be off for an outage that is only likely, or over.
 
         Batteries are charged as far as the plan has it, where no customer is off for it.
         """
@@ -151,7 +151,9 @@ class FullHorizonController:
         planned = float(self.plan.soc[row + 1] @ b.energy_kwh / b.energy_kwh.sum())
         now = observation.forecast.first(1)
         alone = replace(observation, forecast=now, terminal=Terminal.of(planned, now, ends=True))
-        return self._correct(alone, "grid: an outage that is only likely takes nobody off")
+        return self._correct(
+            alone, "grid: an outage whose end is not known takes nobody off with grid"
+        )
 
     def violations(self, actual: _Actual) -> list[str]:
         """Names of the checks that the planned step fails, with the worst item of each."""
