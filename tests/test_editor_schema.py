@@ -13,7 +13,7 @@ import pytest
 from tests.support.tiny_day import tiny_scenario
 from vppres.io import find_scenario, packaged_scenarios
 from vppres.io.editor import editor_schema, schema_text
-from vppres.io.scenario_writer import _document
+from vppres.io.scenario_writer import document_of
 
 
 def as_json(document: dict[str, Any]) -> Any:
@@ -54,6 +54,6 @@ def test_packaged_scenarios_pass(name: str) -> None:
 def test_mistakes_are_found_where_they_are(
     section: str, key: str, value: object, where: str | None
 ) -> None:
-    document = _document(tiny_scenario())
+    document = document_of(tiny_scenario())
     document.setdefault(section, {})[key] = value
     assert mistakes(document) == ([] if where is None else [where])
