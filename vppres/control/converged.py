@@ -44,6 +44,11 @@ from vppres.solve.result import SolveLimits, Status, WindowSolution
 
 VOLTAGE_TOLERANCE_PU = 1e-4
 LOSS_TOLERANCE_KW = 1.0
+
+SHORT_KW = 1e-6
+"""What an island's plan may lack of its losses: what forms it may have no more, and then a customer
+is shed for it."""
+
 DEFAULT_PASSES = 4
 DEFAULT_HEADROOM = 0.1
 LARGEST_RESERVE = 0.5
@@ -440,7 +445,10 @@ def agree(data: WindowData, dispatch: Dispatch, points: ACPoints, network: Netwo
     if not points.converged[lit].all():
         return False
     off_pu = np.abs(dispatch.v_pu - points.v_pu)[lit].max()
-    off_kw = np.abs(points.loss_kw.sum(axis=1) - data.loss_kw)[lit].max()
+    missing_kw = points.loss_kw.sum(axis=1) - data.loss_kw
+    if (missing_kw[lit & data.dark] > SHORT_KW).any():
+        return False
+    off_kw = np.abs(missing_kw)[lit].max()
     if data.drawn is not None:
         found = drawn_at(network, points.v_pu[lit], data.dark[lit])
         off = [found.kw - data.drawn.kw[lit], found.kvar - data.drawn.kvar[lit]]

@@ -20,6 +20,7 @@ from vppres.live.by_phase import ByPhase
 from vppres.live.foreseen import Foreseen
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.vehicles import NO_CAR
+from vppres.solve.result import Status
 
 SOLVE_FIGURES = (
     "status",
@@ -35,6 +36,10 @@ SOLVE_FIGURES = (
 """What set-points say of how they were found, of every step's record."""
 
 
+SHED = "shed"
+"""The status of an optimal plan that its island does not hold as a whole."""
+
+
 @dataclass(frozen=True, eq=False)
 class SetPoints:
     """The decision for one step, as tables by identifier.
@@ -47,7 +52,8 @@ class SetPoints:
         ``bus``, ``tier``, demand ``load_kw`` and ``load_kvar``, and whether it is ``served``;
         ``off_h``, for how long it is off by the end of the step, on sites with longest times off;
         ``rotated_weight``, its weight in the plan, if supply is shared within tiers;
-        ``share``, the part of its demand that it gets, on sites that dim customers.
+        ``share``, the part of its demand that it gets, on sites that dim customers;
+        ``shed``, whether the plan served it and the island cannot.
     batteries : DataFrame
         ``bus``, ``p_kw`` (charging positive), ``q_kvar`` (injection positive), ``soc``, the state
         of charge that was decided on, and ``soc_end``, the one that is expected after the step.
@@ -64,9 +70,9 @@ class SetPoints:
         none was needed) with its ``fallback_reason``; what was ``estimated``; and with beliefs of
         outages ``stored_value_gbp_per_kwh``, what one more stored kWh is worth later, and
         ``outage_messages``, which of several messages about one outage counts. ``dark_reason`` says
-        why an island is blacked out. In strict order ``levels`` has what was supplied of each tier
-        and what could be at most; ``inverted`` names a customer off supply whose demand lower tiers
-        take.
+        why an island is blacked out, ``ac_failed`` why its lines do not carry the plan. In strict
+        order ``levels`` has what was supplied of each tier and what could be at most; ``inverted``
+        names a customer off supply whose demand lower tiers take.
     feeding : Feeding
         What holds the voltage: the grid, a battery, or nothing.
     foreseen : Foreseen
@@ -135,7 +141,7 @@ class SetPoints:
             pv=_pv(scenario, step.pv),
             buses=_table(scenario.network.buses, index="bus", v_ac_pu=step.buses["v_ac_pu"]),
             import_kw=float(step.steps["p_grid_kw"]),
-            solve=_solve(step.steps) | _priority(scenario, step),
+            solve=_solve(step) | _priority(scenario, step),
             feeding=Feeding.of(
                 scenario,
                 bool(scenario.outage[step.t]),
@@ -205,6 +211,7 @@ def _customers(scenario: Scenario, columns: Mapping[str, Any]) -> pd.DataFrame:
         load_kw=columns["p_load_kw"],
         load_kvar=columns["q_load_kvar"],
         served=columns["served"],
+        shed=columns["shed"],
         **{name: columns[name] for name in ("off_h", ROTATED, SHARE) if name in columns},
     )
 
@@ -305,13 +312,21 @@ def _phases(scenario: Scenario, ids: Names) -> dict[str, Any]:
     return {} if phases is None else {"phases": [phases.connection(str(i)).coils for i in ids]}
 
 
-def _solve(figures: Mapping[str, Any]) -> dict[str, Any]:
-    """How the decision was found."""
+def _solve(step: StepRecord) -> dict[str, Any]:
+    """How the decision was found; one of which something had to be shed is not optimal."""
+    figures = step.steps
     solve = {name: figures[name] for name in SOLVE_FIGURES}
-    for name in ("stored_value_gbp_per_kwh", "outage_messages", "dark_reason"):
+    if _sheds(step) and solve["status"] == Status.OPTIMAL:
+        solve["status"] = SHED
+    for name in ("stored_value_gbp_per_kwh", "outage_messages", "dark_reason", "ac_failed"):
         if name in figures:
             solve[name] = figures[name]
     return {**solve, "reason": figures["correction_reason"]}
+
+
+def _sheds(step: StepRecord) -> bool:
+    """Whether an island that is lit supplies less than its plan."""
+    return bool(step.customers["shed"].any()) and not step.steps.get("dark_reason")
 
 
 def _priority(scenario: Scenario, step: StepRecord) -> dict[str, str]:
@@ -322,7 +337,8 @@ def _priority(scenario: Scenario, step: StepRecord) -> dict[str, str]:
         if scenario.outage[step.t]
         else ""
     )
-    found = {"levels": str(step.steps.get("levels", "")), "inverted": inverted}
+    levels = "" if _sheds(step) else str(step.steps.get("levels", ""))
+    found = {"levels": levels, "inverted": inverted}
     return {name: words for name, words in found.items() if words}
 
 

@@ -337,7 +337,7 @@ class Scenario:
         --------
         >>> from vppres.io.find import load_scenario
         >>> day = load_scenario("uk-heatwave-2022")
-        >>> day.replace("batteries", "b02", energy_kwh=500).batteries.energy_kwh[0]
+        >>> float(day.replace("batteries", "b02", energy_kwh=500).batteries.energy_kwh[0])
         500.0
         """
         door = import_module("vppres.io.scenario_tables")

@@ -73,6 +73,9 @@ KINDS = {
         "Bring back what cannot form the grid, or bring a generator that can: "
         "without any, nobody is supplied in an island.",
     ),
+    "shed": Kind(
+        0.0, 0.0, "Disconnect other customers by hand where these are more urgent; look at the log."
+    ),
     "critical_off": Kind(
         0.0, 10.0, "Check the state of charge on site. Bring a generator, or switch by hand."
     ),

@@ -158,6 +158,7 @@ def conditions(now: Situation) -> Iterator[Condition]:
     yield from _grid_lost(now)
     yield from _off_with_grid(now)
     yield from _one_former_left(now)
+    yield from _shed(now)
     yield from _critical_off(now)
     yield from _longest_off(now)
     yield from _island_margin(now)
@@ -235,6 +236,18 @@ def _off_with_grid(now: Situation) -> Iterator[Condition]:
         words += f", by the operator's mode {plan['status']}"
     priority = HIGH if now.critical.intersection(off) else MEDIUM
     yield Condition("off_with_grid", "", priority, f"{words}.", tuple(sorted(off)))
+
+
+def _shed(now: Situation) -> Iterator[Condition]:
+    """Customers whom the plan served and whom its island cannot hold."""
+    shed = [one["asset"] for one in (now.plan or {}).get("shed", ())]
+    if not shed or now.ahead_s <= 0.0:
+        return
+    assert now.plan is not None
+    (why, *_) = [one["reason"] for one in now.plan["shed"]]
+    priority = HIGH if now.critical.intersection(shed) else MEDIUM
+    words = f"{named(shed, NAMES_SHOWN)} shed, although the plan supplied it: {why}."
+    yield Condition("shed", "", priority, words, tuple(sorted(shed)))
 
 
 def _one_former_left(now: Situation) -> Iterator[Condition]:

@@ -85,16 +85,26 @@ class Explainer:
         if done.returncode:
             return unsolved(plan, FAILED)
         found: dict[str, Any] = json.loads(done.stdout)
-        return {**found, "reasons": [_of_lost(one, plan) for one in found["reasons"]]}
+        return {**found, "reasons": [_of_others(one, plan) for one in found["reasons"]]}
 
 
-def _of_lost(reason: dict[str, Any], plan: Mapping[str, Any]) -> dict[str, Any]:
-    """A reason, or that of a customer that cannot be connected: no price explains it."""
-    lost = {one["asset"]: one["reason"] for one in plan.get("lost", ())}
-    if reason["kind"] != "customers" or reason["asset"] not in lost:
+def _of_others(reason: dict[str, Any], plan: Mapping[str, Any]) -> dict[str, Any]:
+    """A reason, or that of a customer that is off against the plan: no price explains it.
+
+    It cannot be connected, or the island does not hold it.
+    """
+    if reason["kind"] != "customers":
         return reason
-    words = f"Not supplied: it cannot be connected ({lost[reason['asset']]})."
-    return {**reason, "driver": "lost", "binding": "", "words": words}
+    name = reason["asset"]
+    lost = {one["asset"]: one["reason"] for one in plan.get("lost", ())}
+    shed = {one["asset"]: one["reason"] for one in plan.get("shed", ())}
+    if name in lost:
+        words = f"Not supplied: it cannot be connected ({lost[name]})."
+        return {**reason, "driver": "lost", "binding": "", "words": words}
+    if name in shed:
+        words = f"Shed: planned as supplied, then disconnected ({shed[name]})."
+        return {**reason, "driver": "mismatch", "binding": "power", "words": words}
+    return reason
 
 
 def _asked(question: bytes) -> subprocess.CompletedProcess[bytes]:

@@ -42,6 +42,11 @@ CHECKED = (*DECIDED, "hold", "manual")
 LOST = "cannot be supplied: "
 """How the reason begins of a customer that cannot be switched on."""
 
+SHED = "shed: "
+"""How the reason begins of a customer that the plan served and its island cannot hold."""
+
+TOO_LITTLE = "what forms the grid cannot supply it"
+
 Tables = Mapping[str, pd.DataFrame]  # set-points by kind of device, each by identifier
 
 
@@ -89,7 +94,9 @@ def plan_of(
     solve, customers = decision.solve, decision.customers
     fallback = None if solve["fallback"] == "none" else solve["fallback"]
     reason = fallback or ("corrected" if solve["corrected"] else "plan")
-    lost = {("customers", name): f"{LOST}{why}" for name, why in known.lost.items()}
+    shed = shed_in(decision)
+    own = {("customers", name): f"{SHED}{why}" for name, why in shed.items()}
+    own |= {("customers", name): f"{LOST}{why}" for name, why in known.lost.items()}
     return {
         **_head(decision.time, scenario, "ok" if fallback is None else "fallback"),
         "inputs_digest": f"sha256:{inputs_digest(known.measurement)}",
@@ -116,8 +123,9 @@ def plan_of(
         ],
         "late": [vars(one) for one in known.heard if one.state != "ok"],
         "lost": [{"asset": name, "reason": why} for name, why in known.lost.items()],
+        "shed": [{"asset": name, "reason": why} for name, why in shed.items()],
         "setpoints": _set_points(
-            decision.time, scenario, left, tables_of(decision, scenario), refused, reason, lost
+            decision.time, scenario, left, tables_of(decision, scenario), refused, reason, own
         ),
         "expected": {
             "import_kw": _number(decision.import_kw),
@@ -132,6 +140,15 @@ def plan_of(
         "ahead": _ahead(decision.foreseen, known),
         "off_h": _off_h(decision, scenario),
     }
+
+
+def shed_in(decision: SetPoints) -> dict[str, str]:
+    """Customers that the plan served and that its island cannot hold, and why."""
+    solve, c = decision.solve, decision.customers
+    if solve.get("dark_reason"):
+        return {}
+    why = str(solve.get("ac_failed") or "") or TOO_LITTLE
+    return {str(name): why for name in c.index[c["shed"].astype(bool)]}
 
 
 def tables_of(decision: SetPoints, scenario: Scenario) -> Tables:

@@ -18,7 +18,7 @@ from vppres.day.options import RunOptions
 from vppres.scenario.scenario import Scenario
 from vppres.service.as_told import Plan, set_state
 from vppres.service.clock import written
-from vppres.service.records import Reading, moment, versions
+from vppres.service.records import DECIDED, Reading, moment, versions
 from vppres.service.store import Store
 from vppres.service.world import World
 
@@ -38,7 +38,7 @@ class Part:
     island : bool
         Whether there was no grid.
     foreseen : bool
-        Whether the set-points were made for that.
+        Whether the set-points were planned for that: those that are kept or default are not.
     """
 
     begin: pd.Timestamp
@@ -71,7 +71,8 @@ def parts_of(
     times = [begin, *(min(pd.Timestamp(one["valid_from"]), end) for one in said[1:]), end]
     if len(said) == 1 and said[0].get("grid"):
         island = not said[0]["grid"]["available"]
-        return [Part(begin, end, said[0]["setpoints"], island, True)]
+        foreseen = not island or said[0]["status"] in DECIDED
+        return [Part(begin, end, said[0]["setpoints"], island, foreseen)]
     read = [*store.latest(begin, (GRID_ON,)), *store.between(begin, end, (GRID_ON,))]
     read = [one for one in read if one.value is not None]
     found = []
@@ -79,7 +80,8 @@ def parts_of(
         later = next((each["grid"] for each in said[k + 1 :] if each.get("grid")), None)
         for since, till, island in _spans(one, later, times[k], times[k + 1], read):
             known = one.get("grid")
-            foreseen = not island or (known is not None and not known["available"])
+            planned = one["status"] in DECIDED and known is not None
+            foreseen = not island or (planned and not known["available"])
             found.append(Part(since, till, one["setpoints"], island, foreseen))
     return [one for one in found if one.end > one.begin] or found[-1:]
 

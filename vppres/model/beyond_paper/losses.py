@@ -26,6 +26,9 @@ from vppres.model.site import Site
 from vppres.scenario.network import Network
 
 TOLERANCE_PU = 1e-10
+LOSS_MARGIN = 0.01
+"""Share of an island's losses that plans count on top."""
+
 _MAX_SWEEPS = 60
 _LOWEST_PU = 0.5  # no feeder runs below; the sweeps there are beyond their solution
 
@@ -155,8 +158,13 @@ def lit_steps(data: WindowData) -> Flags:
 
 
 def linearised(data: WindowData, network: Network, points: ACPoints) -> WindowData:
-    """The window with losses, draws and voltages as at these points; steps without keep theirs."""
+    """The window with losses, draws and voltages as at these points; steps without keep theirs.
+
+    In an island losses are counted with a margin: what forms it has to have them, whatever else
+    the next plan moves.
+    """
     old = data.require_physics()
+    margin = 1.0 + LOSS_MARGIN * data.dark[:, None]
     sound = points.converged[:, None]
     drawn = data.drawn
     if network.draws or network.has_ratios:
@@ -168,7 +176,7 @@ def linearised(data: WindowData, network: Network, points: ACPoints) -> WindowDa
         drawn = Drawn(np.where(sound, new.kw, drawn.kw), np.where(sound, new.kvar, drawn.kvar))
     physics = replace(
         old,
-        loss_kw=np.where(sound, points.loss_kw, old.loss_kw),
+        loss_kw=np.where(sound, points.loss_kw * margin, old.loss_kw),
         loss_kvar=np.where(sound, points.loss_kvar, old.loss_kvar),
     )
     offset = np.where(sound, points.offset_pu2(network), data.delta_pu2)

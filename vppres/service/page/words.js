@@ -281,6 +281,7 @@ export function attention(view) {
   const say = (level, text) => found.push([level, text]);
   if (plan?.unaware_of?.length) say(WARNING, `The plan does not know yet: ${list(plan.unaware_of).replace(MOMENT, (time) => at(time))}.`);
   if (plan?.solve) {
+    if (plan.shed?.length) say(WARNING, `Shed, although the plan supplied ${plan.shed.length === 1 ? "it" : "them"}: ${list(plan.shed.map((one) => one.asset))} (${plan.shed[0].reason}).`);
     if (plan.solve.inverted) say(WARNING, `Tier order is not kept: ${plan.solve.inverted}.`);
     if (plan.solve.correction_reason) say(NOTE, `The plan was corrected: ${plan.solve.correction_reason}.`);
     if (plan.solve.outage_messages) say(NOTE, `Several messages speak of one outage: ${plan.solve.outage_messages}.`);
@@ -368,7 +369,7 @@ export function farthestOutside(view, name) {
   return most && most.by > BAND_C ? most : null;
 }
 
-const CANNOT = "cannot be supplied", DARK = "blacked out", BY_OPERATOR = ["manual", "hold"];
+const CANNOT = "cannot be supplied", SHED = "shed", DARK = "blacked out", BY_OPERATOR = ["manual", "hold"];
 const REASONS = { plan: "planned", corrected: "planned, then corrected", critical_only: "only the first tier stays supplied" };
 
 // The reason of a customer off supply: the service's explanation if it is there, else the plan's.
@@ -385,6 +386,7 @@ function planned(reason, answered, status) {
   const [kind, ...rest] = reason.split(": ");
   if (kind === "default") return rest.length ? `default: ${rest.join(": ")}` : "default";
   if (kind === CANNOT) return reason;
+  if (kind === SHED) return `planned as supplied, then disconnected: ${rest.join(": ")}`;
   if (kind === DARK) return rest.join(": ");
   if (BY_OPERATOR.includes(status)) return `by the operator: ${reason}`;
   const words = REASONS[kind] ?? `fallback ${kind.replaceAll("_", " ")}`;
