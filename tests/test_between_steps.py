@@ -175,7 +175,7 @@ def test_the_loop_tries_a_new_plan_again_that_could_not_be_kept(
         runner.changes.new.clear()
         if len(tries) == 1:
             raise StorageError("the disk is full")
-        runner.changes.known(runner.changes.reasons)
+        runner.changes.known(runner.changes.noted)
         done.set()
 
     monkeypatch.setattr(runner, "anew", anew)

@@ -347,12 +347,14 @@ def moment_of(time: Any) -> pd.Timestamp | None:
 
 
 def float_of(value: Any) -> float | None:
-    """A real number as a float, None if it is none or too large to be one."""
+    """A real number as a float, infinite if it is too large for one; None if it is none."""
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, Real):
         return None
     try:
         return float(value)
-    except (OverflowError, TypeError, ValueError):
+    except OverflowError:
+        return -np.inf if value < 0 else np.inf
+    except (TypeError, ValueError):
         return None
 
 

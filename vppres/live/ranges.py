@@ -33,6 +33,8 @@ class Range:
         What to say of a number above, if it is not the same.
     infinite : bool
         Whether it may be infinite.
+    whole : bool
+        Whether it lies at one of the ends, and not between.
     """
 
     lowest: float
@@ -41,9 +43,12 @@ class Range:
     cure: str
     beyond: str = ""
     infinite: bool = False
+    whole: bool = False
 
     def holds(self, value: float) -> bool:
         """Whether a number is in the range."""
+        if self.whole:
+            return value in (self.lowest, self.highest)
         return self.lowest <= value <= self.highest or (self.infinite and value == np.inf)
 
     def text(self, value: float) -> str:
@@ -66,7 +71,8 @@ _LIMIT = Range(0.0, 1e9, _NUMBER, _CORRECT, _UNIT, infinite=True)
 _PRICE = Range(-MAX_PRICE, MAX_PRICE, _FINITE, _CORRECT, "is more than any price")
 # No cell loses nine tenths one way; smaller shares would only spoil the numbers.
 _EFFICIENCY = Range(0.1, 1.0, "must lie between 0.1 and 1", "Give a share, for example 0.95.")
-_FLAG = Range(0.0, 1.0, "must be 0 or 1", "Give 1 where it is there and can work, else 0.")
+_OR = "must be 0 or 1"
+_FLAG = Range(0.0, 1.0, _OR, "Give 1 where it is there and can work, else 0.", whole=True)
 _DEGREES = "Give degrees Celsius."
 _LITRES = "Give what is in the tank, in l."
 RANGES: Mapping[str, Range] = {
@@ -96,7 +102,7 @@ RANGES: Mapping[str, Range] = {
     "genset_kw": _POWER,
     "genset_ordered_kw": _POWER,
     "fuel_litres": Range(0.0, 1e7, _NUMBER, _LITRES, "is more than any tank: check the unit"),
-    "start_fault": Range(0.0, 1.0, "must be 0 or 1", "Give 1 if it failed to start, else 0."),
+    "start_fault": Range(0.0, 1.0, _OR, "Give 1 if it failed to start, else 0.", whole=True),
     "grid_on": _FLAG,
 }
 

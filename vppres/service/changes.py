@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Mapping
 
 GRID_LOST = "grid lost"
 """How the reason begins that the grid is lost, by a reading."""
@@ -23,30 +24,38 @@ class Changes:
     >>> changes.note("grid lost")
     >>> changes.reasons, changes.new.is_set()
     (('grid lost',), True)
-    >>> changes.known(("grid lost",))
+    >>> changes.known(changes.noted)
     >>> changes.reasons
     ()
     """
 
     def __init__(self) -> None:
         self.new = threading.Event()
-        self._reasons: dict[str, None] = {}
+        self._count = 0
+        self._noted: dict[str, int] = {}
         self._turn = threading.Lock()
 
     @property
     def reasons(self) -> tuple[str, ...]:
         """All of them."""
+        return tuple(self.noted)
+
+    @property
+    def noted(self) -> dict[str, int]:
+        """All of them, with the number of the note that came last."""
         with self._turn:
-            return tuple(self._reasons)
+            return dict(self._noted)
 
     def note(self, reason: str) -> None:
-        """One more; what is noted already is not noted twice."""
+        """One more; what is noted already is not listed twice."""
         with self._turn:
-            self._reasons[reason] = None
+            self._count += 1
+            self._noted[reason] = self._count
         self.new.set()
 
-    def known(self, reasons: tuple[str, ...]) -> None:
-        """A plan was made that knows of them."""
+    def known(self, noted: Mapping[str, int]) -> None:
+        """A plan was made that knows of these; what was noted again since it does not."""
         with self._turn:
-            for reason in reasons:
-                self._reasons.pop(reason, None)
+            for reason, number in noted.items():
+                if self._noted.get(reason) == number:
+                    del self._noted[reason]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import re
+import threading
 import time as machine
 from collections import OrderedDict
 from collections.abc import Callable, Iterable
@@ -16,7 +17,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vppres.contract.decision import OUT
 from vppres.core.errors import InputError, StorageError
 from vppres.day.forecasting import FORECASTERS
 from vppres.day.options import RunOptions
@@ -29,12 +29,22 @@ from vppres.scenario.outage_warnings import OutageWarning
 from vppres.scenario.scenario import Scenario
 from vppres.service.alarms import Alarms
 from vppres.service.announced import warnings
-from vppres.service.changes import GRID_LOST, Changes
+from vppres.service.changes import Changes
 from vppres.service.clock import Clock, SetClock, written
 from vppres.service.conditions import BY_HAND, conditions, situation
 from vppres.service.gate import refusals
-from vppres.service.knowledge import EARLY_SHARE, Grid, Heard, Known, grid_at, known_at, soc_at
+from vppres.service.knowledge import (
+    EARLY_SHARE,
+    INSTANT,
+    Grid,
+    Heard,
+    Known,
+    grid_at,
+    known_at,
+    soc_at,
+)
 from vppres.service.learned import learned, measured_in
+from vppres.service.news import AGAINST_PLANS, News, newest, unknown_to
 from vppres.service.notify import Notifier
 from vppres.service.plans import (
     Left,
@@ -46,7 +56,7 @@ from vppres.service.plans import (
     tables_of,
     told_at,
 )
-from vppres.service.records import DECIDED, After, Asked, Reading, Written, moment, seconds
+from vppres.service.records import DECIDED, After, Asked, Reading, Written, seconds
 from vppres.service.refused import Refused
 from vppres.service.ruled import ruled
 from vppres.service.store import Store
@@ -57,13 +67,8 @@ DEADLINE_SHARE = 0.25
 FAILED = "failed"
 """The status of a step that only the rule could decide."""
 
-GRID_ON = "grid_on"
-
 LAST_PLAN = "last plan"
 """Who says whether there is grid where nothing else does."""
-
-STATES = {"online": 1.0, "start_fault": 0.0}
-"""What devices say of whether they can work, and what stands until they do."""
 
 MODE = "mode"
 """The setting of what an operator asked for."""
@@ -150,6 +155,9 @@ class Runner:
         self._jobs: OrderedDict[str, Future[dict[str, Any]]] = OrderedDict()
         self.changes = Changes()
         self.refused = Refused(self.length)
+        self.news = News(store)
+        self._fresh: dict[tuple[str, str], Reading] = {}
+        self._hearing = threading.Lock()
         self.alarms = Alarms(store)
         self._within: Within | None = None
         self._odd = set[str]()
@@ -184,48 +192,37 @@ class Runner:
         return self._thread.submit(self._anew).result()
 
     def hear(self, readings: list[Reading], now: pd.Timestamp, actor: str) -> Written:
-        """Keep readings, and note what the present plan does not know of them.
-
-        A device that is back or gone is planned for at once, as the grid is.
-        """
-        told = [one for one in readings if one.quantity in STATES and one.value is not None]
-        latest = self.store.latest(now, tuple(STATES)) if told else ()
-        before = {(one.asset, one.quantity): one.value for one in latest}
+        """Keep readings, and note what the present plan does not know of them."""
+        until = now + EARLY_SHARE * self.length
+        new = self.news.of(readings, until, self.last or {})
         kept = self.store.write_readings(readings, now, actor)
-        self.heard_of(readings)
-        for one in told if self.last is not None else ():
-            if one.value != before.get((one.asset, one.quantity), STATES[one.quantity]):
-                self.changes.note(f"{one.asset} {one.quantity} = {one.value:g} ({one.source})")
+        told = newest(readings)
+        with self._hearing:
+            self._fresh |= told
+        if self.last is not None:
+            self._compare(told.values(), until)
+            for words in new:
+                self.changes.note(words)
         return kept
 
-    def heard_of(self, readings: Iterable[Reading]) -> None:
-        """Note what readings say that the present plan does not know.
-
-        The grid is lost or back, or a battery that the plan leaves out is heard: once for a plan,
-        since what leaves it out may be something else.
-        """
-        grid = (self.last or {}).get("grid")
-        if self.last is None or grid is None:
-            return
-        since = seconds(pd.Timestamp(self.last["valid_from"]))
-        said = self.last.get("estimated", ())
-        for one in readings:
-            heard = one.value is not None if one.quantity == "soc" else one.value == 1.0
-            if one.quantity in ("soc", "online") and heard and OUT.format(one.asset) in said:
-                word = f"battery {one.asset} is heard"
-                if word not in self.last.get("anew", ""):
-                    self.changes.note(word)
-            new = one.quantity == GRID_ON and one.value is not None and one.time >= since
-            if new and (one.value == 1.0) != grid["available"]:
-                word = "grid back" if one.value else GRID_LOST
-                self.changes.note(f"{word} at {written(moment(one.time))} ({one.source})")
+    def _compare(self, told: Iterable[Reading], until: pd.Timestamp) -> None:
+        """Note what readings say against the plan, as far as they are the last ones."""
+        said = [one for one in told if one.quantity in AGAINST_PLANS]
+        kinds = {one.quantity for one in said}
+        last = self.store.latest(until, kinds) if kinds else []
+        for words in unknown_to(self.last or {}, (one for one in last if one in said)):
+            self.changes.note(words)
 
     def look(self) -> None:
         """Note what has changed while the service did not run."""
         if self.last is None:
             return
-        self.heard_of(self.store.latest(self.clock.now(), (GRID_ON,)))
+        until = self.clock.now() + EARLY_SHARE * self.length
+        latest = self.store.latest(until, INSTANT)
+        self._compare(latest, until)
         since = seconds(pd.Timestamp(self.last["generated_at"]))
+        if any(one.time > since for one in latest):
+            self.changes.note("the service has started again")
         for name, event in self.store.events().items():
             if event.made_at > since:
                 self.changes.note(f"event {name}")
@@ -359,7 +356,9 @@ class Runner:
     def _planned(self, time: pd.Timestamp, asked: Asked | None) -> dict[str, Any]:
         """A plan as the mode has it, kept."""
         begin = machine.monotonic()
-        reasons = self.changes.reasons
+        noted = self.changes.noted
+        with self._hearing:
+            self._fresh = {}
         mode = self.mode
         known: Known | None = None
         if mode["mode"] == "off":
@@ -373,7 +372,10 @@ class Runner:
         self.on_step(machine.monotonic() - begin)
         self._forget(time)
         self.last = plan
-        self.changes.known(reasons)
+        self.changes.known(noted)
+        with self._hearing:
+            told = [*self._fresh.values()]
+        self._compare(told, self.clock.now() + EARLY_SHARE * self.length)
         self.check_alarms()
         return plan
 

@@ -150,6 +150,10 @@ class Store:
         self._items |= new
         return Written(accepted, len(rows) - accepted)
 
+    def was_heard(self, asset: str, quantity: str) -> bool:
+        """Whether there ever was a reading."""
+        return (asset, quantity) in self._items
+
     def latest(self, until: pd.Timestamp, quantities: Iterable[str]) -> list[Reading]:
         """The last reading of each asset and quantity up to a time, that time included."""
         # Of two sources that speak at once the first by name counts.
