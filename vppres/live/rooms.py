@@ -9,9 +9,43 @@ import numpy as np
 from vppres.core.arrays import Flags, Floats, Names
 from vppres.plant.rooms import Climate
 from vppres.scenario.scenario import Scenario
+from vppres.scenario.thermal_loads import ThermalLoads
 
 STILL_C = 1.0
 """What a temperature may have moved through by the model while its reading stands still, in K."""
+
+POWER_SHARE = 1e-3
+"""Share of a machine's power that solvers leave of none, or of all of it."""
+
+LEAST_RISE_C = 0.02
+"""By how much a room must change for a thermostat to notice."""
+
+
+def setpoints_c(loads: ThermalLoads, start_c: Floats, end_c: Floats, power_kw: Floats) -> Floats:
+    """Temperatures with which thermostats do what is planned for a step, (H,).
+
+    A machine that rests has the end of the band that it holds by itself, or what the room is
+    beyond it. One that runs has the temperature at the end of the step. At full power it has the
+    end of the band that it makes for, which keeps it running where the room does not follow.
+
+    Parameters
+    ----------
+    loads : ThermalLoads
+        Rooms and tanks.
+    start_c, end_c : array, shape (H,)
+        Temperatures at the beginning and at the end of the step.
+    power_kw : array, shape (H,)
+        Power of each machine.
+    """
+    warms = np.where(loads.heats, 1.0, -1.0)  # a cooled room is a heated one upside down
+    start, end, near = warms * start_c, warms * end_c, warms * loads.held_c
+    far = warms * np.where(loads.heats, loads.t_max_c, loads.t_min_c)
+    rests = power_kw <= POWER_SHARE * loads.p_max_kw
+    full = power_kw >= (1.0 - POWER_SHARE) * loads.p_max_kw
+    ahead = np.maximum(near, end)
+    ahead = np.where(ahead > start + LEAST_RISE_C, ahead, far)
+    asked = np.where(full, ahead, end)
+    return np.asarray(warms * np.where(rests, np.minimum(near, np.minimum(start, end)), asked))
 
 
 @dataclass(frozen=True, eq=False)

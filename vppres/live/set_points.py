@@ -18,6 +18,7 @@ from vppres.day.trajectory import FORMS, SHARE, Feeder, supplied
 from vppres.feeders.actuate import Feeding
 from vppres.live.by_phase import ByPhase
 from vppres.live.foreseen import Foreseen
+from vppres.live.rooms import setpoints_c
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.vehicles import NO_CAR
 from vppres.solve.result import Status
@@ -263,25 +264,18 @@ def _chargers(scenario: Scenario, step: StepRecord) -> pd.DataFrame | None:
 
 
 def _thermal_loads(scenario: Scenario, columns: Mapping[str, Any] | None) -> pd.DataFrame | None:
-    """Powers and temperatures by thermal load; None without any.
-
-    A thermostat gets the temperature at the end of the step. If its machine is to rest, that is
-    the end of the band that it holds by itself, or what lies beyond.
-    """
+    """Powers and temperatures by thermal load; None without any."""
     if columns is None:
         return None
     loads = scenario.thermal_loads
-    end_c = columns["t_end_c"]
-    farther = np.where(
-        loads.heats, np.minimum(loads.held_c, end_c), np.maximum(loads.held_c, end_c)
-    )
+    start_c, end_c, p_kw = columns["t_start_c"], columns["t_end_c"], columns["p_kw"]
     return _table(
         loads.id,
         customer=loads.customer,
         bus=loads.buses(scenario.customers),
-        p_kw=columns["p_kw"],
-        setpoint_c=np.where(columns["p_kw"] > 0.0, end_c, farther),
-        indoor_c=columns["t_start_c"],
+        p_kw=p_kw,
+        setpoint_c=setpoints_c(loads, start_c, end_c, p_kw),
+        indoor_c=start_c,
         indoor_end_c=end_c,
     )
 
