@@ -87,6 +87,7 @@ def deviation_of(net: Any, solved: bool, feeder: ImportedFeeder) -> Deviation | 
         return None
     source = {int(bus): float(v) for bus, v in net.res_bus["vm_pu"].items()}
     losses_mw = sum(float(net[f"res_{table}"].filter(["pl_mw"]).sum().sum()) for table in LOSSES)
+    losses_mw += float(net.res_switch.filter(["p_from_mw", "p_to_mw"]).sum().sum())
     shunts_mw = float(net.res_shunt["p_mw"].sum())
     shunts_mw += float((net.ward["pz_mw"] * net.res_ward["vm_pu"] ** 2).sum())
     return given_deviation(feeder, source, float(mw_to_kw(losses_mw + shunts_mw)))

@@ -19,7 +19,7 @@ from vppres.feeders.feeder import ImportedFeeder, Profile
 from vppres.feeders.net.balance import PhasePowers, balance_net, balanced, phase_powers
 from vppres.feeders.net.changes import Changes, changed
 from vppres.feeders.net.names import bus_names
-from vppres.feeders.net.numbers import missing_numbers, unknown_buses
+from vppres.feeders.net.numbers import impossible_numbers, missing_numbers, unknown_buses
 from vppres.feeders.net.reduce import feeder_of
 from vppres.feeders.series.source import control_profiles, controls_in_json, profiles_of
 from vppres.io.messages import did_you_mean, folded
@@ -134,7 +134,8 @@ def _to_blame(path: Path, what: str) -> Iterator[None]:
 
 def _feeder(found: _Net, name: str, changes: Changes) -> ImportedFeeder:
     """The feeder of a net, after the changes that were asked for."""
-    problems = folded([*unknown_buses(found.net, name), *missing_numbers(found.net, name)])
+    checks = (unknown_buses, missing_numbers, impossible_numbers)
+    problems = folded([problem for check in checks for problem in check(found.net, name)])
     if problems:
         raise InputError(problems)
     notes = found.notes

@@ -13,6 +13,8 @@ import numpy as np
 import scipy.io
 
 TABLES = ("baseMVA", "bus", "gen", "branch")
+MORE = ("dcline",)
+"""Tables that a case may have."""
 
 
 def answer(job: dict[str, Any]) -> dict[str, Any]:
@@ -22,7 +24,8 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
         case = scipy.io.loadmat(
             content, squeeze_me=True, struct_as_record=False, variable_names=["mpc"]
         )["mpc"]
-        tables = {name: np.asarray(getattr(case, name), dtype=float).tolist() for name in TABLES}
+        names = (*TABLES, *(name for name in MORE if hasattr(case, name)))
+        tables = {name: np.asarray(getattr(case, name), dtype=float).tolist() for name in names}
         return {"version": str(case.version), "tables": tables}
     except Exception as error:  # whatever the reader stumbles over, the file is the cause
         return {"error": f"{type(error).__name__}: {error}"}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ FINITE = {
     "gen": ("GEN_BUS", "PG", "QG", "VG", "GEN_STATUS"),
     "branch": ("F_BUS", "T_BUS", "BR_R", "BR_X", "BR_B", "TAP", "SHIFT", "BR_STATUS"),
 }
+STATUS_OF_DC = 2  # column of mpc.dcline, from 0
 LARGEST_BUS = 1_000_000_000  # numbers of buses in published cases have at most eight digits
 F_HZ = 50.0  # pandapower has charging as capacitance; any frequency gives it back as it was
 Case = dict[str, Floats]
@@ -80,13 +82,17 @@ def net_of(case: Case, name: str) -> tuple[Any, tuple[str, ...]]:
     net = empty_net(f_hz=F_HZ, sn_mva=float(case["baseMVA"][0, 0]))
     bus = case["bus"]
     numbers = _whole(bus, "BUS_I")
+    isolated = numbers[_of(bus, "BUS_TYPE") == 4]
     pp.create_buses(
         net, len(bus), _of(bus, "BASE_KV"), index=numbers, in_service=_of(bus, "BUS_TYPE") != 4
     )
     _add_powers(net, bus, numbers)
     kind_of = dict(zip(numbers, _whole(bus, "BUS_TYPE"), strict=True))
     notes = _add_generators(net, case["gen"], kind_of)
-    _add_branches(net, case["branch"])
+    branch = case["branch"]
+    # MATPOWER leaves out branches at an isolated bus whole, with what they charge.
+    at_isolated = np.isin(branch[:, :2], isolated).any(axis=1)
+    _add_branches(net, branch[~at_isolated])
     return net, notes
 
 
@@ -150,7 +156,14 @@ def _check_values(case: Case, name: str) -> list[Problem]:
             for end in ("F_BUS", "T_BUS")
         ),
     )
-    return [_in_rows(name, table, rows, what) for table, rows, what in faults if len(rows)]
+    found = [_in_rows(name, table, rows, what) for table, rows, what in faults if len(rows)]
+    if "dcline" in case and case["dcline"].shape[1] > STATUS_OF_DC:
+        running = np.flatnonzero(case["dcline"][:, STATUS_OF_DC] > 0)
+        if len(running):
+            what = "is a DC line, which the model does not have"
+            cure = "Replace it by a load and a generator, or switch it off."
+            found.append(replace(_in_rows(name, "dcline", running, what), cure=cure))
+    return found
 
 
 def _strange(values: Floats, known: Floats) -> Wholes:

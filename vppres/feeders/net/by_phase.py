@@ -21,7 +21,7 @@ from vppres.feeders.dss.phases import flow_of_source, kept_phases
 from vppres.feeders.feeder import ImportedFeeder, PhasedLoad, PhasedSource
 from vppres.feeders.net.balance import CURE, TABLES
 from vppres.feeders.net.elements import in_service, label, tiers_of
-from vppres.feeders.net.ratings import NO_LIMIT_KA
+from vppres.feeders.net.ratings import rating_mva
 from vppres.scenario.network import BusId
 from vppres.scenario.phases import (
     PHASES,
@@ -171,15 +171,14 @@ class _Tables:
         """A line: matrices of its sequences."""
         ohm = self._ohm(self.kv[start])
         (one, b_one), (zero, b_zero) = (self._branch(c, row) for c in (self.one, self.zero))
-        line = self.net.line.loc[i]
-        rating = float(line["max_i_ka"]) * float(line["df"]) * float(line["parallel"])
+        ka = rating_mva(self.net, "line", i) / (np.sqrt(3.0) * self.kv[start])
         self.lines.append(
             PhaseLine(
                 str(self.id_of[start]),
                 str(self.id_of[end]),
                 _matrix(one * ohm, zero * ohm),
                 _matrix(b_one / ohm, b_zero / ohm).imag * US_PER_S,
-                A_PER_KA * rating if 0.0 < rating < NO_LIMIT_KA else np.nan,
+                A_PER_KA * ka if np.isfinite(ka) else np.nan,
             )
         )
 

@@ -11,6 +11,7 @@ from vppres.feeders.net.balance import balance_net
 from vppres.feeders.net.grids import one_grid
 from vppres.feeders.net.loops import open_loops
 from vppres.feeders.net.reduce import open_named
+from vppres.feeders.net.stand_ins import stand_ins
 from vppres.scenario.network import BusId
 
 
@@ -34,9 +35,10 @@ def changed(
     """A changed copy of a net, and notes on what was changed."""
     net = copy.deepcopy(net)
     notes = [*one_grid(net, name, changes.slack, bus_ids)]
+    open_named(net, name, changes.open_branches)
+    notes += stand_ins(net)
     if changes.balance:
         notes += balance_net(net)
-    open_named(net, name, changes.open_branches)
     if changes.open_loops:
         notes += open_loops(net, name)
     return net, tuple(notes)

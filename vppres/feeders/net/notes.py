@@ -14,6 +14,7 @@ from vppres.feeders.closeness import causes_of
 from vppres.feeders.feeder import Generators
 from vppres.feeders.net.branches import LEAST_PU, Stub
 from vppres.feeders.net.elements import NetCase, in_service, label, supplied
+from vppres.feeders.net.ratings import without_rating
 
 TABLES_OF_BUSES = ("load", "sgen", "gen", "storage")
 TAP_TOLERANCE = 1e-9
@@ -80,6 +81,9 @@ def _notes_on_branches(net: Any, case: NetCase) -> Iterator[str]:
         ratios = [f"{n} ({tap:.4f})" for n, tap in zip(off["label"], off["tap"], strict=True)]
         yield f"Taps stay as they are, with the ratio {named(ratios)}."
     yield from _set_points(net)
+    unrated = [*without_rating(net)]
+    if unrated:
+        yield f"Without a rating in the source, and here: {named(unrated)}."
     negative = branches[branches["r"] < 0]
     if len(negative):
         sizes = [f"{n} ({r:.3g} pu)" for n, r in zip(negative["label"], negative["r"], strict=True)]

@@ -49,6 +49,8 @@ NEEDED = {
 }
 """Columns of each table that must be finite numbers for elements in service."""
 
+ROUNDING = 1e-9
+
 POSITIVE = ("vn_kv", "vn_hv_kv", "vn_mv_kv", "vn_lv_kv", "vm_pu")
 """Those that must be above zero too."""
 
@@ -70,6 +72,39 @@ def unknown_buses(net: Any, name: str) -> Iterator[Problem]:
                     field=f"{label(net, table, i)}, {column}",
                     value=frame[column].at[i],
                 )
+
+
+def impossible_numbers(net: Any, name: str) -> Iterator[Problem]:
+    """Elements in service whose numbers contradict each other; parameters as above.
+
+    A transformer needs an impedance that is no less than its resistance, and a load has shares of
+    impedance and current of at most all of it.
+    """
+    pairs = [("trafo", "vk_percent", "vkr_percent")]
+    pairs += [("trafo3w", f"vk_{side}_percent", f"vkr_{side}_percent") for side in _WINDINGS]
+    for table, impedance, resistance in pairs:
+        rows = in_service(net, table)
+        vk, vkr = (rows[column].astype(float) for column in (impedance, resistance))
+        for i in rows.index[(vk == 0) | (vk.abs() * (1.0 + ROUNDING) < vkr.abs())]:
+            yield Problem(
+                name,
+                f"is no impedance for {resistance} = {vkr[i]:g}",
+                f"Give {impedance} above 0, and at least {resistance}.",
+                field=f"{label(net, table, i)}, {impedance}",
+                value=vk[i],
+            )
+    loads = in_service(net, "load")
+    for power in ("p", "q"):
+        columns = [f"const_{kind}_{power}_percent" for kind in "zi"]
+        share = loads.reindex(columns=columns).astype(float).fillna(0.0).sum(axis=1)
+        for i in loads.index[share > 100.0]:
+            yield Problem(
+                name,
+                "are more than all of the load",
+                "Give shares that add up to 100 at most.",
+                field=f"{label(net, 'load', i)}, {' + '.join(columns)}",
+                value=share[i],
+            )
 
 
 def missing_numbers(net: Any, name: str) -> Iterator[Problem]:

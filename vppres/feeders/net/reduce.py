@@ -36,6 +36,7 @@ from vppres.feeders.net.elements import NetCase, in_service, label, supplied
 from vppres.feeders.net.grids import one_grid
 from vppres.feeders.net.notes import notes_of
 from vppres.feeders.net.ratings import rating_mva
+from vppres.feeders.net.taps import told_idle_taps
 from vppres.io.messages import did_you_mean
 from vppres.io.schema import MIN_OHM, MIN_POWER_FACTOR
 from vppres.scenario.network import BusId, Network, find_loops
@@ -63,8 +64,9 @@ UNSUPPORTED = (
     "source_dc",
 )
 LOOPS_SHOWN = 2
+SAME_DEGREE = 1e-6
 # Columns of the tables of pandapower's case.
-COLUMNS = {"from": 0, "to": 1, "r": 2, "x": 3, "tap": 8}
+COLUMNS = {"from": 0, "to": 1, "r": 2, "x": 3, "tap": 8, "shift": 9}
 B = 4
 GS, BS, KV = 4, 5, 9
 
@@ -118,7 +120,12 @@ def feeder_of(
         storages=storages,
         loads=loads_of(net, joined, ids),
         bus_of={bus: ids[row] for bus, row in joined.bus_at.items()},
-        notes=(*notes, *notes_of(net, case, stubs, closed, condensers), *storage_notes),
+        notes=(
+            *notes,
+            *notes_of(net, case, stubs, closed, condensers),
+            *told_idle_taps(net, solved),
+            *storage_notes,
+        ),
         causes=tuple(causes_of(net, case)),
         source_flow=PandapowerFlow(net, {ids[row]: bus for bus, row in _last_first(joined)}),
     )
@@ -213,7 +220,7 @@ def case_of(net: Any) -> NetCase:
     # the voltage stay loads.
     ppc = to_ppc(
         net,
-        calculate_voltage_angles=False,
+        calculate_voltage_angles=True,
         trafo_model="t",
         init="flat",
         check_connectivity=True,
@@ -311,7 +318,23 @@ def _joined(case: NetCase) -> tuple[NetCase, list[Stub], list[str]]:
 
 
 def _check_branches(branches: pd.DataFrame, name: str) -> list[Problem]:
-    """Whether there is any branch."""
+    """Whether there is any branch, and whether parallel ones shift the phase alike."""
+    problems = []
+    for _, group in branches.groupby(branches[["from", "to"]].agg(frozenset, axis=1), sort=False):
+        along = np.where(group["from"] == group["from"].iloc[0], 1.0, -1.0)
+        turn = (along * group["shift"] + 180.0) % 360.0
+        if len(group) > 1 and np.ptp(turn) > SAME_DEGREE:
+            shifts = [f"{n} ({a:g})" for n, a in zip(group["label"], turn - 180.0, strict=True)]
+            problems.append(
+                Problem(
+                    name,
+                    f"has parallel branches that shift the phase differently: {named(shifts)}",
+                    "A current circulates between them, which the model does not have: correct "
+                    "the shifts in degrees, or open one with --open.",
+                )
+            )
+    if problems:
+        return problems
     if branches.empty:
         return [
             Problem(
