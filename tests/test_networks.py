@@ -585,9 +585,8 @@ def test_opendss_buses_that_are_numbers(tmp_path: Path) -> None:
             "others.",
         ),
         (
-            "new reactor.x bus1=a bus2=b phases=3 kv=11 kvar=50",
-            "mill.dss: reactor.x is not supported. Disable it, or replace it by lines, transformers, "
-            "loads and generators.",
+            "new isource.x bus1=a phases=3 amps=1",
+            "mill.dss: isource.x is not supported. Write 'disable isource.x' at the end of the script.",
         ),
         (
             "new transformer.t3 phases=3 windings=3 buses=(a d e) kvs=(11 0.4 0.4) kvas=(9 9 9)",

@@ -122,11 +122,13 @@ def test_a_wye_with_its_neutral_at_a_phase_is_between_two_phases(circuit: Path) 
     assert "bc" in {load.connection.coils for load in found.loads}
 
 
-def test_a_transformer_that_does_not_follow_from_its_coils_is_refused(circuit: Path) -> None:
+def test_a_core_is_a_shunt_of_the_transformer_s_bus(circuit: Path) -> None:
     file = circuit.with_name("core.dss")
     file.write_text(CIRCUIT.replace("transformer.low phases=3", "transformer.low %imag=2 phases=3"))
-    with pytest.raises(InputError, match=r"transformer\.low does not follow from its coils.*core"):
-        import_network(file)
+    source = import_network(file).phased
+    assert source is not None and source.difference_pu is not None
+    assert source.difference_pu < 1e-6
+    assert [(row.bus, row.q_kvar > 0) for row in source.phases.shunts if row.bus == "d"]
 
 
 def test_three_wires_have_limits_between_phases(day: Scenario) -> None:

@@ -183,7 +183,8 @@ class PhasedLoad:
 class PhasedSource:
     """The three phases of a source, without assets, and what is connected to them.
 
-    ``difference_pu`` is the largest one of the own power flow from that of the source.
+    ``difference_pu`` is the largest one of the own power flow from that of the source, ``causes``
+    what it may come from.
     """
 
     phases: Phases
@@ -191,6 +192,7 @@ class PhasedSource:
     v_pu: float
     difference_pu: float | None = None
     notes: tuple[str, ...] = ()
+    causes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

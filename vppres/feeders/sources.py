@@ -7,18 +7,20 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+import numpy as np
+
 from vppres.core.errors import InputError, VppresError, first_line
 from vppres.feeders.closeness import given_deviation
 from vppres.feeders.dss.circuit import OpenDSSFlow
-from vppres.feeders.feeder import ImportedFeeder, Profile
+from vppres.feeders.feeder import ImportedFeeder, Profile, Storages
 from vppres.feeders.net.balance import PhasePowers, balance_net, balanced, phase_powers
 from vppres.feeders.net.changes import Changes, changed
-from vppres.feeders.net.names import bus_names
+from vppres.feeders.net.names import bus_names, name_in
 from vppres.feeders.net.numbers import impossible_numbers, missing_numbers, unknown_buses
 from vppres.feeders.net.reduce import feeder_of
 from vppres.feeders.series.source import control_profiles, controls_in_json, profiles_of
@@ -172,7 +174,12 @@ def _with_phases(found: _Net, net: Any, feeder: ImportedFeeder) -> ImportedFeede
     flow = found.flow.of(net, feeder)
     feeder = replace(feeder, source_flow=flow, causes=(), deviation=None)
     phased = phased_source(flow.job, flow.name, feeder, flow.disabled)
-    return replace(feeder, phased=phased, notes=(*feeder.notes, *phased.notes))
+    names = {(load.kind, load.connection.id) for load in phased.loads}
+    storages = feeder.storages
+    supplied = np.array([("storage", name_in(str(each))) in names for each in storages.id], bool)
+    storages = Storages(**{f.name: getattr(storages, f.name)[supplied] for f in fields(storages)})
+    notes = (*feeder.notes, *phased.notes)
+    return replace(feeder, phased=phased, storages=storages, notes=notes, causes=phased.causes)
 
 
 def _with_phases_of_net(

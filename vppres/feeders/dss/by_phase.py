@@ -1,6 +1,6 @@
 """An OpenDSS circuit with all of its phases, as tables; runs in the process of the reader.
 
-Regulators and switched capacitors stand where the circuit's own controls leave them.
+Controls stand where the circuit's own solution leaves them.
 """
 
 from __future__ import annotations
@@ -20,14 +20,17 @@ EXPONENTS = {1: (0.0, 0.0), 2: (2.0, 2.0), 3: (0.0, 2.0), 5: (1.0, 1.0)}
 """How active and reactive power of OpenDSS's load models follow the voltage."""
 
 US_PER_S = 1e6
+SAME = 1e-9
+"""Share of an entry by which the two ends of a line may differ and still have the same charging."""
 
 Refused = list[dict[str, Any]]
+Table = list[dict[str, Any]]
 
 
 def answer(job: dict[str, Any]) -> dict[str, Any]:
     """The tables of the job's circuit, or what of it has none.
 
-    The job has the ``commands`` of the circuit, and ``disabled``: elements that are out of service.
+    The job has the commands of the circuit, and ``disabled``: elements that are out of service.
     """
     engine: Any = sys.modules["dss/engine"]
     problems = engine.build({**job, "open_deltas": True})
@@ -37,29 +40,24 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
     for element in job["disabled"]:
         dss.Circuit.Disable(element)
     engine._elements.cache_clear()
+    solved = engine.solved_by_phase()
     refused: Refused = []
+    own = _Matrices(engine, refused)
     tables = {
-        "buses": [_bus(bus, refused) for bus in dss.Circuit.AllBusNames()],
         "source": _source(),
-        "lines": [_line(name, engine) for name in engine._of("line") if engine._closed()],
-        "transformers": [
-            _transformer(name) for name in engine._of("transformer") if engine._closed()
-        ],
-        "capacitors": [_capacitor(name, refused) for name in engine._of("capacitor")],
-        "powers": list(_powers(engine, refused)),
+        "lines": own.lines,
+        "transformers": [_transformer(name, engine) for name in engine._of("transformer")],
+        "shunts": own.shunts(),
+        "buses": [_bus(bus, own.taken, refused) for bus in dss.Circuit.AllBusNames()],
+        "powers": [] if refused else list(_powers(engine, solved, refused)),
+        "causes": [words for _, words in sorted(engine.beyond())] if solved else [],
     }
-    return {"problems": refused, **tables, "v_pu": {} if refused else _voltages(engine)}
+    v_pu = _voltages() if solved and not refused else {}
+    return {"problems": refused, **tables, "v_pu": v_pu}
 
 
-def _voltages(engine: Any) -> dict[str, float]:
-    """Voltage to ground of each node with the powers of the file, at any voltage; {} without."""
-    for name in engine._of("load"):
-        dss.Text.Command(f"edit load.{name} vminpu=0.05 vmaxpu=2")
-    for kind in ("generator", "pvsystem"):
-        for name in engine._of(kind):
-            dss.Circuit.Disable(f"{kind}.{name}")
-    if not engine.solved_by_phase():
-        return {}
+def _voltages() -> dict[str, float]:
+    """Voltage to ground of each node in pu in the last solution."""
     names = [name.lower() for name in dss.Circuit.AllNodeNames()]
     return dict(zip(names, map(float, dss.Circuit.AllBusMagPu()), strict=True))
 
@@ -68,15 +66,16 @@ def _refuse(refused: Refused, element: str, what: str, cure: str) -> None:
     refused.append({"message": f"{element} {what}", "cure": cure, "command": None})
 
 
-def _bus(bus: str, refused: Refused) -> dict[str, Any]:
+def _bus(bus: str, taken: set[tuple[str, int]], refused: Refused) -> dict[str, Any]:
     """Phases and nominal voltage between lines of a bus."""
     dss.Circuit.SetActiveBus(bus)
     nodes = sorted(dss.Bus.Nodes())
-    if any(node > len(PHASES) for node in nodes):
+    beside = [node for node in nodes if node > len(PHASES) and (bus, node) in taken]
+    if beside:
         _refuse(
             refused,
             f"bus {bus}",
-            f"has node {max(nodes)}: conductors beside the phases are not held",
+            f"has node {max(beside)}: conductors beside the phases are not held",
             "Ground the neutral (node 0), or import the feeder with --balance.",
         )
     words = [PHASES[node - 1] for node in nodes if node <= len(PHASES)]
@@ -85,21 +84,105 @@ def _bus(bus: str, refused: Refused) -> dict[str, Any]:
 
 def _nodes() -> list[tuple[str, int]]:
     """Bus and phase of each conductor of the active element; phase -1 is ground."""
-    buses = [bus.partition(".")[0].lower() for bus in dss.CktElement.BusNames()]
-    order = dss.CktElement.NodeOrder()
-    each = dss.CktElement.NumConductors()
-    return [(buses[i // each], node - 1) for i, node in enumerate(order)]
-
-
-def _matrix() -> Any:
-    """Admittances of the active element in siemens."""
-    flat = np.asarray(dss.CktElement.YPrim())
-    size = round((len(flat) / 2) ** 0.5)
-    return (flat[::2] + 1j * flat[1::2]).reshape(size, size).T
+    return [(bus, node - 1) for bus, node in sys.modules["dss/elements"].nodes_of()]
 
 
 def _complex(matrix: Any) -> dict[str, Any]:
-    return {"re": matrix.real.tolist(), "im": matrix.imag.tolist()}
+    return {"re": np.real(matrix).tolist(), "im": np.imag(matrix).tolist()}
+
+
+class _Matrices:
+    """Lines, reactors and capacitors by their own matrices.
+
+    ``taken`` has the neutrals that something else is connected to, so that they stay.
+    """
+
+    def __init__(self, engine: Any, refused: Refused) -> None:
+        self.elements = engine.elements()
+        self.lines: Table = []
+        self.at_bus: dict[tuple[str, bool], dict[tuple[int, int], complex]] = {}
+        self.taken: set[tuple[str, int]] = set()
+        for kind in ("line", "reactor", "capacitor"):
+            for name in engine._of(kind):
+                amps = engine.rated_amps(dss.CktElement.NormalAmps()) if kind == "line" else None
+                self._add(f"{kind}.{name}", kind != "line", amps, refused)
+        for kind in ("transformer", *engine.POWERS):
+            for _ in engine._of(kind):
+                self._take(self.elements.nodes_of())
+
+    def _take(self, nodes: list[tuple[str, int]]) -> None:
+        self.taken |= {node for node in nodes if node[1] > len(PHASES)}
+
+    def _add(self, element: str, switched: bool, amps: float | None, refused: Refused) -> None:
+        """One element: a line between two buses, or what it draws at one."""
+        nodes, y = self.elements.admittance()
+        buses = self.elements.buses_of(nodes)
+        if len(buses) > 2:
+            _refuse(refused, element, "joins more than two buses", f"Write 'disable {element}'.")
+        if len(buses) == 2:
+            self._take(nodes)
+            port = self.elements.TwoPort(nodes, y)
+            if port.crossed:
+                _refuse(
+                    refused,
+                    element,
+                    "connects a phase with another one",
+                    "Name the same nodes at both ends, or import the feeder with --balance.",
+                )
+                return
+            if port.phases:
+                self._line(element, port, amps)
+            else:
+                for bus, own, rest in zip(
+                    (port.start, port.end), port.nodes, port.rest, strict=True
+                ):
+                    self._rest(bus, own, rest, switched)
+        elif buses:
+            self._rest(buses[0], [node for _, node in nodes], y, switched)
+
+    def _line(self, element: str, port: Any, amps: float | None) -> None:
+        """A line; charging that its ends do not share is left at them."""
+        phases = [first - 1 for first, _ in port.phases]
+        n = len(phases)
+        whole = [len(rest) == n for rest in port.rest]
+        half = port.rest[0] if all(whole) else np.zeros((n, n))
+        alike = all(whole) and np.abs(port.rest[1] - half).max() <= SAME * np.abs(half).max()
+        capacitive = alike and np.abs(half.real).max() <= SAME * np.abs(half).max()
+        shared = half.imag if capacitive else np.zeros((n, n))
+        for bus, own, rest in zip((port.start, port.end), port.nodes, port.rest, strict=True):
+            if not capacitive:
+                self._rest(bus, own, rest, switched=False)
+        self.lines.append(
+            {
+                "name": element,
+                "from_bus": port.start,
+                "to_bus": port.end,
+                "phases": phases,
+                "z": _complex(port.z),
+                "b_us": (2.0 * shared * US_PER_S).tolist(),
+                "i_max_a": amps,
+            }
+        )
+
+    def _rest(self, bus: str, nodes: list[int], y: Any, switched: bool) -> None:
+        """Add a matrix to what there is at a bus."""
+        sums = self.at_bus.setdefault((bus, switched), {})
+        for i, first in enumerate(nodes):
+            for j, second in enumerate(nodes):
+                sums[first, second] = sums.get((first, second), 0j) + complex(y[i, j])
+
+    def shunts(self) -> Table:
+        """The matrix of each bus to ground and between its phases, without its own neutrals."""
+        found: Table = []
+        for (bus, _), sums in self.at_bus.items():
+            nodes = sorted({node for pair in sums for node in pair})
+            y = np.array([[sums.get((i, j), 0j) for j in nodes] for i in nodes])
+            gone = [i for i, node in enumerate(nodes) if node > len(PHASES)]
+            if gone:
+                y = self.elements.without(y, gone)
+            phases = [node - 1 for node in nodes if node <= len(PHASES)]
+            found.append({"bus": bus, "phases": phases, "y": _complex(y)})
+        return found
 
 
 def _source() -> dict[str, Any]:
@@ -107,7 +190,7 @@ def _source() -> dict[str, Any]:
     dss.Circuit.SetActiveElement("vsource.source")
     bus = dss.CktElement.BusNames()[0].partition(".")[0].lower()
     phases = [phase for _, phase in _nodes()[:3]]
-    z = np.linalg.inv(_matrix()[:3, :3])
+    z = np.linalg.inv(sys.modules["dss/elements"].matrix()[:3, :3])
     dss.Vsources.Name("source")
     dss.Circuit.SetActiveBus(bus)
     base_kv = float(dss.Bus.kVBase() * np.sqrt(3))
@@ -115,35 +198,14 @@ def _source() -> dict[str, Any]:
     return {"bus": bus, "kv": base_kv, "v_pu": v_pu, "phases": phases, "z": _complex(z)}
 
 
-def _line(name: str, engine: Any) -> dict[str, Any]:
-    """Ends, phases, impedance and charging of a line, as OpenDSS's own matrix has them."""
-    dss.Circuit.SetActiveElement(f"line.{name}")
-    ends = _nodes()
-    y = _matrix()
-    n = len(ends) // 2
-    series = -y[:n, n:]
-    charging = 2.0 * (y[:n, :n] - series).imag
-    return {
-        "name": name,
-        "from_bus": ends[0][0],
-        "to_bus": ends[n][0],
-        "from_phases": [phase for _, phase in ends[:n]],
-        "to_phases": [phase for _, phase in ends[n:]],
-        "z": _complex(np.linalg.inv(series)),
-        "b_us": (charging * US_PER_S).tolist(),
-        "i_max_a": engine.rated_amps(dss.CktElement.NormalAmps()),
-    }
-
-
-def _transformer(name: str) -> dict[str, Any]:
+def _transformer(name: str, engine: Any) -> dict[str, Any]:
     """A transformer with the coils that each end may have, and its own matrix."""
     element = f"transformer.{name}"
     dss.Transformers.Name(name)
     dss.Circuit.SetActiveElement(element)
     phases = dss.CktElement.NumPhases()
-    order, y = _nodes(), _matrix()
-    dss.Text.Command(f"? {element}.ppm_antifloat")
-    ppm = float(dss.Text.Result())
+    order = _nodes()
+    live, y = engine.elements().admittance()
     row: dict[str, Any] = {"id": name, "x_pct": float(dss.Transformers.Xhl()), "r_pct": 0.0}
     ends = []
     n = len(order) // 2
@@ -161,23 +223,22 @@ def _transformer(name: str) -> dict[str, Any]:
         row["r_pct"] += float(dss.Transformers.R())
         row["kva"] = float(dss.Transformers.kVA()) / phases
         ends.append(_windings([phase for _, phase in nodes], delta, phases))
-    row["ppm"] = ppm
-    live = [i for i, (_, phase) in enumerate(order) if phase >= 0]
+    row["ppm"] = engine.number(f"{element}.ppm_antifloat")
     return {
         "row": row,
         "coils": ends,
-        "nodes": [order[i] for i in live],
-        "y": _complex(y[np.ix_(live, live)]),
+        "nodes": [(bus, node - 1) for bus, node in live],
+        "y": _complex(y),
     }
 
 
 def _windings(phases: list[int], delta: bool, count: int) -> list[str]:
-    """Coils that a winding may be, in words."""
+    """Coils that a winding may be, in words; a conductor at ground is no end of one."""
     if not delta:
-        return [" ".join(PHASES[phase] for phase in phases[:count] if phase >= 0)]
+        return [" ".join(PHASES[phase] for phase in phases[:count] if phase in range(3))]
     if count == 1:
-        return ["".join(PHASES[phase] for phase in phases[:2] if phase >= 0)]
-    names = [PHASES[phase] for phase in phases[:3]]
+        return ["".join(PHASES[phase] for phase in phases[:2] if phase in range(3))]
+    names = [PHASES[phase] if phase in range(3) else "" for phase in phases[:3]]
     return [_delta(names, NEXT), _delta(names, PREVIOUS)]
 
 
@@ -187,62 +248,38 @@ def _delta(names: list[str], pairs: tuple[str, ...]) -> str:
     return " ".join(turn[pair[0]] + turn[pair[1]] for pair in pairs)
 
 
-def _capacitor(name: str, refused: Refused) -> dict[str, Any]:
-    """Coils of a capacitor that are in, and what they feed at their rated voltage."""
-    element = f"capacitor.{name}"
-    dss.Capacitors.Name(name)
-    dss.Circuit.SetActiveElement(element)
-    ends = _nodes()
-    n = dss.CktElement.NumPhases()
-    delta = bool(dss.Capacitors.IsDelta())
-    if not delta and any(phase >= 0 for _, phase in ends[dss.CktElement.NumConductors() :]):
-        _refuse(
-            refused,
-            element,
-            "is in series, or its neutral is not grounded",
-            "Connect it to ground or in delta, or import the feeder with --balance.",
-        )
-    states = dss.Capacitors.States()
-    kv = float(dss.Capacitors.kV())
-    kv = kv if delta or n == 1 else kv / np.sqrt(3)
-    kvar = float(dss.Capacitors.kvar()) * sum(states) / max(len(states), 1)
-    coils = _load_coils([phase for _, phase in ends[:n]], delta, n)
-    return {"bus": ends[0][0], "coils": coils, "kv": kv, "kvar": kvar}
+def _load_coils(phases: list[int], delta: bool, count: int) -> list[str]:
+    """Coils of a device, in the order in which they share its power; ground alone is none."""
+    if delta:
+        ends = [(i, (i + 1) % (count if count > 2 else count + 1)) for i in range(count)]
+    else:
+        ends = [(i, count) for i in range(count)]
+    found = []
+    for first, second in ends:
+        pair = [phases[i] if i < len(phases) else -1 for i in (first, second)]
+        live = [PHASES[phase] for phase in pair if phase >= 0]
+        found.append("" if len(set(live)) < len(live) else "".join(live))
+    return found
 
 
-def _load_coils(phases: list[int], delta: bool, count: int) -> str:
-    """Coils of a load: to ground, one between two phases, or the three of a delta."""
-    live = [PHASES[phase] for phase in phases if phase >= 0]
-    if not delta or len(live) == 1:
-        # A wye whose neutral is at a phase is between its phases and that one.
-        neutral = phases[count] if len(phases) > count else -1
-        return " ".join(each + (PHASES[neutral] if neutral >= 0 else "") for each in live[:count])
-    return "".join(live) if len(live) == 2 else _delta(live, NEXT)
-
-
-def _powers(engine: Any, refused: Refused) -> Iterator[dict[str, Any]]:
-    """Loads and generators with their coils and load models."""
-    for kind in ("load", "generator", "pvsystem"):
+def _powers(engine: Any, solved: bool, refused: Refused) -> Iterator[dict[str, Any]]:
+    """Loads, generators and batteries with their coils and load models."""
+    for kind in engine.POWERS:
         for name in engine._of(kind):
             element = f"{kind}.{name}"
             n = dss.CktElement.NumPhases()
             ends = _nodes()
-            dss.Text.Command(f"? {element}.kv")
-            kv = float(dss.Text.Result())
+            kv = engine.number(f"{element}.kv")
             dss.Text.Command(f"? {element}.conn")
             delta = dss.Text.Result().strip().lower() in ("delta", "ll")
-            phases = [phase for _, phase in ends]
-            live = sum(phase >= 0 for phase in phases)
-            # What is called a delta at one node is between that node and ground.
-            rated = kv if n == 1 or (delta and live > 1) else kv / np.sqrt(3)
             yield {
                 "kind": kind,
                 "name": name,
                 "bus": ends[0][0],
-                "coils": _load_coils(phases, delta, n),
-                "kv": rated,
+                "coils": _load_coils([phase for _, phase in ends], delta, n),
+                "kv": kv if n == 1 or delta else kv / np.sqrt(3),
                 "exponents": _exponents(name, refused) if kind == "load" else (0.0, 0.0),
-                **engine.nominal(kind, name),
+                **engine.nominal(kind, name, solved),
             }
 
 

@@ -27,6 +27,7 @@ from vppres.scenario.network import BusId
 
 PHASE_COUNT = 3
 TOGETHER = " + "
+NF_PER_F = 1e9
 SHAPE_TOLERANCE = 1e-6
 """By how much the shares of a circuit's loads may differ and still count as one share."""
 
@@ -68,9 +69,10 @@ def read_opendss(
 
 
 class OpenDSSFlow:
-    """OpenDSS's own solution of the circuit as it is, with regulators where they were found.
+    """OpenDSS's own solution of the circuit as it is, with its controls as they leave it.
 
-    Its loads keep their phases, so that only their sum can follow the powers of a feeder.
+    Its loads keep their phases, so that only their sum can follow the powers of a feeder. Buses
+    with anything else have the power of the feeder.
 
     ``job`` has the checked commands that build the circuit, ``found`` what the engine told of it.
     """
@@ -86,29 +88,33 @@ class OpenDSSFlow:
         self.losses_kw: float | None = found["losses_kw"]
         self.causes = tuple(words for _, words in sorted(found["causes"], key=lambda c: -c[0]))
         self.closed = {
-            f"{kind}.{element['name']}"
-            for kind in ("line", "transformer")
-            for element in found[f"{kind}s"]
+            element.get("element", f"transformer.{element['name']}"): element["name"]
+            for table in ("lines", "transformers")
+            for element in found[table]
             if element["closed"]
         }
         complete = found.get("complete", [])
         self.complete = {self.index[bus] for bus in complete if bus in self.index}
+        self.giving = {power["bus"] for power in found["powers"] if power["kind"] != "load"}
         self.disabled: list[str] = []
         self.load_kw: dict[BusId, float] = {}
-        self.known: dict[tuple[float, float | None], dict[int, float] | None] = {}
+        self.groups: dict[BusId, list[str]] = {}
+        self.known: dict[tuple[Any, ...], dict[int, float] | None] = {}
 
     def of(self, net: Any, feeder: ImportedFeeder) -> OpenDSSFlow:
         """The flow for a feeder of the circuit's net, with what was opened in the net."""
         kept = {
-            f"{kind}.{name}"
-            for kind, table in (("line", "line"), ("transformer", "trafo"))
+            name
+            for table in ("line", "trafo")
             for names in net[table].loc[net[table]["in_service"], "name"]
             for name in str(names).split(TOGETHER)
         }
-        self.disabled = sorted(self.closed - kept)
-        with_generator = set(feeder.generators.bus)
+        self.disabled = sorted(each for each, name in self.closed.items() if name not in kept)
+        at = {bus: feeder.bus_of[i] for bus, i in self.index.items() if i in feeder.bus_of}
+        giving = {at[bus] for bus in self.giving if bus in at}
+        self.groups = {own: [bus for bus in at if at[bus] == own] for own in giving}
         loads = zip(feeder.network.buses, feeder.p_load_kw, strict=True)
-        self.load_kw = {bus: kw for bus, kw in loads if kw > 0 and bus not in with_generator}
+        self.load_kw = {bus: kw for bus, kw in loads if kw > 0 and bus not in giving}
         return self
 
     def v_pu(
@@ -117,12 +123,19 @@ class OpenDSSFlow:
         """See :class:`vppres.feeders.feeder.SourceFlow`; None for powers of another shape."""
         drawn = dict(zip(buses, -p_kw, strict=True))
         shares = [drawn[bus] / kw for bus, kw in self.load_kw.items()]
-        if not shares or np.ptp(shares) > SHAPE_TOLERANCE:
+        if np.ptp(shares or [0.0]) > SHAPE_TOLERANCE:
             return None
-        share = float(np.mean(shares))
-        if (share, v_slack_pu) not in self.known:
-            self.known[share, v_slack_pu] = self._solved(share, 0.0 if share == 0 else 1.0)
-        return self.known[share, v_slack_pu]
+        share = float(np.mean(shares or [0.0]))
+        powers = dict(zip(buses, zip(p_kw.tolist(), q_kvar.tolist(), strict=True), strict=True))
+        held = {
+            bus: [*powers[own]] if bus == group[0] else None
+            for own, group in self.groups.items()
+            for bus in group
+        }
+        key = (share, v_slack_pu, str(held))
+        if key not in self.known:
+            self.known[key] = self._solved(share, held, v_slack_pu)
+        return self.known[key]
 
     def told(self, feeder: ImportedFeeder) -> tuple[str, ...]:
         """Causes of a difference, with what is left of it where all phases are."""
@@ -138,14 +151,16 @@ class OpenDSSFlow:
 
     def as_given(self) -> dict[int, float] | None:
         """Voltages with the circuit's own powers."""
-        return self._solved(1.0, 1.0) if self.disabled else self.given
+        return self._solved(1.0, {}, None) if self.disabled else self.given
 
-    def _solved(self, load: float, generation: float) -> dict[int, float] | None:
+    def _solved(
+        self, load: float, held: dict[str, Any], v_slack_pu: float | None
+    ) -> dict[int, float] | None:
         state = {
             "load": load,
-            "generation": generation,
+            "held": held,
             "disabled": self.disabled,
-            "v_slack_pu": None,
+            "v_slack_pu": v_slack_pu,
         }
         job = {**self.job, "state": state, "open_deltas": True}
         return self._by_index(confined("dss/engine", job, self.name, self.time_limit_s)["v_pu"])
@@ -165,7 +180,7 @@ def _phase_powers(found: dict[str, Any]) -> PhasePowers | None:
     words = [f"{few} of {count} {kind}s" for kind, (few, count) in counts.items()]
     rows = []
     for power in found["powers"]:
-        sign = 1.0 if power["kind"] == "load" else -1.0
+        sign = 1.0 if power["kind"] in ("load", "storage") else -1.0
         share_kw = sign * power["p_kw"] / max(len(power["nodes"]), 1)
         at = [share_kw if phase in power["nodes"] else 0.0 for phase in (1, 2, 3)]
         rows.append(pd.Series(at, list(PHASES), name=power["bus"]))
@@ -197,9 +212,9 @@ def _build(found: dict[str, Any]) -> tuple[Any, dict[int, BusId]]:
     _add_lines(net, found["lines"], at)
     for transformer in _banks(found["transformers"]):
         _add_transformer(net, transformer, at)
-    for capacitor in found["capacitors"]:
-        q_mvar = -float(kw_to_mw(capacitor["kvar"]))
-        pp.create_shunt(net, at[capacitor["bus"]], q_mvar=q_mvar, name=capacitor["name"])
+    for shunt in found["shunts"]:
+        p_mw, q_mvar = (float(kw_to_mw(shunt[power])) for power in ("p_kw", "q_kvar"))
+        pp.create_shunt(net, at[shunt["bus"]], p_mw=p_mw, q_mvar=q_mvar, name=shunt["name"])
     _add_powers(net, found["powers"], at)
     for source in found["sources"]:
         _add_source(net, source, at[source["bus"]])
@@ -238,21 +253,25 @@ def _add_lines(net: Any, lines: list[dict[str, Any]], at: dict[str, int]) -> Non
     if not lines:
         return
 
-    def ohm_per_km(line: dict[str, Any], matrix: str) -> float:
-        return _of_three(line["phases"]) * _positive_sequence(line[matrix], line["phases"])
+    def ohm(line: dict[str, Any], part: int) -> float:
+        return _of_three(line["phases"]) * _positive_sequence(line["z"][part], line["phases"])
 
+    farad = 1.0 / (2.0 * np.pi * net.f_hz)
     pp.create_lines_from_parameters(
         net,
         [at[line["start"]] for line in lines],
         [at[line["end"]] for line in lines],
-        length_km=[line["length"] for line in lines],
+        length_km=1.0,
         max_i_ka=[
             NO_LIMIT_KA if line["amps"] is None else line["amps"] / A_PER_KA for line in lines
         ],
-        r_ohm_per_km=[ohm_per_km(line, "r") for line in lines],
-        x_ohm_per_km=[ohm_per_km(line, "x") for line in lines],
+        r_ohm_per_km=[ohm(line, 0) for line in lines],
+        x_ohm_per_km=[ohm(line, 1) for line in lines],
         c_nf_per_km=[
-            _positive_sequence(line["c"], line["phases"]) / _of_three(line["phases"])
+            NF_PER_F
+            * farad
+            * _positive_sequence(line["b"], line["phases"])
+            / _of_three(line["phases"])
             for line in lines
         ],
         name=[line["name"] for line in lines],
@@ -275,6 +294,8 @@ def _positive_sequence(matrix: list[float], n_phases: int) -> float:
     >>> _positive_sequence([5.0, 2.0, 2.0, 5.0], 2)
     4.0
     """
+    if len(matrix) != n_phases**2:  # no phase, or one that becomes another
+        return 0.0
     z: Floats = np.asarray(matrix, dtype=float).reshape(n_phases, n_phases)
     own = np.trace(z) / n_phases
     mutual = (z.sum() - np.trace(z)) / max(n_phases * (n_phases - 1), 1)
@@ -343,17 +364,21 @@ def _add_transformer(net: Any, transformer: dict[str, Any], at: dict[str, int]) 
 
 
 def _add_powers(net: Any, powers: list[dict[str, Any]], at: dict[str, int]) -> None:
-    """Loads and generators, all phases of a bus together."""
+    """Loads, generators and batteries, all phases of a bus together."""
     import pandapower as pp
 
     loads = [power for power in powers if power["kind"] == "load"]
-    others = [power for power in powers if power["kind"] != "load"]
+    batteries = [power for power in powers if power["kind"] == "storage"]
+    others = [power for power in powers if power["kind"] in ("generator", "pvsystem")]
+
+    def mega(of: list[dict[str, Any]], name: str) -> Floats:
+        return np.asarray(kw_to_mw(np.array([power.get(name, np.nan) for power in of])))
 
     def values(of: list[dict[str, Any]]) -> dict[str, Any]:
         return {
             "buses": [at[power["bus"]] for power in of],
-            "p_mw": kw_to_mw(np.array([power["p_kw"] for power in of])),
-            "q_mvar": kw_to_mw(np.array([power["q_kvar"] for power in of])),
+            "p_mw": mega(of, "p_kw"),
+            "q_mvar": mega(of, "q_kvar"),
             "name": [power["name"] for power in of],
         }
 
@@ -361,4 +386,19 @@ def _add_powers(net: Any, powers: list[dict[str, Any]], at: dict[str, int]) -> N
         pp.create_loads(net, **values(loads))
     if others:
         kinds = ["PV" if power["kind"] == "pvsystem" else power["kind"] for power in others]
-        pp.create_sgens(net, **values(others), type=kinds)
+        pp.create_sgens(net, **values(others), type=kinds, sn_mva=mega(others, "s_kva"))
+        net.sgen["max_p_mw"] = mega(others, "p_max_kw")
+    if batteries:
+        energy_mwh = mega(batteries, "energy_kwh")
+        pp.create_storages(
+            net,
+            **values(batteries),
+            max_e_mwh=energy_mwh,
+            min_e_mwh=energy_mwh * [power["soc_min"] for power in batteries],
+            soc_percent=[100.0 * power["soc"] for power in batteries],
+            sn_mva=mega(batteries, "s_kva"),
+            max_p_mw=mega(batteries, "p_max_kw"),
+            min_p_mw=-mega(batteries, "p_max_kw"),
+        )
+        for column in ("eta_charge", "eta_discharge"):
+            net.storage[column] = [power[column] for power in batteries]

@@ -16,9 +16,12 @@ regcontrol capcontrol swtcontrol invcontrol expcontrol storagecontroller gendisp
 recloser fuse upfccontrol espvlcontrol
 """
 CONTROLS = frozenset(_CONTROLS.split())
-_CARRYING = "vsource line transformer load generator pvsystem storage capacitor"
+_CARRYING = "vsource line transformer load generator pvsystem storage capacitor reactor"
 CARRYING = frozenset(_CARRYING.split())
 CONSTANT_POWER = 1  # OpenDSS's model of a load; 2 is constant impedance, 5 constant current
+FIXED = 1  # status of a load that no multiplier changes
+MOST_NAMED = 6
+NO_REACTANCE = 700.0
 LOAD_MODELS = {2: "constant impedance", 5: "constant current"}
 THREE_PHASES = 3
 W_PER_KW = 1000.0
@@ -28,6 +31,15 @@ MOST_TOLD = 200
 CURE = "Correct the file until OpenDSS solves it."
 SOLVES = ("solve", "calcvoltagebases")
 """Commands that may fail where they stand: a solution is looked for at the end."""
+
+POWERS = ("load", "generator", "pvsystem", "storage")
+PHASES = (1, 2, 3)
+CONTROLS_OFF = -1
+TOLERANCES = (1e-11, 1e-9, 1e-7, 1e-4)
+"""From the last digits to OpenDSS's own: what floats, or is stiff, meets only the latter."""
+
+ENDS_SOLVED: list[bool] = []
+"""Not empty if the script's last command has solved it."""
 
 LEFT_OUT: list[str] = []
 """Options of ``set`` that the script has and OpenDSS did not get."""
@@ -44,19 +56,31 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
     problems = build(job)
     if problems:
         return {"problems": problems}
-    solved = settled()
+    solved = settled() and solved_by_phase()
     state = job.get("state")
     return _tables(solved) if state is None else {"problems": [], **_in_state(state)}
 
 
+def elements() -> Any:
+    """The module of the elements' admittances: child.py loads it by its file."""
+    return sys.modules["dss/elements"]
+
+
 def settled() -> bool:
     """Let regulators and switched capacitors find their places in the state that is given."""
-    return _solved("set mode=snapshot", "set controlmode=static", "set maxcontroliter=100")
+    if ENDS_SOLVED and dss.Solution.Converged():
+        return True  # as the script leaves it
+    off = dss.Solution.ControlMode() == CONTROLS_OFF
+    mode = () if off else ("set controlmode=static", "set maxcontroliter=100")
+    return _solved("set mode=snapshot", *mode)
 
 
 def solved_by_phase() -> bool:
-    """Solve with regulators and capacitors as they stand, to the last digits of each node."""
-    return _solved("set controlmode=off mode=snap tolerance=1e-11 maxiterations=1000")
+    """Solve with everything that acts as it stands, to the last digits of each node."""
+    return any(
+        _solved(f"set controlmode=off mode=snap tolerance={each:g} maxiterations=1000")
+        for each in TOLERANCES
+    )
 
 
 def _solved(*settings: str) -> bool:
@@ -70,19 +94,39 @@ def _solved(*settings: str) -> bool:
 
 
 def _in_state(state: dict[str, Any]) -> dict[str, Any]:
-    """Voltages and losses with other powers and everything else as it was found."""
-    off = [f"{element}.enabled=no" for element in state["disabled"]]
-    slack = state["v_slack_pu"]
-    source = [] if slack is None else [f"vsource.source.pu={slack!r}"]
-    for name in list(_of("generator")):
-        dss.Generators.Name(name)
-        dss.Generators.kW(dss.Generators.kW() * state["generation"])
-    for name in list(_of("pvsystem")):
-        dss.PVsystems.Name(name)
-        dss.PVsystems.Irradiance(dss.PVsystems.Irradiance() * state["generation"])
+    """Voltages and losses with other powers and everything else as it was found.
+
+    Loads give the share ``load`` of their powers. Buses of ``held`` have no element of the circuit
+    but inject these kW and kvar, each on its phases.
+    """
+    held = state["held"]
+    for kind in POWERS:
+        for name in list(_of(kind)):
+            if _buses()[0] in held:
+                dss.Circuit.Disable(f"{kind}.{name}")
+    for i, (bus, power) in enumerate(held.items()):
+        if power is not None and any(power):
+            _inject(f"vppres_{i}", bus, *power)
     multiplier = dss.Solution.LoadMult() * state["load"]
-    settings = ("set controlmode=off", f"set loadmult={multiplier!r}", *source, *off)
-    return _voltages(_solved(*settings))
+    commands = [f"{element}.enabled=no" for element in state["disabled"]]
+    if state["v_slack_pu"] is not None:
+        dss.Vsources.Name("source")
+        share = _base_kv(dss.CktElement.BusNames()[0].partition(".")[0]) / dss.Vsources.BasekV()
+        commands.append(f"vsource.source.pu={state['v_slack_pu'] * share!r}")
+    for command in (f"set loadmult={multiplier!r}", *commands):
+        dss.Text.Command(command)
+    return _voltages(solved_by_phase())
+
+
+def _inject(name: str, bus: str, p_kw: float, q_kvar: float) -> None:
+    """Constant power into the phases of a bus."""
+    dss.Circuit.SetActiveBus(bus)
+    phases = [node for node in dss.Bus.Nodes() if node in PHASES]
+    kv = dss.Bus.kVBase() * (1.0 if len(phases) == 1 else np.sqrt(3))
+    dss.Text.Command(
+        f"new load.{name} bus1={'.'.join([bus, *map(str, phases)])} phases={len(phases)} "
+        f"kv={kv:.17g} kw={-p_kw:.17g} kvar={-q_kvar:.17g} status=fixed vminpu=0.05 vmaxpu=2"
+    )
 
 
 def _voltages(solved: bool) -> dict[str, Any]:
@@ -93,14 +137,30 @@ def _voltages(solved: bool) -> dict[str, Any]:
     complete = []
     for bus in dss.Circuit.AllBusNames():
         dss.Circuit.SetActiveBus(bus)
-        phases = [node in (1, 2, 3) for node in dss.Bus.Nodes()]
+        phases = [node in PHASES for node in dss.Bus.Nodes()]
         magnitude = np.asarray(dss.Bus.puVmagAngle()[::2])[: len(phases)]
         if any(phases):
             found[bus] = float(magnitude[phases].mean())
         if sum(phases) == THREE_PHASES:
             complete.append(bus)
-    losses_kw = float(dss.Circuit.Losses()[0]) / W_PER_KW
-    return {"v_pu": found, "losses_kw": losses_kw, "complete": complete}
+    return {"v_pu": found, "losses_kw": _losses_kw(), "complete": complete}
+
+
+def _losses_kw() -> float:
+    """What the source gives beyond what is drawn, and what its own impedance takes.
+
+    OpenDSS's own figure leaves out the latter, and capacitors and reactors to ground.
+    """
+    dss.Circuit.SetActiveElement("vsource.source")
+    n = dss.CktElement.NumConductors()
+    flat = np.asarray(dss.CktElement.Currents())
+    i = (flat[::2] + 1j * flat[1::2])[:n]
+    z = np.linalg.inv(elements().matrix()[:n, :n])
+    inside_kw = float((i.conj() @ z @ i).real) / W_PER_KW
+    drawn_kw = sum(elements().power_drawn().real for kind in POWERS for _ in _of(kind))
+    dss.Circuit.SetActiveElement("vsource.source")
+    given_kw = -float(np.sum(dss.CktElement.Powers()[: 2 * n : 2]))
+    return float(inside_kw + given_kw - drawn_kw)
 
 
 def build(job: dict[str, Any]) -> Problems:
@@ -126,9 +186,11 @@ def build(job: dict[str, Any]) -> Problems:
         if not text:
             continue
         levels |= text == "calcvoltagebases"
+        ENDS_SOLVED[:] = [True] if text == "solve" else []
         try:
             dss.Text.Command(text)
         except Exception as error:  # the engine's own class has no public name
+            ENDS_SOLVED.clear()
             element = _control(commands.elements.get(i, ""))
             if not element and text not in SOLVES:
                 return [_wrong(f"OpenDSS refuses the file ({told(error)})", CURE, i)]
@@ -136,7 +198,8 @@ def build(job: dict[str, Any]) -> Problems:
                 REFUSED_CONTROLS[element] = told(error)
                 dss.Circuit.Disable(element)
     try:
-        for text in ("makebuslist", *(() if levels else ("calcvoltagebases",))):
+        for text in () if levels else ("makebuslist", "calcvoltagebases"):
+            ENDS_SOLVED.clear()
             dss.Text.Command(text)
     except Exception as error:
         return [_wrong(f"OpenDSS refuses the file ({told(error)})", CURE)]
@@ -186,8 +249,7 @@ def _problem(element: str) -> dict[str, Any] | None:
     kind, _, name = element.partition(".")
     if kind not in CONTROLS | CARRYING:
         return _wrong(
-            f"{element} is not supported",
-            "Disable it, or replace it by lines, transformers, loads and generators.",
+            f"{element} is not supported", f"Write 'disable {element}' at the end of the script."
         )
     if kind == "vsource" and element != "vsource.source":
         return _wrong(
@@ -199,6 +261,11 @@ def _problem(element: str) -> dict[str, Any] | None:
             return _wrong(
                 f"{element} has {dss.Transformers.NumWindings()} windings",
                 "Replace it by a transformer with two windings.",
+            )
+        if dss.Transformers.Xhl() == NO_REACTANCE:
+            return _wrong(
+                f"{element} has no reactance: OpenDSS takes xhl=0 as {NO_REACTANCE:g} %",
+                "Give it one, such as xhl=0.01.",
             )
     return None
 
@@ -268,15 +335,9 @@ def _buses() -> list[str]:
     return [bus.partition(".")[0].lower() for bus in dss.CktElement.BusNames()]
 
 
-def _closed() -> bool:
-    """Whether no terminal of the active element is open."""
-    return not any(
-        dss.CktElement.IsOpen(end, 0) for end in range(1, dss.CktElement.NumTerminals() + 1)
-    )
-
-
 def _tables(solved: bool) -> dict[str, Any]:
     """What the reader makes a pandapower net of."""
+    branches, shunts = _branches()
     return {
         "problems": [],
         **_voltages(solved),
@@ -284,11 +345,11 @@ def _tables(solved: bool) -> dict[str, Any]:
         "frequency_hz": dss.Solution.Frequency(),
         "buses": [{"name": bus, "kv": _base_kv(bus)} for bus in dss.Circuit.AllBusNames()],
         "sources": list(_sources()),
-        "lines": list(_lines()),
+        "lines": branches,
         "transformers": list(_transformers()),
-        "capacitors": list(_capacitors()),
-        "powers": list(_powers()),
-        "causes": list(_causes()),
+        "shunts": shunts,
+        "powers": [*_powers(solved)],
+        "causes": list(_causes(solved)),
         "single_phases": _single_phases(),
         "balanced_notes": list(_notes_on_balance()),
         "notes": list(_notes()),
@@ -304,35 +365,62 @@ def _sources() -> Iterator[dict[str, Any]]:
             "name": name,
             "bus": bus,
             "v_pu": v_kv / _base_kv(bus),
-            "r_ohm": _number(f"vsource.{name}.r1"),
-            "x_ohm": _number(f"vsource.{name}.x1"),
+            "r_ohm": number(f"vsource.{name}.r1"),
+            "x_ohm": number(f"vsource.{name}.x1"),
         }
 
 
-def _number(query: str) -> float:
+def number(query: str) -> float:
     """A property that OpenDSS only tells as text."""
     dss.Text.Command(f"? {query}")
     return float(dss.Text.Result())
 
 
-def _lines() -> Iterator[dict[str, Any]]:
-    """Lines, with their impedance matrices per unit of length."""
-    for name in _of("line"):
-        (start, end) = _buses()
-        closed = _closed()
-        dss.Lines.Name(name)
-        yield {
-            "name": name,
-            "start": start,
-            "end": end,
-            "closed": closed,
-            "length": dss.Lines.Length(),
-            "amps": rated_amps(dss.Lines.NormAmps()),
-            "phases": dss.Lines.Phases(),
-            "r": [float(r) for r in dss.Lines.RMatrix()],
-            "x": [float(x) for x in dss.Lines.XMatrix()],
-            "c": [float(c) for c in dss.Lines.CMatrix()],
-        }
+def _branches() -> tuple[Table, Table]:
+    """Lines, reactors and capacitors between two buses, and what is at one bus only."""
+    branches: Table = []
+    shunts: Table = []
+    for kind in ("line", "reactor", "capacitor"):
+        for name in _of(kind):
+            own = name if kind == "line" else f"{kind}.{name}"
+            ends = _buses()
+            amps = rated_amps(dss.CktElement.NormalAmps())
+            nodes, y = elements().admittance()
+            buses = elements().buses_of(nodes)
+            if len(buses) == 2:
+                port = elements().TwoPort(nodes, y)
+                if port.phases:
+                    branches.append(_branch(own, kind, port, amps))
+                    continue
+            if kind == "line" and len(set(ends)) == 2:  # open, but there
+                branches.append(
+                    {"name": own, "element": f"{kind}.{name}", "start": ends[0], "end": ends[1],
+                     "closed": False, "amps": amps, "phases": 1,
+                     "z": [[1.0], [0.0]], "b": [0.0]}
+                )  # fmt: skip
+            for bus in buses:
+                at = [i for i, node in enumerate(nodes) if node[0] == bus]
+                ends_here = [nodes[i] for i in at]
+                power = elements().power_at_nominal(ends_here, y[np.ix_(at, at)], _base_kv(bus))
+                shunts.append({"name": own, "bus": bus, "p_kw": power.real, "q_kvar": power.imag})
+    return branches, shunts
+
+
+def _branch(name: str, kind: str, port: Any, amps: float | None) -> dict[str, Any]:
+    """A branch with the impedance of its phases in ohm, and its charging in siemens."""
+    n = len(port.phases)
+    half = [rest[:n, :n] if len(rest) == n else np.zeros((n, n)) for rest in port.rest]
+    return {
+        "name": name,
+        "element": name if kind != "line" else f"line.{name}",
+        "start": port.start,
+        "end": port.end,
+        "closed": n > 0,
+        "amps": amps if kind == "line" else None,
+        "phases": n,
+        "z": [port.z.real.ravel().tolist(), port.z.imag.ravel().tolist()],
+        "b": (half[0] + half[1]).imag.ravel().tolist(),
+    }
 
 
 def rated_amps(amps: float) -> float | None:
@@ -343,7 +431,7 @@ def rated_amps(amps: float) -> float | None:
 def _transformers() -> Iterator[dict[str, Any]]:
     for name in _of("transformer"):
         (start, end) = _buses()
-        closed = _closed()
+        closed = len(elements().buses_of(elements().admittance()[0])) == 2
         nodes = _phases_of_active()
         phases = dss.CktElement.NumPhases()
         base_kv = [_base_kv(bus) for bus in (start, end)]
@@ -365,8 +453,8 @@ def _transformers() -> Iterator[dict[str, Any]]:
             "r_percent": sum(percent),
             "kva": dss.Transformers.kVA(),
             "x_percent": dss.Transformers.Xhl(),
-            "no_load_percent": _number(f"transformer.{name}.%noloadloss"),
-            "magnetising_percent": _number(f"transformer.{name}.%imag"),
+            "no_load_percent": number(f"transformer.{name}.%noloadloss"),
+            "magnetising_percent": number(f"transformer.{name}.%imag"),
         }
 
 
@@ -375,23 +463,7 @@ def _between_lines(rated_kv: float, base_kv: float) -> float:
     return float(min((rated_kv, rated_kv * np.sqrt(3)), key=lambda kv: abs(kv - base_kv)))
 
 
-def _capacitors() -> Iterator[dict[str, Any]]:
-    """Capacitors to earth with what they feed at the nominal voltage of their bus."""
-    for name in _of("capacitor"):
-        buses = _buses()
-        dss.Capacitors.Name(name)
-        base_kv = _base_kv(buses[0])
-        states = dss.Capacitors.States()
-        share = sum(states) / max(len(states), 1)
-        rated_kv = _between_lines(dss.Capacitors.kV(), base_kv)
-        yield {
-            "name": name,
-            "bus": buses[0],
-            "kvar": float(dss.Capacitors.kvar() * share * (base_kv / rated_kv) ** 2),
-        }
-
-
-def _causes() -> Iterator[list[Any]]:
+def _causes(solved: bool) -> Iterator[list[Any]]:
     """What the balanced equivalent of constant powers does not have, with its size in kW."""
     drawn_kw: dict[str, float] = {}
     single_kw = 0.0
@@ -407,26 +479,95 @@ def _causes() -> Iterator[list[Any]]:
         yield [kw, f"loads of {kind} in the source, {kw:.4g} kW"]
     if single_kw:
         yield [single_kw, f"unbalance: loads of fewer than three phases, {single_kw:.4g} kW"]
+    if solved:
+        yield from beyond()
 
 
-def _powers() -> Iterator[dict[str, Any]]:
-    """Loads and generators with their nominal powers."""
-    for kind in ("load", "generator", "pvsystem"):
+def beyond() -> Iterator[list[Any]]:
+    """Loads whose voltage in the solution is one at which OpenDSS takes another model for them."""
+    found: dict[str, float] = {}
+    for name in _of("load"):
+        flat = np.asarray(dss.CktElement.Voltages())
+        volts = flat[::2] + 1j * flat[1::2]
+        n = dss.CktElement.NumPhases()
+        dss.Loads.Name(name)
+        pairs = range(n)
+        delta = bool(dss.Loads.IsDelta())
+        kv = float(dss.Loads.kV()) / (1.0 if delta or n == 1 else np.sqrt(3))
+        other = [volts[(i + 1) % len(volts)] if delta else volts[-1] for i in pairs]
+        pu = [abs(volts[i] - other[i]) / (kv * 1000.0) for i in pairs]
+        if min(pu) < dss.Loads.Vminpu() or max(pu) > dss.Loads.Vmaxpu():
+            found[f"load.{name} ({min(pu):.3f} pu)"] = float(dss.Loads.kW())
+    if found:
+        kw = sum(found.values())
+        names = ", ".join(list(found)[:MOST_NAMED])
+        more = f" and {len(found) - MOST_NAMED} more" if len(found) > MOST_NAMED else ""
+        yield [
+            kw,
+            "loads outside their vminpu and vmaxpu in the source's solution, where OpenDSS gives "
+            f"them a constant impedance, {kw:.4g} kW: {names}{more}",
+        ]
+
+
+def _powers(solved: bool) -> Iterator[dict[str, Any]]:
+    """Loads, generators and batteries with their powers."""
+    for kind in POWERS:
         for name in _of(kind):
             bus = _buses()[0]
             nodes = _phases_of_active()
-            yield {"kind": kind, "name": name, "bus": bus, "nodes": nodes, **nominal(kind, name)}
+            yield {
+                "kind": kind,
+                "name": name,
+                "bus": bus,
+                "nodes": nodes,
+                **nominal(kind, name, solved),
+            }
 
 
-def nominal(kind: str, name: str) -> dict[str, float]:
-    """Nominal power of a load or generator; of PV its peak, without reactive power."""
+def nominal(kind: str, name: str, solved: bool) -> dict[str, float]:
+    """Nominal power of a load, and what anything else gives or draws in the solution.
+
+    Generation is positive of generators, drawn power of loads and batteries. ``p_max_kw`` and
+    ``s_kva`` are the largest power and the rating, as far as the source says so.
+    """
+    if kind == "load":
+        dss.Loads.Name(name)
+        factor = 1.0 if int(dss.Loads.Status()) == FIXED else dss.Solution.LoadMult()
+        return {"p_kw": float(dss.Loads.kW() * factor), "q_kvar": float(dss.Loads.kvar() * factor)}
+    element = f"{kind}.{name}"
+    dss.Circuit.SetActiveElement(element)
+    drawn = elements().power_drawn() if solved else 0j
+    if kind == "generator":
+        dss.Generators.Name(name)
+        p_kw = float(dss.Generators.kW())
+        given = -drawn if solved else complex(p_kw, dss.Generators.kvar())
+        return {"p_kw": given.real, "q_kvar": given.imag, "p_max_kw": max(p_kw, given.real)}
     if kind == "pvsystem":
-        dss.PVsystems.Name(name)
-        return {"p_kw": float(dss.PVsystems.Pmpp()), "q_kvar": 0.0}
-    table = dss.Loads if kind == "load" else dss.Generators
-    table.Name(name)
-    factor = dss.Solution.LoadMult() if kind == "load" else 1.0
-    return {"p_kw": float(table.kW() * factor), "q_kvar": float(table.kvar() * factor)}
+        s_kva = number(f"{element}.kva")
+        panel_kw = number(f"{element}.pmpp") * number(f"{element}.%pmpp") / 100.0
+        return {
+            "p_kw": -drawn.real,
+            "q_kvar": -drawn.imag,
+            "p_max_kw": min(s_kva, panel_kw),
+            "s_kva": s_kva,
+        }
+    return {"p_kw": drawn.real, "q_kvar": drawn.imag, **_battery(element)}
+
+
+def _battery(element: str) -> dict[str, float]:
+    """Energy, powers and efficiencies of a battery."""
+    rated_kw = number(f"{element}.kwrated")
+    share = min(number(f"{element}.%charge"), number(f"{element}.%discharge"), 100.0) / 100.0
+    return {
+        "energy_kwh": number(f"{element}.kwhrated"),
+        "p_max_kw": rated_kw * share,
+        "s_kva": number(f"{element}.kva"),
+        "soc": number(f"{element}.%stored") / 100.0,
+        "soc_min": number(f"{element}.%reserve") / 100.0,
+        "eta_charge": number(f"{element}.%effcharge") / 100.0,
+        "eta_discharge": number(f"{element}.%effdischarge") / 100.0,
+        "idle_kw": rated_kw * number(f"{element}.%idlingkw") / 100.0,
+    }
 
 
 def _phases_of_active() -> list[int]:
@@ -438,12 +579,26 @@ def _phases_of_active() -> list[int]:
 def _single_phases() -> dict[str, list[int]]:
     """Of each kind, how many elements have fewer than three phases, and how many there are."""
     found = {}
-    for kind in ("line", "transformer", "load", "generator", "pvsystem"):
-        phases = [dss.CktElement.NumPhases() for _ in _of(kind)]
+    for kind in ("line", "transformer", *POWERS):
+        phases = [_live_phases(kind) for _ in _of(kind)]
         few = sum(count < THREE_PHASES for count in phases)
         if few:
             found[kind] = [few, len(phases)]
     return found
+
+
+def _live_phases(kind: str) -> int:
+    """Phases that the active element has, less those with an open conductor at either end.
+
+    One that is open as a whole has all of them.
+    """
+    own = int(min(dss.CktElement.NumPhases(), len(_phases_of_active()) or THREE_PHASES))
+    if kind != "line":
+        return own
+    terminals = range(1, dss.CktElement.NumTerminals() + 1)
+    conductors = range(1, dss.CktElement.NumConductors() + 1)
+    shut = [not any(dss.CktElement.IsOpen(end, one) for end in terminals) for one in conductors]
+    return min(own, sum(shut)) if any(shut) else own
 
 
 def _notes_on_balance() -> Iterator[str]:
@@ -479,9 +634,36 @@ def _notes() -> Iterator[str]:
             "Regulators are controlled in the source, and stay at the taps of its solution: "
             f"{', '.join(held)}."
         )
-    batteries = list(_of("storage"))
-    if batteries:
-        yield f"Batteries of the source are left out: {', '.join(batteries)}."
+    yield from _notes_on_controls()
+
+
+def _notes_on_controls() -> Iterator[str]:
+    """What acts in the source and stays as it is left there."""
+    acting = [
+        element for element in _elements()
+        if element.partition(".")[0] in CONTROLS - {"regcontrol", "swtcontrol"}
+    ]  # fmt: skip
+    if acting:
+        more = f" and {len(acting) - MOST_NAMED} more" if len(acting) > MOST_NAMED else ""
+        states = [
+            f"capacitor.{name} {'in' if sum(dss.Capacitors.States()) else 'out'}"
+            for name in _of("capacitor")
+            if dss.Capacitors.Name(name) is None
+        ]
+        left = f": {', '.join(states[:MOST_NAMED])}" if states else ""
+        yield (
+            f"Controls act in the source's solution, and what they switch or set stays so"
+            f"{left} ({', '.join(acting[:MOST_NAMED])}{more})."
+        )
+    idle_kw = [
+        number(f"storage.{name}.kwrated") * number(f"storage.{name}.%idlingkw") / 100.0
+        for name in _of("storage")
+    ]
+    if idle_kw:
+        yield (
+            f"What batteries draw while they rest is left out, {sum(idle_kw):.3g} kW in all; "
+            "efficiencies of inverters at partial load too."
+        )
 
 
 def _set_point(name: str) -> str:

@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 
 from vppres.core.arrays import Complexes, Floats
-from vppres.core.errors import InputError, Problem
-from vppres.core.units import V_PER_KV
+from vppres.core.errors import InputError, Problem, VerificationError
+from vppres.core.text import named
+from vppres.core.units import V_PER_KV, W_PER_KW
+from vppres.feeders.closeness import NOT_CONVERGED
 from vppres.feeders.feeder import ImportedFeeder, PhasedLoad, PhasedSource
 from vppres.feeders.strangers.confined import TIME_LIMIT_S, confined
 from vppres.physics.phases import PhasedFlow, of_transformer
@@ -30,7 +32,23 @@ from vppres.scenario.phases import (
 )
 
 MATCH = 1e-9
-"""Share of its largest entry by which a transformer's matrix may differ from that of its coils."""
+"""Share of a transformer's largest entry by which its coils may couple its ends differently."""
+
+LEAST = 1e-9
+"""Share of a matrix's largest entry below which an admittance of it is none."""
+
+DRAWING = ("load", "storage")
+"""Kinds whose power is drawn; of the others it is given."""
+
+BEHIND = "vsource"
+"""Bus behind the source's impedance, where no other has that name."""
+
+NO_SOLUTION = (
+    "The feeder's own power flow has no solution with the powers of the source, so nothing says "
+    "how close it is to it."
+)
+
+Node = tuple[str, int]
 
 
 def phased_source(
@@ -42,33 +60,40 @@ def phased_source(
     circuit in ``source_flow``. Elements in ``disabled`` are out of service.
     """
     found = confined("dss/by_phase", {**job, "disabled": disabled}, name, TIME_LIMIT_S)
-    problems = [Problem(name, each["message"], each["cure"]) for each in found["problems"]]
-    problems += _crossed(found, name)
-    if problems:
-        raise InputError(problems)
+    if found["problems"]:
+        raise InputError(
+            [Problem(name, each["message"], each["cure"]) for each in found["problems"]]
+        )
     flow: Any = feeder.source_flow
     at: dict[str, BusId] = {
         bus: feeder.bus_of[i] for bus, i in flow.index.items() if i in feeder.bus_of
     }
-    phases = _phases(found, name, at, feeder.network.slack_bus)
-    loads = tuple(_loads(found, at))
-    source = PhasedSource(with_grid(phases), loads, found["source"]["v_pu"])
-    difference_pu = _difference(source, found["v_pu"])
-    return replace(source, difference_pu=difference_pu, notes=tuple(_notes(source.phases)))
+    tables = _Tables(found, name, at, feeder.network.slack_bus)
+    phases = tables.phases()
+    loads, left_out = tables.powers()
+    source = PhasedSource(with_grid(phases), tuple(loads), found["source"]["v_pu"])
+    difference_pu = _difference(source, found["v_pu"], found["source"]["bus"])
+    notes = (*_notes(source.phases), *left_out)
+    if difference_pu is None:
+        notes += (NO_SOLUTION if found["v_pu"] else NOT_CONVERGED,)
+    return replace(source, difference_pu=difference_pu, notes=notes, causes=tuple(found["causes"]))
 
 
-def _difference(source: PhasedSource, v_pu: Mapping[str, float]) -> float | None:
-    """Largest difference of a node's voltage to ground from OpenDSS's, without generators."""
+def _difference(source: PhasedSource, v_pu: Mapping[str, float], bus: str) -> float | None:
+    """Largest difference of a node's voltage to ground from the source's, with its own powers."""
     if not v_pu:
         return None
     flow, p_kw, q_kvar = flow_of_source(source)
-    drawn = np.array([load.kind == "load" for load in source.loads])
-    found = flow.solve(p_kw * drawn, q_kvar * drawn)
+    try:
+        found = flow.solve(p_kw, q_kvar)
+    except VerificationError:
+        return None
     base_v = {row.bus: row.kv * V_PER_KV / np.sqrt(3) for row in source.phases.buses}
+    behind = source.phases.buses[0].bus
     apart = [
         abs(abs(v) / base_v[bus] - v_pu[f"{bus}.{phase + 1}"])
         for (bus, phase), v in zip(source.phases.nodes, found.v, strict=True)
-        if f"{bus}.{phase + 1}" in v_pu
+        if bus != behind and f"{bus}.{phase + 1}" in v_pu
     ]
     return float(max(apart))
 
@@ -89,75 +114,181 @@ def _notes(phases: Phases) -> Iterator[str]:
         yield f"Limits are for voltages between phases at {wires} buses that nothing earths."
 
 
-def _crossed(found: Mapping[str, Any], name: str) -> list[Problem]:
-    """Lines that connect a phase with another one."""
-    return [
-        Problem(
-            name,
-            f"line.{line['name']} connects a phase with another one",
-            "Name the same nodes at both ends, or import the feeder with --balance.",
+class _Tables:
+    """The tables of a circuit: of each bus the phases that the source reaches.
+
+    ``at`` has the feeder's bus of each bus that has supply.
+    """
+
+    def __init__(
+        self, found: Mapping[str, Any], name: str, at: Mapping[str, BusId], slack: BusId
+    ) -> None:
+        self.found = found
+        self.name = name
+        self.at = at
+        self.slack = slack
+        self.kv = {row["bus"]: row["kv"] for row in found["buses"]}
+        self.behind = BEHIND
+        while self.behind in self.kv:
+            self.behind += "_"
+        every = tuple(
+            PhaseBus(row["bus"], at[row["bus"]], row["kv"], " ".join(row["phases"]))
+            for row in found["buses"]
+            if row["bus"] in at and row["phases"]
         )
-        for line in found["lines"]
-        if line["from_phases"] != line["to_phases"]
-    ]
+        self.rest: list[tuple[str, list[int], Complexes]] = [
+            (row["bus"], row["phases"], _of(row["y"])) for row in found["shunts"]
+        ]
+        units = [each for each in found["transformers"] if each["row"]["from_bus"] in at]
+        self.units = [self._transformer(each, every) for each in units]
+        self.reached = self._reached()
 
+    def phases(self) -> Phases:
+        """The tables without connections; the source is a bus of its own behind its impedance."""
+        source = self.found["source"]
+        rows = [PhaseBus(self.behind, self.slack, source["kv"], " ".join(PHASES))]
+        for row in self.found["buses"]:
+            live = [p for p in row["phases"] if (row["bus"], PHASES.index(p)) in self.reached]
+            if row["bus"] in self.at and live:
+                rows.append(PhaseBus(row["bus"], self.at[row["bus"]], row["kv"], " ".join(live)))
+        z, no_charging = _whole(_of(source["z"]), source["phases"]), np.zeros((3, 3))
+        lines = [PhaseLine(self.behind, source["bus"], z, no_charging)]
+        lines += [line for each in self.found["lines"] for line in self._line(each)]
+        shunts = [row for each in self.rest for row in self._shunts(*each)]
+        units = [unit for each in self.units for unit in self._live(each)]
+        return Phases(tuple(rows), tuple(lines), tuple(units), tuple(shunts))
 
-def _phases(found: Mapping[str, Any], name: str, at: Mapping[str, BusId], slack: BusId) -> Phases:
-    """The tables without connections; the source is a bus of its own behind its impedance."""
-    source = found["source"]
-    behind = str(slack)
-    rows = [PhaseBus(behind, slack, source["kv"], " ".join(PHASES))]
-    rows += [
-        PhaseBus(row["bus"], at[row["bus"]], row["kv"], " ".join(row["phases"]))
-        for row in found["buses"]
-        if row["bus"] in at
-    ]
-    z, no_charging = _whole(_of(source["z"]), source["phases"]), np.zeros((3, 3))
-    lines = [PhaseLine(behind, source["bus"], z, no_charging)]
-    lines += [
-        PhaseLine(
+    def _reached(self) -> set[Node]:
+        """Nodes that lines and pairs of coils join to the source."""
+        groups: list[set[Node]] = [
+            {(self.found["source"]["bus"], phase) for phase in self.found["source"]["phases"]}
+        ]
+        for line in self.found["lines"]:
+            ends = (line["from_bus"], line["to_bus"])
+            groups += [{(bus, phase) for bus in ends} for phase in line["phases"]]
+        groups += [pair for unit in self.units for pair in _pairs(unit)]
+        of_node: dict[Node, list[int]] = {}
+        for i, group in enumerate(groups):
+            for node in group:
+                of_node.setdefault(node, []).append(i)
+        reached: set[Node] = set()
+        new = [*groups[0]]
+        while new:
+            node = new.pop()
+            if node not in reached:
+                reached.add(node)
+                new += [other for i in of_node[node] for other in groups[i]]
+        return reached
+
+    def _line(self, line: Mapping[str, Any]) -> Iterator[PhaseLine]:
+        """A line with the phases that are supplied."""
+        kept = [
+            i for i, phase in enumerate(line["phases"]) if (line["from_bus"], phase) in self.reached
+        ]
+        if line["from_bus"] not in self.at or not kept:
+            return
+        own = np.ix_(kept, kept)
+        phases = [line["phases"][i] for i in kept]
+        yield PhaseLine(
             line["from_bus"],
             line["to_bus"],
-            _whole(_of(line["z"]), line["from_phases"]),
-            _whole(np.array(line["b_us"]), line["from_phases"]).real,
+            _whole(_of(line["z"])[own], phases),
+            _whole(np.array(line["b_us"])[own], phases).real,
             np.nan if line["i_max_a"] is None else line["i_max_a"],
         )
-        for line in found["lines"]
-        if line["from_bus"] in at
-    ]
-    units = [
-        _transformer(one, name, rows)
-        for one in found["transformers"]
-        if one["row"]["from_bus"] in at
-    ]
-    shunts = [
-        PhaseShunt(row["bus"], row["coils"], row["kv"], 0.0, -row["kvar"])
-        for row in found["capacitors"]
-        if row["bus"] in at and row["kvar"]
-    ]
-    return Phases(tuple(rows), tuple(lines), tuple(units), tuple(shunts))
 
+    def _transformer(self, one: Mapping[str, Any], rows: tuple[PhaseBus, ...]) -> PhaseTransformer:
+        """The transformer whose coils couple its ends as OpenDSS's own matrix does.
 
-def _transformer(one: Mapping[str, Any], name: str, rows: list[PhaseBus]) -> PhaseTransformer:
-    """The transformer with the coils that give OpenDSS's own matrix."""
-    known, y = Phases(tuple(rows), ()), _of(one["y"])
-    at = [known.node_index[bus, phase] for bus, phase in one["nodes"]]
-    for first, second in product(*one["coils"]):
-        unit = PhaseTransformer(**one["row"], from_coils=first, to_coils=second)
-        if len(coils_of(first)) == len(coils_of(second)):
-            own = of_transformer(known, unit).tocsr()[at][:, at].toarray()
-            if np.abs(own - y).max() <= MATCH * np.abs(y).max():
+        What is left beside them, magnetising and core, is at its two ends.
+        """
+        known, y = Phases(rows, ()), _of(one["y"])
+        ends = [(bus, phase) for bus, phase in one["nodes"]]
+        at = [known.node_index[node] for node in ends]
+        across = np.array([[first[0] != second[0] for second in ends] for first in ends])
+        for first, second in product(*one["coils"]):
+            unit = PhaseTransformer(**one["row"], from_coils=first, to_coils=second)
+            words = [*first.split(), *second.split()]
+            alike = len(first.split()) == len(second.split()) > 0
+            if not alike or any(len(set(word)) < len(word) for word in words):
+                continue  # a coil at ground, or between a phase and itself
+            rest = y - of_transformer(known, unit).tocsr()[at][:, at].toarray()
+            if across.any() and np.abs(rest[across]).max() <= MATCH * np.abs(y[across]).max():
+                for bus in dict.fromkeys(bus for bus, _ in ends):
+                    own = [i for i, node in enumerate(ends) if node[0] == bus]
+                    if np.abs(rest[np.ix_(own, own)]).max() > MATCH * np.abs(y).max():
+                        phases = [ends[i][1] for i in own]
+                        self.rest.append((bus, phases, rest[np.ix_(own, own)]))
                 return unit
-    raise InputError(
-        [
-            Problem(
-                name,
-                f"transformer.{one['row']['id']} does not follow from its coils: a neutral that is "
-                "not grounded, or a core",
-                "Leave out neutral impedances, %imag and %noloadloss, or import with --balance.",
-            )
-        ]
-    )
+        raise InputError.of(
+            self.name,
+            f"transformer.{one['row']['id']} does not follow from its coils: a neutral that is not "
+            "grounded, an open conductor, or a phase at ground",
+            "Connect its neutrals to ground, or import the feeder with --balance.",
+        )
+
+    def _live(self, unit: PhaseTransformer) -> Iterator[PhaseTransformer]:
+        """A transformer with the pairs of coils that are supplied."""
+        kept = [i for i, pair in enumerate(_pairs(unit)) if pair <= self.reached]
+        first, second = (
+            " ".join(coils.split()[i] for i in kept) for coils in (unit.from_coils, unit.to_coils)
+        )
+        if kept:
+            yield replace(unit, from_coils=first, to_coils=second)
+
+    def _shunts(self, bus: str, phases: list[int], y: Complexes) -> Iterator[PhaseShunt]:
+        """A matrix at a bus as coils to ground and between phases, at its nominal voltage.
+
+        Those of all three phases that are the same are one.
+        """
+        live = [i for i, phase in enumerate(phases) if (bus, phase) in self.reached]
+        if bus not in self.at or not live:
+            return
+        y = y[np.ix_(live, live)]
+        names = [PHASES[phases[i]] for i in live]
+        least = LEAST * float(np.abs(y).max(initial=0.0))
+        pairs = [(i, j) for i in range(len(live)) for j in range(i + 1, len(live))]
+        to_ground = {name: y[i].sum() for i, name in enumerate(names)}
+        between = {names[i] + names[j]: -(y[i, j] + y[j, i]) / 2.0 for i, j in pairs}
+        kv = self.kv[bus] / np.sqrt(3)
+        for coils, across in ((to_ground, kv), (between, self.kv[bus])):
+            values = np.array([*coils.values()])
+            one = len(values) == len(PHASES) and np.abs(values - values[0]).max() < least
+            rows = [(" ".join(coils), values.sum())] if one else [*coils.items()]
+            for words, siemens in rows:
+                if abs(siemens) > least:
+                    kva = np.conj(siemens) * (across * V_PER_KV) ** 2 / W_PER_KW
+                    yield PhaseShunt(bus, words, across, float(kva.real), float(kva.imag))
+
+    def powers(self) -> tuple[list[PhasedLoad], list[str]]:
+        """What draws or gives power with its connection, and what is not supplied, in sentences."""
+        found: list[PhasedLoad] = []
+        dead: list[str] = []
+        for row in self.found["powers"]:
+            bus, coils = row["bus"], [coil for coil in row["coils"] if coil]
+            live = [
+                coil for coil in coils if all((bus, PHASES.index(p)) in self.reached for p in coil)
+            ]
+            share = len(live) / max(len(row["coils"]), 1)
+            if bus not in self.at or len(live) < len(coils):
+                lost_kw = row["p_kw"] * (1.0 if bus not in self.at else 1.0 - share)
+                dead.append(f"{row['kind']}.{row['name']} at bus {bus}, {lost_kw:.4g} kW")
+            if bus in self.at and live:
+                connection = PhaseConnection(
+                    row["name"], bus, " ".join(live), row["kv"], *row["exponents"]
+                )
+                powers = (share * row["p_kw"], share * row["q_kvar"])
+                found.append(PhasedLoad(row["kind"], self.at[bus], *powers, connection))
+        return found, [f"Without supply, and left out: {named(dead)}."] if dead else []
+
+
+def _pairs(unit: PhaseTransformer) -> list[set[Node]]:
+    """Nodes of each pair of coils."""
+    sides = [
+        [{(bus, end) for end in coil if end is not None} for coil in coils_of(words)]
+        for bus, words in ((unit.from_bus, unit.from_coils), (unit.to_bus, unit.to_coils))
+    ]
+    return [first | second for first, second in zip(*sides, strict=True)]
 
 
 def _of(parts: Mapping[str, Any]) -> Complexes:
@@ -171,27 +302,12 @@ def _whole(values: Complexes | Floats, phases: list[int]) -> Complexes:
     return found
 
 
-def _loads(found: Mapping[str, Any], at: Mapping[str, BusId]) -> list[PhasedLoad]:
-    """Loads and generators that are supplied, with their connections."""
-    return [
-        PhasedLoad(
-            row["kind"],
-            at[row["bus"]],
-            row["p_kw"],
-            row["q_kvar"],
-            PhaseConnection(row["name"], row["bus"], row["coils"], row["kv"], *row["exponents"]),
-        )
-        for row in found["powers"]
-        if row["bus"] in at
-    ]
-
-
 def flow_of_source(source: PhasedSource) -> tuple[PhasedFlow, Floats, Floats]:
     """The own power flow of a source as it is given: with its powers, drawn positive."""
     phases = replace(source.phases, connections=tuple(load.connection for load in source.loads))
     names = [load.connection.id for load in source.loads]
     flow = PhasedFlow(phases, names, phases.buses[0].bus, source.v_pu)
-    signs = np.array([1.0 if load.kind == "load" else -1.0 for load in source.loads])
+    signs = np.array([1.0 if load.kind in DRAWING else -1.0 for load in source.loads])
     p_kw = signs * np.array([load.p_kw for load in source.loads])
     q_kvar = signs * np.array([load.q_kvar for load in source.loads])
     return flow, p_kw, q_kvar

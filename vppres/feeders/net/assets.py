@@ -198,6 +198,9 @@ def _charge(
 
 def _efficiency(frame: pd.DataFrame, told: _Told) -> dict[str, pd.Series[float]]:
     """Efficiency each way; SimBench writes the share into the column of percents."""
+    own = [name for name in ("eta_charge", "eta_discharge") if name in frame]
+    if len(own) == 2:  # a source that gives both
+        return {name: frame[name].astype(float).clip(0.01, 1.0) for name in own}
     given = _positive(frame, "efficiency_percent")
     each_way = given.where(given <= 1, given / 100.0)
     told.say(each_way.isna(), f"Batteries without an efficiency have {ETA:g} each way")

@@ -35,3 +35,12 @@ def identifiers(names: Sequence[str], numbers: Sequence[object]) -> list[str]:
         str(number) if not name else name if count[name] == 1 else longer
         for name, number, longer in zip(clean, numbers, numbered, strict=True)
     ]
+
+
+def name_in(label: str) -> str:
+    """The name in a label.
+
+    >>> name_in("sgen 8 (WKA 7)")
+    'WKA 7'
+    """
+    return label.partition("(")[2].removesuffix(")")

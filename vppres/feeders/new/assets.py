@@ -13,8 +13,8 @@ import pandas as pd
 from vppres.core.arrays import Flags, Floats, Names, Wholes
 from vppres.core.text import named
 from vppres.feeders.feeder import ImportedFeeder
-from vppres.feeders.net.names import identifiers
-from vppres.feeders.new.connections import loads_of
+from vppres.feeders.net.names import identifiers, name_in
+from vppres.feeders.new.connections import battery_of, loads_of
 from vppres.feeders.new.gensets import NewSets, taken
 from vppres.feeders.new.kinds import PV, burns_fuel, kind_of
 from vppres.feeders.new.options import (
@@ -197,7 +197,7 @@ def connections_of(feeder: ImportedFeeder) -> pd.DataFrame:
             of_load[load] = len(rows)
             label = str(feeder.loads.id[load])
             power = {"p_kw": feeder.loads.p_kw[load], "q_kvar": feeder.loads.q_kvar[load]}
-            named = {"id": _name_in(label), "label": label.partition(" (")[0]}
+            named = {"id": name_in(label), "label": label.partition(" (")[0]}
             rows.append({**row, **power, **named, "tier": feeder.loads.tier[load]})
     found = pd.DataFrame(rows, columns=["id", "label", *at_bus.columns])
     found["id"] = identifiers([*found["id"]], [*found["label"]])
@@ -265,17 +265,12 @@ def generator_table(feeder: ImportedFeeder) -> pd.DataFrame:
     ``counterpart``, those that are PV systems of the scenario.
     """
     own = feeder.generators
-    kind = [kind_of(str(w), _name_in(i)) for w, i in zip(own.kind, own.id, strict=True)]
+    kind = [kind_of(str(w), name_in(i)) for w, i in zip(own.kind, own.id, strict=True)]
     table = pd.DataFrame(
         {f.name: getattr(own, f.name) for f in fields(own)} | {"kind": kind}, dtype=object
     ).astype(dict.fromkeys(("p_kw", "p_max_kw", "p_min_kw", "s_kva"), float))
     fuelled = table["kind"].map(burns_fuel).astype(bool)
     return table.assign(counterpart=~fuelled & (table["p_max_kw"] >= schema.MIN_KW))
-
-
-def _name_in(identifier: str) -> str:
-    """The name in a label such as ``sgen 8 (WKA 7)``."""
-    return identifier.partition("(")[2].removesuffix(")")
 
 
 def _kept(table: pd.DataFrame, options: NewScenarioOptions) -> Flags:
@@ -296,7 +291,7 @@ def _own_systems(kept: pd.DataFrame, named: bool) -> pd.DataFrame:
     words = zip(grouped["kind"], grouped["bus"], strict=True)
     ids = [f"{kind.replace(' ', '_')}{bus}" for kind, bus in words]
     if named and len(kept):
-        alone = at_bus["id"].agg(lambda of: _name_in(of.iloc[0]) if len(of) == 1 else "")
+        alone = at_bus["id"].agg(lambda of: name_in(of.iloc[0]) if len(of) == 1 else "")
         ids = identifiers([str(name) for name in alone], ids)
     return grouped.assign(id=_distinct(_names(ids)))
 
@@ -305,7 +300,7 @@ def _own_sets(rows: pd.DataFrame, named: bool) -> NewSets:
     """The source's generating sets, each for itself."""
     ids = [f"{kind}{bus}" for kind, bus in zip(rows["kind"], rows["bus"], strict=True)]
     if named:
-        ids = identifiers([_name_in(str(name)) for name in rows["id"]], ids)
+        ids = identifiers([name_in(str(name)) for name in rows["id"]], ids)
     sizes = written(rows[["p_max_kw", "p_min_kw"]].to_numpy(float)).T
     rows = rows.assign(p_max_kw=sizes[0], p_min_kw=sizes[1])
     return NewSets.of(rows, [str(name) for name in _distinct(_names(ids))])
@@ -374,7 +369,9 @@ def _own_batteries(feeder: ImportedFeeder) -> Batteries:
     own = feeder.storages
     ids = _distinct(_ids("b", own.bus))
     if feeder.named:
-        ids = _names(identifiers([_name_in(str(name)) for name in own.id], [*ids]))
+        ids = _names(identifiers([name_in(str(name)) for name in own.id], [*ids]))
+    if feeder.phased is not None:  # each has phases of its own
+        ids = _names([battery_of(name_in(str(name))) for name in own.id])
     given = ("soc_min", "soc_max", "soc_initial", "eta_charge", "eta_discharge")
     return _batteries(
         id=ids,

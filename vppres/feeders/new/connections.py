@@ -14,7 +14,12 @@ from vppres.scenario.earthing import floating
 from vppres.scenario.network import Network
 from vppres.scenario.phases import LINES, PHASES, PhaseConnection, Phases
 
-LOAD = "load"
+LOAD, STORAGE = "load", "storage"
+
+
+def battery_of(name: str) -> str:
+    """Identifier of a battery that a phased source has."""
+    return f"b{name}"
 
 
 def loads_of(source: PhasedSource, count: int) -> pd.DataFrame:
@@ -59,12 +64,18 @@ def connected(
             rows.append(_constant(loads[str(owner)].connection, system))
     at_customer = {f"b{each[1:]}": loads[each].connection for each in map(str, customers.id)}
     at_customer |= {f"{key}_added": row for key, row in at_customer.items()}
+    at_customer |= {
+        battery_of(load.connection.id): load.connection
+        for load in source.loads
+        if load.kind == STORAGE
+    }
     rows += [_of_battery(source.phases, at_customer[str(each)], each) for each in batteries.id]
     return replace(source.phases, connections=tuple(rows))
 
 
 def _generators(source: PhasedSource, bus: object) -> list[PhasedLoad]:
-    return [load for load in source.loads if load.kind != LOAD and load.bus == bus]
+    others = [load for load in source.loads if load.kind not in (LOAD, STORAGE)]
+    return [load for load in others if load.bus == bus]
 
 
 def _constant(row: PhaseConnection, asset: str) -> PhaseConnection:

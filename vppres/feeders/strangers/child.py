@@ -17,7 +17,8 @@ from typing import Any
 
 ENGINES = {
     "dss/commands": (),
-    "dss/engine": ("dss/commands",),
+    "dss/elements": (),
+    "dss/engine": ("dss/commands", "dss/elements"),
     "matpower/binary": (),
     "dss/day": ("dss/engine",),
     "dss/by_phase": ("dss/engine",),

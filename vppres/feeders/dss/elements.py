@@ -1,0 +1,120 @@
+"""Elements of a finished circuit by their own admittances; runs in the process of the reader.
+
+What a line, reactor or capacitor is, its matrix says: which conductors are open, steps that are
+out, reactances in series and conductors that are grounded are in it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import opendssdirect as dss
+
+PHASES = (1, 2, 3)
+ANGLES = np.exp(-2j * np.pi / 3 * np.arange(3))
+"""Turns of phases a, b and c."""
+
+V_PER_KV, VA_PER_KVA = 1000.0, 1000.0
+
+Node = tuple[str, int]
+
+
+def nodes_of() -> list[Node]:
+    """Bus and node of each conductor of the active element, terminal by terminal."""
+    buses = [bus.partition(".")[0].lower() for bus in dss.CktElement.BusNames()]
+    each = dss.CktElement.NumConductors()
+    order = dss.CktElement.NodeOrder()
+    return [(buses[i // each], int(node)) for i, node in enumerate(order)]
+
+
+def matrix() -> Any:
+    """Admittances of the active element in siemens, conductor by conductor."""
+    flat = np.asarray(dss.CktElement.YPrim())
+    size = round((len(flat) / 2) ** 0.5)
+    return (flat[::2] + 1j * flat[1::2]).reshape(size, size).T
+
+
+def _shut() -> list[list[bool]]:
+    """Whether each conductor of each terminal of the active element is closed."""
+    conductors = range(1, dss.CktElement.NumConductors() + 1)
+    terminals = range(1, dss.CktElement.NumTerminals() + 1)
+    return [[not dss.CktElement.IsOpen(end, one) for one in conductors] for end in terminals]
+
+
+def admittance() -> tuple[list[Node], Any]:
+    """Nodes that the active element connects, in the order of its conductors, and their matrix.
+
+    Ground is no node, two conductors at one node are one, and one that is open is not there.
+    """
+    ends, y = nodes_of(), matrix()
+    shut = [each for terminal in _shut() for each in terminal]
+    live = [end for end, closed in zip(ends, shut, strict=True) if closed and end[1] > 0]
+    known = list(dict.fromkeys(live))
+    sums = [[float(end == node and closed) for end, closed in zip(ends, shut, strict=True)]
+            for node in known]  # fmt: skip
+    at = np.array(sums).reshape(-1, len(ends))
+    return known, at @ y @ at.T
+
+
+def joined() -> list[tuple[Node, Node]]:
+    """Nodes that the conductors of the active element join, those that are closed at both ends."""
+    ends, n = nodes_of(), dss.CktElement.NumConductors()
+    first, second = _shut()[:2]
+    pairs = [(ends[k], ends[n + k]) for k in range(n) if first[k] and second[k]]
+    return list(dict.fromkeys(pair for pair in pairs if all(node in PHASES for _, node in pair)))
+
+
+def buses_of(nodes: list[Node]) -> list[str]:
+    """Buses of some nodes, in their order."""
+    return list(dict.fromkeys(bus for bus, _ in nodes))
+
+
+class TwoPort:
+    """The active element between two buses: conductors in series, and the rest at both ends.
+
+    ``start`` and ``end`` are its buses, ``phases`` the pairs of phases that it joins; ``z`` has
+    their impedance in ohm and ``rest`` the admittances of each end beside it, with ``nodes``.
+    """
+
+    def __init__(self, nodes: list[Node], y: Any) -> None:
+        self.start, self.end = buses_of(nodes)
+        pairs = [pair for pair in joined() if pair[0][0] != pair[1][0]]
+        self.phases = [(first, second) for (_, first), (_, second) in pairs]
+        ends = [[nodes.index(pair[end]) for pair in pairs] for end in (0, 1)]
+        series = -y[np.ix_(*ends)]
+        self.z = np.linalg.inv(series)
+        kept = [[i for i, (b, n) in enumerate(nodes) if b == bus and n in PHASES]
+                for bus in (self.start, self.end)]  # fmt: skip
+        self.nodes = [[nodes[i][1] for i in own] for own in kept]
+        self.rest = []
+        for own, places, through in zip(kept, ends, (series, series.T), strict=True):
+            rest = y[np.ix_(own, own)].copy()
+            at = [own.index(place) for place in places]
+            rest[np.ix_(at, at)] -= through
+            self.rest.append(rest)
+
+    @property
+    def crossed(self) -> bool:
+        """Whether a phase becomes another one."""
+        return any(first != second for first, second in self.phases)
+
+
+def power_at_nominal(nodes: list[Node], y: Any, base_kv: float) -> complex:
+    """What a matrix draws at the nominal voltages of its bus, in kW and kvar; neutrals have 0 V."""
+    phases = [i for i, (_, node) in enumerate(nodes) if node in PHASES]
+    v = base_kv * V_PER_KV / np.sqrt(3) * ANGLES[[nodes[i][1] - 1 for i in phases]]
+    return complex((v * np.conj(y[np.ix_(phases, phases)] @ v)).sum()) / VA_PER_KVA
+
+
+def power_drawn() -> complex:
+    """What the active element draws in the last solution at all terminals, in kW and kvar."""
+    flat = np.asarray(dss.CktElement.Powers())
+    return complex(flat[::2].sum(), flat[1::2].sum())
+
+
+def without(y: Any, gone: list[int]) -> Any:
+    """A matrix without some of its nodes, from which nothing else flows (Kron)."""
+    kept = [i for i in range(len(y)) if i not in gone]
+    own, across = y[np.ix_(kept, kept)], y[np.ix_(kept, gone)]
+    return own - across @ np.linalg.pinv(y[np.ix_(gone, gone)]) @ across.T
