@@ -13,12 +13,20 @@ import pandas as pd
 import pytest
 
 from tests.support.command_line import call
-from tests.support.made_up_runs import small_run, small_scenario, without_devices
+from tests.support.made_up_runs import (
+    day_run,
+    day_scenario,
+    small_run,
+    small_scenario,
+    without_devices,
+)
 from vppres.core.errors import InputError, ReportError
 from vppres.day.metrics import summarise
 from vppres.day.reliability import reliability_by_tier, reliability_figures
 from vppres.day.series import off_kw
+from vppres.day.trajectory import Trajectory
 from vppres.io import read_scenario, write_scenario
+from vppres.report.answer import answer
 from vppres.report.clock import Clock
 from vppres.report.events import events_of
 from vppres.report.findings import findings
@@ -32,13 +40,14 @@ from vppres.report.first_page import (
     supply_rows,
     who_and_why,
 )
+from vppres.report.key_figures import number
 from vppres.report.operating_order import (
     off_sentence,
     operating_order,
     shown_orders,
 )
 from vppres.report.pdf import BROWSERS, find_browser, write_pdf
-from vppres.report.run_folder import write_run
+from vppres.report.run_folder import render_report, write_run
 from vppres.scenario.source import Source
 from vppres.scenario.timegrid import TimeGrid
 
@@ -172,23 +181,21 @@ def test_the_operating_order_switches_each_customer_when_its_supply_changes(
     assert operating_order(kept).empty and off_sentence(kept) == "" and shown_orders(kept) == []
 
 
-def test_darkness_is_read_first() -> None:
-    day = without_devices(small_scenario())
-    run = small_run(day)
-    run = replace(run, options={**run.options, "mode": "physical"})
-    assert findings(run)[0].startswith("No battery can form a grid")
-
-
 # ---------------------------------------------------------------------------------------- clocks
 
 
-def test_local_time_stands_beside_utc() -> None:
+def test_times_are_those_of_the_site_and_of_utc_on_demand(tmp_path: Path) -> None:
     day = small_scenario()
     run = small_run(replace(day, grid=replace(day.grid, zone=LONDON)))
-    assert events_of(run)[0].time == "19 Jul 00:30 (01:30 BST)"
+    assert events_of(run)[0].time == "19 Jul 01:30"
     clock = Clock.of(run)
-    assert clock.note == "Times are UTC, in brackets local: Europe/London, UTC+1 h."
-    assert clock.full(run.steps["time"].iloc[0]) == "19 Jul 00:00 UTC (01:00 BST)"
+    assert clock.note == "Times are those of Europe/London: UTC+1 h."
+    assert clock.heading == "Time (Europe/London)"
+    assert clock.full(run.steps["time"].iloc[0]) == "19 Jul 01:00 BST"
+    write_run(run, tmp_path / "run", figures=False)
+    for options, shown in (((), "from 02:00 to 02:30"), (("--utc",), "from 01:00 to 01:30")):
+        assert call("report", tmp_path / "run", *options).exit_code == 0
+        assert shown in (tmp_path / "run" / "report.html").read_text()
 
 
 @pytest.mark.parametrize(
@@ -198,26 +205,107 @@ def test_local_time_stands_beside_utc() -> None:
         (
             "2026-03-29T00:00Z",
             ["00:00 GMT", "02:00 BST", "03:00 BST"],
-            "Europe/London, UTC+0 h, UTC+1 h from 29 Mar 01:00.",
+            "Europe/London: UTC+0 h, UTC+1 h from 29 Mar 02:00.",
         ),
         # Clocks go back at 01:00 UTC: 01:00 comes twice.
         (
             "2026-10-25T00:00Z",
             ["01:00 BST", "01:00 GMT", "02:00 GMT"],
-            "Europe/London, UTC+1 h, UTC+0 h from 25 Oct 01:00.",
+            "Europe/London: UTC+1 h, UTC+0 h from 25 Oct 01:00.",
         ),
     ],
 )
 def test_days_of_23_and_25_hours(start: str, shown: list[str], changes: str) -> None:
     clock = Clock(TimeGrid(pd.Timestamp(start), 60, 24, LONDON))
-    words = [clock.at(t) for t in range(3)]
-    assert [re.sub(r".*\((.*)\)", r"\1", text) for text in words] == shown
-    assert clock.note == f"Times are UTC, in brackets local: {changes}"
+    assert [clock.at(t)[len("29 Mar ") :] for t in range(3)] == shown
+    assert clock.note == f"Times are those of {changes}"
 
 
-def test_another_date_on_the_feeder_is_written() -> None:
-    clock = Clock(TimeGrid(pd.Timestamp("2026-07-01T20:00Z"), 60, 2, "Asia/Tokyo"))
-    assert clock.at(0) == "01 Jul 20:00 (02 Jul 05:00 JST)"
+def test_a_date_is_that_of_the_site_and_is_written_once() -> None:
+    clock = Clock(TimeGrid(pd.Timestamp("2026-07-01T20:00Z"), 60, 20, "Asia/Tokyo"))
+    assert clock.at(0) == "02 Jul 05:00"
+    assert clock.span(0, 2) == "from 02 Jul 05:00 to 07:00"
+    assert clock.span(0, 19) == "from 02 Jul 05:00 to 03 Jul 00:00"
+
+
+# ------------------------------------------------------------------------------------ the answer
+
+
+def answered(run: Trajectory) -> str:
+    return answer(run, summarise(run))
+
+
+def test_the_answer_comes_first_and_names_who_was_off_and_when() -> None:
+    # a, the only critical customer, is off from 01:00 to 01:30; 55 kWh are not supplied.
+    run = small_run()
+    assert answered(run) == (
+        "The only critical customer did not keep supply for all 1 h; a was off from 01:00 to 01:30."
+        " 55.0 kWh not supplied."
+    )
+    page = render_report(run, summarise(run))
+    order = ["The only critical customer", "Grid outage", "Operating order", "rests on", "Remarks"]
+    places = [page.index(words) for words in order]
+    assert places == sorted(places)
+
+
+def test_the_answer_for_many_customers() -> None:
+    run = day_run(day_scenario(), 2600.0)
+    served = run.by_step("customers", "served").copy()
+    critical = np.flatnonzero(run.scenario.customers.tier == "critical")
+    served[:, critical] = True
+    count = len(critical)
+
+    def told(*off: tuple[int, slice]) -> str:
+        kept = served.copy()
+        for customer, steps in off:
+            kept[steps, critical[customer]] = False
+        changed = run.customers.assign(served=kept.ravel())
+        return answered(replace(run, customers=changed)).split(". ")[0]
+
+    names = [str(run.scenario.customers.id[c]) for c in critical]
+    assert told() == f"All {count} critical customers kept supply for all 6 h"
+    # The hour with grid is not the outage's.
+    assert told((0, slice(17, 19))) == (
+        f"{count - 1} of {count} critical customers kept supply for all 6 h; "
+        f"{names[0]} was off from 17:00 to 18:00"
+    )
+    many = told(*((c, slice(12, 14 + c)) for c in range(4)))
+    assert many.endswith(f"{names[1]} was off from 12:00 to 15:00, 1 more was off in part of it")
+    assert told(*((c, slice(12, 13)) for c in range(count))).startswith(f"None of {count} ")
+    assert told((0, slice(12, 18, 2))).count(" and ") == 2
+    quarter = told(*((0, slice(t, t + 1)) for t in (12, 14, 16)), (0, slice(17, 18)))
+    assert quarter.endswith("from 12:00 to 13:00 and from 14:00 to 15:00 and from 16:00 to 18:00")
+
+
+def test_the_answer_without_an_outage() -> None:
+    calm = small_run(small_scenario(outage=False))
+    served = calm.customers.assign(served=True)
+    assert answered(replace(calm, customers=served)) == (
+        "All 3 customers kept supply at all times. All demand was supplied."
+    )
+    assert answered(calm).startswith("None of 3 customers kept supply at all times; c was off")
+
+
+def test_what_makes_the_answer_doubtful_stands_below_it() -> None:
+    run = small_run(without_devices(small_scenario()))
+    run = replace(run, options={**run.options, "mode": "physical"})
+    page = render_report(run, summarise(run))
+    assert (
+        page.index("The only critical") < page.index("No battery can form") < page.index("Grid out")
+    )
+    assert findings(run)[0].startswith("No battery can form a grid")
+
+
+def test_nothing_is_minus_zero_or_undefined_and_empty_panels_are_left_out() -> None:
+    assert [number(v, "+.2f") for v in (-0.001, 0.001, -0.01)] == ["0.00", "0.00", "-0.01"]
+    bare = small_run(without_devices(small_scenario(outage=False)))
+    page = render_report(bare, summarise(bare))
+    text = re.sub(r"<(script|style|svg).*?</\1>", "", page, flags=re.DOTALL)
+    assert not re.search(r"-0(\.0+)?\b(?!\.)|n/a|\bnan\b", text)
+    assert "Supplied in the outage" not in text
+    assert "Stored energy (kWh)" not in page
+    assert ">PV power<" not in page and ">Batteries<" not in page
+    assert "Stored energy (kWh)" in render_report(small_run(), summarise(small_run()))
 
 
 # ------------------------------------------------------------------------------------------- paper

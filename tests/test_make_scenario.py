@@ -251,6 +251,17 @@ def test_options_out_of_range(case33: ImportedFeeder, change: dict[str, Any], me
     assert str(caught.value) == message
 
 
+@pytest.mark.parametrize(
+    ("name", "title"),
+    [("Oak Hill", "Oak Hill"), ("", "pandapower net"), ("=cmd()", "pandapower net")],
+)
+def test_the_title_is_the_networks_own_name(name: str, title: str) -> None:
+    net = networks.case33bw()
+    net.name = name
+    made = new_scenario(import_network(net), NewScenarioOptions(days=1))
+    assert made.title.startswith(f"{title}: 32 customers")
+
+
 def test_all_wrong_options_at_once(case33: ImportedFeeder) -> None:
     with pytest.raises(InputError) as caught:
         new_scenario(case33, NewScenarioOptions(days=0, seed=-1, v_slack_pu=0.5))

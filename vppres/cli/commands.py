@@ -270,11 +270,14 @@ def report(
             help="Value of lost load for energy not supplied; the scenario's if not given.",
         ),
     ] = None,
+    utc: Annotated[
+        bool, typer.Option("--utc", help="Show times in UTC, not as the site's clocks do.")
+    ] = False,
     figures: Figures = "none",
 ) -> None:
     """Draw the figures of a finished run again and write its report as one HTML file."""
     from vppres.io.atomic import check_file
-    from vppres.report.finished import priced, read_finished, rewrite_report
+    from vppres.report.finished import in_utc, priced, read_finished, rewrite_report
     from vppres.report.pdf import find_browser
     from vppres.report.run_folder import REPORT_FILE
 
@@ -284,6 +287,7 @@ def report(
     browser = find_browser() if pdf else ""
     done = read_finished(run_folder)
     done = done if voll is None else priced(done, voll)
+    done = in_utc(done) if utc else done
     for written in rewrite_report(done, file, browser, figure_kinds(figures)):
         typer.echo(f"Written to {written}")
 
@@ -323,7 +327,7 @@ def compare(
     write_page(file, render_comparison(runs))
     _show(
         {"report": str(file), **comparison_record(runs)} if as_json else None,
-        comparison_table(list(runs), compared_figures(runs)),
+        comparison_table(list(runs), [row for row in compared_figures(runs) if row.differs]),
         f"Written to {file}",
     )
 

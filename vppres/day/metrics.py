@@ -92,7 +92,7 @@ def cautions(trajectory: Trajectory) -> list[str]:
     """What has to be known before any figure, in sentences."""
     off = off_with_grid(trajectory)
     return [
-        *_blackouts(trajectory),
+        *blackouts(trajectory),
         *([off] if off else []),
         *time_off_words(trajectory),
         *kind_words(trajectory),
@@ -102,7 +102,7 @@ def cautions(trajectory: Trajectory) -> list[str]:
     ]
 
 
-def _blackouts(trajectory: Trajectory) -> list[str]:
+def blackouts(trajectory: Trajectory) -> list[str]:
     """Islands that were blacked out though a battery could form them."""
     steps = trajectory.steps
     if darkness(trajectory.scenario) or "dark" not in steps or not steps["dark"].any():

@@ -231,6 +231,8 @@ class ImportedFeeder:
         Whether customers are the loads, and they, generators and batteries keep their names.
     phased : PhasedSource, optional
         The three phases; None for a feeder that is balanced.
+    title : str
+        The network's own name; empty if it has none.
     """
 
     name: str
@@ -249,6 +251,7 @@ class ImportedFeeder:
     unbalanced: str = ""
     named: bool = False
     phased: PhasedSource | None = None
+    title: str = ""
 
     def __post_init__(self) -> None:
         freeze_arrays(self)

@@ -1,15 +1,18 @@
-"""Times of a report: UTC, and beside it what the clocks on the feeder show."""
+"""Times of a report, as the clocks on the site show them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import timedelta
+from functools import cached_property
 
 import pandas as pd
 
 from vppres.day.trajectory import Trajectory
 from vppres.scenario.timegrid import UTC, TimeGrid
+
+_DATE = len("19 Jul ")
 
 
 @dataclass(frozen=True)
@@ -19,15 +22,15 @@ class Clock:
     Parameters
     ----------
     grid : TimeGrid
-        Its zone is that of the clocks on the feeder.
+        Its zone is that of the clocks on the site; UTC where the scenario names none.
 
     Examples
     --------
     >>> noon = pd.Timestamp("2022-07-19T12:00:00Z")
     >>> Clock(TimeGrid(noon, 60, 24)).words(noon)
     '19 Jul 12:00'
-    >>> Clock(TimeGrid(noon, 60, 24, "Europe/London")).words(noon)
-    '19 Jul 12:00 (13:00 BST)'
+    >>> Clock(TimeGrid(noon, 60, 24, "Europe/London")).full(noon)
+    '19 Jul 13:00 BST'
     """
 
     grid: TimeGrid
@@ -37,54 +40,59 @@ class Clock:
         """The clock of a run."""
         return cls(run.scenario.grid)
 
-    @property
-    def has_local(self) -> bool:
-        """Whether the feeder has clocks of its own."""
-        return self.grid.zone != UTC
-
     def words(self, time: pd.Timestamp) -> str:
-        """A time in UTC, and on the feeder's clocks where the scenario names their zone."""
-        utc = time.tz_convert(UTC)
-        return f"{utc:%d %b %H:%M}{self._local(utc)}"
+        """A time on the site's clocks; with its offset in words on days that change it."""
+        return self.full(time) if self._changes else f"{self.grid.local(time):%d %b %H:%M}"
 
     def full(self, time: pd.Timestamp) -> str:
-        """A time as :meth:`words` has it, that says that it is UTC."""
-        utc = time.tz_convert(UTC)
-        return f"{utc:%d %b %H:%M} UTC{self._local(utc)}"
+        """A time that says which clock shows it."""
+        return f"{self.grid.local(time):%d %b %H:%M %Z}"
 
     def at(self, t: int) -> str:
         """Beginning of step ``t``, or the end of the last."""
         return self.words(self.grid.start + t * self.grid.step)
 
+    def span(self, first: int, last: int, dated: bool = True) -> str:
+        """From the beginning of a step to that of another; the date once, or not at all."""
+        start, end = (self.grid.local(self.grid.start + t * self.grid.step) for t in (first, last))
+        begins = self.at(first) if dated else self.at(first)[_DATE:]
+        ends = self.at(last)[_DATE:] if start.date() == end.date() else self.at(last)
+        return f"from {begins} to {ends}"
+
+    @property
+    def one_day(self) -> bool:
+        """Whether all steps are of one day on the site's clocks."""
+        last = self.grid.local(self.grid.end - pd.Timedelta(1, "ns"))
+        return bool(last.date() == self.grid.local(self.grid.start).date())
+
     @property
     def heading(self) -> str:
         """What stands above a column of times."""
-        return "Time (UTC, local in brackets)" if self.has_local else "Time (UTC)"
+        return f"Time ({self.grid.zone})"
 
     @property
     def note(self) -> str:
         """Which times these are, as a sentence."""
-        if not self.has_local:
+        if self.grid.zone == UTC:
             return "Times are UTC."
-        changes = ", ".join(self._offsets())
-        return f"Times are UTC, in brackets local: {self.grid.zone}, {changes}."
+        return f"Times are those of {self.grid.zone}: {', '.join(self._offsets)}."
 
-    def _local(self, utc: pd.Timestamp) -> str:
-        """What a clock on the feeder shows, if it has its own; with a date that is another one."""
-        if not self.has_local:
-            return ""
-        local = self.grid.local(utc)
-        date = "" if local.date() == utc.date() else f"{local:%d %b} "
-        return f" ({date}{local:%H:%M %Z})"
+    @property
+    def _changes(self) -> bool:
+        """Whether clocks are changed during the run."""
+        return len(self._offsets) > 1
 
-    def _offsets(self) -> Iterator[str]:
+    @cached_property
+    def _offsets(self) -> list[str]:
         """How far local time is ahead of UTC, and from when where clocks are changed."""
-        times = [*self.grid.times, self.grid.end]
+        return list(self._each_offset())
+
+    def _each_offset(self) -> Iterator[str]:
         before = None
-        for time in times:
+        for time in [*self.grid.times, self.grid.end]:
             offset = self.grid.local(time).utcoffset()
             if offset != before:
                 hours = (offset or timedelta()).total_seconds() / 3600
-                since = "" if before is None else f" from {time.tz_convert(UTC):%d %b %H:%M}"
+                since = "" if before is None else f" from {self.grid.local(time):%d %b %H:%M}"
                 yield f"UTC{hours:+g} h{since}"
             before = offset

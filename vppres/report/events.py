@@ -168,7 +168,7 @@ def _outage(run: Trajectory, summary: Mapping[str, Any]) -> list[str]:
     if not spans:
         return ["No grid outage."]
     clock = Clock.of(run)
-    when = " and ".join(f"from {clock.at(a)} to {clock.at(b)}" for a, b in spans)
+    when = " and ".join(clock.span(a, b) for a, b in spans)
     hours = sum(b - a for a, b in spans) * run.scenario.grid.dt_h
     shares = ", ".join(
         f"{tier} {number(share, '.0%')}"

@@ -8,7 +8,13 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.text import counted
-from vppres.day.metrics import cautions, import_above_limit_kw, island_figures, line_loading
+from vppres.day.metrics import (
+    blackouts,
+    cautions,
+    import_above_limit_kw,
+    island_figures,
+    line_loading,
+)
 from vppres.day.options import RULES
 from vppres.day.trajectory import Trajectory
 from vppres.plant.plant import CLIP_TOLERANCE_KW, NOBODY
@@ -23,9 +29,19 @@ ISLAND_TOLERANCE_KW = 0.5
 
 def findings(run: Trajectory) -> list[str]:
     """One sentence for each exception; empty if there is none."""
+    return [*without_grid(run), *remarks(run)]
+
+
+def without_grid(run: Trajectory) -> list[str]:
+    """What makes the answer doubtful: islands that nothing can form, and blackouts."""
+    return [*_unlit(run), *blackouts(run)]
+
+
+def remarks(run: Trajectory) -> list[str]:
+    """The other exceptions."""
+    known = blackouts(run)
     return [
-        *_unlit(run),
-        *cautions(run),
+        *(words for words in cautions(run) if words not in known),
         *_estimates(run),
         *_voltages(run),
         *_loadings(run),

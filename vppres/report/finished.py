@@ -18,6 +18,7 @@ from vppres.report.pages import write_page
 from vppres.report.pdf import write_pdf
 from vppres.report.plots.files import save_figures
 from vppres.report.run_folder import FIGURES_FOLDER, SUMMARY_FILE, render_report
+from vppres.scenario.timegrid import UTC
 
 _CURE = "Give a folder written by a run."
 
@@ -55,6 +56,13 @@ def priced(run: FinishedRun, voll_gbp_per_kwh: float) -> FinishedRun:
     trajectory = replace(run.trajectory, scenario=scenario)
     summary = {**run.summary, **reliability_figures(trajectory)}
     return FinishedRun(run.folder, trajectory, summary)
+
+
+def in_utc(run: FinishedRun) -> FinishedRun:
+    """The run with times in UTC, whatever the clocks on the site show."""
+    day = run.trajectory.scenario
+    day = replace(day, grid=replace(day.grid, zone=UTC))
+    return replace(run, trajectory=replace(run.trajectory, scenario=day))
 
 
 def rewrite_report(

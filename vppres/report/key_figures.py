@@ -9,7 +9,7 @@ import pandas as pd
 
 from vppres.core.text import in_pounds
 
-NOT_DEFINED = "n/a"
+NOT_DEFINED = "\N{EN DASH}"
 
 # Key of the summary, words, unit, format.
 KEY_FIGURES = (
@@ -65,21 +65,24 @@ OF_EXPORT = ("export_kwh", "export_revenue_gbp", "net_cost_gbp")
 
 
 def key_figures(summary: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """Words, value and unit of each key figure that the summary has; of export if there was any."""
+    """Words, value and unit of each key figure that is defined; of export if there was any."""
     return [
         (words, number(summary[key], form), unit)
         for key, words, unit, form in KEY_FIGURES
-        if key in summary and (key not in OF_EXPORT or summary.get("export_kwh"))
+        if summary.get(key) is not None and (key not in OF_EXPORT or summary.get("export_kwh"))
     ]
 
 
 def number(value: float | None, form: str) -> str:
-    """A number in the given format, or "n/a" where it is not defined.
+    """A number in the given format, a dash where it is not defined; what rounds to 0 has no sign.
 
-    >>> number(0.91873, ".3f"), number(None, ".3f")
-    ('0.919', 'n/a')
+    >>> number(0.91873, ".3f"), number(None, ".3f"), number(-0.001, "+.2f")
+    ('0.919', '\u2013', '0.00')
     """
-    return NOT_DEFINED if value is None or pd.isna(value) else format(value, form)
+    if value is None or pd.isna(value):
+        return NOT_DEFINED
+    text = format(value, form)
+    return text if any(digit in text for digit in "123456789") else text.lstrip("+-")
 
 
 def amount(gbp: float) -> str:

@@ -12,7 +12,9 @@ from vppres.core.errors import InputError, Problem
 from vppres.core.plain import flattened
 from vppres.day.metrics import service_by_customer
 from vppres.day.trajectory import OPTIONS
+from vppres.report.answer import answer
 from vppres.report.assumptions import value_words
+from vppres.report.clock import Clock
 from vppres.report.findings import findings
 from vppres.report.finished import FinishedRun, read_finished
 from vppres.report.key_figures import KEY_FIGURES, OF_TIERS, number
@@ -52,6 +54,11 @@ class ComparedFigure:
         return tuple(
             None if first is None or value is None else value - first for value in self.values
         )
+
+    @property
+    def differs(self) -> bool:
+        """Whether any run's value is written otherwise than that of the first."""
+        return len({value for value, _ in self.texts}) > 1
 
     @property
     def texts(self) -> list[tuple[str, str]]:
@@ -151,9 +158,12 @@ def render_comparison(runs: Runs) -> str:
         {
             "title": first.trajectory.scenario.title,
             "runs": runs,
-            "figures": compared_figures(runs),
+            "figures": [row for row in compared_figures(runs) if row.differs],
+            "equal": [row.words for row in compared_figures(runs) if not row.differs],
+            "clock_note": Clock.of(first.trajectory).note,
             "options": differing_options(runs),
             "customers": differing_customers(runs),
+            "answers": {label: answer(run.trajectory, run.summary) for label, run in runs.items()},
             "findings": {label: findings(run.trajectory) for label, run in runs.items()},
             "same_scenario": same_scenario(runs),
             "images": [

@@ -19,7 +19,7 @@ import pandas as pd
 
 from vppres.core.arrays import Complexes, Floats
 from vppres.core.errors import InputError, Problem
-from vppres.core.text import named
+from vppres.core.text import flaw_of_name, named
 from vppres.core.units import kva_to_a, kw_at_1_pu_to_us, mw_to_kw
 from vppres.feeders.closeness import PandapowerFlow, causes_of, deviation_of, solve_source
 from vppres.feeders.feeder import Generators, ImportedFeeder
@@ -65,10 +65,17 @@ UNSUPPORTED = (
 )
 LOOPS_SHOWN = 2
 SAME_DEGREE = 1e-6
+LONGEST_TITLE = 100
 # Columns of the tables of pandapower's case.
 COLUMNS = {"from": 0, "to": 1, "r": 2, "x": 3, "tap": 8, "shift": 9}
 B = 4
 GS, BS, KV = 4, 5, 9
+
+
+def _own_name(net: Any) -> str:
+    """What a net calls itself, if that can be shown."""
+    name = str(net.get("name") or "").strip()
+    return "" if flaw_of_name(name, LONGEST_TITLE) else name
 
 
 def feeder_of(
@@ -128,6 +135,7 @@ def feeder_of(
         ),
         causes=tuple(causes_of(net, case)),
         source_flow=PandapowerFlow(net, {ids[row]: bus for bus, row in _last_first(joined)}),
+        title=_own_name(net),
     )
     return replace(feeder, deviation=deviation_of(net, solved, feeder))
 

@@ -108,10 +108,11 @@ def _built(feeder: ImportedFeeder, options: NewScenarioOptions) -> tuple[Scenari
         phases = shunts_in_islands(phases, network)
         # A loading that is stated would be that of three equal phases.
         network = replace(network, i_max_a=np.full(network.n_lines, np.inf))
+    title = feeder.title or feeder.name
     constant_c = np.full(grid.n_steps, TEMPERATURE_C)
     scenario = Scenario(
         name=_name(feeder.name),
-        title=f"{feeder.name}: {len(assets.customers)} customers, {_length(options)}",
+        title=f"{title}: {len(assets.customers)} customers, {_length(options)}",
         grid=grid,
         network=network,
         customers=assets.customers,

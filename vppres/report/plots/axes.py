@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,24 +47,24 @@ class TimeAxis:
         return [(edges[first], edges[last]) for first, last in outage_spans(self.run)]
 
     def ticks(self) -> list[tuple[float, str]]:
-        """Places in px of round times, and their names; local ones stand below."""
+        """Places in px of round times on the site's clocks, and their names."""
         times = edges_of(self.run)
-        start = pd.Timestamp(times[0])
-        end = pd.Timestamp(times[-1])
+        grid = self.run.scenario.grid
+        start, end = (grid.local(pd.Timestamp(time)) for time in (times[0], times[-1]))
         minutes = (end - start).total_seconds() / 60.0
         step = pd.Timedelta(minutes=time_step_min(minutes))
-        first = start.floor("D") + step * math.ceil((start - start.floor("D")) / step)
+        midnight = start.normalize()
+        first = midnight + step * math.ceil((start - midnight) / step)
         across = (self.right - self.left) / (end - start).total_seconds()
         ticks = pd.date_range(first, end, freq=step)
-        name = _tick_name(self.run, minutes / 60.0)
-        return [(self.left + across * (t - start).total_seconds(), name(t)) for t in ticks]
+        text = "%d %b\n%H:%M" if minutes / 60.0 > HOURS_OF_PLAIN_CLOCK else "%H:%M"
+        return [(self.left + across * (t - start).total_seconds(), f"{t:{text}}") for t in ticks]
 
     @property
     def title(self) -> str:
         """Which times these are."""
-        clock = Clock.of(self.run)
-        below = f", {clock.grid.zone} below" if clock.has_local else ""
-        return f"Time (UTC{below}), from {edges_of(self.run)[0]:%d %B %Y}"
+        grid = self.run.scenario.grid
+        return f"{Clock(grid).heading}, from {grid.local(grid.start):%d %B %Y}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,15 +124,6 @@ class ScaleAxis:
     def title(self) -> str:
         """What it is."""
         return self.scale.title
-
-
-def _tick_name(run: Trajectory, hours: float) -> Callable[[pd.Timestamp], str]:
-    """How a time is written below its tick."""
-    clock = Clock.of(run)
-    text = "%d %b\n%H:%M" if hours > HOURS_OF_PLAIN_CLOCK else "%H:%M"
-    if not clock.has_local:
-        return lambda time: f"{time:{text}}"
-    return lambda time: f"{time:{text}}\n({clock.grid.local(time):%H:%M})"
 
 
 def time_step_min(minutes: float) -> int:

@@ -40,15 +40,16 @@ def energy_and_price(runs: Runs) -> Chart:
         power.append(Curve(label, battery_power_kw(run), style))
     least, most = energy_limits_kwh(first)
     limits = [Limit(most, "upper SoC limit"), Limit(least, "lower SoC limit")]
+    stored = [
+        Curves("Stored energy (kWh)", energy, 210.0, low=0.0, limits=limits),
+        Curves("Net charging\npower (kW)", power, 140.0, limits=[ZERO]),
+    ]
+    with_batteries = any(len(run.scenario.batteries) for _, run, _ in every)
     return Chart(
         "energy_and_price",
         "Battery energy and price",
         first,
-        [
-            Curves("Stored energy (kWh)", energy, 210.0, low=0.0, limits=limits),
-            Curves("Net charging\npower (kW)", power, 140.0, limits=[ZERO]),
-            _price_panel(first),
-        ],
+        [*(stored if with_batteries else ()), _price_panel(first)],
     )
 
 

@@ -52,7 +52,10 @@ def line_loadings(runs: Runs) -> Chart:
 
 
 def solve_times(runs: Runs) -> Chart:
-    """Time of each decision, and its proven relative gap."""
+    """Time of each decision, and its proven relative gap where there is one."""
+    gaps = _curves(runs, lambda run: run.steps["gap"].to_numpy(float))
+    gap = Curves("Relative gap", gaps, 130.0, low=GAP_SHOWN, logarithmic=True)
+    with_gap = any((curve.values > GAP_SHOWN).any() for curve in gaps)
     return Chart(
         "solve_times",
         "Time and optimality gap of each decision",
@@ -64,13 +67,7 @@ def solve_times(runs: Runs) -> Chart:
                 130.0,
                 low=0.0,
             ),
-            Curves(
-                "Relative gap",
-                _curves(runs, lambda run: run.steps["gap"].to_numpy(float)),
-                130.0,
-                low=GAP_SHOWN,
-                logarithmic=True,
-            ),
+            *([gap] if with_gap else ()),
         ],
     )
 

@@ -39,8 +39,8 @@ def timeline(run: Trajectory) -> Chart:
     """Strips of the grid, the batteries, the PV power, and what is off supply."""
     makers: list[Callable[[Trajectory], Strip]] = [
         _grid_strip,
-        _battery_strip,
-        _sun_strip,
+        *([_battery_strip] if len(run.scenario.batteries) else []),
+        *([_sun_strip] if len(run.scenario.pv) else []),
         _service_strip,
         _off_strip,
     ]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from vppres.report.answer import answer
 from vppres.report.events import opening_of
-from vppres.report.findings import findings
+from vppres.report.findings import remarks, without_grid
 from vppres.report.first_page import (
     energy_rows,
     foundations,
@@ -18,13 +19,15 @@ from vppres.report.sections.base import Run, Section, section
 
 
 def overview_section(run: Run) -> Section:
-    """What is not as it should be, the day in sentences and a strip, and four small tables."""
+    """The answer, why it is so, the operating order, four small tables, and what else to know."""
     trajectory = run.trajectory
     return section(
         "overview",
         "Summary",
         {
-            "findings": findings(trajectory),
+            "answer": answer(trajectory, run.summary),
+            "doubts": without_grid(trajectory),
+            "remarks": remarks(trajectory),
             "sentences": [
                 *opening_of(trajectory, run.summary),
                 *filter(None, [off_sentence(trajectory)]),
@@ -32,6 +35,8 @@ def overview_section(run: Run) -> Section:
             ],
             "strip": run.figure("timeline"),
             "supply": supply_rows(trajectory, run.summary),
+            "off": bool(run.summary.get("minutes_off_max")),
+            "outage": bool(trajectory.steps["outage"].any()),
             "energy": energy_rows(trajectory, run.summary),
             "limits": limit_rows(trajectory),
             "money": money_sentence(run.summary),

@@ -14,12 +14,20 @@ from vppres.report.sections.base import FOLDED_ABOVE, Run, Section, section
 def service_section(run: Run) -> Section:
     """Shares of the tiers, customers without supply, and the shares step by step."""
     unserved = service_by_customer(run.trajectory)
+    shares = {
+        "Supplied in the outage": run.summary["served_share"],
+        "Supplied with grid": run.summary["served_share_connected"],
+    }
     return section(
         "service",
         "Supply by customer",
         {
-            "summary": run.summary,
-            "tiers": run.trajectory.scenario.tiers,
+            "shares": {
+                words: by_tier
+                for words, by_tier in shares.items()
+                if any(share is not None for share in by_tier.values())
+            },
+            "tiers": _tiers(run.trajectory),
             "unserved": unserved[unserved["unserved_h"] > 0].to_dict("records"),
             "n_customers": len(unserved),
             "folded_above": FOLDED_ABOVE,
@@ -30,6 +38,11 @@ def service_section(run: Run) -> Section:
     )
 
 
+def _tiers(trajectory: Trajectory) -> list[str]:
+    """Tiers that have customers, in their order."""
+    return [str(tier) for tier in service_by_tier(trajectory).columns]
+
+
 def _service_rows(trajectory: Trajectory) -> list[dict[str, Any]]:
     """Time, outage and the share served of each tier, one row per step."""
     shares = service_by_tier(trajectory)
@@ -38,7 +51,7 @@ def _service_rows(trajectory: Trajectory) -> list[dict[str, Any]]:
         {
             "time": clock.words(time),
             "outage": bool(outage),
-            "shares": [row.get(tier) for tier in trajectory.scenario.tiers],
+            "shares": [row[tier] for tier in _tiers(trajectory)],
         }
         for time, outage, row in zip(
             trajectory.steps["time"],
