@@ -60,6 +60,7 @@ from vppres.scenario.phases import (
 )
 from vppres.scenario.remarks import darkness, former_words
 from vppres.scenario.scenario import Scenario
+from vppres.service.world import World
 from vppres.solve.shadow_price_model import PricedTerms, ShadowPriceModel
 from vppres.solve.shadow_prices import price_window
 
@@ -441,6 +442,20 @@ def test_an_island_sheds_until_no_phase_of_its_former_is_beyond_its_rating(day: 
     assert kva.max() <= rating / 3 + 1e-3
     on = found.customers["served"].to_numpy(bool)
     assert on[found.customers["tier"] == "critical"].all() and not on.all()
+
+
+def test_other_batteries_discharge_before_an_island_sheds_by_phase(day: Scenario) -> None:
+    """All customers are on, batteries rest: what the former lacks others give, phase by phase."""
+    b = replace(day.batteries, soc_initial=day.batteries.soc_max)
+    night = replace(day, batteries=b, pv_kw=0.0 * day.pv_kw).between(16, 17)
+    rating_kva = b.s_max_kva[b.grid_forming][0] / 3.0
+    for share, n_on in ((0.2, 5), (0.3, 5), (0.5, 3), (0.8, 0)):
+        island = replace(night, load_kw=share * night.load_kw, grid_limit_kw=np.zeros(1))
+        found = World(island, RunOptions(horizon_h=0.0)).obey(0, [])
+        assert int(found.customers["served"].sum()) >= n_on, share
+        assert not found.steps["dark_reason"]
+        kva = max(found.steps[f"former_{phase}_kva"] for phase in "abc")
+        assert kva <= rating_kva + 1e-3
 
 
 def test_an_island_without_a_battery_of_three_phases_is_dark_in_plans_too(day: Scenario) -> None:

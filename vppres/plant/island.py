@@ -222,7 +222,9 @@ class IslandPlant:
         """Customers that are on in the order in which they are shed."""
         return [c for c in shedding_order(self.plant.scenario, t) if powers.served[c]]
 
-    def _others_room_kw(self, powers: Powers, state: BatteryState, others: Flags) -> Floats:
+    def _others_room_kw(
+        self, powers: Powers, state: BatteryState, others: Flags, ac: ACResult
+    ) -> Floats:
         """What batteries that do not form the grid can discharge beyond what they do, (B,)."""
         _, most_discharge = self.plant.battery_limits_kw(state)
         s_max_kva = self.plant.scenario.batteries.s_max_kva
@@ -243,7 +245,7 @@ class IslandPlant:
             charging = np.where(others, np.maximum(powers.battery_kw, 0.0), 0.0)
             if found.left_kw > self.tolerance_kw and charging.sum() > 0:
                 return replace(powers, battery_kw=powers.battery_kw - part_of(charging, need_kw))
-            room_kw = self._others_room_kw(powers, state, others)
+            room_kw = self._others_room_kw(powers, state, others, found.ac)
             if found.left_kw > self.tolerance_kw and room_kw.sum() > self.tolerance_kw:
                 return replace(powers, battery_kw=powers.battery_kw - part_of(room_kw, need_kw))
             return self._shed(t, powers, need_kw, found.ac)
@@ -367,7 +369,8 @@ def _given_beyond_kw(set_points: Powers, powers: Powers) -> float:
 
 def part_of(powers_kw: Floats, need_kw: float) -> Floats:
     """So much of each power, in proportion, that their sum meets the need."""
-    return powers_kw * min(1.0, need_kw / float(powers_kw.sum()))
+    total_kw = float(powers_kw.sum())
+    return powers_kw * min(1.0, need_kw / total_kw) if total_kw else powers_kw
 
 
 def curtailed(powers: Powers, surplus_kw: float) -> Powers:

@@ -25,7 +25,7 @@ from vppres.physics.phased_sources import (
 from vppres.physics.phases import NoPhasedSolutionError, PhasedFlow, PhasedResult
 from vppres.physics.powerflow import ACPowerFlow, ACResult, NoSolutionError
 from vppres.plant.formers import Former, FormingBatteries
-from vppres.plant.island import Balance, IslandPlant
+from vppres.plant.island import CUT_MARGIN_KW, Balance, IslandPlant, Settled, part_of
 from vppres.plant.plant import BatteryState, Plant, Powers, Realised
 from vppres.scenario.scenario import Scenario
 
@@ -178,6 +178,28 @@ class PhasedIslandPlant(IslandPlant):
     def __init__(self, plant: Plant, flow: PhasedACFlow) -> None:
         super().__init__(plant, flow)
         self.formers = plant.scenario.formers
+        self._others_help = True
+
+    def _held(self, t: int, planned: Realised, state: BatteryState, former: Former) -> Settled:
+        """The step with other batteries discharging beyond their set-points, or without them.
+
+        What relieves one phase may overload another, and then more customers are shed for it.
+        """
+        helped = super()._held(t, planned, state, former)
+        if not (helped.dark or helped.shed.any()):
+            return helped
+        self._others_help = False
+        try:
+            alone = super()._held(t, planned, state, former)
+        finally:
+            self._others_help = True
+        return max(helped, alone, key=self._supplied)
+
+    def _supplied(self, settled: Settled) -> tuple[int, ...]:
+        """How many customers of each tier are on, those of the first tier first."""
+        s = self.plant.scenario
+        on = s.customers.tier[settled.realised.served]
+        return (int(not settled.dark), *(int((on == tier).sum()) for tier in s.tiers))
 
     def _excess_kva(self, former: Former, powers: Powers, ac: ACResult) -> float:
         """By how much the worst phase of the former is beyond a third of its rating, times three.
@@ -201,23 +223,48 @@ class PhasedIslandPlant(IslandPlant):
         return sorted(super()._order(t, powers, ac), key=lambda c: not on_phase[c])
 
     def _cut(self, t: int, powers: Powers, found: Balance, state: BatteryState) -> Powers | None:
-        """What relieves an overloaded phase: less of what feeds it, else customers on it.
+        """What relieves an overloaded phase: less of what feeds it, or other batteries on it.
 
-        Where no customer is left to be shed, everything but the former stops.
+        Then customers on it are shed. Where none is left, everything but the former stops.
         """
         if abs(found.left_kw) > self.tolerance_kw:
             return super()._cut(t, powers, found, state)
         worst = _worst_phase(found.ac)
+        on_phase = self._on_phase(worst)
         if _former_kva(found.ac)[worst].real < 0.0:
-            less = self._without(powers, self._on_phase(worst))
+            less = self._without(powers, on_phase)
             if less is not None:
                 return less
+        elif found.excess_kvar > 0.0:
+            room_kw = self._others_room_kw(powers, state, ~found.former.batteries, found.ac)
+            there_kw = self._by_phase_kw(room_kw)[worst]
+            if there_kw.sum() > self.tolerance_kw:
+                need_kw = found.excess_kvar / 3.0 + CUT_MARGIN_KW
+                given_kw = room_kw * (there_kw > 0.0) * min(1.0, need_kw / there_kw.sum())
+                return replace(powers, battery_kw=powers.battery_kw - given_kw)
         everything = np.ones(len(self.flow.grid.assets), dtype=bool)
         return super()._cut(t, powers, found, state) or self._without(powers, everything)
 
-    def _others_room_kw(self, powers: Powers, state: BatteryState, others: Flags) -> Floats:
-        """None: on their phases other batteries may overload what forms the grid."""
-        return np.zeros(len(others))
+    def _others_room_kw(
+        self, powers: Powers, state: BatteryState, others: Flags, ac: ACResult
+    ) -> Floats:
+        """The same, on a phase and in all no more than what forms the grid gives there."""
+        if not self._others_help:
+            return np.zeros(len(others))
+        room_kw = super()._others_room_kw(powers, state, others, ac)
+        each_kw = self._by_phase_kw(room_kw)
+        former_kw = _former_kva(ac).real
+        given_kw = np.maximum(former_kw, 0.0)
+        share = np.divide(given_kw, each_kw.sum(axis=1), where=each_kw.any(axis=1), out=np.ones(3))
+        least = np.where(each_kw > 0.0, np.minimum(share, 1.0)[:, None], 1.0).min(axis=0)
+        room_kw = room_kw * least
+        return np.asarray(part_of(room_kw, max(float(former_kw.sum()), 0.0)))
+
+    def _by_phase_kw(self, battery_kw: Floats) -> Floats:
+        """Powers of batteries on each of their phases, in equal parts, (3, B)."""
+        first = len(self.flow.grid.assets) - len(battery_kw)
+        on = np.array([self._on_phase(phase)[first:] for phase in range(3)])
+        return np.asarray(on * battery_kw / np.maximum(on.sum(axis=0), 1))
 
     def _without(self, powers: Powers, which: Flags) -> Powers | None:
         """Powers without PV export and discharge of some assets; None if they have neither."""
