@@ -21,6 +21,7 @@ from vppres.control.rules import rule_dispatch
 from vppres.control.step_state import StepState
 from vppres.core.errors import InputError
 from vppres.day.assembly import make_controller
+from vppres.day.faults import FaultPlan, SolverOutage
 from vppres.day.options import RunOptions
 from vppres.day.phase_figures import phase_figures
 from vppres.day.simulate import Day, run_day
@@ -58,7 +59,7 @@ from vppres.scenario.phases import (
     Phases,
     PhaseTransformer,
 )
-from vppres.scenario.remarks import darkness, former_words
+from vppres.scenario.remarks import darkness, former_words, held_capacitors
 from vppres.scenario.scenario import Scenario
 from vppres.service.world import World
 from vppres.solve.shadow_price_model import PricedTerms, ShadowPriceModel
@@ -507,3 +508,50 @@ def test_the_rule_serves_in_an_island_what_every_phase_carries(day: Scenario) ->
 
 def test_phases_are_part_of_the_digest(day: Scenario) -> None:
     assert scenario_digest(day) != scenario_digest(replace(day, phases=None))
+
+
+BANKED = CIRCUIT.replace(
+    "new line.l1", "new capacitor.one bus1=m.1 phases=1 kvar=60 kv=2.4\nnew line.l1", 1
+)
+"""With a capacitor on one phase: 110 kvar on it, less than the 216 kVA of the former together."""
+
+
+@pytest.fixture(scope="module")
+def banked(tmp_path_factory: pytest.TempPathFactory) -> Scenario:
+    """A day of that feeder, its batteries full."""
+    file = tmp_path_factory.mktemp("banked") / "banked.dss"
+    file.write_text(BANKED)
+    day = phased_day(file)
+    return replace(day, batteries=replace(day.batteries, soc_initial=day.batteries.soc_max))
+
+
+def test_capacitors_are_switched_by_phase_in_islands(banked: Scenario) -> None:
+    """The smaller one stays: a third of the former's rating holds it alone."""
+    assert banked.phases is not None
+    left = {(row.bus, row.coils): row.island for row in banked.phases.shunts}
+    assert left == {("m", "a"): "yes", ("e", "a b c"): "no"}
+    assert any("a third of the 216 kVA on one phase" in note for note in banked.source.notes)
+    assert held_capacitors(banked) == "" and "bus e" in held_capacitors(all_on(banked))
+
+
+def all_on(day: Scenario) -> Scenario:
+    """The day with all of its capacitors on in islands."""
+    assert day.phases is not None
+    shunts = tuple(replace(row, island="yes") for row in day.phases.shunts)
+    network = replace(day.network, island=np.ones(day.network.n_buses, dtype=bool))
+    return replace(day, network=network, phases=replace(day.phases, shunts=shunts))
+
+
+@pytest.mark.parametrize("kept", [False, True])
+def test_an_island_whose_answer_fails_holds_capacitors_of_one_phase(
+    banked: Scenario, kept: bool
+) -> None:
+    """Batteries on that phase take what its third of the former does not, where all stay on."""
+    island = (all_on(banked) if kept else banked).between(13, 14)
+    options = RunOptions(horizon_h=0.0, isolate=False)
+    run = run_day(island, options, faults=FaultPlan({0: SolverOutage("killed")}))
+    assert run.steps["fallback"].tolist() == ["rule"]
+    assert run.steps["dark_reason"].tolist() == [""] and run.customers["served"].any()
+    rating = island.batteries.s_max_kva[island.batteries.grid_forming][0]
+    kva = run.steps[[f"former_{phase}_kva" for phase in "abc"]].to_numpy(float)
+    assert kva.max() <= rating / 3 + 0.1

@@ -1,13 +1,16 @@
 """The rule in an island of a phased feeder: a customer is served if every phase carries it.
 
 Customers' batteries supply what is on their own coils, PV systems what is behind their meters, and
-the battery that forms the island the rest of each phase. So no set-point burdens a phase that it
-does not relieve, and a power flow by phase says of every set whether it is carried.
+the battery that forms the island the rest of each phase. Where capacitors give a phase more
+reactive power than its third of the former takes, batteries on that phase alone take it. So no
+set-point burdens a phase that it does not relieve, and a power flow by phase says of every set
+whether it is carried.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,6 +20,13 @@ from vppres.core.arrays import Flags, Floats
 from vppres.model.formulas import bus_injections, cell_kw, soc_after
 from vppres.model.phases import ISLAND, PhasedModel, phased_model
 from vppres.physics.phases import NoPhasedSolutionError, PhasedResult
+from vppres.scenario.phases import PHASES
+
+MOST_FLOWS = 4
+"""Power flows in which batteries take what is beyond a phase of the former, for one schedule."""
+
+AIM = 0.95
+"""Share of its rating that is left of the power of a phase that was beyond it."""
 
 ISLANDED: Flags = np.array(True)
 
@@ -39,16 +49,25 @@ def served_by_phase(state: StepState, order: Iterable[int]) -> Dispatch:
         Positions of customers, the most important first.
     """
     served = np.zeros(len(state.site.customers), dtype=bool)
-    best = _carried(state, served)
+    nothing = np.zeros((2, len(state.site.batteries)))
+    best = _carried(state, served, nothing[1])
     if best is None:
-        return _dispatch(state, served, np.zeros((2, len(state.site.batteries))))
+        return _dispatch(state, served, nothing)
     for c in order:
         tried = served.copy()
         tried[c] = True
-        found = _carried(state, tried)
+        found = _carried(state, tried, best.taken_kvar)
         if found is not None:
             served, best = tried, found
-    return best
+    return _dispatch(state, served, best.given)
+
+
+@dataclass(frozen=True, eq=False)
+class _Carried:
+    """What batteries give, (2, B): active and reactive, and what they took for the feeder, (B,)."""
+
+    given: Floats
+    taken_kvar: Floats
 
 
 def carried_by_phase(state: StepState, dispatch: Dispatch) -> bool:
@@ -58,51 +77,93 @@ def carried_by_phase(state: StepState, dispatch: Dispatch) -> bool:
     pv = (dispatch.pv_self_kw[0] + dispatch.pv_export_kw[0], dispatch.pv_q_kvar[0])
     batteries = (dispatch.discharge_kw[0] - dispatch.charge_kw[0], dispatch.batt_q_kvar[0])
     drawn = model.powers(ISLANDED, load_kw, pv, batteries)
-    return _within(state, model, *drawn) is not None
+    found = _flow(state, model, *drawn)
+    return found is not None and _fits(state, model, found)
 
 
-def _within(
+def _flow(
     state: StepState, model: PhasedModel, p_kw: Floats, q_kvar: Floats
 ) -> PhasedResult | None:
-    """The power flow of what assets draw, None if the former or a voltage does not allow it."""
-    former = model.former
-    if former is None or not state.online[former]:
+    """The power flow of what assets draw, None without a former, or without a solution."""
+    if model.former is None or not state.online[model.former]:
         return None
     try:
-        found = model.solved(True, p_kw, q_kvar)
+        return model.solved(True, p_kw, q_kvar)
     except NoPhasedSolutionError:
         return None
-    assert found is not None
+
+
+def _rating_kva(state: StepState, model: PhasedModel, found: PhasedResult) -> float:
+    """What each phase of the former may carry."""
+    return float(state.site.batteries.s_max_kva[model.former]) / len(found.source_kva)
+
+
+def _fits(state: StepState, model: PhasedModel, found: PhasedResult) -> bool:
+    """Whether the former and all voltages allow a power flow."""
+    former = model.former
     net = state.site.feeder
     given_kw = float(found.source_kva.sum().real)
-    rating_kva = float(state.site.batteries.s_max_kva[former]) / len(found.source_kva)
+    rating_kva = _rating_kva(state, model, found)
     v_pu = model.flows[ISLAND].v_pu(found.v)[model.limited]
     # Limits give way to the voltages at rest, as those of plans do.
     at_rest_pu = np.sqrt(model.slopes[ISLAND].u_0)[model.limited]
-    fits = (
+    return bool(
         -state.charge_max_kw[former] <= given_kw <= state.discharge_max_kw[former]
         and np.abs(found.source_kva).max() <= rating_kva + TOLERANCE_KVA
         and (v_pu >= np.minimum(net.v_min_ac_pu, at_rest_pu) - REST_PU).all()
         and (v_pu <= np.maximum(net.v_max_ac_pu, at_rest_pu) + REST_PU).all()
     )
-    return found if fits else None
 
 
-def _carried(state: StepState, served: Flags) -> Dispatch | None:
-    """The dispatch of a supply schedule, None if a phase does not carry it."""
+def _carried(state: StepState, served: Flags, taken_kvar: Floats) -> _Carried | None:
+    """What batteries give to a supply schedule, None if a phase does not carry it.
+
+    What they took before for the feeder is where the search for what they take begins.
+    """
     site = state.site
     model = phased_model(site)
     own = state.own_kw(served)
-    given = _behind_meters(state, served, own, model)
+    behind = _behind_meters(state, served, own, model)
     load_kw = state.load_kw * served
-    pv = (own, 0.0 * own)
-    drawn = model.powers(ISLANDED, load_kw, pv, (given[0], given[1]))
-    found = _within(state, model, *drawn)
-    if found is None or model.former is None:
+    lowest_kvar = -np.sqrt(np.maximum(site.batteries.s_max_kva**2 - behind[0] ** 2, 0.0))
+    found: PhasedResult | None = None
+    for _ in range(MOST_FLOWS):
+        given = np.array([behind[0], np.maximum(behind[1] - taken_kvar, lowest_kvar)])
+        drawn = model.powers(ISLANDED, load_kw, (own, 0.0 * own), (given[0], given[1]))
+        found = _flow(state, model, *drawn)
+        if found is None:
+            return None
+        more_kvar = _taken_kvar(state, model, found, given[1] - lowest_kvar)
+        if not more_kvar.any():
+            break
+        taken_kvar = behind[1] - given[1] + more_kvar
+    if found is None or not _fits(state, model, found):
         return None
     total = found.source_kva.sum()
     given[:, model.former] = total.real, total.imag
-    return _dispatch(state, served, given)
+    return _Carried(given, taken_kvar)
+
+
+def _taken_kvar(
+    state: StepState, model: PhasedModel, found: PhasedResult, room_kvar: Floats
+) -> Floats:
+    """Reactive power that batteries on one phase take of it, as they have room, (B,).
+
+    It is what the feeder gives the former on that phase beyond its rating, and a little more.
+    """
+    phases = state.site.phases
+    assert phases is not None
+    rating_kva = _rating_kva(state, model, found)
+    beyond = np.abs(found.source_kva) > rating_kva + TOLERANCE_KVA
+    least_kvar = np.sqrt(np.maximum((AIM * rating_kva) ** 2 - found.source_kva.real**2, 0.0))
+    surplus_kvar = np.where(beyond, -found.source_kva.imag - least_kvar, 0.0)
+    coils = np.array([phases.connection(str(name)).coils for name in state.site.batteries.id])
+    taken = np.zeros(len(coils))
+    for phase, kvar in zip(PHASES, surplus_kvar, strict=True):
+        own = np.where((coils == phase) & state.online, room_kvar, 0.0)
+        if kvar > 0.0 and own.sum() > 0.0:
+            taken += own * min(kvar / own.sum(), 1.0)
+    return taken
 
 
 def _behind_meters(state: StepState, served: Flags, own: Floats, model: PhasedModel) -> Floats:

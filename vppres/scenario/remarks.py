@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vppres.core.text import named
-from vppres.scenario.capacitors import too_large
+from vppres.scenario.capacitors import too_large, too_large_by_phase
 from vppres.scenario.earthing import floating
 from vppres.scenario.formers import forming_batteries
 from vppres.scenario.network import LOW_VOLTAGE_KV
@@ -137,13 +137,18 @@ def held_capacitors(scenario: Scenario) -> str:
     formers_kva = float(batteries.s_max_kva[forming_batteries(scenario)].sum())
     if not scenario.outage.any() or not formers_kva:
         return ""
-    buses = network.buses[too_large(network, formers_kva)]
+    size, table = f"the {formers_kva:,.0f} kVA of its grid-forming batteries", "buses.csv"
+    off = too_large(network, formers_kva)
+    if scenario.phases is not None:
+        size, table = f"a third of {size} on one phase", "buses.csv and phase_shunts.csv"
+        off = too_large_by_phase(network, scenario.phases, formers_kva)
+    buses = network.buses[off]
     if not len(buses):
         return ""
     return (
-        f"The capacitors that stay connected in an island have more reactive power than the "
-        f"{formers_kva:,.0f} kVA of its grid-forming batteries, and may black it out. Give those "
-        f"of bus {', '.join(map(str, buses[:12]))} the value no in the column island of buses.csv."
+        f"The capacitors that stay connected in an island have more reactive power than {size}, "
+        f"and may black it out. Give those of bus {', '.join(map(str, buses[:12]))} the value no "
+        f"in the column island of {table}."
     )
 
 

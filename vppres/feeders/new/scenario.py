@@ -37,8 +37,9 @@ from vppres.io.editor import add_editor_schema
 from vppres.io.messages import did_you_mean
 from vppres.io.scenario_writer import fill_scenario_folder
 from vppres.scenario.assets import PV, TIER_WEIGHTS, Batteries, PVSystems
-from vppres.scenario.capacitors import too_large
+from vppres.scenario.capacitors import too_large, too_large_by_phase
 from vppres.scenario.network import Network
+from vppres.scenario.phases import Phases
 from vppres.scenario.priority import STRICT
 from vppres.scenario.remarks import darkness, doubtful_units, former_words
 from vppres.scenario.rules import SwitchingRules
@@ -103,7 +104,7 @@ def _built(feeder: ImportedFeeder, options: NewScenarioOptions) -> tuple[Scenari
         own = (assets.customers, assets.pv, batteries)
         phases = connected(feeder.phased, feeder.name, *own)
         batteries = with_former(phases, assets.customers, batteries)
-    network, switched = _for_islands(_network(feeder, options), batteries)
+    network, switched = _for_islands(_network(feeder, options), batteries, phases)
     if phases is not None:
         phases = shunts_in_islands(phases, network)
         # A loading that is stated would be that of three equal phases.
@@ -136,18 +137,24 @@ def _built(feeder: ImportedFeeder, options: NewScenarioOptions) -> tuple[Scenari
     return scenario, [*notes, *_told_limits(network, options)]
 
 
-def _for_islands(network: Network, batteries: Batteries) -> tuple[Network, list[str]]:
+def _for_islands(
+    network: Network, batteries: Batteries, phases: Phases | None
+) -> tuple[Network, list[str]]:
     """The network without the capacitors in islands that no battery can hold there, and which."""
     forming = batteries.formers
     if not forming.any():
         return network, []
     rating_kva = float(batteries.s_max_kva[forming].sum())
+    words = f"the {rating_kva:,.0f} kVA"
     off = too_large(network, rating_kva)
+    if phases is not None:
+        words = f"a third of the {rating_kva:,.0f} kVA on one phase"
+        off = too_large_by_phase(network, phases, rating_kva)
     if not off.any():
         return network, []
     note = (
         f"The capacitors at bus {named(network.buses[off])} are switched off in islands: with them "
-        f"there is more reactive power than the {rating_kva:,.0f} kVA of the grid-forming "
+        f"there is more reactive power than {words} of the grid-forming "
         f"battery {named(batteries.id[forming])}."
     )
     return replace(network, island=network.island & ~off), [note]
