@@ -119,7 +119,7 @@ def test_one_grid_is_chosen(word: str) -> None:
         "The grid connection is ext_grid 1 (north) (--slack); no longer feeding, and out of "
         "service: ext_grid 0.",
         "Without supply or out of service, and left out: bus 0, 1, 2.",
-        "Left out with their buses: load 0 (mill).",
+        "Left out with their buses: load 0 (mill), 300 kW.",
     )
 
 

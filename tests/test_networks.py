@@ -256,10 +256,10 @@ def test_every_simplification_has_its_note() -> None:
     pp.create_switch(net, 0, line, et="l", closed=False)
     feeder = import_network(net)
     assert feeder.notes == (
-        "Closed switches make one bus of the buses 1, 2.",
         "Without supply or out of service, and left out: bus 8.",
-        "Left out with their buses: load 6 (barn).",
-        "Left out with their buses: storage 1 (barn battery).",
+        "Left out with their buses: load 6 (barn), 100 kW.",
+        "Left out with their buses: storage 1 (barn battery), 100 kW.",
+        "Closed switches make one bus of the buses 1, 2.",
         "Open at one end, and kept as shunts of 0 kvar: line 3 (tie).",
         "The voltage levels 0.4, 10, 20 kV are referred to one by the square of the nominal ratio; "
         "phase shifts have no effect in a radial feeder and are left out.",
@@ -562,7 +562,7 @@ def test_opendss_lines_that_are_open_or_disabled(tmp_path: Path) -> None:
     feeder = import_network(dss_file(tmp_path, spur + "open line.tail term=1\ndisable line.spur"))
     assert feeder.network.buses.tolist() == ["src", "a", "b"]
     assert feeder.p_load_kw.sum() == pytest.approx(100.0)
-    assert "Left out with their buses: load 1 (d2), load 2 (d3)." in feeder.notes
+    assert "Left out with their buses: load 1 (d2), load 2 (d3), 25 kW." in feeder.notes
 
 
 def test_opendss_buses_that_are_numbers(tmp_path: Path) -> None:

@@ -14,9 +14,11 @@ import numpy as np
 import pandapower as pp
 import pandas as pd
 import pytest
+from pandapower.pf.runpp_3ph import runpp_3ph
 
 from vppres.core.errors import InputError
 from vppres.feeders import ImportedFeeder, import_network
+from vppres.feeders.dss.phases import flow_of_source
 from vppres.feeders.new.assets import new_assets
 from vppres.feeders.new.options import NewScenarioOptions
 from vppres.feeders.new.scenario import new_scenario
@@ -344,7 +346,7 @@ RIGHT: dict[str, tuple[Change, str]] = {
     "line to nowhere": (spur(), ""),
     "switch with an impedance": (coupled(z_ohm=0.5), ""),
     "closed switch": (coupled(), "Closed switches make one bus of the buses 2, 5."),
-    "open switch": (coupled(closed=False), "Left out with their buses: load 4."),
+    "open switch": (coupled(closed=False), "Left out with their buses: load 4, 200 kW."),
     "grid with an angle": (changed("ext_grid", 0, va_degree=30.0, vm_pu=1.05), ""),
     "two grids at one bus": (second_grid(0, vm_pu=1.02), ""),
     "generator that holds its voltage": (with_parts("gen", 2, 0.2, vm_pu=1.03), HELD),
@@ -364,7 +366,7 @@ RIGHT: dict[str, tuple[Change, str]] = {
         "Drawn in every step and owned by no customer: bus 2",
     ),
     "battery that discharges": (with_parts("storage", 2, -0.1, 1.0, sn_mva=0.2), "Batteries"),
-    "island without a source": (island, "Left out with their buses: load 4 (hut)."),
+    "island without a source": (island, "Left out with their buses: load 4 (hut), 100 kW."),
     "the same name everywhere": (all_named("Mill"), ""),
     "names in other scripts": (all_named("Łódź 地 Straße"), ""),
     "numbers with gaps": (renumbered, ""),
@@ -459,3 +461,123 @@ def test_odd_net_is_refused_for_what_it_is(change: Change, message: str) -> None
     change(net)
     with pytest.raises(InputError, match=message):
         new_scenario(import_network(net))
+
+
+ZERO = {"r0_ohm_per_km": 1.2, "x0_ohm_per_km": 0.8, "c0_nf_per_km": 100.0}
+ZERO_OF_TRAFO = {
+    "vector_group": "Dyn",
+    "shift_degree": 330.0,
+    "vk0_percent": 6.0,
+    "vkr0_percent": 1.2,
+    "mag0_percent": 100.0,
+    "mag0_rx": 0.0,
+    "si0_hv_partial": 0.9,
+}
+STRONG = {"s_sc_max_mva": 1e9, "rx_max": 0.1, "x0x_max": 1.0, "r0x0_max": 0.1}
+
+
+def street_by_phase() -> Any:
+    """The street with a house on two phases at its end."""
+    net = street()
+    for table, columns in (("line", ZERO), ("trafo", ZERO_OF_TRAFO), ("ext_grid", STRONG)):
+        for column, value in columns.items():
+            net[table][column] = value
+    house = {"p_a_mw": 0.01, "p_b_mw": 0.02, "q_a_mvar": 0.001, "q_b_mvar": 0.002}
+    pp.create_asymmetric_load(net, 4, **house, name="house")
+    return net
+
+
+def with_zero(change: Change) -> Change:
+    """New lines have the zero sequence of the others."""
+
+    def changed_too(net: Any) -> None:
+        change(net)
+        for column, value in ZERO.items():
+            net.line[column] = value
+
+    return changed_too
+
+
+THIRD = "Switches have a third of their z_ohm, as in pandapower's power flow by phase: switch 0."
+WYE = (
+    "Connected in wye here, and left out by pandapower's power flow by phase, which asks for the type "
+    "wye or delta: sgen 0."
+)
+LOST = "Left out, as the feeder keeps its phases and a customer needs active power: "
+OUT_OF_SERVICE = "Left out with their buses: load 3, load 4 (house), 80 kW."
+BY_PHASE: dict[str, tuple[Change, str]] = {
+    "nothing": (lambda net: None, "The grid is held stiff."),
+    "switch with an impedance": (coupled(z_ohm=0.5), THIRD),
+    "line open at its far end": (with_zero(spur(length_km=8.0, opened="far")), "Open at one end"),
+    "transformer open at its low voltage": (
+        lambda net: (
+            pp.create_switch(net, 3, 0, "t", closed=False),
+            pp.create_asymmetric_load(net, 2, 0.1),
+        ),
+        "Open at one end",
+    ),
+    "bus out of service": (
+        lambda net: (
+            changed("bus", 4, in_service=False)(net),
+            pp.create_asymmetric_load(net, 3, 0.01),
+        ),
+        OUT_OF_SERVICE,
+    ),
+    "line of no length": (changed("line", 1, length_km=0.0), SWITCHED),
+    "line with leakage": (changed("line", 1, g_us_per_km=20.0), ""),
+    "line without ampacity": (
+        changed("line", 1, max_i_ka=np.nan),
+        "Without a rating in the source, and here: line 1 (b).",
+    ),
+    "load in delta": (changed("load", 3, type="delta"), ""),
+    "generator of another type": (with_parts("sgen", 4, 0.01, 0.002, type="PV"), WYE),
+    "generator that draws power": (
+        with_parts("sgen", 4, -0.01, 0.002, type="wye"),
+        "Generators that draw power are loads: sgen 0, 10 kW.",
+    ),
+    "phase of a generator that draws power": (
+        with_parts("asymmetric_sgen", 4, -0.01, 0.005),
+        "Generators that draw power are loads: asymmetric_sgen 0, 10 kW.",
+    ),
+    "load that gives power": (
+        with_parts("load", 4, -0.01, 0.002),
+        f"{LOST}load 4 (-10 kW, 2 kvar).",
+    ),
+    "load of reactive power": (with_parts("load", 4, 0.0, 0.02), f"{LOST}load 4 (0 kW, 20 kvar)."),
+    "tap changer without its type": (
+        tapped(tap_changer_type=None),
+        NO_EFFECT.format("trafo 0 (-6)", "0.1"),
+    ),
+    "grid of little strength": (
+        changed("ext_grid", 0, s_sc_max_mva=100.0),
+        "The grid is held stiff. With the short-circuit power of the source voltages move by up to "
+        "0.00021 pu.",
+    ),
+    "numbers with gaps": (renumbered, ""),
+}
+
+
+@pytest.mark.parametrize(("change", "note"), BY_PHASE.values(), ids=list(BY_PHASE))
+def test_odd_net_by_phase_has_its_own_voltages(change: Change, note: str) -> None:
+    net = street_by_phase()
+    change(net)
+    feeder = import_network(net)
+    phased = feeder.phased
+    assert phased is not None and phased.difference_pu is not None
+    assert phased.difference_pu < AGREEMENT_PU
+    assets = new_assets(feeder, NewScenarioOptions())
+    notes = [*feeder.notes, *assets.notes]
+    assert not note or any(each.startswith(note) for each in notes), notes
+    flow, p_kw, q_kvar = flow_of_source(phased)
+    ours = dict(zip(flow.measured[0], flow.v_pu(flow.solve(p_kw, q_kvar).v), strict=True))
+    if note in (SWITCHED, WYE, OUT_OF_SERVICE):
+        return  # pandapower has no solution, or one without the generator
+    if "short-circuit" in note:
+        net.ext_grid["s_sc_max_mva"] = STRONG["s_sc_max_mva"]
+    with np.errstate(invalid="ignore"):  # at buses without supply
+        runpp_3ph(net, numba=False, tolerance_mva=1e-10, max_iteration=100)
+    theirs = net.res_bus_3ph[[f"vm_{phase}_pu" for phase in "abc"]].dropna()
+    assert len(theirs) == len(feeder.bus_of)
+    for bus, row in theirs.iterrows():
+        for phase, value in zip("abc", row, strict=True):
+            assert ours[str(feeder.bus_of[bus]), phase] == pytest.approx(value, abs=AGREEMENT_PU)

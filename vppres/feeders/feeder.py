@@ -219,6 +219,8 @@ class ImportedFeeder:
         Bus of the network for every supplied bus of the source; joined buses share one.
     notes : tuple of str
         What was simplified, one sentence each; empty if nothing was.
+    left_out : tuple of str
+        Those of the notes that say what has no supply; they hold for phases too.
     deviation : Deviation, optional
         What the simplifications change; None if the source's power flow does not converge.
     causes : tuple of str, optional
@@ -242,6 +244,7 @@ class ImportedFeeder:
     generators: Generators
     bus_of: Mapping[int, BusId]
     notes: tuple[str, ...]
+    left_out: tuple[str, ...] = ()
     deviation: Deviation | None = None
     storages: Storages = field(default_factory=Storages.none)
     loads: Loads = field(default_factory=Loads.none)

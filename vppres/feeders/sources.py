@@ -153,8 +153,9 @@ def _feeder(found: _Net, name: str, changes: Changes) -> ImportedFeeder:
         return _with_phases_of_net(found, net, name, ids, notes + made)
     feeder = replace(feeder_of(net, name, bus_ids=ids), named=changes.names)
     if keeps_phases:
-        # Its customers are the loads by name in any case.
-        return _with_phases(found, net, replace(feeder, notes=notes + made, named=False))
+        # Its customers are the loads by name in any case; other notes are of the balanced tree.
+        told = notes + made + feeder.left_out
+        return _with_phases(found, net, replace(feeder, notes=told, named=False))
     if phases is not None:
         feeder = replace(feeder, unbalanced=phases.what)
     if found.flow is not None:

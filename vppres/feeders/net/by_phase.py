@@ -16,12 +16,15 @@ import pandas as pd
 
 from vppres.core.arrays import Complexes, Floats
 from vppres.core.errors import InputError, Problem, first_line
+from vppres.core.text import named
 from vppres.core.units import A_PER_KA, US_PER_S, V_PER_KV, W_PER_KW, mw_to_kw
 from vppres.feeders.dss.phases import flow_of_source, kept_phases
 from vppres.feeders.feeder import ImportedFeeder, PhasedLoad, PhasedSource
 from vppres.feeders.net.balance import CURE, TABLES
+from vppres.feeders.net.branches import split_stubs
 from vppres.feeders.net.elements import in_service, label, tiers_of
 from vppres.feeders.net.ratings import rating_mva
+from vppres.feeders.net.reduce import ENDS, with_branch
 from vppres.scenario.network import BusId
 from vppres.scenario.phases import (
     PHASES,
@@ -59,7 +62,7 @@ NO_BRANCH = 1e12
 LEAST_KW = 1e-9
 """Power below which there is none."""
 
-F_BUS, T_BUS, R, X, B, TAP, SHIFT = 0, 1, 2, 3, 4, 8, 9
+F_BUS, T_BUS, R, X, B, TAP, SHIFT, STATUS = 0, 1, 2, 3, 4, 8, 9, 10
 BR_G, BR_G_ASYM, BR_B_ASYM = 23, 24, 25
 GS, BS, KV = 4, 5, 9
 
@@ -72,6 +75,9 @@ def phased_net(net: Any, name: str, feeder: ImportedFeeder) -> PhasedSource:
     problems = [*_unknown(net, name)]
     if problems:
         raise InputError(problems)
+    net = copy.deepcopy(net)
+    notes = [*_connected_to_ground(net)]
+    _end_before_buses_out_of_service(net)
     solved, v_pu = _solved(net, name)
     tables = _Tables(solved, name, feeder)
     source = PhasedSource(
@@ -81,12 +87,74 @@ def phased_net(net: Any, name: str, feeder: ImportedFeeder) -> PhasedSource:
     ours = np.abs(flow.v_pu(flow.solve(p_kw, q_kvar).v))
     at = {str(own): solved.bus.index.get_loc(bus) for bus, own in feeder.bus_of.items()}
     theirs = np.concatenate([v_pu[at[row.bus]] for row in source.phases.buses])
-    notes = (
-        kept_phases(source.phases),
-        "Loads whose phases differ are a customer for each phase. The grid is held stiff.",
-    )
     difference_pu = None if np.isnan(theirs).any() else float(np.abs(ours - theirs).max())
-    return PhasedSource(source.phases, source.loads, source.v_pu, difference_pu, notes)
+    told = (
+        kept_phases(source.phases),
+        "Loads whose phases differ are a customer for each phase.",
+        _told_stiff(net, v_pu),
+        *notes,
+        *_told_switches(solved),
+    )
+    return PhasedSource(source.phases, source.loads, source.v_pu, difference_pu, told)
+
+
+def _connected_to_ground(net: Any) -> Iterator[str]:
+    """Connect in wye in place what pandapower leaves out, as it is neither in wye nor in delta."""
+    left = []
+    for table in (table for pair in TABLES for table in pair[:2] if table in net):
+        rows = in_service(net, table)
+        odd = rows.index[~rows["type"].isin(("wye", "delta"))]
+        left += [label(net, table, i) for i in odd if table != "load"]
+        net[table].loc[odd, "type"] = "wye"
+    if left:
+        yield (
+            "Connected in wye here, and left out by pandapower's power flow by phase, which asks "
+            f"for the type wye or delta: {named(left)}."
+        )
+
+
+def _end_before_buses_out_of_service(net: Any) -> None:
+    """End lines and transformers in place at a bus of their own where theirs is out of service.
+
+    pandapower's power flow by phase has no solution with them.
+    """
+    import pandapower as pp
+
+    out = net.bus.index[~net.bus["in_service"].astype(bool)]
+    for table in ("line", "trafo"):
+        for end in ENDS[table]:
+            for i, bus in in_service(net, table)[end].items():
+                if bus in out:
+                    net[table].loc[i, end] = pp.create_bus(net, net.bus.at[bus, "vn_kv"])
+
+
+def _told_stiff(net: Any, v_pu: Floats) -> str:
+    """That the grid is held stiff, and what its own strength would change."""
+    grids = in_service(net, "ext_grid")
+    given = grids.reindex(columns=[*STIFF])
+    if given.isna().any(axis=None):
+        return "The grid is held stiff."
+    net = copy.deepcopy(net)
+    try:
+        _solve(net)
+    except Exception:  # its numbers may be of no grid
+        return "The grid is held stiff."
+    theirs = net.res_bus_3ph[[f"vm_{phase}_pu" for phase in PHASES]].to_numpy()
+    apart = float(np.nanmax(np.abs(theirs - v_pu)))
+    return (
+        "The grid is held stiff. With the short-circuit power of the source voltages move by up to "
+        f"{apart:.2g} pu."
+    )
+
+
+def _told_switches(net: Any) -> Iterator[str]:
+    """Switches with an impedance."""
+    found = [label(net, "switch", i) for i in with_branch(net, "switch")]
+    if found:
+        yield (
+            "Switches have a third of their z_ohm, as in pandapower's power flow by phase: "
+            f"{named(found)}."
+        )
 
 
 def _unknown(net: Any, name: str) -> Iterator[Problem]:
@@ -104,17 +172,21 @@ def _unknown(net: Any, name: str) -> Iterator[Problem]:
 
 def _solved(net: Any, name: str) -> tuple[Any, Floats]:
     """The net solved by phase, with the grid held stiff."""
-    from pandapower.pf.runpp_3ph import runpp_3ph
-
     net = copy.deepcopy(net)
     for column, value in STIFF.items():
         net.ext_grid[column] = value
     try:
-        runpp_3ph(net, numba=False, tolerance_mva=1e-10, max_iteration=100)
+        _solve(net)
     except Exception as error:  # pandapower refuses nets with many kinds of error
         words = f"has no power flow by phase in pandapower ({first_line(error)})"
         raise InputError.of(name, words, CURE) from error
     return net, net.res_bus_3ph[[f"vm_{phase}_pu" for phase in PHASES]].to_numpy()
+
+
+def _solve(net: Any) -> None:
+    from pandapower.pf.runpp_3ph import runpp_3ph
+
+    runpp_3ph(net, numba=False, tolerance_mva=1e-10, max_iteration=100)
 
 
 class _Tables:
@@ -132,6 +204,7 @@ class _Tables:
             self.id_of.setdefault(int(at[bus]), own)
         self.kv = self.one["bus"][:, KV].real
         self.y = {"zero": self._of_buses(self.zero), "one": self._of_buses(self.one)}
+        self._add_open_ends()
         self.lines: list[PhaseLine] = []
         self.units: list[PhaseTransformer] = []
 
@@ -145,18 +218,32 @@ class _Tables:
         """Impedance of 1 pu: a phase has the base power by itself."""
         return kv**2 / (3.0 * self.base_mva)
 
+    def _add_open_ends(self) -> None:
+        """Add what branches that are open at one end draw at the other to the ground there."""
+        for sequence, case in (("one", self.one), ("zero", self.zero)):
+            branch = case["branch"].real
+            own = 0.5 * (branch[:, BR_G] + 1j * branch[:, B])
+            more = 0.5 * (branch[:, BR_G_ASYM] + 1j * branch[:, BR_B_ASYM])
+            columns = {"from": F_BUS, "to": T_BUS, "r": R, "x": X, "tap": TAP}
+            table = pd.DataFrame({name: branch[:, at] for name, at in columns.items()})
+            table = table.astype({"from": int, "to": int})
+            table = table.assign(y_from=own, y_to=own + more, label="")
+            _, stubs = split_stubs(table[branch[:, STATUS] > 0], {*self.id_of})
+            for stub in stubs:
+                self.y[sequence][stub.row] += stub.y / self._ohm(self.kv[stub.row])
+
     def phases(self) -> Phases:
         """Buses, lines, transformers, and what goes to ground; no connections."""
         for table, (first, end) in self.net._pd2ppc_lookups["branch"].items():
-            for i, row in zip(self.net[table].index, range(first, end), strict=False):
-                ends = [int(self.one["branch"][row, end].real) for end in (F_BUS, T_BUS)]
-                known = all(each in self.id_of for each in ends)
-                if not known or len({self.id_of[each] for each in ends}) < 2:
+            for i, row in zip(with_branch(self.net, table), range(first, end), strict=False):
+                start, last = (int(self.one["branch"][row, at].real) for at in (F_BUS, T_BUS))
+                if self.id_of.get(start) in (None, self.id_of.get(last)) or last not in self.id_of:
                     continue
-                if table == "line":
-                    self._line(i, row, *ends)
-                elif table == "trafo":
-                    self._transformer(i, row, *ends)
+                if table == "trafo":
+                    self._transformer(i, row, start, last)
+                else:
+                    ka = rating_mva(self.net, table, i) / (np.sqrt(3.0) * self.kv[start])
+                    self._line(row, start, last, A_PER_KA * ka if np.isfinite(ka) else np.nan)
         kv = {own: float(self.kv[row]) for row, own in self.id_of.items()}
         order = [self.slack, *(own for own in kv if own != self.slack)]
         buses = tuple(PhaseBus(str(own), own, kv[own], " ".join(PHASES)) for own in order)
@@ -167,18 +254,20 @@ class _Tables:
         r, x, b = case["branch"][row, [R, X, B]].real
         return complex(r, x), 1j * b
 
-    def _line(self, i: Any, row: int, start: int, end: int) -> None:
-        """A line: matrices of its sequences."""
+    def _line(self, row: int, start: int, end: int, i_max_a: float) -> None:
+        """A line or a switch: matrices of its sequences; its leakage goes to ground at its ends."""
         ohm = self._ohm(self.kv[start])
         (one, b_one), (zero, b_zero) = (self._branch(c, row) for c in (self.one, self.zero))
-        ka = rating_mva(self.net, "line", i) / (np.sqrt(3.0) * self.kv[start])
+        for sequence, case in (("one", self.one), ("zero", self.zero)):
+            for bus in (start, end):
+                self.y[sequence][bus] += 0.5 * case["branch"][row, BR_G].real / ohm
         self.lines.append(
             PhaseLine(
                 str(self.id_of[start]),
                 str(self.id_of[end]),
                 _matrix(one * ohm, zero * ohm),
                 _matrix(b_one / ohm, b_zero / ohm).imag * US_PER_S,
-                A_PER_KA * ka if np.isfinite(ka) else np.nan,
+                i_max_a,
             )
         )
 
@@ -258,7 +347,7 @@ def _loads(net: Any, bus_of: Mapping[int, BusId]) -> Iterator[PhasedLoad]:
             rows = rows[rows["bus"].isin(bus_of)]
             for tier, (i, row) in zip(tiers_of(rows), rows.iterrows(), strict=True):
                 own = bus_of[int(row["bus"])]
-                delta = table == by_phase and row.get("type") == "delta"
+                delta = row["type"] == "delta"
                 kv = float(net.bus["vn_kv"].at[row["bus"]]) / (1.0 if delta else np.sqrt(3))
                 coils = DELTA if delta else WYE
                 if table == plain:

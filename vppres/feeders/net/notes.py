@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from vppres.feeders.feeder import Generators
 from vppres.feeders.net.branches import LEAST_PU, Stub
 from vppres.feeders.net.elements import NetCase, in_service, label, supplied
 from vppres.feeders.net.ratings import without_rating
+from vppres.scenario.network import BusId
 
 TABLES_OF_BUSES = ("load", "sgen", "gen", "storage")
 TAP_TOLERANCE = 1e-9
@@ -23,6 +24,23 @@ FLEXIBLE = {
     "Heat pumps": r"heat.?pump|w(?:ä|ae)rmepumpe|^(?:Air|Soil)_",
     "Charging points": r"\bev\b|e-?mobil|charging.?(?:point|station)|wallbox|^(?:APLS|HLS)_",
 }
+
+
+def told_left_out(net: Any, case: NetCase, bus_ids: Mapping[int, BusId] | None) -> Iterator[str]:
+    """Buses without supply, and what is left out with them."""
+    lost = net.bus.index.difference([*case.bus_at])
+    if not len(lost):
+        return
+    buses = [bus_ids[bus] for bus in lost] if bus_ids else lost
+    yield f"Without supply or out of service, and left out: bus {named(buses)}."
+    for table in TABLES_OF_BUSES:
+        frame = in_service(net, table)
+        left = frame[frame["bus"].isin(lost)]
+        if not len(left):
+            continue
+        names = [label(net, table, i) for i in left.index]
+        p_mw = float((left["p_mw"] * left["scaling"]).abs().sum())
+        yield f"Left out with their buses: {named(names)}, {mw_to_kw(p_mw):.4g} kW."
 
 
 def notes_of(
@@ -53,14 +71,6 @@ def _notes_on_topology(
             f"Branches of less than {LEAST_PU:g} pu (on 1 MVA) count as closed switches, and their "
             f"ends as one bus: {named(closed)}."
         )
-    lost = net.bus.index.difference([*case.bus_at])
-    if len(lost):
-        yield f"Without supply or out of service, and left out: bus {named(lost)}."
-        for table in TABLES_OF_BUSES:
-            frame = in_service(net, table)
-            names = [label(net, table, i) for i in frame.index[frame["bus"].isin(lost)]]
-            if names:
-                yield f"Left out with their buses: {named(names)}."
     if stubs:
         kvar = float(mw_to_kw(sum(stub.y.imag for stub in stubs) * case.base_mva))
         ends = named(stub.label for stub in stubs)

@@ -34,7 +34,7 @@ from vppres.feeders.net.branches import (
 )
 from vppres.feeders.net.elements import NetCase, in_service, label, supplied
 from vppres.feeders.net.grids import one_grid
-from vppres.feeders.net.notes import notes_of
+from vppres.feeders.net.notes import notes_of, told_left_out
 from vppres.feeders.net.ratings import rating_mva
 from vppres.feeders.net.taps import told_idle_taps
 from vppres.io.messages import did_you_mean
@@ -115,6 +115,7 @@ def feeder_of(
     loads = _loads(net, joined, ids)
     generators, condensers = _without_power(generators_of(net, joined, ids))
     storages, storage_notes = storages_of(net, joined, ids)
+    left_out = (*told_left_out(net, case, bus_ids),)
     branches = parallel_as_one(joined.branches)
     network = _network(branches, joined, ids, fixed_power(loads, condensers))
     of_customers = loads[has_customer(loads)].reindex(network.buses)
@@ -129,10 +130,12 @@ def feeder_of(
         bus_of={bus: ids[row] for bus, row in joined.bus_at.items()},
         notes=(
             *notes,
+            *left_out,
             *notes_of(net, case, stubs, closed, condensers),
             *told_idle_taps(net, solved),
             *storage_notes,
         ),
+        left_out=left_out,
         causes=tuple(causes_of(net, case)),
         source_flow=PandapowerFlow(net, {ids[row]: bus for bus, row in _last_first(joined)}),
         title=_own_name(net),
@@ -241,8 +244,8 @@ def case_of(net: Any) -> NetCase:
     origins = [
         (table, i)
         for table, (start, end) in ranges.items()
-        for i in (*_with_branch(net, table),)
-        * ((end - start) // max(len(_with_branch(net, table)), 1))
+        for i in (*with_branch(net, table),)
+        * ((end - start) // max(len(with_branch(net, table)), 1))
     ]
     inside = [
         origin for origin, used in zip(origins, ppc["internal"]["branch_is"], strict=True) if used
@@ -285,7 +288,7 @@ def _beside(ppc: Any, name: str) -> Floats:
     return values if len(values) == count else values[ppc["internal"]["branch_is"]]
 
 
-def _with_branch(net: Any, table: str) -> list[Any]:
+def with_branch(net: Any, table: str) -> list[Any]:
     """Elements of a table that have branches in pandapower's case."""
     if table != "switch":
         return [*net[table].index]

@@ -247,7 +247,19 @@ def _told_merged(feeder: ImportedFeeder, connections: pd.DataFrame) -> Iterator[
 
 
 def _told_loads(feeder: ImportedFeeder) -> Iterator[str]:
-    """What the feeder draws that no customer of the scenario owns."""
+    """What the source draws that no customer of the scenario owns."""
+    if feeder.phased is not None:
+        left = [
+            f"{load.kind} {load.connection.id} ({load.p_kw:.4g} kW, {load.q_kvar:.4g} kvar)"
+            for load in feeder.phased.loads
+            if not load.p_kw > 0 and (load.p_kw or load.q_kvar)
+        ]
+        if left:
+            yield (
+                "Left out, as the feeder keeps its phases and a customer needs active power: "
+                f"{named(left)}."
+            )
+        return
     net = feeder.network
     fixed = np.flatnonzero((net.p_fixed_kw != 0) | (net.q_fixed_kvar != 0))
     if len(fixed):

@@ -107,8 +107,10 @@ def _built(feeder: ImportedFeeder, options: NewScenarioOptions) -> tuple[Scenari
     network, switched = _for_islands(_network(feeder, options), batteries, phases)
     if phases is not None:
         phases = shunts_in_islands(phases, network)
-        # A loading that is stated would be that of three equal phases.
-        network = replace(network, i_max_a=np.full(network.n_lines, np.inf))
+        # A loading that is stated would be that of three equal phases, and so would a fixed power.
+        none = np.zeros(network.n_buses)
+        unlimited = np.full(network.n_lines, np.inf)
+        network = replace(network, i_max_a=unlimited, p_fixed_kw=none, q_fixed_kvar=none)
     title = feeder.title or feeder.name
     constant_c = np.full(grid.n_steps, TEMPERATURE_C)
     scenario = Scenario(
