@@ -282,6 +282,38 @@ def test_an_inverter_limits_what_its_panels_give(tmp_path: Path) -> None:
     assert (pv.p_max_kw.tolist(), pv.s_max_kva.tolist()) == ([500.0], [500.0])
 
 
+SERVICE = (
+    *BASE,
+    "new transformer.tr(b-h) phases=1 windings=3 xhl=2.04 xht=2.04 xlt=1.36 %noloadloss=.2 %imag=.5",
+    "~ wdg=1 conn=wye bus=b.3 kv=2.4 kva=25 %r=.6",
+    "~ wdg=2 conn=wye bus=h.1.0 kv=.12 kva=25 %r=1.2",
+    "~ wdg=3 conn=wye bus=h.0.2 kv=.12 kva=25 %r=1.2",
+    "new linecode.tplx nphases=2 units=km rmatrix=(.9|.05 .9) xmatrix=(.3|.08 .3) cmatrix=(9|0 9)",
+    "new line.drop bus1=h.1.2 bus2=home.1.2 phases=2 linecode=tplx length=30 units=m",
+    "new load.oven bus1=home.1.2 phases=2 kv=.208 kw=6 pf=.95",
+    "new load.left bus1=home.1 phases=1 kv=.12 kw={left}",
+    "new load.right bus1=home.2 phases=1 kv=.12 kw=3",
+    "set voltagebases=[12.47 4.16 .208]",
+    "calcvoltagebases",
+    "solve",
+)
+
+
+@pytest.mark.parametrize(("left", "close_pu"), [("3", CLOSE_PU), ("1", 1e-4)])
+def test_both_legs_of_a_service_transformer_are_one_node(
+    left: str, close_pu: float, tmp_path: Path
+) -> None:
+    file = written(tmp_path, tuple(line.replace("{left}", left) for line in SERVICE), "")
+    feeder = import_network(file)
+    theirs, own = of_opendss(file), own_voltages(feeder)
+    assert own["home.3"] == pytest.approx((theirs["home.1"] + theirs["home.2"]) / 2, abs=close_pu)
+    assert own["b.3"] == pytest.approx(theirs["b.3"], abs=close_pu)
+    assert feeder.phased is not None and feeder.phased.difference_pu is not None
+    assert feeder.phased.difference_pu < close_pu
+    assert any(note.startswith("1 transformers have the middle") for note in feeder.notes)
+    assert {"coven", "cleft", "cright"} < {str(each) for each in new_scenario(feeder).customers.id}
+
+
 REFUSED = {
     "neutral that stays": (
         (*BASE, FOUR, "new line.q b.1.2.3.0 e.1.2.3.4 c4 .3 4 units=km",

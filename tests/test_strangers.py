@@ -159,7 +159,7 @@ def test_the_circuit_without_hostile_lines_is_read(house: Path) -> None:
 
 ROW = "mill.dss, row 6"
 NOT_NEEDED = "is not a command that a network needs. Remove the line"
-CODE = "which names code or writes a file. Remove it."
+CODE = "which names code. Remove it."
 NO_PROPERTY = "which is not a property of OpenDSS."
 NO_FILE = "which is not in the master's folder."
 OUT = "leads out of the master's folder"
@@ -188,7 +188,7 @@ LINES = {
     "part of a name": (["new generator.g bus1=a USERM=canary.so"], CODE),
     "part of a name, blanks": (["new generator.g bus1=a user  =  [canary.so]"], CODE),
     "shaft": (["new generator.g bus1=a shaftm=canary.so shaftd=x"], CODE),
-    "by its place": (["new generator.g bus1=a model=3 .9 1.1 x x x 0 1 1 1 canary"], CODE),
+    "by its place": (["new generator.g bus1=a shaftd=x canary"], CODE),
     "behind the one before": (["new pvsystem.p bus1=a class=1 canary.so"], CODE),
     "pv model": (["new pvsystem.p bus1=a usermodel=canary.dll"], CODE),
     "storage library": (["new storage.s bus1=a dynadll=canary"], CODE),
@@ -196,12 +196,14 @@ LINES = {
     "edited model": (["generator.g.usermodel=canary.so"], CODE),
     "edited model, part": (["generator.g.userm=canary.so"], CODE),
     "control": (["new capcontrol.c usermodel=canary.so"], CODE),
-    "debugtrace": (["new generator.g bus1=a debugtrace=yes"], CODE),
-    "debugtrace, part": (["new regcontrol.r debug=yes"], CODE),
     # kind 7: substitution
     "variable": (["var @x=canary"], "has '@', which stands for a variable"),
     "variable in a value": (["new load.e bus1=@x"], "has '@', which stands for a variable"),
-    "batchedit": (["batchedit load..* kw=1"], f"'batchedit' {NOT_NEEDED}"),
+    "batchedit": (["batchedit generator..* userm=canary.so"], CODE),
+    "batchedit, more": (["batchedit (load..* kw=1 | x) kw=1"], "is not a name"),
+    "batchedit, quotes": (["batchedit 'load..* (x)' kw=1"], "is not a pattern"),
+    "allocateloads": (["allocateloads"], f"'allocateloads' {NOT_NEEDED}"),
+    "edits of many": (["reduce all"], f"'reduce' {NOT_NEEDED}"),
     "arithmetic": (["new load.e bus1=a kw=(1 2 system)"], "OpenDSS refuses the file ("),
     "quoted name": (["new \"load.e' ' kw=1"], "a quote that is not closed"),
     "name with a value": (["new 'load.e=1' kw=1"], "is not a name"),
@@ -260,6 +262,11 @@ IGNORED = {
     "log": ["set tracecontrol=yes log=yes"],
     "monitor": ["new monitor.m element=line.head mode=0", "~ action=save"],
     "meter": ["new energymeter.m element=line.head", "edit energymeter.m action=save"],
+    "debugtrace": ["new generator.g bus1=a kw=0 debugtrace=yes"],
+    "debugtrace, part": [
+        "new generator.g bus1=a kw=0 debug=yes",
+        "batchedit generator..* debug=yes",
+    ],
     # kind 4: windows and browsers
     "show": ["show voltages"],
     "plot": ["plot profile"],
@@ -280,7 +287,7 @@ def test_lines_that_build_nothing_are_not_carried_out(name: str, house: Path) ->
         feeder = import_network(file)
     assert feeder.p_load_kw.sum() == 50.0
     told = any(" left out: " in note for note in feeder.notes)
-    assert told or name in ("monitor", "meter")
+    assert told or name in ("monitor", "meter", "debugtrace", "debugtrace, part")
 
 
 def test_opendss_gets_full_names_and_no_files(house: Path) -> None:
@@ -305,7 +312,8 @@ def test_every_property_of_the_engine_that_names_code_or_a_file_is_known() -> No
     for kind, names in dss_commands._schema().items():
         for name in names:
             if doubtful.search(name) and name not in known:
-                allowed = dss_commands.CODE.fullmatch(name) or name in dss_commands.FILES
+                allowed = name in (*dss_commands.FILES, dss_commands.TRACES)
+                allowed = allowed or dss_commands.CODE.fullmatch(name)
                 assert allowed, (kind, name)
 
 
@@ -346,7 +354,7 @@ def long_line(house: Path) -> Path:
 
 
 def many_lines(house: Path) -> Path:
-    return master(house, *["batchedit load..* kw=1"] * 200_000)
+    return master(house, *["allocateloads"] * 200_000)
 
 
 def link_to_a_series(house: Path) -> Path:

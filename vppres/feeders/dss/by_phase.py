@@ -20,6 +20,7 @@ EXPONENTS = {1: (0.0, 0.0), 2: (2.0, 2.0), 3: (0.0, 2.0), 5: (1.0, 1.0)}
 """How active and reactive power of OpenDSS's load models follow the voltage."""
 
 US_PER_S = 1e6
+V_PER_KV = 1000.0
 SAME = 1e-9
 """Share of an entry by which the two ends of a line may differ and still have the same charging."""
 
@@ -48,27 +49,35 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
         "lines": own.lines,
         "transformers": [_transformer(name, engine) for name in engine._of("transformer")],
         "shunts": own.shunts(),
-        "buses": [_bus(bus, own.taken, refused) for bus in dss.Circuit.AllBusNames()],
+        "buses": [_bus(bus, engine, own.taken, refused) for bus in dss.Circuit.AllBusNames()],
         "powers": [] if refused else list(_powers(engine, solved, refused)),
         "causes": [words for _, words in sorted(engine.beyond())] if solved else [],
     }
-    v_pu = _voltages() if solved and not refused else {}
+    v_pu = _voltages(engine) if solved and not refused else {}
     return {"problems": refused, **tables, "v_pu": v_pu}
 
 
-def _voltages() -> dict[str, float]:
-    """Voltage to ground of each node in pu in the last solution."""
+def _voltages(engine: Any) -> dict[str, float]:
+    """Voltage to ground of each node in pu in the last solution; of legs, from one to the other."""
     names = [name.lower() for name in dss.Circuit.AllNodeNames()]
-    return dict(zip(names, map(float, dss.Circuit.AllBusMagPu()), strict=True))
+    found = dict(zip(names, map(float, dss.Circuit.AllBusMagPu()), strict=True))
+    legs = engine.elements().LEGS
+    found = {name: v for name, v in found.items() if name.rpartition(".")[0] not in legs}
+    for bus, (phase, _) in legs.items():
+        across = abs(engine.from_leg_to_leg(bus))
+        found[f"{bus}.{phase}"] = across / (2.0 * V_PER_KV * dss.Bus.kVBase())
+    return found
 
 
 def _refuse(refused: Refused, element: str, what: str, cure: str) -> None:
     refused.append({"message": f"{element} {what}", "cure": cure, "command": None})
 
 
-def _bus(bus: str, taken: set[tuple[str, int]], refused: Refused) -> dict[str, Any]:
+def _bus(bus: str, engine: Any, taken: set[tuple[str, int]], refused: Refused) -> dict[str, Any]:
     """Phases and nominal voltage between lines of a bus."""
-    dss.Circuit.SetActiveBus(bus)
+    kv = engine._base_kv(bus)
+    if bus in engine.elements().LEGS:
+        return {"bus": bus, "kv": kv, "phases": [PHASES[engine.elements().LEGS[bus][0] - 1]]}
     nodes = sorted(dss.Bus.Nodes())
     beside = [node for node in nodes if node > len(PHASES) and (bus, node) in taken]
     if beside:
@@ -79,7 +88,7 @@ def _bus(bus: str, taken: set[tuple[str, int]], refused: Refused) -> dict[str, A
             "Ground the neutral (node 0), or import the feeder with --balance.",
         )
     words = [PHASES[node - 1] for node in nodes if node <= len(PHASES)]
-    return {"bus": bus, "kv": float(dss.Bus.kVBase() * np.sqrt(3)), "phases": words}
+    return {"bus": bus, "kv": kv, "phases": words}
 
 
 def _nodes() -> list[tuple[str, int]]:
@@ -111,7 +120,8 @@ class _Matrices:
                 self._take(self.elements.nodes_of())
 
     def _take(self, nodes: list[tuple[str, int]]) -> None:
-        self.taken |= {node for node in nodes if node[1] > len(PHASES)}
+        beside = {node for node in nodes if node[1] > len(PHASES)}
+        self.taken |= {node for node in beside if node[0] not in self.elements.LEGS}
 
     def _add(self, element: str, switched: bool, amps: float | None, refused: Refused) -> None:
         """One element: a line between two buses, or what it draws at one."""
@@ -201,6 +211,9 @@ def _source() -> dict[str, Any]:
 def _transformer(name: str, engine: Any) -> dict[str, Any]:
     """A transformer with the coils that each end may have, and its own matrix."""
     element = f"transformer.{name}"
+    if engine.elements().middle() is not None:
+        dss.Circuit.SetActiveElement(element)
+        return _service(name, engine)
     dss.Transformers.Name(name)
     dss.Circuit.SetActiveElement(element)
     phases = dss.CktElement.NumPhases()
@@ -229,6 +242,32 @@ def _transformer(name: str, engine: Any) -> dict[str, Any]:
         "coils": ends,
         "nodes": [(bus, node - 1) for bus, node in live],
         "y": _complex(y),
+    }
+
+
+def _service(name: str, engine: Any) -> dict[str, Any]:
+    """A transformer with its middle at ground, as one coil on each side."""
+    own = engine.elements().Service()
+    (bus, _), _, (end, phase) = own.ends
+    words = "".join(PHASES[node - 1] for _, node in own.ends[:2] if node > 0)
+    row = {
+        "id": name,
+        "from_bus": bus,
+        "from_kv": own.kv[0],
+        "from_tap": own.tap[0],
+        "to_bus": end,
+        "to_kv": own.kv[1],
+        "to_tap": own.tap[1],
+        "kva": own.kva,
+        "r_pct": own.percent.real,
+        "x_pct": own.percent.imag,
+        "ppm": 0.0,
+    }
+    return {
+        "row": row,
+        "coils": [[words, words[::-1]], [PHASES[phase - 1]]],
+        "nodes": [(bus, node - 1) for bus, node in own.nodes],
+        "y": _complex(own.y),
     }
 
 
@@ -272,12 +311,18 @@ def _powers(engine: Any, solved: bool, refused: Refused) -> Iterator[dict[str, A
             kv = engine.number(f"{element}.kv")
             dss.Text.Command(f"? {element}.conn")
             delta = dss.Text.Result().strip().lower() in ("delta", "ll")
+            coils = _load_coils([phase for _, phase in ends], delta, n)
+            kv = kv if n == 1 or delta else kv / np.sqrt(3)
+            legs = engine.elements().LEGS.get(ends[0][0])
+            if legs is not None:
+                kv *= 2.0 if max(map(len, coils)) == 1 else 1.0
+                coils = [PHASES[legs[0] - 1]]
             yield {
                 "kind": kind,
                 "name": name,
                 "bus": ends[0][0],
-                "coils": _load_coils([phase for _, phase in ends], delta, n),
-                "kv": kv if n == 1 or delta else kv / np.sqrt(3),
+                "coils": coils,
+                "kv": kv,
                 "exponents": _exponents(name, refused) if kind == "load" else (0.0, 0.0),
                 **engine.nominal(kind, name, solved),
             }

@@ -22,7 +22,7 @@ from vppres.feeders.dss import script as dss_script
 from vppres.feeders.feeder import ImportedFeeder
 from vppres.feeders.net.balance import PHASES, PhasePowers
 from vppres.feeders.net.ratings import NO_LIMIT_KA
-from vppres.feeders.strangers.confined import TIME_LIMIT_S, confined
+from vppres.feeders.strangers.confined import confined
 from vppres.scenario.network import BusId
 
 PHASE_COUNT = 3
@@ -34,9 +34,7 @@ SHAPE_TOLERANCE = 1e-6
 Contents = tuple[Any, dict[int, BusId], tuple[str, ...], PhasePowers | None, "OpenDSSFlow"]
 
 
-def read_opendss(
-    path: Path, time_limit_s: float = TIME_LIMIT_S, by_phase: bool = False
-) -> Contents:
+def read_opendss(path: Path, time_limit_s: float | None = None, by_phase: bool = False) -> Contents:
     """Read the circuit of a master file; what it redirects to lies in its folder.
 
     With ``by_phase`` the net is only the tree of a feeder with its phases: then open deltas are
@@ -57,6 +55,7 @@ def read_opendss(
     """
     script = dss_script.read_script(path)
     job = script.job()
+    time_limit_s = time_limit_s or dss_script.limit_s(job)
     asked = {**job, "open_deltas": by_phase}
     found = confined("dss/engine", asked, path.name, time_limit_s)
     if found["problems"]:

@@ -19,8 +19,11 @@ import opendssdirect as dss
 IDLE = ("monitor", "energymeter", "sensor")
 """Classes that only measure: OpenDSS does not see them."""
 
-CODE = re.compile(r"(user|shaft)(model|data)|dyna(dll|data)|debugtrace|dynamiceq|dynout", re.I)
-"""Properties that name a library, feed one, or write a file."""
+CODE = re.compile(r"(user|shaft)(model|data)|dyna(dll|data)|dynamiceq|dynout", re.I)
+"""Properties that name a library, or feed one."""
+
+TRACES = "debugtrace"
+"""A property that writes a file and changes nothing else: it is left out."""
 
 FILES = {"csvfile": "", "pqcsvfile": "", "sngfile": "<f4", "dblfile": "<f8"}
 """Properties whose value is a file, and the numbers that it holds; text where there are none."""
@@ -85,7 +88,7 @@ class Commands:
         self.count += 1
         if verb == "set":
             return self._set(values)
-        if verb in ("new", "edit", "~"):
+        if verb in ("new", "edit", "~", "batchedit"):
             return self._element(verb, target, values)
         if verb in ("open", "close", "enable", "disable"):
             if _kind(target) in IDLE:
@@ -118,11 +121,15 @@ class Commands:
         kind = _kind(self.element)
         if kind in IDLE:
             return ""
+        if verb == "batchedit" and not re.fullmatch(r"[\w.*+?\[\]^$|\\-]+", target):
+            raise Refused(f"'{_cut(target)}' is not a pattern", "Write: batchedit class.pattern.")
         if kind not in _schema():
             raise Refused(
                 f"'{_cut(kind)}' is not a class of OpenDSS", "Correct it, or remove the element."
             )
         head = verb if verb == "~" else f'{verb} "{target}"'
+        if verb == "batchedit":  # a pattern, which no quotes may hold
+            head = f"{verb} {target}"
         return " ".join([head, *self._written(_schema()[kind], values, kind)])
 
     def _written(self, names: tuple[str, ...], values: Values, kind: str) -> Iterator[str]:
@@ -139,9 +146,9 @@ class Commands:
                 )
             full = names[place]
             if CODE.fullmatch(full):
-                raise Refused(
-                    f"{kind} has '{full}', which names code or writes a file", "Remove it."
-                )
+                raise Refused(f"{kind} has '{full}', which names code", "Remove it.")
+            if full == TRACES:
+                continue
             if full in FILES:
                 yield from self._in_file(kind, text, FILES[full], full)
             elif "=" in text:

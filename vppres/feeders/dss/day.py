@@ -38,6 +38,7 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
     if problems:
         return {"problems": problems}
     engine.settled()  # the taps of the plan are those of the state that the file gives
+    dss.Text.Command("set loadmult=1")  # powers of the steps are what is drawn
     switched_off = list(_switch_off(job["off"]))
     names = [asset.get("load") or _new_asset(i, asset) for i, asset in enumerate(job["assets"])]
     if job["constant_power"]:
@@ -68,15 +69,34 @@ def _switch_off(kinds: list[str]) -> Iterator[str]:
                 yield element.lower()
 
 
+def _legs() -> dict[str, Any]:
+    """Buses whose two legs count as one node."""
+    found: dict[str, Any] = sys.modules["dss/elements"].LEGS
+    return found
+
+
 def _new_asset(i: int, asset: dict[str, Any]) -> str:
-    """A load for an asset: one for all of its coils."""
+    """A load for an asset: one for all of its coils; from leg to leg where there are two."""
     dss.Circuit.SetActiveBus(asset["bus"])
+    if asset["bus"] in _legs():
+        _, signs = _legs()[asset["bus"]]
+        legs = [node for node in signs if node in dss.Bus.Nodes()]
+        share = len(legs) / len(signs)  # a leg alone has half of the voltage
+        kv = asset.get("kv") or 2.0 * dss.Bus.kVBase()
+        return _new_load(i, asset, legs, False, 1, share * kv)
     phases = asset.get("phases") or [node for node in dss.Bus.Nodes() if node in PHASES]
     delta = asset.get("delta", False)
     count = 1 if delta and len(phases) == 2 else len(phases)
     kv = asset.get("kv") or dss.Bus.kVBase()
     if not delta and count > 1:
         kv *= 3**0.5
+    return _new_load(i, asset, phases, delta, count, kv)
+
+
+def _new_load(
+    i: int, asset: dict[str, Any], phases: list[int], delta: bool, count: int, kv: float
+) -> str:
+    """A load at some nodes of a bus."""
     exponents = tuple(asset.get("exponents", (0.0, 0.0)))
     model = MODELS.get(exponents, f"model=4 cvrwatts={exponents[0]} cvrvars={exponents[1]}")
     name = f"vppres_{i}"
@@ -120,12 +140,18 @@ def _set(job: dict[str, Any], step: dict[str, Any], names: list[str], island: bo
 
 
 def _nodes() -> list[str]:
-    return [name.lower() for name in dss.Circuit.AllNodeNames()]
+    """Nodes of the circuit; of two legs the phase that both count as."""
+    names = [name.lower() for name in dss.Circuit.AllNodeNames()]
+    alone = [name for name in names if name.rpartition(".")[0] not in _legs()]
+    return alone + [f"{bus}.{phase}" for bus, (phase, _) in _legs().items()]
 
 
 def _found(nodes: list[str]) -> dict[str, Any]:
     """Real and imaginary part of each node's voltage, and what the source gives."""
+    engine: Any = sys.modules["dss/engine"]
     flat = dss.Circuit.AllBusVolts()
-    place = {name: i for i, name in enumerate(_nodes())}  # another one with each source
-    volts = [float(flat[2 * place[node] + part]) for node in nodes for part in (0, 1)]
+    names = [name.lower() for name in dss.Circuit.AllNodeNames()]  # others with each source
+    known = {name: complex(*flat[2 * i : 2 * i + 2]) for i, name in enumerate(names)}
+    known |= {f"{bus}.{phase}": engine.from_leg_to_leg(bus) for bus, (phase, _) in _legs().items()}
+    volts = [part for node in nodes for part in (known[node].real, known[node].imag)]
     return {"v": volts, "import_kw": -dss.Circuit.TotalPower()[0]}

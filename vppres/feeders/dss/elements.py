@@ -19,6 +19,13 @@ V_PER_KV, VA_PER_KVA = 1000.0, 1000.0
 
 Node = tuple[str, int]
 
+LEGS: dict[str, tuple[int, dict[int, float]]] = {}
+"""Buses behind the middle of a winding: the phase that they count as, and the sign of each leg.
+
+Both legs are one node there, with the voltage from leg to leg: half of it, and its opposite, is
+that of either leg to ground.
+"""
+
 
 def nodes_of() -> list[Node]:
     """Bus and node of each conductor of the active element, terminal by terminal."""
@@ -42,27 +49,41 @@ def _shut() -> list[list[bool]]:
     return [[not dss.CktElement.IsOpen(end, one) for one in conductors] for end in terminals]
 
 
+def held_by(end: Node) -> tuple[Node, float]:
+    """The node whose voltage a conductor has, and its share of it; ground has none."""
+    bus, node = end
+    if bus not in LEGS:
+        return end, 1.0 if node > 0 else 0.0
+    phase, signs = LEGS[bus]
+    return (bus, phase), signs.get(node, 0.0) / 2.0
+
+
 def admittance() -> tuple[list[Node], Any]:
     """Nodes that the active element connects, in the order of its conductors, and their matrix.
 
     Ground is no node, two conductors at one node are one, and one that is open is not there.
     """
-    ends, y = nodes_of(), matrix()
+    ends, y = [held_by(end) for end in nodes_of()], matrix()
     shut = [each for terminal in _shut() for each in terminal]
-    live = [end for end, closed in zip(ends, shut, strict=True) if closed and end[1] > 0]
-    known = list(dict.fromkeys(live))
-    sums = [[float(end == node and closed) for end, closed in zip(ends, shut, strict=True)]
-            for node in known]  # fmt: skip
-    at = np.array(sums).reshape(-1, len(ends))
+    shares = [share if closed else 0.0 for (_, share), closed in zip(ends, shut, strict=True)]
+    known = list(dict.fromkeys(end for (end, _), one in zip(ends, shares, strict=True) if one))
+    at = np.zeros((len(known), len(ends)))
+    for i, ((end, _), share) in enumerate(zip(ends, shares, strict=True)):
+        if share:
+            at[known.index(end), i] = share
     return known, at @ y @ at.T
 
 
 def joined() -> list[tuple[Node, Node]]:
     """Nodes that the conductors of the active element join, those that are closed at both ends."""
-    ends, n = nodes_of(), dss.CktElement.NumConductors()
+    ends, n = [held_by(end) for end in nodes_of()], dss.CktElement.NumConductors()
     first, second = _shut()[:2]
-    pairs = [(ends[k], ends[n + k]) for k in range(n) if first[k] and second[k]]
-    return list(dict.fromkeys(pair for pair in pairs if all(node in PHASES for _, node in pair)))
+    kept = [
+        (ends[k][0], ends[n + k][0])
+        for k in range(n)
+        if first[k] and second[k] and ends[k][1] and ends[n + k][1]
+    ]
+    return list(dict.fromkeys(pair for pair in kept if all(node in PHASES for _, node in pair)))
 
 
 def buses_of(nodes: list[Node]) -> list[str]:
@@ -118,3 +139,74 @@ def without(y: Any, gone: list[int]) -> Any:
     kept = [i for i in range(len(y)) if i not in gone]
     own, across = y[np.ix_(kept, kept)], y[np.ix_(kept, gone)]
     return own - across @ np.linalg.pinv(y[np.ix_(gone, gone)]) @ across.T
+
+
+def middle() -> tuple[int, str, dict[int, float]] | None:
+    """Phase, bus and legs of the active transformer if its secondary has its middle at ground.
+
+    One phase, and two windings alike at one bus, each between a leg and ground.
+    """
+    name = dss.CktElement.Name().partition(".")[2]
+    dss.Transformers.Name(name)
+    if dss.Transformers.NumWindings() != 3 or dss.CktElement.NumPhases() != 1:
+        return None
+    ends = nodes_of()
+    kv = []
+    for winding in (2, 3):
+        dss.Transformers.Wdg(winding)
+        kv.append(float(dss.Transformers.kV()))
+    (bus, first), (_, back), (other, forth), (_, second) = ends[2:6]
+    phases = [node for _, node in ends[:2] if node in PHASES]
+    if bus != other or kv[0] != kv[1] or not phases:
+        return None
+    if back == 0 and forth == 0 and first != second and 0 not in (first, second):
+        return phases[0], bus, {first: 1.0, second: -1.0}
+    return None
+
+
+def find_legs(transformers: list[str], lines: list[str]) -> None:
+    """Find the buses that only hang behind the middle of a winding, along lines."""
+    LEGS.clear()
+    beside: dict[str, list[str]] = {}
+    for element in lines:
+        dss.Circuit.SetActiveElement(element)
+        ends = list(dict.fromkeys(bus for bus, _ in nodes_of()))
+        for bus in ends:
+            beside.setdefault(bus, []).extend(other for other in ends if other != bus)
+    for element in transformers:
+        dss.Circuit.SetActiveElement(element)
+        found = middle()
+        if found is None:
+            continue
+        phase, bus, signs = found
+        new = [bus]
+        while new:
+            each = new.pop()
+            if each not in LEGS:
+                LEGS[each] = (phase, signs)
+                new += beside.get(each, [])
+
+
+class Service:
+    """The active transformer with its middle at ground, as one with two windings.
+
+    ``y`` is its matrix between its primary and both legs, from which its impedance follows.
+    """
+
+    def __init__(self) -> None:
+        name = dss.CktElement.Name().partition(".")[2]
+        self.nodes, self.y = admittance()
+        self.ends = [held_by(end)[0] for end in nodes_of()[:3]]
+        dss.Transformers.Name(name)
+        self.kv, self.tap = [], []
+        for winding in (1, 2):
+            dss.Transformers.Wdg(winding)
+            self.kv.append(float(dss.Transformers.kV()) * winding)
+            self.tap.append(float(dss.Transformers.Tap()))
+        dss.Transformers.Wdg(1)
+        self.kva = float(dss.Transformers.kVA())
+        first = self.nodes.index(next(node for node in self.nodes if node[0] not in LEGS))
+        last = next(i for i, node in enumerate(self.nodes) if node[0] in LEGS)
+        volts = V_PER_KV**2 * self.kv[0] * self.kv[1] * self.tap[0] * self.tap[1]
+        z = complex(100.0 * self.kva * VA_PER_KVA / (-self.y[first, last] * volts))
+        self.percent = z if z.imag > 0.0 else -z  # turned round, its voltage is the opposite

@@ -25,6 +25,7 @@ NO_REACTANCE = 700.0
 LOAD_MODELS = {2: "constant impedance", 5: "constant current"}
 THREE_PHASES = 3
 W_PER_KW = 1000.0
+V_PER_KV = 1000.0
 DEFAULT_AMPS = 400.0
 TOLERANCE, GUESSED_TOLERANCE = 0.1, 0.01  # sources and windings are often rated above their level
 MOST_TOLD = 200
@@ -137,6 +138,9 @@ def _voltages(solved: bool) -> dict[str, Any]:
     complete = []
     for bus in dss.Circuit.AllBusNames():
         dss.Circuit.SetActiveBus(bus)
+        if bus in elements().LEGS:
+            found[bus] = abs(from_leg_to_leg(bus)) / (2.0 * dss.Bus.kVBase() * V_PER_KV)
+            continue
         phases = [node in PHASES for node in dss.Bus.Nodes()]
         magnitude = np.asarray(dss.Bus.puVmagAngle()[::2])[: len(phases)]
         if any(phases):
@@ -144,6 +148,16 @@ def _voltages(solved: bool) -> dict[str, Any]:
         if sum(phases) == THREE_PHASES:
             complete.append(bus)
     return {"v_pu": found, "losses_kw": _losses_kw(), "complete": complete}
+
+
+def from_leg_to_leg(bus: str) -> complex:
+    """Voltage between the legs of a bus in the solution, in V; of a leg alone twice its own."""
+    _, signs = elements().LEGS[bus]
+    dss.Circuit.SetActiveBus(bus)
+    nodes, flat = dss.Bus.Nodes(), np.asarray(dss.Bus.Voltages())
+    volts = dict(zip(nodes, flat[::2] + 1j * flat[1::2], strict=False))
+    here = [sign * volts[node] for node, sign in signs.items() if node in volts]
+    return complex(sum(here) * 2.0 / max(len(here), 1))
 
 
 def _losses_kw() -> float:
@@ -204,6 +218,8 @@ def build(job: dict[str, Any]) -> Problems:
     except Exception as error:
         return [_wrong(f"OpenDSS refuses the file ({told(error)})", CURE)]
     LEFT_OUT[:] = commands.left_out
+    kinds = [[e for e in _elements() if e.startswith(f"{k}.")] for k in ("transformer", "line")]
+    elements().find_legs(*kinds)
     unfit = [p for name in _elements() if (p := _problem(name))]
     banks = [] if job.get("open_deltas") else [*_open_deltas()]
     return [*unfit, *banks] or _check_levels(commands.named_levels)
@@ -256,8 +272,10 @@ def _problem(element: str) -> dict[str, Any] | None:
             f"{element} is a second source", "Keep the circuit's own source and disable the others."
         )
     if kind == "transformer":
+        dss.Circuit.SetActiveElement(element)
+        service = elements().middle() is not None
         dss.Transformers.Name(name)
-        if dss.Transformers.NumWindings() != 2:
+        if dss.Transformers.NumWindings() != 2 and not service:
             return _wrong(
                 f"{element} has {dss.Transformers.NumWindings()} windings",
                 "Replace it by a transformer with two windings.",
@@ -321,13 +339,15 @@ def _ratings() -> Iterator[tuple[str, str, float, float]]:
         for winding, bus in enumerate(buses, start=1):
             dss.Transformers.Name(name)
             dss.Transformers.Wdg(winding)
-            yield f"transformer.{name}", bus, dss.Transformers.kV(), TOLERANCE
+            legs = 2.0 if bus in elements().LEGS else 1.0
+            yield f"transformer.{name}", bus, legs * dss.Transformers.kV(), TOLERANCE
 
 
 def _base_kv(bus: str) -> float:
-    """Nominal line-to-line voltage of a bus."""
+    """Nominal line-to-line voltage of a bus; from leg to leg it is that of a phase."""
     dss.Circuit.SetActiveBus(bus)
-    return float(dss.Bus.kVBase() * np.sqrt(3))
+    legs = 2.0 if bus in elements().LEGS else 1.0
+    return float(legs * dss.Bus.kVBase() * np.sqrt(3))
 
 
 def _buses() -> list[str]:
@@ -430,6 +450,11 @@ def rated_amps(amps: float) -> float | None:
 
 def _transformers() -> Iterator[dict[str, Any]]:
     for name in _of("transformer"):
+        if elements().middle() is not None:
+            dss.Circuit.SetActiveElement(f"transformer.{name}")
+            yield _service(name)
+            continue
+        dss.Circuit.SetActiveElement(f"transformer.{name}")
         (start, end) = _buses()
         closed = len(elements().buses_of(elements().admittance()[0])) == 2
         nodes = _phases_of_active()
@@ -456,6 +481,27 @@ def _transformers() -> Iterator[dict[str, Any]]:
             "no_load_percent": number(f"transformer.{name}.%noloadloss"),
             "magnetising_percent": number(f"transformer.{name}.%imag"),
         }
+
+
+def _service(name: str) -> dict[str, Any]:
+    """A transformer with its middle at ground, as one with two windings."""
+    own = elements().Service()
+    ends = [own.ends[0][0], own.ends[2][0]]
+    kv = [_between_lines(kv, _base_kv(bus)) for kv, bus in zip(own.kv, ends, strict=True)]
+    return {
+        "name": name,
+        "start": ends[0],
+        "end": ends[1],
+        "closed": True,
+        "phases": 1,
+        "nodes": sorted({node for _, node in own.ends[:2]} & set(PHASES)),
+        "kv": [each * tap for each, tap in zip(kv, own.tap, strict=True)],
+        "r_percent": own.percent.real,
+        "kva": own.kva,
+        "x_percent": own.percent.imag,
+        "no_load_percent": number(f"transformer.{name}.%noloadloss"),
+        "magnetising_percent": number(f"transformer.{name}.%imag"),
+    }
 
 
 def _between_lines(rated_kv: float, base_kv: float) -> float:
@@ -572,8 +618,9 @@ def _battery(element: str) -> dict[str, float]:
 
 def _phases_of_active() -> list[int]:
     """Phases that the active element's first terminal is at, from 1 to 3."""
-    nodes = dss.CktElement.NodeOrder()[: dss.CktElement.NumConductors()]
-    return sorted({int(node) for node in nodes} & {1, 2, 3})
+    ends = elements().nodes_of()[: dss.CktElement.NumConductors()]
+    held = [elements().held_by(end) for end in ends]
+    return sorted({node for (_, node), share in held if share} & set(PHASES))
 
 
 def _single_phases() -> dict[str, list[int]]:
@@ -594,6 +641,8 @@ def _live_phases(kind: str) -> int:
     """
     own = int(min(dss.CktElement.NumPhases(), len(_phases_of_active()) or THREE_PHASES))
     if kind != "line":
+        return own
+    if own < min(dss.CktElement.NumPhases(), THREE_PHASES):
         return own
     terminals = range(1, dss.CktElement.NumTerminals() + 1)
     conductors = range(1, dss.CktElement.NumConductors() + 1)
@@ -634,7 +683,19 @@ def _notes() -> Iterator[str]:
             "Regulators are controlled in the source, and stay at the taps of its solution: "
             f"{', '.join(held)}."
         )
+    yield from _notes_on_legs()
     yield from _notes_on_controls()
+
+
+def _notes_on_legs() -> Iterator[str]:
+    """That both legs behind a service transformer count as one voltage."""
+    count = sum(elements().middle() is not None for _ in _of("transformer"))
+    if count:
+        yield (
+            f"{count} transformers have the middle of their secondary at ground: both legs behind "
+            "them are one node with the voltage from leg to leg, and a load at one leg counts at "
+            "both. Voltages are compared from leg to leg."
+        )
 
 
 def _notes_on_controls() -> Iterator[str]:

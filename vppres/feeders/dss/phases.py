@@ -14,8 +14,9 @@ from vppres.core.errors import InputError, Problem, VerificationError
 from vppres.core.text import named
 from vppres.core.units import V_PER_KV, W_PER_KW
 from vppres.feeders.closeness import NOT_CONVERGED
+from vppres.feeders.dss.script import limit_s
 from vppres.feeders.feeder import ImportedFeeder, PhasedLoad, PhasedSource
-from vppres.feeders.strangers.confined import TIME_LIMIT_S, confined
+from vppres.feeders.strangers.confined import confined
 from vppres.physics.phases import PhasedFlow, of_transformer
 from vppres.scenario.earthing import with_grid
 from vppres.scenario.network import BusId
@@ -52,14 +53,14 @@ Node = tuple[str, int]
 
 
 def phased_source(
-    job: Mapping[str, Any], name: str, feeder: ImportedFeeder, disabled: list[str]
+    job: dict[str, Any], name: str, feeder: ImportedFeeder, disabled: list[str]
 ) -> PhasedSource:
     """The three phases of a circuit whose balanced tree has been imported.
 
     ``job`` has the commands that build it; ``feeder`` is the tree, with the name of each bus of the
     circuit in ``source_flow``. Elements in ``disabled`` are out of service.
     """
-    found = confined("dss/by_phase", {**job, "disabled": disabled}, name, TIME_LIMIT_S)
+    found = confined("dss/by_phase", {**job, "disabled": disabled}, name, limit_s(job))
     if found["problems"]:
         raise InputError(
             [Problem(name, each["message"], each["cure"]) for each in found["problems"]]

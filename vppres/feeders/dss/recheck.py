@@ -24,15 +24,15 @@ from vppres.feeders.dss import script as dss_script
 from vppres.feeders.dss.circuit import located, read_opendss
 from vppres.feeders.net.changes import Changes, changed
 from vppres.feeders.net.reduce import feeder_of
-from vppres.feeders.strangers.confined import TIME_LIMIT_S, confined
+from vppres.feeders.strangers.confined import confined
 from vppres.scenario.network import BusId
 
 OWN_SOURCES = ("pvsystem", "generator", "storage")
 """What the run has its own of, so that the circuit's is off."""
 
 PHASE_NAMES = {"1": "a", "2": "b", "3": "c"}
-STEPS_PER_S = 10.0
-"""Steps that OpenDSS is given a second for, beside the time to read the file."""
+STEPS_OF_A_LIMIT = 100.0
+"""Steps that OpenDSS is given as much time for as it is to read the file."""
 
 SMALL_PU = 0.005
 """Differences below it need no cause."""
@@ -146,7 +146,7 @@ def solved_steps(job: dict[str, Any], source: Path) -> dict[str, Any]:
     """The steps of a job in OpenDSS, with ``v`` (T, nodes) in V, NaN where there is no solution."""
     script = dss_script.read_script(source)
     job = {"constant_power": False, **job, **script.job()}
-    limit_s = TIME_LIMIT_S + len(job["steps"]) / STEPS_PER_S
+    limit_s = dss_script.limit_s(job) * (1.0 + len(job["steps"]) / STEPS_OF_A_LIMIT)
     found = confined("dss/day", job, source.name, limit_s)
     if found["problems"]:
         raise InputError(located(found["problems"], script, source.name))

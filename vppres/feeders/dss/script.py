@@ -16,6 +16,7 @@ from typing import Any
 
 from vppres.core.errors import InputError, Problem
 from vppres.core.text import named
+from vppres.feeders.strangers.confined import TIME_LIMIT_S
 from vppres.feeders.strangers.files import MOST_PROBLEMS, read_bytes, read_text
 
 MOST_FILES = 100
@@ -42,11 +43,12 @@ CLEARS = ("clear", "clearall")
 ELEMENTS = ("new", "edit")
 CONTINUES = ("~", "more", "m")
 SWITCHES = ("open", "close", "enable", "disable")
+SEVERAL = "batchedit"
 PLAIN = ("calcvoltagebases", "makebuslist")
 """Verbs that are carried out, beside ``set``, ``setkvbase`` and ``solve``."""
 
 CARRIED_OUT = (
-    *READS, *CLEARS, *ELEMENTS, *CONTINUES, *SWITCHES, *PLAIN, "set", "setkvbase", "solve",
+    *READS, *CLEARS, *ELEMENTS, *CONTINUES, *SWITCHES, *PLAIN, SEVERAL, "set", "setkvbase", "solve",
 )  # fmt: skip
 
 _LEFT_OUT = """
@@ -64,6 +66,9 @@ LEFT_OUT = tuple(_LEFT_OUT.split())
 
 SHAPES = ("loadshape", "tshape", "priceshape", "growthshape", "xycurve", "spectrum")
 """Classes whose values may stand in a file."""
+
+COMMANDS_PER_S = 50.0
+"""Commands of a large feeder that a busy machine builds, solves and tells in a second."""
 
 LIBRARIES = frozenset(
     {"linecode", "linegeometry", "linespacing", "wiredata", "cndata", "tsdata", "xfmrcode"}
@@ -106,6 +111,11 @@ class Script:
             "commands": [[c.verb, c.target, [*c.values]] for c in self.commands],
             "files": self.files,
         }
+
+
+def limit_s(job: Job) -> float:
+    """How long the engine may take for a job."""
+    return TIME_LIMIT_S + len(job["commands"]) / COMMANDS_PER_S
 
 
 class _Refused(Exception):
@@ -249,6 +259,10 @@ class _Reader:
                 yield "clear", "", []
         elif verb in SWITCHES:
             yield _switched(verb, rest)
+        elif verb == SEVERAL:
+            if not rest or rest[0].name:
+                raise _Refused("names no elements", "Write: batchedit class.names property=value.")
+            yield verb, _target(rest[0].text), rest[1:]
         else:
             yield verb, "", rest
 
@@ -382,6 +396,7 @@ def _after_comment(line: str) -> tuple[bool, str]:
 
 def _values(line: str) -> list[_Value]:
     """Names and values of a line up to its comment, split where OpenDSS splits them."""
+    line = line.rstrip("\0\x1a")  # what some editors and systems end a line or a file with
     if _CONTROL.search(line):
         raise _Refused("has a control character", "Remove it.")
     if len(line) > LONGEST_LINE:
