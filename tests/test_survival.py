@@ -138,8 +138,9 @@ def test_what_is_finished_is_not_tried_again(
         return real(job)
 
     monkeypatch.setattr(study, "run_job", once)
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(KeyboardInterrupt) as interrupt:
         tried(tmp_path / "s", onsets=4)
+    assert interrupt.value.__notes__[0].startswith("what is finished is kept in ")
     done.append("")
     again = tried(tmp_path / "s", onsets=4)
     assert len(done) == 5
@@ -196,6 +197,20 @@ def test_the_command_writes_tables_and_a_page(tmp_path: Path) -> None:
     again = call("survival", tmp_path / "clinic", *words, "--out", out)
     assert again.exit_code == 0
     assert "100.0%" in again.stdout
+
+
+def test_an_interrupted_command_says_what_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(job: study.Job) -> list[study.Outcome]:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(study, "run_job", interrupted)
+    write_scenario(clinic(), tmp_path / "clinic")
+    options = ("--charged", "0.8", "--jobs", "1", "--out", tmp_path / "s")
+    result = call("survival", tmp_path / "clinic", *options)
+    assert result.exit_code == 130
+    assert "Interrupted; what is finished is kept in" in " ".join(result.stderr.split())
 
 
 def test_wrong_options_are_refused(tmp_path: Path) -> None:

@@ -354,6 +354,21 @@ def survival(
         If an outage has no answer, or its process died.
     """
     begin(folder)
+    try:
+        return _tried(variants, tried, folder, where, progress)
+    except KeyboardInterrupt as interrupt:
+        interrupt.add_note(f"what is finished is kept in {folder}, and the same command goes on.")
+        raise
+
+
+def _tried(
+    variants: Sequence[Variant],
+    tried: Tried,
+    folder: Path,
+    where: Where | None,
+    progress: Progress | None,
+) -> Survival:
+    """All outages, those of an earlier run from its folder."""
     dt_h = variants[0].site.grid.dt_h
     lengths = tuple(round(hours / dt_h) for hours in tried.lengths_h)
     possible = _possible(variants[0], tried, max(lengths))
