@@ -150,6 +150,16 @@ def test_what_is_finished_is_not_tried_again(
     pd.testing.assert_frame_equal(again.by_onset(), whole.by_onset())
 
 
+@pytest.mark.nightly
+def test_two_workers_of_a_cluster_find_the_same(tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    variants = variants_of(clinic(), RunOptions(outages="none"), None)
+    which = Tried((1.0, 2.0), charged=CHARGED)
+    here = survival(variants, which, tmp_path / "here", HERE)
+    there = survival(variants, which, tmp_path / "there", Where(2, scheduler="local"))
+    pd.testing.assert_frame_equal(here.by_onset(), there.by_onset())
+
+
 def test_batteries_are_charged_as_operation_without_outages_leaves_them(tmp_path: Path) -> None:
     site = clinic()
     options = RunOptions(outages="none")

@@ -137,7 +137,16 @@ def maps(study: Survival) -> list[Chart]:
                 f"onsets_{i + 1}",
                 f"Supplied throughout, by the hour in which the outage begins: {variant.name}",
                 scale,
-                [HeatMap(f"Onset ({zone})", hours, 100.0 * shares, "Onsets (%)", CIVIDIS)],
+                [
+                    HeatMap(
+                        f"Onset ({zone})",
+                        hours,
+                        100.0 * shares,
+                        "Onsets (%)",
+                        CIVIDIS,
+                        ends=(0.0, 100.0),
+                    )
+                ],
             )
         )
     return found
