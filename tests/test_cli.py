@@ -357,6 +357,7 @@ def documented_options(command: str) -> list[str]:
 SIMULATED = {"--load-bias", "--load-error", "--pv-bias", "--pv-error", "--seed", "--thermal"}
 OF_RUN_ALONE = {
     "sweep": {"--out", "--explain", "--figures", "--no-figures"},
+    "survival": {"--out", "--explain", "--figures", "--no-figures"},
     "serve": {*SIMULATED, "--out", "--explain", "--figures", "--no-figures", "--json", "--quiet"},
     "serve export": {*SIMULATED, "--figures", "--no-figures", "--quiet"},
     "serve simulate": {*SIMULATED, "--out", "--explain", "--figures", "--no-figures"},

@@ -24,6 +24,7 @@ from vppres.cli import backtest_options as cli_backtest
 from vppres.cli import feeds_options as cli_feeds
 from vppres.cli import new_options as cli_new
 from vppres.cli import serve_options as cli_serve
+from vppres.cli import survival_options as cli_survival
 from vppres.cli import sweep_options as cli_sweep
 from vppres.cli.endings import TERMINATED, Terminated, extra
 from vppres.cli.options import (
@@ -52,6 +53,7 @@ from vppres.cli.tables import (
     recheck_lines,
     remarks_told,
     simulation_lines,
+    survival_table,
     sweep_table,
     validation_text,
 )
@@ -381,6 +383,50 @@ def sweep(
         f"Written to {out}",
     )
     _report_failures(parameter.name, outcomes)
+
+
+@app.command(
+    cls=DayCommand,
+    epilog="Example: vppres survival uk-heatwave-2022 --lengths 1,2,4 --onsets 12 "
+    "--scale batteries=1,2 --out results/survival",
+)
+def survival(
+    context: typer.Context,
+    scenario: ScenarioName,
+    out: cli_survival.Out,
+    lengths: cli_survival.Lengths = None,
+    onsets: cli_survival.Onsets = 200,
+    charged: cli_survival.Charged = None,
+    scale: cli_survival.Scale = None,
+    jobs: cli_sweep.Jobs = None,
+    scheduler: cli_sweep.Scheduler = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Estimate how likely customers keep supply, by an outage's beginning and length.
+
+    Tables and a page are written into DIR. What is finished is kept there: the same command goes on
+    where it was interrupted.
+    """
+    from vppres.io.find import load_scenario
+    from vppres.studies.side_by_side import Where
+    from vppres.studies.survival import Tried, lengths_of, variants_of
+    from vppres.studies.survival import survival as run_survival
+    from vppres.studies.survival_page import answers, write_survival
+
+    site = load_scenario(scenario)
+    options = run_options(site, context.obj)
+    tried = Tried(lengths_of(lengths, site.grid.dt_h), onsets, charged, options.seed)
+    variants = variants_of(site, options, scale)
+    with progress_bar("onsets", quiet) as bar:
+        study = run_survival(variants, tried, out, Where(jobs, scheduler), bar)
+    record = {"folder": str(out), **write_survival(study, out)}
+    _show(
+        record if as_json else None,
+        survival_table(study.table(), not study.every_step),
+        *answers(study, study.table()),
+        f"Written to {out}",
+    )
 
 
 @app.command(

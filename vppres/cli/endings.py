@@ -40,10 +40,10 @@ def plain_errors(debug: bool) -> Iterator[None]:
     """Turn every exception into a sentence on stderr and an exit status."""
     try:
         yield
-    except Terminated:
-        _fail("Terminated; nothing was written.", TERMINATED, debug)
-    except KeyboardInterrupt:
-        _fail("Interrupted; nothing was written.", INTERRUPTED, debug)
+    except Terminated as error:
+        _fail(f"Terminated; {_left(error)}", TERMINATED, debug)
+    except KeyboardInterrupt as error:
+        _fail(f"Interrupted; {_left(error)}", INTERRUPTED, debug)
     except VppresError as error:
         _fail(str(error), error.exit_status, debug)
     except (BrokenPipeError, typer.Exit):
@@ -55,6 +55,12 @@ def plain_errors(debug: bool) -> Iterator[None]:
             1,
             debug,
         )
+
+
+def _left(interrupt: KeyboardInterrupt) -> str:
+    """What an interrupted command leaves: nothing, unless a note of the interrupt says more."""
+    notes: list[str] = getattr(interrupt, "__notes__", [])
+    return notes[0] if notes else "nothing was written."
 
 
 def _fail(message: str, status: int, debug: bool) -> NoReturn:

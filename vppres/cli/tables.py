@@ -200,6 +200,27 @@ def sweep_table(name: str, outcomes: Sequence[SweepRow]) -> Table:
     return table
 
 
+def survival_table(rows: Any, sampled: bool) -> Table:
+    """Share of onsets, hours and energy of each variant, length and tier."""
+    table = Table()
+    for words in ("variant", "tier"):
+        table.add_column(words, overflow="fold")
+    words = "throughout (95%)" if sampled else "throughout"
+    for name in ("length (h)", words, "expected (h)", "not supplied (kWh)"):
+        table.add_column(name, justify="right", overflow="fold")
+    for row in rows.itertuples():
+        interval = f" ({row.low:.0%} to {row.high:.0%})" if sampled else ""
+        table.add_row(
+            _plain(row.variant),
+            _plain(row.tier),
+            f"{row.length_h:g}",
+            f"{row.throughout:.1%}{interval}",
+            f"{row.expected_h:.2f}",
+            f"{row.not_supplied_kwh:,.1f}",
+        )
+    return table
+
+
 PHASE_COLUMNS = (
     ("buses", "buses", ".0f"),
     ("difference_max_pu", "largest difference", ".4f"),

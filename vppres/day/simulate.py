@@ -59,6 +59,7 @@ def run_day(
     controller: Callable[[Site], Decider] | None = None,
     forecaster: Forecaster | None = None,
     weights: Callable[[Observation], ArrayLike] | ArrayLike | None = None,
+    steps: int | None = None,
 ) -> Trajectory:
     """Run a scenario from its first step to its last.
 
@@ -80,6 +81,8 @@ def run_day(
     weights : callable or array, optional
         The customers' weights of each step: an array of shape (T, C), or a function of the
         observation, shape (C,).
+    steps : int, optional
+        How many steps are run; all if not given. The controller sees the others ahead.
 
     Returns
     -------
@@ -102,7 +105,7 @@ def run_day(
     divided = split_sheddable(scenario)
     injector = None if faults is None else FaultInjector(faults, divided)
     decider = make_controller(divided, options, injector, own=own)
-    run = Day(divided, options, injector, forecaster).run(decider, progress)
+    run = Day(divided, options, injector, forecaster).run(decider, progress, steps)
     return replace(run, options={**run.options, **parts_record(scenario), **own.record()})
 
 
@@ -192,9 +195,11 @@ class Day:
     def _past_days(self) -> PastDays | None:
         return PastDays.of(self.scenario, self.options.seed)
 
-    def run(self, controller: Decider, progress: Progress | None = None) -> Trajectory:
-        """All steps of the day, and their record."""
-        n_steps = self.scenario.grid.n_steps
+    def run(
+        self, controller: Decider, progress: Progress | None = None, steps: int | None = None
+    ) -> Trajectory:
+        """All steps of the day, or the first ones, and their record."""
+        n_steps = self.scenario.grid.n_steps if steps is None else steps
         for t in range(n_steps):
             self.step(controller, t)
             if progress is not None:

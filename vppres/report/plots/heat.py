@@ -25,7 +25,7 @@ class HeatMap(Panel):
     """Values of rows over the time of a run, (rows, T); NaN stays white.
 
     ``axis`` says what a row is, ``scale`` what the values are; colours go from the least to the
-    largest.
+    largest, or between the ``ends`` that are given.
     """
 
     axis: str
@@ -34,6 +34,7 @@ class HeatMap(Panel):
     scale: str
     colours: tuple[str, ...]
     shaded: bool = False
+    ends: tuple[float, float] | None = None
 
     @property
     def height(self) -> float:
@@ -53,6 +54,8 @@ class HeatMap(Panel):
 
     @cached_property
     def _range(self) -> tuple[float, float]:
+        if self.ends is not None:
+            return self.ends
         known = self.values[np.isfinite(self.values)]
         low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
         return low, high if high > low else low + (abs(low) or 1.0) * 1e-3
