@@ -33,7 +33,15 @@ from vppres.service.changes import Changes
 from vppres.service.clock import Clock, SetClock, written
 from vppres.service.conditions import conditions, situation
 from vppres.service.gate import refusals
-from vppres.service.knowledge import EARLY_SHARE, Heard, Known, known_at, soc_at
+from vppres.service.grid_readings import (
+    EARLY_SHARE,
+    GRID_ON,
+    IMPORT,
+    contradiction,
+    lost_now,
+    stands_alone,
+)
+from vppres.service.knowledge import Heard, Known, known_at, soc_at
 from vppres.service.learned import learned, measured_in
 from vppres.service.notify import Notifier
 from vppres.service.plans import (
@@ -53,8 +61,6 @@ DEADLINE_SHARE = 0.25
 
 FAILED = "failed"
 """The status of a step that only the rule could decide."""
-
-GRID_ON = "grid_on"
 
 STATES = {"online": 1.0, "start_fault": 0.0}
 """What devices say of whether they can work, and what stands until they do."""
@@ -197,8 +203,8 @@ class Runner:
     def heard_of(self, readings: Iterable[Reading]) -> None:
         """Note what readings say that the present plan does not know.
 
-        The grid is lost or back, or a battery that the plan leaves out is heard: once for a plan,
-        since what leaves it out may be something else.
+        The grid is lost or back, or imports although it was said to be lost; or a battery that the
+        plan leaves out is heard: once for a plan, since what leaves it out may be something else.
         """
         grid = (self.last or {}).get("grid")
         if self.last is None or grid is None:
@@ -212,9 +218,29 @@ class Runner:
                 if word not in self.last.get("anew", ""):
                     self.changes.note(word)
             new = one.quantity == GRID_ON and one.value is not None and one.time >= since
-            if new and (one.value == 1.0) != grid["available"]:
+            known = any(f"grid_on = 0 of {one.source} is contradicted" in words for words in said)
+            if new and (one.value == 1.0) != grid["available"] and not (known and self._fed()):
                 word = "back" if one.value else "lost"
                 self.changes.note(f"grid {word} at {written(moment(one.time))} ({one.source})")
+        imports = any(one.quantity == IMPORT and one.value for one in readings)
+        said_lost = not grid["available"] and grid["known_by"] in ("reading", "last reading")
+        if imports and said_lost and self._fed():
+            self.changes.note("import although the grid was said to be lost")
+
+    def _fed(self) -> bool:
+        """Whether something contradicts the last reading of the grid, that it is lost."""
+        now = self.clock.now()
+        zero = lost_now(now, self.store)
+        demand_kw = float(self._profile_of(self.begun(now)).load_kw.sum())
+        return contradiction(zero, now, self.length, self.store, demand_kw) != ""
+
+    def asked_again(self, readings: Iterable[Reading]) -> list[str]:
+        """What to send again: that the grid is lost, where it is among these and stands alone."""
+        if not any(one.quantity == GRID_ON and one.value == 0.0 for one in readings):
+            return []
+        now = self.clock.now()
+        words = stands_alone(lost_now(now, self.store), now, self.length, self.store)
+        return [words] if words else []
 
     def look(self) -> None:
         """Note what has changed while the service did not run."""
