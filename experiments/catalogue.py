@@ -12,7 +12,6 @@ from experiments import (
     grid_import,
     load_bias,
     load_error,
-    precision,
     prediction_horizon,
     pv_bias,
     pv_error,
@@ -64,7 +63,6 @@ EXPERIMENTS: dict[str, Experiment] = {
     "pv_error": pv_error,
     "pv_bias": pv_bias,
     "efficiency": efficiency,
-    "precision": precision,
     "sensitivities": sensitivities,
 }
 """By name, which is that of the module, of its configuration and of its figure's files."""

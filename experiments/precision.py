@@ -1,7 +1,4 @@
-"""The paper's figures at the precision of a weighted solve: the problem's, or the tolerance's.
-
-``make reproduce`` sees them at one named setting, ``python -m experiments.precision`` at many.
-"""
+"""The paper's rows at the precision of a weighted solve: the problem's, or the tolerance's."""
 
 from __future__ import annotations
 
@@ -31,13 +28,7 @@ from experiments.terminal import plain_errors, show_report
 from experiments.weighted_gap import service_of, terms_beside_gap
 from vppres.report.plots.palette import BLACK
 
-LABEL = "all"
 TITLE = "The paper at the precision of a weighted solve"
-PAPER = (
-    "All terms stand in one weighted objective, with 1e-6 for a GBP and less for losses and "
-    "reactive power, which Gurobi maximises; gaps, tolerances and units are not given."
-)
-
 NAME = "precision"
 WIDTH = 160
 
@@ -61,78 +52,14 @@ QUANTITIES = (
 )
 
 
-# At one setting, in the report.
-
-
 def named(config: Config) -> Setting:
-    """The one setting that the report's table is held against."""
+    """The setting that stands first in the tables."""
     return Setting(**config["named"])
-
-
-def jobs(config: Config) -> list[Job]:
-    """The days term by term, and at the named setting."""
-    days = jobs_of(config)
-    return [*days, *(named(config).of(day) for day in days)]
-
-
-def figure(config: Config, results: Results) -> Figure:
-    """Key figures against the horizon, term by term and at the named setting."""
-    return _figure(config, results, [named(config)])
-
-
-def rows(config: Config, results: Results) -> list[Row]:
-    """None of its own: those of the others, seen again."""
-    return []
-
-
-def at_named(config: Config, results: Results) -> dict[RowKey, Row]:
-    """Rows at the named setting, by number and quantity."""
-    return {row_key(row): row for row in rows_of(config, At(named(config), results))}
 
 
 def row_key(row: Row) -> RowKey:
     """What a row is about, whatever was found."""
     return row.id, row.quantity
-
-
-def held(row: Row, seen: Mapping[RowKey, Row]) -> str:
-    """Where a row holds: as levelled, at published precision or nowhere."""
-    if row.holds:
-        return "as levelled"
-    again = seen.get(row_key(row))
-    if again is not None and again.holds:
-        return "at published precision"
-    return "no"
-
-
-def ours(config: Config, results: Results) -> str:
-    """What the figure shows, and which rows change their verdict."""
-    setting = named(config)
-    before = {row_key(row): row for row in rows_of(config, results)}
-    gained: list[str] = []
-    lost: list[str] = []
-    for key, row in at_named(config, results).items():
-        if row.holds != before[key].holds:
-            (gained if row.holds else lost).append(f"{key[0]} ({key[1]}: {row.ours})")
-    day = results[setting.of(ideal.FULL_HORIZON)]
-    exact = results[ideal.FULL_HORIZON]
-    return (
-        f"Setting: {setting}, the same for all rows; {len(before)} rows were looked at. "
-        f"{open_text(config)} The full horizon's plan {_means(day)}; term by term it "
-        f"{_means(exact)}. "
-        f"Rows that hold there and not term by term: {'; '.join(gained) or 'none'}. Rows that hold "
-        f"term by term and not there: {'; '.join(lost) or 'none'}."
-    )
-
-
-def _means(day: DayResult) -> str:
-    """What a day comes to."""
-    summary = day.summary
-    return (
-        f"costs GBP {summary['cost_gbp']:,.0f} and imports {summary['import_kwh']:,.0f} kWh, with "
-        f"R {day.resilience:.4f} and a mean lowest voltage of "
-        f"{summary['v_mean_of_min_ac_pu']:.4f} pu"
-    )
 
 
 def open_text(config: Config) -> str:
@@ -151,9 +78,6 @@ def open_text(config: Config) -> str:
         f"all losses, {losses.whole:,.0f} kWh, weigh {losses.whole / losses.left_open:.0e} of the "
         "gap."
     )
-
-
-# Over all settings, as a study.
 
 
 def settings(config: Config) -> list[Setting]:
@@ -299,7 +223,8 @@ def main(
         int | None, typer.Option(min=1, metavar="N", help="Only the first N seeds of a unit.")
     ] = None,
     report_days: Annotated[
-        bool, typer.Option("--report-days", help="No other days than make reproduce has.")
+        bool,
+        typer.Option("--report-days", help="No battery heating, and no H above 5."),
     ] = False,
     quick: Annotated[
         bool, typer.Option("--quick", help="The named setting alone, on few days.")

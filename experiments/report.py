@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import os
 import platform
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from jinja2 import Environment
 
-from experiments import precision, sensitivities
+from experiments import sensitivities
 from experiments.catalogue import ALL
 from experiments.config import Config
 from experiments.drawing import save_figure
@@ -108,7 +107,6 @@ def write_report(
             )
         )
     rows.sort(key=order)
-    held = _held(rows, configs, results)
     values = {
         "sections": sections,
         "rows": rows,
@@ -117,9 +115,7 @@ def write_report(
         "lines": _lines(configs, results),
         "configs": configs,
         "versions": versions(),
-        "held": Counter(held.values()),
-        "held_where": held,
-        "setting": _setting(configs),
+        "held": sum(row.holds for row in rows),
     }
     for file in (HTML, MARKDOWN):
         atomic_write_text(
@@ -135,19 +131,6 @@ def machine() -> str:
         f"{platform.machine()}, {os.cpu_count()} logical cores, {platform.system()}, "
         f"Python {platform.python_version()}"
     )
-
-
-def _held(rows: list[Row], configs: Mapping[str, Config], results: Results) -> dict[Row, str]:
-    """Where each row holds; at published precision only where that was run."""
-    config = configs.get(precision.NAME)
-    seen = {} if config is None else precision.at_named(config, results)
-    return {row: precision.held(row, seen) for row in rows}
-
-
-def _setting(configs: Mapping[str, Config]) -> str:
-    """The setting that stands for published precision, empty where none was run."""
-    config = configs.get(precision.NAME)
-    return "" if config is None else str(precision.named(config))
 
 
 def _lines(configs: Mapping[str, Config], results: Results) -> list[sensitivities.Line]:

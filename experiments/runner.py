@@ -78,7 +78,7 @@ def run_jobs(
     folder.mkdir(parents=True, exist_ok=True)
     cache = Cache(folder)
     known = {job: result for job in wanted if (result := cache.get(job)) is not None}
-    missing = sorted((job for job in wanted if job not in known), key=_expected_work, reverse=True)
+    missing = sorted((job for job in wanted if job not in known), key=_expected_s, reverse=True)
     for job, result in _compute(missing, cache, Where(processes, scheduler)):
         known[job] = result
     return {job: known[job] for job in wanted}, len(missing)
@@ -126,11 +126,11 @@ def _compute(jobs: list[Job], cache: Cache, where: Where) -> Iterable[tuple[Job,
         return
     lost = []
     with (
-        bar_of("days", len(jobs)) as advance,
+        bar_of("days", len(jobs), sum(map(_expected_s, jobs))) as advance,
         closing(map_unordered(simulate, jobs, where)) as outcomes,
     ):
         for outcome in outcomes:
-            advance(1)
+            advance(1, _expected_s(outcome.job))
             if isinstance(outcome, Lost):
                 lost.append(f"{outcome.job.text()}: {outcome.reason}")
                 continue
@@ -141,9 +141,14 @@ def _compute(jobs: list[Job], cache: Cache, where: Where) -> Iterable[tuple[Job,
         raise SolverLostError("Days without a result, all others are kept: " + " ".join(lost))
 
 
-def _expected_work(job: Job) -> float:
-    """Rough size of a job: the longest come first, so that no core waits at the end."""
+def _expected_s(job: Job) -> float:
+    """Expected time of a job in s, as measured on one core.
+
+    The longest come first, so that no core waits at the end, and the time left follows from it.
+    """
     options = job.options
-    steps = 24.0 if options.controller == "full-horizon" else options.horizon_h
-    weighted = 100.0 * (job.weighted is not None)
-    return weighted + steps + 10.0 * (options.thermal != "off")
+    if job.weighted is not None:
+        return 100.0
+    if options.controller == "full-horizon":
+        return 0.6
+    return 0.5 + 0.35 * options.horizon_h

@@ -11,7 +11,6 @@ from rich.console import Console
 from rich.markdown import Markdown
 from rich.progress import (
     BarColumn,
-    MofNCompleteColumn,
     Progress,
     TextColumn,
     TimeElapsedColumn,
@@ -49,16 +48,36 @@ def show_report(markdown: Path, least_width: int = 0) -> None:
 
 
 @contextmanager
-def bar_of(what: str, total: int) -> Iterator[Callable[[int], None]]:
-    """A progress bar on stderr, if that is a terminal; what is yielded advances it."""
+def bar_of(what: str, total: int, total_s: float | None = None) -> Iterator[Callable[..., None]]:
+    """A progress bar on stderr, if that is a terminal.
+
+    Parameters
+    ----------
+    what : str
+        What is counted.
+    total : int
+        How many there are.
+    total_s : float, optional
+        Expected time of all of them in s, if they differ: bar and time left follow from it.
+
+    Yields
+    ------
+    callable
+        Advances the bar by a number, and by their expected time in s.
+    """
     console = Console(stderr=True)
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
-        MofNCompleteColumn(),
+        TextColumn("{task.fields[done]}/{task.fields[count]}"),
         TimeElapsedColumn(),
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
-        task = bar.add_task(what, total=total)
-        yield lambda count: bar.advance(task, count)
+        task = bar.add_task(what, total=total_s or total, count=total, done=0)
+
+        def advance(count: int, expected_s: float = 0.0) -> None:
+            bar.advance(task, expected_s if total_s else count)
+            bar.update(task, done=bar.tasks[0].fields["done"] + count)
+
+        yield advance

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from hypothesis import settings
 
 from tests.support.durations import Durations
 from tests.support.tiny_day import tiny_scenario
@@ -20,6 +21,10 @@ if TYPE_CHECKING:
     from tests.support.live_service import Live
 
 TESTS = Path(__file__).parent
+
+# The same cases in each run, and no limit of time for one: the machine may be busy.
+settings.register_profile("vppres", deadline=None, derandomize=True)
+settings.load_profile("vppres")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

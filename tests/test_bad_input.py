@@ -480,7 +480,7 @@ def edited(text: str, place: float, extent: float | int, what: str) -> str:
 def test_any_mutation_is_read_or_refused_with_reasons(
     valid_texts: dict[str, str], tmp_path: Path, pytestconfig: pytest.Config
 ) -> None:
-    @settings(max_examples=pytestconfig.getoption("fuzz"), deadline=None, derandomize=True)
+    @settings(max_examples=pytestconfig.getoption("fuzz"))
     @given(edits=st.lists(EDIT | ROW_EDIT, min_size=1, max_size=3))
     def read_mutated(edits: list[tuple[str, float, float | int, str]]) -> None:
         texts = dict(valid_texts)

@@ -48,7 +48,7 @@ def assert_same(one: LoadAndPV, other: LoadAndPV) -> None:
     np.testing.assert_array_equal(one.pv_kw, other.pv_kw)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     issued=st.integers(0, 45 * 24 - 1),
     steps=st.integers(1, 60),

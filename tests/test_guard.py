@@ -75,7 +75,7 @@ def window_of(state: StepState) -> WindowData:
 
 
 @pytest.mark.daily
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(seed=SEEDS, charge_kw=st.floats(-500.0, 500.0), stressed=st.booleans())
 def test_rule_is_always_feasible_and_carried_out_as_it_is(
     seed: int, charge_kw: float, stressed: bool
@@ -105,7 +105,7 @@ def test_rule_is_always_feasible_and_carried_out_as_it_is(
     assert violations(Decision(plan), state, v_limits_pu=(0.0, 2.0)) == []
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(
     weights=st.lists(st.sampled_from([1.0, 1.0, 1.5, 0.7]) | st.floats(0.1, 2.0), max_size=8),
     seed=SEEDS,

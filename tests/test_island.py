@@ -235,7 +235,7 @@ def test_island_whose_lines_lose_more_than_its_batteries_have_is_dark(tiny: Scen
     assert not settle(night, plan, state([0.15 + 2e-6, 0.5])).dark
 
 
-@settings(max_examples=100, deadline=None, derandomize=True)
+@settings(max_examples=100)
 @given(power=st.floats(0.0, 1e4), rooms=st.lists(st.floats(0.0, 1e3), min_size=1, max_size=6))
 def test_sharing_fills_up_to_the_room_and_no_further(power: float, rooms: list[float]) -> None:
     room = np.array(rooms)
@@ -245,7 +245,7 @@ def test_sharing_fills_up_to_the_room_and_no_further(power: float, rooms: list[f
 
 
 @pytest.mark.daily
-@settings(max_examples=20, deadline=None, derandomize=True)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 10_000), stressed=st.booleans(), size=st.sampled_from([0.1, 1.0, 3.0]))
 def test_whatever_is_asked_for_the_island_balances_within_all_limits_or_is_dark(
     seed: int, stressed: bool, size: float

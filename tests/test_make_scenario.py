@@ -263,12 +263,12 @@ def test_feeders_that_cannot_be_a_scenario(tagged: ImportedFeeder) -> None:
             replace(
                 tagged,
                 p_load_kw=0.0 * tagged.p_load_kw,
-                tier=np.where(tagged.tier == "low", "hihg", tagged.tier),
+                loads=replace(tagged.loads, tier=np.where(tagged.loads.tier == "low", "hihg", "")),
             )
         )
     assert str(caught.value) == (
         "pandapower net: has no load. Add the loads to the source: each bus with a load becomes a "
-        "customer.\npandapower net, tier = hihg: is not a tier (load at bus 4). Did you mean high?"
+        "customer.\npandapower net, tier = hihg: is not a tier (load 3). Did you mean high?"
     )
 
 
@@ -414,6 +414,66 @@ def test_names_of_the_source_and_several_customers_on_a_bus(tmp_path: Path) -> N
     net = deepcopy(street())
     run.apply_to(net, feeder, run.steps["time"].iloc[3])
     assert net.load.loc[net.load["name"] == "Kitchen", "in_service"].any()
+
+
+def mill_lane(column: str = "tier") -> Any:
+    """A care home and homes on one bus, a school and homes on the next, each with its tier."""
+    net = buses_in_a_row(3, 0.4, 0.05)
+    for bus, p_kw, name in (
+        (1, 62.0, "Homes 1-40"),
+        (1, 9.0, "Care home"),
+        (2, 35.0, "School"),
+        (2, 71.0, "Homes 41-90"),
+    ):
+        pp.create_load(net, bus, p_kw / 1e3, p_kw / 4e3, name=name)
+    net.load[column] = ["low", "critical", "high", None]
+    return net
+
+
+@pytest.mark.parametrize("column", ["tier", "Tier ", "priority"])
+def test_each_load_of_a_bus_keeps_its_own_tier(column: str, tmp_path: Path) -> None:
+    notes = write_new_scenario(
+        import_network(mill_lane(column), names=True), NewScenarioOptions(), tmp_path / "lane"
+    )
+    day = read_scenario(tmp_path / "lane")
+    assert dict(zip(day.customers.id, day.customers.tier, strict=True)) == {
+        "Homes 1-40": "low",
+        "Care home": "critical",
+        "School": "high",
+        "Homes 41-90": "low",
+    }
+    assert not any("merge loads" in note for note in notes)
+
+
+def test_merged_customers_have_the_highest_tier_of_their_loads(tmp_path: Path) -> None:
+    notes = write_new_scenario(import_network(mill_lane()), NewScenarioOptions(), tmp_path / "lane")
+    day = read_scenario(tmp_path / "lane")
+    assert day.customers.tier.tolist() == ["critical", "high"]
+    assert (
+        "Customers that merge loads of several tiers have the highest: c1 (critical; load 0 (Homes "
+        "1-40): low, load 1 (Care home): critical), c2 (high; load 2 (School): high, load 3 (Homes "
+        "41-90): low). With --source-names each load is a customer of its own."
+    ) in notes
+
+
+def test_loads_by_phase_keep_their_tiers(tmp_path: Path) -> None:
+    net = mill_lane()
+    net.line[["r0_ohm_per_km", "x0_ohm_per_km", "c0_nf_per_km"]] = [0.9, 0.6, 0.0]
+    pp.create_asymmetric_load(net, 2, p_a_mw=0.004, name="Clinic")
+    net.asymmetric_load["tier"] = ["critical"]
+    by_phase = new_scenario(import_network(net))
+    tiers = dict(zip(by_phase.customers.id, by_phase.customers.tier, strict=True))
+    assert tiers["c1"] == "critical" and tiers["c2"] == "high"
+    assert [tier for name, tier in tiers.items() if name.startswith("c0p")] == ["critical"]
+    spread = new_scenario(import_network(net, balance=True))
+    assert spread.customers.tier.tolist() == ["critical", "critical"]
+
+
+def test_an_unknown_tier_is_refused_with_its_load() -> None:
+    net = mill_lane("priority")
+    net.load["priority"] = [3, 1, 2, 3]
+    with pytest.raises(InputError, match=r"tier = 1: is not a tier \(load 1 \(Care home\)\)"):
+        new_scenario(import_network(net))
 
 
 def test_the_only_customer_has_its_tier() -> None:

@@ -83,6 +83,7 @@ def test_the_overview_names_who_is_off_until_when_and_by_tier(live: Running) -> 
             "last_contact": "2026-11-21T14:00:00Z",
             "stale": [],
             "lost": [],
+            "refused": [],
             "ok": 2,
         }
     ]

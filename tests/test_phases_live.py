@@ -134,7 +134,7 @@ def check_expected(plan: Any, evening: Scenario, lived: Any) -> None:
 def test_phases_of_readings(evening: Scenario, sent: Any, words: str) -> None:
     batch = [reading(*one) for one in sent]
     good, problems = readings_of(batch, evening, evening.grid.end)
-    found = "; ".join(f"{one.message} {one.cure}" for one in problems)
+    found = "; ".join(f"{one.problem.message} {one.problem.cure}" for one in problems)
     assert (words in found) if words else not problems
     if len(sent) == 3:
         assert [one.value for one in good if one.quantity == "load_kw"] == [30.0]

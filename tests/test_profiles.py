@@ -15,6 +15,7 @@ from pandapower.timeseries import DFData
 from tests.support.command_line import call
 from tests.support.small_nets import buses_in_a_row
 from vppres.core.errors import InputError
+from vppres.core.text import named
 from vppres.feeders import ImportedFeeder, import_network
 from vppres.feeders.new.options import NewScenarioOptions, first_day
 from vppres.feeders.new.scenario import assumptions, new_scenario
@@ -93,6 +94,26 @@ def test_elements_behind_a_customer_add_up(feeder: ImportedFeeder, tmp_path: Pat
     notes = assumptions(feeder, options(tmp_path))
     assert "3 series from a_kw.csv; reactive power follows power factors." in notes
     assert "Invented: Load without a series follows one bundled summer day: c1." in notes, notes
+
+
+@pytest.mark.parametrize("names", [True, False])
+def test_every_name_that_the_scenario_gives_is_found(names: bool, tmp_path: Path) -> None:
+    net = street()
+    pp.create_sgen(net, 1, p_mw=0.02, type="diesel", name="standby")
+    feeder = import_network(net, names=names)
+    made = new_scenario(feeder)
+    mine = [*made.customers.id, *made.pv.id, *made.batteries.id, *made.gensets.id]
+    assert ("roof" in mine) is names
+    write(tmp_path, "a.csv", **{f"{name} [kW]": RISING for name in mine})
+    day = new_scenario(feeder, options(tmp_path))
+    assert (day.load_kw == RISING[:, None]).all() and (day.pv_kw == RISING[:, None]).all()
+    notes = assumptions(feeder, options(tmp_path))
+    sets = named(made.gensets.id)
+    assert f"Series of generating sets are not followed, as they are dispatched: {sets}." in notes
+    batteries = named(made.batteries.id)
+    assert (
+        f"Series of batteries are not followed, as batteries are dispatched: {batteries}." in notes
+    )
 
 
 def test_prices_and_temperature_may_be_there(feeder: ImportedFeeder, tmp_path: Path) -> None:

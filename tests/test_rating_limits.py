@@ -9,7 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.support.small_windows import OPEN, two_buses, window
+from tests.support.sets import gensets
+from tests.support.small_windows import DARK, OPEN, battery, two_buses, window
 from vppres.core.units import kva_to_a
 from vppres.day.metrics import cautions, line_current_a, line_loading
 from vppres.day.options import RunOptions
@@ -95,6 +96,42 @@ def test_ratings_give_way_by_a_share_of_what_is_beyond_them() -> None:
         given = with_ratings_given(site, data, free, share).flow_max_kva
         # A thousandth of a rating is left free.
         assert given == pytest.approx(np.array([[4.995 + share * (32.0 - 4.995), 99.9]]), rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("outages", "priority", "sets"),
+    [
+        ("known", "weights", True),
+        ("known", "strict", True),
+        ("belief", "weights", False),
+        ("belief", "strict", False),
+        ("belief", "strict", True),
+    ],
+)
+def test_ratings_limit_plans_by_belief_and_with_generating_sets(
+    outages: str, priority: str, sets: bool
+) -> None:
+    """Three customers of 2 kW behind 5 kVA: one is off, though a set could run elsewhere."""
+    day = two_buses([[2.0] * 3] * 4, [1.0, 0.9, 0.8], [OPEN, DARK, DARK, OPEN])
+    i_max_a = kva_to_a(np.array([100.0, 5.0]), 11.0)
+    network = Network([1, 2], [2, 3], [0.01] * 2, [0.01] * 2, 1, base_kv=11.0, i_max_a=i_max_a)
+    day = replace(
+        day,
+        network=network,
+        customers=replace(day.customers, bus=[3] * 3, tier=["critical", "high", "low"]),
+        batteries=battery(40.0, 10.0, 10.0, soc=0.8),
+        gensets=gensets(p_max_kw=6.0, p_min_kw=1.0) if sets else day.gensets,
+    )
+    run = run_day(
+        day,
+        RunOptions(
+            horizon_h=2.0, ratings=LIMIT, mode="physical", outages=outages, priority=priority
+        ),
+    )
+    assert line_loading(run).max() <= 1.0
+    with_grid = run.customers["served"].to_numpy().reshape(4, 3)[[0, 3]]
+    assert (with_grid == [True, True, False]).all()
+    assert (run.steps["fallback"] == "none").all()
 
 
 def test_ratings_that_bind_nothing_change_nothing() -> None:

@@ -283,6 +283,9 @@ def test_simplifications_follow_the_run() -> None:
     assert "no forecast errors" in told
     assert "heating" not in told
     assert "Line ratings are reported, not enforced" in told
+    for controller, words in (("mpc", "Plans keep the currents"), ("idle", "are reported")):
+        kept = dict(other.options) | {"ratings": "limit", "controller": controller}
+        assert words in " ".join(simplifications(replace(other, options=kept)))
 
 
 def test_data_in_words() -> None:

@@ -48,7 +48,7 @@ def test_laterals_go_to_both_sides() -> None:
     assert row == {0: 1, 1: 1, 2: 1, 3: 1, 4: 2, 5: 0}
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(trees())
 def test_no_two_buses_share_a_place_and_no_line_meets_a_strange_bus(net: Network) -> None:
     layout = tree_layout(net)
@@ -61,7 +61,7 @@ def test_no_two_buses_share_a_place_and_no_line_meets_a_strange_bus(net: Network
         assert strangers == {places[line + 1]}
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(trees())
 def test_lines_of_different_buses_do_not_cross(net: Network) -> None:
     layout = tree_layout(net)

@@ -149,7 +149,7 @@ READINGS = st.sampled_from(sorted(ASSETS)).flatmap(
 
 
 @pytest.mark.daily
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=6)
 @given(batch=st.lists(READINGS, max_size=12), dark=st.booleans())
 def test_whatever_is_read_the_step_is_decided(batch: list[Any], dark: bool) -> None:
     clock = SetClock(NOON)

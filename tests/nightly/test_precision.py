@@ -11,7 +11,6 @@ from experiments import ideal, precision
 from experiments.config import read_config
 from experiments.jobs import Job
 from experiments.results import DayResult
-from experiments.rows import Row, measured
 from experiments.settings import At, Setting
 from experiments.weighted import WeightedChoices
 from experiments.weighted_gap import service_of, terms_beside_gap
@@ -20,10 +19,6 @@ from vppres.day.options import RunOptions
 from vppres.scenario.scenario import ObjectiveWeights, Scenario
 
 CONFIG = read_config("precision")
-
-
-def row(holds: bool, id: str = "R1") -> Row:
-    return measured(id, 0.92 if holds else 0.5, reason="0.5 is far")
 
 
 def test_a_setting_changes_how_a_day_is_solved_and_nothing_else() -> None:
@@ -49,22 +44,6 @@ def test_results_at_a_setting_are_those_of_its_days() -> None:
     results = {ideal.FULL_HORIZON: plain, setting.of(ideal.FULL_HORIZON): weighted}
     assert At(setting, results)[ideal.FULL_HORIZON] is weighted
     assert At(None, results)[ideal.FULL_HORIZON] is plain
-
-
-@pytest.mark.parametrize(
-    ("levelled", "again", "expected"),
-    [
-        (True, None, "as levelled"),
-        (True, False, "as levelled"),
-        (False, True, "at published precision"),
-        (False, False, "no"),
-        (False, None, "no"),
-    ],
-)
-def test_a_row_holds_as_levelled_first(levelled: bool, again: bool | None, expected: str) -> None:
-    one = row(levelled)
-    seen = {} if again is None else {precision.row_key(one): row(again)}
-    assert precision.held(one, seen) == expected
 
 
 def test_the_study_has_the_named_setting_first_and_each_once() -> None:

@@ -24,7 +24,7 @@ from vppres.control.rotation import Rotating
 from vppres.core.errors import SolveError, VerificationError
 from vppres.day.checks import check_run
 from vppres.day.faults import FaultInjector, FaultySolver, SolverKilledError
-from vppres.day.options import RunOptions
+from vppres.day.options import RULES, RunOptions
 from vppres.day.own import ByStepWeights, Own
 from vppres.day.priority import site_of, weighed
 from vppres.model.site import Site
@@ -112,7 +112,7 @@ def make_controller(
 def _guard_options(scenario: Scenario, options: RunOptions, simulated: bool) -> GuardOptions:
     """What the guard holds decisions to, and which errors it answers."""
     # A rule does not plan for voltages, and must not be replaced by another rule for them.
-    v_pu = np.inf if options.controller in ("idle", "reserve") else Tolerances().v_pu
+    v_pu = np.inf if options.controller in RULES else Tolerances().v_pu
     physical = options.mode == "physical"
     answers = FAILURES if simulated else (Exception,)
     return GuardOptions(

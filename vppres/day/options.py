@@ -20,6 +20,9 @@ from vppres.solve.result import SolveLimits
 
 PERFECT = "perfect"
 
+RULES = ("idle", "reserve")
+"""Controllers that follow a rule: they plan nothing and prove nothing."""
+
 
 @dataclass(frozen=True)
 class RunOptions:

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from vppres.core.text import named
+from vppres.day.options import RULES
 from vppres.explain.kept import kept_for
 from vppres.explain.prices import WORTH
 from vppres.explain.recorded import MOVE_KW
@@ -36,9 +37,6 @@ limit, not the import price, is what drove a battery there."""
 
 NAMES_SHOWN = 3
 """Customers named in one reason."""
-
-RULES = ("idle", "reserve")
-"""Controllers that follow a rule, whatever would be worth more."""
 
 FIRST = {True: "customers with more weight per kW", False: "others first in strict order"}
 """The customer that a scarce unit goes to, where customers are weighed and in strict order."""

@@ -2,16 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Protocol, Self
 
+import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Floats, Items, Names, freeze_arrays, no_items
 from vppres.scenario.network import BusId, Network
 from vppres.scenario.phases import PhaseConnection, Phases
+
+TIER_WEIGHTS = {"critical": 1.0, "high": 0.1, "low": 0.02}
+"""Tiers that loads of a source may name, and their weights (paper, Parameter Selection)."""
+
+
+def highest_tier(tiers: Iterable[str]) -> str:
+    """The tier of a customer that merges loads: that of the most important one; empty for none.
+
+    What is no tier comes first, so that nothing hides it from the check of the names.
+
+    >>> highest_tier(["low", "", "critical"]), highest_tier([""])
+    ('critical', '')
+    """
+    order = {tier: k for k, tier in enumerate(TIER_WEIGHTS)}
+    return min(filter(None, tiers), key=lambda tier: order.get(tier, -1), default="")
 
 
 class _Elements(Items):
@@ -45,12 +61,16 @@ class Generators(_Elements):
 
 @dataclass(frozen=True, eq=False)
 class Loads(_Elements):
-    """Single loads of the source, shape (E,) each: as they are given, drawn power is positive."""
+    """Single loads of the source, shape (E,) each: as they are given, drawn power is positive.
+
+    ``tier`` is what the source's column names; empty where it names none.
+    """
 
     id: Names
     bus: Names
     p_kw: Floats
     q_kvar: Floats
+    tier: Names
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,6 +176,7 @@ class PhasedLoad:
     p_kw: float
     q_kvar: float
     connection: PhaseConnection
+    tier: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,8 +205,6 @@ class ImportedFeeder:
         ``N`` buses; all impedances refer to its ``base_kv``.
     p_load_kw, q_load_kvar : array, shape (N,)
         Load of each bus, in the network's bus order.
-    tier : array of str, shape (N,)
-        Tier of each bus's load if the source's loads have a column ``tier``, else empty.
     generators : Generators
         Generators of the source.
     storages : Storages
@@ -216,7 +235,6 @@ class ImportedFeeder:
     network: Network
     p_load_kw: Floats
     q_load_kvar: Floats
-    tier: Names
     generators: Generators
     bus_of: Mapping[int, BusId]
     notes: tuple[str, ...]
@@ -233,6 +251,15 @@ class ImportedFeeder:
     def __post_init__(self) -> None:
         freeze_arrays(self)
         object.__setattr__(self, "bus_of", MappingProxyType(dict(self.bus_of)))
+
+    @property
+    def tier(self) -> Names:
+        """Highest tier of each bus's loads, (N,); empty where the source names none."""
+        tiers: dict[BusId, list[str]] = {}
+        for bus, tier in zip(self.loads.bus, self.loads.tier, strict=True):
+            tiers.setdefault(bus, []).append(tier)
+        buses = self.network.buses
+        return np.array([highest_tier(tiers.get(bus, ())) for bus in buses], dtype=object)
 
     @property
     def injection(self) -> tuple[Floats, Floats]:

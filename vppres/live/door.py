@@ -241,7 +241,7 @@ class Door:
         limits = RANGES[field]
         if now and isinstance(name, str):
             limits = self.ranges.get((field, name), limits)
-        number = _float_of(value)
+        number = float_of(value)
         if number is None:
             shown_as = "None" if value is None else value
             self.problem(field, "is not a number", LEAVE_OUT, shown_as, name)
@@ -346,7 +346,7 @@ def moment_of(time: Any) -> pd.Timestamp | None:
     return None
 
 
-def _float_of(value: Any) -> float | None:
+def float_of(value: Any) -> float | None:
     """A real number as a float, None if it is none or too large to be one."""
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, Real):
         return None

@@ -77,7 +77,7 @@ def _most(tolerance: float, *over: Floats) -> float:
     return float(np.max([np.max(each, initial=0.0) for each in over])) / tolerance
 
 
-def _power_tolerance(site: Site, data: WindowData) -> float:
+def power_tolerance_kw(site: Site, data: WindowData) -> float:
     """Tolerance of powers in kW."""
     ratings = (site.batteries.s_max_kva, site.pv.s_max_kva, data.load_kw)
     largest = max(float(np.max(each, initial=0.0)) for each in ratings)
@@ -87,7 +87,7 @@ def _power_tolerance(site: Site, data: WindowData) -> float:
 def _batteries(site: Site, data: WindowData, d: Dispatch) -> Excess:
     """Powers of the batteries: ratings, one direction at a time, inverters, headroom."""
     b = site.batteries
-    tolerance = _power_tolerance(site, data)
+    tolerance = power_tolerance_kw(site, data)
     net_kw = d.charge_kw - d.discharge_kw
     physics = data.physics
     kept_kw = 0.0 if physics is None else physics.headroom_kw
@@ -124,7 +124,7 @@ def _energy(site: Site, data: WindowData, d: Dispatch) -> Excess:
 
 def _pv(site: Site, data: WindowData, d: Dispatch) -> Excess:
     """PV power: its balance, self-consumption, inverters."""
-    tolerance = _power_tolerance(site, data)
+    tolerance = power_tolerance_kw(site, data)
     served = np.where(site.alone, False, d.served[:, site.owner])
     own_kw = data.self_limit_kw(site) * served
     through_kw = d.pv_self_kw + d.pv_export_kw
@@ -138,7 +138,7 @@ def _pv(site: Site, data: WindowData, d: Dispatch) -> Excess:
 
 def _grid(site: Site, data: WindowData, d: Dispatch) -> Excess:
     """Exchange with the grid, and what batteries charge from."""
-    tolerance = _power_tolerance(site, data)
+    tolerance = power_tolerance_kw(site, data)
     imported_kw = np.maximum(d.p_grid_kw, 0.0)
     charged_kw = d.charge_kw.sum(axis=1)
     fed_kw = imported_kw + d.pv_export_kw.sum(axis=1)
@@ -153,7 +153,7 @@ def _grid(site: Site, data: WindowData, d: Dispatch) -> Excess:
 
 def _balances(site: Site, data: WindowData, d: Dispatch) -> Excess:
     """Active and reactive balance at every bus."""
-    tolerance = _power_tolerance(site, data)
+    tolerance = power_tolerance_kw(site, data)
     p, q = injections(site, data, d)
     p[:, 0] += d.p_grid_kw
     q[:, 0] += d.q_grid_kvar
@@ -192,7 +192,7 @@ def _ratings(site: Site, data: WindowData, d: Dispatch) -> Excess:
     if data.flow_max_kva is None:
         return {}
     over_kva = np.hypot(d.p_flow_kw, d.q_flow_kvar) - data.flow_max_kva
-    return {"line rating": _most(_power_tolerance(site, data), over_kva)}
+    return {"line rating": _most(power_tolerance_kw(site, data), over_kva)}
 
 
 def _phases(site: Site, data: WindowData, d: Dispatch) -> Excess:
@@ -210,14 +210,14 @@ def _phases(site: Site, data: WindowData, d: Dispatch) -> Excess:
     return {
         "lowest voltage of a phase": _most(VOLTAGE_TOLERANCE_PU2, (phased.u_min - u)[:, limited]),
         "highest voltage of a phase": _most(VOLTAGE_TOLERANCE_PU2, (u - phased.u_max)[:, limited]),
-        "phase of the former": _most(_power_tolerance(site, data), over_kva[data.dark]),
+        "phase of the former": _most(power_tolerance_kw(site, data), over_kva[data.dark]),
         "rating of a phase": _most(RATING_TOLERANCE, currents - phased.current_max),
     }
 
 
 def _kinds(site: Site, data: WindowData, d: Dispatch) -> Excess:
     """Flexible power of each kind: what its units can do, what they hold, rules of switching."""
-    tolerance = _power_tolerance(site, data)
+    tolerance = power_tolerance_kw(site, data)
     found: Excess = {}
     for kind, known in data.ahead.by_kind.items():
         units, word = site.kinds[kind], KINDS[kind].word

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from vppres.core.plain import flattened
+from vppres.day.options import RULES
 from vppres.day.trajectory import Trajectory
 from vppres.scenario.option_table import OPTIONS, Option
 from vppres.scenario.past_days import PastDays
@@ -140,7 +141,7 @@ def _order(options: Mapping[str, Any]) -> str:
 
 def _ratings(options: Mapping[str, Any]) -> str:
     """What ratings of lines meant to the plans."""
-    if options.get("ratings") == LIMIT:
+    if options.get("ratings") == LIMIT and options.get("controller") not in RULES:
         return "Plans keep the currents of lines within their ratings where a dispatch does."
     return "Line ratings are reported, not enforced."
 

@@ -9,6 +9,7 @@ import pandas as pd
 
 from vppres.core.text import counted
 from vppres.day.metrics import cautions, import_above_limit_kw, island_figures, line_loading
+from vppres.day.options import RULES
 from vppres.day.trajectory import Trajectory
 from vppres.plant.plant import CLIP_TOLERANCE_KW, NOBODY
 from vppres.report.clock import Clock
@@ -17,7 +18,6 @@ from vppres.scenario.remarks import darkness
 LIMIT_TOLERANCE_PU = 1e-6
 PROVEN = ("optimal", "blacked_out")
 """Statuses of decisions that a closed gap proves, or that had nothing to decide."""
-RULES = ("idle", "reserve")  # controllers that prove nothing
 ISLAND_TOLERANCE_KW = 0.5
 
 

@@ -54,7 +54,7 @@ def answer_errors(app: FastAPI) -> None:
 
     @app.exception_handler(RequestValidationError)
     async def mistaken(_: Request, error: RequestValidationError) -> Response:
-        problems = [_problem(details) for details in error.errors()[:MOST_PROBLEMS]]
+        problems = [problem_of(details) for details in error.errors()[:MOST_PROBLEMS]]
         return problem_answer(422, str(problems[0]), problems)
 
     @app.exception_handler(VppresError)
@@ -79,7 +79,7 @@ def answer_errors(app: FastAPI) -> None:
         return problem_answer(500, "The service has a mistake. Its log says which.")
 
 
-def _problem(details: Mapping[str, Any]) -> Problem:
+def problem_of(details: Mapping[str, Any]) -> Problem:
     """A mistake in a request in our words: those of the library are no sentence with a place."""
     kind, context = details["type"], details.get("ctx", {})
     place, value = list(details["loc"]), _sent(details)

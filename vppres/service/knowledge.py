@@ -20,9 +20,10 @@ from vppres.core.errors import InputError, Problem
 from vppres.io.messages import did_you_mean
 from vppres.live.by_phase import GRID
 from vppres.live.controller import Controller
+from vppres.live.door import float_of, readable
 from vppres.live.gensets import QUANTITIES as OF_SETS
 from vppres.live.measurement import Measurement
-from vppres.live.ranges import RANGES, ranges_of
+from vppres.live.ranges import RANGES, Range, ranges_of
 from vppres.live.vehicles import QUANTITIES
 from vppres.outlook.belief import HALF
 from vppres.scenario.scenario import Scenario
@@ -41,6 +42,7 @@ from vppres.service.lost import lost_customers
 from vppres.service.payloads import OperatorSetpoint, Readings
 from vppres.service.phased_readings import stored, sums, wrong_phase
 from vppres.service.records import DECIDED, Event, Reading, moment, seconds, versions
+from vppres.service.refused import Refusal
 from vppres.service.statements import REFUSED
 from vppres.service.store import Store
 from vppres.service.window import CAUTIOUS, Window
@@ -122,7 +124,7 @@ def assets_of(scenario: Scenario) -> dict[str, list[str]]:
 
 def readings_of(
     batch: Iterable[Readings], scenario: Scenario, until: pd.Timestamp
-) -> tuple[list[Reading], list[Problem]]:
+) -> tuple[list[Reading], list[Refusal]]:
     """Readings that can be kept, and what is wrong with the others.
 
     Those after ``until``, the end of the next step, are of another clock.
@@ -130,29 +132,18 @@ def readings_of(
     assets = assets_of(scenario)
     own = ranges_of(scenario)
     good: list[Reading] = []
-    problems: list[Problem] = []
+    refused: list[Refusal] = []
     for one in batch:
-        known = assets[one.quantity]
-        if one.asset not in known:
-            cure = did_you_mean(one.asset, known, "Give an asset of the site.")
-            problems.append(Problem(WHERE, "is not at the site", cure, None, "asset", one.asset))
-            continue
-        wrong = wrong_phase(one, scenario)
+        wrong = _wrong_series(one, assets[one.quantity], scenario, until)
         if wrong is not None:
-            problems.append(wrong)
-            continue
-        last = one.start + (len(one.values) - 1) * one.resolution
-        if last >= until:
-            field_name, message = f"time of {one.asset}", "lies in the future"
-            cure = f"Set the clock of {one.source}; the present step ends at {written(until)}."
-            problems.append(Problem(WHERE, message, cure, None, field_name, written(last)))
+            refused.append(Refusal(one.source, one.asset, one.quantity, wrong))
             continue
         permitted = own.get((one.quantity, one.asset), RANGES[one.quantity])
-        for step, value in enumerate(one.values):
-            if value is not None and not permitted.holds(value):
-                field_name = f"{one.quantity} of {one.asset}"
-                message = permitted.text(value)
-                problems.append(Problem(WHERE, message, permitted.cure, None, field_name, value))
+        for step, sent in enumerate(one.values):
+            value = None if sent is None else float_of(sent)
+            if sent is not None and (value is None or not permitted.holds(value)):
+                wrong = _wrong_value(f"{one.quantity} of {one.asset}", sent, value, permitted)
+                refused.append(Refusal(one.source, one.asset, one.quantity, wrong))
                 continue
             if value is not None and one.quantity == "pv_kw":
                 value = max(value, 0.0)
@@ -161,11 +152,35 @@ def readings_of(
             quantity = stored(one.quantity, one.phase)
             good.append(Reading(one.asset, quantity, time, one.source, long, value))
     for found in [*sums(good, scenario)]:
-        if isinstance(found, Problem):
-            problems.append(found)
+        if isinstance(found, Refusal):
+            refused.append(found)
         else:
             good.append(found)
-    return good, problems
+    return good, refused
+
+
+def _wrong_series(
+    one: Readings, known: list[str], scenario: Scenario, until: pd.Timestamp
+) -> Problem | None:
+    """What is wrong with all values of a series."""
+    if one.asset not in known:
+        cure = did_you_mean(one.asset, known, "Give an asset of the site.")
+        return Problem(WHERE, "is not at the site", cure, None, "asset", one.asset)
+    wrong = wrong_phase(one, scenario)
+    last = one.start + (len(one.values) - 1) * one.resolution
+    if wrong is None and last >= until:
+        cure = f"Set the clock of {one.source}; the present step ends at {written(until)}."
+        time = written(last)
+        return Problem(WHERE, "lies in the future", cure, None, f"time of {one.asset}", time)
+    return wrong
+
+
+def _wrong_value(what: str, sent: object, value: float | None, permitted: Range) -> Problem:
+    """What is wrong with a value: it is no number, or none that the quantity can have."""
+    if value is None or math.isnan(value):
+        cure = "Give a number, or null where it is missing."
+        return Problem(WHERE, "is not a number", cure, None, what, readable(sent))
+    return Problem(WHERE, permitted.text(value), permitted.cure, None, what, sent)
 
 
 def check_setpoints(asked: Iterable[OperatorSetpoint], scenario: Scenario) -> None:

@@ -144,6 +144,7 @@ class Overview:
     def _key(self) -> Any:
         return (
             self.runner.store.changes,
+            self.runner.refused.changes,
             self.runner.changes.reasons,
             self.runner.clock.now().floor(f"{REFRESH_S}s"),
         )
@@ -160,7 +161,7 @@ class Overview:
             "steps": runner.outcomes,
             "alarms": runner.alarms.listed(now),
             "events": {name: event.body for name, event in runner.store.events().items()},
-            "sources": self._sources(latest.heard),
+            "sources": self._sources(latest.heard, now),
             "measured": self._measured(latest.found, now),
             "soc": soc_now(latest, plan, runner.length, now),
             "plan": None if plan is None else self._told(plan, now),
@@ -224,18 +225,29 @@ class Overview:
             tiers.setdefault(tier, []).append(name)
         return tiers
 
-    def _sources(self, heard: Iterable[Heard]) -> list[dict[str, Any]]:
-        """Each source: when it was last heard from, and what of what it tells is late."""
+    def _sources(self, heard: Iterable[Heard], now: pd.Timestamp) -> list[dict[str, Any]]:
+        """Each source: when it was last heard from, and what of it is late or was refused."""
+        refused = [*self.runner.refused.standing(now)]
+        contacts = {one.source: written(at) for one, at in refused} | last_heard(self.runner.store)
         found: dict[str, dict[str, Any]] = {
-            source: {"source": source, "last_contact": contact, "stale": [], "lost": [], "ok": 0}
-            for source, contact in last_heard(self.runner.store).items()
+            source: {
+                "source": source,
+                "last_contact": contact,
+                "stale": [],
+                "lost": [],
+                "refused": [],
+                "ok": 0,
+            }
+            for source, contact in contacts.items()
         }
-        for one in heard:
-            source = found[one.source]
-            if one.state == "ok":
+        for one, _ in refused:
+            found[one.source]["refused"].append(one.words)
+        for reading in heard:
+            source = found[reading.source]
+            if reading.state == "ok":
                 source["ok"] += 1
             else:
-                source[one.state].append(f"{one.quantity} of {one.asset}")
+                source[reading.state].append(f"{reading.quantity} of {reading.asset}")
         return list(found.values())
 
     def _measured(self, readings: Iterable[Reading], now: pd.Timestamp) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Annotated, Any, Literal
 
@@ -13,7 +14,10 @@ from pydantic import (
     Field,
     PlainSerializer,
     PlainValidator,
+    ValidationError,
+    ValidatorFunctionWrapHandler,
     WithJsonSchema,
+    WrapValidator,
     model_validator,
 )
 
@@ -87,6 +91,8 @@ Duration = Annotated[
 ]
 Name = Annotated[str, Field(min_length=1, max_length=LONGEST_NAME, pattern=r"^[^\x00-\x1f\x7f]+$")]
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Value = Annotated[Any, WithJsonSchema({"anyOf": [{"type": "number"}, {"type": "null"}]})]
+"""A number or null; anything else is refused by itself, where the quantity is known."""
 Power = Annotated[float, _within("load_kw")]
 Limit = Annotated[float, _within("grid_limit_kw")]
 Price = Annotated[float, _within("price_gbp_per_kwh")]
@@ -156,9 +162,7 @@ class Readings(Body):
     phase: Phase | None = None
     start: Moment
     resolution: Duration
-    values: Annotated[
-        list[Number | None], Field(fail_fast=True, min_length=1, max_length=MOST_VALUES)
-    ]
+    values: Annotated[list[Value], Field(min_length=1, max_length=MOST_VALUES)]
 
     @model_validator(mode="after")
     def _of_our_time(self) -> Readings:
@@ -166,15 +170,39 @@ class Readings(Body):
         return self
 
 
+@dataclass(frozen=True)
+class Unread:
+    """A series that cannot be read, as it was sent, and why."""
+
+    given: Any
+    error: ValidationError
+
+
+def _by_itself(given: Any, read: ValidatorFunctionWrapHandler) -> Readings | Unread:
+    """A series, or what is wrong with it: those beside it are read."""
+    try:
+        found: Readings = read(given)
+        return found
+    except ValidationError as error:
+        return Unread(given, error)
+
+
 class Telemetry(Body):
     """A batch of readings; to send it twice does no harm."""
 
-    # The mistakes of one series are listed: to collect those of all takes seconds.
-    series: list[Readings] = Field(fail_fast=True, min_length=1, max_length=MOST_SERIES)
+    series: list[Annotated[Readings, WrapValidator(_by_itself)]] = Field(
+        min_length=1, max_length=MOST_SERIES
+    )
+
+    @property
+    def each(self) -> list[Readings | Unread]:
+        """All series, in their order."""
+        return [*self.series]
 
     @model_validator(mode="after")
     def _not_too_many(self) -> Telemetry:
-        if sum(len(one.values) for one in self.series) > MOST_READINGS:
+        readings = (one for one in self.each if isinstance(one, Readings))
+        if sum(len(one.values) for one in readings) > MOST_READINGS:
             raise ValueError(f"has more than {MOST_READINGS} readings. Send them in parts")
         return self
 

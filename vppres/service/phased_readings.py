@@ -11,6 +11,7 @@ from vppres.scenario.phases import PHASES
 from vppres.scenario.scenario import Scenario
 from vppres.service.payloads import Readings
 from vppres.service.records import Reading
+from vppres.service.refused import Refusal
 
 SUMMED = ("load_kw", "pv_kw", "battery_kw", "import_kw")
 """Powers whose phases add up to the asset's."""
@@ -57,7 +58,7 @@ def wrong_phase(one: Readings, scenario: Scenario) -> Problem | None:
     return Problem(WHERE, "is no phase of it", cure, None, field, str(one.phase))
 
 
-def sums(readings: Iterable[Reading], scenario: Scenario) -> Iterator[Reading | Problem]:
+def sums(readings: Iterable[Reading], scenario: Scenario) -> Iterator[Reading | Refusal]:
     """What readings by phase of a batch add up to, and which of them are not complete."""
     found: dict[tuple[str, str, str, int, int], dict[str, float | None]] = {}
     for one in readings:
@@ -70,7 +71,8 @@ def sums(readings: Iterable[Reading], scenario: Scenario) -> Iterator[Reading | 
         if lacking:
             message = f"lacks phase {' and '.join(lacking)}"
             cure = "Send all phases of an asset in one batch."
-            yield Problem(WHERE, message, cure, None, f"{quantity} of {asset}")
+            wrong = Problem(WHERE, message, cure, None, f"{quantity} of {asset}")
+            yield Refusal(source, asset, quantity, wrong)
             continue
         known = [value for value in values.values() if value is not None]
         total = sum(known) if len(known) == len(values) else None

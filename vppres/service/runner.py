@@ -53,6 +53,7 @@ from vppres.service.plans import (
     tables_of,
 )
 from vppres.service.records import DECIDED, After, Asked, Reading, Written, moment, seconds
+from vppres.service.refused import Refused
 from vppres.service.ruled import ruled
 from vppres.service.store import Store
 
@@ -152,6 +153,7 @@ class Runner:
         self.on_step: Callable[[float], None] = lambda _: None
         self._jobs: OrderedDict[str, Future[dict[str, Any]]] = OrderedDict()
         self.changes = Changes()
+        self.refused = Refused(self.length)
         self.alarms = Alarms(store)
         self._within: Within | None = None
         self._odd = set[str]()

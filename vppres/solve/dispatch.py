@@ -33,10 +33,11 @@ from vppres.solve.deadline import HALF, Deadline, Stopwatch
 from vppres.solve.direct import solve_by_highs
 from vppres.solve.fleet.relaxation import fleet_problem
 from vppres.solve.forms import Form, sheet_of, sheet_of_draws, window_problem
+from vppres.solve.limits import run_within_limits
 from vppres.solve.netting import eased_soc, net_modes
 from vppres.solve.network.cheapest import CheapestDispatch
 from vppres.solve.network.reactive import LeastReactive
-from vppres.solve.phases import near_to, run_in_phases, with_more_room
+from vppres.solve.phases import near_to, with_more_room
 from vppres.solve.programs import GAP_SHARE
 from vppres.solve.result import Outcome, Status
 from vppres.solve.solvers import SolverSpec, run, run_conic
@@ -425,12 +426,19 @@ def _solve_cost(
         conic, form = False, replace(form, polygon_sides=form.polygon_sides or POLYGON_SIDES)
     problem = window_problem(cache, data, form, conic)
     problem.fill(data, served)
-    if conic:
-        outcome = run_in_phases(cache.site, data, problem, served, deadline.left_s)
-    elif held:
-        outcome = solve_by_highs(problem, deadline, gap_gbp, held=held)
+
+    def ask(left_s: float) -> Outcome:
+        if conic:
+            return run_conic(problem, left_s)
+        if held:
+            return solve_by_highs(problem, Deadline(left_s), gap_gbp, held=held)
+        return run(problem, spec, gap_gbp, left_s)
+
+    left_s = deadline.left_s
+    if form.network:
+        outcome = run_within_limits(cache.site, data, problem, served, left_s, solve=ask)
     else:
-        outcome = run(problem, spec, gap_gbp, deadline.left_s)
+        outcome = ask(left_s)
     if not outcome.status.has_answer:
         return Attempt(outcome, None)
     value = problem.own_value()
@@ -477,7 +485,7 @@ def polish(
     problem.hold(data, dispatch, f2_max, f3_max)
     problem.hold_own(own.letters, own.value - SERVICE_HELD_REL * (1.0 + abs(own.value)))
     near = near_to(site, data, dispatch)
-    outcome = run_in_phases(site, near, problem, dispatch.served, deadline.left_s)
+    outcome = run_within_limits(site, near, problem, dispatch.served, deadline.left_s)
     if outcome.status != Status.OPTIMAL:
         return Attempt(outcome, None)
     better = problem.dispatch(dispatch.served)

@@ -213,8 +213,8 @@ class WindowSolver:
         """The best supply schedule of a window."""
         if has_ratings(data):
             task = self._task(data, limits)
-            decide_within_ratings(task)
-            return task.solution()
+            if decide_within_ratings(task):
+                return task.solution()
         if self.method != "decomposed" or own_of(self.cache, data):
             return self._solve(data, limits)
         if longest_off_of(data) is not None:
@@ -285,9 +285,7 @@ class WindowSolver:
         """Cheapest dispatch of a supply schedule within a window's limits, None if it has none."""
         task = self._task(data, limits)
         rated = has_ratings(data)
-        if rated:
-            serve_within_ratings(task, served)
-        else:
+        if not (rated and serve_within_ratings(task, served)):
             if before is not None and keeps_turns:
                 keep_with_turns(task, before)
             if not task.certificate.answered:

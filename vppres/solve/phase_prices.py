@@ -11,7 +11,7 @@ from vppres.model.phases import GRID, phased_model
 from vppres.scenario.assets import NO_POWER_KW
 from vppres.scenario.phases import PHASES
 from vppres.solve.network.rows import PER_PU2
-from vppres.solve.phases import HIGH, LOW, OF_FORMER, OF_RATING
+from vppres.solve.phases import HIGH, LOW, OF_FORMER, OF_RATING, PhaseRows
 from vppres.solve.shadow_price_model import ShadowPriceModel
 
 
@@ -91,8 +91,9 @@ def _by_side(model: ShadowPriceModel) -> tuple[dict[int, Floats], dict[int, Floa
     assets = len(phased.flows[GRID].assets)
     duals = {side: np.zeros(size) for side, size in sizes.items()}
     costs = {side: np.zeros((size, 2, assets)) for side, size in sizes.items()}
-    first = len(model.duals) - sum(len(rows.steps) for rows in model.phase_rows)
-    for rows in model.phase_rows:
+    found = [rows for rows in model.phase_rows if isinstance(rows, PhaseRows)]
+    first = len(model.duals) - sum(len(rows.steps) for rows in found)
+    for rows in found:
         dual = np.maximum(model.duals[first : first + len(rows.steps)], 0.0)
         first += len(rows.steps)
         dual = np.where(rows.steps == 0, dual, 0.0)

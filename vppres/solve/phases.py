@@ -7,9 +7,8 @@ for nearly each asset: all at once they take most of the time of a window.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from functools import partial
 from itertools import chain
 
 import numpy as np
@@ -23,11 +22,9 @@ from vppres.model.phases import GRID, REACH, SIDES, PhasedModel, phased_model
 from vppres.model.site import Site
 from vppres.model.violations import VOLTAGE_TOLERANCE_PU2
 from vppres.scenario.assets import NO_POWER_KW
-from vppres.solve.deadline import HALF, Deadline
+from vppres.solve.deadline import HALF
 from vppres.solve.network.rows import PER_PU2, Rows
-from vppres.solve.result import Outcome, Status
 from vppres.solve.selection import Selected
-from vppres.solve.solvers import run_conic
 
 LOW, HIGH = 0, 1
 """Sides of a limit of voltages."""
@@ -183,7 +180,7 @@ class PhaseLimits:
         bound = [self._voltages(side, self.phased.bound[:, side]) for side in (LOW, HIGH)]
         return [*chain(*bound), *self._former(self.phased.former_kva, -NEAR_RATING)]
 
-    def exceeded(self, x: Floats, over: float) -> list[PhaseRows]:
+    def exceeded(self, x: Floats, over: float = OVER) -> list[PhaseRows]:
         """Rows of limits that a solution exceeds by more than so many pu², or such a share."""
         drawn = self.draws.at(x)
         u, former = self.model.linear(self.data, *drawn)
@@ -330,41 +327,3 @@ def with_more_room(data: WindowData) -> WindowData:
     """The window with a little more room on the former's phases, if it has any."""
     phased = data.require_phased()
     return replace(data, phased=replace(phased, room_kva=(1.0 + MORE_ROOM) * phased.room_kva))
-
-
-def run_in_phases(
-    site: Site,
-    data: WindowData,
-    problem: Selected,
-    served: Flags | None,
-    time_s: float,
-    rows: list[PhaseRows] | None = None,
-    solve: Callable[[float], Outcome] | None = None,
-) -> Outcome:
-    """Solve a problem within the limits of a phased window's phases.
-
-    By interior points, if there is no other ``solve`` for the seconds that are left.
-
-    Limits that a solution exceeds are added until none is. They are in ``rows`` then, and their
-    duals behind the problem's own.
-    """
-    solve = solve or partial(run_conic, problem)
-    if data.phased is None:
-        return solve(time_s)
-    deadline = Deadline(time_s)
-    problem.compile()
-    limits = PhaseLimits(site, data, Draws.of_problem(site, data, problem, served))
-    rows = [] if rows is None else rows
-    rows += limits.near
-    while True:
-        problem.added = None
-        if rows:
-            joined = Rows.joined([*rows])
-            problem.added = joined.matrix, joined.lower
-        outcome = solve(deadline.left_s)
-        new = limits.exceeded(problem.x, OVER) if outcome.status == Status.OPTIMAL else []
-        if not new or deadline.passed:
-            problem.added = None
-            status = Status.NO_ANSWER if new else outcome.status
-            return replace(outcome, status=status, solve_s=deadline.spent_s)
-        rows += new

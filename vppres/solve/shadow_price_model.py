@@ -22,7 +22,7 @@ from vppres.model.polygons import Polygon
 from vppres.model.site import Site
 from vppres.solve.cache import shared_cache
 from vppres.solve.forms import in_order, sheet_for, with_discs
-from vppres.solve.phases import PhaseRows
+from vppres.solve.network.rows import Rows
 from vppres.solve.selection import Family, Selected, Selection, Sheet
 
 RATED = {
@@ -77,7 +77,7 @@ class ShadowPriceModel(Selected):
         self.site = site
         self.n_steps = n_steps
         self.data: WindowData | None = None
-        self.phase_rows: list[PhaseRows] = []
+        self.phase_rows: list[Rows] = []
         self.sides = disc_sides(site, n_steps)
         sheet = sheet_for(shared_cache(site), n_steps, beyond)
         super().__init__(sheet, self._selected, conic=True)

@@ -15,8 +15,8 @@ from vppres.core.arrays import Floats
 from vppres.model.beyond_paper.ratings import FAMILY, rated_lines
 from vppres.model.data import WindowData
 from vppres.model.numerics import ROUNDING
+from vppres.solve.limits import run_within_limits
 from vppres.solve.phase_prices import PhasePrices
-from vppres.solve.phases import run_in_phases
 from vppres.solve.result import Status
 from vppres.solve.shadow_price_model import Held, PricedTerms, ShadowPriceModel
 from vppres.solve.turns import one_at_a_time
@@ -132,7 +132,7 @@ def price_window(
     model.price(data, held, priced)
     assert model.data is not None
     model.phase_rows = []
-    outcome = run_in_phases(model.site, model.data, model, None, time_s, model.phase_rows)
+    outcome = run_within_limits(model.site, model.data, model, None, time_s, model.phase_rows)
     if outcome.status != Status.OPTIMAL:
         return None
     value = model.value_of

@@ -333,6 +333,9 @@ def as_cvxpy(selected: Selected) -> tuple[cp.Problem, cp.Variable]:
     if not selected.conic:
         low, high = np.isfinite(selected.x_lower), np.isfinite(selected.x_upper)
         rows += [x[low] >= selected.x_lower[low], x[high] <= selected.x_upper[high]]
+    if selected.added is not None:
+        matrix, at_least = selected.added
+        rows.append(selected.shown(matrix) @ x >= at_least)
     least = numbers.cost @ x + numbers.offset
     sense = cp.Maximize(-least) if selected.maximises else cp.Minimize(least)
     return cp.Problem(sense, rows), x

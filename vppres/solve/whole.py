@@ -11,7 +11,7 @@ from vppres.solve.dispatch import (
     keep_dispatch_in_network,
 )
 from vppres.solve.forms import Form, window_problem
-from vppres.solve.phases import run_in_phases
+from vppres.solve.limits import run_within_limits
 from vppres.solve.programs import SOLVED
 from vppres.solve.result import Status
 from vppres.solve.solvers import run, run_conic
@@ -39,7 +39,8 @@ def without_binaries(task: WindowTask) -> None:
     form = Form("service", "relaxed", "relaxed", task.sides or POLYGON_SIDES, outer=True)
     problem = window_problem(task.cache, task.data, form, conic=True)
     problem.fill(task.data)
-    outcome = run_conic(problem, deadline.left_s, objective_scale(task.site))
+    ask = partial(run_conic, problem, scale=objective_scale(task.site))
+    outcome = run_within_limits(task.site, task.data, problem, None, deadline.left_s, solve=ask)
     known.note("relaxed", outcome)
     if outcome.status == Status.OPTIMAL:
         known.bound_by(outcome.value + SOLVED * (1.0 + abs(outcome.value)))
@@ -77,7 +78,7 @@ def _solve(task: WindowTask, name: str, form: Form, gap: float) -> bool:
     scale = objective_scale(task.site)
     search = partial(run, problem, task.spec, gap, scale=scale)
     left_s = task.deadline.left_s
-    outcome = run_in_phases(task.site, task.data, problem, None, left_s, solve=search)
+    outcome = run_within_limits(task.site, task.data, problem, None, left_s, solve=search)
     if form.polygon_sides > 0 and not form.outer:
         # Inner polygons take capacity away: what they leave proves nothing.
         known.note(name, outcome)

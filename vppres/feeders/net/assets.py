@@ -11,7 +11,7 @@ import pandas as pd
 from vppres.core.text import named
 from vppres.core.units import mw_to_kw
 from vppres.feeders.feeder import Generators, Loads, Storages
-from vppres.feeders.net.elements import NetCase, label, supplied
+from vppres.feeders.net.elements import NetCase, label, supplied, tiers_of
 from vppres.scenario.network import BusId
 
 HOURS_OF_STORAGE = 2.0
@@ -78,6 +78,7 @@ def loads_of(net: Any, case: NetCase, ids: Mapping[int, BusId]) -> Loads:
         np.array([ids[row] for row in rows], dtype=object),
         mw_to_kw(p_mw),
         mw_to_kw(q_mvar),
+        np.array([*tiers_of(loads), *tiers_of(supplied(net, "motor", case))], dtype=object),
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.units import mw_to_kw
-from vppres.feeders.net.elements import in_service
+from vppres.feeders.net.elements import in_service, tier_column, tiers_of
 
 PHASES = ("a", "b", "c")
 # Table of phases, the balanced one in its place, and what it holds.
@@ -103,8 +103,9 @@ def _replace(net: Any, frame: pd.DataFrame, plain: str) -> None:
     import pandapower as pp
 
     create = pp.create_load if plain == "load" else pp.create_sgen
-    for i, row in frame.iterrows():
-        create(
+    column = tier_column(net[plain]) or "tier"
+    for tier, (i, row) in zip(tiers_of(frame), frame.iterrows(), strict=True):
+        new = create(
             net,
             int(row["bus"]),
             p_mw=float(sum(row[f"p_{phase}_mw"] for phase in PHASES)),
@@ -113,3 +114,5 @@ def _replace(net: Any, frame: pd.DataFrame, plain: str) -> None:
             name=row["name"] if isinstance(row["name"], str) else f"{plain} by phase {i}",
             **({"type": row["type"]} if plain == "sgen" else {}),
         )
+        if tier:
+            net[plain].loc[new, column] = tier

@@ -20,7 +20,7 @@ from vppres.core.units import A_PER_KA, US_PER_S, V_PER_KV, W_PER_KW, mw_to_kw
 from vppres.feeders.dss.phases import flow_of_source, kept_phases
 from vppres.feeders.feeder import ImportedFeeder, PhasedLoad, PhasedSource
 from vppres.feeders.net.balance import CURE, TABLES
-from vppres.feeders.net.elements import in_service, label
+from vppres.feeders.net.elements import in_service, label, tiers_of
 from vppres.feeders.net.ratings import NO_LIMIT_KA
 from vppres.scenario.network import BusId
 from vppres.scenario.phases import (
@@ -256,7 +256,8 @@ def _loads(net: Any, bus_of: Mapping[int, BusId]) -> Iterator[PhasedLoad]:
     for by_phase, plain, _ in TABLES:
         for table in (plain, by_phase):
             rows = in_service(net, table) if table in net else pd.DataFrame(columns=["bus"])
-            for i, row in rows[rows["bus"].isin(bus_of)].iterrows():
+            rows = rows[rows["bus"].isin(bus_of)]
+            for tier, (i, row) in zip(tiers_of(rows), rows.iterrows(), strict=True):
                 own = bus_of[int(row["bus"])]
                 delta = table == by_phase and row.get("type") == "delta"
                 kv = float(net.bus["vn_kv"].at[row["bus"]]) / (1.0 if delta else np.sqrt(3))
@@ -267,7 +268,7 @@ def _loads(net: Any, bus_of: Mapping[int, BusId]) -> Iterator[PhasedLoad]:
                     parts = _parts(coils, [_kva(row, f"_{phase}") for phase in PHASES])
                 for words, power, suffix in parts:
                     connection = PhaseConnection(f"{_id(table, i)}{suffix}", str(own), words, kv)
-                    yield PhasedLoad(plain, own, power.real, power.imag, connection)
+                    yield PhasedLoad(plain, own, power.real, power.imag, connection, tier)
 
 
 def _kva(row: pd.Series[Any], phase: str) -> complex:

@@ -9,6 +9,9 @@ import pandas as pd
 
 from vppres.core.arrays import Complexes, Floats
 
+TIER_COLUMNS = ("tier", "priority")
+"""Columns of loads that may name their tiers, in any case of letters; the first that is there."""
+
 
 @dataclass(frozen=True, eq=False)
 class NetCase:
@@ -45,3 +48,16 @@ def label(net: Any, table: str, index: Any) -> str:
     """An element by table and index, with its name if it has one."""
     name = net[table]["name"].at[index] if "name" in net[table] else None
     return f"{table} {index}" + (f" ({name})" if isinstance(name, str) and name else "")
+
+
+def tier_column(loads: pd.DataFrame) -> Any:
+    """The column that names tiers; None if there is none."""
+    names = {str(name).strip().lower(): name for name in reversed(loads.columns)}
+    return next((names[word] for word in TIER_COLUMNS if word in names), None)
+
+
+def tiers_of(loads: pd.DataFrame) -> list[str]:
+    """The tier that each load names; empty for none."""
+    column = tier_column(loads)
+    given = [None] * len(loads) if column is None else loads[column]
+    return ["" if pd.isna(value) else str(value).strip() for value in given]

@@ -114,7 +114,6 @@ def feeder_of(
         network=network,
         p_load_kw=of_customers["p_kw"].fillna(0.0).to_numpy(),
         q_load_kvar=of_customers["q_kvar"].fillna(0.0).to_numpy(),
-        tier=of_customers["tier"].fillna("").to_numpy(dtype=object),
         generators=generators,
         storages=storages,
         loads=loads_of(net, joined, ids),
@@ -413,13 +412,13 @@ def _charging(branches: pd.DataFrame, case: NetCase) -> tuple[Complexes, Complex
 
 
 def _loads(net: Any, case: NetCase, ids: Mapping[int, BusId]) -> pd.DataFrame:
-    """Load of each bus in ``p_kw`` and ``q_kvar``, and the tier that its first load names.
+    """Load of each bus in ``p_kw`` and ``q_kvar``.
 
     Wards have their constant power here; their impedance is a shunt.
     """
     loads = supplied(net, "load", case)
     wards = supplied(net, "ward", case).rename(columns={"ps_mw": "p_mw", "qs_mvar": "q_mvar"})
-    columns = ["row", "p_mw", "q_mvar", "scaling", "tier"]
+    columns = ["row", "p_mw", "q_mvar", "scaling"]
     drawing = [loads, wards, motors_as_loads(net, case)]
     both = pd.concat([frame.reindex(columns=columns) for frame in drawing if len(frame)] or [loads])
     both = both.reindex(columns=columns)
@@ -429,11 +428,9 @@ def _loads(net: Any, case: NetCase, ids: Mapping[int, BusId]) -> pd.DataFrame:
             "bus": both["row"].map(ids),
             "p_kw": mw_to_kw(both["p_mw"] * scaling),
             "q_kvar": mw_to_kw(both["q_mvar"] * scaling),
-            "tier": both["tier"].where(both["tier"].notna() & (both["tier"] != "")),
         }
     )
-    at_bus = found.groupby("bus", sort=False)
-    return at_bus[["p_kw", "q_kvar"]].sum().assign(tier=at_bus["tier"].first())
+    return found.groupby("bus", sort=False)[["p_kw", "q_kvar"]].sum()
 
 
 def has_customer(loads: pd.DataFrame) -> pd.Series[bool]:

@@ -12,7 +12,7 @@ import pandas as pd
 
 from vppres.core.arrays import Flags, Floats, Names, Wholes
 from vppres.core.text import named
-from vppres.feeders.feeder import ImportedFeeder
+from vppres.feeders.feeder import TIER_WEIGHTS, ImportedFeeder
 from vppres.feeders.net.names import identifiers
 from vppres.feeders.new.connections import loads_of
 from vppres.feeders.new.gensets import NewSets, taken
@@ -31,9 +31,6 @@ from vppres.scenario.gensets import Gensets
 DECIMALS = 6
 POWER_FACTOR_DECIMALS = 9
 """Near 1 a power factor needs them: 1 - 1e-9 still has 0.004 % of reactive power."""
-
-TIER_WEIGHTS = {"critical": 1.0, "high": 0.1, "low": 0.02}
-"""Weights of the tiers (paper, Parameter Selection)."""
 
 ONE_TIER = {"all": 1.0}
 """The tier of all customers where neither the source nor a draw tells them apart."""
@@ -106,6 +103,7 @@ def new_assets(feeder: ImportedFeeder, options: NewScenarioOptions) -> NewAssets
         *_told_generators(feeder, pv, options),
         *sets.told(),
         *_told_batteries(own, added),
+        *_told_merged(feeder, connections),
         *_told_loads(feeder),
     ]
     of_generator = _positions(table, kept, grouped, before)
@@ -196,7 +194,7 @@ def connections_of(feeder: ImportedFeeder) -> pd.DataFrame:
             label = str(feeder.loads.id[load])
             power = {"p_kw": feeder.loads.p_kw[load], "q_kvar": feeder.loads.q_kvar[load]}
             named = {"id": _name_in(label), "label": label.partition(" (")[0]}
-            rows.append({**row, **power, **named})
+            rows.append({**row, **power, **named, "tier": feeder.loads.tier[load]})
     found = pd.DataFrame(rows, columns=["id", "label", *at_bus.columns])
     found["id"] = identifiers([*found["id"]], [*found["label"]])
     found.attrs["of_load"] = of_load
@@ -225,6 +223,23 @@ def _customers(connections: pd.DataFrame, tier: Names, tiers: dict[str, float]) 
         weight=np.array([tiers[t] for t in tier]),
         power_factor=leading * np.round(p_kw / np.hypot(p_kw, q_kvar), POWER_FACTOR_DECIMALS),
     )
+
+
+def _told_merged(feeder: ImportedFeeder, connections: pd.DataFrame) -> Iterator[str]:
+    """Customers that are several loads of the source, of several tiers."""
+    if feeder.phased is not None:
+        return  # loads are customers one by one
+    loads = feeder.loads
+    merged = (connections.attrs["of_load"] < 0) & ((loads.p_kw != 0) | (loads.q_kvar != 0))
+    found = []
+    for name, bus, tier in zip(*(connections[c] for c in ("id", "bus", "tier")), strict=True):
+        mine = np.flatnonzero(merged & (loads.bus == bus))
+        if len({loads.tier[load] for load in mine}) > 1 and tier:
+            each = [f"{loads.id[load]}: {loads.tier[load] or LAST_TIER}" for load in mine]
+            found.append(f"{name} ({tier}; {named(each)})")
+    if found:
+        cure = "" if feeder.named else " With --source-names each load is a customer of its own."
+        yield f"Customers that merge loads of several tiers have the highest: {named(found)}.{cure}"
 
 
 def _told_loads(feeder: ImportedFeeder) -> Iterator[str]:

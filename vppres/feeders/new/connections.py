@@ -28,7 +28,7 @@ def loads_of(source: PhasedSource, count: int) -> pd.DataFrame:
         "bus": [load.bus for load in loads],
         "p_kw": [load.p_kw for load in loads],
         "q_kvar": [load.q_kvar for load in loads],
-        "tier": [""] * len(loads),
+        "tier": [load.tier for load in loads],
     }
     found = pd.DataFrame(table).astype({"id": object, "bus": object, "tier": object})
     found.attrs["of_load"] = np.full(count, -1, dtype=int)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
@@ -13,6 +14,7 @@ from vppres.core.errors import InputError, Problem
 from vppres.core.text import named
 from vppres.feeders.feeder import ImportedFeeder, Profile
 from vppres.feeders.new.assets import NewAssets, generator_table
+from vppres.feeders.new.gensets import taken
 from vppres.feeders.series.clocks import in_utc
 from vppres.feeders.series.files import units_missing
 from vppres.feeders.series.resample import OnGrid, on_grid
@@ -157,6 +159,7 @@ def place_profiles(
 
 _UNUSED = {
     "battery": "Series of batteries are not followed, as batteries are dispatched",
+    "set": "Series of generating sets are not followed, as they are dispatched",
     "left out": "Series of elements that the scenario does not have",
 }
 
@@ -172,6 +175,9 @@ class _Sorter:
             self._add(str(name), _Target("customer", i, float(assets.peak_kw[i])))
         for i, name in enumerate(assets.pv.id):
             self._add(str(name), _Target("system", i, float(assets.pv.p_max_kw[i])))
+        for kind, units in (("battery", assets.batteries), ("set", assets.gensets)):
+            for name in units.id:
+                self._add(str(name), _Target(kind, 0, 1.0))
         customers = set(assets.customers.bus)
         for i, name in enumerate(feeder.loads.id):
             kind = "load" if feeder.loads.bus[i] in customers else "left out"
@@ -180,11 +186,17 @@ class _Sorter:
                 target = _Target("customer", int(assets.of_load[i]), target.rating_kw)
             self._add_element(str(name), target)
         table = generator_table(feeder)
+        sets = taken(table, feeder.phased is not None)
+        parts = Counter(assets.of_generator)
         for i, (name, p_max_kw) in enumerate(zip(table["id"], table["p_max_kw"], strict=True)):
-            kind = "left out" if assets.of_generator[i] < 0 else "generator"
-            self._add_element(str(name), _Target(kind, i, float(p_max_kw)))
-        for i, name in enumerate(feeder.storages.id):
-            self._add_element(str(name), _Target("battery", i, 1.0))
+            position = int(assets.of_generator[i])
+            kind = "generator" if position >= 0 else "set" if sets[i] else "left out"
+            target = _Target(kind, 0 if kind == "set" else i, float(p_max_kw))
+            if parts[position] == 1 and position >= 0:
+                target = _Target("system", position, float(p_max_kw))
+            self._add_element(str(name), target)
+        for name in feeder.storages.id:
+            self._add_element(str(name), _Target("battery", 0, 1.0))
         self.suggestions = Suggestions(
             [*assets.customers.id, *assets.pv.id, *self.known],
             "Name a customer or system of the scenario, or an element of the network.",
@@ -199,7 +211,8 @@ class _Sorter:
 
     def _add(self, name: str, target: _Target) -> None:
         targets = self.known.setdefault(name, [])
-        if target not in targets:  # a customer that has the name of its load
+        # A customer that has the name of its load, a system that has that of its generator.
+        if all((each.kind, each.at) != (target.kind, target.at) for each in targets):
             targets.append(target)
 
     def target(self, profile: Profile) -> tuple[_Target | None, list[Problem]]:

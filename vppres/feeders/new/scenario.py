@@ -24,8 +24,8 @@ from vppres.feeders.closeness import (
     told_causes,
     told_deviation,
 )
-from vppres.feeders.feeder import ImportedFeeder, Profile
-from vppres.feeders.new.assets import TIER_WEIGHTS, NewAssets, new_assets, written
+from vppres.feeders.feeder import TIER_WEIGHTS, ImportedFeeder, Profile
+from vppres.feeders.new.assets import NewAssets, new_assets, written
 from vppres.feeders.new.connections import connected, shunts_in_islands, with_former
 from vppres.feeders.new.kinds import WIND
 from vppres.feeders.new.low_voltage import limits_of
@@ -47,6 +47,7 @@ from vppres.scenario.source import Source, SourceDeviation
 from vppres.scenario.timegrid import TimeGrid
 
 NOTES_FILE = "notes.md"
+NO_TIER = f"Write {', '.join(TIER_WEIGHTS)}, or leave the cell of the load empty."
 OWN_PROFILES = "source"
 """What stands for the series of the network itself."""
 
@@ -270,12 +271,12 @@ def _check_feeder(feeder: ImportedFeeder, options: NewScenarioOptions) -> list[P
     problems += [
         Problem(
             feeder.name,
-            f"is not a tier (load at bus {feeder.network.buses[feeder.tier == tier][0]})",
-            did_you_mean(tier, TIER_WEIGHTS, "Correct the loads' column tier, or leave it empty."),
+            f"is not a tier ({named(feeder.loads.id[feeder.loads.tier == tier])})",
+            did_you_mean(tier, TIER_WEIGHTS, NO_TIER),
             field="tier",
             value=tier,
         )
-        for tier in sorted({*feeder.tier} - {"", *TIER_WEIGHTS})
+        for tier in sorted({*feeder.loads.tier} - {"", *TIER_WEIGHTS})
     ]
     v_pu = feeder.network.v_slack_pu if options.v_slack_pu is None else options.v_slack_pu
     limits = limits_of(feeder.network, options.time_zone)

@@ -1,7 +1,7 @@
 """Currents of lines within their ratings, as rows.
 
-Plans make such rows by hand where a solution exceeds a rating (``solve/network/decide.py``). Shadow
-prices need those of all lines, for their duals, so they alone state this family.
+Plans make such rows by hand where a solution exceeds a rating (``solve/limits.py``). Shadow prices
+need those of all lines, for their duals, so they alone state this family.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 import { chart, meter, pastOf, stepsOf } from "./chart.js";
 import { Operator } from "./operator.js";
 import {
-  HOUR, MARKS, SiteClock, alarms, announced, attention, counted, covers, facts, farthestOutside, fuelLasts, fuelNow, grouped, indoorNow, isLostByReading, isUncertain, kilo, lasting, lateBy, list, lowest, offByTier, oldSoc, onPhase, percent, socNow, switchedNext, unawareOfLoss, verdict, why,
+  HOUR, MARKS, SiteClock, alarms, announced, attention, counted, covers, facts, farthestOutside, fuelLasts, fuelNow, grouped, indoorNow, isLostByReading, isUncertain, kilo, lasting, lateBy, list, lowest, offByTier, oldSoc, onPhase, percent, socNow, sourceState, switchedNext, unawareOfLoss, verdict, why,
 } from "./words.js";
 
 const EVERY_MS = 2000, PATIENCE_MS = 5000;
@@ -413,8 +413,8 @@ function showSources() {
   const { sources } = view.overview;
   renew("sources-table", [sources, Math.floor(view.now / 5000)], () => sources.length
     ? table(["Source", "Last contact", "State"], sources.map((one) => {
-      const state = one.lost.length ? ["late", `\u25a0 ${one.lost.length} without data: ${list(one.lost)}`] : one.stale.length ? ["late", `\u25b2 ${one.stale.length} late: ${list(one.stale)}`] : ["", `\u25cf ${counted(one.ok, "reading")} in time`];
-      return [one.source, `${lasting(view.now - new Date(one.last_contact))} ago`, node("span", { class: state[0] }, state[1])];
+      const [level, words] = sourceState(one);
+      return [one.source, `${lasting(view.now - new Date(one.last_contact))} ago`, node("span", { class: level }, words)];
     }))
     : table(["Source"], [["No source connected."]]));
 }

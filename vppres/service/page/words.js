@@ -278,6 +278,15 @@ export function lateBy(view, name, quantity = "soc") {
   return late && reading ? view.now - new Date(reading.at) : null;
 }
 
+// What is late or was rejected of a source's readings: [class, text].
+export function sourceState({ lost, stale, refused, ok }) {
+  const said = [];
+  if (lost.length) said.push(`\u25a0 ${lost.length} without data: ${list(lost)}`);
+  else if (stale.length) said.push(`\u25b2 ${stale.length} late: ${list(stale)}`);
+  if (refused.length) said.push(`\u25b2 ${refused.length} rejected: ${list(refused)}`);
+  return said.length ? ["late", said.join("; ")] : ["", `\u25cf ${counted(ok, "reading")} in time`];
+}
+
 // How old a late reading of a state of charge is, and what is shown in its place.
 export const oldSoc = (view, ms, words = "read") => `${words} ${lasting(ms)} ago${view.overview.plan?.expected ? "; estimated" : ""}`;
 

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import islice
+
 from fastapi import APIRouter, Response
 from fastapi.responses import JSONResponse
 
 from vppres.core.errors import InputError
 from vppres.service import payloads
-from vppres.service.answers import listed
-from vppres.service.knowledge import readings_of
+from vppres.service.answers import MOST_PROBLEMS, listed, problem_of
+from vppres.service.knowledge import WHERE, readings_of
+from vppres.service.refused import Refusal
 from vppres.service.routes.guard import Guard
 from vppres.service.runner import Runner
 
@@ -25,7 +30,11 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         """
         now = runner.clock.now()
         until = runner.begun(now) + 2 * runner.length
-        good, problems = readings_of(body.series, runner.scenario, until)
+        read = [one for one in body.each if isinstance(one, payloads.Readings)]
+        good, refused = readings_of(read, runner.scenario, until)
+        refused = [*unread(body, actor), *refused]
+        runner.refused.note(refused, good, now)
+        problems = [one.problem for one in refused]
         if problems and not good:
             raise InputError(problems)
         kept = runner.hear(good, now, actor)
@@ -40,3 +49,26 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         )
 
     return router
+
+
+def unread(batch: payloads.Telemetry, actor: str) -> Iterator[Refusal]:
+    """Series that cannot be read, by the names that they have; of many the first mistakes."""
+    return islice(_mistakes(batch, actor), MOST_PROBLEMS)
+
+
+def _mistakes(batch: payloads.Telemetry, actor: str) -> Iterator[Refusal]:
+    for number, one in enumerate(batch.each):
+        if isinstance(one, payloads.Readings):
+            continue
+        given = one.given if isinstance(one.given, dict) else {}
+        source, asset, quantity = (
+            name[: payloads.LONGEST_NAME] if isinstance(name := given.get(key), str) else ""
+            for key in ("source", "asset", "quantity")
+        )
+        for details in one.error.errors():
+            wrong = problem_of(details)
+            place = f"series.{number}{'.' if wrong.field else ''}{wrong.field}"
+            named = f"{wrong.field} of {asset}" if asset and wrong.field else place
+            yield Refusal(
+                source or actor, asset, quantity, replace(wrong, where=WHERE, field=named)
+            )

@@ -251,15 +251,19 @@ class InNetwork:
 # Ratings of lines: rows are made where a solution violates them, as those of voltages.
 
 
-def decide_within_ratings(task: WindowTask) -> None:
-    """Find the best set that the ratings of a window allow."""
+def decide_within_ratings(task: WindowTask) -> bool:
+    """Find the best set that the ratings of a window allow; False where no master can say."""
     master = network_master(task)
-    if master is not None:
-        task.certificate.best = InNetwork(task, master).decide()
+    if master is None:
+        return False
+    task.certificate.best = InNetwork(task, master).decide()
+    return True
 
 
-def serve_within_ratings(task: WindowTask, served: Flags) -> None:
-    """Find the cheapest dispatch of a schedule within the ratings of a window."""
+def serve_within_ratings(task: WindowTask, served: Flags) -> bool:
+    """Find the cheapest dispatch of a schedule within the ratings of a window; the same."""
     master = network_master(task)
-    if master is not None:
-        task.certificate.best = InNetwork(task, master).cheapest(served)
+    if master is None:
+        return False
+    task.certificate.best = InNetwork(task, master).cheapest(served)
+    return True

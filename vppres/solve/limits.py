@@ -1,0 +1,119 @@
+"""Limits of the network that a problem gets where its solutions violate them.
+
+Those of phases and the ratings of lines: few of them bind, and all at once they would be most of a
+problem's rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Protocol
+
+import numpy as np
+
+from vppres.core.arrays import Flags, Floats
+from vppres.model.beyond_paper.ratings import FAMILY
+from vppres.model.data import WindowData
+from vppres.model.ratings import limit_kva
+from vppres.model.site import Site
+from vppres.model.violations import power_tolerance_kw
+from vppres.solve.deadline import HALF, Deadline
+from vppres.solve.network.rows import Rows
+from vppres.solve.phases import Draws, PhaseLimits
+from vppres.solve.result import Outcome, Status
+from vppres.solve.selection import Selected
+from vppres.solve.solvers import run_conic
+
+
+class Limits(Protocol):
+    """Limits of a window, as rows on a problem's columns with a least value each."""
+
+    @property
+    def near(self) -> Sequence[Rows]:
+        """Rows that a problem has from the start."""
+
+    def exceeded(self, x: Floats) -> Sequence[Rows]:
+        """Rows of limits that a solution exceeds by more than a dispatch may."""
+
+
+@dataclass(frozen=True, eq=False)
+class FlowLimits:
+    """Ratings of a balanced feeder's lines.
+
+    A row is a tangent of a line's disc, so that what has some of them is a relaxation.
+    """
+
+    site: Site
+    data: WindowData
+    problem: Selected
+
+    near = ()
+
+    def exceeded(self, x: Floats) -> list[Rows]:
+        """Tangents of the flows that exceed their limits, as shares of these."""
+        at = self.problem.at
+        p_kw, q_kvar = x[at("P_flow")], x[at("Q_flow")]
+        size = np.hypot(p_kw, q_kvar)
+        most = np.broadcast_to(limit_kva(self.data), size.shape)
+        out = size > most + HALF * power_tolerance_kw(self.site, self.data)
+        if not out.any():
+            return []
+        share = most[out] * size[out]
+        columns = np.stack([at("P_flow")[out], at("Q_flow")[out]], axis=1)
+        tangents = -np.stack([p_kw[out] / share, q_kvar[out] / share], axis=1)
+        return [Rows.of(columns, tangents, -1.0, np.inf, len(x))]
+
+
+def limits_of(
+    site: Site, data: WindowData, problem: Selected, served: Flags | None
+) -> Limits | None:
+    """Limits that a problem does not state; ``served`` where service is held.
+
+    None where the window has none, and where the problem has no network.
+    """
+    if data.phased is not None:
+        return PhaseLimits(site, data, Draws.of_problem(site, data, problem, served))
+    stated = FAMILY in problem.statement.families or "P_flow" not in problem.first
+    return None if data.flow_max_kva is None or stated else FlowLimits(site, data, problem)
+
+
+def run_within_limits(
+    site: Site,
+    data: WindowData,
+    problem: Selected,
+    served: Flags | None,
+    time_s: float,
+    rows: list[Rows] | None = None,
+    solve: Callable[[float], Outcome] | None = None,
+) -> Outcome:
+    """Solve a problem in the network within the limits of a window that it does not state.
+
+    By interior points, if there is no other ``solve`` for the seconds that are left.
+
+    Limits that a solution exceeds are added until none is. They are in ``rows`` then, and their
+    duals behind the problem's own.
+    """
+    solve = solve or partial(run_conic, problem)
+    if data.phased is None and data.flow_max_kva is None:
+        return solve(time_s)
+    deadline = Deadline(time_s)
+    problem.compile()
+    limits = limits_of(site, data, problem, served)
+    if limits is None:
+        return solve(deadline.left_s)
+    rows = [] if rows is None else rows
+    rows += limits.near
+    while True:
+        problem.added = None
+        if rows:
+            joined = Rows.joined([*rows])
+            problem.added = joined.matrix, joined.lower
+        outcome = solve(deadline.left_s)
+        new = limits.exceeded(problem.x) if outcome.status == Status.OPTIMAL else []
+        if not new or deadline.passed:
+            problem.added = None
+            status = Status.NO_ANSWER if new else outcome.status
+            return replace(outcome, status=status, solve_s=deadline.spent_s)
+        rows += new
