@@ -540,3 +540,34 @@ def test_a_meter_that_is_right_again_is_believed_at_once(tiny: Scenario) -> None
             "import_kw": found.import_kw + off_kw,
         }
     assert told == [False, False, True, False, False]
+
+
+def test_a_demand_that_nothing_has_shown_costs_the_first_tier_no_supply(tiny: Scenario) -> None:
+    """Nine times what is usual, with grid: beyond what the connection passes."""
+    controller = Controller.of(site(tiny), RunOptions(horizon_h=2.0, isolate=False))
+    wrong = {"hospital": 9.0 * 64.0}
+    now = Measurement(controller.times[0], SOC, load_kw=wrong, grid_limit_kw=200.0)
+    found = controller.step(now)
+    assert found.customers["served"].all()
+    assert found.customers["load_kw"]["hospital"] == 60.0
+    words = "load hospital 60.00 kW (576 cannot be supplied, and no import has shown it)"
+    assert words in found.solve["estimated"]
+
+
+def test_a_demand_that_was_shown_is_let_go_where_it_must_be(tiny: Scenario) -> None:
+    """The import agreed with it while the connection still passed it."""
+    day = site(tiny)
+    controller = Controller.of(day, RunOptions(horizon_h=0.0, isolate=False))
+    large = {"hospital": 9.0 * 64.0}
+    first = controller.step(Measurement(controller.times[0], SOC, load_kw=large))
+    now = Measurement(
+        controller.times[1],
+        SOC,
+        load_kw=large,
+        battery_kw=dict(first.batteries["p_kw"]),
+        import_kw=first.import_kw,
+        grid_limit_kw=200.0,
+    )
+    found = controller.step(now)
+    assert "load" not in found.solve["estimated"]
+    assert not found.customers["served"]["hospital"]
