@@ -357,3 +357,76 @@ def test_a_first_reading_is_planned_for_when_it_comes(tiny: Scenario, tmp_path: 
         assert plan is not None
         assert plan["anew"] == "battery big is heard; battery small is heard"
         assert not any("is out" in one for one in plan["estimated"])
+
+
+def of_the_substation(*told: tuple[str, str, float]) -> dict[str, Any]:
+    """Readings of ten seconds: when, of what, and what."""
+    return {
+        "series": [
+            {**one, "resolution": "PT10S"}
+            for after, quantity, value in told
+            for one in readings(LATER + pd.Timedelta(after), quantity, {"grid": value})
+        ]
+    }
+
+
+def available(http: Any) -> bool:
+    """Whether the plan believes in a grid."""
+    found: bool = http.get("/v1/plan").json()["grid"]["available"]
+    return found
+
+
+def test_a_lost_grid_that_stands_alone_is_planned_for_and_asked_again(live: Running) -> None:
+    """What comes within seconds bears it out, or takes it back."""
+    http, clock, runner = live
+    answer = http.post("/v1/telemetry", of_the_substation(("0s", "grid_on", 0.0))).json()
+    alone = (
+        "grid_on = 0 of scada at 2026-11-21T12:13:00Z stands alone: send grid_on again within "
+        "10 s, and import_kw since then"
+    )
+    assert answer["asked_again"] == [alone]
+    runner.anew()
+    assert not available(http)
+    assert http.get("/v1/plan").json()["asked_again"] == [alone]
+    clock.set(LATER + pd.Timedelta("10s"))
+    said = of_the_substation(("0s", "import_kw", 0.0), ("10s", "grid_on", 0.0))
+    assert "asked_again" not in http.post("/v1/telemetry", said).json()
+    runner.anew()
+    assert not available(http)
+
+
+@pytest.mark.parametrize("stuck", [True, False])
+def test_an_import_since_the_grid_was_said_to_be_lost_takes_it_back(
+    live: Running, stuck: bool
+) -> None:
+    """A contact that is stuck, polled each ten seconds; or one that said it once."""
+    http, clock, runner = live
+    http.post("/v1/telemetry", of_the_substation(("0s", "grid_on", 0.0)))
+    runner.anew()
+    assert not available(http)
+    for poll in (1, 2):
+        clock.set(LATER + poll * pd.Timedelta("10s"))
+        told = [(f"{poll - 1}0s", "import_kw", 80.0)]
+        if stuck:
+            told.append((f"{poll}0s", "grid_on", 0.0))
+        http.post("/v1/telemetry", of_the_substation(*told))
+        assert (runner.anew() is None) is (poll == 2)
+        assert available(http)
+        [words] = [one for one in runner.last["estimated"] if "grid_on" in one]  # type: ignore[index]
+        assert words == "grid_on = 0 of scada is contradicted by an import of 80 kW"
+    # And the grid is lost in truth.
+    clock.set(LATER + pd.Timedelta("30s"))
+    told = [("20s", "import_kw", 0.0), ("30s", "grid_on", 0.0)]
+    http.post("/v1/telemetry", of_the_substation(*told))
+    runner.anew()
+    assert not available(http)
+
+
+def test_a_lost_grid_that_was_announced_or_seen_by_another_is_not_asked_again(
+    live: Running,
+) -> None:
+    http, _, _ = live
+    told = of_the_substation(("0s", "grid_on", 0.0))
+    other = {**told["series"][0], "source": "watch"}
+    answer = http.post("/v1/telemetry", {"series": [*told["series"], other]}).json()
+    assert answer == {"accepted": 2, "duplicates": 0, "refused": []}

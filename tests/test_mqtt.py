@@ -124,6 +124,9 @@ def test_readings_go_in_and_set_points_come_out(tmp_path: Path, broker: int) -> 
         assert runner.last is not None
         for one in runner.last["setpoints"]:
             assert told[one["asset"]]["id"] == one["id"] and told[one["asset"]]["active"]
+        device.client.publish("vppres/telemetry/grid/grid_on", "0", qos=1)
+        asked = "vppres/asked/grid/grid_on"
+        within(10, lambda: "stands alone" in device.told.get(asked, ""))
         end.set()
         running.join()
         within(10, lambda: device.told.get("vppres/status") == "offline")

@@ -20,7 +20,7 @@ from vppres.day.simulate import Day
 from vppres.model.beyond_paper.losses import lit_steps
 from vppres.model.beyond_paper.table import beyond_paper
 from vppres.model.data import WindowData
-from vppres.model.own_state import giving_way
+from vppres.model.own_state import COLLAPSED_PU2, giving_way
 from vppres.model.phases import phased_model
 from vppres.model.ratings import loading_of_phases
 from vppres.model.site import Site
@@ -96,6 +96,16 @@ def first_window(day: Scenario, headroom: float) -> tuple[PhasedPlanner, WindowD
     planner = PhasedPlanner(WindowSolver(site_of(day, options.as_record())), headroom)
     seen = Day(day, options).observe(make_controller(day, options), 0)
     return planner, planner.begun(seen)[2]
+
+
+def test_limits_of_phases_give_way_to_no_voltage_that_a_feeder_cannot_have(tmp_path: Path) -> None:
+    (tmp_path / "small.dss").write_text(CIRCUIT)
+    day = phased_day(tmp_path / "small.dss").between(9, 10)
+    usual, far = (
+        first_window(replace(day, load_kw=factor * day.load_kw), headroom=0.0)[1].require_phased()
+        for factor in (1.0, 1000.0)
+    )
+    assert far.u_min.min() == COLLAPSED_PU2 < usual.u_min.min()
 
 
 def test_the_fleet_knows_what_active_power_each_phase_of_the_former_carries(tmp_path: Path) -> None:

@@ -12,6 +12,8 @@ import pytest
 
 from tests.support.phased_feeder import CIRCUIT, phased_day
 from tests.support.played_service import played
+from vppres.control.guard.guard import GuardedController
+from vppres.core.errors import SolveError
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.live.controller import Controller
@@ -118,6 +120,29 @@ def check_expected(plan: Any, evening: Scenario, lived: Any) -> None:
     assert nearest["share"] >= share
     assert min(low for low, _ in expected["v_pu"].values()) >= 0.94
     assert list(expected["v_pu"])[:3] == ["a", "b", "c"]
+
+
+@pytest.mark.parametrize("by_rule", [False, True])
+def test_a_meter_in_watts_puts_nobody_off_with_grid(
+    day: Scenario, by_rule: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From its first reading on, by the plan and where the rule decides."""
+
+    def fails(*_: Any) -> None:
+        raise SolveError("no answer")
+
+    if by_rule:
+        monkeypatch.setattr(GuardedController, "_answer", fails)
+    controller = Controller.of(day, OPTIONS)
+    soc = dict(zip(day.batteries.id, day.batteries.soc_initial, strict=True))
+    came: dict[str, Any] = {}
+    for t in range(2):
+        watts = {"cbc": 1000.0 * float(day.load_kw[t, 2])}
+        found = controller.step(Measurement(controller.times[t], soc, load_kw=watts, **came))
+        assert found.customers["served"].all()
+        assert found.solve["fallback"] == ("rule" if by_rule else "none")
+        assert "load cbc" in found.solve["estimated"]
+        came = {"battery_kw": dict(found.batteries["p_kw"]), "import_kw": found.import_kw}
 
 
 @pytest.mark.parametrize(

@@ -10,14 +10,18 @@ import pandas as pd
 import pytest
 
 from vppres.cli.tables import content_of
+from vppres.day.assembly import make_controller
 from vppres.day.metrics import cautions
 from vppres.day.options import RunOptions
-from vppres.day.simulate import run_day
+from vppres.day.priority import site_of
+from vppres.day.simulate import Day, run_day
 from vppres.day.trajectory import Trajectory
 from vppres.explain.day import explain_day
 from vppres.feeders import import_network
 from vppres.feeders.new.options import NewScenarioOptions
 from vppres.feeders.new.scenario import new_scenario
+from vppres.model.data import WindowData
+from vppres.model.own_state import COLLAPSED_PU2, with_own_state
 from vppres.scenario.scenario import HARD, SOFT, Scenario
 
 STEPS = slice(3, 5)
@@ -77,6 +81,18 @@ def test_a_feeder_that_cannot_carry_its_demand_is_explained() -> None:
     told = explain_day(run).explanations
     assert told is not None
     assert set(told["action"]) >= {"not_served"}
+
+
+def test_limits_give_way_to_no_voltage_that_a_feeder_cannot_have() -> None:
+    """At twenty times its demand the far end would be at less than nothing."""
+    day = weak_feeder()
+    day = replace(day, load_kw=20.0 * day.load_kw)
+    options = RunOptions(horizon_h=0.0, voltage_limits=SOFT).on(day)
+    seen = Day(day, options).observe(make_controller(day, options), 0)
+    site = site_of(day, options.as_record())
+    data = with_own_state(site, WindowData.of(seen, site, "none"))
+    assert data.own_u_pu2 is not None
+    assert data.u_limits_pu2(site.network)[0].min() == COLLAPSED_PU2
 
 
 def test_hard_limits_switch_off_and_the_first_line_says_whom() -> None:

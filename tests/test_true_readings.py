@@ -24,6 +24,7 @@ from tests.support.live_service import (
     said,
     site,
 )
+from tests.support.played_service import crowded
 from tests.support.tiny_day import tiny_scenario
 from vppres.day.options import RunOptions
 from vppres.live.controller import Controller
@@ -483,3 +484,90 @@ def test_what_an_inverter_takes_at_night_counts_as_nothing(live: Live, tiny: Sce
     found = controller.step(now)
     assert "pv" not in found.solve["estimated"]
     assert found.solve["fallback"] == "none"
+
+
+def hours_of_the_hospital(
+    day: Scenario, told_kw: float, taken_kw: float, hours: int = 4
+) -> list[SetPoints]:
+    """Decisions with grid, the hospital's meter telling one demand and the import another."""
+    controller = Controller.of(day, RunOptions(horizon_h=0.0, isolate=False))
+    came: dict[str, Any] = {}
+    found = []
+    for t in range(hours):
+        now = Measurement(controller.times[t], SOC, load_kw={"hospital": told_kw}, **came)
+        found.append(controller.step(now))
+        used_kw = float(found[-1].customers["load_kw"]["hospital"])
+        came = {
+            "battery_kw": dict(found[-1].batteries["p_kw"]),
+            "import_kw": found[-1].import_kw + taken_kw - used_kw,
+        }
+    return found
+
+
+@pytest.mark.parametrize("kinds", [False, True])
+@pytest.mark.parametrize("factor", [9.0, 3.0, 0.2])
+def test_the_import_of_the_step_before_contradicts_a_meter(
+    tiny: Scenario, factor: float, kinds: bool
+) -> None:
+    """Beside vehicles, rooms and sets, of which nothing says what they take, too."""
+    day = site(crowded(tiny) if kinds else tiny)
+    first, *later = hours_of_the_hospital(day, factor * 64.0, 64.0)
+    assert first.customers["load_kw"]["hospital"] == factor * 64.0
+    for found in later:
+        assert f"the import contradicts {factor * 64.0:g}" in found.solve["estimated"]
+        assert found.customers["load_kw"]["hospital"] == pytest.approx(64.0, abs=4.0)
+        assert found.customers["served"].all()
+
+
+@pytest.mark.parametrize("factor", [9.0, 3.0, 0.2])
+def test_a_demand_is_believed_where_the_import_agrees(tiny: Scenario, factor: float) -> None:
+    for found in hours_of_the_hospital(site(tiny), factor * 64.0, factor * 64.0):
+        assert found.customers["load_kw"]["hospital"] == factor * 64.0
+        assert "load" not in found.solve["estimated"]
+
+
+def test_a_meter_that_is_right_again_is_believed_at_once(tiny: Scenario) -> None:
+    controller = Controller.of(site(tiny), RunOptions(horizon_h=0.0, isolate=False))
+    came: dict[str, Any] = {}
+    told = []
+    for t, factor in enumerate([1.0, 9.0, 9.0, 1.1, 1.1]):
+        now = Measurement(controller.times[t], SOC, load_kw={"hospital": factor * 64.0}, **came)
+        found = controller.step(now)
+        told.append("load hospital" in found.solve["estimated"])
+        off_kw = 64.0 * min(factor, 1.1) - float(found.customers["load_kw"]["hospital"])
+        came = {
+            "battery_kw": dict(found.batteries["p_kw"]),
+            "import_kw": found.import_kw + off_kw,
+        }
+    assert told == [False, False, True, False, False]
+
+
+def test_a_demand_that_nothing_has_shown_costs_the_first_tier_no_supply(tiny: Scenario) -> None:
+    """Nine times what is usual, with grid: beyond what the connection passes."""
+    controller = Controller.of(site(tiny), RunOptions(horizon_h=2.0, isolate=False))
+    wrong = {"hospital": 9.0 * 64.0}
+    now = Measurement(controller.times[0], SOC, load_kw=wrong, grid_limit_kw=200.0)
+    found = controller.step(now)
+    assert found.customers["served"].all()
+    assert found.customers["load_kw"]["hospital"] == 60.0
+    words = "load hospital 60.00 kW (576 cannot be supplied, and no import has shown it)"
+    assert words in found.solve["estimated"]
+
+
+def test_a_demand_that_was_shown_is_let_go_where_it_must_be(tiny: Scenario) -> None:
+    """The import agreed with it while the connection still passed it."""
+    day = site(tiny)
+    controller = Controller.of(day, RunOptions(horizon_h=0.0, isolate=False))
+    large = {"hospital": 9.0 * 64.0}
+    first = controller.step(Measurement(controller.times[0], SOC, load_kw=large))
+    now = Measurement(
+        controller.times[1],
+        SOC,
+        load_kw=large,
+        battery_kw=dict(first.batteries["p_kw"]),
+        import_kw=first.import_kw,
+        grid_limit_kw=200.0,
+    )
+    found = controller.step(now)
+    assert "load" not in found.solve["estimated"]
+    assert not found.customers["served"]["hospital"]

@@ -77,6 +77,8 @@ class Observation:
     flexible_kw : float, optional
         Measured power of vehicles, machines that cool or heat and generating sets together in the
         step before, negative where they give.
+    flexible_off_kw : float
+        By how much that may be off, where it is what they were to take and no meter's.
     terminal : Terminal, optional
         What batteries are to hold at the end of the window, where nothing is known behind it.
     stored_value : StoredValue, optional
@@ -136,6 +138,7 @@ class Observation:
     owed: Owed | None = None
     ahead: KindsAhead = field(default_factory=KindsAhead)
     flexible_kw: float | None = None
+    flexible_off_kw: float = 0.0
     profile_kw: Floats | None = None
     profile_pv_kw: Floats | None = None
 

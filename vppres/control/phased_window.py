@@ -14,7 +14,7 @@ from vppres.core.arrays import Complexes, Flags, Floats
 from vppres.model.beyond_paper.losses import lit_steps
 from vppres.model.data import PhasedWindow, WindowData
 from vppres.model.linearise import Drawn
-from vppres.model.own_state import giving_way, share_of
+from vppres.model.own_state import COLLAPSED_PU2, giving_way, share_of
 from vppres.model.phases import PhasedModel, PhasedPoints
 from vppres.model.ratings import KEPT_SHARE, loading_of_phases
 from vppres.solve.phases import BINDS_PU2
@@ -116,6 +116,7 @@ class PhasedLinearisation:
         phased = data.require_phased()
         net = self.model.site.feeder
         own = phased.u_offset + self.model.linear(data, *self._without_control(data))[0]
+        own = np.maximum(own, COLLAPSED_PU2)
         low, high = np.minimum(net.v_min_pu**2, own), np.maximum(net.v_max_pu**2, own)
         return replace(data, phased=replace(phased, u_min=low, u_max=high))
 

@@ -39,6 +39,8 @@ class Past:
     ``t`` counts from the controller's first step, -1 before it. ``voltages`` are solutions by the
     position of the source's bus, from which the next power flow starts. None is what no step has
     led to yet, duties without switching rules, and measurements that no forecaster learns from.
+    ``flexible_kw`` is what vehicles and machines were to take, which no meter says, and
+    ``flexible_off_kw`` by how much that may be off.
     """
 
     t: int
@@ -53,6 +55,8 @@ class Past:
     vehicles: Held | None = None
     rooms: Felt | None = None
     sets: Ran | None = None
+    flexible_kw: float | None = None
+    flexible_off_kw: float | None = None
 
     @classmethod
     def before_the_day(cls, scenario: Scenario, options: RunOptions) -> Past:

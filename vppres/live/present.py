@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -127,7 +128,23 @@ class Present:
             told=seen.told,
             profile_kw=seen.profile_kw,
             profile_pv_kw=seen.profile_pv_kw,
+            **self._flexible(),
         )
+
+    def _flexible(self) -> dict[str, Any]:
+        """What flexible power took in the step before, by meters of sets and what others were to.
+
+        Nothing before the first step.
+        """
+        past, told_kw = self.past, self.seen.sets.power_kw
+        if past.flexible_kw is None or past.flexible_off_kw is None or past.sets is None:
+            return {}
+        unread = np.isnan(told_kw)
+        gave_kw = np.where(unread, past.sets.power_kw, told_kw)
+        return {
+            "flexible_kw": past.flexible_kw - float(gave_kw.sum()),
+            "flexible_off_kw": past.flexible_off_kw + float(past.sets.power_kw[unread].sum()),
+        }
 
     def _ahead(self) -> KindsAhead:
         """Vehicles, rooms and sets as they are."""
@@ -177,6 +194,9 @@ class Present:
 
     def after(self, day: Day, record: StepRecord) -> Past:
         """What the next step goes on from: a :meth:`day` after its first step, and that step."""
+        taken_kw = {
+            kind: columns["p_kw"] for kind, columns in record.kinds.items() if kind != "gensets"
+        }
         return Past(
             t=self.t,
             operating_point=day.operating_point,
@@ -190,6 +210,9 @@ class Present:
             vehicles=Held.of(day.scenario, 0, day.plant.garage.kwh),
             rooms=self._felt_after(day, record),
             sets=self._told(record),
+            flexible_kw=sum(float(kw.sum()) for kw in taken_kw.values()),
+            flexible_off_kw=float(np.abs(taken_kw.get("chargers", 0.0)).sum())
+            + float(day.scenario.thermal_loads.p_max_kw.sum()),
         )
 
     def _told(self, record: StepRecord) -> Ran:

@@ -323,9 +323,7 @@ class WindowData:
         highest = np.broadcast_to(network.u_max_pu2, shape)
         if self.own_u_pu2 is None:
             return lowest, highest
-        # Linear voltages of a feeder that cannot carry its demand fall below 0.
-        own = np.maximum(self.own_u_pu2, 0.0)
-        return np.fmin(lowest, own), np.fmax(highest, own)
+        return np.fmin(lowest, self.own_u_pu2), np.fmax(highest, self.own_u_pu2)
 
     @property
     def ending(self) -> Ending:

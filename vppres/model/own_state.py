@@ -22,6 +22,10 @@ GIVEN = (0.25, 0.0625, 0.0)
 limits: each is a dispatch more that is asked for where the one before it allows one."""
 
 
+COLLAPSED_PU2 = 0.25
+"""Squared voltage at the nose of a power flow, of that of the source, at the least: below it there
+is no state of the feeder to which limits could give way, whatever a linear model says."""
+
 KEPT_PU = 1e-4
 """What a plan by phase leaves free to the AC limits: passes that agree may be off by as much."""
 
@@ -40,7 +44,8 @@ def giving_way(site: Site, data: WindowData) -> list[WindowData]:
     if not site.soft_voltages or not connected.any():
         return [data]
     net = site.network
-    own = np.where(connected[:, None], _own_u_pu2(site, data), np.nan)
+    own = np.maximum(_own_u_pu2(site, data), COLLAPSED_PU2 * net.v_slack_pu**2)
+    own = np.where(connected[:, None], own, np.nan)
     least, most = (net.u_pu2(np.full(net.n_buses, v)) for v in (net.v_min_ac_pu, net.v_max_ac_pu))
     within_ac = np.clip(own, least, most)
     beyond = (own < net.u_min_pu2) | (own > net.u_max_pu2)

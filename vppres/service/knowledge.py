@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vppres.control.guard.balance import tolerance_kw
 from vppres.core.arrays import Floats, Names
 from vppres.core.errors import InputError, Problem
 from vppres.io.messages import did_you_mean
@@ -38,6 +37,7 @@ from vppres.service.announced import (
 )
 from vppres.service.clock import written
 from vppres.service.gate import POWER_KW, RATING_SHARE
+from vppres.service.grid_readings import EARLY_SHARE, contradiction, stands_alone
 from vppres.service.lost import lost_customers
 from vppres.service.payloads import OperatorSetpoint, Readings
 from vppres.service.phased_readings import stored, sums, wrong_phase
@@ -52,9 +52,6 @@ INSTANT = (
     *("soc", "load_kw", "pv_kw", "online", "grid_on", "indoor_c", *QUANTITIES),
     *(name for name in OF_SETS if name not in MEAN),
 )
-EARLY_SHARE = 0.1
-"""Share of a step by which clocks may be off: those of readings, and our own that is set back."""
-
 MOVING = ("soc", "grid_on")
 """Readings that are late by their own period, however long a step is."""
 
@@ -89,7 +86,7 @@ class Grid:
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """What is known at a step."""
+    """What is known at a step, and what to ask for ``again``."""
 
     measurement: Measurement
     heard: list[Heard]
@@ -97,6 +94,7 @@ class Known:
     estimated: list[str]
     soc: dict[str, float] = field(default_factory=dict)
     lost: dict[str, str] = field(default_factory=dict)
+    again: str = ""
 
     @property
     def limits_kw(self) -> pd.Series[float]:
@@ -269,6 +267,7 @@ def known_at(
     load = _Powers.of("load_kw", scenario.customers.id, window, readings, store)
     pv = _Powers.of("pv_kw", scenario.pv.id, window, readings, store)
     grid, doubt = _grid(controller, window, readings, events, at, load, store)
+    zero = readings.last.get((GRID, "grid_on"))
     said = _Said.since(controller.decided, time - window.length, at, store)
     means = _means(store, max(said.decided_at, at - MOST_STEPS * window.length), at)
     batteries = [str(name) for name in scenario.batteries.id]
@@ -302,7 +301,10 @@ def known_at(
         genset_kw={name: kw for (name, one), kw in means.items() if one == "genset_kw"} or None,
     )
     estimated = [*load.estimated, *pv.estimated, *([doubt] if doubt else [])]
-    return Known(measurement, readings.heard, grid, estimated, soc_of(soc), lost)
+    again = ""
+    if grid.known_by == "reading" and not grid.available:
+        again = stands_alone(zero, at, window.length, store)
+    return Known(measurement, readings.heard, grid, estimated, soc_of(soc), lost, again)
 
 
 def grid_at(time: pd.Timestamp, controller: Controller, store: Store, now: pd.Timestamp) -> Grid:
@@ -621,7 +623,7 @@ def _grid(
     """
     demand_kw = 0.0 if load.table is None else float(load.table.iloc[0].sum())
     zero = readings.last.get((GRID, "grid_on"))
-    doubt = _doubt(zero, now, window.length, store, tolerance_kw(demand_kw))
+    doubt = contradiction(zero, now, window.length, store, demand_kw)
     # What ended within the step is over for the rest of it.
     lasting = [one for one in events if one.said and not is_over(one.said, now)]
     limits = limits_kw(lasting, window)
@@ -650,26 +652,6 @@ def _grid(
         out[0] = True
     limits = np.where(out, 0.0, limits)
     return Grid(bool(limits[0] > 0.0), known_by, limits), doubt
-
-
-def _doubt(
-    zero: Reading | None, now: pd.Timestamp, step: pd.Timedelta, store: Store, off_kw: float
-) -> str:
-    """What contradicts a reading that the grid is lost; empty if nothing does.
-
-    Another source that sees it, or an import that was measured, at that time or later, of more
-    than meters are off by. To count on a grid that is lost is the worse mistake.
-    """
-    if zero is None or zero.value != 0.0:
-        return ""
-    end = now + EARLY_SHARE * step
-    for one in store.between(moment(zero.time), end, ("grid_on", "import_kw")):
-        if one.quantity == "grid_on" and one.source != zero.source and one.value == 1.0:
-            return f"grid_on = 0 of {zero.source} is contradicted by {one.source}"
-        flows = one.quantity == "import_kw" and abs(one.value or 0.0) > off_kw
-        if flows and one.time + one.resolution_s <= seconds(end):
-            return f"grid_on = 0 of {zero.source} is contradicted by an import of {one.value:g} kW"
-    return ""
 
 
 def _begun_since(events: list[Event], then: pd.Timestamp, now: pd.Timestamp) -> bool:

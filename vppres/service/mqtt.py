@@ -9,6 +9,7 @@
                                               since nothing says from when they are
 ``vppres/setpoints/ASSET``                    written, retained: the set-point as JSON, which the
                                               broker forgets when it ends
+``vppres/asked/ASSET/QUANTITY``               written: why a reading is to be sent again at once
 ``vppres/status``                             written, retained: ``online``, and ``offline`` as
                                               the bridge's last will
 ============================================  ==================================================
@@ -79,6 +80,11 @@ class Topics:
     def set_point(self, asset: str) -> str:
         """Where an asset's set-point is."""
         return f"{self.prefix}/setpoints/{quote(asset, safe='')}"
+
+    @property
+    def grid_again(self) -> str:
+        """Where it is asked again whether there is grid."""
+        return f"{self.prefix}/asked/grid/grid_on"
 
     def reading(self, topic: str) -> tuple[str, str]:
         """Asset and quantity of a reading's topic."""
@@ -158,6 +164,8 @@ class Bridge:
         answer = self.service.ask("POST", "/v1/telemetry", {"series": sending})
         if answer.status >= 500 or answer.status in (401, 403, 429):
             raise InputError(f"telemetry: the service answers {answer.status}")
+        for asked in answer.body.get("asked_again", ()):
+            self.broker.publish(self.topics.grid_again, asked, qos=1)
         for refused in answer.body.get("refused") or answer.body.get("problems") or []:
             what = (
                 f"{refused['field']} = {refused['value']}" if refused["value"] else refused["field"]

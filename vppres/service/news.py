@@ -6,7 +6,7 @@ the first time, or after a silence for which the plan did without it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
 import pandas as pd
@@ -15,11 +15,12 @@ from vppres.contract.decision import OUT
 from vppres.service.as_told import expected_by
 from vppres.service.changes import GRID_LOST
 from vppres.service.clock import written
+from vppres.service.grid_readings import CONTRADICTED, GRID_ON
 from vppres.service.knowledge import INSTANT, of_those_here
 from vppres.service.records import Reading, moment
 from vppres.service.store import Store
 
-GRID_ON, PLUGGED = "grid_on", "plugged"
+PLUGGED = "plugged"
 
 STATES = {"online": 1.0, "start_fault": 0.0, PLUGGED: 0.0}
 """What devices say of whether they are there and can work, and what stands until they do."""
@@ -111,10 +112,17 @@ def is_lost(late: Mapping[str, Any]) -> bool:
     return bool(late["state"] == "lost")
 
 
-def unknown_to(plan: Plan, readings: Iterable[Reading]) -> Iterator[str]:
+def is_said_lost(plan: Plan) -> bool:
+    """Whether a plan has no grid because a reading says so."""
+    grid = plan.get("grid") or {"available": True}
+    return not grid["available"] and grid["known_by"] in ("reading", "last reading")
+
+
+def unknown_to(plan: Plan, readings: Iterable[Reading], fed: Callable[[], bool]) -> Iterator[str]:
     """What readings say against a plan; nothing for which it was made anew.
 
-    The grid is lost or back, or a battery that the plan leaves out is heard.
+    The grid is lost or back, or a battery that the plan leaves out is heard. A loss that the plan
+    knows to be contradicted is none as long as the site is ``fed``.
     """
     grid = plan.get("grid")
     for one in readings if grid is not None else ():
@@ -126,6 +134,9 @@ def unknown_to(plan: Plan, readings: Iterable[Reading]) -> Iterator[str]:
         elif one.quantity == GRID_ON and one.value is not None:
             change = "grid back" if one.value else GRID_LOST
             differs = grid is not None and (one.value == 1.0) != grid["available"]
+            doubt = CONTRADICTED.format(one.source)
+            doubted = any(doubt in said for said in plan.get("estimated", ()))
+            differs = differs and not (doubted and fed())
             at = written(moment(one.time))
             words = f"{change} at {at} ({one.source})" if differs else ""
         if words and words not in plan.get("anew", ""):

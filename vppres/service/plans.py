@@ -121,6 +121,7 @@ def plan_of(
             *(words for words in str(solve["estimated"]).split("; ") if words),
             *known.estimated,
         ],
+        **({"asked_again": [known.again]} if known.again else {}),
         "late": [vars(one) for one in known.heard if one.state != "ok"],
         "lost": [{"asset": name, "reason": why} for name, why in known.lost.items()],
         "shed": [{"asset": name, "reason": why} for name, why in shed.items()],

@@ -33,18 +33,17 @@ from vppres.service.changes import Changes
 from vppres.service.clock import Clock, SetClock, written
 from vppres.service.conditions import BY_HAND, conditions, situation
 from vppres.service.gate import refusals
-from vppres.service.knowledge import (
+from vppres.service.grid_readings import (
     EARLY_SHARE,
-    INSTANT,
-    Grid,
-    Heard,
-    Known,
-    grid_at,
-    known_at,
-    soc_at,
+    GRID_ON,
+    IMPORT,
+    contradiction,
+    lost_now,
+    stands_alone,
 )
+from vppres.service.knowledge import INSTANT, Grid, Heard, Known, grid_at, known_at, soc_at
 from vppres.service.learned import learned, measured_in
-from vppres.service.news import AGAINST_PLANS, News, newest, unknown_to
+from vppres.service.news import AGAINST_PLANS, News, is_said_lost, newest, unknown_to
 from vppres.service.notify import Notifier
 from vppres.service.plans import (
     Left,
@@ -201,6 +200,9 @@ class Runner:
             self._fresh |= told
         if self.last is not None:
             self._compare(told.values(), until)
+            imports = any(one.quantity == IMPORT and one.value for one in readings)
+            if imports and is_said_lost(self.last) and self._fed():
+                new.append("import although the grid was said to be lost")
             for words in new:
                 self.changes.note(words)
         return kept
@@ -210,8 +212,23 @@ class Runner:
         said = [one for one in told if one.quantity in AGAINST_PLANS]
         kinds = {one.quantity for one in said}
         last = self.store.latest(until, kinds) if kinds else []
-        for words in unknown_to(self.last or {}, (one for one in last if one in said)):
+        for words in unknown_to(self.last or {}, (one for one in last if one in said), self._fed):
             self.changes.note(words)
+
+    def _fed(self) -> bool:
+        """Whether something contradicts the last reading of the grid, that it is lost."""
+        now = self.clock.now()
+        zero = lost_now(now, self.store)
+        demand_kw = float(self._profile_of(self.begun(now)).load_kw.sum())
+        return contradiction(zero, now, self.length, self.store, demand_kw) != ""
+
+    def asked_again(self, readings: Iterable[Reading]) -> list[str]:
+        """What to send again: that the grid is lost, where it is among these and stands alone."""
+        if not any(one.quantity == GRID_ON and one.value == 0.0 for one in readings):
+            return []
+        now = self.clock.now()
+        words = stands_alone(lost_now(now, self.store), now, self.length, self.store)
+        return [words] if words else []
 
     def look(self) -> None:
         """Note what has changed while the service did not run."""

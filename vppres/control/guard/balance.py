@@ -87,7 +87,7 @@ def mismatch_kw(
     cold = seen.switching is not None and seen.switching.rules.cold
     if seen.import_kw is None or seen.battery_kw is None or feeder_off(seen) or cold:
         return None
-    demand = readings.load_kw * _served(commanded, seen)
+    demand = readings.load_kw * served(commanded, seen)
     curtailed = curtailed_kw(site, commanded.pv_curtailed_kw, readings.pv_kw, demand)
     taken = float(demand.sum() + seen.battery_kw.sum())
     if site.kinds:
@@ -102,12 +102,12 @@ def mismatch_kw(
 
 def contradicts(off_kw: float, commanded: Commanded, seen: Observation, readings: Readings) -> bool:
     """Whether a mismatch is more than meters are off by."""
-    served_kw = float(readings.load_kw @ _served(commanded, seen))
-    return abs(off_kw) > tolerance_kw(served_kw)
+    served_kw = float(readings.load_kw @ served(commanded, seen))
+    return abs(off_kw) > tolerance_kw(served_kw) + seen.flexible_off_kw
 
 
-def _served(commanded: Commanded, seen: Observation) -> Flags | Floats:
-    """Part of the demand that each customer got."""
+def served(commanded: Commanded, seen: Observation) -> Flags | Floats:
+    """Part of the demand that each customer got, (C,)."""
     on = commanded.served if seen.served is None else seen.served
     if commanded.share is None:
         return on

@@ -72,6 +72,11 @@ class CriticalFirst:
             fallback_reason="; ".join(word for word in words if word),
         )
 
+    def possible(self, known: Known, state: StepState) -> bool:
+        """Whether the step alone can serve all of the first tier."""
+        served = self._step_alone(known, state).dispatch.served[0]
+        return self._weight(~np.asarray(served, dtype=bool)) <= ROUNDING
+
     def _with_critical(self, decision: Decision, alone: Decision, state: StepState) -> Decision:
         """The plan with the first tier as the step alone serves it, lower tiers let go as need be.
 

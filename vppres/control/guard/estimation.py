@@ -100,6 +100,20 @@ class Estimator:
         self._last = replace(seen, forecast=forecast, soc=soc, told=(), soc_age_h=None)
         return Known(self._last, online, "; ".join(words))
 
+    def proven(self, known: Known) -> Known:
+        """The same without demands far above all that an import has agreed with.
+
+        Itself where there are none.
+        """
+        load_kw, words = self.series.proven()
+        if not words:
+            return known
+        forecast = known.observation.forecast
+        rows = np.vstack([load_kw, forecast.load_kw[1:]])
+        self._last = replace(known.observation, forecast=replace(forecast, load_kw=rows))
+        estimated = "; ".join(word for word in (known.estimated, *words) if word)
+        return replace(known, observation=self._last, estimated=estimated)
+
     def commanded(self, decision: Decision) -> None:
         """Keep what was decided, to compare it with what comes back."""
         self._commanded = Commanded.of(decision)

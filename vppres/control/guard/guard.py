@@ -93,13 +93,23 @@ class GuardedController:
 
     def decide(self, observation: Observation) -> Decision:
         """The wrapped controller's decision if it can be carried out, otherwise a fallback."""
-        self.known = known = self._estimator.known(observation)
+        self.known = known = self._sure(self._estimator.known(observation))
         state = self._state(known)
         decision = self._checked_answer(known, state)
         if self.options.protect_critical:
             decision = self._critical.first(decision, known, state)
         self._estimator.commanded(decision)
         return replace(decision, estimated=known.estimated, seen=known.observation)
+
+    def _sure(self, known: Known) -> Known:
+        """What is known, with grid without demands that are unlikely and would cost the first tier.
+
+        What is really taken was carried: readings are of customers that have supply.
+        """
+        state = self._state(known)
+        if state.island or not self._estimator.series.unproven.any():
+            return known
+        return known if self._critical.possible(known, state) else self._estimator.proven(known)
 
     def _state(self, known: Known) -> StepState:
         """The step as it is known; of an island, whether a battery or which set can form it."""

@@ -4,6 +4,10 @@ A frozen reading is replaced where the plant contradicts it. A demand that is te
 of, all that was forecast or read before is in another unit or a spike: it is replaced until the
 import that is measured over a step says that it was right. One that the lines to the customer
 could not carry is never right, and an import that the connection could not pass says nothing.
+
+A demand that is twice, or half of, what was expected is believed, unless the import of the step
+before contradicts the meters: then it is the one without which least of the mismatch is left, or
+all of them, and what was expected stands in until the import agrees with the meter again.
 """
 
 from __future__ import annotations
@@ -19,6 +23,7 @@ from vppres.control.guard.balance import (
     Readings,
     contradicts,
     mismatch_kw,
+    served,
     tolerance_kw,
 )
 from vppres.core.arrays import Flags, Floats, Names
@@ -26,6 +31,12 @@ from vppres.model.site import Site
 
 FAR = 10.0
 """A demand beyond this multiple of all that was expected of it, or below its inverse, is far."""
+
+ODD = 2.0
+"""Beyond this multiple of what was expected, or below its inverse, a demand may be a meter's."""
+
+EXPLAINED = 0.5
+"""Without the meters that are wrong less than this share of a mismatch is left."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +55,8 @@ class _Frozen:
 class _Step:
     """A step: readings that are usable, what had been forecast, and demand as it was read.
 
-    An import beyond ``most_import_kw`` says nothing of it.
+    An import beyond ``most_import_kw`` says nothing of it. ``usual_kw`` is what stands in where a
+    demand is ``doubted``, ``proven_kw`` the most of each that an import has agreed with.
     """
 
     t: int
@@ -52,6 +64,9 @@ class _Step:
     expected: Readings
     read_kw: Floats
     most_import_kw: float = np.inf
+    usual_kw: Floats | None = None
+    doubted: Flags | None = None
+    proven_kw: Floats | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,13 +120,22 @@ class SeriesJudge:
             What was decided for the step before.
         """
         read_kw = seen.forecast.load_kw[0]
+        doubted, proven_kw = self._by_import(seen, commanded)
         self._learn(seen, commanded)
         profiled = foretold or seen.profile_kw is not None
         far = self._far_now(read_kw, seen, expected) & profiled
         beyond = read_kw > self._carried_kw
         self._far = far = far | (beyond & (expected.load_kw < self._carried_kw))
-        usable = Readings(np.where(far, expected.load_kw, read_kw), seen.forecast.pv_kw[0])
-        now = _Step(seen.t0, usable, expected, read_kw, _most_import_kw(seen, expected, usable))
+        usual_kw = expected.load_kw
+        if not foretold and seen.profile_kw is not None:
+            usual_kw = seen.profile_kw
+        if not profiled:  # a reading before is no evidence against the next one
+            proven_kw = np.full_like(usual_kw, np.inf)
+        doubted &= _odd(read_kw, usual_kw) & ~far
+        usable_kw = np.where(far, expected.load_kw, np.where(doubted, usual_kw, read_kw))
+        usable = Readings(usable_kw, seen.forecast.pv_kw[0])
+        most_kw = _most_import_kw(seen, expected, usable)
+        now = _Step(seen.t0, usable, expected, read_kw, most_kw, usual_kw, doubted, proven_kw)
         frozen = self._frozen_now(now, seen, commanded)
         kept = frozen.any and not self._forecast_was_nearer(seen, commanded, frozen)
         self._frozen = frozen
@@ -126,7 +150,39 @@ class SeriesJudge:
             f"load {self.site.customers.id[i]} {load[i]:.2f} kW ({read_kw[i]:g} is far from it)"
             for i in np.flatnonzero(far)
         ]
-        return Readings(load, pv), [*load_words, *pv_words, *far_words]
+        odd_words = [
+            f"load {self.site.customers.id[i]} {load[i]:.2f} kW (the import contradicts "
+            f"{read_kw[i]:g})"
+            for i in np.flatnonzero(doubted)
+        ]
+        return Readings(load, pv), [*load_words, *pv_words, *far_words, *odd_words]
+
+    @property
+    def unproven(self) -> Flags:
+        """Demands of the step far above what was expected and what an import agreed with, (C,)."""
+        now = self._before
+        if now is None or now.usual_kw is None or now.proven_kw is None:
+            return np.zeros(len(self.site.customers), dtype=bool)
+        most_kw = np.maximum(now.usual_kw, now.proven_kw)
+        return np.asarray((now.seen.load_kw > ODD * most_kw) & (now.usual_kw > 0.0))
+
+    def proven(self) -> tuple[Floats, list[str]]:
+        """Demand of the step without what is far above all that an import has agreed with, (C,).
+
+        And what was replaced, in words. From then on it counts as doubted.
+        """
+        now, unproven = self._before, self.unproven
+        if now is None or now.usual_kw is None or not unproven.any():
+            return np.empty(0), []
+        load_kw = now.seen.load_kw
+        kw = np.where(unproven, now.usual_kw, load_kw)
+        doubted = unproven if now.doubted is None else now.doubted | unproven
+        self._before = replace(now, seen=replace(now.seen, load_kw=kw), doubted=doubted)
+        return kw, [
+            f"load {self.site.customers.id[i]} {kw[i]:.2f} kW ({load_kw[i]:g} cannot be supplied, "
+            "and no import has shown it)"
+            for i in np.flatnonzero(unproven)
+        ]
 
     def _far_now(self, read_kw: Floats, seen: Observation, expected: Readings) -> Flags:
         """Demand far from its forecasts, and from all that a step has shown to be right.
@@ -155,6 +211,56 @@ class SeriesJudge:
                 np.where(self._far, np.minimum(self._usual.least_kw, kw), self._usual.least_kw),
                 np.where(self._far, np.maximum(self._usual.most_kw, kw), self._usual.most_kw),
             )
+
+    def _by_import(self, seen: Observation, commanded: Commanded | None) -> tuple[Flags, Floats]:
+        """Meters that the import of the step before contradicts, and the most that it agreed with.
+
+        Where that import is not known, or explained by no meter, the verdict before stands.
+        """
+        before = self._before
+        nobody = np.zeros(len(self.site.customers), dtype=bool)
+        if before is None or before.usual_kw is None:
+            return nobody, np.zeros(len(nobody))
+        kept = nobody if before.doubted is None else before.doubted
+        proven_kw = np.zeros(len(nobody)) if before.proven_kw is None else before.proven_kw
+        given = self._as_read(seen, commanded, before)
+        off_kw = None if given is None else self._mismatch(seen, commanded, given)
+        if given is None or off_kw is None or commanded is None:
+            return kept, proven_kw
+        on = served(commanded, seen)
+        if not contradicts(off_kw, commanded, seen, given):
+            agreed_kw = np.where(on > 0.0, np.maximum(proven_kw, given.load_kw), proven_kw)
+            return kept & (on == 0.0), agreed_kw
+        odd = _odd(given.load_kw, before.usual_kw) & (on > 0.0)
+        if not odd.any():
+            return kept, proven_kw
+        alone = np.abs(off_kw + on * (given.load_kw - before.usual_kw))
+        worst = np.arange(len(odd)) == np.argmin(np.where(odd, alone, np.inf))
+        found = kept
+        least_kw = abs(off_kw)
+        for tried in (worst, odd):
+            kw = np.where(tried, before.usual_kw, given.load_kw)
+            left_kw = self._mismatch(seen, commanded, replace(given, load_kw=kw))
+            if left_kw is not None and abs(left_kw) < EXPLAINED * least_kw:
+                found, least_kw = tried | (kept & (on == 0.0)), abs(left_kw)
+        return found, proven_kw
+
+    def _as_read(
+        self, seen: Observation, commanded: Commanded | None, before: _Step
+    ) -> Readings | None:
+        """What was read of the step before; of what was far the reading if the import bears it out.
+
+        What was missing is as it was estimated.
+        """
+        read = np.isfinite(before.read_kw) & (before.read_kw >= 0.0)
+        whole = replace(before.seen, load_kw=np.where(read, before.read_kw, before.seen.load_kw))
+        if not self._far.any():
+            return whole
+        tame_kw = np.where(self._far, before.seen.load_kw, whole.load_kw)
+        both = [whole, replace(whole, load_kw=tame_kw)]
+        off_kw = [self._mismatch(seen, commanded, one) for one in both]
+        known = [(abs(off), i) for i, off in enumerate(off_kw) if off is not None]
+        return both[min(known)[1]] if known else None
 
     def _frozen_now(self, now: _Step, seen: Observation, commanded: Commanded | None) -> _Frozen:
         """Readings that stand still while the balance of the step before contradicts them.
@@ -200,6 +306,11 @@ class SeriesJudge:
         if seen.import_kw is None or seen.import_kw > before.most_import_kw:
             return None
         return mismatch_kw(self.site, commanded, seen, readings)
+
+
+def _odd(read_kw: Floats, usual_kw: Floats) -> Flags:
+    """Demands so far from what was expected that a meter may be wrong, (C,)."""
+    return np.asarray((read_kw > ODD * usual_kw) | (read_kw < usual_kw / ODD))
 
 
 def _carried_kw(site: Site) -> Floats:

@@ -24,7 +24,10 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
 
     @router.post("/v1/telemetry")
     def telemetry(body: payloads.Telemetry, actor: str = guarded("telemetry")) -> Response:
-        """Readings; to send them twice does no harm."""
+        """Readings; to send them twice does no harm.
+
+        ``asked_again`` says which of them stand alone, and are to be sent again within seconds.
+        """
         now = runner.clock.now()
         until = runner.begun(now) + 2 * runner.length
         read = [one for one in body.each if isinstance(one, payloads.Readings)]
@@ -35,11 +38,13 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         if problems and not good:
             raise InputError(problems)
         kept = runner.hear(good, now, actor)
+        again = runner.asked_again(good)
         return JSONResponse(
             {
                 "accepted": kept.accepted,
                 "duplicates": kept.duplicates,
                 "refused": listed(problems),
+                **({"asked_again": again} if again else {}),
             }
         )
 

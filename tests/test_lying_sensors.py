@@ -1,0 +1,57 @@
+"""Sensors that lie: with grid nobody of the first tier is off for it. The rest is for the night."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.support.lying_sensors import (
+    Lie,
+    Place,
+    lies_of,
+    low_voltage_site,
+    off_with_grid,
+    pairs_of,
+    place_of,
+)
+
+STEPS = 3
+
+
+@pytest.fixture(scope="module")
+def street() -> Place:
+    """Three hours of the street with grid."""
+    return place_of(low_voltage_site(), 9, STEPS + 1, dark=STEPS)
+
+
+def told(street: Place, *named: str) -> list[Lie]:
+    """The lies of these names."""
+    return [one for one in lies_of(street.site) if str(one) in named]
+
+
+@pytest.mark.parametrize(
+    "named",
+    [
+        ("grid_on of grid: lost",),
+        ("grid_on of grid: lost once",),
+        ("load_kw of H1: nine times",),
+        ("load_kw of all: nine times", "import_kw of grid: in W"),
+        ("load_kw of H1: in W", "import_kw of grid: in W"),
+    ],
+)
+def test_nobody_of_the_first_tier_is_off_for_a_lie(street: Place, named: tuple[str, ...]) -> None:
+    lies = told(street, *named)
+    assert len(lies) == len(named)
+    assert off_with_grid(street, lies, since=0) == []
+
+
+def test_there_are_enough_lies_and_pairs_come_again_from_their_seed(street: Place) -> None:
+    lies = lies_of(street.site)
+    assert len({str(one) for one in lies}) == len(lies) >= 67
+    assert pairs_of(lies, 20, 1) == pairs_of(lies, 20, 1) != pairs_of(lies, 20, 2)
+
+
+def test_two_that_agree_on_a_loss_are_acted_on(street: Place) -> None:
+    """As a true loss is: nothing tells them apart."""
+    lies = told(street, "grid_on of grid: lost", "import_kw of grid: zero")
+    assert len(off_with_grid(street, lies, since=0)) == STEPS
+    assert not {tuple(lies), tuple(lies[::-1])} & {*pairs_of(lies_of(street.site), 10**6, 0)}
