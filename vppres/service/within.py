@@ -80,8 +80,8 @@ def parts_of(
         later = next((each["grid"] for each in said[k + 1 :] if each.get("grid")), None)
         for since, till, island in _spans(one, later, times[k], times[k + 1], read):
             known = one.get("grid")
-            planned = one["status"] in DECIDED and known is not None
-            foreseen = not island or (planned and not known["available"])
+            lost = known is not None and not known["available"]
+            foreseen = not island or (lost and one["status"] in DECIDED)
             found.append(Part(since, till, one["setpoints"], island, foreseen))
     return [one for one in found if one.end > one.begin] or found[-1:]
 
