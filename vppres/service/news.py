@@ -113,7 +113,7 @@ def is_lost(late: Mapping[str, Any]) -> bool:
 def unknown_to(plan: Plan, readings: Iterable[Reading]) -> Iterator[str]:
     """What readings say against a plan; nothing for which it was made anew.
 
-    The grid is lost or back, or a battery that the plan leaves out is heard.
+    The grid is lost or back, or a battery or customer that the plan leaves out is heard.
     """
     grid = plan.get("grid")
     for one in readings if grid is not None else ():
@@ -121,7 +121,9 @@ def unknown_to(plan: Plan, readings: Iterable[Reading]) -> Iterator[str]:
         heard = one.value is not None if one.quantity == "soc" else one.value == 1.0
         if one.quantity in ("soc", "online") and heard:
             out = OUT.format(one.asset) in plan.get("estimated", ())
+            lost = any(one.asset == other["asset"] for other in plan.get("lost", ()))
             words = f"battery {one.asset} is heard" if out else ""
+            words = f"customer {one.asset} is heard" if lost else words
         elif one.quantity == GRID_ON and one.value is not None:
             change = "back" if one.value else "lost"
             differs = grid is not None and (one.value == 1.0) != grid["available"]

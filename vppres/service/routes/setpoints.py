@@ -53,11 +53,11 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         if found is None:
             raise HTTPException(404, "There is no such set-point.")
         said = body.model_dump()
-        before = runner.store.acks([found["id"]]).get(found["id"], NEW)["status"]
+        refused = found["asset"] in runner.store.refusing(found["kind"])
         runner.store.put_ack(found, said, runner.clock.now(), actor)
         asked_of = found["kind"] == "batteries" or found.get("served") or found.get("running")
-        turned = (body.status in REFUSED) != (before in REFUSED)
-        if turned and asked_of:
+        # By what it did before, also of the set-point that came after a refused one.
+        if (body.status in REFUSED) != refused and asked_of:
             runner.changes.note(f"{found['asset']} {body.status}")
         return {"id": identifier, **said}
 
