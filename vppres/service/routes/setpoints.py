@@ -53,11 +53,13 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         if found is None:
             raise HTTPException(404, "There is no such set-point.")
         said = body.model_dump()
-        refused = found["asset"] in runner.store.refusing(found["kind"])
+        before = runner.store.acks([found["id"]]).get(found["id"], NEW)["status"]
+        was_out = found["asset"] in runner.store.refusing(found["kind"])
         runner.store.put_ack(found, said, runner.clock.now(), actor)
         asked_of = found["kind"] == "batteries" or found.get("served") or found.get("running")
-        # By what it did before, also of the set-point that came after a refused one.
-        if (body.status in REFUSED) != refused and asked_of:
+        # One that accepts may have refused the set-point before this one.
+        turned = before not in REFUSED if body.status in REFUSED else was_out
+        if turned and asked_of:
             runner.changes.note(f"{found['asset']} {body.status}")
         return {"id": identifier, **said}
 
