@@ -344,7 +344,8 @@ def test_a_device_that_is_back_is_planned_for_at_once(live: Running) -> None:
     said_of("online", "hospital", 0.0)
     assert not said(anew("hospital online = 0 (scada)"), "customers")["hospital"]["served"]
     said_of("online", "hospital", 1.0)
-    assert said(anew("hospital online = 1 (scada)"), "customers")["hospital"]["served"]
+    back = anew("customer hospital is heard; hospital online = 1 (scada)")
+    assert said(back, "customers")["hospital"]["served"]
 
 
 def test_a_first_reading_is_planned_for_when_it_comes(tiny: Scenario, tmp_path: Path) -> None:

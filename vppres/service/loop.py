@@ -38,7 +38,9 @@ class Loop(threading.Thread):
         while not self._end.is_set():
             self._guarded(self.runner.check_alarms)
             changes = self.runner.changes
-            changes.new.wait(min(self._once(), LONGEST_WAIT_S))
+            once_s = self._once()
+            changes.new.wait(min(once_s, LONGEST_WAIT_S, self._to_next_end_s()))
+            self._guarded(self.runner.note_ends)
             if not changes.reasons or self._end.wait(SETTLE_S):
                 continue
             if not self._guarded(self.runner.anew):
@@ -62,6 +64,13 @@ class Loop(threading.Thread):
             log.exception("step")
             return False
         return True
+
+    def _to_next_end_s(self) -> float:
+        """How long until the mode or an event ends, in s."""
+        try:
+            return self.runner.to_next_end_s()
+        except VppresError:  # the database does not answer: the next turn says so
+            return RETRY_S
 
     def _once(self) -> float:
         """Decide the present step if it is new; the time until the next one, in s."""

@@ -121,8 +121,8 @@ def is_said_lost(plan: Plan) -> bool:
 def unknown_to(plan: Plan, readings: Iterable[Reading], fed: Callable[[], bool]) -> Iterator[str]:
     """What readings say against a plan; nothing for which it was made anew.
 
-    The grid is lost or back, or a battery that the plan leaves out is heard. A loss that the plan
-    knows to be contradicted is none as long as the site is ``fed``.
+    The grid is lost or back, or a battery or customer that the plan leaves out is heard. A loss
+    that the plan knows to be contradicted is none as long as the site is ``fed``.
     """
     grid = plan.get("grid")
     for one in readings if grid is not None else ():
@@ -130,7 +130,9 @@ def unknown_to(plan: Plan, readings: Iterable[Reading], fed: Callable[[], bool])
         heard = one.value is not None if one.quantity == "soc" else one.value == 1.0
         if one.quantity in ("soc", "online") and heard:
             out = OUT.format(one.asset) in plan.get("estimated", ())
+            lost = any(one.asset == other["asset"] for other in plan.get("lost", ()))
             words = f"battery {one.asset} is heard" if out else ""
+            words = f"customer {one.asset} is heard" if lost else words
         elif one.quantity == GRID_ON and one.value is not None:
             change = "grid back" if one.value else GRID_LOST
             differs = grid is not None and (one.value == 1.0) != grid["available"]

@@ -244,6 +244,29 @@ class Runner:
             if event.made_at > since:
                 self.changes.note(f"event {name}")
 
+    def note_ends(self) -> None:
+        """Note what has ended since the plan of the present step was made."""
+        if self.last is None or self.rehearsal:
+            return
+        since, now = pd.Timestamp(self.last["generated_at"]), self.clock.now()
+        for what, end in self._ends():
+            if since < end <= now:
+                self.changes.note(f"{what} ended")
+
+    def to_next_end_s(self) -> float:
+        """How long until something ends that the plan of the present step knows, in s."""
+        now = self.clock.now()
+        left = [(end - now).total_seconds() for _, end in self._ends() if end > now]
+        return float(min(left, default=np.inf))
+
+    def _ends(self) -> list[tuple[str, pd.Timestamp]]:
+        """When the mode and events end, of those that have an end."""
+        asked, _ = self.store.setting(MODE)
+        ends = {f"event {name}": one.body.get("end") for name, one in self.store.events().items()}
+        if asked is not None:
+            ends[f"mode {asked['mode']}"] = asked["until"]
+        return [(what, pd.Timestamp(end)) for what, end in ends.items() if end is not None]
+
     def check_alarms(self) -> None:
         """Raise, change and clear alarms by what is wrong now."""
         now = self.clock.now()
@@ -308,6 +331,7 @@ class Runner:
         self.clock.set(time)
         if self._state is None:  # nothing was decided yet: it begins here
             self._controller = self._restored()
+        self.note_ends()
         if self.changes.reasons:  # a plan of the same moment could not be told from the one before
             self.changes.new.set()
         self.check_alarms()

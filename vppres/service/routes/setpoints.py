@@ -54,9 +54,11 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
             raise HTTPException(404, "There is no such set-point.")
         said = body.model_dump()
         before = runner.store.acks([found["id"]]).get(found["id"], NEW)["status"]
+        was_out = found["asset"] in runner.store.refusing(found["kind"])
         runner.store.put_ack(found, said, runner.clock.now(), actor)
         asked_of = found["kind"] == "batteries" or found.get("served") or found.get("running")
-        turned = (body.status in REFUSED) != (before in REFUSED)
+        # One that accepts may have refused the set-point before this one.
+        turned = before not in REFUSED if body.status in REFUSED else was_out
         if turned and asked_of:
             runner.changes.note(f"{found['asset']} {body.status}")
         return {"id": identifier, **said}
