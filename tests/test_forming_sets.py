@@ -22,7 +22,10 @@ from vppres.control.converged import dark_steps, physics_of, without_power
 from vppres.control.forming import formed_by_set, headroom_kw
 from vppres.control.step_state import one_step
 from vppres.core.errors import NumericalError
+from vppres.day.faults import FaultPlan, SolverOutage
 from vppres.day.trajectory import Trajectory
+from vppres.live.controller import Controller
+from vppres.live.measurement import Measurement
 from vppres.model.beyond_paper.losses import lossless
 from vppres.model.data import WindowData
 from vppres.model.site import Site
@@ -30,6 +33,8 @@ from vppres.plant.island import SET_NO_BALANCE
 from vppres.scenario.gensets import Gensets, GensetState, Refuels
 from vppres.scenario.remarks import ONE_FORMER, darkness, former_words
 from vppres.scenario.scenario import Scenario
+from vppres.service.gate import refusals
+from vppres.service.plans import tables_of
 
 PHYSICAL = RunOptions(isolate=False, mode="physical", horizon_h=4.0)
 INDUCTIVE = 0.9
@@ -258,3 +263,19 @@ def test_a_set_that_forms_the_grid_follows_the_load_beyond_its_ramps(method: str
     run = run_day(day, replace(PHYSICAL, method=method))
     assert served(run) == [1] * 5
     assert set(run.steps["status"]) == {"optimal"}
+
+
+def test_no_door_limits_the_ramps_of_a_set_that_forms_the_grid() -> None:
+    """Live decisions, the rule and the last check of set-points know none either."""
+    loads_kw = (50.0, 80.0, 20.0, 80.0, 50.0)
+    day = hospital(*loads_kw, bus=[1], ramp_up_kw_per_h=5.0, ramp_down_kw_per_h=5.0, p_min_kw=10.0)
+    controller = Controller.of(day, PHYSICAL)
+    for t in (1, 2, 3):
+        step = controller.step(Measurement(day.grid.times[t]))
+        assert step.gensets is not None and step.customers["served"].all()
+        assert step.solve["fallback"] == "none"
+        assert step.gensets["p_kw"].iloc[0] == pytest.approx(loads_kw[t], abs=0.5)
+        assert refusals(tables_of(step, day), day, {}) == {}
+    killed = FaultPlan({t: SolverOutage("killed") for t in range(5)})
+    ruled = run_day(day, PHYSICAL, faults=killed)
+    assert served(ruled) == [1] * 5 and set(ruled.steps["fallback"]) == {"rule"}
