@@ -289,14 +289,14 @@ def test_set_points_are_given_by_hand(browser: Any, watched: tuple[Runner, str])
         page.click("#manual-add")
         assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
         page.click("#mode-change")
-        words = "set-points are used. hospital disconnected; big -60 kW. For 1 hour, then auto."
-        assert watcher.text("#confirm-words").endswith(words)
-        page.click("#confirm-yes")
         watcher.wait_for("#mode-said", "is beyond its rating of 50 kW")
         page.check("input[value=manual]")
         page.fill("#manual-power", "-20.5")
         page.click("#manual-add")
         page.click("#mode-change")
+        page.wait_for_selector("#confirm[open]")
+        words = "set-points are used. hospital disconnected; big -20.5 kW. For 1 hour, then auto."
+        assert watcher.text("#confirm-words").endswith(words)
         page.click("#confirm-yes")
         watcher.wait_for("#mode-said", "The mode is manual.")
         asked = [(one["asset"], one["p_kw"], one["served"]) for one in runner.mode["setpoints"]]

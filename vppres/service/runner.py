@@ -8,7 +8,7 @@ import re
 import threading
 import time as machine
 from collections import OrderedDict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -29,6 +29,8 @@ from vppres.scenario.outage_warnings import OutageWarning
 from vppres.scenario.scenario import Scenario
 from vppres.service.alarms import Alarms
 from vppres.service.announced import warnings
+from vppres.service.as_told import expected_by
+from vppres.service.by_hand import ByHand
 from vppres.service.changes import Changes
 from vppres.service.clock import Clock, SetClock, written
 from vppres.service.conditions import BY_HAND, conditions, situation
@@ -42,7 +44,7 @@ from vppres.service.grid_readings import (
     stands_alone,
 )
 from vppres.service.knowledge import INSTANT, Grid, Heard, Known, grid_at, known_at, soc_at
-from vppres.service.learned import learned, measured_in
+from vppres.service.learned import InSteps, learned, measured_in
 from vppres.service.news import AGAINST_PLANS, News, is_said_lost, newest, unknown_to
 from vppres.service.notify import Notifier
 from vppres.service.plans import (
@@ -266,6 +268,30 @@ class Runner:
         if asked is not None:
             ends[f"mode {asked['mode']}"] = asked["until"]
         return [(what, pd.Timestamp(end)) for what, end in ends.items() if end is not None]
+
+    def checked(self, asked: Mapping[str, Any]) -> list[str]:
+        """What an operator's set-points would lead to now, by balance and AC power flow.
+
+        Raises
+        ------
+        InputError
+            If they would black out an island that is lit.
+        """
+        now, last = self.clock.now(), self.last
+        found = situation(
+            now, self.scenario, self.store, last, self.ahead_s, mode=self.options.mode
+        )
+        step = self._profile_of(self.begun(now))
+        measured = InSteps(self.store, step.grid)
+        limit_kw = expected_by(last).get("grid_limit_kw")
+        known_kw = np.inf if limit_kw in (None, 0.0) else limit_kw
+        step = replace(
+            step,
+            load_kw=measured.laid("load_kw", step.customers.id, step.load_kw),
+            pv_kw=np.minimum(measured.laid("pv_kw", step.pv.id, step.pv_kw), step.pv.p_max_kw),
+            grid_limit_kw=np.array([0.0 if found.is_dark else known_kw]),
+        )
+        return ByHand(asked, step, found, self.options).words()
 
     def check_alarms(self) -> None:
         """Raise, change and clear alarms by what is wrong now."""

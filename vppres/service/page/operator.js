@@ -120,7 +120,7 @@ export class Operator {
 
   chosen() { return $("modes").querySelector(":checked"); }
 
-  confirm() {
+  async confirm() {
     const mode = this.chosen()?.value;
     if (!mode) return;
     if (mode === "manual" && !this.setpoints.size) { $("mode-said").textContent = "Add a set-point first."; $("manual-device").focus(); return; }
@@ -128,7 +128,18 @@ export class Operator {
     if (NEED_END.includes(mode) && !hours.value) hours.value = "1";
     const span = hours.value ? `For ${hours.selectedOptions[0].text}, then auto.` : "Until further notice.";
     $("confirm-title").textContent = `Change the mode to ${mode}?`;
-    const asked = mode === "manual" ? ` ${[...this.setpoints.values()].map(setpointWords).join("; ")}.` : "";
+    let asked = "";
+    if (mode === "manual") {
+      asked = ` ${[...this.setpoints.values()].map(setpointWords).join("; ")}.`;
+      try {
+        const { found } = await this.ask("v1/mode/check", { method: "POST", body: JSON.stringify(this.body(mode)) });
+        asked += found.map((words) => ` ${words}`).join("");
+      } catch (error) {
+        $("mode-said").textContent = `The mode was not changed. ${error.message}`;
+        this.choosePresent();
+        return;
+      }
+    }
     $("confirm-words").textContent = `${MODE_WORDS[mode]?.[1] ?? ""}${asked} ${span}`;
     $("confirm-no").textContent = `No, keep ${this.present}`;
     $("confirm-yes").textContent = `Yes, change to ${mode}`;
@@ -141,17 +152,20 @@ export class Operator {
     return new Date(Math.round((this.now().getTime() + hours * HOUR) / MINUTE) * MINUTE);
   }
 
+  body(mode) {
+    const hours = Number($("mode-hours").value);
+    const until = hours ? this.after(hours).toISOString() : null;
+    const setpoints = mode === "manual" ? [...this.setpoints.values()] : [];
+    return { mode, until, reason: $("mode-reason").value, setpoints };
+  }
+
   async confirmed() {
     $("mode-change").focus();
     if ($("confirm").returnValue !== "yes") {
       this.choosePresent();
       return;
     }
-    const hours = Number($("mode-hours").value);
-    const until = hours ? this.after(hours).toISOString() : null;
-    const mode = this.chosen().value;
-    const setpoints = mode === "manual" ? [...this.setpoints.values()] : [];
-    const body = { mode, until, reason: $("mode-reason").value, setpoints };
+    const body = this.body(this.chosen().value);
     $("mode-change").disabled = true;
     const said = await this.ask("v1/mode", { method: "PUT", body: JSON.stringify(body) })
       .then((answer) => { this.present = answer.mode; this.setpoints.clear(); return `The mode is ${answer.mode}.`; }, (error) => `The mode was not changed. ${error.message}`);

@@ -3,7 +3,7 @@
 import { chart, meter, pastOf, stepsOf } from "./chart.js";
 import { Operator } from "./operator.js";
 import {
-  HOUR, MARKS, MINUTE, SiteClock, alarms, announced, announcesNothing, attention, counted, covers, facts, farthestOutside, fuelLasts, fuelNow, grouped, indoorNow, isLostByReading, isUncertain, kilo, lasting, lateBy, list, lowest, offByTier, oldSoc, onPhase, percent, socNow, sourceState, switchedNext, unawareOfLoss, verdict, why,
+  HOUR, MARKS, MINUTE, SiteClock, alarms, announced, announcesNothing, attention, counted, covers, facts, farthestOutside, fuelLasts, fuelNow, grouped, indoorNow, isHeard, isLostByReading, isUncertain, kilo, lasting, lateBy, list, lowest, offByTier, oldSoc, onPhase, percent, socNow, sourceState, switchedNext, unawareOfLoss, verdict, why,
 } from "./words.js";
 
 const EVERY_MS = 2000, PATIENCE_MS = 5000;
@@ -155,7 +155,7 @@ function renew(id, content, build) {
 function showAttention() {
   const raised = alarms(view), notes = attention(view);
   const items = [...raised.map(([level, text, known, alarm]) => alarmItem(level, text, known, alarm)), ...notes.map(([level, text]) => item(level, text))];
-  renew("attention-list", [raised, notes], () => (items.length ? items : [item("fine", "No action needed.")]));
+  renew("attention-list", [raised, notes, isHeard(view)], () => (items.length ? items : [isHeard(view) ? item("fine", "No action needed.") : item("note", "No reading is in time.")]));
 }
 
 function item(level, text, ...more) {
@@ -429,7 +429,8 @@ function showEvents() {
 
 function showSteps() {
   const { steps } = view.overview, past = pastOf(view);
-  const within = (step) => Object.entries(step.off_min ?? {});
+  const rank = ([name]) => view.site.tiers.indexOf(view.site.customers[name]);
+  const within = (step) => Object.entries(step.off_min ?? {}).sort((a, b) => rank(a) - rank(b));
   const odd = past.filter((step) => step.status !== "ok" || step.refused.length || within(step).length).reverse();
   renew("steps-list", [odd, view.overview.now.slice(0, 10)], () => odd.length
     ? odd.map((step) => node("li", {}, node("b", {}, `${view.clock.at(step.start, view.now)} ${step.status}`),

@@ -97,10 +97,13 @@ function couldForm(view) {
 }
 
 // Whether a reading counts: without any the state of the site is not known.
-const isHeard = (view) => view.overview.sources.some((source) => source.ok > 0);
+export const isHeard = (view) => view.overview.sources.some((source) => source.ok > 0);
+
+// Whether an island is switched by hand: what is connected may not be supplied.
+const isIslandByHand = (view) => Boolean(outage(view) && view.overview.plan && !view.overview.plan.solve && !view.overview.plan.dark);
 
 // Whether supply is uncertain: the plan counts on a grid that is or may be lost, or has ended.
-export const isUncertain = (view) => unawareOfLoss(view) || contradiction(view) !== "" || view.overview.ahead_s <= 0;
+export const isUncertain = (view) => isIslandByHand(view) || unawareOfLoss(view) || contradiction(view) !== "" || view.overview.ahead_s <= 0;
 
 const OF_OUTAGES = ["outage", "outage_belief", "restoration"];
 const MOMENT = /\d{4}-\d\d-\d\dT[\d:.]+Z/g;
@@ -144,7 +147,7 @@ export function verdict(view) {
   const dark = outage(view);
   const head = dark ? lastingOutage(view, at) : "";
   if (mode.mode === "off") return [WARNING, `${head ? `${head}. ` : ""}Switched off by the operator: ${undecided(plan)}.${uncertain}`, mode.until ? `Until ${at(mode.until)}. ${mode.reason}` : mode.reason];
-  const words = n === 0 ? `all ${counted(all, "customer")} supplied` : `${n} of ${counted(all, "customer")} off supply`;
+  const words = n === 0 ? `all ${counted(all, "customer")} ${isIslandByHand(view) ? "connected" : "supplied"}` : `${n} of ${counted(all, "customer")} off supply`;
   if (off[first] > 0) return [ALARM, `${head ? `${head}: ` : ""}${counted(off[first], tiers.length > 1 ? `${first} customer` : "customer")} off supply.`, `${capital(words)}. ${next(view, at)}`];
   const saved = n > 0 ? `, all ${first} customers supplied` : "";
   if (plan.status === "hold" || plan.status === "manual") {

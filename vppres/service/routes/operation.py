@@ -49,11 +49,18 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         """Decide, hold the last set-points, give the operator's or defaults, at once."""
         check_setpoints(body.setpoints, runner.scenario)
         asked = body.model_dump()
+        found = runner.checked(asked) if body.setpoints else []
         replacing = None if if_match is None else if_match.strip().strip('"')
         tag = runner.store.put_setting(MODE, asked, runner.clock.now(), actor, replacing)
         runner.changes.note(f"mode {body.mode}")
         response.headers["ETag"] = f'"{tag}"'
-        return runner.mode
+        return {**runner.mode, **({"found": found} if body.setpoints else {})}
+
+    @router.post("/v1/mode/check")
+    def check_mode(body: payloads.ModeRequest, _: str = guarded("operator")) -> dict[str, Any]:
+        """What an operator's set-points would lead to now: nothing is changed."""
+        check_setpoints(body.setpoints, runner.scenario)
+        return {"found": runner.checked(body.model_dump()) if body.setpoints else []}
 
     @router.put("/v1/clock")
     def clock(body: payloads.ClockRequest, _: str = guarded("operator")) -> dict[str, str]:
