@@ -107,9 +107,9 @@ class Observation:
         Vehicles, rooms and generating sets over the window; none if not given.
     told : tuple of Told
         Set-points of batteries since the last decision, where these differ from it.
-    profile_kw : array, shape (C,), optional
-        What the site's own series say of the demand in this step; where not given, they are those
-        of ``forecast``.
+    profile_kw, profile_pv_kw : array, shape (C,) and (P,), optional
+        What the site's own series say of demand and PV power in this step; where not given, they
+        are those of ``forecast``.
     """
 
     t0: int
@@ -140,6 +140,7 @@ class Observation:
     flexible_kw: float | None = None
     flexible_off_kw: float = 0.0
     profile_kw: Floats | None = None
+    profile_pv_kw: Floats | None = None
 
     def counted(self, times: float) -> Observation:
         """The same where a weighted customer hour in an outage counts as so many."""

@@ -173,8 +173,8 @@ class Seen:
         Energy that was read of the vehicles at chargers.
     sets : Readings
         What generating sets told.
-    profile_kw : array, shape (C,)
-        What the scenario says of the demand in the step.
+    profile_kw, profile_pv_kw : array, shape (C,) and (P,)
+        What the scenario says of demand and PV power in the step.
     """
 
     t: int
@@ -199,6 +199,7 @@ class Seen:
     indoor_c: Floats
     sets: Readings
     profile_kw: Floats
+    profile_pv_kw: Floats
 
     def window(self, rows: range) -> Seen:
         """The same of some steps alone, of which the first is the present one."""
@@ -313,6 +314,7 @@ def _seen(scenario: Scenario, measured: Measurement, guard: bool, earliest: int)
         ),
         load_kw=np.where(connected, load_kw[door.t], 0.0),
         profile_kw=scenario.load_kw[door.t] * connected,
+        profile_pv_kw=scenario.pv_kw[door.t],
         pv_kw=pv_kw[door.t],
         **of_batteries,
         import_kw=import_kw,

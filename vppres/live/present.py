@@ -126,6 +126,7 @@ class Present:
             soc_age_h=seen.soc_age_h,
             told=seen.told,
             profile_kw=seen.profile_kw,
+            profile_pv_kw=seen.profile_pv_kw,
             **self._flexible(),
         )
 

@@ -179,8 +179,8 @@ class Estimator:
         """What the last forecast said of this step, and whether it did; else what is known last."""
         if self._last is None:
             ahead = seen.forecast
-            if seen.profile_kw is not None:
-                return Readings(seen.profile_kw, ahead.pv_kw[0]), True
+            if seen.profile_kw is not None and seen.profile_pv_kw is not None:
+                return Readings(seen.profile_kw, seen.profile_pv_kw), True
             if len(ahead.load_kw) > 1:
                 return Readings(ahead.load_kw[1], ahead.pv_kw[1]), True
             none = Readings(np.zeros(len(self.site.customers)), np.zeros(len(self.site.pv)))
