@@ -571,3 +571,16 @@ def test_a_demand_that_was_shown_is_let_go_where_it_must_be(tiny: Scenario) -> N
     found = controller.step(now)
     assert "load" not in found.solve["estimated"]
     assert not found.customers["served"]["hospital"]
+
+
+@pytest.mark.parametrize("horizon_h", [0.0, 2.0])
+def test_a_sun_that_was_never_read_is_that_of_the_profile(tiny: Scenario, horizon_h: float) -> None:
+    """Of the first step, in an island."""
+    day = site(tiny)
+    controller = Controller.of(day, RunOptions(horizon_h=horizon_h, isolate=False))
+    unread = dict.fromkeys(day.pv.id, np.nan)
+    now = Measurement(controller.times[0], SOC, pv_kw=unread, grid_limit_kw=0.0)
+    found = controller.step(now)
+    assert found.solve["fallback"] == "none"
+    assert "missing" in found.solve["estimated"]
+    assert found.pv["available_kw"].tolist() == day.pv_kw[0].tolist()

@@ -336,7 +336,7 @@ def low_voltage_site() -> Scenario:
             weight=[1.0, 0.1, 0.02, 0.02, 1.0, 0.1],
             power_factor=[0.97] * 6,
         ),
-        pv=PVSystems(id=["P1", "P2"], customer=["H2", "H4"], p_max_kw=[8.0, 5.0], s_max_kva=[9.0, 6.0]),
+        pv=PVSystems(id=["P1", "P2"], customer=["H2", "H4"], p_max_kw=[2.0, 1.0], s_max_kva=[3.0, 2.0]),
         batteries=replace(
             tiny_scenario().batteries,
             id=np.array(["B1", "B2"], dtype=object),
@@ -347,7 +347,7 @@ def low_voltage_site() -> Scenario:
             soc_initial=np.array([0.2, 0.2]),
         ),
         load_kw=load_kw,
-        pv_kw=sun * [8.0, 5.0],
+        pv_kw=sun * [2.0, 1.0],
         price_gbp_per_kwh=np.where((hours >= 16) & (hours < 21), 0.2, 0.1),
         temperature_c=20.0 + 10.0 * sun[:, 0],
         grid_limit_kw=np.full(24, np.inf),
