@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from experiments.random_feeders import random_scenario
+from tests.support.small_windows import DARK, OPEN, battery, two_buses
 from vppres.core.arrays import Floats
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
@@ -213,3 +214,13 @@ def test_every_number_of_a_random_day_is_true(seed: int, stressed: bool) -> None
     told, wrong = wrong_numbers(seed, stressed, RunOptions(horizon_h=1.0))
     assert told > 10
     assert not wrong, "\n".join(wrong)
+
+
+def test_no_sentence_promises_more_where_all_are_supplied() -> None:
+    """The plan stores exactly what the outage's hour needs: less is too little, and more is spare."""
+    day = two_buses([[20.0], [20.0], [20.0]], [1.0], [OPEN, DARK, OPEN])
+    day = replace(day, batteries=battery(soc=0.15))
+    run = explain_day(run_day(day, RunOptions(horizon_h=2.0, mode="paper")))
+    assert run.customers["served"].all()
+    assert run.explanations is not None
+    assert not run.explanations["words"].str.contains("would add").any()

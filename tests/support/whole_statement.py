@@ -26,7 +26,7 @@ class Whole(NamedTuple):
     bound: float
 
 
-def whole_problem(site: Site, data: WindowData, time_s: float = 20.0) -> Whole:
+def whole_problem(site: Site, data: WindowData, time_s: float = 60.0) -> Whole:
     """The optimum of a window, as near as the time allows."""
     rated = LineRatings.shape(site, data)
     beyond = (*beyond_paper(site, data), *(((LineRatings, rated),) if rated else ()))

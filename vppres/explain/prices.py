@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from vppres.core.arrays import Flags
+from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import ModelError
 from vppres.explain.recorded import Recorded
 from vppres.model.data import WindowData
@@ -35,7 +35,14 @@ OF_BATTERIES = (
 )
 """Shadow prices with one value for each battery."""
 
-Price = Callable[[Held, PricedTerms], PricedWindow | None]
+MORE_KWH = 1e-2
+"""Stored energy by which it is tried what more of it gains: far above what solvers leave."""
+
+LESS = 0.99
+"""Share of a price below which one more unit gains less than it says, beyond any noise."""
+
+Price = Callable[..., PricedWindow | None]
+"""Prices a window with what is held, by its terms and, if given, with more energy stored."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,9 +90,10 @@ def step_prices(recorded: Recorded, model: ShadowPriceModel, t: int) -> StepPric
     window = recorded.seen(t)
     left_out = recorded.left_out(t)
 
-    def price(held: Held, terms: PricedTerms) -> PricedWindow | None:
+    def price(held: Held, terms: PricedTerms, more: Floats | float = 0.0) -> PricedWindow | None:
+        richer = replace(window, soc=window.soc + more)
         try:
-            answer = price_window(model, window, held, terms)
+            answer = price_window(model, richer, held, terms)
         except ModelError:  # a feeder that cannot carry its demand: the step was not planned either
             return None
         return answer if answer is None else _of_the_others(answer, left_out)
@@ -97,7 +105,8 @@ def step_prices(recorded: Recorded, model: ShadowPriceModel, t: int) -> StepPric
         cost = price(replace(held, service_min=everyone), _cost_alone(0.0))
         if cost is not None:
             return StepPrices(window, None, cost)
-    service = _service_level(price, recorded.site.weights.lambda_curt, held)
+    energy_kwh = recorded.site.batteries.energy_kwh
+    service = _service_level(price, recorded.site.weights.lambda_curt, held, energy_kwh)
     connected = bool((window.grid_limit_kw > 0).any())
     if service is None or not connected or np.any(_worth(service) > WORTH):
         return StepPrices(window, service, None)
@@ -117,7 +126,9 @@ def _of_the_others(answer: PricedWindow, left_out: Flags) -> PricedWindow:
     return replace(answer, prices=replace(prices, **others))
 
 
-def _service_level(price: Price, lambda_curt: float, held: Held) -> PricedWindow | None:
+def _service_level(
+    price: Price, lambda_curt: float, held: Held, energy_kwh: Floats
+) -> PricedWindow | None:
     """Service and curtailment as weighted; if the model cannot carry what was served, without it.
 
     What the plant did may lie just outside the model: a plan that was followed in spite of forecast
@@ -125,15 +136,36 @@ def _service_level(price: Price, lambda_curt: float, held: Held) -> PricedWindow
     """
     terms = PricedTerms(1.0, 0.0, lambda_curt)
     answer = price(held, terms)
-    if answer is not None:
+    if answer is None:
+        held = Held(
+            np.zeros_like(held.service_min),
+            held.service_max,
+            np.zeros_like(held.mode_min),
+            np.ones_like(held.mode_max),
+        )
+        answer = price(held, terms)
+    return answer and _as_more_gains(answer, lambda more: price(held, terms, more), energy_kwh)
+
+
+def _as_more_gains(
+    answer: PricedWindow, richer: Callable[[Floats], PricedWindow | None], energy_kwh: Floats
+) -> PricedWindow:
+    """The answer with what one more stored kWh gains, where one less would leave no dispatch.
+
+    A plan lives on exactly the energy that it needs, and the price may be anything above it then.
+    """
+    stored = answer.prices.stored_energy
+    if not (stored > WORTH).any():
         return answer
-    free = Held(
-        np.zeros_like(held.service_min),
-        held.service_max,
-        np.zeros_like(held.mode_min),
-        np.ones_like(held.mode_max),
-    )
-    return price(free, terms)
+    best = np.arange(len(stored)) == np.argmax(stored)
+    more = richer(np.where(best, MORE_KWH / energy_kwh, 0.0))
+    if more is None:
+        return answer
+    gained = max((more.value - answer.value) / MORE_KWH, 0.0)
+    if gained >= LESS * stored.max():
+        return answer
+    told = stored * gained / stored.max()
+    return replace(answer, prices=replace(answer.prices, stored_energy=told))
 
 
 def _cost_alone(curtailed_kwh: float) -> PricedTerms:
