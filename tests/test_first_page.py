@@ -153,7 +153,8 @@ def test_what_the_result_rests_on_is_on_the_first_page() -> None:
         words.startswith("The controller knows when each outage begins and ends") for words in told
     )
     assert any(words.startswith("Made from net.json (pandapower).") for words in told)
-    assert [*(words for words in told if words.startswith("Note")), *further_notes(run)] == notes
+    said = [*(words for words in told if "Note" in words), *further_notes(run)]
+    assert said == [f"At import: {note}" for note in notes]
     calm = small_run(small_scenario(outage=False))
     assert foundations(calm) == []
 

@@ -15,6 +15,9 @@ from vppres.core.errors import InputError
 from vppres.day.metrics import summarise
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
+from vppres.feeders import import_network
+from vppres.feeders.new.options import NewScenarioOptions
+from vppres.feeders.new.scenario import write_new_scenario
 from vppres.io import read_scenario, scenario_digest, write_scenario
 from vppres.physics.uncontrolled import without_control
 from vppres.plant.island import NO_FORMER
@@ -79,10 +82,26 @@ def test_validate_shows_the_source_and_its_notes(made: Scenario, tmp_path: Path)
     assert "islands in paper mode." in text
     assert "- Made from my grid.json (pandapower). Voltages differ" in text
     assert "2e-14 pu at no load, 0.0012 pu as given." in text
-    assert "- Batteries were drawn: 28 MWh." in text
+    assert "- At import: Batteries were drawn: 28 MWh." in text
     found = json.loads(call("validate", str(tmp_path / "made"), "--json").stdout)["content"]
     assert found["source"]["kind"] == "pandapower"
     assert found["remarks"] == remarks(made)
+
+
+def test_notes_of_an_import_are_of_the_import_in_a_folder_that_was_edited(tmp_path: Path) -> None:
+    feeder = import_network("case33bw")
+    folder = tmp_path / "mine"
+    write_new_scenario(feeder, NewScenarioOptions(), folder)
+    (folder / "batteries.csv").write_text(
+        "id,bus,energy_kwh,p_max_kw,s_max_kva,grid_forming\ndepot,18,500,250,280,yes\n"
+    )
+    text = call("validate", str(folder)).stdout
+    assert "0 PV systems, 1 battery," in text
+    assert "- The island is formed by depot at bus 18" in text
+    assert "- At import: No battery: the source has none at a supplied bus" in text
+    assert "- No battery" not in text
+    read = read_scenario(folder)
+    assert read.source.notes and not any(note.startswith("At import") for note in read.source.notes)
 
 
 def test_run_keeps_the_source_and_shows_it(made: Scenario, tmp_path: Path) -> None:
@@ -92,7 +111,7 @@ def test_run_keeps_the_source_and_shows_it(made: Scenario, tmp_path: Path) -> No
         "run", str(tmp_path / "made"), "--controller", "idle", "--no-figures", "--no-explain",
         "--out", str(folder),
     )  # fmt: skip
-    assert "- Two transformers are merged." in done.stdout
+    assert "- At import: Two transformers are merged." in done.stdout
     assert read_scenario(folder / "scenario").source == SOURCE
 
 

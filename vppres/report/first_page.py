@@ -271,12 +271,12 @@ def foundations(run: Trajectory) -> list[str]:
     """Assumptions that carry the result: what forms the island, headroom, outages, the source."""
     source = run.scenario.source
     said = [*island_words(run), *([str(source)] if source else [])]
-    return [*said, *source.notes[:NOTES_SHOWN]]
+    return [*said, *source.told[:NOTES_SHOWN]]
 
 
 def further_notes(run: Trajectory) -> tuple[str, ...]:
     """Notes of the source beyond those of the first page."""
-    return run.scenario.source.notes[NOTES_SHOWN:]
+    return run.scenario.source.told[NOTES_SHOWN:]
 
 
 def island_words(run: Trajectory) -> Iterator[str]:

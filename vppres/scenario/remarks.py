@@ -311,4 +311,4 @@ def remarks(scenario: Scenario, mode: str | None = None) -> list[str]:
         short_times_off(scenario),
         brief_sessions(scenario),
     ]
-    return [*first, *filter(None, said), *scenario.source.notes]
+    return [*first, *filter(None, said), *scenario.source.told]

@@ -112,6 +112,15 @@ class Source:
         return self != Source()
 
     @property
+    def told(self) -> tuple[str, ...]:
+        """The notes as what was so at the import: the folder may have been edited since.
+
+        >>> Source("case33bw", notes=("No battery.",)).told
+        ('At import: No battery.',)
+        """
+        return tuple(f"At import: {note}" for note in self.notes)
+
+    @property
     def heading(self) -> str:
         """Name and kind as a sentence; empty where nothing is known."""
         kind = f" ({self.kind})" if self.kind else ""

@@ -115,7 +115,7 @@ def _built(feeder: ImportedFeeder, options: NewScenarioOptions) -> tuple[Scenari
     constant_c = np.full(grid.n_steps, TEMPERATURE_C)
     scenario = Scenario(
         name=_name(feeder.name),
-        title=f"{title}: {len(assets.customers)} customers, {_length(options)}",
+        title=f"{title}: {_length(options)}",
         grid=grid,
         network=network,
         customers=assets.customers,
