@@ -210,6 +210,12 @@ def test_voltages_are_those_of_opendss_on_the_untouched_file(name: str, tmp_path
 
 THREE = "new load.c bus1=b kv=4.16 kw=300 pf=.9"
 EVEN: dict[str, tuple[str, ...]] = {
+    "PV beside another load": (
+        THREE,
+        "new line.n bus1=b bus2=e r1=.3 x1=.4 r0=.6 x0=1.2 length=4 units=km",
+        "new load.e bus1=e kv=4.16 kw=500 pf=.95",
+        "new pvsystem.p bus1=e kv=4.16 kva=1100 pmpp=1000 irradiance=1",
+    ),
     "generation": (THREE, "new generator.g bus1=b kv=4.16 kw=200 pf=.9"),
     "PV and load in one place": (THREE, "new pvsystem.p bus1=b kv=4.16 kva=210 pmpp=200 irradiance=1"),
     "battery": (THREE, "new storage.x bus1=b kv=4.16 kwrated=60 kwhrated=200 state=charging"),

@@ -101,10 +101,9 @@ def _in_state(state: dict[str, Any]) -> dict[str, Any]:
     but inject these kW and kvar, each on its phases.
     """
     held = state["held"]
-    for kind in POWERS:
-        for name in list(_of(kind)):
-            if _buses()[0] in held:
-                dss.Circuit.Disable(f"{kind}.{name}")
+    there = [f"{kind}.{name}" for kind in POWERS for name in _of(kind) if _buses()[0] in held]
+    for element in there:
+        dss.Circuit.Disable(element)
     for i, (bus, power) in enumerate(held.items()):
         if power is not None and any(power):
             _inject(f"vppres_{i}", bus, *power)
