@@ -11,6 +11,7 @@ import pytest
 from vppres.core.errors import InputError
 from vppres.feeders import ImportedFeeder, import_network
 from vppres.feeders.dss.phases import flow_of_source
+from vppres.feeders.dss.recheck import solved_steps
 from vppres.feeders.new.options import NewScenarioOptions
 from vppres.feeders.new.scenario import new_scenario, write_new_scenario
 from vppres.physics.powerflow import ACPowerFlow
@@ -209,6 +210,12 @@ def test_voltages_are_those_of_opendss_on_the_untouched_file(name: str, tmp_path
 
 THREE = "new load.c bus1=b kv=4.16 kw=300 pf=.9"
 EVEN: dict[str, tuple[str, ...]] = {
+    "PV beside another load": (
+        THREE,
+        "new line.n bus1=b bus2=e r1=.3 x1=.4 r0=.6 x0=1.2 length=4 units=km",
+        "new load.e bus1=e kv=4.16 kw=500 pf=.95",
+        "new pvsystem.p bus1=e kv=4.16 kva=1100 pmpp=1000 irradiance=1",
+    ),
     "generation": (THREE, "new generator.g bus1=b kv=4.16 kw=200 pf=.9"),
     "PV and load in one place": (THREE, "new pvsystem.p bus1=b kv=4.16 kva=210 pmpp=200 irradiance=1"),
     "battery": (THREE, "new storage.x bus1=b kv=4.16 kwrated=60 kwhrated=200 state=charging"),
@@ -312,6 +319,50 @@ def test_both_legs_of_a_service_transformer_are_one_node(
     assert feeder.phased.difference_pu < close_pu
     assert any(note.startswith("1 transformers have the middle") for note in feeder.notes)
     assert {"coven", "cleft", "cright"} < {str(each) for each in new_scenario(feeder).customers.id}
+
+
+def test_shapes_in_files_are_series_of_the_source(tmp_path: Path) -> None:
+    """Of a feeder with phases and of a balanced one; PV gives what its panels do at the shape."""
+    (tmp_path / "Day.csv").write_text("\n".join(f"{hour / 100}" for hour in range(24)))
+    shape = "new loadshape.s npts=24 interval=1 mult=(file=day.csv)"
+    pv = "new pvsystem.p bus1=b kv=4.16 kva=90 pmpp=100 irradiance=.8 daily=s"
+    for loads, name, kw in ((LOADS[1:], "ca", 100.0), ((), "cb", 40.0)):
+        own = (
+            "new load.a bus1=b.1 phases=1 kv=2.4 kw=100" if loads else "new load.a bus1=b kw=40",
+        )
+        lines = (HEAD, BANK, LINE, shape, f"{own[0]} daily=s", *loads, pv)
+        feeder = import_network(written(tmp_path, lines))
+        told = "Daily shapes of 2 loads and PV systems are followed with --profiles source --profile-step 60, "
+        assert any(note.startswith(told) for note in feeder.notes)
+        scenario = new_scenario(
+            feeder, NewScenarioOptions(profiles="source", profile_step_minutes=60.0)
+        )
+        customers = [str(each) for each in scenario.customers.id]
+        load_kw = scenario.load_kw[:, customers.index(name)]
+        assert load_kw == pytest.approx([kw * hour / 100 for hour in range(24)])
+        assert scenario.pv_kw[:, 0] == pytest.approx([80.0 * hour / 100 for hour in range(24)])
+
+
+def test_steps_are_solved_where_neutrals_float_and_where_nothing_is_left(tmp_path: Path) -> None:
+    """An asset at a bus with a neutral of its own is between the phases."""
+    four = (
+        "new transformer.u phases=3 windings=2 buses=[b e.1.2.3.4] conns=[delta wye] kvs=[4.16 .48] "
+        "kvas=[75 75] xhl=4",
+        "new load.e bus1=e.1.4 phases=1 kv=.277 kw=8",
+        "new load.g bus1=gone.1 phases=1 kv=.277 kw=8",
+    )
+    job = {
+        "off": ("load",),
+        "open_deltas": True,
+        "assets": [{"bus": "e"}],
+        "steps": [{"p_kw": [5.0], "q_kvar": [1.0], "held_v": None}],
+        "island_bus": None,
+        "open": [],
+    }
+    found = solved_steps(job, written(tmp_path, (*BASE, *four)))
+    v = dict(zip(found["nodes"], found["v"][0], strict=True))
+    assert abs(v["e.1"] - v["e.2"]) == pytest.approx(480.0, rel=0.05)
+    assert np.isnan(v["gone.1"])
 
 
 REFUSED = {

@@ -170,6 +170,7 @@ def _feeder(found: _Net, name: str, changes: Changes) -> ImportedFeeder:
 def _with_phases(found: _Net, net: Any, feeder: ImportedFeeder) -> ImportedFeeder:
     """The tree of a feeder with the phases of its source."""
     from vppres.feeders.dss.phases import phased_source
+    from vppres.feeders.new.connections import customer_of
 
     assert found.flow is not None
     flow = found.flow.of(net, feeder)
@@ -179,8 +180,14 @@ def _with_phases(found: _Net, net: Any, feeder: ImportedFeeder) -> ImportedFeede
     storages = feeder.storages
     supplied = np.array([("storage", name_in(str(each))) in names for each in storages.id], bool)
     storages = Storages(**{f.name: getattr(storages, f.name)[supplied] for f in fields(storages)})
-    notes = (*feeder.notes, *phased.notes)
-    return replace(feeder, phased=phased, storages=storages, notes=notes, causes=phased.causes)
+    feeder = replace(feeder, phased=phased, storages=storages, causes=phased.causes)
+    profiles = tuple(
+        replace(each, name=customer_of(name_in(each.name)))
+        if each.name in feeder.loads.id
+        else each
+        for each in found.profiles
+    )
+    return replace(feeder, profiles=profiles, notes=(*feeder.notes, *phased.notes))
 
 
 def _with_phases_of_net(

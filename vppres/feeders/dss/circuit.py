@@ -19,8 +19,9 @@ from vppres.core.errors import InputError, Problem
 from vppres.core.units import A_PER_KA, kw_to_mw
 from vppres.feeders.closeness import largest_difference
 from vppres.feeders.dss import script as dss_script
-from vppres.feeders.feeder import ImportedFeeder
+from vppres.feeders.feeder import ImportedFeeder, Profile
 from vppres.feeders.net.balance import PHASES, PhasePowers
+from vppres.feeders.net.elements import label
 from vppres.feeders.net.ratings import NO_LIMIT_KA
 from vppres.feeders.strangers.confined import confined
 from vppres.scenario.network import BusId
@@ -31,7 +32,14 @@ NF_PER_F = 1e9
 SHAPE_TOLERANCE = 1e-6
 """By how much the shares of a circuit's loads may differ and still count as one share."""
 
-Contents = tuple[Any, dict[int, BusId], tuple[str, ...], PhasePowers | None, "OpenDSSFlow"]
+Contents = tuple[
+    Any,
+    dict[int, BusId],
+    tuple[str, ...],
+    PhasePowers | None,
+    "OpenDSSFlow",
+    tuple[Profile, ...],
+]
 
 
 def read_opendss(path: Path, time_limit_s: float | None = None, by_phase: bool = False) -> Contents:
@@ -52,6 +60,8 @@ def read_opendss(path: Path, time_limit_s: float | None = None, by_phase: bool =
         What is not balanced, if anything has fewer than three phases.
     flow : OpenDSSFlow
         OpenDSS's own solution.
+    profiles : tuple of Profile
+        Daily shapes of loads and PV systems, by their labels in the net.
     """
     script = dss_script.read_script(path)
     job = script.job()
@@ -64,7 +74,34 @@ def read_opendss(path: Path, time_limit_s: float | None = None, by_phase: bool =
     notes = (*script.notes, *found["balanced_notes"], *found["notes"])
     if by_phase and found["single_phases"]:
         notes = (*script.notes, *found["notes"])
-    return net, ids, notes, _phase_powers(found), OpenDSSFlow(job, path.name, found, time_limit_s)
+    flow = OpenDSSFlow(job, path.name, found, time_limit_s)
+    notes += tuple(_told_shapes(found["shapes"]))
+    return net, ids, notes, _phase_powers(found), flow, tuple(_profiles(net, found, path.name))
+
+
+def _profiles(net: Any, found: dict[str, Any], where: str) -> Iterator[Profile]:
+    """What loads and PV systems follow over time; rows have no times."""
+    shapes = found["shapes"]
+    for table, kinds in (("load", ("load",)), ("sgen", ("generator", "pvsystem"))):
+        powers = [power for power in found["powers"] if power["kind"] in kinds]
+        for i, power in enumerate(powers):
+            shape = shapes["follows"].get(f"{power['kind']}.{power['name']}")
+            if shape is None:
+                continue
+            own = shapes["values"][shape]
+            factor = power.get("sunny_kw", 1.0) / (power.get("p_max_kw") or 1.0)
+            values = pd.Series(own["values"], dtype=float)
+            yield Profile(where, label(net, table, i), values, own["unit"], factor)
+
+
+def _told_shapes(shapes: dict[str, Any]) -> Iterator[str]:
+    """That there are shapes, and how they are followed."""
+    minutes = sorted({own["minutes"] for own in shapes["values"].values()})
+    if minutes:
+        yield (
+            f"Daily shapes of {len(shapes['follows'])} loads and PV systems are followed with "
+            f"--profiles source --profile-step {minutes[0]:g}, and not without."
+        )
 
 
 class OpenDSSFlow:

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
 import opendssdirect as dss
 
 PHASES = (1, 2, 3)
@@ -85,10 +86,12 @@ def _new_asset(i: int, asset: dict[str, Any]) -> str:
         kv = asset.get("kv") or 2.0 * dss.Bus.kVBase()
         return _new_load(i, asset, legs, False, 1, share * kv)
     phases = asset.get("phases") or [node for node in dss.Bus.Nodes() if node in PHASES]
-    delta = asset.get("delta", False)
+    # Where the neutral is a conductor, nothing may hold the phases against ground.
+    floats = "phases" not in asset and len(phases) > 2 and max(dss.Bus.Nodes()) > max(PHASES)
+    delta = asset.get("delta", floats)
     count = 1 if delta and len(phases) == 2 else len(phases)
     kv = asset.get("kv") or dss.Bus.kVBase()
-    if not delta and count > 1:
+    if (not delta and count > 1) or floats:
         kv *= 3**0.5
     return _new_load(i, asset, phases, delta, count, kv)
 
@@ -153,5 +156,7 @@ def _found(nodes: list[str]) -> dict[str, Any]:
     names = [name.lower() for name in dss.Circuit.AllNodeNames()]  # others with each source
     known = {name: complex(*flat[2 * i : 2 * i + 2]) for i, name in enumerate(names)}
     known |= {f"{bus}.{phase}": engine.from_leg_to_leg(bus) for bus, (phase, _) in _legs().items()}
-    volts = [part for node in nodes for part in (known[node].real, known[node].imag)]
+    # What only an element was at that is off now is no node any more.
+    at = [known.get(node, complex(np.nan, np.nan)) for node in nodes]
+    volts = [part for v in at for part in (v.real, v.imag)]
     return {"v": volts, "import_kw": -dss.Circuit.TotalPower()[0]}

@@ -101,10 +101,9 @@ def _in_state(state: dict[str, Any]) -> dict[str, Any]:
     but inject these kW and kvar, each on its phases.
     """
     held = state["held"]
-    for kind in POWERS:
-        for name in list(_of(kind)):
-            if _buses()[0] in held:
-                dss.Circuit.Disable(f"{kind}.{name}")
+    there = [f"{kind}.{name}" for kind in POWERS for name in _of(kind) if _buses()[0] in held]
+    for element in there:
+        dss.Circuit.Disable(element)
     for i, (bus, power) in enumerate(held.items()):
         if power is not None and any(power):
             _inject(f"vppres_{i}", bus, *power)
@@ -369,6 +368,7 @@ def _tables(solved: bool) -> dict[str, Any]:
         "transformers": list(_transformers()),
         "shunts": shunts,
         "powers": [*_powers(solved)],
+        "shapes": _shapes(),
         "causes": list(_causes(solved)),
         "single_phases": _single_phases(),
         "balanced_notes": list(_notes_on_balance()),
@@ -570,6 +570,26 @@ def _powers(solved: bool) -> Iterator[dict[str, Any]]:
             }
 
 
+def _shapes() -> dict[str, Any]:
+    """Daily shapes that loads and PV follow over time: whose, and their values."""
+    follows: dict[str, str] = {}
+    for kind in ("load", "pvsystem"):
+        for name in _of(kind):
+            dss.Text.Command(f"? {kind}.{name}.daily")
+            shape = dss.Text.Result().strip().lower()
+            if shape and shape != "default":
+                follows[f"{kind}.{name}"] = shape
+    values = {}
+    for shape in dict.fromkeys(follows.values()):
+        dss.LoadShape.Name(shape)
+        values[shape] = {
+            "values": [float(each) for each in dss.LoadShape.PMult()],
+            "minutes": float(dss.LoadShape.MinInterval()),
+            "unit": "kw" if dss.LoadShape.UseActual() else "pu",
+        }
+    return {"follows": follows, "values": values}
+
+
 def nominal(kind: str, name: str, solved: bool) -> dict[str, float]:
     """Nominal power of a load, and what anything else gives or draws in the solution.
 
@@ -596,6 +616,7 @@ def nominal(kind: str, name: str, solved: bool) -> dict[str, float]:
             "q_kvar": -drawn.imag,
             "p_max_kw": min(s_kva, panel_kw),
             "s_kva": s_kva,
+            "sunny_kw": number(f"{element}.pmpp") * number(f"{element}.irradiance"),
         }
     return {"p_kw": drawn.real, "q_kvar": drawn.imag, **_battery(element)}
 

@@ -17,6 +17,7 @@ from vppres.feeders.closeness import NOT_CONVERGED
 from vppres.feeders.dss.script import limit_s
 from vppres.feeders.feeder import ImportedFeeder, PhasedLoad, PhasedSource
 from vppres.feeders.strangers.confined import confined
+from vppres.io.messages import folded
 from vppres.physics.phases import PhasedFlow, of_transformer
 from vppres.scenario.earthing import with_grid
 from vppres.scenario.network import BusId
@@ -62,9 +63,8 @@ def phased_source(
     """
     found = confined("dss/by_phase", {**job, "disabled": disabled}, name, limit_s(job))
     if found["problems"]:
-        raise InputError(
-            [Problem(name, each["message"], each["cure"]) for each in found["problems"]]
-        )
+        problems = [Problem(name, each["message"], each["cure"]) for each in found["problems"]]
+        raise InputError(folded(problems))
     flow: Any = feeder.source_flow
     at: dict[str, BusId] = {
         bus: feeder.bus_of[i] for bus, i in flow.index.items() if i in feeder.bus_of

@@ -17,6 +17,11 @@ from vppres.scenario.phases import LINES, PHASES, PhaseConnection, Phases
 LOAD, STORAGE = "load", "storage"
 
 
+def customer_of(name: str) -> str:
+    """Identifier of the customer that a load of a phased source is."""
+    return f"c{name}"
+
+
 def battery_of(name: str) -> str:
     """Identifier of a battery that a phased source has."""
     return f"b{name}"
@@ -29,7 +34,7 @@ def loads_of(source: PhasedSource, count: int) -> pd.DataFrame:
     """
     loads = [load for load in source.loads if load.kind == LOAD and load.p_kw > 0]
     table = {
-        "id": [f"c{load.connection.id}" for load in loads],
+        "id": [customer_of(load.connection.id) for load in loads],
         "bus": [load.bus for load in loads],
         "p_kw": [load.p_kw for load in loads],
         "q_kvar": [load.q_kvar for load in loads],
@@ -48,7 +53,7 @@ def connected(
     A customer is connected as its load, and so are PV system and battery behind its meter, at
     constant power; a battery with three phases has a coil to ground on each where there is ground.
     """
-    loads = {f"c{load.connection.id}": load for load in source.loads if load.kind == LOAD}
+    loads = {customer_of(load.connection.id): load for load in source.loads if load.kind == LOAD}
     rows = [replace(loads[str(each)].connection, id=str(each)) for each in customers.id]
     for system, owner, bus in zip(pv.id, pv.customer, pv.buses(customers), strict=True):
         own = _generators(source, bus)
