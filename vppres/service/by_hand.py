@@ -15,7 +15,7 @@ from vppres.day.recorder import StepRecord
 from vppres.scenario.scenario import Scenario
 from vppres.service.as_told import set_state
 from vppres.service.conditions import Situation
-from vppres.service.plans import ordered, ordered_plan
+from vppres.service.plans import Left, ordered, ordered_plan, told_at
 from vppres.service.world import World
 
 MOVED_KW = 0.5
@@ -79,9 +79,10 @@ class ByHand:
         engines = world.day.plant.engines
         engines.state = set_state(now, 0, found.plan, engines.state)
         tables = ordered(now, found.plan, self.asked["setpoints"])
-        plan = ordered_plan(now.grid.start, now, self.asked, tables, {})
-        told = plan["setpoints"]
-        return world.obey(0, told), told
+        told = told_at(found.plan, now.grid.start)
+        left = Left(available=not now.outage[0], told=told)
+        plan = ordered_plan(now.grid.start, now, self.asked, tables, {}, left)
+        return world.obey(0, plan["setpoints"]), plan["setpoints"]
 
     def _said(self, record: StepRecord, told: list[dict[str, Any]]) -> Iterator[str]:
         """What is worth knowing of it."""
