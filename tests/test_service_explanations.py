@@ -159,7 +159,9 @@ def test_what_is_not_kept_and_what_nobody_decided(stormy: Any) -> None:
     runner.clock.set(NOON + pd.Timedelta("1h"))
     assert http.post("/v1/steps").json()["status"] == "off"
     found = http.get("/v1/explanations").json()
-    assert (found["reasons"], found["price"]) == ([], None)
+    # In the outage devices keep what they were told, and say for whom.
+    assert {one["words"] for one in found["reasons"]} == {"default: works on the line"}
+    assert found["price"] is None
     assert found["step"]["words"] == "works on the line"
     assert found["price_reason"] == explainer.UNDECIDED
 

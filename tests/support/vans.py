@@ -69,7 +69,7 @@ def plugged_in(day: Scenario, *hours: tuple[float, float], **more: Any) -> Scena
         "soc_needed": 0.8,
         "energy_needed_kwh": np.nan,
         "v2g_soc_floor": np.nan,
-        "tier": "critical",
+        "tier": day.tiers[0],
         "weight": 1.0,
         "announced": True,
     } | more

@@ -19,7 +19,7 @@ from vppres.day.options import RULES
 from vppres.day.trajectory import Trajectory
 from vppres.plant.plant import CLIP_TOLERANCE_KW, NOBODY
 from vppres.report.clock import Clock
-from vppres.scenario.remarks import darkness
+from vppres.scenario.remarks import darkness, unknown_phases
 
 LIMIT_TOLERANCE_PU = 1e-6
 PROVEN = ("optimal", "blacked_out")
@@ -29,17 +29,17 @@ ISLAND_TOLERANCE_KW = 0.5
 
 def findings(run: Trajectory) -> list[str]:
     """One sentence for each exception; empty if there is none."""
-    return [*without_grid(run), *remarks(run)]
+    return [*doubts(run), *remarks(run)]
 
 
-def without_grid(run: Trajectory) -> list[str]:
-    """What makes the answer doubtful: islands that nothing can form, and blackouts."""
-    return [*_unlit(run), *blackouts(run)]
+def doubts(run: Trajectory) -> list[str]:
+    """What makes the answer doubtful: islands that nothing forms, blackouts, unknown phases."""
+    return [*_unlit(run), *blackouts(run), *unknown_phases(run.scenario)]
 
 
 def remarks(run: Trajectory) -> list[str]:
     """The other exceptions."""
-    known = blackouts(run)
+    known = doubts(run)
     return [
         *(words for words in cautions(run) if words not in known),
         *_estimates(run),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from vppres.report.answer import answer
 from vppres.report.events import opening_of
-from vppres.report.findings import remarks, without_grid
+from vppres.report.findings import doubts, remarks
 from vppres.report.first_page import (
     energy_rows,
     foundations,
@@ -26,7 +26,7 @@ def overview_section(run: Run) -> Section:
         "Summary",
         {
             "answer": answer(trajectory, run.summary),
-            "doubts": without_grid(trajectory),
+            "doubts": doubts(trajectory),
             "remarks": remarks(trajectory),
             "sentences": [
                 *opening_of(trajectory, run.summary),
