@@ -259,7 +259,7 @@ def test_the_title_is_the_networks_own_name(name: str, title: str) -> None:
     net = networks.case33bw()
     net.name = name
     made = new_scenario(import_network(net), NewScenarioOptions(days=1))
-    assert made.title.startswith(f"{title}: 32 customers")
+    assert made.title.startswith(f"{title}: 1 day")
 
 
 def test_all_wrong_options_at_once(case33: ImportedFeeder) -> None:

@@ -210,7 +210,7 @@ class Present:
             vehicles=Held.of(day.scenario, 0, day.plant.garage.kwh),
             rooms=self._felt_after(day, record),
             sets=self._told(record),
-            flexible_kw=sum(float(kw.sum()) for kw in taken_kw.values()),
+            flexible_kw=float(sum(kw.sum() for kw in taken_kw.values())),
             flexible_off_kw=float(np.abs(taken_kw.get("chargers", 0.0)).sum())
             + float(day.scenario.thermal_loads.p_max_kw.sum()),
         )
