@@ -108,7 +108,8 @@ def began(zero: Reading, step: pd.Timedelta, store: Store) -> pd.Timestamp:
     return moment(since.time)
 
 
-def lost_now(now: pd.Timestamp, store: Store) -> Reading | None:
+def lost_now(now: pd.Timestamp, step: pd.Timedelta, store: Store) -> Reading | None:
     """The last reading of the grid, if it says that it is lost."""
-    found = [one for one in store.latest(now, (GRID_ON,)) if one.asset == GRID]
+    end = now + EARLY_SHARE * step
+    found = [one for one in store.latest(end, (GRID_ON,)) if one.asset == GRID]
     return found[0] if found and found[0].value == 0.0 else None

@@ -220,7 +220,7 @@ class Runner:
     def _fed(self) -> bool:
         """Whether something contradicts the last reading of the grid, that it is lost."""
         now = self.clock.now()
-        zero = lost_now(now, self.store)
+        zero = lost_now(now, self.length, self.store)
         demand_kw = float(self._profile_of(self.begun(now)).load_kw.sum())
         return contradiction(zero, now, self.length, self.store, demand_kw) != ""
 
@@ -229,7 +229,7 @@ class Runner:
         if not any(one.quantity == GRID_ON and one.value == 0.0 for one in readings):
             return []
         now = self.clock.now()
-        words = stands_alone(lost_now(now, self.store), now, self.length, self.store)
+        words = stands_alone(lost_now(now, self.length, self.store), now, self.length, self.store)
         return [words] if words else []
 
     def look(self) -> None:
