@@ -7,7 +7,7 @@ colour, dashes and width, and areas by hatches, so that a grey print shows the s
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import cycle
 from typing import Any, Protocol, cast
 
@@ -49,11 +49,10 @@ from vppres.report.tree_layout import tree_layout
 from vppres.scenario.kinds import KINDS
 from vppres.scenario.scenario import Scenario
 
-_OF_RUNS = ("day", "supply", "energy", "voltages", "feeder", "compare")
-"""Kinds of pictures of one run."""
-
 _SMALL = 8.0
 _MOST_NAMED_BUSES = 60
+_MOST_LETTERS, _MOST_UPRIGHT = 10, 3
+"""Letters of a bus's name that are shown, and that stand without being turned."""
 _LOAD, _PV = Style(BLACK, "", 1.3), Style(ORANGE, "6 2 2 2", 1.6)
 _SOURCES = {
     "PV": (ORANGE, "||"),
@@ -128,15 +127,18 @@ def line_of(style: Style) -> dict[str, Any]:
 
 def drawn(kind: str, run: Trajectory, **options: Any) -> Any:
     """A picture of a run by the name of its kind."""
-    if kind not in _OF_RUNS:
+    of_runs: dict[str, Callable[..., Any]] = {
+        picture.__name__: picture for picture in (day, supply, energy, voltages, feeder, compare)
+    }
+    if kind not in of_runs:
         raise InputError.of(
             "plot",
             "is no picture of a run",
-            f"Give one of {', '.join(_OF_RUNS)}.",
+            f"Give one of {', '.join(of_runs)}.",
             field="kind",
             value=kind,
         )
-    return globals()[kind](run, **options)
+    return of_runs[kind](run, **options)
 
 
 def day(run: Trajectory, ax: Sequence[Axes] | None = None) -> Sequence[Axes]:
@@ -301,22 +303,10 @@ def feeder(
         ax.plot(*corner, color=GREY, linewidth=widths[line], zorder=1, solid_capstyle="round")
     ax.scatter(x, y, s=46, c=colours, edgecolors=BLACK, linewidths=0.8, zorder=3)
     ax.scatter(x[:1], y[:1], s=90, marker="D", color=BLACK, zorder=4, label="grid connection")
-    _devices(site, x, y, off, ax)
+    _devices(site, off, _Marks(x, y, ax))
     if net.n_buses <= _MOST_NAMED_BUSES:
-        for bus in range(net.n_buses):
-            name = str(net.buses[bus])
-            short = name if len(name) <= 10 else f"{name[:9]}\N{HORIZONTAL ELLIPSIS}"
-            ax.annotate(
-                short,
-                (x[bus], y[bus]),
-                (0.0, 7.0),
-                textcoords="offset points",
-                ha="left" if len(short) > 3 else "center",
-                va="bottom",
-                rotation=40.0 if len(short) > 3 else 0.0,
-                fontsize=7.0,
-                color="#444444",
-            )
+        for bus, name in enumerate(net.buses):
+            _name_bus(ax, str(name), (x[bus], y[bus]))
     ax.set_xlabel("Lines from the grid connection")
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     ax.set_yticks([])
@@ -446,7 +436,7 @@ def scenario(site: Scenario, ax: Sequence[Axes] | None = None) -> Sequence[Axes]
 
 
 def limit(ax: Axes, value: float, text: str, linestyle: str = "--") -> None:
-    """A horizontal limit with its name at the right."""
+    """A horizontal limit with its name at the left."""
     ax.axhline(value, color=GREY, linestyle=linestyle, linewidth=1.0)
     ax.annotate(
         text,
@@ -623,21 +613,46 @@ def _tier_styles() -> Iterator[Style]:
     return cycle(TIER_STYLES)
 
 
-def _devices(site: Scenario, x: Floats, y: Floats, off: Flags, ax: Axes) -> None:
-    """Customers by tier below their bus, then PV systems, batteries and other units."""
-    used = np.zeros(len(x), dtype=int)
+def _name_bus(ax: Axes, name: str, place: tuple[float, float]) -> None:
+    """The name of a bus above it, shortened, and turned where it is longer than a number."""
+    is_long = len(name) > _MOST_UPRIGHT
+    short = (
+        name
+        if len(name) <= _MOST_LETTERS
+        else f"{name[: _MOST_LETTERS - 1]}\N{HORIZONTAL ELLIPSIS}"
+    )
+    ax.annotate(
+        short,
+        place,
+        (0.0, 7.0),
+        textcoords="offset points",
+        ha="left" if is_long else "center",
+        va="bottom",
+        rotation=40.0 if is_long else 0.0,
+        fontsize=7.0,
+        color="#444444",
+    )
 
-    def marks(at: Wholes, level: Wholes, **look: Any) -> None:
-        """Marks below their buses, each so many places down."""
-        for down in np.unique(level):
-            inches = -(_FIRST_MARK + _NEXT_MARK * down) / _POINTS_PER_INCH
-            moved = ScaledTranslation(0.0, inches, ax.figure.dpi_scale_trans)
-            here = at[level == down]
-            ax.scatter(x[here], y[here], transform=ax.transData + moved, **look)
 
-    def put(at: Wholes, label: str, mark: str, colour: str, crossed: Wholes | None = None) -> None:
-        level = used[at]
-        used[np.unique(at)] += 1  # one mark for all of the kind at a bus
+class _Marks:
+    """Marks of what is at buses, one kind below the other.
+
+    Parameters
+    ----------
+    x, y : array, shape (N,)
+        Where the buses are.
+    ax : Axes
+        Where to draw.
+    """
+
+    def __init__(self, x: Floats, y: Floats, ax: Axes) -> None:
+        self.x, self.y, self.ax = x, y, ax
+        self._used = np.zeros(len(x), dtype=int)
+
+    def put(self, at: Wholes, label: str, mark: str, colour: str) -> Wholes:
+        """A mark at each of some buses, and how many places down each is."""
+        level = self._used[at]
+        self._used[np.unique(at)] += 1  # one mark for all of the kind at a bus
         look: dict[str, Any] = {
             "s": 28,
             "marker": mark,
@@ -645,11 +660,25 @@ def _devices(site: Scenario, x: Floats, y: Floats, off: Flags, ax: Axes) -> None
             "edgecolors": BLACK,
             "linewidths": 0.5,
         }
-        marks(at, level, zorder=4, **look)
-        ax.scatter([], [], label=f"{label} ({len(at)})", **look)
-        if crossed is not None:
-            off_look = {"s": 56, "marker": "x", "color": VERMILLION, "linewidths": 1.6}
-            marks(at[crossed], level[crossed], zorder=5, **off_look)
+        self._draw(at, level, zorder=4, **look)
+        self.ax.scatter([], [], label=f"{label} ({len(at)})", **look)
+        return level
+
+    def cross(self, at: Wholes, level: Wholes) -> None:
+        """Cross out marks that are so many places down."""
+        self._draw(at, level, zorder=5, s=56, marker="x", color=VERMILLION, linewidths=1.6)
+
+    def _draw(self, at: Wholes, level: Wholes, **look: Any) -> None:
+        for down in np.unique(level):
+            inches = -(_FIRST_MARK + _NEXT_MARK * down) / _POINTS_PER_INCH
+            moved = ScaledTranslation(0.0, inches, self.ax.figure.dpi_scale_trans)
+            here = at[level == down]
+            place = self.ax.transData + moved
+            self.ax.scatter(self.x[here], self.y[here], transform=place, **look)
+
+
+def _devices(site: Scenario, off: Flags, marks: _Marks) -> None:
+    """Customers by tier below their bus, then PV systems, batteries and other units."""
 
     def at(buses: Iterable[Any]) -> Wholes:
         return np.array([site.network.bus_index[name] for name in buses], dtype=int)
@@ -658,17 +687,19 @@ def _devices(site: Scenario, x: Floats, y: Floats, off: Flags, ax: Axes) -> None
     for tier, mark, style in zip(site.tiers, _TIER_MARKS, _tier_styles(), strict=False):
         of_tier = c.tier == tier
         if of_tier.any():
-            put(at(c.bus[of_tier]), str(tier), mark, style.color, np.flatnonzero(off[of_tier]))
+            buses, is_off = at(c.bus[of_tier]), off[of_tier]
+            level = marks.put(buses, str(tier), mark, style.color)
+            marks.cross(buses[is_off], level[is_off])
     if off.any():
-        ax.scatter([], [], s=60, marker="x", color=VERMILLION, label="off supply")
+        marks.ax.scatter([], [], s=60, marker="x", color=VERMILLION, label="off supply")
     if len(site.pv):
-        put(at(site.pv.buses(c)), site.pv.word, "*", ORANGE)
+        marks.put(at(site.pv.buses(c)), site.pv.word, "*", ORANGE)
     if len(site.batteries):
-        put(at(site.batteries.bus), "batteries", "P", GREEN)
+        marks.put(at(site.batteries.bus), "batteries", "P", GREEN)
     for name, kind in KINDS.items():
         units = getattr(site, name)
         if len(units):
-            put(at(units.buses(c)), kind.what, "h", PURPLE)
+            marks.put(at(units.buses(c)), kind.what, "h", PURPLE)
 
 
 def _figure(summary: Mapping[str, Any], value: str) -> float:

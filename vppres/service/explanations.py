@@ -79,7 +79,7 @@ def question(runner: Runner, plan: Mapping[str, Any]) -> Replay:
         runner.options.on(scenario), errors=ForecastErrors(), forecaster=PAPER, thermal="off"
     )
     expected = _expected(scenario, plan, t, runner.expected.get(plan["id"]))
-    return Replay(expected, options, replay.stored[: t + 1], replay.soc)
+    return replace(replay, scenario=expected, options=options, stored=replay.stored[: t + 1])
 
 
 def _expected(

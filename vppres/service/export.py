@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -120,6 +121,8 @@ class Replay:
         How they were decided.
     stored : list of dict or None
         Their plans, None for a step without; none of steps that were not replayed yet.
+    parts : list of list of Part
+        Parts of each step; none of a step without a plan.
     soc : array, shape (T, B)
         States of charge that were read, NaN where none was.
     """
@@ -127,6 +130,7 @@ class Replay:
     scenario: Scenario
     options: RunOptions
     stored: list[Plan | None]
+    parts: list[list[Part]]
     soc: Floats
 
     @classmethod
@@ -138,7 +142,8 @@ class Replay:
         stored = [by_start.get(written(time)) for time in scenario.grid.times]
         measured = InSteps(store, scenario.grid)
         step = scenario.grid.step
-        dark = [plan is not None and parts_of(plan, step, store)[-1].island for plan in stored]
+        parts = [[] if plan is None else parts_of(plan, step, store) for plan in stored]
+        dark = [bool(each) and each[-1].island for each in parts]
         price, limit_kw = _announced(scenario, stored, store)
         b, loads, pv = scenario.batteries, scenario.thermal_loads, scenario.pv
         soc = measured.laid("soc", b.id, np.full((len(stored), len(b)), np.nan))
@@ -153,7 +158,7 @@ class Replay:
             batteries=replace(b, soc_initial=np.clip(first, b.soc_min, b.soc_max)),
             thermal_loads=replace(loads, t_initial_c=start_c),
         )
-        return cls(with_told(known, stored), options, stored, soc)
+        return cls(with_told(known, stored), options, stored, parts, soc)
 
     def records(self) -> Iterator[StepRecord]:
         """The plant's answer to every step that is stored.
@@ -191,10 +196,7 @@ class Replay:
 
 def counted(replay: Replay, store: Store) -> Iterator[StepRecord]:
     """The steps of a replay, in which supply counts by the parts of those decided anew."""
-    parts = [
-        [] if plan is None else parts_of(plan, replay.scenario.grid.step, store)
-        for plan in replay.stored
-    ]
+    parts = replay.parts
     if all(len(each) < 2 for each in parts):
         yield from replay.records()
         return
@@ -220,12 +222,16 @@ def off_minutes(
     if len(parts) == 1:
         whole = minutes[0] or h_to_minutes(service.scenario.grid.dt_h)  # it begins now
         return dict.fromkeys(sorted(parts[0].off()), whole), whole
-    begin = pd.Timestamp(plan["start"])
-    alone = site_of(service, begin, begin + length)
-    replay = Replay.of(alone, service.options, [plan], store)
+
+    @cache
+    def alone() -> Scenario:
+        begin = pd.Timestamp(plan["start"])
+        site = site_of(service, begin, begin + length)
+        return Replay.of(site, service.options, [plan], store).alone(0)
+
     found: dict[str, float] = {}
     for part, each in zip(parts, minutes, strict=True):
-        for name in sorted(off_in(part, plan, replay.alone(0), service.options, store)):
+        for name in sorted(off_in(part, plan, alone, service.options, store)):
             found[name] = found.get(name, 0.0) + each
     return found, sum(minutes)
 
@@ -234,7 +240,7 @@ def _on_in(part: Part, t: int, replay: Replay, store: Store) -> Flags:
     """Who was on in a part of a step, (C,)."""
     plan = replay.stored[t]
     assert plan is not None
-    off = off_in(part, plan, replay.alone(t), replay.options, store)
+    off = off_in(part, plan, partial(replay.alone, t), replay.options, store)
     return np.array([str(name) not in off for name in replay.scenario.customers.id], dtype=bool)
 
 

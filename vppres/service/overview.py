@@ -16,7 +16,7 @@ from vppres.scenario.phases import PHASES
 from vppres.scenario.remarks import former_words
 from vppres.service.announced import believes
 from vppres.service.clock import written
-from vppres.service.conditions import limits_h, situation
+from vppres.service.conditions import limits_h
 from vppres.service.export import off_minutes
 from vppres.service.knowledge import MEAN, Heard, Latest, last_heard
 from vppres.service.payloads import ModeRequest
@@ -169,15 +169,7 @@ class Overview:
         now = runner.clock.now()
         plan = runner.last
         latest = Latest.at(now, runner.scenario, runner.store)
-        found = situation(
-            now,
-            runner.scenario,
-            runner.store,
-            plan,
-            runner.ahead_s,
-            runner.changes.reasons,
-            runner.options.mode,
-        )
+        found = runner.situation(now)
         return {
             "now": written(now.floor("s")),
             "mode": runner.mode,

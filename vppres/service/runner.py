@@ -33,7 +33,7 @@ from vppres.service.as_told import expected_by
 from vppres.service.by_hand import ByHand
 from vppres.service.changes import Changes
 from vppres.service.clock import Clock, SetClock, written
-from vppres.service.conditions import BY_HAND, conditions, situation
+from vppres.service.conditions import BY_HAND, Situation, conditions, situation
 from vppres.service.gate import refusals
 from vppres.service.grid_readings import (
     EARLY_SHARE,
@@ -278,9 +278,7 @@ class Runner:
             If they would black out an island that is lit.
         """
         now, last = self.clock.now(), self.last
-        found = situation(
-            now, self.scenario, self.store, last, self.ahead_s, mode=self.options.mode
-        )
+        found = self.situation(now)
         step = self._profile_of(self.begun(now))
         measured = InSteps(self.store, step.grid)
         limit_kw = expected_by(last).get("grid_limit_kw")
@@ -293,20 +291,23 @@ class Runner:
         )
         return ByHand(asked, step, found, self.options).words()
 
+    def situation(self, now: pd.Timestamp) -> Situation:
+        """How the site is, with the last plan and what that does not know."""
+        return situation(
+            now,
+            self.scenario,
+            self.store,
+            self.last,
+            self.ahead_s,
+            self.changes.reasons,
+            self.options.mode,
+        )
+
     def check_alarms(self) -> None:
         """Raise, change and clear alarms by what is wrong now."""
         now = self.clock.now()
         with suppress(StorageError):  # /readyz says so, and the next look comes soon
-            unaware_of = self.changes.reasons
-            found = situation(
-                now,
-                self.scenario,
-                self.store,
-                self.last,
-                self.ahead_s,
-                unaware_of,
-                self.options.mode,
-            )
+            found = self.situation(now)
             found = replace(found, unreached=self.notifier.unreached() if self.notifier else ())
             self.alarms.look(conditions(found), now)
 

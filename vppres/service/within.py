@@ -6,7 +6,7 @@ stands what devices made of the old set-points: the plant answers that.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -115,25 +115,32 @@ def _spans(
     yield begin, end, island
 
 
-def off_in(part: Part, plan: Plan, now: Scenario, options: RunOptions, store: Store) -> set[str]:
+def off_in(
+    part: Part,
+    plan: Plan,
+    alone: Callable[[], Scenario],
+    options: RunOptions,
+    store: Store,
+) -> set[str]:
     """Customers that were off in a part of a step.
 
     One that could not be switched on was off. In an island that no plan had foreseen, or in which
-    a battery rejected its set-point, it is the plant's answer, for the step's scenario ``now``:
-    such a battery neither gives power nor forms the grid.
+    a battery rejected its set-point, it is the plant's answer, for the step ``alone``: such a
+    battery neither gives power nor forms the grid.
     """
     rejected = store.rejected(one["id"] for one in part.setpoints)
     refuses = {(one["kind"], one["asset"]) for one in part.setpoints if one["id"] in rejected}
+    off = part.off() | {name for kind, name in refuses if kind == "customers"}
+    follow_all = all(kind != "batteries" for kind, _ in refuses)
+    if (part.foreseen and (follow_all or not part.island)) or options.mode != "physical":
+        return off
+    now = alone()
     b = now.batteries
     follows = np.array([("batteries", str(name)) not in refuses for name in b.id], dtype=bool)
-    off = part.off() | {name for kind, name in refuses if kind == "customers"}
-    as_planned = part.foreseen and (follows.all() or not part.island)
-    if as_planned or options.mode != "physical":
-        return off
     grid = replace(now.grid, start=part.begin, step_minutes=h_to_minutes(part.hours), n_steps=1)
     rests = replace(b, p_max_kw=np.where(follows, b.p_max_kw, 0.0))
-    alone = replace(now, grid=grid, grid_limit_kw=np.zeros(1), batteries=rests)
-    world = World(alone, options)
+    island = replace(now, grid=grid, grid_limit_kw=np.zeros(1), batteries=rests)
+    world = World(island, options)
     day = world.day
     day.plant.engines.state = set_state(world.scenario, 0, plan, day.plant.engines.state)
     day.island.formers = now.formers & follows  # nobody told others to form it
