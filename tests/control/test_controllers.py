@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.random_feeders import random_scenario
+from benchmarks.random_feeders import random_scenario
 from tests.support.set_points import decision
 from vppres.contract.decision import Decision
 from vppres.contract.dispatch import Dispatch

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.random_feeders import random_window
 from experiments.quiet_days import difference, run_one
-from experiments.random_feeders import random_window
 from tests.support.dispatch_check import check_dispatch
 from tests.support.made_up_runs import small_scenario
 from tests.support.set_points import decision

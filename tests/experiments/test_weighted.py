@@ -8,8 +8,8 @@ import cvxpy as cp
 import numpy as np
 import pytest
 
+from benchmarks.random_feeders import random_window
 from experiments.jobs import Job
-from experiments.random_feeders import random_window
 from experiments.runner import simulate
 from experiments.units import dispatch_in_kw, site_in_unit, window_in_unit
 from experiments.weighted import OPTIONS, WeightedChoices, WeightedSolver, squares_of

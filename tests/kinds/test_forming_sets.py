@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from experiments.random_feeders import random_window
+from benchmarks.random_feeders import random_window
 from tests.support.agreement import assert_methods_agree
 from tests.support.sets import gensets, random_sets
 from tests.support.small_windows import DARK, OPEN, battery, two_buses, with_pv

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.random_feeders import random_window
+from benchmarks.random_feeders import random_window
 from tests.support.agreement import assert_methods_agree
 from tests.support.sets import ahead, gensets, random_sets
 from tests.support.small_windows import DARK, OPEN, battery, first_step, two_buses, window

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.random_feeders import random_rules, random_window
+from benchmarks.random_feeders import random_rules, random_window
 from tests.support.agreement import assert_methods_agree
 from tests.support.small_windows import DARK, OPEN, full_of, two_buses, window
 from vppres import Controller, Measurement, RunOptions, explain_day, run_day, summarise

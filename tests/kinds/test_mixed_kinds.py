@@ -9,7 +9,7 @@ import pandapower.networks
 import pandas as pd
 import pytest
 
-from experiments.random_feeders import random_window
+from benchmarks.random_feeders import random_window
 from tests.support.agreement import both_methods
 from tests.support.carried_out import carried_out
 from tests.support.homes import homes, with_random_homes

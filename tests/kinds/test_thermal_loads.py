@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.random_feeders import random_window
+from benchmarks.random_feeders import random_window
 from tests.support.agreement import assert_methods_agree
 from tests.support.homes import homes, hot, with_random_homes
 from tests.support.small_windows import DARK, OPEN, first_step, two_buses, window

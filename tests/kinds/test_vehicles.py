@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.random_feeders import random_window
+from benchmarks.random_feeders import random_window
 from tests.support.agreement import assert_methods_agree
 from tests.support.live_service import HERE, NOON, client, decided, readings, said, site
 from tests.support.small_windows import (

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from experiments.random_feeders import random_scenario
+from benchmarks.random_feeders import random_scenario
 from tests.support.set_points import decision, state
 from vppres.contract.decision import Decision
 from vppres.physics import nose

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from benchmarks.instances import Instance, packaged, read_instances, window_data
-from experiments.random_feeders import random_window
+from benchmarks.random_feeders import random_window
 from tests.support.small_windows import window
 from vppres.core.arrays import Flags
 from vppres.core.errors import LimitError, SolveError

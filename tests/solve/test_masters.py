@@ -11,10 +11,10 @@ import pytest
 import scipy.sparse as sp
 
 from benchmarks.feeders import with_days
+from benchmarks.hard_days import hard_window
 from benchmarks.instances import packaged as instances_day
 from benchmarks.instances import read_instances, window_data
-from experiments.hard_days import hard_window
-from experiments.random_feeders import random_state, random_window
+from benchmarks.random_feeders import random_state, random_window
 from tests.support.dispatch_check import check_dispatch
 from tests.support.injections import columns_of
 from tests.support.programs import knapsack

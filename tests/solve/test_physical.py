@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from experiments.hard_days import hard_day, hard_window
+from benchmarks.hard_days import hard_day, hard_window
+from benchmarks.random_feeders import Window, random_scenario, random_window
 from experiments.islands import claims_of, imbalance_kw, random_day
-from experiments.random_feeders import Window, random_scenario, random_window
 from tests.support.agreement import assert_agree, both_methods
 from tests.support.dispatch_check import check_dispatch
 from tests.support.small_windows import CHECKER_TOLERANCE, window

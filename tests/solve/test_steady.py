@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from experiments.hard_days import hard_window
+from benchmarks.hard_days import hard_window
 from tests.support.dispatch_check import check_dispatch
 from tests.support.small_windows import CHECKER_TOLERANCE
 from vppres.solve.fleet.steady import steady_sets

@@ -159,6 +159,23 @@ def test_doors_upwards_are_few() -> None:
     assert found == DOORS
 
 
+@pytest.mark.parametrize(
+    ("folder", "above"),
+    [
+        ("vppres", ("benchmarks", "experiments", "tests", "docs")),
+        ("benchmarks", ("experiments", "tests", "docs")),
+        ("experiments", ("tests", "docs")),
+    ],
+)
+def test_what_stands_beside_the_package_imports_one_way(
+    folder: str, above: tuple[str, ...]
+) -> None:
+    upwards = re.compile(rf"^\s*(?:from|import) (?:{'|'.join(above)})\b", re.MULTILINE)
+    files = sorted((ROOT / folder).rglob("*.py"))
+    assert len(files) > 10
+    assert [file.name for file in files if upwards.search(file.read_text("utf-8"))] == []
+
+
 def test_plant_and_control_meet_only_at_the_contract() -> None:
     assert rooms_entered("plant").isdisjoint({"control", "solve", "model"})
     assert rooms_entered("control").isdisjoint({"plant"})

@@ -13,8 +13,8 @@ import numpy as np
 import pandas as pd
 from numpy.random import Generator
 
-from experiments.random_feeders import random_rules
-from experiments.usual_battery import USUAL_BATTERY
+from benchmarks.random_feeders import random_rules
+from benchmarks.usual_battery import USUAL_BATTERY
 from vppres.contract.forecast import Forecaster, ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.contract.switching import SwitchingState

@@ -1,4 +1,4 @@
-"""Reports of the studies: the same text as Markdown and HTML, and its numbers as JSON."""
+"""Reports of studies and benchmarks: text as Markdown and HTML, numbers as JSON, figures."""
 
 from __future__ import annotations
 
@@ -8,12 +8,17 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import matplotlib
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markdown_it import MarkdownIt
+from matplotlib.figure import Figure
 
 from vppres.core.plain import json_safe
 from vppres.io.atomic import atomic_write_text
 
+DPI = 150
+SVG_HASH_SALT = "vppres"
+"""A fixed salt keeps two SVG files equal if their data are."""
 PAGE = """<!DOCTYPE html>
 <html lang="en-GB">
 <head>
@@ -87,3 +92,28 @@ def put_into(page: Path, text: str, begin: str, end: str) -> None:
     before, _, rest = page.read_text("utf-8").partition(begin)
     _, _, after = rest.partition(end)
     atomic_write_text(page, f"{before}{begin}\n\n{text}\n\n{end}{after}")
+
+
+def save_figure(figure: Figure, stem: Path) -> list[Path]:
+    """Write one figure as PNG and SVG; equal figures give equal files.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+        The figure.
+    stem : Path
+        File without its ending, in an existing folder.
+
+    Returns
+    -------
+    list of Path
+        The files written.
+    """
+    png = stem.with_name(f"{stem.name}.png")
+    svg = stem.with_name(f"{stem.name}.svg")
+    with matplotlib.rc_context({"svg.hashsalt": SVG_HASH_SALT}):
+        figure.savefig(svg, metadata={"Date": None})
+    # The places are found; to find them again would take half of the time.
+    figure.set_layout_engine("none")
+    figure.savefig(png, dpi=DPI)
+    return [png, svg]
