@@ -5,12 +5,18 @@ A site without chargers has tables of length 0.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Flags, Floats, Items, Names, Wholes, no_items
+from vppres.core.arrays import Flags, Floats, Names, Wholes, given_or, no_items
+from vppres.core.errors import Problem
+from vppres.core.text import counted, iso
+from vppres.kinds.kind import Kind, KindTable
 from vppres.scenario.assets import Customers, positions_of, without_customer
 from vppres.scenario.timegrid import TimeGrid
 
@@ -26,18 +32,27 @@ OF_SESSIONS = (
 )
 """Columns of sessions that are NaN if not given."""
 
+STATES = ("capacity_kwh", "soc_at_plug_in", "soc_needed")
+"""Columns of vehicles that tell their state of charge."""
+
 ROUNDING = 1e-9
 """Share of a step by which a time may miss its beginning."""
 
 
 @dataclass(frozen=True, eq=False)
-class Chargers(Items):
+class Chargers(KindTable):
     """Chargers of vehicles, shape (K,) each.
 
     ``customer`` is the customer behind whose switch a charger is; one that stands alone has none
     (empty text) and names its ``bus``, others have None there. ``p_discharge_kw`` is 0 for a
     charger that only charges. Chargers have a power factor of 1.
     """
+
+    key = "ev_chargers"
+    model = "ChargerRow"
+    about = "A charger of electric vehicles."
+    references = (("customer", "customers", "customer"),)
+    limits = (("p_charge_min_kw", "p_charge_kw", ""),)
 
     id: Names = field(default_factory=no_items)
     bus: Names = field(default_factory=no_items)
@@ -79,12 +94,17 @@ class Chargers(Items):
 
 
 @dataclass(frozen=True, eq=False)
-class Sessions(Items):
+class Sessions(KindTable):
     """Times in which a vehicle is plugged in, shape (S,) each, as the file says them.
 
     Times are of type :class:`pandas.Timestamp`. Numbers are NaN where the file has none;
     :attr:`held_kwh` and the properties beside it say what follows in kWh.
     """
+
+    key = "ev_sessions"
+    model = "SessionRow"
+    about = "A time in which a vehicle is plugged in at a charger."
+    references = (("charger", "ev_chargers", "charger"),)
 
     charger: Names = field(default_factory=no_items)
     vehicle: Names = field(default_factory=no_items)
@@ -98,6 +118,21 @@ class Sessions(Items):
     tier: Names = field(default_factory=no_items)
     weight: Floats = field(default_factory=no_items)
     announced: Flags = field(default_factory=no_items)
+
+    @classmethod
+    def of_columns(cls, columns: dict[str, Any], tiers: Mapping[str, float]) -> Sessions:
+        """Sessions; a vehicle without a tier is of the last, without a name that of its charger."""
+        pairs = zip(columns["vehicle"], columns["charger"], strict=True)
+        named = [vehicle or charger for vehicle, charger in pairs]
+        tier = [tier or [*tiers][-1] for tier in columns["tier"]]
+        weight = given_or(columns["weight"], [tiers[each] for each in tier])
+        return cls(**columns | {"vehicle": named, "tier": tier, "weight": weight})
+
+    @classmethod
+    def problems(cls, table: Any, rows: Mapping[int, Any]) -> list[Problem]:
+        """Sessions that contradict themselves, or another one at their charger."""
+        found = [problem for row, each in rows.items() for problem in _of_session(table, row, each)]
+        return found + _overlaps(table, rows)
 
     def over(self, time: pd.Timestamp) -> Flags:
         """Sessions that ended by a time, (S,)."""
@@ -152,3 +187,62 @@ def sessions_by_step(chargers: Chargers, sessions: Sessions, grid: TimeGrid) -> 
     for s, charger in enumerate(sessions.charger):
         found[max(first[s], 0) : max(after[s], 0), column[charger]] = s
     return found
+
+
+def _of_session(table: Any, row: int, session: Any) -> list[Problem]:
+    """A session that ends before it begins, or says its energy twice or not at all."""
+    found = []
+    if not session.plug_out > session.plug_in:
+        message, cure = "does not come after plug_in", "Give the time of departure."
+        found.append(table.problem(row, "plug_out", message, cure, iso(session.plug_out)))
+    kwh = session.energy_needed_kwh
+    told = [name for name in STATES if getattr(session, name) is not None]
+    if kwh is not None and {"soc_needed", "soc_at_plug_in"} & {*told}:
+        message = "is said beside states of charge"
+        cure = "Keep the energy, or capacity_kwh, soc_at_plug_in and soc_needed."
+        found.append(table.problem(row, "energy_needed_kwh", message, cure, kwh))
+    if kwh is not None and session.capacity_kwh is not None and kwh > session.capacity_kwh:
+        message = f"is more than the vehicle holds (capacity_kwh {session.capacity_kwh:g})"
+        cure = "Give at most capacity_kwh, or correct capacity_kwh."
+        found.append(table.problem(row, "energy_needed_kwh", message, cure, kwh))
+    for name in STATES:
+        if kwh is None and name not in told:
+            message = "is missing, and so is energy_needed_kwh"
+            cure = "Give capacity_kwh, soc_at_plug_in and soc_needed, or energy_needed_kwh."
+            found.append(table.problem(row, name, message, cure))
+    return found
+
+
+def _overlaps(table: Any, rows: Mapping[int, Any]) -> list[Problem]:
+    """Vehicles that are plugged in before the one before has left its charger."""
+    by_charger: dict[str, list[tuple[int, Any]]] = {}
+    for row, session in sorted(rows.items(), key=lambda item: item[1].plug_in):
+        by_charger.setdefault(session.charger, []).append((row, session))
+    cure = "Correct one of the two sessions: a charger has one vehicle at a time."
+    return [
+        table.problem(
+            row,
+            "plug_in",
+            f"begins before the vehicle of row {before} has left",
+            cure,
+            iso(session.plug_in),
+        )
+        for sessions in by_charger.values()
+        for (before, other), (row, session) in pairwise(sessions)
+        if session.plug_in < other.plug_out
+    ]
+
+
+KIND = Kind(
+    {"chargers": Chargers, "sessions": Sessions},
+    what="vehicles",
+    table="vehicles",
+    item="charger",
+    subject="vehicle",
+)
+
+
+def told(content: Mapping[str, Any]) -> str:
+    """Chargers and sessions in words, from the numbers of what a scenario holds."""
+    sessions = counted(content["ev_sessions"], "session")
+    return f"{counted(content['chargers'], 'charger')} with {sessions}"

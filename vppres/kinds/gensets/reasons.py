@@ -10,7 +10,7 @@ from vppres.explain.recorded import MOVE_KW
 from vppres.explain.step import Reason, Step
 
 
-def why_gensets(step: Step) -> Iterator[tuple[str, str, Reason]]:
+def reasons(step: Step) -> Iterator[tuple[str, str, Reason]]:
     """Name of each set that runs, or that stopped in an outage, the action, and why."""
     now: Any = step.recorded.trajectory.rows("gensets", step.t)
     for g, each in enumerate(now.to_dict("records")):

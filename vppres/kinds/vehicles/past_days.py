@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Wholes
+from vppres.kinds.vehicles.data import Sessions
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
-from vppres.scenario.vehicles import Sessions
 
 
 @dataclass(frozen=True, eq=False)

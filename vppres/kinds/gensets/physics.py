@@ -1,18 +1,19 @@
 """Generating sets over the steps of a window: arrays, by set.
 
-:mod:`vppres.model.beyond_paper.gensets` states a problem with them.
+:mod:`vppres.kinds.gensets.rows` states a problem with them.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
-from vppres.contract.by_step import UnitsAhead
 from vppres.core.arrays import Flags, Floats
-from vppres.scenario.gensets import Gensets, GensetState, steps_of
+from vppres.core.errors import InputError
+from vppres.kinds.gensets.data import ROUNDING_H, Gensets, GensetState, steps_of
+from vppres.kinds.kind import UnitsAhead
 from vppres.scenario.scenario import Scenario
 
 
@@ -48,14 +49,12 @@ class SetsAhead(UnitsAhead):
     headroom_kw: Floats
 
     @classmethod
-    def of(cls, scenario: Scenario, steps: range, now: GensetState) -> Self | None:
-        """The window that begins with sets in this state; None without any.
+    def of(cls, scenario: Scenario, steps: range, now: GensetState, past_days: Any = None) -> Self:
+        """The window that begins with sets in this state.
 
         No set has to stay on for longer than its fuel lasts.
         """
         sets, dt_h = scenario.gensets, scenario.grid.dt_h
-        if not len(sets):
-            return None
         n_steps = len(steps)
         step = np.arange(n_steps)[:, None]
         left_on = steps_of(np.where(now.on, sets.min_on_h - now.hours, 0.0), dt_h)
@@ -190,3 +189,131 @@ def _first(values: Floats, n_steps: int) -> Floats:
     rows = np.zeros((n_steps, len(values)))
     rows[0] = values
     return rows
+
+
+LEAST_KW = 1e-6
+"""By how much a power may miss the least of a set, or its fuel: the rounding of plans."""
+
+
+class Engines:
+    """State of all generating sets from step to step.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Sets and steps.
+
+    Attributes
+    ----------
+    state : GensetState
+        Sets at the end of the last step.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.scenario = scenario
+        self.state = GensetState.at_first(scenario.gensets)
+
+    def tank_litres(self, t: int) -> Floats:
+        """Fuel at the beginning of a step, with what is delivered then and fits in."""
+        filled = self.state.fuel_litres + self.scenario.refuelled_litres[t]
+        return np.asarray(np.minimum(filled, self.scenario.gensets.tank_litres))
+
+    def possible(self, t: int, on: Flags, wanted_kw: Floats) -> tuple[Flags, Floats]:
+        """Which sets run of those that are to, and the power of each nearest to what is wanted.
+
+        A set starts once it has been off for its least time, and stops at once when its set-point
+        says so, or when its fuel is not enough for its least power over the step.
+        """
+        sets = self.scenario.gensets
+        dt_h = self.scenario.grid.dt_h
+        was_on, was_kw = self.state.on, self.state.power_kw
+        started = ~was_on & (self.state.hours >= sets.min_off_h - ROUNDING_H)
+        step_kw = dt_h * sets.ramp_up_kw_per_h
+        most_kw = np.where(was_on, was_kw + step_kw, np.maximum(sets.p_min_kw, step_kw))
+        litres_per_h = self.tank_litres(t) / dt_h - sets.litres_per_h_idle
+        by_fuel_kw = litres_per_h / sets.litres_per_kwh
+        most_kw = np.minimum(np.minimum(most_kw, sets.p_max_kw), by_fuel_kw)
+        fallen_kw = np.where(was_on, was_kw - dt_h * sets.ramp_down_kw_per_h, 0.0)
+        least_kw = np.maximum(sets.p_min_kw, fallen_kw)
+        runs = on & (was_on | started) & (most_kw > sets.p_min_kw - LEAST_KW)
+        within_kw = np.minimum(np.maximum(wanted_kw, least_kw), most_kw)
+        return runs, np.where(runs, np.maximum(within_kw, 0.0), 0.0)
+
+    def at(self, t: int) -> GensetState:
+        """State at the beginning of a step."""
+        return self.state
+
+    def on(self, served: Flags) -> Flags:
+        """All of them: sets are of no customer, (G,)."""
+        return np.ones(len(self.scenario.gensets), dtype=bool)
+
+    def follow(
+        self, t: int, wanted_kw: Floats, running: Flags, served: Flags
+    ) -> tuple[Floats, Flags]:
+        """:meth:`possible`, as power that sets take."""
+        runs, given_kw = self.possible(t, running, -wanted_kw)
+        return -given_kw, runs
+
+    def able_to_form(self, t: int, runs: Flags) -> list[int]:
+        """Sets that can form the grid in a step, those that run first, then the largest.
+
+        They start by themselves, where they may, when nothing else forms it.
+        """
+        sets = self.scenario.gensets
+        ready = self.state.on | (self.state.hours >= sets.min_off_h - ROUNDING_H)
+        least_kw, most_kw = self.forming_kw(t)
+        able = sets.grid_forming & ready & (most_kw > least_kw - LEAST_KW)
+        order = np.lexsort((-sets.p_max_kw, ~(runs & able)))
+        return [int(g) for g in order if able[g]]
+
+    def forming_kw(self, t: int) -> tuple[Floats, Floats]:
+        """Least and largest power over a step while forming the grid, without ramps, (G,) each."""
+        sets = self.scenario.gensets
+        litres_per_h = self.tank_litres(t) / self.scenario.grid.dt_h - sets.litres_per_h_idle
+        return sets.p_min_kw, np.minimum(sets.p_max_kw, litres_per_h / sets.litres_per_kwh)
+
+    def spare_kw(self, taken_kw: Floats, running: Flags) -> Floats:
+        """What each gives beyond its least power, (G,)."""
+        return -taken_kw - np.where(running, self.scenario.gensets.p_min_kw, 0.0)
+
+    def after(self, t: int, on: Flags, power_kw: Floats) -> GensetState:
+        """State at the end of a step in which sets run with these powers."""
+        sets = self.scenario.gensets
+        dt_h = self.scenario.grid.dt_h
+        per_h = np.where(on, sets.litres_per_h_idle + sets.litres_per_kwh * power_kw, 0.0)
+        left = np.maximum(self.tank_litres(t) - per_h * dt_h, 0.0)
+        hours = np.where(on == self.state.on, self.state.hours + dt_h, dt_h)
+        return GensetState(on, hours, np.where(on, power_kw, 0.0), left)
+
+    def advance(self, t: int, taken_kw: Floats, running: Flags) -> None:
+        """The state at the end of a step."""
+        self.state = self.after(t, running, -taken_kw)
+
+
+WINDOW, PLANT = SetsAhead, Engines
+
+
+def check_prices(scenario: Scenario, horizon_h: float, seed: int) -> None:
+    """Refuse fuel and starts that could outweigh a customer of the first tier.
+
+    Raises
+    ------
+    InputError
+        If a start and the least time on of all sets at their largest power, a step at least, cost
+        as much as a step of such a customer counts.
+    """
+    sets, dt_h = scenario.gensets, scenario.grid.dt_h
+    on_h = np.maximum(sets.min_on_h, dt_h)
+    litres = on_h * sets.litres(np.ones(len(sets), dtype=bool), sets.p_max_kw, dt_h=1.0)
+    dearest_gbp = float((litres * sets.fuel_price_gbp_per_litre + sets.start_cost_gbp).sum())
+    customers = scenario.customers
+    first = customers.weight[customers.tier == scenario.tiers[0]]
+    least = float(first.min(initial=np.inf)) * dt_h
+    if scenario.objective.lambda_grid * dearest_gbp >= least:
+        raise InputError.of(
+            "scenario.toml",
+            "makes fuel and starts of sets count as much as a customer of the first tier",
+            f"Give less than {least / dearest_gbp:.1e}.",
+            field="objective.lambda_grid",
+            value=scenario.objective.lambda_grid,
+        )

@@ -1,6 +1,6 @@
 """Vehicles that are plugged in over the steps of a window: arrays, by charger.
 
-:mod:`vppres.model.beyond_paper.vehicles` states a problem with them.
+:mod:`vppres.kinds.vehicles.rows` states a problem with them.
 """
 
 from __future__ import annotations
@@ -10,11 +10,11 @@ from typing import Self
 
 import numpy as np
 
-from vppres.contract.by_step import UnitsAhead
 from vppres.core.arrays import Flags, Floats
-from vppres.scenario.past_days import PastDays
+from vppres.kinds.kind import UnitsAhead, price_scale, refuse_dear_energy
+from vppres.kinds.vehicles.data import Chargers, Sessions
+from vppres.kinds.vehicles.past_days import PastDays
 from vppres.scenario.scenario import Scenario
-from vppres.scenario.vehicles import Chargers, Sessions
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,8 +64,8 @@ class Plugged(UnitsAhead):
         steps: range,
         now_kwh: Floats,
         past_days: PastDays | None = None,
-    ) -> Self | None:
-        """The vehicles of a window as far as they are known when it begins; None without chargers.
+    ) -> Self:
+        """The vehicles of a window as far as they are known when it begins.
 
         They are those that are plugged in then, and those that are announced. At chargers that are
         free of them, vehicles are expected to come later as on a past day.
@@ -81,8 +81,6 @@ class Plugged(UnitsAhead):
         past_days : PastDays, optional
             What vehicles are expected by; none are if not given.
         """
-        if not len(scenario.chargers):
-            return None
         found = cls.none(len(steps), len(scenario.chargers))
         found._enter(scenario, scenario.sessions, steps, now_kwh)
         if past_days is not None:
@@ -205,14 +203,113 @@ class Plugged(UnitsAhead):
         return price_scale(weight, self.full_kwh, least_weight, dt_h) * weight
 
 
-def price_scale(weight: Floats, most: Floats, least_weight: float, dt_h: float) -> float:
-    """Price of a unit that is missed at weight 1, in weighted customer hours: kWh, or K h.
+NEGLIGIBLE_KW = 1e-3
+"""Power that counts as none: what is left of a plan when a vehicle is full."""
 
-    All that can be missed at most counts half a step of the customer of this least weight: no
-    service is given up for it.
 
-    >>> price_scale(np.array([1.0, 2.0]), np.array([50.0, 25.0]), least_weight=1.0, dt_h=0.5)
-    0.0025
+class Garage:
+    """Energy of the vehicles at all chargers from step to step.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Chargers, sessions and steps.
+    state : array, shape (K,), optional
+        Energy of the vehicles that are plugged in before the first step; as the sessions say where
+        it is NaN, or not given.
+
+    Attributes
+    ----------
+    state : array, shape (K,)
+        Energy of each vehicle at the end of the last step, 0 without one.
     """
-    total = float((weight * most).sum())
-    return 0.5 * least_weight * dt_h / total if total else 0.0
+
+    def __init__(self, scenario: Scenario, state: Floats | None = None) -> None:
+        self.scenario = scenario
+        self.state = np.full(len(scenario.chargers), np.nan) if state is None else state
+        self._alone = scenario.chargers.alone
+        self._owner = scenario.chargers.owner(scenario.customers)
+
+    def here(self, t: int) -> Flags:
+        """Chargers with a vehicle in a step, (K,)."""
+        return np.asarray(self.scenario.session_at[t] >= 0)
+
+    def at(self, t: int) -> Floats:
+        """Energy of each vehicle at the beginning of a step, 0 without one, (K,)."""
+        now = self.scenario.session_at[t]
+        stays = now == self.scenario.session_at[t - 1] if t else ~np.isnan(self.state)
+        arrives_kwh = self._of(self.scenario.sessions.held_kwh, t)
+        return np.where(stays & self.here(t), self.state, arrives_kwh)
+
+    def _of(self, by_session: Floats, t: int) -> Floats:
+        """A number of the sessions of a step by charger, 0 without one, (K,)."""
+        found = np.zeros(len(self.state))
+        here = self.here(t)
+        found[here] = by_session[self.scenario.session_at[t][here]]
+        return found
+
+    def on(self, served: Flags) -> Flags:
+        """Chargers that are connected: their customers are served, or they stand alone, (K,)."""
+        return self._alone | served[self._owner]
+
+    def possible_kw(self, t: int, wanted_kw: Floats, served: Flags) -> Floats:
+        """Power of each charger nearest to what is wanted, negative to discharge, (K,).
+
+        A charger below its least power charges with that; in an outage it stops.
+        """
+        chargers = self.scenario.chargers
+        dt_h = self.scenario.grid.dt_h
+        held_kwh = self.at(t)
+        wanted_kw = np.where(self.here(t) & self.on(served), wanted_kw, 0.0)
+        room_kw = (self._of(self.scenario.sessions.full_kwh, t) - held_kwh) / dt_h
+        above_kwh = held_kwh - self._of(self.scenario.sessions.floor_kwh, t)
+        most = np.minimum(chargers.p_charge_kw, np.maximum(room_kw, 0.0) / chargers.eta_charge)
+        back = np.maximum(above_kwh, 0.0) / dt_h * chargers.eta_discharge
+        least = chargers.p_charge_min_kw
+        charge = np.where(wanted_kw > NEGLIGIBLE_KW, wanted_kw, 0.0)
+        little = (charge > 0.0) & (charge < least * (1.0 - 1e-9))
+        charge = np.where(little, 0.0 if self.scenario.outage[t] else least, charge)
+        discharge = np.minimum(np.maximum(-wanted_kw, 0.0), chargers.p_discharge_kw)
+        return np.minimum(charge, most) - np.minimum(discharge, back)
+
+    def follow(
+        self, t: int, wanted_kw: Floats, running: Flags, served: Flags
+    ) -> tuple[Floats, Flags]:
+        """:meth:`possible_kw`; chargers are not started."""
+        return self.possible_kw(t, wanted_kw, served), running
+
+    def spare_kw(self, taken_kw: Floats, running: Flags) -> Floats:
+        """What each gives back, (K,)."""
+        return np.maximum(-taken_kw, 0.0)
+
+    def after_kwh(self, t: int, power_kw: Floats) -> Floats:
+        """Energy of each vehicle at the end of a step with these powers, (K,)."""
+        chargers = self.scenario.chargers
+        into_kw = np.where(
+            power_kw > 0.0, power_kw * chargers.eta_charge, power_kw / chargers.eta_discharge
+        )
+        full_kwh = self._of(self.scenario.sessions.full_kwh, t)
+        return np.clip(self.at(t) + into_kw * self.scenario.grid.dt_h, 0.0, full_kwh)
+
+    def advance(self, t: int, taken_kw: Floats, running: Flags | None = None) -> None:
+        """The state at the end of a step."""
+        self.state = self.after_kwh(t, taken_kw)
+
+
+WINDOW, PLANT = Plugged, Garage
+
+
+def check_prices(scenario: Scenario, horizon_h: float, seed: int) -> None:
+    """Refuse prices of energy beside which a kWh that a known or expected vehicle lacks is none."""
+    grid = scenario.grid
+    counted = [scenario.sessions.rows(~scenario.sessions.over(grid.start))]
+    past_days = PastDays.of(scenario, seed)
+    if past_days is not None:
+        counted.append(past_days.expected(grid, range(grid.n_steps)))
+    weight, full_kwh = (
+        np.concatenate([getattr(each, name) for each in counted]) for name in ("weight", "full_kwh")
+    )
+    scale = price_scale(weight, full_kwh, float(scenario.customers.weight.min()), grid.dt_h)
+    if scale:
+        worth = scale * float(weight.min()) * float(scenario.chargers.eta_charge.min())
+        refuse_dear_energy(scenario, f"{len(weight)} sessions of vehicles", worth)

@@ -14,7 +14,7 @@ from vppres.explain.step import Reason, Step
 Vehicle = dict[str, Any]
 
 
-def why_vehicles(step: Step) -> Iterator[tuple[str, str, Reason]]:
+def reasons(step: Step) -> Iterator[tuple[str, str, Reason]]:
     """Name of each vehicle that was expected, charged, discharged or left short, and why."""
     yield from _expected(step)
     now: Any = step.recorded.trajectory.rows("vehicles", step.t)

@@ -7,13 +7,16 @@ has nothing to take back.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
-from vppres.contract.gensets import SetsAhead
 from vppres.core.arrays import Flags, Floats, Names
-from vppres.scenario.gensets import ROUNDING_H, Gensets, GensetState, Refuels
+from vppres.kinds.gensets.data import ROUNDING_H, Gensets, GensetState, Refuels
+from vppres.kinds.gensets.physics import SetsAhead
 from vppres.scenario.scenario import Scenario
 
 QUANTITIES = ("running", "genset_kw", "fuel_litres", "start_fault")
@@ -140,14 +143,8 @@ class SetsNow:
         """Sets that do not start."""
         return self.known.out
 
-    def ahead(self, day: Scenario, steps: range) -> SetsAhead | None:
-        """What a window that begins now knows of them; None without any.
-
-        A set that is out runs in no step of it.
-        """
-        known = SetsAhead.of(day, steps, self.state)
-        if known is None:
-            return None
+    def without_those_out(self, known: SetsAhead) -> SetsAhead:
+        """A window in which no set runs that is out."""
         can_run = known.can_run & ~self.out
         return replace(known, can_run=can_run, must_run=known.must_run & ~self.out)
 
@@ -286,3 +283,29 @@ def _left_litres(
         np.maximum(past.before.fuel_litres - burnt[0], 0.0),
         np.maximum(past.most_litres - burnt[1], 0.0),
     )
+
+
+def set_points(day: Scenario, t: int, columns: Mapping[str, Any]) -> dict[str, Any]:
+    """Start or stop, power and fuel of a step by generating set, from its record."""
+    return {
+        "running": columns["running"],
+        "p_kw": columns["p_kw"],
+        "hours_before": columns["hours_before"],
+        "p_before_kw": columns["p_before_kw"],
+        "fuel_litres": columns["fuel_start_litres"],
+        "fuel_end_litres": columns["fuel_end_litres"],
+        "out": np.zeros(len(day.gensets), dtype=bool),
+    }
+
+
+def foreseen(
+    window: Scenario, known: SetsAhead, taken_kw: Floats, running: Flags, times: pd.DatetimeIndex
+) -> dict[str, pd.DataFrame]:
+    """What sets give and what is left in their tanks; nothing runs where a plan has none."""
+    sets = window.gensets
+    litres = known.fuel_litres(sets, running, -taken_kw, window.grid.dt_h)
+    names = [str(name) for name in sets.id]
+    return {
+        "genset_kw": pd.DataFrame(-taken_kw[1:], times, names),
+        "fuel_litres": pd.DataFrame(litres[1:], times, names),
+    }

@@ -15,15 +15,15 @@ import cvxpy as cp
 import numpy as np
 
 from vppres.contract.dispatch import Dispatch
-from vppres.contract.gensets import SetsAhead
 from vppres.core.arrays import Flags, Floats, Wholes
+from vppres.kinds.gensets.data import steps_of
+from vppres.kinds.gensets.physics import SetsAhead
 from vppres.model.beyond_paper.addition import Addition, Held
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
 from vppres.model.numerics import write
 from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
-from vppres.scenario.gensets import steps_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +41,7 @@ class GensetsModel(Addition):
     power, fuel : cvxpy.Variable, shape (W, G)
         Power in kW; fuel at the end of the step in litres.
     can_run, can_start, must_run, was_on, was_kw, added : cvxpy.Parameter, shape (W, G)
-        See :class:`vppres.contract.gensets.SetsAhead`.
+        See :class:`vppres.kinds.gensets.physics.SetsAhead`.
     reactive : cvxpy.Variable, shape (W, G), optional
         Reactive power as a share of the largest; none where no set can form the grid.
     headroom, q_most, at_once : cvxpy.Parameter, shape (W, G), optional
@@ -90,7 +90,7 @@ class GensetsModel(Addition):
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
         """Whether there are any, and whether one can form the grid."""
-        if data.ahead.gensets is None:
+        if data.ahead.find(SetsAhead) is None:
             return None
         return "forming" if site.gensets.grid_forming.any() else "following"
 
@@ -238,7 +238,7 @@ class GensetsModel(Addition):
 
     def fill(self, site: Site, data: WindowData) -> None:
         """Write the sets of a window."""
-        ahead = _ahead(data)
+        ahead = data.ahead.known(SetsAhead)
         write(self.can_run, ahead.can_run.astype(float))
         write(self.can_start, ahead.may_start(site.gensets, data.dark).astype(float))
         write(self.must_run, ahead.must_run.astype(float))
@@ -259,7 +259,7 @@ class GensetsModel(Addition):
         sets = site.gensets
         on, power_kw = running(site, dispatch)
         litres = sets.litres(on, power_kw, site.dt_h)
-        starts = _ahead(data).starts(on)
+        starts = data.ahead.known(SetsAhead).starts(on)
         cost = litres @ sets.fuel_price_gbp_per_litre + starts @ sets.start_cost_gbp
         return {"f2": float(cost.sum())}
 
@@ -275,7 +275,7 @@ class GensetsModel(Addition):
 
     def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> Held:
         """Switching, power and fuel of every set."""
-        ahead = _ahead(data)
+        ahead = data.ahead.known(SetsAhead)
         on, power_kw = running(site, dispatch)
         fuel = ahead.fuel_litres(site.gensets, on, power_kw, site.dt_h)
         letters = (on.astype(float), ahead.starts(on).astype(float), power_kw, fuel)
@@ -300,13 +300,9 @@ def running(site: Site, dispatch: Dispatch) -> tuple[Flags, Floats]:
     return dispatch.running_of("gensets", sets), -dispatch.taken_by("gensets", sets)
 
 
-def _ahead(data: WindowData) -> SetsAhead:
-    """The sets of a window that has any."""
-    ahead = data.ahead.gensets
-    assert ahead is not None
-    return ahead
-
-
 def _times(x: cp.Expression, factors: Floats) -> cp.Expression:
     """The columns of x, (W, G), times their factors, (G,)."""
     return x @ np.diag(factors)
+
+
+ROWS = GensetsModel

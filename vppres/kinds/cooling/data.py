@@ -5,22 +5,32 @@ A site without such loads has a table of length 0.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
-from vppres.core.arrays import Flags, Floats, Items, Names, Wholes, no_items
+from vppres.core.arrays import Flags, Floats, Names, Wholes, no_items
+from vppres.core.text import counted
+from vppres.kinds.kind import Kind, KindTable
 from vppres.scenario.assets import Customers, positions_of
 
 
 @dataclass(frozen=True, eq=False)
-class ThermalLoads(Items):
+class ThermalLoads(KindTable):
     """Rooms and tanks, shape (H,) each.
 
     Each is behind the switch of its ``customer`` and has its bus, tier and weight. It loses heat
     through ``r_c_per_kw`` and stores it in ``c_kwh_per_c``. ``around_c`` is NaN where the outside
     air is around it. Machines have a power factor of 1.
     """
+
+    key = "thermal_loads"
+    model = "ThermalLoadRow"
+    about = "A room or tank that is cooled or heated."
+    references = (("customer", "customers", "customer"),)
+    limits = (("t_min_c", "t_max_c", ""),)
 
     id: Names = field(default_factory=no_items)
     customer: Names = field(default_factory=no_items)
@@ -70,3 +80,17 @@ class ThermalLoads(Items):
     def surroundings_c(self, outside_c: Floats | float) -> Floats:
         """Temperature around each load, (H,), or (W, H) for (W, 1) outside."""
         return np.where(np.isnan(self.around_c), outside_c, self.around_c)
+
+
+KIND = Kind(
+    {"thermal_loads": ThermalLoads},
+    what="thermal loads",
+    table="thermal_loads",
+    item="thermal_load",
+    subject="thermal_load",
+)
+
+
+def told(content: Mapping[str, Any]) -> str:
+    """Rooms and tanks in words, from the numbers of what a scenario holds."""
+    return counted(content["thermal_loads"], "thermal load")

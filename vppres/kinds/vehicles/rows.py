@@ -17,8 +17,8 @@ import cvxpy as cp
 import numpy as np
 
 from vppres.contract.dispatch import Dispatch
-from vppres.contract.plugged import Plugged
 from vppres.core.arrays import Floats, Wholes
+from vppres.kinds.vehicles.physics import Plugged
 from vppres.model.beyond_paper.addition import Addition, Held
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
@@ -49,7 +49,7 @@ class Vehicles(Addition):
     P_most, P_back : cvxpy.Parameter, shape (W, K), (W, V)
         Largest powers, 0 where no vehicle is plugged in, or, to discharge, is known.
     stays, held, full, lowest, needed : cvxpy.Parameter, shape (W, K)
-        See :class:`vppres.contract.plugged.Plugged`.
+        See :class:`vppres.kinds.vehicles.physics.Plugged`.
     price : cvxpy.Parameter, shape (W, K)
         Price of what lacks, in weighted customer hours per kWh.
     """
@@ -86,7 +86,8 @@ class Vehicles(Addition):
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
         """No more than whether a vehicle is plugged in."""
-        return (data.ahead.plugged is not None and bool(data.ahead.plugged.here.any())) or None
+        plugged = data.ahead.find(Plugged)
+        return (plugged is not None and bool(plugged.here.any())) or None
 
     @classmethod
     def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
@@ -167,7 +168,7 @@ class Vehicles(Addition):
 
     def fill(self, site: Site, data: WindowData) -> None:
         """Write the vehicles of a window."""
-        plugged = data.ahead.plugged or Plugged.none(data.n_steps, len(site.chargers))
+        plugged = data.ahead.find(Plugged) or Plugged.none(data.n_steps, len(site.chargers))
         chargers = site.chargers
         write(self.P_most, plugged.here * chargers.p_charge_kw)
         write(self.P_back, (plugged.known * chargers.p_discharge_kw)[:, self.two_way])
@@ -181,8 +182,7 @@ class Vehicles(Addition):
     @classmethod
     def worth(cls, site: Site, data: WindowData, dispatch: Dispatch) -> dict[str, float]:
         """What vehicles lack, and the cost of charging later."""
-        assert data.ahead.plugged is not None
-        plugged = data.ahead.plugged
+        plugged = data.ahead.known(Plugged)
         power_kw = charging_kw(site, dispatch)
         energy_kwh = plugged.energy_kwh(power_kw, site.chargers, site.dt_h)
         hours = site.dt_h * np.arange(len(power_kw))
@@ -203,13 +203,13 @@ class Vehicles(Addition):
 
     def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> Held:
         """Power and energy of every vehicle."""
-        assert data.ahead.plugged is not None
+        plugged = data.ahead.known(Plugged)
         power_kw = charging_kw(site, dispatch)
-        energy_kwh = data.ahead.plugged.energy_kwh(power_kw, site.chargers, site.dt_h)
+        energy_kwh = plugged.energy_kwh(power_kw, site.chargers, site.dt_h)
         values: dict[str, Floats | float] = {
             "ev_charge": np.maximum(power_kw, 0.0),
             "ev_energy": energy_kwh,
-            "ev_short": data.ahead.plugged.short_kwh(energy_kwh),
+            "ev_short": plugged.short_kwh(energy_kwh),
         }
         if self.discharge is not None:
             values["ev_discharge"] = np.maximum(-power_kw, 0.0)[:, self.two_way]
@@ -229,3 +229,6 @@ def charging_kw(site: Site, dispatch: Dispatch) -> Floats:
 def price_of(site: Site, plugged: Plugged) -> Floats:
     """Price of a kWh that each vehicle lacks at the end of a step, (W, K)."""
     return plugged.price(float(site.customers.weight.min()), site.dt_h)
+
+
+ROWS = Vehicles

@@ -5,11 +5,15 @@ A site without sets has a table of length 0.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
-from vppres.core.arrays import Flags, Floats, Items, Names, Wholes, no_items
+from vppres.core.arrays import Flags, Floats, Names, Wholes, given_or, no_items
+from vppres.core.text import counted
+from vppres.kinds.kind import Kind, KindTable
 from vppres.scenario.assets import Customers
 from vppres.scenario.timegrid import TimeGrid
 
@@ -21,7 +25,7 @@ ROUNDING_H = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Gensets(Items):
+class Gensets(KindTable):
     """Generating sets, shape (G,) each.
 
     A running set burns ``litres_per_h_idle``, and ``litres_per_kwh`` for what it gives. Ramps are
@@ -29,6 +33,11 @@ class Gensets(Items):
     or, negative, off. Sets have a power factor of 1, but one that forms the grid of an island gives
     reactive power too, as its rated ``power_factor`` allows.
     """
+
+    key = "gensets"
+    model = "GensetRow"
+    about = "A generating set with a tank of fuel."
+    limits = (("p_min_kw", "p_max_kw", ""), ("fuel_level_litres", "tank_litres", ""))
 
     id: Names = field(default_factory=no_items)
     bus: Names = field(default_factory=no_items)
@@ -49,6 +58,22 @@ class Gensets(Items):
     grid_forming: Flags = field(default_factory=no_items)
     power_factor: Floats = field(default_factory=no_items)
 
+    @classmethod
+    def of_columns(cls, columns: dict[str, Any], tiers: Mapping[str, float]) -> Gensets:
+        """Generating sets: a full tank, no ramps, and off for long, where nothing is said."""
+        unsaid = {
+            "ramp_up_kw_per_h": np.inf,
+            "ramp_down_kw_per_h": np.inf,
+            "fuel_level_litres": columns["tank_litres"],
+            "on_before_h": [-hours for hours in columns["min_off_h"]],
+        }
+        return cls(**columns | {name: given_or(columns[name], v) for name, v in unsaid.items()})
+
+    @property
+    def unsaid(self) -> tuple[str, ...]:
+        """What is said of sets that form the grid, where none does."""
+        return () if self.grid_forming.any() else ("grid_forming", "power_factor")
+
     def __post_init__(self) -> None:
         unsaid = {"grid_forming": np.zeros(len(self.id), dtype=bool)}
         unsaid["power_factor"] = np.full(len(self.id), RATED_POWER_FACTOR)
@@ -56,6 +81,10 @@ class Gensets(Items):
             if len(getattr(self, name)) == 0:
                 object.__setattr__(self, name, values)
         super().__post_init__()
+
+    def owner(self, customers: Customers) -> Wholes:
+        """Nobody: sets stand alone, (G,)."""
+        return np.zeros(len(self), dtype=int)
 
     def buses(self, customers: Customers) -> Names:
         """Bus of each set, (G,): sets stand alone."""
@@ -111,8 +140,13 @@ class Gensets(Items):
 
 
 @dataclass(frozen=True, eq=False)
-class Refuels(Items):
+class Refuels(KindTable):
     """Deliveries of fuel that are known ahead, shape (D,) each; times are timestamps."""
+
+    key = "refuel"
+    model = "RefuelRow"
+    about = "A delivery of fuel that is known ahead."
+    references = (("genset", "gensets", "set"),)
 
     genset: Names = field(default_factory=no_items)
     time: Names = field(default_factory=no_items)
@@ -155,3 +189,18 @@ class GensetState:
 def steps_of(hours: Floats, dt_h: float) -> Wholes:
     """Steps that a time takes up, rounded up."""
     return np.ceil(np.maximum(hours - ROUNDING_H, 0.0) / dt_h).astype(int)
+
+
+KIND = Kind(
+    {"gensets": Gensets, "refuels": Refuels},
+    what="generating sets",
+    table="gensets",
+    item="genset",
+    subject="genset",
+    gives=True,
+)
+
+
+def told(content: Mapping[str, Any]) -> str:
+    """Generating sets in words, from the numbers of what a scenario holds."""
+    return counted(content["gensets"], "generating set")

@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Floats
+from vppres.core.arrays import Flags, Floats
+from vppres.kinds.vehicles.data import NO_CAR, OF_SESSIONS, Sessions
+from vppres.kinds.vehicles.physics import Plugged
+from vppres.kinds.vehicles.record import SHORT_KWH
 from vppres.live.door import Door
 from vppres.scenario.scenario import Scenario
-from vppres.scenario.vehicles import NO_CAR, OF_SESSIONS, Sessions
 
 QUANTITIES = ("plugged", "ev_soc", "energy_needed_kwh", "departure")
 """What can be known of the vehicle at a charger."""
@@ -222,3 +224,34 @@ def _needing(
     own = {**nothing, **(before or unknown), "charger": charger, "announced": True}
     told = {"soc_at_plug_in": np.nan, "soc_needed": np.nan, "v2g_soc_floor": np.nan}
     return {**own, **told, "energy_needed_kwh": needed_kwh}
+
+
+def set_points(day: Scenario, t: int, columns: Mapping[str, Any]) -> dict[str, Any]:
+    """Powers and limits of a step by charger, from its record."""
+    plug_out = day.sessions.plug_out
+    here = day.session_at[t].tolist()
+    return {
+        "vehicle": columns["vehicle"],
+        "leaves": [pd.NaT if s == NO_CAR else plug_out[s] for s in here],
+        "p_kw": columns["p_kw"],
+        "p_limit_kw": np.maximum(columns["p_kw"], 0.0),
+        "energy_kwh": columns["energy_start_kwh"],
+        "needed_kwh": columns["needed_kwh"],
+    }
+
+
+def foreseen(
+    window: Scenario, ahead: Plugged, taken_kw: Floats, running: Flags, times: pd.DatetimeIndex
+) -> dict[str, pd.DataFrame]:
+    """Known vehicles that leave short within the plan; what leaves after it is not judged."""
+    chargers, sessions = window.chargers, window.sessions
+    short_kwh = ahead.short_kwh(ahead.energy_kwh(taken_kw, chargers, window.grid.dt_h))
+    _, after = sessions.steps(window.grid)
+    rows = []
+    for t, k in np.argwhere(ahead.known & (short_kwh > SHORT_KWH)).tolist():
+        s = int(window.session_at[t, k])
+        if after[s] == t + 1:  # what is due by the window's end alone is no departure
+            who = (str(chargers.id[k]), str(sessions.vehicle[s]))
+            rows.append((*who, sessions.plug_out[s], float(short_kwh[t, k])))
+    columns = ["id", "vehicle", "leaves", "short_kwh"]
+    return {"left_short": pd.DataFrame(rows, columns=columns).set_index("id")}

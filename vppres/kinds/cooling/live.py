@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from vppres.core.arrays import Flags, Floats, Names
-from vppres.plant.rooms import Climate
+from vppres.kinds.cooling.data import ThermalLoads
+from vppres.kinds.cooling.physics import Climate, Rooms
 from vppres.scenario.scenario import Scenario
-from vppres.scenario.thermal_loads import ThermalLoads
 
 STILL_C = 1.0
 """What a temperature may have moved through by the model while its reading stands still, in K."""
@@ -76,11 +79,11 @@ class Felt:
     def after(self, day: Scenario, steps: range, served: Flags) -> Felt:
         """After steps in which nothing was decided: thermostats hold the comfort band."""
         climate = Climate(day)
-        climate.t_c = self.reckoned_c
+        climate.state = self.reckoned_c
         felt = self
         for t in steps:
             climate.advance(t, climate.thermostat_kw(t, day.thermal_loads.held_c, served))
-            felt = felt.moved_to(climate.t_c)
+            felt = felt.moved_to(climate.state)
         return felt
 
     def moved_to(self, t_c: Floats) -> Felt:
@@ -133,5 +136,27 @@ class Indoor:
     def after(self, day: Scenario, power_kw: Floats) -> Felt:
         """What they are at the end of the first step of a day, with these powers."""
         climate = Climate(day)
-        climate.t_c = self.felt.reckoned_c
+        climate.state = self.felt.reckoned_c
         return self.felt.moved_to(climate.after_c(0, power_kw))
+
+
+def set_points(day: Scenario, t: int, columns: Mapping[str, Any]) -> dict[str, Any]:
+    """Powers and temperatures of a step by thermal load, from its record."""
+    loads = day.thermal_loads
+    start_c, end_c, p_kw = columns["t_start_c"], columns["t_end_c"], columns["p_kw"]
+    return {
+        "customer": loads.customer,
+        "bus": loads.buses(day.customers),
+        "p_kw": p_kw,
+        "setpoint_c": setpoints_c(loads, start_c, end_c, p_kw),
+        "indoor_c": start_c,
+        "indoor_end_c": end_c,
+    }
+
+
+def foreseen(
+    window: Scenario, rooms: Rooms, taken_kw: Floats, running: Flags, times: pd.DatetimeIndex
+) -> dict[str, pd.DataFrame]:
+    """Temperatures that the plan's powers lead to; those without power where it has none."""
+    ids = [str(i) for i in window.thermal_loads.id]
+    return {"indoor_c": pd.DataFrame(rooms.t_c(taken_kw)[1:], times, ids)}

@@ -14,10 +14,10 @@ AHEAD_C = 0.5
 """How far inside its band a temperature is that was brought there for later."""
 
 
-def why_prepared(step: Step) -> Iterator[tuple[str, str, Reason]]:
+def reasons(step: Step) -> Iterator[tuple[str, str, Reason]]:
     """Name of each room or tank that was prepared for an outage, the action, and why."""
     day = step.scenario
-    if step.outage or not len(day.thermal_loads):
+    if step.outage:
         return
     seen = day.outage[step.t : step.t + step.recorded.n_seen]
     known = step.recorded.trajectory.options["outages"]

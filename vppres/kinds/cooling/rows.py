@@ -16,8 +16,8 @@ import cvxpy as cp
 import numpy as np
 
 from vppres.contract.dispatch import Dispatch
-from vppres.contract.rooms import Rooms
 from vppres.core.arrays import Floats
+from vppres.kinds.cooling.physics import Rooms
 from vppres.model.beyond_paper.addition import Addition, Held
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
@@ -39,7 +39,7 @@ class ThermalLoadsModel(Addition):
     temperature, over, under : cvxpy.Variable, shape (W, H)
         Temperature at the end of the step in °C, and by how much it is outside the band.
     keeps, drift, per_kw, most, lowest, highest : cvxpy.Parameter, shape (W, H)
-        See :class:`vppres.contract.rooms.Rooms`.
+        See :class:`vppres.kinds.cooling.physics.Rooms`.
     price : cvxpy.Parameter, shape (W, H)
         Price of a K over a step, in weighted customer hours.
     """
@@ -63,7 +63,7 @@ class ThermalLoadsModel(Addition):
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
         """No more than whether there are any."""
-        return (data.ahead.rooms is not None) or None
+        return (data.ahead.find(Rooms) is not None) or None
 
     @classmethod
     def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
@@ -105,8 +105,7 @@ class ThermalLoadsModel(Addition):
 
     def fill(self, site: Site, data: WindowData) -> None:
         """Write the rooms and tanks of a window."""
-        rooms = data.ahead.rooms
-        assert rooms is not None
+        rooms = data.ahead.known(Rooms)
         write(self.keeps, rooms.keeps)
         write(self.drift, rooms.drift_c)
         write(self.per_kw, rooms.c_per_kw)
@@ -118,17 +117,16 @@ class ThermalLoadsModel(Addition):
     @classmethod
     def worth(cls, site: Site, data: WindowData, dispatch: Dispatch) -> dict[str, float]:
         """What is missed of the band."""
-        assert data.ahead.rooms is not None
-        t_c = data.ahead.rooms.t_c(machine_kw(site, dispatch))
-        over, under = data.ahead.rooms.missed_c(t_c)
-        return {"own": -float((price_of(site, data.ahead.rooms) * (over + under)).sum())}
+        rooms = data.ahead.known(Rooms)
+        over, under = rooms.missed_c(rooms.t_c(machine_kw(site, dispatch)))
+        return {"own": -float((price_of(site, rooms) * (over + under)).sum())}
 
     def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> Held:
         """Power and temperature of each."""
-        assert data.ahead.rooms is not None
+        rooms = data.ahead.known(Rooms)
         power_kw = machine_kw(site, dispatch)
-        t_c = data.ahead.rooms.t_c(power_kw)
-        over, under = data.ahead.rooms.missed_c(t_c)
+        t_c = rooms.t_c(power_kw)
+        over, under = rooms.missed_c(t_c)
         letters = zip(self.by_dispatch, (power_kw, t_c, over, under), strict=True)
         return Held(dict(letters))
 
@@ -146,3 +144,6 @@ def machine_kw(site: Site, dispatch: Dispatch) -> Floats:
 def price_of(site: Site, rooms: Rooms) -> Floats:
     """Price of a K outside the band over a step, (W, H)."""
     return site.dt_h * rooms.price(float(site.customers.weight.min()), site.dt_h)
+
+
+ROWS = ThermalLoadsModel
