@@ -13,9 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.random_feeders import random_window
-from experiments.quiet_days import difference, run_one
 from tests.support.dispatch_check import check_dispatch
 from tests.support.made_up_runs import small_scenario
+from tests.support.quiet_days import difference, run_one
 from tests.support.set_points import decision
 from tests.support.sets import gensets
 from tests.support.small_windows import first_step, two_buses

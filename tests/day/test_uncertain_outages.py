@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.faults import drawn_faults
+from experiments.studies.faults import drawn_faults
 from vppres.contract.export import Export
 from vppres.core.errors import InputError
 from vppres.day.options import RunOptions

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from benchmarks.random_feeders import random_window
-from experiments.random_forms import window_of
+from tests.support.random_forms import window_of
 from tests.support.sets import gensets
 from tests.support.small_windows import DARK, OPEN, battery, two_buses, window
 from vppres import solve

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from experiments.phases import admittances_apart
+from experiments.studies.phases import admittances_apart
 from tests.support.command_line import call
 from tests.support.homes import homes
 from tests.support.phased_feeder import CIRCUIT, phased_day

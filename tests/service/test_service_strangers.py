@@ -16,10 +16,10 @@ from urllib.parse import urlsplit
 import pandas as pd
 import pytest
 
-from experiments.strangers import attacks, lives, silent
 from tests.support.asgi import Caller
 from tests.support.browser import listening
 from tests.support.live_service import HERE, NOON, Live, running, site
+from tests.support.strangers import attacks, lives, silent
 from tests.support.tiny_day import tiny_scenario
 from vppres.core.errors import StorageError
 from vppres.scenario.scenario import Scenario

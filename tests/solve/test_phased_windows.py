@@ -9,7 +9,13 @@ import numpy as np
 import pytest
 
 from benchmarks.random_feeders import random_scenario
-from experiments.phased_feeders import decided, in_phases, plainly, random_phased, with_a_former
+from experiments.studies.phased_feeders import (
+    decided,
+    in_phases,
+    plainly,
+    random_phased,
+    with_a_former,
+)
 from tests.support.phased_feeder import CIRCUIT, phased_day
 from vppres.contract.decision import Decision
 from vppres.control.phased import PhasedPlanner

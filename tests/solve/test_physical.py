@@ -13,7 +13,7 @@ import scipy.sparse as sp
 
 from benchmarks.hard_days import hard_day, hard_window
 from benchmarks.random_feeders import Window, random_scenario, random_window
-from experiments.islands import claims_of, imbalance_kw, random_day
+from experiments.studies.islands import claims_of, imbalance_kw, random_day
 from tests.support.agreement import assert_agree, both_methods
 from tests.support.dispatch_check import check_dispatch
 from tests.support.small_windows import CHECKER_TOLERANCE, window

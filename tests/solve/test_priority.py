@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.random_feeders import WEIGHT, Window, random_window
-from experiments.reasons import checked
+from tests.support.reasons import checked
 from tests.support.small_windows import DARK, OPEN, battery, two_buses, window
 from tests.support.tiny_day import tiny_scenario
 from vppres import Controller, Measurement, RunOptions, run_day
