@@ -663,6 +663,7 @@ def test_a_changed_decision_is_seen(tiny: Scenario) -> None:
     assert difference(named, plain) == "late; soc"
 
 
+@pytest.mark.nightly
 def test_state_of_charge_in_whole_per_cent_is_believed(tiny: Scenario) -> None:
     def rounded(seen: Observation) -> Observation:
         return replace(seen, soc=np.round(seen.soc, 2))

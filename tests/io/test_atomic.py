@@ -360,6 +360,7 @@ def test_a_day_is_kept_where_its_report_cannot_be_made(
 # --- signals --------------------------------------------------------------------------------------
 
 
+@pytest.mark.nightly
 @pytest.mark.skipif(sys.platform == "win32", reason="no such signal")
 def test_sigterm_ends_a_run_like_ctrl_c(tiny_folder: Path, tmp_path: Path) -> None:
     """Terminated while it computes: status 143, nothing left behind."""

@@ -548,6 +548,7 @@ def test_two_threads_answer_as_one_does(nightly: bool) -> None:
     assert differing(seeds) == (20 * len(seeds), 0)
 
 
+@pytest.mark.nightly
 def test_days_in_two_threads_are_those_of_one(tiny: Scenario) -> None:
     options = RunOptions(horizon_h=2.0)
     days = [tiny, replace(tiny, load_kw=0.5 * tiny.load_kw)] * 2

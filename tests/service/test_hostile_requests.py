@@ -26,6 +26,7 @@ def site() -> Service:
 PLAIN = Request("GET", "/v1/plan", {"host": "localhost"})
 
 
+@pytest.mark.nightly
 def test_nothing_breaks_and_strangers_change_nothing(
     monkeypatch: pytest.MonkeyPatch, nightly: bool
 ) -> None:

@@ -104,6 +104,7 @@ def test_a_connection_that_is_answered_in_time_stays(hasty: tuple[str, int]) -> 
     assert len(ports) == 1
 
 
+@pytest.mark.nightly
 def test_mistakes_of_8_mb_and_13000_reads_stop_no_step(own: Started) -> None:
     day = site(tiny_scenario()).grid
     rows = pd.DataFrame(attacks(own, day.start, day.step))

@@ -105,6 +105,7 @@ def by_levels(case: Window) -> Wholes:
     return np.array(found)
 
 
+@pytest.mark.nightly
 def test_strict_windows_are_those_of_one_search_a_tier(nightly: bool) -> None:
     wrong = []
     for seed in range(120 if nightly else 3):
