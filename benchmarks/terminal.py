@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Annotated
 
 import typer
 from rich.console import Console
@@ -20,6 +21,14 @@ from rich.progress import (
 from vppres.core.errors import VppresError
 
 INTERRUPTED = 130  # the shell's convention: 128 + SIGINT
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS|FILE",
+        envvar="DASK_SCHEDULER_ADDRESS",
+        help="Run on a Dask cluster: the address of its scheduler (tcp://...), or its file.",
+    ),
+]
 
 
 @contextmanager

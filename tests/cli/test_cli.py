@@ -87,6 +87,7 @@ def test_a_run_with_its_report_prints_its_figures_and_loads_what_it_needs(
     assert sorted(tmp_path.iterdir()) == [out, tiny_folder]
 
 
+@pytest.mark.nightly
 def test_figures_on_demand(tiny_folder: Path, tmp_path: Path) -> None:
     def kinds(folder: Path) -> set[str]:
         return {file.suffix for file in (folder / "figures").glob("*")}

@@ -114,6 +114,7 @@ def test_one_battery_is_no_batteries(tiny_folder: Path) -> None:
     assert "2 PV systems, 1 battery, 6 steps" in call("validate", tiny_folder).stdout
 
 
+@pytest.mark.nightly
 def test_a_run_folder_has_the_name_of_the_scenario_folder(
     tiny_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -477,6 +478,7 @@ def test_sweep_solves_in_parallel(tiny_folder: Path, tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.nightly
 def test_sweep_writes_table_page_and_figure(small_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "sweep"
     result = call(
@@ -531,6 +533,7 @@ def test_failed_run_does_not_end_the_others(small_folder: Path, tmp_path: Path) 
     assert re.search(r'class="error" colspan="\d+">Step 2 has no feasible dispatch.<', text)
 
 
+@pytest.mark.nightly
 def test_sweep_replaces_a_sweep_and_nothing_else(small_folder: Path, tmp_path: Path) -> None:
     arguments = ["sweep", small_folder, "--param", "seed", "--jobs", 1]
     for values in ("1,2", "3"):

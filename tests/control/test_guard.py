@@ -13,9 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.random_feeders import random_window
-from experiments.quiet_days import difference, run_one
 from tests.support.dispatch_check import check_dispatch
 from tests.support.made_up_runs import small_scenario
+from tests.support.quiet_days import difference, run_one
 from tests.support.set_points import decision
 from tests.support.sets import gensets
 from tests.support.small_windows import first_step, two_buses
@@ -663,6 +663,7 @@ def test_a_changed_decision_is_seen(tiny: Scenario) -> None:
     assert difference(named, plain) == "late; soc"
 
 
+@pytest.mark.nightly
 def test_state_of_charge_in_whole_per_cent_is_believed(tiny: Scenario) -> None:
     def rounded(seen: Observation) -> Observation:
         return replace(seen, soc=np.round(seen.soc, 2))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.random_feeders import random_scenario
-from experiments.faults import drawn_faults
+from experiments.studies.faults import drawn_faults
 from tests.support.set_points import decision
 from vppres.contract.decision import Decision
 from vppres.contract.forecast import ForecastErrors

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pandapower as pp
 import pandas as pd
+import pytest
 
 from vppres import NewScenarioOptions, RunOptions, import_network, new_scenario, run_day
 from vppres.io import read_scenario
@@ -21,6 +22,7 @@ def days_outage(start: str, end: str) -> tuple[pd.Timestamp, pd.Timestamp]:
     return pd.Timestamp(f"2025-07-01T{start}Z"), pd.Timestamp(f"2025-07-01T{end}Z")
 
 
+@pytest.mark.nightly
 def test_the_first_example_serves_its_clinic(tmp_path: Path) -> None:
     for name, text in BLOCK.findall(BY_HAND.read_text(encoding="utf-8")):
         (tmp_path / name).write_text(text, encoding="utf-8")
@@ -28,6 +30,7 @@ def test_the_first_example_serves_its_clinic(tmp_path: Path) -> None:
     assert run.customers.set_index("id").loc["clinic", "served"].all()
 
 
+@pytest.mark.nightly
 def test_nobody_is_dropped_with_grid_for_a_voltage_of_the_feeder_itself() -> None:
     options = NewScenarioOptions(step_minutes=240.0, outages=(days_outage("00:00", "04:00"),))
     day = new_scenario(import_network("case33bw"), options).between(3, 5)
@@ -51,6 +54,7 @@ def hospital_and_street() -> Scenario:
     return new_scenario(import_network(net), NewScenarioOptions(outages=outages)).between(12, 14)
 
 
+@pytest.mark.nightly
 def test_no_homes_are_on_before_a_hospital() -> None:
     run = run_day(hospital_and_street(), RunOptions(horizon_h=2.0))
     served = run.customers[run.customers["tier"] == "critical"]["served"]

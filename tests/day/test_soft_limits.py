@@ -74,6 +74,7 @@ def test_no_customer_is_dimmed_for_the_feeder_itself() -> None:
     np.testing.assert_allclose(soft.customers["share"], 1.0, atol=1e-4)
 
 
+@pytest.mark.nightly
 def test_a_feeder_that_cannot_carry_its_demand_is_explained() -> None:
     day = weak_feeder()
     run = ran(replace(day, load_kw=20.0 * day.load_kw), SOFT)

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.faults import drawn_faults
+from experiments.studies.faults import drawn_faults
 from vppres.contract.export import Export
 from vppres.core.errors import InputError
 from vppres.day.options import RunOptions
@@ -330,6 +330,7 @@ def test_rationing_is_explained_by_what_a_kwh_is_worth_later(tiny: Scenario) -> 
     assert not words.str.contains("neither shadow prices nor the record").any()
 
 
+@pytest.mark.nightly
 def test_what_is_kept_is_said_with_numbers_that_a_second_solve_confirms(tiny: Scenario) -> None:
     run = explain_day(run_day(rationed_day(tiny), RunOptions(outages="belief")))
     believed = believed_outages(run.scenario, run.options)
@@ -388,6 +389,7 @@ def test_certain_windows_of_a_belief_are_explained_too(tiny: Scenario) -> None:
     assert run.explanations["driver"].tolist() == known.explanations["driver"].tolist()
 
 
+@pytest.mark.nightly
 def test_the_report_shows_the_belief_beside_what_came(tiny: Scenario, tmp_path: Path) -> None:
     run = run_day(rationed_day(tiny), RunOptions(outages="belief"))
     believed = believed_outages(run.scenario, run.options)

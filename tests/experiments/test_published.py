@@ -125,6 +125,7 @@ def test_heating_leaves_the_full_horizon_short(days: Days) -> None:
     assert STATEMENTS["R21"].holds(efficiency.shortfall_kwh(day))
 
 
+@pytest.mark.nightly
 def test_mpc_makes_up_for_the_heating(days: Days) -> None:
     results = days(efficiency.jobs(HEATING))
     held = ("R19a", "R19c")  # R20a is of the level alone; R24 hangs on which plan is met

@@ -12,7 +12,7 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from experiments.shedding import Judge, Shed
+from experiments.studies.shedding import Judge, Shed
 from tests.support.live_service import NOON, decided, running
 from vppres.scenario.scenario import Scenario
 

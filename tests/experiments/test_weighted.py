@@ -98,6 +98,7 @@ def test_a_sharp_gap_finds_the_levelled_answer(unit_kw: float) -> None:
     assert answer.bound >= levelled.objective - 1e-6
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("solver", ["highs", "scip"])
 def test_sharp_answers_of_random_windows_are_those_of_the_ladder(solver: str) -> None:
     wrong = []

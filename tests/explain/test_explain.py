@@ -638,6 +638,7 @@ def test_figures_have_two_digits_that_count() -> None:
     ]
 
 
+@pytest.mark.nightly
 def test_a_day_is_explained_quickly(heatwave: Trajectory) -> None:
     solver_s = [
         prices.solver_s for prices in day_prices([Recorded(heatwave)] * len(heatwave.steps))

@@ -79,6 +79,7 @@ def test_every_step_agrees_with_the_record(mode: str) -> None:
             run.apply_to(net, feeder, no_step)
 
 
+@pytest.mark.nightly
 def test_a_run_folder_read_back_does_the_same(tmp_path: Path) -> None:
     net = crowded_net()
     feeder, run = day_of(crowded_net, "physical", add_batteries=True)
@@ -88,6 +89,7 @@ def test_a_run_folder_read_back_does_the_same(tmp_path: Path) -> None:
     agrees(net, feeder, run, 2)
 
 
+@pytest.mark.nightly
 def test_in_the_dark_nothing_is_left_on() -> None:
     net = pandapower.networks.case33bw()
     feeder, run = day_of(pandapower.networks.case33bw, "physical")

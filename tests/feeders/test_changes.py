@@ -72,6 +72,7 @@ def test_parallel_lines_are_opened_together() -> None:
     assert note.endswith("the least current: line 0 (long), line 3 (beside).")
 
 
+@pytest.mark.nightly
 def test_a_published_mesh_is_opened_as_its_authors_did() -> None:
     # Shirmohammadi and Hong on the 33 buses of Baran and Wu: 7, 10, 14, 32 and 37, 140.28 kW.
     net = pp_networks.case33bw()
@@ -268,6 +269,7 @@ set voltagebases=[0.4]
 """
 
 
+@pytest.mark.nightly
 def test_opendss_is_balanced_on_request_only(tmp_path: Path) -> None:
     file = tmp_path / "lane.dss"
     file.write_text(SINGLE_PHASE)

@@ -350,6 +350,7 @@ def test_command_makes_a_valid_folder(tmp_path: Path) -> None:
     assert call("validate", folder).exit_code == 0
 
 
+@pytest.mark.nightly
 def test_command_opens_a_loop_of_a_file(tmp_path: Path) -> None:
     net = pp.networks.create_cigre_network_mv()
     net.switch["closed"] = True
@@ -401,6 +402,7 @@ def street() -> Any:
     return net
 
 
+@pytest.mark.nightly
 def test_names_of_the_source_and_several_customers_on_a_bus(tmp_path: Path) -> None:
     feeder = import_network(street(), names=True)
     outages = (parse_outage("12:00..16:00", START),)

@@ -536,6 +536,7 @@ def test_opendss_states_what_single_phases_lose(tmp_path: Path) -> None:
     assert net.q_shunt_kvar[net.bus_index["a"]] == pytest.approx(-50.0, rel=1e-6)
 
 
+@pytest.mark.nightly
 def test_opendss_taps_charging_and_capacitors_are_those_of_its_own_solution(tmp_path: Path) -> None:
     """A balanced circuit has an equivalent that OpenDSS itself agrees with."""
     file = tmp_path / "balanced.dss"

@@ -226,6 +226,7 @@ EVEN: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", EVEN)
 def test_balanced_feeders_agree_in_all_states_and_in_their_losses(
     name: str, tmp_path: Path

@@ -217,6 +217,7 @@ def test_naive_times_on_the_long_day(feeder: ImportedFeeder, tmp_path: Path) -> 
     assert day.price_gbp_per_kwh[[16, 17]].tolist() == [0.36, 0.54]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("date", "steps"), [("2025-03-30", 23), ("2025-10-26", 25)])
 def test_command_makes_a_local_day(date: str, steps: int, tmp_path: Path) -> None:
     (tmp_path / "series").mkdir()

@@ -161,6 +161,7 @@ def plan_at(v_pu: float) -> pd.DataFrame:
     return rows(list(BUSES), v_ac_pu=[v_pu] * 9)
 
 
+@pytest.mark.nightly
 def test_loads_that_follow_the_voltage_are_found_as_the_cause(tmp_path: Path) -> None:
     # An impedance at a source of 0.8 pu draws 64 %, which lifts the voltage of all phases alike.
     even = """
@@ -184,6 +185,7 @@ set voltagebases=[0.4]
     assert "loads that follow the voltage; with all of them as constant power" in found.cause
 
 
+@pytest.mark.nightly
 def test_small_differences_need_no_cause(tmp_path: Path) -> None:
     off = run()["customers"].assign(served=False)
     none = {name: frame.iloc[:0] for name, frame in run().items() if name in ("pv", "batteries")}

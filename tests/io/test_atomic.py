@@ -33,6 +33,8 @@ from vppres.report.run_folder import write_run
 from vppres.scenario.scenario import Scenario
 from vppres.studies.sweep import folder_name
 
+KILLS = 15
+
 # Replaces a run in a child process that ends itself, as kill -9 would, at the n-th call that Python
 # reports of the system (open, mkdir, rename, remove, ...), for n = 0, 1, 2, ... until one is left
 # alone. Prints what was there after each, as the next run finds it.
@@ -358,6 +360,7 @@ def test_a_day_is_kept_where_its_report_cannot_be_made(
 # --- signals --------------------------------------------------------------------------------------
 
 
+@pytest.mark.nightly
 @pytest.mark.skipif(sys.platform == "win32", reason="no such signal")
 def test_sigterm_ends_a_run_like_ctrl_c(tiny_folder: Path, tmp_path: Path) -> None:
     """Terminated while it computes: status 143, nothing left behind."""
@@ -425,15 +428,15 @@ def test_sigterm_before_a_command_has_begun() -> None:
 def test_killed_commands_leave_the_old_result_and_no_process(
     tiny_folder: Path, tmp_path: Path
 ) -> None:
-    """A small part of the study, in a process of its own since it makes copies of itself."""
+    """In a process of its own, since it makes copies of itself."""
     done = subprocess.run(
         [
             sys.executable,
             "-m",
-            "experiments.kills",
+            "tests.support.kills",
             str(tiny_folder),
             "--kills",
-            "3",
+            str(KILLS),
             "--out",
             str(tmp_path),
         ],
@@ -442,8 +445,8 @@ def test_killed_commands_leave_the_old_result_and_no_process(
     )
     assert done.returncode == 0, (tmp_path / "kills.json").read_text(encoding="utf-8")
     tally = json.loads((tmp_path / "kills.json").read_text(encoding="utf-8"))
-    assert tally["kills"] + tally["finished"] == 3
-    assert tally["old"] + tally["absent"] + tally["new"] == 3
+    assert tally["kills"] + tally["finished"] == KILLS
+    assert tally["old"] + tally["absent"] + tally["new"] == KILLS
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="names of open files are read in /proc")

@@ -17,7 +17,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from experiments.mutations import (
+from tests.support.mutations import (
     FILES,
     MOST_CUT,
     ROW_EDITS,
@@ -303,6 +303,7 @@ SIZES = (
 )
 
 
+@pytest.mark.nightly
 def test_tables_beyond_any_feeder_are_refused(tiny_folder: Path) -> None:
     (tiny_folder / "load_kw.csv").write_text("time\n" + "x\n" * 527_041, encoding="utf-8")
     (tiny_folder / "pv_kw.csv").write_text("time" + ",x" * 10_001 + "\n", encoding="utf-8")
@@ -510,9 +511,10 @@ def check_reading(folder: Path) -> None:
         assert scenario.pv_kw.shape == (scenario.grid.n_steps, len(scenario.pv))
 
 
-def test_what_is_read_of_mutated_folders_runs_to_the_end(tiny_folder: Path) -> None:
-    """A small part of the study; see experiments/mutations.py for the large one."""
-    tally = study(tiny_folder, folders=40, runs=1, seed=2)
+@pytest.mark.nightly
+def test_what_is_read_of_mutated_folders_runs_to_the_end(tiny_folder: Path, nightly: bool) -> None:
+    folders, runs = (1000, 30) if nightly else (40, 1)
+    tally = study(tiny_folder, folders, runs, seed=2)
     assert tally.sound, tally
     assert tally.runs["finished"] >= 1
     assert tally.refused > 13

@@ -147,6 +147,7 @@ def test_round_trip_of_everything_that_is_not_a_default(tiny: Scenario, tmp_path
     assert len(document["outages"]) == 2
 
 
+@pytest.mark.nightly
 @settings(max_examples=12)
 @given(values=st.lists(st.floats(0, 1e6), min_size=18, max_size=18))
 def test_numbers_come_back_to_the_last_digit(

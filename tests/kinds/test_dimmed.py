@@ -165,6 +165,7 @@ def dark_then_open(recover_h: float, limit_kw: float) -> Scenario:
     return replace(day, batteries=full_of(15.0), customers=customers)
 
 
+@pytest.mark.nightly
 def test_what_is_owed_survives_a_restart() -> None:
     """Steps one by one know what the steps before left, and day and service agree."""
     day = dark_then_open(2.0, OPEN)

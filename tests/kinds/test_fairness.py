@@ -88,6 +88,7 @@ def alike(day: Scenario) -> Scenario:
     return replace(day, customers=customers, load_kw=load_kw, tiers=("low",))
 
 
+@pytest.mark.nightly
 def test_of_customers_alike_the_one_that_lost_most_is_on(tiny: Scenario) -> None:
     start = tiny.grid.start - 10 * HOUR
     dark = tiny.grid.times[tiny.outage]
@@ -99,6 +100,7 @@ def test_of_customers_alike_the_one_that_lost_most_is_on(tiny: Scenario) -> None
         assert on[name] == on.max() > on.min()
 
 
+@pytest.mark.nightly
 def test_weights_change_after_each_turn(tiny: Scenario) -> None:
     """Those of the second hour of an outage follow from who was off in the first."""
     day = alike(tiny)
@@ -152,6 +154,7 @@ def test_a_minimum_takes_supply_within_its_tier_only(
     assert served["critical", 1.0].equals(served["critical", 0.0])
 
 
+@pytest.mark.nightly
 def test_the_memory_goes_on_over_a_restart(tiny: Scenario) -> None:
     """A live controller that is restored decides as the one that went on, to the last bit."""
     options = replace(HERE, rotation=0.5, turn_h=1.0, minimum_on_h=1.0, guard=True)

@@ -250,6 +250,7 @@ def test_a_run_names_a_set_without_fuel() -> None:
     assert told == ["Generator g0 without fuel in the outage, for 2 h in all."]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("mode", ["paper", "physical"])
 def test_a_day_tells_what_sets_did(tmp_path: Path, mode: str) -> None:
     """What is planned happens, is recorded, counted and explained, and its files are read again."""

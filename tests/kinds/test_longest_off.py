@@ -166,6 +166,7 @@ def hospital_and_homes(homes: int) -> Scenario:
     return replace(day, tiers=("critical", "low"), customers=replace(day.customers, tier=tier))
 
 
+@pytest.mark.nightly
 def test_no_limit_of_lower_tiers_outweighs_a_unit_of_a_higher_one() -> None:
     day = hospital_and_homes(40)
     state = state_of(day, [0.0] + [3.0] * 40)
@@ -220,6 +221,7 @@ def six_hours(longest_h: float, backup: bool = False, energy_kwh: float = 61.0) 
     return day
 
 
+@pytest.mark.nightly
 def test_a_day_keeps_the_limit_and_says_why_the_customer_is_on() -> None:
     run = explain_day(run_day(six_hours(2.0, backup=True), RunOptions(horizon_h=1.0)))
     served = run.customers["served"].to_numpy(bool).reshape(6, 2)
@@ -235,6 +237,7 @@ def test_a_day_keeps_the_limit_and_says_why_the_customer_is_on() -> None:
     assert "On at 02:00: its backup of 2 h ends." in render_report(run, summary)
 
 
+@pytest.mark.nightly
 def test_a_limit_that_cannot_be_kept_is_named() -> None:
     run = explain_day(run_day(six_hours(2.0, energy_kwh=0.0), RunOptions(horizon_h=1.0)))
     summary = summarise(run)
@@ -248,6 +251,7 @@ def test_a_limit_that_cannot_be_kept_is_named() -> None:
     assert words[2].endswith("It is 1 h beyond its longest time off of 2 h.")
 
 
+@pytest.mark.nightly
 def test_since_when_a_customer_is_off_survives_a_restart() -> None:
     day = six_hours(2.0)
     options = RunOptions(horizon_h=1.0, isolate=False)

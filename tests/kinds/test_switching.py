@@ -389,6 +389,7 @@ def packaged() -> Scenario:
     return read_scenario(find_scenario("uk-heatwave-2022"))
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("controller", "rules"),
     [

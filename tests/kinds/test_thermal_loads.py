@@ -195,6 +195,7 @@ def test_the_guard_refuses_a_machine_of_a_customer_that_is_off() -> None:
     assert any("thermal load power" in each for each in violations(Decision(off), state))
 
 
+@pytest.mark.nightly
 def test_a_day_tells_of_cooling_ahead(tmp_path: Path) -> None:
     """What is planned happens, is recorded, counted and explained, and its files are read again."""
     day = hot([OPEN] * 4 + [DARK] * 5 + [OPEN] * 3, t_max_c=25.0)
@@ -229,6 +230,7 @@ def test_a_day_tells_of_cooling_ahead(tmp_path: Path) -> None:
         read_scenario(tmp_path / "day")
 
 
+@pytest.mark.nightly
 def test_rooms_beside_vehicles_switch_nobody_off_in_an_island(tiny: Scenario) -> None:
     """Physical mode: the same customers are on as without them, and what is off does not cool."""
     alone = run_day(tiny, PHYSICAL)

@@ -12,9 +12,9 @@ import pandas as pd
 import pytest
 
 import vppres
-from experiments.garbage import beyond_limits, run_one
-from experiments.threads import differing
+from tests.support.garbage import beyond_limits, run_one
 from tests.support.small_nets import buses_in_a_row
+from tests.support.threads import differing
 from vppres import Controller, InputError, Measurement, RunOptions, Scenario
 from vppres.contract.forecast import ForecastErrors
 from vppres.contract.observation import Observation
@@ -544,10 +544,11 @@ def test_step_decided_again_takes_the_place_of_the_first(tiny: Scenario) -> None
 
 @pytest.mark.daily
 def test_two_threads_answer_as_one_does(nightly: bool) -> None:
-    steps, wrong, _, _ = differing(range(3 if nightly else 1))
-    assert (steps, wrong) == (60 if nightly else 20, 0)
+    seeds = range(20 if nightly else 1)
+    assert differing(seeds) == (20 * len(seeds), 0)
 
 
+@pytest.mark.nightly
 def test_days_in_two_threads_are_those_of_one(tiny: Scenario) -> None:
     options = RunOptions(horizon_h=2.0)
     days = [tiny, replace(tiny, load_kw=0.5 * tiny.load_kw)] * 2
@@ -565,7 +566,7 @@ def test_days_in_two_threads_are_those_of_one(tiny: Scenario) -> None:
 
 @pytest.mark.daily
 def test_garbage_is_refused_by_name_or_answered_within_ratings(nightly: bool) -> None:
-    outcomes = [run_one(seed, 30) for seed in range(10 if nightly else 2)]
+    outcomes = [run_one(seed, 30) for seed in range(40 if nightly else 2)]
     assert [text for outcome in outcomes for text in outcome.wrong] == []
     assert sum(outcome.answered for outcome in outcomes) > 6 * len(outcomes)
     assert sum(outcome.refused for outcome in outcomes) > 6 * len(outcomes)

@@ -44,6 +44,7 @@ def played(controller: Controller, pieces: list[Scenario], ahead: int) -> Iterat
         now += HOUR
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("options", "piece"),
     [

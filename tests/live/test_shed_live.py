@@ -66,6 +66,7 @@ def test_nobody_is_shed_for_losses_that_a_plan_can_know(
     assert points.solve["status"] == "optimal"
 
 
+@pytest.mark.nightly
 def test_what_is_shed_against_the_plan_is_said(
     tiny: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from benchmarks.random_feeders import random_window
-from experiments.random_forms import window_of
+from tests.support.random_forms import window_of
 from tests.support.sets import gensets
 from tests.support.small_windows import DARK, OPEN, battery, two_buses, window
 from vppres import solve
@@ -73,6 +73,7 @@ def cycles(site: Site, answer: WindowSolution) -> float:
     return float(answer.dispatch.charge_kw.sum() * site.dt_h / site.batteries.energy_kwh.sum())
 
 
+@pytest.mark.nightly
 @pytest.mark.monolith
 def test_a_limit_on_cycles_is_solved_by_both_methods_with_true_bounds(nightly: bool) -> None:
     wrong = []
@@ -298,6 +299,7 @@ def test_no_method_names_what_is_beyond_the_paper(tiny: Scenario) -> None:
     assert not wrong
 
 
+@pytest.mark.nightly
 def test_additions_compute_what_their_terms_say(nightly: bool) -> None:
     """Cost of a dispatch by arrays and by the statement, within its range: ends and export."""
     for number in range(3, 12 * (10 if nightly else 2), 3):

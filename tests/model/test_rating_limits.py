@@ -54,6 +54,7 @@ def narrow_feeder(batteries: bool, steps: slice = slice(4, 6)) -> Scenario:
     )
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("batteries", [False, pytest.param(True, marks=pytest.mark.nightly)])
 def test_currents_stay_within_ratings(batteries: bool) -> None:
     day = narrow_feeder(batteries)

@@ -156,7 +156,7 @@ def test_finished_days_outlive_an_interrupt(
 def test_long_days_come_first(counted: list[Job], tmp_path: Path) -> None:
     long = Job(options=RunOptions(horizon_h=12.0))
     run_jobs([SHORT, long, PLAN], tmp_path, 1)
-    assert counted == [PLAN, long, SHORT]
+    assert counted == [long, PLAN, SHORT]
 
 
 def test_two_processes_give_what_one_gives(real_days: dict[str, DayResult], tmp_path: Path) -> None:

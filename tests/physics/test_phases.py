@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from experiments.phases import admittances_apart
+from experiments.studies.phases import admittances_apart
 from tests.support.command_line import call
 from tests.support.homes import homes
 from tests.support.phased_feeder import CIRCUIT, phased_day
@@ -108,6 +108,7 @@ def test_import_has_opendss_voltages(day: Scenario) -> None:
     assert not day.source.unbalanced
 
 
+@pytest.mark.nightly
 def test_admittances_are_those_of_opendss(circuit: Path) -> None:
     phased = import_network(circuit).phased
     assert phased is not None
@@ -115,6 +116,7 @@ def test_admittances_are_those_of_opendss(circuit: Path) -> None:
     assert admittances_apart(circuit, flow) < 1e-12
 
 
+@pytest.mark.nightly
 def test_a_wye_with_its_neutral_at_a_phase_is_between_two_phases(circuit: Path) -> None:
     file = circuit.with_name("between.dss")
     file.write_text(CIRCUIT.replace("bc bus1=n.2.3 phases=1 conn=delta", "bc bus1=n.2.3 phases=1"))
@@ -304,6 +306,7 @@ def test_options_that_are_not_stated_are_refused_by_name(
         make_controller(day, RunOptions().having(options))
 
 
+@pytest.mark.nightly
 def test_columns_and_kinds_that_are_not_stated_are_refused_at_once(day: Scenario) -> None:
     longest = np.where(day.customers.id == "ca", np.nan, 4.0)
     customers = replace(day.customers, max_off_h=longest)
@@ -319,6 +322,7 @@ def test_columns_and_kinds_that_are_not_stated_are_refused_at_once(day: Scenario
     ]
 
 
+@pytest.mark.nightly
 def test_validate_shows_the_power_flow_by_phase(circuit: Path, day: Scenario) -> None:
     result = call("validate", circuit.parent / "small", "--power-flow", "--json")
     assert result.exit_code == 0

@@ -231,6 +231,7 @@ def test_the_network_master_sees_ratios_and_shunts(seed: int) -> None:
     assert outcome.value <= case.data.price_gbp_per_kwh @ answer.p_grid_kw * site.dt_h + 1e-5
 
 
+@pytest.mark.nightly
 def test_an_island_behind_a_regulator_is_lit(tiny: Scenario) -> None:
     """At 0.98 pu behind a tap of 6 % the empty bus before it would be at 0.925 pu."""
     network = replace(tiny.network, v_slack_pu=0.98, ratio=[1 / 1.06, 1.0, 1.0])

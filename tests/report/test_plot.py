@@ -173,6 +173,7 @@ def test_many_buses_without_devices() -> None:
     assert np.isfinite(ax.get_ylim()).all()
 
 
+@pytest.mark.nightly
 def test_matplotlib_is_loaded_on_use() -> None:
     code = (
         "import sys, vppres; vppres.Scenario, vppres.Trajectory; print('matplotlib' in sys.modules);"

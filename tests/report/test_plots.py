@@ -216,6 +216,7 @@ def test_figures_of_days_without_devices_or_outage(run, kinds, tmp_path):
     assert all("nan" not in file.read_text() for file in files if file.suffix == ".svg")
 
 
+@pytest.mark.nightly
 def test_equal_runs_give_equal_files(tmp_path):
     first = save_figures(small_run(), tmp_path / "first")
     second = save_figures(small_run(), tmp_path / "second")

@@ -202,6 +202,7 @@ def test_the_page_fits_the_window(browser: Any, report: Path, width: int) -> Non
     page.close()
 
 
+@pytest.mark.nightly
 def test_no_text_of_a_figure_leaves_it_or_covers_another(browser: Any, report: Path) -> None:
     page = browser.new_page(viewport=DESKTOP)
     page.goto(report.as_uri())

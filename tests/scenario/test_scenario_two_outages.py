@@ -69,6 +69,7 @@ def test_other_seeds_draw_other_days() -> None:
     assert (one.pv_kw.sum(axis=1) != other.pv_kw.sum(axis=1)).any()
 
 
+@pytest.mark.nightly
 def test_hours_around_the_first_outage_run(day: Scenario) -> None:
     first, count = 44, 28  # 11:00 to 18:00
     part = replace(

@@ -128,6 +128,7 @@ VERDICTS = {
 }
 
 
+@pytest.mark.nightly
 @pytest.mark.skipif(chromium() is None, reason="no chromium or chrome on the path")
 def test_an_evening_on_a_desk_and_on_a_phone(tiny: Scenario, tmp_path: Path) -> None:
     sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")

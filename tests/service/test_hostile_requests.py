@@ -1,4 +1,4 @@
-"""A small part of ``experiments.hostile``; and that its judgement can fail."""
+"""A small part of ``tests.support.hostile``; and that its judgement can fail."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ from typing import Any
 import pytest
 from fastapi import FastAPI
 
-from experiments import hostile
-from experiments.hostile_requests import Request, hostile_requests
-from tests.support import live_service
+from tests.support import hostile, live_service
+from tests.support.hostile_requests import Request, hostile_requests
 from tests.support.tiny_day import tiny_scenario
 from vppres.day.options import RunOptions
 from vppres.service.access import Access
@@ -27,6 +26,7 @@ def site() -> Service:
 PLAIN = Request("GET", "/v1/plan", {"host": "localhost"})
 
 
+@pytest.mark.nightly
 def test_nothing_breaks_and_strangers_change_nothing(
     monkeypatch: pytest.MonkeyPatch, nightly: bool
 ) -> None:

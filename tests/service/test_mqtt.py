@@ -214,6 +214,7 @@ def test_one_odd_message_loses_no_other(tmp_path: Path) -> None:
         bridge.service.close()
 
 
+@pytest.mark.nightly
 def test_what_waited_is_sent_in_parts(tmp_path: Path) -> None:
     """Of readings that waited, a request takes as many as the service does."""
     count = 2 * mqtt.MOST_SERIES + 1
@@ -229,6 +230,7 @@ def test_what_waited_is_sent_in_parts(tmp_path: Path) -> None:
         bridge.service.close()
 
 
+@pytest.mark.nightly
 def test_what_comes_while_others_are_sent_is_not_dropped(tmp_path: Path) -> None:
     class Service:
         """Hears more while it is asked."""

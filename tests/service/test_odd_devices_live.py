@@ -55,6 +55,7 @@ class Odd(World):
         return super().obey(t, [one for one in setpoints if one["kind"] not in odd])
 
 
+@pytest.mark.nightly
 def test_what_is_odd_is_named_and_nobody_is_off_for_it(
     tiny: Scenario, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -275,6 +275,7 @@ def test_hold_must_have_an_end(browser: Any, watched: tuple[Runner, str]) -> Non
     runner.store.put_setting("mode", {"mode": "auto", "until": None, "reason": ""}, NIGHT, "test")
 
 
+@pytest.mark.nightly
 def test_set_points_are_given_by_hand(browser: Any, watched: tuple[Runner, str]) -> None:
     runner, address = watched
     with Watcher(browser, address, PHONE) as watcher:

@@ -288,6 +288,7 @@ def test_a_site_without_a_whole_day_leaves_no_state_behind(tmp_path: Path) -> No
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.nightly
 def test_served_with_tls(tmp_path: Path, certificate: tuple[Path, Path]) -> None:
     """As a process of its own, from the command line."""
     port = free_port()

@@ -70,6 +70,7 @@ def test_a_live_controller_decides_as_the_run_does(evening: Scenario) -> None:
     assert points.customers["phases"]["ce"] == "a b c"
 
 
+@pytest.mark.nightly
 def test_strict_order_gives_up_headroom_of_phases_for_the_first_tier(evening: Scenario) -> None:
     of_first = evening.customers.id == "cbc"
     tier = np.where(of_first, "critical", "low").astype(object)

@@ -103,6 +103,7 @@ def test_the_more_likely_an_outage_the_more_is_kept(tiny: Scenario, tmp_path: Pa
     assert charged[0] < 0.5 * charged[2]
 
 
+@pytest.mark.nightly
 def test_a_certain_outage_is_the_special_case(tiny: Scenario, tmp_path: Path) -> None:
     """As an event or as a belief, with beliefs or with known outages: one decision."""
     outage = {"type": "outage", "start": "2026-11-21T13:20:00Z", "end": "2026-11-21T15:00:00Z"}
@@ -157,6 +158,7 @@ SEQUENCES = {
 """Lengths of the outage that began at two, as they are estimated at an hour."""
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("sequence", SEQUENCES)
 def test_an_estimate_counts_whatever_its_name(
     tiny: Scenario, tmp_path: Path, sequence: str

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from experiments.strangers import BEGIN, empty_texts, reading, unknown_fields
 from tests.support.asgi import Caller
 from tests.support.live_service import NOON, client, decided, site
+from tests.support.strangers import BEGIN, empty_texts, reading, unknown_fields
 from tests.support.tiny_day import tiny_scenario
 from vppres.day.options import RunOptions
 from vppres.scenario.scenario import Scenario

@@ -112,6 +112,7 @@ def test_a_clock_that_is_set_by_a_second_changes_nothing(tiny: Scenario, tmp_pat
         assert http.get("/readyz").status == 200
 
 
+@pytest.mark.nightly
 def test_a_stop_of_days_is_missed_and_one_of_weeks_a_clock(tiny: Scenario, tmp_path: Path) -> None:
     clock = Wall(NOON)
     with running(tiny, tmp_path, clock) as (runner, http):

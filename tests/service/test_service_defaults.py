@@ -146,6 +146,7 @@ def test_what_the_last_check_stops_in_an_island_stays_as_it_was(
         assert said(plan, "batteries")["big"]["p_kw"] == 0.0
 
 
+@pytest.mark.nightly
 def test_an_island_by_phase_is_left_as_it_is_too(tmp_path: Path) -> None:
     pytest.importorskip("opendssdirect")
     file = tmp_path / "small.dss"

@@ -27,6 +27,7 @@ from vppres.service.runner import Service
 from vppres.service.serve import opened
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("outages", "rotation"),
     [

@@ -42,6 +42,7 @@ from vppres.service.store import Store
 HOUR = pd.Timedelta("1h")
 
 
+@pytest.mark.nightly
 def test_a_played_day_that_is_written_out_is_the_run(tiny: Scenario, tmp_path: Path) -> None:
     """Customers, batteries, PV and import, to the last bit; reports work on it."""
     day = repeated(tiny, 24, "2025-07-01T00:00Z")

@@ -65,6 +65,7 @@ def watch(runner: Runner) -> list[Observation]:
     return seen
 
 
+@pytest.mark.nightly
 def test_what_is_measured_is_learned_and_taken_up_again(tiny: Scenario, tmp_path: Path) -> None:
     """With a restart on the way as without one, and the saved state does not grow."""
     plans: dict[str, list[Any]] = {}

@@ -30,6 +30,7 @@ def server() -> Iterator[postgres.Server]:
     found.close()
 
 
+@pytest.mark.nightly
 def test_it_decides_as_with_sqlite_and_goes_on_after_a_restart(
     tiny: Scenario, tmp_path: Path, server: postgres.Server
 ) -> None:
@@ -83,6 +84,7 @@ def test_a_second_process_is_refused_until_the_first_one_is_gone(server: postgre
 
 
 # A connection whose server died under it is dropped as it is.
+@pytest.mark.nightly
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_a_server_that_is_stopped_and_started_loses_nothing(
@@ -119,6 +121,7 @@ def test_no_server_and_no_password_in_the_message(server: postgres.Server) -> No
     assert "does not answer" in str(caught.value) and "secret" not in str(caught.value)
 
 
+@pytest.mark.nightly
 def test_times_of_the_next_century_have_room(server: postgres.Server) -> None:
     address = server.new_database()
     store = Store(address, "site")

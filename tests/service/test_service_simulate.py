@@ -28,6 +28,7 @@ from vppres.service.world import World, critical_off, energy_allowed
 HOUR = pd.Timedelta("1h")
 
 
+@pytest.mark.nightly
 def test_a_played_day_is_the_run(tiny: Scenario, tmp_path: Path) -> None:
     """Devices of all kinds that follow their set-points do what those of a run do."""
     day = crowded(tiny)
@@ -56,6 +57,7 @@ def stormy(tiny: Scenario, days: int) -> Scenario:
     return replace(day, grid=grid, **{**rows, "grid_limit_kw": limits})
 
 
+@pytest.mark.nightly
 def test_a_week_of_bad_telemetry_leaves_no_critical_customer_off(
     tiny: Scenario, tmp_path: Path
 ) -> None:

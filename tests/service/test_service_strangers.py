@@ -16,10 +16,10 @@ from urllib.parse import urlsplit
 import pandas as pd
 import pytest
 
-from experiments.strangers import attacks, lives, silent
 from tests.support.asgi import Caller
 from tests.support.browser import listening
 from tests.support.live_service import HERE, NOON, Live, running, site
+from tests.support.strangers import attacks, lives, silent
 from tests.support.tiny_day import tiny_scenario
 from vppres.core.errors import StorageError
 from vppres.scenario.scenario import Scenario
@@ -104,6 +104,7 @@ def test_a_connection_that_is_answered_in_time_stays(hasty: tuple[str, int]) -> 
     assert len(ports) == 1
 
 
+@pytest.mark.nightly
 def test_mistakes_of_8_mb_and_13000_reads_stop_no_step(own: Started) -> None:
     day = site(tiny_scenario()).grid
     rows = pd.DataFrame(attacks(own, day.start, day.step))

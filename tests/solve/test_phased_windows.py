@@ -9,7 +9,13 @@ import numpy as np
 import pytest
 
 from benchmarks.random_feeders import random_scenario
-from experiments.phased_feeders import decided, in_phases, plainly, random_phased, with_a_former
+from experiments.studies.phased_feeders import (
+    decided,
+    in_phases,
+    plainly,
+    random_phased,
+    with_a_former,
+)
 from tests.support.phased_feeder import CIRCUIT, phased_day
 from vppres.contract.decision import Decision
 from vppres.control.phased import PhasedPlanner
@@ -74,6 +80,7 @@ def test_windows_equal_a_plain_statement_of_the_whole_problem(seed: int) -> None
     assert found.bound >= inside - 1e-6
 
 
+@pytest.mark.nightly
 def test_ratings_that_cannot_be_kept_give_way_no_further_than_need_be(tmp_path: Path) -> None:
     """A capacitor's current is beyond the rating of its line, whoever is served."""
     file = tmp_path / "small.dss"
@@ -108,6 +115,7 @@ def test_limits_of_phases_give_way_to_no_voltage_that_a_feeder_cannot_have(tmp_p
     assert far.u_min.min() == COLLAPSED_PU2 < usual.u_min.min()
 
 
+@pytest.mark.nightly
 def test_the_fleet_knows_what_active_power_each_phase_of_the_former_carries(tmp_path: Path) -> None:
     """Reactive power of customers is known with them, that of batteries and PV widens the room."""
     (tmp_path / "small.dss").write_text(CIRCUIT)
@@ -159,6 +167,7 @@ def test_the_fleet_serves_no_set_that_crowds_a_phase(tmp_path: Path) -> None:
     assert served[1.0][~of_a].all()
 
 
+@pytest.mark.nightly
 def test_a_plan_without_headroom_leaves_a_phase_what_passes_may_be_off_by(tmp_path: Path) -> None:
     (tmp_path / "small.dss").write_text(CIRCUIT)
     day = phased_day(tmp_path / "small.dss")
@@ -190,6 +199,7 @@ def test_limits_that_give_way_to_those_of_ac_leave_what_passes_may_be_off_by(
     assert most[:2] == pytest.approx([1.053, 1.0599])
 
 
+@pytest.mark.nightly
 def test_voltages_of_a_plan_are_those_of_the_window_that_was_solved(tmp_path: Path) -> None:
     """After a single pass plan and power flow differ, and the plan shows it."""
     (tmp_path / "small.dss").write_text(CIRCUIT)

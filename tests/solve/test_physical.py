@@ -13,7 +13,7 @@ import scipy.sparse as sp
 
 from benchmarks.hard_days import hard_day, hard_window
 from benchmarks.random_feeders import Window, random_scenario, random_window
-from experiments.islands import claims_of, imbalance_kw, random_day
+from experiments.studies.islands import claims_of, imbalance_kw, random_day
 from tests.support.agreement import assert_agree, both_methods
 from tests.support.dispatch_check import check_dispatch
 from tests.support.small_windows import CHECKER_TOLERANCE, window
@@ -135,6 +135,7 @@ def test_windows_have_losses_islands_and_headroom() -> None:
     assert sum((p.soc_reserve > 0).any() for p in physics) >= 10
 
 
+@pytest.mark.nightly
 def test_least_reactive_power_knows_losses_headroom_and_who_holds_the_voltage(
     nightly: bool,
 ) -> None:
@@ -372,6 +373,7 @@ def test_an_island_with_a_capacitor_is_held_or_planned_dark(tiny: Scenario, shar
     assert (steps["passes"] == 1).all()
 
 
+@pytest.mark.nightly
 def test_an_island_without_its_capacitor_is_that_of_a_feeder_without_any(tiny: Scenario) -> None:
     day = with_capacitor(tiny, 3.0)
     assert any("bus 4 the value no" in remark for remark in remarks(day))
@@ -462,6 +464,7 @@ def test_batteries_that_lose_sun_in_turns_keep_them_until_ac_agrees(stored: floa
     assert np.abs(off_kw).max() <= LOSS_TOLERANCE_KW
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("keeps_turns", [True, False])
 def test_turns_of_a_plan_before_are_kept_where_they_allow_a_dispatch(keeps_turns: bool) -> None:
     """In any case, or because sun is lost in turns here, which would have to be searched for."""

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.random_feeders import WEIGHT, Window, random_window
-from experiments.reasons import checked
+from tests.support.reasons import checked
 from tests.support.small_windows import DARK, OPEN, battery, two_buses, window
 from tests.support.tiny_day import tiny_scenario
 from vppres import Controller, Measurement, RunOptions, run_day
@@ -105,6 +105,7 @@ def by_levels(case: Window) -> Wholes:
     return np.array(found)
 
 
+@pytest.mark.nightly
 def test_strict_windows_are_those_of_one_search_a_tier(nightly: bool) -> None:
     wrong = []
     for seed in range(120 if nightly else 3):

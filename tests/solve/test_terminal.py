@@ -104,6 +104,7 @@ def stored_at_end(run: Trajectory) -> list[float]:
     return run.batteries["soc_end"].to_numpy()[-2:].tolist()
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("kind", "mode"), [("mpc", "physical"), ("full-horizon", "paper")])
 def test_batteries_are_full_enough_at_the_end_of_a_run(
     tiny: Scenario, kind: str, mode: str
@@ -120,6 +121,7 @@ def test_batteries_are_full_enough_at_the_end_of_a_run(
     assert (served[0] == served[1]).all()
 
 
+@pytest.mark.nightly
 def test_without_it_a_run_is_what_it_was(tiny: Scenario) -> None:
     """The last window only is another one; none of the earlier ones sees the end."""
     options = RunOptions(horizon_h=1.0)

@@ -211,6 +211,7 @@ def test_every_end_has_a_named_fallback_soon(
     assert day.recorder.records[4].steps["fallback"] == "none"
 
 
+@pytest.mark.nightly
 def test_a_crash_is_told_with_its_last_words(tiny: Scenario, workers: Workers) -> None:
     solver = IsolatedSolver(Site.of(tiny), limits=LONG, factory=failing.Counting, workers=workers)
     data = window(tiny, slice(3))
@@ -239,6 +240,7 @@ def test_a_deadline_grows_with_the_site_and_with_what_has_to_be_compiled(
     )
 
 
+@pytest.mark.nightly
 def test_a_process_that_dies_between_windows_is_replaced_in_silence(
     tiny: Scenario, workers: Workers
 ) -> None:
@@ -252,6 +254,7 @@ def test_a_process_that_dies_between_windows_is_replaced_in_silence(
     assert gone(killed.pid)
 
 
+@pytest.mark.nightly
 def test_a_process_that_is_killed_or_stopped_in_a_window_is_named(
     tiny: Scenario, workers: Workers
 ) -> None:
@@ -317,6 +320,7 @@ def test_a_python_without_executable_says_what_to_do(
 # Where it is used.
 
 
+@pytest.mark.nightly
 def test_two_threads_have_a_process_each(tiny: Scenario) -> None:
     pool = Workers()
     here = WindowSolver(Site.of(tiny))
@@ -348,6 +352,7 @@ def test_two_threads_have_a_process_each(tiny: Scenario) -> None:
 SOC = {"big": 0.5, "small": 0.5}
 
 
+@pytest.mark.nightly
 def test_a_live_controller_answers_while_its_solver_hangs(tiny: Scenario) -> None:
     controller = Controller.of(tiny, RunOptions(horizon_h=1.0, limits=SHORT))
     assert controller.options.isolate

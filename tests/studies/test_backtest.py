@@ -100,6 +100,7 @@ def test_a_short_history_has_no_issue() -> None:
         backtest(noise(10), Plan())
 
 
+@pytest.mark.nightly
 def test_page_and_tables(tmp_path: Path) -> None:
     result = backtest(noise(30), Plan(horizon_h=24, every_h=23))
     summary = write_backtest(result, tmp_path / "out", "Noise")

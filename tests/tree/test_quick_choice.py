@@ -9,18 +9,36 @@ import pytest
 from tests.support import durations
 from tests.support.durations import (
     COLLECTED,
+    GROWN_S,
     LONG_S,
     QUICK_CASE_S,
+    UNMARKED,
     USUAL_S,
     function_of,
     is_random,
     quick_choice,
     read_durations,
+    too_long,
     unmeasured_choice,
     usual_choice,
     write_durations,
 )
 from tests.support.offenders import assert_for_all
+
+GROWING = f"""
+from itertools import count
+from tests.support import durations
+import pytest
+
+def pytest_addoption(parser):
+    for name in ("quick", "nightly", "measure"):
+        parser.addoption(f"--{{name}}", action="store_true")
+
+def pytest_configure(config):
+    config.addinivalue_line("markers", "daily: by day")
+    durations.processor_s = count(step={1.1 * GROWN_S}).__next__
+    config.pluginmanager.register(durations.Durations(config))
+"""
 
 
 def test_every_test_is_measured(request: pytest.FixtureRequest) -> None:
@@ -50,17 +68,36 @@ def test_new_functions_are_measured_and_one_function_on_a_new_fixture() -> None:
 
 def test_usual_runs_take_the_first_random_cases_that_fit_and_one_at_least() -> None:
     names = ["windows", "windows", "page", "page", "windows", "never measured"]
-    seconds = {"windows": 0.4 * USUAL_S, "page": 0.9 * LONG_S}
+    seconds = {"windows": 0.4 * USUAL_S, "page": 1.1 * LONG_S}
     random = [name == "windows" for name in names]
-    chosen = [True, True, True, True, False, True]
-    assert usual_choice(names, seconds, random, [False] * len(names)) == chosen
+    assert usual_choice(names, seconds, random) == [True, True, True, True, False, True]
 
 
-def test_usual_runs_leave_long_functions_for_the_night_unless_they_are_daily() -> None:
-    names = ["day", "published", "published"]
-    seconds = dict.fromkeys(names, 1.1 * LONG_S)
-    daily = [name == "published" for name in names]
-    assert usual_choice(names, seconds, [False] * 3, daily) == [False, True, True]
+def test_every_long_test_says_when_it_runs(request: pytest.FixtureRequest) -> None:
+    found = too_long(request.config.stash[UNMARKED], read_durations())
+    assert found == [], "make them shorter, or mark them nightly (or daily, if they are worth it)"
+    assert too_long({"day", "page"}, {"day": 1.1 * LONG_S, "page": LONG_S}) == ["day"]
+
+
+def test_a_test_that_has_grown_fails(
+    pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
+    pytester.makeconftest(GROWING)
+    pytester.makepyfile(
+        """
+        import pytest
+
+        def test_grown(): pass
+
+        @pytest.mark.daily
+        def test_long(): pass
+        """
+    )
+    found = pytester.runpytest_subprocess("-p", "no:cacheprovider")
+    found.assert_outcomes(passed=2, errors=1)
+    found.stdout.fnmatch_lines(["*s of CPU time: make it shorter, or mark it nightly*"])
 
 
 @pytest.mark.parametrize(("seed", "case"), [(0, "a-[1]")])
