@@ -27,8 +27,8 @@ from vppres.solve.solvers import run_conic
 
 OVER_RATING = 2e-7
 """Share of its rating by which a flow may be above it without another tangent: twice what HiGHS
-leaves of a row. Each kW beyond a rating saves PV power that would be curtailed, so that half of what
-a dispatch's check allows moves the objective by 2e-4."""
+leaves of a row. Each kW beyond a rating saves PV power that would be curtailed: half of what a
+dispatch's check allows moves the objective by 2e-4."""
 
 
 class Limits(Protocol):
