@@ -148,6 +148,6 @@ def verdict(site: Site, data: WindowData) -> list[str]:
             wrong.append(f"bound {found.bound} below {whole.value}")
         if found.status == "optimal" and value < whole.value - gap - scale:
             wrong.append(f"called optimal at {value} below {whole.value}")
-    if kept and value > whole.bound + 10.0 * scale:
+    if kept and value > whole.bound + scale:
         wrong.append(f"{value} is more than {whole.bound}")
     return wrong
