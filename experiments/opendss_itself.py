@@ -21,9 +21,10 @@ DRAWING = ("load.", "generator.", "pvsystem.", "storage.")
 
 @dataclass(frozen=True)
 class Itself:
-    """Voltage of each node in pu, losses with the source's impedance and all shunts, loads."""
+    """Voltage of each node in pu of its bus's level, losses with all shunts, loads."""
 
     v_pu: dict[str, float] = field(default_factory=dict)
+    base_v: dict[str, float] = field(default_factory=dict)
     losses_kw: float = 0.0
     loads: int = 0
     load_kw: float = 0.0
@@ -46,6 +47,10 @@ def of_opendss(file: str) -> Itself:
     names = [name.lower() for name in dss.Circuit.AllNodeNames()]
     v_pu = dict(zip(names, map(float, dss.Circuit.AllBusMagPu()), strict=True))
     v_pu |= _between_legs()
+    base_v = {}
+    for bus in dss.Circuit.AllBusNames():
+        dss.Circuit.SetActiveBus(bus)
+        base_v[bus.lower()] = 1000.0 * dss.Bus.kVBase()
     loads, load_kw = 0, 0.0
     for name in dss.Loads.AllNames() or ():
         dss.Circuit.SetActiveElement(f"load.{name}")
@@ -55,7 +60,7 @@ def of_opendss(file: str) -> Itself:
             load_kw += dss.Loads.kW() * (
                 1.0 if dss.Loads.Status() == FIXED else dss.Solution.LoadMult()
             )
-    return Itself(v_pu, _losses_kw(), loads, load_kw)
+    return Itself(v_pu, base_v, _losses_kw(), loads, load_kw)
 
 
 def _solved() -> bool:

@@ -63,7 +63,7 @@ FEEDERS = (
     Published("4-bus OYOD-UnBal", "IEEETestCases/4Bus-OYOD-UnBal/4bus-OYOD-UnBal.dss"),
     Published("4-bus YD-Bal", "IEEETestCases/4Bus-YD-Bal/4Bus-YD-Bal.DSS"),
     Published("4-bus YY-Bal", "IEEETestCases/4Bus-YY-Bal/4Bus-YY-Bal.DSS"),
-    Published("4-bus YYD", "IEEETestCases/4Bus-YYD/YYD-Master.DSS"),
+    Published("4-bus YYD", "IEEETestCases/4Bus-YYD/YYD-Master-step1.DSS"),
     Published("4-wire delta, lagging", "IEEETestCases/4wire-Delta/Kersting4wire_Lagging.dss"),
     Published("4-wire delta, leading", "IEEETestCases/4wire-Delta/Kersting4wire_Leading.dss"),
     Published("IEEE European LV", "IEEETestCases/LVTestCase/Master.dss"),
@@ -172,8 +172,8 @@ def apart_pu(feeder: ImportedFeeder, theirs: Itself) -> float:
         legs = len(rows[bus].phases.split()) == 1 and f"{bus}:12" in theirs.v_pu
         name = f"{bus}:12" if legs else f"{bus}.{phase + 1}"
         if name in theirs.v_pu:
-            own_pu = abs(v) / (rows[bus].kv * 1000.0 / 3**0.5)
-            apart.append(abs(own_pu - theirs.v_pu[name]))
+            base_v = rows[bus].kv * 1000.0 / 3**0.5
+            apart.append(abs(abs(v) - theirs.v_pu[name] * theirs.base_v[bus]) / base_v)
     return float(max(apart))
 
 
