@@ -9,7 +9,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from experiments.drawing import draw_grid, save_figure
-from vppres.report.plots.palette import BLACK, BLUE, GREEN, ORANGE
+from vppres.report.plots.drawing import BLACK, BLUE, GREEN, ORANGE
 
 STYLES = {"load": ("load", BLUE), "pv": ("PV power", ORANGE), "net": ("load less PV", GREEN)}
 TARGET = Path(__file__).parent / "_static" / "forecasts"

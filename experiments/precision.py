@@ -26,7 +26,7 @@ from experiments.settings import At, Setting, jobs_of, rows_of
 from experiments.tables import markdown_table, write_pages
 from experiments.terminal import plain_errors, show_report
 from experiments.weighted_gap import service_of, terms_beside_gap
-from vppres.report.plots.palette import BLACK
+from vppres.report.plots.drawing import BLACK
 
 TITLE = "The paper at the precision of a weighted solve"
 NAME = "precision"

@@ -28,7 +28,7 @@ from vppres.day.series import edges_of, per_step, quantity
 from vppres.day.trajectory import Trajectory
 from vppres.report.key_figures import KEY_FIGURES
 from vppres.report.one_line import loading_classes, voltage_edges, worst_step
-from vppres.report.plots.palette import (
+from vppres.report.plots.drawing import (
     BLACK,
     BLUE,
     GREEN,
