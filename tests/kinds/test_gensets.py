@@ -28,7 +28,7 @@ from vppres.model.site import Site
 from vppres.model.violations import broken
 from vppres.report.events import events_of
 from vppres.report.plots.chart import Curves
-from vppres.report.plots.energy import import_load_pv
+from vppres.report.plots.figures import import_load_pv
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
 from vppres.solve.cache import shared_cache

@@ -34,8 +34,7 @@ from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.model.violations import broken
 from vppres.plant.plant import Plant
-from vppres.report.plots.energy import import_load_pv
-from vppres.report.plots.rooms import indoor
+from vppres.report.plots.figures import import_load_pv, indoor
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 from vppres.solve.ladder import WindowSolver

@@ -29,7 +29,7 @@ from vppres.day.trajectory import Trajectory
 from vppres.kinds.table import KINDS
 from vppres.report.key_figures import KEY_FIGURES
 from vppres.report.one_line import loading_classes, voltage_edges, worst_step
-from vppres.report.plots.palette import (
+from vppres.report.plots.drawing import (
     BLACK,
     BLUE,
     GREEN,

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from experiments import published_feeders
+from experiments.studies import published_feeders
 
 dss = pytest.importorskip("opendssdirect")
 

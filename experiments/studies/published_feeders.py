@@ -1,9 +1,9 @@
 """Published OpenDSS feeders, imported as they are and compared with OpenDSS on the untouched files.
 
-``python -m experiments.published_feeders FOLDER --page docs/networks.md`` wants the repositories of
-:data:`REPOSITORIES` in FOLDER, each by its own name; ``--where`` prints where each feeder is from,
-and ``--fetch`` clones what is not there. Each feeder is copied, and OpenDSS carries out the copy
-whole, in a process of its own.
+``python -m experiments.studies.published_feeders FOLDER --page docs/networks.md`` wants the
+repositories of :data:`REPOSITORIES` in FOLDER, each by its own name; ``--where`` prints where each
+feeder is from, and ``--fetch`` clones what is not there. Each feeder is copied, and OpenDSS carries
+out the copy whole, in a process of its own.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 import typer
 
-from experiments.networks import CURES, in_pu
-from experiments.opendss_itself import Itself
-from experiments.seeds import STUDIES
-from experiments.tables import markdown_table, put_into, write_pages
+from benchmarks.pages import markdown_table, put_into, write_pages
+from experiments.studies.networks import CURES, in_pu
+from experiments.studies.opendss_itself import Itself
+from experiments.studies.seeds import STUDIES
 from vppres.core.errors import VppresError
 from vppres.feeders import ImportedFeeder, import_network
 from vppres.feeders.dss.phases import flow_of_source
@@ -127,7 +127,12 @@ def itself(master: Path) -> Itself:
         shutil.copytree(master.parent, folder)
         for beside in master.parent.parent.glob("*.[dD][sS][sS]"):
             shutil.copy(beside, folder.parent)
-        command = [sys.executable, "-m", "experiments.opendss_itself", str(folder / master.name)]
+        command = [
+            sys.executable,
+            "-m",
+            "experiments.studies.opendss_itself",
+            str(folder / master.name),
+        ]
         done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S, check=False)
     if done.returncode != 0:
         return Itself(error=f"OpenDSS ends with status {done.returncode}")

@@ -1,6 +1,7 @@
 """OpenDSS's own solution of a file that it carries out whole, as a line of JSON.
 
-``python -m experiments.opendss_itself FILE`` does what the file says: use a copy that you trust.
+``python -m experiments.studies.opendss_itself FILE`` does what the file says: use a copy that you
+trust.
 """
 
 from __future__ import annotations
