@@ -119,7 +119,7 @@ def flaw_of_name(text: str, longest: int) -> tuple[str, str] | None:
 def iso(time: datetime) -> str:
     """A time as the files write it.
 
-    >>> iso(pd.Timestamp("2022-07-19T12:00:00Z"))
+    >>> iso(datetime.fromisoformat("2022-07-19T12:00:00Z"))
     '2022-07-19T12:00:00Z'
     """
     return time.isoformat().replace("+00:00", "Z")
