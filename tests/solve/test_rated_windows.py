@@ -19,6 +19,7 @@ def test_ratings_and_bounds_hold_beside_the_whole_problem(kind: str, seed: int) 
     assert verdict(*case) == []
 
 
+@pytest.mark.daily
 def test_no_flow_is_above_its_rating_for_the_sun_that_it_would_carry() -> None:
     """Beside curtailed PV power a flow at half of its check's tolerance is worth 2e-4 of F."""
     case = rated("sets", 39)
