@@ -208,6 +208,16 @@ def _number_to_plain(value: float) -> float | str:
     return "nan" if math.isnan(value) else ("inf" if value > 0 else "-inf")
 
 
+def number_or_none(value: Any) -> float | None:
+    """A finite number, or None.
+
+    >>> number_or_none(1), number_or_none(np.nan)
+    (1.0, None)
+    """
+    number = float(value)
+    return number if math.isfinite(number) else None
+
+
 def flattened(record: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """Nested tables as one, the names joined by dots.
 

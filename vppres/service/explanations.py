@@ -26,6 +26,7 @@ from vppres.day.outages import KNOWN
 from vppres.day.recorder import Recorder
 from vppres.explain.day import explain_step
 from vppres.explain.recorded import MOVE_KW
+from vppres.kinds.table import KINDS as OF_KINDS
 from vppres.live.measurement import Measurement
 from vppres.scenario.scenario import Scenario
 from vppres.service.as_told import expected_by
@@ -41,9 +42,7 @@ KINDS = {
     "customer": "customers",
     "battery": "batteries",
     "pv": "pv",
-    "vehicle": "vehicles",
-    "thermal_load": "thermal_loads",
-    "genset": "gensets",
+    **{kind.subject: kind.table for kind in OF_KINDS.values()},
 }
 """Kinds by the items of explanations: those of set-points, and vehicles."""
 

@@ -13,12 +13,11 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Floats
+from vppres.kinds.table import parts
+from vppres.live.range import POWER_KW, above_rating, slack_kw
 from vppres.scenario.scenario import Scenario
 
-RATING_SHARE = 2e-3
-POWER_KW = 0.02
 SOC_SHARE = 1e-3
-BAND_C = 0.02
 """What solvers and rounding may be off by."""
 
 
@@ -67,8 +66,8 @@ def _batteries(table: pd.DataFrame, scenario: Scenario, soc: Mapping[str, float]
     over = after - np.maximum(b.soc_max, held)
     under = np.minimum(b.soc_min, held) - after
     return {
-        "power above its rating": _above(np.abs(p_kw), b.p_max_kw),
-        "apparent power above its rating": _above(np.hypot(p_kw, q_kvar), b.s_max_kva),
+        "power above its rating": above_rating(np.abs(p_kw), b.p_max_kw),
+        "apparent power above its rating": above_rating(np.hypot(p_kw, q_kvar), b.s_max_kva),
         "energy above its upper limit": over - SOC_SHARE,
         "energy below its lower limit": under - SOC_SHARE,
     }
@@ -80,8 +79,8 @@ def _pv(table: pd.DataFrame, scenario: Scenario, _: Mapping[str, float]) -> Exce
     p_kw, q_kvar, available_kw = _numbers(table, "p_kw", "q_kvar", "available_kw")
     return {
         "negative power": -p_kw - POWER_KW,
-        "power above the available power": p_kw - available_kw - _slack(pv.p_max_kw),
-        "apparent power above its rating": _above(np.hypot(p_kw, q_kvar), pv.s_max_kva),
+        "power above the available power": p_kw - available_kw - slack_kw(pv.p_max_kw),
+        "apparent power above its rating": above_rating(np.hypot(p_kw, q_kvar), pv.s_max_kva),
     }
 
 
@@ -91,59 +90,19 @@ def _customers(table: pd.DataFrame, _: Scenario, __: Mapping[str, float]) -> Exc
     return {"supply is neither on nor off": odd}
 
 
-def _chargers(table: pd.DataFrame, scenario: Scenario, _: Mapping[str, float]) -> Excesses:
-    """Ratings of chargers."""
-    chargers = scenario.chargers
-    p_kw, limit_kw = _numbers(table, "p_kw", "p_limit_kw")
-    return {
-        "power above its rating": _above(np.maximum(p_kw, limit_kw), chargers.p_charge_kw),
-        "discharge above its rating": _above(-p_kw, chargers.p_discharge_kw),
-    }
-
-
-def _thermal_loads(table: pd.DataFrame, scenario: Scenario, _: Mapping[str, float]) -> Excesses:
-    """No room is cooled, and none is heated, beyond its comfort band."""
-    loads = scenario.thermal_loads
-    (setpoint_c,) = _numbers(table, "setpoint_c")
-    below_c = np.where(loads.heats, -np.inf, loads.t_min_c - setpoint_c)
-    above_c = np.where(loads.heats, setpoint_c - loads.t_max_c, -np.inf)
-    return {
-        "cooled below its comfort band": below_c - BAND_C,
-        "heated above its comfort band": above_c - BAND_C,
-    }
-
-
-def _gensets(table: pd.DataFrame, scenario: Scenario, _: Mapping[str, float]) -> Excesses:
-    """Ratings of generating sets; what stands still gives nothing."""
-    sets = scenario.gensets
-    on = table["running"].to_numpy(bool)
-    (p_kw,) = _numbers(table, "p_kw")
-    return {
-        "power above its rating": _above(p_kw, sets.p_max_kw),
-        "power below its least": np.where(on, sets.p_min_kw - p_kw, -p_kw) - _slack(sets.p_max_kw),
-        "power without running": np.where(on, -np.inf, p_kw - POWER_KW),
-    }
+def _of_kind(live: Any) -> Callable[..., Excesses]:
+    """The check of a kind of flexible power, which asks for no state of charge."""
+    return lambda table, scenario, _: live.excesses(table, scenario)
 
 
 CHECKS: dict[str, tuple[tuple[str, ...], Callable[..., Excesses]]] = {
     "batteries": (("p_kw", "q_kvar"), _batteries),
     "pv": (("p_kw", "q_kvar"), _pv),
     "customers": ((), _customers),
-    "chargers": (("p_kw", "p_limit_kw"), _chargers),
-    "thermal_loads": (("setpoint_c",), _thermal_loads),
-    "gensets": (("p_kw",), _gensets),
+    **{kind: (live.NUMBERS, _of_kind(live)) for kind, live in parts("live").items()},
 }
 """Of each kind what must be a number, and what may exceed a limit."""
 
 
 def _numbers(table: pd.DataFrame, *names: str) -> Iterator[Floats]:
     return (table[name].to_numpy(float) for name in names)
-
-
-def _above(value: Floats, rating: Floats) -> Floats:
-    """By how much a value is above its rating, with what it may be off by."""
-    return value - rating - _slack(rating)
-
-
-def _slack(rating: Floats) -> Floats:
-    return POWER_KW + RATING_SHARE * rating

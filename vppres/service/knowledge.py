@@ -18,13 +18,14 @@ import pandas as pd
 from vppres.core.arrays import Floats, Names
 from vppres.core.errors import InputError, Problem
 from vppres.io.messages import did_you_mean
-from vppres.kinds.gensets.live import QUANTITIES as OF_SETS
+from vppres.kinds.table import parts
 from vppres.kinds.vehicles.live import QUANTITIES
 from vppres.live.by_phase import GRID
 from vppres.live.controller import Controller
 from vppres.live.door import float_of, readable
 from vppres.live.measurement import Measurement
-from vppres.live.ranges import RANGES, Range, ranges_of
+from vppres.live.range import POWER_KW, RATING_SHARE, Range
+from vppres.live.ranges import RANGES, ranges_of
 from vppres.outlook.belief import HALF
 from vppres.scenario.scenario import Scenario
 from vppres.service.announced import (
@@ -36,7 +37,6 @@ from vppres.service.announced import (
     prices,
 )
 from vppres.service.clock import written
-from vppres.service.gate import POWER_KW, RATING_SHARE
 from vppres.service.grid_readings import EARLY_SHARE, contradiction, stands_alone
 from vppres.service.lost import lost_customers
 from vppres.service.payloads import OperatorSetpoint, Readings
@@ -47,10 +47,17 @@ from vppres.service.statements import REFUSED
 from vppres.service.store import Store
 from vppres.service.window import CAUTIOUS, Window
 
-MEAN = ("battery_kw", "import_kw", "genset_kw")
+OF_KINDS = {kind: live.QUANTITIES for kind, live in parts("live").items()}
+"""Quantities of the units of each kind."""
+
+MEAN = (
+    "battery_kw",
+    "import_kw",
+    *(name for live in parts("live").values() for name in live.MEANS),
+)
 INSTANT = (
-    *("soc", "load_kw", "pv_kw", "online", "grid_on", "indoor_c", *QUANTITIES),
-    *(name for name in OF_SETS if name not in MEAN),
+    *("soc", "load_kw", "pv_kw", "online", "grid_on"),
+    *(name for names in OF_KINDS.values() for name in names if name not in MEAN),
 )
 MOVING = ("soc", "grid_on")
 """Readings that are late by their own period, however long a step is."""
@@ -114,9 +121,11 @@ def assets_of(scenario: Scenario) -> dict[str, list[str]]:
         "pv_kw": [str(name) for name in scenario.pv.id],
         "import_kw": [GRID],
         "grid_on": [GRID],
-        **{name: [str(charger) for charger in scenario.chargers.id] for name in QUANTITIES},
-        "indoor_c": [str(name) for name in scenario.thermal_loads.id],
-        **{name: [str(one) for one in scenario.gensets.id] for name in OF_SETS},
+        **{
+            name: [str(unit) for unit in getattr(scenario, kind).id]
+            for kind, names in OF_KINDS.items()
+            for name in names
+        },
         "source_kva": [GRID, *batteries],
         "v_pu": [] if scenario.phases is None else list(scenario.phases.by_bus),
     }

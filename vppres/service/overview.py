@@ -11,6 +11,7 @@ from typing import Any, get_args
 import numpy as np
 import pandas as pd
 
+from vppres.kinds.table import KINDS, parts
 from vppres.live.by_phase import GRID
 from vppres.scenario.phases import PHASES
 from vppres.scenario.remarks import former_words
@@ -42,19 +43,18 @@ DARK = "blacked out: "
 
 NOT_TOLD = ("setpoints", "ahead", "before")
 
-SHOWN = ("soc", "online", "grid_on", "plugged", "indoor_c", "running", "fuel_litres")
+LIVE = parts("live")
+SHOWN = ("soc", "online", "grid_on", *(name for live in LIVE.values() for name in live.SHOWN))
 """Last readings that the page shows."""
 
 FIGURES = {
     "pv": ("p_max_kw",),
     "batteries": ("energy_kwh", "p_max_kw", "soc_min", "soc_max"),
-    "chargers": ("p_charge_kw",),
-    "thermal_loads": ("t_min_c", "t_max_c"),
-    "gensets": ("p_min_kw", "p_max_kw", "tank_litres", "litres_per_kwh", "litres_per_h_idle"),
+    **{kind: live.FIGURES for kind, live in LIVE.items()},
 }
 """What is shown of the devices of each kind."""
 
-ORDERED = ("batteries", "chargers", "thermal_loads", "gensets")
+ORDERED = ("batteries", *KINDS)
 """Kinds of which the page shows what each device is to do."""
 
 REFRESH_S = 1

@@ -21,6 +21,7 @@ from pydantic import (
     model_validator,
 )
 
+from vppres.kinds.table import parts
 from vppres.live.door import moment_of
 from vppres.live.ranges import RANGES
 from vppres.service.clock import written
@@ -425,9 +426,7 @@ OF_KIND = {
     "customers": "served",
     "batteries": "p_kw",
     "pv": "p_kw",
-    "chargers": "p_limit_kw",
-    "thermal_loads": "setpoint_c",
-    "gensets": "p_kw",
+    **{kind: live.SETPOINT for kind, live in parts("live").items()},
 }
 """What an operator says of each kind of device."""
 

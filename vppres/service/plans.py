@@ -12,7 +12,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from vppres.core.plain import number_or_none
 from vppres.day.recorder import ROTATED
+from vppres.kinds.table import parts
 from vppres.live.foreseen import Foreseen
 from vppres.live.measurement import Measurement
 from vppres.live.set_points import SetPoints
@@ -30,6 +32,7 @@ OVERLAP = 0.1
 MOST_BEFORE = 20
 """Plans of one step that are kept beside the one that holds."""
 
+STORED_VALUE = "stored_value_gbp_per_kwh"
 MOST_AHEAD = 48
 """Steps that a plan tells of beside its own."""
 
@@ -102,11 +105,13 @@ def plan_of(
         "inputs_digest": f"sha256:{inputs_digest(known.measurement)}",
         "solve": {
             "status": str(solve["status"]),
-            "relative_gap": _number(solve["gap"]),
-            "objective": _number(solve["objective"]),
-            "bound": _number(solve["bound"]),
-            "seconds": _number(solve["solve_s"]),
-            "stored_value_gbp_per_kwh": _number(solve.get("stored_value_gbp_per_kwh", math.nan)),
+            "relative_gap": number_or_none(solve["gap"]),
+            "objective": number_or_none(solve["objective"]),
+            "bound": number_or_none(solve["bound"]),
+            "seconds": number_or_none(solve["solve_s"]),
+            "stored_value_gbp_per_kwh": number_or_none(
+                solve.get("stored_value_gbp_per_kwh", math.nan)
+            ),
             "outage_messages": str(solve.get("outage_messages", "")) or None,
             ROTATED: _by_name(customers[ROTATED]) if ROTATED in customers else None,
             "levels": solve.get("levels"),
@@ -129,11 +134,11 @@ def plan_of(
             decision.time, scenario, left, tables_of(decision, scenario), refused, reason, own
         ),
         "expected": {
-            "import_kw": _number(decision.import_kw),
+            "import_kw": number_or_none(decision.import_kw),
             "soc_start": _by_name(decision.batteries["soc"]),
             "soc": _by_name(decision.batteries["soc_end"]),
             **_extremes(decision),
-            "grid_limit_kw": _number(known.limits_kw.iloc[0]),
+            "grid_limit_kw": number_or_none(known.limits_kw.iloc[0]),
             "price_gbp_per_kwh": _price(known.measurement),
             **_devices_expected(decision),
             **_by_phase(decision),
@@ -298,28 +303,11 @@ def _left_short(foreseen: Foreseen) -> dict[str, Any]:
 
 
 def _devices_expected(decision: SetPoints) -> dict[str, Any]:
-    """Rooms, vehicles that are plugged in, and generating sets; nothing without any."""
+    """What is expected of the units of each kind; nothing without any."""
     found: dict[str, Any] = {}
-    rooms, chargers, sets = decision.thermal_loads, decision.chargers, decision.gensets
-    if rooms is not None:
-        for column in ("indoor_c", "indoor_end_c"):
-            found[column] = _by_name(rooms[column])
-    if chargers is not None:
-        found["vehicles"] = {
-            str(name): {
-                "vehicle": str(row["vehicle"]),
-                "leaves": written(row["leaves"]),
-                "energy_kwh": _number(row["energy_kwh"]),
-                "needed_kwh": _number(row["needed_kwh"]),
-            }
-            for name, row in chargers[chargers["leaves"].notna()].iterrows()
-        }
-    if sets is not None:
-        numbers = ("hours_before", "p_before_kw", "fuel_litres", "fuel_end_litres")
-        found["gensets"] = {
-            str(name): {one: _number(row[one]) for one in numbers} | {"out": bool(row["out"])}
-            for name, row in sets.iterrows()
-        }
+    for kind, live in parts("live").items():
+        rows = getattr(decision, kind)
+        found |= {} if rows is None else live.expected(rows)
     return found
 
 
@@ -435,8 +423,7 @@ def _defaults(scenario: Scenario) -> dict[str, dict[str, dict[str, Any]]]:
 
     By kind and identifier; of kinds that are no part of every site only those that there are.
     """
-    pv, customers, chargers = scenario.pv, scenario.customers, scenario.chargers
-    loads = scenario.thermal_loads
+    pv, customers = scenario.pv, scenario.customers
     found: dict[str, dict[str, dict[str, Any]]] = {
         "batteries": {str(name): {"p_kw": 0.0, "q_kvar": 0.0} for name in scenario.batteries.id},
         "pv": {
@@ -448,24 +435,14 @@ def _defaults(scenario: Scenario) -> dict[str, dict[str, dict[str, Any]]]:
             for name, dimmable in zip(customers.id, customers.dimmable, strict=True)
         },
     }
-    further: dict[str, dict[str, dict[str, Any]]] = {
-        "chargers": {
-            str(name): {"p_kw": float(p_kw), "p_limit_kw": float(p_kw)}
-            for name, p_kw in zip(chargers.id, chargers.p_charge_kw, strict=True)
-        },
-        "thermal_loads": {
-            str(name): {"setpoint_c": float(t_c)}
-            for name, t_c in zip(loads.id, loads.held_c, strict=True)
-        },
-        "gensets": {str(name): {"running": False, "p_kw": 0.0} for name in scenario.gensets.id},
-    }
+    further = {kind: live.defaults(scenario) for kind, live in parts("live").items()}
     return found | {kind: each for kind, each in further.items() if each}
 
 
 def _price(measured: Measurement) -> float | None:
     """Import price of the step."""
     prices = measured.price_gbp_per_kwh
-    return _number(prices.iloc[0]) if isinstance(prices, pd.Series) else None
+    return number_or_none(prices.iloc[0]) if isinstance(prices, pd.Series) else None
 
 
 def _by_phase(decision: SetPoints) -> dict[str, Any]:
@@ -479,7 +456,7 @@ def _by_phase(decision: SetPoints) -> dict[str, Any]:
             "source_kva": {str(phase): float(kva) for phase, kva in found.source_kva.items()},
             "rating_kva": found.rating_kva,
             "v_pu": {phase: list(ends) for phase, ends in found.v_pu.items()},
-            "unbalance_max": _number(found.unbalance_max),
+            "unbalance_max": number_or_none(found.unbalance_max),
             "nearest": vars(found.nearest),
         }
     }
@@ -492,21 +469,16 @@ def _extremes(decision: SetPoints) -> dict[str, Any]:
         at_bus = decision.by_phase.nodes.groupby(level="bus")
         low, high = at_bus.min(), at_bus.max()
     return {
-        "v_min_pu": _number(low.min()),
-        "v_max_pu": _number(high.max()),
+        "v_min_pu": number_or_none(low.min()),
+        "v_max_pu": number_or_none(high.max()),
         "v_min_bus": None if low.isna().all() else str(low.idxmin()),
     }
 
 
 def _by_name(column: pd.Series[float]) -> dict[str, float | None]:
     """Numbers by asset."""
-    return {str(name): _number(value) for name, value in column.items()}
+    return {str(name): number_or_none(value) for name, value in column.items()}
 
 
 def _numbers(values: Iterable[Any]) -> list[float | None]:
-    return [_number(value) for value in values]
-
-
-def _number(value: Any) -> float | None:
-    number = float(value)
-    return number if math.isfinite(number) else None
+    return [number_or_none(value) for value in values]

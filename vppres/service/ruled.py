@@ -10,8 +10,7 @@ import numpy as np
 
 from vppres.control.rules import rule_dispatch
 from vppres.control.step_state import StepState
-from vppres.core.arrays import Floats
-from vppres.live.ranges import RANGES
+from vppres.kinds.table import parts
 from vppres.model.linearise import delta_offset
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
@@ -65,16 +64,6 @@ def ruled(
             "curtailed_kw": found.pv_curtailed_kw[0],
         },
         "customers": {"served": np.asarray(found.served[0], dtype=bool) & connected},
-        "chargers": {"p_kw": 0.0, "p_limit_kw": 0.0},
-        "thermal_loads": {"setpoint_c": _left_alone(now)},
-        "gensets": {},
+        **{kind: live.by_rule(now) for kind, live in parts("live").items()},
     }
     return {kind: table.assign(**columns[kind]) for kind, table in before.items()}
-
-
-def _left_alone(now: Scenario) -> Floats:
-    """Thermostats at which no machine runs in an outage, and that hold the band with grid."""
-    loads = now.thermal_loads
-    any_c = RANGES["indoor_c"]
-    idle_c = np.where(loads.heats, any_c.lowest, any_c.highest)
-    return loads.held_c if now.grid_limit_kw[0] > 0.0 else idle_c

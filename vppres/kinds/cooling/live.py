@@ -2,17 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Flags, Floats, Names
+from vppres.core.plain import number_or_none
 from vppres.kinds.cooling.data import ThermalLoads
 from vppres.kinds.cooling.physics import Climate, Rooms
+from vppres.live.range import Range
 from vppres.scenario.scenario import Scenario
+
+RANGES = {
+    "indoor_c": Range(-50.0, 100.0, "must lie between -50 and 100", "Give degrees Celsius."),
+}
+"""What thermometers tell."""
+
+QUANTITIES = tuple(RANGES)
+MEANS: tuple[str, ...] = ()
+SETPOINT, NUMBERS = "setpoint_c", ("setpoint_c",)
+"""The number that an operator says, and those that a set-point must have."""
+
+SHOWN, FIGURES = ("indoor_c",), ("t_min_c", "t_max_c")
+"""Readings and columns that the page shows."""
+
+ABOVE_BAND_C = 40.0
+"""A temperature so far above its comfort band is in another unit, or a spike."""
+
+BAND_C = 0.02
+"""By how much a set-point may be outside the comfort band: what solvers and rounding are off by."""
 
 STILL_C = 1.0
 """What a temperature may have moved through by the model while its reading stands still, in K."""
@@ -160,3 +181,50 @@ def foreseen(
     """Temperatures that the plan's powers lead to; those without power where it has none."""
     ids = [str(i) for i in window.thermal_loads.id]
     return {"indoor_c": pd.DataFrame(rooms.t_c(taken_kw)[1:], times, ids)}
+
+
+def own_ranges(scenario: Scenario) -> Iterator[tuple[str, Any, Floats, Callable[[float], Range]]]:
+    """Up to what no room or tank of its comfort band becomes."""
+    loads = scenario.thermal_loads
+    yield "indoor_c", loads, loads.t_max_c, _temperature
+
+
+def _temperature(t_max_c: float) -> Range:
+    """Temperatures of a comfort band that ends there."""
+    beyond = f"is more than {ABOVE_BAND_C:g} K above its comfort band: check the unit"
+    every = RANGES["indoor_c"]
+    return replace(every, highest=min(t_max_c + ABOVE_BAND_C, every.highest), beyond=beyond)
+
+
+def excesses(table: pd.DataFrame, scenario: Scenario) -> dict[str, Any]:
+    """By how much set-points cool or heat beyond the comfort band, by what is said of it."""
+    loads = scenario.thermal_loads
+    setpoint_c = table["setpoint_c"].to_numpy(float)
+    below_c = np.where(loads.heats, -np.inf, loads.t_min_c - setpoint_c)
+    above_c = np.where(loads.heats, setpoint_c - loads.t_max_c, -np.inf)
+    return {
+        "cooled below its comfort band": below_c - BAND_C,
+        "heated above its comfort band": above_c - BAND_C,
+    }
+
+
+def defaults(scenario: Scenario) -> dict[str, dict[str, Any]]:
+    """Thermostats hold the comfort band, by thermal load."""
+    loads = scenario.thermal_loads
+    pairs = zip(loads.id, loads.held_c, strict=True)
+    return {str(name): {"setpoint_c": float(t_c)} for name, t_c in pairs}
+
+
+def by_rule(now: Scenario) -> dict[str, Any]:
+    """Thermostats at which no machine runs in an outage, and that hold the band with grid."""
+    loads, every = now.thermal_loads, RANGES["indoor_c"]
+    idle_c = np.where(loads.heats, every.lowest, every.highest)
+    return {"setpoint_c": loads.held_c if now.grid_limit_kw[0] > 0.0 else idle_c}
+
+
+def expected(rows: pd.DataFrame) -> dict[str, Any]:
+    """Temperatures that a plan begins and ends its step with, by thermal load."""
+    return {
+        name: {str(one): number_or_none(value) for one, value in rows[name].items()}
+        for name in ("indoor_c", "indoor_end_c")
+    }

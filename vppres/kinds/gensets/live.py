@@ -7,7 +7,7 @@ has nothing to take back.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,9 +15,43 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Flags, Floats, Names
+from vppres.core.plain import number_or_none
 from vppres.kinds.gensets.data import ROUNDING_H, Gensets, GensetState, Refuels
 from vppres.kinds.gensets.physics import SetsAhead
+from vppres.live.range import (
+    FLAG,
+    NUMBER,
+    POWER,
+    POWER_KW,
+    RATED_SHARE,
+    ZERO_OR_ONE,
+    Range,
+    above_rating,
+    rated,
+    slack_kw,
+)
 from vppres.scenario.scenario import Scenario
+
+RANGES = {
+    "running": FLAG,
+    "genset_kw": POWER,
+    "genset_ordered_kw": POWER,
+    "fuel_litres": Range(
+        0.0, 1e7, NUMBER, "Give what is in the tank, in l.", "is more than any tank: check the unit"
+    ),
+    "start_fault": Range(
+        0.0, 1.0, ZERO_OR_ONE, "Give 1 if it failed to start, else 0.", whole=True
+    ),
+}
+"""What sets tell, and what another sender ordered them."""
+
+MEANS: tuple[str, ...] = ("genset_kw",)
+SETPOINT, NUMBERS = "p_kw", ("p_kw",)
+"""The number that an operator says, and those that a set-point must have."""
+
+SHOWN = ("running", "fuel_litres")
+FIGURES = ("p_min_kw", "p_max_kw", "tank_litres", "litres_per_kwh", "litres_per_h_idle")
+"""Readings and columns that the page shows."""
 
 QUANTITIES = ("running", "genset_kw", "fuel_litres", "start_fault")
 """What a set can tell."""
@@ -308,4 +342,51 @@ def foreseen(
     return {
         "genset_kw": pd.DataFrame(-taken_kw[1:], times, names),
         "fuel_litres": pd.DataFrame(litres[1:], times, names),
+    }
+
+
+def own_ranges(scenario: Scenario) -> Iterator[tuple[str, Any, Floats, Callable[[float], Range]]]:
+    """What sets can give, and their tanks hold."""
+    sets = scenario.gensets
+    yield "genset_kw", sets, sets.p_max_kw, lambda kw: rated(0.0, "set", kw, NUMBER)
+    yield "fuel_litres", sets, sets.tank_litres, _in_tank
+
+
+def _in_tank(litres: float) -> Range:
+    """Up to more than what a tank holds."""
+    beyond = f"is more than its tank of {litres:g} l holds"
+    return replace(RANGES["fuel_litres"], highest=RATED_SHARE * litres, beyond=beyond)
+
+
+def excesses(table: pd.DataFrame, scenario: Scenario) -> dict[str, Any]:
+    """By how much set-points are beyond ratings; what stands still gives nothing."""
+    sets = scenario.gensets
+    on, p_kw = table["running"].to_numpy(bool), table["p_kw"].to_numpy(float)
+    below_kw = np.where(on, sets.p_min_kw - p_kw, -p_kw)
+    return {
+        "power above its rating": above_rating(p_kw, sets.p_max_kw),
+        "power below its least": below_kw - slack_kw(sets.p_max_kw),
+        "power without running": np.where(on, -np.inf, p_kw - POWER_KW),
+    }
+
+
+def defaults(scenario: Scenario) -> dict[str, dict[str, Any]]:
+    """Sets stand still, by set."""
+    return {str(name): {"running": False, "p_kw": 0.0} for name in scenario.gensets.id}
+
+
+def by_rule(now: Scenario) -> dict[str, Any]:
+    """Sets go on as they were told."""
+    return {}
+
+
+def expected(rows: pd.DataFrame) -> dict[str, Any]:
+    """State that a plan begins its step with, and fuel at its end, by set."""
+    numbers = ("hours_before", "p_before_kw", "fuel_litres", "fuel_end_litres")
+    return {
+        "gensets": {
+            str(name): {one: number_or_none(row[one]) for one in numbers}
+            | {"out": bool(row["out"])}
+            for name, row in rows.iterrows()
+        }
     }

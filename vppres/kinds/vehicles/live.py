@@ -2,21 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Flags, Floats
+from vppres.core.plain import number_or_none
+from vppres.core.text import iso
 from vppres.kinds.vehicles.data import NO_CAR, OF_SESSIONS, Sessions
 from vppres.kinds.vehicles.physics import Plugged
 from vppres.kinds.vehicles.record import SHORT_KWH
-from vppres.live.door import Door
+from vppres.live.range import FLAG, POWER, Range, above_rating
 from vppres.scenario.scenario import Scenario
 
-QUANTITIES = ("plugged", "ev_soc", "energy_needed_kwh", "departure")
+if TYPE_CHECKING:
+    from vppres.live.door import Door
+
+
+RANGES = {
+    "plugged": FLAG,
+    "ev_soc": Range(0.0, 1.0, "must lie between 0 and 1", "Give a share, for example 0.5."),
+    "energy_needed_kwh": POWER,
+    "departure": Range(0.0, 7.3e9, "must be seconds since 1970", "Give a time of this century."),
+}
+"""What chargers tell of their vehicles."""
+
+MEANS: tuple[str, ...] = ()
+SETPOINT, NUMBERS = "p_limit_kw", ("p_kw", "p_limit_kw")
+"""The number that an operator says, and those that a set-point must have."""
+
+SHOWN, FIGURES = ("plugged",), ("p_charge_kw",)
+"""Readings and columns that the page shows."""
+
+QUANTITIES = tuple(RANGES)
 """What can be known of the vehicle at a charger."""
 
 
@@ -255,3 +276,48 @@ def foreseen(
             rows.append((*who, sessions.plug_out[s], float(short_kwh[t, k])))
     columns = ["id", "vehicle", "leaves", "short_kwh"]
     return {"left_short": pd.DataFrame(rows, columns=columns).set_index("id")}
+
+
+def own_ranges(scenario: Scenario) -> Iterator[tuple[str, Any, Floats, Callable[[float], Range]]]:
+    """None: what vehicles are is not known."""
+    return iter(())
+
+
+def excesses(table: pd.DataFrame, scenario: Scenario) -> dict[str, Any]:
+    """By how much set-points are beyond the ratings of chargers, by what is said of it."""
+    chargers = scenario.chargers
+    p_kw, limit_kw = (table[name].to_numpy(float) for name in NUMBERS)
+    most_kw = np.maximum(p_kw, limit_kw)
+    return {
+        "power above its rating": above_rating(most_kw, chargers.p_charge_kw),
+        "discharge above its rating": above_rating(-p_kw, chargers.p_discharge_kw),
+    }
+
+
+def defaults(scenario: Scenario) -> dict[str, dict[str, Any]]:
+    """Chargers charge as fast as they can, by charger."""
+    chargers = scenario.chargers
+    return {
+        str(name): {"p_kw": float(p_kw), "p_limit_kw": float(p_kw)}
+        for name, p_kw in zip(chargers.id, chargers.p_charge_kw, strict=True)
+    }
+
+
+def by_rule(now: Scenario) -> dict[str, Any]:
+    """No charging."""
+    return {"p_kw": 0.0, "p_limit_kw": 0.0}
+
+
+def expected(rows: pd.DataFrame) -> dict[str, Any]:
+    """Vehicles that are plugged in, by charger."""
+    return {
+        "vehicles": {
+            str(name): {
+                "vehicle": str(row["vehicle"]),
+                "leaves": iso(row["leaves"].tz_convert("UTC")),
+                "energy_kwh": number_or_none(row["energy_kwh"]),
+                "needed_kwh": number_or_none(row["needed_kwh"]),
+            }
+            for name, row in rows[rows["leaves"].notna()].iterrows()
+        }
+    }
