@@ -308,6 +308,25 @@ def test_conductors_without_supply_are_named_and_their_customers_alone_are_gone(
     assert customers == ["ca", "cb", "ce", "cf"]
 
 
+def test_a_loop_of_buses_that_is_none_of_conductors_loses_no_load(tmp_path: Path) -> None:
+    """Phases a and c go from b to e by two ways; a true loop beside them is opened and told."""
+    way = "new line.{0} phases=1 bus1={1} bus2={2} r1=.3 x1=.4 r0=.3 x0=.4 c1=0 c0=0 length=1"
+    ways = [way.format(*each.split()) for each in ("a b.1 x.1", "a2 x.1 e.1", "c b.3 e.3")]
+    feeder = import_network(written(tmp_path, (*BASE, *ways, *AT_E)), open_loops=True)
+    assert feeder.phased is not None and feeder.phased.difference_pu is not None
+    assert feeder.phased.difference_pu < CLOSE_PU
+    kept = [note for note in feeder.notes if note.startswith("In service by phase")]
+    assert len(kept) == 1 and not any("Without supply" in note for note in feeder.notes)
+    assert apart(feeder, tmp_path / "odd.dss") < CLOSE_PU
+    ring = [way.format(*each.split()) for each in ("r b.2 y.2", "s y.2 z.2", "t z.2 m.2")]
+    feeder = import_network(written(tmp_path, (*BASE, *ways, *ring, *AT_E)), open_loops=True)
+    told = [
+        note for note in feeder.notes if note.startswith("Against OpenDSS's solution with line.")
+    ]
+    assert len(told) == 1
+    assert not any("Without supply" in note for note in feeder.notes)
+
+
 FLOATING = (
     "new circuit.t basekv=12.47 bus1=s mvasc3=2000 mvasc1=1800",
     "new transformer.u phases=1 xhl=6 wdg=1 bus=s.1 kv=7.2 kva=2000 wdg=2 bus=m.1.2 "

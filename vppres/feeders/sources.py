@@ -187,7 +187,8 @@ def _with_phases(found: _Net, net: Any, feeder: ImportedFeeder) -> ImportedFeede
         else each
         for each in found.profiles
     )
-    return replace(feeder, profiles=profiles, notes=(*feeder.notes, *phased.notes))
+    notes = (*feeder.notes, *flow.told_opening(), *phased.notes)
+    return replace(feeder, profiles=profiles, notes=notes)
 
 
 def _with_phases_of_net(

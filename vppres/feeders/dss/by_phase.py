@@ -31,20 +31,24 @@ Table = list[dict[str, Any]]
 def answer(job: dict[str, Any]) -> dict[str, Any]:
     """The tables of the job's circuit, or what of it has none.
 
-    The job has the commands of the circuit, and ``disabled``: elements that are out of service.
+    The job has the commands of the circuit, and ``disabled``: elements that are out of service. Of
+    these, ``kept`` are those without which a conductor that the source supplies would have none.
     """
     engine: Any = sys.modules["dss/engine"]
     problems = engine.build({**job, "open_deltas": True})
     if problems:
         return {"problems": problems}
     engine.settled()
+    kept = _needed(job["disabled"], engine) if job["disabled"] else []
     for element in job["disabled"]:
-        dss.Circuit.Disable(element)
+        if element not in kept:
+            dss.Circuit.Disable(element)
     engine._elements.cache_clear()
     solved = engine.solved_by_phase()
     refused: Refused = []
     own = _Matrices(engine, refused)
     tables = {
+        "kept": kept,
         "source": _source(),
         "lines": own.lines,
         "transformers": [_transformer(name, engine, own) for name in engine._of("transformer")],
@@ -58,6 +62,37 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
     }
     v_pu = _voltages(engine) if solved and not refused else {}
     return {"problems": refused, **tables, "v_pu": v_pu}
+
+
+def _needed(disabled: list[str], engine: Any) -> list[str]:
+    """Elements that close a loop of buses, but of no conductor."""
+    joined: dict[str, list[tuple[Any, ...]]] = {}
+    for kind in ("line", "reactor", "capacitor", "transformer"):
+        for name in engine._of(kind):
+            nodes = [tuple(engine.elements().admittance()[0])] if kind == "transformer" else []
+            joined[f"{kind}.{name}"] = nodes or engine.elements().joined()
+    root: dict[Any, Any] = {}
+
+    def top(node: Any) -> Any:
+        while root.setdefault(node, node) != node:
+            node = root[node] = root[root[node]]
+        return node
+
+    def join(groups: list[tuple[Any, ...]]) -> None:
+        for first, *others in groups:
+            for other in others:
+                root[top(other)] = top(first)
+
+    for element, groups in joined.items():
+        if element not in disabled:
+            join(groups)
+    kept = []
+    for element in disabled:
+        groups = joined.get(element, [])
+        if any(len({top(node) for node in group}) > 1 for group in groups):
+            kept.append(element)
+            join(groups)
+    return kept
 
 
 def _voltages(engine: Any) -> dict[str, float]:

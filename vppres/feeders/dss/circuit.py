@@ -16,6 +16,7 @@ import pandas as pd
 
 from vppres.core.arrays import Floats, Names
 from vppres.core.errors import InputError, Problem
+from vppres.core.text import named
 from vppres.core.units import A_PER_KA, kw_to_mw
 from vppres.feeders.closeness import largest_difference
 from vppres.feeders.dss import script as dss_script
@@ -185,6 +186,20 @@ class OpenDSSFlow:
         first = f"{self.causes[0]} (buses with three phases differ by at most {left_pu:.2g} pu)"
         return (first, *self.causes[1:])
 
+    def told_opening(self) -> Iterator[str]:
+        """What opening elements that are in service in the source changes, in a sentence."""
+        if not self.disabled:
+            return
+        opened, whole = self.as_given() or {}, self.given or {}
+        apart = [abs(opened[bus] - v) for bus, v in whole.items() if bus in opened]
+        if not apart:
+            yield f"OpenDSS finds no solution without {named(self.disabled)}."
+            return
+        yield (
+            f"Against OpenDSS's solution with {named(self.disabled)}, the mean voltage of a bus "
+            f"moves by at most {max(apart):.2g} pu."
+        )
+
     def as_given(self) -> dict[int, float] | None:
         """Voltages with the circuit's own powers."""
         return self._solved(1.0, {}, None) if self.disabled else self.given
@@ -246,8 +261,12 @@ def _build(found: dict[str, Any]) -> tuple[Any, dict[int, BusId]]:
     pp.create_buses(net, len(names), vn_kv=[bus["kv"] for bus in found["buses"]], name=names)
     at = {name: i for i, name in enumerate(names)}
     _add_lines(net, found["lines"], at)
-    for transformer in _banks(found["transformers"]):
+    transformers = [*_banks(found["transformers"])]
+    for transformer in transformers:
         _add_transformer(net, transformer, at)
+    for table, rows in (("line", found["lines"]), ("trafo", transformers)):
+        for column in ("phases", "carried_kva"):
+            net[table][column] = [float(row[column]) for row in rows]
     for shunt in found["shunts"]:
         p_mw, q_mvar = (float(kw_to_mw(shunt[power])) for power in ("p_kw", "q_kvar"))
         pp.create_shunt(net, at[shunt["bus"]], p_mw=p_mw, q_mvar=q_mvar, name=shunt["name"])
@@ -370,6 +389,8 @@ def _bank(units: list[dict[str, Any]]) -> dict[str, Any]:
         **mean,
         "name": TOGETHER.join(unit["name"] for unit in units),
         "kva": sum(unit["kva"] for unit in units),
+        "carried_kva": sum(unit["carried_kva"] for unit in units),
+        "phases": sum(unit["phases"] for unit in units),
         "kv": np.mean([unit["kv"] for unit in units], axis=0).tolist(),
     }
 

@@ -35,6 +35,9 @@ SOLVES = ("solve", "calcvoltagebases")
 
 POWERS = ("load", "generator", "pvsystem", "storage")
 PHASES = (1, 2, 3)
+MOST_KVA = 1e12
+"""Of a branch that is not to be opened."""
+
 CONTROLS_OFF = -1
 TOLERANCES = (1e-11, 1e-9, 1e-7, 1e-4)
 """From the last digits to OpenDSS's own: what floats, or is stiff, meets only the latter."""
@@ -453,7 +456,7 @@ def _branches() -> tuple[Table, Table]:
             if kind == "line" and len(set(ends)) == 2:  # open, but there
                 branches.append(
                     {"name": own, "element": f"{kind}.{name}", "start": ends[0], "end": ends[1],
-                     "closed": False, "amps": amps, "phases": 1,
+                     "closed": False, "amps": amps, "phases": 1, "carried_kva": 0.0,
                      "z": [[1.0], [0.0]], "b": [0.0]}
                 )  # fmt: skip
             for bus in buses:
@@ -475,10 +478,21 @@ def _branch(name: str, kind: str, port: Any, amps: float | None) -> dict[str, An
         "end": port.end,
         "closed": n > 0,
         "amps": amps if kind == "line" else None,
+        "carried_kva": _carried_kva(),
         "phases": n,
         "z": [port.z.real.ravel().tolist(), port.z.imag.ravel().tolist()],
         "b": (half[0] + half[1]).imag.ravel().tolist(),
     }
+
+
+def _carried_kva() -> float:
+    """Current into the active element in the last solution, all phases, at nominal voltage."""
+    element = dss.CktElement.Name()
+    flat = np.asarray(dss.CktElement.CurrentsMagAng()[::2])
+    amps = float(flat[: dss.CktElement.NumPhases()].sum())
+    kv = _base_kv(_buses()[0]) / np.sqrt(3)
+    dss.Circuit.SetActiveElement(element)
+    return float(amps * kv)
 
 
 def rated_amps(amps: float) -> float | None:
@@ -500,6 +514,7 @@ def _transformers() -> Iterator[dict[str, Any]]:
         closed = len(elements().buses_of(elements().admittance()[0])) == 2
         nodes = _phases_of_active()
         phases = dss.CktElement.NumPhases()
+        carried_kva = _carried_kva()
         base_kv = [_base_kv(bus) for bus in (start, end)]
         dss.Transformers.Name(name)
         percent = []
@@ -516,6 +531,7 @@ def _transformers() -> Iterator[dict[str, Any]]:
             "phases": phases,
             "nodes": nodes,
             "kv": kv,
+            "carried_kva": carried_kva,
             "r_percent": sum(percent),
             "kva": dss.Transformers.kVA(),
             "x_percent": dss.Transformers.Xhl(),
@@ -554,6 +570,7 @@ def _legs_of_star(name: str) -> Iterator[dict[str, Any]]:
             "phases": len(phases),
             "nodes": [*phases],
             "kv": [kv * own.tap, star_kv],
+            "carried_kva": MOST_KVA,
             "r_percent": own.r_pct,
             "kva": own.kva,
             "x_percent": own.x_pct,
@@ -584,6 +601,7 @@ def _cores() -> Table:
 
 def _service(name: str) -> dict[str, Any]:
     """A transformer with its middle at ground, as one with two windings."""
+    carried_kva = _carried_kva()
     own = elements().Service()
     ends = [own.ends[0][0], own.ends[2][0]]
     kv = [_between_lines(kv, _base_kv(bus)) for kv, bus in zip(own.kv, ends, strict=True)]
@@ -595,6 +613,7 @@ def _service(name: str) -> dict[str, Any]:
         "phases": 1,
         "nodes": sorted({node for _, node in own.ends[:2]} & set(PHASES)),
         "kv": [each * tap for each, tap in zip(kv, own.tap, strict=True)],
+        "carried_kva": carried_kva,
         "r_percent": own.percent.real,
         "kva": own.kva,
         "x_percent": own.percent.imag,

@@ -62,13 +62,15 @@ def phased_source(
     """The three phases of a circuit whose balanced tree has been imported.
 
     ``job`` has the commands that build it; ``feeder`` is the tree, with the name of each bus of the
-    circuit in ``source_flow``. Elements in ``disabled`` are out of service.
+    circuit in ``source_flow``. Elements in ``disabled`` are out of service, less those the tree
+    alone cannot have: they join the source to a conductor that nothing else does.
     """
     found = confined("dss/by_phase", {**job, "disabled": disabled}, name, limit_s(job))
     if found["problems"]:
         problems = [Problem(name, each["message"], each["cure"]) for each in found["problems"]]
         raise InputError(folded(problems))
     flow: Any = feeder.source_flow
+    flow.disabled = [each for each in disabled if each not in found["kept"]]
     at: dict[str, BusId] = {
         bus: feeder.bus_of[i] for bus, i in flow.index.items() if i in feeder.bus_of
     }
@@ -77,7 +79,7 @@ def phased_source(
     loads, left_out = tables.powers()
     source = PhasedSource(with_grid(phases), tuple(loads), found["source"]["v_pu"])
     difference_pu = _difference(source, found["v_pu"], found["source"]["bus"])
-    notes = (*_notes(source.phases), *left_out)
+    notes = (*_notes(source.phases), *_told_kept(found["kept"]), *left_out)
     if difference_pu is None:
         notes += (NO_SOLUTION if found["v_pu"] else NOT_CONVERGED,)
     return replace(source, difference_pu=difference_pu, notes=notes, causes=tuple(found["causes"]))
@@ -108,6 +110,12 @@ def kept_phases(phases: Phases) -> str:
         f"The feeder keeps its phases: {len(phases.nodes)} nodes at {len(phases.buses)} buses. "
         "Plans keep each phase of its lines and transformers within its rating."
     )
+
+
+def _told_kept(kept: list[str]) -> Iterator[str]:
+    """What the tree of buses lacks and the phases have."""
+    if kept:
+        yield f"In service by phase, as conductors depend on it: {named(kept)}."
 
 
 def _notes(phases: Phases) -> Iterator[str]:

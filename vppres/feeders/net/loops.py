@@ -21,6 +21,7 @@ from vppres.feeders.net.elements import label
 from vppres.feeders.net.reduce import BRANCHES, case_of, without_stubs
 from vppres.scenario.network import find_loops
 
+N_PHASES = 3
 MOST_FLOWS = 30
 """Power flows of one search; a net with more loops loses several branches after each."""
 
@@ -37,7 +38,8 @@ def open_loops(net: Any, name: str) -> Iterator[str]:
     """Open branches in place until the net is radial; notes name them and say what it changes.
 
     Parallel branches count as one. Transformers with three windings are never opened. Where the
-    power flow has no solution, the branches with the largest impedance are opened.
+    power flow has no solution, the branches with the least current in the source's own are opened,
+    or those with the largest impedance.
     """
     before = after = _solved(net)
     closing = _closing(net, after is not None)
@@ -88,7 +90,8 @@ def _change(before: pd.Series[float] | None, after: pd.Series[float] | None) -> 
     if before is None or after is None:
         return (
             "The AC power flow of the net has no solution with all its loops or without: where it "
-            "has none, the branches with the largest impedance are opened instead."
+            "has none, the branches with the least current in the source's own are opened, or "
+            "without it those with the largest impedance."
         )
     moved = (after - before).abs().max()
     return (
@@ -100,10 +103,12 @@ def _change(before: pd.Series[float] | None, after: pd.Series[float] | None) -> 
 def _closing(net: Any, solved: bool) -> list[list[Element]]:
     """Branches that close loops where those with the most current are laid first.
 
-    They come in the order of falling current; parallel branches are together.
+    They come in the order of falling current; parallel branches are together. Branches with more
+    phases are laid before those with fewer, which could not supply what hangs on the others.
     """
     branches, _ = without_stubs(case_of(net))
-    current = _currents(net) if solved else _admittances(branches)
+    current = _currents(net) if solved else _given(net, "carried_kva") or _admittances(branches)
+    phases = _given(net, "phases")
     pairs: dict[tuple[int, int], list[Element]] = {}
     columns = (branches[column] for column in ("from", "to", "table", "element"))
     for start, end, table, i in zip(*columns, strict=True):
@@ -111,10 +116,24 @@ def _closing(net: Any, solved: bool) -> list[list[Element]]:
             pairs.setdefault((min(start, end), max(start, end)), []).append((table, i))
     # Windings of larger transformers are laid before all others.
     laid = sorted(
-        pairs.items(), key=lambda pair: -sum(current.get(element, np.inf) for element in pair[1])
+        pairs.items(),
+        key=lambda pair: (
+            -min(sum(phases.get(element, np.inf) for element in pair[1]), N_PHASES),
+            -sum(current.get(element, np.inf) for element in pair[1]),
+        ),
     )
     ends = np.array([pair for pair, _ in laid], dtype=object).reshape(-1, 2)
     return [laid[row][1] for row, _ in find_loops(ends[:, 0], ends[:, 1])]
+
+
+def _given(net: Any, column: str) -> dict[Element, float]:
+    """What the source says of its branches; empty where it says nothing."""
+    return {
+        (table, i): float(value)
+        for table in FIRST_END
+        if column in net[table]
+        for i, value in net[table][column].items()
+    }
 
 
 def _currents(net: Any) -> dict[Element, float]:
