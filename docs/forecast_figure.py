@@ -8,7 +8,8 @@ from pathlib import Path
 import pandas as pd
 from matplotlib.figure import Figure
 
-from experiments.drawing import draw_grid, save_figure
+from benchmarks.pages import save_figure
+from experiments.drawing import draw_grid
 from vppres.report.plots.drawing import BLACK, BLUE, GREEN, ORANGE
 
 STYLES = {"load": ("load", BLUE), "pv": ("PV power", ORANGE), "net": ("load less PV", GREEN)}

@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 import typer
 
+from benchmarks.pages import markdown_table, write_pages
 from experiments.random_days import small_day
 from experiments.report import machine
 from experiments.seeds import (
     Study,
 )
-from experiments.tables import markdown_table, write_pages
 from vppres.contract.forecast import ForecastErrors
 from vppres.core.arrays import Flags, Floats
 from vppres.day.assembly import make_controller

@@ -14,9 +14,9 @@ import numpy as np
 import pandas as pd
 import typer
 
+from benchmarks.pages import markdown_table, put_into
 from benchmarks.race import Runner, monolith
 from experiments.precooling import heat_wave
-from experiments.tables import markdown_table, put_into
 from vppres.day.assembly import make_controller
 from vppres.day.options import RunOptions
 from vppres.day.simulate import Day

@@ -15,7 +15,8 @@ import typer
 from matplotlib.figure import Figure
 
 import data.uk_heatwave_2022.build as builder
-from experiments.drawing import draw_grid, save_figure
+from benchmarks.pages import markdown_table, save_figure, write_pages
+from experiments.drawing import draw_grid
 from experiments.jobs import Day, scenario
 from experiments.paired import Estimate, by_seed
 from experiments.random_days import DRAWINGS
@@ -23,7 +24,6 @@ from experiments.report import machine
 from experiments.seeds import (
     Study,
 )
-from experiments.tables import markdown_table, write_pages
 from vppres.contract.forecast import ForecastErrors
 from vppres.core.arrays import Floats
 from vppres.day.metrics import summarise, versions

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import typer
 
+from benchmarks.pages import markdown_table, write_pages
 from experiments.alarms import HEADINGS, Alarms, alarm_rows, counted
 from experiments.faults import drawn_faults
 from experiments.random_days import RandomDay, random_day
@@ -21,7 +22,6 @@ from experiments.report import machine
 from experiments.seeds import (
     Study,
 )
-from experiments.tables import markdown_table, write_pages
 from vppres.contract.observation import Observation
 from vppres.control.guard.critical import critical_site
 from vppres.control.guard.estimation import Known

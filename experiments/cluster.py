@@ -22,11 +22,11 @@ from typing import Any
 import pandas as pd
 import typer
 
+from benchmarks.pages import markdown_table, write_pages
+from benchmarks.terminal import bar_of, plain_errors, show_report
 from experiments.report import machine
 from experiments.same import NOT_COMPARED
 from experiments.seeds import STUDIES, Days, FirstSeed, Results, by_name
-from experiments.tables import markdown_table, write_pages
-from experiments.terminal import bar_of, plain_errors, show_report
 from vppres.contract.forecast import ForecastErrors
 from vppres.core.parent import command
 from vppres.day.metrics import versions

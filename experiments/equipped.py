@@ -14,8 +14,8 @@ import scipy.sparse as sp
 import typer
 from scipy.optimize import Bounds, LinearConstraint, milp
 
+from benchmarks.random_feeders import random_scenario
 from experiments.islands import claims_of
-from experiments.random_feeders import random_scenario
 from experiments.seeds import Days, FirstSeed
 from vppres.control.converged import DEFAULT_HEADROOM
 from vppres.core.units import kw_at_1_pu_to_us

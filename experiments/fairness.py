@@ -14,9 +14,9 @@ import numpy as np
 import pandas as pd
 import typer
 
+from benchmarks.pages import markdown_table
 from experiments.outage_days import OutageClimate, draw_outage_day
 from experiments.seeds import STUDIES, Span, run_seeds
-from experiments.tables import markdown_table
 from vppres.day.inversions import inversions
 from vppres.day.metrics import summarise
 from vppres.day.options import RunOptions

@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 import typer
 
+from benchmarks.pages import markdown_table, put_into
 from experiments.all_kinds import with_all_kinds
 from experiments.outage_days import OutageClimate, draw_outage_day, with_outage_day
 from experiments.paired import Estimate, by_seed
 from experiments.seeds import STUDIES, Days, FirstSeed, Jobs, Results, Span, run_seeds
-from experiments.tables import markdown_table, put_into
 from experiments.uncertain import worst
 from vppres.contract.stored_value import StoredValue
 from vppres.day.assembly import make_controller

@@ -19,12 +19,12 @@ import pandas as pd
 import typer
 from numpy.random import Generator
 
-from experiments.random_feeders import random_scenario
+from benchmarks.pages import markdown_table, write_pages
+from benchmarks.random_feeders import random_scenario
 from experiments.report import machine
 from experiments.seeds import (
     Study,
 )
-from experiments.tables import markdown_table, write_pages
 from vppres.core.arrays import Names
 from vppres.core.errors import VppresError
 from vppres.day.metrics import versions

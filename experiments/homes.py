@@ -15,14 +15,14 @@ import pandas as pd
 import typer
 from matplotlib.figure import Figure
 
+from benchmarks.pages import markdown_table, save_figure, write_pages
 from data.homes.build import HELD_OUT, homes
-from experiments.drawing import draw_grid, save_figure
+from experiments.drawing import draw_grid
 from experiments.paired import Estimate, by_seed
 from experiments.report import machine
 from experiments.seeds import (
     Study,
 )
-from experiments.tables import markdown_table, write_pages
 from vppres.core.arrays import Floats
 from vppres.day.metrics import summarise, versions
 from vppres.day.options import RunOptions

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import typer
 
-from experiments.random_feeders import random_scenario
+from benchmarks.random_feeders import random_scenario
 from experiments.seeds import Days, FirstSeed
 from vppres.contract.forecast import ForecastErrors
 from vppres.core.errors import VppresError

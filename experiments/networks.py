@@ -18,8 +18,8 @@ from typing import Annotated, Any
 
 import typer
 
+from benchmarks.pages import markdown_table, put_into, write_pages
 from experiments.seeds import STUDIES
-from experiments.tables import markdown_table, put_into, write_pages
 from vppres.core.errors import InputError, VppresError
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day

@@ -20,13 +20,13 @@ import pandas as pd
 import typer
 from scipy.special import ndtr, ndtri
 
+from benchmarks.pages import markdown_table, write_pages
 from experiments.outage_days import Outage, OutageClimate, OutageDay, draw_outage_day
 from experiments.paired import by_seed
 from experiments.report import machine
 from experiments.seeds import (
     Study,
 )
-from experiments.tables import markdown_table, write_pages
 from vppres.core.arrays import Flags, Floats
 from vppres.day.metrics import versions
 from vppres.day.outages import GridSeen

@@ -22,9 +22,9 @@ import cvxpy as cp
 import numpy as np
 from numpy.random import Generator
 
+from benchmarks.pages import put_into
+from benchmarks.random_feeders import WEIGHT, random_network, random_scenario
 from experiments.phases import DAYS, LIMIT_S, loop, of_day, say, scenario_of
-from experiments.random_feeders import WEIGHT, random_network, random_scenario
-from experiments.tables import put_into
 from vppres.control.phased import PhasedPlanner
 from vppres.core.arrays import Floats
 from vppres.core.errors import SolveError

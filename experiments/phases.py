@@ -21,7 +21,7 @@ from unittest.mock import patch
 
 import numpy as np
 
-from experiments.tables import put_into
+from benchmarks.pages import put_into
 from vppres.contract.decision import Decider, Decision
 from vppres.contract.observation import Observation
 from vppres.control.phased import PhasedPlanner

@@ -13,9 +13,11 @@ import typer
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from benchmarks.pages import markdown_table, save_figure, write_pages
+from benchmarks.terminal import plain_errors, show_report
 from experiments import efficiency, ideal
 from experiments.config import Config, read_config
-from experiments.drawing import FULL, LINES, MPC, SPREAD, draw_grid, legend, save_figure
+from experiments.drawing import FULL, LINES, MPC, SPREAD, draw_grid, legend
 from experiments.jobs import Day, Job, scenario
 from experiments.results import DayResult
 from experiments.rows import Row, order
@@ -23,8 +25,6 @@ from experiments.runner import Results, run_jobs
 from experiments.seeds import STUDIES, Jobs, Scheduler
 from experiments.seeds import Results as Folder
 from experiments.settings import At, Setting, jobs_of, rows_of
-from experiments.tables import markdown_table, write_pages
-from experiments.terminal import plain_errors, show_report
 from experiments.weighted_gap import service_of, terms_beside_gap
 from vppres.report.plots.drawing import BLACK
 

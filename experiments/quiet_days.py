@@ -13,12 +13,12 @@ import numpy as np
 import typer
 from numpy.random import Generator
 
-from experiments.random_feeders import random_scenario
+from benchmarks.pages import markdown_table, write_pages
+from benchmarks.random_feeders import random_scenario
 from experiments.report import machine
 from experiments.seeds import (
     Study,
 )
-from experiments.tables import markdown_table, write_pages
 from vppres.contract.decision import Decider, Decision
 from vppres.contract.forecast import ForecastErrors
 from vppres.contract.observation import Observation

@@ -18,7 +18,7 @@ import typer
 from numpy.random import Generator
 
 from benchmarks.clock import on_cpu_time
-from experiments.random_feeders import Window, random_state, random_window
+from benchmarks.random_feeders import Window, random_state, random_window
 from vppres.contract.export import Export
 from vppres.contract.stored_value import PIECES, StoredValue
 from vppres.contract.terminal import Terminal

@@ -26,11 +26,11 @@ import numpy as np
 import pandas as pd
 import typer
 
+from benchmarks.pages import markdown_table, write_pages
 from experiments.random_days import small_day
 from experiments.report import machine
 from experiments.seeds import PATIENT, STUDIES, Days, FirstSeed, Jobs, Results, Span, Study
 from experiments.shedding import Judge
-from experiments.tables import markdown_table, write_pages
 from experiments.within import Within
 from vppres.control.guard.guard import GuardedController
 from vppres.core.arrays import Floats

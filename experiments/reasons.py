@@ -19,9 +19,9 @@ import numpy as np
 import typer
 from numpy.random import Generator
 
+from benchmarks.pages import markdown_table, write_pages
 from experiments.random_days import small_day
 from experiments.seeds import PATIENT, STUDIES, FirstSeed, Kept, Results, by_name
-from experiments.tables import markdown_table, write_pages
 from vppres.control.converged import ConvergedPlanner
 from vppres.control.planner import OnePass
 from vppres.core.arrays import Floats

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import pandas as pd
 import typer
 
-from experiments.terminal import plain_errors
+from benchmarks.terminal import plain_errors
 from vppres.core.errors import InputError, Problem
 
 NOT_COMPARED = {

@@ -17,7 +17,7 @@ import numpy as np
 import typer
 from pydantic import TypeAdapter
 
-from experiments.terminal import bar_of, plain_errors, show_report
+from benchmarks.terminal import bar_of, plain_errors, show_report
 from vppres.io.atomic import atomic_write_text
 from vppres.solve.result import SolveLimits
 from vppres.studies.side_by_side import Lost, Where, identity, map_unordered

@@ -19,8 +19,8 @@ from typing import Any
 
 import typer
 
+from benchmarks.pages import markdown_table, write_pages
 from experiments.seeds import PATIENT, STUDIES, Results
-from experiments.tables import markdown_table, write_pages
 from vppres import new_scenario
 from vppres.control.converged import ConvergedPlanner
 from vppres.core.errors import VppresError

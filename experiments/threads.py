@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 import typer
 
-from experiments.random_feeders import random_scenario
+from benchmarks.pages import markdown_table, write_pages
+from benchmarks.random_feeders import random_scenario
+from benchmarks.terminal import show_report
 from experiments.report import machine
 from experiments.seeds import STUDIES, Days, FirstSeed, Results
-from experiments.tables import markdown_table, write_pages
-from experiments.terminal import show_report
 from vppres.core.arrays import Floats
 from vppres.day.metrics import versions
 from vppres.day.options import RunOptions

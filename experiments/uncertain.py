@@ -21,7 +21,8 @@ import typer
 from matplotlib.figure import Figure
 from numpy.random import Generator
 
-from experiments.drawing import draw_grid, save_figure
+from benchmarks.pages import markdown_table, save_figure, write_pages
+from experiments.drawing import draw_grid
 from experiments.outage_days import (
     FALSE_SHARE,
     NOTICE_H,
@@ -47,7 +48,6 @@ from experiments.seeds import (
     Span,
     Study,
 )
-from experiments.tables import markdown_table, write_pages
 from vppres.contract.observation import Observation
 from vppres.contract.stored_value import StoredValue
 from vppres.core.arrays import Flags, Floats

@@ -17,9 +17,9 @@ import numpy as np
 import pandas as pd
 import typer
 
+from benchmarks.pages import markdown_table, write_pages
 from experiments.networks import CURES, Candidate, candidates
 from experiments.seeds import PATIENT, STUDIES
-from experiments.tables import markdown_table, write_pages
 from vppres.core.errors import InputError
 from vppres.day.metrics import line_loading, summarise
 from vppres.day.options import RunOptions

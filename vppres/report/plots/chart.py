@@ -292,8 +292,8 @@ class Chart:
         for begin, end in self.time.outages:
             middle, width = (begin + end) / 2, text_px("outage", SMALL_PX)
             if middle - width > apart:
-                look = {"anchor": "middle", "size": SMALL_PX, "moves": "at"}
-                canvas.text(middle, TITLE_PX - 9, "outage", **look)
+                y = TITLE_PX - 9
+                canvas.text(middle, y, "outage", anchor="middle", size=SMALL_PX, moves="at")
                 apart = middle
         bottom = self._name_times(canvas, frames[-1].bottom)
         bottom = self._legend(canvas, bottom + 14.0)

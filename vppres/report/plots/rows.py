@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from vppres.core.arrays import Floats
+from vppres.core.arrays import Floats, Wholes
 from vppres.day.metrics import service_by_tier as share_by_tier
 from vppres.day.trajectory import Trajectory
 from vppres.report.plots.axes import ValueAxis
@@ -56,7 +56,7 @@ class HeatMap(Panel):
     shaded: bool = False
     ends: tuple[float, float] | None = None
     of: str = ""
-    number: Sequence[int] = ()
+    number: Sequence[int] | Wholes = ()
 
     @property
     def height(self) -> float:
@@ -365,8 +365,15 @@ class Strips(Panel):
             for first, last in spans:
                 if text and edges[last] - edges[first] > text_px(text, STRIP_TEXT_PX):
                     at = (edges[first] + edges[last]) / 2
-                    look = {"anchor": "middle", "size": STRIP_TEXT_PX, "bold": text.isdigit()}
-                    canvas.text(at, middle, text, moves="at", **look)
+                    canvas.text(
+                        at,
+                        middle,
+                        text,
+                        anchor="middle",
+                        size=STRIP_TEXT_PX,
+                        bold=text.isdigit(),
+                        moves="at",
+                    )
             start = end
 
     def entries(self) -> Iterable[Entry]:
