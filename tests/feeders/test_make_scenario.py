@@ -58,6 +58,16 @@ def test_a_restored_customer_stays_on_supply_for_an_hour(
     assert any("stays on supply for at least 1 h" in note for note in notes)
 
 
+def test_normally_open_lines_are_kept_for_the_diagram(
+    case33: ImportedFeeder, tagged: ImportedFeeder, tmp_path: Path
+) -> None:
+    write_new_scenario(case33, NewScenarioOptions(), tmp_path / "33")
+    ties = ("21 to 8", "9 to 15", "12 to 22", "18 to 33", "25 to 29")  # of the published feeder
+    assert read_scenario(tmp_path / "33").source.ties == ties
+    write_new_scenario(tagged, NewScenarioOptions(), tmp_path / "mine")
+    assert read_scenario(tmp_path / "mine").source.ties == ()
+
+
 def test_nothing_is_invented_unasked(case33: ImportedFeeder) -> None:
     day = new_scenario(case33)
     assert (len(day.pv), len(day.batteries), day.tiers) == (0, 0, ("all",))

@@ -82,7 +82,7 @@ def test_voltages_of_power_flow_and_optimisation():
     model = curve(chart, 0, "MPC, H = 5 h: lowest, optimisation")
     assert model.values == pytest.approx([0.99] * 4)
     limits = [limit.name for limit in chart.panels[0].limits]
-    assert limits == ["0.947 optimisation limit", "0.94 AC limit"]
+    assert limits == ["0.947 pu, optimisation limit", "0.94 pu, AC limit"]
     assert {*limits, "outage"} <= {*texts(chart)}
 
 
@@ -90,7 +90,7 @@ def test_a_tile_and_a_cross_for_every_customer_and_step():
     tiles = service_by_tier(small_run()).panels[0]
     assert isinstance(tiles, Tiles)
     # Customers in the order of the tiers: a (critical), b, c (low).
-    assert tiles.rows.share.astype(bool).tolist() == np.transpose(SERVED).tolist()
+    assert tiles.rows_of.share.astype(bool).tolist() == np.transpose(SERVED).tolist()
     crosses = re.findall(r'<path d="([^"]*)"[^>]*stroke="#FFFFFF" stroke-width="1.2"', tiles_svg())
     assert crosses[0].count("M") == 2 * int(np.sum(~np.array(SERVED, dtype=bool)))
 
@@ -335,4 +335,12 @@ def test_pointers_read_what_is_drawn():
     by_name = {reading["name"]: reading["values"] for reading in data["curves"]}
     assert by_name["Stored energy (kWh)"] == ["15"] * 5
     assert data["steps"] == 4
-    assert data["left"] < data["right"]
+    (rows,) = service_by_tier(small_run()).data()["rows"]
+    assert (rows["of"], rows["each"]) == ("customers", [[0], [1], [2]])
+    (buses, lines) = feeder_maps(small_run()).data()["rows"]
+    assert (buses["of"], lines["of"], lines["each"]) == ("buses", "lines", [[0], [1], [2]])
+    strips = timeline(small_run()).data()["curves"]
+    assert [(one["name"], one["values"]) for one in strips] == [
+        ("Off supply", ["0", "2", "2", "0"]),
+        ("kW off", ["0", "60", "50", "0"]),
+    ]

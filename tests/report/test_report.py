@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable
 from dataclasses import fields, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -27,11 +29,19 @@ from vppres.report.assumptions import data_words, option_words, simplifications
 from vppres.report.events import events_of, opening_of
 from vppres.report.findings import findings
 from vppres.report.key_figures import key_figures
-from vppres.report.one_line import drawing, step_states, voltage_edges, worst_step
+from vppres.report.one_line import (
+    LEAN,
+    LETTER_PX,
+    drawing,
+    step_states,
+    voltage_edges,
+    worst_step,
+)
 from vppres.report.plots.figures import FIGURES, RUN_FIGURES, save_figures
 from vppres.report.run_folder import render_report, write_run
 from vppres.report.sections import SECTIONS
 from vppres.scenario.network import Network
+from vppres.scenario.source import Source
 
 
 @pytest.fixture(scope="module")
@@ -305,12 +315,14 @@ def test_data_in_words() -> None:
 def test_marks_of_what_is_connected() -> None:
     buses = {bus.name: bus for bus in drawing(small_run()).buses}
     assert buses["1"].slack
-    assert not buses["1"].customers
+    assert not buses["1"].connected["customers"]
     assert buses["2"].critical
-    assert buses["3"].pv
-    assert not buses["2"].pv
-    assert buses["4"].batteries == (0,)
-    assert buses["4"].customers == (2,)
+    assert buses["3"].connected["pv"]
+    assert not buses["2"].connected["pv"]
+    assert buses["4"].connected["batteries"] == [0]
+    assert buses["4"].connected["customers"] == [2]
+    assert [kind for kind, _, _ in buses["4"].symbols] == ["customers", "batteries"]
+    assert {(x, y) for _, x, y in buses["4"].symbols} == {(-18, 14), (4, 14)}
 
 
 def test_states_by_hand() -> None:
@@ -359,9 +371,65 @@ def test_the_worst_step_without_outage_has_the_lowest_voltage() -> None:
     assert worst_step(small_run(small_scenario(outage=False))) == 3
 
 
-def test_a_feeder_of_many_buses_goes_without_names() -> None:
-    assert drawing(day_run(day_scenario())).named
-    assert not drawing(day_run(day_scenario(160))).named
+def named_buses(run: Trajectory, name: Callable[[int], str]) -> Trajectory:
+    """The run, with other names of buses."""
+    day = run.scenario
+    names = {bus: name(i) for i, bus in enumerate(day.network.buses)}
+    net, again = day.network, lambda buses: [names[bus] for bus in buses]
+    network = replace(
+        net,
+        from_bus=again(net.from_bus),
+        to_bus=again(net.to_bus),
+        drawing_bus=again(net.drawing_bus),
+        slack_bus=names[net.slack_bus],
+    )
+    moved = replace(
+        day,
+        network=network,
+        customers=replace(day.customers, bus=again(day.customers.bus)),
+        batteries=replace(day.batteries, bus=again(day.batteries.bus)),
+    )
+    return replace(run, scenario=moved)
+
+
+@pytest.mark.parametrize("letters", [2, 12, 40])
+@pytest.mark.parametrize("run", [small_run(), day_run(day_scenario(160))], ids=["4", "161"])
+def test_names_of_buses_cover_neither_each_other_nor_a_symbol(run, letters) -> None:
+    run = named_buses(run, lambda i: f"{i:03} {'w' * letters}")
+    drawn = drawing(run)
+    assert all(bus.name.startswith(bus.short.rstrip("…")) for bus in drawn.buses)
+    rows = sorted({bus.y for bus in drawn.buses})
+    columns = sorted({bus.x for bus in drawn.buses})
+    between = min(b - a for a, b in pairwise(columns))
+    width = LETTER_PX * max(len(bus.short) for bus in drawn.buses)
+    if drawn.leaning:
+        high = LEAN * width  # lines that lean at 30 degrees are half as far apart as their buses
+        assert LEAN * between >= 12
+    else:
+        high = 0.0
+        assert width < between
+    deepest = max(y + 16 for bus in drawn.buses for _, _, y in bus.symbols)
+    assert all(b - a >= deepest + high + 10 for a, b in pairwise(rows))
+    assert rows[0] >= high + 10
+    assert drawn.width >= columns[-1] + (width if drawn.leaning else width / 2)
+    assert drawn.height >= rows[-1] + deepest
+
+
+def test_a_small_feeder_is_spread_and_its_symbols_are_not_enlarged() -> None:
+    small, large = drawing(small_run()), drawing(day_run(day_scenario(32)))
+    assert small.width < 1000 < large.width
+    near, far = ({bus.x for bus in one.buses} for one in (small, large))
+    assert max(near) / len(near) > 2 * max(far) / len(far)
+    offsets = [{place for bus in one.buses for place in bus.symbols} for one in (small, large)]
+    assert offsets[0] & offsets[1]
+
+
+def test_normally_open_lines_are_drawn_where_both_buses_are_known() -> None:
+    run = small_run()
+    tied = replace(run.scenario, source=Source("x", ties=("2 to 4", "2 to 9", "nothing")))
+    drawn = drawing(replace(run, scenario=tied))
+    at = {bus.name: (bus.x, bus.y) for bus in drawn.buses}
+    assert drawn.ties == ((*at["2"], *at["4"]),)
 
 
 def test_figures_of_one_run_alone_are_left_out_for_several(tmp_path: Path) -> None:

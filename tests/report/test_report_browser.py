@@ -24,6 +24,7 @@ pytestmark = pytest.mark.skipif(BROWSER is None, reason="no chromium or chrome o
 
 LOCAL = ("file:", "data:", "blob:")
 WORST = 17  # of the made-up day: the last step of the outage serves the least
+DRAWINGS = "figure.plot .wide > svg"
 DESKTOP = {"width": 1280, "height": 900}
 
 
@@ -75,7 +76,7 @@ def test_all_sections_are_seen(opened: tuple[Any, list[str], list[str]]) -> None
 
 def test_every_figure_is_drawn(opened: tuple[Any, list[str], list[str]]) -> None:
     page = opened[0]
-    figures = page.locator("figure.plot svg")
+    figures = page.locator(DRAWINGS)
     assert figures.count() == 8
     heights = figures.evaluate_all("all => all.map(one => one.getBoundingClientRect().height)")
     assert min(heights) > 100
@@ -95,15 +96,96 @@ def test_the_pointer_reads_values(opened: tuple[Any, list[str], list[str]]) -> N
     )
 
 
-def point_at(page: Any, step: int) -> None:
-    """Put the pointer on a step of the chart of energy."""
-    figure = page.locator("#energy figure.plot").first
+def point_at(page: Any, step: float, section: str = "#energy", height: float = 0.5) -> None:
+    """Put the pointer on a step of a section's first panel, which shows the whole day."""
+    page.mouse.move(*place_in(page.locator(f"{section} svg.time").first, (step + 0.5) / 24, height))
+
+
+def place_in(panel: Any, across: float, down: float) -> tuple[float, float]:
+    """A place of a panel in the window, which is scrolled to it."""
+    panel.scroll_into_view_if_needed()
+    box = panel.evaluate("it => it.ownerSVGElement.getBoundingClientRect().toJSON()")
+    x, y, width, height = (
+        float(panel.get_attribute(name)) for name in ("x", "y", "width", "height")
+    )
+    return box["x"] + x + across * width, box["y"] + y + 2 + down * (height - 6)
+
+
+def times_of(page: Any) -> list[str]:
+    """Times that the axis of the first chart of energy names."""
+    ticks = page.locator("#energy figure.plot").first.locator(".wide > svg > g:not([class]) > text")
+    return list(ticks.all_text_contents())
+
+
+def test_a_part_of_the_day_is_drawn_out_and_shown_whole_again(
+    opened: tuple[Any, list[str], list[str]],
+) -> None:
+    page = opened[0]
+    whole = times_of(page)
+    assert whole[0] == "00:00"
+    point_at(page, 9.0)
+    page.mouse.down()
+    point_at(page, 13.0)
+    page.mouse.up()
+    assert (times_of(page)[0], times_of(page)[-1]) == ("09:00", "14:00")
+    point_at(page, 11.5)  # in the middle of the panel, of 09:00 to 14:00
+    assert page.locator("#energy .readings").first.inner_text().startswith("19 Jul 11:00")
+    page.mouse.dblclick(*place_in(page.locator("#energy svg.time").first, 0.5, 0.5))
+    assert times_of(page) == whole
+    page.locator("#service .zoom button", has_text="Outage").first.click()
+    assert (times_of(page)[0], times_of(page)[-1]) == ("10:00", "20:00")
+    page.locator("#service .zoom button", has_text="Whole").first.click()
+    assert times_of(page) == whole
+
+
+def test_the_pointer_reads_a_customer_a_bus_and_a_line(
+    opened: tuple[Any, list[str], list[str]],
+) -> None:
+    page = opened[0]
+    data = json.loads(page.locator("#diagram-data").text_content())
+    rows = json.loads(page.locator("#service script").first.text_content())["rows"][0]
+    point_at(page, WORST, "#service", 0.01)
+    (first,) = rows["each"][0]
+    on = {"1": "supplied", "0": "off supply"}[data["served"][WORST][first]]
+    words = f"{data['customers'][first]} {on}, {data['kw'][WORST][first]} kW"
+    assert words in page.locator("#service .readings").first.inner_text()
+    page.mouse.move(0, 0)
+    figure = page.locator("#network figure.plot").last
     figure.scroll_into_view_if_needed()
-    box = figure.locator("svg").bounding_box()
-    data = json.loads(figure.locator("script").text_content())
-    share = (step + 0.5) / data["steps"]
-    x = data["left"] + share * (data["right"] - data["left"])
-    page.mouse.move(box["x"] + box["width"] * x / 860.0, box["y"] + box["height"] / 3)
+    for panel, words in ((0, "Bus "), (1, " to ")):
+        page.mouse.move(*place_in(figure.locator("svg.time").nth(panel), 0.5, 0.5))
+        said = figure.locator(".readings span").first.inner_text()
+        assert words in said, said
+
+
+def test_the_diagram_is_moved_and_zoomed_and_its_symbols_keep_their_size(
+    opened: tuple[Any, list[str], list[str]],
+) -> None:
+    page = opened[0]
+
+    def places() -> list[dict[str, float]]:
+        found = page.locator("#one-line circle[data-voltage]").evaluate_all(
+            "all => all.slice(0, 2).map(one => one.getBoundingClientRect().toJSON())"
+        )
+        return list(found)
+
+    page.click("#whole")
+    before = places()
+    for _ in range(4):
+        page.click("#closer")
+    near = places()
+    apart = [two["x"] - one["x"] for one, two in (before, near)]
+    assert apart[1] > 2.0 * apart[0]
+    assert near[0]["width"] == pytest.approx(20.0, abs=2.5)
+    box = page.locator("#one-line").bounding_box()
+    page.mouse.move(box["x"] + 300, box["y"] + 40)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 250, box["y"] + 40)
+    page.mouse.up()
+    assert places()[0]["x"] == pytest.approx(near[0]["x"] - 50, abs=1.0)
+    page.click("#whole")
+    assert places() == before
+    page.mouse.move(0, 0)
 
 
 def test_the_diagram_starts_with_the_worst_step(opened: tuple[Any, list[str], list[str]]) -> None:
@@ -157,7 +239,7 @@ def test_paper_shows_the_same_figures_and_the_worst_step(
     page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
     page.emulate_media(media="print")
     assert page.locator("#step-words").inner_text().startswith(f"19 Jul {WORST}:00 UTC")
-    assert page.locator("figure.plot svg").first.is_visible()
+    assert page.locator(DRAWINGS).first.is_visible()
     assert not page.locator(".readings").first.is_visible()
     assert not page.locator(".cursor").first.is_visible()
     assert not page.locator("#step-slider").is_visible()
@@ -187,7 +269,7 @@ def test_without_scripts_everything_is_still_there(browser: Any, report: Path) -
     context = browser.new_context(java_script_enabled=False, viewport=DESKTOP)
     page = context.new_page()
     page.goto(report.as_uri())
-    assert page.locator("figure.plot svg").first.is_visible()
+    assert page.locator(DRAWINGS).first.is_visible()
     assert page.locator("#step-words").inner_text().startswith(f"19 Jul {WORST}:00 UTC: outage;")
     assert page.locator("#one-line .tile.s2").count() > 0
     context.close()
@@ -203,17 +285,21 @@ def test_the_page_fits_the_window(browser: Any, report: Path, width: int) -> Non
 
 
 @pytest.mark.nightly
-def test_no_text_of_a_figure_leaves_it_or_covers_another(browser: Any, report: Path) -> None:
-    page = browser.new_page(viewport=DESKTOP)
+@pytest.mark.parametrize("width", [390, 1280])
+def test_no_text_of_a_figure_leaves_it_or_covers_another(
+    browser: Any, report: Path, width: int
+) -> None:
+    page = browser.new_page(viewport=DESKTOP | {"width": width})
     page.goto(report.as_uri())
     page.wait_for_selector("html[data-charts=drawn]")
-    found = page.locator("figure.plot svg").evaluate_all(
+    found = page.locator(DRAWINGS).evaluate_all(
         """all => all.map(svg => ({
              svg: svg.getBoundingClientRect(),
-             texts: [...svg.querySelectorAll("text")].map(text =>
+             texts: [...svg.querySelectorAll("text")].filter(text => text.checkVisibility()).map(text =>
                [text.textContent, text.getBoundingClientRect()])}))"""
     )
     for figure in found:
+        assert figure["svg"]["right"] <= width
         for words, box in figure["texts"]:
             assert box["left"] >= figure["svg"]["left"], words
             assert box["right"] <= figure["svg"]["right"], words

@@ -229,6 +229,8 @@ class ImportedFeeder:
         AC power flow of the source for other powers.
     unbalanced : str
         What of the source is not balanced and was spread over three phases; empty if nothing.
+    ties : tuple of str
+        Lines that are normally open, as ``BUS to BUS``.
     named : bool
         Whether customers are the loads, and they, generators and batteries keep their names.
     phased : PhasedSource, optional
@@ -252,6 +254,7 @@ class ImportedFeeder:
     causes: tuple[str, ...] = ()
     source_flow: SourceFlow | None = None
     unbalanced: str = ""
+    ties: tuple[str, ...] = ()
     named: bool = False
     phased: PhasedSource | None = None
     title: str = ""

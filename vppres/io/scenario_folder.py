@@ -392,7 +392,8 @@ def _assemble(
 
 def _source(section: schema.Section) -> Source:
     deviation = SourceDeviation(**section.deviation.model_dump())
-    return Source(section.name, section.kind, tuple(section.notes), deviation, section.unbalanced)
+    told = (tuple(section.notes), deviation, section.unbalanced, tuple(section.ties))
+    return Source(section.name, section.kind, *told)
 
 
 def _network(

@@ -161,6 +161,7 @@ def _source(source: Source) -> dict[str, Any]:
         "kind": source.kind,
         **({"unbalanced": source.unbalanced} if source.unbalanced else {}),
         "notes": list(source.notes),
+        **({"ties": list(source.ties)} if source.ties else {}),
         **({"deviation": deviation} if deviation else {}),
     }
 

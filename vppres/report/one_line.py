@@ -6,6 +6,7 @@ so that the whole day is a few strings per step.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,15 +17,21 @@ from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.day.metrics import line_current_a, line_loading, service_by_tier
 from vppres.day.trajectory import Trajectory, supplied
 from vppres.report.clock import Clock
-from vppres.report.plots.drawing import cividis
+from vppres.report.plots.drawing import cividis, shortened
 from vppres.report.tree_layout import tree_layout
+from vppres.scenario.network import Network
 from vppres.scenario.phases import PHASES
 
-COLUMN_PX = 50
-ROW_PX = 74
-MARGIN_PX = 40
-BELOW_PX = 54
-MAX_NAMED_BUSES = 150
+MARGIN_PX, TOP_PX, GRID_PX = 24, 20, 42
+WIDTH_PX, COLUMN_PX = 1000, (52, 172)
+"""Width that a small feeder is spread over, and least and most px from a bus to the next."""
+
+SLOT_PX = 20
+"""Height of a row of symbols below a bus, two side by side."""
+
+LETTER_PX, MOST_LETTERS, LEAN = 6.2, 26, 0.5
+"""Width of a letter, most letters of a name, and the sine of the angle of leaning names."""
+
 MAX_VOLTAGE_CLASSES = 8
 CLASS_WIDTHS_PU = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
 OUT_OF_LIMITS = 9  # the class of voltages outside the AC limits
@@ -37,65 +44,91 @@ HALF_ULP = 1e-9
 
 @dataclass(frozen=True)
 class BusMark:
-    """A bus in the drawing, with what is connected to it."""
+    """A bus in the drawing, with the symbols of what is connected to it, two in a row.
+
+    ``customers`` and the others are numbers of the scenario's items.
+    """
 
     name: str
+    short: str
     x: int
     y: int
     slack: bool
     critical: bool
-    customers: tuple[int, ...]
-    batteries: tuple[int, ...]
-    pv: bool
+    connected: Mapping[str, list[int]]
+
+    @property
+    def symbols(self) -> list[tuple[str, int, int]]:
+        """Kind and place of each symbol from the bus, beside its vertical line."""
+        kinds = [kind for kind, items in self.connected.items() if items]
+        return [(kind, (-18, 4)[k % 2], 14 + SLOT_PX * (k // 2)) for k, kind in enumerate(kinds)]
 
 
 @dataclass(frozen=True)
 class Drawing:
-    """Everything that no step changes."""
+    """Everything that no step changes; names lean where they would reach the next one."""
 
     width: int
     height: int
     buses: tuple[BusMark, ...]
     lines: tuple[tuple[int, int, int, int], ...]
-    named: bool
+    ties: tuple[tuple[int, int, int, int], ...]
+    leaning: bool
 
 
 def drawing(run: Trajectory) -> Drawing:
     """Places of buses and lines, and the marks of what is connected."""
     day = run.scenario
-    layout = tree_layout(run.scenario.network)
-    net = day.network
-    c = day.customers
-    x = MARGIN_PX + COLUMN_PX * layout.column
-    y = MARGIN_PX + ROW_PX * layout.row
-    at_bus = np.array([net.bus_index[bus] for bus in c.bus], dtype=int)
-    with_pv = {net.bus_index[bus] for bus in day.pv.buses(c)}
-    battery_bus = np.array([net.bus_index[bus] for bus in day.batteries.bus], dtype=int)
-    critical = set(at_bus[c.tier == day.tiers[0]].tolist())
+    net, c = day.network, day.customers
+    layout = tree_layout(net)
+    at = {
+        "customers": c.bus,
+        "batteries": day.batteries.bus,
+        "pv": day.pv.buses(c),
+        "gensets": day.gensets.buses(c),
+        "chargers": day.chargers.buses(c),
+        "thermal_loads": day.thermal_loads.buses(c),
+    }
+    found = {
+        kind: np.array([net.bus_index[bus] for bus in buses], dtype=int)
+        for kind, buses in at.items()
+    }
+    connected = [
+        {kind: np.flatnonzero(places == i).tolist() for kind, places in found.items()}
+        for i in range(net.n_buses)
+    ]
+    critical = set(found["customers"][c.tier == day.tiers[0]].tolist())
+    names = [shortened(str(bus), MOST_LETTERS) for bus in net.buses]
+    name_px = LETTER_PX * max(map(len, names))
+    column_px = int(np.clip(WIDTH_PX / max(layout.column.max(), 1), *COLUMN_PX))
+    leaning = name_px + 8 > column_px
+    deep = max(-(-sum(map(bool, kinds.values())) // 2) for kinds in connected)
+    above = TOP_PX + (LEAN * name_px if leaning else 0.0)
+    row_px = int(above + 14 + SLOT_PX * deep + 6)
+    x = GRID_PX + column_px * layout.column
+    y = int(above) + MARGIN_PX + row_px * layout.row
     buses = tuple(
         BusMark(
-            str(net.buses[i]),
-            int(x[i]),
-            int(y[i]),
-            i == 0,
-            i in critical,
-            tuple(np.flatnonzero(at_bus == i).tolist()),
-            tuple(np.flatnonzero(battery_bus == i).tolist()),
-            i in with_pv,
+            str(net.buses[i]), names[i], int(x[i]), int(y[i]), i == 0, i in critical, connected[i]
         )
         for i in range(net.n_buses)
     )
-    lines = tuple(
-        (int(x[a]), int(y[a]), int(x[b]), int(y[b]))
-        for a, b in zip(net.parent, range(1, net.n_buses), strict=True)
+    ends = zip(net.parent, range(1, net.n_buses), strict=True)
+    lines, ties_at = (
+        tuple((int(x[a]), int(y[a]), int(x[b]), int(y[b])) for a, b in pairs)
+        for pairs in (ends, tie_ends(net, day.source.ties))
     )
-    return Drawing(
-        int(x.max()) + MARGIN_PX,
-        int(y.max()) + BELOW_PX,
-        buses,
-        lines,
-        net.n_buses <= MAX_NAMED_BUSES,
-    )
+    beside = name_px if leaning else max(name_px / 2, MARGIN_PX)
+    width = int(x.max() + beside + MARGIN_PX)
+    return Drawing(width, int(y.max()) + row_px - int(above), buses, lines, ties_at, leaning)
+
+
+def tie_ends(network: Network, ties: Iterable[str]) -> Iterator[tuple[int, int]]:
+    """Positions of the buses that normally open lines join; what names no two buses is left out."""
+    known = {str(bus): i for bus, i in network.bus_index.items()}
+    for first, _, last in (tie.partition(" to ") for tie in ties):
+        if first in known and last in known:
+            yield known[first], known[last]
 
 
 def voltage_edges(run: Trajectory) -> Floats:
@@ -143,8 +176,9 @@ def step_states(run: Trajectory) -> dict[str, Any]:
     dict
         One entry per step in each: ``bus``, ``tile`` and ``line``, a digit for the class of each
         bus's voltage and service and each line's loading; ``v``, voltages in 0.0001 pu (None where
-        there is none); ``served``, a digit per customer; ``amps``; ``soc``, per cent per battery;
-        ``time`` and ``info`` in words; ``outage``. And once: ``start``, the step to show first.
+        there is none); ``served``, a digit, and ``kw``, the demand of each customer; ``amps``;
+        ``soc``, per cent per battery; ``time`` and ``info`` in words; ``outage``. And once:
+        ``start``, the step to show first.
     """
     v = run.by_step("buses", "v_ac_pu")
     served = run.by_step("customers", "served")
@@ -159,6 +193,7 @@ def step_states(run: Trajectory) -> dict[str, Any]:
         "tile": _digits(_tile_classes(run, served)),
         "line": _digits(loading_classes(run)),
         "served": _digits(served.astype(int)),
+        "kw": run.by_step("customers", "p_load_kw").round(1).tolist(),
         "v": [[round(1e4 * pu) if pu > 0 else None for pu in row] for row in v.tolist()],
         "amps": line_current_a(run).round(1).tolist(),
         "soc": np.rint(100.0 * soc).astype(int).tolist(),

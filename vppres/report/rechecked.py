@@ -100,7 +100,7 @@ def voltages_per_phase(run: Trajectory, found: Recheck) -> Chart:
             curves.append(Curve(f"phase {phase}", _by_step(run, own, "v_pu"), style))
     plan = _by_step(run, found.voltages, "v_plan_pu")
     curves.append(Curve("plan", plan, Style(BLACK, "2 3", 1.5)))
-    limit = Limit(network.v_min_ac_pu, f"{network.v_min_ac_pu:g} AC limit", dash="")
+    limit = Limit(network.v_min_ac_pu, f"{network.v_min_ac_pu:g} pu, AC limit", dash="")
     largest = 1000.0 * found.steps["difference_max_pu"].to_numpy(float)
     apart = Curve("largest difference", largest, Style(BLACK, "", 1.5), in_legend=False)
     return Chart(

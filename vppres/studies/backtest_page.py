@@ -255,7 +255,7 @@ def _by_lead(result: Backtest, quantity: str) -> Chart:
                 150.0,
                 low=0.0,
                 high=104.0,
-                limits=[Limit(100.0 * share, f"{share:.0%}") for share in SHARES],
+                limits=[Limit(100.0 * share, "nominal share") for share in SHARES],
             ),
             _last(result, quantity, f"Forecast of\n{issued}\n(kW)"),
         ],
@@ -302,7 +302,7 @@ def _months(result: Backtest, quantity: str) -> Chart:
         140.0,
         low=0.0,
         high=104.0,
-        limits=[Limit(80.0, "80%")],
+        limits=[Limit(80.0, "nominal share")],
     )
     scale = Scale("Month", np.arange(len(months) + 1.0), list(months.index))
     return Chart(f"months_{quantity}", "Coverage by month", scale, [panel])

@@ -222,7 +222,7 @@ def write_new_scenario(
         closeness = str(deviation)
     check_deviation(feeder, deviation, options.accept_deviation)
     told = [*causes, *feeder.notes, *chosen]
-    source = Source.of(feeder.name, "", told, deviation, feeder.unbalanced)
+    source = Source.of(feeder.name, "", told, deviation, feeder.unbalanced, feeder.ties)
     scenario = replace(scenario, source=source)
     said = [former_words(scenario), darkness(scenario), closeness]
     # A source that does not converge is asked for its units itself.

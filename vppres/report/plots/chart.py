@@ -74,11 +74,16 @@ class Band:
 
 @dataclass(frozen=True)
 class Limit:
-    """A value that is drawn across, named at the right."""
+    """A value that is drawn across; its name stands in the legend."""
 
     value: float
     name: str = ""
     dash: str = "5 3"
+
+    @property
+    def style(self) -> Style:
+        """How it is drawn."""
+        return Style(GREY, self.dash, 1.0)
 
 
 @dataclass(frozen=True)
@@ -113,7 +118,10 @@ class Panel(Protocol):
         """Whether outages lie behind it in grey; over it they would be bracketed."""
 
     def draw(self, canvas: Canvas, frame: Frame, time: Across) -> None:
-        """Draw it."""
+        """Draw what lies over the axis."""
+
+    def name(self, canvas: Canvas, frame: Frame, time: Across) -> None:
+        """Draw names, at its sides or where they move with the axis."""
 
     def entries(self) -> Iterable[Entry]:
         """Its entries in the legend."""
@@ -122,6 +130,10 @@ class Panel(Protocol):
     def readings(self) -> list[dict[str, Any]]:
         """What a pointer reads: name, color and the value of each step or instant as text."""
         return []
+
+    def rows(self) -> dict[str, Any] | None:
+        """What a pointer reads in a row: ``of`` the run's customers, buses or lines, by number."""
+        return None
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,6 +153,8 @@ class Curves:
     bands: Sequence[Band] = ()
     logarithmic: bool = False
     shaded: bool = True
+    right_px = 0.0
+    rows = Panel.rows
 
     @cached_property
     def _range(self) -> tuple[float, float]:
@@ -158,24 +172,23 @@ class Curves:
         ticks = max((text_px(name) for _, name in self._axis(1.0, 0.0).ticks()), default=0.0)
         return ticks + 14.0 + LINE_PX * len(self.axis.split("\n"))
 
-    @property
-    def right_px(self) -> float:
-        """What the limits' names take."""
-        return max((text_px(limit.name, SMALL_PX) + 8.0 for limit in self.limits), default=0.0)
+    def name(self, canvas: Canvas, frame: Frame, time: Across) -> None:
+        """Values of the axis, and its name."""
+        for place, name in self._axis(frame.bottom, frame.top).ticks():
+            canvas.text(frame.left - 6, place, name, anchor="end")
+        canvas.line([(frame.left, frame.top), (frame.left, frame.bottom)], BLACK, 0.8)
+        middle = 0.5 * (frame.top + frame.bottom)
+        at = EDGE_PX + 0.5 * LINE_PX * len(self.axis.split("\n"))
+        canvas.text(at, middle, self.axis, anchor="middle", turned=True)
 
     def draw(self, canvas: Canvas, frame: Frame, time: Across) -> None:
         """Rules, limits, bands and curves."""
         axis = self._axis(frame.bottom, frame.top)
-        for place, name in axis.ticks():
+        for place, _ in axis.ticks():
             canvas.line([(frame.left, place), (frame.right, place)], RULE_COLOUR, 0.6)
-            canvas.text(frame.left - 6, place, name, anchor="end")
-        middle = 0.5 * (frame.top + frame.bottom)
-        at = EDGE_PX + 0.5 * LINE_PX * len(self.axis.split("\n"))
-        canvas.text(at, middle, self.axis, anchor="middle", turned=True)
         for limit in self.limits:
             place = float(axis(np.array(limit.value)))
             canvas.line([(frame.left, place), (frame.right, place)], GREY, 1.0, limit.dash)
-            canvas.text(frame.right + 6, place, limit.name, color=GREY, size=SMALL_PX)
         for band in self.bands:
             self._draw_band(canvas, axis, time, band)
         for curve in self.curves:
@@ -184,8 +197,7 @@ class Curves:
                 canvas.line(points, curve.style.color, curve.style.width, curve.style.dash)
             if curve.dots:
                 canvas.dots(points, curve.style.color)
-        corner = [(frame.left, frame.top), (frame.left, frame.bottom), (frame.right, frame.bottom)]
-        canvas.line(corner, BLACK, 0.8)
+        canvas.line([(frame.left, frame.bottom), (frame.right, frame.bottom)], BLACK, 0.8)
 
     def _draw_band(self, canvas: Canvas, axis: ValueAxis, time: Across, band: Band) -> None:
         """Every stretch of steps in which both values are known."""
@@ -200,10 +212,13 @@ class Curves:
             canvas.area(outline, fill, 1.0 if band.name else 0.15)
 
     def entries(self) -> Iterable[Entry]:
-        """Named curves and bands."""
+        """Named curves, limits and bands."""
         for curve in self.curves:
             if curve.in_legend:
                 yield Entry(curve.name, curve.style)
+        for limit in self.limits:
+            if limit.name:
+                yield Entry(limit.name, limit.style)
         for band in self.bands:
             if band.name:
                 yield Entry(band.name, hatch=band.color)
@@ -265,14 +280,21 @@ class Chart:
         """The chart as an SVG document."""
         canvas = Canvas(self.key)
         frames = self.frames()
-        canvas.text(WIDTH_PX / 2, 12.0, self.title, anchor="middle", size=13.0)
+        canvas.text(WIDTH_PX / 2, 12.0, self.title, anchor="middle", size=13.0, moves="title")
         for panel, frame in zip(self.panels, frames, strict=True):
-            self._draw_time(canvas, frame, panel.shaded)
-            panel.draw(canvas, frame, self.time)
-            if not panel.shaded:
-                self._bracket_outages(canvas, frame)
+            with canvas.over_time(frame.left, frame.right, frame.top, frame.bottom):
+                self._draw_time(canvas, frame, panel.shaded)
+                panel.draw(canvas, frame, self.time)
+                if not panel.shaded:
+                    self._bracket_outages(canvas, frame)
+            panel.name(canvas, frame, self.time)
+        apart = -np.inf
         for begin, end in self.time.outages:
-            canvas.text((begin + end) / 2, TITLE_PX - 9, "outage", anchor="middle", size=SMALL_PX)
+            middle, width = (begin + end) / 2, text_px("outage", SMALL_PX)
+            if middle - width > apart:
+                y = TITLE_PX - 9
+                canvas.text(middle, y, "outage", anchor="middle", size=SMALL_PX, moves="at")
+                apart = middle
         bottom = self._name_times(canvas, frames[-1].bottom)
         bottom = self._legend(canvas, bottom + 14.0)
         return canvas.svg(WIDTH_PX, bottom, self.title)
@@ -281,12 +303,15 @@ class Chart:
         """What scripts need for values under the pointer, as JSON can hold it."""
         frames = self.frames()
         return {
-            "left": round(self.time.left, 1),
-            "right": round(self.time.right, 1),
             "top": frames[0].top,
             "bottom": round(frames[-1].bottom, 1),
             "steps": len(self.time.edges) - 1,
             "curves": [reading for panel in self.panels for reading in panel.readings()],
+            "rows": [
+                {"top": round(frame.top, 1), "bottom": round(frame.bottom, 1)} | rows
+                for panel, frame in zip(self.panels, frames, strict=True)
+                if (rows := panel.rows()) is not None
+            ],
         }
 
     def _draw_time(self, canvas: Canvas, frame: Frame, shaded: bool) -> None:
@@ -295,8 +320,9 @@ class Chart:
             return
         for begin, end in self.time.outages:
             canvas.box(begin, frame.top, end - begin, frame.bottom - frame.top, OUTAGE_COLOUR)
-        for place, _ in self.time.ticks():
-            canvas.line([(place, frame.top), (place, frame.bottom)], RULE_COLOUR, 0.6)
+        with canvas.group("ticks"):
+            for place, _ in self.time.ticks():
+                canvas.line([(place, frame.top), (place, frame.bottom)], RULE_COLOUR, 0.6)
 
     def _bracket_outages(self, canvas: Canvas, frame: Frame) -> None:
         for place in (edge for outage in self.time.outages for edge in outage):
@@ -306,12 +332,12 @@ class Chart:
         """Times below the last panel; where they end."""
         lines = 1
         for place, name in self.time.ticks():
-            canvas.line([(place, bottom), (place, bottom + 4)], BLACK, 0.8)
             lines = len(name.split("\n"))
-            canvas.text(place, bottom + 6 + 0.5 * LINE_PX * lines, name, anchor="middle")
+            at = bottom + 6 + 0.5 * LINE_PX * lines
+            canvas.text(place, at, name, anchor="middle", moves="at tick")
         below = bottom + 14 + LINE_PX * lines
         middle = (self.time.left + self.time.right) / 2
-        canvas.text(middle, below, self.time.title, anchor="middle")
+        canvas.text(middle, below, self.time.title, anchor="middle", moves="middle")
         return below + 0.5 * LINE_PX
 
     def _legend(self, canvas: Canvas, top: float) -> float:
@@ -326,7 +352,8 @@ class Chart:
         for row in rows:
             x = (WIDTH_PX - sum(map(_entry_px, row)) + BETWEEN_PX) / 2
             for entry in row:
-                _draw_entry(canvas, entry, x, top)
+                with canvas.group("entry", _entry_px(entry)):
+                    _draw_entry(canvas, entry, x, top)
                 x += _entry_px(entry)
             top += 1.3 * LINE_PX
         return top + EDGE_PX / 2

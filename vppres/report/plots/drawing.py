@@ -8,7 +8,8 @@ from __future__ import annotations
 import base64
 import struct
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -143,16 +144,26 @@ class Canvas:
         color: str = BLACK,
         bold: bool = False,
         turned: bool = False,
+        moves: str = "",
+        hint: str = "",
     ) -> None:
-        """A text whose lines are centred on a height; turned, they are read from the right."""
+        """A text whose lines are centred on a height; turned, they are read from the right.
+
+        A page's script moves it where it ``moves`` with the time axis; the hint is shown when it is
+        pointed at.
+        """
         lines = str(text).split("\n")
         first = y - 0.6 * size * (len(lines) - 1) + 0.36 * size
         turn = f' transform="rotate(-90 {_n(x)} {_n(y)})"' if turned else ""
         weight = ' font-weight="bold"' if bold else ""
-        look = f'text-anchor="{anchor}" font-size="{_n(size)}" fill="{color}"{weight}{turn}'
+        moved = f' class="{moves}"' if moves else ""
+        look = f'text-anchor="{anchor}" font-size="{_n(size)}" fill="{color}"{weight}{turn}{moved}'
+        whole = f"<title>{escape(hint)}</title>" if hint else ""
         for number, line in enumerate(lines):
             height = first + 1.2 * size * number
-            self.parts.append(f'<text x="{_n(x)}" y="{_n(height)}" {look}>{escape(line)}</text>')
+            self.parts.append(
+                f'<text x="{_n(x)}" y="{_n(height)}" {look}>{escape(line)}{whole}</text>'
+            )
 
     def line(
         self,
@@ -172,9 +183,30 @@ class Canvas:
 
     def dots(self, points: Iterable[tuple[float, float]], color: str) -> None:
         """A dot at each point that is a number."""
-        self.parts += [
-            f'<circle cx="{_n(x)}" cy="{_n(y)}" r="3" fill="{color}"/>' for x, y in points if y == y
-        ]
+        # Short lines with round ends stay round where the axis is stretched.
+        path = "".join(f"M{_n(x)} {_n(y)}h.1" for x, y in points if y == y)
+        self.parts.append(
+            f'<path d="{path}" stroke="{color}" stroke-width="6" stroke-linecap="round"/>'
+        )
+
+    @contextmanager
+    def over_time(self, left: float, right: float, top: float, bottom: float) -> Iterator[None]:
+        """What is drawn within is stretched and moved with the axis, by a page's script."""
+        x, y, wide, high = map(_n, (left, top - 2, right - left, bottom - top + 6))
+        self.parts.append(
+            f'<svg class="time" x="{x}" y="{y}" width="{wide}" height="{high}" '
+            f'viewBox="{x} {y} {wide} {high}" preserveAspectRatio="none">'
+        )
+        yield
+        self.parts.append("</svg>")
+
+    @contextmanager
+    def group(self, name: str, width: float = 0.0) -> Iterator[None]:
+        """What is drawn within is moved together; its width in px is told to a page's script."""
+        wide = f' data-px="{_n(width)}"' if width else ""
+        self.parts.append(f'<g class="{name}"{wide}>')
+        yield
+        self.parts.append("</g>")
 
     def area(self, points: Iterable[tuple[float, float]], fill: str, opacity: float = 1.0) -> None:
         """A closed area."""
@@ -211,6 +243,17 @@ class Canvas:
             f'preserveAspectRatio="none" style="image-rendering: pixelated" '
             f'href="data:image/png;base64,{data}"/>'
         )
+
+
+def shortened(text: str, letters: int) -> str:
+    """A text of at most so many letters, with dots for what is left out.
+
+    >>> shortened("St Anne's Hospital", 10)
+    "St Anne's\N{HORIZONTAL ELLIPSIS}"
+    """
+    return (
+        text if len(text) <= letters else f"{text[: letters - 1].rstrip()}\N{HORIZONTAL ELLIPSIS}"
+    )
 
 
 def path_of(points: Iterable[tuple[float, float]]) -> str:

@@ -55,6 +55,7 @@ from vppres.report.plots.drawing import (
     png_of,
 )
 from vppres.report.plots.rows import (
+    BATTERIES,
     DARK,
     GIVING,
     LIMITED,
@@ -92,7 +93,7 @@ def energy_and_price(runs: Runs) -> Chart:
             energy.append(Curve(f"{label}: planned", planned, style.thin()))
         power.append(Curve(label, battery_power_kw(run), style))
     least, most = energy_limits_kwh(first)
-    limits = [Limit(most, "upper SoC limit"), Limit(least, "lower SoC limit")]
+    limits = [Limit(value, "limits of the state of charge") for value in (least, most)]
     stored = [
         Curves("Stored energy (kWh)", energy, 210.0, low=0.0, limits=limits),
         Curves("Net charging\npower (kW)", power, 140.0, limits=[ZERO]),
@@ -199,8 +200,8 @@ def voltages(runs: Runs) -> Chart:
         highest = first.steps["v_max_ac_pu"].to_numpy(float)
         lowest.append(Curve("highest bus voltage", highest, Style(ORANGE, "6 3", 1.4)))
     limits = [
-        Limit(network.v_min_pu, f"{network.v_min_pu:g} optimisation limit"),
-        Limit(network.v_min_ac_pu, f"{network.v_min_ac_pu:g} AC limit", dash=""),
+        Limit(network.v_min_pu, f"{network.v_min_pu:g} pu, optimisation limit"),
+        Limit(network.v_min_ac_pu, f"{network.v_min_ac_pu:g} pu, AC limit", dash=""),
     ]
     return Chart(
         "voltages",
@@ -271,7 +272,7 @@ def _battery_strip(run: Trajectory) -> Strip:
     share = battery_power_kw(run) / max(rated, 1e-9)
     states = np.select([share > IDLE_SHARE, share < -IDLE_SHARE], [1, 2], 0)
     looks = ((WHITE, "", ""), (GREEN, "lines", ""), (ORANGE, "dots", ""))
-    return Strip("Batteries", [looks[state] for state in states])
+    return Strip(BATTERIES, [looks[state] for state in states])
 
 
 def _sun_strip(run: Trajectory) -> Strip:
@@ -298,6 +299,7 @@ def _off(name: str, missing: Floats | Wholes) -> Strip:
     return Strip(
         name,
         [(UNSERVED if n else SERVED, "", f"{n:.0f}" if n and counted else "") for n in missing],
+        [f"{n:.0f}" for n in missing],
     )
 
 
@@ -377,6 +379,8 @@ def feeder_maps(run: Trajectory) -> Chart:
                 v[:, order].T,
                 "AC voltage (pu)",
                 CIVIDIS,
+                of="buses",
+                number=order,
             ),
             HeatMap(
                 "Line, by the bus that it feeds",
@@ -384,6 +388,8 @@ def feeder_maps(run: Trajectory) -> Chart:
                 line_values(run, rated)[:, lines].T,
                 "Loading (%)" if rated else "Current (A)",
                 CIVIDIS[::-1],
+                of="lines",
+                number=lines,
             ),
         ],
     )
@@ -410,8 +416,8 @@ def by_phase(run: Trajectory) -> Chart:
     loading = 100.0 * steps["loading_max"].to_numpy(float)
     unbalance = 100.0 * steps["unbalance_max"].to_numpy(float)
     limits = [
-        Limit(net.v_min_ac_pu, f"{net.v_min_ac_pu:g} AC limit", dash=""),
-        Limit(net.v_max_ac_pu, f"{net.v_max_ac_pu:g} AC limit", dash=""),
+        Limit(value, f"AC limits, {net.v_min_ac_pu:g} and {net.v_max_ac_pu:g} pu", dash="")
+        for value in (net.v_min_ac_pu, net.v_max_ac_pu)
     ]
     return Chart(
         "by_phase",
@@ -525,9 +531,10 @@ def _temperatures(run: Trajectory, axis: str, t_c: Floats, chosen: Flags) -> Cur
     loads = run.scenario.thermal_loads
     each = [Curve("each", t_c[:, h], ROOM, in_legend=False) for h in np.flatnonzero(chosen)]
     median = Curve("median", np.median(t_c[:, chosen], axis=1), MEDIAN)
-    ends = (("top of the band", loads.t_max_c), ("bottom of the band", loads.t_min_c))
     limits = [
-        Limit(float(end_c[chosen][0]), name) for name, end_c in ends if np.ptp(end_c[chosen]) == 0.0
+        Limit(float(end_c[chosen][0]), "comfort band")
+        for end_c in (loads.t_min_c, loads.t_max_c)
+        if np.ptp(end_c[chosen]) == 0.0
     ]
     return Curves(axis, [*each, median], 150.0, limits=limits)
 

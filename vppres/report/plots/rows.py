@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from vppres.core.arrays import Floats
+from vppres.core.arrays import Floats, Wholes
 from vppres.day.metrics import service_by_tier as share_by_tier
 from vppres.day.trajectory import Trajectory
 from vppres.report.plots.axes import ValueAxis
@@ -27,6 +27,7 @@ from vppres.report.plots.drawing import (
     WHITE,
     Canvas,
     blend,
+    shortened,
     text_px,
 )
 from vppres.report.tree_layout import tree_layout
@@ -34,6 +35,8 @@ from vppres.report.tree_layout import tree_layout
 MAX_NAMED_ROWS = 70
 HEAT_ROW_PX, HEAT_MOST_PX, ROW_NAME_PX = 10.0, 460.0, 8.5
 KEY_PX, KEY_COLOURS = 14.0, 64
+MOST_LETTERS = 24
+"""Of a row's name; the whole one is shown when it is pointed at."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +44,8 @@ class HeatMap(Panel):
     """Values of rows over the time of a run, (rows, T); NaN stays white.
 
     ``axis`` says what a row is, ``scale`` what the values are; colours go from the least to the
-    largest, or between the ``ends`` that are given.
+    largest, or between the ``ends`` that are given. Rows may be ``of`` a run's buses or lines, with
+    the ``number`` of each.
     """
 
     axis: str
@@ -51,6 +55,8 @@ class HeatMap(Panel):
     colours: tuple[str, ...]
     shaded: bool = False
     ends: tuple[float, float] | None = None
+    of: str = ""
+    number: Sequence[int] | Wholes = ()
 
     @property
     def height(self) -> float:
@@ -80,16 +86,20 @@ class HeatMap(Panel):
         return ValueAxis(*self._range, bottom, top)
 
     def draw(self, canvas: Canvas, frame: Frame, time: Across) -> None:
-        """Rows, their names, and the key."""
+        """Rows."""
         low, high = self._range
         height = frame.bottom - frame.top
         pixels = blend(self.colours, (self.values - low) / (high - low))
         canvas.image(frame.left, frame.top, frame.right - frame.left, height, pixels)
         canvas.box(frame.left, frame.top, frame.right - frame.left, height, "none", GREY)
+
+    def name(self, canvas: Canvas, frame: Frame, time: Across) -> None:
+        """Names of the rows, and the key."""
         draw_row_names(canvas, frame, self.names)
         middle = (frame.top + frame.bottom) / 2
         canvas.text(EDGE_PX + 0.6 * FONT_PX, middle, self.axis, anchor="middle", turned=True)
-        self._draw_key(canvas, frame)
+        with canvas.group("right"):
+            self._draw_key(canvas, frame)
 
     def _draw_key(self, canvas: Canvas, frame: Frame) -> None:
         """The colours beside their values."""
@@ -117,10 +127,15 @@ class HeatMap(Panel):
             for kind, values in kinds
         ]
 
+    def rows(self) -> dict[str, Any] | None:
+        """The bus or line of each row."""
+        return {"of": self.of, "each": [[int(n)] for n in self.number]} if self.of else None
+
 
 def row_names_px(names: Sequence[str]) -> float:
     """What names of rows take at the left."""
-    return max((text_px(name, ROW_NAME_PX) for name in names), default=0.0) + 8.0
+    widths = (text_px(shortened(name, MOST_LETTERS), ROW_NAME_PX) for name in names)
+    return max(widths, default=0.0) + 8.0
 
 
 def draw_row_names(canvas: Canvas, frame: Frame, names: Sequence[str]) -> None:
@@ -129,7 +144,9 @@ def draw_row_names(canvas: Canvas, frame: Frame, names: Sequence[str]) -> None:
     row_px = (frame.bottom - frame.top) / len(names)
     for number in range(0, len(names), every):
         place = frame.top + (number + 0.5) * row_px
-        canvas.text(frame.left - 5, place, names[number], anchor="end", size=ROW_NAME_PX)
+        name = shortened(names[number], MOST_LETTERS)
+        hint = names[number] if name != names[number] else ""
+        canvas.text(frame.left - 5, place, name, anchor="end", size=ROW_NAME_PX, hint=hint)
 
 
 MAX_NAMED_CUSTOMERS = 60
@@ -143,11 +160,12 @@ ROW_PX, TIER_PX, MOST_PX = 12.0, 44.0, 600.0
 
 @dataclass(frozen=True)
 class TileRows:
-    """Rows of the tiles: names, the share served, shape (rows, T), and the tier of each."""
+    """Rows of the tiles: names, the share served, (rows, T), tier and customers of each."""
 
     names: list[str]
     share: Floats
     tiers: list[str]
+    customers: list[list[int]]
 
 
 def tile_rows(run: Trajectory) -> TileRows:
@@ -164,6 +182,7 @@ def tile_rows(run: Trajectory) -> TileRows:
     names = []
     shares = []
     tiers = []
+    blocks = []
     for tier in day.tiers:
         members = np.flatnonzero(day.customers.tier == tier)
         if size > 1:
@@ -173,7 +192,8 @@ def tile_rows(run: Trajectory) -> TileRows:
             names.append(" ".join(str(name) for name in day.customers.id[block]))
             shares.append(served[:, block].mean(axis=1))
             tiers.append(tier)
-    return TileRows(names, np.array(shares).reshape(len(names), -1), tiers)
+            blocks.append(block.tolist())
+    return TileRows(names, np.array(shares).reshape(len(names), -1), tiers, blocks)
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,20 +202,20 @@ class Tiles(Panel):
 
     axis: str
     run: Trajectory
-    rows: TileRows
+    rows_of: TileRows
     shaded: bool = False
 
     @property
     def height(self) -> float:
         """Height in px: the smallest tier has room for its name, within reason."""
-        smallest = min(map(self.rows.tiers.count, self.rows.tiers))
+        smallest = min(map(self.rows_of.tiers.count, self.rows_of.tiers))
         row_px = max(TIER_PX / smallest, ROW_PX)
-        return min(row_px * len(self.rows.names), MOST_PX)
+        return min(row_px * len(self.rows_of.names), MOST_PX)
 
     @property
     def names(self) -> list[str]:
         """Names of the rows, if there is room for them."""
-        return self.rows.names if len(self.rows.names) <= MAX_NAMED_CUSTOMERS else []
+        return self.rows_of.names if len(self.rows_of.names) <= MAX_NAMED_CUSTOMERS else []
 
     @property
     def left_px(self) -> float:
@@ -219,44 +239,60 @@ class Tiles(Panel):
         return texts
 
     def draw(self, canvas: Canvas, frame: Frame, time: Across) -> None:
-        """Tiles, crosses, names of the rows and tiers."""
-        share = self.rows.share
+        """Tiles and crosses."""
+        share = self.rows_of.share
         width = frame.right - frame.left
         height = frame.bottom - frame.top
         canvas.image(frame.left, frame.top, width, height, blend((UNSERVED, SERVED), share))
         row_px = height / len(share)
         if share.size <= MOST_CROSSES:
             self._draw_tiles(canvas, frame, time, row_px)
+        for below in self._tier_ends(frame).values():
+            canvas.line([(frame.left, below), (frame.right, below)], BLACK)
+
+    def _tier_ends(self, frame: Frame) -> dict[str, float]:
+        """Where the rows of each tier end, in px."""
+        counts = {tier: self.rows_of.tiers.count(tier) for tier in self._tier_texts()}
+        ends = frame.top + (frame.bottom - frame.top) * np.cumsum([*counts.values()]) / sum(
+            counts.values()
+        )
+        return dict(zip(counts, ends.tolist(), strict=True))
+
+    def name(self, canvas: Canvas, frame: Frame, time: Across) -> None:
+        """Names of the rows and tiers."""
         if self.names:
             draw_row_names(canvas, frame, self.names)
         middle = (frame.top + frame.bottom) / 2
         at = EDGE_PX + 0.6 * FONT_PX * (1 + self.axis.count("\n"))
         canvas.text(at, middle, self.axis, anchor="middle", turned=True)
-        top = frame.top
-        for tier, text in self._tier_texts().items():
-            below = top + row_px * self.rows.tiers.count(tier)
-            room = below - top >= TIER_PX
-            canvas.text(frame.right + 8, (top + below) / 2, text if room else text.split("\n")[0])
-            top = below
-            canvas.line([(frame.left, top), (frame.right, top)], BLACK)
+        top, ends = frame.top, self._tier_ends(frame)
+        with canvas.group("right"):
+            for tier, text in self._tier_texts().items():
+                words = text if ends[tier] - top >= TIER_PX else text.split("\n")[0]
+                canvas.text(frame.right + 8, (top + ends[tier]) / 2, words)
+                top = ends[tier]
 
     def _draw_tiles(self, canvas: Canvas, frame: Frame, time: Across, row_px: float) -> None:
         """Seams between the tiles, and a cross where no customer of a row is supplied."""
         edges = time.edges
         gap = (np.nan, np.nan)
         seams = [[(x, frame.top), (x, frame.bottom), gap] for x in edges[1:-1]]
-        for row in range(1, len(self.rows.share)):
+        for row in range(1, len(self.rows_of.share)):
             y = frame.top + row * row_px
             seams.append([(frame.left, y), (frame.right, y), gap])
         canvas.line(itertools.chain.from_iterable(seams), WHITE, 0.7)
         arm = min(3.0, 0.3 * row_px)
         crosses = []
-        for row, t in np.argwhere(self.rows.share == 0.0).tolist():
+        for row, t in np.argwhere(self.rows_of.share == 0.0).tolist():
             x = (edges[t] + edges[t + 1]) / 2
             y = frame.top + (row + 0.5) * row_px
             crosses += [(x - arm, y - arm), (x + arm, y + arm), gap]
             crosses += [(x - arm, y + arm), (x + arm, y - arm), gap]
         canvas.line(crosses, WHITE, 1.2)
+
+    def rows(self) -> dict[str, Any]:
+        """The customers of each row."""
+        return {"of": "customers", "each": self.rows_of.customers}
 
     def entries(self) -> Iterable[Entry]:
         """What the colours mean."""
@@ -264,6 +300,7 @@ class Tiles(Panel):
         yield Entry("off supply (x)", fill=UNSERVED)
 
 
+BATTERIES = "Batteries"
 DARK, LIMITED, GIVING = "#707070", "#C8C8C8", "#FFFFFF"
 STRIP_PX, STRIP_TEXT_PX = 34.0, 9.5
 
@@ -273,10 +310,11 @@ Look = tuple[str, str, str]
 
 @dataclass(frozen=True)
 class Strip:
-    """A look for each step."""
+    """A look for each step, and what a pointer reads of it."""
 
     name: str
     looks: Sequence[Look]
+    said: Sequence[str] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -297,12 +335,10 @@ class Strips(Panel):
         return max(text_px(strip.name) for strip in self.strips) + 8.0
 
     def draw(self, canvas: Canvas, frame: Frame, time: Across) -> None:
-        """Boxes and texts."""
+        """Boxes."""
         edges = time.edges
         for row, strip in enumerate(self.strips):
             top = frame.top + STRIP_PX * row + 0.14 * STRIP_PX
-            middle = frame.top + STRIP_PX * (row + 0.5)
-            canvas.text(frame.left - 6, middle, strip.name, anchor="end")
             start = 0
             for (fill, hatch, _), steps in groupby(strip.looks):
                 end = start + len(list(steps))
@@ -312,7 +348,13 @@ class Strips(Panel):
                     over = canvas.hatched(BLACK, hatch)
                     canvas.box(edges[start], top, width, 0.72 * STRIP_PX, over, GREY)
                 start = end
-            self._write(canvas, strip, edges, middle)
+
+    def name(self, canvas: Canvas, frame: Frame, time: Across) -> None:
+        """Names, and texts of steps."""
+        for row, strip in enumerate(self.strips):
+            middle = frame.top + STRIP_PX * (row + 0.5)
+            canvas.text(frame.left - 6, middle, strip.name, anchor="end")
+            self._write(canvas, strip, time.edges, middle)
 
     def _write(self, canvas: Canvas, strip: Strip, edges: Any, middle: float) -> None:
         """Texts of steps, those of words once for steps that have the same."""
@@ -323,13 +365,29 @@ class Strips(Panel):
             for first, last in spans:
                 if text and edges[last] - edges[first] > text_px(text, STRIP_TEXT_PX):
                     at = (edges[first] + edges[last]) / 2
-                    bold = text.isdigit()
-                    canvas.text(at, middle, text, anchor="middle", size=STRIP_TEXT_PX, bold=bold)
+                    canvas.text(
+                        at,
+                        middle,
+                        text,
+                        anchor="middle",
+                        size=STRIP_TEXT_PX,
+                        bold=text.isdigit(),
+                        moves="at",
+                    )
             start = end
 
     def entries(self) -> Iterable[Entry]:
         """What the colours mean."""
         yield Entry("outage", fill=DARK)
-        yield Entry("charging", fill=GREEN, hatch=BLACK)
-        yield Entry("discharging", fill=ORANGE, hatch=BLACK, kind="dots")
+        if any(strip.name == BATTERIES for strip in self.strips):
+            yield Entry("charging", fill=GREEN, hatch=BLACK)
+            yield Entry("discharging", fill=ORANGE, hatch=BLACK, kind="dots")
         yield Entry("customers off supply", fill=UNSERVED)
+
+    def readings(self) -> list[dict[str, Any]]:
+        """Strips that say something of a step."""
+        return [
+            {"name": strip.name, "color": GREY, "values": strip.said}
+            for strip in self.strips
+            if strip.said
+        ]

@@ -16,13 +16,16 @@ from vppres.report.one_line import (
 )
 from vppres.report.sections.base import Run, Section, section
 
+KINDS = {"gensets": "generating set", "chargers": "charger", "thermal_loads": "cooling or heat"}
+"""Signs of devices beside those that every feeder has, in words."""
+
 EN_DASH = "\N{EN DASH}"
 
 
 def feeder_section(run: Run) -> Section:
     """The diagram in the worst outage step, with a choice of the others."""
     day = run.trajectory.scenario
-    states = step_states(run.trajectory)
+    drawn, states = drawing(run.trajectory), step_states(run.trajectory)
     voltages = _voltage_words(run.trajectory)
     customers = [
         f"{name} ({tier})" for name, tier in zip(day.customers.id, day.customers.tier, strict=True)
@@ -32,7 +35,7 @@ def feeder_section(run: Run) -> Section:
         "feeder",
         "The feeder",
         {
-            "drawing": drawing(run.trajectory),
+            "drawing": drawn,
             "start": states["start"],
             "states": states,
             "colours": voltage_colours(len(voltages)),
@@ -41,6 +44,7 @@ def feeder_section(run: Run) -> Section:
             "rated": day.network.has_ratings,
             "limits": (day.network.v_min_ac_pu, day.network.v_max_ac_pu),
             "tiers": day.tiers,
+            "kinds": {kind: words for kind, words in KINDS.items() if len(getattr(day, kind))},
             "has_outage": bool(run.trajectory.steps["outage"].any()),
             "data": states
             | {
@@ -48,6 +52,11 @@ def feeder_section(run: Run) -> Section:
                 "lines": ends,
                 "ratings": _ratings(run.trajectory),
                 "batteries": day.batteries.id.tolist(),
+                "buses": [{"name": bus.name, "connected": bus.connected} for bus in drawn.buses],
+                "devices": {
+                    kind: [f"{words} {name}" for name in getattr(day, kind).id]
+                    for kind, words in {"pv": "PV", **KINDS}.items()
+                },
             },
         },
     )
