@@ -338,13 +338,26 @@ def test_schema_is_printed() -> None:
 
 
 def option_names(command: str) -> list[str]:
-    """Options of a command in the order of its help, without --help."""
+    """Options of a command in the order of its help, without those that show it."""
     found = COMMANDS[command]
     return [
         parameter.opts[0]
         for parameter in found.get_params(typer.Context(found))
-        if parameter.opts[0].startswith("--") and parameter.name != "help"
+        if parameter.opts[0].startswith("--") and parameter.name not in ("help", "help_all")
     ]
+
+
+def test_help_of_a_run_is_a_screen_and_help_all_has_everything(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    shown = call("run", "--help").stdout
+    usual = "controller horizon priority mode outages seed out figures json quiet help help-all"
+    assert re.findall(r"^│ --([a-z-]+)", shown, re.MULTILINE) == usual.split()
+    assert len(shown.splitlines()) <= 40
+    whole = call("run", "--help-all").stdout
+    assert set(option_names("run")) <= set(re.findall(r"--[a-z-]+", whole))
+    assert "Show all options and exit." not in call("validate", "--help").stdout
 
 
 def documented_options(command: str) -> list[str]:

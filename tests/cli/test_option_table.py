@@ -180,7 +180,7 @@ def test_a_row_is_enough_for_an_option(
 
     folder = str(tmp_path / "tiny")
     assert "Largest absolute gap. [default: 0.005]" in " ".join(
-        call("run", "--help").stdout.replace("│", " ").split()
+        call("run", "--help-all").stdout.replace("│", " ").split()
     )
     call("run", folder, "--gap-abs", "0.25", "--out", str(tmp_path / "run"))
     assert [options.limits.gap_abs for options in caught] == [0.25]

@@ -36,6 +36,7 @@ from vppres.cli.options import (
     LiveCommand,
     NewCommand,
     Quiet,
+    RunCommand,
     RunFolder,
     ScenarioName,
     fields_of,
@@ -134,7 +135,7 @@ def common(
 
 # The arguments of a typer command are its options, hence their number.
 @app.command(
-    cls=DayCommand, epilog="Example: vppres run uk-heatwave-2022 --horizon 3 --load-bias 0.1"
+    cls=RunCommand, epilog="Example: vppres run uk-heatwave-2022 --horizon 3 --load-bias 0.1"
 )
 def run(
     context: typer.Context,

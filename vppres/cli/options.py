@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import copy
 from functools import cache
 from inspect import Parameter, signature
 from math import isfinite
@@ -107,6 +108,17 @@ def help_text(option: Option) -> str:
     return f"{text}; {unset} if not given." if unset else f"{text}."
 
 
+def short_help(option: Option) -> str:
+    """The same without explanations of the choices.
+
+    >>> short_help(next(option for option in OPTIONS if option.name == "priority"))
+    'Order of the tiers: weights or strict.'
+    """
+    text = option.meaning[0].upper() + option.meaning[1:]
+    choices = " or ".join(filter(None, (", ".join(option.choices[:-1]), *option.choices[-1:])))
+    return f"{text}: {choices}." if choices else f"{text}."
+
+
 def _declared(option: Option) -> Parameter:
     """An option of the table as a parameter of a typer command.
 
@@ -142,11 +154,35 @@ DAY_OPTIONS = tuple(option for option in OPTIONS if option.command_line)
 """The options that `run` and `sweep` share."""
 
 
+WHOLE = "vppres.whole_help"
+"""Set in the context while the help shows every option."""
+
+
+def _show_all(context: typer.Context, wanted: bool) -> None:
+    """Print the help with every option."""
+    if wanted:
+        context.meta[WHOLE] = True
+        typer.echo(context.get_help())
+        raise typer.Exit
+
+
+HelpAll = Annotated[
+    bool,
+    typer.Option(
+        "--help-all",
+        callback=_show_all,
+        is_eager=True,
+        expose_value=False,
+        help="Show all options and exit.",
+    ),
+]
+
+
 @cache
 def _parameters(options: tuple[Option, ...]) -> tuple[Any, ...]:
-    """``--debug`` and the options of a table as typer makes them for a command of its own."""
+    """``--debug``, ``--help-all`` and the options of a table, as typer makes them."""
 
-    def declared(debug: Debug = False) -> None:
+    def declared(debug: Debug = False, help_all: HelpAll = False) -> None:
         """Have the options of the table as its parameters too."""
 
     own = signature(declared, eval_str=True)
@@ -177,23 +213,66 @@ class Command(TyperCommand):
 
     table: tuple[Option, ...] = ()
 
+    rare: tuple[str, ...] = ("debug",)
+    """What the short help leaves out besides the options of the table that are not usual."""
+
+    @property
+    def _is_long(self) -> bool:
+        """Whether the help of all options needs more than a screen."""
+        return any(option.usual for option in self.table)
+
     def get_params(self, ctx: Any) -> list[Any]:
         """All arguments and options, those that must be given first."""
         both = [*_parameters(self.table), *super().get_params(ctx)]
-        return sorted(both, key=lambda p: (not p.required, p.name == "help", p.name == "debug"))
+        last = ["debug", "help", "help_all"]
+        both = [one for one in both if self._is_long or one.name != "help_all"]
+        return sorted(
+            both,
+            key=lambda p: (not p.required, p.name in last, p.name in last and last.index(p.name)),
+        )
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """The help: of a long command the usual options, unless all are asked for."""
+        if not self._is_long or WHOLE in ctx.meta:
+            return super().format_help(ctx, formatter)
+        brief = copy(self)
+        of_table = {_key(option): option for option in self.table}
+        brief.get_params = lambda ctx: [  # type: ignore[method-assign]
+            _shortened(one, of_table.get(one.name))
+            for one in self.get_params(ctx)
+            if one.name not in self.rare and (one.name not in of_table or of_table[one.name].usual)
+        ]
+        return super(Command, brief).format_help(ctx, formatter)
 
     def invoke(self, ctx: Any) -> Any:
         """Call the function with its own options."""
-        debug, *table = (ctx.params.pop(one.name) for one in _parameters(self.table))
+        names = [one.name for one in _parameters(self.table) if one.expose_value]
+        debug, *table = (ctx.params.pop(name) for name in names)
         ctx.obj = {_key(option): value for option, value in zip(self.table, table, strict=True)}
         with plain_errors(debug):
             return super().invoke(ctx)
+
+
+def _shortened(parameter: Any, option: Option | None) -> Any:
+    """A parameter of the table as the short help shows it."""
+    if option is None:
+        return parameter
+    shown = copy(parameter)
+    shown.help = short_help(option)
+    shown.rich_help_panel = None
+    return shown
 
 
 class DayCommand(Command):
     """A command with the options of a day's run."""
 
     table = DAY_OPTIONS
+
+
+class RunCommand(DayCommand):
+    """The command ``run``."""
+
+    rare = ("explain", "no_figures", "debug")
 
 
 class LiveCommand(Command):

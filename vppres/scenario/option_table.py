@@ -133,6 +133,8 @@ class Option:
         Whether a sweep can vary it.
     live : bool
         Whether it has a meaning for a live controller, whose plant is the site.
+    usual : bool
+        Whether ``--help`` shows it; ``--help-all`` shows all.
     """
 
     name: str
@@ -154,6 +156,7 @@ class Option:
     command_line: bool = True
     sweep: bool = True
     live: bool = True
+    usual: bool = False
 
     @property
     def run_default(self) -> Value | None:
@@ -202,6 +205,7 @@ def _option(row: dict[str, str]) -> Option:
         command_line="python-only" not in flags,
         sweep="unswept" not in flags,
         live="simulated" not in flags,
+        usual="usual" in flags,
         **{name: row.get(name, "") for name in texts},
     )
 
