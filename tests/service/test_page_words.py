@@ -307,11 +307,13 @@ def test_an_alarm_whose_condition_is_gone_is_told_as_over(tmp_path: Path) -> Non
     ]
 
 
-def test_a_tier_order_that_is_not_kept_is_on_the_page(tiny: Scenario, tmp_path: Path) -> None:
+def test_a_higher_tier_that_waits_for_a_lower_one_is_on_the_page(
+    tiny: Scenario, tmp_path: Path
+) -> None:
     with running(tiny, tmp_path / "state") as (http, clock, runner):
         decided(http, clock, NOON, soc=0.85)
         assert runner.last is not None
         runner.last["solve"]["inverted"] = "hospital is off supply, while homes have 50.0 kW"
         found = told(http, tmp_path)["attention"]
-    words = "Tier order is not kept: hospital is off supply, while homes have 50.0 kW."
+    words = "A lower tier is on while a higher one waits: hospital is off supply, while homes have 50.0 kW."
     assert ["warning", words] in found

@@ -21,7 +21,7 @@ from vppres.day.metrics import cautions
 from vppres.day.priority import site_of
 from vppres.io import read_scenario, write_scenario
 from vppres.model.site import Site
-from vppres.scenario.assets import Customers
+from vppres.scenario.assets import Customers, PVSystems
 from vppres.scenario.priority import MOST_WORTH, Ranks
 from vppres.scenario.scenario import ObjectiveWeights, Priority, Scenario
 from vppres.solve.ladder import WindowSolver
@@ -225,7 +225,7 @@ def test_energy_that_was_left_is_not_blamed_on_lower_tiers() -> None:
             "weights",
             {
                 "inverted": "c0 (critical, 60.0 kW) is off supply, while c1, c2, c3 of lower "
-                "tiers have 60.0 kW"
+                "tiers have 60.0 kW; the plan does not supply it in the next step either"
             },
         ),
         ("strict", {"levels": "critical 2/2, low 0/0"}),
@@ -238,6 +238,24 @@ def test_live_controllers_tell_order_and_levels(rule: str, told: dict[str, str])
     assert {
         name: points.solve[name] for name in ("levels", "inverted") if name in points.solve
     } == told
+
+
+def test_who_waits_for_a_later_step_is_told_with_what_charges() -> None:
+    """The sun carries the hospital in one of both hours; if that is the second, two homes more."""
+    day = hospital_and_homes()
+    load_kw = np.array([[60.0, 20.0, 20.0, 20.0], [40.0, 20.0, 20.0, 20.0]])
+    sun = PVSystems(id=["p"], customer=["c1"], p_max_kw=[60.0], s_max_kva=[70.0])
+    batteries = battery(energy_kwh=200.0, p_max_kw=70.0, soc=0.15 + 30.0 / 190.0)
+    dim = replace(
+        day, load_kw=load_kw, pv=sun, pv_kw=np.array([[60.0], [0.0]]), batteries=batteries
+    )
+    controller = Controller.of(dim, RunOptions(priority="strict", isolate=False))
+    read = Measurement(controller.times[0], soc={"b0": batteries.soc_initial[0]})
+    told = controller.step(read).solve
+    assert told["levels"] == "critical 1/1, low 2/2"
+    assert str(told["inverted"]).startswith("c0 (critical, 60.0 kW) is off supply, while ")
+    assert " of lower tiers have 40.0 kW and batteries charge with " in told["inverted"]
+    assert told["inverted"].endswith("; the plan supplies it in the next step")
 
 
 @pytest.mark.parametrize("rule", ["weights", "strict"])

@@ -214,8 +214,14 @@ def _worst_words(run: Trajectory, found: list[Inversion]) -> str:
     )
 
 
-def inverted_now(scenario: Scenario, served: Flags, load_kw: Floats) -> str:
-    """The most important customer off supply whose demand lower tiers take now, in a sentence.
+def inverted_now(
+    scenario: Scenario,
+    served: Flags,
+    load_kw: Floats,
+    charge_kw: float = 0.0,
+    later: Flags | None = None,
+) -> str:
+    """The most important customer off supply whose demand others take now, in a sentence.
 
     Parameters
     ----------
@@ -223,11 +229,16 @@ def inverted_now(scenario: Scenario, served: Flags, load_kw: Floats) -> str:
         Customers and tiers.
     served, load_kw : array, shape (C,)
         Who is supplied in a step, and the demand of all.
+    charge_kw : float, optional
+        What batteries take in the step.
+    later : array of bool, shape (W - 1, C), optional
+        Who is meant to be supplied in the steps that follow.
 
     Returns
     -------
     str
-        Empty if there is none. What is saved for later steps is not looked at.
+        Empty if lower tiers have nothing, or less with what batteries take than any such customer
+        needs. It says for how many of the later steps the customer waits.
     """
     c = scenario.customers
     rank = {tier: k for k, tier in enumerate(scenario.tiers)}
@@ -236,8 +247,21 @@ def inverted_now(scenario: Scenario, served: Flags, load_kw: Floats) -> str:
     for customer in sorted(np.flatnonzero(~on), key=lambda i: (position[i], -load_kw[i])):
         lower = on & (position > position[customer])
         lower_kw = float(load_kw[lower].sum())
-        if lower.any() and lower_kw >= load_kw[customer]:
+        if lower.any() and lower_kw + charge_kw >= load_kw[customer]:
             off = f"{c.id[customer]} ({c.tier[customer]}, {load_kw[customer]:,.1f} kW)"
-            others = named(c.id[lower], NAMES)
-            return f"{off} is off supply, while {others} of lower tiers have {lower_kw:,.1f} kW"
+            others = f"{named(c.id[lower], NAMES)} of lower tiers have {lower_kw:,.1f} kW"
+            if charge_kw > TOLERANCE_KW:
+                others += f" and batteries charge with {charge_kw:,.1f} kW"
+            return f"{off} is off supply, while {others}{_waits(later, customer)}"
     return ""
+
+
+def _waits(later: Flags | None, customer: int) -> str:
+    """For what a customer off supply waits by the plan; empty if it looks at no later step."""
+    if later is None or not len(later):
+        return ""
+    on = np.asarray(later, dtype=bool)[:, customer]
+    steps = "the next step" if len(on) == 1 else f"the next {len(on)} steps"
+    if not on.any():
+        return f"; the plan does not supply it in {steps} either"
+    return f"; the plan supplies it in {steps if on.all() else f'{on.sum()} of {steps}'}"

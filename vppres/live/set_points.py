@@ -72,8 +72,9 @@ class SetPoints(SetPointsOfKinds):
         outages ``stored_value_gbp_per_kwh``, what one more stored kWh is worth later, and
         ``outage_messages``, which of several messages about one outage counts. ``dark_reason`` says
         why an island is blacked out, ``ac_failed`` why its lines do not carry the plan. In strict
-        order ``levels`` has what was supplied of each tier and what could be at most; ``inverted``
-        names a customer off supply whose demand lower tiers take.
+        order ``levels`` has how many steps of the window the plan supplies to customers of each tier,
+        and how many it could at most; ``inverted`` names a customer off supply whose demand lower
+        tiers and charging batteries take now, and in how many later steps the plan supplies it.
     feeding : Feeding
         What holds the voltage: the grid, a battery, or nothing.
     foreseen : Foreseen
@@ -139,7 +140,7 @@ class SetPoints(SetPointsOfKinds):
             pv=_pv(scenario, step.pv),
             buses=_table(scenario.network.buses, index="bus", v_ac_pu=step.buses["v_ac_pu"]),
             import_kw=float(step.steps["p_grid_kw"]),
-            solve=_solve(step) | _priority(scenario, step),
+            solve=_solve(step) | _priority(scenario, step, foreseen),
             feeding=Feeding.of(
                 scenario,
                 bool(scenario.outage[step.t]),
@@ -275,11 +276,17 @@ def _sheds(step: StepRecord) -> bool:
     return bool(step.customers["shed"].any()) and not step.steps.get("dark_reason")
 
 
-def _priority(scenario: Scenario, step: StepRecord) -> dict[str, str]:
-    """Bounds of the tiers in strict order, and in an outage a tier order that is not kept."""
+def _priority(scenario: Scenario, step: StepRecord, foreseen: Foreseen) -> dict[str, str]:
+    """Bounds of the tiers in strict order, and in an outage who waits while lower tiers are on."""
     columns = step.customers
     inverted = (
-        inverted_now(scenario, columns["served"] > 0.5, columns["p_load_kw"])
+        inverted_now(
+            scenario,
+            columns["served"] > 0.5,
+            columns["p_load_kw"],
+            float(step.batteries["charge_kw"].sum()),
+            foreseen.served.to_numpy(bool),
+        )
         if scenario.outage[step.t]
         else ""
     )

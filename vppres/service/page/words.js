@@ -285,7 +285,7 @@ export function attention(view) {
   if (plan?.unaware_of?.length) say(WARNING, `The plan does not know yet: ${list(plan.unaware_of).replace(MOMENT, (time) => at(time))}.`);
   if (plan?.solve) {
     if (plan.shed?.length) say(WARNING, `Shed, although the plan supplied ${plan.shed.length === 1 ? "it" : "them"}: ${list(plan.shed.map((one) => one.asset))} (${plan.shed[0].reason}).`);
-    if (plan.solve.inverted) say(WARNING, `Tier order is not kept: ${plan.solve.inverted}.`);
+    if (plan.solve.inverted) say(WARNING, `A lower tier is on while a higher one waits: ${plan.solve.inverted}.`);
     if (plan.solve.correction_reason) say(NOTE, `The plan was corrected: ${plan.solve.correction_reason}.`);
     if (plan.solve.outage_messages) say(NOTE, `Several messages speak of one outage: ${plan.solve.outage_messages}.`);
     if (plan.estimated.length) say(NOTE, `Estimated: ${list(plan.estimated)}.`);
