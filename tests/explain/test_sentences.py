@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from benchmarks.random_feeders import random_scenario
-from tests.support.small_windows import DARK, OPEN, battery, two_buses
+from tests.support.small_windows import DARK, OPEN, battery, two_buses, with_pv
 from vppres.core.arrays import Floats
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
@@ -224,3 +224,28 @@ def test_no_sentence_promises_more_where_all_are_supplied() -> None:
     assert run.customers["served"].all()
     assert run.explanations is not None
     assert not run.explanations["words"].str.contains("would add").any()
+
+
+@pytest.mark.parametrize("priority", ["weights", "strict"])
+def test_an_island_without_batteries_lacks_no_battery_power(priority: str) -> None:
+    day = two_buses([[3.0, 4.0]] * 2, [1.0, 1.0], [DARK, DARK])
+    day = with_pv(day, [5.0, 5.0])
+    run = explain_day(run_day(day, RunOptions(horizon_h=1.0, mode="paper", priority=priority)))
+    assert run.explanations is not None
+    off = run.explanations[run.explanations["action"] == "not_served"]
+    assert len(off) == 2
+    assert off["words"].str.contains("power from PV").all()
+    assert not run.explanations["words"].str.contains("battery power|stored energy").any()
+
+
+def test_what_a_customer_adds_to_the_losses_counts_among_what_it_needs() -> None:
+    """36.2 kW are left beside 36 kW of demand, which lose another 2 kW on the way."""
+    day = random_scenario(18, stressed=True, n_steps=8)
+    limits_kw = np.where(day.grid_limit_kw > 0.0, day.grid_limit_kw, np.inf)
+    limits_kw[1:3] = 0.0
+    options = RunOptions(horizon_h=1.0, mode="physical", priority="weights")
+    run = explain_day(run_day(replace(day, grid_limit_kw=limits_kw), options))
+    assert run.explanations is not None
+    told = run.explanations
+    off = told[(told["action"] == "not_served") & (told["id"] == "c5")]
+    assert off["words"].str.contains("battery power").all()

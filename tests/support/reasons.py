@@ -133,6 +133,8 @@ def what_is_wrong(step: Step, customer: int, reason: Reason) -> str:
     tolerance = TOLERANCE * float(recorded.site.customers.weight.min())
     if on and forced is not None and _gain(recorded.site, forced) > gain + tolerance:
         return "a plan with the customer is worth more"
+    if not len(recorded.site.batteries) and reason.driver in ("power", "energy"):
+        return _in_reach_of_sun(step, customer)
     if reason.driver in LIMITS and any(words in reason.words for words in NOT_IN_FULL):
         limits = [str(limit) for limit in limits_in_full(step, customer, reason.binding)]
         limits = limits or [str(reason.binding)]
@@ -150,6 +152,17 @@ def _not_kept(step: Step, customer: int) -> str:
     if plan is None or not plan.dispatch.served[0, list(held)].all():
         return "the customer could not be on now, so energy is not kept"
     return ""
+
+
+def _in_reach_of_sun(step: Step, customer: int) -> str:
+    """Whether an island without batteries has what the customer and all that are on need."""
+    if "battery" in why_not_served(step, customer).words:
+        return "there is no battery"
+    on = step.served.copy()
+    on[customer] = True
+    needed_kw = float(step.load_kw[on].sum())
+    given_kw = float(step.scenario.pv_kw[step.t].sum()) + float(step.site.gensets.p_max_kw.sum())
+    return "there is power enough" if given_kw >= needed_kw else ""
 
 
 def _with_plenty(step: Step, customer: int, limits: Sequence[str], gain: float) -> str:
@@ -238,7 +251,7 @@ def _gain_of_run(recorded: Recorded, t: int) -> float:
 
 
 def _gain(site: Site, solution: WindowSolution) -> float:
-    """Service and curtailment of a plan by the weights of the run, in weighted customer hours."""
+    """Service, now and later, and curtailment of a plan, in weighted customer hours of the run."""
     served: Floats = solution.dispatch.served @ site.customers.weight
     lost = site.weights.lambda_curt * solution.dispatch.pv_curtailed_kw.sum()
-    return float(served.sum() - lost) * site.dt_h
+    return float(served.sum() - lost) * site.dt_h + solution.terms.f7

@@ -18,7 +18,6 @@ from vppres.explain.room import limits_in_full, overloaded_line, overloaded_phas
 from vppres.explain.step import DRIVERS, Binding, Reason, Scarce, Step
 from vppres.explain.words import (
     SCARCE,
-    TOO_LITTLE,
     figure,
     hours_of,
     line_name,
@@ -27,8 +26,10 @@ from vppres.explain.words import (
     one_more,
     phase_name,
     pounds,
+    scarce_name,
     service_words,
     stored_worth_gbp,
+    too_little,
 )
 
 OFF_PRICE = 0.02
@@ -111,7 +112,8 @@ def _why_off(step: Step, customer: int) -> Reason:
     restored = np.flatnonzero(step.ended & step.served)
     if binding and gain > WORTH and len(restored):
         names = named(step.site.customers.id[restored].tolist(), NAMES_SHOWN)
-        words = f"Not supplied: {SCARCE[binding]} goes to {names}, whose longest time off ends."
+        scarce = scarce_name(step, binding)
+        words = f"Not supplied: {scarce} goes to {names}, whose longest time off ends."
         return Reason("longest_off", binding, words)
     if not binding:
         return _nothing_scarce(step, customer)
@@ -135,7 +137,7 @@ def _too_little(step: Step, customer: int, binding: Scarce) -> str:
     which = _which_for(step, customer, binding)
     if which is None:
         kept = kept_for(step, customer) if binding == "energy" else ""
-        return f"{TOO_LITTLE[binding]}{f': it is {kept}' if kept else ''}"
+        return f"{too_little(step, binding)}{f': it is {kept}' if kept else ''}"
     if binding == "phase":
         return f"{phase_name(step, which)} would be overloaded by its {demand_kw} kW"
     return f"{line_words(step, which)} does not carry its {demand_kw} kW in full"
@@ -145,7 +147,7 @@ def scarce_words(step: Step, customer: int, binding: Scarce) -> str:
     """What is scarce for a customer, by name."""
     which = _which_for(step, customer, binding)
     if which is None:
-        return SCARCE[binding]
+        return scarce_name(step, binding)
     named_in = phase_name if binding == "phase" else line_name
     return f"the rating of {named_in(step, which)}"
 

@@ -29,9 +29,10 @@ def limits_in_full(step: Step, customer: int, binding: Binding) -> list[Scarce]:
         What is scarce for a share of the customer.
     """
     priced = {name for name, cost in step.supply_cost.items() if cost[customer] > WORTH}
-    if step.spare_kw < float(step.load_kw[customer]):
+    needed_kw = _needed_kw(step, customer)
+    if step.spare_kw < needed_kw:
         priced.add("power")
-    if step.spare_kwh < float(step.load_kw[customer]) * step.site.dt_h:
+    if len(step.site.batteries) and step.spare_kwh < needed_kw * step.site.dt_h:
         priced.add("energy")
     if overloaded_line(step, customer) is not None:
         priced.add("rating")
@@ -40,6 +41,21 @@ def limits_in_full(step: Step, customer: int, binding: Binding) -> list[Scarce]:
     if _under_voltage(step, customer):
         priced.add("voltage")
     return sorted(priced, key=lambda name: (name != binding, name))
+
+
+def _needed_kw(step: Step, customer: int) -> float:
+    """Demand of a customer with what it adds to the losses, which grow with the square of power.
+
+    Plans of the paper's mode have no losses.
+    """
+    demand_kw = float(step.load_kw[customer])
+    if step.recorded.options.get("mode") != "physical":
+        return demand_kw
+    now_kw = float(step.load_kw @ (step.share * step.served))
+    lost_kw = float(step.recorded.trajectory.steps["losses_kw"].iloc[step.t])
+    if now_kw <= demand_kw * WORTH:
+        return demand_kw
+    return demand_kw + lost_kw * ((1.0 + demand_kw / now_kw) ** 2 - 1.0)
 
 
 def overloaded_line(step: Step, customer: int) -> int | None:

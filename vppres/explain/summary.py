@@ -7,7 +7,7 @@ from dataclasses import replace
 from vppres.explain.kept import why_kept
 from vppres.explain.prices import WORTH
 from vppres.explain.step import Driver, Reason, Step
-from vppres.explain.words import SCARCE, figure, money, one_more, service_words
+from vppres.explain.words import figure, money, one_more, scarce_name, service_words
 
 
 def why_step(step: Step) -> Reason:
@@ -29,7 +29,7 @@ def _driven(step: Step) -> Reason:
         return Reason(
             scarce,
             scarce,
-            f"{_headline(step)} Binding limit: {SCARCE[scarce].removeprefix('the ')}"
+            f"{_headline(step)} Binding limit: {scarce_name(step, scarce).removeprefix('the ')}"
             f"{f'; {offer}' if offer else ''}.",
         )
     return Reason(_calm_driver(step), scarce, f"{_headline(step)} {_worth(step)}".rstrip())

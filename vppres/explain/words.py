@@ -35,6 +35,21 @@ TOO_LITTLE: dict[Binding, str] = {
 }
 
 
+def scarce_name(step: Step, binding: Binding) -> str:
+    """What is scarce, by name; what gives the power of an island that has no batteries."""
+    if binding not in ("power", "energy") or len(step.site.batteries):
+        return SCARCE[binding]
+    units = ((step.site.pv.word, step.site.pv), ("generating sets", step.site.gensets))
+    return f"power from {' and '.join(name for name, each in units if len(each)) or 'batteries'}"
+
+
+def too_little(step: Step, binding: Binding) -> str:
+    """That there is too little of what is scarce."""
+    if scarce_name(step, binding) == SCARCE[binding]:
+        return TOO_LITTLE[binding]
+    return f"not enough {scarce_name(step, binding)} to supply it in full"
+
+
 def figure(value: float) -> str:
     """A number with two digits that count.
 
