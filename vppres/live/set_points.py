@@ -73,8 +73,9 @@ class SetPoints(SetPointsOfKinds):
         ``outage_messages``, which of several messages about one outage counts. ``dark_reason`` says
         why an island is blacked out, ``ac_failed`` why its lines do not carry the plan. In strict
         order ``levels`` has how many steps of the window the plan supplies to customers of each
-        tier, and how many it could at most; ``inverted`` names a customer off supply whose demand lower
-        tiers and charging batteries take now, and in how many later steps the plan supplies it.
+        tier, and how many it could at most; ``inverted`` names a customer off supply whose demand
+        lower tiers and charging batteries take now, and in how many later steps the plan supplies
+        it.
     feeding : Feeding
         What holds the voltage: the grid, a battery, or nothing.
     foreseen : Foreseen
