@@ -69,6 +69,8 @@ class Kind:
         KindTable of a run, and its column of units.
     subject : str
         Item of the explanations that reasons are about.
+    sign : str
+        What a sign in the feeder's diagram stands for.
     gives : bool
         Whether the column ``p_kw`` of that table is what units give.
     """
@@ -78,6 +80,7 @@ class Kind:
     table: str
     item: str
     subject: str
+    sign: str
     gives: bool = False
 
     @property

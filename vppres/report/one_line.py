@@ -16,6 +16,7 @@ import pandas as pd
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.day.metrics import line_current_a, line_loading, service_by_tier
 from vppres.day.trajectory import Trajectory, supplied
+from vppres.kinds.table import KINDS
 from vppres.report.clock import Clock
 from vppres.report.plots.drawing import cividis, shortened
 from vppres.report.tree_layout import tree_layout
@@ -85,9 +86,7 @@ def drawing(run: Trajectory) -> Drawing:
         "customers": c.bus,
         "batteries": day.batteries.bus,
         "pv": day.pv.buses(c),
-        "gensets": day.gensets.buses(c),
-        "chargers": day.chargers.buses(c),
-        "thermal_loads": day.thermal_loads.buses(c),
+        **{kind: getattr(day, kind).buses(c) for kind in KINDS},
     }
     found = {
         kind: np.array([net.bus_index[bus] for bus in buses], dtype=int)

@@ -25,6 +25,7 @@ from vppres.feeders.dss.circuit import located, read_opendss
 from vppres.feeders.net.changes import Changes, changed
 from vppres.feeders.net.reduce import feeder_of
 from vppres.feeders.strangers.confined import confined
+from vppres.kinds.table import KINDS
 from vppres.scenario.network import BusId
 
 OWN_SOURCES = ("pvsystem", "generator", "storage")
@@ -164,9 +165,10 @@ def drawn(run: Tables) -> pd.DataFrame:
         "pv": (-(pv["self_kw"] + pv["export_kw"]), -pv["q_kvar"]),
         "batteries": (batteries["charge_kw"] - batteries["discharge_kw"], -batteries["q_kvar"]),
     }
-    for name, sign in (("vehicles", 1.0), ("thermal_loads", 1.0), ("gensets", -1.0)):
-        if name in run:
-            parts[name] = (sign * run[name]["p_kw"], 0.0 * run[name]["p_kw"])
+    for kind in KINDS.values():
+        if kind.table in run:
+            p_kw = run[kind.table]["p_kw"]
+            parts[kind.table] = (-p_kw if kind.gives else p_kw, 0.0 * p_kw)
     frames = [
         run[name].reindex(columns=["time", "bus", "id"]).assign(table=name, p=p_kw, q=q_kvar)
         for name, (p_kw, q_kvar) in parts.items()

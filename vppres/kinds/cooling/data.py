@@ -88,6 +88,7 @@ KIND = Kind(
     table="thermal_loads",
     item="thermal_load",
     subject="thermal_load",
+    sign="cooling or heat",
 )
 
 

@@ -197,6 +197,7 @@ KIND = Kind(
     table="gensets",
     item="genset",
     subject="genset",
+    sign="generating set",
     gives=True,
 )
 

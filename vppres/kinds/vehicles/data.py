@@ -239,6 +239,7 @@ KIND = Kind(
     table="vehicles",
     item="charger",
     subject="vehicle",
+    sign="charger",
 )
 
 

@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from vppres.day.trajectory import Trajectory
+from vppres.kinds.table import KINDS
 from vppres.report.one_line import (
     LOADING_EDGES,
     drawing,
@@ -16,7 +17,7 @@ from vppres.report.one_line import (
 )
 from vppres.report.sections.base import Run, Section, section
 
-KINDS = {"gensets": "generating set", "chargers": "charger", "thermal_loads": "cooling or heat"}
+SIGNS = {name: kind.sign for name, kind in KINDS.items()}
 """Signs of devices beside those that every feeder has, in words."""
 
 EN_DASH = "\N{EN DASH}"
@@ -44,7 +45,7 @@ def feeder_section(run: Run) -> Section:
             "rated": day.network.has_ratings,
             "limits": (day.network.v_min_ac_pu, day.network.v_max_ac_pu),
             "tiers": day.tiers,
-            "kinds": {kind: words for kind, words in KINDS.items() if len(getattr(day, kind))},
+            "kinds": {kind: words for kind, words in SIGNS.items() if len(getattr(day, kind))},
             "has_outage": bool(run.trajectory.steps["outage"].any()),
             "data": states
             | {
@@ -55,7 +56,7 @@ def feeder_section(run: Run) -> Section:
                 "buses": [{"name": bus.name, "connected": bus.connected} for bus in drawn.buses],
                 "devices": {
                     kind: [f"{words} {name}" for name in getattr(day, kind).id]
-                    for kind, words in {"pv": "PV", **KINDS}.items()
+                    for kind, words in {"pv": "PV", **SIGNS}.items()
                 },
             },
         },
