@@ -253,7 +253,7 @@ def inverted_now(
             others = f"{named(c.id[lower], NAMES)} of lower tiers have {lower_kw:,.1f} kW"
             if charge_kw > TOLERANCE_KW:
                 others += f" and batteries charge with {charge_kw:,.1f} kW"
-            return f"{off} is off supply, while {others}{_waits(later, customer)}"
+            return f"{off} is off supply, while {others}{_waits(later, int(customer))}"
     return ""
 
 
