@@ -1,15 +1,17 @@
-"""Random days of a live service: bad telemetry, events at any second, outages without notice.
+"""Random days of a live service: bad telemetry, devices that leave and return, events at any time.
 
 ``python -m experiments.studies.random_live_days --days 100`` plays days on random feeders in steps
 of a quarter of an hour, while the service decides by the hour and anew whenever something changes.
-Readings are lost, late, contradictory or impossible; devices reject; outages begin and end at any
-second, announced or not. Every plan is judged by what was readable when it was made:
+Readings are lost, late, contradictory, impossible or no numbers, brokers repeat what they retained;
+devices reject, leave and return; outages begin and end at any second, announced or not, also two
+within a step. Every plan is judged by what was readable when it was made:
 
 - nobody of the first tier is off who need not be, by a solution that puts the first tier before
   everything else (``experiments/studies/shedding.py``);
 - while somebody of the first tier is off, no state of charge is taken to be below a reading of this
   quarter less what the battery can have given since, unless the plan says so;
-- no battery is to give more than such a reading leaves it.
+- no battery is to give more than such a reading leaves it;
+- what the plan supplies is not shed.
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import typer
+from paho.mqtt.client import MQTTMessage
 
 from benchmarks.pages import markdown_table, write_pages
 from experiments.report import machine
@@ -41,6 +44,7 @@ from vppres.scenario.timegrid import TimeGrid
 from vppres.service.access import Access
 from vppres.service.app import make_app
 from vppres.service.clock import SetClock, written
+from vppres.service.mqtt import Bridge, Topics
 from vppres.service.runner import Service
 from vppres.service.serve import opened
 from vppres.service.world import Series, World, critical_off
@@ -55,6 +59,13 @@ DAYS_IN_A_ROW = 5
 QUARTER = pd.Timedelta(minutes=15)
 LOST, LATE, IMPOSSIBLE, CONTRADICTED, REJECTED = 0.2, 0.1, 0.02, 0.05, 0.02
 """Shares of readings, the last one of set-points of an hour."""
+
+LEAVES, RETURNS, RETAINED, NO_NUMBER, TWICE = 0.01, 0.3, 0.1, 0.03, 0.3
+"""Chances in a quarter that a device leaves and that it is back, that a broker repeats what it
+retained, that a reading is no number, and that a change of the grid is followed by another."""
+
+WORDS = ("unavailable", "62 %", "NaN", True, [1.0])
+"""What is sent in place of a number."""
 
 SOC_APART = 0.02
 """Less is what an hour's rounding of measured power comes to."""
@@ -77,6 +88,9 @@ class LiveDay:
     lost, refused, rejected : int
         Readings that never arrived and that the service did not take; set-points that devices
         did not follow.
+    left, retained, twice : int
+        Devices that left, messages that a broker repeated, and changes of the grid that were
+        followed by another within the step.
     outage_h : float
         Without grid.
     critical_off : int
@@ -87,6 +101,8 @@ class LiveDay:
         Readings above what a plan took for true while somebody of the first tier was off.
     denied : list of str
         Set-points of batteries beyond what a reading left them.
+    shed : list of str
+        Customers that a plan supplied and its island did not.
     failed : list of str
         Plans that were made by rule.
     anew_s : list of float
@@ -100,19 +116,23 @@ class LiveDay:
     lost: int = 0
     refused: int = 0
     rejected: int = 0
+    left: int = 0
+    retained: int = 0
+    twice: int = 0
     outage_h: float = 0.0
     critical_off: int = 0
     served_off: int = 0
     avoidable: list[str] = field(default_factory=list)
     disbelieved: list[str] = field(default_factory=list)
     denied: list[str] = field(default_factory=list)
+    shed: list[str] = field(default_factory=list)
     failed: list[str] = field(default_factory=list)
     anew_s: list[float] = field(default_factory=list)
 
     @property
     def wrong(self) -> list[str]:
         """All that must not be."""
-        return [*self.avoidable, *self.disbelieved, *self.denied, *self.failed]
+        return [*self.avoidable, *self.disbelieved, *self.denied, *self.shed, *self.failed]
 
 
 def site_of(seed: int) -> Scenario:
@@ -184,7 +204,8 @@ class Player:
         self.found: LiveDay
         self._late: dict[int, list[Series]] = {}
         self._fresh: dict[str, float] = {}
-        self._known_off = False
+        self._away: set[str] = set()
+        self.bridge = Bridge(self.http, Topics())
 
     def play(self) -> list[LiveDay]:
         """The days."""
@@ -210,7 +231,15 @@ class Player:
             self._clock(now)
             if q % 4:
                 self._hear(q, grid_too=not changed)
+            self._come_and_go(now)
             if changed:
+                if self.rng.random() < TWICE:
+                    found.twice += 1
+                    for on in (not dark[q], dark[q]):
+                        self._see_grid(on, now)
+                        self._anew()
+                        now += pd.Timedelta(seconds=int(self.rng.integers(1, 100)))
+                        self._clock(now)
                 self._see_grid(not dark[q], now)
             self._anew()
             told = self.http.wanted("GET", "/v1/setpoints").body["setpoints"]
@@ -245,6 +274,8 @@ class Player:
                 self._late.setdefault(late, []).append(one)
             elif drawn < LOST + LATE + IMPOSSIBLE and quantity in IMPOSSIBLE_VALUES:
                 sent.append({**one, "values": [IMPOSSIBLE_VALUES[quantity]]})
+            elif drawn > 1.0 - NO_NUMBER:
+                sent.append({**one, "values": [WORDS[self.rng.integers(len(WORDS))]]})
             else:
                 sent.append(one)
         if self.rng.random() < CONTRADICTED:
@@ -255,9 +286,36 @@ class Player:
         self._fresh = {
             str(one["asset"]): float(one["values"][0])
             for one in sent
-            if one["quantity"] == "soc" and one["values"][0] <= 1.0 and one["source"] != "zz-other"
+            if one["quantity"] == "soc"
+            and isinstance(one["values"][0], float)
+            and one["values"][0] <= 1.0
+            and one["source"] != "zz-other"
         }
         self._post([*arriving, *sent])
+
+    def _come_and_go(self, now: pd.Timestamp) -> None:
+        """Devices that leave and return, and what a broker says again when a client is back."""
+        names = [*map(str, self.come.batteries.id), *map(str, self.come.customers.id)]
+        for name in names:
+            away = name in self._away
+            if self.rng.random() >= (RETURNS if away else LEAVES):
+                continue
+            self._away ^= {name}
+            self.found.left += not away
+            self._post([self._said(name, "online", float(away), now)])
+        if self.rng.random() < RETAINED:
+            self.found.retained += 1
+            for name in map(str, self.come.batteries.id):
+                message = MQTTMessage(topic=f"vppres/telemetry/{name}/soc".encode())
+                message.retain, message.payload = True, b"0.5"
+                self.bridge.broker.on_message(None, None, message)
+            self.bridge.turn()
+
+    def _said(self, asset: str, quantity: str, value: float, now: pd.Timestamp) -> Series:
+        return {
+            "source": "gateway", "asset": asset, "quantity": quantity, "start": written(now),
+            "resolution": "PT6H", "values": [value],
+        }  # fmt: skip
 
     def _see_grid(self, on: bool, now: pd.Timestamp) -> None:
         """The grid's reading when it changes; sometimes a second source says otherwise first."""
@@ -303,6 +361,7 @@ class Player:
         if plan["status"] == "failed":
             found.failed.append(f"{when}: {plan['reason']}")
             return
+        found.shed += [f"{when}: {one['asset']} ({one['reason']})" for one in plan.get("shed", ())]
         c = self.come.customers
         first = {str(n) for n, tier in zip(c.id, c.tier, strict=True) if tier == self.come.tiers[0]}
         lost = {one["asset"] for one in plan["lost"]}
@@ -367,10 +426,14 @@ def write_report(feeders: Sequence[list[LiveDay]], wall_s: float, folder: Path) 
         ("readings lost", sum(day.lost for day in days)),
         ("readings refused", sum(day.refused for day in days)),
         ("set-points rejected by devices", sum(day.rejected for day in days)),
+        ("devices that left", sum(day.left for day in days)),
+        ("messages that were retained", sum(day.retained for day in days)),
+        ("grid changed twice in a step", sum(day.twice for day in days)),
         ("first tier off (customers of plans)", sum(day.critical_off for day in days)),
         ("first tier off, avoidably", sum(len(day.avoidable) for day in days)),
         ("readings not believed without a word", sum(len(day.disbelieved) for day in days)),
         ("energy ordered that a reading had denied", sum(len(day.denied) for day in days)),
+        ("supplied by the plan and shed", sum(len(day.shed) for day in days)),
         ("plans by rule", sum(len(day.failed) for day in days)),
         ("CPU time of a plan made anew, median (s)", f"{np.median(anew_s or [0.0]):.3f}"),
         ("CPU time of a plan made anew, largest (s)", f"{max(anew_s, default=0.0):.3f}"),

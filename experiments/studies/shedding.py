@@ -72,6 +72,8 @@ class Judge:
         """Judge a plan that was just decided."""
         scenario = self.runner.scenario
         first = np.asarray(scenario.customers.tier == scenario.tiers[0], dtype=bool)
+        # Who cannot be supplied takes nothing, in the plan and here.
+        first &= ~np.isin(scenario.customers.id, [one["asset"] for one in plan["lost"]])
         names = [str(name) for name in scenario.customers.id[first]]
         on = {one["asset"]: one["served"] for one in plan["setpoints"] if "served" in one}
         now = sum(not on[name] for name in names)
@@ -87,7 +89,7 @@ class Judge:
         guard = self.runner._controller._decider
         assert isinstance(guard, GuardedController) and guard.known is not None
         known = guard.known
-        key = known.online.tobytes()
+        key = known.online.tobytes() + first.tobytes()
         if key not in self._solvers:
             site = _first_alone(site_with(guard.site, known.online), first)
             self._solvers[key] = WindowSolver(site, limits=PATIENT)

@@ -10,12 +10,14 @@ import numpy as np
 import pandapower as pp
 import pandapower.networks as pp_networks
 import pytest
+import scipy.io
 
 from tests.support.own_power_flow import voltages
 from vppres.core.errors import InputError
 from vppres.feeders import import_network
 from vppres.feeders.matpower.case import net_of, read_m
-from vppres.feeders.matpower.text import CURE, Refused, tables_of
+from vppres.feeders.matpower.text import CURE, Refused, tables_of, words_of
+from vppres.feeders.new.scenario import new_scenario
 from vppres.physics.powerflow import ACPowerFlow
 
 # Some of pandapower's own examples warn while they are built.
@@ -288,6 +290,48 @@ def test_a_reference_is_chosen_as_in_matpower() -> None:
         "No generator in service is at a bus of type 3: bus 30, the first of type 2, is the grid "
         "connection.",
     )
+
+
+STANDBY = """mpc.gen = [
+	1 0 0 10 -10 1 100 1 10 0;
+	2 0 0 10 -10 1 100 1 0.05 0.01;  % tested on Mondays
+	2 0.02 0 10 -10 1 100 1 0.04 0;
+	2 9 0 10 -10 1 100 0 9 0;
+];
+% mpc.genfuel = {'solar'; 'solar'; 'solar'; 'solar'};
+mpc.genfuel = {
+	'unknown';
+	'dfo';  % the hospital's
+	'solar';
+	'wind';
+};"""
+FUELLED = IN_KW_AND_OHM.replace("mpc.gen = [1 0 0 10 -10 1 100 1 10 0];", STANDBY)
+
+
+@pytest.mark.parametrize("binary", [False, True])
+def test_a_standby_set_of_a_case_forms_the_grid_of_an_island(tmp_path: Path, binary: bool) -> None:
+    text = FUELLED + WAYS["columns by name"]
+    file = tmp_path / ("pair.mat" if binary else "pair.m")
+    if binary:
+        fuels = np.array(words_of(text, "genfuel"), dtype=object)
+        case = {**tables_of(text), "version": "2", "genfuel": fuels}
+        scipy.io.savemat(file, {"mpc": case})
+    else:
+        file.write_text(text)
+    feeder = import_network(file)
+    assert feeder.generators.kind.tolist() == ["diesel", "solar"]
+    assert feeder.generators.p_max_kw.tolist() == [50.0, 40.0]
+    sets = new_scenario(feeder).gensets
+    assert (sets.bus.tolist(), sets.p_max_kw.tolist(), sets.p_min_kw.tolist()) == (
+        [2], [50.0], [10.0],
+    )  # fmt: skip
+    assert sets.grid_forming.tolist() == [True]
+
+
+def test_fuels_that_are_not_told_of_each_generator_say_nothing(tmp_path: Path) -> None:
+    file = tmp_path / "pair.m"
+    file.write_text(FUELLED.replace("\t'wind';\n", "") + WAYS["columns by name"])
+    assert len(new_scenario(import_network(file)).gensets) == 0
 
 
 def test_ratings_are_those_of_the_file(tmp_path: Path) -> None:

@@ -224,6 +224,14 @@ LINES = {
     "spectrum": (["new spectrum.s numharm=1 csvfile=../secret.txt"], NO_FILE),
     # kind 9: work without end
     "redirect to itself": (["redirect mill.dss"], "which is read already"),
+    # kind 10: sizes, which spoil the voltages of all else
+    "power": (["new load.e bus1=a kw=1e30"], "kw = 1e30, a size that no equipment has"),
+    "energy": (["new storage.s bus1=a kwhrated=1E30"], "kwhrated = 1E30, a size that no equipment"),
+    "length": (["new line.x a b length = -1e30"], "length = -1e30, a size that no equipment has"),
+    "ratings": (["new transformer.q kvas=[1e30, 5]"], "kvas = 1e30, a size that no equipment has"),
+    "impedance": (["new linecode.q rmatrix=(1 | 0 2e20)"], "rmatrix = 2e20, a size that no"),
+    "beyond numbers": (["new line.x a b r1=1e999"], "r1 = 1e999, a size that no equipment has"),
+    "in full": (["load.d.kw=10000000000000000000"], "a size that no equipment has"),
 }
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from tests.support.live_service import HERE, NOON, client, decided, readings, said, site
+from tests.support.live_service import HERE, NOON, client, decided, readings, said, serving, site
 from tests.support.sets import gensets
 from tests.support.small_windows import DARK, OPEN, two_buses
 from vppres import (
@@ -250,3 +250,32 @@ def test_a_set_that_is_out_forms_no_grid() -> None:
     ):
         step = controller.step(Measurement(time, running=told))
         assert bool(only(step)["running"]) == bool(step.customers["served"].all()) == runs
+
+
+def test_a_set_that_rejected_its_start_and_has_no_fault_is_planned_for_at_once(
+    tiny: Scenario, tmp_path: Path
+) -> None:
+    """Its first reading of a fault says that there is none; the same once more is no news."""
+    day, clock, minute = with_set(site(tiny)), SetClock(NOON), pd.Timedelta("1min")
+    dark = {"type": "outage", "start": written(NOON), "end": written(NOON + 540 * minute)}
+
+    def sends_no_fault(minutes: float) -> None:
+        clock.set(NOON + minutes * minute)
+        series = readings(clock.now(), "start_fault", {"g0": 0.0})
+        assert http.post("/v1/telemetry", {"series": series}).status == 200
+
+    with serving(Service(day, HERE), tmp_path, clock) as (http, runner):
+        http.put("/v1/events/storm", dark)
+        point = said(decided(http, clock, NOON, soc=0.1), "gensets")["g0"]
+        assert point["running"]
+        clock.set(NOON + 5 * minute)
+        http.post(f"/v1/setpoints/{point['id']}/status", {"status": "rejected"})
+        plan = runner.anew()
+        assert plan is not None and plan["expected"]["gensets"]["g0"]["out"]
+        sends_no_fault(10.0)
+        assert runner.changes.reasons == ("g0 start_fault = 0 (scada)",)
+        plan = runner.anew()
+        assert plan is not None and not plan["expected"]["gensets"]["g0"]["out"]
+        assert said(plan, "gensets")["g0"]["running"]
+        sends_no_fault(15.0)
+        assert runner.changes.reasons == ()

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import logging
 import queue
 import socket
+import struct
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from email.message import EmailMessage
 from http.server import BaseHTTPRequestHandler, HTTPServer
@@ -125,11 +127,32 @@ def test_an_address_that_is_none(text: str) -> None:
     assert "Write https://HOST/PATH, or smtp://" in str(found.value)
 
 
+OK = b"HTTP/1.1 200 OK\r\n"
 ODD_ANSWERS = {
     "of another protocol": b"SSH-2.0-OpenSSH_9.2\r\n",
     "with a status that is no number": b"HTTP/1.1 ok fine\r\n\r\n",
+    "with a status beyond all": b"HTTP/1.1 99999 OK\r\n\r\n",
+    "with a status below all": b"HTTP/1.1 0 OK\r\n\r\n",
     "of a redirect": b"HTTP/1.1 302 Found\r\nLocation: http://127.0.0.1:9/\r\n\r\n",
+    "moved for good": b"HTTP/1.1 301 Moved\r\nLocation: /\r\n\r\n",
+    "see other": b"HTTP/1.1 303 See\r\nLocation: http://127.0.0.1:9/\r\n\r\n",
+    "moved, with its method": b"HTTP/1.1 308 Moved\r\nLocation: file:///etc/passwd\r\n\r\n",
+    "redirected to nowhere": b"HTTP/1.1 307 Moved\r\n\r\n",
     "of nothing": b"",
+    "of a server's mistake": b"HTTP/1.1 500 No\r\n\r\n",
+    "for later": b"HTTP/1.1 503 No\r\nRetry-After: 999999999\r\n\r\n",
+    "that there is nothing": b"HTTP/1.1 404 No\r\nContent-Length: -5\r\n\r\n",
+    "who are you": b'HTTP/1.1 401 No\r\nWWW-Authenticate: Basic realm="\xff"\r\n\r\n',
+    "of a proxy": b"HTTP/1.1 407 No\r\n\r\n",
+    "to go on, again and again": b"HTTP/1.1 100 Continue\r\n\r\n" * 5000,
+    "of another protocol, asked for": b"HTTP/1.1 101 Switching\r\nUpgrade: x\r\n\r\n",
+    "of a long line": OK + b"X: " + b"a" * 100_000 + b"\r\n\r\n",
+    "of many lines": OK + b"X: a\r\n" * 1000 + b"\r\n",
+    "of TLS": b"\x15\x03\x01\x00\x02\x02\x28",
+    "of zeros": b"\0" * 5000,
+    "without a head": b"<html>hello</html>",
+    "of half a head": b"HTTP/1.1 20",
+    "of a mail server": b"220 mail ESMTP\r\n",
 }
 
 
@@ -178,7 +201,14 @@ def test_a_webhook_that_never_ends_its_answer_holds_up_no_other(
 
 
 @pytest.mark.parametrize(
-    "text", ["http://[::1", "https://host/a b", "https://host:port/x", "http://h\n/"]
+    "text",
+    [
+        "http://[::1",
+        "https://host/a b",
+        "https://host:port/x",
+        "http://h\n/",
+        "https://host/\u00fc",
+    ],
 )
 def test_an_address_that_cannot_be_one_is_refused_at_the_start(text: str) -> None:
     with pytest.raises(InputError, match="is no address of a webhook or for mail"):
@@ -208,3 +238,82 @@ def test_a_target_that_no_notice_reaches_is_named_until_one_does(
             assert take.unreached() == unreached and take.alive()
             broken.clear()
     assert take.unreached() == ["one", "two"] and not take.alive()
+
+
+def _never(other: socket.socket) -> None:
+    other.recv(1)
+
+
+def _drips(other: socket.socket) -> None:
+    for _ in range(1000):
+        other.sendall(b"H")
+        time.sleep(0.02)
+
+
+def _resets(other: socket.socket) -> None:
+    other.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+
+
+TALKS: dict[str, tuple[str, Callable[[socket.socket], None]]] = {
+    "a mail server that never speaks": ("smtp://127.0.0.1:{}/ops@example.com", _never),
+    "a mail server that drips": ("smtp://127.0.0.1:{}/ops@example.com", _drips),
+    "a mail server that resets": ("smtp://127.0.0.1:{}/ops@example.com", _resets),
+    "a mail server of TLS that is none": ("smtps://127.0.0.1:{}/ops@example.com", _drips),
+    "a hook that never answers": ("http://127.0.0.1:{}/", _never),
+    "a hook that drips": ("http://127.0.0.1:{}/", _drips),
+    "a hook that resets": ("http://127.0.0.1:{}/", _resets),
+    "a hook of TLS that is none": ("https://127.0.0.1:{}/", _drips),
+    "by a name that is none": ("http://nobody.invalid:{}/", _never),
+    "by a name with an empty part": ("http://a..b:{}/", _never),
+    "by a name that is too long": ("http://" + "a" * 70 + ":{}/", _never),
+    "at port 0": ("http://127.0.0.1:0/{}", _never),
+    "at an address of a network that is none": ("http://[fe80::1%25none]:{}/", _never),
+}
+
+
+@pytest.mark.parametrize(("text", "talk"), TALKS.values(), ids=TALKS)
+def test_a_target_that_hangs_or_is_nowhere_keeps_no_notice_from_another(
+    text: str,
+    talk: Callable[[socket.socket], None],
+    hook: tuple[str, list[Any]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(notify, "ATTEMPTS_AFTER_S", (0.0,))
+    monkeypatch.setattr(notify, "DELIVERY_S", 0.3)
+    odd = socket.create_server(("127.0.0.1", 0))
+
+    def serve() -> None:
+        with suppress(OSError):
+            while True:
+                with odd.accept()[0] as other, suppress(OSError):
+                    talk(other)
+
+    threading.Thread(target=serve, daemon=True).start()
+    address, posted = hook
+    targets = [target_of(text.format(odd.getsockname()[1])), target_of(address)]
+    with notifier("my-feeder", targets) as take:
+        take(NOTICE)
+        take(Notice("cleared", [ALARM]))
+    odd.close()
+    assert [one["what"] for one in posted] == ["raised", "cleared"]
+    assert take._couriers[0].failed and not take._couriers[1].failed
+
+
+def test_a_name_and_a_password_in_an_address_are_those_of_http(
+    hook: tuple[str, list[Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The host was looked up with them before, and nothing arrived."""
+    heads: list[str | None] = []
+    parse = BaseHTTPRequestHandler.parse_request
+
+    def noted(self: BaseHTTPRequestHandler) -> bool:
+        found = parse(self)
+        heads.append(self.headers["Authorization"])
+        return found
+
+    monkeypatch.setattr(BaseHTTPRequestHandler, "parse_request", noted)
+    address, posted = hook
+    with notifier("s", [target_of(address.replace("://", "://vpp:a%40b@"))]) as take:
+        take(NOTICE)
+    assert len(posted) == 1
+    assert heads == ["Basic " + base64.b64encode(b"vpp:a@b").decode()]

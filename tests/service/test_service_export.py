@@ -233,3 +233,26 @@ def test_what_nobody_planned_for_is_the_plants_answer(
     assert not run.steps["outage"][0]
     assert run.customers["losses"].tolist() == [1, 1, 1]
     assert run.customers["time_on"].to_numpy() == pytest.approx(1.0 - dark_min / 60.0)
+
+
+def test_a_step_that_was_dark_from_its_beginning_in_mode_off_is_dark_in_history_and_export(
+    tiny: Scenario, tmp_path: Path
+) -> None:
+    """One plan, all connected by its defaults, and nothing forms the grid of the island."""
+    clock = SetClock(NOON - MINUTE)
+    service = Service(site(tiny), ISLAND)
+    with client(service, tmp_path, clock) as http:
+        series = [*heard(NOON - MINUTE, 0.15)["series"]]
+        series += readings(NOON - MINUTE, "grid_on", {"grid": 0.0})
+        http.post("/v1/telemetry", {"series": series})
+        http.put("/v1/mode", {"mode": "off", "reason": "work"})
+        clock.set(NOON)
+        plan = http.post("/v1/steps").json()
+        assert plan["status"] == "off" and not plan["grid"]["available"]
+        assert all(one["served"] for one in said(plan, "customers").values())
+        clock.set(NOON + HOUR)
+        (hour,) = http.get(f"/v1/history?since={written(NOON)}").json()["steps"]
+        run = export(service, tmp_path, "2026-11-21T12:00", "2026-11-21T13:00")
+    assert set(hour["served"].values()) == {0.0}
+    assert not run.customers["served"].any()
+    assert reliability_by_tier(run)["minutes_lost"].tolist() == [60.0] * 3

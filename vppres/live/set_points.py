@@ -74,8 +74,7 @@ class SetPoints(SetPointsOfKinds):
         why an island is blacked out, ``ac_failed`` why its lines do not carry the plan. In strict
         order ``levels`` has how many steps of the window the plan supplies to customers of each
         tier, and how many it could at most; ``inverted`` names a customer off supply whose demand
-        lower tiers and charging batteries take now, and in how many later steps the plan supplies
-        it.
+        lower tiers and charging batteries take now, and when the plan supplies it.
     feeding : Feeding
         What holds the voltage: the grid, a battery, or nothing.
     foreseen : Foreseen

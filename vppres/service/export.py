@@ -221,11 +221,9 @@ def off_minutes(
 ) -> tuple[dict[str, float], float]:
     """For how many minutes of a step, up to a time in it, customers were off; and of how many."""
     length = service.scenario.grid.step
-    parts = parts_of(plan, length, store, until)
+    begun = until > pd.Timestamp(plan["start"])
+    parts = parts_of(plan, length, store, until if begun else None)
     minutes = [h_to_minutes(part.hours) for part in parts]
-    if len(parts) == 1:
-        whole = minutes[0] or h_to_minutes(service.scenario.grid.dt_h)  # it begins now
-        return dict.fromkeys(sorted(parts[0].off()), whole), whole
 
     @cache
     def alone() -> Scenario:

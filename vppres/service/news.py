@@ -20,9 +20,9 @@ from vppres.service.knowledge import INSTANT, of_those_here
 from vppres.service.records import Reading, moment
 from vppres.service.store import Store
 
-PLUGGED = "plugged"
+PLUGGED, START_FAULT = "plugged", "start_fault"
 
-STATES = {"online": 1.0, "start_fault": 0.0, PLUGGED: 0.0}
+STATES = {"online": 1.0, START_FAULT: 0.0, PLUGGED: 0.0}
 """What devices say of whether they are there and can work, and what stands until they do."""
 
 FALLING = ("ev_soc", "energy_needed_kwh")
@@ -82,11 +82,15 @@ class News:
         latest = of_those_here(self.store.latest(until, (*STATES, *OF_VEHICLES)))
         before = {(one.asset, one.quantity): one for one in latest}
         here = expected_by(plan).get("vehicles", {})
+        rejected = self.store.refusing("gensets")
         for (asset, kind), one in told.items():
             was = before.get((asset, kind))
             if kind not in kinds or (was is not None and was.time > one.time):
                 continue
             value = None if was is None else was.value
+            if kind == START_FAULT and asset in rejected:
+                # A start that was rejected since the last reading is a fault.
+                value = 1.0 if was is None or was.time <= rejected[asset] else value
             if value is not None and kind in FALLING:
                 continue
             if value is None and kind in STATES:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import logging
 import os
@@ -73,8 +74,8 @@ def target_of(text: str) -> Target:
 
 def _parts(text: str) -> SplitResult:
     """Parts of an address; InputError if it cannot be one. What may be secret is not shown."""
-    if not text.isprintable() or " " in text:
-        raise _no_address("an address with a space or a control character")
+    if not (text.isascii() and text.isprintable()) or " " in text:
+        raise _no_address("an address with a space, a control character or one beyond ASCII")
     try:
         parts = urlsplit(text)
         _ = parts.port
@@ -211,13 +212,17 @@ class _NoRedirect(urllib.request.HTTPRedirectHandler):
 
 
 def _webhook(parts: SplitResult) -> Send:
-    """Posts JSON."""
+    """Posts JSON; a name and password in the address are those of HTTP."""
     opener = urllib.request.build_opener(_NoRedirect)
+    address = parts._replace(netloc=parts.netloc.rpartition("@")[2]).geturl()
+    own = {"Content-Type": "application/json"}
+    if parts.username is not None:
+        pair = f"{unquote(parts.username)}:{unquote(parts.password or '')}"
+        own["Authorization"] = f"Basic {base64.b64encode(pair.encode()).decode()}"
 
     def send(message: dict[str, Any]) -> None:
         body = json.dumps(message).encode()
-        headers = {"Content-Type": "application/json"}
-        request = urllib.request.Request(parts.geturl(), body, headers, method="POST")
+        request = urllib.request.Request(address, body, own, method="POST")
         try:
             with opener.open(request, timeout=TIMEOUT_S) as answer:
                 answer.read(0)

@@ -24,6 +24,9 @@ DEEPEST = 10
 LARGEST_BYTES = 32 * 2**20
 """Of all files together. The largest published test feeders have some 6 MB."""
 
+LARGEST_SIZE = 1e15
+"""Of powers, voltages, lengths and impedances in any unit; scripts write 1e10 for no limit."""
+
 MOST_COMMANDS = 200_000
 MOST_REFUSED = 500  # a file with that many is not a network with a line too much
 LONGEST_LINE = 1_000_000
@@ -36,6 +39,10 @@ _COMMENT = re.compile(r"!|//")
 _PLAIN = re.compile(r"(?:(?!//)[^\s,=!])+")
 _EQUALS = re.compile(r"\s*=")
 _FILE = re.compile(r"[\w.+\-/ ()]{1,200}")  # no drive, no home folder, no URL
+_SIZE = re.compile(
+    r"k|mva|pmpp|[rxcb]\d|[rxcb]matrix|r$|x$|length|normamps|emergamps", re.IGNORECASE
+)
+_NUMBER = re.compile(r"(?<![\w.+-])[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?(?![\w.])", re.IGNORECASE)
 QUOTES = {'"': '"', "'": "'", "(": ")", "[": "]", "{": "}"}
 
 READS = ("redirect", "compile")
@@ -202,6 +209,7 @@ class _Reader:
                 comment, line = _after_comment(line)
             try:
                 for verb, target, values in self._checked(line, base, library):
+                    _check_sizes(values)
                     words = tuple(value.words for value in values)
                     self.commands.append(Command(shown, row, verb, target, words))
             except _Refused as refused:
@@ -421,6 +429,19 @@ def _values(line: str) -> list[_Value]:
     if name:
         raise _Refused(f"'{_cut(name)}' has no value", "Give it one.")
     return found
+
+
+def _check_sizes(values: list[_Value]) -> None:
+    """Refuse numbers beyond all equipment: what they do elsewhere in the circuit hides them."""
+    for value in values:
+        if not _SIZE.match(value.name):
+            continue
+        for word in _NUMBER.findall(value.text):
+            if abs(float(word)) > LARGEST_SIZE:
+                raise _Refused(
+                    f"has {_cut(value.name)} = {_cut(word)}, a size that no equipment has",
+                    "Correct the number.",
+                )
 
 
 def _token(line: str, at: int) -> tuple[str, str, int]:

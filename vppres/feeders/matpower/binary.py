@@ -14,7 +14,7 @@ import scipy.io
 
 TABLES = ("baseMVA", "bus", "gen", "branch")
 MORE = ("dcline",)
-"""Tables that a case may have."""
+"""Tables that a case may have; of texts it has ``genfuel``, the generators' fuels."""
 
 
 def answer(job: dict[str, Any]) -> dict[str, Any]:
@@ -26,6 +26,7 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
         )["mpc"]
         names = (*TABLES, *(name for name in MORE if hasattr(case, name)))
         tables = {name: np.asarray(getattr(case, name), dtype=float).tolist() for name in names}
-        return {"version": str(case.version), "tables": tables}
+        fuels = [str(one) for one in np.atleast_1d(getattr(case, "genfuel", []))]
+        return {"version": str(case.version), "tables": tables, "fuels": fuels}
     except Exception as error:  # whatever the reader stumbles over, the file is the cause
         return {"error": f"{type(error).__name__}: {error}"}

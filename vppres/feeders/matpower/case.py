@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import numpy as np
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.core.errors import InputError, Problem
 from vppres.feeders.matpower.names import ALL
-from vppres.feeders.matpower.text import CURE, Refused, tables_of
+from vppres.feeders.matpower.text import CURE, Refused, tables_of, words_of
 from vppres.feeders.net.ratings import NO_LIMIT_KA, NO_LIMIT_MVA
 from vppres.feeders.strangers.confined import confined
 from vppres.feeders.strangers.files import read_bytes, read_text
@@ -35,6 +36,11 @@ STATUS_OF_DC = 2  # column of mpc.dcline, from 0
 LARGEST_BUS = 1_000_000_000  # numbers of buses in published cases have at most eight digits
 F_HZ = 50.0  # pandapower has charging as capacitance; any frequency gives it back as it was
 Case = dict[str, Floats]
+FUELS = "genfuel"
+MEANT = {"dfo": "diesel", "rfo": "oil", "ng": "gas", "lng": "gas"}
+"""MATPOWER's short words for fuels; its others are plain."""
+
+NO_FUEL = ("unknown", "other", "none", "na", "n/a")
 
 
 def read_m(path: Path) -> tuple[Any, tuple[str, ...]]:
@@ -50,7 +56,7 @@ def read_m(path: Path) -> tuple[Any, tuple[str, ...]]:
                 if isinstance(one, Refused)
             ]
         ) from None
-    return net_of(case, path.name)
+    return net_of(case, path.name, words_of(text, FUELS))
 
 
 def read_mat(path: Path) -> tuple[Any, tuple[str, ...]]:
@@ -60,13 +66,15 @@ def read_mat(path: Path) -> tuple[Any, tuple[str, ...]]:
     if "error" in found:
         raise ValueError(found["error"])
     tables = found["tables"].items()
-    return net_of(
-        {name: np.atleast_2d(np.array(value, float)) for name, value in tables}, path.name
-    )
+    case = {name: np.atleast_2d(np.array(value, float)) for name, value in tables}
+    return net_of(case, path.name, found["fuels"])
 
 
-def net_of(case: Case, name: str) -> tuple[Any, tuple[str, ...]]:
+def net_of(case: Case, name: str, fuels: Sequence[str] = ()) -> tuple[Any, tuple[str, ...]]:
     """The net of a case's tables, its buses numbered as in the case, and what was chosen.
+
+    ``fuels`` are those of ``genfuel``, one for each row of ``gen``; they say of what kind a
+    generator is, and that its size is its PMAX.
 
     The tables are ``baseMVA``, ``bus``, ``gen`` and ``branch``, shape (rows, columns) each, in
     MATPOWER's format of version 2. Branches with a ratio, a phase shift or two levels become
@@ -88,7 +96,7 @@ def net_of(case: Case, name: str) -> tuple[Any, tuple[str, ...]]:
     )
     _add_powers(net, bus, numbers)
     kind_of = dict(zip(numbers, _whole(bus, "BUS_TYPE"), strict=True))
-    notes = _add_generators(net, case["gen"], kind_of)
+    notes = _add_generators(net, case["gen"], kind_of, _words_for(fuels, len(case["gen"])))
     branch = case["branch"]
     # MATPOWER leaves out branches at an isolated bus whole, with what they charge.
     at_isolated = np.isin(branch[:, :2], isolated).any(axis=1)
@@ -191,7 +199,17 @@ def _add_powers(net: Any, bus: Floats, numbers: Wholes) -> None:
     pp.create_shunts(net, numbers[shunted], q_mvar=-b_mvar[shunted], p_mw=g_mw[shunted])
 
 
-def _add_generators(net: Any, gen: Floats, kind_of: dict[int, int]) -> tuple[str, ...]:
+def _words_for(fuels: Sequence[str], count: int) -> list[str]:
+    """The word for each generator's kind; none where fuels are not told of each."""
+    if len(fuels) != count:
+        return [""] * count
+    words = [fuel.strip().lower() for fuel in fuels]
+    return ["" if word in NO_FUEL else MEANT.get(word, word) for word in words]
+
+
+def _add_generators(
+    net: Any, gen: Floats, kind_of: dict[int, int], words: Sequence[str]
+) -> tuple[str, ...]:
     """The first generator in service of a bus holds its voltage, if the bus's type says so.
 
     Type 3 makes an external grid of it, type 2 a generator; all others have a fixed power. Without
@@ -199,7 +217,8 @@ def _add_generators(net: Any, gen: Floats, kind_of: dict[int, int]) -> tuple[str
     """
     import pandapower as pp
 
-    on = gen[_of(gen, "GEN_STATUS") > 0]
+    running = _of(gen, "GEN_STATUS") > 0
+    on, word = gen[running], np.array(words, dtype=object)[running]
     at = _whole(on, "GEN_BUS")
     kind = np.array([kind_of[bus] for bus in at], dtype=int)
     notes: tuple[str, ...] = ()
@@ -214,13 +233,24 @@ def _add_generators(net: Any, gen: Floats, kind_of: dict[int, int]) -> tuple[str
     holds = np.isin(np.arange(len(on)), first)
     # Where several hold one bus, the last has the say.
     v_pu = dict(zip(at.tolist(), _of(on, "VG").tolist(), strict=True))
+    # What a generator can give is told of those with a fuel; others are as large as what they give.
+    told = (word != "") & (gen.shape[1] >= ALL["PMIN"])
+    most_mw, least_mw = (
+        np.where(told, _of(on, limit), np.nan) if told.any() else np.full(len(on), np.nan)
+        for limit in ("PMAX", "PMIN")
+    )
     for row in np.flatnonzero(holds & (kind == ALL["REF"])):
         pp.create_ext_grid(net, at[row], vm_pu=v_pu[at[row]], name=f"swing bus {at[row]}")
     for row in np.flatnonzero(holds & (kind == ALL["PV"])):
         p_mw, s_mva = _of(on, "PG")[row], _of(on, "MBASE")[row]
-        pp.create_gen(net, at[row], p_mw=p_mw, vm_pu=v_pu[at[row]], sn_mva=s_mva)
+        pp.create_gen(
+            net, at[row], p_mw=p_mw, vm_pu=v_pu[at[row]], sn_mva=s_mva, type=word[row],
+            max_p_mw=most_mw[row], min_p_mw=least_mw[row],
+        )  # fmt: skip
     fixed = ~holds | (kind == ALL["PQ"])
-    pp.create_sgens(net, at[fixed], _of(on, "PG")[fixed], _of(on, "QG")[fixed], type="")
+    given = _of(on, "PG")[fixed], _of(on, "QG")[fixed]
+    limits = {"max_p_mw": most_mw[fixed], "min_p_mw": least_mw[fixed]} if word.any() else {}
+    pp.create_sgens(net, at[fixed], *given, type=word[fixed].tolist(), **limits)
     return notes
 
 

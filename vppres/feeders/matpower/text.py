@@ -118,6 +118,21 @@ def tables_of(text: str) -> dict[str, Floats]:
     }
 
 
+def words_of(text: str, field: str) -> tuple[str, ...]:
+    r"""The texts of a cell of a case, such as ``genfuel``; none where it has no such cell.
+
+    Examples
+    --------
+    >>> words_of("mpc.genfuel = {\n'dfo';  % standby\n'solar'};", "genfuel")
+    ('dfo', 'solar')
+    """
+    text = _TEXT_OR_COMMENT.sub(
+        lambda found: "" if found[0][0] in "%#" else found[0], _without_block_comments(text)
+    )
+    cells = re.findall(rf"^\s*\w+\.{field}\s*=\s*\{{([^{{}}]*)\}}", text, re.MULTILINE)
+    return tuple(found[0][1:-1] for found in _TEXT_OR_COMMENT.finditer(cells[-1] if cells else ""))
+
+
 class _Wrong(Exception):
     """Why a statement is not read; it is given its line where it is."""
 
