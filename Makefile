@@ -99,27 +99,21 @@ reproduce: $(STAMP)  ## run all experiments of the paper and write results/repor
 SMALL ?=
 COUNT = $(if $(SMALL),$(1))
 
-studies: $(STAMP)  ## 500 days of faults, 500 without, alarms, garbage, 50 beside the baselines, 240 uncertain outages, 200 islands: results/studies
-	$(BIN)/python -m experiments.campaign --results results/studies $(call COUNT,--days 4)
-	$(BIN)/python -m experiments.quiet_days --results results/studies $(call COUNT,--days 4)
-	$(BIN)/python -m experiments.alarms --results results/studies $(call COUNT,--days 3)
-	$(BIN)/python -m experiments.garbage --results results/studies $(call COUNT,--days 2)
-	$(BIN)/python -m experiments.threads --results results/studies $(call COUNT,--days 1)
-	$(BIN)/python -m experiments.baselines --results results/studies $(call COUNT,--days 2)
-	$(BIN)/python -m experiments.uncertain --results results/studies $(call COUNT,--days 2)
-	$(BIN)/python -m experiments.uncertain --part cigre --results results/studies $(call COUNT,--days 2)
-	$(BIN)/python -m experiments.uncertain --part wrong --results results/studies $(call COUNT,--days 2)
-	$(BIN)/python -m experiments.outage_ceiling --results results/studies $(call COUNT,--days 2)
-	$(BIN)/python -m experiments.uncertain --part names --results results/studies $(call COUNT,--days 2)
-	$(BIN)/python -m experiments.fairness --results results/studies/fairness $(call COUNT,--weeks 1)
-	$(BIN)/python -m experiments.homes --results results/studies $(call COUNT,--days 2)
-	$(BIN)/python -m experiments.islands --out results/studies/islands $(call COUNT,--days 2)
-	$(BIN)/python -m experiments.precision --results results/studies $(call COUNT,--quick)
-	$(BIN)/python -m experiments.mutations --out results/studies $(call COUNT,--folders 200 --runs 2)
-	$(BIN)/python -m experiments.kills --out results/studies $(call COUNT,--kills 5)
-	$(BIN)/python -m experiments.hostile $(call COUNT,--generated 300 --hostile 200) > results/studies/hostile.json
-	$(BIN)/python -m experiments.answers $(call COUNT,--horizon 0) > results/studies/answers.json
-	$(BIN)/python -m experiments.live_days $(call COUNT,--days 1 --fault-days 1 --horizon 0 --sites uk-heatwave-2022) > results/studies/live_days.json
+studies: $(STAMP)  ## 500 days of faults, alarms, 50 days beside the baselines, 240 uncertain outages, 200 islands: results/studies
+	$(BIN)/python -m experiments.studies.campaign --results results/studies $(call COUNT,--days 4)
+	$(BIN)/python -m experiments.studies.alarms --results results/studies $(call COUNT,--days 3)
+	$(BIN)/python -m experiments.studies.baselines --results results/studies $(call COUNT,--days 2)
+	$(BIN)/python -m experiments.studies.uncertain --results results/studies $(call COUNT,--days 2)
+	$(BIN)/python -m experiments.studies.uncertain --part cigre --results results/studies $(call COUNT,--days 2)
+	$(BIN)/python -m experiments.studies.uncertain --part wrong --results results/studies $(call COUNT,--days 2)
+	$(BIN)/python -m experiments.studies.outage_ceiling --results results/studies $(call COUNT,--days 2)
+	$(BIN)/python -m experiments.studies.uncertain --part names --results results/studies $(call COUNT,--days 2)
+	$(BIN)/python -m experiments.studies.fairness --results results/studies/fairness $(call COUNT,--weeks 1)
+	$(BIN)/python -m experiments.studies.homes --results results/studies $(call COUNT,--days 2)
+	$(BIN)/python -m experiments.studies.islands --out results/studies/islands $(call COUNT,--days 2)
+	$(BIN)/python -m experiments.studies.precision --results results/studies $(call COUNT,--quick)
+	$(BIN)/python -m experiments.studies.answers $(call COUNT,--horizon 0) > results/studies/answers.json
+	$(BIN)/python -m experiments.studies.live_days $(call COUNT,--days 1 --fault-days 1 --horizon 0 --sites uk-heatwave-2022) > results/studies/live_days.json
 
 bench: $(STAMP)  ## measure the solving methods into results/bench (up to 45 min)
 	$(BIN)/python -m benchmarks

@@ -20,12 +20,12 @@ import typer
 from rich.progress import track
 
 from benchmarks.deadlines import by_processor
+from benchmarks.hard_days import KINDS, hard_window
 from benchmarks.licensed import ALL_SOLVERS, LICENSED
 from benchmarks.race import Runner, monolith
 from benchmarks.store import Row, Store
+from benchmarks.terminal import plain_errors
 from benchmarks.windows import NOT_ADMITTED
-from experiments.hard_days import KINDS, hard_window
-from experiments.terminal import plain_errors
 from vppres.core.errors import SolveError
 from vppres.solve.cache import ModelCache
 from vppres.solve.ladder import WindowSolver

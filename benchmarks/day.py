@@ -15,13 +15,25 @@ from rich.progress import Progress
 from benchmarks.clock import in_fresh_process, peak_memory_mb, watched
 from benchmarks.instances import packaged
 from benchmarks.store import Row, Store
-from experiments.config import read_config
 from vppres.contract.forecast import ForecastErrors
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.day.trajectory import Trajectory
 
-ERROR_EXPERIMENTS = ("load_error", "load_bias", "pv_error", "pv_bias")
+GROWTHS = (0.01, 0.02, 0.03)
+"""Growth of the relative standard deviation of random errors, per hour ahead."""
+BIASES = (-0.2, -0.1, 0.1, 0.2)
+ERRORS: dict[str, tuple[float, ...]] = {
+    "load_alpha_per_h": GROWTHS,
+    "load_bias": BIASES,
+    "pv_alpha_per_h": GROWTHS,
+    "pv_bias": BIASES,
+}
+"""Levels of the paper's forecast errors by field, as in the reproduction."""
+QUICK = {GROWTHS: (0.02,), BIASES: (-0.1, 0.1)}
+"""What stands for all levels in a quick run."""
+RANDOM_DAYS = {False: 20, True: 2}
+"""Most days of a random error, of a usual run and of a quick one; a bias has nothing to draw."""
 LATER_RUNS = 3
 P = ParamSpec("P")
 
@@ -37,13 +49,12 @@ def error_settings(seeds: int, quick: bool = False) -> list[tuple[str, RunOption
         Whether the reproduction's quick levels are meant.
     """
     found = []
-    for name in ERROR_EXPERIMENTS:
-        config = read_config(name, quick)
-        for level in config["levels"]:
-            errors = ForecastErrors(**{config["field"]: level})
+    for field, levels in ERRORS.items():
+        days = min(seeds, RANDOM_DAYS[quick] if levels is GROWTHS else 1)
+        for level in QUICK[levels] if quick else levels:
+            errors = ForecastErrors(**{field: level})
             found += [
-                (f"{config['field']} {level:g}", RunOptions(errors=errors, seed=seed))
-                for seed in range(min(seeds, config["error_seeds"]))
+                (f"{field} {level:g}", RunOptions(errors=errors, seed=seed)) for seed in range(days)
             ]
     return found
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from experiments.hard_days import TRAITS, HardWindow, hard_window
+from benchmarks.hard_days import TRAITS, HardWindow, hard_window
 from vppres.core.errors import InputError, Problem
 
 FILE = Path(__file__).with_name("hard.csv")
@@ -28,7 +28,7 @@ class HardInstance:
     name : str
         Unique name.
     kind : str
-        Trait of the day, a name in :data:`experiments.hard_days.TRAITS`.
+        Trait of the day, a name in :data:`benchmarks.hard_days.TRAITS`.
     seed : int
         Makes day and window again.
     t0, steps, buses : int

@@ -13,8 +13,7 @@ import pandas as pd
 from jinja2 import Environment
 from matplotlib.figure import Figure
 
-from experiments.drawing import save_figure
-from experiments.tables import template_environment
+from benchmarks.pages import save_figure, template_environment
 from vppres.core.errors import InputError, Problem
 from vppres.day.metrics import versions
 from vppres.io.atomic import atomic_write_text

@@ -8,8 +8,9 @@ from pathlib import Path
 import pandas as pd
 from matplotlib.figure import Figure
 
-from experiments.drawing import draw_grid, save_figure
-from vppres.report.plots.palette import BLACK, BLUE, GREEN, ORANGE
+from benchmarks.pages import save_figure
+from experiments.drawing import draw_grid
+from vppres.report.plots.drawing import BLACK, BLUE, GREEN, ORANGE
 
 STYLES = {"load": ("load", BLUE), "pv": ("PV power", ORANGE), "net": ("load less PV", GREEN)}
 TARGET = Path(__file__).parent / "_static" / "forecasts"

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any, Literal
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.container import ErrorbarContainer
@@ -13,16 +11,12 @@ from matplotlib.figure import Figure
 
 from experiments.results import DayResult
 from vppres.report.plot import finish, line_of
-from vppres.report.plots.palette import PURPLE, RULE_COLOUR, RUN_STYLES, Style
+from vppres.report.plots.drawing import PURPLE, RULE_COLOUR, RUN_STYLES, Style
 
 MPC = "MPC"
 FULL = "full horizon"
 WIDTH_IN = 8.0
 DAY_H = 24
-DPI = 150
-
-# A fixed salt keeps two SVG files equal if their data are.
-SVG_HASH_SALT = "vppres"
 
 STYLES: dict[str, Style] = dict(zip((MPC, FULL), RUN_STYLES, strict=False))
 LINES: dict[str, dict[str, Any]] = {name: line_of(style) for name, style in STYLES.items()}
@@ -73,28 +67,3 @@ def outage_hours(day: DayResult) -> tuple[int, int]:
     """First hour of the outage, and the first after it."""
     hours = np.flatnonzero(day.series("outage"))
     return int(hours[0]), int(hours[-1]) + 1
-
-
-def save_figure(figure: Figure, stem: Path) -> list[Path]:
-    """Write one figure as PNG and SVG; equal figures give equal files.
-
-    Parameters
-    ----------
-    figure : matplotlib.figure.Figure
-        The figure.
-    stem : Path
-        File without its ending, in an existing folder.
-
-    Returns
-    -------
-    list of Path
-        The files written.
-    """
-    png = stem.with_name(f"{stem.name}.png")
-    svg = stem.with_name(f"{stem.name}.svg")
-    with matplotlib.rc_context({"svg.hashsalt": SVG_HASH_SALT}):
-        figure.savefig(svg, metadata={"Date": None})
-    # The places are found; to find them again would take half of the time.
-    figure.set_layout_engine("none")
-    figure.savefig(png, dpi=DPI)
-    return [png, svg]

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from pathlib import Path
 
 import data.uk_heatwave_2022.build as builder
-import vppres
+from benchmarks.store import digest_of_files, package_digest
 from experiments.weighted import WeightedChoices
 from vppres.day.metrics import versions
 from vppres.day.options import RunOptions
 from vppres.io.digest import scenario_digest
 from vppres.scenario.scenario import Scenario
 
-# Packages that show or read results, and so cannot change them.
-PRESENTATION = ("cli", "explain", "feeders", "io", "live", "report", "studies")
 # What makes the short results of whole days.
 RESULT_FORMAT = (Path(__file__).with_name("shorten.py"),)
 # What solves the days that are solved by one weighted objective.
@@ -103,28 +100,14 @@ def scenario(day: Day) -> Scenario:
 
 @cache
 def sources_digest() -> str:
-    """SHA-256 of the source files that compute a result."""
-    package = Path(vppres.__file__).parent
-    files = [
-        file
-        for file in sorted(package.rglob("*.py"))
-        if file.relative_to(package).parts[0] not in PRESENTATION
-    ]
-    return _digest_of_files([*files, *RESULT_FORMAT])
+    """SHA-256 of the source files that compute a result and shorten it."""
+    return package_digest() + digest_of_files(RESULT_FORMAT)
 
 
 @cache
 def weighted_sources_digest() -> str:
     """The same for days that are solved by one weighted objective."""
-    return sources_digest() + _digest_of_files(WEIGHTED)
-
-
-def _digest_of_files(files: Iterable[Path]) -> str:
-    """SHA-256 of the names and contents of files."""
-    digest = hashlib.sha256()
-    for file in files:
-        digest.update(file.name.encode() + b"\0" + file.read_bytes() + b"\0")
-    return digest.hexdigest()
+    return sources_digest() + digest_of_files(WEIGHTED)
 
 
 @cache

@@ -10,10 +10,10 @@ from pathlib import Path
 
 from joblib import cpu_count
 
+from benchmarks.terminal import bar_of
 from experiments.jobs import Job, scenario
 from experiments.results import DayResult
 from experiments.shorten import shorten
-from experiments.terminal import bar_of
 from experiments.weighted import WeightedSolver
 from vppres.core.errors import SolveError, SolverLostError
 from vppres.day.assembly import make_controller

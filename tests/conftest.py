@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from tests.support.live_service import Live
 
 TESTS = Path(__file__).parent
+pytest_plugins = ["pytester"]
 
 # The same cases in each run, and no limit of time for one: the machine may be busy.
 settings.register_profile("vppres", deadline=None, derandomize=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from experiments.cluster import Pass, day_digest, row, tables_digest
+from experiments.studies.cluster import Pass, day_digest, row, tables_digest
 from tests.support.made_up_runs import small_run
 
 

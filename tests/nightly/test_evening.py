@@ -1,4 +1,4 @@
-"""The evening of ``experiments.evening`` on the tiny feeder; and that its judgement can fail."""
+"""The evening of ``tests.support.evening`` on the tiny feeder; and that its judgement can fail."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.evening import Moment, critical, evening
+from tests.support.evening import Moment, critical, evening
 from tests.support.live_service import site
 from tests.support.tiny_day import tiny_scenario
 from vppres.day.options import RunOptions

@@ -13,6 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 import experiments.__main__ as command
+from benchmarks.terminal import INTERRUPTED
 from experiments import runner
 from experiments.catalogue import ALL, EXPERIMENTS
 from experiments.config import FOLDER, read_config
@@ -22,7 +23,6 @@ from experiments.published import STATEMENTS, Statement
 from experiments.results import DayResult
 from experiments.rows import asserted, measured, measured_all, order
 from experiments.runner import run_jobs
-from experiments.terminal import INTERRUPTED
 from vppres.contract.forecast import ForecastErrors
 from vppres.core.errors import SolveError
 from vppres.day.options import RunOptions
@@ -156,7 +156,7 @@ def test_finished_days_outlive_an_interrupt(
 def test_long_days_come_first(counted: list[Job], tmp_path: Path) -> None:
     long = Job(options=RunOptions(horizon_h=12.0))
     run_jobs([SHORT, long, PLAN], tmp_path, 1)
-    assert counted == [PLAN, long, SHORT]
+    assert counted == [long, PLAN, SHORT]
 
 
 def test_two_processes_give_what_one_gives(real_days: dict[str, DayResult], tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from data.homes.build import HELD_OUT, homes
-from experiments.homes import FORECASTERS, Run, day_of, write_report
+from experiments.studies.homes import FORECASTERS, Run, day_of, write_report
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.io.python_door import check_scenario

@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments import outage_ceiling
-from experiments.outage_ceiling import (
+from experiments.studies import outage_ceiling
+from experiments.studies.outage_ceiling import (
     MEANS,
     POINTS,
     _next_means,
@@ -18,7 +18,7 @@ from experiments.outage_ceiling import (
     played,
     rationing,
 )
-from experiments.outage_days import Outage, OutageClimate, OutageDay, draw_outage_day
+from experiments.studies.outage_days import Outage, OutageClimate, OutageDay, draw_outage_day
 from vppres.scenario.outage_warnings import OutageWarning
 
 

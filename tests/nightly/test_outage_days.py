@@ -6,14 +6,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.outage_days import (
+from experiments.studies.outage_days import (
     OutageClimate,
     OutageDay,
     biased,
     draw_outage_day,
     with_outage_day,
 )
-from experiments.uncertain import heatwave, known_path, sampled
+from experiments.studies.uncertain import heatwave, known_path, sampled
 from vppres.outlook.belief import OutageBelief
 from vppres.outlook.outlook import OutageOutlook
 

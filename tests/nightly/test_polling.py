@@ -1,10 +1,10 @@
-"""A few seconds of ``experiments.polling``: the client, and that everybody is answered."""
+"""A few seconds of ``experiments.studies.polling``: the client, and that everybody is answered."""
 
 from __future__ import annotations
 
 import pytest
 
-from experiments import polling
+from experiments.studies import polling
 
 
 @pytest.mark.nightly

@@ -7,18 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments import ideal, precision
+from experiments import ideal
 from experiments.config import read_config
 from experiments.jobs import Job
 from experiments.results import DayResult
-from experiments.settings import At, Setting
+from experiments.studies import precision
+from experiments.studies.settings import At, Setting
+from experiments.studies.weighted_gap import service_of, terms_beside_gap
 from experiments.weighted import WeightedChoices
-from experiments.weighted_gap import service_of, terms_beside_gap
 from tests.support.small_windows import OPEN, battery, two_buses, with_pv
 from vppres.day.options import RunOptions
 from vppres.scenario.scenario import ObjectiveWeights, Scenario
 
-CONFIG = read_config("precision")
+CONFIG = read_config("precision", folder=precision.FOLDER)
 
 
 def test_a_setting_changes_how_a_day_is_solved_and_nothing_else() -> None:

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from experiments import networks
-from experiments.networks import Candidate, Outcome
+from experiments.studies import networks
+from experiments.studies.networks import Candidate, Outcome
 from vppres.core.errors import InputError, Problem
 
 

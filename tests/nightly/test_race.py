@@ -10,9 +10,9 @@ import pytest
 
 from benchmarks import agreement, findings, race
 from benchmarks.hard import HardInstance, read_hard
+from benchmarks.hard_days import hard_day
 from benchmarks.instances import packaged, read_instances, window_data
 from benchmarks.random_days import STEPS, cut, steps_of, summary
-from experiments.hard_days import hard_day
 from vppres.core.errors import InputError
 from vppres.model.site import Site
 from vppres.solve.result import SolveLimits

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from experiments import random_live_days
-from experiments.shedding import Judge, Shed
+from experiments.studies import random_live_days
+from experiments.studies.shedding import Judge, Shed
 
 
 def test_a_random_live_day_holds_what_it_must(monkeypatch: pytest.MonkeyPatch) -> None:

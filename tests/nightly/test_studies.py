@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments import campaign
-from experiments.baselines import CONTROLLERS, Run, column, figure, write_report
-from experiments.campaign import StepToJudge, judge, run_one
-from experiments.faults import drawn_faults
-from experiments.mutations import refuted
-from experiments.paired import Estimate
-from experiments.random_days import RandomDay, random_day, small_day
+from experiments.studies import campaign
+from experiments.studies.baselines import CONTROLLERS, Run, column, figure, write_report
+from experiments.studies.campaign import StepToJudge, judge, run_one
+from experiments.studies.faults import drawn_faults
+from experiments.studies.paired import Estimate
+from experiments.studies.random_days import RandomDay, random_day, small_day
+from tests.support.mutations import refuted
 from vppres.contract.forecast import ForecastErrors
 from vppres.day.assembly import make_controller
 from vppres.day.options import RunOptions

@@ -81,7 +81,8 @@ def assert_methods_agree(site: Site, data: WindowData, always: bool = True) -> N
     assert one.objective == pytest.approx(other.objective, abs=2.0 * gap)
     assert min(one.bound, other.bound) >= max(one.objective, other.objective) - gap
     for answer in answers:
-        assert not broken(site, data, answer.dispatch)
+        d = answer.dispatch
+        assert not broken(site, data.for_service(d.served), d)
 
 
 def assert_certified(site: Site, data: WindowData) -> None:

@@ -5,13 +5,14 @@ run follow from it:
 
 - ``pytest --quick``: functions of short cases on short fixtures, and of each the first case. It is
   an allow list: what was never measured does not run.
-- ``pytest``: functions of cases of at most ``LONG_S``, and longer ones that are marked daily; none
-  that is marked nightly. Of one with random cases (a parameter ``seed``) the first cases that
-  together cost at most ``USUAL_S``.
+- ``pytest``: all functions but those that are marked nightly. Of one with random cases (a parameter
+  ``seed``) the first cases that together cost at most ``USUAL_S``.
 - ``pytest --nightly``: everything.
 
 ``pytest --measure`` adds the functions and fixtures that the list lacks. What is not listed fails
-``test_every_test_is_measured``, so the list cannot go stale.
+``test_every_test_is_measured``, so the list cannot go stale. A function whose cases take longer than
+``LONG_S`` has a mark, daily or nightly, which ``test_every_long_test_says_when_it_runs`` wants. One
+that has grown since it was measured fails once it takes ``GROWN_S``.
 """
 
 from __future__ import annotations
@@ -29,11 +30,15 @@ FILE = Path(__file__).parents[1] / "durations.csv"
 QUICK_CASE_S = 0.1
 """CPU time of a case and its shared fixtures up to which a function is quick."""
 LONG_S = 1.5
-"""CPU time of a case above which a function is left for the night, unless it is marked daily."""
+"""CPU time of a case above which a function says when it runs: it is marked daily or nightly."""
+GROWN_S = 10.0
+"""CPU time at which a case without such a mark fails: far above ``LONG_S``, for slow machines."""
 USUAL_S = 1.0
 """CPU time that a usual run grants the random cases of one function; the first always runs."""
 PROPERTY = "processor_s"
 COLLECTED = pytest.StashKey[set[str]]()
+UNMARKED = pytest.StashKey[set[str]]()
+"""Functions with neither mark."""
 
 
 def processor_s() -> float:
@@ -105,19 +110,20 @@ def unmeasured_choice(
     return [name in chosen for name in names]
 
 
-def usual_choice(
-    names: list[str], seconds: dict[str, float], random: list[bool], daily: list[bool]
-) -> list[bool]:
+def usual_choice(names: list[str], seconds: dict[str, float], random: list[bool]) -> list[bool]:
     """Whether each case, given by the name of its function, belongs to the usual run."""
     spent: dict[str, float] = defaultdict(float)
     chosen = []
-    for name, drawn, always in zip(names, random, daily, strict=True):
-        case_s = seconds.get(name, 0.0)
+    for name, drawn in zip(names, random, strict=True):
         first = name not in spent
-        spent[name] += case_s
-        short = always or case_s <= LONG_S
-        chosen.append(short and (first or not drawn or spent[name] <= USUAL_S))
+        spent[name] += seconds.get(name, 0.0)
+        chosen.append(first or not drawn or spent[name] <= USUAL_S)
     return chosen
+
+
+def too_long(unmarked: set[str], seconds: dict[str, float]) -> list[str]:
+    """Functions whose cases are long, and that do not say when they run."""
+    return sorted(name for name in unmarked if seconds.get(name, 0.0) > LONG_S)
 
 
 def is_random(item: pytest.Item) -> bool:
@@ -126,9 +132,9 @@ def is_random(item: pytest.Item) -> bool:
     return call is not None and "seed" in call.params
 
 
-def marked(items: list[pytest.Item], marker: str) -> list[bool]:
-    """Whether each case has a marker."""
-    return [item.get_closest_marker(marker) is not None for item in items]
+def has_mark(item: pytest.Item) -> bool:
+    """Whether a case says when it runs."""
+    return any(item.get_closest_marker(marker) for marker in ("daily", "nightly"))
 
 
 class Durations:
@@ -149,6 +155,9 @@ class Durations:
         names = [function_of(item.nodeid) for item in items]
         fixtures = [shared_fixtures(item) for item in items]
         config.stash[COLLECTED] = {*names, *chain.from_iterable(fixtures)}
+        config.stash[UNMARKED] = {
+            name for name, item in zip(names, items, strict=True) if not has_mark(item)
+        }
         chosen = self.choice(items, names, fixtures)
         left_out = [item for item, takes in zip(items, chosen, strict=True) if not takes]
         items[:] = [item for item, takes in zip(items, chosen, strict=True) if takes]
@@ -166,10 +175,11 @@ class Durations:
         if self.quick:
             chosen = quick_choice(names, fixtures, seconds)
         else:
-            random = [is_random(item) for item in items]
-            chosen = usual_choice(names, seconds, random, marked(items, "daily"))
-        nightly = marked(items, "nightly")
-        return [takes and not night for takes, night in zip(chosen, nightly, strict=True)]
+            chosen = usual_choice(names, seconds, [is_random(item) for item in items])
+        return [
+            takes and item.get_closest_marker("nightly") is None
+            for takes, item in zip(chosen, items, strict=True)
+        ]
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
@@ -197,6 +207,10 @@ class Durations:
             case_s = processor_s() - self.begun_s - sum(self.fixtures.values())
             measured = {function_of(item.nodeid): case_s, **self.fixtures}
             report.user_properties.append((PROPERTY, measured))
+            by_day = not (self.measures or self.nightly)
+            if by_day and case_s > GROWN_S and report.passed and not has_mark(item):
+                report.outcome = "failed"
+                report.longrepr = f"{case_s:.1f} s of CPU time: make it shorter, or mark it nightly"
         return report
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from experiments.random_feeders import Window, random_window
+from benchmarks.random_feeders import Window, random_window
 from vppres.contract.export import Export
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from experiments.usual_battery import USUAL_BATTERY
+from benchmarks.usual_battery import USUAL_BATTERY
 from vppres.contract.export import Export
 from vppres.control.step_state import StepState
 from vppres.model.data import WindowData

@@ -25,8 +25,8 @@ from vppres.feeders.new.options import (
     NewScenarioOptions,
 )
 from vppres.io import schema
+from vppres.kinds.gensets.data import Gensets
 from vppres.scenario.assets import TIER_WEIGHTS, Batteries, Customers, PVSystems
-from vppres.scenario.gensets import Gensets
 
 DECIMALS = 6
 POWER_FACTOR_DECIMALS = 9

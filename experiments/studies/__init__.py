@@ -1,0 +1,1 @@
+"""Studies that the documentation quotes: ``python -m experiments.studies.NAME``."""

@@ -1,0 +1,142 @@
+"""With the grid on no customer is switched off for a voltage that the feeder has by itself."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from vppres.cli.tables import content_of
+from vppres.day.assembly import make_controller
+from vppres.day.metrics import cautions
+from vppres.day.options import RunOptions
+from vppres.day.priority import site_of
+from vppres.day.simulate import Day, run_day
+from vppres.day.trajectory import Trajectory
+from vppres.explain.day import explain_day
+from vppres.feeders import import_network
+from vppres.feeders.new.options import NewScenarioOptions
+from vppres.feeders.new.scenario import new_scenario
+from vppres.model.data import WindowData
+from vppres.model.own_state import COLLAPSED_PU2, with_own_state
+from vppres.scenario.scenario import HARD, SOFT, Scenario
+
+STEPS = slice(3, 5)
+OUTAGE = (pd.Timestamp("2025-07-01T00:00Z"), pd.Timestamp("2025-07-01T04:00Z"))
+
+
+@cache
+def weak_feeder(batteries: bool = False, sun: float = 0.0) -> Scenario:
+    """Two steps of 33 buses, whose far end is at 0.913 pu by itself; of those with sun, two."""
+    rules = NewScenarioOptions(
+        step_minutes=240.0,
+        outages=(OUTAGE,),
+        add_batteries=batteries,
+        pv="sized" if sun else "none",
+        pv_share_of_peak=sun or None,
+    )
+    return new_scenario(import_network("case33bw"), rules).between(STEPS.start, STEPS.stop)
+
+
+def ran(day: Scenario, limits: str, mode: str = "physical", **options: str) -> Trajectory:
+    return run_day(day, RunOptions(horizon_h=4.0, voltage_limits=limits, mode=mode, **options))
+
+
+@cache
+def without_control(mode: str) -> Trajectory:
+    """The weak feeder by itself."""
+    return ran(weak_feeder(), SOFT, mode, controller="idle")
+
+
+@pytest.mark.parametrize("mode", ["physical", "paper"])
+@pytest.mark.parametrize("method", ["decomposed", "monolithic"])
+def test_limits_give_way_to_the_feeder_itself(mode: str, method: str) -> None:
+    day = weak_feeder()
+    soft = ran(day, SOFT, mode, method=method)
+    assert soft.customers["served"].all()
+    assert cautions(soft) == []
+    assert (soft.steps["fallback"] == "none").all()
+    idle = without_control(mode)
+    np.testing.assert_allclose(soft.buses["v_ac_pu"], idle.buses["v_ac_pu"], atol=1e-6)
+    assert idle.buses["v_ac_pu"].min() < day.network.v_min_ac_pu
+
+
+@pytest.mark.daily
+def test_no_customer_is_dimmed_for_the_feeder_itself() -> None:
+    day = weak_feeder()
+    half = np.full(len(day.customers), 0.5)
+    later = np.where(np.arange(len(half)) == 0, 4.0, np.nan)
+    dimmable = replace(day.customers, share_min=half, recover_h=later)
+    soft = ran(replace(day, customers=dimmable), SOFT)
+    np.testing.assert_allclose(soft.customers["share"], 1.0, atol=1e-4)
+
+
+@pytest.mark.nightly
+def test_a_feeder_that_cannot_carry_its_demand_is_explained() -> None:
+    day = weak_feeder()
+    run = ran(replace(day, load_kw=20.0 * day.load_kw), SOFT)
+    assert (run.steps["fallback"] != "none").all()
+    told = explain_day(run).explanations
+    assert told is not None
+    assert set(told["action"]) >= {"not_served"}
+
+
+def test_limits_give_way_to_no_voltage_that_a_feeder_cannot_have() -> None:
+    """At twenty times its demand the far end would be at less than nothing."""
+    day = weak_feeder()
+    day = replace(day, load_kw=20.0 * day.load_kw)
+    options = RunOptions(horizon_h=0.0, voltage_limits=SOFT).on(day)
+    seen = Day(day, options).observe(make_controller(day, options), 0)
+    site = site_of(day, options.as_record())
+    data = with_own_state(site, WindowData.of(seen, site, "none"))
+    assert data.own_u_pu2 is not None
+    assert data.u_limits_pu2(site.network)[0].min() == COLLAPSED_PU2
+
+
+def test_hard_limits_switch_off_and_the_first_line_says_whom() -> None:
+    day = weak_feeder()
+    hard = ran(day, HARD)
+    off = hard.customers[~hard.customers["served"].astype(bool)]
+    assert hard.buses["v_ac_pu"].min() > day.network.v_min_pu - 1e-4
+    (caution,) = cautions(hard)
+    assert caution.startswith(
+        f"Off with the grid on: {off['id'].nunique()} of 32 customers, {len(off) * 4} customer hours."
+    )
+    (told,) = cautions(explain_day(hard))
+    assert f" Reasons: voltage {len(off)}." in told
+
+
+def test_limits_give_way_no_further_than_they_must() -> None:
+    day = weak_feeder(batteries=True)
+    full = replace(
+        day,
+        load_kw=0.75 * day.load_kw,
+        batteries=replace(day.batteries, soc_initial=day.batteries.soc_max),
+    )
+    alone = ran(full, SOFT, controller="idle")
+    assert alone.buses["v_ac_pu"].min() < day.network.v_min_ac_pu
+    held = ran(full, SOFT)
+    assert held.customers["served"].all()
+    assert held.buses["v_ac_pu"].min() > day.network.v_min_pu - 1e-4
+
+
+def test_pv_power_does_not_raise_the_highest_voltage() -> None:
+    day = weak_feeder(sun=4.0)
+    alone = ran(day, SOFT, controller="idle")
+    assert alone.buses["v_ac_pu"].max() > day.network.v_max_ac_pu
+    run = ran(day, SOFT)
+    assert run.customers["served"].all()
+    assert run.buses["v_ac_pu"].max() < day.network.v_max_pu + 1e-4
+
+
+def test_validate_says_where_the_feeder_leaves_its_limits() -> None:
+    words = content_of(weak_feeder())["remarks"][0]
+    assert words.startswith("Without control the voltage falls to 0.91")
+    assert "at bus 18" in words
+    assert words.endswith("no customer is switched off for it.")
+    hard = replace(weak_feeder().controller, voltage_limits=HARD)
+    day = replace(weak_feeder(), controller=hard)
+    assert "customers may be switched off" in content_of(day)["remarks"][0]

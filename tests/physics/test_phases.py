@@ -1,0 +1,561 @@
+"""Phased feeders: tables, power flow against OpenDSS, linear model, plans within every phase."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from experiments.studies.phases import admittances_apart
+from tests.support.command_line import call
+from tests.support.homes import homes
+from tests.support.phased_feeder import CIRCUIT, phased_day
+from tests.support.sets import gensets
+from vppres.contract.decision import Decision, SolveInfo
+from vppres.contract.observation import Observation
+from vppres.control.rules import rule_dispatch
+from vppres.control.step_state import StepState
+from vppres.core.errors import InputError
+from vppres.day.assembly import make_controller
+from vppres.day.faults import FaultPlan, SolverOutage
+from vppres.day.options import RunOptions
+from vppres.day.phase_figures import phase_figures
+from vppres.day.simulate import Day, run_day
+from vppres.day.trajectory import Trajectory
+from vppres.explain.day import explain_day
+from vppres.explain.recorded import Recorded
+from vppres.feeders import import_network
+from vppres.feeders.dss.phases import flow_of_source
+from vppres.io import read_scenario
+from vppres.io.digest import scenario_digest
+from vppres.io.scenario_writer import write_scenario
+from vppres.model.phases import Slopes
+from vppres.model.site import Site
+from vppres.physics.phased_loading import Loadings
+from vppres.physics.phased_sources import (
+    assets_of,
+    flow_of_former,
+    flow_of_grid,
+    former_of,
+    labels_by_source,
+)
+from vppres.physics.phases import NoPhasedSolutionError, PhasedFlow
+from vppres.report.findings import findings
+from vppres.report.first_page import limit_rows, who_and_why
+from vppres.report.one_line import step_states
+from vppres.report.plots.figures import chart_of
+from vppres.report.rechecked import recheck_run
+from vppres.report.sections.base import Run
+from vppres.report.sections.network import network_section
+from vppres.scenario.earthing import in_island, unearthed, unearthed_by
+from vppres.scenario.phases import (
+    PhaseBus,
+    PhaseConnection,
+    PhaseLine,
+    Phases,
+    PhaseTransformer,
+)
+from vppres.scenario.remarks import darkness, former_words, held_capacitors
+from vppres.scenario.scenario import Scenario
+from vppres.service.world import World
+from vppres.solve.shadow_price_model import PricedTerms, ShadowPriceModel
+from vppres.solve.shadow_prices import price_window
+
+pytest.importorskip("opendssdirect")
+
+
+@pytest.fixture(scope="module")
+def circuit(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small unbalanced circuit with every kind of element."""
+    file = tmp_path_factory.mktemp("phases") / "small.dss"
+    file.write_text(CIRCUIT)
+    return file
+
+
+@pytest.fixture(scope="module")
+def day(circuit: Path) -> Scenario:
+    """A scenario of it, read back from its folder."""
+    return phased_day(circuit)
+
+
+def powers(day: Scenario, t: int) -> tuple[np.ndarray, np.ndarray]:
+    """What all assets draw in a step, batteries idle."""
+    idle = np.zeros(len(day.batteries))
+    p = np.concatenate([day.load_kw[t], -day.pv_kw[t], idle])
+    q = np.concatenate([day.load_kvar[t], 0.0 * day.pv_kw[t], idle])
+    return p, q
+
+
+def flows(day: Scenario) -> tuple[PhasedFlow, PhasedFlow]:
+    """With the grid as source, and with the former."""
+    assert day.phases is not None
+    names = assets_of(day.customers, day.pv, day.batteries)
+    former = former_of(day.phases, day.batteries)
+    assert former is not None
+    grid = flow_of_grid(day.phases, names, day.network.v_slack_pu)
+    island = flow_of_former(day.phases, names, day.batteries, former, 0.947, 1.053)
+    return grid, island
+
+
+def test_import_has_opendss_voltages(day: Scenario) -> None:
+    as_given = day.source.deviation.as_given_pu
+    assert as_given is not None
+    assert as_given < 1e-7
+    assert not day.source.unbalanced
+
+
+@pytest.mark.nightly
+def test_admittances_are_those_of_opendss(circuit: Path) -> None:
+    phased = import_network(circuit).phased
+    assert phased is not None
+    flow, _, _ = flow_of_source(phased)
+    assert admittances_apart(circuit, flow) < 1e-12
+
+
+@pytest.mark.nightly
+def test_a_wye_with_its_neutral_at_a_phase_is_between_two_phases(circuit: Path) -> None:
+    file = circuit.with_name("between.dss")
+    file.write_text(CIRCUIT.replace("bc bus1=n.2.3 phases=1 conn=delta", "bc bus1=n.2.3 phases=1"))
+    found = import_network(file).phased
+    assert found is not None and found.difference_pu is not None
+    assert found.difference_pu < 1e-7
+    assert "bc" in {load.connection.coils for load in found.loads}
+
+
+def test_a_core_is_a_shunt_of_the_transformer_s_bus(circuit: Path) -> None:
+    file = circuit.with_name("core.dss")
+    file.write_text(CIRCUIT.replace("transformer.low phases=3", "transformer.low %imag=2 phases=3"))
+    source = import_network(file).phased
+    assert source is not None and source.difference_pu is not None
+    assert source.difference_pu < 1e-6
+    assert [(row.bus, row.q_kvar > 0) for row in source.phases.shunts if row.bus == "d"]
+
+
+def test_three_wires_have_limits_between_phases(day: Scenario) -> None:
+    assert day.phases is not None
+    assert [row.bus for row in day.phases.buses if row.limits == "lines"] == ["d"]
+
+
+LARGE = CIRCUIT.replace("kva=300", "kva=2000").replace("kw=90 kvar=30 model=1", "kw=900 kvar=30")
+"""The largest customer and its battery are behind a transformer with a delta."""
+
+
+@pytest.mark.parametrize(
+    ("substation", "low", "former", "unearthed"),
+    [
+        ("delta", "delta", "bd", {"vsource", "sourcebus", "d"}),
+        ("wye", "wye", "be", {"vsource", "sourcebus", "s", "r", "m", "n", "e"}),
+    ],
+)
+def test_an_island_is_formed_by_a_battery_that_earths_its_customers(
+    tmp_path: Path, substation: str, low: str, former: str, unearthed: set[str]
+) -> None:
+    """A wye of the substation whose other side is a delta earths the feeder without the grid."""
+    file = tmp_path / "large.dss"
+    text = LARGE.replace("bus=sourcebus conn=delta", f"bus=sourcebus conn={substation}")
+    text = text.replace("d phases=3 conn=delta", f"d phases=3 conn={low}")
+    file.write_text(text.replace("bus=d conn=delta", f"bus=d conn={low}"))
+    day = phased_day(file)
+    assert day.phases is not None
+    b = day.batteries
+    assert b.id[b.s_max_kva.argmax()] == "bd"
+    assert list(b.id[b.grid_forming]) == [former]
+    assert "nothing earths" not in former_words(day, always=True)
+    behind = replace(day, batteries=replace(b, grid_forming=b.id == "bd"))
+    assert unearthed_by(day.phases, "bd") == unearthed
+    told = "With bd as source nothing earths the buses of ca, cb, ce, whose coils are to ground"
+    assert (told in former_words(behind, always=True)) is (substation == "wye")
+
+
+def test_limits_of_an_island_are_between_phases_where_nothing_earths(day: Scenario) -> None:
+    """Not at a bus where an asset has a coil to ground, and of as many voltages."""
+    assert day.phases is not None
+    by_source = labels_by_source(day.phases, day.batteries)
+    grid, island = ([word for bus, word in each if bus == "sourcebus"] for each in by_source)
+    assert (grid, island) == (["a", "b", "c"], ["ab", "bc", "ca"])
+    assert [bus for bus, _ in by_source[0]] == [bus for bus, _ in by_source[1]]
+    connections = (*day.phases.connections, PhaseConnection("x", "sourcebus", "b", 40.0))
+    changed = in_island(replace(day.phases, connections=connections), "be")
+    assert ("sourcebus", "b") in changed.measured
+
+
+def test_an_open_delta_earths_the_wye_only_while_it_is_fed() -> None:
+    """With a third unit its delta is closed, and no shift of the wye's voltages leaves it none."""
+    buses = tuple(PhaseBus(bus, bus, 1.0, "a b c") for bus in "xy")
+    units = tuple(
+        PhaseTransformer(wye, "x", wye, 1.0, "y", delta, 1.0, 50.0, 1.0, 4.0)
+        for wye, delta in zip("abc", ("ab", "bc", "ca"), strict=True)
+    )
+    closed, opened = Phases(buses, (), units), Phases(buses, (), units[:2])
+    assert unearthed(closed, "x", to_ground=False) == {"y"}
+    assert unearthed(opened, "x", to_ground=False) == {"x", "y"}
+    assert unearthed(closed, "y", to_ground=False) == {"y"}
+
+
+def test_no_loading_is_stated_of_lines_whose_phases_differ(day: Scenario) -> None:
+    assert not day.network.has_ratings
+
+
+def test_folder_reads_back_equal(day: Scenario, tmp_path: Path) -> None:
+    write_scenario(day, tmp_path / "again")
+    again = read_scenario(tmp_path / "again")
+    assert day.phases is not None
+    assert again.phases is not None
+    assert again.phases.key == day.phases.key
+
+
+def test_slopes_are_derivatives_at_no_load(day: Scenario) -> None:
+    small = 1e-3
+    for flow in flows(day):
+        slopes = Slopes.of(flow, Loadings.of(flow.phases))
+        count = len(flow.assets)
+        for asset in range(0, count, 3):
+            p = np.zeros(count)
+            p[asset] = small
+            for kw, kvar, u, source in (
+                (p, 0 * p, slopes.u_p, slopes.former_p),
+                (0 * p, p, slopes.u_q, slopes.former_q),
+            ):
+                found, other = flow.solve(kw, kvar), flow.solve(-kw, -kvar)
+                du = (flow.v_pu(found.v) ** 2 - flow.v_pu(other.v) ** 2) / (2 * small)
+                ds = (found.source_kva - other.source_kva) / (2 * small)
+                np.testing.assert_allclose(du, u[:, asset], atol=1e-7)
+                np.testing.assert_allclose(ds, source[:, asset], atol=1e-4)
+
+
+def test_newton_finds_what_the_fixed_point_finds(day: Scenario) -> None:
+    grid, _ = flows(day)
+    p, q = powers(day, 18)
+    found = grid.solve(p, q)
+    by_newton = grid._newton(p, q, grid._across[0])
+    assert by_newton is not None
+    assert np.abs((by_newton - found.coil_v) / grid.rated_v).max() < 1e-8
+
+
+def test_load_beyond_the_lines_has_no_solution(day: Scenario) -> None:
+    grid, _ = flows(day)
+    p, q = powers(day, 18)
+    with pytest.raises(NoPhasedSolutionError, match="collapse at"):
+        grid.solve(30 * p, 30 * q)
+
+
+def test_turned_phases_turn_the_answer() -> None:
+    z = np.full((3, 3), 0.1 + 0.3j) + np.diag([0.3, 0.3, 0.3])
+    buses = (PhaseBus("s", 1, 4.16, "a b c"), PhaseBus("e", 2, 4.16, "a b c"))
+    lines = (PhaseLine("s", "e", z, np.zeros((3, 3))),)
+    found = []
+    for words in (("a", "bc"), ("b", "ca")):
+        rows = [PhaseConnection(f"x{i}", "e", word, 2.4) for i, word in enumerate(words)]
+        phases = Phases(buses, lines, connections=tuple(rows))
+        flow = PhasedFlow(phases, ["x0", "x1"], "s", 1.0)
+        found.append(flow.solve(np.array([300.0, 200.0]), np.array([100.0, 50.0])))
+    np.testing.assert_allclose(found[1].source_kva, np.roll(found[0].source_kva, 1), rtol=1e-9)
+
+
+def test_loadings_are_currents_over_ratings() -> None:
+    z = np.full((3, 3), 0.1 + 0.3j) + np.diag([0.3, 0.3, 0.3])
+    buses = [PhaseBus(name, i, 4.16, "a b c") for i, name in enumerate("sem")]
+    unit = PhaseTransformer("t", "e", "a b c", 2.4, "m", "a b c", 2.4, 250.0, 1.0, 4.0, ppm=0.0)
+    line = PhaseLine("s", "e", z, np.zeros((3, 3)), i_max_a=100.0)
+    load = PhaseConnection("x", "m", "b", 2.4)
+    phases = Phases(tuple(buses), (line,), (unit,), connections=(load,))
+    flow = PhasedFlow(phases, ["x"], "s", 1.0)
+    found = flow.solve(np.array([200.0]), np.array([80.0]))
+    loadings = Loadings.of(phases)
+    share = dict(zip(loadings.names, loadings.at(found.v), strict=True))
+    amps = np.hypot(200.0, 80.0) * 1e3 / np.abs(found.coil_v[0])
+    assert share["line from s to e, phase b"] == pytest.approx(amps / 100.0)
+    assert share["transformer t, b"] == pytest.approx(amps * 2.4 / 250.0)
+    assert share["line from s to e, phase a"] == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"coils": "a x"}, "phase_connections.csv, row 2, coils"),
+        ({"coils": "a b c", "bus": "n"}, "has no phase a"),
+        ({"bus": "nowhere"}, "is not a bus of phase_buses.csv"),
+        ({"bus": "e", "coils": "a"}, "is at bus e"),
+        ({"id": "stranger"}, "has no row"),
+    ],
+)
+def test_connections_that_cannot_be(day: Scenario, change: dict[str, str], message: str) -> None:
+    assert day.phases is not None
+    first, *rest = day.phases.connections
+    with pytest.raises(InputError, match=message):
+        replace(day, phases=replace(day.phases, connections=(replace(first, **change), *rest)))
+
+
+@pytest.mark.parametrize(
+    ("options", "name"),
+    [
+        ({"mode": "paper"}, "mode"),
+        ({"controller": "full-horizon"}, "controller"),
+        ({"method": "monolithic"}, "method"),
+        ({"voltage_limits": "hard"}, "voltage_limits"),
+    ],
+)
+def test_options_that_are_not_stated_are_refused_by_name(
+    day: Scenario, options: dict[str, str], name: str
+) -> None:
+    with pytest.raises(InputError, match=f"{name} = "):
+        make_controller(day, RunOptions().having(options))
+
+
+@pytest.mark.nightly
+def test_columns_and_kinds_that_are_not_stated_are_refused_at_once(day: Scenario) -> None:
+    longest = np.where(day.customers.id == "ca", np.nan, 4.0)
+    customers = replace(day.customers, max_off_h=longest)
+    more = {"thermal_loads": homes("ca", "cb"), "gensets": gensets(bus="m")}
+    with pytest.raises(InputError) as refused:
+        make_controller(replace(day, customers=customers, **more), RunOptions())
+    why = "is not stated for feeders with phases"
+    otherwise = "or remove the folder's phase_*.csv for its balanced equivalent."
+    assert str(refused.value).splitlines() == [
+        f"customers.csv, max_off_h of cb = 4.0: {why}, and 3 more. Leave the column out, {otherwise}",
+        f"thermal_loads.csv, id = h0: {why}, and 1 more. Remove the file, {otherwise}",
+        f"gensets.csv, id = g0: {why}. Remove the file, {otherwise}",
+    ]
+
+
+@pytest.mark.nightly
+def test_validate_shows_the_power_flow_by_phase(circuit: Path, day: Scenario) -> None:
+    result = call("validate", circuit.parent / "small", "--power-flow", "--json")
+    assert result.exit_code == 0
+    found = json.loads(result.stdout)["power_flow"]
+    assert found["mismatch_kva"] < 1e-3 and found["unsolved"] == 0
+    grid, _ = flows(day)
+    busiest = grid.solve(*powers(day, int(day.load_kw.sum(axis=1).argmax())))
+    assert found["v_min_pu"]["value"] <= grid.v_pu(busiest.v).min() + 1e-9
+    assert found["unbalance"]["value"] >= grid.unbalance(busiest.v).max() - 1e-9
+    told = call("validate", circuit.parent / "small", "--power-flow").stdout
+    assert "- Largest loading of a phase: " in told and "phase" in found["v_min_pu"]["at"]
+
+
+@pytest.mark.daily
+def test_plans_keep_every_phase_of_the_former_and_every_node(circuit: Path, day: Scenario) -> None:
+    options = RunOptions(horizon_h=1.0).on(day)
+    full = replace(day.batteries, soc_initial=day.batteries.soc_max)
+    assert day.phases is not None
+    # In islands OpenDSS has its buses in another order then.
+    off = tuple(replace(row, island="no") for row in day.phases.shunts)
+    evening = replace(day, batteries=full, phases=replace(day.phases, shunts=off)).between(16, 19)
+    run = Day(evening, options)
+    trajectory = run.run(make_controller(evening, options))
+    steps = trajectory.steps
+    dark = steps["outage"].to_numpy(bool)
+    rating = evening.batteries.s_max_kva[evening.batteries.grid_forming][0]
+    kva = steps[[f"former_{phase}_kva" for phase in "abc"]].to_numpy(float)
+    assert dark.tolist() == [True, True, False]
+    assert kva[dark].max() <= rating / 3 * 0.9 + 1.0
+    assert (steps["shed_kw"] == 0.0).all()
+    assert steps["v_error_pu"].max() < 1e-4
+    figures = phase_figures(trajectory)
+    assert 0.0 < figures["loading_max"] < 1.0 and "transformer" in figures["loading_at"]
+    assert [row.what for row in limit_rows(trajectory)][2].startswith("Largest loading")
+    fuller = replace(trajectory, steps=steps.assign(loading_max=1.2))
+    assert any("A phase above its rating in 3 steps" in words for words in findings(fuller))
+    assert figures["former_phase_rating_kva"] == pytest.approx(rating / 3)
+    assert figures["former_phase_max_kva"] == pytest.approx(kva[dark].max())
+    assert figures["node_steps_outside_ac"] == 0
+    nodes = trajectory.nodes
+    assert nodes is not None
+    assert nodes["v_ac_pu"].between(0.94, 1.06).all()
+    found = recheck_run(trajectory, circuit).voltages
+    apart = found.groupby("outage")["difference_pu"].agg(lambda off: off.abs().max())
+    assert apart[False] < 1e-6 and apart[True] < 1e-6
+    explained = explain_day(trajectory)
+    assert explained.explanations is not None
+    off = explained.explanations[explained.explanations["action"] == "not_served"]
+    assert "phase" in set(off["driver"])
+    assert off["words"].str.contains("phase [abc] of be").any()
+    assert "phase rating" in " ".join(who_and_why(explained))
+    check_price_of_a_phase(trajectory)
+
+
+def check_price_of_a_phase(trajectory: Trajectory) -> None:
+    """One more kVA on all phases of the former buys what their shadow prices add up to."""
+    recorded = Recorded(trajectory)
+    model = ShadowPriceModel(recorded.site, recorded.n_seen, recorded.beyond)
+    window = recorded.seen(0)
+    held = recorded.held(0, window.n_steps)
+    terms = PricedTerms(1.0, 0.0, recorded.site.weights.lambda_curt)
+    phased = window.require_phased()
+    values = {}
+    for change in (-0.01, 0.0, 0.01):
+        room = phased.room_kva + change * (np.arange(window.n_steps) == 0)
+        other = replace(window, phased=replace(phased, room_kva=room))
+        answer = price_window(model, other, held, terms)
+        assert answer is not None
+        values[change] = answer
+    slope = (values[0.01].value - values[-0.01].value) / 0.02
+    assert values[0.0].prices.former_phase.sum() == pytest.approx(slope, rel=1e-3)
+    assert slope > 0.0
+
+
+@pytest.mark.daily
+def test_currents_of_phases_stay_within_ratings(day: Scenario) -> None:
+    assert day.phases is not None
+    lines = tuple(replace(line, i_max_a=100.0) for line in day.phases.lines)
+    late = replace(day, phases=replace(day.phases, lines=lines)).between(18, 20)
+    reported = run_day(late.between(0, 1), RunOptions(horizon_h=0.0, ratings="report"))
+    assert reported.steps["loading_max"].min() > 1.5
+    kept = run_day(late, RunOptions(horizon_h=1.0))
+    shown = Run(kept, {})
+    table = network_section(shown).html
+    assert "The fullest phases" in table and "line from r to m, phase" in table
+    assert "phase a and ab" in chart_of(kept, "by_phase").svg()
+    assert "; phases a, b and c: " in step_states(kept)["info"][0]
+    assert kept.steps["loading_max"].between(0.9, 1.0).all()
+    assert kept.customers["served"].mean() > 0.5
+    told = explain_day(kept)
+    assert told.explanations is not None and told.shadow_prices is not None
+    off = told.explanations[told.explanations["action"] == "not_served"]
+    assert (off["binding"] == "rating").all()
+    assert off["words"].str.contains("the line from r to m, phase").any()
+    assert "line_rating" in set(told.shadow_prices["constraint"])
+
+
+class Everyone:
+    """All customers on in an island, whatever its former can carry."""
+
+    def __init__(self, inner: Any) -> None:
+        self.inner = inner
+
+    def horizon_steps(self, t0: int) -> range:
+        return self.inner.horizon_steps(t0)
+
+    def decide(self, observation: Observation) -> Decision:
+        found = self.inner.decide(observation)
+        served = np.ones_like(found.dispatch.served)
+        return replace(found, dispatch=replace(found.dispatch, served=served))
+
+
+@pytest.mark.daily
+def test_an_island_sheds_until_no_phase_of_its_former_is_beyond_its_rating(day: Scenario) -> None:
+    full = replace(day.batteries, soc_initial=day.batteries.soc_max)
+    evening = replace(day, batteries=full).between(16, 17)
+    options = RunOptions(horizon_h=0.0).on(evening)
+    found = Day(evening, options).run(Everyone(make_controller(evening, options)))
+    rating = evening.batteries.s_max_kva[evening.batteries.grid_forming][0]
+    kva = found.steps[[f"former_{phase}_kva" for phase in "abc"]].to_numpy(float)
+    assert found.steps["shed_kw"].item() > 0.0
+    assert kva.max() <= rating / 3 + 1e-3
+    on = found.customers["served"].to_numpy(bool)
+    assert on[found.customers["tier"] == "critical"].all() and not on.all()
+
+
+def test_other_batteries_discharge_before_an_island_sheds_by_phase(day: Scenario) -> None:
+    """All customers are on, batteries rest: what the former lacks others give, phase by phase."""
+    b = replace(day.batteries, soc_initial=day.batteries.soc_max)
+    night = replace(day, batteries=b, pv_kw=0.0 * day.pv_kw).between(16, 17)
+    rating_kva = b.s_max_kva[b.grid_forming][0] / 3.0
+    for share, n_on in ((0.2, 5), (0.3, 5), (0.5, 3), (0.8, 0)):
+        island = replace(night, load_kw=share * night.load_kw, grid_limit_kw=np.zeros(1))
+        found = World(island, RunOptions(horizon_h=0.0)).obey(0, [])
+        assert int(found.customers["served"].sum()) >= n_on, share
+        assert not found.steps["dark_reason"]
+        kva = max(found.steps[f"former_{phase}_kva"] for phase in "abc")
+        assert kva <= rating_kva + 1e-3
+
+
+def test_an_island_without_a_battery_of_three_phases_is_dark_in_plans_too(day: Scenario) -> None:
+    assert day.phases is not None
+    single = [replace(row, coils="a") if row.id == "be" else row for row in day.phases.connections]
+    assert any(row.id == "be" and row.coils == "a" for row in single)
+    lone = np.array([name == "be" for name in day.batteries.id])
+    batteries = replace(day.batteries, grid_forming=np.zeros(len(lone), dtype=bool))
+    phases = replace(day.phases, connections=tuple(single))
+    island = replace(day, phases=phases, batteries=batteries).between(13, 14)
+    assert "No battery that is to form a grid has three phases" in darkness(island)
+    assert "phase_connections.csv" in darkness(island)
+    assert former_words(island) == ""
+    options = RunOptions(horizon_h=0.0).on(island)
+    decided = make_controller(island, options).decide(
+        Day(island, options).observe(make_controller(island, options), 0)
+    )
+    assert not decided.dispatch.served.any()
+
+
+class Rule:
+    """What is decided if no solver has an answer."""
+
+    def __init__(self, day: Scenario) -> None:
+        self.site = Site.of(day)
+        self.tiers = list(day.tiers)
+
+    def horizon_steps(self, t0: int) -> range:
+        return range(t0, t0 + 1)
+
+    def decide(self, observation: Observation) -> Decision:
+        plan = rule_dispatch(StepState.of(self.site, observation, "lossless"), self.tiers).dispatch
+        return Decision(plan, 0, SolveInfo(status="rule"), fallback="rule")
+
+
+@pytest.mark.daily
+def test_the_rule_serves_in_an_island_what_every_phase_carries(day: Scenario) -> None:
+    full = replace(day.batteries, soc_initial=day.batteries.soc_max)
+    island = replace(day, batteries=full).between(12, 15)
+    options = RunOptions(horizon_h=0.0).on(island)
+    found = Day(island, options).run(Rule(island))
+    rating = island.batteries.s_max_kva[island.batteries.grid_forming][0]
+    kva = found.steps[[f"former_{phase}_kva" for phase in "abc"]].to_numpy(float)
+    assert (found.steps["dark_reason"] == "").all()
+    assert (found.steps["shed_kw"] == 0.0).all()
+    assert kva.max() <= rating / 3 + 0.1
+    assert found.customers.groupby("time")["served"].any().all()
+
+
+def test_phases_are_part_of_the_digest(day: Scenario) -> None:
+    assert scenario_digest(day) != scenario_digest(replace(day, phases=None))
+
+
+BANKED = CIRCUIT.replace(
+    "new line.l1", "new capacitor.one bus1=m.1 phases=1 kvar=60 kv=2.4\nnew line.l1", 1
+)
+"""With a capacitor on one phase: 110 kvar on it, less than the 216 kVA of the former together."""
+
+
+@pytest.fixture(scope="module")
+def banked(tmp_path_factory: pytest.TempPathFactory) -> Scenario:
+    """A day of that feeder, its batteries full."""
+    file = tmp_path_factory.mktemp("banked") / "banked.dss"
+    file.write_text(BANKED)
+    day = phased_day(file)
+    return replace(day, batteries=replace(day.batteries, soc_initial=day.batteries.soc_max))
+
+
+def test_capacitors_are_switched_by_phase_in_islands(banked: Scenario) -> None:
+    """The smaller one stays: a third of the former's rating holds it alone."""
+    assert banked.phases is not None
+    left = {(row.bus, row.coils): row.island for row in banked.phases.shunts}
+    assert left == {("m", "a"): "yes", ("e", "a b c"): "no"}
+    assert any("a third of the 216 kVA on one phase" in note for note in banked.source.notes)
+    assert held_capacitors(banked) == "" and "bus e" in held_capacitors(all_on(banked))
+
+
+def all_on(day: Scenario) -> Scenario:
+    """The day with all of its capacitors on in islands."""
+    assert day.phases is not None
+    shunts = tuple(replace(row, island="yes") for row in day.phases.shunts)
+    network = replace(day.network, island=np.ones(day.network.n_buses, dtype=bool))
+    return replace(day, network=network, phases=replace(day.phases, shunts=shunts))
+
+
+@pytest.mark.parametrize("kept", [False, True])
+def test_an_island_whose_answer_fails_holds_capacitors_of_one_phase(
+    banked: Scenario, kept: bool
+) -> None:
+    """Batteries on that phase take what its third of the former does not, where all stay on."""
+    island = (all_on(banked) if kept else banked).between(13, 14)
+    options = RunOptions(horizon_h=0.0, isolate=False)
+    run = run_day(island, options, faults=FaultPlan({0: SolverOutage("killed")}))
+    assert run.steps["fallback"].tolist() == ["rule"]
+    assert run.steps["dark_reason"].tolist() == [""] and run.customers["served"].any()
+    rating = island.batteries.s_max_kva[island.batteries.grid_forming][0]
+    kva = run.steps[[f"former_{phase}_kva" for phase in "abc"]].to_numpy(float)
+    assert kva.max() <= rating / 3 + 0.1

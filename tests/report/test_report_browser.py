@@ -1,0 +1,227 @@
+"""The report in a real browser: nothing fails, nothing is fetched, diagram and figures work."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.support.made_up_runs import SECTIONS_OF_A_DAY, day_run, day_scenario
+from vppres.report.run_folder import write_run
+
+sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+
+BROWSER = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+)
+pytestmark = pytest.mark.skipif(BROWSER is None, reason="no chromium or chrome on the path")
+
+LOCAL = ("file:", "data:", "blob:")
+WORST = 17  # of the made-up day: the last step of the outage serves the least
+DESKTOP = {"width": 1280, "height": 900}
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("browser") / "run"
+    write_run(day_run(day_scenario()), folder)
+    return folder / "report.html"
+
+
+@pytest.fixture(scope="module")
+def opened(browser: Any, report: Path) -> Iterator[tuple[Any, list[str], list[str]]]:
+    """The page with its charts drawn, what the console said, and every address asked for."""
+    page = browser.new_page(viewport=DESKTOP)
+    messages: list[str] = []
+    addresses: list[str] = []
+    page.on("console", lambda message: messages.append(f"{message.type}: {message.text}"))
+    page.on("pageerror", lambda error: messages.append(f"error: {error}"))
+    page.on("request", lambda request: addresses.append(request.url))
+    page.goto(report.as_uri())
+    page.wait_for_selector("html[data-charts=drawn]", timeout=60_000)
+    yield page, messages, addresses
+    page.close()
+
+
+def show(page: Any, step: int) -> None:
+    page.locator("#step-slider").evaluate(
+        "(slider, step) => { slider.value = step; slider.dispatchEvent(new Event('input')); }", step
+    )
+
+
+def test_all_sections_are_seen(opened: tuple[Any, list[str], list[str]]) -> None:
+    page = opened[0]
+    assert (
+        page.locator("section").evaluate_all("all => all.map(one => one.id)") == SECTIONS_OF_A_DAY
+    )
+    heights = page.locator("section").evaluate_all("all => all.map(one => one.offsetHeight)")
+    assert min(heights) > 100
+    assert page.evaluate("document.documentElement.scrollWidth") <= DESKTOP["width"]
+
+
+def test_every_figure_is_drawn(opened: tuple[Any, list[str], list[str]]) -> None:
+    page = opened[0]
+    figures = page.locator("figure.plot svg")
+    assert figures.count() == 8
+    heights = figures.evaluate_all("all => all.map(one => one.getBoundingClientRect().height)")
+    assert min(heights) > 100
+
+
+def test_the_pointer_reads_values(opened: tuple[Any, list[str], list[str]]) -> None:
+    page = opened[0]
+    show(page, 0)
+    point_at(page, 10)
+    words = page.locator("#energy .readings").first.inner_text()
+    assert words.startswith("19 Jul 10:00 UTC")
+    assert "Stored energy (kWh) " in words
+    assert "Price (GBP/kWh) " in words
+    page.mouse.move(0, 0)
+    page.wait_for_function(
+        "document.querySelector('#energy .readings').innerText.startsWith('19 Jul 00:00')"
+    )
+
+
+def point_at(page: Any, step: int) -> None:
+    """Put the pointer on a step of the chart of energy."""
+    figure = page.locator("#energy figure.plot").first
+    figure.scroll_into_view_if_needed()
+    box = figure.locator("svg").bounding_box()
+    data = json.loads(figure.locator("script").text_content())
+    share = (step + 0.5) / data["steps"]
+    x = data["left"] + share * (data["right"] - data["left"])
+    page.mouse.move(box["x"] + box["width"] * x / 860.0, box["y"] + box["height"] / 3)
+
+
+def test_the_diagram_starts_with_the_worst_step(opened: tuple[Any, list[str], list[str]]) -> None:
+    page = opened[0]
+    page.click("#step-worst")
+    assert page.locator("#step-words").inner_text().startswith(f"19 Jul {WORST}:00 UTC: outage;")
+    assert page.locator("#one-line .tile.s2").count() > 0
+    assert "dead-grid" in page.locator("#one-line").get_attribute("class")
+
+
+def test_the_slider_moves_the_diagram_and_the_charts(
+    opened: tuple[Any, list[str], list[str]],
+) -> None:
+    page = opened[0]
+    show(page, 3)
+    assert page.locator("#step-words").inner_text().startswith("19 Jul 03:00 UTC: import ")
+    assert page.locator("#one-line .tile.s2").count() == 0
+    assert "dead-grid" not in page.locator("#one-line").get_attribute("class")
+    words = page.locator(".readings strong").all_inner_texts()
+    assert set(words) == {"19 Jul 03:00 UTC"}
+    page.click("#step-forward")
+    page.click("#step-forward")
+    page.click("#step-back")
+    assert page.locator("#step-slider").input_value() == "4"
+    title = page.locator("#one-line circle[data-voltage='1'] title").text_content()
+    assert title.startswith("Bus 2: 0.99")
+    assert "c2 (" in title
+
+
+def test_buttons_stop_at_the_ends_of_the_day(opened: tuple[Any, list[str], list[str]]) -> None:
+    page = opened[0]
+    show(page, 23)
+    page.click("#step-forward")
+    assert page.locator("#step-slider").input_value() == "23"
+
+
+def test_a_click_on_a_chart_moves_the_diagram(opened: tuple[Any, list[str], list[str]]) -> None:
+    page = opened[0]
+    show(page, 0)
+    point_at(page, 10)
+    page.mouse.down()
+    page.mouse.up()
+    page.wait_for_function("document.getElementById('step-slider').value === '10'")
+
+
+def test_paper_shows_the_same_figures_and_the_worst_step(
+    opened: tuple[Any, list[str], list[str]],
+) -> None:
+    page = opened[0]
+    show(page, 2)
+    page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
+    page.emulate_media(media="print")
+    assert page.locator("#step-words").inner_text().startswith(f"19 Jul {WORST}:00 UTC")
+    assert page.locator("figure.plot svg").first.is_visible()
+    assert not page.locator(".readings").first.is_visible()
+    assert not page.locator(".cursor").first.is_visible()
+    assert not page.locator("#step-slider").is_visible()
+    page.emulate_media(media="screen")
+    page.evaluate("window.dispatchEvent(new Event('afterprint'))")
+    assert page.locator("#step-slider").input_value() == "2"
+
+
+def test_it_prints_on_a4(opened: tuple[Any, list[str], list[str]]) -> None:
+    pdf = opened[0].pdf(prefer_css_page_size=True)
+    boxes = re.findall(rb"/MediaBox \[0 0 ([\d.]+) ([\d.]+)\]", pdf)
+    assert 4 <= len(boxes) <= 12
+    for width, height in boxes:  # 210 x 297 mm in points
+        assert (float(width), float(height)) == pytest.approx((595.3, 841.9), abs=1.0)
+
+
+def test_nothing_fails_and_nothing_leaves_the_machine(
+    opened: tuple[Any, list[str], list[str]],
+) -> None:
+    _, messages, addresses = opened
+    assert messages == []
+    assert [address for address in addresses if not address.startswith(LOCAL)] == []
+    assert len([address for address in addresses if address.startswith("file:")]) == 1
+
+
+def test_without_scripts_everything_is_still_there(browser: Any, report: Path) -> None:
+    context = browser.new_context(java_script_enabled=False, viewport=DESKTOP)
+    page = context.new_page()
+    page.goto(report.as_uri())
+    assert page.locator("figure.plot svg").first.is_visible()
+    assert page.locator("#step-words").inner_text().startswith(f"19 Jul {WORST}:00 UTC: outage;")
+    assert page.locator("#one-line .tile.s2").count() > 0
+    context.close()
+
+
+@pytest.mark.parametrize("width", [390, pytest.param(1280, marks=pytest.mark.nightly)])
+def test_the_page_fits_the_window(browser: Any, report: Path, width: int) -> None:
+    page = browser.new_page(viewport={"width": width, "height": 844})
+    page.goto(report.as_uri())
+    page.wait_for_selector("html[data-charts=drawn]")
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    page.close()
+
+
+@pytest.mark.nightly
+def test_no_text_of_a_figure_leaves_it_or_covers_another(browser: Any, report: Path) -> None:
+    page = browser.new_page(viewport=DESKTOP)
+    page.goto(report.as_uri())
+    page.wait_for_selector("html[data-charts=drawn]")
+    found = page.locator("figure.plot svg").evaluate_all(
+        """all => all.map(svg => ({
+             svg: svg.getBoundingClientRect(),
+             texts: [...svg.querySelectorAll("text")].map(text =>
+               [text.textContent, text.getBoundingClientRect()])}))"""
+    )
+    for figure in found:
+        for words, box in figure["texts"]:
+            assert box["left"] >= figure["svg"]["left"], words
+            assert box["right"] <= figure["svg"]["right"], words
+        covered = [
+            (one, other)
+            for (one, a), (other, b) in itertools.combinations(figure["texts"], 2)
+            if min(a["right"], b["right"]) - max(a["left"], b["left"]) > 1.0
+            and min(a["bottom"], b["bottom"]) - max(a["top"], b["top"]) > 4.0
+        ]
+        assert covered == []
+    page.close()

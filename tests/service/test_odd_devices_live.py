@@ -1,0 +1,150 @@
+"""Devices that do not do what is expected: a set that does not start, a car, a thermometer.
+
+An operator sees each of them named, and nobody is off needlessly.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tests.support.homes import hot
+from tests.support.live_service import HERE, NOON, client, decided, readings, serving, site
+from tests.support.played_service import Here, crowded
+from tests.support.sets import gensets
+from tests.support.small_windows import DARK
+from tests.support.vans import van
+from vppres import Controller, Measurement, RunOptions
+from vppres.scenario.scenario import Scenario
+from vppres.service.clock import SetClock
+from vppres.service.explanations import explained, question
+from vppres.service.runner import Service
+from vppres.service.simulate import Play, Player
+from vppres.service.world import Series, World
+
+REAL = RunOptions(mode="physical", horizon_h=2.0, isolate=False)
+HOUR = pd.Timedelta(hours=1)
+
+
+class Odd(World):
+    """A world in which the van is gone at noon, the thermometer stands still, and no set starts."""
+
+    def readings(self, t: int) -> list[Series]:
+        """What devices say of it."""
+        gone = self.scenario.grid.times[t] >= self.scenario.grid.start + 2 * HOUR
+        found = []
+        for one in super().readings(t):
+            if one["quantity"] == "plugged" and gone:
+                one = {**one, "values": [0.0]}
+            if one["quantity"] in ("ev_soc", "departure") and gone:
+                continue
+            if one["quantity"] == "indoor_c":
+                one = {**one, "values": [24.0]}
+            found.append(one)
+        return found
+
+    def obey(self, t: int, setpoints: Any) -> Any:
+        """What becomes of set-points for sets, and for a van that is not there."""
+        odd = ("gensets", "chargers")
+        return super().obey(t, [one for one in setpoints if one["kind"] not in odd])
+
+
+@pytest.mark.nightly
+def test_what_is_odd_is_named_and_nobody_is_off_for_it(
+    tiny: Scenario, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Those are on who are on without the set and the van, in an island that batteries hold."""
+    day = crowded(tiny)
+    nobody = type(day.sessions)()
+    plain = replace(day, gensets=gensets(0), sessions=nobody)
+    players = []
+    for name, there, world in (("odd", day, Odd(day, REAL)), ("plain", plain, World(plain, REAL))):
+        caplog.clear()
+        service = Service(there, REAL, rehearsal=True)
+        with client(service, tmp_path / name) as http, caplog.at_level(logging.WARNING):
+            player = Player(world, Here(http), Play(announced=False))
+            assert player.play().statuses == {"ok": 6}
+            alarms = http.get("/v1/alarms?since=2022-07-19T00:00:00Z").json()["alarms"]
+        assert bool(alarms) == (name == "odd") and player.tally.off_needlessly == 0
+        logged = [record.getMessage() for record in caplog.records]
+        named = [
+            "indoor_c h0",
+            "vehicle van left k0 before",
+            "genset g0 is out",
+            "g0 did not follow",
+        ]
+        found = [any(words in line for line in logged) for words in named]
+        assert found == [name == "odd"] * len(named)
+        players.append([each.customers["served"] for each in world.records])
+    assert np.array_equal(*players)
+    assert not np.all(players[0])
+
+
+def test_a_van_that_left_is_away_until_it_is_plugged_in_again(
+    tiny: Scenario, tmp_path: Path
+) -> None:
+    day = site(tiny)
+    charger, vehicle = van(NOON.floor("1D"), NOON.ceil("1D"))
+    clock = SetClock(NOON)
+    with client(
+        Service(replace(day, chargers=charger, sessions=vehicle), HERE), tmp_path, clock
+    ) as http:
+        for hours, plugged, is_there in (
+            (0, None, True),
+            (1, 0.0, False),
+            (4, None, False),
+            (5, 1.0, True),
+        ):
+            time = NOON + hours * HOUR
+            clock.set(time)
+            if hours == 0:
+                http.post("/v1/telemetry", {"series": readings(time, "ev_soc", {"k0": 0.4})})
+            if plugged is not None:
+                http.post("/v1/telemetry", {"series": readings(time, "plugged", {"k0": plugged})})
+            plan = decided(http, clock, time)
+            assert ("k0" in plan["expected"]["vehicles"]) == is_there
+            late = [one["quantity"] for one in plan["late"] if one["asset"] == "k0"]
+            assert is_there or "ev_soc" not in late
+            assert ("vehicle van left k0 before its departure" in plan["estimated"]) != is_there
+
+
+def test_a_vehicle_that_only_its_charger_told_of_is_explained(
+    tiny: Scenario, tmp_path: Path
+) -> None:
+    """No session of the scenario knows it; it comes for two hours, and its need is told anew."""
+    day = replace(site(tiny), chargers=van(NOON, NOON)[0])
+    clock = SetClock(NOON)
+    with serving(Service(day, HERE), tmp_path, clock) as (http, runner):
+        leaves = (NOON + 2 * HOUR).timestamp()
+        for hours, needed_kwh in ((0, None), (1, 5.0), (2, None)):
+            time = NOON + hours * HOUR
+            clock.set(time)
+            if needed_kwh is not None:
+                series = readings(time, "energy_needed_kwh", {"k0": needed_kwh})
+                series += readings(time, "departure", {"k0": leaves})
+                assert http.post("/v1/telemetry", {"series": series}).status == 200
+            plan = decided(http, clock, time)
+            reasons = explained(question(runner, plan))["reasons"]
+            of_cars = [one["words"] for one in reasons if one["kind"] == "vehicles"]
+            if needed_kwh is None:
+                assert of_cars == []
+            else:
+                assert of_cars == ["Charges 5.4 kW: it leaves at 14:00 and needs 5.0 kWh more."]
+
+
+def test_a_thermometer_that_stands_still_while_the_room_swings_is_found() -> None:
+    """Without power it becomes 24.7, 23.9 and 23.2 °C: never 1 K from the reading."""
+    day = hot([DARK] * 4, c_kwh_per_c=1.0)
+    day = replace(day, temperature_c=np.array([25.5, 17.5, 17.5, 21.5]))
+    controller = Controller.of(day, RunOptions(mode="paper", isolate=False))
+    words = []
+    for time in day.grid.times:
+        step = controller.step(Measurement(time, indoor_c={"h0": 24.0}))
+        words.append(step.solve["estimated"])
+    assert words == ["", "", "", "indoor_c h0 23.2 (frozen)"]

@@ -1,0 +1,180 @@
+"""Phased feeders live: decisions of the run, readings and set-points by phase."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.support.phased_feeder import CIRCUIT, phased_day
+from tests.support.played_service import played
+from vppres.control.guard.guard import GuardedController
+from vppres.core.errors import SolveError
+from vppres.day.options import RunOptions
+from vppres.day.simulate import run_day
+from vppres.live.controller import Controller
+from vppres.live.measurement import Measurement
+from vppres.scenario.scenario import Scenario
+from vppres.service.clock import SetClock
+from vppres.service.knowledge import readings_of
+from vppres.service.overview import site_of
+from vppres.service.payloads import Readings
+from vppres.service.runner import Service
+from vppres.service.serve import opened
+from vppres.service.simulate import Play
+
+pytest.importorskip("opendssdirect")
+
+OPTIONS = RunOptions(horizon_h=0.0, isolate=False)
+
+
+@pytest.fixture(scope="module")
+def day(tmp_path_factory: pytest.TempPathFactory) -> Scenario:
+    """A day of a small unbalanced feeder, its batteries full."""
+    file = tmp_path_factory.mktemp("live") / "small.dss"
+    file.write_text(CIRCUIT)
+    day = phased_day(file)
+    full = replace(day.batteries, soc_initial=day.batteries.soc_max)
+    return replace(day, batteries=full)
+
+
+@pytest.fixture(scope="module")
+def evening(day: Scenario) -> Scenario:
+    """Two steps of its island, and the grid's return."""
+    return day.between(16, 19)
+
+
+@pytest.mark.daily
+def test_a_live_controller_decides_as_the_run_does(evening: Scenario) -> None:
+    run = run_day(evening, OPTIONS)
+    controller = Controller.of(evening, OPTIONS)
+    soc = dict(zip(evening.batteries.id, evening.batteries.soc_initial, strict=True))
+    steps = run.steps
+    for t, time in enumerate(controller.times):
+        points = controller.step(Measurement(time, soc=soc))
+        soc = points.batteries["soc_end"].to_dict()
+        of_run = run.batteries[run.batteries["time"] == time]
+        assert (points.batteries["soc_end"].to_numpy() == of_run["soc_end"].to_numpy()).all()
+        by_phase = points.by_phase
+        assert by_phase is not None
+        column = "import" if by_phase.source == "grid" else "former"
+        for phase, kva in by_phase.source_kva.items():
+            assert kva == steps[f"{column}_{phase}_kva"].iloc[t]
+        state = json.loads(json.dumps(controller.state()))
+        controller = Controller.of(evening, OPTIONS, state=state)
+    assert points.batteries["phases"]["bbc"] == "bc"
+    assert points.customers["phases"]["ce"] == "a b c"
+
+
+@pytest.mark.nightly
+def test_strict_order_gives_up_headroom_of_phases_for_the_first_tier(evening: Scenario) -> None:
+    of_first = evening.customers.id == "cbc"
+    tier = np.where(of_first, "critical", "low").astype(object)
+    customers = replace(evening.customers, tier=tier)
+    load_kw = evening.load_kw * np.where(of_first, 2.15, 1.0)
+    step = replace(evening, customers=customers, load_kw=load_kw).between(1, 2)
+    run = run_day(step, replace(OPTIONS, priority="strict"))
+    kva = run.steps[[f"former_{p}_kva" for p in "abc"]].to_numpy(float).max()
+    third = float(step.batteries.s_max_kva[step.batteries.grid_forming][0]) / 3.0
+    assert run.customers.set_index("id")["served"]["cbc"]
+    assert 0.9 * third < kva <= third
+    assert run.steps["levels"].iloc[0].startswith("critical 1/1")
+
+
+@pytest.mark.daily
+def test_a_service_hears_and_orders_by_phase(
+    day: Scenario, evening: Scenario, tmp_path: Path
+) -> None:
+    start = evening.grid.start
+    player = played(Service(day, OPTIONS), evening, tmp_path, Play(), SetClock(start))
+    assert player.tally.statuses == {"ok": 3}
+    assert player.tally.refused == 0 and player.tally.estimated == 0
+    with opened(Service(day, OPTIONS), tmp_path, SetClock(start)) as runner:
+        site = site_of(runner)
+        plan = runner.store.step(start)
+        assert plan is not None
+        told = {one["asset"]: one["phases"] for one in plan["setpoints"]}
+        assert told == site["phases"] and told["ba"] == "a"
+        check_expected(plan, evening, player.world.records[0].steps)
+        later = start + evening.grid.step
+        found = runner.store.between(start, later, ["load_kw", "load_kw/bc", "source_kva/c"])
+        kept = {(one.asset, one.quantity): one.value for one in found}
+        assert kept["cbc", "load_kw"] == kept["cbc", "load_kw/bc"] == evening.load_kw[0][2]
+        assert kept["ce", "load_kw"] == pytest.approx(evening.load_kw[0][3])
+        assert kept["be", "source_kva/c"] == player.world.records[0].steps["former_c_kva"]
+
+
+def check_expected(plan: Any, evening: Scenario, lived: Any) -> None:
+    """What a plan expects of the phases is what the plant then does, within a third of a rating."""
+    expected = plan["expected"]["phases"]
+    kva = expected["source_kva"]
+    former = evening.batteries.grid_forming
+    assert expected["source"] == evening.batteries.id[former][0]
+    assert expected["rating_kva"] == evening.batteries.s_max_kva[former][0] / 3
+    assert kva == pytest.approx({p: lived[f"former_{p}_kva"] for p in "abc"})
+    nearest = expected["nearest"]
+    share = max(kva.values()) / expected["rating_kva"]
+    assert nearest["share"] >= share
+    assert min(low for low, _ in expected["v_pu"].values()) >= 0.94
+    assert list(expected["v_pu"])[:3] == ["a", "b", "c"]
+
+
+@pytest.mark.parametrize("by_rule", [False, True])
+def test_a_meter_in_watts_puts_nobody_off_with_grid(
+    day: Scenario, by_rule: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From its first reading on, by the plan and where the rule decides."""
+
+    def fails(*_: Any) -> None:
+        raise SolveError("no answer")
+
+    if by_rule:
+        monkeypatch.setattr(GuardedController, "_answer", fails)
+    controller = Controller.of(day, OPTIONS)
+    soc = dict(zip(day.batteries.id, day.batteries.soc_initial, strict=True))
+    came: dict[str, Any] = {}
+    for t in range(2):
+        watts = {"cbc": 1000.0 * float(day.load_kw[t, 2])}
+        found = controller.step(Measurement(controller.times[t], soc, load_kw=watts, **came))
+        assert found.customers["served"].all()
+        assert found.solve["fallback"] == ("rule" if by_rule else "none")
+        assert "load cbc" in found.solve["estimated"]
+        came = {"battery_kw": dict(found.batteries["p_kw"]), "import_kw": found.import_kw}
+
+
+@pytest.mark.parametrize(
+    ("sent", "words"),
+    [
+        ([("ca", "load_kw", "b")], "is no phase of it"),
+        ([("ba", "soc", "a")], "Leave the phase out."),
+        ([("m", "v_pu", None)], "is no phase of it"),
+        ([("ce", "load_kw", "a"), ("ce", "load_kw", "b")], "lacks phase c"),
+        ([("ce", "load_kw", "a"), ("ce", "load_kw", "b"), ("ce", "load_kw", "c")], ""),
+        ([("d", "v_pu", "ab"), ("be", "source_kva", "c")], ""),
+    ],
+)
+def test_phases_of_readings(evening: Scenario, sent: Any, words: str) -> None:
+    batch = [reading(*one) for one in sent]
+    good, problems = readings_of(batch, evening, evening.grid.end)
+    found = "; ".join(f"{one.problem.message} {one.problem.cure}" for one in problems)
+    assert (words in found) if words else not problems
+    if len(sent) == 3:
+        assert [one.value for one in good if one.quantity == "load_kw"] == [30.0]
+
+
+def reading(asset: str, quantity: str, phase: str | None) -> Readings:
+    """A reading of 10 kW, 10 kVA, or 1 pu."""
+    value = 1.0 if quantity in ("v_pu", "soc") else 10.0
+    return Readings(
+        source="scada",
+        asset=asset,
+        quantity=quantity,  # type: ignore[arg-type]
+        phase=phase,
+        start="2025-07-01T16:00:00Z",  # type: ignore[arg-type]
+        resolution="PT1H",  # type: ignore[arg-type]
+        values=[value],
+    )

@@ -1,0 +1,166 @@
+"""What devices are left with where nobody decides: with grid their defaults, in an island their state."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tests.support.asgi import Caller
+from tests.support.live_service import HERE, NOON, client, decided, readings, said, serving, site
+from tests.support.phased_feeder import CIRCUIT, phased_day
+from tests.support.sets import gensets
+from vppres.scenario.scenario import Scenario
+from vppres.service.clock import SetClock, written
+from vppres.service.runner import Service
+from vppres.service.world import World
+
+HOUR = pd.Timedelta("1h")
+LOST = {"type": "outage", "start": written(NOON)}
+OFF = {"mode": "off", "reason": "work on the line"}
+STATE = ("served", "share", "running", "p_kw", "p_limit_kw", "setpoint_c", "curtailed_kw")
+"""Fields of set-points that say how a device is."""
+
+
+def with_former(tiny: Scenario) -> Scenario:
+    """The tiny site with a diesel that forms the grid where the battery, nearly empty, does not."""
+    forms = np.array([True, False])
+    day = replace(site(tiny), batteries=replace(tiny.batteries, grid_forming=forms))
+    return replace(day, gensets=gensets(bus=[4], p_min_kw=10.0, grid_forming=True))
+
+
+def state(points: Mapping[str, Any]) -> dict[str, Any]:
+    """How devices are by their set-points."""
+    return {name: {f: v for f, v in one.items() if f in STATE} for name, one in points.items()}
+
+
+def now(http: Caller, kind: str) -> dict[str, Any]:
+    """Set-points of a kind that hold now."""
+    points = http.get("/v1/setpoints").json()["setpoints"]
+    return {one["asset"]: one for one in points if one["kind"] == kind}
+
+
+def test_a_service_that_is_gone_in_an_island_leaves_it_as_it_is(
+    tiny: Scenario, tmp_path: Path
+) -> None:
+    """The diesel goes on forming the grid and nobody is reconnected; the plant carries it."""
+    clock = SetClock(NOON)
+    day = with_former(tiny)
+    with serving(Service(day, HERE), tmp_path, clock) as (http, runner):
+        http.put("/v1/events/storm", LOST)
+        plan = decided(http, clock, NOON, soc=0.2)
+        off = [name for name, one in said(plan, "customers").items() if not one["served"]]
+        assert off and said(plan, "gensets")["g0"]["running"]
+        clock.set(NOON + 90 * pd.Timedelta("1min"))
+        for kind in ("customers", "gensets", "batteries"):
+            left, told = now(http, kind), said(plan, kind)
+            assert {one["active"] for one in left.values()} == {False}
+            assert state(left) == state(told)
+        for _ in range(2):  # the alarm waits a minute
+            runner.check_alarms()
+            clock.set(clock.now() + pd.Timedelta("2min"))
+        words = "devices keep their last state, and how long the island lasts is not known."
+        alarms = http.get("/v1/alarms").json()["alarms"]
+        assert any(one["kind"] == "no_decision" and words in one["text"] for one in alarms)
+    dark = replace(day, grid_limit_kw=np.zeros(day.grid.n_steps))
+    world = World(dark, HERE)
+    before, after = (world.obey(t, moved(plan, t, day)) for t in (0, 1))
+    assert after.steps["mode"] == before.steps["mode"] and not after.steps["dark"]
+    assert not after.customers["served"][np.isin(day.customers.id, off)].any()
+    # Started again, it goes on from there: what was missed left the devices as they were.
+    with client(Service(day, HERE), tmp_path, clock) as http:
+        later = decided(http, clock, NOON + 3 * HOUR, soc=0.2)
+        assert later["expected"]["gensets"]["g0"]["p_before_kw"] > 0.0
+        at = f"/v1/setpoints?at={written(NOON + 2 * HOUR)}"
+        kept = {one["asset"]: one for one in http.get(at).json()["setpoints"]}
+        assert kept["g0"]["running"] and not any(kept[name]["served"] for name in off)
+
+
+def moved(plan: dict[str, Any], t: int, day: Scenario) -> list[dict[str, Any]]:
+    """Set-points of a plan, as if it had been made for a day's first step."""
+    begin = day.grid.times[0]
+    times = {"valid_from": written(begin), "valid_until": written(begin + 1.1 * HOUR)}
+    return [{**one, **times} for one in plan["setpoints"]]
+
+
+def test_mode_off_in_an_island_reconnects_nobody_until_the_grid_is_back(
+    tiny: Scenario, tmp_path: Path
+) -> None:
+    clock = SetClock(NOON)
+    with serving(Service(with_former(tiny), HERE), tmp_path, clock) as (http, runner):
+        http.post("/v1/telemetry", {"series": readings(NOON, "grid_on", {"grid": 0.0})})
+        plan = decided(http, clock, NOON, soc=0.2)
+        told = {kind: state(said(plan, kind)) for kind in ("customers", "gensets", "batteries")}
+        assert not all(one["served"] for one in told["customers"].values())
+        clock.set(NOON + pd.Timedelta("10min"))
+        assert http.put("/v1/mode", OFF).status == 200
+        runner.anew()
+        for hours in (0, 1, 2):
+            if hours:
+                decided(http, clock, NOON + hours * HOUR, soc=0.2)
+            stored = http.get("/v1/plan").json()
+            assert stored["status"] == "off" and not stored["grid"]["available"]
+            assert {kind: state(now(http, kind)) for kind in told} == told
+        clock.set(NOON + 2 * HOUR + pd.Timedelta("10min"))
+        back = readings(clock.now(), "grid_on", {"grid": 1.0})
+        http.post("/v1/telemetry", {"series": back})
+        assert runner.anew() is not None
+        assert http.get("/v1/plan").json()["grid"]["available"]
+        assert all(one["served"] for one in now(http, "customers").values())
+        assert not now(http, "gensets")["g0"]["running"]
+
+
+def test_a_grid_that_is_lost_in_mode_off_leaves_everything_as_it_was(
+    tiny: Scenario, tmp_path: Path
+) -> None:
+    clock = SetClock(NOON)
+    with serving(Service(with_former(tiny), HERE), tmp_path, clock) as (http, runner):
+        http.put("/v1/mode", OFF)
+        decided(http, clock, NOON)
+        clock.set(NOON + pd.Timedelta("10min"))
+        http.post("/v1/telemetry", {"series": readings(clock.now(), "grid_on", {"grid": 0.0})})
+        assert runner.anew() is not None
+        stored = http.get("/v1/plan").json()
+        assert stored["status"] == "off" and not stored["grid"]["available"]
+        assert all(one["served"] for one in now(http, "customers").values())
+
+
+def test_what_the_last_check_stops_in_an_island_stays_as_it_was(
+    tiny: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A set goes on, and a battery rests: what it held may be gone."""
+    clock = SetClock(NOON)
+    with client(Service(with_former(tiny), HERE), tmp_path, clock) as http:
+        http.put("/v1/events/storm", LOST)
+        first = decided(http, clock, NOON, soc=0.2)
+        stopped = {("gensets", "g0"): "no number", ("batteries", "big"): "no number"}
+        monkeypatch.setattr("vppres.service.runner.refusals", lambda *_: stopped)
+        plan = decided(http, clock, NOON + HOUR, soc=0.2)
+        assert state(said(plan, "gensets")) == state(said(first, "gensets"))
+        assert said(plan, "gensets")["g0"]["reason"] == "default: no number"
+        assert said(plan, "batteries")["big"]["p_kw"] == 0.0
+
+
+@pytest.mark.nightly
+def test_an_island_by_phase_is_left_as_it_is_too(tmp_path: Path) -> None:
+    pytest.importorskip("opendssdirect")
+    file = tmp_path / "small.dss"
+    file.write_text(CIRCUIT)
+    day = phased_day(file)
+    start = day.grid.times[17]
+    clock = SetClock(start)
+    with client(Service(day, replace(HERE, horizon_h=0.0)), tmp_path / "state", clock) as http:
+        http.put("/v1/events/storm", {"type": "outage", "start": written(start)})
+        soc: dict[str, float | None] = dict.fromkeys(map(str, day.batteries.id), 0.5)
+        http.post("/v1/telemetry", {"series": readings(start, "soc", soc)})
+        plan = http.post("/v1/steps").json()
+        off = [name for name, one in said(plan, "customers").items() if not one["served"]]
+        assert off and len(off) < len(day.customers)
+        clock.set(start + 2 * day.grid.step)
+        left = now(http, "customers")
+        assert [name for name, one in left.items() if not one["served"]] == off

@@ -1,0 +1,225 @@
+"""Windows of phased feeders: against a plain statement, and balanced feeders stated in phases."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.random_feeders import random_scenario
+from experiments.studies.phased_feeders import (
+    decided,
+    in_phases,
+    plainly,
+    random_phased,
+    with_a_former,
+)
+from tests.support.phased_feeder import CIRCUIT, phased_day
+from vppres.contract.decision import Decision
+from vppres.control.phased import PhasedPlanner
+from vppres.day.assembly import make_controller
+from vppres.day.options import RunOptions
+from vppres.day.priority import site_of
+from vppres.day.simulate import Day
+from vppres.model.beyond_paper.losses import lit_steps
+from vppres.model.beyond_paper.table import beyond_paper
+from vppres.model.data import WindowData
+from vppres.model.own_state import COLLAPSED_PU2, giving_way
+from vppres.model.phases import phased_model
+from vppres.model.ratings import loading_of_phases
+from vppres.model.site import Site
+from vppres.model.statement import Statement
+from vppres.scenario.scenario import Scenario
+from vppres.solve.fleet.relaxation import fleet_problem
+from vppres.solve.ladder import WindowSolver
+from vppres.solve.result import SolveLimits, WindowSolution
+from vppres.solve.solvers import find_solver, run
+
+BINDING = (15, 18)
+"""Seeds of windows in which voltages by phase bind, and the phases of an island's former."""
+
+WITHOUT_GRID = (3, 11, 4431)
+"""Seeds of windows with weights that are multiples of nothing: the whole problem decides them. In
+the last batteries would waste energy, and which of them charge is decided with the set."""
+
+
+def first_plan(scenario: Scenario) -> Decision:
+    """What the first window of a day decides for all of its steps."""
+    hours = (scenario.grid.n_steps - 1) * scenario.grid.dt_h
+    options = RunOptions(horizon_h=hours).on(scenario)
+    controller = make_controller(scenario, options)
+    return controller.decide(Day(scenario, options).observe(controller, 0))
+
+
+def nearest(site: Site, data: WindowData, found: WindowSolution) -> float:
+    """How near an answer is to a limit of the phases: in pu², or as a share of the former's."""
+    model, phased = phased_model(site), data.require_phased()
+    u, former = model.linear(data, *model.drawn(data, found.dispatch))
+    u = (phased.u_offset + u)[lit_steps(data)][:, model.limited]
+    low, high = (each[lit_steps(data)][:, model.limited] for each in (phased.u_min, phased.u_max))
+    island = data.dark & lit_steps(data)
+    kva = np.abs(phased.former_offset + former)[island].max(axis=1)
+    rooms = (u - low, high - u, 1.0 - kva / phased.room_kva[island])
+    return min(float(np.min(room, initial=1.0)) for room in rooms)
+
+
+BY_COST = (4443,)
+"""Seeds of windows in which everyone is served, and prices alone decide."""
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("seed", [*BINDING, *WITHOUT_GRID, *BY_COST])
+def test_windows_equal_a_plain_statement_of_the_whole_problem(seed: int) -> None:
+    site, data, found = decided(random_phased(seed))
+    assert seed not in BINDING or nearest(site, data, found) < 0.01
+    inside, around = plainly(site, data, inside=True), plainly(site, data, inside=False)
+    gap = max(5e-3, 1e-4 * abs(found.objective))
+    assert inside - gap <= found.objective <= around + 1e-6
+    assert found.bound >= inside - 1e-6
+
+
+@pytest.mark.nightly
+def test_ratings_that_cannot_be_kept_give_way_no_further_than_need_be(tmp_path: Path) -> None:
+    """A capacitor's current is beyond the rating of its line, whoever is served."""
+    file = tmp_path / "small.dss"
+    large = CIRCUIT.replace("kvar=150", "kvar=900")
+    file.write_text(large.replace("length=0.6 units=km", "length=0.6 units=km normamps=40"))
+    day = phased_day(file)
+    site, data, found = decided(day.between(8, 10))
+    free = WindowSolver(site, limits=SolveLimits())._decided(data, SolveLimits())
+    kept, unlimited = (
+        loading_of_phases(site, data, *phased_model(site).drawn(data, each.dispatch)).max()
+        for each in (found, free)
+    )
+    assert found.status == "optimal"
+    assert 1.0 < kept < 1.6 and unlimited > 2.5
+
+
+def first_window(day: Scenario, headroom: float) -> tuple[PhasedPlanner, WindowData]:
+    """The first window of a day with so much headroom, as it is solved first."""
+    options = RunOptions(horizon_h=0.0).on(day)
+    planner = PhasedPlanner(WindowSolver(site_of(day, options.as_record())), headroom)
+    seen = Day(day, options).observe(make_controller(day, options), 0)
+    return planner, planner.begun(seen)[2]
+
+
+def test_limits_of_phases_give_way_to_no_voltage_that_a_feeder_cannot_have(tmp_path: Path) -> None:
+    (tmp_path / "small.dss").write_text(CIRCUIT)
+    day = phased_day(tmp_path / "small.dss").between(9, 10)
+    usual, far = (
+        first_window(replace(day, load_kw=factor * day.load_kw), headroom=0.0)[1].require_phased()
+        for factor in (1.0, 1000.0)
+    )
+    assert far.u_min.min() == COLLAPSED_PU2 < usual.u_min.min()
+
+
+@pytest.mark.nightly
+def test_the_fleet_knows_what_active_power_each_phase_of_the_former_carries(tmp_path: Path) -> None:
+    """Reactive power of customers is known with them, that of batteries and PV widens the room."""
+    (tmp_path / "small.dss").write_text(CIRCUIT)
+    planner, data = first_window(phased_day(tmp_path / "small.dss").between(13, 14), headroom=0.1)
+    site, model = planner.solver.site, planner.model
+    statement = Statement(site, 1, beyond_paper(site, data))
+    statement.write(data)
+    rng = np.random.default_rng(44)
+    served = rng.random((1, len(site.customers))) < 0.5
+    curtailed = 0.4 * data.pv_kw
+    charged, discharged = (rng.uniform(0.0, 50.0, (1, len(site.batteries))) for _ in range(2))
+    letters = {"x_served": served, "P_curt": curtailed, "P_ch": charged, "P_dch": discharged}
+    statement.put({name: value.astype(float) for name, value in letters.items()})
+    pv, batteries = data.pv_kw - curtailed, discharged - charged
+    drawn = model.powers(
+        data.dark, data.load_kw * served, (pv, 0.0 * pv), (batteries, 0.0 * batteries)
+    )
+    given_kw = (data.require_phased().former_offset + model.linear(data, *drawn)[1]).real
+    slopes = np.abs(model.slopes[1].former_q.real[:, len(site.customers) :])
+    kva = np.append(
+        site.pv.s_max_kva, np.where(site.batteries.grid_forming, 0.0, site.batteries.s_max_kva)
+    )
+    room_kw = np.cos(np.pi / 32) * data.require_phased().room_kva[0] + slopes @ kva
+    for name, sign in (("former_phase_most", 1.0), ("former_phase_least", -1.0)):
+        missed = statement.implied[name].args
+        found = np.asarray(missed[0].value - missed[1].value)
+        np.testing.assert_allclose(found, sign * given_kw - room_kw, atol=1e-6)
+
+
+def test_the_fleet_serves_no_set_that_crowds_a_phase(tmp_path: Path) -> None:
+    (tmp_path / "small.dss").write_text(CIRCUIT)
+    day = phased_day(tmp_path / "small.dss").between(13, 14)
+    of_a = day.customers.id == "ca"
+    b = day.batteries
+    full = replace(b, soc_initial=np.where(b.grid_forming, b.soc_max, b.soc_min))
+    load_kw = np.where(of_a, 0.6 * b.p_max_kw[b.grid_forming], 1.0)[None, :]
+    day = replace(day, batteries=full, load_kw=load_kw, pv_kw=0.0 * day.pv_kw)
+    planner, data = first_window(day, headroom=0.1)
+    cache = planner.solver.cache
+    served = {}
+    for rooms in (1.0, 100.0):
+        phased = data.require_phased()
+        wider = replace(data, phased=replace(phased, room_kva=rooms * phased.room_kva))
+        problem = fleet_problem(cache, wider, lumped=False, integer=True, goal="service")
+        problem.write(wider)
+        assert run(problem, find_solver("highs"), 0.0, 60.0).status == "optimal"
+        served[rooms] = problem.value_of("x_served")[0] > 0.5
+    assert served[100.0].all() and not served[1.0][of_a]
+    assert served[1.0][~of_a].all()
+
+
+@pytest.mark.nightly
+def test_a_plan_without_headroom_leaves_a_phase_what_passes_may_be_off_by(tmp_path: Path) -> None:
+    (tmp_path / "small.dss").write_text(CIRCUIT)
+    day = phased_day(tmp_path / "small.dss")
+    full = replace(day.batteries, soc_initial=day.batteries.soc_max)
+    island = replace(day, batteries=full).between(13, 14)
+    planner, data = first_window(island, headroom=0.0)
+    phased, model = data.require_phased(), planner.model
+    rating = island.batteries.s_max_kva[island.batteries.grid_forming][0] / 3.0
+    assert phased.room_kva == pytest.approx(0.999 * rating)
+    idle = model.nothing(1)
+    points = model.points(data, idle, idle, lit_steps(data))
+    for share, agrees in ((0.9995, True), (1.0005, False)):
+        kva = np.full((1, 3), share * rating, dtype=complex)
+        given = replace(points, source_kva=kva)
+        there = planner._linearisation.at(data, idle, idle, given, lit_steps(data))
+        assert planner._linearisation.agree(there, idle, idle, given, lit_steps(there)) is agrees
+
+
+def test_limits_that_give_way_to_those_of_ac_leave_what_passes_may_be_off_by(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "small.dss").write_text(CIRCUIT)
+    planner, data = first_window(phased_day(tmp_path / "small.dss").between(8, 9), 0.1)
+    high = np.full_like(data.require_phased().u_max, 1.10**2)
+    ways = giving_way(
+        planner.solver.site, replace(data, phased=replace(data.require_phased(), u_max=high))
+    )
+    most = [np.sqrt(each.require_phased().u_max.max()) for each in ways]
+    assert most[:2] == pytest.approx([1.053, 1.0599])
+
+
+@pytest.mark.nightly
+def test_voltages_of_a_plan_are_those_of_the_window_that_was_solved(tmp_path: Path) -> None:
+    """After a single pass plan and power flow differ, and the plan shows it."""
+    (tmp_path / "small.dss").write_text(CIRCUIT)
+    day = phased_day(tmp_path / "small.dss").between(8, 9)
+    options = RunOptions(horizon_h=0.0).on(day)
+    planner = PhasedPlanner(WindowSolver(site_of(day, options.as_record())), passes=1)
+    seen = Day(day, options).observe(make_controller(day, options), 0)
+    plan = planner.plan(seen).dispatch
+    data = planner.begun(seen)[2]
+    points = planner.ac_points(data, plan)
+    assert plan.v_node_pu is not None
+    off_pu = np.abs(plan.v_node_pu - np.sqrt(points.u_pu2)).max()
+    assert 1e-6 < off_pu < 1e-2
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_a_balanced_feeder_stated_in_phases_has_the_balanced_plan(seed: int) -> None:
+    balanced = with_a_former(random_scenario(seed))
+    plan = first_plan(balanced).dispatch
+    found = first_plan(in_phases(balanced)).dispatch
+    assert (found.served == plan.served).all()
+    np.testing.assert_allclose(found.p_grid_kw, plan.p_grid_kw, atol=0.5)
+    np.testing.assert_allclose(found.v_pu, plan.v_pu, atol=1e-4)
