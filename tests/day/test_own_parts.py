@@ -183,3 +183,49 @@ def test_weights_need_the_controller_that_plans_anew(tiny: Scenario) -> None:
     options = replace(HERE, controller="full-horizon")
     with pytest.raises(vppres.InputError, match="are for the controller mpc"):
         vppres.run_day(tiny, options, weights=tiny.customers.weight)
+
+
+class Odd(IdleController):
+    """Decides nothing, or with an array that is not one of the site."""
+
+    kind = ""
+
+    def decide(self, observation: Observation) -> Any:
+        found = super().decide(observation)
+        if self.kind == "nothing":
+            return None
+        given = found.dispatch.charge_kw
+        changed = np.full_like(given, np.nan) if self.kind == "nan" else given[:, :0]
+        return replace(found, dispatch=replace(found.dispatch, charge_kw=changed))
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [("nothing", "is no Decision"), ("nan", "charge_kw is not finite"), ("less", "has shape")],
+)
+def test_a_decision_that_is_none_is_refused(tiny: Scenario, kind: str, words: str) -> None:
+    """24 of 24 steps by rule would look like the figures of the controller."""
+    made = type("Mine", (Odd,), {"kind": kind})
+    with pytest.raises(vppres.InputError, match=f"decision of step 0, controller = .*{words}"):
+        vppres.run_day(tiny, HERE, controller=lambda site: made(site, tiny.tiers))
+
+
+@pytest.mark.parametrize("power_kw", [-3.0, np.inf])
+def test_a_forecast_of_what_cannot_be_is_refused(tiny: Scenario, power_kw: float) -> None:
+    class Wild:
+        def forecast(self, history: History, issued_at: pd.Timestamp, steps: int) -> LoadAndPV:
+            load_kw, pv_kw = (
+                np.repeat(values[-1:], steps, axis=0)[np.newaxis].astype(float)
+                for values in (history.load_kw, history.pv_kw)
+            )
+            load_kw[0, 0, 0] = power_kw
+            return LoadAndPV(issued_at, history.step_minutes, load_kw, pv_kw)
+
+    with pytest.raises(vppres.InputError, match=r"forecast after step 0, load_kw = .*finite"):
+        vppres.run_day(tiny, HERE, forecaster=Wild())
+
+
+@pytest.mark.parametrize("weights", ["critical", [[1.0, 1.0, 1.0]]])
+def test_weights_without_a_row_for_a_step_are_refused(tiny: Scenario, weights: Any) -> None:
+    with pytest.raises(vppres.InputError, match=r"weights of step [01]: must be 3 numbers above 0"):
+        vppres.run_day(tiny, HERE, weights=weights)

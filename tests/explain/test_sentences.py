@@ -19,6 +19,7 @@ from vppres.explain.day import explain_day
 from vppres.explain.recorded import Recorded
 from vppres.explain.words import figure
 from vppres.model.data import WindowData
+from vppres.scenario.scenario import Scenario
 from vppres.solve.result import Status
 from vppres.solve.shadow_price_model import Held, PricedTerms, ShadowPriceModel
 from vppres.solve.shadow_prices import PricedWindow, price_window
@@ -238,13 +239,28 @@ def test_an_island_without_batteries_lacks_no_battery_power(priority: str) -> No
     assert not run.explanations["words"].str.contains("battery power|stored energy").any()
 
 
+WEIGHED = RunOptions(mode="physical", priority="weights")
+
+
+def dark_feeder(seed: int, first: int, until: int) -> Scenario:
+    """Eight steps of a random feeder, without a grid from one step until another."""
+    day = random_scenario(seed, stressed=True, n_steps=8)
+    limits_kw = np.where(day.grid_limit_kw > 0.0, day.grid_limit_kw, np.inf)
+    limits_kw[first:until] = 0.0
+    return replace(day, grid_limit_kw=limits_kw)
+
+
+def test_one_more_stored_kwh_is_that_of_the_battery_where_it_gains_most() -> None:
+    """Three batteries live on exactly what they need: their prices say nothing of a fourth."""
+    run = explain_day(run_day(dark_feeder(38, 3, 7), replace(WEIGHED, horizon_h=5.0)))
+    assert run.explanations is not None
+    last = run.explanations[run.explanations["time"] == run.steps["time"].iloc[6]]
+    assert last["words"].str.contains("stored kWh would add 0.0043 weighted", regex=False).any()
+
+
 def test_what_a_customer_adds_to_the_losses_counts_among_what_it_needs() -> None:
     """36.2 kW are left beside 36 kW of demand, which lose another 2 kW on the way."""
-    day = random_scenario(18, stressed=True, n_steps=8)
-    limits_kw = np.where(day.grid_limit_kw > 0.0, day.grid_limit_kw, np.inf)
-    limits_kw[1:3] = 0.0
-    options = RunOptions(horizon_h=1.0, mode="physical", priority="weights")
-    run = explain_day(run_day(replace(day, grid_limit_kw=limits_kw), options))
+    run = explain_day(run_day(dark_feeder(18, 1, 3), replace(WEIGHED, horizon_h=1.0)))
     assert run.explanations is not None
     told = run.explanations
     off = told[(told["action"] == "not_served") & (told["id"] == "c5")]

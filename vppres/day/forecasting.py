@@ -160,13 +160,14 @@ class MeasuredForecasts:
         return replace(found, load_kw=none(found.load_kw, np.nan), pv_kw=none(found.pv_kw, np.nan))
 
     def _check(self, found: LoadAndPV, t0: int, n_steps: int) -> None:
-        """Refuse a forecast of other steps or items, as your own forecaster may give."""
+        """Refuse other steps or items and impossible powers, as your own forecaster may give."""
         shapes = [
             ("load_kw", n_steps, len(self.scenario.customers)),
             ("pv_kw", n_steps, len(self.scenario.pv)),
         ]
         for name, steps, items in shapes:
-            shape = np.asarray(getattr(found, name, None)).shape
+            values = np.asarray(getattr(found, name, None))
+            shape = values.shape
             if len(shape) != 3 or shape[1:] != (steps, items):
                 raise InputError.of(
                     f"forecast after step {t0}",
@@ -174,6 +175,15 @@ class MeasuredForecasts:
                     "Return a LoadAndPV with an axis for paths, steps and items each.",
                     field=name,
                     value=str(shape),
+                )
+            odd = values[(values < 0.0) | np.isinf(values)]
+            if len(odd):
+                raise InputError.of(
+                    f"forecast after step {t0}",
+                    "must be 0 or more, and finite",
+                    "NaN stands for what is not known: the scenario's own series are taken there.",
+                    field=name,
+                    value=float(odd[0]),
                 )
 
 

@@ -13,6 +13,7 @@ from vppres.contract.decision import Decider, Decision
 from vppres.contract.forecast import ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.control.by_weight import ByWeight
+from vppres.control.guard.check import misshapen
 from vppres.core.arrays import Floats
 from vppres.core.errors import InputError
 from vppres.day.options import RunOptions
@@ -110,7 +111,7 @@ class Own:
                     field="controller",
                     value=_name(self.controller),
                 )
-        return made
+        return WellFormed(made, site)
 
     def record(self) -> dict[str, Any]:
         """What is its own, by name, for the run's options."""
@@ -129,13 +130,59 @@ class Own:
             If they are no weights of the customers.
         """
         given = self.weights
-        row = given(observation) if callable(given) else np.asarray(given)[observation.t0]
-        found = np.asarray(row, dtype=float)
+        rows = np.atleast_1d(np.asarray(() if callable(given) else given))
+        t0 = observation.t0
+        row = given(observation) if callable(given) else rows[t0] if t0 < len(rows) else ()
+        try:
+            found = np.asarray(row, dtype=float)
+        except ValueError:  # words
+            found = np.zeros(0)
         if found.shape != (n_customers,) or not np.isfinite(found).all() or (found <= 0.0).any():
             raise InputError.of(
-                f"weights of step {observation.t0}",
+                f"weights of step {t0}",
                 f"must be {n_customers} numbers above 0, one for each customer",
                 "Give one row for each step, in the order of scenario.customers.",
+            )
+        return found
+
+
+class WellFormed:
+    """A controller of your own whose decisions have the site's arrays, with numbers alone.
+
+    Parameters
+    ----------
+    inner : Decider
+        The controller.
+    site : Site
+        Whose set-points it decides.
+    """
+
+    def __init__(self, inner: Decider, site: Site) -> None:
+        self.inner = inner
+        self.site = site
+
+    def horizon_steps(self, t0: int) -> range:
+        """Steps for which the controller wants a forecast."""
+        return self.inner.horizon_steps(t0)
+
+    def decide(self, observation: Observation) -> Decision:
+        """The controller's decision.
+
+        Raises
+        ------
+        InputError
+            If it is none: no step is decided by rule for that.
+        """
+        found = self.inner.decide(observation)
+        is_decision = isinstance(found, Decision)
+        odd = misshapen(found, self.site) if is_decision else ["is no Decision"]
+        if odd:
+            raise InputError.of(
+                f"decision of step {observation.t0}",
+                "; ".join(odd),
+                "Return a Decision of a Dispatch with the site's items and finite numbers.",
+                field="controller",
+                value=_name(type(self.inner)),
             )
         return found
 

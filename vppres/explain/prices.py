@@ -154,17 +154,17 @@ def _as_more_gains(
 
     A plan lives on exactly the energy that it needs, and the price may be anything above it then.
     """
-    stored = answer.prices.stored_energy
-    if not (stored > WORTH).any():
-        return answer
-    best = np.arange(len(stored)) == np.argmax(stored)
-    more = richer(np.where(best, MORE_KWH / energy_kwh, 0.0))
-    if more is None:
-        return answer
-    gained = max((more.value - answer.value) / MORE_KWH, 0.0)
-    if gained >= LESS * stored.max():
-        return answer
-    told = stored * gained / stored.max()
+    told = answer.prices.stored_energy.copy()
+    solved = np.zeros(len(told), dtype=bool)
+    # What is told of a battery is never less than what it gains, so the most is one that is solved.
+    while (told > WORTH).any() and not solved[best := int(np.argmax(told))]:
+        more = richer(np.where(np.arange(len(told)) == best, MORE_KWH / energy_kwh, 0.0))
+        if more is None:
+            break
+        gained = max((more.value - answer.value) / MORE_KWH, 0.0)
+        if gained >= LESS * told[best]:
+            break
+        told[best], solved[best] = gained, True
     return replace(answer, prices=replace(answer.prices, stored_energy=told))
 
 

@@ -81,7 +81,7 @@ def violations(
     v_limits_pu : tuple of float, optional
         Limits of the plan's voltages; those of the network if not given.
     """
-    odd = _shapes(decision, state.site)
+    odd = misshapen(decision, state.site)
     if odd:
         return odd
     net = state.site.network
@@ -132,7 +132,7 @@ class _Row:
         )
 
 
-def _shapes(decision: Decision, site: Site) -> list[str]:
+def misshapen(decision: Decision, site: Site) -> list[str]:
     """Arrays of the wrong size or with values that are not numbers."""
     sizes = {
         **dict.fromkeys(("served", "share"), len(site.customers)),
