@@ -156,6 +156,7 @@ def test_valid_scenario_as_json(tiny_folder: Path) -> None:
             "kind": "",
             "notes": [],
             "unbalanced": "",
+            "ties": [],
             "deviation": {"no_load_pu": None, "as_given_pu": None, "worst_hour_pu": None},
         },
         "remarks": [],
@@ -623,7 +624,8 @@ def test_figure_orders_numbers_and_leaves_a_gap() -> None:
     np.testing.assert_array_equal(curve.values, [0.0, np.nan, 0.2])
     assert curve.joined
     left, right = figure.time.edges[[0, 2]]
-    assert re.findall(r'<circle cx="([\d.]+)"', figure.svg()) == [f"{left:.1f}", f"{right:.1f}"]
+    dots = re.findall(r"M([\d.]+) [\d.]+h\.1", figure.svg())
+    assert dots == [f"{left:.1f}", f"{right:.1f}"]
 
 
 def test_figure_names_words_on_its_axis() -> None:
