@@ -41,7 +41,7 @@ FIGURES = (
 def content_of(day: Scenario) -> dict[str, Any]:
     """What a sound scenario holds, in numbers."""
     from vppres.physics.uncontrolled import without_control
-    from vppres.scenario.remarks import export_words, remarks, unknown_phases
+    from vppres.scenario.remarks import export_words, remarks, source_words, unknown_phases
 
     return {
         "name": day.name,
@@ -61,7 +61,12 @@ def content_of(day: Scenario) -> dict[str, Any]:
         "export": export_words(day),
         "mode": day.controller.mode,
         "source": asdict(day.source),
-        "remarks": [*unknown_phases(day), *without_control(day), *remarks(day)],
+        "remarks": [
+            *unknown_phases(day),
+            *without_control(day),
+            *source_words(day),
+            *remarks(day),
+        ],
     }
 
 
