@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from benchmarks.instances import packaged
 from benchmarks.windows import BASE, NOT_ADMITTED
-from vppres.report.plots.palette import (
+from vppres.report.plots.drawing import (
     BLACK,
     BLUE,
     GREEN,

@@ -27,7 +27,7 @@ from vppres.core.errors import SolveError
 from vppres.model.data import WindowData
 from vppres.model.numerics import objective_scale
 from vppres.model.site import Site
-from vppres.report.plots.palette import BLUE, GREEN, ORANGE, RULE_COLOUR
+from vppres.report.plots.drawing import BLUE, GREEN, ORANGE, RULE_COLOUR
 from vppres.solve.cache import ModelCache
 from vppres.solve.forms import Form, window_problem
 from vppres.solve.ladder import WindowSolver

@@ -25,7 +25,7 @@ from benchmarks.store import Row, Store
 from vppres.core.errors import SolveError
 from vppres.model.data import WindowData
 from vppres.model.site import Site
-from vppres.report.plots.palette import BLUE, GREY, RULE_COLOUR
+from vppres.report.plots.drawing import BLUE, GREY, RULE_COLOUR
 from vppres.scenario.scenario import Scenario
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import SolveLimits

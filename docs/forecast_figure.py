@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from benchmarks.pages import save_figure
 from experiments.drawing import draw_grid
-from vppres.report.plots.palette import BLACK, BLUE, GREEN, ORANGE
+from vppres.report.plots.drawing import BLACK, BLUE, GREEN, ORANGE
 
 STYLES = {"load": ("load", BLUE), "pv": ("PV power", ORANGE), "net": ("load less PV", GREEN)}
 TARGET = Path(__file__).parent / "_static" / "forecasts"

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from experiments.results import DayResult
 from vppres.report.plot import finish, line_of
-from vppres.report.plots.palette import PURPLE, RULE_COLOUR, RUN_STYLES, Style
+from vppres.report.plots.drawing import PURPLE, RULE_COLOUR, RUN_STYLES, Style
 
 MPC = "MPC"
 FULL = "full horizon"

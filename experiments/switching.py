@@ -17,7 +17,7 @@ from experiments.rows import Row
 from experiments.runner import Results
 from vppres.contract.forecast import ForecastErrors
 from vppres.day.options import RunOptions
-from vppres.report.plots.palette import GREEN, GREY
+from vppres.report.plots.drawing import GREEN, GREY
 from vppres.scenario.rules import SwitchingRules
 
 LABEL = "not in the paper"

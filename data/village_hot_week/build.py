@@ -20,14 +20,14 @@ from vppres.core.arrays import Floats, Names
 from vppres.feeders import import_network
 from vppres.feeders.new.scenario import DAY_PRICE, EVENING, EVENING_PRICE, NIGHT, NIGHT_PRICE
 from vppres.io import write_scenario
+from vppres.kinds.cooling.data import ThermalLoads
+from vppres.kinds.gensets.data import Gensets
+from vppres.kinds.vehicles.data import Chargers, Sessions
 from vppres.scenario.assets import Batteries, Customers, PVSystems
-from vppres.scenario.gensets import Gensets
 from vppres.scenario.outage_warnings import OutageWarning
 from vppres.scenario.priority import STRICT
 from vppres.scenario.scenario import ControllerDefaults, ObjectiveWeights, Priority, Scenario
-from vppres.scenario.thermal_loads import ThermalLoads
 from vppres.scenario.timegrid import TimeGrid
-from vppres.scenario.vehicles import Chargers, Sessions
 
 NAME = "village-hot-week"
 TITLE = "A village in a hot week, and an outage of 30 hours that nobody knows exactly"

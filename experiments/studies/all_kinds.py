@@ -21,12 +21,12 @@ from experiments.studies.precooling import heat_wave
 from vppres.day.assembly import make_controller
 from vppres.day.options import RunOptions
 from vppres.day.simulate import Day
+from vppres.kinds.gensets.data import Gensets
+from vppres.kinds.vehicles.data import Chargers, Sessions
 from vppres.model.data import WindowData
 from vppres.model.site import Site
-from vppres.scenario.gensets import Gensets
 from vppres.scenario.priority import STRICT
 from vppres.scenario.scenario import Scenario
-from vppres.scenario.vehicles import Chargers, Sessions
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import WindowSolution
 

@@ -29,7 +29,7 @@ from vppres.core.arrays import Floats
 from vppres.day.metrics import summarise, versions
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
-from vppres.report.plots.palette import BLUE
+from vppres.report.plots.drawing import BLUE
 
 CONTROLLERS = {
     "mpc": "MPC, H = 5 h",

@@ -27,7 +27,7 @@ from vppres.core.arrays import Floats
 from vppres.day.metrics import summarise, versions
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
-from vppres.report.plots.palette import BLUE
+from vppres.report.plots.drawing import BLUE
 from vppres.scenario.scenario import Scenario
 
 FORECASTERS = {

@@ -218,12 +218,12 @@ def _row(outcome: Outcome) -> tuple[str, ...]:
         outcome.label,
         "" if outcome.buses is None else str(outcome.buses),
         ", ".join(outcome.options),
-        *("" if value is None else _written(value) for value in differences),
+        *("" if value is None else in_pu(value) for value in differences),
         outcome.words.replace("|", "/"),
     )
 
 
-def _written(value: float) -> str:
+def in_pu(value: float) -> str:
     """A difference in pu; what is nothing but rounding is said to be."""
     return "< 1e-6" if value < 1e-6 else f"{value:.1g}" if value < 1e-3 else f"{value:.4f}"
 

@@ -26,7 +26,7 @@ from experiments.studies.seeds import STUDIES, Jobs
 from experiments.studies.seeds import Results as Folder
 from experiments.studies.settings import At, Setting, jobs_of, rows_of
 from experiments.studies.weighted_gap import service_of, terms_beside_gap
-from vppres.report.plots.palette import BLACK
+from vppres.report.plots.drawing import BLACK
 
 TITLE = "The paper at the precision of a weighted solve"
 NAME = "precision"

@@ -21,8 +21,9 @@ from vppres.contract.observation import Observation
 from vppres.day.assembly import make_controller
 from vppres.day.simulate import Day
 from vppres.day.trajectory import Trajectory
+from vppres.kinds.cooling.data import ThermalLoads
+from vppres.kinds.cooling.physics import Climate
 from vppres.scenario.scenario import Scenario
-from vppres.scenario.thermal_loads import ThermalLoads
 
 PAGE = Path(__file__).parents[2] / "docs" / "cooling.md"
 TABLE = re.compile(r"(?<=<!-- precooling -->\n).*?(?=\n<!-- end -->)", re.DOTALL)
@@ -78,7 +79,7 @@ class HeldThermostats:
         if "thermal_loads" not in plan.taken_kw or self.day.scenario.outage[: t + 1].any():
             return decision
         loads = self.day.scenario.thermal_loads
-        climate = self.day.plant.climate
+        climate = self.day.plant.of(Climate)
         held_kw = climate.thermostat_kw(t, loads.held_c, plan.served[decision.row])
         kept_kw = plan.taken_kw["thermal_loads"].copy()
         kept_kw[decision.row] = np.minimum(kept_kw[decision.row], held_kw)

@@ -1,8 +1,9 @@
 """Whether two checkouts compute the same: ``python -m experiments.studies.same ONE OTHER``.
 
-Run the same command in two checkouts, then lay their folders side by side: a run folder each, or a
-results folder of ``make reproduce`` each. Every number must be equal to the last bit; what only
-tells how long something took, or which version ran, is left out.
+Run the same command in two checkouts, then lay their folders side by side: a run folder each, a
+results folder of ``make reproduce`` each, or golden sets of ``python -m tests.support.golden``.
+Every number must be equal to the last bit; what only tells how long something took, or which
+version ran, is left out.
 """
 
 from __future__ import annotations
@@ -43,13 +44,16 @@ def same_run(one: Path, other: Path) -> Iterator[str]:
             yield f"{name}: is in one folder only"
             continue
         yield from _tables(name, pd.read_parquet(one / name), pd.read_parquet(other / name))
-    yield from _values(
-        SUMMARY,
-        *(
-            _plain(json.loads((folder / SUMMARY).read_text(encoding="utf-8")))
-            for folder in (one, other)
-        ),
-    )
+    summaries = [folder / SUMMARY for folder in (one, other)]
+    if any(file.exists() for file in summaries):
+        yield from _values(
+            SUMMARY, *(_plain(json.loads(file.read_text(encoding="utf-8"))) for file in summaries)
+        )
+
+
+def _runs(folder: Path) -> set[str]:
+    """Names of the folders of tables in a folder."""
+    return {file.parent.name for file in folder.glob("*/*.parquet")}
 
 
 def same_reproduction(one: Path, other: Path) -> Iterator[str]:
@@ -132,12 +136,18 @@ def main(
             differences = list(same_reproduction(one, other))
         elif (one / SUMMARY).is_file() and (other / SUMMARY).is_file():
             differences = list(same_run(one, other))
+        elif names := _runs(one) | _runs(other):
+            differences = [
+                f"{name}: {line}"
+                for name in sorted(names)
+                for line in same_run(one / name, other / name)
+            ]
         else:
             raise InputError(
                 Problem(
                     str(one),
-                    "and the other folder are not two run folders or two results folders",
-                    "Give two folders of vppres run, or two of make reproduce.",
+                    "and the other folder are not two of one kind",
+                    "Give two run folders, two results of make reproduce, or two golden sets.",
                 )
             )
     for line in differences[:MOST_SHOWN]:

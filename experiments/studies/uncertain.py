@@ -60,7 +60,7 @@ from vppres.day.trajectory import Trajectory
 from vppres.io.find import load_scenario
 from vppres.outlook.belief import OutageBelief
 from vppres.outlook.outlook import Announced, OutageOutlook, SeenOutage, announced_by
-from vppres.report.plots.palette import BLUE
+from vppres.report.plots.drawing import BLUE
 from vppres.scenario.scenario import Scenario
 from vppres.studies.side_by_side import Where
 

@@ -265,7 +265,7 @@ def test_interrupt_while_writing_leaves_nothing(
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("vppres.report.plots.files.save_chart", interrupt)
+    monkeypatch.setattr("vppres.report.plots.figures.save_chart", interrupt)
     result = call("run", tiny_folder, "--horizon", 0, "--out", tmp_path / "run")
     assert result.exit_code == 130
     assert names_below(tmp_path) == ["tiny"]

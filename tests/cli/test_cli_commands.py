@@ -22,7 +22,7 @@ from vppres.core.errors import InfeasibleError, InputError
 from vppres.day.options import RunOptions
 from vppres.day.trajectory import Trajectory
 from vppres.io import read_scenario, write_scenario
-from vppres.report.plots.files import FIGURES
+from vppres.report.plots.figures import FIGURES
 from vppres.report.run_folder import write_run
 from vppres.scenario.scenario import Scenario
 from vppres.studies import sweep

@@ -12,7 +12,7 @@ from vppres.day.metrics import summarise
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.io import read_scenario, write_scenario
-from vppres.report.plots.energy import energy_and_price
+from vppres.report.plots.figures import energy_and_price
 from vppres.scenario.scenario import Scenario
 
 

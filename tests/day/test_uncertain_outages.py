@@ -22,8 +22,7 @@ from vppres.explain.day import explain_day
 from vppres.explain.recorded import Recorded
 from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
-from vppres.report.plots.files import figure_names
-from vppres.report.plots.outages import outage_belief
+from vppres.report.plots.figures import figure_names, outage_belief
 from vppres.report.run_folder import write_run
 from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
 from vppres.scenario.scenario import ControllerDefaults, Scenario

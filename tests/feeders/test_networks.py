@@ -589,10 +589,6 @@ def test_opendss_buses_that_are_numbers(tmp_path: Path) -> None:
             "new isource.x bus1=a phases=3 amps=1",
             "mill.dss: isource.x is not supported. Write 'disable isource.x' at the end of the script.",
         ),
-        (
-            "new transformer.t3 phases=3 windings=3 buses=(a d e) kvs=(11 0.4 0.4) kvas=(9 9 9)",
-            "mill.dss: transformer.t3 has 3 windings. Replace it by a transformer with two windings.",
-        ),
         (  # as the regulators of IEEE 37
             "new transformer.ra phases=1 windings=2 buses=(b.1.2 f.1.2) conns=(delta delta) "
             "kvs=(0.4 0.4) kvas=(20 20) xhl=1\n"

@@ -81,7 +81,52 @@ FOUR = (
     "new linecode.c4 nphases=4 rmatrix=[.37|.05 .37|.05 .05 .37|.05 .05 .05 .48] units=km "
     "xmatrix=[.75|.66 .75|.66 .66 .75|.66 .66 .66 .76] cmatrix=[9|0 9|0 0 9|0 0 0 9]"
 )
+THREE_WINDINGS = (
+    "new transformer.t windings=3 buses=(s m d) conns=(delta wye delta) kvs=(12.47 4.16 .48) "
+    "kvas=(1000 1000 300) xhl=7.5 xht=36 xlt=28 %rs=(.3 .4 .7)"
+)
+AT_D = "new load.d bus1=d conn=delta kv=.48 kw=30 pf=.9"
+UNITS = tuple(
+    f"new transformer.t{i} phases=1 windings=3 buses=(s.{i} m.{i} d.{i}.{i % 3 + 1}) "
+    "conns=(wye wye delta) kvs=(7.2 2.4 .48) kvas=(300 300 90) xhl=7 xht=36 xlt=28 "
+    "%rs=(.1 .1 .3) %imag=.5"
+    for i in (1, 2, 3)
+)
+EARTHED = BANK.replace("buses=(s m)", "buses=(s m.1.2.3.4)")
 ODD: dict[str, tuple[str, ...]] = {
+    "three windings": (HEAD, f"{THREE_WINDINGS} wdg=2 tap=1.01 %imag=.7", LINE, *LOADS, AT_D),
+    "three windings with a leg below zero": (
+        HEAD,
+        THREE_WINDINGS.replace("xht=36 xlt=28", "xht=10 xlt=2"),
+        LINE,
+        *LOADS,
+        AT_D,
+    ),
+    "units with three windings": (HEAD, *UNITS, LINE, *LOADS, AT_D),
+    "neutral behind a reactor": (
+        HEAD,
+        EARTHED,
+        "new reactor.n phases=1 bus1=m.4 r=.1 x=.5",
+        LINE,
+        *LOADS,
+    ),
+    "neutrals of both windings": (
+        HEAD,
+        EARTHED.replace("(s ", "(s.1.2.3.4 ").replace("delta", "wye"),
+        "new reactor.n phases=1 bus1=m.4 r=.1 x=.5",
+        "new reactor.p phases=1 bus1=s.4 x=9",
+        LINE,
+        *LOADS,
+    ),
+    "neutral of three windings behind two reactors": (
+        HEAD,
+        THREE_WINDINGS.replace(" m ", " m.1.2.3.4 "),
+        "new reactor.n phases=1 bus1=m.4 bus2=m.5 x=.3",
+        "new reactor.g phases=1 bus1=m.5 r=2 x=.1",
+        LINE,
+        *LOADS,
+    ),
+    "neutral that nothing grounds": (HEAD, EARTHED, LINE, LOADS[1]),
     "one conductor open": (*BASE, SPUR, *AT_E, "open line.sp 1 2"),
     "one conductor open at its end": (*BASE, SPUR, *AT_E, "open line.sp term=2 cond=2"),
     "line that is open at one end": (
@@ -210,6 +255,10 @@ def test_voltages_are_those_of_opendss_on_the_untouched_file(name: str, tmp_path
 
 THREE = "new load.c bus1=b kv=4.16 kw=300 pf=.9"
 EVEN: dict[str, tuple[str, ...]] = {
+    "three windings": (
+        HEAD, f"{THREE_WINDINGS} wdg=2 tap=1.01 %imag=.7 %noloadloss=.2", LINE,
+        "new load.a bus1=b kv=4.16 kw=300 pf=.95", AT_D,
+    ),
     "PV beside another load": (
         THREE,
         "new line.n bus1=b bus2=e r1=.3 x1=.4 r0=.6 x0=1.2 length=4 units=km",
@@ -257,6 +306,31 @@ def test_conductors_without_supply_are_named_and_their_customers_alone_are_gone(
     assert "Without supply, and left out: load.g at bus e, 7 kW." in feeder.notes
     customers = [str(each) for each in new_scenario(feeder).customers.id]
     assert customers == ["ca", "cb", "ce", "cf"]
+
+
+FLOATING = (
+    "new circuit.t basekv=12.47 bus1=s mvasc3=2000 mvasc1=1800",
+    "new transformer.u phases=1 xhl=6 wdg=1 bus=s.1 kv=7.2 kva=2000 wdg=2 bus=m.1.2 "
+    "conn=delta kv=4.16 kva=2000",
+    "new transformer.v phases=1 xhl=6 wdg=1 bus=s.2 kv=7.2 kva=2000 wdg=2 bus=m.2.3 "
+    "conn=delta kv=4.16 kva=2000",
+    LINE,
+    "new load.b bus1=b conn=delta kv=4.16 kw=900 vminpu=.5",
+)
+
+
+def test_a_floating_bus_has_the_level_of_its_transformer(tmp_path: Path) -> None:
+    """OpenDSS takes 12.47 kV for what nothing holds against ground."""
+    file = written(tmp_path, FLOATING)
+    feeder = import_network(file)
+    theirs = of_opendss(file)
+    assert feeder.phased is not None
+    assert {row.bus: row.kv for row in feeder.phased.phases.buses}["b"] == pytest.approx(4.16)
+    dss.Circuit.SetActiveBus("b")
+    factor = dss.Bus.kVBase() / (4.16 / 3**0.5)
+    own = own_voltages(feeder)
+    assert factor > 2.0
+    assert max(abs(own[f"b.{i}"] - theirs[f"b.{i}"] * factor) for i in (1, 2, 3)) < CLOSE_PU
 
 
 def test_batteries_of_a_script_are_batteries_with_their_phases(tmp_path: Path) -> None:

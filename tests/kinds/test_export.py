@@ -44,7 +44,7 @@ from vppres.physics.powerflow import ACPowerFlow
 from vppres.plant.collapse import realise
 from vppres.plant.exporting import LIMIT_TOLERANCE_KW
 from vppres.plant.plant import Plant
-from vppres.report.plots.energy import import_load_pv
+from vppres.report.plots.figures import import_load_pv
 from vppres.scenario.remarks import export_words, remarks
 from vppres.scenario.scenario import ObjectiveWeights, Scenario
 from vppres.solve.ladder import METHODS, WindowSolver

@@ -16,7 +16,6 @@ from tests.support.small_windows import DARK, OPEN, battery, two_buses, with_pv
 from vppres import RunOptions, load_scenario, run_day, write_scenario
 from vppres.contract.ahead import KindsAhead
 from vppres.contract.decision import Decision
-from vppres.contract.gensets import SetsAhead
 from vppres.contract.observation import Observation
 from vppres.control.converged import dark_steps, physics_of, without_power
 from vppres.control.forming import formed_by_set, headroom_kw
@@ -24,13 +23,14 @@ from vppres.control.step_state import one_step
 from vppres.core.errors import NumericalError
 from vppres.day.faults import FaultPlan, SolverOutage
 from vppres.day.trajectory import Trajectory
+from vppres.kinds.gensets.data import Gensets, GensetState, Refuels
+from vppres.kinds.gensets.physics import SetsAhead
 from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
 from vppres.model.beyond_paper.losses import lossless
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.plant.island import SET_NO_BALANCE
-from vppres.scenario.gensets import Gensets, GensetState, Refuels
 from vppres.scenario.remarks import ONE_FORMER, darkness, former_words
 from vppres.scenario.scenario import Scenario
 from vppres.service.gate import refusals
@@ -221,7 +221,7 @@ def windows(seed: int) -> tuple[Site, WindowData]:
     limits = np.where(outage, 0.0, data.grid_limit_kw)
     steps = range(data.n_steps)
     seen = SetsAhead.of(day, steps, GensetState.at_first(day.gensets))
-    data = replace(data, grid_limit_kw=limits, ahead=KindsAhead(gensets=seen))
+    data = replace(data, grid_limit_kw=limits, ahead=KindsAhead({"gensets": seen}))
     site = Site.of(day)
     data, dark = formed_by_set(site, data, dark_steps(site, data), 0.1)
     lit = without_power(data, dark)
@@ -236,7 +236,7 @@ def test_methods_agree_on_random_windows(seed: int) -> None:
 
 def test_most_random_windows_are_lit_by_a_set() -> None:
     """The fifty windows above say something."""
-    formed = [windows(seed)[1].ahead.gensets for seed in range(50)]
+    formed = [windows(seed)[1].ahead.find(SetsAhead) for seed in range(50)]
     lit = [sets is not None and bool(sets.forms.any()) for sets in formed]
     assert sum(lit) >= 35
 

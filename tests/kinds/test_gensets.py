@@ -20,15 +20,15 @@ from vppres.contract.decision import Decision
 from vppres.control.guard.check import violations
 from vppres.io import read_scenario, write_scenario
 from vppres.io.digest import scenario_digest
+from vppres.kinds.gensets.data import Gensets, Refuels
+from vppres.kinds.gensets.physics import Engines
 from vppres.model.data import WindowData
 from vppres.model.numerics import objective_scale
 from vppres.model.site import Site
 from vppres.model.violations import broken
-from vppres.plant.gensets import Engines
 from vppres.report.events import events_of
 from vppres.report.plots.chart import Curves
-from vppres.report.plots.energy import import_load_pv
-from vppres.scenario.gensets import Gensets, Refuels
+from vppres.report.plots.figures import import_load_pv
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
 from vppres.solve.cache import shared_cache
@@ -66,7 +66,7 @@ def island(load_kw: list[float], sets: Gensets, steps_h: float = 1.0) -> Scenari
 
 def known(day: Scenario) -> WindowData:
     """All steps as one window."""
-    return replace(window(day), ahead=KindsAhead(gensets=ahead(day)))
+    return replace(window(day), ahead=KindsAhead({"gensets": ahead(day)}))
 
 
 def solved(day: Scenario, method: str) -> WindowSolution:
@@ -185,7 +185,7 @@ def test_methods_agree_on_random_windows(seed: int) -> None:
     scenario, data = random_window(seed, stressed=seed % 2 > 0)
     sets = random_sets(np.random.default_rng([seed, 43]), scenario)
     day = replace(scenario, gensets=sets)
-    data = replace(data, ahead=KindsAhead(gensets=ahead(day, data.n_steps)))
+    data = replace(data, ahead=KindsAhead({"gensets": ahead(day, data.n_steps)}))
     assert_methods_agree(Site.of(day), data)
 
 
@@ -222,7 +222,7 @@ def test_the_guard_refuses_what_a_set_cannot_do() -> None:
     day = island([50.0, 0.0], gensets(fuel_level_litres=25.0))
     data = known(day)
     plan = solved(day, "decomposed").dispatch
-    state = replace(first_step(day, data), ahead=KindsAhead(gensets=ahead(day, 1)))
+    state = replace(first_step(day, data), ahead=KindsAhead({"gensets": ahead(day, 1)}))
     assert not violations(Decision(plan), state)
     for wrong_kw in (120.0, 20.0, 90.0):  # its rating, its least power, its fuel
         wrong = plan.acting("gensets", np.full((2, 1), -wrong_kw))

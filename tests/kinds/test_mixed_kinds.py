@@ -29,13 +29,12 @@ from vppres.contract.ahead import KindsAhead
 from vppres.contract.switching import SwitchingState
 from vppres.feeders.closeness import extreme_steps
 from vppres.feeders.cross_check import cross_check
+from vppres.kinds.vehicles.physics import Plugged
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.model.violations import broken
 from vppres.plant.plant import Plant
-from vppres.report.plots.energy import import_load_pv
-from vppres.report.plots.rooms import indoor
-from vppres.scenario.gensets import GensetState
+from vppres.report.plots.figures import import_load_pv, indoor
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 from vppres.solve.ladder import WindowSolver
@@ -65,13 +64,10 @@ def mixed(seed: int) -> tuple[Scenario, WindowData]:
     if limited:
         longest_h = np.where(rng.random(count) < 0.6, dt_h * rng.integers(0, 3, count), np.nan)
         day = replace(day, customers=replace(day.customers, max_off_h=longest_h))
-    held_kwh = Plant(day).garage.held_kwh(0)
-    at_first = GensetState.at_first(day.gensets)
-    steps = range(data.n_steps)
-    ahead = KindsAhead.of(day, steps, held_kwh, day.thermal_loads.t_initial_c, at_first, None)
-    if ahead.plugged is not None:
-        known = ahead.plugged.here & (ahead.plugged.here[0] | (rng.random(held_kwh.shape) < 0.5))
-        ahead = replace(ahead, plugged=replace(ahead.plugged, known=known))
+    ahead = KindsAhead.of(day, range(data.n_steps), Plant(day).states_at(0), None)
+    if plugged := ahead.find(Plugged):
+        known = plugged.here & (plugged.here[0] | (rng.random(len(day.chargers)) < 0.5))
+        ahead = ahead.with_window(replace(plugged, known=known))
     data = replace(data, ahead=ahead)
     state = SwitchingState.of(SwitchingRules(), day.customers, dt_h)
     if state is not None:
@@ -102,14 +98,7 @@ def test_cars_homes_and_shares_together_never_outweigh_one_customer() -> None:
     day = plugged_in(day, *[(0, 3)] * 1000, weight=1000.0, soc_needed=0.8)
     hot = homes(*["c1"] * 100, t_initial_c=40.0)
     day = replace(day, temperature_c=np.full(3, 45.0), thermal_loads=hot)
-    ahead = KindsAhead.of(
-        day,
-        range(3),
-        Plant(day).garage.held_kwh(0),
-        hot.t_initial_c,
-        GensetState.at_first(day.gensets),
-        None,
-    )
+    ahead = KindsAhead.of(day, range(3), Plant(day).states_at(0), None)
     answer = WindowSolver(Site.of(day)).solve(replace(window(day), ahead=ahead))
     assert answer.status == "optimal"
     assert answer.dispatch.served.all()

@@ -14,13 +14,13 @@ from tests.support.small_windows import DARK, OPEN, battery, two_buses, window
 from tests.support.vans import chargers, plugged_in
 from vppres import Controller, InputError, Measurement, RunOptions, explain_day, run_day
 from vppres.contract.ahead import KindsAhead
-from vppres.contract.plugged import Plugged
 from vppres.day.assembly import make_controller
+from vppres.kinds.vehicles.past_days import PastDays
+from vppres.kinds.vehicles.physics import Plugged
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.model.violations import broken
 from vppres.report.assumptions import simplifications
-from vppres.scenario.past_days import PastDays
 from vppres.scenario.scenario import Scenario
 from vppres.service.as_told import with_told
 from vppres.service.clock import written
@@ -42,7 +42,7 @@ def expecting(day: Scenario, now_kwh: float = 0.0) -> WindowData:
     held_kwh = np.full(len(day.chargers), now_kwh)
     steps = range(day.grid.n_steps)
     plugged = Plugged.of(day, steps, held_kwh, PastDays.of(day, 0))
-    return replace(window(day), ahead=KindsAhead(plugged))
+    return replace(window(day), ahead=KindsAhead({"chargers": plugged}))
 
 
 # Draws.
@@ -144,7 +144,7 @@ def test_none_that_may_not_come_gives_anything_back(method: str, grid: float) ->
         assert served.sum() == (8 if grid else 6 if data is announced else 0)
     assert powers[0].min() < -5.9
     assert powers[1].min() == 0.0
-    ahead = expected.ahead.plugged
+    ahead = expected.ahead.find(Plugged)
     assert ahead is not None
     beyond_kw = ahead.power_beyond_kw(
         day.chargers,

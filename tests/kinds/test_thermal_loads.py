@@ -24,11 +24,11 @@ from vppres import (
 )
 from vppres.contract.ahead import KindsAhead
 from vppres.contract.decision import Decision
-from vppres.contract.rooms import Rooms
 from vppres.control.guard.check import violations
-from vppres.day.thermal_loads import thermal_words
 from vppres.io import read_scenario, write_scenario
 from vppres.io.digest import scenario_digest
+from vppres.kinds.cooling.physics import Climate, Rooms
+from vppres.kinds.cooling.record import cautions
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.model.violations import broken
@@ -44,7 +44,7 @@ PHYSICAL = RunOptions(mode="physical", horizon_h=2.0, isolate=False)
 
 def known(day: Scenario) -> WindowData:
     """All steps as one window."""
-    return replace(window(day), ahead=KindsAhead(rooms=rooms_of(day)))
+    return replace(window(day), ahead=KindsAhead({"thermal_loads": rooms_of(day)}))
 
 
 def rooms_of(day: Scenario) -> Rooms:
@@ -66,11 +66,11 @@ def planned_kw(day: Scenario, method: str) -> np.ndarray[Any, Any]:
 def test_a_home_without_power_is_too_warm_after_known_hours(begins_c: float, hours: float) -> None:
     day = hot([DARK] * 900, t_initial_c=begins_c)
     day = replace(day, grid=TimeGrid(day.grid.start, 1.0, 900))
-    climate = Plant(day).climate
+    climate = Plant(day).of(Climate)
     too_warm = []
     for t in range(900):
         climate.advance(t, np.zeros(1))
-        too_warm.append(climate.t_c[0] > 26.0)
+        too_warm.append(climate.state[0] > 26.0)
     assert (np.argmax(too_warm) + 1) / 60.0 == pytest.approx(hours, abs=0.02)
 
 
@@ -148,12 +148,12 @@ def test_plant_and_plan_agree_and_who_is_off_warms_up() -> None:
         thermal_loads=homes("c0", "c1", "c1", cop_per_c=-0.05, heats=[False, True, False]),
     )
     served = rng.random((steps, 2)) < 0.6
-    climate = Plant(day).climate
+    climate = Plant(day).of(Climate)
     done_kw, t_c = [], []
     for t in range(steps):
         done_kw.append(climate.possible_kw(rng.uniform(-0.5, 3.0, 3), served[t]))
         climate.advance(t, done_kw[-1])
-        t_c.append(climate.t_c)
+        t_c.append(climate.state)
     off = ~served[:, [0, 1, 1]]
     assert np.array(done_kw)[off].max() == 0.0
     assert np.abs(rooms_of(day).t_c(np.array(done_kw)) - np.array(t_c)).max() < 1e-9
@@ -179,7 +179,7 @@ def test_a_hundred_hot_homes_never_outweigh_one_customer() -> None:
 def test_methods_agree_on_random_windows(seed: int) -> None:
     scenario, data = random_window(seed, stressed=seed % 2 > 0)
     day = with_random_homes(scenario, np.random.default_rng([seed, 42]))
-    data = replace(data, ahead=KindsAhead(rooms=rooms_of(day)))
+    data = replace(data, ahead=KindsAhead({"thermal_loads": rooms_of(day)}))
     assert_methods_agree(Site.of(day), data)
 
 
@@ -207,7 +207,7 @@ def test_a_day_tells_of_cooling_ahead(tmp_path: Path) -> None:
     assert rows["t_start_c"].to_numpy()[1:] == pytest.approx(t_c[:-1], abs=0.0)
     figures = summarise(run)["thermal_loads"]
     assert figures["missed_k_h"] == pytest.approx(np.maximum(t_c - 25.0, 0.0).sum(), abs=1e-4)
-    assert thermal_words(run)[0].startswith("1 of 1 room or tank outside the comfort band, for ")
+    assert cautions(run)[0].startswith("1 of 1 room or tank outside the comfort band, for ")
     explanations = explain_day(run).explanations
     assert explanations is not None
     words = explanations[explanations["action"] == "prepared"]["words"].tolist()

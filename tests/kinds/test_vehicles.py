@@ -36,12 +36,12 @@ from vppres import (
 )
 from vppres.contract.ahead import KindsAhead
 from vppres.contract.decision import Decision
-from vppres.contract.plugged import Plugged
 from vppres.control.guard.check import violations
 from vppres.day.metrics import cautions
 from vppres.io import read_scenario, write_scenario
 from vppres.io.digest import scenario_digest
 from vppres.io.python_door import check_scenario
+from vppres.kinds.vehicles.physics import Garage, Plugged
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.model.violations import broken
@@ -59,8 +59,8 @@ HOUR = pd.Timedelta("1h")
 def known(day: Scenario) -> WindowData:
     """All steps as one window, with the vehicles that are known in the first."""
     steps = range(day.grid.n_steps)
-    held_kwh = Plant(day).garage.held_kwh(0)
-    return replace(window(day), ahead=KindsAhead(Plugged.of(day, steps, held_kwh)))
+    held_kwh = Plant(day).of(Garage).at(0)
+    return replace(window(day), ahead=KindsAhead({"chargers": Plugged.of(day, steps, held_kwh)}))
 
 
 def evening(limit_kw: float, steps: int = 14, **more: Any) -> Scenario:
@@ -91,11 +91,10 @@ def test_a_departure_in_an_outage_is_short_and_feasible(method: str) -> None:
     data = known(day)
     answer = WindowSolver(Site.of(day), method).solve(data)
     assert answer.status == "optimal"
-    assert data.ahead.plugged is not None
-    energy_kwh = data.ahead.plugged.energy_kwh(
+    energy_kwh = data.ahead.known(Plugged).energy_kwh(
         answer.dispatch.taken_kw["chargers"], day.chargers, 1.0
     )
-    assert data.ahead.plugged.short_kwh(energy_kwh).sum() == pytest.approx(30.0)
+    assert data.ahead.known(Plugged).short_kwh(energy_kwh).sum() == pytest.approx(30.0)
     assert answer.objective == pytest.approx(-0.5 * 30.0 / 60.0)  # half a step for 60 kWh
 
 
@@ -146,9 +145,11 @@ def test_a_car_that_never_leaves_is_a_battery(method: str) -> None:
     )
     # Without a need, what it lacks at the end of the window counts nothing.
     data = known(other)
-    plugged = data.ahead.plugged
+    plugged = data.ahead.find(Plugged)
     assert plugged is not None
-    data = replace(data, ahead=KindsAhead(replace(plugged, line_kwh=0.0 * plugged.line_kwh)))
+    data = replace(
+        data, ahead=KindsAhead({"chargers": replace(plugged, line_kwh=0.0 * plugged.line_kwh)})
+    )
     by_battery = WindowSolver(Site.of(one), method).solve(window(one))
     by_car = WindowSolver(Site.of(other), method).solve(data)
     assert (by_car.dispatch.served == by_battery.dispatch.served).all()
@@ -184,8 +185,7 @@ def test_the_floor_holds_what_a_car_keeps() -> None:
     day = plugged_in(replace(day, chargers=two_way), (0, 14), **session)
     data = known(day)
     answer = WindowSolver(Site.of(day)).solve(data)
-    assert data.ahead.plugged is not None
-    energy_kwh = data.ahead.plugged.energy_kwh(
+    energy_kwh = data.ahead.known(Plugged).energy_kwh(
         answer.dispatch.taken_kw["chargers"], day.chargers, 1.0
     )[:, 0]
     assert energy_kwh.min() >= 15.0 - 1e-6
@@ -234,7 +234,7 @@ def test_a_vehicle_within_a_step_is_named_and_leaves_plans_as_they_are() -> None
     """It has no whole step: its charger is empty, not one that holds energy without a vehicle."""
     day = two_buses([[1.0]] * 8, [1.0], [OPEN] * 8)
     day = plugged_in(replace(day, chargers=chargers()), (2.4, 2.9))
-    plugged = known(day).ahead.plugged
+    plugged = known(day).ahead.find(Plugged)
     assert plugged is not None and not plugged.held_kwh.any()
     assert WindowSolver(Site.of(day)).solve(known(day)).status == "optimal"
     assert "no whole step of 60 min" in brief_sessions(day)
@@ -246,11 +246,11 @@ def test_methods_agree_on_random_windows(seed: int) -> None:
     scenario, data = random_window(seed, stressed=seed % 2 > 0)
     day = with_random_vehicles(scenario, seed)
     steps = range(day.grid.n_steps)
-    plugged = Plugged.of(day, steps, Plant(day).garage.held_kwh(0))
+    plugged = Plugged.of(day, steps, Plant(day).of(Garage).at(0))
     assert plugged is not None
     if seed % 3 == 0:  # those that are yet to come are expected, and not known
         plugged = replace(plugged, known=plugged.here & plugged.here[0])
-    data = replace(data, ahead=KindsAhead(plugged))
+    data = replace(data, ahead=KindsAhead({"chargers": plugged}))
     assert_methods_agree(Site.of(day), data)
 
 
@@ -267,16 +267,16 @@ def test_the_plant_is_exact_and_knows_what_chargers_cannot_do() -> None:
         (dark, 1.0, 0.0),
         (day, -3.0, 0.0),  # below its floor
     ):
-        garage = Plant(each).garage
+        garage = Plant(each).of(Garage)
         power_kw = garage.possible_kw(0, np.array([wanted]), on)
         assert power_kw == pytest.approx([done])
         expected = 18.0 + 0.92 * done
         assert garage.after_kwh(0, power_kw)[0] == pytest.approx(expected, abs=1e-12)
-    garage = Plant(day).garage
+    garage = Plant(day).of(Garage)
     for t in range(13):
         garage.advance(t, garage.possible_kw(t, np.array([7.4]), on))
-    assert garage.kwh == pytest.approx([60.0], abs=1e-9)  # full, and no more
-    assert garage.held_kwh(13) == pytest.approx([0.0])  # gone
+    assert garage.state == pytest.approx([60.0], abs=1e-9)  # full, and no more
+    assert garage.at(13) == pytest.approx([0.0])  # gone
     assert garage.possible_kw(13, np.array([7.4]), on) == pytest.approx([0.0])
 
 
@@ -288,7 +288,7 @@ def test_the_guard_refuses_power_without_a_vehicle() -> None:
     assert violations(Decision(plan), observed) == []
     more = plan.acting("chargers", plan.taken_kw["chargers"] + 1.0)
     assert "charger power: k0 by 1 kW" in violations(Decision(more), observed)
-    away = replace(observed, ahead=KindsAhead(Plugged.none(1, 1)))
+    away = replace(observed, ahead=KindsAhead({"chargers": Plugged.none(1, 1)}))
     assert "charger power: k0 by 7.4 kW" in violations(Decision(plan), away)
 
 

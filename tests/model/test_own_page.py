@@ -26,7 +26,7 @@ from vppres.model.beyond_paper.dimmed import DimmedDemand
 from vppres.model.beyond_paper.former_phases import FormerPhases
 from vppres.model.beyond_paper.longest_off import LongestTimeOff
 from vppres.model.beyond_paper.switching import SwitchingModel
-from vppres.model.beyond_paper.table import ADDITIONS, beyond_paper, own_parts
+from vppres.model.beyond_paper.table import additions, beyond_paper, own_parts
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
 from vppres.model.site import Site
@@ -285,7 +285,7 @@ def test_no_method_names_what_is_beyond_the_paper(tiny: Scenario) -> None:
     dimmed = replace(tiny.customers, share_min=[0.5, 0.5, 1.0])
     site = Site.of(replace(tiny, customers=dimmed, gensets=gensets()))
     paper = Statement(site, 2)
-    others = [each for each in ADDITIONS if each is not FormerPhases]  # this one needs phases
+    others = [each for each in additions() if each is not FormerPhases]  # this one needs phases
     beyond = Statement(site, 2, tuple((each, SHAPES.get(each, True)) for each in others))
     names = (beyond.letters.keys() | beyond.families.keys()) - paper.letters.keys()
     names -= paper.families.keys()

@@ -42,7 +42,7 @@ def test_service_is_given_up_to_keep_fuel_by_hand(
     day = replace(day, gensets=sets, batteries=battery(soc=0.15))
     energy = np.linspace(15.0, 185.0, PIECES + 1)
     value = StoredValue(energy, per_kwh * (energy - 15.0), 1000.0, True, sets.kwh_per_litre / 0.95)
-    data = replace(window(day), ahead=KindsAhead(gensets=ahead(day)), stored_value=value)
+    data = replace(window(day), ahead=KindsAhead({"gensets": ahead(day)}), stored_value=value)
     answer = WindowSolver(Site.of(day), method).solve(data)
     assert answer.status == "optimal"
     assert answer.dispatch.served[0].tolist() == [bool(x) for x in served]
@@ -103,7 +103,7 @@ def test_methods_agree_on_random_windows(seed: int) -> None:
     energy = np.linspace(float(b.energy_kwh @ b.soc_min), most_kwh, PIECES + 1)
     slope = np.sort(rng.exponential(0.01, PIECES))[::-1]
     service = np.append(0.0, np.cumsum(slope * np.diff(energy)))
-    first = replace(data.first(1), ahead=KindsAhead(gensets=ahead(day, 1)))
+    first = replace(data.first(1), ahead=KindsAhead({"gensets": ahead(day, 1)}))
     if seed % 3:
         first = replace(first, grid_limit_kw=np.zeros(1))
     out = bool(first.grid_limit_kw[0] <= 0.0)

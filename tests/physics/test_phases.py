@@ -47,7 +47,7 @@ from vppres.physics.phases import NoPhasedSolutionError, PhasedFlow
 from vppres.report.findings import findings
 from vppres.report.first_page import limit_rows, who_and_why
 from vppres.report.one_line import step_states
-from vppres.report.plots.files import chart_of
+from vppres.report.plots.figures import chart_of
 from vppres.report.rechecked import recheck_run
 from vppres.report.sections.base import Run
 from vppres.report.sections.network import network_section

@@ -22,8 +22,8 @@ from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.day.trajectory import Trajectory
 from vppres.io import read_scenario, write_scenario
-from vppres.report.plots.files import FIGURES, RUN_FIGURES
-from vppres.report.plots.pixels import png_of
+from vppres.report.plots.drawing import png_of
+from vppres.report.plots.figures import FIGURES, RUN_FIGURES
 from vppres.report.run_folder import write_run
 from vppres.scenario.scenario import Scenario
 from vppres.studies.sweep import SweepRow, cases_of

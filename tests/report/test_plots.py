@@ -19,14 +19,21 @@ from tests.support.made_up_runs import (
 from tests.support.made_up_runs import without_devices as bare
 from vppres.day import series
 from vppres.report.plots.axes import TimeAxis, ValueAxis, range_of, round_values, time_step_min
-from vppres.report.plots.canvas import Canvas, path_of
 from vppres.report.plots.chart import Band, Chart, Curve, Curves, Limit
-from vppres.report.plots.energy import energy_and_price, import_load_pv, voltages
-from vppres.report.plots.feeder import feeder_maps, line_loadings
-from vppres.report.plots.files import FIGURES, RUN_FIGURES, save_figures
-from vppres.report.plots.palette import BLUE, RUN_STYLES, Style, blend, cividis
-from vppres.report.plots.service import MAX_NAMED_CUSTOMERS, Tiles, service_by_tier, tile_rows
-from vppres.report.plots.strips import timeline
+from vppres.report.plots.drawing import BLUE, RUN_STYLES, Canvas, Style, blend, cividis, path_of
+from vppres.report.plots.figures import (
+    FIGURES,
+    RUN_FIGURES,
+    energy_and_price,
+    feeder_maps,
+    import_load_pv,
+    line_loadings,
+    save_figures,
+    service_by_tier,
+    timeline,
+    voltages,
+)
+from vppres.report.plots.rows import MAX_NAMED_CUSTOMERS, Tiles, tile_rows
 from vppres.scenario.network import Network
 
 
@@ -141,7 +148,7 @@ def test_few_customers_have_a_row_each_and_many_share_rows(monkeypatch):
     assert rows.names == ["a", "b", "c"]
     assert rows.tiers == ["critical", "low", "low"]
     assert rows.share.tolist() == np.array(SERVED, dtype=float).T.tolist()
-    monkeypatch.setattr("vppres.report.plots.service.MAX_ROWS", 2)
+    monkeypatch.setattr("vppres.report.plots.rows.MAX_ROWS", 2)
     rows = tile_rows(small_run())
     assert rows.names == ["a", "b c"]
     assert rows.share.tolist() == [[1, 1, 0, 1], [1, 0, 0.5, 1]]

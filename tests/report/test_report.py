@@ -28,7 +28,7 @@ from vppres.report.events import events_of, opening_of
 from vppres.report.findings import findings
 from vppres.report.key_figures import key_figures
 from vppres.report.one_line import drawing, step_states, voltage_edges, worst_step
-from vppres.report.plots.files import FIGURES, RUN_FIGURES, save_figures
+from vppres.report.plots.figures import FIGURES, RUN_FIGURES, save_figures
 from vppres.report.run_folder import render_report, write_run
 from vppres.report.sections import SECTIONS
 from vppres.scenario.network import Network

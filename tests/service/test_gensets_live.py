@@ -19,7 +19,7 @@ from vppres import (
     RunOptions,
     SetPoints,
 )
-from vppres.scenario.gensets import Refuels
+from vppres.kinds.gensets.data import Refuels
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock, written
 from vppres.service.export import export

@@ -17,8 +17,8 @@ from tests.support.page_words import NODE, said_by
 from tests.support.small_windows import DARK, OPEN
 from tests.support.vans import van
 from vppres import Controller, InputError, Measurement, RunOptions, SetPoints
-from vppres.live.rooms import setpoints_c
-from vppres.plant.rooms import Climate
+from vppres.kinds.cooling.live import setpoints_c
+from vppres.kinds.cooling.physics import Climate
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock, written
 from vppres.service.runner import Service
@@ -128,8 +128,8 @@ def obeyed_kw(day: Scenario, setpoint_c: Any) -> Any:
     climate = Climate(short)
     used_kw = np.zeros(len(loads))
     for _ in range(MOMENTS):
-        wants = np.where(loads.heats, climate.t_c < setpoint_c, climate.t_c > setpoint_c)
-        climate.t_c = climate.after_c(0, loads.p_max_kw * wants)
+        wants = np.where(loads.heats, climate.state < setpoint_c, climate.state > setpoint_c)
+        climate.state = climate.after_c(0, loads.p_max_kw * wants)
         used_kw += loads.p_max_kw * wants / MOMENTS
     return used_kw
 
@@ -144,7 +144,7 @@ def test_a_thermostat_does_what_is_planned() -> None:
     loads, climate = day.thermal_loads, Climate(day)
     share = rng.choice([0.0, 1.0, -1.0], N_ROOMS)
     share = np.where(share < 0.0, rng.uniform(0.05, 0.95, N_ROOMS), share)
-    start_c, power_kw = climate.t_c, share * loads.p_max_kw
+    start_c, power_kw = climate.state, share * loads.p_max_kw
     end_c = climate.after_c(0, power_kw)
     far_c = np.where(loads.heats, loads.t_max_c, loads.t_min_c)
     warms = np.where(loads.heats, 1.0, -1.0)

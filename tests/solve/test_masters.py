@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -28,7 +28,7 @@ from vppres.scenario.scenario import Scenario
 from vppres.solve.cache import ModelCache, shared_cache
 from vppres.solve.certificate import Certificate
 from vppres.solve.deadline import Deadline
-from vppres.solve.dispatch import least_reactive
+from vppres.solve.dispatch import _solve_cost, cost_form, least_reactive
 from vppres.solve.fleet.counts import Counts
 from vppres.solve.fleet.cuts import Reach
 from vppres.solve.fleet.demand import DemandModel
@@ -598,3 +598,23 @@ def test_what_is_eased_for_exact_energy_takes_no_dispatch_away(lumped: bool) -> 
         scale = objective_scale(problem.fleet.site)
         best.append(run(problem, find_solver("highs"), 0.0, 10.0, scale).value)
     assert best[1] >= best[0] - 1e-12 * abs(best[0])
+
+
+@pytest.mark.parametrize("soc", [0.85, 0.7, 0.2])
+def test_a_schedule_costs_no_more_with_what_is_eased_for_it(soc: float) -> None:
+    """Its cost bounds that of others: more energy at first would curtail more of the sun."""
+    day = with_pv(two_buses([[20.0, 30.0]] * 2, [1.0, 0.1], [DARK, DARK]), [120.0, 140.0], 200.0)
+    day = replace(day, batteries=battery(energy_kwh=100.0, count=3, soc=soc))
+    served = np.ones((2, 2), dtype=bool)
+    solve = partial(
+        _solve_cost,
+        ModelCache(Site.of(day)),
+        window(day),
+        served,
+        find_solver("highs"),
+        cost_form(0, network=False),
+        Deadline(10.0),
+    )
+    exact, more = (solve(eased=eased).outcome for eased in (False, True))
+    assert exact.status == more.status == Status.OPTIMAL
+    assert more.bound <= exact.bound + 1e-12 * abs(exact.bound)

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from tests.support.small_windows import two_buses
+from vppres.kinds.cooling.data import ThermalLoads
 from vppres.scenario.scenario import Scenario
-from vppres.scenario.thermal_loads import ThermalLoads
 
 
 def homes(*customers: str, **more: Any) -> ThermalLoads:

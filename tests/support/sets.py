@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from vppres.contract.gensets import SetsAhead
-from vppres.scenario.gensets import Gensets, GensetState
+from vppres.kinds.gensets.data import Gensets, GensetState
+from vppres.kinds.gensets.physics import SetsAhead
 from vppres.scenario.scenario import Scenario
 
 

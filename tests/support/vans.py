@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from vppres.kinds.vehicles.data import Chargers, Sessions
 from vppres.scenario.scenario import Scenario
-from vppres.scenario.vehicles import Chargers, Sessions
 
 
 def van(plug_in: pd.Timestamp, plug_out: pd.Timestamp) -> tuple[Chargers, Sessions]:

@@ -40,6 +40,7 @@ FIGURES = (
 
 def content_of(day: Scenario) -> dict[str, Any]:
     """What a sound scenario holds, in numbers."""
+    from vppres.kinds.table import KINDS
     from vppres.physics.uncontrolled import without_control
     from vppres.scenario.remarks import export_words, remarks, source_words, unknown_phases
 
@@ -51,10 +52,8 @@ def content_of(day: Scenario) -> dict[str, Any]:
         "pv_systems": len(day.pv),
         "generators": day.pv.counted(),
         "batteries": len(day.batteries),
-        "chargers": len(day.chargers),
+        **{kind: len(getattr(day, kind)) for kind in KINDS},
         "ev_sessions": len(day.sessions),
-        "thermal_loads": len(day.thermal_loads),
-        "gensets": len(day.gensets),
         "steps": day.grid.n_steps,
         "step_minutes": float(day.grid.step_minutes),
         "outage_steps": int(day.outage.sum()),
@@ -99,14 +98,10 @@ def validation_text(
     """One line per problem and their number, or what the sound scenario holds."""
     if content is None:
         return "\n".join([*map(str, problems), f"{counted(len(problems), 'problem')}."])
+    from vppres.kinds.table import parts
+
     kinds = [counted(content["batteries"], "battery", "batteries")]
-    if content["chargers"]:
-        sessions = counted(content["ev_sessions"], "session")
-        kinds.append(f"{counted(content['chargers'], 'charger')} with {sessions}")
-    if content["thermal_loads"]:
-        kinds.append(counted(content["thermal_loads"], "thermal load"))
-    if content["gensets"]:
-        kinds.append(counted(content["gensets"], "generating set"))
+    kinds += [data.told(content) for kind, data in parts("data").items() if content[kind]]
     holds = (
         "{folder} is valid: {buses} buses, {customers} customers, {generators}, "
         f"{', '.join(kinds)}, "

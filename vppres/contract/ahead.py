@@ -3,66 +3,58 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, fields, replace
-from typing import Any, Self
+from dataclasses import dataclass, field
+from typing import Any, Self, TypeVar
 
-from vppres.contract.by_step import UnitsAhead
-from vppres.contract.gensets import SetsAhead
-from vppres.contract.plugged import Plugged
-from vppres.contract.rooms import Rooms
 from vppres.core.arrays import Flags, Floats
-from vppres.scenario.gensets import GensetState
-from vppres.scenario.kinds import KINDS, Units
-from vppres.scenario.past_days import PastDays
+from vppres.kinds.kind import Units, UnitsAhead
+from vppres.kinds.table import parts, units_of
 from vppres.scenario.scenario import Scenario
+
+W = TypeVar("W", bound=UnitsAhead)
 
 
 @dataclass(frozen=True, eq=False)
 class KindsAhead:
-    """What is known of the units of each kind in W steps; None of a kind that the site lacks.
-
-    The fields stand in the order of :data:`vppres.scenario.kinds.KINDS`.
+    """What is known in W steps of the units of each kind that the site has.
 
     Parameters
     ----------
-    plugged : Plugged, optional
-        Vehicles that are plugged in, announced or expected.
-    rooms : Rooms, optional
-        Rooms and tanks that are cooled or heated.
-    gensets : SetsAhead, optional
-        Generating sets.
+    by_kind : dict
+        Windows by kind, in the order of :data:`vppres.kinds.table.KINDS`.
     """
 
-    plugged: Plugged | None = None
-    rooms: Rooms | None = None
-    gensets: SetsAhead | None = None
+    by_kind: dict[str, UnitsAhead] = field(default_factory=dict)
 
     @classmethod
     def of(
-        cls,
-        scenario: Scenario,
-        steps: range,
-        held_kwh: Floats,
-        t_c: Floats,
-        sets: GensetState,
-        past_days: PastDays | None,
+        cls, scenario: Scenario, steps: range, states: Mapping[str, Any], past_days: Any
     ) -> Self:
-        """The window that begins with this energy in vehicles, these temperatures, these sets."""
+        """The window that begins with these states by kind, expected to go on like past days."""
+        physics = parts("physics")
         return cls(
-            Plugged.of(scenario, steps, held_kwh, past_days),
-            Rooms.of(scenario, steps, t_c),
-            SetsAhead.of(scenario, steps, sets),
+            {
+                kind: physics[kind].WINDOW.of(scenario, steps, states[kind], past_days)
+                for kind in units_of(scenario)
+            }
         )
 
-    @property
-    def by_kind(self) -> dict[str, UnitsAhead]:
-        """What is known of each kind that there is."""
-        each = zip(KINDS, (getattr(self, field.name) for field in fields(self)), strict=True)
-        return {kind: known for kind, known in each if known is not None}
+    def find(self, window: type[W]) -> W | None:
+        """The window of a kind, by its class; None on a site without it."""
+        return next((known for known in self.by_kind.values() if isinstance(known, window)), None)
 
-    def _each(self, change: Callable[[Any], Any]) -> Self:
-        known = {field.name: getattr(self, field.name) for field in fields(self)}
-        return replace(self, **{name: each and change(each) for name, each in known.items()})
+    def known(self, window: type[W]) -> W:
+        """The same of a kind that the site has."""
+        found = self.find(window)
+        assert found is not None
+        return found
+
+    def with_window(self, window: UnitsAhead) -> Self:
+        """The same with another window of its kind."""
+        return self._each(lambda known: window if type(known) is type(window) else known)
+
+    def _each(self, change: Callable[[UnitsAhead], UnitsAhead]) -> Self:
+        return type(self)({kind: change(known) for kind, known in self.by_kind.items()})
 
     def part(self, steps: slice) -> Self:
         """Some steps of the window."""

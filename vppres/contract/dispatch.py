@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 
 from vppres.core.arrays import Flags, Floats
-from vppres.scenario.kinds import Units
+from vppres.kinds.kind import Units
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,7 +19,7 @@ class Dispatch:
     grid's power is negative where it is exported. ``v_node_pu`` are voltages by phase, in plans of
     phased feeders. ``share`` is the part of its demand that each customer gets, 0 where it is off;
     None if all get it whole that are served. ``taken_kw`` has, by kind of flexible power
-    (:mod:`vppres.scenario.kinds`), what each of its units takes, negative where it gives, and
+    (:mod:`vppres.kinds.table`), what each of its units takes, negative where it gives, and
     ``running`` which are on, of kinds that are started and stopped; ``given_kvar`` has the reactive
     power of those that form the grid. A kind that is not there does nothing.
     """

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vppres.contract.by_step import ByStep
 from vppres.core.arrays import Floats, Wholes, freeze_arrays
+from vppres.core.by_step import ByStep
 from vppres.scenario.scenario import Scenario
 
 

@@ -23,6 +23,7 @@ from vppres.control.forming import formed_by_set
 from vppres.control.last_window import NO_ROW, LastWindow, kinds_of
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import InfeasibleError, LimitError, NumericalError
+from vppres.kinds.gensets.physics import SetsAhead
 from vppres.model.beyond_paper.losses import (
     ACPoints,
     Sweeps,
@@ -337,7 +338,7 @@ class ConvergedPlanner(PassesPlanner[ACPoints]):
 
         Nothing may take its least power, or its fuel may not last for all that has to be served.
         """
-        sets = whole.ahead.gensets
+        sets = whole.ahead.find(SetsAhead)
         beyond = np.zeros(whole.n_steps, dtype=bool)
         if sets is None:
             return beyond
@@ -469,8 +470,8 @@ def physics_of(site: Site, data: WindowData, headroom: float, open_kw: float = 0
     former = largest_forming_battery(site)
     if former is not None:
         reference[island] = site.network.bus_index[b.bus[former]]
-    if data.ahead.gensets is not None:
-        for step, one in np.argwhere(data.ahead.gensets.forms):
+    if sets := data.ahead.find(SetsAhead):
+        for step, one in np.argwhere(sets.forms):
             reference[step] = site.network.bus_index[site.gensets.bus[one]]
     forming = forming_batteries(site)
     share_kw = np.where(forming, np.minimum(headroom * b.s_max_kva, b.active_max_kw), 0.0)

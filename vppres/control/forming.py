@@ -11,11 +11,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from vppres.contract.gensets import SetsAhead
 from vppres.core.arrays import Flags, Floats
+from vppres.kinds.gensets.data import Gensets, steps_of
+from vppres.kinds.gensets.physics import SetsAhead
 from vppres.model.data import WindowData
 from vppres.model.site import Site
-from vppres.scenario.gensets import Gensets, steps_of
 
 LARGEST_SHARE = 0.25
 """Share of the range of powers of a set that its headroom may take up, at either end."""
@@ -40,7 +40,7 @@ def formed_by_set(
     headroom : float
         Share of the rating that is left free above and below the plan.
     """
-    ahead, sets = data.ahead.gensets, site.gensets
+    ahead, sets = data.ahead.find(SetsAhead), site.gensets
     if ahead is None or not dark.any() or not sets.grid_forming.any():
         return data, dark
     room_kw = headroom_kw(sets, headroom)
@@ -56,7 +56,7 @@ def formed_by_set(
     spent = np.logical_or.accumulate(dark & ~lit[best] & _after(lit[best]))
     can_run = known.can_run.copy()
     can_run[:, _named(sets)[best]] &= lit[best] | ~spent
-    formed = replace(data.ahead, gensets=replace(known, can_run=can_run))
+    formed = data.ahead.with_window(replace(known, can_run=can_run))
     return replace(data, ahead=formed), dark & ~lit[best]
 
 

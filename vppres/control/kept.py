@@ -13,11 +13,12 @@ import numpy as np
 
 from vppres.contract.decision import Decision, SolveInfo
 from vppres.contract.dispatch import Dispatch
-from vppres.contract.gensets import SetsAhead
 from vppres.control.rules import POWER_TOLERANCE_KW, Carried, carry, rule_dispatch
 from vppres.control.step_state import StepState
 from vppres.core.arrays import Floats
-from vppres.scenario.gensets import Gensets
+from vppres.kinds.gensets.data import Gensets
+from vppres.kinds.gensets.physics import SetsAhead
+from vppres.kinds.vehicles.physics import Plugged
 
 
 def rule_with_kinds(state: StepState, tiers: Sequence[str]) -> Carried:
@@ -57,7 +58,7 @@ def _kept(state: StepState) -> Iterator[StepState]:
 
     Sets follow what is left of the demand beside PV, or give their least power.
     """
-    sets = state.ahead.gensets
+    sets = state.ahead.find(SetsAhead)
     if sets is None:
         yield _charging(state)
         return
@@ -75,7 +76,7 @@ def _formed(state: StepState, tiers: Sequence[str]) -> Carried:
 
     A customer that it can supply at its largest power gets what it lacks.
     """
-    sets = state.ahead.gensets
+    sets = state.ahead.find(SetsAhead)
     forms = state.forms
     if sets is None or not forms.any():
         return _nothing(state)
@@ -109,7 +110,7 @@ def _connected(plan: Dispatch, state: StepState) -> bool:
 def as_planned(state: StepState, plan: Dispatch, row: int) -> StepState:
     """The step with the flexible power of a plan; a vehicle that has not come takes none."""
     taken_kw = {kind: kw[row] for kind, kw in plan.taken_kw.items()}
-    plugged = state.ahead.plugged
+    plugged = state.ahead.find(Plugged)
     if plugged is not None and "chargers" in taken_kw:
         taken_kw["chargers"] = np.where(plugged.here[0], taken_kw["chargers"], 0.0)
     return replace(
@@ -144,7 +145,7 @@ def _by_fuel_kw(sets: Gensets, litres: Floats, dt_h: float) -> Floats:
 
 def _charging(state: StepState) -> StepState:
     """With vehicles that charge as fast as they can, if there is grid."""
-    plugged, chargers = state.ahead.plugged, state.site.chargers
+    plugged, chargers = state.ahead.find(Plugged), state.site.chargers
     if plugged is None or state.island:
         return state
     room_kw = (plugged.full_kwh[0] - plugged.held_kwh[0]) / state.site.dt_h / chargers.eta_charge

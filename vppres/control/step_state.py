@@ -13,6 +13,7 @@ from vppres.contract.dispatch import Dispatch
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
 from vppres.core.arrays import Flags, Floats
+from vppres.kinds.gensets.physics import SetsAhead
 from vppres.model.data import WindowData
 from vppres.model.formulas import (
     charge_to_kw,
@@ -115,7 +116,7 @@ class StepState:
     @property
     def forms(self) -> Flags:
         """The generating set that forms the grid, if one has to and can, (G,)."""
-        sets = self.ahead.gensets
+        sets = self.ahead.find(SetsAhead)
         nothing = np.zeros(len(self.site.gensets), dtype=bool)
         return nothing if sets is None or not self.dark else sets.forms[0]
 

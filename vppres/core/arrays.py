@@ -89,6 +89,11 @@ def no_items() -> NDArray[Any]:
     return np.empty(0)
 
 
+def given_or(values: Any, others: Any) -> Any:
+    """Numbers, those that are not given (NaN) from others."""
+    return np.where(np.isnan(values), others, values)
+
+
 def mean_of_known(values: Floats) -> Floats:
     """Means along the first axis of what is not NaN; NaN where nothing is known.
 

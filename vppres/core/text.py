@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Iterable
+from datetime import datetime
 
 # Control, surrogate, unassigned and format characters and line separators steer terminals, break
 # XML, or make a name look like another one. The two joiners of Persian and Indic writing do not.
@@ -113,3 +114,12 @@ def flaw_of_name(text: str, longest: int) -> tuple[str, str] | None:
             "Begin it with another character: spreadsheets take such a cell for a formula.",
         )
     return None
+
+
+def iso(time: datetime) -> str:
+    """A time as the files write it.
+
+    >>> iso(datetime.fromisoformat("2022-07-19T12:00:00Z"))
+    '2022-07-19T12:00:00Z'
+    """
+    return time.isoformat().replace("+00:00", "Z")

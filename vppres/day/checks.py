@@ -7,14 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from vppres.core.errors import InputError, Problem
-from vppres.day.kind_prices import check_fuel, check_prices
 from vppres.day.options import PERFECT, RunOptions
 from vppres.day.outages import BELIEF, KNOWN
-from vppres.scenario.gensets import Gensets
-from vppres.scenario.kinds import KINDS, units_of
+from vppres.kinds.table import KINDS, parts, units_of
 from vppres.scenario.scenario import HARD, Scenario
 from vppres.scenario.timegrid import TimeGrid
-from vppres.scenario.vehicles import Chargers
 
 MPC = "mpc"
 DECOMPOSED = "decomposed"
@@ -45,8 +42,9 @@ def check_run(scenario: Scenario, options: RunOptions, grid: TimeGrid) -> None:
     ]
     if problems:
         raise InputError(problems)
-    check_prices(scenario, options.horizon_h, options.seed)
-    check_fuel(scenario)
+    physics = parts("physics")
+    for kind in units_of(scenario):
+        physics[kind].check_prices(scenario, options.horizon_h, options.seed)
 
 
 def _cold(scenario: Scenario, options: RunOptions) -> Iterator[Problem]:
@@ -135,19 +133,18 @@ def check_parts(scenario: Scenario) -> None:
     InputError
         If there is one.
     """
-    parts = dict(zip(scenario.customers.id, scenario.customers.shed_steps, strict=True))
+    in_parts = dict(zip(scenario.customers.id, scenario.customers.shed_steps, strict=True))
     for kind, units in units_of(scenario).items():
-        if isinstance(units, Gensets):
-            continue  # they are of no customer
-        for name, customer in zip(units.id, units.customer, strict=True):
-            if parts.get(customer, 1) > 1:
-                cure = "Give the customer a shed_steps of 1."
-                if isinstance(units, Chargers):
-                    cure = f"Give charger {name} a bus instead, or the customer a shed_steps of 1."
+        customers = getattr(units, "customer", units.id[:0])  # sets are of none
+        for name, customer in zip(units.id, customers, strict=False):
+            if in_parts.get(customer, 1) > 1:
+                bus = (
+                    f"{KINDS[kind].word} {name} a bus instead, or " if hasattr(units, "bus") else ""
+                )
                 raise InputError.of(
                     KINDS[kind].file,
                     "is switched in parts (shed_steps)",
-                    cure,
+                    f"Give {bus}the customer a shed_steps of 1.",
                     field="customer",
                     value=customer,
                 )

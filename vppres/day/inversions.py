@@ -10,6 +10,7 @@ import numpy as np
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.core.text import named
 from vppres.day.trajectory import Trajectory
+from vppres.kinds.table import KINDS, units_of
 from vppres.scenario.formers import forming_batteries
 from vppres.scenario.priority import STRICT
 from vppres.scenario.scenario import Scenario
@@ -116,13 +117,11 @@ def _behind_customers(run: Trajectory) -> Floats:
     day = run.scenario
     customers = day.customers
     drawn_kw = np.zeros((len(run.steps), len(customers)))
-    for table, owner in (
-        ("vehicles", np.where(day.chargers.alone, NOBODY, day.chargers.owner(customers))),
-        ("thermal_loads", day.thermal_loads.owner(customers)),
-    ):
-        if table in run.tables:
-            p_kw = run.by_step(table, "p_kw")
-            drawn_kw += p_kw @ (owner[:, None] == np.arange(len(customers)))
+    for kind, units in units_of(day).items():
+        alone = units.connected(customers, np.zeros(len(customers), dtype=bool))
+        owner = np.where(alone, NOBODY, units.owner(customers))
+        p_kw = run.by_step(KINDS[kind].table, "p_kw")
+        drawn_kw += p_kw @ (owner[:, None] == np.arange(len(customers)))
     return drawn_kw
 
 

@@ -2,46 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Iterator
 from typing import Any
 
-from vppres.day.gensets import genset_figures, genset_record, genset_words
-from vppres.day.thermal_loads import climate_record, thermal_figures, thermal_words
 from vppres.day.trajectory import Trajectory
-from vppres.day.vehicles import vehicle_figures, vehicle_record, vehicle_words
+from vppres.kinds.table import KINDS, parts, units_of
 from vppres.plant.plant import Plant, Realised
-
-
-@dataclass(frozen=True)
-class _Told:
-    """What a run says of a kind: a step of its units, figures of a run, sentences about it."""
-
-    record: Callable[[Plant, int, Realised], dict[str, Any]]
-    figures: Callable[[Trajectory], dict[str, Any]]
-    words: Callable[[Trajectory], list[str]]
-
-
-_TOLD = {
-    "chargers": _Told(vehicle_record, vehicle_figures, vehicle_words),
-    "thermal_loads": _Told(climate_record, thermal_figures, thermal_words),
-    "gensets": _Told(genset_record, genset_figures, genset_words),
-}
 
 
 def records_of(plant: Plant, t: int, realised: Realised) -> dict[str, dict[str, Any]]:
     """What the units of each kind did in a step, and how they are then."""
-    return {kind: _TOLD[kind].record(plant, t, realised) for kind in realised.taken_kw}
+    records = parts("record")
+    return {
+        kind: records[kind].record(plant.scenario, units, t, realised)
+        for kind, units in plant.units.items()
+    }
 
 
 def kind_figures(trajectory: Trajectory) -> dict[str, Any]:
-    """Figures of all kinds that the site has."""
-    figures: dict[str, Any] = {}
-    for told in _TOLD.values():
-        figures |= told.figures(trajectory)
-    return figures
+    """Figures of each kind that the site has, by the name of its table."""
+    records = parts("record")
+    return {
+        KINDS[kind].table: records[kind].figures(trajectory)
+        for kind in units_of(trajectory.scenario)
+    }
+
+
+def kind_events(trajectory: Trajectory) -> Iterator[tuple[int, str]]:
+    """Step and words of what units did that is an event."""
+    records = parts("record")
+    for kind in units_of(trajectory.scenario):
+        yield from records[kind].events(trajectory)
 
 
 def kind_words(trajectory: Trajectory) -> list[str]:
     """What has to be known of kinds, in sentences."""
-    return [words for told in _TOLD.values() for words in told.words(trajectory)]
+    records = parts("record")
+    kinds = units_of(trajectory.scenario)
+    return [words for kind in kinds for words in records[kind].cautions(trajectory)]

@@ -21,6 +21,7 @@ from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
 from vppres.day.forecasting import Forecasts
 from vppres.day.priority import site_of
+from vppres.kinds.gensets.physics import SetsAhead
 from vppres.model.site import Site
 from vppres.outlook.belief import OutageBelief
 from vppres.outlook.outlook import OutageOutlook, SeenOutage
@@ -131,15 +132,16 @@ class Fuel:
     def of(cls, scenario: Scenario, row: int, n_steps: int, seen: Observation) -> Fuel:
         """Of an observation and the deliveries of so many steps."""
         sets = scenario.gensets
-        if seen.ahead.gensets is None:
+        known = seen.ahead.find(SetsAhead)
+        if known is None:
             return cls(np.zeros(len(sets)), 0.0, 0.0, np.zeros(n_steps))
         power_kw = scenario.batteries.active_max_kw
         eta_discharge = float(power_kw @ seen.eta_discharge / power_kw.sum())
-        usable = seen.ahead.gensets.usable
+        usable = known.usable
         kwh_per_litre = np.where(usable, sets.kwh_per_litre / eta_discharge, 0.0)
         delivered = scenario.refuelled_litres[row : row + n_steps] @ kwh_per_litre
         delivered[0] = 0.0  # it is in the tank already
-        held = np.minimum(seen.ahead.gensets.added_litres[0], sets.tank_litres)
+        held = np.minimum(known.added_litres[0], sets.tank_litres)
         return cls(
             kwh_per_litre,
             float(sets.p_max_kw[usable].sum()),

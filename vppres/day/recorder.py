@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from vppres.core.arrays import Floats, Names
 from vppres.day.phases import phases, returning_steps
 from vppres.day.trajectory import LOSSES, OPTIONS, SHARE, TIME_ON, Trajectory
+from vppres.kinds.kind import Units
+from vppres.kinds.table import KINDS, units_of
 from vppres.physics.phased_sources import labels_by_source
-from vppres.scenario.kinds import KINDS, Units, units_of
 from vppres.scenario.network import BusId
 from vppres.scenario.scenario import Scenario
 

@@ -33,6 +33,7 @@ from vppres.day.recorder import ROTATED, Recorder, StepRecord, voltage_figures
 from vppres.day.trajectory import SHARE, Trajectory
 from vppres.forecasts.interface import Forecaster
 from vppres.io.python_door import check_scenario
+from vppres.kinds.vehicles.past_days import PastDays
 from vppres.model.site import Site
 from vppres.physics.powerflow import ACPowerFlow, ACResult
 from vppres.plant.collapse import realise
@@ -41,7 +42,6 @@ from vppres.plant.phased import PhasedACFlow, PhasedACResult, PhasedIslandPlant,
 from vppres.plant.plant import CLIP_TOLERANCE_KW, BatteryState, Plant, Realised
 from vppres.scenario.formers import forming_batteries
 from vppres.scenario.parts import parts_record, split_sheddable
-from vppres.scenario.past_days import PastDays
 from vppres.scenario.phases import PHASES
 from vppres.scenario.priority import STRICT
 from vppres.scenario.scenario import Scenario
@@ -179,17 +179,9 @@ class Day:
         return seen if self.faults is None else self.faults.observe(seen)
 
     def ahead(self, steps: range) -> KindsAhead:
-        """Vehicles, rooms and sets as they are known at the beginning of a window."""
-        plant = self.plant
-        held_kwh = plant.garage.held_kwh(steps.start)
-        return KindsAhead.of(
-            self.scenario,
-            steps,
-            held_kwh,
-            plant.climate.t_c,
-            plant.engines.state,
-            self._past_days,
-        )
+        """Flexible power as it is known at the beginning of a window."""
+        states = self.plant.states_at(steps.start)
+        return KindsAhead.of(self.scenario, steps, states, self._past_days)
 
     @cached_property
     def _past_days(self) -> PastDays | None:

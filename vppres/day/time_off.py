@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 from vppres.core.arrays import Flags, Floats, spans_of
-from vppres.core.text import named
+from vppres.core.text import iso, named
 from vppres.day.trajectory import Trajectory
-from vppres.io.times import iso
 
 NAMES_SHOWN = 5
 """Customers named in one sentence."""

@@ -18,7 +18,8 @@ from vppres.core.arrays import Flags, Floats, Names
 from vppres.core.errors import InputError
 from vppres.core.notebook import facts_html
 from vppres.day.wide import Wide
-from vppres.scenario.kinds import KINDS, units_of
+from vppres.kinds.fields import RunsOfKinds
+from vppres.kinds.table import KINDS, units_of
 from vppres.scenario.network import BusId
 from vppres.scenario.scenario import Scenario
 
@@ -81,7 +82,7 @@ class Feeder(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory:
+class Trajectory(RunsOfKinds):
     """A finished run: the scenario, one tidy table for each kind of item, and how it was made.
 
     Parameters
@@ -124,9 +125,6 @@ class Trajectory:
     explanations: pd.DataFrame | None = None
     shadow_prices: pd.DataFrame | None = None
     nodes: pd.DataFrame | None = None
-    vehicles: pd.DataFrame | None = None
-    thermal_loads: pd.DataFrame | None = None
-    gensets: pd.DataFrame | None = None
 
     @property
     def imported_kw(self) -> Floats:

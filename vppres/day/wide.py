@@ -9,7 +9,7 @@ import pandas as pd
 
 from vppres.core.errors import InputError
 from vppres.core.text import named
-from vppres.scenario.kinds import KINDS
+from vppres.kinds.table import KINDS
 
 NAMED_BY = {
     "buses": ["bus"],

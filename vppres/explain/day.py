@@ -12,14 +12,12 @@ from vppres.core.arrays import Floats
 from vppres.day.recorder import ROTATED
 from vppres.day.trajectory import WHOLE_SHARE, Trajectory
 from vppres.explain.dimmed import why_caught_up, why_dimmed
-from vppres.explain.gensets import why_gensets
 from vppres.explain.prices import WORTH, WORTH_GBP, day_prices, step_prices
 from vppres.explain.reasons import why_battery_moved, why_curtailed, why_not_served, why_restored
 from vppres.explain.recorded import MOVE_KW, Recorded
 from vppres.explain.step import Reason, Step
 from vppres.explain.summary import why_step
-from vppres.explain.thermal_loads import why_prepared
-from vppres.explain.vehicles import why_vehicles
+from vppres.kinds.table import KINDS, parts
 from vppres.model.phases import phased_model
 from vppres.scenario.phases import PHASES
 from vppres.solve.shadow_price_model import ShadowPriceModel
@@ -131,9 +129,9 @@ def _actions(step: Step) -> list[Row]:
         _row("pv", site.pv.id[p], "curtail", why_curtailed(step, p))
         for p in np.flatnonzero(step.recorded.curtailed_kw[t] > MOVE_KW).tolist()
     ]
-    rows += [_row("vehicle", *each) for each in why_vehicles(step)]
-    rows += [_row("thermal_load", *each) for each in why_prepared(step)]
-    rows += [_row("genset", *each) for each in why_gensets(step)]
+    reasons = parts("reasons")
+    for kind in site.kinds:
+        rows += [_row(KINDS[kind].subject, *each) for each in reasons[kind].reasons(step)]
     return rows
 
 

@@ -27,6 +27,8 @@ from vppres.day.outages import GridSeen, OutageView, believed_outages
 from vppres.day.priority import site_of, weighed
 from vppres.day.time_off import off_before_h
 from vppres.day.trajectory import Trajectory
+from vppres.kinds.table import KINDS, parts, units_of
+from vppres.kinds.vehicles.past_days import PastDays
 from vppres.model.beyond_paper.ratings import LineRatings
 from vppres.model.beyond_paper.table import Beyond, beyond_paper
 from vppres.model.data import WindowData
@@ -34,9 +36,6 @@ from vppres.model.formulas import bus_injections
 from vppres.model.own_state import with_own_state
 from vppres.model.phases import phased_model
 from vppres.model.ratings import with_ratings
-from vppres.scenario.gensets import GensetState
-from vppres.scenario.kinds import KINDS
-from vppres.scenario.past_days import PastDays
 from vppres.scenario.rules import SwitchingRules
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.shadow_price_model import Held
@@ -112,18 +111,13 @@ class Recorded:
         return np.asarray(self._of_kind("gensets", "fuel_end_litres")[t])
 
     def _ahead(self, steps: range) -> KindsAhead:
-        """Vehicles, rooms and sets as they were known at the beginning of a window."""
-        t = steps.start
-        hours = self._of_kind("gensets", "hours_before")[t]
-        sets = GensetState(
-            hours > 0.0,
-            np.abs(hours),
-            self._of_kind("gensets", "p_before_kw")[t],
-            self._of_kind("gensets", "fuel_start_litres")[t],
-        )
-        held_kwh = self._of_kind("chargers", "energy_start_kwh")[t]
-        t_c = self._of_kind("thermal_loads", "t_start_c")[t]
-        return KindsAhead.of(self.scenario, steps, held_kwh, t_c, sets, self.past_days)
+        """Flexible power as it was known at the beginning of a window."""
+        records = parts("record")
+        states = {
+            kind: records[kind].state_of(self.trajectory.rows(KINDS[kind].table, steps.start))
+            for kind in units_of(self.scenario)
+        }
+        return KindsAhead.of(self.scenario, steps, states, self.past_days)
 
     @cached_property
     def past_days(self) -> PastDays | None:

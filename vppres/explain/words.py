@@ -136,7 +136,7 @@ def service_words(step: Step, value: float, kwh: float = 1.0) -> str:
 
 
 def hours(value: float, ranks: Ranks | None, load_kw: Floats, kwh: float = 1.0) -> str:
-    """Service in words: weighted customer hours, in strict order time of supply of the tier it is about.
+    """Service in words: weighted customer hours; in strict order a time of supply in one tier.
 
     Parameters
     ----------

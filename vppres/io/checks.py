@@ -13,6 +13,7 @@ from vppres.io import schema
 from vppres.io.messages import Suggestions
 from vppres.io.rows import Rows
 from vppres.io.tables import Table
+from vppres.kinds.table import TABLES
 from vppres.scenario.assets import SOC_ROUNDING
 from vppres.scenario.network import BusId
 
@@ -39,10 +40,7 @@ LIMITS = (
     ),
     ("batteries", "p_max_kw", "s_max_kva", "Correct the power or the inverter rating."),
     ("batteries", "soc_min", "soc_max", ""),
-    ("ev_chargers", "p_charge_min_kw", "p_charge_kw", ""),
-    ("thermal_loads", "t_min_c", "t_max_c", ""),
-    ("gensets", "p_min_kw", "p_max_kw", ""),
-    ("gensets", "fuel_level_litres", "tank_litres", ""),
+    *((table.key, *each) for table in TABLES.values() for each in table.limits),
 )
 """Columns that must not exceed another one of their row, and the cure where it is a special one.
 

@@ -12,11 +12,12 @@ from pydantic.fields import FieldInfo
 
 from vppres.core.arrays import Floats, Names, Wholes
 from vppres.core.errors import InputError, Problem
+from vppres.core.text import iso
 from vppres.io import schema
 from vppres.io.messages import few
 from vppres.io.series import TIME, read_times, read_values
 from vppres.io.tables import Table, check_columns, read_table
-from vppres.io.times import iso, usual_step
+from vppres.io.times import usual_step
 from vppres.scenario.history import History
 from vppres.scenario.timegrid import UTC
 

@@ -13,10 +13,11 @@ from vppres.core.errors import InputError, Problem
 from vppres.core.text import flaw_of_name
 from vppres.io import schema
 from vppres.io.messages import Suggestions, few, folded, shown
+from vppres.kinds.table import TABLES as KIND_TABLES
+from vppres.kinds.table import units_of
+from vppres.kinds.vehicles.data import OF_SESSIONS
 from vppres.scenario.assets import OF_HOURS
-from vppres.scenario.kinds import units_of
 from vppres.scenario.scenario import Scenario
-from vppres.scenario.vehicles import OF_SESSIONS
 
 # Attributes that may have no value (a temperature at the start), or no limit.
 _MAY_BE_NAN = {*OF_HOURS, "t_initial_c", "around_c", *OF_SESSIONS}
@@ -98,10 +99,10 @@ def _numbers(scenario: Scenario) -> Iterator[Problem]:
         ("customers", scenario.customers, schema.CustomerRow),
         ("pv", scenario.pv, schema.PVRow),
         ("batteries", scenario.batteries, schema.BatteryRow),
-        ("chargers", scenario.chargers, schema.ChargerRow),
-        ("sessions", scenario.sessions, schema.SessionRow),
-        ("thermal_loads", scenario.thermal_loads, schema.ThermalLoadRow),
-        ("gensets", scenario.gensets, schema.GensetRow),
+        *(
+            (name, getattr(scenario, name), schema.row_of(table.key))
+            for name, table in KIND_TABLES.items()
+        ),
         ("load_kw", scenario, schema.LoadSeries),
         ("pv_kw", scenario, schema.PVSeries),
         ("system", scenario, schema.SystemSeries),

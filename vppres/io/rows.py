@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 from pydantic import BaseModel
 
+from vppres.core.text import iso
 from vppres.io import schema
-from vppres.io.times import iso
 from vppres.scenario.network import BusId
 
 Rows = Mapping[int, schema.Row]
@@ -38,11 +38,6 @@ def columns_of(
             cells = [read_bus(cell) if cell else None for cell in cells]
         columns[name] = [np.nan if cell is None and name not in BUSES else cell for cell in cells]
     return columns
-
-
-def given_or(values: Any, others: Any) -> Any:
-    """Numbers, those that are not given from others."""
-    return np.where(np.isnan(values), others, values)
 
 
 def frame_of(assets: Any, model: type[BaseModel], unsaid: Collection[str] = ()) -> pd.DataFrame:

@@ -13,7 +13,7 @@ import pandas as pd
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from vppres.core.arrays import Floats
+from vppres.core.arrays import Floats, given_or
 from vppres.core.errors import InputError, Problem
 from vppres.core.text import named
 from vppres.io import checks, schema
@@ -22,7 +22,7 @@ from vppres.io.history import history_of
 from vppres.io.messages import in_order
 from vppres.io.outage_log import read_interruptions
 from vppres.io.phase_files import PHASE_FILES, read_phases
-from vppres.io.rows import columns_of, given_or
+from vppres.io.rows import columns_of
 from vppres.io.series import TIME, check_times, read_values
 from vppres.io.settings import SCENARIO_FILE, Settings, read_settings
 from vppres.io.tables import (
@@ -34,11 +34,10 @@ from vppres.io.tables import (
     read_rows,
     read_table,
 )
-from vppres.io.vehicle_rows import check_sessions
 from vppres.io.warning_rows import read_warnings
+from vppres.kinds.table import TABLES as KIND_TABLES
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.fairness import Fairness
-from vppres.scenario.gensets import Gensets, Refuels
 from vppres.scenario.history import History
 from vppres.scenario.network import BusId, Network, check_radial
 from vppres.scenario.outage_warnings import OutageStatistics
@@ -52,8 +51,6 @@ from vppres.scenario.scenario import (
     Scenario,
 )
 from vppres.scenario.source import Source, SourceDeviation
-from vppres.scenario.thermal_loads import ThermalLoads
-from vppres.scenario.vehicles import Chargers, Sessions
 
 MODELS: dict[str, type[BaseModel]] = {
     "lines": schema.LineRow,
@@ -61,11 +58,7 @@ MODELS: dict[str, type[BaseModel]] = {
     "customers": schema.CustomerRow,
     "pv": schema.PVRow,
     "batteries": schema.BatteryRow,
-    "ev_chargers": schema.ChargerRow,
-    "ev_sessions": schema.SessionRow,
-    "thermal_loads": schema.ThermalLoadRow,
-    "gensets": schema.GensetRow,
-    "refuel": schema.RefuelRow,
+    **{table.key: schema.row_of(table.key) for table in KIND_TABLES.values()},
     "warnings": schema.WarningRow,
     "outages": schema.OutageRow,
 }
@@ -97,11 +90,8 @@ _SECTIONS: dict[str, type[Any]] = {
 
 _REFERENCES = (
     ("pv", "customer", "customers", "customer"),
-    ("ev_chargers", "customer", "customers", "customer"),
-    ("thermal_loads", "customer", "customers", "customer"),
     ("outages", "customer", "customers", "customer"),
-    ("ev_sessions", "charger", "ev_chargers", "charger"),
-    ("refuel", "genset", "gensets", "set"),
+    *((table.key, *each) for table in KIND_TABLES.values() for each in table.references),
 )
 """Columns with identifiers of another table, and what that one holds."""
 
@@ -223,12 +213,13 @@ def _check_across(settings: Settings, tables: Tables, rows: AllRows) -> list[Pro
         problems += checks.check_once(buses, "bus", "Give each bus one row.")
     if pv := there.get("pv"):
         problems += checks.check_places(pv) + checks.check_one_pv_each(pv)
-    if chargers := there.get("ev_chargers"):
-        problems += checks.check_places(chargers)
     if batteries := there.get("batteries"):
         problems += checks.check_soc_initial(batteries, rows["batteries"])
-    if sessions := there.get("ev_sessions"):
-        problems += check_sessions(sessions, rows["ev_sessions"])
+    for of_kind in KIND_TABLES.values():
+        if found := there.get(of_kind.key):
+            columns = schema.row_of(of_kind.key).model_fields
+            problems += checks.check_places(found) if {"bus", "customer"} <= {*columns} else []
+            problems += of_kind.problems(found, rows[of_kind.key])
     return problems
 
 
@@ -375,6 +366,10 @@ def _assemble(
         ends = round((pd.Timestamp(outage.end) - grid.start) / grid.step)
         limit_kw[begins:ends] = 0.0
     arrays: Columns = series | {"grid_limit_kw": limit_kw}
+    of_kinds: Columns = {
+        name: table.of_columns(columns[table.key], file.tiers)
+        for name, table in KIND_TABLES.items()
+    }
     return Scenario(
         name=file.name,
         title=file.title or file.name,
@@ -389,11 +384,7 @@ def _assemble(
         warnings=tuple(rows["warnings"].values()),
         interruptions=tuple(rows["outages"].values()),
         phases=phases,
-        chargers=Chargers(**columns["ev_chargers"]),
-        sessions=_sessions(columns["ev_sessions"], file.tiers),
-        thermal_loads=ThermalLoads(**columns["thermal_loads"]),
-        gensets=_gensets(columns["gensets"]),
-        refuels=Refuels(**columns["refuel"]),
+        **of_kinds,
         **arrays,
         **{key: kind(**getattr(file, key).model_dump()) for key, kind in _SECTIONS.items()},
     )
@@ -423,24 +414,3 @@ def _customers(columns: Columns, tiers: dict[str, float]) -> Customers:
 def _batteries(columns: Columns) -> Batteries:
     columns["soc_initial"] = given_or(columns["soc_initial"], columns["soc_min"])
     return Batteries(**columns)
-
-
-def _sessions(columns: Columns, tiers: dict[str, float]) -> Sessions:
-    """Sessions; a vehicle without a tier is of the last, without a name that of its charger."""
-    pairs = zip(columns["vehicle"], columns["charger"], strict=True)
-    columns["vehicle"] = [vehicle or charger for vehicle, charger in pairs]
-    columns["tier"] = [tier or [*tiers][-1] for tier in columns["tier"]]
-    of_tier = [tiers[tier] for tier in columns["tier"]]
-    columns["weight"] = given_or(columns["weight"], of_tier)
-    return Sessions(**columns)
-
-
-def _gensets(columns: Columns) -> Gensets:
-    """Generating sets: a full tank, no ramps, and off for long, where nothing is said."""
-    unsaid = {
-        "ramp_up_kw_per_h": np.inf,
-        "ramp_down_kw_per_h": np.inf,
-        "fuel_level_litres": columns["tank_litres"],
-        "on_before_h": [-hours for hours in columns["min_off_h"]],
-    }
-    return Gensets(**columns | {name: given_or(columns[name], v) for name, v in unsaid.items()})

@@ -17,6 +17,7 @@ import pandas as pd
 import tomli_w
 
 from vppres.core.errors import InputError, Problem
+from vppres.core.text import iso
 from vppres.io import schema
 from vppres.io.messages import did_you_mean
 from vppres.io.phase_files import PHASE_FILES
@@ -24,7 +25,6 @@ from vppres.io.scenario_folder import read_scenario
 from vppres.io.scenario_writer import document_of, frames_of
 from vppres.io.series import TIME
 from vppres.io.settings import SCENARIO_FILE
-from vppres.io.times import iso
 from vppres.scenario.scenario import Scenario
 
 SETTINGS = "scenario"

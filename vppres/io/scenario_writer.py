@@ -16,6 +16,7 @@ from pydantic import ValidationError
 
 from vppres.core.arrays import Floats
 from vppres.core.errors import InputError
+from vppres.core.text import iso
 from vppres.io import schema
 from vppres.io.atomic import atomic_folder
 from vppres.io.messages import problems_of
@@ -23,7 +24,8 @@ from vppres.io.phase_files import phase_frames
 from vppres.io.rows import frame_of
 from vppres.io.series import TIME
 from vppres.io.settings import SCENARIO_FILE, outage_intervals
-from vppres.io.times import iso
+from vppres.kinds.kind import KindTable
+from vppres.kinds.table import KINDS, units_of
 from vppres.scenario.fairness import Fairness, Interruption
 from vppres.scenario.history import History
 from vppres.scenario.network import BUS_DRAWS, LINE_DEFAULTS, BusId, Network
@@ -185,18 +187,12 @@ def frames_of(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, p
         frames["customers"] = frames["customers"].drop(columns="weight")
     if network.has_draws:
         frames["buses"] = _bus_frame(network)
-    if len(scenario.chargers):
-        frames["ev_chargers"] = frame_of(scenario.chargers, schema.ChargerRow)
-        frames["ev_sessions"] = frame_of(scenario.sessions, schema.SessionRow)
-    if len(scenario.thermal_loads):
-        frames["thermal_loads"] = frame_of(scenario.thermal_loads, schema.ThermalLoadRow)
-    if len(scenario.gensets):
-        frames["gensets"] = frame_of(scenario.gensets, schema.GensetRow)
-        if not scenario.gensets.grid_forming.any():
-            unused = ["grid_forming", "power_factor"]
-            frames["gensets"] = frames["gensets"].drop(columns=unused)
-    if len(scenario.refuels):
-        frames["refuel"] = frame_of(scenario.refuels, schema.RefuelRow)
+    for kind in map(KINDS.__getitem__, units_of(scenario)):
+        for name, table in kind.tables.items():
+            rows: KindTable = getattr(scenario, name)
+            frames[table.key] = frame_of(rows, schema.row_of(table.key)).drop(
+                columns=[*rows.unsaid]
+            )
     if scenario.warnings:
         unsaid = ("outage", "preset")
         frames["warnings"] = frame_of(scenario.warnings, schema.WarningRow, unsaid)

@@ -1,7 +1,8 @@
 """The table of attributes: every column and key that a scenario folder may hold.
 
-``attributes.csv`` beside this module has one line an attribute: type, unit, bounds, default and
-meaning. Defaults, checks, messages, the documentation page and the JSON Schema all come from it.
+``attributes.csv`` beside this module, and in the folder of each kind, has one line an attribute:
+type, unit, bounds, default and meaning. Defaults, checks, messages, the documentation page and the
+JSON Schema all come from it.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ from pydantic_core import PydanticCustomError
 from vppres.core.tables import packaged_table
 from vppres.core.text import flaw_of_name
 from vppres.io.times import time_of
+from vppres.kinds.table import TABLES as KIND_TABLES
+from vppres.kinds.table import parts
 from vppres.scenario.network import Network
 from vppres.scenario.option_table import Option, section_options
 from vppres.scenario.outage_warnings import STATISTICS_PRESETS, WARNING_PRESETS
@@ -189,8 +192,12 @@ _NAMED = SimpleNamespace(
     DEFAULT_VOLL_GBP_PER_KWH=DEFAULT_VOLL_GBP_PER_KWH,
     **{name: value for name, value in globals().items() if name.startswith(("MIN_", "MAX_"))},
 )
-_ATTRIBUTES = packaged_table(__file__, "attributes.csv")
-_MODELS = {line["table"]: line for line in packaged_table(__file__, "attribute_tables.csv")}
+_PLACES = (__file__, *(str(part.__file__) for part in parts("data").values()))
+_ATTRIBUTES = [line for place in _PLACES for line in packaged_table(place, "attributes.csv")]
+_MODELS = {line["table"]: line for line in packaged_table(__file__, "attribute_tables.csv")} | {
+    f"{table.key}.csv": {"model": table.model, "meaning": table.about}
+    for table in KIND_TABLES.values()
+}
 
 
 @cache
@@ -279,6 +286,12 @@ TABLES: dict[str, type[Row]] = {
 }
 """Model of each table, by the title that the documentation gives it."""
 
+
+def row_of(key: str) -> type[Row]:
+    """Model of a row of the table with this key under ``[files]``."""
+    return TABLES[f"{key}.csv"]
+
+
 ScenarioFile = _model("scenario.toml")
 TimeSection = _model("[time]")
 NetworkSection = _model("[network]")
@@ -290,11 +303,6 @@ BusRow = _model("buses.csv")
 CustomerRow = _model("customers.csv")
 PVRow = _model("pv.csv")
 BatteryRow = _model("batteries.csv")
-ChargerRow = _model("ev_chargers.csv")
-SessionRow = _model("ev_sessions.csv")
-ThermalLoadRow = _model("thermal_loads.csv")
-GensetRow = _model("gensets.csv")
-RefuelRow = _model("refuel.csv")
 LoadSeries = _model("load_kw.csv")
 PVSeries = _model("pv_kw.csv")
 SystemSeries = _model("system.csv")

@@ -8,10 +8,11 @@ from pydantic.fields import FieldInfo
 
 from vppres.core.arrays import Floats
 from vppres.core.errors import Problem
+from vppres.core.text import iso
 from vppres.io import schema
 from vppres.io.messages import few, shown
 from vppres.io.tables import Table, cell_text
-from vppres.io.times import iso, parsed_times, time_fault
+from vppres.io.times import parsed_times, time_fault
 from vppres.scenario.timegrid import TimeGrid
 
 TIME = "time"

@@ -14,11 +14,11 @@ from pydantic import BaseModel, ValidationError
 
 from vppres.core.arrays import spans_of
 from vppres.core.errors import Problem
+from vppres.core.text import iso
 from vppres.core.units import minutes_to_h
 from vppres.io import schema
 from vppres.io.messages import problems_of
 from vppres.io.tables import leads_out, no_file, read_text
-from vppres.io.times import iso
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
 

@@ -65,15 +65,6 @@ def option_time(text: str, zone: str = "UTC") -> pd.Timestamp:
     return time.tz_localize(zone) if time.tzinfo is None else time
 
 
-def iso(time: datetime) -> str:
-    """A time as the files write it.
-
-    >>> iso(pd.Timestamp("2022-07-19T12:00:00Z"))
-    '2022-07-19T12:00:00Z'
-    """
-    return time.isoformat().replace("+00:00", "Z")
-
-
 def usual_step(times: pd.DatetimeIndex) -> pd.Timedelta:
     """The most frequent distance of times; a single one is taken as an hour."""
     if len(times) < 2:

@@ -16,6 +16,8 @@ from vppres.core.errors import SolveError, VppresError
 from vppres.day.assembly import make_controller
 from vppres.day.options import RunOptions
 from vppres.day.outages import KNOWN, LOOKAHEAD_H, OutageView
+from vppres.kinds.vehicles.live import Stay
+from vppres.kinds.vehicles.past_days import PastDays
 from vppres.live.feed import Feed, extended
 from vppres.live.foreseen import Foreseen
 from vppres.live.measurement import Measurement, Seen, see, step_at
@@ -23,11 +25,9 @@ from vppres.live.past import Past
 from vppres.live.present import Present
 from vppres.live.set_points import SetPoints
 from vppres.live.state import WHERE, Standing, given_by, restored, saved_state, state_of
-from vppres.live.vehicles import Stay
 from vppres.outlook.outlook import OutageOutlook
 from vppres.scenario.history import History
 from vppres.scenario.outage_warnings import OutageWarning
-from vppres.scenario.past_days import PastDays
 from vppres.scenario.scenario import Scenario
 from vppres.solve.isolated import SUPPORTED
 

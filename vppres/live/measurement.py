@@ -13,11 +13,11 @@ import pandas as pd
 from vppres.contract.observation import Told
 from vppres.core.arrays import Flags, Floats, Names
 from vppres.core.errors import InputError, VppresError
+from vppres.kinds.gensets.live import ORDERED, Readings
+from vppres.kinds.gensets.live import QUANTITIES as OF_SETS
+from vppres.kinds.vehicles.live import QUANTITIES, Stay, with_vehicles
 from vppres.live.door import HOUR, WHERE, Door, readable
-from vppres.live.gensets import ORDERED, Readings
-from vppres.live.gensets import QUANTITIES as OF_SETS
 from vppres.live.ranges import ranges_of
-from vppres.live.vehicles import QUANTITIES, Stay, with_vehicles
 from vppres.scenario.assets import Batteries
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid

@@ -20,11 +20,11 @@ from vppres.day.forecasting import PAPER, history_before
 from vppres.day.options import RunOptions
 from vppres.day.outages import GridSeen
 from vppres.day.simulate import Day
-from vppres.live.gensets import Ran, Readings, SetsNow
-from vppres.live.rooms import Felt
-from vppres.live.vehicles import Held
+from vppres.kinds.cooling.live import Felt
+from vppres.kinds.gensets.data import ROUNDING_H
+from vppres.kinds.gensets.live import Ran, Readings, SetsNow
+from vppres.kinds.vehicles.live import Held
 from vppres.physics.cold_load import ColdLoad
-from vppres.scenario.gensets import ROUNDING_H
 from vppres.scenario.history import History
 from vppres.scenario.scenario import Scenario
 

@@ -11,8 +11,6 @@ from vppres.contract.ahead import KindsAhead
 from vppres.contract.decision import batteries_out
 from vppres.contract.forecast import Forecast, ForecastErrors
 from vppres.contract.observation import Observation
-from vppres.contract.plugged import Plugged
-from vppres.contract.rooms import Rooms
 from vppres.contract.switching import SwitchingState
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Floats
@@ -21,17 +19,18 @@ from vppres.day.options import RunOptions
 from vppres.day.outages import Beside, GridSeen, OutageView
 from vppres.day.recorder import StepRecord
 from vppres.day.simulate import Day
+from vppres.kinds.cooling.live import Felt, Indoor
+from vppres.kinds.gensets.live import Ran, SetsNow, after
+from vppres.kinds.gensets.physics import SetsAhead
+from vppres.kinds.vehicles.live import Held
+from vppres.kinds.vehicles.past_days import PastDays
+from vppres.kinds.vehicles.physics import Garage
 from vppres.live.foretold import GivenFirst
-from vppres.live.gensets import Ran, SetsNow, after
 from vppres.live.measurement import Seen
 from vppres.live.past import Past
-from vppres.live.rooms import Felt, Indoor
-from vppres.live.vehicles import Held
 from vppres.physics.cold_load import ColdLoad
 from vppres.plant.plant import BatteryState
-from vppres.plant.vehicles import Garage
 from vppres.scenario.history import History
-from vppres.scenario.past_days import PastDays
 from vppres.scenario.scenario import Scenario
 
 
@@ -149,13 +148,18 @@ class Present:
     def _ahead(self) -> KindsAhead:
         """Vehicles, rooms and sets as they are."""
         day = self.seen.scenario
-        steps = range(day.grid.n_steps)
-        held_kwh = Garage(day, self._ev_kwh()).held_kwh(0)
-        return KindsAhead(
-            Plugged.of(day, steps, held_kwh, self.past_days),
-            Rooms.of(day, steps, self.indoor.now_c),
-            self.sets.ahead(day, steps),
-        )
+        states = {**self._states(), "chargers": Garage(day, self._ev_kwh()).at(0)}
+        found = KindsAhead.of(day, range(day.grid.n_steps), states, self.past_days)
+        sets = found.find(SetsAhead)
+        return found if sets is None else found.with_window(self.sets.without_those_out(sets))
+
+    def _states(self) -> dict[str, Any]:
+        """State of each kind at the beginning of the step."""
+        return {
+            "chargers": self._ev_kwh(),
+            "thermal_loads": self.indoor.now_c,
+            "gensets": self.sets.state,
+        }
 
     def _ev_kwh(self) -> Floats:
         """Energy of the vehicles, as read or else as reckoned; NaN if neither, (K,)."""
@@ -187,9 +191,7 @@ class Present:
         day.owed = self.past.owed_at(self.t)
         day.ac.go_on_from(self.past.voltages)
         day.plant.cold_load = self.cold_load
-        day.plant.garage.kwh = self._ev_kwh()
-        day.plant.climate.t_c = self.indoor.now_c
-        day.plant.engines.state = self.sets.state
+        day.plant.begin_with(self._states())
         return day
 
     def after(self, day: Day, record: StepRecord) -> Past:
@@ -207,7 +209,7 @@ class Present:
             voltages=day.ac.found,
             grid_seen=self.grid_seen,
             owed=day.owed,
-            vehicles=Held.of(day.scenario, 0, day.plant.garage.kwh),
+            vehicles=Held.of(day.scenario, 0, day.plant.of(Garage).state),
             rooms=self._felt_after(day, record),
             sets=self._told(record),
             flexible_kw=float(sum(kw.sum() for kw in taken_kw.values())),

@@ -16,11 +16,11 @@ from vppres.day.inversions import inverted_now
 from vppres.day.recorder import ROTATED, StepRecord
 from vppres.day.trajectory import FORMS, SHARE, Feeder, supplied
 from vppres.feeders.actuate import Feeding
+from vppres.kinds.fields import SetPointsOfKinds
+from vppres.kinds.table import parts
 from vppres.live.by_phase import ByPhase
 from vppres.live.foreseen import Foreseen
-from vppres.live.rooms import setpoints_c
 from vppres.scenario.scenario import Scenario
-from vppres.scenario.vehicles import NO_CAR
 from vppres.solve.result import Status
 
 SOLVE_FIGURES = (
@@ -42,7 +42,7 @@ SHED = "shed"
 
 
 @dataclass(frozen=True, eq=False)
-class SetPoints:
+class SetPoints(SetPointsOfKinds):
     """The decision for one step, as tables by identifier.
 
     Parameters
@@ -105,9 +105,6 @@ class SetPoints:
     feeding: Feeding
     foreseen: Foreseen
     by_phase: ByPhase | None = None
-    chargers: pd.DataFrame | None = None
-    thermal_loads: pd.DataFrame | None = None
-    gensets: pd.DataFrame | None = None
 
     @classmethod
     def of(
@@ -152,9 +149,7 @@ class SetPoints:
             ),
             foreseen=foreseen,
             by_phase=ByPhase.of(scenario, step),
-            chargers=_chargers(scenario, step),
-            thermal_loads=_thermal_loads(scenario, step.kinds.get("thermal_loads")),
-            gensets=_gensets(scenario, step.kinds.get("gensets"), out),
+            **_of_kinds(scenario, step, {} if out is None else {"gensets": {"out": out}}),
         )
 
     def apply_to(self, net: Any, feeder: Feeder) -> None:
@@ -243,61 +238,18 @@ def _pv(scenario: Scenario, columns: Mapping[str, Any]) -> pd.DataFrame:
     )
 
 
-def _chargers(scenario: Scenario, step: StepRecord) -> pd.DataFrame | None:
-    """Powers and limits by charger; None without any."""
-    columns = step.kinds.get("chargers")
-    if columns is None:
-        return None
-    chargers = scenario.chargers
-    plug_out = scenario.sessions.plug_out
-    here = scenario.session_at[step.t].tolist()
-    return _table(
-        chargers.id,
-        bus=chargers.buses(scenario.customers),
-        vehicle=columns["vehicle"],
-        leaves=[pd.NaT if s == NO_CAR else plug_out[s] for s in here],
-        p_kw=columns["p_kw"],
-        p_limit_kw=np.maximum(columns["p_kw"], 0.0),
-        energy_kwh=columns["energy_start_kwh"],
-        needed_kwh=columns["needed_kwh"],
-    )
-
-
-def _thermal_loads(scenario: Scenario, columns: Mapping[str, Any] | None) -> pd.DataFrame | None:
-    """Powers and temperatures by thermal load; None without any."""
-    if columns is None:
-        return None
-    loads = scenario.thermal_loads
-    start_c, end_c, p_kw = columns["t_start_c"], columns["t_end_c"], columns["p_kw"]
-    return _table(
-        loads.id,
-        customer=loads.customer,
-        bus=loads.buses(scenario.customers),
-        p_kw=p_kw,
-        setpoint_c=setpoints_c(loads, start_c, end_c, p_kw),
-        indoor_c=start_c,
-        indoor_end_c=end_c,
-    )
-
-
-def _gensets(
-    scenario: Scenario, columns: Mapping[str, Any] | None, out: Flags | None
-) -> pd.DataFrame | None:
-    """Start or stop, power and fuel by generating set; None without any."""
-    if columns is None:
-        return None
-    sets = scenario.gensets
-    return _table(
-        sets.id,
-        bus=sets.bus,
-        running=columns["running"],
-        p_kw=columns["p_kw"],
-        hours_before=columns["hours_before"],
-        p_before_kw=columns["p_before_kw"],
-        fuel_litres=columns["fuel_start_litres"],
-        fuel_end_litres=columns["fuel_end_litres"],
-        out=np.zeros(len(sets), dtype=bool) if out is None else out,
-    )
+def _of_kinds(
+    scenario: Scenario, step: StepRecord, more: Mapping[str, Mapping[str, Any]]
+) -> dict[str, pd.DataFrame]:
+    """Set-points of the units of each kind, with ``more`` that is known of them."""
+    live = parts("live")
+    found = {}
+    for kind, columns in step.kinds.items():
+        units = getattr(scenario, kind)
+        told = live[kind].set_points(scenario, step.t, columns)
+        places = {"bus": units.buses(scenario.customers)}
+        found[kind] = _table(units.id, **{**places, **told, **more.get(kind, {})})
+    return found
 
 
 def _phases(scenario: Scenario, ids: Names) -> dict[str, Any]:

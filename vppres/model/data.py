@@ -18,6 +18,7 @@ from vppres.contract.switching import SwitchingData
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Complexes, Flags, Floats, Wholes
 from vppres.core.errors import ModelError
+from vppres.kinds.gensets.physics import SetsAhead
 from vppres.model.formulas import cell_kw, soc_after
 from vppres.model.linearise import Drawn, delta_offset, drawn_by
 from vppres.model.site import Site
@@ -372,9 +373,8 @@ class WindowData:
 
     def _fuel_kwh(self, value: StoredValue) -> float:
         """Most energy that fuel at the end of the window can stand for."""
-        if self.ahead.gensets is None:
-            return 0.0
-        return float(self.ahead.gensets.added_litres.sum(axis=0) @ value.kwh_per_litre)
+        sets = self.ahead.find(SetsAhead)
+        return 0.0 if sets is None else float(sets.added_litres.sum(axis=0) @ value.kwh_per_litre)
 
     def active_max_kw(self, batteries: Batteries) -> Floats:
         """Largest active power that a plan may ask of each battery, (W, B)."""

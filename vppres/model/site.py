@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -10,15 +10,14 @@ import numpy as np
 import scipy.sparse as sp
 
 from vppres.core.arrays import Flags, Floats, Wholes, content_key
+from vppres.kinds.fields import OfKinds
+from vppres.kinds.kind import Units
+from vppres.kinds.table import KINDS, units_of
 from vppres.scenario.assets import Batteries, Customers, PVSystems
-from vppres.scenario.gensets import Gensets
-from vppres.scenario.kinds import KINDS, Units, units_of
 from vppres.scenario.network import Network
 from vppres.scenario.phases import Phases
 from vppres.scenario.priority import Ranks
 from vppres.scenario.scenario import ObjectiveWeights, Scenario
-from vppres.scenario.thermal_loads import ThermalLoads
-from vppres.scenario.vehicles import Chargers
 
 LESS_THAN_A_UNIT = 0.5
 """What all curtailment of a window counts at most in strict order: rounded to whole units, a bound
@@ -54,7 +53,7 @@ def as_tree(network: Network) -> Network:
 
 
 @dataclass(frozen=True, eq=False)
-class Site:
+class Site(OfKinds):
     """What stays the same from step to step: network, assets, weights and step length.
 
     ``ranks`` are those behind the weights of strict priority; None where tiers are weighed.
@@ -76,9 +75,6 @@ class Site:
     rated: bool = False
     phases: Phases | None = None
     limits_of: Network | None = None
-    chargers: Chargers = field(default_factory=Chargers)
-    thermal_loads: ThermalLoads = field(default_factory=ThermalLoads)
-    gensets: Gensets = field(default_factory=Gensets)
 
     @classmethod
     def of(cls, scenario: Scenario) -> Site:
@@ -96,9 +92,7 @@ class Site:
             scenario.batteries,
             scenario.objective,
             scenario.grid.dt_h,
-            chargers=scenario.chargers,
-            thermal_loads=scenario.thermal_loads,
-            gensets=scenario.gensets,
+            **{kind: getattr(scenario, kind) for kind in KINDS},
         )
 
     def ranked(self, ranks: Ranks, n_steps: int) -> Site:

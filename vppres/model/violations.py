@@ -12,6 +12,8 @@ import numpy as np
 
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Floats
+from vppres.kinds.gensets.physics import SetsAhead
+from vppres.kinds.table import KINDS
 from vppres.model.beyond_paper.losses import injections
 from vppres.model.beyond_paper.physical import taken_by_network
 from vppres.model.data import WindowData
@@ -19,7 +21,6 @@ from vppres.model.formulas import lossless_flows, voltage_drop_pu2
 from vppres.model.phases import phased_model
 from vppres.model.site import Site
 from vppres.scenario.assets import SOC_ROUNDING
-from vppres.scenario.kinds import KINDS
 
 POWER_TOLERANCE_KW = 1e-3
 POWER_TOLERANCE_REL = 1e-5
@@ -241,7 +242,7 @@ def _kinds(site: Site, data: WindowData, d: Dispatch) -> Excess:
         plan = (d.taken_by(kind, units), d.running_of(kind, units), site.dt_h)
         found[f"{word} power"] = _most(tolerance, known.power_beyond_kw(units, on, *plan))
         found[f"{word} energy"] = _most(tolerance, known.stored_beyond_kw(units, *plan))
-    ahead = data.ahead.gensets
+    ahead = data.ahead.find(SetsAhead)
     if ahead is not None:
         on = d.running_of("gensets", site.gensets)
         wrong = ahead.wrongly_switched(site.gensets, on, data.dark, site.dt_h)

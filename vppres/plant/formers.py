@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from vppres.core.arrays import Flags, Floats
+from vppres.kinds.gensets.physics import Engines
 from vppres.plant.plant import BatteryState, Plant, Powers, SetForms
 from vppres.scenario.assets import Batteries
 
@@ -131,7 +132,7 @@ class FormingSet:
 
     def share(self, powers: Powers, deficit_kw: float) -> tuple[Powers, float]:
         """A deficit that the set takes up, and what it cannot take of it."""
-        least_kw, most_kw = (kw[self.genset] for kw in self.plant.engines.forming_kw(self.t))
+        least_kw, most_kw = (kw[self.genset] for kw in self.plant.of(Engines).forming_kw(self.t))
         taken_kw = powers.taken_kw["gensets"].copy()
         before_kw = -float(taken_kw[self.genset])
         given_kw = float(np.clip(before_kw + deficit_kw, least_kw, most_kw))

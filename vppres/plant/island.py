@@ -17,6 +17,7 @@ import numpy as np
 
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import VerificationError
+from vppres.kinds.gensets.physics import Engines
 from vppres.physics.powerflow import (
     ACPowerFlow,
     ACResult,
@@ -149,7 +150,7 @@ class IslandPlant:
         if able.any():
             yield FormingBatteries(self.plant, state, able)
         if "gensets" in planned.running:
-            for one in self.plant.engines.able_to_form(t, planned.running["gensets"]):
+            for one in self.plant.of(Engines).able_to_form(t, planned.running["gensets"]):
                 yield FormingSet(self.plant, t, one)
 
     def _why_dark(self) -> str:

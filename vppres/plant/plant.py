@@ -8,20 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any, TypeVar
 
 import numpy as np
 
 from vppres.contract.decision import Decision
 from vppres.core.arrays import Flags, Floats
+from vppres.kinds.kind import Followers
+from vppres.kinds.table import parts, units_of
 from vppres.physics.cold_load import ColdLoad
 from vppres.physics.thermal import Power, ThermalScheme, advance, initial_state
-from vppres.plant.followers import Followers
-from vppres.plant.gensets import Engines
-from vppres.plant.rooms import Climate
-from vppres.plant.vehicles import Garage
-from vppres.scenario.kinds import units_of
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
+
+F = TypeVar("F", bound=Followers)
 
 NOBODY = "nobody"
 """Who was shed where a power flow was not found; the record's word for it."""
@@ -127,16 +127,11 @@ class Plant:
             rules or SwitchingRules(), scenario.grid.dt_h, len(scenario.customers)
         )
         index = scenario.network.bus_index
-        self.garage = Garage(scenario)
-        self.climate = Climate(scenario)
-        self.engines = Engines(scenario)
-        every: dict[str, Followers] = {
-            "chargers": self.garage,
-            "thermal_loads": self.climate,
-            "gensets": self.engines,
-        }
         kinds = units_of(scenario)
-        self.units = {kind: every[kind] for kind in kinds}
+        self._every: dict[str, Followers] = {
+            kind: part.PLANT(scenario) for kind, part in parts("physics").items()
+        }
+        self.units = {kind: self._every[kind] for kind in kinds}
         self.unit_bus = {
             kind: np.array([index[b] for b in units.buses(scenario.customers)], dtype=int)
             for kind, units in kinds.items()
@@ -148,6 +143,19 @@ class Plant:
         pv_buses = scenario.pv.buses(scenario.customers)
         self._pv_bus = np.array([index[b] for b in pv_buses], dtype=int)
         self.n_places = scenario.network.n_buses
+
+    def of(self, units: type[F]) -> F:
+        """The units of a kind, by their class."""
+        return next(each for each in self._every.values() if isinstance(each, units))
+
+    def states_at(self, t: int) -> dict[str, Any]:
+        """State at the beginning of a step of each kind that the site has."""
+        return {kind: units.at(t) for kind, units in self.units.items()}
+
+    def begin_with(self, states: Mapping[str, Any]) -> None:
+        """Begin a step with these states by kind."""
+        for kind, state in states.items():
+            self._every[kind].state = state
 
     def at_buses(self, realised: Realised) -> tuple[Floats, Floats]:
         """Net injections of the network's buses, (N,) each."""

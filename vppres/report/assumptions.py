@@ -11,8 +11,8 @@ import numpy as np
 from vppres.core.plain import flattened
 from vppres.day.options import RULES
 from vppres.day.trajectory import Trajectory
+from vppres.kinds.table import parts, units_of
 from vppres.scenario.option_table import OPTIONS, Option
-from vppres.scenario.past_days import PastDays
 from vppres.scenario.priority import STRICT
 from vppres.scenario.scenario import LIMIT
 
@@ -88,18 +88,8 @@ def simplifications(run: Trajectory) -> list[str]:
             f"{dimmable} of {len(day.customers)} customers may be dimmed: of one that is, service "
             "counts in proportion to what it gets."
         )
-    if len(day.chargers):
-        sentences.append(_vehicles(run))
-    if len(day.thermal_loads):
-        sentences.append(
-            f"{len(day.thermal_loads)} rooms and tanks come after service; the temperature outside "
-            "is known."
-        )
-    if len(day.gensets):
-        sentences.append(
-            f"{len(day.gensets)} generating sets have a power factor of 1 where they form no grid; "
-            "a set starts in the step for which it is told to."
-        )
+    records = parts("record")
+    sentences += [records[kind].assumption(run) for kind in units_of(day)]
     if options.get("thermal") == "off":
         sentences.append("Battery efficiencies are constant: heating is not simulated.")
     if options.get("mode", "paper") == "paper" and day.outage.any():
@@ -113,20 +103,6 @@ def simplifications(run: Trajectory) -> list[str]:
             "mismatch; frequency and transients are not simulated."
         )
     return [*sentences, *day.batteries.notes]
-
-
-def _vehicles(run: Trajectory) -> str:
-    """What plans knew of vehicles."""
-    day = run.scenario
-    count = int((~day.sessions.over(day.grid.start)).sum())
-    words = (
-        f"{count} sessions of vehicles at {len(day.chargers)} chargers come after service; a plan "
-        "knows those that are plugged in or announced"
-    )
-    past_days = PastDays.of(day, int(run.options["seed"]))
-    if past_days is None:
-        return f"{words}."
-    return f"{words}, and expects others as on one of {len(past_days.days)} past days."
 
 
 def _order(options: Mapping[str, Any]) -> str:

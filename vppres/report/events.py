@@ -10,6 +10,7 @@ import numpy as np
 
 from vppres.core.arrays import spans_of
 from vppres.core.text import counted, named
+from vppres.day.kind_tables import kind_events
 from vppres.day.series import energy_limits_kwh, outage_spans, stored_energy_kwh
 from vppres.day.switching_figures import switched
 from vppres.day.trajectory import WHOLE_SHARE, Trajectory, taken
@@ -38,9 +39,7 @@ def events_of(run: Trajectory) -> list[Event]:
             *_within_events(run),
             *_dimmed_events(run),
             *_battery_events(run),
-            *_vehicle_events(run),
-            *_comfort_events(run),
-            *_genset_events(run),
+            *kind_events(run),
         ],
         key=lambda entry: entry[0],
     )
@@ -111,47 +110,6 @@ def _battery_events(run: Trajectory) -> Iterator[tuple[int, str]]:
         empty = np.flatnonzero(energy[first + 1 : last + 1] <= low + EMPTY_SHARE * (high - low))
         if len(empty) and len(run.scenario.batteries):
             yield first + 1 + int(empty[0]), "Batteries are at their lower limit."
-
-
-def _vehicle_events(run: Trajectory) -> Iterator[tuple[int, str]]:
-    """Vehicles that leave with less than they need."""
-    if run.vehicles is None:
-        return
-    lacks_kwh = run.by_step("vehicles", "short_kwh")
-    for t in np.flatnonzero((lacks_kwh > 0.0).any(axis=1)).tolist():
-        rows = run.rows("vehicles", t)
-        names = [
-            f"{row['vehicle']} ({row['tier']}, {row['short_kwh']:.1f} kWh)"
-            for row in rows[rows["short_kwh"] > 0.0].to_dict("records")
-        ]
-        what = "vehicle leaves" if len(names) == 1 else "vehicles leave"
-        yield t + 1, f"{len(names)} {what} short: {named(names, NAMES_SHOWN)}."
-
-
-def _comfort_events(run: Trajectory) -> Iterator[tuple[int, str]]:
-    """Rooms and tanks that leave their comfort band."""
-    if run.thermal_loads is None:
-        return
-    names = run.scenario.thermal_loads.id
-    t_c, away_c = (run.by_step("thermal_loads", name) for name in ("t_end_c", "outside_band_c"))
-    leaves = (away_c > 0.0) & ~np.vstack([np.zeros_like(names, dtype=bool), away_c[:-1] > 0.0])
-    for t in np.flatnonzero(leaves.any(axis=1)).tolist():
-        who = [f"{names[h]} ({t_c[t, h]:.1f} °C)" for h in np.flatnonzero(leaves[t])]
-        what = "room or tank leaves its" if len(who) == 1 else "rooms or tanks leave their"
-        yield t + 1, f"{len(who)} {what} comfort band: {named(who, NAMES_SHOWN)}."
-
-
-def _genset_events(run: Trajectory) -> Iterator[tuple[int, str]]:
-    """When generating sets start and stop, with the fuel that they have then."""
-    if run.gensets is None:
-        return
-    names = run.scenario.gensets.id
-    on, fuel_litres, hours_before = (
-        run.by_step("gensets", name) for name in ("running", "fuel_start_litres", "hours_before")
-    )
-    for t, g in np.argwhere(on != (hours_before > 0.0)).tolist():
-        verb = "starts" if on[t, g] else "stops"
-        yield t, f"Generator {names[g]} {verb}, with {fuel_litres[t, g]:.0f} l of fuel."
 
 
 def _day(run: Trajectory) -> str:

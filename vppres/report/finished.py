@@ -16,7 +16,7 @@ from vppres.day.trajectory import Trajectory
 from vppres.io.atomic import remove_leftovers
 from vppres.report.pages import write_page
 from vppres.report.pdf import write_pdf
-from vppres.report.plots.files import save_figures
+from vppres.report.plots.figures import save_figures
 from vppres.report.run_folder import FIGURES_FOLDER, SUMMARY_FILE, render_report
 from vppres.scenario.timegrid import UTC
 

@@ -17,6 +17,7 @@ from vppres.day.reliability import reliability_by_tier
 from vppres.day.series import demand_kw, per_step, pv_available_kw, stored_energy_kwh
 from vppres.day.trajectory import Trajectory, supplied
 from vppres.explain.step import DRIVERS
+from vppres.kinds.table import KINDS, parts
 from vppres.report.clock import Clock
 from vppres.report.findings import LIMIT_TOLERANCE_PU
 from vppres.report.key_figures import amount, number
@@ -151,13 +152,9 @@ def energy_rows(run: Trajectory, summary: Mapping[str, Any]) -> list[tuple[str, 
         rows.append(("Batteries discharged", float(given.sum()) * dt_h))
         rows.append(("Stored at the start", float(stored[0])))
         rows.append(("Stored at the end", float(stored[-1])))
-    if vehicles := summary.get("vehicles"):
-        rows.append(("Vehicles charged", vehicles["charged_kwh"]))
-        rows.append(("Vehicles gave back", vehicles["given_back_kwh"]))
-    if rooms := summary.get("thermal_loads"):
-        rows.append(("Cooling and heat", rooms["machines_kwh"]))
-    if sets := summary.get("gensets"):
-        rows.append(("Generating sets gave", sets["given_kwh"]))
+    for kind, part in parts("record").items():
+        if figures := summary.get(KINDS[kind].table):
+            rows += part.energies(figures)
     rows.append(("Line losses", float(run.steps["losses_kw"].sum()) * dt_h))
     return [(words, number(value, ",.0f")) for words, value in rows]
 

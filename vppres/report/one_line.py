@@ -16,7 +16,7 @@ from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.day.metrics import line_current_a, line_loading, service_by_tier
 from vppres.day.trajectory import Trajectory, supplied
 from vppres.report.clock import Clock
-from vppres.report.plots.palette import cividis
+from vppres.report.plots.drawing import cividis
 from vppres.report.tree_layout import tree_layout
 from vppres.scenario.phases import PHASES
 

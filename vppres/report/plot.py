@@ -26,9 +26,10 @@ from vppres.core.plain import flattened
 from vppres.day.metrics import horizon_h, service_by_tier, summarise
 from vppres.day.series import edges_of, per_step, quantity
 from vppres.day.trajectory import Trajectory
+from vppres.kinds.table import KINDS
 from vppres.report.key_figures import KEY_FIGURES
 from vppres.report.one_line import loading_classes, voltage_edges, worst_step
-from vppres.report.plots.palette import (
+from vppres.report.plots.drawing import (
     BLACK,
     BLUE,
     GREEN,
@@ -46,7 +47,6 @@ from vppres.report.plots.palette import (
     cividis,
 )
 from vppres.report.tree_layout import tree_layout
-from vppres.scenario.kinds import KINDS
 from vppres.scenario.scenario import Scenario
 
 _SMALL = 8.0

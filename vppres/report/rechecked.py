@@ -7,15 +7,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
+from vppres.core.arrays import Floats
 from vppres.core.plain import json_safe
 from vppres.day.trajectory import Trajectory
 from vppres.feeders.actuate import Feeding
-from vppres.feeders.dss.recheck import Recheck, recheck_opendss
+from vppres.feeders.dss.recheck import PHASE_NAMES, Recheck, recheck_opendss
 from vppres.io.atomic import atomic_folder
 from vppres.physics.phased_sources import former_of
-from vppres.report.plots.files import save_chart
-from vppres.report.plots.phases import voltages_per_phase
+from vppres.report.plots.chart import Chart, Curve, Curves, Limit
+from vppres.report.plots.drawing import BLACK, RUN_STYLES, Style
+from vppres.report.plots.figures import save_chart
 from vppres.scenario.formers import largest_forming_battery
 
 DECIMALS = 6
@@ -85,3 +88,33 @@ def summary_of(found: Recheck) -> dict[str, Any]:
         }
     )
     return safe
+
+
+def voltages_per_phase(run: Trajectory, found: Recheck) -> Chart:
+    """Lowest voltage of each phase and of the plan, and the largest difference of a step."""
+    network = run.scenario.network
+    curves = []
+    for phase, style in zip(PHASE_NAMES.values(), RUN_STYLES, strict=False):
+        own = found.voltages[found.voltages["phase"] == phase]
+        if not own.empty:
+            curves.append(Curve(f"phase {phase}", _by_step(run, own, "v_pu"), style))
+    plan = _by_step(run, found.voltages, "v_plan_pu")
+    curves.append(Curve("plan", plan, Style(BLACK, "2 3", 1.5)))
+    limit = Limit(network.v_min_ac_pu, f"{network.v_min_ac_pu:g} AC limit", dash="")
+    largest = 1000.0 * found.steps["difference_max_pu"].to_numpy(float)
+    apart = Curve("largest difference", largest, Style(BLACK, "", 1.5), in_legend=False)
+    return Chart(
+        "voltages_per_phase",
+        "Voltages: the original feeder, phase by phase, against the plan",
+        run,
+        [
+            Curves("Lowest bus voltage (pu)", curves, 220.0, limits=[limit]),
+            Curves("Largest\ndifference\n(0.001 pu)", [apart], 105.0, low=0.0),
+        ],
+    )
+
+
+def _by_step(run: Trajectory, table: pd.DataFrame, column: str) -> Floats:
+    """The lowest value of each step, NaN where there is none."""
+    grouped = table.groupby("time")[column].min()
+    return np.asarray(grouped.reindex(run.steps["time"]), dtype=float)

@@ -18,7 +18,7 @@ from vppres.io.scenario_writer import write_scenario
 from vppres.report.clock import Clock
 from vppres.report.operating_order import ORDER_FILE, operating_order
 from vppres.report.pages import page
-from vppres.report.plots.files import SVG, save_figures
+from vppres.report.plots.figures import SVG, save_figures
 from vppres.report.sections import SECTIONS
 from vppres.report.sections.base import Run
 

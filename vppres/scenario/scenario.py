@@ -13,10 +13,11 @@ import pandas as pd
 
 from vppres.core.arrays import Flags, Floats, Wholes, freeze_arrays
 from vppres.core.notebook import facts_html
+from vppres.kinds.fields import OfKinds
+from vppres.kinds.vehicles.data import sessions_by_step
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.fairness import Fairness, Interruption
 from vppres.scenario.formers import forming_batteries
-from vppres.scenario.gensets import Gensets, Refuels
 from vppres.scenario.history import History
 from vppres.scenario.network import Network
 from vppres.scenario.option_table import default_of
@@ -24,9 +25,7 @@ from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
 from vppres.scenario.phases import Phases, check_phases
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.source import Source
-from vppres.scenario.thermal_loads import ThermalLoads
 from vppres.scenario.timegrid import TimeGrid
-from vppres.scenario.vehicles import Chargers, Sessions, sessions_by_step
 
 DEFAULT_VOLL_GBP_PER_KWH = 16.94
 """Value of lost load of British homes and small businesses on a winter weekday's peak, in prices of
@@ -102,7 +101,7 @@ def _zero() -> Floats:
 
 
 @dataclass(frozen=True, eq=False)
-class Scenario:
+class Scenario(OfKinds):
     """Everything that defines a day, and nothing that a controller decides.
 
     Parameters
@@ -188,11 +187,6 @@ class Scenario:
     interruptions: tuple[Interruption, ...] = ()
     history: History | None = None
     phases: Phases | None = None
-    chargers: Chargers = field(default_factory=Chargers)
-    sessions: Sessions = field(default_factory=Sessions)
-    thermal_loads: ThermalLoads = field(default_factory=ThermalLoads)
-    gensets: Gensets = field(default_factory=Gensets)
-    refuels: Refuels = field(default_factory=Refuels)
 
     def __post_init__(self) -> None:
         if self.phases is not None:

@@ -13,10 +13,10 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Floats, Names
-from vppres.live.vehicles import rows_of, sessions_of
-from vppres.scenario.gensets import Gensets, GensetState
+from vppres.kinds.gensets.data import Gensets, GensetState
+from vppres.kinds.vehicles.data import OF_SESSIONS, Sessions
+from vppres.kinds.vehicles.live import rows_of, sessions_of
 from vppres.scenario.scenario import Scenario
-from vppres.scenario.vehicles import OF_SESSIONS, Sessions
 
 Plan = Mapping[str, Any]
 Plans = Sequence[Plan | None]  # by step, None for a step without

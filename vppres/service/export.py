@@ -25,6 +25,9 @@ from vppres.day.options import RunOptions
 from vppres.day.recorder import ROTATED, Recorder, StepRecord
 from vppres.day.trajectory import LOSSES, TIME_ON, Trajectory
 from vppres.io.times import option_time
+from vppres.kinds.cooling.physics import Climate
+from vppres.kinds.gensets.physics import Engines
+from vppres.kinds.vehicles.physics import Garage
 from vppres.live.profile import Profile
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
@@ -170,6 +173,7 @@ class Replay:
         scenario = self.scenario
         world = World(scenario, self.options)
         day, plant, b = world.day, world.day.plant, scenario.batteries
+        climate, garage, engines = (plant.of(each) for each in (Climate, Garage, Engines))
         shared = self.options.on(scenario).shares_supply
         told: list[dict[str, Any]] = []
         for t, plan in enumerate(self.stored):
@@ -177,9 +181,9 @@ class Replay:
             held = np.where(read, np.clip(self.soc[t], b.soc_min, b.soc_max), day.state.soc)
             day.state = replace(day.state, soc=held)
             rooms, chargers = scenario.thermal_loads.id, scenario.chargers.id
-            plant.climate.t_c = said_of(plan, "indoor_c", rooms, plant.climate.t_c)
-            plant.garage.kwh = said_of(plan, "vehicles", chargers, plant.garage.kwh, "energy_kwh")
-            plant.engines.state = set_state(scenario, t, plan, plant.engines.state)
+            climate.state = said_of(plan, "indoor_c", rooms, climate.state)
+            garage.state = said_of(plan, "vehicles", chargers, garage.state, "energy_kwh")
+            engines.state = set_state(scenario, t, plan, engines.state)
             if plan is not None:
                 told = [{**one, "valid_from": plan["start"]} for one in plan["setpoints"]]
             record = _noted(world.obey(t, told), plan)

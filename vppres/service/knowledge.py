@@ -18,13 +18,13 @@ import pandas as pd
 from vppres.core.arrays import Floats, Names
 from vppres.core.errors import InputError, Problem
 from vppres.io.messages import did_you_mean
+from vppres.kinds.gensets.live import QUANTITIES as OF_SETS
+from vppres.kinds.vehicles.live import QUANTITIES
 from vppres.live.by_phase import GRID
 from vppres.live.controller import Controller
 from vppres.live.door import float_of, readable
-from vppres.live.gensets import QUANTITIES as OF_SETS
 from vppres.live.measurement import Measurement
 from vppres.live.ranges import RANGES, Range, ranges_of
-from vppres.live.vehicles import QUANTITIES
 from vppres.outlook.belief import HALF
 from vppres.scenario.scenario import Scenario
 from vppres.service.announced import (

@@ -15,6 +15,7 @@ import pandas as pd
 
 from vppres.core.units import h_to_minutes
 from vppres.day.options import RunOptions
+from vppres.kinds.gensets.physics import Engines
 from vppres.scenario.scenario import Scenario
 from vppres.service.as_told import Plan, set_state
 from vppres.service.clock import written
@@ -142,7 +143,7 @@ def off_in(
     island = replace(now, grid=grid, grid_limit_kw=np.zeros(1), batteries=rests)
     world = World(island, options)
     day = world.day
-    day.plant.engines.state = set_state(world.scenario, 0, plan, day.plant.engines.state)
+    day.plant.of(Engines).state = set_state(world.scenario, 0, plan, day.plant.of(Engines).state)
     day.island.formers = now.formers & follows  # nobody told others to form it
     told = [
         {**one, "valid_from": written(part.begin)}

@@ -17,9 +17,12 @@ from vppres.core.arrays import Flags, Floats, Names
 from vppres.day.options import RunOptions
 from vppres.day.recorder import StepRecord
 from vppres.day.simulate import Day
+from vppres.kinds.cooling.physics import Climate
+from vppres.kinds.gensets.physics import Engines
+from vppres.kinds.vehicles.data import NO_CAR
+from vppres.kinds.vehicles.physics import Garage
 from vppres.live.by_phase import GRID, ByPhase
 from vppres.scenario.scenario import Scenario
-from vppres.scenario.vehicles import NO_CAR
 from vppres.service.clock import written
 from vppres.service.phased_readings import SUMMED, phases_of
 from vppres.service.plans import at
@@ -49,15 +52,16 @@ class World:
         """What devices measure at the beginning of a step, and of the one before, by source."""
         site, plant = self.scenario, self.day.plant
         now, sets = site.grid.times[t], site.gensets.id
+        engines, rooms_c = plant.of(Engines), plant.of(Climate).state
         found = [
             *self._each("batteries", "soc", now, site.batteries.id, self.day.state.soc),
             *self._each("meters", "load_kw", now, site.customers.id, site.load_kw[t]),
             *self._each("meters", "pv_kw", now, site.pv.id, site.pv_kw[t]),
             self._one("substation", "grid_on", now, GRID, site.grid_limit_kw[t] > 0.0),
-            *self._each("thermostats", "indoor_c", now, site.thermal_loads.id, plant.climate.t_c),
+            *self._each("thermostats", "indoor_c", now, site.thermal_loads.id, rooms_c),
             *self._vehicles(t, now),
-            *self._each("gensets", "running", now, sets, plant.engines.state.on),
-            *self._each("gensets", "fuel_litres", now, sets, plant.engines.tank_litres(t)),
+            *self._each("gensets", "running", now, sets, engines.state.on),
+            *self._each("gensets", "fuel_litres", now, sets, engines.tank_litres(t)),
             *self._each("gensets", "start_fault", now, sets, self.start_fault),
         ]
         return found if t == 0 else [*found, *self._means(site.grid.times[t - 1])]
@@ -84,8 +88,8 @@ class World:
 
     def _vehicles(self, t: int, now: pd.Timestamp) -> Iterator[Series]:
         """What chargers tell of their vehicles: a state of charge, or the energy that they need."""
-        sessions, garage = self.scenario.sessions, self.day.plant.garage
-        held_kwh = garage.held_kwh(t)
+        sessions, garage = self.scenario.sessions, self.day.plant.of(Garage)
+        held_kwh = garage.at(t)
         for k, name in enumerate(self.scenario.chargers.id):
             s = int(self.scenario.session_at[t, k])
             told: dict[str, float] = {"plugged": float(s != NO_CAR)}
@@ -150,7 +154,7 @@ class World:
         pv_q_kvar = values("pv", "q_kvar", 0.0)
         asked_c = values("thermal_loads", "setpoint_c", np.nan)[0]
         setpoints_c = np.where(np.isnan(asked_c), self.scenario.thermal_loads.held_c, asked_c)
-        machines_kw = self.day.plant.climate.thermostat_kw(t, setpoints_c, served[0])
+        machines_kw = self.day.plant.of(Climate).thermostat_kw(t, setpoints_c, served[0])
         nothing = np.full((1, 1), np.nan)
         network = self.scenario.network
         return Dispatch(

@@ -18,7 +18,6 @@ from vppres.core.arrays import Flags, Floats
 from vppres.model.beyond_paper.export import net_exchange
 from vppres.model.data import WindowData
 from vppres.model.numerics import POLYGON_SIDES, cost_scale, disc_sides
-from vppres.model.site import Site
 from vppres.model.terms import evaluate
 from vppres.model.violations import broken
 from vppres.solve.cache import ModelCache
@@ -372,11 +371,10 @@ def solve_cost(
     solve = partial(_solve_cost, cache, served=served, spec=spec, deadline=deadline, held=held)
     sides = disc_sides(cache.site, data.n_steps) if form.network else 0
     relaxed = replace(form, exclusivity="relaxed", polygon_sides=sides)
-    asked = data
-    attempt = solve(asked, form=relaxed)
+    attempt = solve(data, form=relaxed)
     if attempt.outcome.status == Status.INFEASIBLE and not form.network:
-        asked = eased(cache.site, data)
-        attempt = solve(asked, form=relaxed)
+        solve = partial(solve, eased=True)
+        attempt = solve(data, form=relaxed)
     if attempt.dispatch is None:
         return attempt
     netted, fits = net_modes(cache.site, data, attempt.dispatch)
@@ -388,24 +386,14 @@ def solve_cost(
     first_s = attempt.outcome.solve_s
     integer = replace(form, exclusivity="integer")
     gap_gbp = max(DISPATCH_GAP_GBP, curtailed_gap_gbp) if curtailing else DISPATCH_GAP_GBP
-    exclusive = solve(asked, form=integer, gap_gbp=gap_gbp)
+    exclusive = solve(data, form=integer, gap_gbp=gap_gbp)
     both_s = first_s + exclusive.outcome.solve_s
     if exclusive.outcome.status == Status.INFEASIBLE and integer.polygon_sides:
         # The set may need what inscribed polygons take away.
         finer = replace(integer, polygon_sides=FINER * integer.polygon_sides)
-        exclusive = solve(asked, form=finer, gap_gbp=gap_gbp)
+        exclusive = solve(data, form=finer, gap_gbp=gap_gbp)
         both_s = both_s + exclusive.outcome.solve_s
     return replace(exclusive, outcome=replace(exclusive.outcome, solve_s=both_s))
-
-
-def eased(site: Site, data: WindowData) -> WindowData:
-    """The window with as much energy more as rounding may have taken.
-
-    It is for dispatches and for no bound: a battery that holds more has less room for surplus PV.
-    """
-    b = site.batteries
-    more = data.soc + eased_soc(b)
-    return replace(data, soc=np.maximum(data.soc, np.minimum(more, b.soc_max)))
 
 
 def _solve_cost(
@@ -417,8 +405,12 @@ def _solve_cost(
     deadline: Deadline,
     gap_gbp: float = DISPATCH_GAP_GBP,
     held: Mapping[str, Floats] = NOTHING,
+    eased: bool = False,
 ) -> Attempt:
-    """One solve of a form of the cost level; the gap is that of a search for modes."""
+    """One solve of a form of the cost level; the gap is that of a search for modes.
+
+    With ``eased`` each battery may be emptied by as much more as rounding may have taken.
+    """
     if deadline.passed:
         return Attempt(Outcome(Status.NO_ANSWER, np.nan, np.nan, 0.0), None)
     conic = form.network and form.exclusivity == "relaxed"
@@ -426,6 +418,8 @@ def _solve_cost(
         conic, form = False, replace(form, polygon_sides=form.polygon_sides or POLYGON_SIDES)
     problem = window_problem(cache, data, form, conic)
     problem.fill(data, served)
+    missed = np.tile(eased_soc(cache.site.batteries), (data.n_steps, 1)) if eased else 0.0
+    problem.limits = {"battery_soc_min": missed, "battery_reserve": missed}
 
     def ask(left_s: float) -> Outcome:
         if conic:

@@ -16,7 +16,7 @@ from vppres.report.key_figures import number
 from vppres.report.pages import page
 from vppres.report.plots.axes import Scale
 from vppres.report.plots.chart import Band, Chart, Curve, Curves, Limit
-from vppres.report.plots.palette import BLACK, BLUE, GREY, RUN_STYLES, VERMILLION, Style
+from vppres.report.plots.drawing import BLACK, BLUE, GREY, RUN_STYLES, VERMILLION, Style
 from vppres.studies.backtest import Backtest
 from vppres.studies.estimate_scores import EstimateScores
 from vppres.studies.issue_scores import SHARES, came_in, totals_of

@@ -19,8 +19,8 @@ from vppres.report.findings import findings
 from vppres.report.finished import FinishedRun, read_finished
 from vppres.report.key_figures import KEY_FIGURES, OF_TIERS, number
 from vppres.report.pages import page
-from vppres.report.plots.files import FIGURE_TEXTS, FIGURES
-from vppres.report.plots.palette import RUN_STYLES
+from vppres.report.plots.drawing import RUN_STYLES
+from vppres.report.plots.figures import FIGURE_TEXTS, FIGURES
 from vppres.report.sections.base import figure_of
 
 COMPARISON_FILE = "comparison.html"

@@ -17,9 +17,9 @@ from vppres.report.key_figures import number
 from vppres.report.pages import page
 from vppres.report.plots.axes import Scale
 from vppres.report.plots.chart import Chart, Curve, Curves
-from vppres.report.plots.files import save_chart
-from vppres.report.plots.heat import HeatMap
-from vppres.report.plots.palette import CIVIDIS, RUN_STYLES, TIER_STYLES
+from vppres.report.plots.drawing import CIVIDIS, RUN_STYLES, TIER_STYLES
+from vppres.report.plots.figures import save_chart
+from vppres.report.plots.rows import HeatMap
 from vppres.scenario.timegrid import TimeGrid
 from vppres.studies.survival import KNOWN, MARK, Survival
 

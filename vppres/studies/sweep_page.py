@@ -17,8 +17,8 @@ from vppres.report.key_figures import KEY_FIGURES, OF_TIERS, number
 from vppres.report.pages import page
 from vppres.report.plots.axes import Scale
 from vppres.report.plots.chart import Chart, Curve, Curves
-from vppres.report.plots.files import save_chart
-from vppres.report.plots.palette import BLUE, TIER_STYLES, Style
+from vppres.report.plots.drawing import BLUE, TIER_STYLES, Style
+from vppres.report.plots.figures import save_chart
 from vppres.scenario.scenario import Scenario
 from vppres.studies.sweep import SweepRow, outcome_table
 from vppres.studies.sweep_parameters import Value, value_text

@@ -10,6 +10,8 @@ from vppres.contract.decision import Decision
 from vppres.contract.owed import MOST_SHARE
 from vppres.control.step_state import StepState
 from vppres.core.arrays import Flags, Floats, Names
+from vppres.kinds.gensets.physics import SetsAhead
+from vppres.kinds.table import KINDS
 from vppres.model.formulas import (
     bus_injections,
     cell_kw,
@@ -20,7 +22,6 @@ from vppres.model.formulas import (
 from vppres.model.phases import beyond, phased_model
 from vppres.model.site import Site
 from vppres.physics.phases import NoPhasedSolutionError
-from vppres.scenario.kinds import KINDS
 from vppres.scenario.source import EXACT_PU
 
 
@@ -205,7 +206,7 @@ def _kinds(row: _Row, state: StepState, within: Tolerances) -> str:
 
 def _sets_switched(row: _Row, state: StepState) -> str:
     """Generating sets that start before they may, or run where they must not."""
-    ahead = state.ahead.gensets
+    ahead = state.ahead.find(SetsAhead)
     if ahead is None:
         return ""
     sets = state.site.gensets

@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from vppres.contract.ahead import KindsAhead
 from vppres.contract.decision import OUT, Decision
 from vppres.contract.observation import Observation
 from vppres.control.guard.balance import Commanded, Readings, feeder_off
@@ -97,8 +98,9 @@ class Estimator:
         words = [*self._soc_words(), *series_words, *map(OUT.format, out)]
         # A battery of which nothing is known is out, and counts as empty.
         soc = np.where(np.isnan(self._soc.soc), self.site.batteries.soc_min, self._soc.soc)
-        self._last = replace(seen, forecast=forecast, soc=soc, told=(), soc_age_h=None)
-        return Known(self._last, online, "; ".join(words))
+        believed = replace(seen, forecast=forecast, soc=soc, told=(), soc_age_h=None)
+        self._last = _remembered(believed)
+        return Known(believed, online, "; ".join(words))
 
     def proven(self, known: Known) -> Known:
         """The same without demands far above all that an import has agreed with.
@@ -110,9 +112,10 @@ class Estimator:
             return known
         forecast = known.observation.forecast
         rows = np.vstack([load_kw, forecast.load_kw[1:]])
-        self._last = replace(known.observation, forecast=replace(forecast, load_kw=rows))
+        believed = replace(known.observation, forecast=replace(forecast, load_kw=rows))
+        self._last = _remembered(believed)
         estimated = "; ".join(word for word in (known.estimated, *words) if word)
-        return replace(known, observation=self._last, estimated=estimated)
+        return replace(known, observation=believed, estimated=estimated)
 
     def commanded(self, decision: Decision) -> None:
         """Keep what was decided, to compare it with what comes back."""
@@ -189,3 +192,8 @@ class Estimator:
         steps = seen.t0 - self._last.t0
         row = steps if steps < len(before.load_kw) else 0
         return Readings(before.load_kw[row], before.pv_kw[row]), row > 0
+
+
+def _remembered(seen: Observation) -> Observation:
+    """What the next step compares with: kinds have readings of their own."""
+    return replace(seen, ahead=KindsAhead())

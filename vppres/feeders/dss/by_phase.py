@@ -47,9 +47,12 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
     tables = {
         "source": _source(),
         "lines": own.lines,
-        "transformers": [_transformer(name, engine) for name in engine._of("transformer")],
+        "transformers": [_transformer(name, engine, own) for name in engine._of("transformer")],
         "shunts": own.shunts(),
-        "buses": [_bus(bus, engine, own.taken, refused) for bus in dss.Circuit.AllBusNames()],
+        "buses": [
+            *(_bus(bus, engine, own.taken, refused) for bus in dss.Circuit.AllBusNames()),
+            *_stars(engine),
+        ],
         "powers": [] if refused else list(_powers(engine, solved, refused)),
         "causes": [words for _, words in sorted(engine.beyond())] if solved else [],
     }
@@ -91,6 +94,15 @@ def _bus(bus: str, engine: Any, taken: set[tuple[str, int]], refused: Refused) -
     return {"bus": bus, "kv": kv, "phases": words}
 
 
+def _stars(engine: Any) -> Iterator[dict[str, Any]]:
+    """Buses that are the star of transformers with three windings."""
+    at: dict[str, set[int]] = {}
+    for star, phases in engine.elements().STARS.values():
+        at.setdefault(star, set()).update(phases)
+    for star, kv in engine._stars().items():
+        yield {"bus": star, "kv": kv, "phases": [PHASES[node - 1] for node in sorted(at[star])]}
+
+
 def _nodes() -> list[tuple[str, int]]:
     """Bus and phase of each conductor of the active element; phase -1 is ground."""
     return [(bus, node - 1) for bus, node in sys.modules["dss/elements"].nodes_of()]
@@ -103,25 +115,58 @@ def _complex(matrix: Any) -> dict[str, Any]:
 class _Matrices:
     """Lines, reactors and capacitors by their own matrices.
 
-    ``taken`` has the neutrals that something else is connected to, so that they stay.
+    ``users`` has what else is connected to each neutral.
     """
 
     def __init__(self, engine: Any, refused: Refused) -> None:
         self.elements = engine.elements()
         self.lines: Table = []
         self.at_bus: dict[tuple[str, bool], dict[tuple[int, int], complex]] = {}
-        self.taken: set[tuple[str, int]] = set()
+        self.users: dict[tuple[str, int], set[str]] = {}
         for kind in ("line", "reactor", "capacitor"):
             for name in engine._of(kind):
                 amps = engine.rated_amps(dss.CktElement.NormalAmps()) if kind == "line" else None
                 self._add(f"{kind}.{name}", kind != "line", amps, refused)
         for kind in ("transformer", *engine.POWERS):
-            for _ in engine._of(kind):
-                self._take(self.elements.nodes_of())
+            for name in engine._of(kind):
+                self._take(f"{kind}.{name}", self.elements.nodes_of())
 
-    def _take(self, nodes: list[tuple[str, int]]) -> None:
-        beside = {node for node in nodes if node[1] > len(PHASES)}
-        self.taken |= {node for node in beside if node[0] not in self.elements.LEGS}
+    def _take(self, element: str, nodes: list[tuple[str, int]]) -> None:
+        for node in nodes:
+            if node[1] > len(PHASES) and node[0] not in self.elements.LEGS:
+                self.users.setdefault(node, set()).add(element)
+
+    @property
+    def taken(self) -> set[tuple[str, int]]:
+        """Neutrals that are more than that of one transformer, which only shunts ground."""
+        return {node for node in self.users if not self._own(node)}
+
+    def _own(self, node: tuple[str, int]) -> bool:
+        one = [each for each in self.users[node] if each.startswith("transformer.")]
+        return len(one) == len(self.users[node]) == 1 and self.grounding(node) is not None
+
+    def grounding(self, node: tuple[str, int]) -> complex | None:
+        """What grounds a neutral, in siemens; None where it is joined to more than ground."""
+        bus, own = node
+        nodes, y = self._sum([sums for (at, _), sums in self.at_bus.items() if at == bus])
+        gone = [
+            i for i, each in enumerate(nodes)
+            if each > len(PHASES) and each != own and (bus, each) not in self.users
+        ]  # fmt: skip
+        if gone:
+            y = self.elements.without(y, gone)
+            nodes = [each for i, each in enumerate(nodes) if i not in gone]
+        if own not in nodes:
+            return 0j
+        at = nodes.index(own)
+        return None if np.delete(y[at], at).any() else complex(y[at, at])
+
+    @staticmethod
+    def _sum(parts: list[dict[tuple[int, int], complex]]) -> tuple[list[int], Any]:
+        """Nodes of some parts of a bus, and the sum of their matrices."""
+        nodes = sorted({node for sums in parts for pair in sums for node in pair})
+        entries = [[sum(sums.get((i, j), 0j) for sums in parts) for j in nodes] for i in nodes]
+        return nodes, np.array(entries).reshape(len(nodes), len(nodes))
 
     def _add(self, element: str, switched: bool, amps: float | None, refused: Refused) -> None:
         """One element: a line between two buses, or what it draws at one."""
@@ -130,7 +175,7 @@ class _Matrices:
         if len(buses) > 2:
             _refuse(refused, element, "joins more than two buses", f"Write 'disable {element}'.")
         if len(buses) == 2:
-            self._take(nodes)
+            self._take(element, nodes)
             port = self.elements.TwoPort(nodes, y)
             if port.crossed:
                 _refuse(
@@ -185,8 +230,7 @@ class _Matrices:
         """The matrix of each bus to ground and between its phases, without its own neutrals."""
         found: Table = []
         for (bus, _), sums in self.at_bus.items():
-            nodes = sorted({node for pair in sums for node in pair})
-            y = np.array([[sums.get((i, j), 0j) for j in nodes] for i in nodes])
+            nodes, y = self._sum([sums])
             gone = [i for i, node in enumerate(nodes) if node > len(PHASES)]
             if gone:
                 y = self.elements.without(y, gone)
@@ -208,8 +252,11 @@ def _source() -> dict[str, Any]:
     return {"bus": bus, "kv": base_kv, "v_pu": v_pu, "phases": phases, "z": _complex(z)}
 
 
-def _transformer(name: str, engine: Any) -> dict[str, Any]:
-    """A transformer with the coils that each end may have, and its own matrix."""
+def _transformer(name: str, engine: Any, matrices: _Matrices) -> dict[str, Any]:
+    """A transformer with the coils that each end may have, and its own matrix.
+
+    It has one row for its two windings, or one for each of three and their star.
+    """
     element = f"transformer.{name}"
     if engine.elements().middle() is not None:
         dss.Circuit.SetActiveElement(element)
@@ -217,31 +264,57 @@ def _transformer(name: str, engine: Any) -> dict[str, Any]:
     dss.Transformers.Name(name)
     dss.Circuit.SetActiveElement(element)
     phases = dss.CktElement.NumPhases()
-    order = _nodes()
     live, y = engine.elements().admittance()
-    row: dict[str, Any] = {"id": name, "x_pct": float(dss.Transformers.Xhl()), "r_pct": 0.0}
-    ends = []
-    n = len(order) // 2
-    for winding, (end, nodes) in enumerate((("from", order[:n]), ("to", order[n:])), start=1):
-        dss.Transformers.Wdg(winding)
-        delta = bool(dss.Transformers.IsDelta())
-        kv = float(dss.Transformers.kV())
-        if not delta and phases > 1:
-            kv /= np.sqrt(3)
-        row |= {
-            f"{end}_bus": nodes[0][0],
-            f"{end}_kv": kv,
-            f"{end}_tap": float(dss.Transformers.Tap()),
-        }
-        row["r_pct"] += float(dss.Transformers.R())
-        row["kva"] = float(dss.Transformers.kVA()) / phases
-        ends.append(_windings([phase for _, phase in nodes], delta, phases))
-    row["ppm"] = engine.number(f"{element}.ppm_antifloat")
+    numbers = range(1, 1 + dss.Transformers.NumWindings())
+    own = [engine.elements().Winding(number) for number in numbers]
+    coils = [_windings([node - 1 for _, node in each.ends], each.delta, phases) for each in own]
+    if len(own) == 2:
+        x_pct = float(dss.Transformers.Xhl())
+        ppm = engine.number(f"{element}.ppm_antifloat")
+        rows = [_row(name, own[0], own[1], phases, own[0].r_pct + own[1].r_pct, x_pct, ppm)]
+    else:
+        star, at = engine.elements().STARS[name]
+        middle = engine.elements().Star(star, engine._stars()[star] / np.sqrt(3))
+        rows = [
+            _row(f"{name} winding {number}", each, middle, phases, each.r_pct, each.x_pct, 0.0)
+            for number, each in zip(numbers, own, strict=True)
+        ]
+        coils.append([" ".join(PHASES[node - 1] for node in at)])
+    neutrals = []
+    for node in [node for node in live if node[1] > len(PHASES) and node not in matrices.taken]:
+        i = live.index(node)
+        y[i, i] += matrices.grounding(node) or 0j
+        ground = y[i, [bus == node[0] for bus, _ in live]].sum()
+        neutrals.append({"bus": node[0], "z": _complex(1.0 / ground)})
+        y = engine.elements().without(y, [i])
+        live.remove(node)
+        for row in rows:
+            row["ppm"] = 0.0  # it is in the matrix, that of the neutral too
     return {
-        "row": row,
-        "coils": ends,
+        "rows": rows,
+        "coils": coils,
         "nodes": [(bus, node - 1) for bus, node in live],
         "y": _complex(y),
+        "neutrals": neutrals,
+    }
+
+
+def _row(
+    name: str, first: Any, second: Any, phases: int, r_pct: float, x_pct: float, ppm: float
+) -> dict[str, Any]:
+    """Two windings without their coils."""
+    return {
+        "id": name,
+        "from_bus": first.bus,
+        "from_kv": first.kv,
+        "from_tap": first.tap,
+        "to_bus": second.bus,
+        "to_kv": second.kv,
+        "to_tap": second.tap,
+        "kva": first.kva / phases,
+        "r_pct": r_pct,
+        "x_pct": x_pct,
+        "ppm": ppm,
     }
 
 
@@ -264,7 +337,8 @@ def _service(name: str, engine: Any) -> dict[str, Any]:
         "ppm": 0.0,
     }
     return {
-        "row": row,
+        "rows": [row],
+        "neutrals": [],
         "coils": [[words, words[::-1]], [PHASES[phase - 1]]],
         "nodes": [(bus, node - 1) for bus, node in own.nodes],
         "y": _complex(own.y),

@@ -123,12 +123,12 @@ class OpenDSSFlow:
         self.given: dict[int, float] | None = self._by_index(found["v_pu"])
         self.losses_kw: float | None = found["losses_kw"]
         self.causes = tuple(words for _, words in sorted(found["causes"], key=lambda c: -c[0]))
-        self.closed = {
-            element.get("element", f"transformer.{element['name']}"): element["name"]
+        self.closed = [
+            (element.get("element", f"transformer.{element['name']}"), element["name"])
             for table in ("lines", "transformers")
             for element in found[table]
             if element["closed"]
-        }
+        ]
         complete = found.get("complete", [])
         self.complete = {self.index[bus] for bus in complete if bus in self.index}
         self.giving = {power["bus"] for power in found["powers"] if power["kind"] != "load"}
@@ -145,7 +145,7 @@ class OpenDSSFlow:
             for names in net[table].loc[net[table]["in_service"], "name"]
             for name in str(names).split(TOGETHER)
         }
-        self.disabled = sorted(each for each, name in self.closed.items() if name not in kept)
+        self.disabled = sorted({each for each, name in self.closed if name not in kept})
         at = {bus: feeder.bus_of[i] for bus, i in self.index.items() if i in feeder.bus_of}
         giving = {at[bus] for bus in self.giving if bus in at}
         self.groups = {own: [bus for bus in at if at[bus] == own] for own in giving}
@@ -381,7 +381,7 @@ def _add_transformer(net: Any, transformer: dict[str, Any], at: dict[str, int]) 
     ends = (at[transformer["start"]], at[transformer["end"]])
     kv = dict(zip(ends, transformer["kv"], strict=True))
     high, low = sorted(ends, key=lambda bus: -net.bus.at[bus, "vn_kv"])
-    r_percent = transformer["r_percent"]
+    r_percent, x_percent = transformer["r_percent"], transformer["x_percent"]
     no_load = transformer["no_load_percent"]
     pp.create_transformer_from_parameters(
         net,
@@ -391,7 +391,7 @@ def _add_transformer(net: Any, transformer: dict[str, Any], at: dict[str, int]) 
         vn_hv_kv=kv[high],
         vn_lv_kv=kv[low],
         vkr_percent=r_percent,
-        vk_percent=float(np.hypot(r_percent, transformer["x_percent"])),
+        vk_percent=float(np.copysign(np.hypot(r_percent, x_percent), x_percent)),
         pfe_kw=no_load / 100.0 * transformer["kva"],
         i0_percent=float(np.hypot(no_load, transformer["magnetising_percent"])),
         name=transformer["name"],

@@ -17,6 +17,9 @@ ANGLES = np.exp(-2j * np.pi / 3 * np.arange(3))
 
 V_PER_KV, VA_PER_KVA = 1000.0, 1000.0
 
+LEAST_PCT = 1e-6
+"""Reactance of a leg of a star that has no impedance."""
+
 Node = tuple[str, int]
 
 LEGS: dict[str, tuple[int, dict[int, float]]] = {}
@@ -25,6 +28,9 @@ LEGS: dict[str, tuple[int, dict[int, float]]] = {}
 Both legs are one node there, with the voltage from leg to leg: half of it, and its opposite, is
 that of either leg to ground.
 """
+
+STARS: dict[str, tuple[str, tuple[int, ...]]] = {}
+"""Transformers with three windings at three buses: the bus of their star, and its phases."""
 
 
 def nodes_of() -> list[Node]:
@@ -164,27 +170,112 @@ def middle() -> tuple[int, str, dict[int, float]] | None:
     return None
 
 
+def beside(lines: list[str]) -> dict[str, list[str]]:
+    """Buses that lines join to each bus."""
+    found: dict[str, list[str]] = {}
+    for element in lines:
+        dss.Circuit.SetActiveElement(element)
+        ends = buses_of(nodes_of())
+        for bus in ends:
+            found.setdefault(bus, []).extend(other for other in ends if other != bus)
+    return found
+
+
+def reached(bus: str, beside: dict[str, list[str]]) -> list[str]:
+    """A bus, and all that lines join to it."""
+    found: dict[str, None] = {}
+    new = [bus]
+    while new:
+        each = new.pop()
+        if each not in found:
+            found[each] = None
+            new += beside.get(each, [])
+    return [*found]
+
+
 def find_legs(transformers: list[str], lines: list[str]) -> None:
     """Find the buses that only hang behind the middle of a winding, along lines."""
     LEGS.clear()
-    beside: dict[str, list[str]] = {}
-    for element in lines:
-        dss.Circuit.SetActiveElement(element)
-        ends = list(dict.fromkeys(bus for bus, _ in nodes_of()))
-        for bus in ends:
-            beside.setdefault(bus, []).extend(other for other in ends if other != bus)
+    known = beside(lines)
     for element in transformers:
         dss.Circuit.SetActiveElement(element)
         found = middle()
-        if found is None:
+        if found is not None:
+            phase, bus, signs = found
+            for each in reached(bus, known):
+                LEGS.setdefault(each, (phase, signs))
+
+
+def find_stars(transformers: list[str]) -> None:
+    """Name the star of each transformer with three windings at three buses.
+
+    Units of single phases between the same buses share one, each with a phase of its own there.
+    """
+    STARS.clear()
+    known = set(dss.Circuit.AllBusNames())
+    banks: dict[tuple[str, ...], list[tuple[str, set[int]]]] = {}
+    for element in transformers:
+        dss.Circuit.SetActiveElement(element)
+        name = dss.CktElement.Name().partition(".")[2]
+        dss.Transformers.Name(name)
+        ends = nodes_of()
+        buses = tuple(buses_of(ends))
+        if dss.Transformers.NumWindings() != 3 or len(buses) != 3:
             continue
-        phase, bus, signs = found
-        new = [bus]
-        while new:
-            each = new.pop()
-            if each not in LEGS:
-                LEGS[each] = (phase, signs)
-                new += beside.get(each, [])
+        at = [node for _, node in ends if node in PHASES]
+        own = PHASES if dss.CktElement.NumPhases() > 1 else tuple(at[:1])
+        bank = banks.setdefault(buses, [])
+        free = next((each for each in bank if not each[1] & {*own}), None)
+        if free is None:
+            star = f"star_{name}"
+            while star in known:
+                star += "_"
+            free = (star, set())
+            bank.append(free)
+            known.add(star)
+        free[1].update(own)
+        STARS[name] = (free[0], own)
+
+
+class Winding:
+    """A winding of the active transformer: its bus and coil, and its leg of the star in percent.
+
+    ``kv`` is across a coil; impedances are on the rating of the first winding.
+    """
+
+    def __init__(self, number: int) -> None:
+        n = dss.CktElement.NumConductors()
+        phases = dss.CktElement.NumPhases()
+        self.ends = nodes_of()[(number - 1) * n : number * n]
+        self.bus = self.ends[0][0]
+        dss.Transformers.Wdg(number)
+        self.delta = bool(dss.Transformers.IsDelta())
+        self.rated_kv = float(dss.Transformers.kV())
+        self.kv = self.rated_kv / (np.sqrt(3) if phases > 1 and not self.delta else 1.0)
+        self.tap = float(dss.Transformers.Tap())
+        self.r_pct = float(dss.Transformers.R())
+        if dss.Transformers.NumWindings() > 2:
+            x_pct = _of_star(number)
+            self.x_pct = x_pct if abs(x_pct) + self.r_pct > LEAST_PCT else LEAST_PCT
+        dss.Transformers.Wdg(1)
+        self.kva = float(dss.Transformers.kVA())
+
+
+def _of_star(number: int) -> float:
+    """Reactance of a leg of the active transformer's star in percent."""
+    xhl, xht, xlt = (dss.Transformers.Xhl(), dss.Transformers.Xht(), dss.Transformers.Xlt())
+    twice = {1: xhl + xht - xlt, 2: xhl + xlt - xht, 3: xht + xlt - xhl}[number]
+    return float(twice) / 2.0
+
+
+class Star:
+    """The star of three windings, as a winding."""
+
+    tap = 1.0
+
+    def __init__(self, bus: str, kv: float) -> None:
+        self.bus = bus
+        self.kv = kv
 
 
 class Service:

@@ -48,6 +48,9 @@ LEFT_OUT: list[str] = []
 REFUSED_CONTROLS: dict[str, str] = {}
 """Controls that OpenDSS refuses, and why: without them the circuit is what it is."""
 
+MOVED: dict[str, float] = {}
+"""Buses whose level is not the one that OpenDSS took, and theirs in kV."""
+
 Problems = list[dict[str, Any]]
 Table = list[dict[str, Any]]
 
@@ -219,6 +222,9 @@ def build(job: dict[str, Any]) -> Problems:
     LEFT_OUT[:] = commands.left_out
     kinds = [[e for e in _elements() if e.startswith(f"{k}.")] for k in ("transformer", "line")]
     elements().find_legs(*kinds)
+    elements().find_stars(kinds[0])
+    if commands.named_levels:
+        _fit_levels(kinds[1])
     unfit = [p for name in _elements() if (p := _problem(name))]
     banks = [] if job.get("open_deltas") else [*_open_deltas()]
     return [*unfit, *banks] or _check_levels(commands.named_levels)
@@ -274,17 +280,25 @@ def _problem(element: str) -> dict[str, Any] | None:
         dss.Circuit.SetActiveElement(element)
         service = elements().middle() is not None
         dss.Transformers.Name(name)
-        if dss.Transformers.NumWindings() != 2 and not service:
+        count = dss.Transformers.NumWindings()
+        if count != 2 and not service and name not in elements().STARS:
+            where = f" at {named_once(_buses())}" if count == 3 else ""
             return _wrong(
-                f"{element} has {dss.Transformers.NumWindings()} windings",
-                "Replace it by a transformer with two windings.",
+                f"{element} has {count} windings{where}",
+                "Replace it by transformers with two windings, or with three at three buses.",
             )
-        if dss.Transformers.Xhl() == NO_REACTANCE:
+        reactances = (dss.Transformers.Xhl(), dss.Transformers.Xht(), dss.Transformers.Xlt())
+        if NO_REACTANCE in reactances[: 3 if name in elements().STARS else 1]:
             return _wrong(
                 f"{element} has no reactance: OpenDSS takes xhl=0 as {NO_REACTANCE:g} %",
                 "Give it one, such as xhl=0.01.",
             )
     return None
+
+
+def named_once(words: list[str]) -> str:
+    """Words, each once."""
+    return " and ".join(dict.fromkeys(words))
 
 
 def _open_deltas() -> Iterator[dict[str, Any]]:
@@ -308,14 +322,35 @@ def _open_deltas() -> Iterator[dict[str, Any]]:
             )
 
 
+def _fit_levels(lines: list[str]) -> None:
+    """Give buses the level of ``voltagebases`` that fits the ratings of their transformers.
+
+    OpenDSS takes that which is next to their voltage without load, and where nothing holds a
+    floating bus that may be any.
+    """
+    levels = [float(kv) for kv in dss.Settings.VoltageBases()]
+    beside = elements().beside(lines)
+    for element, bus, rated_kv, _ in list(_ratings()):
+        own = [kv for kv in levels if _fits(rated_kv, kv, TOLERANCE)]
+        if element.startswith("transformer.") and own and not _fits(rated_kv, _base_kv(bus)):
+            for each in elements().reached(bus, beside):
+                dss.Text.Command(f'setkvbase bus="{each}" kvll={own[0]:.17g}')
+                MOVED[each] = own[0]
+
+
+def _fits(rated_kv: float, base_kv: float, tolerance: float = TOLERANCE) -> bool:
+    """Whether a rating is that of a level; that of a single phase may be to neutral."""
+    apart = min(abs(rated_kv * f - base_kv) for f in (1.0, np.sqrt(3)))
+    return bool(apart <= tolerance * rated_kv)
+
+
 def _check_levels(levels_named: bool) -> Problems:
     """Ratings that do not fit their bus: without ``voltagebases`` OpenDSS guesses the levels."""
     problems = []
     for element, bus, rated_kv, guessed in list(_ratings()):
         tolerance = TOLERANCE if levels_named else guessed
         base_kv = _base_kv(bus)
-        # The rating of a single phase may be that between line and neutral.
-        if min(abs(rated_kv * f - base_kv) for f in (1.0, np.sqrt(3))) > tolerance * rated_kv:
+        if not _fits(rated_kv, base_kv, tolerance):
             problems.append(
                 _wrong(
                     f"{element} has {rated_kv:g} kV at bus {bus}, whose nominal voltage is "
@@ -362,11 +397,14 @@ def _tables(solved: bool) -> dict[str, Any]:
         **_voltages(solved),
         "name": dss.Circuit.Name(),
         "frequency_hz": dss.Solution.Frequency(),
-        "buses": [{"name": bus, "kv": _base_kv(bus)} for bus in dss.Circuit.AllBusNames()],
+        "buses": [
+            *({"name": bus, "kv": _base_kv(bus)} for bus in dss.Circuit.AllBusNames()),
+            *({"name": star, "kv": kv} for star, kv in _stars().items()),
+        ],
         "sources": list(_sources()),
         "lines": branches,
         "transformers": list(_transformers()),
-        "shunts": shunts,
+        "shunts": [*shunts, *_cores()],
         "powers": [*_powers(solved)],
         "shapes": _shapes(),
         "causes": list(_causes(solved)),
@@ -454,6 +492,9 @@ def _transformers() -> Iterator[dict[str, Any]]:
             dss.Circuit.SetActiveElement(f"transformer.{name}")
             yield _service(name)
             continue
+        if name in elements().STARS:
+            yield from _legs_of_star(name)
+            continue
         dss.Circuit.SetActiveElement(f"transformer.{name}")
         (start, end) = _buses()
         closed = len(elements().buses_of(elements().admittance()[0])) == 2
@@ -481,6 +522,64 @@ def _transformers() -> Iterator[dict[str, Any]]:
             "no_load_percent": number(f"transformer.{name}.%noloadloss"),
             "magnetising_percent": number(f"transformer.{name}.%imag"),
         }
+
+
+def _stars() -> dict[str, float]:
+    """Nominal voltage between lines of each star: that of the first winding."""
+    found = {}
+    for name, (star, _) in elements().STARS.items():
+        dss.Circuit.SetActiveElement(f"transformer.{name}")
+        dss.Transformers.Name(name)
+        own = elements().Winding(1)
+        found[star] = _between_lines(own.rated_kv, _base_kv(own.bus))
+    return found
+
+
+def _legs_of_star(name: str) -> Iterator[dict[str, Any]]:
+    """A transformer with three windings as one with two for each of them, to their star."""
+    star, phases = elements().STARS[name]
+    star_kv = _stars()[star]
+    dss.Circuit.SetActiveElement(f"transformer.{name}")
+    dss.Transformers.Name(name)
+    for number in (1, 2, 3):
+        own = elements().Winding(number)
+        kv = _between_lines(own.rated_kv, _base_kv(own.bus))
+        dss.Circuit.SetActiveElement(f"transformer.{name}")
+        yield {
+            "name": f"{name} winding {number}",
+            "element": f"transformer.{name}",
+            "start": own.bus,
+            "end": star,
+            "closed": True,
+            "phases": len(phases),
+            "nodes": [*phases],
+            "kv": [kv * own.tap, star_kv],
+            "r_percent": own.r_pct,
+            "kva": own.kva,
+            "x_percent": own.x_pct,
+            "no_load_percent": 0.0,
+            "magnetising_percent": 0.0,
+        }
+
+
+def _cores() -> Table:
+    """Cores of transformers with three windings, which OpenDSS has at the second."""
+    found: Table = []
+    for name in elements().STARS:
+        element = f"transformer.{name}"
+        dss.Circuit.SetActiveElement(element)
+        dss.Transformers.Name(name)
+        own = elements().Winding(2)
+        base_kv = _base_kv(own.bus)
+        kv = own.tap * _between_lines(own.rated_kv, base_kv)
+        share = own.kva * (base_kv / kv) ** 2 / 100.0
+        p_kw = share * number(f"{element}.%noloadloss")
+        q_kvar = share * number(f"{element}.%imag")
+        if p_kw or q_kvar:
+            found.append(
+                {"name": f"core of {name}", "bus": own.bus, "p_kw": p_kw, "q_kvar": q_kvar}
+            )
+    return found
 
 
 def _service(name: str) -> dict[str, Any]:
@@ -692,6 +791,11 @@ def _notes() -> Iterator[str]:
         yield f"Options of 'set' are left out: {', '.join(LEFT_OUT)}."
     for control, why in REFUSED_CONTROLS.items():
         yield f"{control} is left out, as OpenDSS refuses it ({why})."
+    for bus, kv in MOVED.items():
+        yield (
+            f"Bus {bus} has {kv:g} kV, by the rating of its transformer: OpenDSS takes another "
+            "level of 'voltagebases' for it."
+        )
     unrated = [dss.CktElement.NormalAmps() == DEFAULT_AMPS for _ in _of("line")]
     if any(unrated):
         yield (

@@ -18,7 +18,7 @@ from vppres.feeders.dss.script import limit_s
 from vppres.feeders.feeder import ImportedFeeder, PhasedLoad, PhasedSource
 from vppres.feeders.strangers.confined import confined
 from vppres.io.messages import folded
-from vppres.physics.phases import PhasedFlow, of_transformer
+from vppres.physics.phases import PhasedFlow, admittances
 from vppres.scenario.earthing import with_grid
 from vppres.scenario.network import BusId
 from vppres.scenario.phases import (
@@ -35,6 +35,9 @@ from vppres.scenario.phases import (
 
 MATCH = 1e-9
 """Share of a transformer's largest entry by which its coils may couple its ends differently."""
+
+MATCH_BEHIND = 1e-7
+"""The same where a neutral is behind an impedance, next to which the coils' own vanish."""
 
 LEAST = 1e-9
 """Share of a matrix's largest entry below which an admittance of it is none."""
@@ -126,7 +129,7 @@ class _Tables:
     ) -> None:
         self.found = found
         self.name = name
-        self.at = at
+        self.at = dict(at)
         self.slack = slack
         self.kv = {row["bus"]: row["kv"] for row in found["buses"]}
         self.behind = BEHIND
@@ -140,21 +143,24 @@ class _Tables:
         self.rest: list[tuple[str, list[int], Complexes]] = [
             (row["bus"], row["phases"], _of(row["y"])) for row in found["shunts"]
         ]
-        units = [each for each in found["transformers"] if each["row"]["from_bus"] in at]
-        self.units = [self._transformer(each, every) for each in units]
+        self.buses: list[Mapping[str, Any]] = [*found["buses"]]
+        self.lines: list[Mapping[str, Any]] = [*found["lines"]]
+        units = [each for each in found["transformers"] if each["rows"][0]["from_bus"] in at]
+        rows = {row.bus: row for row in every}
+        self.units = [unit for each in units for unit in self._transformer(each, rows)]
         self.reached = self._reached()
 
     def phases(self) -> Phases:
         """The tables without connections; the source is a bus of its own behind its impedance."""
         source = self.found["source"]
         rows = [PhaseBus(self.behind, self.slack, source["kv"], " ".join(PHASES))]
-        for row in self.found["buses"]:
+        for row in self.buses:
             live = [p for p in row["phases"] if (row["bus"], PHASES.index(p)) in self.reached]
             if row["bus"] in self.at and live:
                 rows.append(PhaseBus(row["bus"], self.at[row["bus"]], row["kv"], " ".join(live)))
         z, no_charging = _whole(_of(source["z"]), source["phases"]), np.zeros((3, 3))
         lines = [PhaseLine(self.behind, source["bus"], z, no_charging)]
-        lines += [line for each in self.found["lines"] for line in self._line(each)]
+        lines += [line for each in self.lines for line in self._line(each)]
         shunts = [row for each in self.rest for row in self._shunts(*each)]
         units = [unit for each in self.units for unit in self._live(each)]
         return Phases(tuple(rows), tuple(lines), tuple(units), tuple(shunts))
@@ -164,7 +170,7 @@ class _Tables:
         groups: list[set[Node]] = [
             {(self.found["source"]["bus"], phase) for phase in self.found["source"]["phases"]}
         ]
-        for line in self.found["lines"]:
+        for line in self.lines:
             ends = (line["from_bus"], line["to_bus"])
             groups += [{(bus, phase) for bus in ends} for phase in line["phases"]]
         groups += [pair for unit in self.units for pair in _pairs(unit)]
@@ -198,35 +204,87 @@ class _Tables:
             np.nan if line["i_max_a"] is None else line["i_max_a"],
         )
 
-    def _transformer(self, one: Mapping[str, Any], rows: tuple[PhaseBus, ...]) -> PhaseTransformer:
+    def _transformer(
+        self, one: Mapping[str, Any], rows: Mapping[str, PhaseBus]
+    ) -> list[PhaseTransformer]:
         """The transformer whose coils couple its ends as OpenDSS's own matrix does.
 
-        What is left beside them, magnetising and core, is at its two ends.
+        Three windings are three transformers to their star. What is left beside them, magnetising
+        and core, is at its ends.
         """
-        known, y = Phases(rows, ()), _of(one["y"])
+        sides = [(row, end) for row in one["rows"] for end in ("from", "to")]
+        own = {row[f"{end}_bus"]: rows[row[f"{end}_bus"]] for row, end in sides}
+        lines = []
+        for neutral in one["neutrals"]:
+            row, end = next(side for side in sides if side[0][f"{side[1]}_bus"] == neutral["bus"])
+            inner, line = self._behind_neutral(
+                own[neutral["bus"]], row, end, complex(_of(neutral["z"]))
+            )
+            own[inner.bus] = inner
+            lines.append(line)
+        match = MATCH_BEHIND if lines else MATCH
+        first = PhaseBus(self.behind, self.slack, 1.0, " ".join(PHASES))
+        known, y = Phases((first, *own.values()), tuple(lines)), _of(one["y"])
         ends = [(bus, phase) for bus, phase in one["nodes"]]
         at = [known.node_index[node] for node in ends]
+        star = [
+            i for (bus, _), i in known.node_index.items() if bus not in {*dict(ends), self.behind}
+        ]
         across = np.array([[first[0] != second[0] for second in ends] for first in ends])
-        for first, second in product(*one["coils"]):
-            unit = PhaseTransformer(**one["row"], from_coils=first, to_coils=second)
-            words = [*first.split(), *second.split()]
-            alike = len(first.split()) == len(second.split()) > 0
+        for coils in product(*one["coils"]):
+            pairs = [(word, coils[-1]) for word in coils[:-1]]
+            words = [word for pair in pairs for each in pair for word in each.split()]
+            alike = len({len(each.split()) for each in coils}) == 1 and words
             if not alike or any(len(set(word)) < len(word) for word in words):
                 continue  # a coil at ground, or between a phase and itself
-            rest = y - of_transformer(known, unit).tocsr()[at][:, at].toarray()
-            if across.any() and np.abs(rest[across]).max() <= MATCH * np.abs(y[across]).max():
+            units = [
+                PhaseTransformer(**row, from_coils=pair[0], to_coils=pair[1])
+                for row, pair in zip(one["rows"], pairs, strict=True)
+            ]
+            whole = admittances(replace(known, transformers=tuple(units))).toarray()
+            rest = y - (_without(whole, star) if star else whole)[np.ix_(at, at)]
+            if across.any() and np.abs(rest[across]).max() <= match * np.abs(y[across]).max():
                 for bus in dict.fromkeys(bus for bus, _ in ends):
-                    own = [i for i, node in enumerate(ends) if node[0] == bus]
-                    if np.abs(rest[np.ix_(own, own)]).max() > MATCH * np.abs(y).max():
-                        phases = [ends[i][1] for i in own]
-                        self.rest.append((bus, phases, rest[np.ix_(own, own)]))
-                return unit
+                    own_at = [i for i, node in enumerate(ends) if node[0] == bus]
+                    if np.abs(rest[np.ix_(own_at, own_at)]).max() > MATCH * np.abs(y).max():
+                        phases = [ends[i][1] for i in own_at]
+                        self.rest.append((bus, phases, rest[np.ix_(own_at, own_at)]))
+                return units
         raise InputError.of(
             self.name,
-            f"transformer.{one['row']['id']} does not follow from its coils: a neutral that is not "
-            "grounded, an open conductor, or a phase at ground",
+            f"transformer.{one['rows'][0]['id']} does not follow from its coils: a neutral that is "
+            "not grounded, an open conductor, or a phase at ground",
             "Connect its neutrals to ground, or import the feeder with --balance.",
         )
+
+    def _behind_neutral(
+        self, bus: PhaseBus, row: dict[str, Any], end: str, z_neutral: complex
+    ) -> tuple[PhaseBus, PhaseLine]:
+        """A bus between a winding in wye and its own, and the line from there.
+
+        What grounds the winding's neutral carries the current of all phases: it is in the line,
+        with half of the transformer's impedance, as it alone has no inverse.
+        """
+        inner = replace(bus, bus=f"{bus.bus} before {row['id']}")
+        row["r_pct"], row["x_pct"] = row["r_pct"] / 2.0, row["x_pct"] / 2.0
+        row[f"{end}_bus"] = inner.bus
+        ohm = (row[f"{end}_kv"] * row[f"{end}_tap"]) ** 2 * V_PER_KV / row["kva"] / 100.0
+        phases = [PHASES.index(phase) for phase in bus.phases.split()]
+        n = len(phases)
+        z = ohm * complex(row["r_pct"], row["x_pct"]) * np.eye(n) + z_neutral * np.ones((n, n))
+        line = {
+            "from_bus": inner.bus,
+            "to_bus": bus.bus,
+            "phases": phases,
+            "z": {"re": z.real, "im": z.imag},
+            "b_us": np.zeros((n, n)),
+            "i_max_a": None,
+        }
+        self.lines.append(line)
+        self.buses.append({"bus": inner.bus, "kv": inner.kv, "phases": bus.phases.split()})
+        self.at[inner.bus] = inner.at
+        self.kv[inner.bus] = inner.kv
+        return inner, PhaseLine(inner.bus, bus.bus, _whole(z, phases), np.zeros((3, 3)))
 
     def _live(self, unit: PhaseTransformer) -> Iterator[PhaseTransformer]:
         """A transformer with the pairs of coils that are supplied."""
@@ -290,6 +348,17 @@ def _pairs(unit: PhaseTransformer) -> list[set[Node]]:
         for bus, words in ((unit.from_bus, unit.from_coils), (unit.to_bus, unit.to_coils))
     ]
     return [first | second for first, second in zip(*sides, strict=True)]
+
+
+def _without(y: Complexes, gone: list[int]) -> Complexes:
+    """A matrix of the same size whose nodes ``gone`` carry no current from outside (Kron)."""
+    found = np.zeros_like(y)
+    gone = [i for i in gone if y[i].any()]
+    kept = [i for i in range(len(y)) if i not in gone and y[i].any()]
+    across = y[np.ix_(kept, gone)]
+    inner = np.linalg.solve(y[np.ix_(gone, gone)], across.T)
+    found[np.ix_(kept, kept)] = y[np.ix_(kept, kept)] - across @ inner
+    return found
 
 
 def _of(parts: Mapping[str, Any]) -> Complexes:

@@ -152,8 +152,8 @@ def _flexible_loads(net: Any, loads: pd.DataFrame) -> Iterator[str]:
             p_kw = float(mw_to_kw((chosen["p_mw"] * chosen["scaling"].fillna(1.0)).sum()))
             names = named(label(net, "load", i) for i in chosen.index)
             yield (
-                f"{what} of {p_kw:.4g} kW: plans do not shift their demand in time, and switch them "
-                f"off with their customers: {names}."
+                f"{what} of {p_kw:.4g} kW: plans do not shift their demand in time, and switch "
+                f"them off with their customers: {names}."
             )
 
 

@@ -25,8 +25,8 @@ from vppres.feeders.new.options import (
     NewScenarioOptions,
 )
 from vppres.io import schema
+from vppres.kinds.gensets.data import Gensets
 from vppres.scenario.assets import TIER_WEIGHTS, Batteries, Customers, PVSystems
-from vppres.scenario.gensets import Gensets
 
 DECIMALS = 6
 POWER_FACTOR_DECIMALS = 9
@@ -161,7 +161,7 @@ def _told_tiers(
     if not options.draw_tiers:
         origin = f"from the source's column `tier`; customers without a tier there are {LAST_TIER}"
     elif given:
-        origin = f"from the source's column `tier`; the other customers' tiers are drawn, seed {options.seed}"
+        origin = f"from the source's column `tier`; the others are drawn, seed {options.seed}"
     else:
         origin = f"drawn, seed {options.seed}"
     return f"Customers: {count} (tiers {origin})."

@@ -16,7 +16,7 @@ from vppres.core.arrays import Flags
 from vppres.core.text import named
 from vppres.feeders.new.kinds import GENSET, runs_on_a_tank
 from vppres.io import schema
-from vppres.scenario.gensets import Gensets
+from vppres.kinds.gensets.data import Gensets
 
 LITRES_PER_KWH = 0.246
 LITRES_PER_H_PER_KW = 0.08415

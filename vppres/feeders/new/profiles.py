@@ -11,7 +11,7 @@ import pandas as pd
 
 from vppres.core.arrays import Floats, Names
 from vppres.core.errors import InputError, Problem
-from vppres.core.text import named
+from vppres.core.text import iso, named
 from vppres.feeders.feeder import ImportedFeeder, Profile
 from vppres.feeders.new.assets import NewAssets, generator_table
 from vppres.feeders.new.gensets import taken
@@ -20,7 +20,6 @@ from vppres.feeders.series.files import units_missing
 from vppres.feeders.series.resample import OnGrid, on_grid
 from vppres.io.checks import RATING_TOLERANCE
 from vppres.io.messages import Suggestions, folded
-from vppres.io.times import iso
 from vppres.scenario.network import BusId
 from vppres.scenario.timegrid import TimeGrid
 

@@ -11,7 +11,8 @@ from pandas.tseries.frequencies import to_offset
 
 from vppres.core.arrays import Floats
 from vppres.core.errors import Problem
-from vppres.io.times import iso, usual_step
+from vppres.core.text import iso
+from vppres.io.times import usual_step
 from vppres.scenario.timegrid import TimeGrid
 
 _MINUTE = pd.Timedelta(minutes=1)

@@ -15,11 +15,11 @@ import cvxpy as cp
 import numpy as np
 
 from vppres.contract.dispatch import Dispatch
-from vppres.contract.gensets import SetsAhead
 from vppres.contract.stored_value import PIECES, StoredValue
 from vppres.core.arrays import Floats
+from vppres.kinds.gensets.physics import SetsAhead
+from vppres.kinds.gensets.rows import running
 from vppres.model.beyond_paper.addition import Addition, Held
-from vppres.model.beyond_paper.gensets import running
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
 from vppres.model.numerics import write
@@ -106,7 +106,7 @@ class ValueAtEnd(Addition):
     def worth(cls, site: Site, data: WindowData, dispatch: Dispatch) -> dict[str, float]:
         """What the energy at the end takes off the cost, and the later service that it buys."""
         value = data.require_value()
-        kept = value.at(left_kwh(site, value, data.ahead.gensets, dispatch))
+        kept = value.at(left_kwh(site, value, data.ahead.find(SetsAhead), dispatch))
         return {"f2": -value.gbp_as_cost * kept, "f7": kept if value.as_service else 0.0}
 
     @classmethod
@@ -121,7 +121,9 @@ class ValueAtEnd(Addition):
     def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> Held:
         """The energy at the end, and what comes off the cost for it."""
         missed_kwh = KEPT_TOLERANCE * float(site.batteries.energy_kwh.sum())
-        kept_kwh = left_kwh(site, data.require_value(), data.ahead.gensets, dispatch) - missed_kwh
+        kept_kwh = (
+            left_kwh(site, data.require_value(), data.ahead.find(SetsAhead), dispatch) - missed_kwh
+        )
         gbp = self.worth(site, data, dispatch)["f2"]
         return Held({"kept": 0.0}, {"E_stored": kept_kwh}, gbp)
 

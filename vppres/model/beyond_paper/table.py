@@ -4,23 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from itertools import chain
 
+from vppres.kinds.table import parts
 from vppres.model.beyond_paper.addition import Addition
 from vppres.model.beyond_paper.dimmed import DimmedDemand
 from vppres.model.beyond_paper.drawn import DrawnByNetwork
 from vppres.model.beyond_paper.export import ExportToGrid
 from vppres.model.beyond_paper.former_phases import FormerPhases
-from vppres.model.beyond_paper.gensets import GensetsModel
 from vppres.model.beyond_paper.longest_off import LongestTimeOff
 from vppres.model.beyond_paper.physical import PhysicalMode
 from vppres.model.beyond_paper.ratings import LineRatings
 from vppres.model.beyond_paper.stored_value import ValueAtEnd
 from vppres.model.beyond_paper.switching import SwitchingModel
 from vppres.model.beyond_paper.terminal import HeldAtEnd
-from vppres.model.beyond_paper.thermal_loads import ThermalLoadsModel
 from vppres.model.beyond_paper.unspent import StoredIsKept
-from vppres.model.beyond_paper.vehicles import Vehicles
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 
@@ -40,14 +39,12 @@ OF_WINDOWS: tuple[type[Addition], ...] = (
 PROVEN: tuple[type[Addition], ...] = (*OF_WINDOWS, LineRatings)
 """The same, and what shadow prices alone state: ratings, whose rows windows make by hand."""
 
-ADDITIONS: tuple[type[Addition], ...] = (
-    *OF_WINDOWS,
-    DimmedDemand,
-    Vehicles,
-    ThermalLoadsModel,
-    GensetsModel,
-)
-"""All of the package's; of others those stages know nothing, and are left out."""
+
+@cache
+def additions() -> tuple[type[Addition], ...]:
+    """All of the package's; of others those stages know nothing, and are left out."""
+    return (*OF_WINDOWS, DimmedDemand, *(part.ROWS for part in parts("rows").values()))
+
 
 _OWN: list[type[Addition]] = []
 
@@ -83,5 +80,5 @@ Beyond = tuple[tuple[type[Addition], Hashable], ...]
 
 def beyond_paper(site: Site, data: WindowData) -> Beyond:
     """The additions of a window."""
-    shapes = ((each, each.shape(site, data)) for each in chain(ADDITIONS, _OWN))
+    shapes = ((each, each.shape(site, data)) for each in chain(additions(), _OWN))
     return tuple((each, shape) for each, shape in shapes if shape is not None)

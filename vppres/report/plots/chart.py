@@ -13,14 +13,16 @@ from vppres.core.arrays import Floats, spans_of
 from vppres.day.metrics import horizon_h
 from vppres.day.trajectory import Trajectory
 from vppres.report.plots.axes import Scale, ScaleAxis, TimeAxis, ValueAxis, range_of
-from vppres.report.plots.canvas import FONT_PX, Canvas, text_px
-from vppres.report.plots.palette import (
+from vppres.report.plots.drawing import (
     BLACK,
+    FONT_PX,
     GREY,
     OUTAGE_COLOUR,
     RULE_COLOUR,
     RUN_STYLES,
+    Canvas,
     Style,
+    text_px,
 )
 
 Runs = Trajectory | Mapping[str, Trajectory]

@@ -11,7 +11,7 @@ from markupsafe import Markup
 from vppres.day.trajectory import Trajectory
 from vppres.report.pages import page
 from vppres.report.plots.chart import Chart
-from vppres.report.plots.files import FIGURE_TEXTS, chart_of
+from vppres.report.plots.figures import FIGURE_TEXTS, chart_of
 
 FOLDED_ABOVE = 40  # rows; longer tables are opened by a click
 
@@ -24,7 +24,7 @@ class Run:
     summary: Mapping[str, Any]
 
     def figure(self, name: str) -> Figure:
-        """A figure of :mod:`vppres.report.plots.files`."""
+        """A figure of :mod:`vppres.report.plots.figures`."""
         return figure_of(chart_of(self.trajectory, name), FIGURE_TEXTS[name])
 
 

@@ -10,7 +10,7 @@ from vppres.day.trajectory import Trajectory
 from vppres.explain.step import DRIVERS
 from vppres.explain.words import figure, money
 from vppres.report.clock import Clock
-from vppres.report.plots.worth import worth_of_energy
+from vppres.report.plots.figures import worth_of_energy
 from vppres.report.sections.base import FOLDED_ABOVE, Run, Section, figure_of, section
 from vppres.report.sections.narrative import episodes
 

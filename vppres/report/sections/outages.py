@@ -8,7 +8,7 @@ import pandas as pd
 
 from vppres.outlook.presets import completed
 from vppres.report.clock import Clock
-from vppres.report.plots.outages import has_beliefs
+from vppres.report.plots.figures import has_beliefs
 from vppres.report.sections.base import FOLDED_ABOVE, Run, Section, section
 from vppres.scenario.outage_warnings import OutageWarning
 

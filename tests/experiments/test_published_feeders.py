@@ -1,0 +1,53 @@
+"""The table of published feeders, from files that stand where theirs do."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from experiments.studies import published_feeders
+
+dss = pytest.importorskip("opendssdirect")
+
+SCRIPT = """clear
+new circuit.t basekv=4.16 pu=1.02 bus1=s mvasc3=200 mvasc1=180
+new line.l bus1=s bus2=b r1=.3 x1=.4 r0=.6 x0=1.2 length=1
+new load.a bus1=b.1 phases=1 kv=2.4 kw=100 pf=.95
+new load.off bus1=b.2 phases=1 kv=2.4 kw=9 enabled=no
+new load.dark bus1=far.2 phases=1 kv=2.4 kw=7
+new capacitor.c bus1=b kv=4.16 kvar=50 r=.1
+set voltagebases=[4.16]
+calcvoltagebases
+solve
+export voltages
+"""
+
+
+def test_each_feeder_is_compared_with_opendss_on_its_own_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    known = published_feeders.FEEDERS[:2]
+    master = tmp_path / published_feeders.WHERE / known[0].master
+    master.parent.mkdir(parents=True)
+    master.write_text(SCRIPT)
+    page = tmp_path / "page.md"
+    page.write_text(f"before\n{published_feeders.BEGIN}\n{published_feeders.END}\nafter\n")
+    monkeypatch.setattr(published_feeders, "FEEDERS", known)
+    app = published_feeders.typer.Typer()
+    app.command()(published_feeders.main)
+    results = tmp_path / "results"
+    done = CliRunner().invoke(app, [str(tmp_path), "--page", str(page), "--results", str(results)])
+    assert done.exit_code == 0, done.output
+    rows = [
+        line.split(" | ") for line in page.read_text().splitlines() if line.startswith("| IEEE")
+    ]
+    _, buses, loads, kw, words, apart, losses, _ = rows[0]
+    assert (buses, loads, kw, words, apart) == ("2", "1 of 2", "100.0 of 107.0", "", "< 1e-6")
+    own, theirs = losses.split(", ")
+    assert own == theirs
+    assert rows[1][4] == "is not in the folder"
+    assert [each.name for each in master.parent.iterdir()] == [master.name]  # nothing is written
+    where = CliRunner().invoke(app, [str(tmp_path), "--where"])
+    assert f"{known[0].label}: {published_feeders.WHERE}/{known[0].master}" in where.output

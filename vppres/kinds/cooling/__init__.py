@@ -1,0 +1,1 @@
+"""Rooms and tanks that a machine cools or heats, within a comfort band."""

@@ -1,0 +1,162 @@
+"""What thermometers of rooms and tanks say, and what is reckoned if they say nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from vppres.core.arrays import Flags, Floats, Names
+from vppres.kinds.cooling.data import ThermalLoads
+from vppres.kinds.cooling.physics import Climate, Rooms
+from vppres.scenario.scenario import Scenario
+
+STILL_C = 1.0
+"""What a temperature may have moved through by the model while its reading stands still, in K."""
+
+POWER_SHARE = 1e-3
+"""Share of a machine's power that solvers leave of none, or of all of it."""
+
+LEAST_RISE_C = 0.02
+"""By how much a room must change for a thermostat to notice."""
+
+
+def setpoints_c(loads: ThermalLoads, start_c: Floats, end_c: Floats, power_kw: Floats) -> Floats:
+    """Temperatures with which thermostats do what is planned for a step, (H,).
+
+    A machine that rests has the end of the band that it holds by itself, or what the room is
+    beyond it. One that runs has the temperature at the end of the step. At full power it has the
+    end of the band that it makes for, which keeps it running where the room does not follow.
+
+    Parameters
+    ----------
+    loads : ThermalLoads
+        Rooms and tanks.
+    start_c, end_c : array, shape (H,)
+        Temperatures at the beginning and at the end of the step.
+    power_kw : array, shape (H,)
+        Power of each machine.
+    """
+    warms = np.where(loads.heats, 1.0, -1.0)  # a cooled room is a heated one upside down
+    start, end, near = warms * start_c, warms * end_c, warms * loads.held_c
+    far = warms * np.where(loads.heats, loads.t_max_c, loads.t_min_c)
+    rests = power_kw <= POWER_SHARE * loads.p_max_kw
+    full = power_kw >= (1.0 - POWER_SHARE) * loads.p_max_kw
+    ahead = np.maximum(near, end)
+    ahead = np.where(ahead > start + LEAST_RISE_C, ahead, far)
+    asked = np.where(full, ahead, end)
+    return np.asarray(warms * np.where(rests, np.minimum(near, np.minimum(start, end)), asked))
+
+
+@dataclass(frozen=True, eq=False)
+class Felt:
+    """Rooms and tanks at the end of a step, (H,) each.
+
+    Parameters
+    ----------
+    read_c : array
+        Last reading; NaN if there was none.
+    reckoned_c : array
+        What has become of it since it moved last.
+    lowest_c, highest_c : array
+        The lowest and the highest that it became since then.
+    """
+
+    read_c: Floats
+    reckoned_c: Floats
+    lowest_c: Floats
+    highest_c: Floats
+
+    @classmethod
+    def before_the_day(cls, scenario: Scenario) -> Felt:
+        """Without readings: the temperatures of the scenario."""
+        start_c = scenario.thermal_loads.t_initial_c
+        return cls(np.full(len(start_c), np.nan), start_c, start_c, start_c)
+
+    def after(self, day: Scenario, steps: range, served: Flags) -> Felt:
+        """After steps in which nothing was decided: thermostats hold the comfort band."""
+        climate = Climate(day)
+        climate.state = self.reckoned_c
+        felt = self
+        for t in steps:
+            climate.advance(t, climate.thermostat_kw(t, day.thermal_loads.held_c, served))
+            felt = felt.moved_to(climate.state)
+        return felt
+
+    def moved_to(self, t_c: Floats) -> Felt:
+        """With other temperatures by the model."""
+        lowest_c = np.minimum(self.lowest_c, t_c)
+        return Felt(self.read_c, t_c, lowest_c, np.maximum(self.highest_c, t_c))
+
+
+@dataclass(frozen=True, eq=False)
+class Indoor:
+    """Temperatures at the beginning of a step, (H,) each.
+
+    Parameters
+    ----------
+    now_c : array
+        The estimate: the reading if there is one, else the model's. A reading that stands
+        still is not believed once the temperature has moved through more than ``STILL_C``, there
+        and back too.
+    felt : Felt
+        Readings, and what is reckoned since they moved last.
+    estimated : tuple of str
+        Readings that are missing or frozen, in words.
+    """
+
+    now_c: Floats
+    felt: Felt
+    estimated: tuple[str, ...]
+
+    @classmethod
+    def of(cls, ids: Names, read_c: Floats, past: Felt) -> Indoor:
+        """The temperatures of these readings, NaN where there is none, after a step."""
+        read = np.isfinite(read_c)
+        still = read & (read_c == past.read_c)
+        moves = read & ~still
+        reckoned_c, lowest_c, highest_c = (
+            np.where(moves, read_c, each)
+            for each in (past.reckoned_c, past.lowest_c, past.highest_c)
+        )
+        frozen = still & (highest_c - lowest_c > STILL_C)
+        missing = ~read & np.isfinite(past.read_c)
+        now_c = np.where(read & ~frozen, read_c, reckoned_c)
+        words = [
+            f"indoor_c {ids[i]} {now_c[i]:.1f} ({kind})"
+            for kind, flags in (("missing", missing), ("frozen", frozen))
+            for i in np.flatnonzero(flags)
+        ]
+        felt = Felt(np.where(read, read_c, past.read_c), reckoned_c, lowest_c, highest_c)
+        return cls(now_c, felt, tuple(words))
+
+    def after(self, day: Scenario, power_kw: Floats) -> Felt:
+        """What they are at the end of the first step of a day, with these powers."""
+        climate = Climate(day)
+        climate.state = self.felt.reckoned_c
+        return self.felt.moved_to(climate.after_c(0, power_kw))
+
+
+def set_points(day: Scenario, t: int, columns: Mapping[str, Any]) -> dict[str, Any]:
+    """Powers and temperatures of a step by thermal load, from its record."""
+    loads = day.thermal_loads
+    start_c, end_c, p_kw = columns["t_start_c"], columns["t_end_c"], columns["p_kw"]
+    return {
+        "customer": loads.customer,
+        "bus": loads.buses(day.customers),
+        "p_kw": p_kw,
+        "setpoint_c": setpoints_c(loads, start_c, end_c, p_kw),
+        "indoor_c": start_c,
+        "indoor_end_c": end_c,
+    }
+
+
+def foreseen(
+    window: Scenario, rooms: Rooms, taken_kw: Floats, running: Flags, times: pd.DatetimeIndex
+) -> dict[str, pd.DataFrame]:
+    """Temperatures that the plan's powers lead to; those without power where it has none."""
+    ids = [str(i) for i in window.thermal_loads.id]
+    return {"indoor_c": pd.DataFrame(rooms.t_c(taken_kw)[1:], times, ids)}

@@ -1,0 +1,57 @@
+"""Fields that a scenario, a run and its set-points have for each kind: bases of their classes.
+
+They follow from the table of kinds; a type checker sees those that there are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, make_dataclass
+from typing import TYPE_CHECKING, Any
+
+from vppres.kinds.table import KINDS, TABLES
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from vppres.kinds.cooling.data import ThermalLoads
+    from vppres.kinds.gensets.data import Gensets, Refuels
+    from vppres.kinds.vehicles.data import Chargers, Sessions
+
+    @dataclass(frozen=True, eq=False, kw_only=True)
+    class OfKinds:
+        """Tables of all kinds in a scenario, of length 0 where a site has nothing of a kind."""
+
+        chargers: Chargers = field(default_factory=Chargers)
+        sessions: Sessions = field(default_factory=Sessions)
+        thermal_loads: ThermalLoads = field(default_factory=ThermalLoads)
+        gensets: Gensets = field(default_factory=Gensets)
+        refuels: Refuels = field(default_factory=Refuels)
+
+    @dataclass(frozen=True, eq=False, kw_only=True)
+    class RunsOfKinds:
+        """Tables of all kinds in a run, None where a site has nothing of a kind."""
+
+        vehicles: pd.DataFrame | None = None
+        thermal_loads: pd.DataFrame | None = None
+        gensets: pd.DataFrame | None = None
+
+    @dataclass(frozen=True, eq=False, kw_only=True)
+    class SetPointsOfKinds:
+        """Set-points of all kinds, None where a site has nothing of a kind."""
+
+        chargers: pd.DataFrame | None = None
+        thermal_loads: pd.DataFrame | None = None
+        gensets: pd.DataFrame | None = None
+
+else:
+
+    def _class(name: str, fields: list[tuple[str, Any, Any]]) -> type:
+        return make_dataclass(name, fields, frozen=True, eq=False, kw_only=True)
+
+    OfKinds = _class(
+        "OfKinds", [(name, rows, field(default_factory=rows)) for name, rows in TABLES.items()]
+    )
+    RunsOfKinds = _class(
+        "RunsOfKinds", [(kind.table, Any, field(default=None)) for kind in KINDS.values()]
+    )
+    SetPointsOfKinds = _class("SetPointsOfKinds", [(k, Any, field(default=None)) for k in KINDS])

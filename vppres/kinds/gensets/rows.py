@@ -1,0 +1,308 @@
+"""Generating sets: on and off, starts, ramps, least times, and a tank of fuel.
+
+A set has one binary for each step. Its starts follow from it and are whole by themselves. Fuel is a
+line over the power, so its level is exact. What is burnt costs its price and what is left does not:
+the price is the worth of a litre at the end of a window. Without sets no problem has any of this.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Self
+
+import cvxpy as cp
+import numpy as np
+
+from vppres.contract.dispatch import Dispatch
+from vppres.core.arrays import Flags, Floats, Wholes
+from vppres.kinds.gensets.data import steps_of
+from vppres.kinds.gensets.physics import SetsAhead
+from vppres.model.beyond_paper.addition import Addition, Held
+from vppres.model.constraints import Named
+from vppres.model.data import WindowData
+from vppres.model.numerics import write
+from vppres.model.site import Site
+from vppres.model.variables import Parameters, Variables
+
+
+@dataclass(frozen=True, eq=False)
+class GensetsModel(Addition):
+    """Variables and parameters of G sets over W steps.
+
+    Parameters
+    ----------
+    site : Site
+        Fixed data.
+    on : cvxpy.Variable, shape (W, G)
+        1 for a set that runs.
+    start : cvxpy.Variable, shape (W, G)
+        1 for a set that starts.
+    power, fuel : cvxpy.Variable, shape (W, G)
+        Power in kW; fuel at the end of the step in litres.
+    can_run, can_start, must_run, was_on, was_kw, added : cvxpy.Parameter, shape (W, G)
+        See :class:`vppres.kinds.gensets.physics.SetsAhead`.
+    reactive : cvxpy.Variable, shape (W, G), optional
+        Reactive power as a share of the largest; none where no set can form the grid.
+    headroom, q_most, at_once : cvxpy.Parameter, shape (W, G), optional
+        What a set that forms the grid leaves free in kW, its largest reactive power, and by how
+        much it moves beyond its ramps in kW: it follows the load.
+    stands_for : cvxpy.Parameter, shape (G,)
+        Energy in a battery that a litre stands for at the end, where such energy has a value.
+    """
+
+    by_dispatch: ClassVar[tuple[str, ...]] = ("gs_on", "gs_start", "gs_power", "gs_fuel")
+    met: ClassVar[tuple[str, ...]] = (
+        "gs_most",
+        "gs_least",
+        "gs_starts",
+        "gs_can_start",
+        "gs_can_run",
+        "gs_must_run",
+        "gs_in_use",
+        "gs_min_on",
+        "gs_min_off",
+        "gs_ramp_up",
+        "gs_ramp_down",
+        "gs_fuel_level",
+        "gs_tank",
+    )
+
+    of_network: ClassVar[tuple[str, ...]] = ("gs_reactive",)
+
+    site: Site
+    on: cp.Variable
+    start: cp.Variable
+    power: cp.Variable
+    fuel: cp.Variable
+    can_run: cp.Parameter
+    can_start: cp.Parameter
+    must_run: cp.Parameter
+    was_on: cp.Parameter
+    was_kw: cp.Parameter
+    added: cp.Parameter
+    stands_for: cp.Parameter
+    reactive: cp.Variable | None = None
+    headroom: cp.Parameter | None = None
+    q_most: cp.Parameter | None = None
+    at_once: cp.Parameter | None = None
+
+    @classmethod
+    def shape(cls, site: Site, data: WindowData) -> Hashable | None:
+        """Whether there are any, and whether one can form the grid."""
+        if data.ahead.find(SetsAhead) is None:
+            return None
+        return "forming" if site.gensets.grid_forming.any() else "following"
+
+    @classmethod
+    def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
+        """Sets of a window."""
+        size = (v.x_served.shape[0], len(site.gensets))
+        names = ("can_run", "can_start", "must_run", "was_on", "was_kw", "added")
+        forming: dict[str, Any] = {}
+        if shape == "forming":
+            forming = {
+                "reactive": cp.Variable(size, name="gs_reactive", bounds=[-1.0, 1.0]),
+                "headroom": cp.Parameter(size, name="gs_headroom_by_step", nonneg=True),
+                "q_most": cp.Parameter(size, name="gs_q_most_by_step", nonneg=True),
+                "at_once": cp.Parameter(size, name="gs_at_once_by_step", nonneg=True),
+            }
+        return cls(
+            site,
+            cp.Variable(size, name="gs_on", boolean=True),
+            cp.Variable(size, name="gs_start", nonneg=True),
+            cp.Variable(size, name="gs_power", nonneg=True),
+            cp.Variable(size, name="gs_fuel", nonneg=True),
+            **{name: cp.Parameter(size, name=f"gs_{name}_by_step", nonneg=True) for name in names},
+            stands_for=cp.Parameter(size[1], name="gs_kwh_per_litre", nonneg=True),
+            **forming,
+        )
+
+    def parameters(self, site: Site) -> dict[str, cp.Expression]:
+        """What sets give at the buses, from which batteries may charge."""
+        place = site.unit_bus["gensets"].T
+        forming = {} if self.reactive is None else {"Q_added": -self._given_kvar @ place}
+        return {
+            **forming,
+            "P_added": -self.power @ place,
+            "P_fed_added": cp.sum(self.power, axis=1),
+            "E_kept_added": self.stands_for @ self.fuel[-1],
+        }
+
+    def families(self, site: Site, v: Variables, p: Parameters) -> Named:
+        """Switching, powers and fuel, and what a set that forms the grid leaves free."""
+        return self._switching() | self._powers() | self._fuel() | self._forming()
+
+    def _switching(self) -> Named:
+        """Starts, least times on and off, and the steps in which a set may be on."""
+        sets = self.site.gensets
+        young = self._lately(sets.min_on_h)
+        return {
+            "gs_starts": self.on - self._before(self.on, self.was_on) <= self.start,
+            "gs_can_start": self.start <= self.can_start,
+            "gs_can_run": self.on <= self.can_run,
+            "gs_must_run": self.on >= self.must_run,
+            "gs_in_use": self.on <= self.can_start + self.must_run + young,
+            "gs_min_on": young <= self.on + self._spent,
+            "gs_min_off": self._lately(sets.min_off_h) + self._on_then() <= 1.0,
+        }
+
+    @property
+    def _spent(self) -> cp.Expression | float:
+        """1 where a set that could form the grid cannot run: its fuel ends its least time on."""
+        return 0.0 if self.reactive is None else 1.0 - self.can_run
+
+    def _powers(self) -> Named:
+        """Largest and least power, and ramps; a set may stop from any power."""
+        sets = self.site.gensets
+        dt_h = self.site.dt_h
+        on_before = self._before(self.on, self.was_on)
+        rise = self.power - self._before(self.power, self.was_kw)
+        stop = on_before - self.on + self.start
+        at_once = 0.0 if self.at_once is None else self.at_once
+        return {
+            "gs_most": self.power <= _times(self.on, sets.p_max_kw),
+            "gs_least": self.power >= _times(self.on, sets.p_min_kw),
+            "gs_ramp_up": rise
+            <= _times(on_before, sets.rise_kw(dt_h))
+            + _times(self.start, sets.first_kw(dt_h))
+            + at_once,
+            "gs_ramp_down": -rise
+            <= _times(self.on, sets.fall_kw(dt_h)) + _times(stop, sets.p_max_kw) + at_once,
+        }
+
+    def _fuel(self) -> Named:
+        """Fuel from step to step; what does not fit into the tank is not delivered."""
+        filled = self.fuel + self._litres
+        before = np.eye(self.fuel.shape[0], k=-1) @ self.fuel
+        tank = np.broadcast_to(self.site.gensets.tank_litres, self.fuel.shape)
+        return {"gs_fuel_level": filled <= before + self.added, "gs_tank": filled <= tank}
+
+    def _forming(self) -> Named:
+        """Headroom, and fuel for a step of it, where a set forms the grid."""
+        if self.reactive is None:
+            return {}
+        assert self.headroom is not None
+        sets = self.site.gensets
+        kept = _times(self.headroom, self.site.dt_h * sets.litres_per_kwh)
+        return {
+            "gs_room_above": self.power + self.headroom <= _times(self.on, sets.p_max_kw),
+            "gs_room_below": self.power - self.headroom >= _times(self.on, sets.p_min_kw),
+            "gs_fuel_kept": self.fuel >= kept,
+        }
+
+    @property
+    def _given_kvar(self) -> cp.Expression:
+        """Reactive power of each set, (W, G), of sites where one can form the grid."""
+        assert self.reactive is not None
+        return cp.multiply(self.q_most, self.reactive)
+
+    @property
+    def _litres(self) -> cp.Expression:
+        """Fuel burnt in each step, (W, G)."""
+        sets = self.site.gensets
+        of_power = _times(self.power, self.site.dt_h * sets.litres_per_kwh)
+        return of_power + _times(self.on, self.site.dt_h * sets.litres_per_h_idle)
+
+    def _before(self, x: cp.Variable, first: cp.Parameter) -> cp.Expression:
+        """Values of the step before, (W, G)."""
+        return np.eye(x.shape[0], k=-1) @ x + first
+
+    def _lately(self, hours: Floats) -> cp.Expression:
+        """Starts in a step and the steps before it, as many as a least time has, (W, G)."""
+        W = self.start.shape[0]
+        columns = [
+            (np.tri(W) - np.tri(W, k=-int(n))) @ self.start[:, g]
+            for g, n in enumerate(self._steps(hours))
+        ]
+        return cp.vstack(columns).T
+
+    def _on_then(self) -> cp.Expression:
+        """Whether sets were on before the steps in which a start is too early, (W, G)."""
+        W = self.on.shape[0]
+        columns = []
+        for g, n in enumerate(self._steps(self.site.gensets.min_off_h)):
+            before = (np.arange(W) < n).astype(float) * self.was_on[0, g]
+            columns.append(np.eye(W, k=-int(n)) @ self.on[:, g] + before)
+        return cp.vstack(columns).T
+
+    def _steps(self, hours: Floats) -> Wholes:
+        """Steps of least times, at least one."""
+        return np.maximum(steps_of(hours, self.site.dt_h), 1)
+
+    def terms(self) -> dict[str, cp.Expression]:
+        """What fuel and starts cost."""
+        sets = self.site.gensets
+        fuel = cp.sum(_times(self._litres, sets.fuel_price_gbp_per_litre))
+        return {"f2": fuel + cp.sum(_times(self.start, sets.start_cost_gbp))}
+
+    def fill(self, site: Site, data: WindowData) -> None:
+        """Write the sets of a window."""
+        ahead = data.ahead.known(SetsAhead)
+        write(self.can_run, ahead.can_run.astype(float))
+        write(self.can_start, ahead.may_start(site.gensets, data.dark).astype(float))
+        write(self.must_run, ahead.must_run.astype(float))
+        write(self.was_on, ahead.was_on)
+        write(self.was_kw, ahead.was_kw)
+        write(self.added, ahead.added_litres)
+        if self.headroom is not None and self.q_most is not None and self.at_once is not None:
+            write(self.headroom, ahead.headroom_kw)
+            write(self.at_once, np.where(ahead.forms, site.gensets.p_max_kw, 0.0))
+            write(self.q_most, ahead.q_most_kvar(site.gensets))
+        nothing = np.zeros(len(site.gensets))
+        value = data.stored_value
+        write(self.stands_for, nothing if value is None else value.kwh_per_litre)
+
+    @classmethod
+    def worth(cls, site: Site, data: WindowData, dispatch: Dispatch) -> dict[str, float]:
+        """What fuel and starts cost."""
+        sets = site.gensets
+        on, power_kw = running(site, dispatch)
+        litres = sets.litres(on, power_kw, site.dt_h)
+        starts = data.ahead.known(SetsAhead).starts(on)
+        cost = litres @ sets.fuel_price_gbp_per_litre + starts @ sets.start_cost_gbp
+        return {"f2": float(cost.sum())}
+
+    @classmethod
+    def cost_range(
+        cls, site: Site, data: WindowData, least_gbp: Floats, dearest_gbp: Floats
+    ) -> tuple[Floats, Floats]:
+        """All sets at their largest power, and started, in every step."""
+        sets = site.gensets
+        litres = sets.litres(np.ones(len(sets), dtype=bool), sets.p_max_kw, site.dt_h)
+        most_gbp = litres @ sets.fuel_price_gbp_per_litre + sets.start_cost_gbp.sum()
+        return least_gbp, dearest_gbp + float(most_gbp)
+
+    def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> Held:
+        """Switching, power and fuel of every set."""
+        ahead = data.ahead.known(SetsAhead)
+        on, power_kw = running(site, dispatch)
+        fuel = ahead.fuel_litres(site.gensets, on, power_kw, site.dt_h)
+        letters = (on.astype(float), ahead.starts(on).astype(float), power_kw, fuel)
+        return Held(dict(zip(self.by_dispatch, letters, strict=True)))
+
+    def read(self, found: Dispatch) -> Dispatch:
+        """Which sets run, and what each gives."""
+        on = np.reshape(np.asarray(self.on.value, dtype=float), self.on.shape) > 0.5
+        power_kw = np.reshape(np.asarray(self.power.value, dtype=float), self.power.shape)
+        sets = self.site.gensets
+        within_kw = np.clip(power_kw, sets.p_min_kw, sets.p_max_kw)
+        found = found.acting("gensets", -np.where(on, within_kw, 0.0), on)
+        if self.reactive is None or self.reactive.value is None:
+            return found
+        given_kvar = np.reshape(self._given_kvar.value, on.shape)
+        return replace(found, given_kvar={"gensets": given_kvar})
+
+
+def running(site: Site, dispatch: Dispatch) -> tuple[Flags, Floats]:
+    """Which sets run, and what each gives in kW, (W, G) each."""
+    sets = site.gensets
+    return dispatch.running_of("gensets", sets), -dispatch.taken_by("gensets", sets)
+
+
+def _times(x: cp.Expression, factors: Floats) -> cp.Expression:
+    """The columns of x, (W, G), times their factors, (G,)."""
+    return x @ np.diag(factors)
+
+
+ROWS = GensetsModel

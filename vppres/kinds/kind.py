@@ -1,0 +1,223 @@
+"""What every layer asks of a kind of flexible power: names, windows, units of the plant.
+
+Power is what the n units of a kind take, negative where they give.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol, Self
+
+import numpy as np
+
+from vppres.core.arrays import Flags, Floats, Items, Names, Wholes
+from vppres.core.by_step import ByStep
+from vppres.core.errors import InputError, Problem
+
+
+class KindTable(Items):
+    """A file of a kind in a scenario's folder: arrays by column.
+
+    ``attributes.csv`` in the kind's folder has a line for each column.
+
+    Attributes
+    ----------
+    key : str
+        Name of the file without its ending, which is its key under ``[files]``.
+    model, about : str
+        Name of the model of a row, and what a row is, for the documentation.
+    references : tuple
+        Columns with identifiers of another table: the column, the key of that table, what it holds.
+    limits : tuple
+        Columns that must not exceed another one of their row, with the cure where it is special.
+    """
+
+    key: ClassVar[str]
+    model: ClassVar[str]
+    about: ClassVar[str]
+    references: ClassVar[tuple[tuple[str, str, str], ...]] = ()
+    limits: ClassVar[tuple[tuple[str, str, str], ...]] = ()
+
+    @classmethod
+    def of_columns(cls, columns: dict[str, Any], tiers: Mapping[str, float]) -> Self:
+        """The table of what a file says; numbers that it does not say are NaN."""
+        return cls(**columns)
+
+    @classmethod
+    def problems(cls, table: Any, rows: Mapping[int, Any]) -> list[Problem]:
+        """What is wrong with rows of the file beside one another."""
+        return []
+
+    @property
+    def unsaid(self) -> tuple[str, ...]:
+        """Columns that need not be written."""
+        return ()
+
+
+@dataclass(frozen=True)
+class Kind:
+    """Names of a kind.
+
+    Parameters
+    ----------
+    tables : mapping
+        Its files by field of the scenario, that of its units first.
+    what : str
+        What a controller plans, in words.
+    table, item : str
+        KindTable of a run, and its column of units.
+    subject : str
+        Item of the explanations that reasons are about.
+    gives : bool
+        Whether the column ``p_kw`` of that table is what units give.
+    """
+
+    tables: Mapping[str, type[KindTable]]
+    what: str
+    table: str
+    item: str
+    subject: str
+    gives: bool = False
+
+    @property
+    def file(self) -> str:
+        """File of its units in a scenario's folder."""
+        return f"{next(iter(self.tables.values())).key}.csv"
+
+    @property
+    def word(self) -> str:
+        """A unit in a sentence."""
+        return self.item.replace("_", " ")
+
+
+class Units(Protocol):
+    """The units of a kind in a scenario, a table of n rows."""
+
+    @property
+    def id(self) -> Names:
+        """Names, (n,)."""
+
+    @property
+    def largest_kw(self) -> Floats:
+        """Largest power of each, (n,)."""
+
+    def __len__(self) -> int: ...
+
+    def owner(self, customers: Any) -> Wholes:
+        """Position of each unit's customer, (n,); 0 for one that stands alone."""
+
+    def buses(self, customers: Any) -> Names:
+        """Bus of each, (n,)."""
+
+    def connected(self, customers: Any, served: Flags) -> Flags:
+        """Units that have voltage if these customers are served, (..., n) for (..., C)."""
+
+
+class UnitsAhead(ByStep):
+    """What is known of the units of a kind in a window, (W, n) each; ``WINDOW`` of its physics.
+
+    ``units`` are those of the scenario. ``running`` says which are on, of a kind that is started
+    and stopped.
+    """
+
+    def in_the_dark(self, lit: Flags) -> Any:
+        """The same without power but in the lit steps, (W, 1)."""
+        raise NotImplementedError
+
+    def without_duties(self) -> Any:
+        """The same without units that have to stay on."""
+        return self
+
+    def most_taken_kw(self, units: Any) -> Floats:
+        """Most that all take together, (W,)."""
+        return np.zeros(len(self._arrays()[0]))
+
+    def most_given_kw(self, units: Any) -> Floats:
+        """Most that all give together, (W,)."""
+        return np.zeros(len(self._arrays()[0]))
+
+    def power_beyond_kw(
+        self, units: Any, connected: Flags, taken_kw: Floats, running: Flags, dt_h: float
+    ) -> Floats:
+        """By how much powers are beyond what units can do, (W, n)."""
+        raise NotImplementedError
+
+    def stored_beyond_kw(self, units: Any, taken_kw: Floats, running: Flags, dt_h: float) -> Floats:
+        """By how much what they store is outside its limits, as a power over the step, (W, n)."""
+        return np.zeros_like(taken_kw)
+
+
+class Followers(Protocol):
+    """The units of a kind in the plant, what they do of what is asked; ``PLANT`` of its physics.
+
+    ``state`` is what a step leaves to the next.
+    """
+
+    state: Any
+
+    def at(self, t: int) -> Any:
+        """State at the beginning of a step."""
+
+    def on(self, served: Flags) -> Flags:
+        """Units that are connected, if these customers are served, (n,)."""
+
+    def follow(
+        self, t: int, wanted_kw: Floats, running: Flags, served: Flags
+    ) -> tuple[Floats, Flags]:
+        """Power nearest to what is wanted, and which units run, of a kind that is started."""
+
+    def spare_kw(self, taken_kw: Floats, running: Flags) -> Floats:
+        """By how much each can give less without stopping, (n,)."""
+
+    def advance(self, t: int, taken_kw: Floats, running: Flags) -> None:
+        """The state at the end of a step."""
+
+
+DEARER = 2.0
+"""How much dearer a missed kWh must be than any energy that could be given instead."""
+
+
+def refuse_dear_energy(scenario: Any, what: str, worth: float) -> None:
+    """Refuse prices of energy beside which what units miss would count nothing.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Its prices and their weight.
+    what : str
+        What is missed, in words, with so many that share its price.
+    worth : float
+        Least worth of a missed kWh, in weighted customer hours; infinite if none is missed.
+
+    Raises
+    ------
+    InputError
+        If a missed kWh is not dearer than any energy.
+    """
+    dearest = float(np.abs(scenario.price_gbp_per_kwh).max())
+    if worth < DEARER * scenario.objective.lambda_grid * dearest:
+        raise InputError.of(
+            "scenario.toml",
+            f"makes energy dearer than what {what} may count",
+            f"Give at most {worth / DEARER / dearest:.1e}, or fewer of them.",
+            field="objective.lambda_grid",
+            value=scenario.objective.lambda_grid,
+        )
+
+
+NAMES_SHOWN = 6
+"""Units that a sentence names."""
+
+
+def price_scale(weight: Floats, most: Floats, least_weight: float, dt_h: float) -> float:
+    """Price of a unit that is missed at weight 1, in weighted customer hours: kWh, or K h.
+
+    All that can be missed at most counts half a step of the customer of this least weight: no
+    service is given up for it.
+
+    >>> price_scale(np.array([1.0, 2.0]), np.array([50.0, 25.0]), least_weight=1.0, dt_h=0.5)
+    0.0025
+    """
+    total = float((weight * most).sum())
+    return 0.5 * least_weight * dt_h / total if total else 0.0

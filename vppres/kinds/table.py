@@ -1,0 +1,41 @@
+"""The kinds of flexible power that a site may have. A new kind is a folder and a line here.
+
+Everywhere else a kind is the name of its field in the scenario, and every layer loops over kinds:
+it asks for its part of each by :func:`parts`.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+from vppres.kinds.kind import Kind, KindTable, Units
+
+FOLDERS = {"chargers": "vehicles", "thermal_loads": "cooling", "gensets": "gensets"}
+"""Folder of each kind, in the order of letters, tables and words."""
+
+
+def parts(name: str) -> dict[str, Any]:
+    """The module of this name of each kind: ``data``, ``physics``, ``rows``, ``record`` and so on.
+
+    >>> [part.KIND.item for part in parts("data").values()]
+    ['charger', 'thermal_load', 'genset']
+    """
+    return {
+        kind: import_module(f"vppres.kinds.{folder}.{name}") for kind, folder in FOLDERS.items()
+    }
+
+
+KINDS: dict[str, Kind] = {kind: data.KIND for kind, data in parts("data").items()}
+
+
+TABLES: dict[str, type[KindTable]] = {
+    field: rows for kind in KINDS.values() for field, rows in kind.tables.items()
+}
+"""Tables of all kinds by field of the scenario."""
+
+
+def units_of(site: Any) -> dict[str, Units]:
+    """Units of each kind that a scenario or site has any of."""
+    found: dict[str, Units] = {name: getattr(site, name) for name in KINDS}
+    return {name: units for name, units in found.items() if len(units)}

@@ -1,0 +1,257 @@
+"""What is measured of vehicles, laid over the sessions of a scenario."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from vppres.core.arrays import Flags, Floats
+from vppres.kinds.vehicles.data import NO_CAR, OF_SESSIONS, Sessions
+from vppres.kinds.vehicles.physics import Plugged
+from vppres.kinds.vehicles.record import SHORT_KWH
+from vppres.live.door import Door
+from vppres.scenario.scenario import Scenario
+
+QUANTITIES = ("plugged", "ev_soc", "energy_needed_kwh", "departure")
+"""What can be known of the vehicle at a charger."""
+
+
+@dataclass(frozen=True)
+class Stay:
+    """A vehicle as it was known at a charger in a step: a row of :class:`Sessions`."""
+
+    charger: str
+    vehicle: str
+    plug_in: pd.Timestamp
+    plug_out: pd.Timestamp
+    capacity_kwh: float
+    soc_at_plug_in: float
+    soc_needed: float
+    energy_needed_kwh: float
+    v2g_soc_floor: float
+    tier: str
+    weight: float
+    announced: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """The vehicles at chargers after a step, and their energy.
+
+    ``since`` is the time of plug-in as text by charger, empty without a vehicle; ``kwh`` has the
+    shape (K,).
+    """
+
+    since: tuple[str, ...]
+    kwh: Floats
+    stays: tuple[Stay, ...] = ()
+
+    @classmethod
+    def of(cls, scenario: Scenario, t: int, kwh: Floats) -> Held:
+        """The vehicles of a step with their energy at its end."""
+        here = [s for s in scenario.session_at[t].tolist() if s != NO_CAR]
+        rows = rows_of(scenario.sessions) if here else []
+        return cls(_since(scenario, t), kwh, tuple(Stay(**rows[s]) for s in here))
+
+    def at(self, scenario: Scenario, t: int) -> Floats:
+        """Energy of the vehicles of a step that have been here before, NaN of others, (K,)."""
+        now = _since(scenario, t)
+        pairs = zip(now, self.since, strict=True)
+        stays = [name != "" and name == before for name, before in pairs]
+        return np.where(stays, self.kwh, np.nan)
+
+
+def _since(scenario: Scenario, t: int) -> tuple[str, ...]:
+    """When the vehicle at each charger was plugged in."""
+    rows = scenario.session_at[t].tolist()
+    plug_in = scenario.sessions.plug_in
+    return tuple("" if row == NO_CAR else plug_in[row].isoformat() for row in rows)
+
+
+def with_vehicles(
+    door: Door, scenario: Scenario, told: Mapping[str, Any], stays: Iterable[Stay] = ()
+) -> tuple[Scenario, Floats]:
+    """The scenario with sessions as they are measured, and energies that were read, (K,).
+
+    Vehicles stay as they were known in the step before until they leave. A charger without
+    a vehicle ends its session; that is named. A vehicle that tells the energy that it needs has
+    a session from now on; its departure is that of the session before if it tells none. One that is
+    plugged in after its departure, or of which none is known, stays for this step, and is named.
+    Energies are NaN if no state of charge was read.
+    """
+    chargers = scenario.chargers
+    none = np.full(len(chargers), np.nan)
+    plugged, soc, needed_kwh = (
+        door.values(name, told.get(name), chargers.id, none) for name in QUANTITIES[:3]
+    )
+    departure = door.moments("departure", told.get("departure"), chargers.id)
+    held_kwh = none.copy()
+    if door.problems or not len(chargers):
+        return scenario, held_kwh
+    own: dict[str, list[Row]] = {str(name): [] for name in chargers.id}
+    for row in rows_of(scenario.sessions):
+        own[row["charger"]].append(row)
+    for stay in stays:
+        row = dict(vars(stay))
+        own[stay.charger] = [*_beside(own[stay.charger], row, door.begun), row]
+    for k, (name, rows) in enumerate(own.items()):
+        read = _Read(plugged[k], soc[k], needed_kwh[k], departure[k])
+        before = _at_charger(rows, read.here, door.begun, scenario.grid.step)
+        now, words = _as_read(read, before, name, scenario, door.begun)
+        door.left_out.extend(words)
+        own[name] = [row for row in rows if row is not before]
+        if now is not None:
+            own[name] = [*_beside(own[name], now, door.begun), now]
+            held_kwh[k] = read.soc * now["capacity_kwh"] if _by_soc(now) else np.nan
+    told_of = [row for rows in own.values() for row in rows]
+    return replace(scenario, sessions=sessions_of(told_of)), held_kwh
+
+
+Row = dict[str, Any]  # of a session, by column
+
+
+@dataclass(frozen=True)
+class _Read:
+    """What is read of the vehicle at a charger, NaN or None where nothing is."""
+
+    plugged: float
+    soc: float
+    needed_kwh: float
+    departure: pd.Timestamp | None
+
+    @property
+    def here(self) -> bool:
+        """Whether a vehicle is read to be here."""
+        return self.plugged == 1.0 or bool(self.plugged != 0.0 and np.isfinite(self.needed_kwh))
+
+
+def _as_read(
+    read: _Read,
+    before: Row | None,
+    charger: str,
+    scenario: Scenario,
+    begun: pd.Timestamp,
+) -> tuple[Row | None, list[str]]:
+    """The session of a charger as it is read, and what is odd about it."""
+    end = begun + scenario.grid.step
+    if read.plugged == 0.0:
+        left = f"vehicle {before['vehicle']} left {charger} before its departure" if before else ""
+        return None, [left] if left else []
+    if before is None and not np.isfinite(read.needed_kwh):
+        unknown = f"vehicle at {charger} is here and what it needs is not known"
+        return None, [unknown] if read.here else []
+    words = []
+    vehicle = f"vehicle {before['vehicle'] if before else charger} at {charger}"
+    leaves = read.departure or (before["plug_out"] if before else None)
+    if read.here and (leaves is None or leaves <= begun):
+        known = "after its departure" if leaves else "and its departure is not known"
+        words.append(f"{vehicle} is here {known}")
+        leaves = end
+    elif read.here and leaves is not None and leaves < end:
+        words.append(f"{vehicle} leaves within this step and is not charged in it")
+    leaves = max(leaves or begun, begun)
+    if not np.isfinite(read.needed_kwh):
+        assert before is not None
+        return {**before, "plug_out": leaves}, words
+    row = _needing(scenario, charger, before, read.needed_kwh)
+    most_kwh = (before or row)["capacity_kwh"]
+    if read.needed_kwh > most_kwh:
+        words.append(f"{vehicle} needs {read.needed_kwh:g} kWh, and holds {most_kwh:g} kWh")
+        row["energy_needed_kwh"] = most_kwh
+    return {**row, "plug_in": begun, "plug_out": leaves}, words
+
+
+def _at_charger(
+    rows: Sequence[Row], here: bool, begun: pd.Timestamp, step: pd.Timedelta
+) -> Row | None:
+    """The session of a charger now, of its own.
+
+    Where a vehicle is here that is the one that was over last, unless another begins in this step.
+    """
+    now = [row for row in rows if row["plug_in"] <= begun < row["plug_out"]]
+    if not now and here and not any(begun < row["plug_in"] < begun + step for row in rows):
+        now = [row for row in rows if row["plug_out"] <= begun]
+    return max(now, key=lambda row: row["plug_out"], default=None)
+
+
+def _beside(rows: Iterable[Row], one: Row, begun: pd.Timestamp) -> list[Row]:
+    """Sessions of a charger for which a vehicle at it leaves time; some begin later."""
+    found = []
+    for row in rows:
+        if row["plug_out"] <= begun:
+            found.append(row)
+        elif row["plug_in"] > one["plug_in"] and row["plug_out"] > one["plug_out"]:
+            found.append({**row, "plug_in": max(row["plug_in"], one["plug_out"])})
+    return found
+
+
+def _by_soc(row: Row) -> bool:
+    """Whether a session is of a vehicle that tells its state of charge."""
+    return bool(np.isnan(row["energy_needed_kwh"]))
+
+
+def rows_of(sessions: Sessions) -> list[dict[str, Any]]:
+    """Sessions one by one."""
+    names = [f.name for f in fields(sessions)]
+    columns = (getattr(sessions, name) for name in names)
+    return [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
+
+
+def sessions_of(rows: Sequence[Mapping[str, Any]]) -> Sessions:
+    """Sessions from their rows."""
+    columns: dict[str, Any] = {f.name: [row[f.name] for row in rows] for f in fields(Sessions)}
+    return Sessions(**columns)
+
+
+def _needing(
+    scenario: Scenario, charger: str, before: Mapping[str, Any] | None, needed_kwh: float
+) -> dict[str, Any]:
+    """A session of a vehicle that tells the energy that it needs; without a name its charger's.
+
+    One of which no tier is known has the weight of the least.
+    """
+    least = float(scenario.sessions.weight.min(initial=np.inf))
+    unknown = {
+        "vehicle": charger,
+        "tier": scenario.tiers[-1],
+        "weight": least if np.isfinite(least) else 1.0,
+    }
+    nothing = dict.fromkeys(OF_SESSIONS, np.nan)
+    own = {**nothing, **(before or unknown), "charger": charger, "announced": True}
+    told = {"soc_at_plug_in": np.nan, "soc_needed": np.nan, "v2g_soc_floor": np.nan}
+    return {**own, **told, "energy_needed_kwh": needed_kwh}
+
+
+def set_points(day: Scenario, t: int, columns: Mapping[str, Any]) -> dict[str, Any]:
+    """Powers and limits of a step by charger, from its record."""
+    plug_out = day.sessions.plug_out
+    here = day.session_at[t].tolist()
+    return {
+        "vehicle": columns["vehicle"],
+        "leaves": [pd.NaT if s == NO_CAR else plug_out[s] for s in here],
+        "p_kw": columns["p_kw"],
+        "p_limit_kw": np.maximum(columns["p_kw"], 0.0),
+        "energy_kwh": columns["energy_start_kwh"],
+        "needed_kwh": columns["needed_kwh"],
+    }
+
+
+def foreseen(
+    window: Scenario, ahead: Plugged, taken_kw: Floats, running: Flags, times: pd.DatetimeIndex
+) -> dict[str, pd.DataFrame]:
+    """Known vehicles that leave short within the plan; what leaves after it is not judged."""
+    chargers, sessions = window.chargers, window.sessions
+    short_kwh = ahead.short_kwh(ahead.energy_kwh(taken_kw, chargers, window.grid.dt_h))
+    _, after = sessions.steps(window.grid)
+    rows = []
+    for t, k in np.argwhere(ahead.known & (short_kwh > SHORT_KWH)).tolist():
+        s = int(window.session_at[t, k])
+        if after[s] == t + 1:  # what is due by the window's end alone is no departure
+            who = (str(chargers.id[k]), str(sessions.vehicle[s]))
+            rows.append((*who, sessions.plug_out[s], float(short_kwh[t, k])))
+    columns = ["id", "vehicle", "leaves", "short_kwh"]
+    return {"left_short": pd.DataFrame(rows, columns=columns).set_index("id")}

@@ -1,0 +1,315 @@
+"""Vehicles that are plugged in over the steps of a window: arrays, by charger.
+
+:mod:`vppres.kinds.vehicles.rows` states a problem with them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from vppres.core.arrays import Flags, Floats
+from vppres.kinds.kind import UnitsAhead, price_scale, refuse_dear_energy
+from vppres.kinds.vehicles.data import Chargers, Sessions
+from vppres.kinds.vehicles.past_days import PastDays
+from vppres.scenario.scenario import Scenario
+
+
+@dataclass(frozen=True, eq=False)
+class Plugged(UnitsAhead):
+    """What is known of vehicles in W steps at K chargers, (W, K) each; energies in kWh.
+
+    Parameters
+    ----------
+    here : array of bool
+        Steps in which a vehicle is plugged in, as far as is known or expected.
+    known : array of bool
+        Those of them with a vehicle that is known. One that is expected may not come, and gives
+        nothing back.
+    stays : array of bool
+        Steps that begin with the vehicle of the step before.
+    held_kwh : array
+        Energy in the vehicle of which it is the first step of the window, otherwise 0.
+    full_kwh, floor_kwh : array
+        Energy that it holds at most, and below which it is not discharged.
+    line_kwh : array
+        Energy at the end of the step on the straight line from what it holds at plug-in to what it
+        needs at departure.
+    weight : array
+        Weight of its tier.
+    """
+
+    here: Flags
+    known: Flags
+    stays: Flags
+    held_kwh: Floats
+    full_kwh: Floats
+    floor_kwh: Floats
+    line_kwh: Floats
+    weight: Floats
+
+    @classmethod
+    def none(cls, n_steps: int, n_chargers: int) -> Self:
+        """No vehicle is plugged in."""
+        shape = (n_steps, n_chargers)
+        flags = (np.zeros(shape, dtype=bool) for _ in range(3))
+        return cls(*flags, *(np.zeros(shape) for _ in range(5)))
+
+    @classmethod
+    def of(
+        cls,
+        scenario: Scenario,
+        steps: range,
+        now_kwh: Floats,
+        past_days: PastDays | None = None,
+    ) -> Self:
+        """The vehicles of a window as far as they are known when it begins.
+
+        They are those that are plugged in then, and those that are announced. At chargers that are
+        free of them, vehicles are expected to come later as on a past day.
+
+        Parameters
+        ----------
+        scenario : Scenario
+            Chargers and sessions.
+        steps : range
+            Steps of the window.
+        now_kwh : array, shape (K,)
+            Energy of the vehicles that are plugged in when it begins.
+        past_days : PastDays, optional
+            What vehicles are expected by; none are if not given.
+        """
+        found = cls.none(len(steps), len(scenario.chargers))
+        found._enter(scenario, scenario.sessions, steps, now_kwh)
+        if past_days is not None:
+            expected = past_days.expected(scenario.grid, steps)
+            found._enter(scenario, expected, steps, now_kwh, expected=True)
+        return found
+
+    def _enter(
+        self,
+        scenario: Scenario,
+        sessions: Sessions,
+        steps: range,
+        now_kwh: Floats,
+        *,
+        expected: bool = False,
+    ) -> None:
+        """Write sessions into the arrays: those that are known, or those that are expected."""
+        column = {name: k for k, name in enumerate(scenario.chargers.id)}
+        first, after = sessions.steps(scenario.grid)
+        come = first <= steps.start
+        counts = ~come if expected else sessions.announced | come
+        inside = np.minimum(after, steps.stop) > np.maximum(first, steps.start)
+        for s in np.flatnonzero(counts & inside):
+            k = column[sessions.charger[s]]
+            begin = max(first[s], steps.start) - steps.start
+            end = min(after[s], steps.stop) - steps.start
+            stay = slice(begin, end)
+            if expected and self.here[stay, k].any():
+                continue
+            held_kwh = sessions.held_kwh[s]
+            over = np.arange(steps.start + begin, steps.start + end) + 1 - first[s]
+            grown = over / (after[s] - first[s])
+            self.here[stay, k] = True
+            self.known[stay, k] = not expected
+            self.stays[begin + 1 : end, k] = True
+            self.held_kwh[begin, k] = now_kwh[k] if come[s] else held_kwh
+            self.full_kwh[stay, k] = sessions.full_kwh[s]
+            self.floor_kwh[stay, k] = sessions.floor_kwh[s]
+            self.line_kwh[stay, k] = held_kwh + grown * (sessions.needed_kwh[s] - held_kwh)
+            self.weight[stay, k] = sessions.weight[s]
+
+    def __len__(self) -> int:
+        return len(self.here)
+
+    @property
+    def due(self) -> Flags:
+        """Last steps of the vehicles: before they leave, or of the window, (W, K)."""
+        return self.here & ~np.vstack([self.stays[1:], np.zeros_like(self.stays[:1])])
+
+    @property
+    def needed_kwh(self) -> Floats:
+        """Energy that each vehicle is to have at the end of its last step, otherwise 0, (W, K).
+
+        One that leaves after the window is to have its part of what it needs by then.
+        """
+        return np.where(self.due, self.line_kwh, 0.0)
+
+    @property
+    def lowest_kwh(self) -> Floats:
+        """Energy below which each vehicle may not come, (W, K).
+
+        It is its floor, or what it holds at first if that is less.
+        """
+        held = np.zeros(self.held_kwh.shape[1])
+        rows = []
+        for stays, begins_kwh in zip(self.stays, self.held_kwh, strict=True):
+            held = np.where(stays, held, begins_kwh)
+            rows.append(held)
+        return np.minimum(self.floor_kwh, np.array(rows).reshape(self.floor_kwh.shape))
+
+    def energy_kwh(self, power_kw: Floats, chargers: Chargers, dt_h: float) -> Floats:
+        """Energy at the end of each step, (W, K), of a power that is negative to discharge."""
+        stored_kw = chargers.eta_charge * np.maximum(power_kw, 0.0)
+        stored_kw = stored_kw - np.maximum(-power_kw, 0.0) / chargers.eta_discharge
+        held = np.zeros(len(chargers))
+        rows = []
+        for t, stays in enumerate(self.stays):
+            held = np.where(stays, held, self.held_kwh[t]) + dt_h * stored_kw[t]
+            rows.append(held)
+        return np.array(rows).reshape(power_kw.shape)
+
+    def short_kwh(self, energy_kwh: Floats) -> Floats:
+        """What each vehicle lacks when it leaves, (W, K)."""
+        return np.maximum(self.needed_kwh - energy_kwh, 0.0)
+
+    def in_the_dark(self, lit: Flags) -> Self:
+        """The same with no vehicle plugged in but in the lit steps, (W, 1)."""
+        return replace(self, here=self.here & lit, known=self.known & lit)
+
+    def most_taken_kw(self, chargers: Chargers) -> Floats:
+        """Most that all take together, (W,)."""
+        return np.asarray(self.here @ chargers.p_charge_kw)
+
+    def most_given_kw(self, chargers: Chargers) -> Floats:
+        """Most that all give together, (W,)."""
+        return np.asarray(self.known @ chargers.p_discharge_kw)
+
+    def power_beyond_kw(
+        self, chargers: Chargers, connected: Flags, taken_kw: Floats, running: Flags, dt_h: float
+    ) -> Floats:
+        """By how much powers are beyond what chargers can do, (W, K).
+
+        None moves power without a vehicle, or for a customer that is off.
+        """
+        most_kw = (self.here & connected) * chargers.p_charge_kw
+        back_kw = (self.known & connected) * chargers.p_discharge_kw
+        return np.maximum(taken_kw - most_kw, -taken_kw - back_kw)
+
+    def stored_beyond_kw(
+        self, chargers: Chargers, taken_kw: Floats, running: Flags, dt_h: float
+    ) -> Floats:
+        """By how much energies are outside their limits, as a power over the step, (W, K)."""
+        energy_kwh = self.energy_kwh(taken_kw, chargers, dt_h)
+        below_kwh = np.where(self.here, self.lowest_kwh - energy_kwh, 0.0)
+        return np.maximum(energy_kwh - self.full_kwh, below_kwh) / dt_h
+
+    def price(self, least_weight: float, dt_h: float) -> Floats:
+        """Price of a kWh that a vehicle lacks, in weighted customer hours, (W, K)."""
+        weight = np.where(self.due, self.weight, 0.0)
+        return price_scale(weight, self.full_kwh, least_weight, dt_h) * weight
+
+
+NEGLIGIBLE_KW = 1e-3
+"""Power that counts as none: what is left of a plan when a vehicle is full."""
+
+
+class Garage:
+    """Energy of the vehicles at all chargers from step to step.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Chargers, sessions and steps.
+    state : array, shape (K,), optional
+        Energy of the vehicles that are plugged in before the first step; as the sessions say where
+        it is NaN, or not given.
+
+    Attributes
+    ----------
+    state : array, shape (K,)
+        Energy of each vehicle at the end of the last step, 0 without one.
+    """
+
+    def __init__(self, scenario: Scenario, state: Floats | None = None) -> None:
+        self.scenario = scenario
+        self.state = np.full(len(scenario.chargers), np.nan) if state is None else state
+        self._alone = scenario.chargers.alone
+        self._owner = scenario.chargers.owner(scenario.customers)
+
+    def here(self, t: int) -> Flags:
+        """Chargers with a vehicle in a step, (K,)."""
+        return np.asarray(self.scenario.session_at[t] >= 0)
+
+    def at(self, t: int) -> Floats:
+        """Energy of each vehicle at the beginning of a step, 0 without one, (K,)."""
+        now = self.scenario.session_at[t]
+        stays = now == self.scenario.session_at[t - 1] if t else ~np.isnan(self.state)
+        arrives_kwh = self._of(self.scenario.sessions.held_kwh, t)
+        return np.where(stays & self.here(t), self.state, arrives_kwh)
+
+    def _of(self, by_session: Floats, t: int) -> Floats:
+        """A number of the sessions of a step by charger, 0 without one, (K,)."""
+        found = np.zeros(len(self.state))
+        here = self.here(t)
+        found[here] = by_session[self.scenario.session_at[t][here]]
+        return found
+
+    def on(self, served: Flags) -> Flags:
+        """Chargers that are connected: their customers are served, or they stand alone, (K,)."""
+        return self._alone | served[self._owner]
+
+    def possible_kw(self, t: int, wanted_kw: Floats, served: Flags) -> Floats:
+        """Power of each charger nearest to what is wanted, negative to discharge, (K,).
+
+        A charger below its least power charges with that; in an outage it stops.
+        """
+        chargers = self.scenario.chargers
+        dt_h = self.scenario.grid.dt_h
+        held_kwh = self.at(t)
+        wanted_kw = np.where(self.here(t) & self.on(served), wanted_kw, 0.0)
+        room_kw = (self._of(self.scenario.sessions.full_kwh, t) - held_kwh) / dt_h
+        above_kwh = held_kwh - self._of(self.scenario.sessions.floor_kwh, t)
+        most = np.minimum(chargers.p_charge_kw, np.maximum(room_kw, 0.0) / chargers.eta_charge)
+        back = np.maximum(above_kwh, 0.0) / dt_h * chargers.eta_discharge
+        least = chargers.p_charge_min_kw
+        charge = np.where(wanted_kw > NEGLIGIBLE_KW, wanted_kw, 0.0)
+        little = (charge > 0.0) & (charge < least * (1.0 - 1e-9))
+        charge = np.where(little, 0.0 if self.scenario.outage[t] else least, charge)
+        discharge = np.minimum(np.maximum(-wanted_kw, 0.0), chargers.p_discharge_kw)
+        return np.minimum(charge, most) - np.minimum(discharge, back)
+
+    def follow(
+        self, t: int, wanted_kw: Floats, running: Flags, served: Flags
+    ) -> tuple[Floats, Flags]:
+        """:meth:`possible_kw`; chargers are not started."""
+        return self.possible_kw(t, wanted_kw, served), running
+
+    def spare_kw(self, taken_kw: Floats, running: Flags) -> Floats:
+        """What each gives back, (K,)."""
+        return np.maximum(-taken_kw, 0.0)
+
+    def after_kwh(self, t: int, power_kw: Floats) -> Floats:
+        """Energy of each vehicle at the end of a step with these powers, (K,)."""
+        chargers = self.scenario.chargers
+        into_kw = np.where(
+            power_kw > 0.0, power_kw * chargers.eta_charge, power_kw / chargers.eta_discharge
+        )
+        full_kwh = self._of(self.scenario.sessions.full_kwh, t)
+        return np.clip(self.at(t) + into_kw * self.scenario.grid.dt_h, 0.0, full_kwh)
+
+    def advance(self, t: int, taken_kw: Floats, running: Flags | None = None) -> None:
+        """The state at the end of a step."""
+        self.state = self.after_kwh(t, taken_kw)
+
+
+WINDOW, PLANT = Plugged, Garage
+
+
+def check_prices(scenario: Scenario, horizon_h: float, seed: int) -> None:
+    """Refuse prices of energy beside which a kWh that a known or expected vehicle lacks is none."""
+    grid = scenario.grid
+    counted = [scenario.sessions.rows(~scenario.sessions.over(grid.start))]
+    past_days = PastDays.of(scenario, seed)
+    if past_days is not None:
+        counted.append(past_days.expected(grid, range(grid.n_steps)))
+    weight, full_kwh = (
+        np.concatenate([getattr(each, name) for each in counted]) for name in ("weight", "full_kwh")
+    )
+    scale = price_scale(weight, full_kwh, float(scenario.customers.weight.min()), grid.dt_h)
+    if scale:
+        worth = scale * float(weight.min()) * float(scenario.chargers.eta_charge.min())
+        refuse_dear_energy(scenario, f"{len(weight)} sessions of vehicles", worth)
