@@ -703,9 +703,20 @@ def test_a_value_in_strict_order_is_in_hours_of_the_tier_that_is_rationed() -> N
         ("critical", "low"), np.array([0, 1]), np.ones(2, dtype=int), np.array([120.0, 1.0])
     )
     kwh = 120.0 / 365.0
-    assert hours(kwh, ranks, np.array([[365.0, 0.0]])) == "0.0027 customer hours of tier critical"
-    assert hours(kwh, ranks, np.array([[365.0, 50.0]])) == "0.0027 customer hours of tier critical"
-    assert hours(kwh, ranks, np.array([[0.0, 3.0]])) == "0.33 customer hours of tier low"
-    assert hours(0.02, ranks, np.array([[365.0, 50.0]])) == "0.02 customer hours of tier low"
+    assert (
+        hours(kwh, ranks, np.array([[365.0, 0.0]]))
+        == "9.9 s of supply for a customer of tier critical"
+    )
+    assert (
+        hours(kwh, ranks, np.array([[365.0, 50.0]]))
+        == "9.9 s of supply for a customer of tier critical"
+    )
+    assert (
+        hours(kwh, ranks, np.array([[0.0, 3.0]])) == "20 min of supply for a customer of tier low"
+    )
+    assert (
+        hours(0.02, ranks, np.array([[365.0, 50.0]]))
+        == "1.2 min of supply for a customer of tier low"
+    )
     taken = hours(240.0, ranks, np.array([[365.0, 50.0]]), kwh=730.0)
-    assert taken == "2 customer hours of tier critical"
+    assert taken == "2 h of supply for a customer of tier critical"

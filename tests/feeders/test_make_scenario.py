@@ -82,7 +82,7 @@ def test_nothing_is_invented_unasked(case33: ImportedFeeder) -> None:
 
 def test_what_is_invented_says_so(case33: ImportedFeeder) -> None:
     notes = assumptions(case33, INVENTED)
-    assert "Customers by tier: 6 critical, 10 high, 16 low (drawn, seed 0)." in notes
+    assert "Customers: 6 critical, 10 high, 16 low (tiers drawn, seed 0)." in notes
     assert "26 PV systems, 1,562.5 kW (PV invented by size)." in notes
     assert (
         "32 batteries of 2,321.9 kWh and 1,160.9 kW invented, sized by the customers' peak loads."

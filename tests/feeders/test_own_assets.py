@@ -249,7 +249,7 @@ def test_heat_pumps_are_named_with_their_size() -> None:
         lambda net: pp.create_load(net, 3, p_mw=0.011, name="Wallbox"),
     )
     assert (
-        "Heat pumps of 7 kW keep their demand, which nothing moves in time here, and are switched off "
+        "Heat pumps of 7 kW: plans do not shift their demand in time, and switch them off "
         "with their customers: load 3 (Heat pump 1), load 4." in feeder.notes
     )
     assert any(note.startswith("Charging points of 11 kW") for note in feeder.notes)

@@ -22,7 +22,7 @@ from vppres.io import read_scenario, scenario_digest, write_scenario
 from vppres.physics.uncontrolled import without_control
 from vppres.plant.island import NO_FORMER
 from vppres.scenario.priority import STRICT
-from vppres.scenario.remarks import darkness, doubtful_units, former_words, remarks
+from vppres.scenario.remarks import darkness, doubtful_units, former_words, remarks, source_words
 from vppres.scenario.scenario import ControllerDefaults, Priority, Scenario
 from vppres.scenario.source import MAX_NOTE_LENGTH, MAX_NOTES, Source, SourceDeviation
 
@@ -76,16 +76,17 @@ def test_words_of_strangers_are_made_fit_for_a_scenario(tmp_path: Path) -> None:
     assert read_scenario(tmp_path / "of").source == source
 
 
-def test_validate_shows_the_source_and_its_notes(made: Scenario, tmp_path: Path) -> None:
+def test_validate_shows_the_source_and_where_its_notes_are(made: Scenario, tmp_path: Path) -> None:
     write_scenario(made, tmp_path / "made")
     text = call("validate", str(tmp_path / "made")).stdout
     assert "islands in paper mode." in text
     assert "- Made from my grid.json (pandapower). Voltages differ" in text
-    assert "2e-14 pu at no load, 0.0012 pu as given." in text
-    assert "- At import: Batteries were drawn: 28 MWh." in text
+    assert "1e-6 pu at no load, 0.0012 pu as given." in text
+    assert "[source] in scenario.toml has 2 notes on the import." in text
+    assert "Batteries were drawn" not in text  # new has said so, and the folder keeps it
     found = json.loads(call("validate", str(tmp_path / "made"), "--json").stdout)["content"]
     assert found["source"]["kind"] == "pandapower"
-    assert found["remarks"] == remarks(made)
+    assert found["remarks"] == [*source_words(made), *remarks(made)]
 
 
 def test_notes_of_an_import_are_of_the_import_in_a_folder_that_was_edited(tmp_path: Path) -> None:
@@ -98,20 +99,19 @@ def test_notes_of_an_import_are_of_the_import_in_a_folder_that_was_edited(tmp_pa
     text = call("validate", str(folder)).stdout
     assert "0 PV systems, 1 battery," in text
     assert "- The island is formed by depot at bus 18" in text
-    assert "- At import: No battery: the source has none at a supplied bus" in text
-    assert "- No battery" not in text
+    assert "No battery" not in text
     read = read_scenario(folder)
     assert read.source.notes and not any(note.startswith("At import") for note in read.source.notes)
 
 
-def test_run_keeps_the_source_and_shows_it(made: Scenario, tmp_path: Path) -> None:
+def test_run_keeps_the_source_and_does_not_repeat_its_notes(made: Scenario, tmp_path: Path) -> None:
     write_scenario(made, tmp_path / "made")
     folder = tmp_path / "run"
     done = call(
         "run", str(tmp_path / "made"), "--controller", "idle", "--no-figures", "--no-explain",
         "--out", str(folder),
     )  # fmt: skip
-    assert "- At import: Two transformers are merged." in done.stdout
+    assert "Two transformers are merged." not in done.stdout
     assert read_scenario(folder / "scenario").source == SOURCE
 
 

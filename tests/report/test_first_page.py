@@ -244,7 +244,13 @@ def test_the_answer_comes_first_and_names_who_was_off_and_when() -> None:
         " 55.0 kWh not supplied."
     )
     page = render_report(run, summarise(run))
-    order = ["The only critical customer", "Grid outage", "Operating order", "rests on", "Remarks"]
+    order = [
+        "The only critical customer",
+        "Grid outage",
+        "Operating order",
+        "Assumptions that matter",
+        "Remarks",
+    ]
     places = [page.index(words) for words in order]
     assert places == sorted(places)
 

@@ -1,7 +1,7 @@
 """The golden set: runs of every mode, kind and door, each written as a folder of tables.
 
 What a change of the inside must leave equal. ``python -m tests.support.golden FOLDER`` writes them, in two
-checkouts with the same environment, and ``python -m experiments.same`` compares the two folders to
+checkouts with the same environment, and ``python -m experiments.studies.same`` compares the two folders to
 the last bit. With ``--keep`` their figures are taken for right: ``golden.csv``, for the nightly test.
 """
 

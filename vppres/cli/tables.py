@@ -42,7 +42,7 @@ def content_of(day: Scenario) -> dict[str, Any]:
     """What a sound scenario holds, in numbers."""
     from vppres.kinds.table import KINDS
     from vppres.physics.uncontrolled import without_control
-    from vppres.scenario.remarks import export_words, remarks, unknown_phases
+    from vppres.scenario.remarks import export_words, remarks, source_words, unknown_phases
 
     return {
         "name": day.name,
@@ -60,7 +60,12 @@ def content_of(day: Scenario) -> dict[str, Any]:
         "export": export_words(day),
         "mode": day.controller.mode,
         "source": asdict(day.source),
-        "remarks": [*unknown_phases(day), *without_control(day), *remarks(day)],
+        "remarks": [
+            *unknown_phases(day),
+            *without_control(day),
+            *source_words(day),
+            *remarks(day),
+        ],
     }
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from vppres.core.arrays import Floats, Names
 from vppres.core.text import in_pounds
+from vppres.core.units import h_to_minutes
 from vppres.explain.prices import WHOLE, WORTH, WORTH_GBP
 from vppres.explain.step import Binding, Step
 from vppres.model.phases import phased_model
@@ -150,7 +151,7 @@ def service_words(step: Step, value: float, kwh: float = 1.0) -> str:
 
 
 def hours(value: float, ranks: Ranks | None, load_kw: Floats, kwh: float = 1.0) -> str:
-    """Service in words: weighted customer hours, in strict order those of the tier it is about.
+    """Service in words: weighted customer hours; in strict order a time of supply in one tier.
 
     Parameters
     ----------
@@ -179,10 +180,22 @@ def hours(value: float, ranks: Ranks | None, load_kw: Floats, kwh: float = 1.0) 
 
 
 def hours_of(value: float, ranks: Ranks, tier: int) -> str:
-    """A value of the strict order in customer hours of one tier."""
-    count = figure(value / ranks.worth[tier])
-    hours = "customer hour" if count == "1" else "customer hours"
-    return f"{count} {hours} of tier {ranks.tiers[tier]}"
+    """A value of the strict order as the time for which it supplies a customer of a tier."""
+    return (
+        f"{time_of(value / ranks.worth[tier])} of supply for a customer of tier {ranks.tiers[tier]}"
+    )
+
+
+def time_of(hours: float) -> str:
+    """A time in a unit that can be grasped.
+
+    >>> time_of(0.0027), time_of(0.33), time_of(2.0)
+    ('9.7 s', '20 min', '2 h')
+    """
+    minutes = h_to_minutes(hours)
+    if hours >= 1.0:
+        return f"{figure(hours)} h"
+    return f"{figure(minutes)} min" if minutes >= 1.0 else f"{figure(60.0 * minutes)} s"
 
 
 def stored_worth_gbp(step: Step, battery: int) -> float | None:

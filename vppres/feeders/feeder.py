@@ -14,6 +14,7 @@ from vppres.core.arrays import Floats, Items, Names, freeze_arrays, no_items
 from vppres.scenario.assets import TIER_WEIGHTS
 from vppres.scenario.network import BusId, Network
 from vppres.scenario.phases import PhaseConnection, Phases
+from vppres.scenario.source import difference_words
 
 
 def highest_tier(tiers: Iterable[str]) -> str:
@@ -145,7 +146,7 @@ class Deviation:
     def __str__(self) -> str:
         return (
             f"AC power flow against the source: voltages differ by at most "
-            f"{self.v_max_pu:.2g} pu{_at_no_load(self.no_load_pu)}; losses "
+            f"{difference_words(self.v_max_pu)}{_at_no_load(self.no_load_pu)}; losses "
             f"{self.losses_kw:.3f} kW, in the source {self.losses_source_kw:.3f} kW"
         )
 
@@ -164,7 +165,7 @@ class SourceFlow(Protocol):
 
 
 def _at_no_load(v_pu: float | None) -> str:
-    return "" if v_pu is None else f", at no load by {v_pu:.2g} pu"
+    return "" if v_pu is None else f", at no load by {difference_words(v_pu)}"
 
 
 @dataclass(frozen=True)

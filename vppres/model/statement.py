@@ -18,7 +18,7 @@ from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import ModelError
 from vppres.model import objective, problem
 from vppres.model.beyond_paper.addition import Held
-from vppres.model.beyond_paper.table import BY_HEART, Beyond
+from vppres.model.beyond_paper.table import PROVEN, Beyond
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
 from vppres.model.equations import EQUATIONS
@@ -55,7 +55,7 @@ class Statement:
         Terms of the objective as they are before they are weighted; ``own`` has what the page's
         objective, or your own part, has besides.
     own : tuple of str
-        Families that the stages do not know which know the paper by heart, and ``own`` if there
+        Families for which the stages of the paper's problem have no proof, and ``own`` if there
         is such a term.
     rules : set of str
         Families on service alone, which a known service meets or does not.
@@ -74,7 +74,7 @@ class Statement:
         self.n_steps = n_steps
         v = Variables.create(site, n_steps)
         self.additions = [each.create(site, v, shape) for each, shape in beyond]
-        self._own_parts = [each for each in self.additions if type(each) not in BY_HEART]
+        self._own_parts = [each for each in self.additions if type(each) not in PROVEN]
         p = self._with_additions(Parameters.create(site, n_steps))
         self.v = v
         self.p = p
@@ -119,7 +119,7 @@ class Statement:
         return replace(p, **values)
 
     def _own_names(self, paper: Named) -> tuple[str, ...]:
-        """Families of the page and of additions that no stage knows by heart, and their term."""
+        """Families of the page and of additions without a proof in any stage, and their term."""
         named = {name: c for name, c in paper.items() if name not in EQUATIONS}
         named |= self._own_families
         for name, constraint in named.items():

@@ -277,7 +277,7 @@ def further_notes(run: Trajectory) -> tuple[str, ...]:
 
 
 def island_words(run: Trajectory) -> Iterator[str]:
-    """What an outage's supply rests on."""
+    """What forms the island, and what is known of outages."""
     day, options = run.scenario, run.options
     if not day.outage.any():
         return

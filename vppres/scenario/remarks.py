@@ -1,4 +1,4 @@
-"""Remarks on a scenario: islands without a voltage source, simplifications of the import."""
+"""Remarks on a scenario: its source, doubtful units, islands without a voltage source."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vppres.core.text import named
+from vppres.core.text import counted, named
 from vppres.scenario.capacitors import too_large, too_large_by_phase
 from vppres.scenario.earthing import floating
 from vppres.scenario.formers import forming_batteries
@@ -291,8 +291,27 @@ def brief_sessions(scenario: Scenario) -> str:
     )
 
 
+def source_words(scenario: Scenario) -> list[str]:
+    """Where a scenario comes from, how exact it is, and where the notes of its import are.
+
+    Examples
+    --------
+    >>> from vppres.io.find import load_scenario
+    >>> source_words(load_scenario("uk-heatwave-2022"))
+    []
+    """
+    source = scenario.source
+    if not source:
+        return []
+    notes = len(source.notes)
+    kept = (
+        f" [source] in scenario.toml has {counted(notes, 'note')} on the import." if notes else ""
+    )
+    return [f"{source}{kept}"]
+
+
 def remarks(scenario: Scenario, mode: str | None = None) -> list[str]:
-    """What to know: source and how exact it is, units, dark islands, dear export, tiers, import.
+    """Doubtful units, dark islands, dear export and tiers, each in a sentence.
 
     Examples
     --------
@@ -300,7 +319,6 @@ def remarks(scenario: Scenario, mode: str | None = None) -> list[str]:
     >>> remarks(load_scenario("uk-heatwave-2022"))
     []
     """
-    first = [str(scenario.source)] if scenario.source else []
     said = [
         *doubtful_units(scenario),
         darkness(scenario, mode),
@@ -311,4 +329,4 @@ def remarks(scenario: Scenario, mode: str | None = None) -> list[str]:
         short_times_off(scenario),
         brief_sessions(scenario),
     ]
-    return [*first, *filter(None, said), *scenario.source.told]
+    return [*filter(None, said)]

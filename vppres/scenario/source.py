@@ -10,8 +10,22 @@ from vppres.core.text import visible
 MAX_NOTES = 1000
 MAX_NOTE_LENGTH = 4000
 MAX_SOURCE_LENGTH = 300
+IDENTICAL_PU = 1e-6
+"""Difference of a voltage up to which two power flows found the same."""
 EXACT_PU = 0.005
 """Largest difference of a voltage from its source that counts as the source's voltage."""
+
+
+WITHIN = " (within 1e-6 pu)"
+
+
+def difference_words(value_pu: float) -> str:
+    """A difference of voltages; no digits of a solver's rounding.
+
+    >>> difference_words(6.7e-16), difference_words(0.00123)
+    ('1e-6 pu', '0.0012 pu')
+    """
+    return "1e-6 pu" if value_pu <= IDENTICAL_PU else f"{value_pu:.2g} pu"
 
 
 @dataclass(frozen=True)
@@ -39,10 +53,13 @@ class SourceDeviation:
         return max(known, default=None)
 
     def __str__(self) -> str:
-        parts = [f"{value:.2g} pu {state}" for state, value in self._states() if value is not None]
-        if not parts:
-            return "How far the voltages are from the source's is not known."
-        return f"Voltages differ from the source's power flow by at most {', '.join(parts)}."
+        known = [(state, value) for state, value in self._states() if value is not None]
+        if not known:
+            return "The voltages were not compared with the source's power flow."
+        if max(value for _, value in known) <= IDENTICAL_PU:
+            return f"Voltages are identical to the source's power flow{WITHIN}."
+        parts = ", ".join(f"{difference_words(value)} {state}" for state, value in known)
+        return f"Voltages differ from the source's power flow by at most {parts}."
 
     def _states(self) -> tuple[tuple[str, float | None], ...]:
         """The states in words, with their differences."""

@@ -141,7 +141,7 @@ def _notes_on_control(net: Any, case: NetCase) -> Iterator[str]:
 
 
 def _flexible_loads(net: Any, loads: pd.DataFrame) -> Iterator[str]:
-    """Loads that could move their demand, by the words of the source: they keep it here."""
+    """Loads that could shift their demand, by the words of the source: plans do not shift it."""
     words = loads.reindex(columns=["name", "type", "profile"]).fillna("").astype(str)
     for what, pattern in FLEXIBLE.items():
         found = words.apply(
@@ -152,8 +152,8 @@ def _flexible_loads(net: Any, loads: pd.DataFrame) -> Iterator[str]:
             p_kw = float(mw_to_kw((chosen["p_mw"] * chosen["scaling"].fillna(1.0)).sum()))
             names = named(label(net, "load", i) for i in chosen.index)
             yield (
-                f"{what} of {p_kw:.4g} kW keep their demand, which nothing moves in time here, and "
-                f"are switched off with their customers: {names}."
+                f"{what} of {p_kw:.4g} kW: plans do not shift their demand in time, and switch "
+                f"them off with their customers: {names}."
             )
 
 

@@ -159,12 +159,12 @@ def _told_tiers(
     count = ", ".join(f"{int((tier == name).sum())} {name}" for name in tiers)
     given = bool(feeder.tier.any())
     if not options.draw_tiers:
-        origin = f"from the source's column `tier`, others {LAST_TIER}"
+        origin = f"from the source's column `tier`; customers without a tier there are {LAST_TIER}"
     elif given:
-        origin = f"from the source's column `tier`, others drawn, seed {options.seed}"
+        origin = f"from the source's column `tier`; the others are drawn, seed {options.seed}"
     else:
         origin = f"drawn, seed {options.seed}"
-    return f"Customers by tier: {count} ({origin})."
+    return f"Customers: {count} (tiers {origin})."
 
 
 def connections_of(feeder: ImportedFeeder) -> pd.DataFrame:

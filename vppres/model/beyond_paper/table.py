@@ -34,9 +34,9 @@ OF_WINDOWS: tuple[type[Addition], ...] = (
     ValueAtEnd,
     StoredIsKept,
 )
-"""What the stages of a window know that know the paper by heart."""
+"""Additions for which the stages that were made for the paper's problem have a proof."""
 
-BY_HEART: tuple[type[Addition], ...] = (*OF_WINDOWS, LineRatings)
+PROVEN: tuple[type[Addition], ...] = (*OF_WINDOWS, LineRatings)
 """The same, and what shadow prices alone state: ratings, whose rows windows make by hand."""
 
 

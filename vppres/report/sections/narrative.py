@@ -107,12 +107,12 @@ def _service(tables: Tables) -> str:
 
 
 def _batteries(tables: Tables) -> str:
-    """How much the fleet stored and gave."""
+    """Energy that the fleet charged and discharged."""
     into = float(tables.batteries["charge_kw"].sum()) * tables.dt_h
     out = float(tables.batteries["discharge_kw"].sum()) * tables.dt_h
     parts = [
         f"{verb} {energy:,.0f} kWh"
-        for verb, energy in (("took in", into), ("gave", out))
+        for verb, energy in (("charged", into), ("discharged", out))
         if energy >= 1.0
     ]
     return f"The batteries {' and '.join(parts)}." if parts else "The batteries were idle."
