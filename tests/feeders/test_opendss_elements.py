@@ -308,6 +308,7 @@ def test_conductors_without_supply_are_named_and_their_customers_alone_are_gone(
     assert customers == ["ca", "cb", "ce", "cf"]
 
 
+@pytest.mark.daily
 def test_a_loop_of_buses_that_is_none_of_conductors_loses_no_load(tmp_path: Path) -> None:
     """Phases a and c go from b to e by two ways; a true loop beside them is opened and told."""
     way = "new line.{0} phases=1 bus1={1} bus2={2} r1=.3 x1=.4 r0=.3 x0=.4 c1=0 c0=0 length=1"
