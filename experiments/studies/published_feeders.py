@@ -178,7 +178,9 @@ def apart_pu(feeder: ImportedFeeder, theirs: Itself) -> float:
         name = f"{bus}:12" if legs else f"{bus}.{phase + 1}"
         if name in theirs.v_pu:
             base_v = rows[bus].kv * 1000.0 / 3**0.5
-            apart.append(abs(abs(v) - theirs.v_pu[name] * theirs.base_v[bus]) / base_v)
+            # From leg to leg both are shares of their own level, which is twice that of a leg.
+            their_v = theirs.v_pu[name] * (base_v if legs else theirs.base_v[bus])
+            apart.append(abs(abs(v) - their_v) / base_v)
     return float(max(apart))
 
 
