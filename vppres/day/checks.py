@@ -133,18 +133,16 @@ def check_parts(scenario: Scenario) -> None:
     InputError
         If there is one.
     """
-    in_parts = dict(zip(scenario.customers.id, scenario.customers.shed_steps, strict=True))
+    customers = scenario.customers
     for kind, units in units_of(scenario).items():
-        customers = getattr(units, "customer", units.id[:0])  # sets are of none
-        for name, customer in zip(units.id, customers, strict=False):
-            if in_parts.get(customer, 1) > 1:
-                bus = (
-                    f"{KINDS[kind].word} {name} a bus instead, or " if hasattr(units, "bus") else ""
-                )
-                raise InputError.of(
-                    KINDS[kind].file,
-                    "is switched in parts (shed_steps)",
-                    f"Give {bus}the customer a shed_steps of 1.",
-                    field="customer",
-                    value=customer,
-                )
+        alone = units.connected(customers, np.zeros(len(customers), dtype=bool))
+        owner = units.owner(customers)
+        for i in np.flatnonzero(~alone & (customers.shed_steps[owner] > 1))[:1]:
+            own_bus = f"{KINDS[kind].word} {units.id[i]} a bus instead, or "
+            raise InputError.of(
+                KINDS[kind].file,
+                "is switched in parts (shed_steps)",
+                f"Give {own_bus if hasattr(units, 'bus') else ''}the customer a shed_steps of 1.",
+                field="customer",
+                value=customers.id[owner[i]],
+            )

@@ -66,7 +66,7 @@ class Kind:
     what : str
         What a controller plans, in words.
     table, item : str
-        KindTable of a run, and its column of units.
+        Table of a run, and its column of units.
     subject : str
         Item of the explanations that reasons are about.
     sign : str

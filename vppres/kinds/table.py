@@ -6,6 +6,7 @@ it asks for its part of each by :func:`parts`.
 
 from __future__ import annotations
 
+from functools import cache
 from importlib import import_module
 from typing import Any
 
@@ -15,6 +16,7 @@ FOLDERS = {"chargers": "vehicles", "thermal_loads": "cooling", "gensets": "gense
 """Folder of each kind, in the order of letters, tables and words."""
 
 
+@cache
 def parts(name: str) -> dict[str, Any]:
     """The module of this name of each kind: ``data``, ``physics``, ``rows``, ``record`` and so on.
 
@@ -27,7 +29,6 @@ def parts(name: str) -> dict[str, Any]:
 
 
 KINDS: dict[str, Kind] = {kind: data.KIND for kind, data in parts("data").items()}
-
 
 TABLES: dict[str, type[KindTable]] = {
     field: rows for kind in KINDS.values() for field, rows in kind.tables.items()

@@ -12,6 +12,10 @@ from vppres.io.schema import MAX_KW, MAX_PRICE
 RATED_SHARE = 1.5
 """A reading above this share of an inverter's rating is in another unit, or a spike."""
 
+RATING_SHARE = 2e-3
+POWER_KW = 0.02
+"""What solvers and rounding may be off by."""
+
 
 @dataclass(frozen=True)
 class Range:
@@ -72,11 +76,6 @@ def rated(lowest_share: float, what: str, rating: float, no_number: str) -> Rang
     return Range(
         lowest_share * rating, RATED_SHARE * rating, below, "Give the power in kW.", beyond
     )
-
-
-RATING_SHARE = 2e-3
-POWER_KW = 0.02
-"""What solvers and rounding may be off by."""
 
 
 def slack_kw(rating: Floats) -> Floats:

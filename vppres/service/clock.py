@@ -6,6 +6,8 @@ from typing import Protocol
 
 import pandas as pd
 
+from vppres.core.text import iso
+
 
 class Clock(Protocol):
     """Whatever tells the time."""
@@ -52,4 +54,4 @@ def written(time: pd.Timestamp) -> str:
     >>> written(pd.Timestamp("2026-11-21T20:00+01:00"))
     '2026-11-21T19:00:00Z'
     """
-    return time.tz_convert("UTC").isoformat().replace("+00:00", "Z")
+    return iso(time.tz_convert("UTC"))

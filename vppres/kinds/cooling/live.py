@@ -167,7 +167,6 @@ def set_points(day: Scenario, t: int, columns: Mapping[str, Any]) -> dict[str, A
     start_c, end_c, p_kw = columns["t_start_c"], columns["t_end_c"], columns["p_kw"]
     return {
         "customer": loads.customer,
-        "bus": loads.buses(day.customers),
         "p_kw": p_kw,
         "setpoint_c": setpoints_c(loads, start_c, end_c, p_kw),
         "indoor_c": start_c,

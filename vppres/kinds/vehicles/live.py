@@ -279,7 +279,7 @@ def foreseen(
 
 
 def own_ranges(scenario: Scenario) -> Iterator[tuple[str, Any, Floats, Callable[[float], Range]]]:
-    """None: what vehicles are is not known."""
+    """None: the range of what a charger tells is that of every charger."""
     return iter(())
 
 

@@ -16,6 +16,9 @@ from vppres.kinds.vehicles.data import Chargers, Sessions
 from vppres.kinds.vehicles.past_days import PastDays
 from vppres.scenario.scenario import Scenario
 
+NEGLIGIBLE_KW = 1e-3
+"""Power that counts as none: what is left of a plan when a vehicle is full."""
+
 
 @dataclass(frozen=True, eq=False)
 class Plugged(UnitsAhead):
@@ -201,10 +204,6 @@ class Plugged(UnitsAhead):
         """Price of a kWh that a vehicle lacks, in weighted customer hours, (W, K)."""
         weight = np.where(self.due, self.weight, 0.0)
         return price_scale(weight, self.full_kwh, least_weight, dt_h) * weight
-
-
-NEGLIGIBLE_KW = 1e-3
-"""Power that counts as none: what is left of a plan when a vehicle is full."""
 
 
 class Garage:
