@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Annotated, Any, Literal, get_args, get_origin
 
 from annotated_types import Ge, Gt, Le, Lt
@@ -47,9 +48,7 @@ class Attribute:
     """One column or key, in the words of the documentation."""
 
     name: str
-    kind: str
-    unit: str
-    bounds: str
+    values: str
     default: str
     meaning: str
 
@@ -58,12 +57,7 @@ def attributes(model: type[BaseModel]) -> Iterator[Attribute]:
     """The attributes of one table, in the order of its columns."""
     for name, field in model.model_fields.items():
         yield Attribute(
-            field.alias or name,
-            _kind(field),
-            unit(field),
-            _bounds(field),
-            _default(field),
-            field.description or "",
+            field.alias or name, _values(field), _default(field), field.description or ""
         )
 
 
@@ -73,12 +67,34 @@ def attribute_table_markdown() -> str:
 
 
 def _table_markdown(title: str, model: type[BaseModel]) -> str:
-    head = ["name", "type", "unit", "range", "default", "meaning"]
-    rows = [
-        [f"`{a.name}`", a.kind, a.unit, a.bounds, a.default, a.meaning] for a in attributes(model)
-    ]
-    table = [f"| {' | '.join(row)} |" for row in [head, ["---"] * len(head), *rows]]
-    return "\n".join([f"### {title}", "", f"{model.__doc__}", "", *table])
+    head = "| name | values | default | meaning |\n|---|---|---|---|"
+    rows = [_row(list(alike)) for _, alike in groupby(attributes(model), _without_phases)]
+    return "\n".join([f"### {title}", "", f"{model.__doc__}", "", head, *rows])
+
+
+def _row(alike: list[Attribute]) -> str:
+    """One attribute as a row, or the entries of a matrix, whose meanings follow its first two."""
+    first = alike[0]
+    names = ", ".join(f"`{attribute.name}`" for attribute in alike)
+    meaning = "; ".join(attribute.meaning for attribute in alike[:2])
+    more = "; and so on" if len(alike) > 1 else ""
+    cells = (names, first.values, first.default, meaning + more)
+    return "|" + "|".join(f" {cell} " if cell else " " for cell in cells) + "|"
+
+
+def _without_phases(attribute: Attribute) -> str:
+    """The name of a matrix of phases, or of an attribute by itself."""
+    return re.sub(r"_[abc]{2}_", "_", attribute.name)
+
+
+def _values(field: FieldInfo) -> str:
+    """What a field may be: its range and unit, or its kind."""
+    limits, kind = _bounds(field), _kind(field)
+    if kind == "whole number" or not limits:
+        return f"{kind} {limits}".rstrip() if not unit(field) else unit(field)
+    if unit(field) in ("", "1"):
+        return limits
+    return f"{limits}, {unit(field)}" if unit(field)[0].isdigit() else f"{limits} {unit(field)}"
 
 
 def _kind(field: FieldInfo) -> str:
@@ -102,14 +118,16 @@ def _kind(field: FieldInfo) -> str:
 def _bounds(field: FieldInfo) -> str:
     """Permitted range of a field."""
     choices = [str(a) for a in get_args(field.annotation) if isinstance(a, str)]
-    words = {Gt: "> ", Ge: "≥ ", Lt: "< ", Le: "≤ "}
-    found = [
-        f"{sign}{getattr(m, kind.__name__.lower()):g}"
+    words = {Gt: "above ", Ge: "", Lt: "below ", Le: ""}
+    found = {
+        kind: f"{sign}{getattr(m, kind.__name__.lower()):g}"
         for kind, sign in words.items()
         for m in field.metadata
         if isinstance(m, kind)
-    ]
-    return " or ".join(choices) or ", ".join(found)
+    }
+    if set(found) == {Ge}:
+        return f"from {found[Ge]}"
+    return " or ".join(choices) or " to ".join(found.values())
 
 
 def _default(field: FieldInfo) -> str:
