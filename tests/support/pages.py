@@ -68,22 +68,32 @@ def attribute_table_markdown() -> str:
 
 def _table_markdown(title: str, model: type[BaseModel]) -> str:
     head = "| name | values | default | meaning |\n|---|---|---|---|"
-    rows = [_row(list(alike)) for _, alike in groupby(attributes(model), _without_phases)]
+    rows = [_row(list(alike)) for _, alike in groupby(attributes(model), _alike)]
     return "\n".join([f"### {title}", "", f"{model.__doc__}", "", head, *rows])
 
 
 def _row(alike: list[Attribute]) -> str:
-    """One attribute as a row, or the entries of a matrix, whose meanings follow its first two."""
+    """One attribute as a row, or attributes of one kind with what they have in common."""
     first = alike[0]
     names = ", ".join(f"`{attribute.name}`" for attribute in alike)
-    meaning = "; ".join(attribute.meaning for attribute in alike[:2])
-    more = "; and so on" if len(alike) > 1 else ""
-    cells = (names, first.values, first.default, meaning + more)
+    default, meaning = first.default, first.meaning
+    if len(alike) > 1:
+        kind = _alike(first)
+        default = "the name with `.csv`" if kind == "file" else default
+        meaning = WORDS_OF_MANY.get(kind, f"{meaning}; {alike[1].meaning}; and so on")
+    cells = (names, first.values, default, meaning)
     return "|" + "|".join(f" {cell} " if cell else " " for cell in cells) + "|"
 
 
-def _without_phases(attribute: Attribute) -> str:
-    """The name of a matrix of phases, or of an attribute by itself."""
+WORDS_OF_MANY = {"file": "files of tables and series", "table": "the tables below"}
+
+
+def _alike(attribute: Attribute) -> str:
+    """What attributes are one row by: files, tables and matrices of phases, else the name."""
+    if attribute.default == f"{attribute.name}.csv":
+        return "file"
+    if attribute.default != "required" and re.match(r"(list of )?tables? \[", attribute.meaning):
+        return "table"
     return re.sub(r"_[abc]{2}_", "_", attribute.name)
 
 
