@@ -13,6 +13,7 @@ from pydantic import AwareDatetime, BaseModel
 from pydantic.fields import FieldInfo
 
 from vppres.io.schema import TABLES, unit
+from vppres.kinds.table import KINDS, parts
 from vppres.scenario.option_table import Option
 
 
@@ -149,3 +150,25 @@ def _default(field: FieldInfo) -> str:
         return str(value).lower()
     simple = isinstance(value, (int, float, str)) and value != ""
     return f"{value:g}" if isinstance(value, float) else str(value) if simple else ""
+
+
+def frame_of(kind: str) -> str:
+    """Names of a kind in files, records and readings, as its page begins."""
+    names = KINDS[kind]
+    live = parts("live")[kind]
+    files = {f"{table.key}.csv" for table in names.tables.values()}
+    rows = [
+        (
+            f"needed in {title}",
+            [a.name for a in attributes(TABLES[title]) if a.default == "required"],
+        )
+        for title in TABLES
+        if title in files
+    ]
+    rows += [
+        ("table of a run, key of its summary", [names.table]),
+        ("readings", live.QUANTITIES),
+        ("set-point", live.NUMBERS),
+    ]
+    lines = [f"| {what} | {', '.join(f'`{word}`' for word in words)} |" for what, words in rows]
+    return "\n".join(["| part | names |", "| --- | --- |", *lines])
