@@ -133,6 +133,53 @@ def test_figures_are_those_of_the_plan(calm: Watcher, watched: tuple[Runner, str
     assert axis.count("01:00") == 1 and axis.count("01:00 GMT") == 1
 
 
+def test_the_chart_is_read_and_drawn_out_as_in_a_report(calm: Watcher) -> None:
+    page, panel = calm.page, calm.page.locator("#chart svg.time")
+
+    def fourth_hour() -> tuple[float, float]:
+        """A place in the fourth of six hours, while all are shown."""
+        box = page.locator("#chart > svg").bounding_box()
+        left, width = (float(panel.get_attribute(name)) for name in ("x", "width"))
+        return box["x"] + left + width * 3.5 / 6, box["y"] + 60
+
+    def shown() -> float:
+        return float(panel.get_attribute("viewBox").split()[2])
+
+    page.locator("#chart .zoom").scroll_into_view_if_needed()
+    page.mouse.move(*fourth_hour())
+    words = calm.text("#chart .readings")
+    assert words.startswith("Sun 25 Oct 01:00 GMT"), words
+    assert "planned" in words and "stored" in words
+    whole = shown()
+    page.locator("#chart .zoom button", has_text="Outage").press("Enter")
+    assert shown() < 0.9 * whole
+    page.mouse.dblclick(*fourth_hour())
+    assert shown() == whole
+    page.mouse.move(0, 0)
+
+
+def test_a_button_that_is_pressed_while_news_come_does_what_it_says(calm: Watcher) -> None:
+    page, panel = calm.page, calm.page.locator("#chart svg.time")
+
+    def newer(route: Any) -> None:
+        answer = route.fetch()
+        overview = answer.json()
+        overview["plan"]["ahead"]["import_kw"][0] = 4321.0
+        route.fulfill(response=answer, json=overview)
+
+    whole = panel.get_attribute("viewBox")
+    page.locator("#chart .zoom button", has_text="Outage").hover()
+    page.mouse.down()
+    page.route("**/v1/overview", newer)
+    page.locator("#chart-table", has_text="4,321").wait_for(state="attached")
+    page.mouse.up()
+    assert panel.get_attribute("viewBox") != whole
+    page.unroute("**/v1/overview")
+    page.locator("#chart .zoom button", has_text="Whole").press("Enter")
+    assert panel.get_attribute("viewBox") == whole
+    page.mouse.move(0, 0)
+
+
 CONTRAST = (Path(__file__).parents[1] / "support" / "contrast.js").read_text(encoding="utf-8")
 
 
