@@ -120,6 +120,7 @@ def plan_of(
             ROTATED: _by_name(customers[ROTATED]) if ROTATED in customers else None,
             "levels": solve.get("levels"),
             "inverted": solve.get("inverted"),
+            "shorter": solve.get("shorter"),
             "dark_reason": solve.get("dark_reason") or None,
             "fallback": fallback,
             "fallback_reason": solve["fallback_reason"] or None,

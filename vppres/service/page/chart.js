@@ -3,7 +3,7 @@
 import { kilo, percent, storedShare } from "./words.js";
 
 const { element, PAPER, spansOf } = Pictures; // the report's script, which the page loads before
-const LEFT = 74, RIGHT = 22, TOP = 20, TIER = 26, ROW = 96, GAP = 30, AXIS = 22, STRIP = 14;
+const LEFT = 74, RIGHT = 22, TOP = 20, TIER = 26, ROW = 96, GAP = 30, AXIS = 22, STRIP = 14, LEAST = 5;
 const DAYS_FROM = 48 * 3.6e6; // from this length on, ticks have dates
 
 // A level from one share to another, with marks where limits are; the rest may be bad.
@@ -104,7 +104,8 @@ function drawTier(svg, over, tier, top, steps, x) {
   svg.append(element("text", { class: "name", x: LEFT - 8, y: top + 14, "text-anchor": "end" }, shortened(tier)));
   for (const step of steps.filter((one) => one.decided)) {
     const wide = Math.max(1, x(step.end) - x(step.begin) - 1);
-    const on = step.served[tier] * tall;
+    const share = Math.round(1e6 * step.served[tier]) / 1e6, least = LEAST / tall; // one customer of twelve is to be seen
+    const on = tall * (share > 0 && share < 1 ? Math.min(1 - least, Math.max(least, share)) : share);
     const ahead = step.ahead ? " ahead" : "";
     if (on < tall) over.append(element("rect", { class: `off${ahead}`, x: x(step.begin), y: top, width: wide, height: tall - on }));
     if (on > 0) over.append(element("rect", { class: `on${ahead}`, x: x(step.begin), y: top + tall - on, width: wide, height: on }));

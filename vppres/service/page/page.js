@@ -341,14 +341,15 @@ function timeOff({ asset, off_h, longest_off_h }) {
 }
 
 function showOff() {
-  const { off = [], dimmed = {}, status, id, dark } = view.overview.plan ?? {};
+  const { off = [], dimmed = {}, status, id, dark, solve } = view.overview.plan ?? {};
   const explained = view.why?.plan === id ? view.why : null;
-  renew("off-list", [off, dark, dimmed, status, isUncertain(view), explained, view.overview.now.slice(0, 13)], () => {
+  renew("off-list", [off, dark, dimmed, status, solve?.shorter, isUncertain(view), explained, view.overview.now.slice(0, 13)], () => {
     const parts = Object.entries(dimmed).map(([asset, share]) => `${asset} to ${Math.round(100 * share)}%`);
     const below = parts.length ? [node("p", {}, `Dimmed: ${list(parts, 12)}.`)] : [];
     // Without a phase it is the plan's words again.
     const step = explained?.phase && !dark ? explained.step.words : off.length ? "" : isUncertain(view) ? "Supply is uncertain." : "All customers supplied.";
     if (step) below.unshift(node("p", {}, step));
+    if (solve?.shorter && !dark) below.push(node("p", {}, `A lower tier is on while a higher one waits: ${solve.shorter}.`));
     if (!off.length) return below;
     const told = off.map((one) => ({ ...one, why: why(one, explained, status) }));
     const groups = grouped(told, (one) => JSON.stringify([one.tier, one.why.short, one.until]));
