@@ -12,7 +12,7 @@ import pandas as pd
 from vppres.contract.switching import SwitchingState
 from vppres.core.arrays import Flags, Names
 from vppres.core.notebook import facts_html
-from vppres.day.inversions import inverted_now
+from vppres.day.inversions import lower_tiers_now
 from vppres.day.recorder import ROTATED, StepRecord
 from vppres.day.trajectory import FORMS, SHARE, Feeder, supplied
 from vppres.feeders.actuate import Feeding
@@ -74,7 +74,8 @@ class SetPoints(SetPointsOfKinds):
         why an island is blacked out, ``ac_failed`` why its lines do not carry the plan. In strict
         order ``levels`` has how many steps of the window the plan supplies to customers of each
         tier, and how many it could at most; ``inverted`` names a customer off supply whose demand
-        lower tiers and charging batteries take now, and when the plan supplies it.
+        lower tiers and charging batteries take now, and when the plan supplies it; ``shorter`` one
+        for whom what they take would do for a part of the step.
     feeding : Feeding
         What holds the voltage: the grid, a battery, or nothing.
     foreseen : Foreseen
@@ -279,20 +280,17 @@ def _sheds(step: StepRecord) -> bool:
 def _priority(scenario: Scenario, step: StepRecord, foreseen: Foreseen) -> dict[str, str]:
     """Bounds of the tiers in strict order, and in an outage who waits while lower tiers are on."""
     columns = step.customers
-    inverted = (
-        inverted_now(
-            scenario,
-            columns["served"] > 0.5,
-            columns["p_load_kw"],
-            float(step.batteries["charge_kw"].sum()),
-            foreseen.served.to_numpy(bool),
-        )
-        if scenario.outage[step.t]
-        else ""
-    )
     levels = "" if _sheds(step) else str(step.steps.get("levels", ""))
-    found = {"levels": levels, "inverted": inverted}
-    return {name: words for name, words in found.items() if words}
+    found = {"levels": levels} if levels else {}
+    if not scenario.outage[step.t]:
+        return found
+    return found | lower_tiers_now(
+        scenario,
+        columns["served"] > 0.5,
+        columns["p_load_kw"],
+        float(step.batteries["charge_kw"].sum()),
+        foreseen.served.to_numpy(bool),
+    )
 
 
 def _table(names: Any, *, index: str = "id", **columns: Any) -> pd.DataFrame:

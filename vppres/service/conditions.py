@@ -93,6 +93,18 @@ class Situation:
         return why_dark(self.plan, self.formers, self.is_dark)
 
     @property
+    def off(self) -> set[str]:
+        """Customers without supply: all of a dark island, whatever was ordered."""
+        if self.why_dark:
+            return {str(name) for name in self.scenario.customers.id}
+        points = [] if self.plan is None else points_at(self.plan, self.now)
+        return {one["asset"] for one in points if one.get("served") is False}
+
+    def clock(self, time: str | pd.Timestamp) -> str:
+        """Hours and minutes at the site."""
+        return f"{pd.Timestamp(time).tz_convert(self.scenario.grid.zone):%H:%M}"
+
+    @property
     def critical(self) -> set[str]:
         """Customers of the first tier."""
         c = self.scenario.customers
@@ -177,6 +189,9 @@ def _no_decision(now: Situation) -> Iterator[Condition]:
     if not grid["available"]:
         left = "devices keep their last state, and how long the island lasts is not known"
     if plan is None or now.ahead_s <= 0.0:
+        ends = max((one["valid_until"] for one in (plan or {}).get("setpoints", ())), default=None)
+        if ends is not None and now.now < pd.Timestamp(ends):
+            left = f"set-points hold until {now.clock(ends)}, then {left}"
         text = f"There is no plan for the present step: {left}."
     elif plan["status"] == "failed":
         text = f"The present step could not be planned: {plan['reason']}."
@@ -224,8 +239,7 @@ def _off_with_grid(now: Situation) -> Iterator[Condition]:
         return
     if not plan.get("grid") and now.grid_on != 1.0:
         return  # as by hand: nobody knows
-    off = [p["asset"] for p in points_at(plan, now.now) if p.get("served") is False]
-    off = [name for name in off if name not in now.failing]
+    off = sorted(now.off - set(now.failing))
     if not off:
         return
     words = f"{named(off, NAMES_SHOWN)} off supply, and there is grid"
@@ -235,7 +249,7 @@ def _off_with_grid(now: Situation) -> Iterator[Condition]:
     if plan["status"] in BY_HAND:
         words += f", by the operator's mode {plan['status']}"
     priority = HIGH if now.critical.intersection(off) else MEDIUM
-    yield Condition("off_with_grid", "", priority, f"{words}.", tuple(sorted(off)))
+    yield Condition("off_with_grid", "", priority, f"{words}.", tuple(off))
 
 
 def _shed(now: Situation) -> Iterator[Condition]:
@@ -246,7 +260,8 @@ def _shed(now: Situation) -> Iterator[Condition]:
     assert now.plan is not None
     (why, *_) = [one["reason"] for one in now.plan["shed"]]
     priority = HIGH if now.critical.intersection(shed) else MEDIUM
-    words = f"{named(shed, NAMES_SHOWN)} shed, although the plan supplied it: {why}."
+    them = "it" if len(shed) == 1 else "them"
+    words = f"{named(shed, NAMES_SHOWN)} shed, although the plan supplied {them}: {why}."
     yield Condition("shed", "", priority, words, tuple(sorted(shed)))
 
 
@@ -270,24 +285,24 @@ def _critical_off(now: Situation) -> Iterator[Condition]:
     if now.plan is None:
         return
     able = now.critical - set(now.failing)
-    off = [p["asset"] for p in points_at(now.plan, now.now) if p.get("served") is False]
-    off = [name for name in off if name in able]
+    off = sorted(now.off & able)
     late = _late_batteries(now)
     if off:
         words = f"{named(off, NAMES_SHOWN)} of the first tier off supply"
-        if late:
+        if now.why_dark:
+            words += f": {now.why_dark}"
+        elif late:
             words += f", and the state of charge of {named(late, NAMES_SHOWN)} is late"
-        yield Condition("critical_off", "", HIGH, f"{words}.", tuple(sorted(off)))
+        yield Condition("critical_off", "", HIGH, f"{words}.", tuple(off))
         return
-    zone = now.scenario.grid.zone
     ahead = now.plan.get("ahead") or {"times": [], "served": {}}
     for t, text in enumerate(ahead["times"]):
         time = pd.Timestamp(text)
         later = [name for name in able if not ahead["served"].get(name, [True] * (t + 1))[t]]
-        if time <= now.now + AHEAD and later:
+        if now.now < time <= now.now + AHEAD and later:
             priority = HIGH if time <= now.now + SOON else MEDIUM
-            names, local = named(sorted(later), NAMES_SHOWN), time.tz_convert(zone)
-            words = f"Planned: {names} of the first tier off supply at {local:%H:%M}."
+            names = named(sorted(later), NAMES_SHOWN)
+            words = f"Planned: {names} of the first tier off supply at {now.clock(time)}."
             yield Condition("critical_off", "", priority, words, tuple(sorted(later)), time)
             return
 
@@ -312,8 +327,11 @@ def _longest_off(now: Situation) -> Iterator[Condition]:
     back = {
         name for name, on in ((plan.get("ahead") or {}).get("served", {})).items() if any(on[:1])
     }
+    until = now.clock(pd.Timestamp(plan["start"]) + now.scenario.grid.step)
     for name, off_h in plan.get("off_h", {}).items():
-        words = f"{name} is off for {off_h:g} h by the end of this step"
+        if name not in now.off:
+            continue
+        words = f"{name} is off, for {off_h:g} h by {until}"
         left_h = limit_h[name] - off_h
         if left_h < -ROUNDING * dt_h:
             words = f"{words}, longer than its {limit_h[name]:g} h."

@@ -8,6 +8,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 import pandas as pd
@@ -35,6 +36,9 @@ MOST_BEFORE = 20
 STORED_VALUE = "stored_value_gbp_per_kwh"
 MOST_AHEAD = 48
 """Steps that a plan tells of beside its own."""
+
+IN_PATHS = "/:@!$&'()*+,;="
+"""What stands for itself in the path of an address."""
 
 DEFAULT = "default: "
 """How the reason of a set-point begins that was not let pass."""
@@ -116,6 +120,7 @@ def plan_of(
             ROTATED: _by_name(customers[ROTATED]) if ROTATED in customers else None,
             "levels": solve.get("levels"),
             "inverted": solve.get("inverted"),
+            "shorter": solve.get("shorter"),
             "dark_reason": solve.get("dark_reason") or None,
             "fallback": fallback,
             "fallback_reason": solve["fallback_reason"] or None,
@@ -231,7 +236,7 @@ def made_anew(
     """A plan of the rest of a step, instead of one that did not know why; it is kept beside."""
     begin = written(at)
     points = [
-        {**one, "id": f"{begin}/{one['kind']}/{one['asset']}", "valid_from": begin, "anew": why}
+        {**one, "id": _id(begin, one["kind"], one["asset"]), "valid_from": begin, "anew": why}
         for one in plan["setpoints"]
     ]
     kept = ("id", "valid_from", "status", "setpoints", "grid")
@@ -382,7 +387,7 @@ def _set_points(
             why = (reasons or {}).get((kind, name), reason)
             points.append(
                 {
-                    "id": f"{begin}/{kind}/{name}",
+                    "id": _id(begin, kind, name),
                     "asset": name,
                     "kind": kind,
                     **({} if phases is None else {"phases": phases.connection(name).coils}),
@@ -395,6 +400,11 @@ def _set_points(
                 }
             )
     return points
+
+
+def _id(begin: str, kind: str, name: str) -> str:
+    """Identifier of a set-point, which can be written in an address as it is."""
+    return f"{begin}/{kind}/{quote(name, safe=IN_PATHS)}"
 
 
 def _kept(kind: str, default: Mapping[str, Any], told: Mapping[Any, Any]) -> dict[str, Any]:
