@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.support.kinds import known, planned_kw, solved
+from tests.support.builders import known, planned_kw, solved
 from tests.support.sets import ahead, gensets, random_sets
 from tests.support.small_windows import DARK, OPEN, battery, two_buses
 from vppres.kinds.gensets.data import Gensets, Refuels

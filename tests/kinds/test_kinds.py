@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,8 @@ import pytest
 
 from benchmarks.random_feeders import random_window
 from tests.support.agreement import assert_methods_agree
-from tests.support.kinds import EXAMPLES, PAPER, Example, known, solved
+from tests.support.builders import HERE, known, live, solved
+from tests.support.kinds import EXAMPLES, Example
 from tests.support.small_windows import first_step
 from vppres import Controller, InputError, Measurement, explain_day, run_day, summarise
 from vppres.contract.decision import Decision
@@ -157,31 +157,25 @@ def test_the_guard_refuses_what_units_cannot_do(it: Example) -> None:
         assert words in violations(Decision(wrong), seen)
 
 
-def controller_of(day: Scenario, state: str | None = None) -> Controller:
-    """A controller, that of before."""
-    return Controller.of(day, PAPER, state=None if state is None else json.loads(state))
-
-
 @of_each_kind
 def test_readings_are_used_or_named_and_outlive_a_restart(it: Example) -> None:
     """What is told once, is missing or stands still: the same is decided by another process."""
-    controller = controller_of(it.day)
-    soc = dict.fromkeys(it.day.batteries.id, 0.5)
-    for time, (told, words) in zip(it.day.grid.times, it.told, strict=False):
-        again = controller_of(it.day, controller.saved())
-        steps = [each.step(Measurement(time, soc, **told)) for each in (again, controller)]
-        for step in steps:
-            assert (words in step.solve["estimated"]) if words else not step.solve["estimated"]
-            assert step.solve["fallback"] == "none"
-        one, other = (getattr(step, it.kind) for step in steps)
-        assert one.equals(other)
+    one = Controller.of(it.day, HERE)
+    steps = live(it.day, [told for told, _ in it.told])
+    for other, (told, words) in zip(steps, it.told, strict=True):
+        step = one.step(Measurement(other.time, other.batteries["soc"], **told))
+        assert getattr(step, it.kind).equals(getattr(other, it.kind))
+        said = other.solve["estimated"]
+        assert (words in said) if words else not said
 
 
 @of_each_kind
 def test_the_last_check_sends_no_set_point_beyond_a_unit(it: Example) -> None:
     t = int(np.argmax(it.day.outage))
     soc = dict.fromkeys(it.day.batteries.id, 0.5)
-    tables = tables_of(controller_of(it.day).step(Measurement(it.day.grid.times[t], soc)), it.day)
+    tables = tables_of(
+        Controller.of(it.day, HERE).step(Measurement(it.day.grid.times[t], soc)), it.day
+    )
     assert refusals(tables, it.day, soc) == {}
     (name,) = getattr(it.day, it.kind).id
     for columns, reason in it.beyond:
@@ -193,7 +187,7 @@ def test_the_last_check_sends_no_set_point_beyond_a_unit(it: Example) -> None:
 @of_each_kind
 def test_a_record_adds_up_and_says_why(it: Example) -> None:
     kind, record = KINDS[it.kind], parts("record")[it.kind]
-    run = explain_day(run_day(it.day, PAPER))
+    run = explain_day(run_day(it.day, HERE))
     assert (run.steps["fallback"] == "none").all() and (run.steps["clipped_kw"] == 0.0).all()
     kw = run.by_step(kind.table, "p_kw").sum(axis=1) * (-1.0 if kind.gives else 1.0)
     loads_kw = run.by_step("customers", "p_load_kw") * run.by_step("customers", "served")
@@ -222,7 +216,7 @@ def test_a_record_adds_up_and_says_why(it: Example) -> None:
 def test_a_record_is_played_again_from_step_to_step(it: Example) -> None:
     """What a step left is what the next one began with."""
     kind, record = KINDS[it.kind], parts("record")[it.kind]
-    run = run_day(it.day, PAPER)
+    run = run_day(it.day, HERE)
     taken_kw = run.by_step(kind.table, "p_kw") * (-1.0 if kind.gives else 1.0)
     runs = run.by_step(kind.table, "running" if kind.gives else "p_kw").astype(bool)
     of_kind = Plant(it.day).units[it.kind]

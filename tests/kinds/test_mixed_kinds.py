@@ -11,9 +11,10 @@ import pytest
 
 from benchmarks.random_feeders import random_window
 from tests.support.agreement import both_methods
+from tests.support.builders import known, solved
 from tests.support.carried_out import carried_out
 from tests.support.homes import homes
-from tests.support.kinds import EXAMPLES, known, solved
+from tests.support.kinds import EXAMPLES
 from tests.support.sets import gensets
 from tests.support.small_windows import two_buses
 from tests.support.vans import chargers, plugged_in

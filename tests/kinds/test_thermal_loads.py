@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.support.builders import planned_kw, solved
 from tests.support.homes import homes, hot
-from tests.support.kinds import planned_kw, solved
 from tests.support.small_windows import DARK, OPEN
 from tests.support.vans import van
 from vppres import (

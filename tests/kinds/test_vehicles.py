@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.support.kinds import known, planned_kw, solved
+from tests.support.builders import known, live, planned_kw, solved
 from tests.support.live_service import HERE, NOON, client, decided, readings, said, site
 from tests.support.small_windows import (
     DARK,
@@ -20,11 +19,6 @@ from tests.support.small_windows import (
     with_pv,
 )
 from tests.support.vans import chargers, plugged_in
-from vppres import (
-    Controller,
-    Measurement,
-    RunOptions,
-)
 from vppres.kinds.vehicles.physics import Garage, Plugged
 from vppres.plant.plant import Plant
 from vppres.scenario.remarks import brief_sessions
@@ -172,9 +166,6 @@ def test_the_plant_is_exact_and_knows_what_chargers_cannot_do() -> None:
     assert garage.possible_kw(13, np.array([7.4]), on) == pytest.approx([0.0])
 
 
-# Days.
-
-
 # Live.
 
 
@@ -183,42 +174,25 @@ def test_a_car_that_leaves_early_is_named_and_a_restart_keeps_energy() -> None:
     day = two_buses([[2.0]] * 6, [1.0], [OPEN] * 6)
     day = replace(day, chargers=chargers(p_discharge_kw=7.4))
     day = plugged_in(day, (0, 6), soc_needed=0.9)
-    options = RunOptions(mode="paper", isolate=False)
-    controller = Controller.of(day, options)
-    found, energies = [], []
-    for t, time in enumerate(day.grid.times):
-        if t == 2:
-            state = json.loads(json.dumps(controller.state(), allow_nan=False))
-            controller = Controller.of(day, options, state=state)
-        told: dict[str, Any] = {"plugged": {"k0": 0.0}} if t >= 3 else {}
-        step = controller.step(Measurement(time, **told))
-        assert step.chargers is not None
-        found.append(float(step.chargers.loc["k0", "p_limit_kw"]))
-        energies.append(float(step.chargers.loc["k0", "energy_kwh"]))
-        named = "vehicle car0 left k0 before its departure" in step.solve["estimated"]
-        assert named == (t >= 3)
-        assert step.customers["served"].all()
-    assert found == pytest.approx([7.4] * 3 + [0.0] * 3)
+    steps = live(day, [{}] * 3 + [{"plugged": {"k0": 0.0}}] * 3)
+    left = ["vehicle car0 left k0 before its departure" in s.solve["estimated"] for s in steps]
+    assert left == [False] * 3 + [True] * 3
+    assert all(step.customers["served"].all() for step in steps)
+    limits, energies = ([s.chargers[n]["k0"] for s in steps] for n in ("p_limit_kw", "energy_kwh"))
+    assert limits == pytest.approx([7.4] * 3 + [0.0] * 3)
     assert energies == pytest.approx([18.0, 18.0 + 6.808, 18.0 + 2 * 6.808, 0.0, 0.0, 0.0])
 
 
 def test_what_a_vehicle_tells_holds() -> None:
     day = two_buses([[2.0]] * 6, [1.0], [OPEN] * 6)
     day = plugged_in(replace(day, chargers=chargers(2)), (0, 6))
-    controller = Controller.of(day, RunOptions(mode="paper", horizon_h=6.0, isolate=False))
-    times = day.grid.times
-    told: dict[str, Any] = {
-        "ev_soc": {"k0": 0.79},
-        "plugged": {"k1": 1.0},
-        "energy_needed_kwh": {"k1": 3.0},
-    }
-    other = Controller.of(day, RunOptions(mode="paper", horizon_h=6.0, isolate=False))
-    unknown = other.step(Measurement(times[0], **told))
+    needs = {"plugged": {"k1": 1.0}, "energy_needed_kwh": {"k1": 3.0}}
+    told = needs | {"ev_soc": {"k0": 0.79}}
+    options = replace(HERE, horizon_h=6.0)
+    (unknown,) = live(day, [told], options)
     assert "vehicle k1 at k1 is here and its departure is not known" in unknown.solve["estimated"]
-    assert unknown.chargers is not None
     assert unknown.chargers["p_kw"]["k1"] == pytest.approx(3.0 / 0.92, abs=1e-4)
-    step = controller.step(Measurement(times[0], **told, departure={"k1": times[2]}))
-    assert step.chargers is not None
+    (step,) = live(day, [told | {"departure": {"k1": day.grid.times[2]}}], options)
     assert step.chargers["p_kw"].tolist() == pytest.approx([0.6 / 0.92, 3.0 / 0.92], abs=1e-4)
     assert step.chargers["vehicle"].tolist() == ["car0", "k1"]
 
@@ -245,9 +219,6 @@ def test_a_service_says_the_limit_of_a_charger(tiny: Scenario, tmp_path: Path) -
     assert held["p_limit_kw"] == point["p_limit_kw"]
 
 
-# Files and messages.
-
-
 SAID: dict[str, list[dict[str, float]]] = {
     # Of each hour: whether it is plugged in, what it needs, and in how many hours of the first it leaves.
     "departure passed": [{"plugged": 1, "need": 20, "leaves": 1}]
@@ -269,37 +240,33 @@ SAID: dict[str, list[dict[str, float]]] = {
 }
 
 
-def left_kwh(said: list[dict[str, float]]) -> list[float]:
-    """What a charger of 7.4 kW and 0.92 has given by the beginning of each hour, of 20 kWh."""
-    return [min(7.4 * 0.92 * hour, 20.0) for hour in range(len(said))]
+QUANTITIES = {"plugged": "plugged", "need": "energy_needed_kwh", "leaves": "departure"}
+
+
+def charged_kw(hour: int) -> float:
+    """What a charger of 7.4 kW and 0.92 gives in an hour, of 20 kWh."""
+    return min((20.0 - min(7.4 * 0.92 * hour, 20.0)) / 0.92, 7.4)
 
 
 @pytest.mark.parametrize("name", SAID)
 def test_a_vehicle_that_is_here_is_charged_whatever_it_says(name: str) -> None:
     """By Python: 20 kWh in three hours, whether or not it says so again; and it is named late."""
-    steps = SAID[name]
     day = replace(two_buses([[2.0]] * 4, [1.0], [OPEN] * 4), chargers=chargers(1))
-    options = RunOptions(horizon_h=1.0, isolate=False)
-    controller = Controller.of(day, options)
-    times = controller.times
+    start = day.grid.start
+    measured = [
+        {
+            QUANTITIES[key]: {"k0": start + value * HOUR if key == "leaves" else value}
+            for key, value in told.items()
+        }
+        for told in SAID[name]
+    ]
     leaves = 0.0
-    for hour, told in enumerate(steps):
-        if hour == 2:  # another process goes on
-            controller = Controller.of(day, options, state=json.loads(controller.saved()))
+    steps = live(day, measured, replace(HERE, horizon_h=1.0))
+    for hour, (step, told) in enumerate(zip(steps, SAID[name], strict=True)):
         leaves = told.get("leaves", leaves)
-        measured = Measurement(
-            times[hour],
-            plugged={"k0": told["plugged"]} if "plugged" in told else None,
-            energy_needed_kwh={"k0": told["need"]} if "need" in told else None,
-            departure={"k0": times[0] + told["leaves"] * HOUR} if "leaves" in told else None,
-        )
-        found = controller.step(measured)
-        assert found.solve["fallback"] == "none" and found.customers["served"].all()
-        assert found.chargers is not None
-        given_kwh = left_kwh(steps)[hour]
-        power_kw = float(found.chargers["p_kw"].iloc[0])
-        assert power_kw == pytest.approx(min((20.0 - given_kwh) / 0.92, 7.4), abs=1e-3), hour
-        late = "vehicle k0 at k0 is here" in found.solve["estimated"]
+        assert step.customers["served"].all()
+        assert step.chargers["p_kw"]["k0"] == pytest.approx(charged_kw(hour), abs=1e-3), hour
+        late = "vehicle k0 at k0 is here" in step.solve["estimated"]
         assert late == (told.get("plugged") == 1 and leaves <= hour), hour
 
 
@@ -316,14 +283,12 @@ def test_a_service_charges_a_vehicle_that_is_here_whatever_it_says(
             clock.set(NOON + hour * HOUR)
             leaves = said_now.get("leaves", leaves)
             values = {
-                "plugged": said_now.get("plugged"),
-                "energy_needed_kwh": said_now.get("need"),
-                "departure": (NOON + leaves * HOUR).timestamp() if "leaves" in said_now else None,
+                QUANTITIES[key]: (NOON + value * HOUR).timestamp() if key == "leaves" else value
+                for key, value in said_now.items()
             }
             series = [
                 {**one, "resolution": "PT1M"}
                 for quantity, value in values.items()
-                if value is not None
                 for one in readings(clock.now(), quantity, {"k0": float(value)})
             ]
             if series:
@@ -331,8 +296,7 @@ def test_a_service_charges_a_vehicle_that_is_here_whatever_it_says(
             plan = decided(http, clock, clock.now())
             assert plan["status"] == "ok"
             power_kw = said(plan, "chargers")["k0"]["p_kw"]
-            given_kwh = left_kwh(SAID[name])[hour]
-            assert power_kw == pytest.approx(min((20.0 - given_kwh) / 0.92, 7.4), abs=1e-3), hour
+            assert power_kw == pytest.approx(charged_kw(hour), abs=1e-3), hour
             late = [one for one in plan["estimated"] if one.startswith("vehicle k0 at k0 is here")]
             assert len(late) == (said_now.get("plugged") == 1 and leaves <= hour), hour
             shown = http.get("/v1/overview").json()["plan"]
@@ -342,38 +306,24 @@ def test_a_service_charges_a_vehicle_that_is_here_whatever_it_says(
 
 def test_what_is_odd_of_a_vehicle_is_named(tiny: Scenario) -> None:
     day = plugged_in(replace(tiny, chargers=chargers(2)), (0, 2))
-    controller = Controller.of(day, RunOptions(horizon_h=1.0, isolate=False))
-
-    def estimated(**told: Any) -> str:
-        found = controller.step(
-            Measurement(controller.times[0], {"big": 0.5, "small": 0.5}, **told)
-        )
-        assert found.solve["fallback"] == "none"
-        return str(found.solve["estimated"])
-
-    more = estimated(energy_needed_kwh={"k0": 90.0})
-    assert "vehicle car0 at k0 needs 90 kWh, and holds 60 kWh" in more
-    unknown = estimated(plugged={"k1": 1.0})
-    assert "vehicle at k1 is here and what it needs is not known" in unknown
-    soon = controller.times[0] + pd.Timedelta("20min")
-    told = estimated(plugged={"k0": 1.0}, departure={"k0": soon})
-    assert "vehicle car0 at k0 leaves within this step and is not charged in it" in told
-    assert estimated() == ""
+    soon = day.grid.times[0] + pd.Timedelta("20min")
+    for told, words in (
+        ({"energy_needed_kwh": {"k0": 90.0}}, "car0 at k0 needs 90 kWh, and holds 60 kWh"),
+        ({"plugged": {"k1": 1.0}}, "at k1 is here and what it needs is not known"),
+        (
+            {"plugged": {"k0": 1.0}, "departure": {"k0": soon}},
+            "car0 at k0 leaves within this step and is not charged in it",
+        ),
+        ({}, ""),
+    ):
+        (step,) = live(day, [told], replace(HERE, horizon_h=1.0))
+        assert step.solve["estimated"] == (f"vehicle {words}" if words else "")
 
 
 def test_a_vehicle_that_stays_leaves_no_time_for_the_next_one(tiny: Scenario) -> None:
     """It was to leave at one, and stays until three: the next one, announced for two, comes then."""
     day = plugged_in(replace(tiny, chargers=chargers(1)), (0, 1), (2, 4), charger="k0")
-    controller = Controller.of(day, RunOptions(horizon_h=4.0, isolate=False))
-    times = controller.times
-    soc = {"big": 0.5, "small": 0.5}
-    leaves = {"k0": times[0] + 3 * HOUR}
-    first = controller.step(Measurement(times[0], soc, plugged={"k0": 1.0}, departure=leaves))
-    assert first.chargers is not None
-    assert first.chargers["vehicle"].tolist() == ["car0"]
-    found = [controller.step(Measurement(times[t], soc)).chargers for t in (1, 2, 3)]
-    assert [None if one is None else one["vehicle"].iloc[0] for one in found] == [
-        "car0",
-        "car0",
-        "car1",
-    ]
+    leaves = {"k0": day.grid.start + 3 * HOUR}
+    told = [{"plugged": {"k0": 1.0}, "departure": leaves}, {}, {}, {}]
+    steps = live(day, told, replace(HERE, horizon_h=4.0))
+    assert [step.chargers["vehicle"]["k0"] for step in steps] == ["car0"] * 3 + ["car1"]

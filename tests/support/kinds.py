@@ -1,4 +1,4 @@
-"""What each kind brings for the laws of all kinds, and windows of sites that have kinds."""
+"""What each kind brings for the laws of all kinds."""
 
 from __future__ import annotations
 
@@ -8,109 +8,45 @@ from typing import Any
 
 import numpy as np
 
+from tests.support.builders import HERE
 from tests.support.homes import homes, hot, with_random_homes
 from tests.support.sets import gensets, random_sets
-from tests.support.small_windows import DARK, OPEN, battery, full_of, two_buses, window, with_pv
+from tests.support.small_windows import DARK, OPEN, battery, full_of, two_buses, with_pv
 from tests.support.vans import chargers, plugged_in, with_random_vehicles
 from vppres import RunOptions
-from vppres.contract.ahead import KindsAhead
 from vppres.core.arrays import Floats
 from vppres.kinds.gensets.data import Refuels
-from vppres.model.data import WindowData
-from vppres.model.site import Site
-from vppres.model.violations import broken
-from vppres.plant.plant import Plant
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
-from vppres.solve.ladder import WindowSolver
-from vppres.solve.result import WindowSolution
-
-
-def known(day: Scenario, data: WindowData | None = None) -> WindowData:
-    """All steps as one window, or those of another one, with what is known of units at first."""
-    data = window(day) if data is None else data
-    states = Plant(day).states_at(0)
-    return replace(data, ahead=KindsAhead.of(day, range(data.n_steps), states, None))
-
-
-def solved(
-    day: Scenario, method: str = "decomposed", data: WindowData | None = None
-) -> WindowSolution:
-    """The answer of a window, which is optimal and breaks nothing."""
-    data = known(day) if data is None else data
-    answer = WindowSolver(Site.of(day), method).solve(data)
-    assert answer.status == "optimal"
-    assert not broken(Site.of(day), data, answer.dispatch)
-    return answer
-
-
-def planned_kw(day: Scenario, method: str = "decomposed") -> Floats:
-    """What units take in the plan of all steps of a site with one kind, (W, n)."""
-    (taken,) = solved(day, method).dispatch.taken_kw.values()
-    return taken
-
-
-Stored = Callable[[Any, Scenario, Floats, Any], Floats]
 
 
 @dataclass(frozen=True)
 class Example:
-    """What a kind brings: a small site, and what is to be said of it.
-
-    Parameters
-    ----------
-    day : Scenario
-        A site of one customer and one unit, with grid and without.
-    draw : callable
-        A day with random units, from a day and a seed.
-    stored : callable
-        What a window reckons that units hold at the end of each step, with these powers, (W, n).
-    state : callable
-        The same of a state of the plant, (n,).
-    limit : pair of Scenario
-        A site with a unit, and one with a battery or a load that is the same.
-    crowd : Scenario
-        Units of which there are many, beside a customer who needs all that there is.
-    wrong : sequence
-        A first step, what a unit takes in it, and what the guard says.
-    beyond : sequence
-        Columns of a set-point in the first dark step, and what the last check says.
-    told : sequence
-        Readings of one step after another, and what is said of them.
-    default : mapping
-        The set-point without a decision.
-    figures : mapping
-        Figures of a run of the site.
-    why : mapping
-        Actions of a run, and the first reason of each.
-    caution, event : str
-        What a run of the site says of the units, and an event of it.
-    mistakes : sequence
-        A file, what is replaced in it and by what, and the message; a row where nothing is.
-    refused : sequence
-        A day, options, and the message.
-    """
+    """What a kind brings: a small site, and what is to be said of it."""
 
     kind: str
-    day: Scenario
-    draw: Callable[[Scenario, int], Scenario]
-    stored: Stored
+    day: Scenario  # one customer and one unit, with grid and without
+    draw: Callable[[Scenario, int], Scenario]  # a day with random units, by a seed
+    # What units hold at the end of each step, as a window reckons it, and in a state of the plant.
+    stored: Callable[[Any, Scenario, Floats, Any], Floats]
     state: Callable[[Any], Floats]
-    limit: tuple[Scenario, Scenario]
-    crowd: Scenario
-    wrong: Sequence[tuple[int, float, str]]
-    beyond: Sequence[tuple[dict[str, Any], str]]
-    told: Sequence[tuple[dict[str, Any], str]]
-    default: Mapping[str, Any]
-    figures: Mapping[str, Any]
-    why: Mapping[str, str]
+    limit: tuple[Scenario, Scenario]  # a site with a unit that is the other's battery or load
+    crowd: Scenario  # many units beside a customer who needs all that there is
+    wrong: Sequence[
+        tuple[int, float, str]
+    ]  # a first step, what a unit takes, and the guard's words
+    beyond: Sequence[tuple[dict[str, Any], str]]  # columns of a set-point, the last check's words
+    told: Sequence[tuple[dict[str, Any], str]]  # readings step by step, and what is said of them
+    default: Mapping[str, Any]  # set-point without a decision
+    figures: Mapping[str, Any]  # of a run of the site
+    why: Mapping[str, str]  # actions of it, and the first reason of each
     caution: str
     event: str
+    # A file, what is replaced in it and by what (a row is added where nothing is), the message.
     mistakes: Sequence[tuple[str, str, str, str]]
-    refused: Sequence[tuple[Scenario, RunOptions, str]]
+    refused: Sequence[tuple[Scenario, RunOptions, str]]  # a day, options, the message
 
 
-PAPER = RunOptions(isolate=False)
 IDLE = RunOptions(controller="idle", isolate=False)
 COLD = RunOptions(isolate=False, switching=SwitchingRules(cold_load_factor=2.0, cold_load_h=1.0))
 
@@ -168,9 +104,9 @@ def _cooling() -> Example:
             ("thermal_loads.csv", ",c0,", ",nobody,", "row 2, customer = nobody"),
         ],
         refused=[
-            (_in_parts(day), PAPER, "shed_steps"),
+            (_in_parts(day), HERE, "shed_steps"),
             (day, IDLE, "plans no thermal loads"),
-            (dear, PAPER, r"lambda_grid.*energy dearer.*comfort of 1 rooms"),
+            (dear, HERE, r"lambda_grid.*energy dearer.*comfort of 1 rooms"),
             (day, COLD, "twice"),
         ],
     )
@@ -254,7 +190,7 @@ def _gensets() -> Example:
             (day, IDLE, r"plans no generating sets\. Use mpc, or remove gensets\.csv"),
             (
                 dear,
-                PAPER,
+                HERE,
                 r"^scenario\.toml, objective\.lambda_grid = 0\.03: makes fuel and starts of sets count "
                 r"as much as a customer of the first tier\. Give less than 2\.0e-02\.$",
             ),
@@ -345,10 +281,10 @@ def _vehicles() -> Example:
             (day, IDLE, r"controller.*idle.*plans no vehicles.*Use mpc"),
             (
                 replace(day, price_gbp_per_kwh=np.full(6, 1e4)),
-                PAPER,
+                HERE,
                 r"lambda_grid.*makes energy dearer than.*at most",
             ),
-            (_in_parts(day), PAPER, r"customer.*c0.*switched in parts.*charger k0"),
+            (_in_parts(day), HERE, r"customer.*c0.*switched in parts.*charger k0"),
         ],
     )
 
