@@ -52,6 +52,7 @@ LAYER_OF_PART = {
     "table": "scenario",
     "fields": "scenario",
     "data": "scenario",
+    "live_fields": "live",
     "past_days": "scenario",
     "physics": "contract",
     "rows": "model",

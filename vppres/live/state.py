@@ -30,7 +30,7 @@ from vppres.scenario.scenario import Scenario
 
 KIND = "vppres controller state"
 
-VERSION = 3
+VERSION = 4
 """Of the state's layout. It changes where an older state can no longer be gone on from."""
 
 WHERE = "state"
