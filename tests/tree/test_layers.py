@@ -59,6 +59,7 @@ LAYER_OF_PART = {
     "record": "day",
     "reasons": "explain",
     "live": "live",
+    "service": "service",
 }
 """Where each part of a kind stands: a kind is a column through the layers, not a layer."""
 
