@@ -21,15 +21,9 @@ from vppres.cli import commands as cli
 from vppres.day import simulate
 
 NOT_OF_A_RUN = (
-    "distributed",
-    "fastapi",
-    "matplotlib",
-    "networkx",
-    "opendssdirect",
-    "pandapower",
-    "resvg_py",
+    "distributed", "fastapi", "matplotlib", "networkx", "opendssdirect", "pandapower", "resvg_py",
     "sqlalchemy",
-)
+)  # fmt: skip
 """What other commands need, and no run."""
 
 HEAVY = ("cvxpy", "matplotlib", "numpy", "pandapower", "pandas", "scipy")
@@ -160,15 +154,9 @@ def test_options_reach_the_run(
     errors = {"load_bias": 0.1, "load_alpha_per_h": 0.2, "pv_bias": -0.3, "pv_alpha_per_h": 0.4}
     record = options[0].as_record()
     expected = {
-        "controller": "full-horizon",
-        "horizon_h": 2.0,
-        "solver": "scip",
-        "seed": 3,
-        "method": "monolithic",
-        "errors": errors,
-        "thermal": "euler",
-        "isolate": True,
-    }
+        "controller": "full-horizon", "horizon_h": 2.0, "solver": "scip", "seed": 3,
+        "method": "monolithic", "errors": errors, "thermal": "euler", "isolate": True,
+    }  # fmt: skip
     assert {name: record[name] for name in expected} == expected
     assert (record["limits"]["gap_rel"], record["limits"]["time_s"]) == (1e-3, 30.0)
 

@@ -84,21 +84,11 @@ def once(value: float) -> Told:
 
 
 POWERS: dict[str, Told] = {
-    "in W": times(1000.0),
-    "in MW": times(0.001),
-    "nine times": times(9.0),
-    "a ninth": times(1.0 / 9.0),
-    "three times": times(3.0),
-    "wrong sign": times(-1.0),
-    "zero": always(0.0),
-    "stuck": stuck,
-    "drifting": drifting,
-    "noisy": noisy,
-    "missing": always(None),
-    "late": late,
-    "huge": always(9e5),
-    "spiking": spiking,
-}
+    "in W": times(1000.0), "in MW": times(0.001), "nine times": times(9.0),
+    "a ninth": times(1.0 / 9.0), "three times": times(3.0), "wrong sign": times(-1.0),
+    "zero": always(0.0), "stuck": stuck, "drifting": drifting, "noisy": noisy,
+    "missing": always(None), "late": late, "huge": always(9e5), "spiking": spiking,
+}  # fmt: skip
 
 
 def _some(*names: str) -> dict[str, Told]:

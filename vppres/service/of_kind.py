@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 import pandas as pd
@@ -21,10 +21,17 @@ from vppres.service.as_told import Plan, Plans
 from vppres.service.records import Reading
 from vppres.service.store import Store
 
-if TYPE_CHECKING:
-    from vppres.service.knowledge import Latest
-
 Wrong = tuple[str, float, str, str]  # field, value, what is wrong, and what to do
+
+
+class LastReadings(Protocol):
+    """The last readings of all devices."""
+
+    def now(self, quantity: str) -> dict[str, float]:
+        """Values of a quantity by asset; NaN where they hold no more, or are missing."""
+
+    def newest(self, quantity: str) -> dict[str, Reading]:
+        """The last readings of a quantity by asset, however old they are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +44,7 @@ class Stored:
         The site.
     time : pandas.Timestamp
         The step.
-    readings : Latest
+    readings : LastReadings
         The last readings.
     means : mapping
         Means since the last decision, by quantity and asset.
@@ -53,7 +60,7 @@ class Stored:
 
     scenario: Scenario
     time: pd.Timestamp
-    readings: Latest
+    readings: LastReadings
     means: Mapping[str, Mapping[str, float]]
     decided_at: pd.Timestamp
     plans: Sequence[Plan]
@@ -135,6 +142,18 @@ class OfKind:
     def state(self, scenario: Scenario, t: int, plan: Plan | None, reckoned: Any) -> Any:
         """State that a step was decided on; as reckoned where its plan says nothing."""
         return reckoned
+
+    def out(self, plan: Plan | None) -> list[str]:
+        """Units that a plan does without, since they do not start."""
+        return []
+
+    def formers(self, scenario: Scenario, plan: Plan | None) -> Iterator[tuple[str, str]]:
+        """Units that can form the grid of an island, and why one cannot now."""
+        return iter(())
+
+    def held_kwh(self, scenario: Scenario, plan: Plan | None) -> tuple[float, float]:
+        """Electric energy of full stores, and of what is in them, of units that can give it."""
+        return 0.0, 0.0
 
     def measured(self, scenario: Scenario, units: Any, t: int) -> Iterator[tuple[str, str, float]]:
         """Quantity, unit and value of what units measure at the beginning of a step."""

@@ -91,6 +91,33 @@ class Sets(OfKind):
         before = litres - scenario.refuelled_litres[t]
         return GensetState(hours > 0.0, np.abs(hours), power_kw, before)
 
+    def out(self, plan: Plan | None) -> list[str]:
+        """Sets that a plan does without."""
+        return [name for name, one in expected_by(plan).get("gensets", {}).items() if one["out"]]
+
+    def formers(self, scenario: Scenario, plan: Plan | None) -> Iterator[tuple[str, str]]:
+        """Sets that are named; none forms a feeder by phases."""
+        sets = scenario.gensets
+        told = expected_by(plan).get("gensets", {})
+        least_litres = sets.least_litres(scenario.grid.dt_h)
+        for g in np.flatnonzero(sets.grid_forming) if scenario.phases is None else ():
+            name = str(sets.id[g])
+            litres = told.get(name, {}).get("fuel_litres")
+            empty = litres is not None and litres < least_litres[g]
+            yield name, "it has no fuel for a step" if empty else ""
+
+    def held_kwh(self, scenario: Scenario, plan: Plan | None) -> tuple[float, float]:
+        """Energy of full tanks and of what is in them, at full power, of sets that start."""
+        sets = scenario.gensets
+        told = expected_by(plan).get("gensets", {})
+        per_kwh = sets.litres_per_kwh + sets.litres_per_h_idle / sets.p_max_kw
+        full_kwh = left_kwh = 0.0
+        for g, name in enumerate(map(str, sets.id)):
+            if name in told and not told[name]["out"]:
+                full_kwh += float(sets.tank_litres[g] / per_kwh[g])
+                left_kwh += float(told[name]["fuel_litres"] / per_kwh[g])
+        return full_kwh, left_kwh
+
     def measured(
         self, scenario: Scenario, units: Engines, t: int
     ) -> Iterator[tuple[str, str, float]]:
