@@ -22,8 +22,6 @@ TEMPLATES = Path(__file__).with_name("templates")
 MARKDOWN = "report.md"
 HTML = "report.html"
 FIGURES = "_static/benchmarks"
-WIDE = 3
-"""Columns of a table that a page shows; one with more stands beside the page as CSV."""
 BEGIN = "<!-- results begin -->"
 END = "<!-- results end -->"
 
@@ -85,7 +83,7 @@ def machine() -> str:
 def publish(sections: Sequence[Section], document: Path, effort: str) -> None:
     """Put tables and figures between the marks of a document, in place of what is there.
 
-    Figures become SVG files, and wide tables CSV files, under ``_static`` beside the document.
+    Figures become SVG files, and tables CSV files, under ``_static`` beside the document.
 
     Raises
     ------
@@ -112,12 +110,10 @@ def publish(sections: Sequence[Section], document: Path, effort: str) -> None:
 
 
 def _tables(section: Section, document: Path) -> list[str]:
-    """Tables of a section as a page shows them."""
-    name = section.title.lower().replace(" ", "-").replace("=", "")
+    """Write the tables of a section beside a page; returns what shows them."""
+    name = re.sub(r"\W+", "-", section.title.lower())
     return [
-        markdown_table(table)
-        if len(table.columns) <= WIDE
-        else csv_table(
+        csv_table(
             document,
             f"{name}-{number}",
             list(table.columns),
