@@ -56,13 +56,8 @@ def test_tables_have_exactly_the_columns_of_the_contract(scenario):
 
 def test_tables_have_a_row_per_step_and_item():
     assert {name: len(t) for name, t in small_run().tables.items()} == {
-        "steps": 4,
-        "customers": 12,
-        "pv": 4,
-        "batteries": 4,
-        "buses": 16,
-        "lines": 12,
-    }
+        "steps": 4, "customers": 12, "pv": 4, "batteries": 4, "buses": 16, "lines": 12,
+    }  # fmt: skip
 
 
 def test_rows_are_ordered_by_time_then_item():

@@ -252,26 +252,12 @@ def test_defaults_fill_what_the_files_leave_out(tiny_folder: Path) -> None:
     battery = {f.name: getattr(read.batteries, f.name)[0] for f in fields(Batteries)}
     assert np.isnan(battery.pop("t_initial_c"))
     assert battery == {
-        "id": "b",
-        "bus": 2,
-        "energy_kwh": 100.0,
-        "p_max_kw": 50.0,
-        "s_max_kva": 60.0,
-        "soc_min": 0.2,
-        "soc_max": 0.85,
-        "soc_initial": 0.2,
-        "eta_charge": 0.95,
-        "eta_discharge": 0.95,
-        "r_theta_c_per_kw": 3.5,
-        "c_theta_kwh_per_c": 0.3,
-        "alpha_charge_per_c2": 1e-4,
-        "alpha_discharge_per_c2": 1e-4,
-        "r_int_ohm": 0.0035,
-        "beta_per_c": 0.003,
-        "u_batt_v": 900.0,
-        "t_ref_c": 25.0,
-        "grid_forming": False,
-    }
+        "id": "b", "bus": 2, "energy_kwh": 100.0, "p_max_kw": 50.0, "s_max_kva": 60.0,
+        "soc_min": 0.2, "soc_max": 0.85, "soc_initial": 0.2, "eta_charge": 0.95,
+        "eta_discharge": 0.95, "r_theta_c_per_kw": 3.5, "c_theta_kwh_per_c": 0.3,
+        "alpha_charge_per_c2": 1e-4, "alpha_discharge_per_c2": 1e-4, "r_int_ohm": 0.0035,
+        "beta_per_c": 0.003, "u_batt_v": 900.0, "t_ref_c": 25.0, "grid_forming": False,
+    }  # fmt: skip
 
 
 def test_one_named_bus_makes_all_buses_text(tiny_folder: Path) -> None:

@@ -43,15 +43,10 @@ def van(plug_in: pd.Timestamp, plug_out: pd.Timestamp) -> tuple[Chargers, Sessio
 def chargers(count: int = 1, **more: Any) -> Chargers:
     """Chargers that stand alone at bus 2: 7.4 kW, efficiency 0.92, one way."""
     values: dict[str, Any] = {
-        "id": [f"k{i}" for i in range(count)],
-        "bus": [2] * count,
-        "customer": [""] * count,
-        "p_charge_kw": 7.4,
-        "p_charge_min_kw": 0.0,
-        "p_discharge_kw": 0.0,
-        "eta_charge": 0.92,
+        "id": [f"k{i}" for i in range(count)], "bus": [2] * count, "customer": [""] * count,
+        "p_charge_kw": 7.4, "p_charge_min_kw": 0.0, "p_discharge_kw": 0.0, "eta_charge": 0.92,
         "eta_discharge": 0.92,
-    } | more
+    } | more  # fmt: skip
     return Chargers(**{k: np.broadcast_to(np.asarray(v), count) for k, v in values.items()})
 
 
@@ -62,17 +57,11 @@ def plugged_in(day: Scenario, *hours: tuple[float, float], **more: Any) -> Scena
         [day.grid.start + pd.Timedelta(hours=h) for h in each] for each in zip(*hours, strict=True)
     ]
     values: dict[str, Any] = {
-        "charger": day.chargers.id[:count],
-        "vehicle": [f"car{i}" for i in range(count)],
-        "capacity_kwh": 60.0,
-        "soc_at_plug_in": 0.3,
-        "soc_needed": 0.8,
-        "energy_needed_kwh": np.nan,
-        "v2g_soc_floor": np.nan,
-        "tier": day.tiers[0],
-        "weight": 1.0,
+        "charger": day.chargers.id[:count], "vehicle": [f"car{i}" for i in range(count)],
+        "capacity_kwh": 60.0, "soc_at_plug_in": 0.3, "soc_needed": 0.8,
+        "energy_needed_kwh": np.nan, "v2g_soc_floor": np.nan, "tier": day.tiers[0], "weight": 1.0,
         "announced": True,
-    } | more
+    } | more  # fmt: skip
     values = {k: np.broadcast_to(np.asarray(v), count) for k, v in values.items()}
     plug_in, plug_out = (np.array(each, dtype=object) for each in times)
     return replace(day, sessions=Sessions(plug_in=plug_in, plug_out=plug_out, **values))
