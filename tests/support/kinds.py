@@ -38,6 +38,7 @@ class Example:
     beyond: Sequence[tuple[dict[str, Any], str]]  # columns of a set-point, the last check's words
     told: Sequence[tuple[dict[str, Any], str]]  # readings step by step, and what is said of them
     default: Mapping[str, Any]  # set-point without a decision
+    by_rule: Mapping[str, float]  # set-point where no plan was found in an outage
     figures: Mapping[str, Any]  # of a run of the site
     why: Mapping[str, str]  # actions of it, and the first reason of each
     caution: str
@@ -85,6 +86,7 @@ def _cooling() -> Example:
             ({"indoor_c": {"h0": 26.0}}, ""),
         ],
         default={"setpoint_c": 25.0},
+        by_rule={"setpoint_c": 100.0},
         figures={
             "loads": 1,
             "missed_k_h": 3.068,
@@ -155,6 +157,7 @@ def _gensets() -> Example:
             ({"running": {"g0": 0}, "start_fault": {"g0": 1}}, "genset g0 is out (start fault)"),
         ],
         default={"running": False, "p_kw": 0.0},
+        by_rule={},
         figures={
             "hours_on": 2.0,
             "starts": 2,
@@ -235,6 +238,7 @@ def _vehicles() -> Example:
             ({"plugged": {"k0": 0.0}}, "vehicle car0 left k0 before its departure"),
         ],
         default={"p_kw": 7.4, "p_limit_kw": 7.4},
+        by_rule={"p_kw": 0.0, "p_limit_kw": 0.0},
         figures={  # 14.8 kWh with grid, and of 13.3 stored what the home leaves in four hours
             "departures": 1,
             "left_short": 1,
