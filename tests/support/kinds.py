@@ -57,6 +57,14 @@ def _in_parts(day: Scenario) -> Scenario:
     return replace(day, customers=replace(day.customers, shed_steps=[2] * len(day.customers)))
 
 
+def _drawn_homes(day: Scenario, seed: int) -> Scenario:
+    """The day with rooms and tanks whose machines do better or worse in the heat."""
+    rng = np.random.default_rng([seed, 42])
+    loads = with_random_homes(day, rng)
+    cop_per_c = rng.uniform(-0.08, 0.02, len(loads.thermal_loads))
+    return replace(loads, thermal_loads=replace(loads.thermal_loads, cop_per_c=cop_per_c))
+
+
 def _cooling() -> Example:
     """A home that is cooled before an outage."""
     day = hot([OPEN] * 2 + [DARK] * 8 + [OPEN], t_max_c=25.0)
@@ -67,7 +75,7 @@ def _cooling() -> Example:
     return Example(
         kind="thermal_loads",
         day=day,
-        draw=lambda day, seed: with_random_homes(day, np.random.default_rng([seed, 42])),
+        draw=_drawn_homes,
         stored=lambda rooms, day, taken_kw, running: rooms.t_c(taken_kw),
         state=lambda t_c: t_c,
         limit=(held, two_buses([[1.0 + 2.5 / 3.5]] * 4, [1.0], [OPEN] * 4)),
