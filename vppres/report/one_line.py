@@ -101,11 +101,13 @@ def drawing(run: Trajectory) -> Drawing:
     name_px = LETTER_PX * max(map(len, names))
     column_px = int(np.clip(WIDTH_PX / max(layout.column.max(), 1), *COLUMN_PX))
     leaning = name_px + 8 > column_px
-    deep = max(-(-sum(map(bool, kinds.values())) // 2) for kinds in connected)
-    above = TOP_PX + (LEAN * name_px if leaning else 0.0)
-    row_px = int(above + 14 + SLOT_PX * deep + 6)
+    deep = np.array([-(-sum(map(bool, kinds.values())) // 2) for kinds in connected])
+    above = int(TOP_PX + (LEAN * name_px if leaning else 0.0))
+    # A row is as high as the symbols of its buses.
+    row_px = np.array([deep[layout.row == row].max() for row in range(layout.row.max() + 1)])
+    row_px = above + 14 + SLOT_PX * row_px + 6
     x = GRID_PX + column_px * layout.column
-    y = int(above) + MARGIN_PX + row_px * layout.row
+    y = above + MARGIN_PX + (row_px.cumsum() - row_px)[layout.row]
     buses = tuple(
         BusMark(
             str(net.buses[i]), names[i], int(x[i]), int(y[i]), i == 0, i in critical, connected[i]
@@ -119,7 +121,8 @@ def drawing(run: Trajectory) -> Drawing:
     )
     beside = name_px if leaning else max(name_px / 2, MARGIN_PX)
     width = int(x.max() + beside + MARGIN_PX)
-    return Drawing(width, int(y.max()) + row_px - int(above), buses, lines, ties_at, leaning)
+    height = int(MARGIN_PX + row_px.sum())
+    return Drawing(width, height, buses, lines, ties_at, leaning)
 
 
 def tie_ends(network: Network, ties: Iterable[str]) -> Iterator[tuple[int, int]]:
