@@ -18,7 +18,7 @@ from vppres.day.metrics import line_current_a, line_loading, service_by_tier
 from vppres.day.trajectory import Trajectory, supplied
 from vppres.kinds.table import KINDS
 from vppres.report.clock import Clock
-from vppres.report.plots.drawing import cividis, shortened
+from vppres.report.plots.drawing import CIVIDIS, coloured, shortened
 from vppres.report.tree_layout import tree_layout
 from vppres.scenario.network import Network
 from vppres.scenario.phases import PHASES
@@ -152,7 +152,7 @@ def voltage_edges(run: Trajectory) -> Floats:
 
 def voltage_colours(n_classes: int) -> list[str]:
     """A colour for each voltage class, lowest first; dark to light in a grey print too."""
-    return [cividis(share) for share in np.linspace(0.0, 1.0, n_classes)]
+    return [coloured(CIVIDIS, share) for share in np.linspace(0.0, 1.0, n_classes)]
 
 
 def worst_step(run: Trajectory) -> int:
@@ -191,7 +191,7 @@ def step_states(run: Trajectory) -> dict[str, Any]:
         "time": [clock.full(time) for time in run.steps["time"]],
         "outage": run.steps["outage"].astype(int).tolist(),
         "info": _info(run),
-        "bus": _digits(_voltage_classes(run, v)),
+        "bus": _digits(voltage_classes(run, v)),
         "tile": _digits(_tile_classes(run, served)),
         "line": _digits(loading_classes(run)),
         "served": _digits(served.astype(int)),
@@ -216,7 +216,7 @@ def loading_classes(run: Trajectory) -> Wholes:
     return np.digitize(loading, LOADING_EDGES)
 
 
-def _voltage_classes(run: Trajectory, v: Floats) -> Wholes:
+def voltage_classes(run: Trajectory, v: Floats) -> Wholes:
     """Class of each voltage, shape (T, N)."""
     net = run.scenario.network
     edges = voltage_edges(run)

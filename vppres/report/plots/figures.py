@@ -51,7 +51,7 @@ from vppres.report.plots.drawing import (
     VERMILLION,
     WHITE,
     Style,
-    blend,
+    coloured,
     png_of,
 )
 from vppres.report.plots.rows import (
@@ -279,8 +279,7 @@ def _sun_strip(run: Trajectory) -> Strip:
     """PV power as a share of its largest of the day."""
     available = run.scenario.pv_kw[: len(run.steps)].sum(axis=1)
     shares = available / max(float(available.max()), 1e-9)
-    colours = [f"#{red:02x}{green:02x}{blue:02x}" for red, green, blue in blend(SUN, shares)]
-    return Strip("PV power", [(colour, "", "") for colour in colours])
+    return Strip("PV power", [(coloured(SUN, share), "", "") for share in shares])
 
 
 def _service_strip(run: Trajectory) -> Strip:
