@@ -239,16 +239,15 @@ def _shares(run: Trajectory, axis: str) -> Curves:
 
 def timeline(run: Trajectory) -> Chart:
     """Strips of the grid, the batteries, the PV power, and what is off supply."""
-    makers: list[Callable[[Trajectory], Strip]] = [
-        _grid_strip,
-        *([_battery_strip] if len(run.scenario.batteries) else []),
-        *([_sun_strip] if len(run.scenario.pv) else []),
-        _service_strip,
-        _off_strip,
+    strips = [
+        *([_phase_strip(run)] if "phase" in run.steps else []),
+        _grid_strip(run),
+        *([_battery_strip(run)] if len(run.scenario.batteries) else []),
+        *([_sun_strip(run)] if len(run.scenario.pv) else []),
+        _off("Off supply", (~run.by_step("customers", "served")).sum(axis=1)),
+        _off("kW off", off_kw(run)),
     ]
-    if "phase" in run.steps:
-        makers.insert(0, _phase_strip)
-    return Chart("timeline", "The day at a glance", run, [Strips([make(run) for make in makers])])
+    return Chart("timeline", "The day at a glance", run, [Strips(strips)])
 
 
 def _phase_strip(run: Trajectory) -> Strip:
@@ -280,16 +279,6 @@ def _sun_strip(run: Trajectory) -> Strip:
     available = run.scenario.pv_kw[: len(run.steps)].sum(axis=1)
     shares = available / max(float(available.max()), 1e-9)
     return Strip("PV power", [(coloured(SUN, share), "", "") for share in shares])
-
-
-def _service_strip(run: Trajectory) -> Strip:
-    """How many customers are not served."""
-    return _off("Off supply", (~run.by_step("customers", "served")).sum(axis=1))
-
-
-def _off_strip(run: Trajectory) -> Strip:
-    """Demand of customers that are off supply, in kW."""
-    return _off("kW off", off_kw(run))
 
 
 def _off(name: str, missing: Floats | Wholes) -> Strip:
