@@ -10,8 +10,10 @@ from __future__ import annotations
 from collections import OrderedDict
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Complexes, Flags, Floats, Wholes
@@ -89,11 +91,11 @@ class Slopes:
         )
 
 
-def _by_asset(flow: PhasedFlow, factor: Floats) -> Floats:
+def _by_asset(flow: PhasedFlow, factor: Floats) -> Any:
     """Share of each asset's power that each coil draws, (coils, D)."""
-    found = np.zeros((len(flow.asset), len(flow.assets)))
-    found[np.arange(len(flow.asset)), flow.asset] = flow.share * factor
-    return found
+    coils = np.arange(len(flow.asset))
+    shape = (len(coils), len(flow.assets))
+    return sp.csr_array((flow.share * factor, (coils, flow.asset)), shape=shape)
 
 
 @dataclass(frozen=True, eq=False)

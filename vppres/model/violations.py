@@ -7,11 +7,12 @@ one only if it breaks no row of its window by more than the tolerances here.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from vppres.contract.dispatch import Dispatch
-from vppres.core.arrays import Floats
+from vppres.core.arrays import Floats, Wholes
 from vppres.kinds.gensets.physics import SetsAhead
 from vppres.kinds.table import KINDS
 from vppres.model.beyond_paper.losses import injections
@@ -178,6 +179,28 @@ def _flows(site: Site, data: WindowData, d: Dispatch) -> tuple[Floats, Floats]:
     return p, q
 
 
+def _held(site: Site, data: WindowData) -> tuple[Wholes, Floats]:
+    """Bus that holds the voltage in each step, and its squared voltage, (W,) each."""
+    net = site.network
+    held = np.zeros(data.n_steps, dtype=int) if data.physics is None else data.physics.reference
+    return held, net.u_pu2(net.held_pu)[held]
+
+
+def _u_of(site: Site, data: WindowData, p_kw: Floats, q_kvar: Floats) -> Floats:
+    """Squared voltages that follow from flows, referred to the slack bus, (W, N)."""
+    net = site.network
+    held, held_pu2 = _held(site, data)
+    u = (data.delta_pu2 - voltage_drop_pu2(net, p_kw, q_kvar)) @ net.downstream
+    return np.asarray(u + (held_pu2 - u[np.arange(len(u)), held])[:, None])
+
+
+def with_flows(site: Site, data: WindowData, dispatch: Dispatch) -> Dispatch:
+    """A dispatch with the flows and voltages of the lines that follow from its powers."""
+    p_kw, q_kvar = _flows(site, data, dispatch)
+    v_pu = site.network.v_pu(_u_of(site, data, p_kw, q_kvar))
+    return replace(dispatch, p_flow_kw=p_kw, q_flow_kvar=q_kvar, v_pu=v_pu)
+
+
 def _voltages(site: Site, data: WindowData, d: Dispatch) -> Excess:
     """Voltage drop along every line, the voltage that is held, limits; referred to the slack.
 
@@ -187,12 +210,10 @@ def _voltages(site: Site, data: WindowData, d: Dispatch) -> Excess:
     net = site.network
     u = net.u_pu2(d.v_pu)
     steps = np.arange(d.n_steps)
-    held = np.zeros(d.n_steps, dtype=int) if data.physics is None else data.physics.reference
-    held_pu2 = net.u_pu2(net.held_pu)[held]
+    held, held_pu2 = _held(site, data)
     drop = voltage_drop_pu2(net, d.p_flow_kw, d.q_flow_kvar)
     expected = u[:, net.parent] - drop + data.delta_pu2
-    by_powers = (data.delta_pu2 - voltage_drop_pu2(net, *_flows(site, data, d))) @ net.downstream
-    by_powers += (held_pu2 - by_powers[steps, held])[:, None]
+    by_powers = _u_of(site, data, *_flows(site, data, d))
     lowest, highest = data.u_limits_pu2(net)
     limited = np.ones_like(u, dtype=bool)
     limited[:, 0] = held > 0  # the grid's own voltage has no limit

@@ -9,9 +9,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from vppres.core.arrays import Complexes, Floats
-from vppres.core.units import V_PER_KV
-from vppres.physics.phases import S_PER_US, incidence
-from vppres.scenario.phases import PHASES, PhaseLine, Phases, PhaseTransformer
+from vppres.physics.phases import S_PER_US, Turns
+from vppres.scenario.phases import PHASES, PhaseLine, Phases
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +36,7 @@ class Loadings:
         """Those of all lines and transformers with a rating."""
         rated = [line for line in phases.lines if np.isfinite(line.i_max_a)]
         blocks = [_of_line(phases, line) for line in rated]
-        blocks += [_of_transformer(phases, unit) for unit in phases.transformers]
+        blocks += [_of_transformers(phases)]
         names = [
             f"line from {line.from_bus} to {line.to_bus}, phase {PHASES[phase]}"
             for line in rated
@@ -85,11 +84,8 @@ def _of_line(phases: Phases, line: PhaseLine) -> Any:
     return sp.csr_array((entries.ravel(), (rows, columns)), shape=(len(line.phases), len(at)))
 
 
-def _of_transformer(phases: Phases, unit: PhaseTransformer) -> Any:
+def _of_transformers(phases: Phases) -> Any:
     """Current through each pair of coils, without what magnetises them."""
-    sides = ((unit.from_bus, unit.from_coils), (unit.to_bus, unit.to_coils))
-    volts = (unit.from_kv * unit.from_tap * V_PER_KV, unit.to_kv * unit.to_tap * V_PER_KV)
-    first, second = (
-        incidence(phases, *side) / across for side, across in zip(sides, volts, strict=True)
-    )
-    return 100.0 / (unit.r_pct + 1j * unit.x_pct) * (first - second)
+    turns = Turns.of(phases)
+    z_pct = turns.per_unit(phases, lambda unit: unit.r_pct + 1j * unit.x_pct)
+    return sp.diags_array(100.0 / z_pct) @ turns.through

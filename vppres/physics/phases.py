@@ -8,13 +8,14 @@ fixed point, and by Newton's method where that does not meet.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import ArrayLike
 from scipy.sparse.linalg import splu
 
 from vppres.core.arrays import Complexes, Floats, Wholes
@@ -53,17 +54,32 @@ class NoPhasedSolutionError(VerificationError):
         self.share = share
 
 
-def incidence(phases: Phases, bus: str, coils: str) -> Any:
-    """Voltages across coils of voltages at nodes, shape (coils, nodes)."""
+def incidence(phases: Phases, places: Iterable[tuple[str, str]]) -> Any:
+    """Voltages across the coils of buses, one after the other, of voltages at nodes."""
     at = phases.node_index
-    entries = [
-        (row, at[bus, end], sign)
-        for row, coil in enumerate(coils_of(coils))
-        for end, sign in zip(coil, (1.0, -1.0), strict=True)
-        if end is not None
-    ]
-    rows, columns, values = (np.array(each) for each in zip(*entries, strict=True))
-    return sp.csr_array((values, (rows, columns)), shape=(len(coils_of(coils)), len(at)))
+    rows: list[int] = []
+    columns: list[int] = []
+    values: list[float] = []
+    count = 0
+    for bus, words in places:
+        for coil in coils_of(words):
+            for end, sign in zip(coil, (1.0, -1.0), strict=True):
+                if end is not None:
+                    rows.append(count)
+                    columns.append(at[bus, end])
+                    values.append(sign)
+            count += 1
+    return sp.csr_array((values, (rows, columns)), shape=(count, len(at)))
+
+
+def each_coil(values: ArrayLike, counts: Wholes) -> Any:
+    """What devices have, for each of their coils."""
+    return np.repeat(np.asarray(values), counts)
+
+
+def n_coils(places: Iterable[tuple[str, str]]) -> Wholes:
+    """How many coils there are at each place."""
+    return np.array([len(words.split()) for _, words in places], dtype=int)
 
 
 def admittances(phases: Phases, island: bool = False) -> Any:
@@ -79,12 +95,8 @@ def admittances(phases: Phases, island: bool = False) -> Any:
     >>> complex(admittances(one)[0, 0])
     0.1j
     """
-    y = _of_lines(phases)
-    for unit in phases.transformers:
-        y = y + of_transformer(phases, unit)
-    for shunt in phases.shunts:
-        if not island or shunt.island != "no":
-            y = y + _of_shunt(phases, shunt)
+    shunts = [each for each in phases.shunts if not island or each.island != "no"]
+    y = _of_lines(phases) + _of_transformers(phases) + _of_shunts(phases, shunts)
     return sp.csc_array(y)
 
 
@@ -106,36 +118,86 @@ def _of_lines(phases: Phases) -> Any:
     return sp.csr_array(entries, shape=y.shape)
 
 
-def of_transformer(phases: Phases, unit: PhaseTransformer) -> Any:
-    """Admittances of a transformer: its short circuit, and what goes to ground."""
-    va = unit.kva * VA_PER_KVA
-    sides = [
-        (incidence(phases, unit.from_bus, unit.from_coils), unit.from_kv * V_PER_KV, unit.from_tap),
-        (incidence(phases, unit.to_bus, unit.to_coils), unit.to_kv * V_PER_KV, unit.to_tap),
-    ]
-    first, second = (coils / (volts * tap) for coils, volts, tap in sides)
-    through = first - second
-    y = va * 100.0 / (unit.r_pct + 1j * unit.x_pct) * (through.T @ through)
-    for coils, volts, _ in sides:
-        ends: Any = sp.diags_array(abs(coils).sum(axis=0))
-        y = y + ends * (-0.5j * unit.ppm * 1e-6 * va / volts**2)
+class Turns(NamedTuple):
+    """Coils of transformers, one unit after the other, as a matrix for each side.
+
+    Attributes
+    ----------
+    sides : tuple of sparse array
+        Voltages across the coils of voltages at nodes, (coils, nodes) each.
+    volts : tuple of array
+        Their nominal voltages in V, (coils,) each.
+    taps : tuple of array
+        Their taps, (coils,) each.
+    counts : array
+        How many pairs of coils each unit has.
+    """
+
+    sides: tuple[Any, Any]
+    volts: tuple[Floats, Floats]
+    taps: tuple[Floats, Floats]
+    counts: Wholes
+
+    @classmethod
+    def of(cls, phases: Phases) -> Turns:
+        """Those of all transformers of a feeder."""
+        units = phases.transformers
+        of_from = [(unit.from_bus, unit.from_coils) for unit in units]
+        of_to = [(unit.to_bus, unit.to_coils) for unit in units]
+        counts = n_coils(of_from)
+        volts = ([unit.from_kv * V_PER_KV for unit in units], [u.to_kv * V_PER_KV for u in units])
+        taps = ([unit.from_tap for unit in units], [unit.to_tap for unit in units])
+        return cls(
+            (incidence(phases, of_from), incidence(phases, of_to)),
+            (each_coil(volts[0], counts), each_coil(volts[1], counts)),
+            (each_coil(taps[0], counts), each_coil(taps[1], counts)),
+            counts,
+        )
+
+    def per_unit(self, phases: Phases, of: Callable[[PhaseTransformer], complex]) -> Any:
+        """What units have, for each of their pairs of coils."""
+        return each_coil([of(unit) for unit in phases.transformers], self.counts)
+
+    @property
+    def through(self) -> Any:
+        """What drives current through each pair of coils, of voltages at nodes, in turns."""
+        first, second = (
+            sp.diags_array(1.0 / (volts * tap)) @ coils
+            for coils, volts, tap in zip(self.sides, self.volts, self.taps, strict=True)
+        )
+        return first - second
+
+
+def _of_transformers(phases: Phases) -> Any:
+    """Admittances of all transformers: their short circuits, and what goes to ground."""
+    turns = Turns.of(phases)
+    va = turns.per_unit(phases, lambda unit: unit.kva * VA_PER_KVA)
+    z_pct = turns.per_unit(phases, lambda unit: unit.r_pct + 1j * unit.x_pct)
+    through = turns.through
+    y = through.T @ sp.diags_array(va * 100.0 / z_pct) @ through
+    to_ground = -0.5j * va * turns.per_unit(phases, lambda unit: unit.ppm * 1e-6)
+    for coils, volts in zip(turns.sides, turns.volts, strict=True):
+        y = y + sp.diags_array(abs(coils).T @ (to_ground / volts**2))
     return y
 
 
-def _of_shunt(phases: Phases, shunt: PhaseShunt) -> Any:
-    """Admittances of a shunt."""
-    coils = incidence(phases, shunt.bus, shunt.coils)
-    siemens = (shunt.p_kw - 1j * shunt.q_kvar) * W_PER_KW / coils.shape[0]
-    return siemens / (shunt.kv * V_PER_KV) ** 2 * (coils.T @ coils)
+def _of_shunts(phases: Phases, shunts: Sequence[PhaseShunt]) -> Any:
+    """Admittances of shunts, whose power is that of all their coils."""
+    places = [(shunt.bus, shunt.coils) for shunt in shunts]
+    counts = n_coils(places)
+    powers = [(s.p_kw - 1j * s.q_kvar) * W_PER_KW / (s.kv * V_PER_KV) ** 2 for s in shunts]
+    coils = incidence(phases, places)
+    siemens = each_coil(powers, counts) / each_coil(counts, counts)
+    return coils.T @ sp.diags_array(siemens) @ coils
 
 
 def measures(phases: Phases) -> Any:
     """Voltages in pu as their limits count them of those of the nodes in V, (m, nodes)."""
-    blocks = []
-    for bus, word in phases.measured:
-        volts = V_PER_KV * phases.by_bus[bus].kv / (np.sqrt(3) if len(word) == 1 else 1.0)
-        blocks.append(incidence(phases, bus, word) / volts)
-    return sp.csr_array(sp.vstack(blocks))
+    volts = [
+        V_PER_KV * phases.by_bus[bus].kv / (np.sqrt(3) if len(word) == 1 else 1.0)
+        for bus, word in phases.measured
+    ]
+    return sp.csr_array(sp.diags_array(1.0 / np.array(volts)) @ incidence(phases, phases.measured))
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,12 +245,11 @@ class PhasedFlow:
         self.y = admittances(phases, island)
         self._factors = splu(self.y[self.free][:, self.free].tocsc())
         rows = [phases.connection(name) for name in self.assets]
-        blocks = [incidence(phases, row.bus, row.coils) for row in rows]
-        empty = sp.csr_array((0, len(nodes)))
-        self.coils: Any = sp.csr_array(sp.vstack(blocks, format="csr")) if blocks else empty
-        counts = [block.shape[0] for block in blocks]
+        places = [(row.bus, row.coils) for row in rows]
+        self.coils = incidence(phases, places)
+        counts = n_coils(places)
         self.asset: Wholes = np.repeat(np.arange(len(rows)), counts)
-        self.share: Floats = np.repeat([1.0 / count for count in counts], counts)
+        self.share: Floats = each_coil(1.0 / counts, counts)
         self.rated_v: Floats = np.repeat([row.kv * V_PER_KV for row in rows], counts)
         self.p_exponent: Floats = np.repeat([row.p_exponent for row in rows], counts)
         self.q_exponent: Floats = np.repeat([row.q_exponent for row in rows], counts)

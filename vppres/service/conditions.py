@@ -19,6 +19,7 @@ from vppres.service.changes import GRID_LOST
 from vppres.service.forming import Former, formers_now, why_dark
 from vppres.service.knowledge import Heard, Latest, refusing, soc_now
 from vppres.service.lost import lost_customers
+from vppres.service.of_kind import every
 from vppres.service.plans import points_at, refused_of
 from vppres.service.store import Store
 
@@ -153,14 +154,9 @@ def failing_now(
 ) -> dict[str, str]:
     """Devices that do not follow their set-points, and why."""
     batteries = dict.fromkeys(refusing(latest.newest("soc"), store), "its device rejected it")
-    sets = dict.fromkeys(_sets_out(plan), "it does not start")
-    return {**batteries, **lost_customers(scenario, latest.found, store), **sets}
-
-
-def _sets_out(plan: Mapping[str, Any] | None) -> list[str]:
-    """Generating sets that a plan does without."""
-    sets = expected_by(plan).get("gensets", {})
-    return [name for name, one in sets.items() if one["out"]]
+    out = [name for kind in every().values() for name in kind.out(plan)]
+    units = dict.fromkeys(out, "it does not start")
+    return {**batteries, **lost_customers(scenario, latest.found, store), **units}
 
 
 def conditions(now: Situation) -> Iterator[Condition]:
@@ -361,25 +357,13 @@ def _island_margin(now: Situation) -> Iterator[Condition]:
         if soc is not None:
             usable_kwh += float(b.energy_kwh[i] * (b.soc_max[i] - b.soc_min[i]))
             left_kwh += float(b.energy_kwh[i] * max(soc - b.soc_min[i], 0.0))
-    usable_kwh, left_kwh = (
-        stored + fuel for stored, fuel in zip((usable_kwh, left_kwh), _fuel_kwh(now), strict=True)
-    )
+    for kind in every().values():
+        full_kwh, held_kwh = kind.held_kwh(now.scenario, now.plan)
+        usable_kwh += full_kwh
+        left_kwh += held_kwh
     if left_kwh < LEAST_MARGIN * usable_kwh:
         words = f"Less than {LEAST_MARGIN:.0%} of the usable energy is left, and there is no grid."
         yield Condition("island_margin", "", MEDIUM, words)
-
-
-def _fuel_kwh(now: Situation) -> tuple[float, float]:
-    """Energy of full tanks and of what is in them at full power, of sets that start."""
-    sets = now.scenario.gensets
-    told = expected_by(now.plan).get("gensets", {})
-    per_kwh = sets.litres_per_kwh + sets.litres_per_h_idle / sets.p_max_kw
-    full_kwh = left_kwh = 0.0
-    for g, name in enumerate(map(str, sets.id)):
-        if name in told and not told[name]["out"]:
-            full_kwh += float(sets.tank_litres[g] / per_kwh[g])
-            left_kwh += float(told[name]["fuel_litres"] / per_kwh[g])
-    return full_kwh, left_kwh
 
 
 def _fallback(now: Situation) -> Iterator[Condition]:

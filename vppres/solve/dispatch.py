@@ -19,7 +19,7 @@ from vppres.model.beyond_paper.export import net_exchange
 from vppres.model.data import WindowData
 from vppres.model.numerics import POLYGON_SIDES, cost_scale, disc_sides
 from vppres.model.terms import evaluate
-from vppres.model.violations import broken
+from vppres.model.violations import broken, with_flows
 from vppres.solve.cache import ModelCache
 from vppres.solve.certificate import (
     COST_GAP_GBP,
@@ -484,6 +484,7 @@ def polish(
         return Attempt(outcome, None)
     better = problem.dispatch(dispatch.served)
     better = replace(better, soc=data.soc_path(site, better.charge_kw, better.discharge_kw))
+    better = with_flows(site, data, better) if problem.in_chains else better
     after = evaluate(site, data, better)
     f2_after = after.f2 - sheet.statement.held(data, better).gbp
     kept = f2_after <= f2_max + HELD_ABS and after.f3 <= f3_max + missed_kwh

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from itertools import chain
+from typing import TypeVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -52,6 +53,8 @@ linear solution that uses all that it may has no inside else."""
 
 TOWARDS = np.exp(-2j * np.pi * np.arange(SIDES) / SIDES)
 """Turns of a value by which its real part is what it has towards a side."""
+
+A = TypeVar("A", Floats, Complexes)
 
 # Assets from the first one on, their columns, (W, k), and what of a column each draws.
 Term = tuple[int, Wholes, Floats | float]
@@ -207,16 +210,20 @@ class PhaseLimits:
         steps, nodes = np.nonzero(which)
         limit = (self.phased.u_min, self.phased.u_max)[side]
         scale = (PER_PU2, -PER_PU2)[side]
-        of_p, of_q = (np.stack(each) for each in self._slopes_of_voltages)
-        source = self.source[steps]
+        if not len(steps):
+            return []
+        slopes = [(s.u_p, s.u_q) for s in self.model.slopes]
+        by_p, by_q = self._at(steps, nodes, slopes)
         least = scale * (limit - self.phased.u_offset)[steps, nodes]
-        slopes = (scale * of_p[source, nodes], scale * of_q[source, nodes])
-        return self._rows(steps, *slopes, least, nodes, side)
+        return self._rows(steps, scale * by_p, scale * by_q, least, nodes, side)
 
-    @property
-    def _slopes_of_voltages(self) -> tuple[list[Floats], list[Floats]]:
-        slopes = self.model.slopes
-        return [s.u_p for s in slopes], [s.u_q for s in slopes]
+    def _at(self, steps: Wholes, places: Wholes, slopes: list[tuple[A, A]]) -> tuple[A, A]:
+        """Slopes of some places in some steps, with the step's source, (R, D) each."""
+        by_p, by_q = (each[places] for each in slopes[GRID])
+        for source, (of_p, of_q) in enumerate(slopes):
+            there = self.source[steps] == source
+            by_p[there], by_q[there] = of_p[places[there]], of_q[places[there]]
+        return by_p, by_q
 
     def _former(self, kva: Complexes, over: float) -> list[PhaseRows]:
         """Rows of each phase of the former that is beyond its polygon."""
@@ -260,16 +267,17 @@ class PhaseLimits:
 
         Rows are in shares of what the disc allows.
         """
-        of_p, of_q = (np.stack(each) for each in zip(*slopes, strict=True))
         steps, places = np.nonzero(which)
+        if not len(steps):
+            return []
+        of_p, of_q = self._at(steps, places, slopes)
         radius = REACH * np.broadcast_to(room, at.shape)[steps, places]
         side = np.round(np.angle(at[steps, places]) * SIDES / (2.0 * np.pi)).astype(int)
-        source = self.source[steps]
         found = []
         for beside in (0, 1, -1):
             turn = TOWARDS[(side + beside) % SIDES] / radius
-            by_p = -np.real(turn[:, None] * of_p[source, places])
-            by_q = -np.real(turn[:, None] * of_q[source, places])
+            by_p = -np.real(turn[:, None] * of_p)
+            by_q = -np.real(turn[:, None] * of_q)
             least = np.real(turn * offset[steps, places]) - 1.0
             found += self._rows(steps, by_p, by_q, least, places, kind)
         return found
@@ -284,8 +292,6 @@ class PhaseLimits:
         side: int,
     ) -> list[PhaseRows]:
         """Rows ``by_p @ p + by_q @ q >= least`` of what assets draw in some steps, (R, D) each."""
-        if not len(steps):
-            return []
         count = by_p.shape[1]
         columns = steps[:, None] * count + np.arange(count)
         rows = np.broadcast_to(np.arange(len(steps))[:, None], columns.shape)

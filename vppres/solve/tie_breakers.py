@@ -24,6 +24,8 @@ from vppres.model.site import Site
 from vppres.solve.compiled import Numbers
 from vppres.solve.forms import DISCS, MODES, OF_PV, in_order
 from vppres.solve.lumping import eliminated
+from vppres.solve.network.chains import Chains
+from vppres.solve.network.injections import BALANCES
 from vppres.solve.selection import Selected, Selection, Sheet, diagonal_of
 
 SHARPER_VOLTAGE = 1e2
@@ -57,6 +59,12 @@ class TieBreakers(Selected):
         Whether PV power may be curtailed, up to the held sum.
     moves : bool
         Whether batteries are to stay near the previous plan.
+
+    Attributes
+    ----------
+    in_chains : bool
+        Whether it has chains of lines instead of these, and no voltages: with rows of phases
+        nothing else follows from lines.
     """
 
     def __init__(self, site: Site, sheet: Sheet, curtailing: bool, moves: bool) -> None:
@@ -64,6 +72,8 @@ class TieBreakers(Selected):
         self.site = site
         self.curtailing = curtailing
         self.moves = moves and len(site.batteries) > 0
+        paper = not (sheet.statement.own or sheet.statement.changed)
+        self.in_chains = site.phases is not None and paper
 
     def _selected(self, sheet: Sheet) -> Selection:
         """All families, scaled, with the limits that are written with a window."""
@@ -81,8 +91,13 @@ class TieBreakers(Selected):
         found = found.hold(*named("by_service"), *named("by_dispatch"))
         found = found.hold(*sheet.own_whole)
         sides = disc_sides(site, sheet.n_steps)
+        chains = Chains.of(site) if self.in_chains else None
         for name in sorted(in_order(sheet), key=_rank):
-            if name in DISCS:
+            if chains is not None and name in BALANCES:
+                found = replace(found, parts=(*found.parts, chains.of_balance(sheet, name)))
+            elif chains is not None and "u" in _letters_of(sheet, name):
+                pass  # no voltage of the tree has a limit
+            elif name in DISCS:
                 found = self._disc(found, name, sides)
             elif name in SHARPER:
                 found = found.scale(name, SHARPER[name])
@@ -94,8 +109,8 @@ class TieBreakers(Selected):
             found = found.hold("P_curt")
         found = found.limit("battery_power_min", {"P_ch": -1.0, "P_dch": 1.0})
         found = found.limit("battery_power_max", {"P_ch": 1.0, "P_dch": -1.0})
-        for name in named("at_least"):
-            found = found.limit(f"{name}_min", {name: -1.0})
+        for name in named("in_range"):
+            found = found.limit(f"{name}_min", {name: -1.0}).limit(f"{name}_max", {name: 1.0})
         found = found.limit_term("f2").limit_term("f3")
         if "own" in sheet.statement.terms:
             found = found.limit_term("own", -1.0)
@@ -106,7 +121,9 @@ class TieBreakers(Selected):
             parts = tuple(eliminated(sheet, parts, ("P_self", "P_exp"), by))
         order = ("P_grid", "P_curt")
         calm = {name: np.ones(sheet.columns[name].shape[-1]) for name in named("calm")}
-        return replace(found, parts=parts, squares=squares_of(site) | calm, order=order)
+        squares = squares_of(site)
+        squares = squares if chains is None else chains.squares(squares)
+        return replace(found, parts=parts, squares=squares | calm, order=order)
 
     def _disc(self, found: Selection, name: str, sides: int) -> Selection:
         """Discs, or polygons for large windows; what data leaves of a disc is an interval."""
@@ -144,7 +161,8 @@ class TieBreakers(Selected):
             "f2": f2_gbp,
             "f3": f3_kwh,
         }
-        self.limits |= {f"{name}_min": -least for name, least in beyond.least.items()}
+        for name, (least, most) in beyond.ranges.items():
+            self.limits |= {f"{name}_min": -least, f"{name}_max": most}
         self.held |= {"delta": charging.astype(float), "P_curt": 0.0, **beyond.values}
         self._near = None
         if self.moves and data.moves is not None:
@@ -216,6 +234,11 @@ def squares_of(site: Site) -> dict[str, Floats]:
     scale = 1.0 / (1000.0 * site.network.base_kv**2 * heaviest)
     terms = ((w.lambda_l, f4_squares(site)), (w.lambda_q, f5_squares(site)))
     return {name: scale * weight * of for weight, squares in terms for name, of in squares.items()}
+
+
+def _letters_of(sheet: Sheet, name: str) -> set[str]:
+    """Letters of a family."""
+    return {x.name() for x in sheet.statement.families[name].variables()}
 
 
 def _rank(name: str) -> int:

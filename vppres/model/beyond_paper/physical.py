@@ -15,7 +15,7 @@ from typing import ClassVar, Self
 import cvxpy as cp
 import numpy as np
 
-from vppres.core.arrays import Floats
+from vppres.core.arrays import Floats, Wholes
 from vppres.model.beyond_paper.addition import Addition
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
@@ -32,8 +32,9 @@ class PhysicalMode(Addition):
     """What a window of W steps has beyond :class:`vppres.model.variables.Parameters`.
 
     ``P_loss`` and ``Q_loss`` are the lines' losses at the buses where they end; ``held`` marks the
-    bus that holds the voltage; ``u_root_min`` and ``u_root_max`` limit the grid's bus where that is
-    another one; ``P_room``, ``S_room`` and ``SoC_min`` are the batteries' limits less headroom.
+    bus that holds the voltage, of those that may; ``u_root_min`` and ``u_root_max`` limit the
+    grid's bus where that is another one; ``P_room``, ``S_room`` and ``SoC_min`` are the batteries'
+    limits less headroom.
     """
 
     P_loss: cp.Parameter
@@ -62,7 +63,7 @@ class PhysicalMode(Addition):
         shapes = {
             "P_loss": (W, N),
             "Q_loss": (W, N),
-            "held": (W, N),
+            "held": (W, len(holding_buses(site))),
             "u_root_min": (W,),
             "u_root_max": (W,),
             "P_room": (W, B),
@@ -85,7 +86,7 @@ class PhysicalMode(Addition):
         values = {
             "P_loss": at_far_ends(physics.loss_kw),
             "Q_loss": at_far_ends(physics.loss_kvar),
-            "held": np.eye(net.n_buses)[physics.reference],
+            "held": physics.reference[:, None] == holding_buses(site),
             "u_root_min": np.where(island, net.v_min_pu**2, 0.0),
             "u_root_max": np.where(island, net.v_max_pu**2, _U_ANY),
             "P_room": data.active_max_kw(site.batteries),
@@ -111,10 +112,10 @@ class PhysicalMode(Addition):
     def _voltages(self, site: Site, v: Variables) -> Named:
         """The voltage is held at the grid's bus, or at a battery's while the grid is away."""
         net = site.network
-        held = cp.sum(cp.multiply(self.held, v.u), axis=1)
+        held = cp.sum(cp.multiply(self.held, v.u[:, holding_buses(site)]), axis=1)
         u_held: cp.Expression | float = net.v_slack_pu**2
         if net.has_ratios:
-            u_held = self.held @ net.u_pu2(net.held_pu)
+            u_held = self.held @ net.u_pu2(net.held_pu)[holding_buses(site)]
         return {
             "voltage_reference": held == u_held,
             "root_voltage_min": v.u[:, 0] >= self.u_root_min,
@@ -127,6 +128,15 @@ class PhysicalMode(Addition):
             "headroom_charge": v.P_batt <= self.P_room,
             "headroom_discharge": -v.P_batt <= self.P_room,
         }
+
+
+def holding_buses(site: Site) -> Wholes:
+    """Buses at which something may hold the voltage: the grid, a battery or a generating set.
+
+    cvxpy takes a minute and 6 GB for a product with a parameter of each of 5,000 buses.
+    """
+    buses = [site.network.bus_index[bus] for bus in (*site.batteries.bus, *site.gensets.bus)]
+    return np.unique(np.array([0, *buses], dtype=int))
 
 
 def taken_by_network(site: Site, data: WindowData) -> Drawn:
