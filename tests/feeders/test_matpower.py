@@ -175,7 +175,11 @@ REFUSED = [
     ("y = [];\nx = mpc.bus(1, y);", 15, "has the index y, which is no whole number from 1 to 13"),
     ("x = mpc.bus(1, 1:14);", 14, "has the index 14, which is no whole number from 1 to 13"),
     ("x = mpc.bus(1.5, 1);", 14, "calls 'mpc.bus', which is not evaluated"),
-    ("x = mpc.bus + mpc.gen;", 14, "combines 2 by 13 and 1 by 10 numbers"),
+    (
+        "x = mpc.bus + mpc.gen;",
+        14,
+        "combines 2 by 13 and 1 by 10 numbers: columns are only changed by one number",
+    ),
     ("x = mpc.bus(:, 1) .* mpc.gen;", 14, "combines 2 by 1 and 1 by 10 numbers"),
     ("x = [] + mpc.bus;", 14, "has an expression that is not evaluated"),
     ("x = [];\ny = x + mpc.bus;", 15, "combines 0 by 0 and 2 by 13 numbers"),

@@ -291,7 +291,8 @@ class _Case:
                 numbers = one.size == 1, other.size == 1
                 fits = {ast.Div: numbers[1], ast.Pow: all(numbers)}.get(type(sign), any(numbers))
                 if not fits:
-                    raise _Wrong(f"combines {_by(one.shape)} and {_by(other.shape)} numbers")
+                    sizes = f"{_by(one.shape)} and {_by(other.shape)} numbers"
+                    raise _Wrong(f"combines {sizes}: columns are only changed by one number")
                 found = _BINARY[type(sign)](one, other)
             case ast.Call(func=ast.Name(name), args=[argument]) if name in _CALLS:
                 found = _CALLS[name](self._computed(argument, parts))
