@@ -71,27 +71,15 @@ def _needed(disabled: list[str], engine: Any) -> list[str]:
         for name in engine._of(kind):
             nodes = [tuple(engine.elements().admittance()[0])] if kind == "transformer" else []
             joined[f"{kind}.{name}"] = nodes or engine.elements().joined()
-    root: dict[Any, Any] = {}
-
-    def top(node: Any) -> Any:
-        while root.setdefault(node, node) != node:
-            node = root[node] = root[root[node]]
-        return node
-
-    def join(groups: list[tuple[Any, ...]]) -> None:
-        for first, *others in groups:
-            for other in others:
-                root[top(other)] = top(first)
-
-    for element, groups in joined.items():
-        if element not in disabled:
-            join(groups)
+    module = engine.elements().nodes()
+    groups = [group for element, own in joined.items() if element not in disabled for group in own]
     kept = []
     for element in disabled:
-        groups = joined.get(element, [])
-        if any(len({top(node) for node in group}) > 1 for group in groups):
+        own = joined.get(element, [])
+        known = module.beside(groups)
+        if any({*group} - {*module.reached(group[0], known)} for group in own):
             kept.append(element)
-            join(groups)
+            groups += own
     return kept
 
 
@@ -189,7 +177,7 @@ class _Matrices:
             if each > len(PHASES) and each != own and (bus, each) not in self.users
         ]  # fmt: skip
         if gone:
-            y = self.elements.without(y, gone)
+            y = self.elements.nodes().without(y, gone)
             nodes = [each for i, each in enumerate(nodes) if i not in gone]
         if own not in nodes:
             return 0j
@@ -268,7 +256,7 @@ class _Matrices:
             nodes, y = self._sum([sums])
             gone = [i for i, node in enumerate(nodes) if node > len(PHASES)]
             if gone:
-                y = self.elements.without(y, gone)
+                y = self.elements.nodes().without(y, gone)
             phases = [node - 1 for node in nodes if node <= len(PHASES)]
             found.append({"bus": bus, "phases": phases, "y": _complex(y)})
         return found
@@ -321,7 +309,7 @@ def _transformer(name: str, engine: Any, matrices: _Matrices) -> dict[str, Any]:
         y[i, i] += matrices.grounding(node) or 0j
         ground = y[i, [bus == node[0] for bus, _ in live]].sum()
         neutrals.append({"bus": node[0], "z": _complex(1.0 / ground)})
-        y = engine.elements().without(y, [i])
+        y = engine.elements().nodes().without(y, [i])
         live.remove(node)
         for row in rows:
             row["ppm"] = 0.0  # it is in the matrix, that of the neutral too

@@ -336,7 +336,7 @@ def _fit_levels(lines: list[str]) -> None:
     for element, bus, rated_kv, _ in list(_ratings()):
         own = [kv for kv in levels if _fits(rated_kv, kv, TOLERANCE)]
         if element.startswith("transformer.") and own and not _fits(rated_kv, _base_kv(bus)):
-            for each in elements().reached(bus, beside):
+            for each in elements().nodes().reached(bus, beside):
                 dss.Text.Command(f'setkvbase bus="{each}" kvll={own[0]:.17g}')
                 MOVED[each] = own[0]
 
