@@ -19,6 +19,8 @@ NEXT, PREVIOUS = ("ab", "bc", "ca"), ("ac", "ba", "cb")
 EXPONENTS = {1: (0.0, 0.0), 2: (2.0, 2.0), 3: (0.0, 2.0), 5: (1.0, 1.0)}
 """How active and reactive power of OpenDSS's load models follow the voltage."""
 
+ADMITTANCE = 2  # option of 'set loadmodel': all loads are impedances
+CONSTANT_IMPEDANCE = 2
 US_PER_S = 1e6
 V_PER_KV = 1000.0
 SAME = 1e-9
@@ -49,7 +51,7 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
     own = _Matrices(engine, refused)
     tables = {
         "kept": kept,
-        "source": _source(),
+        "source": _source(refused),
         "lines": own.lines,
         "transformers": [_transformer(name, engine, own) for name in engine._of("transformer")],
         "shunts": own.shunts(),
@@ -262,8 +264,16 @@ class _Matrices:
         return found
 
 
-def _source() -> dict[str, Any]:
+def _source(refused: Refused) -> dict[str, Any]:
     """Bus of the source, what it holds, and the impedance behind which it does."""
+    dss.Text.Command("? vsource.source.sequence")
+    if not dss.Text.Result().strip().lower().startswith("pos"):
+        _refuse(
+            refused,
+            "vsource.source",
+            f"has sequence={dss.Text.Result().strip()}: its phases turn the other way",
+            "Leave 'sequence' out and swap two phases everywhere, or import with --balance.",
+        )
     dss.Circuit.SetActiveElement("vsource.source")
     bus = dss.CktElement.BusNames()[0].partition(".")[0].lower()
     phases = [phase for _, phase in _nodes()[:3]]
@@ -370,10 +380,10 @@ def _service(name: str, engine: Any) -> dict[str, Any]:
 
 def _windings(phases: list[int], delta: bool, count: int) -> list[str]:
     """Coils that a winding may be, in words; a conductor at ground is no end of one."""
+    if count == 1:  # from one phase to another, or to ground
+        return ["".join(PHASES[phase] for phase in phases[:2] if phase in range(3))]
     if not delta:
         return [" ".join(PHASES[phase] for phase in phases[:count] if phase in range(3))]
-    if count == 1:
-        return ["".join(PHASES[phase] for phase in phases[:2] if phase in range(3))]
     names = [PHASES[phase] if phase in range(3) else "" for phase in phases[:3]]
     return [_delta(names, NEXT), _delta(names, PREVIOUS)]
 
@@ -422,13 +432,25 @@ def _powers(engine: Any, solved: bool, refused: Refused) -> Iterator[dict[str, A
                 "kv": kv,
                 "exponents": _exponents(name, refused) if kind == "load" else (0.0, 0.0),
                 **engine.nominal(kind, name, solved),
+                **(_impedance() if kind == "generator" else {}),
             }
+
+
+def _impedance() -> dict[str, Any]:
+    """Power at nominal voltage of the active generator if it is a constant impedance."""
+    if int(dss.Generators.Model()) != CONSTANT_IMPEDANCE:
+        return {}
+    # OpenDSS's multiplier of generators does not change it.
+    powers = {"p_kw": float(dss.Generators.kW()), "q_kvar": float(dss.Generators.kvar())}
+    return {**powers, "exponents": EXPONENTS[CONSTANT_IMPEDANCE]}
 
 
 def _exponents(name: str, refused: Refused) -> tuple[float, float]:
     """How active and reactive power of a load follow the voltage."""
     dss.Loads.Name(name)
     model = int(dss.Loads.Model())
+    if dss.Solution.LoadModel() == ADMITTANCE:
+        return EXPONENTS[CONSTANT_IMPEDANCE]
     if model == 4:
         return float(dss.Loads.CVRwatts()), float(dss.Loads.CVRvars())
     if model not in EXPONENTS:
