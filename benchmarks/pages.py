@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import base64
+import csv
+import io
 import json
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -92,6 +95,36 @@ def put_into(page: Path, text: str, begin: str, end: str) -> None:
     before, _, rest = page.read_text("utf-8").partition(begin)
     _, _, after = rest.partition(end)
     atomic_write_text(page, f"{before}{begin}\n\n{text}\n\n{end}{after}")
+
+
+def put_table(page: Path, table: str, begin: str, end: str) -> None:
+    """Keep a table as CSV beside a page, and show it between two marks of the page.
+
+    Parameters
+    ----------
+    page : Path
+        A page of the documentation.
+    table : str
+        Rows of Markdown, the heads first.
+    begin, end : str
+        The marks; the table's file has the first one's name.
+    """
+    name = re.sub(r"\W+", "-", begin.partition(":")[0].strip("<!- "))
+    head, _, *rows = [
+        [cell.strip() for cell in line.strip().strip("|").split("|")] for line in table.splitlines()
+    ]
+    put_into(page, csv_table(page, name, head, rows), begin, end)
+
+
+def csv_table(page: Path, name: str, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """Write a table to ``_static`` beside a page; returns the directive that shows it."""
+    file = page.parent / "_static" / page.stem / f"{name}.csv"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([head, *rows])
+    atomic_write_text(file, text.getvalue())
+    path = file.relative_to(page.parent).as_posix()
+    return f"```{{csv-table}}\n:file: {path}\n:header-rows: 1\n```"
 
 
 def save_figure(figure: Figure, stem: Path) -> list[Path]:

@@ -13,7 +13,7 @@ import pandas as pd
 from jinja2 import Environment
 from matplotlib.figure import Figure
 
-from benchmarks.pages import save_figure, template_environment
+from benchmarks.pages import csv_table, save_figure, template_environment
 from vppres.core.errors import InputError, Problem
 from vppres.day.metrics import versions
 from vppres.io.atomic import atomic_write_text
@@ -83,7 +83,7 @@ def machine() -> str:
 def publish(sections: Sequence[Section], document: Path, effort: str) -> None:
     """Put tables and figures between the marks of a document, in place of what is there.
 
-    Figures become SVG files under ``_static/benchmarks`` beside the document.
+    Figures become SVG files, and tables CSV files, under ``_static`` beside the document.
 
     Raises
     ------
@@ -101,12 +101,26 @@ def publish(sections: Sequence[Section], document: Path, effort: str) -> None:
         )
     parts = [f"{effort} {_packages()}"]
     for section in sections:
-        parts += [f"### {section.title}", section.text, *map(markdown_table, section.tables)]
+        parts += [f"### {section.title}", section.text, *_tables(section, document)]
         parts += [_published(name, figure, document) for name, figure in section.figures.items()]
     body = "\n\n".join(part for part in parts if part)
     pattern = re.escape(BEGIN) + ".*?" + re.escape(END)
     new = re.sub(pattern, lambda _: f"{BEGIN}\n{body}\n\n{END}", text, flags=re.DOTALL)
     atomic_write_text(document, new)
+
+
+def _tables(section: Section, document: Path) -> list[str]:
+    """Write the tables of a section beside a page; returns what shows them."""
+    name = re.sub(r"\W+", "-", section.title.lower())
+    return [
+        csv_table(
+            document,
+            f"{name}-{number}",
+            list(table.columns),
+            [list(map(cell, row)) for row in table.itertuples(index=False)],
+        )
+        for number, table in enumerate(section.tables, 1)
+    ]
 
 
 def _published(name: str, figure: Figure, document: Path) -> str:

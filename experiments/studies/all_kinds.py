@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 import typer
 
-from benchmarks.pages import markdown_table, put_into
+from benchmarks.pages import markdown_table, put_table
 from benchmarks.race import Runner, monolith
 from experiments.studies.precooling import heat_wave
 from vppres.day.assembly import make_controller
@@ -174,7 +174,7 @@ def main(seed: int = 0) -> None:
     ]
     table = markdown_table((*COLUMNS, *OF_WHOLE), lines)
     typer.echo(table)
-    put_into(PAGE, table, BEGIN, END)
+    put_table(PAGE, table, BEGIN, END)
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from typing import Annotated, Any
 
 import typer
 
-from benchmarks.pages import markdown_table, put_into, write_pages
+from benchmarks.pages import markdown_table, put_table, write_pages
 from experiments.studies.seeds import STUDIES
 from vppres.core.errors import InputError, VppresError
 from vppres.day.options import RunOptions
@@ -262,7 +262,7 @@ def main(
     record = {"networks": [asdict(outcome) for outcome in outcomes]}
     write_pages(results, "networks", "Published networks", text, record)
     if page is not None:
-        put_into(page, text, BEGIN, END)
+        put_table(page, text, BEGIN, END)
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ import cvxpy as cp
 import numpy as np
 from numpy.random import Generator
 
-from benchmarks.pages import put_into
+from benchmarks.pages import put_table
 from benchmarks.random_feeders import WEIGHT, random_network, random_scenario
 from experiments.studies.phases import DAYS, LIMIT_S, loop, of_day, say, scenario_of
 from vppres.control.phased import PhasedPlanner
@@ -413,7 +413,7 @@ def main() -> int:
     if given.windows:
         table = windows(given.windows, given.limit)
         if given.page:
-            put_into(given.page, table, BEGIN, END)
+            put_table(given.page, table, BEGIN, END)
         return 0
     for seed in range(given.first, given.first + given.long):
         scenario = long_feeder(seed)

@@ -21,7 +21,7 @@ from unittest.mock import patch
 
 import numpy as np
 
-from benchmarks.pages import put_into
+from benchmarks.pages import put_table
 from vppres.contract.decision import Decider, Decision
 from vppres.contract.observation import Observation
 from vppres.control.phased import PhasedPlanner
@@ -85,9 +85,9 @@ def admittances_apart(file: Path, flow: Any) -> float:
     """Largest difference of an entry from OpenDSS's, as a share of its row's diagonal."""
     import opendssdirect as dss
 
-    from vppres.feeders.dss import commands, engine, script
+    from vppres.feeders.dss import commands, elements, engine, script
 
-    sys.modules["dss/commands"] = commands
+    sys.modules |= {"dss/commands": commands, "dss/elements": elements}
     engine._elements.cache_clear()
     assert not engine.build({**script.read_script(file).job(), "open_deltas": True})
     engine.settled()
@@ -162,13 +162,14 @@ def loops(folder: Path, names: list[str], days: list[str], kept: Path | None) ->
 
 
 def _tried(file: Path, day: str, plan: str) -> str:
-    """A loop, or why there is none: not all that feeders have is known to a balanced one."""
+    """A loop, or that the import refuses the balanced equivalent."""
     try:
         if plan == "balanced":
             import_network(file, balance=True)
         return loop(of_day(scenario_of(file), day), plan == "balanced")
     except VppresError as error:
-        return str(error).split(". ")[0]
+        say(str(error))
+        return "refused"
 
 
 @cache
@@ -320,7 +321,7 @@ def main() -> int:
     if given.loops:
         table = loops(given.loops, given.feeders, given.days, given.rows)
         if given.page:
-            put_into(given.page, table, BEGIN, END)
+            put_table(given.page, table, BEGIN, END)
     return 0
 
 

@@ -22,7 +22,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 import typer
 
-from benchmarks.pages import markdown_table, put_into, write_pages
+from benchmarks.pages import markdown_table, put_table, write_pages
 from benchmarks.terminal import plain_errors
 from experiments.studies.networks import CURES, in_pu
 from experiments.studies.opendss_itself import Itself
@@ -311,7 +311,7 @@ def main(
     record = {"feeders": [asdict(outcome) for outcome in outcomes]}
     write_pages(results, "published_feeders", "Published OpenDSS feeders", text, record)
     if page is not None:
-        put_into(page, text, BEGIN, END)
+        put_table(page, text, BEGIN, END)
 
 
 if __name__ == "__main__":

@@ -234,7 +234,7 @@ def test_missing_files_are_all_named(tmp_path):
     (tmp_path / "pv.parquet").unlink()
     (tmp_path / "options.json").unlink()
     with pytest.raises(InputError) as caught:
-        read_run(tmp_path)
+        read_run(str(tmp_path))
     assert str(caught.value) == (
         f"{tmp_path}: has no options.json, no pv.parquet. Give a folder written by a run."
     )

@@ -137,6 +137,9 @@ def test_power_flow_is_the_source_s(make: Callable[[], Any]) -> None:
     assert (v_pu, losses_kw) == pytest.approx((0.0, 0.0), abs=AGREEMENT)
     assert feeder.deviation is not None
     assert feeder.deviation.v_max_pu < AGREEMENT
+    assert str(feeder.deviation).startswith(
+        "Voltages are identical to the source's power flow (within 1e-6 pu)."
+    )
     assert set(feeder.bus_of) == set(net.bus.index)
 
 

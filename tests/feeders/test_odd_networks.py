@@ -405,6 +405,17 @@ def test_odd_net_has_its_own_voltages(change: Change, note: str) -> None:
     assert peak_kw == pytest.approx(demand_kw(net, [*feeder.bus_of]), abs=1e-3)
 
 
+def test_net_of_an_older_pandapower_has_the_voltages_of_today() -> None:
+    """Pandapower 2 said of a tap changer only whether it shifts phases; today's files are read."""
+    net = street()
+    tapped(tap_changer_type="Ideal", tap_step_degree=5.0, tap_step_percent=np.nan)(net)
+    older = deepcopy(net)
+    older.trafo = older.trafo.drop(columns="tap_changer_type").assign(tap_phase_shifter=True)
+    older.format_version = "2.14.0"
+    assert apart_pu(net, import_network(older, names=True)) < AGREEMENT_PU
+    assert "tap_changer_type" not in older.trafo
+
+
 # What is odd, and what the refusal says.
 REFUSED: dict[str, tuple[Change, str]] = {
     "extended ward": (

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +12,7 @@ import pytest
 
 from benchmarks.random_feeders import random_window
 from tests.support.agreement import assert_methods_agree
+from tests.support.builders import live
 from tests.support.live_service import HERE, NOON, client, decided, said, site
 from tests.support.small_windows import (
     DARK,
@@ -23,7 +23,7 @@ from tests.support.small_windows import (
     window,
     with_pv,
 )
-from vppres import Controller, InputError, Measurement, RunOptions, explain_day, run_day, summarise
+from vppres import InputError, RunOptions, explain_day, run_day, summarise
 from vppres.contract.decision import Decision
 from vppres.control.guard.check import violations
 from vppres.day.metrics import service_by_customer
@@ -169,25 +169,14 @@ def dark_then_open(recover_h: float, limit_kw: float) -> Scenario:
 def test_what_is_owed_survives_a_restart() -> None:
     """Steps one by one know what the steps before left, and day and service agree."""
     day = dark_then_open(2.0, OPEN)
-    options = RunOptions(
-        horizon_h=2.0,
-        isolate=False,
-    )
+    options = RunOptions(horizon_h=2.0, isolate=False)
     run = run_day(day, options)
     whole = run.customers["share"].to_numpy()
     assert whole.sum() == pytest.approx(6.0, abs=1e-3)
     assert (whole[2:] >= 1.0).all()  # nobody is dimmed where the grid gives all
     assert summarise(run)["resilience"] == pytest.approx(0.75, abs=1e-3)
     assert summarise(run)["energy_not_supplied_kwh"] == pytest.approx(0.0, abs=1e-2)
-    controller = Controller.of(day, options)
-    soc, found = {"b0": float(day.batteries.soc_initial[0])}, []
-    for time in day.grid.times:
-        if len(found) == 2:
-            state = json.loads(json.dumps(controller.state(), allow_nan=False))
-            controller = Controller.of(day, options, state=state)
-        step = controller.step(Measurement(time, soc))
-        soc = dict(step.batteries["soc_end"])
-        found.append(step.customers.loc["c0", "share"])
+    found = [step.customers.loc["c0", "share"] for step in live(day, [{}] * 6, options)]
     assert found == pytest.approx(whole, abs=1e-3)
     told = explain_day(run).explanations
     assert told is not None

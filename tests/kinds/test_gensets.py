@@ -3,38 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from benchmarks.random_feeders import random_window
-from tests.support.agreement import assert_methods_agree
+from tests.support.builders import known, planned_kw, solved
 from tests.support.sets import ahead, gensets, random_sets
-from tests.support.small_windows import DARK, OPEN, battery, first_step, two_buses, window
-from vppres import InputError, RunOptions, explain_day, run_day, summarise
-from vppres.contract.ahead import KindsAhead
-from vppres.contract.decision import Decision
-from vppres.control.guard.check import violations
-from vppres.io import read_scenario, write_scenario
-from vppres.io.digest import scenario_digest
+from tests.support.small_windows import DARK, OPEN, battery, two_buses
 from vppres.kinds.gensets.data import Gensets, Refuels
 from vppres.kinds.gensets.physics import Engines
-from vppres.model.data import WindowData
 from vppres.model.numerics import objective_scale
 from vppres.model.site import Site
-from vppres.model.violations import broken
-from vppres.report.events import events_of
-from vppres.report.plots.chart import Curves
-from vppres.report.plots.figures import import_load_pv
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
 from vppres.solve.cache import shared_cache
 from vppres.solve.forms import Form, window_problem
-from vppres.solve.ladder import METHODS, WindowSolver
-from vppres.solve.result import WindowSolution
+from vppres.solve.ladder import METHODS
 from vppres.solve.solvers import find_solver, run, run_conic
 
 HALF_AN_HOUR = pd.Timedelta(minutes=30)
@@ -62,26 +48,6 @@ def island(load_kw: list[float], sets: Gensets, steps_h: float = 1.0) -> Scenari
     day = two_buses([[kw] for kw in load_kw], [1.0], [DARK] * steps, r_ohm=1e-6)
     grid = TimeGrid(day.grid.start, 60.0 * steps_h, steps)
     return replace(day, grid=grid, gensets=sets)
-
-
-def known(day: Scenario) -> WindowData:
-    """All steps as one window."""
-    return replace(window(day), ahead=KindsAhead({"gensets": ahead(day)}))
-
-
-def solved(day: Scenario, method: str) -> WindowSolution:
-    """The answer of a window, which breaks nothing."""
-    answer = WindowSolver(Site.of(day), method).solve(known(day))
-    assert answer.status == "optimal"
-    assert not broken(Site.of(day), known(day), answer.dispatch)
-    return answer
-
-
-def powers_kw(day: Scenario, method: str) -> np.ndarray[Any, Any]:
-    """What sets give in a plan that serves everyone, (W, G)."""
-    plan = solved(day, method).dispatch
-    assert plan.served.all()
-    return -plan.taken_kw["gensets"]
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -114,11 +80,11 @@ def test_least_times_on_and_off_as_published(method: str) -> None:
     more: dict[str, Any] = {"p_max_kw": [10e3, 1e3], "p_min_kw": [1e3, 100.0]}
     day = island([4000.0, 800.0, 5000.0, 3000.0], plants(20.0, 70.0, min_on_h=[0.0, 3.0], **more))
     expected = [[3900.0, 100.0], [0.0, 800.0], [4900.0, 100.0], [3000.0, 0.0]]
-    assert powers_kw(day, method) == pytest.approx(np.array(expected), abs=1e-2)
+    assert -planned_kw(day, method) == pytest.approx(np.array(expected), abs=1e-2)
     more = {"p_max_kw": [10e3, 4e3], "p_min_kw": [3e3, 100.0], "on_before_h": [-1.0, -1.0]}
     day = island([3000.0, 800.0, 3000.0, 8000.0], plants(20.0, 70.0, min_off_h=[2.0, 0.0], **more))
     expected = [[0.0, 3000.0], [0.0, 800.0], [3000.0, 0.0], [8000.0, 0.0]]
-    assert powers_kw(day, method) == pytest.approx(np.array(expected), abs=1e-2)
+    assert -planned_kw(day, method) == pytest.approx(np.array(expected), abs=1e-2)
 
 
 REOPT = {"litres_per_kwh": 0.2889, "litres_per_h_idle": 0.0}
@@ -146,28 +112,21 @@ def test_a_tank_lasts_for_known_hours(
 
 def test_a_battery_beside_a_set_makes_the_fuel_last_longer() -> None:
     """50 kW: at full power 6.06 h, then 273 kWh of the battery; 11.53 h instead of 9.66 h."""
-    alone = solved(island([50.0] * 13, gensets()), "decomposed")
+    alone = solved(island([50.0] * 13, gensets()))
     assert alone.dispatch.served.sum() == 9
     day = replace(island([50.0] * 13, gensets()), batteries=battery(600.0, 100.0, 100.0))
-    assert solved(day, "decomposed").dispatch.served.sum() == 11
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_a_set_without_least_power_is_a_battery_that_cannot_charge(method: str) -> None:
-    """200 l at 0.25 l/kWh are 800 kWh: 8 h of 100 kW, in whichever steps."""
-    day = island([100.0] * 10, gensets(p_min_kw=0.0, litres_per_h_idle=0.0, litres_per_kwh=0.25))
-    assert solved(day, method).dispatch.served.sum() == 8
+    assert solved(day).dispatch.served.sum() == 11
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_a_set_follows_its_ramps_and_stops_from_any_power(method: str) -> None:
     sets = gensets(ramp_up_kw_per_h=40.0, ramp_down_kw_per_h=30.0, tank_litres=1e4)
     day = two_buses([[kw] for kw in (40.0, 80.0, 100.0, 70.0, 40.0)], [1.0], [DARK] * 5)
-    assert powers_kw(replace(day, gensets=sets), method)[:, 0] == pytest.approx(
+    assert -planned_kw(replace(day, gensets=sets), method)[:, 0] == pytest.approx(
         [40.0, 80.0, 100.0, 70.0, 40.0], abs=1e-4
     )
     back = two_buses([[40.0], [80.0], [100.0], [50.0]], [1.0], [DARK] * 3 + [OPEN])
-    assert powers_kw(replace(back, gensets=sets), method)[3, 0] == 0.0
+    assert -planned_kw(replace(back, gensets=sets), method)[3, 0] == 0.0
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -177,16 +136,6 @@ def test_a_set_runs_on_after_the_outage_for_its_least_time_alone(method: str) ->
     assert plan.running["gensets"][:, 0].tolist() == [False, True, True, True, False]
     always = solved(replace(day, gensets=gensets(only_in_outage=False)), method).dispatch
     assert always.running["gensets"].all()
-
-
-@pytest.mark.monolith
-@pytest.mark.parametrize("seed", range(30))
-def test_methods_agree_on_random_windows(seed: int) -> None:
-    scenario, data = random_window(seed, stressed=seed % 2 > 0)
-    sets = random_sets(np.random.default_rng([seed, 43]), scenario)
-    day = replace(scenario, gensets=sets)
-    data = replace(data, ahead=KindsAhead({"gensets": ahead(day, data.n_steps)}))
-    assert_methods_agree(Site.of(day), data)
 
 
 def test_plant_and_plan_agree_on_what_random_sets_can_do() -> None:
@@ -218,19 +167,6 @@ def test_plant_and_plan_agree_on_what_random_sets_can_do() -> None:
     assert left[9, 0] > left[8, 0] and left[20, 0] > left[19, 0]
 
 
-def test_the_guard_refuses_what_a_set_cannot_do() -> None:
-    day = island([50.0, 0.0], gensets(fuel_level_litres=25.0))
-    data = known(day)
-    plan = solved(day, "decomposed").dispatch
-    state = replace(first_step(day, data), ahead=KindsAhead({"gensets": ahead(day, 1)}))
-    assert not violations(Decision(plan), state)
-    for wrong_kw in (120.0, 20.0, 90.0):  # its rating, its least power, its fuel
-        wrong = plan.acting("gensets", np.full((2, 1), -wrong_kw))
-        assert any("genset power: g0" in each for each in violations(Decision(wrong), state))
-    connected = replace(state, grid_limit_kw=100.0)
-    assert "genset switching: g0" in violations(Decision(plan), connected)
-
-
 @pytest.mark.parametrize("method", METHODS)
 def test_fuel_that_is_delivered_in_time_is_planned_with(method: str) -> None:
     """25 l are one step of 50 kW; a delivery within the second step counts from the third on."""
@@ -239,95 +175,6 @@ def test_fuel_that_is_delivered_in_time_is_planned_with(method: str) -> None:
     day = replace(day, refuels=Refuels(["g0"], [late], [40.0]))
     served = solved(day, method).dispatch.served[:, 0]
     assert served[2:].all() and served.sum() == 3
-
-
-def test_a_run_names_a_set_without_fuel() -> None:
-    """30 l are one step of 50 kW of an outage of three."""
-    day = two_buses([[50.0]] * 4, [1.0], [DARK] * 3 + [OPEN])
-    day = replace(day, gensets=gensets(fuel_level_litres=30.0))
-    run = run_day(day, RunOptions(isolate=False, horizon_h=0.0))
-    told = [each for each in summarise(run)["cautions"] if "Generator" in each]
-    assert told == ["Generator g0 without fuel in the outage, for 2 h in all."]
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("mode", ["paper", "physical"])
-def test_a_day_tells_what_sets_did(tmp_path: Path, mode: str) -> None:
-    """What is planned happens, is recorded, counted and explained, and its files are read again."""
-    day = two_buses([[50.0]] * 8, [1.0], [OPEN] + [DARK] * 6 + [OPEN])
-    refuels = Refuels(["g0"], [day.grid.times[7]], [20.0])
-    sets = gensets(min_on_h=2.0)
-    day = replace(day, gensets=sets, refuels=refuels, batteries=battery(150.0, 100.0, 100.0))
-    run = run_day(day, RunOptions(isolate=False, mode=mode))
-    rows = run.gensets
-    assert rows is not None
-    assert not rows["running"].to_numpy()[[0, 7]].any()
-    burnt = day.gensets.litres(rows["running"].to_numpy(), rows["p_kw"].to_numpy(), 1.0)
-    left = 200.0 - np.cumsum(burnt) + np.array([0.0] * 7 + [20.0])
-    assert rows["fuel_end_litres"].to_numpy() == pytest.approx(left, abs=1e-9)
-    summary = summarise(run)
-    assert summary["resilience"] == 1.0
-    assert summary["gensets"]["burnt_litres"] == pytest.approx(burnt.sum())
-    assert (run.steps["fallback"] == "none").all() and (run.steps["clipped_kw"] == 0.0).all()
-    explanations = explain_day(run).explanations
-    assert explanations is not None
-    words = explanations[explanations["action"] == "ran"]["words"].tolist()
-    assert all(each.startswith("Generator g0 runs because the grid is away") for each in words)
-    events = [each.words for each in events_of(run)]
-    assert any(each.startswith("Generator g0 starts, with 200 l") for each in events)
-    (panel,) = (each for each in import_load_pv(run).panels[1:] if isinstance(each, Curves))
-    (shown,) = (each for each in panel.curves if each.name.endswith("generating sets"))
-    assert shown.values == pytest.approx(rows["p_kw"].to_numpy())
-    write_scenario(day, tmp_path / "day")
-    again = read_scenario(tmp_path / "day")
-    assert scenario_digest(again) == scenario_digest(day)
-    assert scenario_digest(replace(day, refuels=Refuels())) != scenario_digest(day)
-    assert scenario_digest(replace(day, gensets=gensets())) != scenario_digest(day)
-
-
-def test_mistakes_are_named(tmp_path: Path) -> None:
-    write_scenario(island([1.0], gensets()), tmp_path)
-    file = tmp_path / "gensets.csv"
-    good = file.read_text(encoding="utf-8")
-    named, row = good.splitlines()
-
-    def told(change: dict[str, str]) -> str:
-        cells = dict(zip(named.split(","), row.split(","), strict=True)) | change
-        file.write_text(f"{','.join(cells)}\n{','.join(cells.values())}\n", encoding="utf-8")
-        with pytest.raises(InputError) as caught:
-            read_scenario(tmp_path)
-        return str(caught.value)
-
-    assert told({"p_min_kw": "150"}) == (
-        "gensets.csv, row 2, p_min_kw = 150.0: must not exceed p_max_kw (100). "
-        "Correct one of the two."
-    )
-    assert told({"fuel_level_litres": "300"}) == (
-        "gensets.csv, row 2, fuel_level_litres = 300.0: must not exceed tank_litres (200). "
-        "Correct one of the two."
-    )
-    assert "bus = 9" in told({"bus": "9"})
-    file.write_text(good, encoding="utf-8")
-    (tmp_path / "refuel.csv").write_text(
-        "genset,time,litres\ng9,2022-07-19T00:00Z,50\n", encoding="utf-8"
-    )
-    with pytest.raises(InputError) as caught:
-        read_scenario(tmp_path)
-    assert "refuel.csv, row 2, genset = g9: is not a set of gensets.csv." in str(caught.value)
-
-
-def test_what_does_not_go_with_sets_is_refused() -> None:
-    day = island([1.0], gensets())
-    with pytest.raises(InputError) as caught:
-        run_day(day, RunOptions(controller="idle"))
-    assert "plans no generating sets. Use mpc, or remove gensets.csv." in str(caught.value)
-    dear = replace(day, objective=replace(day.objective, lambda_grid=0.03))
-    with pytest.raises(InputError) as caught:
-        run_day(dear)
-    assert str(caught.value) == (
-        "scenario.toml, objective.lambda_grid = 0.03: makes fuel and starts of sets count as much "
-        "as a customer of the first tier. Give less than 2.0e-02."
-    )
 
 
 def test_interior_points_find_the_bound_of_the_largest_weights() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,8 +12,9 @@ import pytest
 
 from benchmarks.random_feeders import random_rules, random_window
 from tests.support.agreement import assert_methods_agree
+from tests.support.builders import HERE, live
 from tests.support.small_windows import DARK, OPEN, full_of, two_buses, window
-from vppres import Controller, Measurement, RunOptions, explain_day, run_day, summarise
+from vppres import RunOptions, explain_day, run_day, summarise
 from vppres.contract.switching import SwitchingState
 from vppres.control.planner import levels_of
 from vppres.control.rules import rule_dispatch
@@ -253,20 +253,8 @@ def test_a_limit_that_cannot_be_kept_is_named() -> None:
 
 @pytest.mark.nightly
 def test_since_when_a_customer_is_off_survives_a_restart() -> None:
-    day = six_hours(2.0)
-    options = RunOptions(horizon_h=1.0, isolate=False)
-    served = []
-    for restarts in (False, True):
-        controller = Controller.of(day, options)
-        soc = {"b0": float(day.batteries.soc_initial[0])}
-        for time in day.grid.times:
-            if restarts:
-                state = json.loads(json.dumps(controller.state(), allow_nan=False))
-                controller = Controller.of(day, options, state=state)
-            step = controller.step(Measurement(time, soc))
-            soc = dict(step.batteries["soc_end"])
-            served.append(bool(step.customers["served"]["c1"]))
-    assert served == [False, False, True] * 4
+    steps = live(six_hours(2.0), [{}] * 6, replace(HERE, horizon_h=1.0))
+    assert [bool(step.customers["served"]["c1"]) for step in steps] == [False, False, True] * 2
 
 
 # Files.

@@ -11,11 +11,13 @@ import pytest
 
 from benchmarks.random_feeders import random_window
 from tests.support.agreement import both_methods
+from tests.support.builders import known, solved
 from tests.support.carried_out import carried_out
-from tests.support.homes import homes, with_random_homes
-from tests.support.sets import gensets, random_sets
-from tests.support.small_windows import two_buses, window
-from tests.support.vans import chargers, plugged_in, with_random_vehicles
+from tests.support.homes import homes
+from tests.support.kinds import EXAMPLES
+from tests.support.sets import gensets
+from tests.support.small_windows import two_buses
+from tests.support.vans import chargers, plugged_in
 from vppres import (
     Controller,
     Measurement,
@@ -25,7 +27,6 @@ from vppres import (
     new_scenario,
     run_day,
 )
-from vppres.contract.ahead import KindsAhead
 from vppres.contract.switching import SwitchingState
 from vppres.feeders.closeness import extreme_steps
 from vppres.feeders.cross_check import cross_check
@@ -33,11 +34,9 @@ from vppres.kinds.vehicles.physics import Plugged
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.model.violations import broken
-from vppres.plant.plant import Plant
 from vppres.report.plots.figures import import_load_pv, indoor
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
-from vppres.solve.ladder import WindowSolver
 
 OFTEN = 0.7
 """Share of windows that have a kind; most have three or more of the five."""
@@ -50,25 +49,20 @@ def mixed(seed: int) -> tuple[Scenario, WindowData]:
     """
     day, data = random_window(seed, stressed=seed % 2 > 0)
     rng = np.random.default_rng([seed, 51])
-    vehicles, rooms, sets, dimmed, limited = rng.random(5) < OFTEN
+    *kinds, dimmed, limited = rng.random(2 + len(EXAMPLES)) < OFTEN
     count, dt_h = len(day.customers), day.grid.dt_h
-    if vehicles:
-        day = with_random_vehicles(day, seed)
-    if rooms:
-        day = with_random_homes(day, rng)
-    if sets:
-        day = replace(day, gensets=random_sets(rng, day))
+    for here, it in zip(kinds, EXAMPLES.values(), strict=True):
+        day = it.draw(day, seed) if here else day
     if dimmed:
         share_min = np.where(rng.random(count) < 0.5, rng.choice([0.1, 0.3, 0.7], count), 1.0)
         day = replace(day, customers=replace(day.customers, share_min=share_min))
     if limited:
         longest_h = np.where(rng.random(count) < 0.6, dt_h * rng.integers(0, 3, count), np.nan)
         day = replace(day, customers=replace(day.customers, max_off_h=longest_h))
-    ahead = KindsAhead.of(day, range(data.n_steps), Plant(day).states_at(0), None)
-    if plugged := ahead.find(Plugged):
-        known = plugged.here & (plugged.here[0] | (rng.random(len(day.chargers)) < 0.5))
-        ahead = ahead.with_window(replace(plugged, known=known))
-    data = replace(data, ahead=ahead)
+    data = known(day, data)
+    if plugged := data.ahead.find(Plugged):
+        told = plugged.here & (plugged.here[0] | (rng.random(len(day.chargers)) < 0.5))
+        data = replace(data, ahead=data.ahead.with_window(replace(plugged, known=told)))
     state = SwitchingState.of(SwitchingRules(), day.customers, dt_h)
     if state is not None:
         rules = state.window(data.n_steps).priced(Site.of(day).hour_beyond, dt_h)
@@ -98,12 +92,9 @@ def test_cars_homes_and_shares_together_never_outweigh_one_customer() -> None:
     day = plugged_in(day, *[(0, 3)] * 1000, weight=1000.0, soc_needed=0.8)
     hot = homes(*["c1"] * 100, t_initial_c=40.0)
     day = replace(day, temperature_c=np.full(3, 45.0), thermal_loads=hot)
-    ahead = KindsAhead.of(day, range(3), Plant(day).states_at(0), None)
-    answer = WindowSolver(Site.of(day)).solve(replace(window(day), ahead=ahead))
-    assert answer.status == "optimal"
-    assert answer.dispatch.served.all()
-    assert answer.dispatch.share is not None
-    assert answer.dispatch.share[:, 0] == pytest.approx(1.0)
+    answer = solved(day).dispatch
+    assert answer.served.all() and answer.share is not None
+    assert answer.share[:, 0] == pytest.approx(1.0)
 
 
 @pytest.mark.daily
@@ -141,5 +132,6 @@ def test_cars_machines_and_sets_are_in_networks_and_in_charts() -> None:
     names = [curve["name"] for curve in import_load_pv(run).data()["curves"]]
     assert any(name.endswith("vehicles") for name in names)
     assert any(name.endswith("cooling and heat") for name in names)
+    assert any(name.endswith("generating sets") for name in names)
     assert [curve["name"] for curve in indoor(run).data()["curves"]][-1].endswith("median")
     assert cross_check(day).agrees

@@ -1,8 +1,9 @@
-"""A kind is added as the page says: a copy of a folder and one line, from a CSV file to a report."""
+"""A kind is added as the page says: a copy of a folder and one line, to a report and a service."""
 
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -22,19 +23,26 @@ NAMES = (
     ("thermal_load", "pool"),
     ("thermal loads", "pools"),
     ('"th_', '"po_'),
+    ("indoor_", "water_"),
 )
-"""What is renamed in the copy: the folder, its file, field, table and item, and its letters."""
+"""What is renamed in the copy: folder, file, field, table, item, letters, and what is read."""
 RUN = f"""
 import json, sys
 from pathlib import Path
+from tests.support.played_service import played
 from vppres import RunOptions, run_day
 from vppres.explain.day import explain_day
 from vppres.io import read_scenario
 from vppres.report.run_folder import write_run
+from vppres.service.runner import Service
+from vppres.service.simulate import Play
 
-run = run_day(read_scenario("day").between({FIRST}, {LAST}), RunOptions(horizon_h=1.0))
+day, options = read_scenario("day").between({FIRST}, {LAST}), RunOptions(horizon_h=1.0)
+run = run_day(day, options)
 summary = write_run(explain_day(run), Path("run"))
-print(json.dumps([summary["pools"], run.pools["p_kw"].tolist()]))
+player = played(Service(day, options, rehearsal=True), day, Path("live"), Play(announced=False))
+live_kw = [kw for record in player.world.records for kw in record.kinds["pools"]["p_kw"]]
+print(json.dumps([summary["pools"], run.pools["p_kw"].tolist(), live_kw, player.tally.statuses]))
 """
 
 
@@ -56,13 +64,19 @@ def test_a_copy_of_a_kind_is_a_kind(tmp_path: Path) -> None:
     day = shutil.copytree(find_scenario("village-hot-week"), tmp_path / "day")
     (day / "thermal_loads.csv").rename(day / "pools.csv")
     done = subprocess.run(
-        [sys.executable, "-c", RUN], cwd=tmp_path, capture_output=True, text=True, check=True
+        [sys.executable, "-c", RUN],
+        cwd=tmp_path,  # whose package goes before that of the tests
+        env={**os.environ, "PYTHONPATH": str(PACKAGE.parent)},
+        capture_output=True,
+        text=True,
+        check=True,
     )
-    figures, p_kw = json.loads(done.stdout)
+    figures, p_kw, live_kw, statuses = json.loads(done.stdout)
     village = read_scenario(find_scenario("village-hot-week")).between(FIRST, LAST)
     run = run_day(village, RunOptions(horizon_h=1.0))
     assert run.thermal_loads is not None
     assert p_kw == pytest.approx(run.thermal_loads["p_kw"].tolist(), abs=1e-6)
+    assert live_kw == pytest.approx(p_kw, abs=1e-6) and statuses == {"ok": LAST - FIRST}
     assert figures["machines_kwh"] == pytest.approx(run.thermal_loads["p_kw"].sum(), abs=1e-6)
     page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
     assert "rooms and tanks come after service" in page

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import subprocess
 import sys
@@ -230,7 +231,7 @@ def test_what_was_fed_and_forgotten_goes_along(tiny: Scenario) -> None:
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        ({"version": 99}, "state, version = 99: has another layout than this version's, 3. Go on"),
+        ({"version": 99}, "state, version = 99: has another layout than this version's, 4. Go on"),
         ({"kind": "a poem"}, "state: is not the state of a controller."),
         ({"site": "0" * 64}, "state: is damaged: it is not as it was written."),
         (None, "state: is not the state of a controller."),
@@ -254,6 +255,36 @@ def test_a_state_of_another_site_or_controller_is_refused(tiny: Scenario) -> Non
         Controller.of(tiny, replace(options, mode="physical"), state=state)
     # What only looks further ahead goes on.
     assert Controller.of(tiny, replace(options, horizon_h=2.0), state=state).state() == state
+
+
+def as_in_version_3(state: dict[str, Any]) -> dict[str, Any]:
+    """A state as the version before wrote it: a field for each kind, and powers of all as one."""
+    old = {**state, "version": 3}
+    del old["digest"]
+    for moment in (old["now"], old["before"]):
+        kinds = moment["past"].pop("kinds")
+        own = {"vehicles": "chargers", "rooms": "thermal_loads", "sets": "gensets"}
+        for name, kind in own.items():
+            moment["past"][name] = kinds.get(kind)
+            if name != "sets":
+                del moment["past"][name]["taken_kw"]
+        moment["past"] |= {"flexible_kw": 0.0, "flexible_off_kw": 0.0}
+    text = json.dumps(old, sort_keys=True, allow_nan=False, separators=(",", ":"))
+    return {**old, "digest": hashlib.sha256(text.encode()).hexdigest()}
+
+
+def test_a_state_of_the_version_before_is_gone_on_from() -> None:
+    day = load_scenario("village-hot-week").between(80, 86)
+    soc = {str(name): 0.5 for name in day.batteries.id}
+    options = RunOptions(horizon_h=0.0, isolate=False)
+    controller = Controller.of(day, options)
+    for time in day.grid.times[:2]:
+        points = controller.step(Measurement(time, soc))
+    assert points.chargers is not None and points.thermal_loads is not None
+    old = as_in_version_3(json.loads(json.dumps(controller.state())))
+    again = Controller.of(day, options, state=old)
+    for time in day.grid.times[2:4]:
+        assert same(again.step(Measurement(time, soc)), controller.step(Measurement(time, soc)))
 
 
 def test_plain_values_come_back_to_the_bit() -> None:

@@ -119,15 +119,9 @@ MISSED = {
 """Left-hand side less right-hand side of each equation, of each inequality what is above zero where
 it is violated."""
 EQUALITIES = {
-    "battery_soc_start",
-    "battery_soc_dynamics",
-    "pv_balance",
-    "pv_self_consumption",
-    "active_power_balance",
-    "reactive_power_balance",
-    "voltage_slack",
-    "delta_lindistflow",
-}
+    "battery_soc_start", "battery_soc_dynamics", "pv_balance", "pv_self_consumption",
+    "active_power_balance", "reactive_power_balance", "voltage_slack", "delta_lindistflow",
+}  # fmt: skip
 
 TERMS = {
     "f1_service": 0.5 * (1.0 + 1.0 + 0.1),
@@ -472,20 +466,11 @@ def test_headroom_shrinks_polygons(site: Site, data: WindowData) -> None:
 def test_dispatch_has_every_variable_in_its_place(site: Site, paper: PaperProblem) -> None:
     dispatch: Dispatch = paper.v.dispatch(site)
     columns = {
-        "served": "x_served",
-        "pv_self_kw": "P_self",
-        "pv_export_kw": "P_exp",
-        "pv_curtailed_kw": "P_curt",
-        "pv_q_kvar": "Q_pv",
-        "charge_kw": "P_ch",
-        "discharge_kw": "P_dch",
-        "batt_q_kvar": "Q_batt",
-        "soc": "SoC",
-        "p_grid_kw": "P_grid",
-        "q_grid_kvar": "Q_grid",
-        "p_flow_kw": "P_flow",
-        "q_flow_kvar": "Q_flow",
-    }
+        "served": "x_served", "pv_self_kw": "P_self", "pv_export_kw": "P_exp",
+        "pv_curtailed_kw": "P_curt", "pv_q_kvar": "Q_pv", "charge_kw": "P_ch",
+        "discharge_kw": "P_dch", "batt_q_kvar": "Q_batt", "soc": "SoC", "p_grid_kw": "P_grid",
+        "q_grid_kvar": "Q_grid", "p_flow_kw": "P_flow", "q_flow_kvar": "Q_flow",
+    }  # fmt: skip
     for name, variable in columns.items():
         assert np.asarray(getattr(dispatch, name), float) == pytest.approx(
             np.array(VALUES[variable], float)

@@ -292,10 +292,13 @@ def test_tables_take_the_place_of_older_ones(tmp_path: Path) -> None:
     publish([section], document, "A run.")
     text = document.read_text(encoding="utf-8")
     assert text.startswith(f"Before.\n\n{BEGIN}\nA run. ")
-    assert "### Windows\n\nWords.\n\n| steps | share |\n|---|---|\n| 6 | 0.5 |" in text
+    assert (
+        "### Windows\n\nWords.\n\n```{csv-table}\n:file: _static/benchmarks/windows-1.csv" in text
+    )
     assert "\n\n![all windows](_static/benchmarks/all_windows.svg)\n" in text
     folder = tmp_path / "_static" / "benchmarks"
-    assert [file.name for file in folder.iterdir()] == ["all_windows.svg"]
+    assert {file.name for file in folder.iterdir()} == {"all_windows.svg", "windows-1.csv"}
+    assert (folder / "windows-1.csv").read_text() == "steps,share\n6,0.5\n"
     assert text.endswith(f"{END}\n\nAfter.\n")
     assert "old" not in text
 

@@ -51,11 +51,13 @@ def test_the_table_replaces_the_one_of_the_page(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text(f"before\n{networks.BEGIN}\nold\n{networks.END}\nafter\n")
     outcome = Outcome("a net", (), 3, 1e-12, 3e-4, 0.0123, "runs", 1.0)
-    networks.put_into(page, networks.table([outcome]), networks.BEGIN, networks.END)
+    networks.put_table(page, networks.table([outcome]), networks.BEGIN, networks.END)
     assert page.read_text() == (
         f"before\n{networks.BEGIN}\n\n"
-        "| network | buses | needs | no load | as given | worst hour | a day |\n"
-        "| --- | --- | --- | --- | --- | --- | --- |\n"
-        "| a net | 3 |  | < 1e-6 | 0.0003 | 0.0123 | runs |\n\n"
+        "```{csv-table}\n:file: _static/page/networks.csv\n:header-rows: 1\n```\n\n"
         f"{networks.END}\nafter\n"
+    )
+    assert (tmp_path / "_static" / "page" / "networks.csv").read_text() == (
+        "network,buses,needs,no load,as given,worst hour,a day\n"
+        "a net,3,,< 1e-6,0.0003,0.0123,runs\n"
     )

@@ -54,16 +54,11 @@ def test_service_is_given_up_to_keep_fuel_by_hand(
 def worth(one: Fleet, **more: Any) -> StoredValue:
     """What energy is worth in four hours of an outage with 30 kW of customers."""
     values: dict[str, Any] = {
-        "load_kw": np.full((4, 2), 15.0),
-        "pv_kw": np.zeros(4),
-        "price_gbp_per_kwh": np.full(4, 0.2),
-        "import_kw": np.full(4, np.inf),
-        "export": None,
-        "weight": np.array([1.0, 0.1]),
-        "lambda_curt": 0.1,
-        "dt_h": 1.0,
+        "load_kw": np.full((4, 2), 15.0), "pv_kw": np.zeros(4),
+        "price_gbp_per_kwh": np.full(4, 0.2), "import_kw": np.full(4, np.inf), "export": None,
+        "weight": np.array([1.0, 0.1]), "lambda_curt": 0.1, "dt_h": 1.0,
         "delivered_kwh": np.zeros(4),
-    }
+    }  # fmt: skip
     return stored_value(LASTS, one, Ahead(**values | more), 16.94, np.zeros_like)
 
 

@@ -28,22 +28,11 @@ def batteries(r_theta_c_per_kw: list[float], c_theta_kwh_per_c: list[float]) -> 
     """Batteries with the published electric constants and the given thermal ones."""
     n = len(r_theta_c_per_kw)
     rest = {
-        "energy_kwh": 80.0,
-        "p_max_kw": 40.0,
-        "s_max_kva": 45.0,
-        "soc_min": 0.15,
-        "soc_max": 0.85,
-        "soc_initial": 0.15,
-        "eta_charge": 0.95,
-        "eta_discharge": 0.9,
-        "alpha_charge_per_c2": 1e-4,
-        "alpha_discharge_per_c2": 2e-4,
-        "r_int_ohm": 0.0035,
-        "beta_per_c": 0.003,
-        "u_batt_v": 900.0,
-        "t_ref_c": 25.0,
-        "t_initial_c": np.nan,
-    }
+        "energy_kwh": 80.0, "p_max_kw": 40.0, "s_max_kva": 45.0, "soc_min": 0.15, "soc_max": 0.85,
+        "soc_initial": 0.15, "eta_charge": 0.95, "eta_discharge": 0.9, "alpha_charge_per_c2": 1e-4,
+        "alpha_discharge_per_c2": 2e-4, "r_int_ohm": 0.0035, "beta_per_c": 0.003,
+        "u_batt_v": 900.0, "t_ref_c": 25.0, "t_initial_c": np.nan,
+    }  # fmt: skip
     return Batteries(
         id=[f"b{i}" for i in range(n)],
         bus=[2] * n,

@@ -96,7 +96,32 @@ def test_energy_has_the_plan_and_the_limits() -> None:
     ax = run.plot("energy")
     assert list(line(ax, "full horizon").get_ydata()) == pytest.approx([15.0] * 5)
     assert list(line(ax, "full horizon: planned").get_ydata()) == planned["energy_kwh"]
-    assert [text.get_text() for text in ax.texts] == ["upper SoC limit", "lower SoC limit"]
+    assert {"upper SoC limit", "lower SoC limit"} <= {*legend_of(ax)} and not ax.texts
+
+
+def test_limits_of_voltage_are_named_in_the_legend() -> None:
+    ax = small_run().plot("voltages")
+    network = small_run().scenario.network
+    for words, value in (("optimisation", network.v_min_pu), ("AC", network.v_min_ac_pu)):
+        name = f"{value:g} pu, {words} limit"
+        assert name in legend_of(ax) and set(line(ax, name).get_ydata()) == {value}
+    assert not ax.texts
+
+
+def test_each_kind_of_unit_has_its_mark_in_the_feeder() -> None:
+    site = vppres.load_scenario("village-hot-week")
+    ax = vppres.plot.feeder(site)
+    legend = ax.get_legend()
+    assert legend is not None
+    looks = {
+        text.get_text().partition(" (")[0]: (
+            mark.get_facecolor().tolist(),
+            mark.get_paths()[0].vertices.tolist(),
+        )
+        for text, mark in zip(legend.get_texts(), legend.legend_handles, strict=True)
+    }
+    kinds = ("vehicles", "thermal loads", "generating sets")
+    assert len({str(looks[name]) for name in kinds}) == 3
 
 
 def test_times_are_those_of_the_clock_on_the_site() -> None:

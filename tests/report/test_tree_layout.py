@@ -48,6 +48,13 @@ def test_laterals_go_to_both_sides() -> None:
     assert row == {0: 1, 1: 1, 2: 1, 3: 1, 4: 2, 5: 0}
 
 
+def test_houses_along_a_lateral_lie_on_both_sides_of_it() -> None:
+    """A lateral of nine buses with a house at each, beside a trunk of twelve: four rows."""
+    trunk, lateral = range(12), [1, *range(13, 21)]
+    net = network([*trunk, *lateral, *range(13, 22)])
+    assert tree_layout(net).row.max() == 3
+
+
 @settings(max_examples=150)
 @given(trees())
 def test_no_two_buses_share_a_place_and_no_line_meets_a_strange_bus(net: Network) -> None:

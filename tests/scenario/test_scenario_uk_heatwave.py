@@ -6,7 +6,7 @@ taken from the builder.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -25,10 +25,6 @@ from vppres.scenario.scenario import Scenario
 PACKAGED = "uk-heatwave-2022"
 
 
-Check = Callable[[Scenario], None]
-Test = Callable[[dict[str, Scenario]], None]
-
-
 @pytest.fixture(scope="module")
 def days() -> dict[str, Scenario]:
     """The packaged day, and the day of ten other seeds."""
@@ -36,16 +32,6 @@ def days() -> dict[str, Scenario]:
         "packaged": read_scenario(find_scenario(PACKAGED)),
         **{f"seed {seed}": build(seed=seed) for seed in range(10)},
     }
-
-
-def on_every_day(check: Check) -> Test:
-    """One test that makes the check on every day and names the days that fail."""
-
-    def test(days: dict[str, Scenario]) -> None:
-        assert_for_all(days, check)
-
-    test.__name__ = check.__name__
-    return test
 
 
 def hour_of_peak(day: Scenario, values: Floats) -> str:
@@ -67,174 +53,80 @@ def total_pv(day: Scenario) -> Floats:
     return np.asarray(day.pv_kw.sum(axis=1), dtype=np.float64)
 
 
-@on_every_day
-def test_i1_horizon_and_step(day: Scenario) -> None:
-    assert str(day.grid.times[0]) == "2022-07-19 00:00:00+00:00"
-    assert str(day.grid.times[-1]) == "2022-07-19 23:00:00+00:00"
-    assert day.grid.dt_h == 1.0
+# What the paper prints of its inputs, one statement a line, in the names of names_of().
+INPUTS = """
+I1   str(times[0]) == "2022-07-19 00:00:00+00:00"
+I1   str(times[-1]) == "2022-07-19 23:00:00+00:00"
+I1   day.grid.dt_h == 1.0
+I2   where(day.outage) == [12, 13, 14, 15, 16, 17]
+I2   np.isinf(day.grid_limit_kw[~day.outage]).all()
+I3   low_mean_high(price, (2, 2, 2)) == ("0.20", "0.36", "0.54")
+I3   (peak(price), peak(-price)) == ("18:00", "23:00")
+I4   price[2] < min(price[1], price[3]) and price[6] > max(price[5], price[7])
+I5   sorted(day.customers.bus) == list(range(2, 34)) and day.network.slack_bus == 1
+I5   Counter(day.customers.tier) == {"critical": 12, "high": 10, "low": 10}
+I6   low_mean_high(day.customers.power_factor, (2, 3, 2)) == ("0.90", "0.954", "0.98")
+I7   (mega(load, 2), mega(load.max(), 3), peak(load)) == ("86.44", "4.068", "17:00")
+I8   len(set(day.pv.customer)) == len(day.pv) == 28
+I8   mega(day.pv.p_max_kw, 3) == "1.857"
+I8   low_mean_high(day.pv.p_max_kw, (2, 2, 2)) == ("24.77", "66.34", "92.87")
+I9   set(day.pv.s_max_kva) == {30.0, 40.0, 100.0}
+I9   (day.pv.p_max_kw <= day.pv.s_max_kva).all()
+I10  (mega(pv, 2), f"{100 * pv.sum() / load.sum():.1f}") == ("15.08", "17.4")
+I10  (mega(pv.max(), 3), peak(pv)) == ("1.857", "11:00")
+I10  (day.pv_kw <= day.pv.p_max_kw).all()
+I11  sorted(b.bus) == list(range(2, 34))
+I11  (mega(b.energy_kwh, 3), mega(b.p_max_kw, 3)) == ("2.542", "1.272")
+I12  low_mean_high(b.energy_kwh, (2, 2, 1)) == ("38.59", "79.44", "165.5")
+I13  low_mean_high(b.p_max_kw, (1, 2, 1)) == ("19.3", "39.74", "82.8")
+I14  set(b.s_max_kva) == {25.0, 45.0, 70.0, 90.0} and (b.p_max_kw <= b.s_max_kva).all()
+I15  (set(b.soc_initial), set(b.soc_min), set(b.soc_max)) == ({0.15}, {0.15}, {0.85})
+I16  (mega((load - pv).max(), 3), peak(load - pv)) == ("3.786", "18:00")
+I17  (day.network.v_min_pu, day.network.v_max_pu) == (0.947, 1.053)
+I17  day.network.v_min_ac_pu == 0.94
+I18  day.tiers == ("critical", "high", "low")
+I18  set(zip(day.customers.tier, day.customers.weight)) == {("critical", 1.0), ("high", 0.1), ("low", 0.02)}
+I19  set(b.eta_charge) == set(b.eta_discharge) == {0.95}
+I20  (day.objective.lambda_grid, day.objective.lambda_curt) == (1e-6, 0.1)
+I20  (day.objective.lambda_l, day.objective.lambda_q) == (1e-14, 1e-15)
+I20  day.objective.lambda_grid < 0.02 / (price.max() * day.load_kw.max())  # a low one is worth its import
+I21  set(b.alpha_charge_per_c2) | set(b.alpha_discharge_per_c2) == {1e-4}
+I22  (set(b.r_int_ohm), set(b.beta_per_c), set(b.u_batt_v)) == ({0.0035}, {0.003}, {900.0})
+I23  (b.r_theta_c_per_kw.min(), b.r_theta_c_per_kw.max()) == (2.771, 4.486)
+I23  (b.c_theta_kwh_per_c.min(), b.c_theta_kwh_per_c.max()) == (0.104, 0.439)
+I23  len(set(zip(b.r_theta_c_per_kw, b.c_theta_kwh_per_c, strict=True))) == 4
+I24  set(b.t_ref_c) == {25.0} and np.isnan(b.t_initial_c).all()  # cells start as warm as the air
+I24  (day.temperature_c[0], day.temperature_c.max()) == (22.0, 40.3)
+I24  peak(day.temperature_c) == "15:00" and where(day.temperature_c > 27.0) == list(range(7, 23))
+text abs(critical_share(day) - 0.36) < 0.001
+""".strip().splitlines()
 
 
-@on_every_day
-def test_i2_outage(day: Scenario) -> None:
-    assert np.flatnonzero(day.outage).tolist() == [12, 13, 14, 15, 16, 17]
-    assert np.isinf(day.grid_limit_kw[~day.outage]).all()
+def names_of(day: Scenario) -> dict[str, object]:
+    """What statements on inputs name."""
+    return {
+        **globals(),
+        "Counter": Counter,
+        "day": day,
+        "b": day.batteries,
+        "load": total_load(day),
+        "pv": total_pv(day),
+        "price": day.price_gbp_per_kwh,
+        "times": day.grid.times,
+        "peak": lambda values: hour_of_peak(day, values),
+        "mega": lambda kilo, digits: f"{np.sum(kilo) / 1e3:.{digits}f}",
+        "where": lambda flags: np.flatnonzero(flags).tolist(),
+    }
 
 
-@on_every_day
-def test_i3_price(day: Scenario) -> None:
-    price = day.price_gbp_per_kwh
-    assert low_mean_high(price, (2, 2, 2)) == ("0.20", "0.36", "0.54")
-    assert hour_of_peak(day, price) == "18:00"
-    assert hour_of_peak(day, -price) == "23:00"
+@pytest.mark.parametrize("line", INPUTS)
+def test_published_input(days: dict[str, Scenario], line: str) -> None:
+    statement = line[5:]
 
+    def check(day: Scenario) -> None:
+        assert eval(statement, names_of(day)), statement
 
-@on_every_day
-def test_i4_price_text(day: Scenario) -> None:
-    price = day.price_gbp_per_kwh
-    assert price[2] < min(price[1], price[3])
-    assert price[6] > max(price[5], price[7])
-
-
-@on_every_day
-def test_i5_customers(day: Scenario) -> None:
-    assert sorted(day.customers.bus) == list(range(2, 34))
-    assert day.network.slack_bus == 1
-    tiers, counts = np.unique(day.customers.tier.astype(str), return_counts=True)
-    assert dict(zip(tiers, counts, strict=True)) == {"critical": 12, "high": 10, "low": 10}
-
-
-@on_every_day
-def test_i6_power_factor(day: Scenario) -> None:
-    assert low_mean_high(day.customers.power_factor, (2, 3, 2)) == ("0.90", "0.954", "0.98")
-
-
-@on_every_day
-def test_i7_load(day: Scenario) -> None:
-    assert f"{total_load(day).sum() / 1e3:.2f}" == "86.44"
-    assert f"{total_load(day).max() / 1e3:.3f}" == "4.068"
-    assert hour_of_peak(day, total_load(day)) == "17:00"
-
-
-@on_every_day
-def test_i8_pv_sizes(day: Scenario) -> None:
-    assert len(set(day.pv.customer)) == len(day.pv) == 28
-    assert f"{day.pv.p_max_kw.sum() / 1e3:.3f}" == "1.857"
-    assert low_mean_high(day.pv.p_max_kw, (2, 2, 2)) == ("24.77", "66.34", "92.87")
-
-
-@on_every_day
-def test_i9_pv_inverters(day: Scenario) -> None:
-    assert set(day.pv.s_max_kva) == {30.0, 40.0, 100.0}
-    assert (day.pv.p_max_kw <= day.pv.s_max_kva).all()
-
-
-@on_every_day
-def test_i10_pv_energy(day: Scenario) -> None:
-    energy_kwh = total_pv(day).sum()
-    assert f"{energy_kwh / 1e3:.2f}" == "15.08"
-    assert f"{100 * energy_kwh / total_load(day).sum():.1f}" == "17.4"
-    assert f"{total_pv(day).max() / 1e3:.3f}" == "1.857"
-    assert hour_of_peak(day, total_pv(day)) == "11:00"
-    assert (day.pv_kw <= day.pv.p_max_kw).all()
-
-
-@on_every_day
-def test_i11_battery_totals(day: Scenario) -> None:
-    assert sorted(day.batteries.bus) == list(range(2, 34))
-    assert f"{day.batteries.energy_kwh.sum() / 1e3:.3f}" == "2.542"
-    assert f"{day.batteries.p_max_kw.sum() / 1e3:.3f}" == "1.272"
-
-
-@on_every_day
-def test_i12_battery_energy(day: Scenario) -> None:
-    assert low_mean_high(day.batteries.energy_kwh, (2, 2, 1)) == ("38.59", "79.44", "165.5")
-
-
-@on_every_day
-def test_i13_battery_power(day: Scenario) -> None:
-    assert low_mean_high(day.batteries.p_max_kw, (1, 2, 1)) == ("19.3", "39.74", "82.8")
-
-
-@on_every_day
-def test_i14_battery_inverters(day: Scenario) -> None:
-    assert set(day.batteries.s_max_kva) == {25.0, 45.0, 70.0, 90.0}
-    assert (day.batteries.p_max_kw <= day.batteries.s_max_kva).all()
-
-
-@on_every_day
-def test_i15_state_of_charge(day: Scenario) -> None:
-    assert set(day.batteries.soc_initial) == {0.15}
-    assert set(day.batteries.soc_min) == {0.15}
-    assert set(day.batteries.soc_max) == {0.85}
-
-
-@on_every_day
-def test_i16_net_peak(day: Scenario) -> None:
-    net_kw = total_load(day) - total_pv(day)
-    assert f"{net_kw.max() / 1e3:.3f}" == "3.786"
-    assert hour_of_peak(day, net_kw) == "18:00"
-
-
-@on_every_day
-def test_i17_voltage_limits(day: Scenario) -> None:
-    assert (day.network.v_min_pu, day.network.v_max_pu) == (0.947, 1.053)
-    assert day.network.v_min_ac_pu == 0.94
-
-
-@on_every_day
-def test_i18_weights(day: Scenario) -> None:
-    weights = {"critical": 1.0, "high": 0.1, "low": 0.02}
-    assert day.tiers == tuple(weights)
-    assert day.customers.weight.tolist() == [weights[t] for t in day.customers.tier]
-
-
-@on_every_day
-def test_i19_efficiency(day: Scenario) -> None:
-    assert set(day.batteries.eta_charge) == {0.95}
-    assert set(day.batteries.eta_discharge) == {0.95}
-
-
-@on_every_day
-def test_i20_lambdas(day: Scenario) -> None:
-    weights = day.objective
-    assert (weights.lambda_grid, weights.lambda_curt) == (1e-6, 0.1)
-    assert (weights.lambda_l, weights.lambda_q) == (1e-14, 1e-15)
-    # The paper's own bound, below which a low-priority customer is worth its import.
-    assert weights.lambda_grid < 0.02 / (day.price_gbp_per_kwh.max() * day.load_kw.max())
-
-
-@on_every_day
-def test_i21_i22_battery_constants(day: Scenario) -> None:
-    batteries = day.batteries
-    assert set(batteries.alpha_charge_per_c2) | set(batteries.alpha_discharge_per_c2) == {1e-4}
-    assert set(batteries.r_int_ohm) == {0.0035}
-    assert set(batteries.beta_per_c) == {0.003}
-    assert set(batteries.u_batt_v) == {900.0}
-
-
-@on_every_day
-def test_i23_zones(day: Scenario) -> None:
-    r_theta, c_theta = day.batteries.r_theta_c_per_kw, day.batteries.c_theta_kwh_per_c
-    assert (r_theta.min(), r_theta.max()) == (2.771, 4.486)
-    assert (c_theta.min(), c_theta.max()) == (0.104, 0.439)
-    assert len(set(zip(r_theta, c_theta, strict=True))) == 4
-
-
-@on_every_day
-def test_i24_temperature(day: Scenario) -> None:
-    assert set(day.batteries.t_ref_c) == {25.0}
-    # NaN: the cells start at the ambient temperature of the first step.
-    assert np.isnan(day.batteries.t_initial_c).all()
-    assert day.temperature_c[0] == 22.0
-    assert day.temperature_c.max() == 40.3
-    assert hour_of_peak(day, day.temperature_c) == "15:00"
-    heatwave = np.flatnonzero(day.temperature_c > 27.0)
-    assert heatwave.tolist() == list(range(7, 23))
-
-
-@on_every_day
-def test_critical_share(day: Scenario) -> None:
-    assert critical_share(day) == pytest.approx(0.36, abs=0.001)
+    assert_for_all(days, check)
 
 
 def critical_share(day: Scenario) -> float:

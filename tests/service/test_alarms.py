@@ -192,8 +192,14 @@ def test_nobody_decides(live: Running) -> None:
     assert found["text"].startswith("The plan does not know yet: grid lost at")
     runner.anew()
     assert ("no_decision", "high", "cleared") in listed(http)
-    later(runner, 70)
-    later(runner, 2)
+    later(runner, 61)
+    later(runner, 1)
+
+    left = "devices keep their last state, and how long the island lasts is not known."
+    without = "There is no plan for the present step:"
+    assert texts(http)["no_decision"] == f"{without} set-points hold until 13:06, then {left}"
+    later(runner, 5)
+    assert texts(http)["no_decision"] == f"{without} {left}"
     assert ("no_decision", "high", "raised") in listed(http)
     assert 'vppres_alarms{kind="no_decision"} 1.0' in http.get("/metrics").content.decode()
 
@@ -212,6 +218,8 @@ def test_a_critical_customer_that_will_be_off(tiny: Scenario, hours: int, priori
     words = f"Planned: hospital of the first tier off supply at {NOON + hours * HOUR:%H:%M}."
     expected = [("critical_off", priority, words, NOON + hours * HOUR)] if priority else []
     assert found == expected
+    over = replace(now, now=NOON + (hours + 0.5) * HOUR, ahead_s=-1.0)  # and was not decided
+    assert f"at {NOON + hours * HOUR:%H:%M}" not in "".join(one.text for one in conditions(over))
     lost = replace(now, failing={"hospital": "rejected"})
     assert [one.kind for one in conditions(lost)] == ["setpoint_rejected"]
     alone = replace(now, unreached=["hooks.example"])
@@ -235,11 +243,11 @@ def test_a_longest_time_off_that_ends(tiny: Scenario, tmp_path: Path) -> None:
             found.append([(a["priority"], a["text"]) for a in alarms if a["kind"] == "longest_off"])
             off = http.get("/v1/overview").json()["plan"]["off"]
             shown.append({one["asset"]: (one["off_h"], one["longest_off_h"]) for one in off})
-    words = "shop is off for {} h by the end of this step, {}"
+    words = "shop is off, for {} h by {}:00, {}"
     assert found == [
         [],
-        [("medium", words.format(2, "of 2 h, and not planned to be on in the next one."))],
-        [("high", words.format(3, "longer than its 2 h."))],
+        [("medium", words.format(2, 14, "of 2 h, and not planned to be on in the next one."))],
+        [("high", words.format(3, 15, "longer than its 2 h."))],
     ]
     assert [one["shop"] for one in shown] == [(1.0, 2.0), (2.0, 2.0), (3.0, 2.0)]
     assert shown[0]["hospital"] == (None, None)
@@ -387,6 +395,9 @@ def test_one_former_that_is_left_is_an_alarm(tiny: Scenario, tmp_path: Path) -> 
         none = f"Nothing can form the grid of an island: not big ({why}), small ({why})."
         assert told("small", "rejected") == none
         assert ("one_former_left", "high", "raised") in listed(http)
+        assert texts(http)["critical_off"] == (
+            "hospital of the first tier off supply: nothing can form the grid."
+        )
         assert told("small", "accepted") == only
         assert told("big", "accepted") == ""
 

@@ -10,10 +10,11 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -89,9 +90,11 @@ class Device:
 
 
 @contextmanager
-def site(folder: Path) -> Iterator[tuple[Runner, str, str]]:
+def site(folder: Path, big: str = "big") -> Iterator[tuple[Runner, str, str]]:
     """A service that has just decided an hour; its address and a token."""
-    quiet = live_service.site(tiny_scenario())
+    tiny = tiny_scenario()
+    named = replace(tiny.batteries, id=np.array([big, "small"], object))
+    quiet = live_service.site(replace(tiny, batteries=named))
     served = Service(quiet, RunOptions(horizon_h=0.0, isolate=False))
     secret, token = new_token("bridge:read,telemetry")
     clock = SetClock(pd.Timestamp.now(tz="UTC").floor("s"))
@@ -135,6 +138,28 @@ def test_readings_go_in_and_set_points_come_out(tmp_path: Path, broker: int) -> 
         late = Device(broker)
         within(10, lambda: len(late.told) >= 7)
         late.close()
+        bridge.service.close()
+
+
+def test_a_topic_has_a_name_as_it_is_or_as_in_an_address(tmp_path: Path, broker: int) -> None:
+    with site(tmp_path, "Küche 2/b") as (runner, address, secret):
+        bridge = Bridge(Client(address, secret), Topics("vppres/named"), "PT1H")
+        bridge.broker.connect("127.0.0.1", broker)
+        bridge.broker.loop_start()
+        device = Device(broker)
+        within(10, lambda: device.told.get("vppres/named/status") == "online")
+        now = pd.Timestamp.now(tz="UTC") + pd.Timedelta("1min")
+        for name, soc in (("Küche 2/b", 0.61), ("K%C3%BCche%202%2Fb", 0.62)):
+            device.client.publish(f"vppres/named/telemetry/{name}/soc", str(soc), qos=1)
+            within(10, lambda: len(bridge._waiting) == 1)
+            bridge.turn()
+            (found,) = runner.store.latest(now, ["soc"])
+            assert (found.asset, found.value) == ("Küche 2/b", soc)
+        for name in ("Küche 2/b", "K%C3%BCche%202%2Fb", "small"):
+            within(10, lambda name=name: f"vppres/named/setpoints/{name}" in device.told)
+        device.close()
+        bridge.broker.disconnect()
+        bridge.broker.loop_stop()
         bridge.service.close()
 
 

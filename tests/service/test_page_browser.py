@@ -133,6 +133,58 @@ def test_figures_are_those_of_the_plan(calm: Watcher, watched: tuple[Runner, str
     assert axis.count("01:00") == 1 and axis.count("01:00 GMT") == 1
 
 
+def test_the_chart_is_read_and_drawn_out_as_in_a_report(calm: Watcher) -> None:
+    page, panel = calm.page, calm.page.locator("#chart svg.time")
+
+    def fourth_hour() -> tuple[float, float]:
+        """A place in the fourth of six hours, while all are shown."""
+        box = page.locator("#chart > svg").bounding_box()
+        left, width = (float(panel.get_attribute(name)) for name in ("x", "width"))
+        return box["x"] + left + width * 3.5 / 6, box["y"] + 60
+
+    def shown() -> float:
+        return float(panel.get_attribute("viewBox").split()[2])
+
+    page.locator("#chart .zoom").scroll_into_view_if_needed()
+    page.mouse.move(*fourth_hour())
+    words = calm.text("#chart .readings")
+    assert words.startswith("Sun 25 Oct 01:00 GMT"), words
+    assert "planned" in words and "stored" in words
+    whole = shown()
+    page.locator("#chart .zoom button", has_text="Outage").press("Enter")
+    assert shown() < 0.9 * whole
+    page.mouse.dblclick(*fourth_hour())
+    assert shown() == whole
+    page.mouse.move(0, 0)
+
+
+def test_a_button_that_is_pressed_while_news_come_does_what_it_says(calm: Watcher) -> None:
+    page, panel = calm.page, calm.page.locator("#chart svg.time")
+
+    def newer(route: Any) -> None:
+        answer = route.fetch()
+        overview = answer.json()
+        overview["plan"]["ahead"]["import_kw"][0] = 4321.0
+        overview["plan"]["ahead"]["served"]["high"][0] = 11 / 12
+        route.fulfill(response=answer, json=overview)
+
+    whole, off = panel.get_attribute("viewBox"), page.locator("#chart rect.off")
+    before = off.count()
+    page.locator("#chart .zoom button", has_text="Outage").hover()
+    page.mouse.down()
+    page.route("**/v1/overview", newer)
+    page.locator("#chart-table", has_text="4,321").wait_for(state="attached")
+    page.mouse.up()
+    off.nth(before).wait_for(state="attached")
+    heights = off.evaluate_all("all => all.map(one => Number(one.getAttribute('height')))")
+    assert min(heights) == 5.0  # of the one of twelve
+    assert panel.get_attribute("viewBox") != whole
+    page.unroute("**/v1/overview")
+    page.locator("#chart .zoom button", has_text="Whole").press("Enter")
+    assert panel.get_attribute("viewBox") == whole
+    page.mouse.move(0, 0)
+
+
 CONTRAST = (Path(__file__).parents[1] / "support" / "contrast.js").read_text(encoding="utf-8")
 
 
@@ -340,6 +392,7 @@ def test_an_outage_and_what_goes_wrong_in_it(
     decide(runner, NIGHT + 2 * HOUR, soc=0.17)
     assert runner.last is not None
     off = [one["asset"] for one in runner.last["setpoints"] if one.get("served") is False]
+    runner.last["solve"]["shorter"] = "shop waits while homes have 5.0 kW, enough for 7 of 60 min"
     with listening(make_app(runner, Access())) as address:
         watcher = Watcher(browser, address, PHONE, "dark")
         page = watcher.page
@@ -357,6 +410,7 @@ def test_an_outage_and_what_goes_wrong_in_it(
             row.wait_for(timeout=100_000)
         assert words and "planned:" not in watcher.text("#off-list")
         assert said[0]["step"]["words"] in watcher.text("#off-list")
+        assert "a higher one waits: shop waits while homes have 5.0 kW" in watcher.text("#off-list")
         attention = watcher.text("#attention-list")
         assert "Less than 10% of the usable energy is left, and there is no grid." in attention
         assert "missed" in watcher.text("#steps-list")

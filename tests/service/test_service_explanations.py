@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import json
+import pickle
+import subprocess
 import sys
+import threading
+import time as machine
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -11,7 +16,17 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.support.live_service import HERE, NOON, client, decided, readings, running, site, told
+from tests.support.live_service import (
+    HERE,
+    NOON,
+    client,
+    decided,
+    heard,
+    readings,
+    running,
+    site,
+    told,
+)
 from tests.support.long_days import repeated
 from vppres.day.options import RunOptions
 from vppres.day.recorder import ROTATED
@@ -23,6 +38,7 @@ from vppres.service.access import Denied
 from vppres.service.clock import written
 from vppres.service.explanations import KINDS, explained, question
 from vppres.service.export import exported
+from vppres.service.loop import Loop
 from vppres.service.runner import Service
 from vppres.service.serve import opened
 
@@ -165,6 +181,39 @@ def test_what_is_not_kept_and_what_nobody_decided(stormy: Any) -> None:
     assert found["price"] is None
     assert found["step"]["words"] == "works on the line"
     assert found["price_reason"] == explainer.UNDECIDED
+
+
+def test_a_plan_that_leaves_a_customer_off_is_explained_before_anybody_asks(
+    tiny: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun = threading.Event()
+
+    def explained_here(asked: bytes) -> subprocess.CompletedProcess[bytes]:
+        begun.set()
+        return subprocess.CompletedProcess(
+            [], 0, json.dumps(explained(pickle.loads(asked))).encode()
+        )
+
+    monkeypatch.setattr(explainer, "_asked", explained_here)
+    with running(tiny, tmp_path) as (http, _, runner):
+        event = {"type": "outage", "start": written(NOON), "end": "2026-11-21T20:00:00Z"}
+        http.put("/v1/events/storm", event)
+        http.post("/v1/telemetry", heard(NOON, 0.25))
+        loop = Loop(runner)
+        loop.start()
+        try:
+            assert begun.wait(30.0)
+        finally:
+            loop.end()
+        monkeypatch.setattr(explainer, "_asked", None)  # who asks now starts nothing
+        while (answer := http.get("/v1/explanations")).status == 429:  # it is being made
+            machine.sleep(0.02)
+        assert runner.last is not None
+        found = answer.json()
+    off = {one["asset"] for one in runner.last["setpoints"] if one.get("served") is False}
+    told = {one["asset"]: one["words"] for one in found["reasons"] if one["asset"] in off}
+    assert off == set(told) and off
+    assert found["price_reason"] is None and found["plan"] == runner.last["id"]
 
 
 def test_who_takes_too_long_is_ended_and_one_is_made_at_a_time(

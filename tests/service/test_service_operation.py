@@ -2,19 +2,32 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
+from urllib.parse import quote, unquote
 
+import numpy as np
 import pandas as pd
 
+from tests.support.browser import listening
 from tests.support.live_service import (
+    HERE,
     NOON,
     Live,
     decided,
     heard,
     readings,
     said,
+    serving,
+    site,
 )
-from vppres.service.clock import written
+from vppres.scenario.scenario import Scenario
+from vppres.service.access import Access
+from vppres.service.app import make_app
+from vppres.service.client import Client
+from vppres.service.clock import SetClock, written
+from vppres.service.runner import Service
 
 HOUR = pd.Timedelta("1h")
 
@@ -52,6 +65,28 @@ def test_only_set_points_that_there_are_can_be_answered(live: Live) -> None:
     assert http.post(f"/v1/setpoints/{name}/status", {"status": "done"}).status == 422
     for other in (name.replace("shop", "shp"), name.replace("T12", "T11"), "..", "x/y/z"):
         assert http.post(f"/v1/setpoints/{other}/status", {"status": "started"}).status == 404
+
+
+def test_names_need_no_encoding_by_hand(tiny: Scenario, tmp_path: Path) -> None:
+    """The identifier of a set-point is written in an address as it is, or encoded once more."""
+    odd = "Küche 2/50% #1?"
+    named = replace(tiny, batteries=replace(tiny.batteries, id=np.array([odd, "small"], object)))
+    with serving(Service(site(named), HERE), tmp_path, SetClock(NOON)) as (http, runner):
+        point = said(runner.step(), "batteries")[odd]
+        assert point["id"].isascii() and not set(point["id"]) & set(" #?")
+        with listening(make_app(runner, Access())) as address:
+            client = Client(address)
+            for name in (point["id"], quote(point["id"], safe=""), quote(unquote(point["id"]))):
+                answer = client.ask("POST", f"/v1/setpoints/{name}/status", {"status": "started"})
+                assert answer.status == 200 and answer.body["id"] == point["id"], name
+            client.close()
+        assert runner.store.acks([point["id"]])[point["id"]]["status"] == "started"
+        storm = {"type": "outage", "start": "2026-11-21T13:00:00Z"}
+        assert http.put("/v1/events/north/storm 1", storm).status == 201
+        assert http.put("/v1/events/north%2Fstorm%201", storm).status == 200
+        assert [*http.get("/v1/events").json()] == ["north/storm 1"]
+        assert len(http.get("/v1/events/north/storm%201/versions").json()) == 2
+        assert http.delete("/v1/events/north/storm%201").status == 200
 
 
 def test_set_points_are_held_until_the_end_of_hold(live: Live) -> None:

@@ -258,6 +258,20 @@ def test_who_waits_for_a_later_step_is_told_with_what_charges() -> None:
     assert told["inverted"].endswith("; the plan supplies it in the next step")
 
 
+def test_a_lower_tier_whose_energy_does_not_suffice_is_told_with_its_minutes() -> None:
+    """For an hour of a home of 20 kW is enough stored, not for the hospital's 60 kW."""
+    stored = battery(energy_kwh=200.0, p_max_kw=70.0, soc=0.15 + 21.0 / 190.0)
+    day = replace(hospital_and_homes().between(0, 1), batteries=stored)
+    controller = Controller.of(day, RunOptions(priority="strict", isolate=False))
+    points = controller.step(Measurement(controller.times[0], soc={"b0": stored.soc_initial[0]}))
+    (home,) = points.customers.index[points.customers["served"] > 0.5]
+    assert "inverted" not in points.solve
+    assert points.solve["shorter"] == (
+        f"c0 (critical, 60.0 kW) is off supply, while {home} of a lower tier has 20.0 kW, "
+        "enough for it for 20 of 60 min"
+    )
+
+
 @pytest.mark.parametrize("rule", ["weights", "strict"])
 def test_what_headroom_costs_is_told(rule: str) -> None:
     """A hospital of 65 kW behind 70 kVA: with weights headroom leaves it off, in strict order not.

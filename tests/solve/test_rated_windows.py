@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from tests.support.rated_windows import PATIENT, rated, verdict
+from tests.support.small_windows import DARK, battery, two_buses, with_pv
+from vppres.core.units import kva_to_a
+from vppres.day.options import RunOptions
+from vppres.day.simulate import run_day
 from vppres.model.ratings import limit_kva, with_ratings
+from vppres.scenario.network import Network
+from vppres.scenario.scenario import LIMIT
 from vppres.solve.ladder import WindowSolver
 
 
@@ -30,3 +38,25 @@ def test_no_flow_is_above_its_rating_for_the_sun_that_it_would_carry() -> None:
     share = flow_kva / limit_kva(with_ratings(site, data))
     assert found.dispatch.pv_curtailed_kw.sum() > 1.0
     assert 1.0 - 1e-6 < share.max() <= 1.0 + 1e-6
+
+
+@pytest.mark.parametrize(
+    ("outages", "priority", "i_max_kva"),
+    [("known", "weights", 5.0), ("known", "strict", 5.0), ("belief", "weights", np.inf)],
+)
+def test_sun_that_is_lost_leaves_no_gap_open(outages: str, priority: str, i_max_kva: float) -> None:
+    """An island with a full battery and 40 kW of sun for 7 kW of customers.
+
+    Most sun is behind the line in the first two, so its rating says how much of it is lost. By
+    belief the battery had better keep room for the sun that follows.
+    """
+    day = two_buses([[3.0, 2.0, 2.0]] * 3, [1.0, 0.9, 0.8], [DARK] * 3)
+    rating_a = kva_to_a(np.array([100.0, i_max_kva]), 11.0)
+    network = Network([1, 2], [2, 3], [0.01] * 2, [0.01] * 2, 1, base_kv=11.0, i_max_a=rating_a)
+    customers = replace(day.customers, bus=[3, 2, 2], tier=["critical", "high", "low"])
+    day = replace(with_pv(day, [40.0] * 3), network=network, customers=customers)
+    day = replace(day, batteries=battery(20.0, 10.0, 10.0, soc=0.85))
+    run = run_day(day, RunOptions(horizon_h=2.0, ratings=LIMIT, outages=outages, priority=priority))
+    assert (run.steps["status"] == "optimal").all()
+    assert (run.steps["gap_abs"] < 2e-3).all()
+    assert run.customers["served"].all()

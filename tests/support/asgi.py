@@ -56,18 +56,12 @@ class Caller:
     async def _ask(self, method: str, path: str, content: bytes, headers: dict[str, str]) -> Answer:
         parts = urlsplit(path)
         scope = {
-            "type": "http",
-            "asgi": {"version": "3.0"},
-            "http_version": "1.1",
-            "method": method,
-            "scheme": "http",
-            "path": unquote(parts.path),
-            "raw_path": parts.path.encode(),
+            "type": "http", "asgi": {"version": "3.0"}, "http_version": "1.1", "method": method,
+            "scheme": "http", "path": unquote(parts.path), "raw_path": parts.path.encode(),
             "query_string": parts.query.encode(),
             "headers": [(k.encode(), v.encode()) for k, v in headers.items()],
-            "client": ("127.0.0.1", 5000),
-            "server": ("127.0.0.1", 8420),
-        }
+            "client": ("127.0.0.1", 5000), "server": ("127.0.0.1", 8420),
+        }  # fmt: skip
         messages: list[dict[str, Any]] = []
 
         async def receive() -> dict[str, Any]:

@@ -54,4 +54,5 @@ def with_random_homes(scenario: Scenario, rng: np.random.Generator) -> Scenario:
         gain_kw=rng.uniform(-1.0, 1.0, count),
     )
     outside_c = rng.uniform(-5.0, 40.0, scenario.grid.n_steps)
+    loads = replace(loads, cop_per_c=rng.uniform(-0.08, 0.02, count))
     return replace(scenario, temperature_c=outside_c, thermal_loads=loads)

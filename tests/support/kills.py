@@ -1,12 +1,12 @@
 """Commands killed at random moments: the target is whole or the old one, and nothing stays behind.
 
-``python -m tests.support.kills --kills 100`` writes the figures as JSON. Processes are found
-in ``/proc``, so that it needs Linux.
+Called as a process of its own, which has one thread, so that it may fork:
+``python -m tests.support.kills FOLDER KILLS SEED``. It prints what it found as JSON. Processes are
+found in ``/proc``, so that it needs Linux.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import random
@@ -21,50 +21,22 @@ from hashlib import sha256
 from pathlib import Path
 from uuid import uuid4
 
-from tests.support.mutations import small_folder
 from vppres.cli.commands import app
-from vppres.io import atomic_write_text
 
 MARK = "VPPRES_KILLED"  # in the environment of all that a killed command has started
 PATIENCE_S = 20.0  # in which orphans must be gone; they look every half second
 # What the command writes, by name, and what it writes into, in the study's folder.
-COMMANDS: dict[str, tuple[str, ...]] = {
-    "run": ("run", "{day}", "--out", "{place}/target", "--horizon", "0", "--quiet"),
-    "sweep": (
-        "sweep",
-        "{day}",
-        "--param",
-        "horizon",
-        "--values",
-        "0,1",
-        "--jobs",
-        "2",
-        "--quiet",
-        "--out",
-        "{place}/target",
-    ),
-    "new": (
-        "new",
-        "case33bw",
-        "{place}/target",
-        "--step-minutes",
-        "240",
-        "--outage",
-        "12:00..20:00",
-    ),
-    "report": ("report", "{runs}/one", "--out", "{place}/target.html"),
-    "compare": ("compare", "{runs}/one", "{runs}/two", "--out", "{place}/target.html"),
+COMMANDS = {
+    "run": "run {day} --out {place}/target --horizon 0 --quiet",
+    "sweep": "sweep {day} --param horizon --values 0,1 --jobs 2 --quiet --out {place}/target",
+    "new": "new case33bw {place}/target --step-minutes 240 --outage 12:00..20:00",
+    "report": "report {runs}/one --out {place}/target.html",
+    "compare": "compare {runs}/one {runs}/two --out {place}/target.html",
 }
 WHOLE = {
-    "run": ("summary.json", "report.html", "steps.parquet", "scenario/scenario.toml"),
-    "sweep": (
-        "summary.json",
-        "summary.csv",
-        "sweep.html",
-        "horizon=0/report.html",
-        "horizon=1/report.html",
-    ),
-    "new": ("scenario.toml", "notes.md", "scenario.schema.json", "system.csv"),
+    "run": "summary.json report.html steps.parquet scenario/scenario.toml",
+    "sweep": "summary.json summary.csv sweep.html horizon=0/report.html horizon=1/report.html",
+    "new": "scenario.toml notes.md scenario.schema.json system.csv",
 }
 
 
@@ -216,7 +188,7 @@ class Study:
             self.tally.faults.append(f"{' '.join(words)}: status {status}")
 
     def _words(self, kind: str, place: Path) -> list[str]:
-        return [word.format(place=place, **self.names) for word in COMMANDS[kind]]
+        return [word.format(place=place, **self.names) for word in COMMANDS[kind].split()]
 
     def _target(self, kind: str, place: Path) -> Path:
         return place / ("target" if kind in WHOLE else "target.html")
@@ -224,7 +196,7 @@ class Study:
     def _whole(self, kind: str, target: Path) -> bool:
         if kind not in WHOLE:
             return target.read_text(encoding="utf-8").rstrip().endswith("</html>")
-        return all((target / name).is_file() for name in WHOLE[kind])
+        return all((target / name).is_file() for name in WHOLE[kind].split())
 
 
 def study(day: Path, kills: int, seed: int = 0, kinds: Sequence[str] = tuple(COMMANDS)) -> Tally:
@@ -250,26 +222,7 @@ def study(day: Path, kills: int, seed: int = 0, kinds: Sequence[str] = tuple(COM
         return killing.tally
 
 
-def main() -> None:
-    """Command line of the study."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument(
-        "day",
-        type=Path,
-        nargs="?",
-        help="a small, sound scenario folder; a random one if not given",
-    )
-    parser.add_argument("--kills", type=int, default=100)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=Path("results/studies"))
-    chosen = parser.parse_args()
-    with tempfile.TemporaryDirectory() as place:
-        day = chosen.day or small_folder(Path(place) / "day")
-        tally = study(day, chosen.kills, chosen.seed)
-    chosen.out.mkdir(parents=True, exist_ok=True)
-    atomic_write_text(chosen.out / "kills.json", json.dumps(asdict(tally), indent=2) + "\n")
-    sys.exit(bool(tally.faults))
-
-
 if __name__ == "__main__":
-    main()
+    source, number, seed_of_moments = sys.argv[1:]
+    found = study(Path(source), int(number), int(seed_of_moments))
+    sys.stdout.write(json.dumps(asdict(found)) + "\n")

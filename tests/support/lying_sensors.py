@@ -43,62 +43,17 @@ def always(value: float | None) -> Told:
     return lambda true, since: value
 
 
-def stuck(true: Sequence[float], since: int) -> float:
-    """What it was when it began."""
-    return true[since]
-
-
-def drifting(true: Sequence[float], since: int) -> float:
-    """A third more with each step."""
-    return true[-1] * 1.33 ** (len(true) - since)
-
-
 def noisy(true: Sequence[float], since: int) -> float:
     """Anything from nothing to ten times."""
     return true[-1] * float(np.random.default_rng(len(true)).uniform(0.0, 10.0))
 
 
-def late(true: Sequence[float], since: int) -> float:
-    """What was two steps before."""
-    return true[max(len(true) - 3, 0)]
-
-
-def spiking(true: Sequence[float], since: int) -> float:
-    """Fifty times in every other step."""
-    return true[-1] * (50.0 if (len(true) - since) % 2 else 1.0)
-
-
-def upside_down(true: Sequence[float], since: int) -> float:
-    """What is missing to one."""
-    return 1.0 - true[-1]
-
-
-def fahrenheit(true: Sequence[float], since: int) -> float:
-    """Degrees that are no Celsius."""
-    return 1.8 * true[-1] + 32.0
-
-
-def once(value: float) -> Told:
-    """A value in one step, the truth in others."""
-    return lambda true, since: value if len(true) == since + 1 else true[-1]
-
-
 POWERS: dict[str, Told] = {
-    "in W": times(1000.0),
-    "in MW": times(0.001),
-    "nine times": times(9.0),
-    "a ninth": times(1.0 / 9.0),
-    "three times": times(3.0),
-    "wrong sign": times(-1.0),
-    "zero": always(0.0),
-    "stuck": stuck,
-    "drifting": drifting,
-    "noisy": noisy,
-    "missing": always(None),
-    "late": late,
-    "huge": always(9e5),
-    "spiking": spiking,
-}
+    "in W": times(1000.0), "in MW": times(0.001), "nine times": times(9.0),
+    "a ninth": times(1.0 / 9.0), "three times": times(3.0), "wrong sign": times(-1.0),
+    "zero": always(0.0), "stuck": lambda true, since: true[since], "drifting": lambda true, since: true[-1] * 1.33 ** (len(true) - since), "noisy": noisy,
+    "missing": always(None), "late": lambda true, since: true[max(len(true) - 3, 0)], "huge": always(9e5), "spiking": lambda true, since: true[-1] * (50.0 if (len(true) - since) % 2 else 1.0),
+}  # fmt: skip
 
 
 def _some(*names: str) -> dict[str, Told]:
@@ -114,19 +69,23 @@ OTHERS: dict[str, dict[str, Told]] = {
         "empty": always(0.0),
         "full": always(1.0),
         "in percent": times(100.0),
-        "upside down": upside_down,
+        "upside down": lambda true, since: 1.0 - true[-1],
         **_some("stuck", "drifting", "noisy", "missing", "late"),
     },
     "battery_kw": OF_MEANS,
     "import_kw": OF_MEANS,
     "grid_on": {
-        "lost once": once(0.0),
+        "lost once": lambda true, since: 0.0 if len(true) == since + 1 else true[-1],
         "lost": always(0.0),
         "there": always(1.0),
         "missing": always(None),
     },
     "online": {"gone": always(0.0)},
-    "indoor_c": {"fahrenheit": fahrenheit, "zero": always(0.0), "stuck": stuck},
+    "indoor_c": {
+        "fahrenheit": lambda true, since: 1.8 * true[-1] + 32.0,
+        "zero": always(0.0),
+        "stuck": POWERS["stuck"],
+    },
     "plugged": {"gone": always(0.0), "there": always(1.0)},
     "ev_soc": {"in percent": times(100.0), "empty": always(0.0)},
     "energy_needed_kwh": {"in Wh": times(1000.0)},

@@ -19,26 +19,14 @@ from vppres.scenario.scenario import HARD, REPORT, ControllerDefaults, Scenario
 from vppres.scenario.timegrid import TimeGrid
 
 OPTIONS = {
-    "controller": "mpc",
-    "horizon_h": 5.0,
-    "solver": "highs",
-    "method": "decomposed",
-    "seed": 7,
-    "errors": {"load_bias": 0.1},
-    "thermal": "off",
-}
+    "controller": "mpc", "horizon_h": 5.0, "solver": "highs", "method": "decomposed", "seed": 7,
+    "errors": {"load_bias": 0.1}, "thermal": "off",
+}  # fmt: skip
 
 SECTIONS_OF_A_DAY = [
-    "overview",
-    "timeline",
-    "service",
-    "feeder",
-    "energy",
-    "network",
-    "figures",
-    "solver",
+    "overview", "timeline", "service", "feeder", "energy", "network", "figures", "solver",
     "assumptions",
-]
+]  # fmt: skip
 """Of a report of one day without explanations, in order."""
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Annotated, Any, Literal, get_args, get_origin
 
 from annotated_types import Ge, Gt, Le, Lt
@@ -12,6 +13,7 @@ from pydantic import AwareDatetime, BaseModel
 from pydantic.fields import FieldInfo
 
 from vppres.io.schema import TABLES, unit
+from vppres.kinds.table import KINDS, parts
 from vppres.scenario.option_table import Option
 
 
@@ -47,9 +49,7 @@ class Attribute:
     """One column or key, in the words of the documentation."""
 
     name: str
-    kind: str
-    unit: str
-    bounds: str
+    values: str
     default: str
     meaning: str
 
@@ -58,12 +58,7 @@ def attributes(model: type[BaseModel]) -> Iterator[Attribute]:
     """The attributes of one table, in the order of its columns."""
     for name, field in model.model_fields.items():
         yield Attribute(
-            field.alias or name,
-            _kind(field),
-            unit(field),
-            _bounds(field),
-            _default(field),
-            field.description or "",
+            field.alias or name, _values(field), _default(field), field.description or ""
         )
 
 
@@ -73,12 +68,44 @@ def attribute_table_markdown() -> str:
 
 
 def _table_markdown(title: str, model: type[BaseModel]) -> str:
-    head = ["name", "type", "unit", "range", "default", "meaning"]
-    rows = [
-        [f"`{a.name}`", a.kind, a.unit, a.bounds, a.default, a.meaning] for a in attributes(model)
-    ]
-    table = [f"| {' | '.join(row)} |" for row in [head, ["---"] * len(head), *rows]]
-    return "\n".join([f"### {title}", "", f"{model.__doc__}", "", *table])
+    head = "| name | values | default | meaning |\n|---|---|---|---|"
+    rows = [_row(list(alike)) for _, alike in groupby(attributes(model), _alike)]
+    return "\n".join([f"### {title}", "", f"{model.__doc__}", "", head, *rows])
+
+
+def _row(alike: list[Attribute]) -> str:
+    """One attribute as a row, or attributes of one kind with what they have in common."""
+    first = alike[0]
+    names = ", ".join(f"`{attribute.name}`" for attribute in alike)
+    default, meaning = first.default, first.meaning
+    if len(alike) > 1:
+        kind = _alike(first)
+        default = "the name with `.csv`" if kind == "file" else default
+        meaning = WORDS_OF_MANY.get(kind, f"{meaning}; {alike[1].meaning}; and so on")
+    cells = (names, first.values, default, meaning)
+    return "|" + "|".join(f" {cell} " if cell else " " for cell in cells) + "|"
+
+
+WORDS_OF_MANY = {"file": "files of tables and series", "table": "the tables below"}
+
+
+def _alike(attribute: Attribute) -> str:
+    """What attributes are one row by: files, tables and matrices of phases, else the name."""
+    if attribute.default == f"{attribute.name}.csv":
+        return "file"
+    if attribute.default != "required" and re.match(r"(list of )?tables? \[", attribute.meaning):
+        return "table"
+    return re.sub(r"_[abc]{2}_", "_", attribute.name)
+
+
+def _values(field: FieldInfo) -> str:
+    """What a field may be: its range and unit, or its kind."""
+    limits, kind = _bounds(field), _kind(field)
+    if kind == "whole number" or not limits:
+        return f"{kind} {limits}".rstrip() if not unit(field) else unit(field)
+    if unit(field) in ("", "1"):
+        return limits
+    return f"{limits}, {unit(field)}" if unit(field)[0].isdigit() else f"{limits} {unit(field)}"
 
 
 def _kind(field: FieldInfo) -> str:
@@ -102,14 +129,16 @@ def _kind(field: FieldInfo) -> str:
 def _bounds(field: FieldInfo) -> str:
     """Permitted range of a field."""
     choices = [str(a) for a in get_args(field.annotation) if isinstance(a, str)]
-    words = {Gt: "> ", Ge: "≥ ", Lt: "< ", Le: "≤ "}
-    found = [
-        f"{sign}{getattr(m, kind.__name__.lower()):g}"
+    words = {Gt: "above ", Ge: "", Lt: "below ", Le: ""}
+    found = {
+        kind: f"{sign}{getattr(m, kind.__name__.lower()):g}"
         for kind, sign in words.items()
         for m in field.metadata
         if isinstance(m, kind)
-    ]
-    return " or ".join(choices) or ", ".join(found)
+    }
+    if set(found) == {Ge}:
+        return f"from {found[Ge]}"
+    return " or ".join(choices) or " to ".join(found.values())
 
 
 def _default(field: FieldInfo) -> str:
@@ -121,3 +150,25 @@ def _default(field: FieldInfo) -> str:
         return str(value).lower()
     simple = isinstance(value, (int, float, str)) and value != ""
     return f"{value:g}" if isinstance(value, float) else str(value) if simple else ""
+
+
+def frame_of(kind: str) -> str:
+    """Names of a kind in files, records and readings, as its page begins."""
+    names = KINDS[kind]
+    live = parts("live")[kind]
+    files = {f"{table.key}.csv" for table in names.tables.values()}
+    rows = [
+        (
+            f"needed in {title}",
+            [a.name for a in attributes(TABLES[title]) if a.default == "required"],
+        )
+        for title in TABLES
+        if title in files
+    ]
+    rows += [
+        ("table of a run, key of its summary", [names.table]),
+        ("readings", live.QUANTITIES),
+        ("set-point", live.NUMBERS),
+    ]
+    lines = [f"| {what} | {', '.join(f'`{word}`' for word in words)} |" for what, words in rows]
+    return "\n".join(["| part | names |", "| --- | --- |", *lines])

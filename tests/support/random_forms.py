@@ -85,19 +85,10 @@ CHANGES: dict[str, Change] = {
     "value": with_value,
 }
 FORMS: tuple[tuple[str, ...], ...] = (
-    (),
-    ("rules",),
-    ("physical",),
-    ("export",),
-    ("drawn",),
-    ("target",),
-    ("value",),
-    ("rules", "export"),
-    ("physical", "drawn"),
-    ("export", "value"),
-    ("rules", "target"),
+    (), ("rules",), ("physical",), ("export",), ("drawn",), ("target",), ("value",),
+    ("rules", "export"), ("physical", "drawn"), ("export", "value"), ("rules", "target"),
     ("physical", "export"),
-)
+)  # fmt: skip
 
 
 def window_of(number: int) -> tuple[str, Site, WindowData]:

@@ -52,12 +52,14 @@ LAYER_OF_PART = {
     "table": "scenario",
     "fields": "scenario",
     "data": "scenario",
+    "live_fields": "live",
     "past_days": "scenario",
     "physics": "contract",
     "rows": "model",
     "record": "day",
     "reasons": "explain",
     "live": "live",
+    "service": "service",
 }
 """Where each part of a kind stands: a kind is a column through the layers, not a layer."""
 

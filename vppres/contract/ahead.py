@@ -14,6 +14,12 @@ from vppres.scenario.scenario import Scenario
 W = TypeVar("W", bound=UnitsAhead)
 
 
+def past_days_of(scenario: Scenario, seed: int) -> dict[str, Any]:
+    """Days before a run that windows are expected to be like, by kind; None where none are."""
+    physics = parts("physics")
+    return {kind: physics[kind].WINDOW.past_days(scenario, seed) for kind in units_of(scenario)}
+
+
 @dataclass(frozen=True, eq=False)
 class KindsAhead:
     """What is known in W steps of the units of each kind that the site has.
@@ -28,13 +34,19 @@ class KindsAhead:
 
     @classmethod
     def of(
-        cls, scenario: Scenario, steps: range, states: Mapping[str, Any], past_days: Any
+        cls,
+        scenario: Scenario,
+        steps: range,
+        states: Mapping[str, Any],
+        past_days: Mapping[str, Any] | None = None,
     ) -> Self:
-        """The window that begins with these states by kind, expected to go on like past days."""
+        """The window that begins with these states, expected to go on like past days, by kind."""
         physics = parts("physics")
         return cls(
             {
-                kind: physics[kind].WINDOW.of(scenario, steps, states[kind], past_days)
+                kind: physics[kind].WINDOW.of(
+                    scenario, steps, states[kind], (past_days or {}).get(kind)
+                )
                 for kind in units_of(scenario)
             }
         )

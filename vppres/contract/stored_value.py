@@ -73,6 +73,16 @@ class StoredValue:
         """Weighted customer hours that an energy is worth."""
         return float(np.min(self.slope * energy_kwh + self.offset))
 
+    def most_kwh(self, service: float) -> float:
+        """The largest energy that is worth so much: less than all where it leaves no room for sun.
+
+        >>> StoredValue([0.0, 10.0, 20.0], [0.0, 5.0, 3.0], 1000.0, True).most_kwh(4.0)
+        15.0
+        """
+        falls = self.slope < 0.0
+        ends = (service - self.offset[falls]) / self.slope[falls]
+        return float(ends.min(initial=self.energy_kwh[-1]))
+
     def marginal_gbp_per_kwh(self, energy_kwh: float) -> float:
         """What one more kWh than an energy is worth."""
         piece = np.searchsorted(self.energy_kwh, energy_kwh, side="right") - 1

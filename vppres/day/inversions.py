@@ -214,14 +214,14 @@ def _worst_words(run: Trajectory, found: list[Inversion]) -> str:
     )
 
 
-def inverted_now(
+def lower_tiers_now(
     scenario: Scenario,
     served: Flags,
     load_kw: Floats,
     charge_kw: float = 0.0,
     later: Flags | None = None,
-) -> str:
-    """The most important customer off supply whose demand others take now, in a sentence.
+) -> dict[str, str]:
+    """The most important customer off supply while lower tiers are on, in a sentence.
 
     Parameters
     ----------
@@ -236,24 +236,33 @@ def inverted_now(
 
     Returns
     -------
-    str
-        Empty if lower tiers have nothing, or less with what batteries take than any such customer
-        needs. It says for how many of the later steps the customer waits.
+    dict
+        ``inverted`` where lower tiers and charging batteries take its demand now, else ``shorter``:
+        for how long what they take would do for it. Both say for how many of the later steps it
+        waits. Empty if no lower tier is on.
     """
     c = scenario.customers
     rank = {tier: k for k, tier in enumerate(scenario.tiers)}
     position = np.array([rank[tier] for tier in c.tier])
     on = np.asarray(served, dtype=bool)
+    found: dict[str, str] = {}
     for customer in sorted(np.flatnonzero(~on), key=lambda i: (position[i], -load_kw[i])):
         lower = on & (position > position[customer])
-        lower_kw = float(load_kw[lower].sum())
-        if lower.any() and lower_kw + charge_kw >= load_kw[customer]:
-            off = f"{c.id[customer]} ({c.tier[customer]}, {load_kw[customer]:,.1f} kW)"
-            others = f"{named(c.id[lower], NAMES)} of lower tiers have {lower_kw:,.1f} kW"
-            if charge_kw > TOLERANCE_KW:
-                others += f" and batteries charge with {charge_kw:,.1f} kW"
-            return f"{off} is off supply, while {others}{_waits(later, int(customer))}"
-    return ""
+        lower_kw, kw = float(load_kw[lower].sum()), float(load_kw[customer])
+        if lower_kw <= TOLERANCE_KW:
+            continue
+        off = f"{c.id[customer]} ({c.tier[customer]}, {kw:,.1f} kW)"
+        have = "of a lower tier has" if lower.sum() == 1 else "of lower tiers have"
+        others = f"{named(c.id[lower], NAMES)} {have} {lower_kw:,.1f} kW"
+        if charge_kw > TOLERANCE_KW:
+            others += f" and batteries charge with {charge_kw:,.1f} kW"
+        words, waits = f"{off} is off supply, while {others}", _waits(later, int(customer))
+        if lower_kw + charge_kw >= kw:
+            return {"inverted": f"{words}{waits}"}
+        minutes = scenario.grid.step_minutes * (lower_kw + charge_kw) / kw
+        short = f"enough for it for {minutes:.0f} of {scenario.grid.step_minutes:g} min"
+        found.setdefault("shorter", f"{words}, {short}{waits}")
+    return found
 
 
 def _waits(later: Flags | None, customer: int) -> str:

@@ -25,7 +25,7 @@ def write_tables(trajectory: Trajectory, folder: Path) -> None:
     )
 
 
-def read_run(folder: Path) -> Trajectory:
+def read_run(folder: Path | str) -> Trajectory:
     """Read a run folder back.
 
     Raises
@@ -33,6 +33,7 @@ def read_run(folder: Path) -> Trajectory:
     InputError
         If the folder is not a whole run folder, with every missing file, or its scenario is wrong.
     """
+    folder = Path(folder)
     files = [folder / OPTIONS_FILE, *(_table_file(folder, name) for name in TABLES)]
     missing = [file.name for file in files if not file.is_file()]
     if missing:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vppres.contract.ahead import KindsAhead
+from vppres.contract.ahead import KindsAhead, past_days_of
 from vppres.contract.decision import Decider, Decision, SolveInfo
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.forecast import ForecastErrors
@@ -33,7 +33,6 @@ from vppres.day.recorder import ROTATED, Recorder, StepRecord, voltage_figures
 from vppres.day.trajectory import SHARE, Trajectory
 from vppres.forecasts.interface import Forecaster
 from vppres.io.python_door import check_scenario
-from vppres.kinds.vehicles.past_days import PastDays
 from vppres.model.site import Site
 from vppres.physics.powerflow import ACPowerFlow, ACResult
 from vppres.plant.collapse import realise
@@ -184,8 +183,8 @@ class Day:
         return KindsAhead.of(self.scenario, steps, states, self._past_days)
 
     @cached_property
-    def _past_days(self) -> PastDays | None:
-        return PastDays.of(self.scenario, self.options.seed)
+    def _past_days(self) -> dict[str, Any]:
+        return past_days_of(self.scenario, self.options.seed)
 
     def run(
         self, controller: Decider, progress: Progress | None = None, steps: int | None = None

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vppres.contract.ahead import KindsAhead
+from vppres.contract.ahead import KindsAhead, past_days_of
 from vppres.contract.decision import batteries_out
 from vppres.contract.forecast import Forecast, ForecastErrors
 from vppres.contract.observation import Observation
@@ -28,7 +28,6 @@ from vppres.day.priority import site_of, weighed
 from vppres.day.time_off import off_before_h
 from vppres.day.trajectory import Trajectory
 from vppres.kinds.table import KINDS, parts, units_of
-from vppres.kinds.vehicles.past_days import PastDays
 from vppres.model.beyond_paper.ratings import LineRatings
 from vppres.model.beyond_paper.table import Beyond, beyond_paper
 from vppres.model.data import WindowData
@@ -120,9 +119,9 @@ class Recorded:
         return KindsAhead.of(self.scenario, steps, states, self.past_days)
 
     @cached_property
-    def past_days(self) -> PastDays | None:
+    def past_days(self) -> dict[str, Any]:
         """Past days that plans expected vehicles by; None without any."""
-        return PastDays.of(self.scenario, int(self.options["seed"]))
+        return past_days_of(self.scenario, int(self.options["seed"]))
 
     @cached_property
     def _owed(self) -> list[Owed | None]:

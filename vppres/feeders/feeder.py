@@ -14,7 +14,7 @@ from vppres.core.arrays import Floats, Items, Names, freeze_arrays, no_items
 from vppres.scenario.assets import TIER_WEIGHTS
 from vppres.scenario.network import BusId, Network
 from vppres.scenario.phases import PhaseConnection, Phases
-from vppres.scenario.source import difference_words
+from vppres.scenario.source import SourceDeviation
 
 
 def highest_tier(tiers: Iterable[str]) -> str:
@@ -145,9 +145,8 @@ class Deviation:
 
     def __str__(self) -> str:
         return (
-            f"AC power flow against the source: voltages differ by at most "
-            f"{difference_words(self.v_max_pu)}{_at_no_load(self.no_load_pu)}; losses "
-            f"{self.losses_kw:.3f} kW, in the source {self.losses_source_kw:.3f} kW"
+            f"{SourceDeviation(self.no_load_pu, self.v_max_pu)} Losses as given are "
+            f"{self.losses_kw:.3f} kW, in the source {self.losses_source_kw:.3f} kW."
         )
 
 
@@ -162,10 +161,6 @@ class SourceFlow(Protocol):
         None where it does not converge.
         """
         ...
-
-
-def _at_no_load(v_pu: float | None) -> str:
-    return "" if v_pu is None else f", at no load by {difference_words(v_pu)}"
 
 
 @dataclass(frozen=True)

@@ -105,7 +105,7 @@ def import_network(
     changes = Changes(tuple(open_branches), open_loops, slack, balance, names)
     if not isinstance(name_or_file, (str, Path)):
         with _quiet():
-            return _feeder(_Net(name_or_file), "pandapower net", changes)
+            return _feeder(_Net(_of_today(name_or_file)), "pandapower net", changes)
     text = str(name_or_file)
     if source not in (None, *get_args(Source)):
         raise InputError.of(
@@ -121,6 +121,16 @@ def import_network(
         found = _read(text, source, not balance)
         with _to_blame(Path(text), "a network"):
             return _feeder(found, Path(text).name, changes)
+
+
+def _of_today(net: Any) -> Any:
+    """A net of an older pandapower with the columns of today's, as its files are read."""
+    from pandapower import __format_version__
+    from pandapower.convert_format import convert_format
+
+    if str(net.format_version) == __format_version__:
+        return net
+    return convert_format(deepcopy(net), donot_open_newer=False)
 
 
 @contextmanager

@@ -5,10 +5,18 @@ They follow from the table of kinds; a type checker sees those that there are.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, make_dataclass
 from typing import TYPE_CHECKING, Any
 
 from vppres.kinds.table import KINDS, TABLES
+
+
+def class_of(name: str, fields: Iterable[str]) -> type:
+    """A frozen class of fields that are None where they are not given."""
+    unsaid = [(each, Any, field(default=None)) for each in fields]
+    return make_dataclass(name, unsaid, frozen=True, eq=False, kw_only=True)
+
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -44,14 +52,12 @@ if TYPE_CHECKING:
         gensets: pd.DataFrame | None = None
 
 else:
-
-    def _class(name: str, fields: list[tuple[str, Any, Any]]) -> type:
-        return make_dataclass(name, fields, frozen=True, eq=False, kw_only=True)
-
-    OfKinds = _class(
-        "OfKinds", [(name, rows, field(default_factory=rows)) for name, rows in TABLES.items()]
+    OfKinds = make_dataclass(
+        "OfKinds",
+        [(name, rows, field(default_factory=rows)) for name, rows in TABLES.items()],
+        frozen=True,
+        eq=False,
+        kw_only=True,
     )
-    RunsOfKinds = _class(
-        "RunsOfKinds", [(kind.table, Any, field(default=None)) for kind in KINDS.values()]
-    )
-    SetPointsOfKinds = _class("SetPointsOfKinds", [(k, Any, field(default=None)) for k in KINDS])
+    RunsOfKinds = class_of("RunsOfKinds", (kind.table for kind in KINDS.values()))
+    SetPointsOfKinds = class_of("SetPointsOfKinds", KINDS)

@@ -124,6 +124,11 @@ class UnitsAhead(ByStep):
     and stopped.
     """
 
+    @classmethod
+    def past_days(cls, scenario: Any, seed: int) -> Any:
+        """Days before a run that a window is expected to be like; None where nothing is learned."""
+        return None
+
     def in_the_dark(self, lit: Flags) -> Any:
         """The same without power but in the lit steps, (W, 1)."""
         raise NotImplementedError
@@ -175,6 +180,71 @@ class Followers(Protocol):
 
     def advance(self, t: int, taken_kw: Floats, running: Flags) -> None:
         """The state at the end of a step."""
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """A step that a live controller decides now.
+
+    Parameters
+    ----------
+    known : Scenario
+        What was known, the steps since the last decision included.
+    row : int
+        The step's row in it.
+    skipped : range
+        Rows since the last decision in which nothing was decided.
+    served : array of bool, shape (C,), or None
+        Customers that were supplied since; None before the first decision.
+    at_h : float
+        The moment, in h since the controller's first step.
+    window : Scenario
+        The step and those ahead, as they are measured and expected.
+    """
+
+    known: Any
+    row: int
+    skipped: range
+    served: Flags | None
+    at_h: float
+    window: Any
+
+
+@dataclass(frozen=True, eq=False)
+class UnitsNow:
+    """The units of a kind in the step that is decided now; what ``now`` of its live part makes.
+
+    Parameters
+    ----------
+    state : Any
+        The estimate of their state, as the plant has it.
+    taken_kw, taken_off_kw : float
+        Power that all took since the last decision, as metered or else as they were told, and by
+        how much that may be off.
+    estimated : tuple of str
+        Readings that are missing or frozen, and units that are out, in words.
+    """
+
+    state: Any
+    taken_kw: float
+    taken_off_kw: float
+    estimated: tuple[str, ...]
+
+    def able(self, ahead: UnitsAhead) -> UnitsAhead:
+        """A window without units that are out."""
+        return ahead
+
+    def believed(self, scenario: Any) -> Any:
+        """A scenario in which units that are out form no grid."""
+        return scenario
+
+    def columns(self) -> dict[str, Any]:
+        """Columns of set-points that only a live step has."""
+        return {}
+
+    def after(self, day: Any, state: Any, columns: Mapping[str, Any]) -> Any:
+        """What the next step goes on from: units after the first step of a day, by its record."""
+        raise NotImplementedError
 
 
 DEARER = 2.0

@@ -8,6 +8,7 @@ from typing import Any
 
 import pandas as pd
 
+from vppres.contract.ahead import past_days_of
 from vppres.contract.decision import Decider, Decision
 from vppres.contract.forecast import ForecastErrors
 from vppres.control.remembered import memory_of, put_back
@@ -16,8 +17,6 @@ from vppres.core.errors import SolveError, VppresError
 from vppres.day.assembly import make_controller
 from vppres.day.options import RunOptions
 from vppres.day.outages import KNOWN, LOOKAHEAD_H, OutageView
-from vppres.kinds.vehicles.live import Stay
-from vppres.kinds.vehicles.past_days import PastDays
 from vppres.live.feed import Feed, extended
 from vppres.live.foreseen import Foreseen
 from vppres.live.measurement import Measurement, Seen, see, step_at
@@ -77,7 +76,7 @@ class Controller:
         self._past = at.past
         self._step_before: tuple[dict[str, Any], Past] | None = at.before
         self._given = given_by(scenario, options)
-        self._past_days = PastDays.of(scenario, options.seed)
+        self._past_days = past_days_of(scenario, options.seed)
         self._turn = threading.Lock()
 
     @classmethod
@@ -342,15 +341,14 @@ class Controller:
         """One step, undone if it fails."""
         earliest = max(self._past.t - self._forgotten, 0)
         guard = self.options.guard
-        seen = see(self.scenario, observation, guard, earliest, self._stays_before)
+        seen = see(self.scenario, observation, guard, earliest, self._kinds_before)
         latest = memory_of(self._decider, self._given)
         start = (latest, self._past)
         again = self._before_again(seen.t)
         if again is not None:
             start = again
             if seen.elapsed_h:
-                # Anew within the step: what was ordered and seen in it has happened.
-                start = (latest, replace(start[1], sets=self._past.sets))
+                start = (latest, start[1].within_step(self._past))
         try:
             self._recall(start[0])
             points, past = self._decided(seen, start[1])
@@ -368,11 +366,10 @@ class Controller:
         """What was remembered before a step, if it is the last one, which is decided again."""
         return self._step_before if row + self._forgotten == self._past.t else None
 
-    def _stays_before(self, row: int) -> tuple[Stay, ...]:
-        """Vehicles as they were known before a step."""
+    def _kinds_before(self, row: int) -> dict[str, Any]:
+        """Units of each kind as they were known before a step."""
         again = self._before_again(row)
-        past = self._past if again is None else again[1]
-        return () if past.vehicles is None else past.vehicles.stays
+        return (self._past if again is None else again[1]).kinds
 
     def _recall(self, memory: dict[str, Any]) -> None:
         """Let the decider stand where a memory of it was made."""
@@ -386,13 +383,12 @@ class Controller:
         present = Present.of(t, seen, known, window, ahead, past, options, self._past_days)
         told = present.observation(OutageView.create(self.scenario, self._record))
         decision = _without(self._decider.decide(told), seen.connected)
-        reckoned = (*present.indoor.estimated, *present.sets.estimated)
-        estimated = _joined(*seen.left_out, *reckoned, decision.estimated)
+        estimated = _joined(*seen.left_out, *present.estimated, decision.estimated)
         decision = replace(decision, estimated=estimated)
         day = present.day(decision.seen or told, decision.estimated)
         record = day.settle(0, decision)
         foreseen = Foreseen.of(decision, day.scenario, told)
-        points = SetPoints.of(day.scenario, record, foreseen, day.switching, present.sets.out)
+        points = SetPoints.of(day.scenario, record, foreseen, day.switching, present.kinds)
         return points, present.after(day, record)
 
 

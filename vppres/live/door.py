@@ -19,6 +19,7 @@ import pandas as pd
 from vppres.core.arrays import Flags, Floats, Names, Wholes
 from vppres.core.errors import InputError, Problem
 from vppres.io.messages import did_you_mean, shown
+from vppres.kinds.table import parts
 from vppres.live.ranges import RANGES, Ranges
 from vppres.scenario.timegrid import TimeGrid
 
@@ -28,6 +29,13 @@ MOST_OF_A_KIND = 20
 """Problems of one quantity that are listed; the others are counted."""
 
 HOUR = pd.Timedelta(hours=1)
+
+MEANS = (
+    "battery_kw",
+    "import_kw",
+    *(name for live in parts("live").values() for name in live.MEANS),
+)
+"""Powers that are measured over a time, and reckoned where they are missing."""
 
 WRITE_A_TIME = "Write it with an offset, for example 2022-07-19T12:00:00Z."
 BY_ASSET = "a mapping or a Series"
@@ -248,8 +256,7 @@ class Door:
             return np.nan
         if limits.holds(number):
             return number
-        measured_after = field in ("battery_kw", "import_kw", "genset_kw")
-        if now and np.isnan(number) and (self.estimates or measured_after):
+        if now and np.isnan(number) and (self.estimates or field in MEANS):
             return np.nan
         if not (now and self.estimates):
             self.problem(field, limits.text(number), limits.cure, value, name)

@@ -8,12 +8,13 @@ import pandas as pd
 
 from vppres.contract.decision import Decision
 from vppres.contract.observation import Observation
+from vppres.kinds.live_fields import ForeseenOfKinds
 from vppres.kinds.table import parts
 from vppres.scenario.scenario import Scenario
 
 
 @dataclass(frozen=True, eq=False)
-class Foreseen:
+class Foreseen(ForeseenOfKinds):
     """The rest of a plan: what will be decided anew, step by step, with what is known by then.
 
     Parameters
@@ -37,10 +38,6 @@ class Foreseen:
     served: pd.DataFrame
     soc_end: pd.DataFrame
     import_kw: pd.Series[float]
-    indoor_c: pd.DataFrame | None = None
-    left_short: pd.DataFrame | None = None
-    genset_kw: pd.DataFrame | None = None
-    fuel_litres: pd.DataFrame | None = None
 
     @classmethod
     def of(cls, decision: Decision, window: Scenario, told: Observation) -> Foreseen:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Any
@@ -13,9 +13,8 @@ import pandas as pd
 from vppres.contract.observation import Told
 from vppres.core.arrays import Flags, Floats, Names
 from vppres.core.errors import InputError, VppresError
-from vppres.kinds.gensets.live import ORDERED, Readings
-from vppres.kinds.gensets.live import QUANTITIES as OF_SETS
-from vppres.kinds.vehicles.live import QUANTITIES, Stay, with_vehicles
+from vppres.kinds.live_fields import ReadOfKinds
+from vppres.kinds.table import parts
 from vppres.live.door import HOUR, WHERE, Door, readable
 from vppres.live.ranges import ranges_of
 from vppres.scenario.assets import Batteries
@@ -27,7 +26,7 @@ Switches = Mapping[str, bool] | pd.Series  # by identifier
 
 
 @dataclass(frozen=True, eq=False)
-class Measurement:
+class Measurement(ReadOfKinds):
     """What is known at the beginning of a step: measured now, expected for the steps ahead.
 
     Only the time must be given. What is not given of the series is what the scenario says, so that
@@ -134,16 +133,6 @@ class Measurement:
     now: pd.Timestamp | datetime | str | None = None
     soc_at: Mapping[str, Any] | pd.Series | None = None
     ordered_kw: pd.DataFrame | None = None
-    plugged: Values | None = None
-    ev_soc: Values | None = None
-    energy_needed_kwh: Values | None = None
-    departure: Mapping[str, Any] | pd.Series | None = None
-    indoor_c: Values | None = None
-    running: Values | None = None
-    genset_kw: Values | None = None
-    fuel_litres: Values | None = None
-    start_fault: Values | None = None
-    genset_ordered_kw: Values | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,10 +158,8 @@ class Seen:
         How old the states of charge are.
     told : tuple of Told
         Set-points of batteries since the last decision, where these differ from it.
-    ev_kwh : array, shape (K,)
-        Energy that was read of the vehicles at chargers.
-    sets : Readings
-        What generating sets told.
+    kinds : dict
+        What the units of each kind told.
     profile_kw, profile_pv_kw : array, shape (C,) and (P,)
         What the scenario says of demand and PV power in the step.
     """
@@ -195,19 +182,20 @@ class Seen:
     elapsed_h: float
     soc_age_h: Floats
     told: tuple[Told, ...]
-    ev_kwh: Floats
-    indoor_c: Floats
-    sets: Readings
+    kinds: dict[str, Any]
     profile_kw: Floats
     profile_pv_kw: Floats
 
     def window(self, rows: range) -> Seen:
         """The same of some steps alone, of which the first is the present one."""
         announced = self.announced_kw
+        scenario = self.scenario.between(rows.start, rows.stop)
+        for live in parts("live").values():
+            scenario = live.to_come(scenario)
         return replace(
             self,
             t=0,
-            scenario=self.scenario.between(rows.start, rows.stop),
+            scenario=scenario,
             announced_kw=None if announced is None else announced[rows.start : rows.stop],
         )
 
@@ -225,7 +213,7 @@ def see(
     measured: Measurement,
     guard: bool = True,
     earliest: int = 0,
-    stays_at: Callable[[int], Iterable[Stay]] = lambda _: (),
+    before: Callable[[int], Mapping[str, Any]] = lambda _: {},
 ) -> Seen:
     """Lay a measurement over a scenario.
 
@@ -239,8 +227,8 @@ def see(
         Whether a guard estimates what is missing; otherwise it is refused.
     earliest : int, optional
         First step that can still be decided.
-    stays_at : callable, optional
-        Vehicles as they were known before a step.
+    before : callable, optional
+        Units as they were known before a step, by kind.
 
     Raises
     ------
@@ -256,7 +244,7 @@ def see(
             value=readable(measured),
         )
     try:
-        return _seen(scenario, measured, guard, earliest, stays_at)
+        return _seen(scenario, measured, guard, earliest, before)
     except VppresError:
         raise
     except Exception as error:  # a mapping may come from any caller
@@ -285,7 +273,7 @@ def _seen(
     measured: Measurement,
     guard: bool,
     earliest: int,
-    stays_at: Callable[[int], Iterable[Stay]],
+    before: Callable[[int], Mapping[str, Any]],
 ) -> Seen:
     """The measurement, read; problems are listed in the order of the readings."""
     door = Door(scenario.grid, measured.time, guard, ranges=ranges_of(scenario))
@@ -306,15 +294,10 @@ def _seen(
     told = _told(door, measured.ordered_kw, b.id, now)
     if not guard:
         _check_complete(door, scenario, measured, of_batteries["soc"], of_batteries["online"])
-    of_vehicles = {name: getattr(measured, name) for name in QUANTITIES}
-    scenario, ev_kwh = with_vehicles(door, scenario, of_vehicles, stays_at(door.t))
-    loads = scenario.thermal_loads
-    indoor_c = door.values("indoor_c", measured.indoor_c, loads.id, np.full(len(loads), np.nan))
-    sets = scenario.gensets
-    unread = np.full(len(sets), np.nan)
-    of_sets = [
-        door.values(one, getattr(measured, one), sets.id, unread) for one in (*OF_SETS, ORDERED)
-    ]
+    past, kinds = before(door.t), {}
+    for kind, live in parts("live").items():
+        of_kind = {name: getattr(measured, name) for name in live.RANGES}
+        scenario, kinds[kind] = live.read(door, scenario, of_kind, past.get(kind))
     door.finish()
     pv_kw = np.clip(pv_kw, 0.0, pv.p_max_kw)
     foretold = measured.foretold or {}
@@ -340,9 +323,7 @@ def _seen(
         elapsed_h=(now - door.begun) / HOUR,
         soc_age_h=soc_age_h,
         told=told,
-        ev_kwh=ev_kwh,
-        indoor_c=indoor_c,
-        sets=Readings(*of_sets),
+        kinds=kinds,
     )
 
 

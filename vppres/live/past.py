@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Any, get_type_hints
 
@@ -20,10 +20,7 @@ from vppres.day.forecasting import PAPER, history_before
 from vppres.day.options import RunOptions
 from vppres.day.outages import GridSeen
 from vppres.day.simulate import Day
-from vppres.kinds.cooling.live import Felt
-from vppres.kinds.gensets.data import ROUNDING_H
-from vppres.kinds.gensets.live import Ran, Readings, SetsNow
-from vppres.kinds.vehicles.live import Held
+from vppres.kinds.table import parts
 from vppres.physics.cold_load import ColdLoad
 from vppres.scenario.history import History
 from vppres.scenario.scenario import Scenario
@@ -39,8 +36,7 @@ class Past:
     ``t`` counts from the controller's first step, -1 before it. ``voltages`` are solutions by the
     position of the source's bus, from which the next power flow starts. None is what no step has
     led to yet, duties without switching rules, and measurements that no forecaster learns from.
-    ``flexible_kw`` is what vehicles and machines were to take, which no meter says, and
-    ``flexible_off_kw`` by how much that may be off.
+    ``kinds`` has the units of each kind, ``PAST`` of its live part.
     """
 
     t: int
@@ -52,11 +48,7 @@ class Past:
     voltages: dict[int, Complexes]
     grid_seen: GridSeen = field(default_factory=GridSeen)
     owed: Owed | None = None
-    vehicles: Held | None = None
-    rooms: Felt | None = None
-    sets: Ran | None = None
-    flexible_kw: float | None = None
-    flexible_off_kw: float | None = None
+    kinds: dict[str, Any] = field(default_factory=dict)
 
     @classmethod
     def before_the_day(cls, scenario: Scenario, options: RunOptions) -> Past:
@@ -80,19 +72,14 @@ class Past:
             owed = owed and owed.after(np.zeros(len(owed.steps)), np.ones(len(owed.steps)))
         return owed
 
-    def felt_at(self, t: int, known: Scenario, row: int) -> Felt:
-        """Rooms and tanks at a step, which is this row of what is known."""
-        if self.rooms is None or self.served is None:
-            return Felt.before_the_day(known)
-        return self.rooms.after(known, range(row - (t - self.t - 1), row), self.served)
+    def within_step(self, latest: Past) -> Past:
+        """The same for a step that is decided anew within it: what was ordered in it has happened.
 
-    def sets_at(self, told: Readings, now_h: float, known: Scenario, row: int) -> SetsNow:
-        """Generating sets at a time in the step that is this row of what is known."""
-        sets, dt_h = known.gensets, known.grid.dt_h
-        past = self.sets or Ran.before_the_day(sets, now_h)
-        steps = int(now_h / dt_h + ROUNDING_H) - int(past.at_h / dt_h + ROUNDING_H)
-        added = known.refuelled_litres[max(row - steps, -1) + 1 : row + 1].sum(axis=0)
-        return SetsNow.of(sets, told, past, now_h, dt_h, added)
+        ``latest`` is the site after the step as it was decided first.
+        """
+        live = parts("live")
+        timed = {kind: one for kind, one in latest.kinds.items() if live[kind].PAST.timed}
+        return replace(self, kinds=self.kinds | timed)
 
     def held_until(self, t: int) -> tuple[SwitchingState | None, ColdLoad]:
         """Switching state and cold load at a step, set-points held over those in between."""
@@ -106,8 +93,9 @@ class Past:
 
     def as_plain(self, given: Given) -> dict[str, Any]:
         """What JSON can hold of it, but for the history, which a state holds once."""
-        plain = {name: to_plain(getattr(self, name), given) for name in _kinds()}
-        return plain | {"cold_load": memory_of(self.cold_load, given)}
+        plain = {name: to_plain(getattr(self, name), given) for name in _types()}
+        kinds = {kind: to_plain(one, given) for kind, one in self.kinds.items()}
+        return plain | {"kinds": kinds, "cold_load": memory_of(self.cold_load, given)}
 
     def read(self, plain: Any, history: History | None, given: Given, where: str) -> Past:
         """Another past of the same site, from what JSON holds of it and its history.
@@ -121,14 +109,20 @@ class Past:
         cold_load = copy(self.cold_load)
         put_back(cold_load, found.get("cold_load"), given, f"{where}.cold_load")
         values = {
-            name: from_plain(kind, found.get(name), f"{where}.{name}", given)
-            for name, kind in _kinds().items()
+            name: from_plain(of_type, found.get(name), f"{where}.{name}", given)
+            for name, of_type in _types().items()
         }
-        return Past(cold_load=cold_load, history=history, **values)
+        live = parts("live")
+        kinds = {
+            kind: from_plain(live[kind].PAST, one, f"{where}.{kind}", given)
+            for kind, one in from_plain(dict, found.get("kinds"), f"{where}.kinds").items()
+        }
+        return Past(cold_load=cold_load, history=history, kinds=kinds, **values)
 
 
 @cache
-def _kinds() -> dict[str, Any]:
+def _types() -> dict[str, Any]:
     """Types of what is written as it is, by field."""
-    kinds = get_type_hints(Past)
-    return {name: kind for name, kind in kinds.items() if name not in ("cold_load", "history")}
+    types = get_type_hints(Past)
+    apart = ("kinds", "cold_load", "history")
+    return {name: each for name, each in types.items() if name not in apart}

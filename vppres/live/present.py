@@ -19,12 +19,8 @@ from vppres.day.options import RunOptions
 from vppres.day.outages import Beside, GridSeen, OutageView
 from vppres.day.recorder import StepRecord
 from vppres.day.simulate import Day
-from vppres.kinds.cooling.live import Felt, Indoor
-from vppres.kinds.gensets.live import Ran, SetsNow, after
-from vppres.kinds.gensets.physics import SetsAhead
-from vppres.kinds.vehicles.live import Held
-from vppres.kinds.vehicles.past_days import PastDays
-from vppres.kinds.vehicles.physics import Garage
+from vppres.kinds.kind import Moment, UnitsNow
+from vppres.kinds.table import parts, units_of
 from vppres.live.foretold import GivenFirst
 from vppres.live.measurement import Seen
 from vppres.live.past import Past
@@ -40,7 +36,7 @@ class Present:
 
     ``t`` counts from the controller's first step. The steps of the window are in ``seen``, itself
     the first; the decision may rest on all that are ``ahead``. ``ends``: what is known ends with
-    the window. Duties, cold load, rooms and sets are those of its beginning.
+    the window. Duties, cold load and the units of each kind are those of its beginning.
     """
 
     t: int
@@ -51,11 +47,10 @@ class Present:
     past: Past
     switching: SwitchingState | None
     cold_load: ColdLoad
-    indoor: Indoor
-    sets: SetsNow
+    kinds: dict[str, UnitsNow]
     grid_seen: GridSeen
     options: RunOptions
-    past_days: PastDays | None
+    past_days: dict[str, Any]
 
     @classmethod
     def of(
@@ -67,17 +62,18 @@ class Present:
         ahead: range,
         past: Past,
         options: RunOptions,
-        past_days: PastDays | None,
+        past_days: dict[str, Any],
     ) -> Present:
         """The step of a measurement, which is laid over everything that is ``known``.
 
         Rows of the ``window`` are forecast, the decision may rest on those ``ahead`` in any way.
         """
-        beyond, seen = (_with_later_refuels(everything.window(part)) for part in (ahead, window))
+        beyond, seen = everything.window(ahead), everything.window(window)
         switching, cold_load = past.held_until(t)
         now = seen.scenario
-        now_h = t * now.grid.dt_h + seen.elapsed_h
-        felt = past.felt_at(t, known, everything.t)
+        row, at_h = everything.t, t * now.grid.dt_h + seen.elapsed_h
+        moment = Moment(known, row, range(row - (t - past.t - 1), row), past.served, at_h, now)
+        live = parts("live")
         return cls(
             t=t,
             seen=seen,
@@ -87,8 +83,10 @@ class Present:
             past=past,
             switching=switching,
             cold_load=cold_load,
-            indoor=Indoor.of(now.thermal_loads.id, seen.indoor_c, felt),
-            sets=past.sets_at(seen.sets, now_h, known, everything.t),
+            kinds={
+                kind: live[kind].now(moment, seen.kinds[kind], past.kinds.get(kind))
+                for kind in units_of(now)
+            },
             grid_seen=past.grid_seen.after(now.grid.start, float(now.grid_limit_kw[0])),
             options=options,
             past_days=past_days,
@@ -106,7 +104,7 @@ class Present:
         """What was measured, and the forecast of the window."""
         seen = self.seen
         forecast = forecasts.at(0, range(seen.scenario.grid.n_steps))
-        b = seen.scenario.batteries
+        b, kinds = seen.scenario.batteries, self.kinds.values()
         return Observation(
             self.t,
             _beginning_with(seen, forecast),
@@ -127,46 +125,24 @@ class Present:
             told=seen.told,
             profile_kw=seen.profile_kw,
             profile_pv_kw=seen.profile_pv_kw,
-            **self._flexible(),
+            flexible_kw=None if self.past.t < 0 else sum((k.taken_kw for k in kinds), 0.0),
+            flexible_off_kw=sum((k.taken_off_kw for k in kinds), 0.0),
         )
 
-    def _flexible(self) -> dict[str, Any]:
-        """What flexible power took in the step before, by meters of sets and what others were to.
-
-        Nothing before the first step.
-        """
-        past, told_kw = self.past, self.seen.sets.power_kw
-        if past.flexible_kw is None or past.flexible_off_kw is None or past.sets is None:
-            return {}
-        unread = np.isnan(told_kw)
-        gave_kw = np.where(unread, past.sets.power_kw, told_kw)
-        return {
-            "flexible_kw": past.flexible_kw - float(gave_kw.sum()),
-            "flexible_off_kw": past.flexible_off_kw + float(past.sets.power_kw[unread].sum()),
-        }
-
     def _ahead(self) -> KindsAhead:
-        """Vehicles, rooms and sets as they are."""
+        """The window of each kind, without units that are out."""
         day = self.seen.scenario
-        states = {**self._states(), "chargers": Garage(day, self._ev_kwh()).at(0)}
-        found = KindsAhead.of(day, range(day.grid.n_steps), states, self.past_days)
-        sets = found.find(SetsAhead)
-        return found if sets is None else found.with_window(self.sets.without_those_out(sets))
+        found = KindsAhead.of(day, range(day.grid.n_steps), self._states(), self.past_days)
+        return KindsAhead({kind: self.kinds[kind].able(of) for kind, of in found.by_kind.items()})
 
     def _states(self) -> dict[str, Any]:
         """State of each kind at the beginning of the step."""
-        return {
-            "chargers": self._ev_kwh(),
-            "thermal_loads": self.indoor.now_c,
-            "gensets": self.sets.state,
-        }
+        return {kind: now.state for kind, now in self.kinds.items()}
 
-    def _ev_kwh(self) -> Floats:
-        """Energy of the vehicles, as read or else as reckoned; NaN if neither, (K,)."""
-        kwh, past = self.seen.ev_kwh, self.past.vehicles
-        if past is None:
-            return kwh
-        return np.where(np.isnan(kwh), past.at(self.seen.scenario, 0), kwh)
+    @property
+    def estimated(self) -> tuple[str, ...]:
+        """Readings of all kinds that are missing or frozen, in words."""
+        return tuple(words for now in self.kinds.values() for words in now.estimated)
 
     def day(self, known: Observation, estimated: str = "") -> Day:
         """A day that stands at the step, what the controller took for true being true.
@@ -180,9 +156,8 @@ class Present:
         if out.any():
             p_max_kw = np.where(out, 0.0, batteries.p_max_kw)
             scenario = replace(scenario, batteries=replace(batteries, p_max_kw=p_max_kw))
-        if self.sets.out.any():  # nor do they start by themselves
-            forming = scenario.gensets.grid_forming & ~self.sets.out
-            scenario = replace(scenario, gensets=replace(scenario.gensets, grid_forming=forming))
+        for now in self.kinds.values():
+            scenario = now.believed(scenario)
         day = Day(scenario, self.options)
         t_ref_c = scenario.batteries.t_ref_c
         day.state = BatteryState(known.soc, known.eta_charge, known.eta_discharge, t_ref_c)
@@ -196,9 +171,6 @@ class Present:
 
     def after(self, day: Day, record: StepRecord) -> Past:
         """What the next step goes on from: a :meth:`day` after its first step, and that step."""
-        taken_kw = {
-            kind: columns["p_kw"] for kind, columns in record.kinds.items() if kind != "gensets"
-        }
         return Past(
             t=self.t,
             operating_point=day.operating_point,
@@ -209,26 +181,11 @@ class Present:
             voltages=day.ac.found,
             grid_seen=self.grid_seen,
             owed=day.owed,
-            vehicles=Held.of(day.scenario, 0, day.plant.of(Garage).state),
-            rooms=self._felt_after(day, record),
-            sets=self._told(record),
-            flexible_kw=float(sum(kw.sum() for kw in taken_kw.values())),
-            flexible_off_kw=float(np.abs(taken_kw.get("chargers", 0.0)).sum())
-            + float(day.scenario.thermal_loads.p_max_kw.sum()),
+            kinds={
+                kind: now.after(day.scenario, day.plant.state_of(kind), record.kinds[kind])
+                for kind, now in self.kinds.items()
+            },
         )
-
-    def _told(self, record: StepRecord) -> Ran:
-        """How generating sets are to run from now on."""
-        columns = record.kinds.get("gensets")
-        if columns is None:
-            return self.sets.told(np.empty(0, dtype=bool), np.empty(0))
-        return self.sets.told(columns["running"], columns["p_kw"])
-
-    def _felt_after(self, day: Day, record: StepRecord) -> Felt:
-        """Rooms and tanks after the step, as far as their readings moved."""
-        columns = record.kinds.get("thermal_loads")
-        power_kw = np.empty(0) if columns is None else columns["p_kw"]
-        return self.indoor.after(day.scenario, power_kw)
 
     def _learned(self, believed: Scenario) -> History | None:
         """The history with what was read; what was not, or cannot be read, is NaN."""
@@ -239,14 +196,6 @@ class Present:
             np.where(unread_load, np.nan, believed.load_kw[0]),
             np.where(np.isnan(seen.pv_kw), np.nan, believed.pv_kw[0]),
         )
-
-
-def _with_later_refuels(seen: Seen) -> Seen:
-    """A measurement without deliveries that are in the tanks already."""
-    day = seen.scenario
-    if not len(day.refuels):
-        return seen
-    return replace(seen, scenario=replace(day, refuels=after(day.refuels, day)))
 
 
 def _beginning_with(seen: Seen, forecast: Forecast) -> Forecast:

@@ -10,13 +10,14 @@ import numpy as np
 import pandas as pd
 
 from vppres.contract.switching import SwitchingState
-from vppres.core.arrays import Flags, Names
+from vppres.core.arrays import Names
 from vppres.core.notebook import facts_html
-from vppres.day.inversions import inverted_now
+from vppres.day.inversions import lower_tiers_now
 from vppres.day.recorder import ROTATED, StepRecord
 from vppres.day.trajectory import FORMS, SHARE, Feeder, supplied
 from vppres.feeders.actuate import Feeding
 from vppres.kinds.fields import SetPointsOfKinds
+from vppres.kinds.kind import UnitsNow
 from vppres.kinds.table import parts
 from vppres.live.by_phase import ByPhase
 from vppres.live.foreseen import Foreseen
@@ -74,7 +75,8 @@ class SetPoints(SetPointsOfKinds):
         why an island is blacked out, ``ac_failed`` why its lines do not carry the plan. In strict
         order ``levels`` has how many steps of the window the plan supplies to customers of each
         tier, and how many it could at most; ``inverted`` names a customer off supply whose demand
-        lower tiers and charging batteries take now, and when the plan supplies it.
+        lower tiers and charging batteries take now, and when the plan supplies it; ``shorter`` one
+        for whom what they take would do for a part of the step.
     feeding : Feeding
         What holds the voltage: the grid, a battery, or nothing.
     foreseen : Foreseen
@@ -114,7 +116,7 @@ class SetPoints(SetPointsOfKinds):
         step: StepRecord,
         foreseen: Foreseen,
         after: SwitchingState | None = None,
-        out: Flags | None = None,
+        kinds: Mapping[str, UnitsNow] | None = None,
     ) -> SetPoints:
         """The set-points of a step that was decided.
 
@@ -128,8 +130,8 @@ class SetPoints(SetPointsOfKinds):
             The rest of its plan.
         after : SwitchingState, optional
             Who is off and for how long after the step.
-        out : array of bool, shape (G,), optional
-            Generating sets that do not start.
+        kinds : mapping, optional
+            Units as the step found them, by kind.
         """
         limited = after is not None and after.longest_off_h is not None
         off_h = {"off_h": after.off_h} if after is not None and limited else {}
@@ -150,7 +152,7 @@ class SetPoints(SetPointsOfKinds):
             ),
             foreseen=foreseen,
             by_phase=ByPhase.of(scenario, step),
-            **_of_kinds(scenario, step, {} if out is None else {"gensets": {"out": out}}),
+            **_of_kinds(scenario, step, kinds or {}),
         )
 
     def apply_to(self, net: Any, feeder: Feeder) -> None:
@@ -240,16 +242,17 @@ def _pv(scenario: Scenario, columns: Mapping[str, Any]) -> pd.DataFrame:
 
 
 def _of_kinds(
-    scenario: Scenario, step: StepRecord, more: Mapping[str, Mapping[str, Any]]
+    scenario: Scenario, step: StepRecord, now: Mapping[str, UnitsNow]
 ) -> dict[str, pd.DataFrame]:
-    """Set-points of the units of each kind, with ``more`` that is known of them."""
+    """Set-points of the units of each kind, with what only a live step knows of them."""
     live = parts("live")
     found = {}
     for kind, columns in step.kinds.items():
         units = getattr(scenario, kind)
         told = live[kind].set_points(scenario, step.t, columns)
         places = {"bus": units.buses(scenario.customers)}
-        found[kind] = _table(units.id, **{**places, **told, **more.get(kind, {})})
+        more = now[kind].columns() if kind in now else {}
+        found[kind] = _table(units.id, **{**places, **told, **more})
     return found
 
 
@@ -279,20 +282,17 @@ def _sheds(step: StepRecord) -> bool:
 def _priority(scenario: Scenario, step: StepRecord, foreseen: Foreseen) -> dict[str, str]:
     """Bounds of the tiers in strict order, and in an outage who waits while lower tiers are on."""
     columns = step.customers
-    inverted = (
-        inverted_now(
-            scenario,
-            columns["served"] > 0.5,
-            columns["p_load_kw"],
-            float(step.batteries["charge_kw"].sum()),
-            foreseen.served.to_numpy(bool),
-        )
-        if scenario.outage[step.t]
-        else ""
-    )
     levels = "" if _sheds(step) else str(step.steps.get("levels", ""))
-    found = {"levels": levels, "inverted": inverted}
-    return {name: words for name, words in found.items() if words}
+    found = {"levels": levels} if levels else {}
+    if not scenario.outage[step.t]:
+        return found
+    return found | lower_tiers_now(
+        scenario,
+        columns["served"] > 0.5,
+        columns["p_load_kw"],
+        float(step.batteries["charge_kw"].sum()),
+        foreseen.served.to_numpy(bool),
+    )
 
 
 def _table(names: Any, *, index: str = "id", **columns: Any) -> pd.DataFrame:

@@ -30,7 +30,7 @@ from vppres.scenario.scenario import Scenario
 
 KIND = "vppres controller state"
 
-VERSION = 3
+VERSION = 4
 """Of the state's layout. It changes where an older state can no longer be gone on from."""
 
 WHERE = "state"
@@ -127,6 +127,8 @@ def _restored(
 ) -> Standing:
     """The same, of a state that may still lack something."""
     _check(state, scenario, options)
+    if state["version"] == 3:
+        state = _from_version_3(state)
     known = _known(state["known"], scenario)
     given = given_by(known, options)
     forgotten = from_plain(int, state["known"]["forgotten"], f"{WHERE}.known.forgotten")
@@ -176,7 +178,7 @@ def _check(state: Any, scenario: Scenario, options: RunOptions) -> None:
     """Whether a state is whole, of this version, this site and these options."""
     if not isinstance(state, dict) or state.get("kind") != KIND:
         raise _refused("is not the state of a controller", "Give what Controller.state() returned.")
-    if state.get("version") != VERSION:
+    if state.get("version") not in (3, VERSION):
         raise _refused(
             f"has another layout than this version's, {VERSION}",
             "Go on with the version that wrote it, or begin without a state.",
@@ -199,6 +201,31 @@ def _check(state: Any, scenario: Scenario, options: RunOptions) -> None:
                 name,
                 value,
             )
+
+
+def _from_version_3(state: dict[str, Any]) -> dict[str, Any]:
+    """A state in which every kind had a field of its own, and the powers of all were one number.
+
+    What each took in its last step is not known then, and no reading is doubted for it.
+    """
+
+    def moment(old: dict[str, Any]) -> dict[str, Any]:
+        past = old["past"]
+        kinds = {}
+        for kind, (name, by_unit) in fields.items():
+            one = past.get(name)
+            if one is not None and one[by_unit]:
+                kinds[kind] = {"taken_kw": ["nan"] * len(one[by_unit]), **one}
+        return {**old, "past": {**past, "kinds": kinds}}
+
+    fields = {
+        "chargers": ("vehicles", "kwh"),
+        "thermal_loads": ("rooms", "reckoned_c"),
+        "gensets": ("sets", "power_kw"),
+    }
+    before = state["before"]
+    then = None if before is None else moment(before)
+    return {**state, "now": moment(state["now"]), "before": then}
 
 
 def _known(plain: dict[str, Any], scenario: Scenario) -> Scenario:

@@ -191,7 +191,7 @@ class Statement:
         found = [each.of_dispatch(self.site, data, dispatch) for each in self.additions]
         return Held(
             {name: value for each in found for name, value in each.values.items()},
-            {name: value for each in found for name, value in each.least.items()},
+            {name: ends for each in found for name, ends in each.ranges.items()},
             sum(each.gbp for each in found),
         )
 

@@ -152,10 +152,14 @@ class Plant:
         """State at the beginning of a step of each kind that the site has."""
         return {kind: units.at(t) for kind, units in self.units.items()}
 
+    def state_of(self, kind: str) -> Any:
+        """State of the units of a kind now."""
+        return self.units[kind].state
+
     def begin_with(self, states: Mapping[str, Any]) -> None:
         """Begin a step with these states by kind."""
         for kind, state in states.items():
-            self._every[kind].state = state
+            self.units[kind].state = state
 
     def at_buses(self, realised: Realised) -> tuple[Floats, Floats]:
         """Net injections of the network's buses, (N,) each."""

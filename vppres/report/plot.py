@@ -62,6 +62,8 @@ _SOURCES = {
     "grid": (SKY, ""),
 }
 _TIER_MARKS = ("s", "o", "^", "v", "<", ">")
+_UNIT_MARKS = (("p", BLUE), ("h", SKY), ("d", PURPLE))
+"""Mark and colour of each kind of unit, again from the first where there are more."""
 _FIRST_MARK, _NEXT_MARK, _POINTS_PER_INCH = 12.0, 8.0, 72.0
 """Distances of marks below a bus, in points."""
 _HATCHES = ("", "///", "...", "xx", "---")
@@ -223,15 +225,15 @@ def energy(runs: Runs, ax: Axes | None = None) -> Axes:
     first = next(_each(runs))
     if isinstance(first, Trajectory):
         b = first.scenario.batteries
-        for share, words in ((b.soc_max, "upper SoC limit"), (b.soc_min, "lower SoC limit")):
-            limit(ax, float(b.energy_kwh @ share), words)
+        for share, words, dash in ((b.soc_max, "upper", "--"), (b.soc_min, "lower", ":")):
+            ax.axhline(float(b.energy_kwh @ share), label=f"{words} SoC limit", **_limit_line(dash))
     ax.set_ylabel("Stored energy (kWh)")
     ax.set_ylim(bottom=0.0)
     return finish(ax, runs)
 
 
 def voltages(runs: Runs, ax: Axes | None = None) -> Axes:
-    """Lowest bus voltage of each step: of the AC power flow, and thin that of the optimisation.
+    """Lowest bus voltage of each step by AC power flow, and thin by the optimisation, with limits.
 
     Parameters
     ----------
@@ -252,8 +254,11 @@ def voltages(runs: Runs, ax: Axes | None = None) -> Axes:
     first = next(_each(runs))
     if isinstance(first, Trajectory):
         network = first.scenario.network
-        limit(ax, network.v_min_pu, f"{network.v_min_pu:g} optimisation")
-        limit(ax, network.v_min_ac_pu, f"{network.v_min_ac_pu:g} AC", "-")
+        for v_pu, words, dash in (
+            (network.v_min_pu, "optimisation", "--"),
+            (network.v_min_ac_pu, "AC", ":"),
+        ):
+            ax.axhline(v_pu, label=f"{v_pu:g} pu, {words} limit", **_limit_line(dash))
     ax.set_ylabel("Lowest bus voltage (pu)")
     return finish(ax, runs)
 
@@ -436,8 +441,8 @@ def scenario(site: Scenario, ax: Sequence[Axes] | None = None) -> Sequence[Axes]
 
 
 def limit(ax: Axes, value: float, text: str, linestyle: str = "--") -> None:
-    """A horizontal limit with its name at the left."""
-    ax.axhline(value, color=GREY, linestyle=linestyle, linewidth=1.0)
+    """A horizontal limit with its name at the left, where there is no legend."""
+    ax.axhline(value, **_limit_line(linestyle))
     ax.annotate(
         text,
         (0.0, value),
@@ -448,6 +453,10 @@ def limit(ax: Axes, value: float, text: str, linestyle: str = "--") -> None:
         color=GREY,
         bbox={"facecolor": WHITE, "edgecolor": "none", "alpha": 0.7, "pad": 0.5},
     )
+
+
+def _limit_line(linestyle: str) -> dict[str, Any]:
+    return {"color": GREY, "linestyle": linestyle, "linewidth": 1.0}
 
 
 def _each(runs: Runs) -> Iterator[Run]:
@@ -696,10 +705,10 @@ def _devices(site: Scenario, off: Flags, marks: _Marks) -> None:
         marks.put(at(site.pv.buses(c)), site.pv.word, "*", ORANGE)
     if len(site.batteries):
         marks.put(at(site.batteries.bus), "batteries", "P", GREEN)
-    for name, kind in KINDS.items():
+    for (name, kind), (mark, colour) in zip(KINDS.items(), cycle(_UNIT_MARKS), strict=False):
         units = getattr(site, name)
         if len(units):
-            marks.put(at(units.buses(c)), kind.what, "h", PURPLE)
+            marks.put(at(units.buses(c)), kind.what, mark, colour)
 
 
 def _figure(summary: Mapping[str, Any], value: str) -> float:

@@ -29,8 +29,8 @@ class TreeLayout:
 def tree_layout(network: Network) -> TreeLayout:
     """Lay out a feeder: the longest path is a straight trunk, laterals lie above and below it.
 
-    A lateral is laid out like the trunk and grows away from it. Laterals are placed from the far
-    end of their trunk, each in the nearest row that is free over its length.
+    A lateral is laid out like the trunk. Laterals are placed from the far end of their trunk, each
+    in the nearest row in which it and its own laterals have room.
 
     Examples
     --------
@@ -48,15 +48,15 @@ def tree_layout(network: Network) -> TreeLayout:
     for bus in range(network.n_buses - 1, 0, -1):
         parent = int(network.parent[bus - 1])
         reach[parent] = max(reach[parent], reach[bus])
-    rows, _ = _place(0, children, reach, column, sides=(1, -1))
+    rows, _ = _place(0, children, reach, column)
     row = np.array([rows[bus] for bus in range(network.n_buses)])
     return TreeLayout(column, row - row.min())
 
 
 def _place(
-    bus: int, children: list[list[int]], reach: Wholes, column: Wholes, sides: tuple[int, ...]
+    bus: int, children: list[list[int]], reach: Wholes, column: Wholes
 ) -> tuple[dict[int, int], dict[int, Wholes]]:
-    """Lay out a bus and all that it feeds, towards the given sides.
+    """Lay out a bus and all that it feeds.
 
     Gives the row of each bus, counted from that of the first, and for each side how many rows are
     in use, by column.
@@ -65,15 +65,16 @@ def _place(
     while children[trunk[-1]]:
         trunk.append(max(children[trunk[-1]], key=lambda child: reach[child]))
     rows = dict.fromkeys(trunk, 0)
-    used = {side: np.zeros(reach[bus] + 1, dtype=int) for side in sides}
+    used = {side: np.zeros(reach[bus] + 1, dtype=int) for side in (1, -1)}
     for start_bus, ahead in zip(trunk[-2::-1], trunk[:0:-1], strict=True):
         for lateral in children[start_bus]:
             if lateral == ahead:
                 continue
-            own_rows, own_used = _place(lateral, children, reach, column, sides=(1,))
+            own_rows, own_used = _place(lateral, children, reach, column)
             span = slice(column[lateral], reach[lateral] + 1)
-            side = min(sides, key=lambda s: used[s][span].max())
-            start = used[side][span].max() + 1
+            starts = {s: (used[s][span] + own_used[-1][span]).max() + 1 for s in used}
+            side = min(starts, key=starts.__getitem__)
+            start = starts[side]
             rows |= {below: side * (start + depth) for below, depth in own_rows.items()}
             used[side][span] = start + own_used[1][span]
             used[side][column[start_bus]] = start  # the line to the lateral

@@ -12,9 +12,7 @@ from vppres.core.errors import InputError, VppresError
 from vppres.core.text import named
 from vppres.day.options import RunOptions
 from vppres.day.recorder import StepRecord
-from vppres.kinds.gensets.physics import Engines
 from vppres.scenario.scenario import Scenario
-from vppres.service.as_told import set_state
 from vppres.service.conditions import Situation
 from vppres.service.plans import Left, ordered, ordered_plan, told_at
 from vppres.service.world import World
@@ -77,8 +75,7 @@ class ByHand:
             soc_initial=np.clip(soc, b.soc_min, b.soc_max),
         )
         world = World(replace(now, batteries=able), self.options)
-        engines = world.day.plant.of(Engines)
-        engines.state = set_state(now, 0, found.plan, engines.state)
+        world.begin_as(found.plan, 0)
         tables = ordered(now, found.plan, self.asked["setpoints"])
         told = told_at(found.plan, now.grid.start)
         left = Left(available=not now.outage[0], told=told)

@@ -19,6 +19,7 @@ from vppres.service.changes import GRID_LOST
 from vppres.service.forming import Former, formers_now, why_dark
 from vppres.service.knowledge import Heard, Latest, refusing, soc_now
 from vppres.service.lost import lost_customers
+from vppres.service.of_kind import every
 from vppres.service.plans import points_at, refused_of
 from vppres.service.store import Store
 
@@ -93,6 +94,18 @@ class Situation:
         return why_dark(self.plan, self.formers, self.is_dark)
 
     @property
+    def off(self) -> set[str]:
+        """Customers without supply: all of a dark island, whatever was ordered."""
+        if self.why_dark:
+            return {str(name) for name in self.scenario.customers.id}
+        points = [] if self.plan is None else points_at(self.plan, self.now)
+        return {one["asset"] for one in points if one.get("served") is False}
+
+    def clock(self, time: str | pd.Timestamp) -> str:
+        """Hours and minutes at the site."""
+        return f"{pd.Timestamp(time).tz_convert(self.scenario.grid.zone):%H:%M}"
+
+    @property
     def critical(self) -> set[str]:
         """Customers of the first tier."""
         c = self.scenario.customers
@@ -141,14 +154,9 @@ def failing_now(
 ) -> dict[str, str]:
     """Devices that do not follow their set-points, and why."""
     batteries = dict.fromkeys(refusing(latest.newest("soc"), store), "its device rejected it")
-    sets = dict.fromkeys(_sets_out(plan), "it does not start")
-    return {**batteries, **lost_customers(scenario, latest.found, store), **sets}
-
-
-def _sets_out(plan: Mapping[str, Any] | None) -> list[str]:
-    """Generating sets that a plan does without."""
-    sets = expected_by(plan).get("gensets", {})
-    return [name for name, one in sets.items() if one["out"]]
+    out = [name for kind in every().values() for name in kind.out(plan)]
+    units = dict.fromkeys(out, "it does not start")
+    return {**batteries, **lost_customers(scenario, latest.found, store), **units}
 
 
 def conditions(now: Situation) -> Iterator[Condition]:
@@ -177,6 +185,9 @@ def _no_decision(now: Situation) -> Iterator[Condition]:
     if not grid["available"]:
         left = "devices keep their last state, and how long the island lasts is not known"
     if plan is None or now.ahead_s <= 0.0:
+        ends = max((one["valid_until"] for one in (plan or {}).get("setpoints", ())), default=None)
+        if ends is not None and now.now < pd.Timestamp(ends):
+            left = f"set-points hold until {now.clock(ends)}, then {left}"
         text = f"There is no plan for the present step: {left}."
     elif plan["status"] == "failed":
         text = f"The present step could not be planned: {plan['reason']}."
@@ -224,8 +235,7 @@ def _off_with_grid(now: Situation) -> Iterator[Condition]:
         return
     if not plan.get("grid") and now.grid_on != 1.0:
         return  # as by hand: nobody knows
-    off = [p["asset"] for p in points_at(plan, now.now) if p.get("served") is False]
-    off = [name for name in off if name not in now.failing]
+    off = sorted(now.off - set(now.failing))
     if not off:
         return
     words = f"{named(off, NAMES_SHOWN)} off supply, and there is grid"
@@ -235,7 +245,7 @@ def _off_with_grid(now: Situation) -> Iterator[Condition]:
     if plan["status"] in BY_HAND:
         words += f", by the operator's mode {plan['status']}"
     priority = HIGH if now.critical.intersection(off) else MEDIUM
-    yield Condition("off_with_grid", "", priority, f"{words}.", tuple(sorted(off)))
+    yield Condition("off_with_grid", "", priority, f"{words}.", tuple(off))
 
 
 def _shed(now: Situation) -> Iterator[Condition]:
@@ -246,7 +256,8 @@ def _shed(now: Situation) -> Iterator[Condition]:
     assert now.plan is not None
     (why, *_) = [one["reason"] for one in now.plan["shed"]]
     priority = HIGH if now.critical.intersection(shed) else MEDIUM
-    words = f"{named(shed, NAMES_SHOWN)} shed, although the plan supplied it: {why}."
+    them = "it" if len(shed) == 1 else "them"
+    words = f"{named(shed, NAMES_SHOWN)} shed, although the plan supplied {them}: {why}."
     yield Condition("shed", "", priority, words, tuple(sorted(shed)))
 
 
@@ -270,24 +281,24 @@ def _critical_off(now: Situation) -> Iterator[Condition]:
     if now.plan is None:
         return
     able = now.critical - set(now.failing)
-    off = [p["asset"] for p in points_at(now.plan, now.now) if p.get("served") is False]
-    off = [name for name in off if name in able]
+    off = sorted(now.off & able)
     late = _late_batteries(now)
     if off:
         words = f"{named(off, NAMES_SHOWN)} of the first tier off supply"
-        if late:
+        if now.why_dark:
+            words += f": {now.why_dark}"
+        elif late:
             words += f", and the state of charge of {named(late, NAMES_SHOWN)} is late"
-        yield Condition("critical_off", "", HIGH, f"{words}.", tuple(sorted(off)))
+        yield Condition("critical_off", "", HIGH, f"{words}.", tuple(off))
         return
-    zone = now.scenario.grid.zone
     ahead = now.plan.get("ahead") or {"times": [], "served": {}}
     for t, text in enumerate(ahead["times"]):
         time = pd.Timestamp(text)
         later = [name for name in able if not ahead["served"].get(name, [True] * (t + 1))[t]]
-        if time <= now.now + AHEAD and later:
+        if now.now < time <= now.now + AHEAD and later:
             priority = HIGH if time <= now.now + SOON else MEDIUM
-            names, local = named(sorted(later), NAMES_SHOWN), time.tz_convert(zone)
-            words = f"Planned: {names} of the first tier off supply at {local:%H:%M}."
+            names = named(sorted(later), NAMES_SHOWN)
+            words = f"Planned: {names} of the first tier off supply at {now.clock(time)}."
             yield Condition("critical_off", "", priority, words, tuple(sorted(later)), time)
             return
 
@@ -312,8 +323,11 @@ def _longest_off(now: Situation) -> Iterator[Condition]:
     back = {
         name for name, on in ((plan.get("ahead") or {}).get("served", {})).items() if any(on[:1])
     }
+    until = now.clock(pd.Timestamp(plan["start"]) + now.scenario.grid.step)
     for name, off_h in plan.get("off_h", {}).items():
-        words = f"{name} is off for {off_h:g} h by the end of this step"
+        if name not in now.off:
+            continue
+        words = f"{name} is off, for {off_h:g} h by {until}"
         left_h = limit_h[name] - off_h
         if left_h < -ROUNDING * dt_h:
             words = f"{words}, longer than its {limit_h[name]:g} h."
@@ -343,25 +357,13 @@ def _island_margin(now: Situation) -> Iterator[Condition]:
         if soc is not None:
             usable_kwh += float(b.energy_kwh[i] * (b.soc_max[i] - b.soc_min[i]))
             left_kwh += float(b.energy_kwh[i] * max(soc - b.soc_min[i], 0.0))
-    usable_kwh, left_kwh = (
-        stored + fuel for stored, fuel in zip((usable_kwh, left_kwh), _fuel_kwh(now), strict=True)
-    )
+    for kind in every().values():
+        full_kwh, held_kwh = kind.held_kwh(now.scenario, now.plan)
+        usable_kwh += full_kwh
+        left_kwh += held_kwh
     if left_kwh < LEAST_MARGIN * usable_kwh:
         words = f"Less than {LEAST_MARGIN:.0%} of the usable energy is left, and there is no grid."
         yield Condition("island_margin", "", MEDIUM, words)
-
-
-def _fuel_kwh(now: Situation) -> tuple[float, float]:
-    """Energy of full tanks and of what is in them at full power, of sets that start."""
-    sets = now.scenario.gensets
-    told = expected_by(now.plan).get("gensets", {})
-    per_kwh = sets.litres_per_kwh + sets.litres_per_h_idle / sets.p_max_kw
-    full_kwh = left_kwh = 0.0
-    for g, name in enumerate(map(str, sets.id)):
-        if name in told and not told[name]["out"]:
-            full_kwh += float(sets.tank_litres[g] / per_kwh[g])
-            left_kwh += float(told[name]["fuel_litres"] / per_kwh[g])
-    return full_kwh, left_kwh
 
 
 def _fallback(now: Situation) -> Iterator[Condition]:

@@ -1,4 +1,7 @@
-"""Explanations on request: made once, beside the steps, in a process that may be killed."""
+"""Explanations: made once, beside the steps, in a process that may be killed.
+
+Of a plan that leaves a customer off it is made as soon as the plan is there; of others on request.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,7 @@ import sys
 import threading
 from collections import OrderedDict
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +43,21 @@ class Explainer:
         self.runner = runner
         self._turn = threading.Lock()
         self._made: OrderedDict[str, dict[str, Any]] = OrderedDict()
+        self._begun = ""
+
+    def begin(self) -> None:
+        """Explain the last plan beside the steps, once, if it leaves a customer off."""
+        plan = self.runner.last
+        if plan is None or plan["id"] == self._begun:
+            return
+        self._begun = plan["id"]
+        if any(one.get("served") is False for one in plan["setpoints"]):
+            threading.Thread(target=self._beside, args=(plan,), daemon=True).start()
+
+    def _beside(self, plan: Mapping[str, Any]) -> None:
+        """What fails here is told to whoever asks."""
+        with suppress(Denied, StorageError):
+            self.of(plan)
 
     def of(self, plan: Mapping[str, Any]) -> dict[str, Any]:
         """Why the devices of a step do what they do.
@@ -117,6 +136,7 @@ def _asked(question: bytes) -> subprocess.CompletedProcess[bytes]:
         stdout=subprocess.PIPE,
         timeout=WITHIN_S,
         env={**os.environ, "PYTHONPATH": path},
+        start_new_session=True,  # Ctrl-C is for the service
         check=False,
     )
 

@@ -32,6 +32,7 @@ from vppres.scenario.scenario import Scenario
 from vppres.service.as_told import expected_by
 from vppres.service.export import Replay, site_of
 from vppres.service.forming import NOTHING, formers_now, why_dark
+from vppres.service.of_kind import every, moved
 from vppres.service.records import DECIDED
 from vppres.service.runner import Runner, Service
 
@@ -213,11 +214,8 @@ def _action(one: Mapping[str, Any]) -> str:
         return "dimmed" if one.get("share", 1.0) < 1.0 else ""
     if one["kind"] == "pv":
         return "curtail" if one["curtailed_kw"] > MOVE_KW else ""
-    if one["kind"] == "gensets":
-        return "ran" if one["running"] else ""
-    if one["kind"] == "thermal_loads" or abs(one["p_kw"]) <= MOVE_KW:
-        return ""
-    return "charge" if one["p_kw"] > 0 else "discharge"
+    kind = every().get(one["kind"])
+    return moved(one) if kind is None else kind.action(one)
 
 
 def main() -> None:

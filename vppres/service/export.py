@@ -25,16 +25,14 @@ from vppres.day.options import RunOptions
 from vppres.day.recorder import ROTATED, Recorder, StepRecord
 from vppres.day.trajectory import LOSSES, TIME_ON, Trajectory
 from vppres.io.times import option_time
-from vppres.kinds.cooling.physics import Climate
-from vppres.kinds.gensets.physics import Engines
-from vppres.kinds.vehicles.physics import Garage
 from vppres.live.profile import Profile
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
 from vppres.service.announced import limits_kw, prices, warnings_ever
-from vppres.service.as_told import Plan, expected_by, said_of, set_state, with_told
+from vppres.service.as_told import Plan, expected_by
 from vppres.service.clock import written
 from vppres.service.learned import InSteps
+from vppres.service.of_kind import told_by_plans
 from vppres.service.records import Event, seconds
 from vppres.service.runner import Service
 from vppres.service.store import Store
@@ -148,10 +146,9 @@ class Replay:
         parts = [[] if plan is None else parts_of(plan, step, store) for plan in stored]
         dark = [bool(each) and each[-1].island for each in parts]
         price, limit_kw = _announced(scenario, stored, store)
-        b, loads, pv = scenario.batteries, scenario.thermal_loads, scenario.pv
+        b, pv = scenario.batteries, scenario.pv
         soc = measured.laid("soc", b.id, np.full((len(stored), len(b)), np.nan))
         first = np.where(np.isfinite(soc[0]), soc[0], b.soc_initial)
-        start_c = said_of(stored[0], "indoor_c", loads.id, loads.t_initial_c)
         known = replace(
             scenario,
             load_kw=measured.laid("load_kw", scenario.customers.id, scenario.load_kw),
@@ -159,31 +156,26 @@ class Replay:
             price_gbp_per_kwh=price,
             grid_limit_kw=np.where(dark, 0.0, limit_kw),
             batteries=replace(b, soc_initial=np.clip(first, b.soc_min, b.soc_max)),
-            thermal_loads=replace(loads, t_initial_c=start_c),
         )
-        return cls(with_told(known, stored), options, stored, parts, soc)
+        return cls(told_by_plans(known, stored), options, stored, parts, soc)
 
     def records(self) -> Iterator[StepRecord]:
         """The plant's answer to every step that is stored.
 
-        Batteries, rooms, tanks, vehicles and generating sets begin it with what was measured. Of a
-        step that was decided anew it answers the last plan, as if that had held all along; supply
-        counts by the parts of the step.
+        Batteries and the units of each kind begin it with what was measured. Of a step that was
+        decided anew it answers the last plan, as if that had held all along; supply counts by the
+        parts of the step.
         """
         scenario = self.scenario
         world = World(scenario, self.options)
-        day, plant, b = world.day, world.day.plant, scenario.batteries
-        climate, garage, engines = (plant.of(each) for each in (Climate, Garage, Engines))
+        day, b = world.day, scenario.batteries
         shared = self.options.on(scenario).shares_supply
         told: list[dict[str, Any]] = []
         for t, plan in enumerate(self.stored):
             read = np.isfinite(self.soc[t])
             held = np.where(read, np.clip(self.soc[t], b.soc_min, b.soc_max), day.state.soc)
             day.state = replace(day.state, soc=held)
-            rooms, chargers = scenario.thermal_loads.id, scenario.chargers.id
-            climate.state = said_of(plan, "indoor_c", rooms, climate.state)
-            garage.state = said_of(plan, "vehicles", chargers, garage.state, "energy_kwh")
-            engines.state = set_state(scenario, t, plan, engines.state)
+            world.begin_as(plan, t)
             if plan is not None:
                 told = [{**one, "valid_from": plan["start"]} for one in plan["setpoints"]]
             record = _noted(world.obey(t, told), plan)

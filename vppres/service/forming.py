@@ -10,7 +10,7 @@ import numpy as np
 
 from vppres.contract.decision import OUT
 from vppres.scenario.scenario import Scenario
-from vppres.service.as_told import expected_by
+from vppres.service.of_kind import every
 
 EMPTY = "it is empty"
 NOTHING = "nothing can form the grid"
@@ -44,7 +44,12 @@ def formers_now(
     failing : mapping
         Devices that do not follow, and why.
     """
-    return [*_batteries(scenario, plan, soc, failing), *_sets(scenario, plan, failing)]
+    units = (
+        Former(name, kind, failing.get(name, "") or why)
+        for kind, of in every().items()
+        for name, why in of.formers(scenario, plan)
+    )
+    return [*_batteries(scenario, plan, soc, failing), *units]
 
 
 def _batteries(
@@ -73,22 +78,6 @@ def _batteries(
         if not why and empty[i]:
             why = EMPTY
         yield Former(name, "batteries", why)
-
-
-def _sets(
-    scenario: Scenario, plan: Mapping[str, Any] | None, failing: Mapping[str, str]
-) -> Iterator[Former]:
-    """Generating sets that are named; none forms a feeder by phases."""
-    sets = scenario.gensets
-    told = expected_by(plan).get("gensets", {})
-    least_litres = sets.least_litres(scenario.grid.dt_h)
-    for g in np.flatnonzero(sets.grid_forming) if scenario.phases is None else ():
-        name = str(sets.id[g])
-        litres = told.get(name, {}).get("fuel_litres")
-        why = failing.get(name, "")
-        if not why and litres is not None and litres < least_litres[g]:
-            why = "it has no fuel for a step"
-        yield Former(name, "gensets", why)
 
 
 def why_dark(plan: Mapping[str, Any] | None, formers: Sequence[Former], island: bool) -> str:

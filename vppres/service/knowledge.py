@@ -8,7 +8,7 @@ counts, however old it is, and the guard adds what was stored since.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,12 +19,11 @@ from vppres.core.arrays import Floats, Names
 from vppres.core.errors import InputError, Problem
 from vppres.io.messages import did_you_mean
 from vppres.kinds.table import parts
-from vppres.kinds.vehicles.live import QUANTITIES
 from vppres.live.by_phase import GRID
 from vppres.live.controller import Controller
 from vppres.live.door import float_of, readable
 from vppres.live.measurement import Measurement
-from vppres.live.range import POWER_KW, RATING_SHARE, Range
+from vppres.live.range import Range
 from vppres.live.ranges import RANGES, ranges_of
 from vppres.outlook.belief import HALF
 from vppres.scenario.scenario import Scenario
@@ -39,6 +38,7 @@ from vppres.service.announced import (
 from vppres.service.clock import written
 from vppres.service.grid_readings import EARLY_SHARE, contradiction, stands_alone
 from vppres.service.lost import lost_customers
+from vppres.service.of_kind import Stored, Wrong, beyond_rating, every
 from vppres.service.payloads import OperatorSetpoint, Readings
 from vppres.service.phased_readings import stored, sums, wrong_phase
 from vppres.service.records import DECIDED, Event, Reading, moment, seconds, versions
@@ -215,35 +215,17 @@ def check_setpoints(asked: Iterable[OperatorSetpoint], scenario: Scenario) -> No
         raise InputError(problems)
 
 
-def _impossible(
-    one: OperatorSetpoint, devices: Any, i: int
-) -> Iterator[tuple[str, float, str, str]]:
+def _impossible(one: OperatorSetpoint, devices: Any, i: int) -> Iterator[Wrong]:
     """What a device cannot do: field, value, what is wrong and what to do."""
-    rated = []
-    if one.p_kw is not None and one.kind == "gensets":
-        least_kw, most_kw = devices.p_min_kw[i], devices.p_max_kw[i]
-        if one.p_kw != 0.0 and not least_kw <= one.p_kw <= most_kw:
-            words = f"is not from {least_kw:g} to {most_kw:g} kW"
-            yield "p_kw", one.p_kw, words, "Give a power that it can run at, or 0 to stop it."
+    if one.kind in OF_KINDS:
+        yield from every()[one.kind].impossible(one, devices, i)
     elif one.p_kw is not None:
+        yield from beyond_rating("p_kw", one.p_kw, devices.p_max_kw[i], "kW")
         apparent_kva = math.hypot(one.p_kw, one.q_kvar)
-        rated.append(("p_kw", one.p_kw, devices.p_max_kw[i], "kW"))
-        rated.append(("kVA", apparent_kva, devices.s_max_kva[i], "kVA"))
-    if one.p_limit_kw is not None:
-        rated.append(("p_limit_kw", one.p_limit_kw, devices.p_charge_kw[i], "kW"))
-    for name, value, rating, unit in rated:
-        if abs(value) > rating + POWER_KW + RATING_SHARE * rating:
-            cure = "Give at most the rating."
-            yield name, value, f"is beyond its rating of {rating:g} {unit}", cure
+        yield from beyond_rating("kVA", apparent_kva, devices.s_max_kva[i], "kVA")
     if one.share is not None and one.share < devices.least_share[i]:
         least = f"{devices.least_share[i]:g}"
         yield "share", one.share, f"is below the least share of {least}", "Give more, or 1."
-    if one.setpoint_c is not None:
-        low_c, high_c = devices.t_min_c[i], devices.t_max_c[i]
-        if not low_c <= one.setpoint_c <= high_c:
-            band = f"{low_c:g} to {high_c:g} °C"
-            cure = "Give a temperature in the band."
-            yield "setpoint_c", one.setpoint_c, f"is outside its comfort band of {band}", cure
 
 
 def known_at(
@@ -279,8 +261,19 @@ def known_at(
     zero = readings.last.get((GRID, "grid_on"))
     said = _Said.since(controller.decided, time - window.length, at, store)
     means = _means(store, max(said.decided_at, at - MOST_STEPS * window.length), at)
+    stored = Stored(
+        scenario,
+        time,
+        readings,
+        means,
+        said.decided_at,
+        said.plans,
+        at,
+        store,
+    )
     batteries = [str(name) for name in scenario.batteries.id]
-    moved = {name: means[name, "battery_kw"] for name in batteries if (name, "battery_kw") in means}
+    read_kw = means.get("battery_kw", {})
+    moved = {name: read_kw[name] for name in batteries if name in read_kw}
     soc = readings.newest("soc")
     out = refusing(soc, store)
     off = {name for name, value in readings.now("online").items() if value == 0.0}
@@ -295,7 +288,7 @@ def known_at(
         grid_limit_kw=pd.Series(grid.limits_kw, window.times),
         battery_kw=moved or None,
         online={name: name not in out | off for name in batteries},
-        import_kw=means.get((GRID, "import_kw")) if said.by_controller else None,
+        import_kw=means.get("import_kw", {}).get(GRID) if said.by_controller else None,
         connected=dict.fromkeys(lost, False),
         announced_limit_kw=None
         if announced is None
@@ -304,10 +297,7 @@ def known_at(
         now=now,
         soc_at={name: moment(reading.time) for name, reading in soc.items()},
         ordered_kw=said.ordered_kw,
-        indoor_c=_finite(readings.now("indoor_c")) or None,
-        **_of_vehicles(scenario, readings, time, store),
-        **told_of_sets(scenario, readings, store, said),
-        genset_kw={name: kw for (name, one), kw in means.items() if one == "genset_kw"} or None,
+        **{name: told for kind in every().values() for name, told in kind.told(stored).items()},
     )
     estimated = [*load.estimated, *pv.estimated, *([doubt] if doubt else [])]
     again = ""
@@ -329,63 +319,6 @@ def _events(time: pd.Timestamp, controller: Controller, store: Store) -> list[Ev
     """Events that count."""
     replaced = controller.replaced(time)
     return [event for name, event in store.events().items() if name not in replaced]
-
-
-def _of_vehicles(
-    scenario: Scenario, readings: Latest, time: pd.Timestamp, store: Store
-) -> dict[str, Any]:
-    """What chargers tell of their vehicles, by quantity.
-
-    The controller knows what was told before the step that it decided last. What came since counts
-    however short it holds: a vehicle is plugged in once. One that left during its session is not
-    back until its charger says so.
-    """
-    before = store.last_step(time - pd.Timedelta("1s"))
-    known = time - scenario.grid.step if before is None else _decided_at(before)
-    told: dict[str, Any] = {}
-    for name in QUANTITIES:
-        since = {k: r for k, r in readings.newest(name).items() if moment(r.time) > known}
-        told[name] = _finite(readings.now(name)) | {k: r.value for k, r in since.items()}
-    sessions = scenario.sessions
-    for name, last in readings.newest("plugged").items():
-        at = moment(last.time)
-        stays = (sessions.charger == name) & (sessions.plug_in <= at) & (at < sessions.plug_out)
-        if last.value == 0.0 and stays.any():
-            told["plugged"][name] = 0.0
-    leaves = told["departure"].items()
-    told["departure"] = {one: moment(int(value)) for one, value in leaves}
-    return {name: values or None for name, values in told.items()}
-
-
-def _decided_at(plan: Mapping[str, Any]) -> pd.Timestamp:
-    """When a plan was made, within its step if it was anew."""
-    return pd.Timestamp(plan.get("valid_from", plan["start"]))
-
-
-def told_of_sets(scenario: Scenario, readings: Latest, store: Store, said: _Said) -> dict[str, Any]:
-    """What generating sets tell, by quantity, and what others than the controller told them.
-
-    Whether one runs counts if it was read since its set-point. A fault counts however old
-    it is, and a start that a device rejected is one; that there is none counts while it is fresh.
-    """
-    runs = readings.newest("running")
-    since = {name for name, one in runs.items() if moment(one.time) > said.decided_at}
-    running = {name: float(runs) for name, (runs, _) in said.sets.items()}
-    running |= {k: v for k, v in _finite(readings.now("running")).items() if k in since}
-    fault = readings.newest("start_fault")
-    fresh = _finite(readings.now("start_fault"))
-    faults = {name: value for name, value in fresh.items() if value == 0.0}
-    faults |= {name: 1.0 for name, one in fault.items() if one.value == 1.0}
-    names = {str(name) for name in scenario.gensets.id}
-    for name, at in store.refusing("gensets").items():
-        if name in names and not (name in fault and fault[name].time > at):
-            faults[name] = 1.0
-    return {
-        "running": running or None,
-        "genset_ordered_kw": {name: kw for name, (_, kw) in said.sets.items()} or None,
-        "fuel_litres": _finite(readings.now("fuel_litres")) or None,
-        "start_fault": faults or None,
-    }
 
 
 def _finite(values: Mapping[str, float]) -> dict[str, float]:
@@ -453,7 +386,8 @@ class Latest:
         """Those of a time, by clocks that may be a little off."""
         step_s = round(scenario.grid.step_minutes * 60)
         found = store.latest(time + pd.Timedelta(seconds=EARLY_SHARE * step_s), INSTANT)
-        found = of_those_here(found)
+        for kind in every().values():
+            found = kind.of_those_here(found)
         now_s = seconds(time)
         heard = [_heard(reading, now_s, step_s) for reading in found]
         values = {
@@ -480,16 +414,6 @@ class Latest:
     def lost(self, quantity: str) -> set[str]:
         """Assets that have been silent for too long."""
         return {h.asset for h in self.heard if h.quantity == quantity and h.state == "lost"}
-
-
-def of_those_here(found: list[Reading]) -> list[Reading]:
-    """Readings without those of vehicles that have left since: they will tell nothing more."""
-    left = {one.asset: one.time for one in found if one.quantity == "plugged" and one.value == 0.0}
-    return [
-        one
-        for one in found
-        if one.quantity not in QUANTITIES[1:] or one.time > left.get(one.asset, -math.inf)
-    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -533,15 +457,14 @@ class _Said:
         Set-points of batteries from times on; None where there are none.
     by_controller : bool
         Whether all of it was the controller's own.
-    sets : dict of str to tuple of bool and float
-        Of generating sets that others ordered something: whether they are to run now, and the most
-        that they were to give.
+    plans : list of dict
+        What was said.
     """
 
     decided_at: pd.Timestamp
     ordered_kw: pd.DataFrame | None
     by_controller: bool
-    sets: dict[str, tuple[bool, float]] = field(default_factory=dict)
+    plans: list[dict[str, Any]] = field(default_factory=list)
 
     @classmethod
     def since(
@@ -564,7 +487,7 @@ class _Said:
             pd.Timestamp((own or plans)[-1].get("valid_from", before)),
             table if len(table) else None,
             plans[-1]["status"] in DECIDED,
-            _sets_ordered(plans, now),
+            plans,
         )
 
 
@@ -584,27 +507,6 @@ def _orders(plan: Mapping[str, Any], store: Store) -> list[tuple[pd.Timestamp, d
         (pd.Timestamp(points[0]["valid_from"]), told),
         (pd.Timestamp(points[0]["valid_until"]), rest),
     ]
-
-
-def _sets_ordered(
-    plans: Sequence[Mapping[str, Any]], now: pd.Timestamp
-) -> dict[str, tuple[bool, float]]:
-    """Whether generating sets are to run now and the most that they were to give since.
-
-    Nothing where the controller decided all of it.
-    """
-    said = [one for plan in plans for one in versions(plan)]
-    if all(one["status"] in DECIDED for one in said):
-        return {}
-    found: dict[str, tuple[bool, float]] = {}
-    for one in said:
-        for point in one["setpoints"]:
-            if point["kind"] == "gensets":
-                over = now > pd.Timestamp(point["valid_until"])
-                runs = bool((point["default"] if over else point)["running"])
-                most_kw = max(float(point["p_kw"]), found.get(point["asset"], (False, 0.0))[1])
-                found[point["asset"]] = (runs, most_kw)
-    return found
 
 
 def refusing(soc: Mapping[str, Reading], store: Store) -> set[str]:
@@ -679,15 +581,19 @@ def _heard(reading: Reading, now_s: int, step_s: int) -> Heard:
     return Heard(reading.asset, reading.quantity, reading.source, age_s, state)
 
 
-def _means(store: Store, begun: pd.Timestamp, now: pd.Timestamp) -> dict[tuple[str, str], float]:
-    """Means over a time, of the readings whose middle lies in it."""
+def _means(store: Store, begun: pd.Timestamp, now: pd.Timestamp) -> dict[str, dict[str, float]]:
+    """Means over a time by quantity and asset, of the readings whose middle lies in it."""
     length = now - begun
-    values: dict[tuple[str, str], list[float]] = {}
+    values: dict[str, dict[str, list[float]]] = {}
     for reading in store.between(begun - length, now, MEAN):
         middle_s = reading.time + reading.resolution_s / 2
         if reading.value is not None and seconds(begun) <= middle_s < seconds(now):
-            values.setdefault((reading.asset, reading.quantity), []).append(reading.value)
-    return {key: sum(each) / len(each) for key, each in values.items()}
+            of_quantity = values.setdefault(reading.quantity, {})
+            of_quantity.setdefault(reading.asset, []).append(reading.value)
+    return {
+        quantity: {asset: sum(each) / len(each) for asset, each in by_asset.items()}
+        for quantity, by_asset in values.items()
+    }
 
 
 def last_heard(store: Store) -> dict[str, str]:

@@ -39,6 +39,7 @@ class Loop(threading.Thread):
             self._guarded(self.runner.check_alarms)
             changes = self.runner.changes
             once_s = self._once()
+            self._guarded(self.runner.on_plan)
             changes.new.wait(min(once_s, LONGEST_WAIT_S, self._to_next_end_s()))
             self._guarded(self.runner.note_ends)
             if not changes.reasons or self._end.wait(SETTLE_S):

@@ -14,7 +14,8 @@
                                               the bridge's last will
 ============================================  ==================================================
 
-Assets are written as in a URL: ``%2F`` for a slash.
+Assets are written as in a URL, ``%2F`` for a slash, or as they are named: both are heard, and
+set-points are written to both where they differ.
 """
 
 from __future__ import annotations
@@ -47,6 +48,9 @@ from vppres.service.payloads import MOST_SERIES
 MOST_WAITING = 10_000
 """Readings that are kept while the service does not answer; then the oldest are dropped."""
 
+WILDCARDS = "+#"
+"""Not to be written in a topic."""
+
 LONGEST_SHOWN = 40
 """Bytes of a payload that is no number."""
 
@@ -59,9 +63,11 @@ class Topics:
 
     Examples
     --------
-    >>> Topics().set_point("b/2")
-    'vppres/setpoints/b%2F2'
+    >>> Topics().set_points("b/2")
+    ['vppres/setpoints/b%2F2', 'vppres/setpoints/b/2']
     >>> Topics().reading("vppres/telemetry/b%2F2/soc")
+    ('b/2', 'soc')
+    >>> Topics().reading("vppres/telemetry/b/2/soc")
     ('b/2', 'soc')
     """
 
@@ -75,11 +81,14 @@ class Topics:
     @property
     def readings(self) -> str:
         """All readings."""
-        return f"{self.prefix}/telemetry/+/+"
+        return f"{self.prefix}/telemetry/#"
 
-    def set_point(self, asset: str) -> str:
-        """Where an asset's set-point is."""
-        return f"{self.prefix}/setpoints/{quote(asset, safe='')}"
+    def set_points(self, asset: str) -> list[str]:
+        """Where an asset's set-point is: as in a URL, and as it is named if a topic can be."""
+        names = [quote(asset, safe="")]
+        if not set(asset) & set(WILDCARDS):
+            names.append(asset)
+        return [f"{self.prefix}/setpoints/{name}" for name in dict.fromkeys(names)]
 
     @property
     def grid_again(self) -> str:
@@ -88,7 +97,7 @@ class Topics:
 
     def reading(self, topic: str) -> tuple[str, str]:
         """Asset and quantity of a reading's topic."""
-        asset, quantity = topic.removeprefix(f"{self.prefix}/telemetry/").split("/")
+        asset, _, quantity = topic.removeprefix(f"{self.prefix}/telemetry/").rpartition("/")
         return unquote(asset), quantity
 
 
@@ -186,13 +195,8 @@ class Bridge:
         if point["active"]:
             left = pd.Timestamp(point["valid_until"]) - now
             properties.MessageExpiryInterval = max(1, int(left.total_seconds()))
-        self.broker.publish(
-            self.topics.set_point(point["asset"]),
-            json.dumps(point),
-            qos=1,
-            retain=True,
-            properties=properties,
-        )
+        for topic in self.topics.set_points(point["asset"]):
+            self.broker.publish(topic, json.dumps(point), qos=1, retain=True, properties=properties)
         self._published[key] = state
 
     def run(self, host: str, port: int, every_s: float, end: threading.Event) -> None:

@@ -12,23 +12,22 @@ from typing import Any
 import pandas as pd
 
 from vppres.contract.decision import OUT
-from vppres.service.as_told import expected_by
 from vppres.service.changes import GRID_LOST
 from vppres.service.clock import written
 from vppres.service.grid_readings import CONTRADICTED, GRID_ON
-from vppres.service.knowledge import INSTANT, of_those_here
+from vppres.service.knowledge import INSTANT
+from vppres.service.of_kind import every
 from vppres.service.records import Reading, moment
 from vppres.service.store import Store
 
-PLUGGED, START_FAULT = "plugged", "start_fault"
+KIND_OF = {name: kind for kind in every().values() for name in (*kind.states, *kind.of_visits)}
+"""The kind of which a quantity tells whether a unit is there, can work, or has come."""
 
-STATES = {"online": 1.0, START_FAULT: 0.0, PLUGGED: 0.0}
-"""What devices say of whether they are there and can work, and what stands until they do."""
+STATES = ("online", *(name for kind in every().values() for name in kind.states))
+"""What devices say of whether they are there and can work."""
 
-FALLING = ("ev_soc", "energy_needed_kwh")
-"""What changes while a vehicle charges: the first reading of each vehicle is new."""
-
-OF_VEHICLES = (*FALLING, "departure")
+OF_VISITS = tuple(name for kind in every().values() for name in kind.of_visits)
+"""What is told anew of every unit that comes."""
 
 AGAINST_PLANS = (GRID_ON, "soc", "online")
 """What can contradict a plan."""
@@ -75,35 +74,32 @@ class News:
     def _changed(
         self, told: Mapping[Key, Reading], until: pd.Timestamp, plan: Plan
     ) -> Iterator[str]:
-        """States that are others than before, and what is read of a vehicle for the first time."""
-        kinds = {kind for _, kind in told if kind in STATES or kind in OF_VEHICLES}
-        if not kinds:
+        """States that are others than before, and what is read of a unit for the first time."""
+        quantities = (*STATES, *OF_VISITS)
+        if all(quantity not in quantities for _, quantity in told):
             return
-        latest = of_those_here(self.store.latest(until, (*STATES, *OF_VEHICLES)))
+        latest = self.store.latest(until, quantities)
+        for of in every().values():
+            latest = of.of_those_here(latest)
         before = {(one.asset, one.quantity): one for one in latest}
-        here = expected_by(plan).get("vehicles", {})
-        rejected = self.store.refusing("gensets")
-        for (asset, kind), one in told.items():
-            was = before.get((asset, kind))
-            if kind not in kinds or (was is not None and was.time > one.time):
+        for (asset, quantity), one in told.items():
+            was = before.get((asset, quantity))
+            if quantity not in quantities or (was is not None and was.time > one.time):
                 continue
-            value = None if was is None else was.value
-            if kind == START_FAULT and asset in rejected:
-                # A start that was rejected since the last reading is a fault.
-                value = 1.0 if was is None or was.time <= rejected[asset] else value
-            if value is not None and kind in FALLING:
-                continue
-            if value is None and kind in STATES:
-                value = float(asset in here) if kind == PLUGGED else STATES[kind]
+            value: float | None
+            if quantity == "online":
+                value = 1.0 if was is None or was.value is None else was.value
+            else:
+                value = KIND_OF[quantity].stood(self.store, plan, one, was)
             if one.value != value:
-                yield f"{asset} {kind} = {one.value:g} ({one.source})"
+                yield f"{asset} {quantity} = {one.value:g} ({one.source})"
 
     def _first(self, told: Mapping[Key, Reading], plan: Plan) -> Iterator[str]:
         """What was never heard, or not for long, or was missing."""
         lost = {(one["asset"], one["quantity"]) for one in plan.get("late", ()) if is_lost(one)}
         for key in told:
             asset, kind = key
-            if kind in (*STATES, *OF_VEHICLES, GRID_ON):
+            if kind in (*STATES, *OF_VISITS, GRID_ON):
                 continue
             unheard = not self.store.was_heard(asset, kind) or key in self._missing
             # A battery without any state of charge is out, and named so.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import pandas as pd
 from pydantic import (
@@ -21,7 +21,7 @@ from pydantic import (
     model_validator,
 )
 
-from vppres.kinds.table import parts
+from vppres.kinds.table import KINDS, parts
 from vppres.live.door import moment_of
 from vppres.live.ranges import RANGES
 from vppres.service.clock import written
@@ -104,7 +104,7 @@ Shape = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=20)]
 Probabilities = Annotated[list[Share], Field(fail_fast=True, min_length=1, max_length=MOST_VALUES)]
 Powers = Annotated[list[Power], Field(fail_fast=True, min_length=1, max_length=MOST_VALUES)]
 
-Quantity = Literal[
+OF_SITE = (
     "soc",
     "load_kw",
     "pv_kw",
@@ -114,16 +114,16 @@ Quantity = Literal[
     "v_pu",
     "online",
     "grid_on",
-    "plugged",
-    "ev_soc",
-    "energy_needed_kwh",
-    "departure",
-    "indoor_c",
-    "running",
-    "genset_kw",
-    "fuel_litres",
-    "start_fault",
-]
+)
+"""What is told of every site."""
+
+if TYPE_CHECKING:
+    Quantity = str
+    Kind = str
+else:
+    OF_UNITS = tuple(name for live in parts("live").values() for name in live.QUANTITIES)
+    Quantity = Literal[(*OF_SITE, *OF_UNITS)]
+    Kind = Literal[("batteries", "pv", "customers", *KINDS)]
 Phase = Annotated[str, Field(pattern=r"^[abc]{1,2}$")]
 
 
@@ -439,7 +439,7 @@ class OperatorSetpoint(Body):
     may be dimmed the share that it gets.
     """
 
-    kind: Literal["batteries", "pv", "customers", "chargers", "thermal_loads", "gensets"]
+    kind: Kind
     asset: Name
     p_kw: Number | None = None
     q_kvar: Number = 0.0

@@ -8,12 +8,14 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 import pandas as pd
 
 from vppres.core.plain import number_or_none
 from vppres.day.recorder import ROTATED
+from vppres.kinds.live_fields import ForeseenOfKinds
 from vppres.kinds.table import parts
 from vppres.live.foreseen import Foreseen
 from vppres.live.measurement import Measurement
@@ -21,6 +23,7 @@ from vppres.live.set_points import SetPoints
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import written
 from vppres.service.knowledge import Known
+from vppres.service.of_kind import every
 from vppres.service.records import DECIDED, versions
 
 SCHEMA_VERSION = "1.0.0"
@@ -35,6 +38,9 @@ MOST_BEFORE = 20
 STORED_VALUE = "stored_value_gbp_per_kwh"
 MOST_AHEAD = 48
 """Steps that a plan tells of beside its own."""
+
+IN_PATHS = "/:@!$&'()*+,;="
+"""What stands for itself in the path of an address."""
 
 DEFAULT = "default: "
 """How the reason of a set-point begins that was not let pass."""
@@ -116,6 +122,7 @@ def plan_of(
             ROTATED: _by_name(customers[ROTATED]) if ROTATED in customers else None,
             "levels": solve.get("levels"),
             "inverted": solve.get("inverted"),
+            "shorter": solve.get("shorter"),
             "dark_reason": solve.get("dark_reason") or None,
             "fallback": fallback,
             "fallback_reason": solve["fallback_reason"] or None,
@@ -201,14 +208,10 @@ def ordered(
 
 
 def _asked(one: Mapping[str, Any]) -> dict[str, Any]:
-    """What an operator says of a device.
-
-    A charger takes what its limit lets it, and a generating set runs if it is to give power.
-    """
+    """What an operator says of a device, and what follows from it."""
     said = {name: value for name, value in one.items() if value is not None}
-    if one["kind"] == "gensets":
-        return said | {"running": said["p_kw"] > 0.0}
-    return said | ({"p_kw": said["p_limit_kw"]} if "p_limit_kw" in said else {})
+    kind = every().get(one["kind"])
+    return said if kind is None else said | kind.asked(said)
 
 
 def ordered_plan(
@@ -231,7 +234,7 @@ def made_anew(
     """A plan of the rest of a step, instead of one that did not know why; it is kept beside."""
     begin = written(at)
     points = [
-        {**one, "id": f"{begin}/{one['kind']}/{one['asset']}", "valid_from": begin, "anew": why}
+        {**one, "id": _id(begin, one["kind"], one["asset"]), "valid_from": begin, "anew": why}
         for one in plan["setpoints"]
     ]
     kept = ("id", "valid_from", "status", "setpoints", "grid")
@@ -274,32 +277,31 @@ def _ahead(foreseen: Foreseen, known: Known) -> dict[str, Any]:
     """What is foreseen of the steps after this one; it is decided anew when they begin."""
     times = foreseen.import_kw.index[:MOST_AHEAD]
     limits_kw = dict(zip(known.limits_kw.index, known.limits_kw.to_numpy(float), strict=True))
-    tables = {
-        "soc": foreseen.soc_end,
-        "indoor_c": foreseen.indoor_c,
-        "genset_kw": foreseen.genset_kw,
-        "fuel_litres": foreseen.fuel_litres,
+    of_kinds = {f.name: getattr(foreseen, f.name) for f in fields(ForeseenOfKinds)}
+    tables = {"soc": foreseen.soc_end} | {
+        name: table for name, table in of_kinds.items() if table is not None
     }
     return {
         "times": [written(time) for time in times],
         "grid_limit_kw": _numbers(limits_kw.get(time, math.nan) for time in times),
         "import_kw": _numbers(foreseen.import_kw[:MOST_AHEAD]),
         "served": {name: on.tolist() for name, on in foreseen.served[:MOST_AHEAD].items()},
-        **{
-            quantity: {name: _numbers(values) for name, values in table[:MOST_AHEAD].items()}
-            for quantity, table in tables.items()
-            if table is not None
-        },
-        **_left_short(foreseen),
+        **{quantity: _table(table) for quantity, table in tables.items()},
     }
 
 
-def _left_short(foreseen: Foreseen) -> dict[str, Any]:
-    """Vehicles that will leave short, by charger; nothing without chargers."""
-    if foreseen.left_short is None:
-        return {}
-    rows = foreseen.left_short.to_dict(orient="index").items()
-    return {"left_short": {name: {**row, "leaves": written(row["leaves"])} for name, row in rows}}
+def _table(table: pd.DataFrame) -> dict[str, Any]:
+    """Numbers of each asset by time; of a table that is not by time the row of each asset."""
+    if isinstance(table.index, pd.DatetimeIndex):
+        return {str(name): _numbers(values) for name, values in table[:MOST_AHEAD].items()}
+    rows = table.to_dict(orient="index").items()
+    return {
+        str(name): {
+            field: written(value) if isinstance(value, pd.Timestamp) else value
+            for field, value in row.items()
+        }
+        for name, row in rows
+    }
 
 
 def _devices_expected(decision: SetPoints) -> dict[str, Any]:
@@ -382,7 +384,7 @@ def _set_points(
             why = (reasons or {}).get((kind, name), reason)
             points.append(
                 {
-                    "id": f"{begin}/{kind}/{name}",
+                    "id": _id(begin, kind, name),
                     "asset": name,
                     "kind": kind,
                     **({} if phases is None else {"phases": phases.connection(name).coils}),
@@ -395,6 +397,11 @@ def _set_points(
                 }
             )
     return points
+
+
+def _id(begin: str, kind: str, name: str) -> str:
+    """Identifier of a set-point, which can be written in an address as it is."""
+    return f"{begin}/{kind}/{quote(name, safe=IN_PATHS)}"
 
 
 def _kept(kind: str, default: Mapping[str, Any], told: Mapping[Any, Any]) -> dict[str, Any]:
@@ -414,7 +421,7 @@ def _like(default: Mapping[str, Any], row: Mapping[Any, Any]) -> dict[str, Any]:
 _SIGNS = {
     "batteries": "charging_positive",
     "pv": "injection_positive",
-    "chargers": "charging_positive",
+    **{name: kind.sign for name, kind in every().items() if kind.sign},
 }
 
 

@@ -153,6 +153,7 @@ class Runner:
         self.expected: OrderedDict[str, Measurement] = OrderedDict()
         self.last: dict[str, Any] | None = store.last_step()
         self.on_step: Callable[[float], None] = lambda _: None
+        self.on_plan: Callable[[], None] = lambda: None
         self._jobs: OrderedDict[str, Future[dict[str, Any]]] = OrderedDict()
         self.changes = Changes()
         self.refused = Refused(self.length)

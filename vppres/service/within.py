@@ -15,9 +15,8 @@ import pandas as pd
 
 from vppres.core.units import h_to_minutes
 from vppres.day.options import RunOptions
-from vppres.kinds.gensets.physics import Engines
 from vppres.scenario.scenario import Scenario
-from vppres.service.as_told import Plan, set_state
+from vppres.service.as_told import Plan
 from vppres.service.clock import written
 from vppres.service.records import DECIDED, Reading, moment, versions
 from vppres.service.store import Store
@@ -142,9 +141,8 @@ def off_in(
     rests = replace(b, p_max_kw=np.where(follows, b.p_max_kw, 0.0))
     island = replace(now, grid=grid, grid_limit_kw=np.zeros(1), batteries=rests)
     world = World(island, options)
-    day = world.day
-    day.plant.of(Engines).state = set_state(world.scenario, 0, plan, day.plant.of(Engines).state)
-    day.island.formers = now.formers & follows  # nobody told others to form it
+    world.begin_as(plan, 0)
+    world.day.island.formers = now.formers & follows  # nobody told others to form it
     told = [
         {**one, "valid_from": written(part.begin)}
         for one in part.setpoints

@@ -17,16 +17,13 @@ from vppres.core.arrays import Flags, Floats, Names
 from vppres.day.options import RunOptions
 from vppres.day.recorder import StepRecord
 from vppres.day.simulate import Day
-from vppres.kinds.cooling.physics import Climate
-from vppres.kinds.gensets.physics import Engines
-from vppres.kinds.vehicles.data import NO_CAR
-from vppres.kinds.vehicles.physics import Garage
 from vppres.live.by_phase import GRID, ByPhase
 from vppres.scenario.scenario import Scenario
+from vppres.service.as_told import Plan
 from vppres.service.clock import written
+from vppres.service.of_kind import every
 from vppres.service.phased_readings import SUMMED, phases_of
 from vppres.service.plans import at
-from vppres.service.records import seconds
 
 Series = Mapping[str, Any]  # readings as ``POST /v1/telemetry`` takes them
 
@@ -46,23 +43,32 @@ class World:
         self.scenario = scenario
         self.day = Day(scenario, options)
         self.records: list[StepRecord] = []
-        self.start_fault = np.zeros(len(scenario.gensets), dtype=bool)
+        of_kinds = every()
+        self._kinds = {kind: of_kinds[kind] for kind in self.day.plant.units}
+
+    def begin_as(self, plan: Plan | None, t: int) -> None:
+        """Begin a step with the units of each kind as a plan knew them."""
+        plant = self.day.plant
+        plant.begin_with(
+            {
+                kind: of.state(self.scenario, t, plan, plant.units[kind].state)
+                for kind, of in self._kinds.items()
+            }
+        )
 
     def readings(self, t: int) -> list[Series]:
         """What devices measure at the beginning of a step, and of the one before, by source."""
-        site, plant = self.scenario, self.day.plant
-        now, sets = site.grid.times[t], site.gensets.id
-        engines, rooms_c = plant.of(Engines), plant.of(Climate).state
+        site, now = self.scenario, self.scenario.grid.times[t]
         found = [
             *self._each("batteries", "soc", now, site.batteries.id, self.day.state.soc),
             *self._each("meters", "load_kw", now, site.customers.id, site.load_kw[t]),
             *self._each("meters", "pv_kw", now, site.pv.id, site.pv_kw[t]),
             self._one("substation", "grid_on", now, GRID, site.grid_limit_kw[t] > 0.0),
-            *self._each("thermostats", "indoor_c", now, site.thermal_loads.id, rooms_c),
-            *self._vehicles(t, now),
-            *self._each("gensets", "running", now, sets, engines.state.on),
-            *self._each("gensets", "fuel_litres", now, sets, engines.tank_litres(t)),
-            *self._each("gensets", "start_fault", now, sets, self.start_fault),
+            *(
+                self._one(of.source, quantity, now, name, value)
+                for kind, of in self._kinds.items()
+                for quantity, name, value in of.measured(site, self.day.plant.units[kind], t)
+            ),
         ]
         return found if t == 0 else [*found, *self._means(site.grid.times[t - 1])]
 
@@ -74,9 +80,10 @@ class World:
             yield from self._each("batteries", "battery_kw", begun, names, day.battery_kw)
         if day.import_kw is not None:
             yield self._one("substation", "import_kw", begun, GRID, day.import_kw)
-        if len(site.gensets):
-            given_kw = record.kinds["gensets"]["p_kw"]
-            yield from self._each("gensets", "genset_kw", begun, site.gensets.id, given_kw)
+        for kind, of in self._kinds.items():
+            for quantity in of.live.MEANS:
+                ids = getattr(site, kind).id
+                yield from self._each(of.source, quantity, begun, ids, record.kinds[kind]["p_kw"])
         by_phase = ByPhase.of(site, record)
         if by_phase is not None:
             source = by_phase.source
@@ -85,22 +92,6 @@ class World:
                 yield self._one(teller, "source_kva", begun, source, kva, str(phase))
             for (bus, phase), v_pu in zip(by_phase.nodes.index, by_phase.nodes, strict=True):
                 yield self._one("meters", "v_pu", begun, bus, v_pu, phase)
-
-    def _vehicles(self, t: int, now: pd.Timestamp) -> Iterator[Series]:
-        """What chargers tell of their vehicles: a state of charge, or the energy that they need."""
-        sessions, garage = self.scenario.sessions, self.day.plant.of(Garage)
-        held_kwh = garage.at(t)
-        for k, name in enumerate(self.scenario.chargers.id):
-            s = int(self.scenario.session_at[t, k])
-            told: dict[str, float] = {"plugged": float(s != NO_CAR)}
-            if s != NO_CAR:
-                told["departure"] = float(seconds(sessions.plug_out[s]))
-                if sessions.by_energy[s]:
-                    told["energy_needed_kwh"] = max(sessions.needed_kwh[s] - held_kwh[k], 0.0)
-                else:
-                    told["ev_soc"] = held_kwh[k] / sessions.full_kwh[s]
-            for quantity, value in told.items():
-                yield self._one("chargers", quantity, now, name, value)
 
     def _each(
         self, source: str, quantity: str, time: pd.Timestamp, ids: Names, values: Any
@@ -152,9 +143,6 @@ class World:
         served = values("customers", "served", 1.0) > 0.0
         dims = self.scenario.customers.dimmable.any()
         pv_q_kvar = values("pv", "q_kvar", 0.0)
-        asked_c = values("thermal_loads", "setpoint_c", np.nan)[0]
-        setpoints_c = np.where(np.isnan(asked_c), self.scenario.thermal_loads.held_c, asked_c)
-        machines_kw = self.day.plant.of(Climate).thermostat_kw(t, setpoints_c, served[0])
         nothing = np.full((1, 1), np.nan)
         network = self.scenario.network
         return Dispatch(
@@ -174,11 +162,15 @@ class World:
             q_flow_kvar=np.full((1, network.n_buses - 1), np.nan),
             share=served * values("customers", "share", 1.0) if dims else None,
             taken_kw={
-                "chargers": values("chargers", "p_kw", 0.0),
-                "thermal_loads": machines_kw[np.newaxis],
-                "gensets": -values("gensets", "p_kw", 0.0),
+                kind: of.powers(
+                    t,
+                    self.day.plant.units[kind],
+                    {name: values(kind, name, np.nan)[0] for name in of.live.NUMBERS},
+                    served[0],
+                )[np.newaxis]
+                for kind, of in self._kinds.items()
             },
-            running={"gensets": values("gensets", "running", 0.0) > 0.0},
+            running={kind: values(kind, "running", 0.0) > 0.0 for kind in self._kinds},
         )
 
 

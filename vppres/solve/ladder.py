@@ -214,6 +214,8 @@ class WindowSolver:
         if has_ratings(data):
             task = self._task(data, limits)
             if decide_within_ratings(task):
+                if worth_the_whole(task):
+                    with_binaries(task)
                 return task.solution()
         if self.method != "decomposed" or own_of(self.cache, data):
             return self._solve(data, limits)

@@ -8,6 +8,8 @@ import numpy as np
 
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Floats
+from vppres.kinds.gensets.physics import SetsAhead
+from vppres.model.beyond_paper.stored_value import left_kwh
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.scenario.assets import Batteries
@@ -28,14 +30,26 @@ def eased_soc(batteries: Batteries) -> Floats:
 
 
 def net_modes(site: Site, data: WindowData, dispatch: Dispatch) -> tuple[Dispatch, bool]:
-    """Cancel charging against simultaneous discharging, and say whether every battery can take it.
+    """Cancel charging against simultaneous discharging, and say whether the rest stays as it is.
 
     The net power stays, so no balance changes; what used to be lost is stored, so only the upper
-    SoC limit can forbid it.
+    SoC limit can forbid it. Nor may what is stored be worth less for it: a full battery has no room
+    for later sun.
     """
     net = dispatch.charge_kw - dispatch.discharge_kw
     charge = np.maximum(net, 0.0)
     discharge = np.maximum(-net, 0.0)
     soc = data.soc_path(site, charge, discharge)
     netted = replace(dispatch, charge_kw=charge, discharge_kw=discharge, soc=soc)
-    return netted, bool((soc <= site.batteries.soc_max + SOC_OVER).all())
+    stored = bool((soc <= site.batteries.soc_max + SOC_OVER).all())
+    return netted, stored and not _is_worth_less(site, data, dispatch, netted)
+
+
+def _is_worth_less(site: Site, data: WindowData, before: Dispatch, after: Dispatch) -> bool:
+    """Whether a dispatch leaves energy that is worth less than that of another."""
+    value = data.stored_value
+    if value is None:
+        return False
+    sets = data.ahead.find(SetsAhead)
+    least, found = (value.at(left_kwh(site, value, sets, each)) for each in (before, after))
+    return found < least - SOC_OVER * (1.0 + abs(least))

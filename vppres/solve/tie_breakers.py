@@ -109,8 +109,8 @@ class TieBreakers(Selected):
             found = found.hold("P_curt")
         found = found.limit("battery_power_min", {"P_ch": -1.0, "P_dch": 1.0})
         found = found.limit("battery_power_max", {"P_ch": 1.0, "P_dch": -1.0})
-        for name in named("at_least"):
-            found = found.limit(f"{name}_min", {name: -1.0})
+        for name in named("in_range"):
+            found = found.limit(f"{name}_min", {name: -1.0}).limit(f"{name}_max", {name: 1.0})
         found = found.limit_term("f2").limit_term("f3")
         if "own" in sheet.statement.terms:
             found = found.limit_term("own", -1.0)
@@ -161,7 +161,8 @@ class TieBreakers(Selected):
             "f2": f2_gbp,
             "f3": f3_kwh,
         }
-        self.limits |= {f"{name}_min": -least for name, least in beyond.least.items()}
+        for name, (least, most) in beyond.ranges.items():
+            self.limits |= {f"{name}_min": -least, f"{name}_max": most}
         self.held |= {"delta": charging.astype(float), "P_curt": 0.0, **beyond.values}
         self._near = None
         if self.moves and data.moves is not None:

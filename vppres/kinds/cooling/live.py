@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import pandas as pd
@@ -13,8 +13,12 @@ from vppres.core.arrays import Flags, Floats, Names
 from vppres.core.plain import number_or_none
 from vppres.kinds.cooling.data import ThermalLoads
 from vppres.kinds.cooling.physics import Climate, Rooms
+from vppres.kinds.kind import Moment, UnitsNow
 from vppres.live.range import Range
 from vppres.scenario.scenario import Scenario
+
+if TYPE_CHECKING:
+    from vppres.live.door import Door
 
 RANGES = {
     "indoor_c": Range(-50.0, 100.0, "must lie between -50 and 100", "Give degrees Celsius."),
@@ -25,6 +29,9 @@ QUANTITIES = tuple(RANGES)
 MEANS: tuple[str, ...] = ()
 SETPOINT, NUMBERS = "setpoint_c", ("setpoint_c",)
 """The number that an operator says, and those that a set-point must have."""
+
+FORESEEN = ("indoor_c",)
+"""Tables of what a plan foresees."""
 
 SHOWN, FIGURES = ("indoor_c",), ("t_min_c", "t_max_c")
 """Readings and columns that the page shows."""
@@ -84,18 +91,24 @@ class Felt:
         What has become of it since it moved last.
     lowest_c, highest_c : array
         The lowest and the highest that it became since then.
+    taken_kw : array
+        What machines were to take in the step.
     """
+
+    timed: ClassVar[bool] = False
 
     read_c: Floats
     reckoned_c: Floats
     lowest_c: Floats
     highest_c: Floats
+    taken_kw: Floats
 
     @classmethod
     def before_the_day(cls, scenario: Scenario) -> Felt:
         """Without readings: the temperatures of the scenario."""
         start_c = scenario.thermal_loads.t_initial_c
-        return cls(np.full(len(start_c), np.nan), start_c, start_c, start_c)
+        none = np.full(len(start_c), np.nan)
+        return cls(none, start_c, start_c, start_c, np.zeros(len(start_c)))
 
     def after(self, day: Scenario, steps: range, served: Flags) -> Felt:
         """After steps in which nothing was decided: thermostats hold the comfort band."""
@@ -109,32 +122,51 @@ class Felt:
 
     def moved_to(self, t_c: Floats) -> Felt:
         """With other temperatures by the model."""
-        lowest_c = np.minimum(self.lowest_c, t_c)
-        return Felt(self.read_c, t_c, lowest_c, np.maximum(self.highest_c, t_c))
+        lowest_c, highest_c = np.minimum(self.lowest_c, t_c), np.maximum(self.highest_c, t_c)
+        return replace(self, reckoned_c=t_c, lowest_c=lowest_c, highest_c=highest_c)
+
+
+PAST = Felt
+
+
+def read(
+    door: Door, scenario: Scenario, told: Mapping[str, Any], past: Felt | None
+) -> tuple[Scenario, Floats]:
+    """Temperatures that thermometers tell, NaN where there is none, (H,)."""
+    loads = scenario.thermal_loads
+    return scenario, door.values(
+        "indoor_c", told["indoor_c"], loads.id, np.full(len(loads), np.nan)
+    )
+
+
+def to_come(day: Scenario) -> Scenario:
+    """A day without what is over at its beginning: the day itself."""
+    return day
+
+
+def now(moment: Moment, read_c: Floats, past: Felt | None) -> Indoor:
+    """Rooms and tanks in the present step."""
+    loads = moment.window.thermal_loads
+    if past is None or moment.served is None:
+        felt = Felt.before_the_day(moment.known)
+    else:
+        felt = past.after(moment.known, moment.skipped, moment.served)
+    return Indoor.of(loads.id, loads.p_max_kw, read_c, felt)
 
 
 @dataclass(frozen=True, eq=False)
-class Indoor:
+class Indoor(UnitsNow):
     """Temperatures at the beginning of a step, (H,) each.
 
-    Parameters
-    ----------
-    now_c : array
-        The estimate: the reading if there is one, else the model's. A reading that stands
-        still is not believed once the temperature has moved through more than ``STILL_C``, there
-        and back too.
-    felt : Felt
-        Readings, and what is reckoned since they moved last.
-    estimated : tuple of str
-        Readings that are missing or frozen, in words.
+    The state is the reading if there is one, else the model's. A reading that stands still is not
+    believed once the temperature has moved through more than ``STILL_C``, there and back too.
+    ``felt`` has the readings, and what is reckoned since they moved last.
     """
 
-    now_c: Floats
     felt: Felt
-    estimated: tuple[str, ...]
 
     @classmethod
-    def of(cls, ids: Names, read_c: Floats, past: Felt) -> Indoor:
+    def of(cls, ids: Names, p_max_kw: Floats, read_c: Floats, past: Felt) -> Indoor:
         """The temperatures of these readings, NaN where there is none, after a step."""
         read = np.isfinite(read_c)
         still = read & (read_c == past.read_c)
@@ -151,14 +183,17 @@ class Indoor:
             for kind, flags in (("missing", missing), ("frozen", frozen))
             for i in np.flatnonzero(flags)
         ]
-        felt = Felt(np.where(read, read_c, past.read_c), reckoned_c, lowest_c, highest_c)
-        return cls(now_c, felt, tuple(words))
+        read_c = np.where(read, read_c, past.read_c)
+        felt = Felt(read_c, reckoned_c, lowest_c, highest_c, past.taken_kw)
+        taken_kw = float(past.taken_kw.sum())
+        return cls(now_c, taken_kw, float(p_max_kw.sum()), tuple(words), felt)
 
-    def after(self, day: Scenario, power_kw: Floats) -> Felt:
-        """What they are at the end of the first step of a day, with these powers."""
+    def after(self, day: Scenario, state: Floats, columns: Mapping[str, Any]) -> Felt:
+        """Rooms and tanks after the first step of a day, as far as their readings moved."""
         climate = Climate(day)
         climate.state = self.felt.reckoned_c
-        return self.felt.moved_to(climate.after_c(0, power_kw))
+        taken_kw = columns["p_kw"]
+        return replace(self.felt.moved_to(climate.after_c(0, taken_kw)), taken_kw=taken_kw)
 
 
 def set_points(day: Scenario, t: int, columns: Mapping[str, Any]) -> dict[str, Any]:

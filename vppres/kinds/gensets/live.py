@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import pandas as pd
@@ -18,6 +18,7 @@ from vppres.core.arrays import Flags, Floats, Names
 from vppres.core.plain import number_or_none
 from vppres.kinds.gensets.data import ROUNDING_H, Gensets, GensetState, Refuels
 from vppres.kinds.gensets.physics import SetsAhead
+from vppres.kinds.kind import Moment, UnitsNow
 from vppres.live.range import (
     FLAG,
     NUMBER,
@@ -31,6 +32,9 @@ from vppres.live.range import (
     slack_kw,
 )
 from vppres.scenario.scenario import Scenario
+
+if TYPE_CHECKING:
+    from vppres.live.door import Door
 
 RANGES = {
     "running": FLAG,
@@ -49,15 +53,15 @@ MEANS: tuple[str, ...] = ("genset_kw",)
 SETPOINT, NUMBERS = "p_kw", ("p_kw",)
 """The number that an operator says, and those that a set-point must have."""
 
+FORESEEN = ("genset_kw", "fuel_litres")
+"""Tables of what a plan foresees."""
+
 SHOWN = ("running", "fuel_litres")
 FIGURES = ("p_min_kw", "p_max_kw", "tank_litres", "litres_per_kwh", "litres_per_h_idle")
 """Readings and columns that the page shows."""
 
 QUANTITIES = ("running", "genset_kw", "fuel_litres", "start_fault")
 """What a set can tell."""
-
-ORDERED = "genset_ordered_kw"
-"""What another sender ordered it."""
 
 STILL_SHARE = 0.05
 """Share of the tank that a set may have burnt while its gauge stands still: gauges are coarse."""
@@ -84,6 +88,8 @@ class Ran:
     on, power_kw : array
         How they were to run.
     """
+
+    timed: ClassVar[bool] = True
 
     at_h: float
     before: GensetState
@@ -123,24 +129,49 @@ class Readings:
     ordered_kw: Floats
 
 
+PAST = Ran
+
+
+def read(
+    door: Door, scenario: Scenario, told: Mapping[str, Any], past: Ran | None
+) -> tuple[Scenario, Readings]:
+    """What sets tell, and what another sender ordered them."""
+    names = ("running", "genset_kw", "fuel_litres", "start_fault", "genset_ordered_kw")
+    ids, none = scenario.gensets.id, np.full(len(scenario.gensets), np.nan)
+    return scenario, Readings(*(door.values(name, told[name], ids, none) for name in names))
+
+
+def to_come(day: Scenario) -> Scenario:
+    """A day without deliveries that are in the tanks at its beginning."""
+    refuels = day.refuels
+    if not len(refuels):
+        return day
+    later = np.array([time > day.grid.start for time in refuels.time], dtype=bool)
+    kept = Refuels(refuels.genset[later], refuels.time[later], refuels.litres[later])
+    return replace(day, refuels=kept)
+
+
+def now(moment: Moment, told: Readings, past: Ran | None) -> SetsNow:
+    """Sets at the moment, with what was delivered since they were told how to run."""
+    known = moment.known
+    sets, dt_h, at_h = known.gensets, known.grid.dt_h, moment.at_h
+    past = past or Ran.before_the_day(sets, at_h)
+    steps = int(at_h / dt_h + ROUNDING_H) - int(past.at_h / dt_h + ROUNDING_H)
+    row = moment.row
+    added = known.refuelled_litres[max(row - steps, -1) + 1 : row + 1].sum(axis=0)
+    return SetsNow.of(sets, told, past, at_h, dt_h, added)
+
+
 @dataclass(frozen=True, eq=False)
-class SetsNow:
+class SetsNow(UnitsNow):
     """Sets at the beginning of a step, (G,) each.
 
-    Parameters
-    ----------
-    state : GensetState
-        The estimate. Fuel is the reading, or the least that may be left.
-    known : Ran
-        What is known of them now, before they are told how to run from now on; fuel is the least
-        that may be left since the gauge moved.
-    estimated : tuple of str
-        Readings that are missing or frozen, and sets that are out, in words.
+    Fuel of the state is the reading, or the least that may be left. ``known`` is what is known of
+    them before they are told how to run from now on; its fuel is the least that may be left since
+    the gauge moved.
     """
 
-    state: GensetState
     known: Ran
-    estimated: tuple[str, ...]
 
     @classmethod
     def of(
@@ -151,13 +182,14 @@ class SetsNow:
         ``past`` says how they were to run since. After the end of its step they have no set-point:
         they stop. Times are in h since the controller's first step.
         """
-        by_others = np.isfinite(told.ordered_kw)
+        by_others, was_told_kw = np.isfinite(told.ordered_kw), past.power_kw
         past = past.as_ordered(told.ordered_kw)
         gone_h = at_h - past.at_h
         runs = _Running.of(told, past, by_others, gone_h, dt_h)
         burning_h = np.where(runs.on | by_others, gone_h, min(gone_h, dt_h))
         fuel = _Fuel.of(sets, told, past, runs, burning_h, added)
-        gave_kw = np.where(np.isfinite(told.power_kw), told.power_kw, past.power_kw)
+        unread = np.isnan(told.power_kw)
+        gave_kw = np.where(unread, past.power_kw, told.power_kw)
         # A mean is less than the least power where the set started within it.
         power_kw = np.where(runs.on, np.clip(gave_kw, sets.p_min_kw, sets.p_max_kw), 0.0)
         state = GensetState(runs.on, runs.hours, power_kw, fuel.litres)
@@ -170,27 +202,34 @@ class SetsNow:
             out=runs.out,
             fault=np.where(np.isfinite(told.start_fault), told.start_fault, past.fault),
         )
-        return cls(state, known, (*fuel.words(sets.id), *runs.words(sets.id)))
+        words = (*fuel.words(sets.id), *runs.words(sets.id))
+        metered_kw = np.where(unread, was_told_kw, told.power_kw)
+        return cls(state, -float(metered_kw.sum()), float(was_told_kw[unread].sum()), words, known)
 
     @property
     def out(self) -> Flags:
         """Sets that do not start."""
         return self.known.out
 
-    def without_those_out(self, known: SetsAhead) -> SetsAhead:
+    def able(self, ahead: SetsAhead) -> SetsAhead:  # type: ignore[override]
         """A window in which no set runs that is out."""
-        can_run = known.can_run & ~self.out
-        return replace(known, can_run=can_run, must_run=known.must_run & ~self.out)
+        can_run = ahead.can_run & ~self.out
+        return replace(ahead, can_run=can_run, must_run=ahead.must_run & ~self.out)
 
-    def told(self, on: Flags, power_kw: Floats) -> Ran:
-        """How they are to run from now on."""
-        return replace(self.known, on=on, power_kw=power_kw)
+    def believed(self, scenario: Scenario) -> Scenario:
+        """A scenario in which sets that are out do not start by themselves."""
+        if not self.out.any():
+            return scenario
+        forming = scenario.gensets.grid_forming & ~self.out
+        return replace(scenario, gensets=replace(scenario.gensets, grid_forming=forming))
 
+    def columns(self) -> dict[str, Any]:
+        """Sets that do not start."""
+        return {"out": self.out}
 
-def after(refuels: Refuels, day: Scenario) -> Refuels:
-    """Deliveries after the beginning of a day: what came by then is in the tank."""
-    later = np.array([time > day.grid.start for time in refuels.time], dtype=bool)
-    return Refuels(refuels.genset[later], refuels.time[later], refuels.litres[later])
+    def after(self, day: Scenario, state: GensetState, columns: Mapping[str, Any]) -> Ran:
+        """The sets as they are told to run from now on."""
+        return replace(self.known, on=columns["running"], power_kw=columns["p_kw"])
 
 
 @dataclass(frozen=True, eq=False)

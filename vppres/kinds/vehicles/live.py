@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import pandas as pd
@@ -12,8 +12,9 @@ import pandas as pd
 from vppres.core.arrays import Flags, Floats
 from vppres.core.plain import number_or_none
 from vppres.core.text import iso
+from vppres.kinds.kind import Moment, UnitsNow
 from vppres.kinds.vehicles.data import NO_CAR, OF_SESSIONS, Sessions
-from vppres.kinds.vehicles.physics import Plugged
+from vppres.kinds.vehicles.physics import Garage, Plugged
 from vppres.kinds.vehicles.record import SHORT_KWH
 from vppres.live.range import FLAG, POWER, Range, above_rating
 from vppres.scenario.scenario import Scenario
@@ -33,6 +34,9 @@ RANGES = {
 MEANS: tuple[str, ...] = ()
 SETPOINT, NUMBERS = "p_limit_kw", ("p_kw", "p_limit_kw")
 """The number that an operator says, and those that a set-point must have."""
+
+FORESEEN = ("left_short",)
+"""Tables of what a plan foresees."""
 
 SHOWN, FIGURES = ("plugged",), ("p_charge_kw",)
 """Readings and columns that the page shows."""
@@ -61,22 +65,26 @@ class Stay:
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """The vehicles at chargers after a step, and their energy.
+    """The vehicles at chargers after a step, their energy, and what they were to take in it.
 
-    ``since`` is the time of plug-in as text by charger, empty without a vehicle; ``kwh`` has the
-    shape (K,).
+    ``since`` is the time of plug-in as text by charger, empty without a vehicle; ``kwh`` and
+    ``taken_kw`` have the shape (K,).
     """
+
+    timed: ClassVar[bool] = False
 
     since: tuple[str, ...]
     kwh: Floats
+    taken_kw: Floats
     stays: tuple[Stay, ...] = ()
 
     @classmethod
-    def of(cls, scenario: Scenario, t: int, kwh: Floats) -> Held:
+    def of(cls, scenario: Scenario, t: int, kwh: Floats, taken_kw: Floats) -> Held:
         """The vehicles of a step with their energy at its end."""
         here = [s for s in scenario.session_at[t].tolist() if s != NO_CAR]
         rows = rows_of(scenario.sessions) if here else []
-        return cls(_since(scenario, t), kwh, tuple(Stay(**rows[s]) for s in here))
+        stays = tuple(Stay(**rows[s]) for s in here)
+        return cls(_since(scenario, t), kwh, taken_kw, stays)
 
     def at(self, scenario: Scenario, t: int) -> Floats:
         """Energy of the vehicles of a step that have been here before, NaN of others, (K,)."""
@@ -93,8 +101,35 @@ def _since(scenario: Scenario, t: int) -> tuple[str, ...]:
     return tuple("" if row == NO_CAR else plug_in[row].isoformat() for row in rows)
 
 
-def with_vehicles(
-    door: Door, scenario: Scenario, told: Mapping[str, Any], stays: Iterable[Stay] = ()
+PAST = Held
+
+
+@dataclass(frozen=True, eq=False)
+class VehiclesNow(UnitsNow):
+    """Energy of the vehicle at each charger in a step, (K,), 0 without one."""
+
+    def after(self, day: Scenario, state: Floats, columns: Mapping[str, Any]) -> Held:
+        """The vehicles after the first step of a day."""
+        return Held.of(day, 0, state, columns["p_kw"])
+
+
+def now(moment: Moment, read_kwh: Floats, past: Held | None) -> VehiclesNow:
+    """Vehicles as they were read, or else as reckoned, or else as their sessions say."""
+    day, kwh = moment.window, read_kwh
+    if past is not None:
+        kwh = np.where(np.isnan(kwh), past.at(day, 0), kwh)
+    taken_kw = np.zeros(len(kwh)) if past is None else past.taken_kw
+    off_kw = float(np.abs(taken_kw).sum())
+    return VehiclesNow(Garage(day, kwh).at(0), float(taken_kw.sum()), off_kw, ())
+
+
+def to_come(day: Scenario) -> Scenario:
+    """A day without what is over at its beginning: the day itself."""
+    return day
+
+
+def read(
+    door: Door, scenario: Scenario, told: Mapping[str, Any], past: Held | None
 ) -> tuple[Scenario, Floats]:
     """The scenario with sessions as they are measured, and energies that were read, (K,).
 
@@ -107,27 +142,27 @@ def with_vehicles(
     chargers = scenario.chargers
     none = np.full(len(chargers), np.nan)
     plugged, soc, needed_kwh = (
-        door.values(name, told.get(name), chargers.id, none) for name in QUANTITIES[:3]
+        door.values(name, told[name], chargers.id, none) for name in QUANTITIES[:3]
     )
-    departure = door.moments("departure", told.get("departure"), chargers.id)
+    departure = door.moments("departure", told["departure"], chargers.id)
     held_kwh = none.copy()
     if door.problems or not len(chargers):
         return scenario, held_kwh
     own: dict[str, list[Row]] = {str(name): [] for name in chargers.id}
     for row in rows_of(scenario.sessions):
         own[row["charger"]].append(row)
-    for stay in stays:
+    for stay in () if past is None else past.stays:
         row = dict(vars(stay))
         own[stay.charger] = [*_beside(own[stay.charger], row, door.begun), row]
     for k, (name, rows) in enumerate(own.items()):
-        read = _Read(plugged[k], soc[k], needed_kwh[k], departure[k])
-        before = _at_charger(rows, read.here, door.begun, scenario.grid.step)
-        now, words = _as_read(read, before, name, scenario, door.begun)
+        seen = _Read(plugged[k], soc[k], needed_kwh[k], departure[k])
+        before = _at_charger(rows, seen.here, door.begun, scenario.grid.step)
+        now, words = _as_read(seen, before, name, scenario, door.begun)
         door.left_out.extend(words)
         own[name] = [row for row in rows if row is not before]
         if now is not None:
             own[name] = [*_beside(own[name], now, door.begun), now]
-            held_kwh[k] = read.soc * now["capacity_kwh"] if _by_soc(now) else np.nan
+            held_kwh[k] = seen.soc * now["capacity_kwh"] if _by_soc(now) else np.nan
     told_of = [row for rows in own.values() for row in rows]
     return replace(scenario, sessions=sessions_of(told_of)), held_kwh
 

@@ -169,6 +169,11 @@ class Plugged(UnitsAhead):
         """What each vehicle lacks when it leaves, (W, K)."""
         return np.maximum(self.needed_kwh - energy_kwh, 0.0)
 
+    @classmethod
+    def past_days(cls, scenario: Scenario, seed: int) -> PastDays | None:
+        """Days whose sessions are drawn for those of a run; None without any."""
+        return PastDays.of(scenario, seed)
+
     def in_the_dark(self, lit: Flags) -> Self:
         """The same with no vehicle plugged in but in the lit steps, (W, 1)."""
         return replace(self, here=self.here & lit, known=self.known & lit)

@@ -25,12 +25,12 @@ from vppres.model.variables import Parameters, Variables
 class Held:
     """What a dispatch says of an addition where cost is held, for the tie-breakers.
 
-    ``values`` are those of its letters of :attr:`Addition.by_dispatch`, ``least`` what other
-    letters must have at least, and ``gbp`` the part of the cost that goes with it.
+    ``values`` are those of its letters of :attr:`Addition.by_dispatch`, ``ranges`` the least and
+    the most of other letters, and ``gbp`` the part of the cost that goes with it.
     """
 
     values: dict[str, Floats | float] = field(default_factory=dict)
-    least: dict[str, float] = field(default_factory=dict)
+    ranges: dict[str, tuple[float, float]] = field(default_factory=dict)
     gbp: float = 0.0
 
 
@@ -55,9 +55,9 @@ class Addition:
         Its letters with a column for each battery: a lumped fleet has their sum.
     by_service : tuple of str
         Its letters that are 0 once service is known, since the data have what they add then.
-    by_dispatch, at_least, met : tuple of str
-        Its letters that the tie-breakers hold and those that they bound below, by
-        :meth:`of_dispatch`; its families that hold by that.
+    by_dispatch, in_range, met : tuple of str
+        Its letters that the tie-breakers hold and those that they bound, by :meth:`of_dispatch`;
+        its families that hold by that.
     calm : tuple of str
         Its letters between 0 and 1 of which the tie-breakers minimise the squares, as kW of loss.
     """
@@ -71,7 +71,7 @@ class Addition:
     of_batteries: ClassVar[tuple[str, ...]] = ()
     by_service: ClassVar[tuple[str, ...]] = ()
     by_dispatch: ClassVar[tuple[str, ...]] = ()
-    at_least: ClassVar[tuple[str, ...]] = ()
+    in_range: ClassVar[tuple[str, ...]] = ()
     met: ClassVar[tuple[str, ...]] = ()
     calm: ClassVar[tuple[str, ...]] = ()
 

@@ -3,7 +3,7 @@
 A line's loss is linearised at an AC point of its step: active and reactive loss enter the balance
 at the line's far end as the values that they have there, and the voltage drop gets the offset that
 makes the linear voltages meet the AC ones. How the losses change with the flows is left to the next
-pass (``docs/method.md`` says why); the flows' own cost is in the tie-breakers' f4.
+pass (``docs/decisions/islands.md`` says why); the flows' own cost is in the tie-breakers' f4.
 
 The AC points come from backward and forward sweeps over all steps at once. The verifier solves
 Newton's equations in pandapower and shares no function with this module.

@@ -66,9 +66,9 @@ class ValueAtEnd(Addition):
     gbp: cp.Parameter
     share: cp.Parameter
 
-    # The energy that a dispatch keeps is held, and its value has no part in the cost then.
+    # What is left stays worth as much as in a dispatch, and has no part in the cost then.
     by_dispatch: ClassVar[tuple[str, ...]] = ("kept",)
-    at_least: ClassVar[tuple[str, ...]] = ("E_stored",)
+    in_range: ClassVar[tuple[str, ...]] = ("E_stored",)
     met: ClassVar[tuple[str, ...]] = ("value_at_end",)
 
     @classmethod
@@ -119,13 +119,15 @@ class ValueAtEnd(Addition):
         return np.append(least_gbp, each_gbp * most), np.append(dearest_gbp, each_gbp * least)
 
     def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> Held:
-        """The energy at the end, and what comes off the cost for it."""
+        """The energies at the end that are worth as much, and what comes off the cost for it."""
+        value = data.require_value()
         missed_kwh = KEPT_TOLERANCE * float(site.batteries.energy_kwh.sum())
-        kept_kwh = (
-            left_kwh(site, data.require_value(), data.ahead.find(SetsAhead), dispatch) - missed_kwh
-        )
+        kept_kwh = left_kwh(site, value, data.ahead.find(SetsAhead), dispatch)
+        most_kwh = max(kept_kwh, value.most_kwh(value.at(kept_kwh)))
         gbp = self.worth(site, data, dispatch)["f2"]
-        return Held({"kept": 0.0}, {"E_stored": kept_kwh}, gbp)
+        return Held(
+            {"kept": 0.0}, {"E_stored": (kept_kwh - missed_kwh, most_kwh + missed_kwh)}, gbp
+        )
 
     def fill(self, site: Site, data: WindowData) -> None:
         """Write the lines and what they count as."""

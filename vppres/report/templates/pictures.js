@@ -19,9 +19,10 @@ const Pictures = (function () {
     return made;
   }
 
-  const parsed = (text) => text.match(/^(.*?) ?(\d\d):(\d\d)/);
+  const parsed = (text) => text.match(/^(.*?) ?(\d\d):(\d\d)(.*)$/);
 
-  // Steps of round times in a part of the axis, each with its date and time of day.
+  // Steps of round times in a part of the axis, each with its date and time of day, and with the zone
+  // where clocks have been changed since the tick before.
   function ticksOf(times, from, to, room) {
     const clock = times.map(parsed), minutes = clock.map((found) => 60 * found[2] + Number(found[3]));
     const step = times.length > 1 ? (minutes[1] - minutes[0] + 1440) % 1440 || 1440 : 60;
@@ -30,7 +31,10 @@ const Pictures = (function () {
     const day = (t) => Math.floor((minutes[0] + t * step) / 1440) * 1440;
     return [...times.keys()].filter((t) =>
       t >= from * times.length && t <= to * times.length && (day(t) + minutes[t]) % every === 0)
-      .map((t) => ({ t, words: [clock[t][1], `${clock[t][2]}:${clock[t][3]}`] }));
+      .map((t, i, ticks) => {
+        const zone = i && clock[t][4] !== clock[ticks[i - 1]][4] ? clock[t][4] : "";
+        return { t, words: [clock[t][1], `${clock[t][2]}:${clock[t][3]}${zone}`] };
+      });
   }
 
   // A drawing whose axis is stretched over a width, and shows a part of what it holds.
@@ -148,7 +152,7 @@ const Pictures = (function () {
   // Charts over the same steps: they are read, zoomed and marked together.
   class Charts {
     constructor(times, outages, rowWords = () => []) {
-      Object.assign(this, { times, rowWords, charts: [], chosen: 0, next: 0, onChoose: () => {} });
+      Object.assign(this, { times, rowWords, charts: [], chosen: 0, next: 0, onChoose: () => {}, onZoom: () => {} });
       this.spans = outages;
     }
 
@@ -203,6 +207,7 @@ const Pictures = (function () {
 
     zoom(from, to) {
       [this.from, this.to] = [from, to];
+      this.onZoom(from, to);
       this.charts.forEach(({ axis }) => axis.layout(axis.width, from, to));
       this.show(this.chosen);
     }
@@ -318,11 +323,5 @@ const Pictures = (function () {
     return spans;
   }
 
-  // Charts that have no steps to read.
-  function still(figure) {
-    const axis = new Axis(figure.querySelector("svg"), null);
-    return { fit: () => axis.layout(widthOf(figure)), paper: () => axis.layout(PAPER) };
-  }
-
-  return { Axis, Charts, Feeder, element, spansOf, still, widthOf, PAPER };
+  return { Charts, Feeder, element, spansOf, PAPER };
 })();

@@ -2,15 +2,9 @@
 
 import { kilo, percent, storedShare } from "./words.js";
 
-const SVG = "http://www.w3.org/2000/svg";
-const LEFT = 68, RIGHT = 22, TOP = 20, TIER = 26, ROW = 96, GAP = 30, AXIS = 22, STRIP = 14;
-
-export function element(name, attributes = {}, ...children) {
-  const made = document.createElementNS(SVG, name);
-  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
-  made.append(...children);
-  return made;
-}
+const { element, PAPER, spansOf } = Pictures; // the report's script, which the page loads before
+const LEFT = 74, RIGHT = 22, TOP = 20, TIER = 26, ROW = 96, GAP = 30, AXIS = 22, STRIP = 14, LEAST = 5;
+const DAYS_FROM = 48 * 3.6e6; // from this length on, ticks have dates
 
 // A level from one share to another, with marks where limits are; the rest may be bad.
 export function meter(to, { from = 0, kind = "", rest = "", marks = [], name = "" } = {}) {
@@ -47,28 +41,48 @@ export function stepsOf(view) {
   return [...known, ...foreseen].map((step) => ({ ...step, end: step.begin + length }));
 }
 
-export function chart(view, width) {
+// The drawing, and what its readings and its zoom need: times, outages, and values by step.
+export function chart(view) {
   const steps = stepsOf(view);
   if (!steps.length) return null;
-  const first = steps[0].begin, last = steps.at(-1).end;
-  const x = (time) => LEFT + ((time - first) / (last - first)) * (width - LEFT - RIGHT);
+  const length = view.site.step_s * 1000, first = steps[0].begin, last = steps.at(-1).end;
+  const x = (time) => LEFT + ((time - first) / (last - first)) * (PAPER - LEFT - RIGHT);
   const tiers = view.site.tiers;
   const tops = { tiers: TOP, store: TOP + tiers.length * TIER + GAP };
   tops.import = tops.store + ROW + GAP;
   tops.strip = tops.import + ROW + 8;
-  const height = tops.strip + STRIP + AXIS;
-  const svg = element("svg", { viewBox: `0 0 ${width} ${height}`, height, role: "img", "aria-label": inWords(view, steps) });
-  shadeOutages(svg, steps, x, tops);
-  tiers.forEach((tier, row) => drawTier(svg, tier, tops.tiers + row * TIER, steps, x));
-  drawRow(svg, { name: "stored (%)", top: tops.store, kind: "store", most: 1, least: 0, label: (v) => Math.round(100 * v) },
-    steps.map((step) => [[step.end, step.stored]]), steps, x, width);
-  drawImport(svg, tops.import, steps, x, width);
+  const bottom = tops.strip + STRIP, dated = last - first > DAYS_FROM;
+  const height = bottom + AXIS * (dated ? 1.6 : 1), top = TOP - 8, high = bottom - top + 6;
+  const svg = element("svg", { viewBox: `0 0 ${PAPER} ${height}`, height, role: "img", "aria-label": inWords(view, steps) });
+  const box = { x: LEFT, y: top, width: PAPER - LEFT - RIGHT, height: high };
+  const over = element("svg", { class: "time", ...box, viewBox: Object.values(box).join(" "), preserveAspectRatio: "none" });
+  svg.append(over);
+  shadeOutages(over, steps, x, tops);
+  tiers.forEach((tier, row) => drawTier(svg, over, tier, tops.tiers + row * TIER, steps, x));
+  drawRow(svg, over, { name: "stored (%)", top: tops.store, kind: "store", most: 1, least: 0, label: (v) => Math.round(100 * v) },
+    steps.map((step) => [[step.end, step.stored]]), steps, x);
+  drawImport(svg, over, tops.import, steps, x);
   drawStrip(svg, tops.strip, steps, x);
-  drawTimes(svg, view, first, last, x, tops.strip + STRIP, width);
+  over.append(element("line", { class: "edge", x1: LEFT, x2: PAPER - RIGHT, y1: bottom, y2: bottom }));
+  for (const line of dated ? [0, 1] : [0]) svg.append(element("text", { class: "at tick", x: LEFT, y: bottom + 16 + 13 * line }));
   const now = x(Math.min(last, Math.max(first, view.now)));
-  svg.append(element("line", { class: "now", x1: now, x2: now, y1: TOP - 4, y2: tops.strip + STRIP }),
-    element("text", { class: "now-word", x: now, y: 12, "text-anchor": now > width - 30 ? "end" : "middle" }, "now"));
-  return svg;
+  over.append(element("line", { class: "now", x1: now, x2: now, y1: TOP - 4, y2: bottom }));
+  svg.append(element("text", { class: "now-word at", x: Math.min(now, PAPER - RIGHT - 14), y: 12, "text-anchor": "middle" }, "now"));
+  return { svg, first, last, ...read(view, steps, first, Math.round((last - first) / length), length), top: TOP, bottom };
+}
+
+// Values by step, each with its words; a step that is not known has none.
+function read(view, steps, first, count, length) {
+  const slots = Array(count).fill(null);
+  steps.forEach((step) => { slots[Math.round((step.begin - first) / length)] = step; });
+  const times = slots.map((_, t) => `${view.clock.day.format(first + t * length)} ${view.clock.hm.format(first + t * length)} ${view.clock.zone(first + t * length)}`);
+  const said = (name, words) => ({ name, color: "transparent", values: slots.map((step) => (step?.decided ? words(step) : "")) });
+  const known = (value, words) => (value === null || value === undefined ? "" : words(value));
+  const curves = [
+    ...view.site.tiers.map((tier) => said(`${tier} supplied`, (step) => percent(step.served[tier] ?? 1))),
+    said("stored", (step) => known(step.stored, percent)), said("import (kW)", (step) => known(step.import, kilo)), said("", (step) => (step.status === "ok" ? "" : step.status)),
+  ];
+  return { times, outages: spansOf(slots.map((step) => step?.limit === 0)), curves };
 }
 
 function inWords(view, steps) {
@@ -85,28 +99,29 @@ function shadeOutages(svg, steps, x, tops) {
   }
 }
 
-function drawTier(svg, tier, top, steps, x) {
+function drawTier(svg, over, tier, top, steps, x) {
   const tall = TIER - 6;
   svg.append(element("text", { class: "name", x: LEFT - 8, y: top + 14, "text-anchor": "end" }, shortened(tier)));
   for (const step of steps.filter((one) => one.decided)) {
     const wide = Math.max(1, x(step.end) - x(step.begin) - 1);
-    const on = step.served[tier] * tall;
+    const share = Math.round(1e6 * step.served[tier]) / 1e6, least = LEAST / tall; // one customer of twelve is to be seen
+    const on = tall * (share > 0 && share < 1 ? Math.min(1 - least, Math.max(least, share)) : share);
     const ahead = step.ahead ? " ahead" : "";
-    if (on < tall) svg.append(element("rect", { class: `off${ahead}`, x: x(step.begin), y: top, width: wide, height: tall - on }));
-    if (on > 0) svg.append(element("rect", { class: `on${ahead}`, x: x(step.begin), y: top + tall - on, width: wide, height: on }));
+    if (on < tall) over.append(element("rect", { class: `off${ahead}`, x: x(step.begin), y: top, width: wide, height: tall - on }));
+    if (on > 0) over.append(element("rect", { class: `on${ahead}`, x: x(step.begin), y: top + tall - on, width: wide, height: on }));
   }
 }
 
 const shortened = (name) => (name.length > 10 ? `${name.slice(0, 9)}\u2026` : name);
 
-function drawImport(svg, top, steps, x, width) {
+function drawImport(svg, over, top, steps, x) {
   const drawn = steps.map((step) => step.import ?? 0);
   const most = rounded(Math.max(...drawn, 2)), least = 0 - rounded(Math.max(...drawn.map((value) => -1 - value), 0));
   const row = { name: "import (kW)", top, kind: "import", most, least, label: kilo };
-  drawRow(svg, row, steps.map((step) => [[step.begin, step.import], [step.end, step.import]]), steps, x, width);
+  drawRow(svg, over, row, steps.map((step) => [[step.begin, step.import], [step.end, step.import]]), steps, x);
   const y = (value) => top + ROW * (1 - (value - least) / (most - least));
   for (const step of steps.filter((one) => one.limit > 0 && one.limit <= most)) {
-    svg.append(element("line", { class: "limit", x1: x(step.begin), x2: x(step.end), y1: y(step.limit), y2: y(step.limit) }));
+    over.append(element("line", { class: "limit", x1: x(step.begin), x2: x(step.end), y1: y(step.limit), y2: y(step.limit) }));
   }
 }
 
@@ -117,12 +132,12 @@ function rounded(value) {
   return power * [1, 1.5, 2, 3, 5, 7.5, 10].find((factor) => factor * power >= value);
 }
 
-function drawRow(svg, row, points, steps, x, width) {
+function drawRow(svg, over, row, points, steps, x) {
   const y = (value) => row.top + ROW * (1 - (value - row.least) / (row.most - row.least));
   svg.append(element("text", { class: "name", x: LEFT, y: row.top - 7 }, row.name));
   for (const value of row.least < 0 ? [row.least, 0, row.most] : [row.least, (row.least + row.most) / 2, row.most]) {
-    svg.append(element("line", { class: "grid", x1: LEFT, x2: width - RIGHT, y1: y(value), y2: y(value) }),
-      element("text", { x: LEFT - 8, y: y(value) + 4, "text-anchor": "end" }, row.label(value)));
+    over.append(element("line", { class: "grid", x1: LEFT, x2: PAPER - RIGHT, y1: y(value), y2: y(value) }));
+    svg.append(element("text", { x: LEFT - 8, y: y(value) + 4, "text-anchor": "end" }, row.label(value)));
   }
   for (const ahead of [false, true]) {
     let path = "", before = null;
@@ -135,7 +150,7 @@ function drawRow(svg, row, points, steps, x, width) {
         before = value;
       }
     });
-    if (path) svg.append(element("path", { class: `curve ${row.kind}${ahead ? " ahead" : ""}`, d: path }));
+    if (path) over.append(element("path", { class: `curve ${row.kind}${ahead ? " ahead" : ""}`, d: path }));
   }
 }
 
@@ -146,20 +161,6 @@ function drawStrip(svg, top, steps, x) {
     const sign = signs[step.status];
     if (!sign) continue;
     const words = element("title", {}, `${step.status}${step.reason ? `: ${step.reason}` : ""}`);
-    svg.append(element("text", { class: sign[0], x: (x(step.begin) + x(step.end)) / 2, y: top + 11, "text-anchor": "middle" }, sign[1], words));
-  }
-}
-
-function drawTimes(svg, view, first, last, x, top, width) {
-  const hours = (last - first) / 3.6e6, room = (width - LEFT - RIGHT) / 52;
-  const every = [0.25, 0.5, 1, 2, 3, 4, 6, 12, 24].find((step) => hours / step <= room) ?? 24;
-  svg.append(element("line", { class: "edge", x1: LEFT, x2: width - RIGHT, y1: top, y2: top }));
-  const minutes = (time) => view.clock.hm.format(time).split(":").reduce((h, m) => 60 * Number(h) + Number(m));
-  let zone = view.clock.zone(first);
-  for (let time = Math.ceil(first / 9e5) * 9e5; time <= last; time += 9e5) {
-    if (minutes(time) % (60 * every)) continue;
-    const changed = view.clock.zone(time) === zone ? "" : ` ${zone = view.clock.zone(time)}`;
-    svg.append(element("line", { class: "edge", x1: x(time), x2: x(time), y1: top, y2: top + 5 }),
-      element("text", { x: x(time), y: top + 18, "text-anchor": "middle" }, view.clock.hm.format(time) + changed));
+    svg.append(element("text", { class: `${sign[0]} at`, x: (x(step.begin) + x(step.end)) / 2, y: top + 11, "text-anchor": "middle" }, sign[1], words));
   }
 }

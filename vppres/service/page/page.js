@@ -143,11 +143,12 @@ function show() {
   showSteps();
 }
 
-// Rebuilds a part only if its content changed, so that focus and screen readers are not disturbed.
+// Rebuilds a part only if its content changed, so that focus and screen readers are not disturbed, and
+// not while something in it is pressed: its release would find another button, and do nothing.
 const shown = new Map();
 function renew(id, content, build) {
   const key = JSON.stringify(content);
-  if (shown.get(id) === key) return;
+  if (shown.get(id) === key || $(id).matches(":active")) return;
   shown.set(id, key);
   $(id).replaceChildren(...build());
 }
@@ -297,9 +298,29 @@ function inBand(name) {
 
 function showChart() {
   const { plan } = view.overview, past = pastOf(view);
-  const width = Math.max(300, Math.floor($("chart").clientWidth));
-  renew("chart", [past, plan?.ahead, width, Math.floor(view.now / 60000)], () => [chart(view, width) ?? node("p", { class: "note" }, "No step has been decided yet.")]);
+  let drawn = null;
+  renew("chart", [past, plan?.ahead, Math.floor(view.now / 60000)], () => {
+    drawn = chart(view);
+    return drawn ? [drawn.svg] : [node("p", { class: "note" }, "No step has been decided yet.")];
+  });
+  if (drawn) readChart(drawn);
   renew("chart-table", [past, plan?.ahead], () => chartTable());
+}
+
+// The chart is read and drawn out as in a report; what is drawn out stays while steps come.
+let charts = null, shownFrom = null, shownTo = null;
+function readChart(drawn) {
+  charts = new Pictures.Charts(drawn.times, drawn.outages);
+  charts.add($("chart"), drawn);
+  const share = (time) => Math.min(1, Math.max(0, (time - drawn.first) / (drawn.last - drawn.first)));
+  const now = Math.floor(share(view.now) * drawn.times.length);
+  charts.chosen = Math.min(now, drawn.times.length - 1);
+  if (shownFrom !== null && share(shownTo) > share(shownFrom)) [charts.from, charts.to] = [share(shownFrom), share(shownTo)];
+  charts.onZoom = (from, to) => {
+    const time = (one) => drawn.first + one * (drawn.last - drawn.first);
+    [shownFrom, shownTo] = to - from < 1 ? [time(from), time(to)] : [null, null];
+  };
+  charts.fit();
 }
 
 function table(heads, rows) {
@@ -320,14 +341,15 @@ function timeOff({ asset, off_h, longest_off_h }) {
 }
 
 function showOff() {
-  const { off = [], dimmed = {}, status, id, dark } = view.overview.plan ?? {};
+  const { off = [], dimmed = {}, status, id, dark, solve } = view.overview.plan ?? {};
   const explained = view.why?.plan === id ? view.why : null;
-  renew("off-list", [off, dark, dimmed, status, isUncertain(view), explained, view.overview.now.slice(0, 13)], () => {
+  renew("off-list", [off, dark, dimmed, status, solve?.shorter, isUncertain(view), explained, view.overview.now.slice(0, 13)], () => {
     const parts = Object.entries(dimmed).map(([asset, share]) => `${asset} to ${Math.round(100 * share)}%`);
     const below = parts.length ? [node("p", {}, `Dimmed: ${list(parts, 12)}.`)] : [];
     // Without a phase it is the plan's words again.
     const step = explained?.phase && !dark ? explained.step.words : off.length ? "" : isUncertain(view) ? "Supply is uncertain." : "All customers supplied.";
     if (step) below.unshift(node("p", {}, step));
+    if (solve?.shorter && !dark) below.push(node("p", {}, `A lower tier is on while a higher one waits: ${solve.shorter}.`));
     if (!off.length) return below;
     const told = off.map((one) => ({ ...one, why: why(one, explained, status) }));
     const groups = grouped(told, (one) => JSON.stringify([one.tier, one.why.short, one.until]));
@@ -442,7 +464,7 @@ function showSteps() {
 }
 
 const operator = new Operator(ask, look, () => view.now, () => view);
-new ResizeObserver(() => view.overview && showChart()).observe($("chart"));
+new ResizeObserver(() => charts?.fit()).observe($("outlook"));
 setInterval(show, 1000);
 (async function watch() {
   await look();

@@ -28,7 +28,15 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         found = runner.store.events()
         return {name: {"version": event.version, **event.body} for name, event in found.items()}
 
-    @router.get("/v1/events/{identifier}")
+    @router.get("/v1/events/{identifier:path}/versions")
+    def versions(identifier: payloads.Name, _: str = guarded("read")) -> list[dict[str, Any]]:
+        """All that was ever said of an event, in its order; withdrawn where it has no type."""
+        return [
+            {"version": one.version, "made_at": written(moment(one.made_at)), **one.body}
+            for one in runner.store.events_ever().get(identifier, [])
+        ]
+
+    @router.get("/v1/events/{identifier:path}")
     def event(
         identifier: payloads.Name, response: Response, _: str = guarded("read")
     ) -> dict[str, Any]:
@@ -39,15 +47,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         response.headers["ETag"] = f'"{found.version}"'
         return {"version": found.version, **found.body}
 
-    @router.get("/v1/events/{identifier}/versions")
-    def versions(identifier: payloads.Name, _: str = guarded("read")) -> list[dict[str, Any]]:
-        """All that was ever said of an event, in its order; withdrawn where it has no type."""
-        return [
-            {"version": one.version, "made_at": written(moment(one.made_at)), **one.body}
-            for one in runner.store.events_ever().get(identifier, [])
-        ]
-
-    @router.put("/v1/events/{identifier}")
+    @router.put("/v1/events/{identifier:path}")
     def put_event(
         identifier: payloads.Name,
         body: payloads.Event,
@@ -64,7 +64,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         response.headers["ETag"] = f'"{put.version}"'
         return {"version": put.version, **put.body}
 
-    @router.delete("/v1/events/{identifier}")
+    @router.delete("/v1/events/{identifier:path}")
     def delete_event(
         identifier: payloads.Name,
         actor: str = guarded("events"),

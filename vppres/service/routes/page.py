@@ -35,6 +35,9 @@ TYPES = {
     "js": "text/javascript; charset=utf-8",
     "svg": "image/svg+xml",
 }
+PICTURES = "pictures.js"
+"""The script of a report's charts: it draws the page's too."""
+
 FILES = ("page.html", "page.css", "icon.svg", "page.js", "words.js", "chart.js", "operator.js")
 
 
@@ -44,10 +47,11 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
     The files need no token: they know nothing of the site.
     """
     router = APIRouter()
-    folder = files("vppres.service") / "page"
-    for name in FILES:
+    folder, drawing = files("vppres.service") / "page", files("vppres.report") / "templates"
+    for name in (*FILES, PICTURES):
         path = "/" if name == "page.html" else f"/page/{name}"
-        router.add_route(path, _sender(name, (folder / name).read_bytes()))
+        file = (drawing if name == PICTURES else folder) / name
+        router.add_route(path, _sender(name, file.read_bytes()))
     overview = Overview(runner)
     site = site_of(runner)
 

@@ -24,6 +24,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
     """Steps are asked for, plans and explanations looked at."""
     router = APIRouter()
     explainer = Explainer(runner)
+    runner.on_plan = explainer.begin
 
     @router.post("/v1/steps", responses={202: {"description": "It is decided; see Location."}})
     def step(

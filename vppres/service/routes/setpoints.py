@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from typing import Annotated, Any
+from urllib.parse import unquote
 
-from fastapi import APIRouter, Query, Response
+from fastapi import APIRouter, Path, Query, Response
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 
@@ -16,6 +17,9 @@ from vppres.service.routes.guard import Guard
 from vppres.service.routes.times import check_asset, moment_asked
 from vppres.service.runner import Runner
 from vppres.service.statements import REFUSED
+
+LONGEST_ID = 1300
+"""Characters of an identifier: of four bytes of a name twelve are made."""
 
 NEW = {"status": "new"}
 """Of a set-point whose result was not reported."""
@@ -44,7 +48,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
 
     @router.post("/v1/setpoints/{identifier:path}/status")
     def status(
-        identifier: payloads.Name,
+        identifier: Annotated[str, Path(max_length=LONGEST_ID)],
         body: payloads.SetpointStatus,
         actor: str = guarded("telemetry"),
     ) -> dict[str, Any]:
@@ -61,7 +65,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         turned = before not in REFUSED if body.status in REFUSED else was_out
         if turned and asked_of:
             runner.changes.note(f"{found['asset']} {body.status}")
-        return {"id": identifier, **said}
+        return {"id": found["id"], **said}
 
     def _setpoint(identifier: str) -> dict[str, Any] | None:
         try:
@@ -70,6 +74,6 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
             return None
         plan = runner.store.step(runner.begun(time)) or {"setpoints": []}
         said = [one for version in versions(plan) for one in version["setpoints"]]
-        return next((one for one in said if one["id"] == identifier), None)
+        return next((o for o in said if identifier in (o["id"], unquote(o["id"]))), None)
 
     return router

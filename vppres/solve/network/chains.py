@@ -22,7 +22,7 @@ FLOWS = {"P_flow": "P_chain", "Q_flow": "Q_chain"}
 """Letters of the lines, and of the chains' mean flows."""
 
 OF_NO_CHAIN = -1
-"""What stands for a chain at lines of none."""
+"""The chain of a line behind which nothing moves."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,56 @@
+"""What thermostats of rooms and tanks tell the service, and are told."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from vppres.core.arrays import Flags, Floats
+from vppres.kinds.cooling.data import ThermalLoads
+from vppres.kinds.cooling.physics import Climate
+from vppres.scenario.scenario import Scenario
+from vppres.service.as_told import Plan, Plans, said_of
+from vppres.service.of_kind import OfKind, Wrong
+from vppres.service.payloads import OperatorSetpoint
+
+
+class Thermostats(OfKind):
+    """Rooms and tanks by their thermostats."""
+
+    kind = "thermal_loads"
+    source = "thermostats"
+
+    def impossible(self, said: OperatorSetpoint, units: ThermalLoads, i: int) -> Iterator[Wrong]:
+        """A temperature outside the comfort band."""
+        low_c, high_c = units.t_min_c[i], units.t_max_c[i]
+        if said.setpoint_c is not None and not low_c <= said.setpoint_c <= high_c:
+            words = f"is outside its comfort band of {low_c:g} to {high_c:g} °C"
+            yield "setpoint_c", said.setpoint_c, words, "Give a temperature in the band."
+
+    def told_by_plans(self, scenario: Scenario, stored: Plans) -> Scenario:
+        """Rooms and tanks that begin as the first plan says."""
+        loads = scenario.thermal_loads
+        start_c = said_of(stored[0], "indoor_c", loads.id, loads.t_initial_c)
+        return replace(scenario, thermal_loads=replace(loads, t_initial_c=start_c))
+
+    def state(self, scenario: Scenario, t: int, plan: Plan | None, reckoned: Floats) -> Floats:
+        """Temperatures that a step was decided on."""
+        return said_of(plan, "indoor_c", scenario.thermal_loads.id, reckoned)
+
+    def measured(
+        self, scenario: Scenario, units: Climate, t: int
+    ) -> Iterator[tuple[str, str, float]]:
+        """Temperatures."""
+        for name, t_c in zip(scenario.thermal_loads.id, units.state, strict=True):
+            yield "indoor_c", str(name), float(t_c)
+
+    def powers(self, t: int, units: Climate, told: Mapping[str, Floats], served: Flags) -> Floats:
+        """What machines do at these temperatures."""
+        held_c = units.scenario.thermal_loads.held_c
+        asked_c = told["setpoint_c"]
+        return units.thermostat_kw(t, np.where(np.isnan(asked_c), held_c, asked_c), served)
+
+
+SERVICE = Thermostats()

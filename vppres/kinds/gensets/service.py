@@ -1,0 +1,176 @@
+"""What generating sets tell the service, and are told."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import numpy as np
+import pandas as pd
+
+from vppres.core.arrays import Flags, Floats
+from vppres.kinds.gensets.data import Gensets, GensetState
+from vppres.kinds.gensets.physics import Engines
+from vppres.scenario.scenario import Scenario
+from vppres.service.as_told import Plan, Plans, expected_by
+from vppres.service.of_kind import OfKind, Stored, Wrong
+from vppres.service.payloads import OperatorSetpoint
+from vppres.service.records import DECIDED, Reading, moment, versions
+from vppres.service.store import Store
+
+
+class Sets(OfKind):
+    """Generating sets."""
+
+    kind = "gensets"
+    source = "gensets"
+    states: ClassVar[Mapping[str, float]] = {"start_fault": 0.0}
+
+    def told(self, stored: Stored) -> dict[str, Any]:
+        """What sets tell, and what others than the controller told them.
+
+        Whether one runs counts if it was read since its set-point. A fault counts however old
+        it is, and a start that a device rejected is one; that there is none counts while it is
+        fresh.
+        """
+        by_others = _ordered_by_others(stored.plans, stored.at)
+        runs = stored.newest("running")
+        since = {name for name, one in runs.items() if moment(one.time) > stored.decided_at}
+        running = {name: float(runs) for name, (runs, _) in by_others.items()}
+        running |= {k: v for k, v in stored.holding("running").items() if k in since}
+        return super().told(stored) | {
+            "running": running or None,
+            "genset_ordered_kw": {name: kw for name, (_, kw) in by_others.items()} or None,
+            "start_fault": _faults(stored) or None,
+        }
+
+    def stood(self, store: Store, plan: Plan, one: Reading, before: Reading | None) -> float | None:
+        """A start that was rejected since the last reading is a fault."""
+        rejected = store.refusing("gensets").get(one.asset)
+        if rejected is not None and (before is None or before.time <= rejected):
+            return 1.0
+        return super().stood(store, plan, one, before)
+
+    def asked(self, said: Mapping[str, Any]) -> dict[str, Any]:
+        """A set runs if it is to give power."""
+        return {"running": said["p_kw"] > 0.0}
+
+    def impossible(self, said: OperatorSetpoint, units: Gensets, i: int) -> Iterator[Wrong]:
+        """A power at which it cannot run."""
+        least_kw, most_kw = units.p_min_kw[i], units.p_max_kw[i]
+        if said.p_kw and not least_kw <= said.p_kw <= most_kw:
+            words = f"is not from {least_kw:g} to {most_kw:g} kW"
+            yield "p_kw", said.p_kw, words, "Give a power that it can run at, or 0 to stop it."
+
+    def action(self, setpoint: Mapping[str, Any]) -> str:
+        """Whether it runs."""
+        return "ran" if setpoint["running"] else ""
+
+    def told_by_plans(self, scenario: Scenario, stored: Plans) -> Scenario:
+        """Sets that begin as the first plan says."""
+        sets = scenario.gensets
+        told = _told_of_all(scenario, stored[0])
+        if told is None:
+            return scenario
+        litres = np.minimum([one["fuel_litres"] for one in told], sets.tank_litres)
+        hours = np.array([one["hours_before"] for one in told])
+        return replace(scenario, gensets=replace(sets, fuel_level_litres=litres, on_before_h=hours))
+
+    def state(
+        self, scenario: Scenario, t: int, plan: Plan | None, reckoned: GensetState
+    ) -> GensetState:
+        """Sets that a step was decided on; plans count what is delivered at its beginning."""
+        told = _told_of_all(scenario, plan)
+        if told is None:
+            return reckoned
+        hours, power_kw, litres = (
+            np.array([one[field] for one in told], dtype=float)
+            for field in ("hours_before", "p_before_kw", "fuel_litres")
+        )
+        before = litres - scenario.refuelled_litres[t]
+        return GensetState(hours > 0.0, np.abs(hours), power_kw, before)
+
+    def out(self, plan: Plan | None) -> list[str]:
+        """Sets that a plan does without."""
+        return [name for name, one in expected_by(plan).get("gensets", {}).items() if one["out"]]
+
+    def formers(self, scenario: Scenario, plan: Plan | None) -> Iterator[tuple[str, str]]:
+        """Sets that are named; none forms a feeder by phases."""
+        sets = scenario.gensets
+        told = expected_by(plan).get("gensets", {})
+        least_litres = sets.least_litres(scenario.grid.dt_h)
+        for g in np.flatnonzero(sets.grid_forming) if scenario.phases is None else ():
+            name = str(sets.id[g])
+            litres = told.get(name, {}).get("fuel_litres")
+            empty = litres is not None and litres < least_litres[g]
+            yield name, "it has no fuel for a step" if empty else ""
+
+    def held_kwh(self, scenario: Scenario, plan: Plan | None) -> tuple[float, float]:
+        """Energy of full tanks and of what is in them, at full power, of sets that start."""
+        sets = scenario.gensets
+        told = expected_by(plan).get("gensets", {})
+        per_kwh = sets.litres_per_kwh + sets.litres_per_h_idle / sets.p_max_kw
+        full_kwh = left_kwh = 0.0
+        for g, name in enumerate(map(str, sets.id)):
+            if name in told and not told[name]["out"]:
+                full_kwh += float(sets.tank_litres[g] / per_kwh[g])
+                left_kwh += float(told[name]["fuel_litres"] / per_kwh[g])
+        return full_kwh, left_kwh
+
+    def measured(
+        self, scenario: Scenario, units: Engines, t: int
+    ) -> Iterator[tuple[str, str, float]]:
+        """Whether sets run, what is in their tanks, and that none failed to start."""
+        on, litres = units.state.on, units.tank_litres(t)
+        for g, name in enumerate(map(str, scenario.gensets.id)):
+            yield "running", name, float(on[g])
+            yield "fuel_litres", name, float(litres[g])
+            yield "start_fault", name, 0.0
+
+    def powers(self, t: int, units: Engines, told: Mapping[str, Floats], served: Flags) -> Floats:
+        """What sets are told to give."""
+        return -np.nan_to_num(told["p_kw"])
+
+
+def _told_of_all(scenario: Scenario, plan: Plan | None) -> list[Mapping[str, Any]] | None:
+    """What a plan says of each set; None unless it says something of all."""
+    told = expected_by(plan).get("gensets", {})
+    names = [str(name) for name in scenario.gensets.id]
+    return [told[name] for name in names] if names and all(n in told for n in names) else None
+
+
+def _faults(stored: Stored) -> dict[str, float]:
+    """Sets that failed to start, 1, and those that say that they did not, 0."""
+    fault = stored.newest("start_fault")
+    faults = {k: value for k, value in stored.holding("start_fault").items() if value == 0.0}
+    faults |= {name: 1.0 for name, one in fault.items() if one.value == 1.0}
+    names = {str(name) for name in stored.scenario.gensets.id}
+    for name, at in stored.store.refusing("gensets").items():
+        if name in names and not (name in fault and fault[name].time > at):
+            faults[name] = 1.0
+    return faults
+
+
+def _ordered_by_others(
+    plans: Sequence[Mapping[str, Any]], now: pd.Timestamp
+) -> dict[str, tuple[bool, float]]:
+    """Whether sets are to run now and the most that they were to give since.
+
+    Nothing where the controller decided all of it.
+    """
+    said = [one for plan in plans for one in versions(plan)]
+    if all(one["status"] in DECIDED for one in said):
+        return {}
+    found: dict[str, tuple[bool, float]] = {}
+    for one in said:
+        for point in one["setpoints"]:
+            if point["kind"] == "gensets":
+                over = now > pd.Timestamp(point["valid_until"])
+                runs = bool((point["default"] if over else point)["running"])
+                most_kw = max(float(point["p_kw"]), found.get(point["asset"], (False, 0.0))[1])
+                found[point["asset"]] = (runs, most_kw)
+    return found
+
+
+SERVICE = Sets()

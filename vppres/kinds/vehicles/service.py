@@ -1,0 +1,182 @@
+"""What chargers tell the service of their vehicles, and are told."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import numpy as np
+import pandas as pd
+
+from vppres.core.arrays import Flags, Floats
+from vppres.kinds.vehicles.data import NO_CAR, OF_SESSIONS, Chargers, Sessions
+from vppres.kinds.vehicles.live import QUANTITIES, rows_of, sessions_of
+from vppres.kinds.vehicles.physics import Garage
+from vppres.scenario.scenario import Scenario
+from vppres.service.as_told import Plan, Plans, expected_by, said_of
+from vppres.service.of_kind import OfKind, Stored, Wrong, beyond_rating, moved
+from vppres.service.payloads import OperatorSetpoint
+from vppres.service.records import Reading, moment, seconds
+from vppres.service.store import Store
+
+CHARGED = ("ev_soc", "energy_needed_kwh")
+"""What changes while a vehicle charges."""
+
+
+class ChargingPoints(OfKind):
+    """Chargers and the vehicles at them."""
+
+    kind = "chargers"
+    source = "chargers"
+    sign = "charging_positive"
+    states: ClassVar[Mapping[str, float]] = {"plugged": 0.0}
+    of_visits = (*CHARGED, "departure")
+
+    def told(self, stored: Stored) -> dict[str, Any]:
+        """What chargers tell of their vehicles, by quantity.
+
+        The controller knows what was told before the step that it decided last. What came since
+        counts however short it holds: a vehicle is plugged in once. One that left during its
+        session is not back until its charger says so.
+        """
+        before = stored.store.last_step(stored.time - pd.Timedelta("1s"))
+        known = stored.time - stored.scenario.grid.step
+        if before is not None:
+            known = pd.Timestamp(before.get("valid_from", before["start"]))
+        told: dict[str, Any] = {}
+        for name in QUANTITIES:
+            newest = stored.newest(name).items()
+            since = {k: one.value for k, one in newest if moment(one.time) > known}
+            told[name] = stored.holding(name) | since
+        sessions = stored.scenario.sessions
+        for name, last in stored.newest("plugged").items():
+            at = moment(last.time)
+            stays = (sessions.charger == name) & (sessions.plug_in <= at) & (at < sessions.plug_out)
+            if last.value == 0.0 and stays.any():
+                told["plugged"][name] = 0.0
+        leaves = told["departure"].items()
+        told["departure"] = {one: moment(int(value)) for one, value in leaves}
+        return {name: values or None for name, values in told.items()}
+
+    def of_those_here(self, readings: list[Reading]) -> list[Reading]:
+        """Readings without those of vehicles that have left since."""
+        gone = (one for one in readings if one.quantity == "plugged" and one.value == 0.0)
+        left = {one.asset: one.time for one in gone}
+        return [
+            one
+            for one in readings
+            if one.quantity not in self.of_visits or one.time > left.get(one.asset, -math.inf)
+        ]
+
+    def stood(self, store: Store, plan: Plan, one: Reading, before: Reading | None) -> float | None:
+        """A vehicle that the plan knows was plugged in; what charging changes is no news."""
+        if before is None or before.value is None:
+            here = float(one.asset in expected_by(plan).get("vehicles", {}))
+            return here if one.quantity == "plugged" else None
+        return one.value if one.quantity in CHARGED else before.value
+
+    def asked(self, said: Mapping[str, Any]) -> dict[str, Any]:
+        """A charger takes what its limit lets it."""
+        return {"p_kw": said["p_limit_kw"]}
+
+    def impossible(self, said: OperatorSetpoint, units: Chargers, i: int) -> Iterator[Wrong]:
+        """A limit beyond the charger's power."""
+        if said.p_limit_kw is not None:
+            yield from beyond_rating("p_limit_kw", said.p_limit_kw, units.p_charge_kw[i], "kW")
+
+    def action(self, setpoint: Mapping[str, Any]) -> str:
+        """Whether it charges or discharges."""
+        return moved(setpoint)
+
+    def told_by_plans(self, scenario: Scenario, stored: Plans) -> Scenario:
+        """Vehicles as stored plans tell of them."""
+        if not any(expected_by(plan).get("vehicles", {}) for plan in stored):
+            return scenario
+        return replace(scenario, sessions=_sessions(scenario, stored))
+
+    def state(self, scenario: Scenario, t: int, plan: Plan | None, reckoned: Floats) -> Floats:
+        """Energy of the vehicles that a step was decided on."""
+        return said_of(plan, "vehicles", scenario.chargers.id, reckoned, "energy_kwh")
+
+    def measured(
+        self, scenario: Scenario, units: Garage, t: int
+    ) -> Iterator[tuple[str, str, float]]:
+        """Vehicles, when they leave, and their state of charge or the energy that they need."""
+        sessions, held_kwh = scenario.sessions, units.at(t)
+        for k, name in enumerate(map(str, scenario.chargers.id)):
+            s = int(scenario.session_at[t, k])
+            yield "plugged", name, float(s != NO_CAR)
+            if s == NO_CAR:
+                continue
+            yield "departure", name, float(seconds(sessions.plug_out[s]))
+            if sessions.by_energy[s]:
+                yield "energy_needed_kwh", name, max(sessions.needed_kwh[s] - held_kwh[k], 0.0)
+            else:
+                yield "ev_soc", name, held_kwh[k] / sessions.full_kwh[s]
+
+    def powers(self, t: int, units: Garage, told: Mapping[str, Floats], served: Flags) -> Floats:
+        """What chargers are told to take."""
+        return np.nan_to_num(told["p_kw"])
+
+
+def _sessions(scenario: Scenario, stored: Plans) -> Sessions:
+    """Sessions of past days, stays that plans tell of, and the scenario's sessions after them."""
+    own = rows_of(scenario.sessions)
+    told = max(t for t, plan in enumerate(stored) if plan is not None) + 1
+    end = scenario.grid.start + told * scenario.grid.step
+    past = [row for row in own if row["plug_out"] <= scenario.grid.start]
+    return sessions_of(
+        [*past, *_stays(scenario, stored), *(row for row in own if row["plug_in"] >= end)]
+    )
+
+
+def _stays(scenario: Scenario, stored: Plans) -> Iterator[dict[str, Any]]:
+    """Each vehicle once for as long as plans tell of it, as a session.
+
+    One that leaves early ends then; a vehicle with a new need begins a new session.
+    """
+    own = {(row["charger"], row["vehicle"]): row for row in rows_of(scenario.sessions)}
+    unknown = {
+        **dict.fromkeys(OF_SESSIONS, np.nan),
+        "tier": scenario.tiers[-1],
+        "weight": 1.0,
+        "announced": True,
+    }
+    for charger in map(str, scenario.chargers.id):
+        begun: Mapping[str, Any] | None = None
+        row: dict[str, Any] = {}
+        for time, plan in zip(scenario.grid.times, stored, strict=False):
+            if not expected_by(plan):
+                continue
+            told = expected_by(plan).get("vehicles", {}).get(charger)
+            if begun and told and all(told[one] == begun[one] for one in ("vehicle", "needed_kwh")):
+                row["plug_out"] = pd.Timestamp(told["leaves"])
+                continue
+            if begun is not None:
+                yield {**row, "plug_out": min(row["plug_out"], time)}
+            begun = told
+            if told is not None:
+                row = _session(own.get((charger, told["vehicle"]), unknown), charger, time, told)
+        if begun is not None:
+            yield row
+
+
+def _session(
+    known: Mapping[str, Any], charger: str, time: pd.Timestamp, told: Mapping[str, Any]
+) -> dict[str, Any]:
+    """A vehicle that a plan tells of, with the capacity that is known of it, if any is."""
+    row = {
+        **known,
+        "charger": charger,
+        "vehicle": told["vehicle"],
+        "plug_in": time,
+        "plug_out": pd.Timestamp(told["leaves"]),
+    }
+    if np.isclose(row["soc_needed"] * row["capacity_kwh"], told["needed_kwh"]):
+        return {**row, "soc_at_plug_in": told["energy_kwh"] / row["capacity_kwh"]}
+    return {**row, **dict.fromkeys(OF_SESSIONS, np.nan), "energy_needed_kwh": told["needed_kwh"]}
+
+
+SERVICE = ChargingPoints()

@@ -1,0 +1,189 @@
+"""What the service asks of a kind of flexible power; a folder of a kind has its own in ``service``.
+
+A unit tells readings, is told set-points, and is replayed as plans knew it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+import pandas as pd
+
+from vppres.core.arrays import Flags, Floats
+from vppres.explain.recorded import MOVE_KW
+from vppres.kinds.table import FOLDERS, parts
+from vppres.live.range import POWER_KW, RATING_SHARE
+from vppres.scenario.scenario import Scenario
+from vppres.service.as_told import Plan, Plans
+from vppres.service.records import Reading
+from vppres.service.store import Store
+
+Wrong = tuple[str, float, str, str]  # field, value, what is wrong, and what to do
+
+
+class LastReadings(Protocol):
+    """The last readings of all devices."""
+
+    def now(self, quantity: str) -> dict[str, float]:
+        """Values of a quantity by asset; NaN where they hold no more, or are missing."""
+
+    def newest(self, quantity: str) -> dict[str, Reading]:
+        """The last readings of a quantity by asset, however old they are."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stored:
+    """What is stored of a site's devices when a step is decided.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The site.
+    time : pandas.Timestamp
+        The step.
+    readings : LastReadings
+        The last readings.
+    means : mapping
+        Means since the last decision, by quantity and asset.
+    decided_at : pandas.Timestamp
+        When the controller decided last.
+    plans : list of dict
+        Plans since then.
+    at : pandas.Timestamp
+        The moment of the decision.
+    store : Store
+        Where it is stored.
+    """
+
+    scenario: Scenario
+    time: pd.Timestamp
+    readings: LastReadings
+    means: Mapping[str, Mapping[str, float]]
+    decided_at: pd.Timestamp
+    plans: Sequence[Plan]
+    at: pd.Timestamp
+    store: Store
+
+    def holding(self, quantity: str) -> dict[str, float]:
+        """Values of the readings of a quantity that hold, by asset."""
+        held = self.readings.now(quantity)
+        return {asset: value for asset, value in held.items() if np.isfinite(value)}
+
+    def newest(self, quantity: str) -> dict[str, Reading]:
+        """The last readings of a quantity, however old, by asset."""
+        return self.readings.newest(quantity)
+
+
+class OfKind:
+    """How the service speaks with the units of a kind; what most kinds have in common.
+
+    Attributes
+    ----------
+    kind : str
+        Its field in a scenario.
+    source : str
+        Who tells its readings in a simulation.
+    sign : str
+        Which way a set-point's ``p_kw`` counts; empty if it has none.
+    states : dict
+        Quantities by which a unit is there or can work, and what stands until they are told.
+    of_visits : tuple of str
+        Quantities that are told anew of every unit that comes.
+    """
+
+    kind: str
+    source: str
+    sign: str = ""
+    states: ClassVar[Mapping[str, float]] = {}
+    of_visits: tuple[str, ...] = ()
+
+    @property
+    def live(self) -> Any:
+        """The live part of the kind."""
+        return parts("live")[self.kind]
+
+    def told(self, stored: Stored) -> dict[str, Any]:
+        """Fields of a measurement, None where nothing is told."""
+        means = self.live.MEANS
+        return {
+            name: dict(stored.means.get(name, {}) if name in means else stored.holding(name))
+            or None
+            for name in self.live.QUANTITIES
+        }
+
+    def of_those_here(self, readings: list[Reading]) -> list[Reading]:
+        """Readings without those of units that have left since: they will tell nothing more."""
+        return readings
+
+    def stood(self, store: Store, plan: Plan, one: Reading, before: Reading | None) -> float | None:
+        """The value that stood until a reading, which is news if it has another; None if none."""
+        value = None if before is None else before.value
+        return self.states.get(one.quantity) if value is None else value
+
+    def asked(self, said: Mapping[str, Any]) -> dict[str, Any]:
+        """Fields of a set-point by what an operator says of a unit."""
+        return {}
+
+    def impossible(self, said: Any, units: Any, i: int) -> Iterator[Wrong]:
+        """What a unit cannot do of what an operator says."""
+        return iter(())
+
+    def action(self, setpoint: Mapping[str, Any]) -> str:
+        """What a set-point asks for, in the words of explanations; empty if nothing."""
+        return ""
+
+    def told_by_plans(self, scenario: Scenario, stored: Plans) -> Scenario:
+        """A scenario with units as stored plans knew them."""
+        return scenario
+
+    def state(self, scenario: Scenario, t: int, plan: Plan | None, reckoned: Any) -> Any:
+        """State that a step was decided on; as reckoned where its plan says nothing."""
+        return reckoned
+
+    def out(self, plan: Plan | None) -> list[str]:
+        """Units that a plan does without, since they do not start."""
+        return []
+
+    def formers(self, scenario: Scenario, plan: Plan | None) -> Iterator[tuple[str, str]]:
+        """Units that can form the grid of an island, and why one cannot now."""
+        return iter(())
+
+    def held_kwh(self, scenario: Scenario, plan: Plan | None) -> tuple[float, float]:
+        """Electric energy of full stores, and of what is in them, of units that can give it."""
+        return 0.0, 0.0
+
+    def measured(self, scenario: Scenario, units: Any, t: int) -> Iterator[tuple[str, str, float]]:
+        """Quantity, unit and value of what units measure at the beginning of a step."""
+        return iter(())
+
+    def powers(self, t: int, units: Any, told: Mapping[str, Floats], served: Flags) -> Floats:
+        """Power of each unit of the plant by its set-points, (n,)."""
+        raise NotImplementedError
+
+
+def every() -> dict[str, OfKind]:
+    """How the service speaks with the units of each kind."""
+    return {kind: parts("service")[kind].SERVICE for kind in FOLDERS}
+
+
+def told_by_plans(scenario: Scenario, stored: Plans) -> Scenario:
+    """A scenario with the units of each kind as stored plans knew them."""
+    for kind in every().values():
+        scenario = kind.told_by_plans(scenario, stored)
+    return scenario
+
+
+def beyond_rating(name: str, value: float, rating: float, unit: str) -> Iterator[Wrong]:
+    """That a value is beyond a rating, if it is."""
+    if abs(value) > rating + POWER_KW + RATING_SHARE * rating:
+        yield name, value, f"is beyond its rating of {rating:g} {unit}", "Give at most the rating."
+
+
+def moved(setpoint: Mapping[str, Any]) -> str:
+    """Whether a set-point charges or discharges, in the words of explanations."""
+    if abs(setpoint["p_kw"]) <= MOVE_KW:
+        return ""
+    return "charge" if setpoint["p_kw"] > 0 else "discharge"
