@@ -277,7 +277,8 @@ def _phases(
         if island:
             draws[model.former_device] = 0.0
         p_t, q_t = cp.multiply(p[t], draws), cp.multiply(q[t], draws)
-        u = phased.u_offset[t] + slopes.u_p @ p_t + slopes.u_q @ q_t
+        by_p, by_q = slopes.of_voltages(np.arange(len(slopes.u_0)))
+        u = phased.u_offset[t] + by_p @ p_t + by_q @ q_t
         limited = np.flatnonzero(model.limited)
         found += [u[limited] >= phased.u_min[t][limited], u[limited] <= phased.u_max[t][limited]]
         if not island:

@@ -23,10 +23,11 @@ import numpy as np
 import typer
 
 from benchmarks.pages import markdown_table, put_table, write_pages
+from benchmarks.terminal import plain_errors
 from experiments.studies.networks import CURES, in_pu
 from experiments.studies.opendss_itself import Itself
 from experiments.studies.seeds import STUDIES
-from vppres.core.errors import VppresError
+from vppres.core.errors import InputError, VppresError
 from vppres.feeders import ImportedFeeder, import_network
 from vppres.feeders.dss.phases import flow_of_source
 from vppres.io.atomic import atomic_write_text
@@ -216,7 +217,8 @@ def attempt(published: Published, folder: Path) -> Outcome:
         seconds=seconds,
     )
     if theirs.error:
-        return Outcome(**{**asdict(known), "words": f"{words}; not compared: {theirs.error}"})
+        told = "; ".join([*filter(None, [words]), f"not compared: {theirs.error}"])
+        return Outcome(**{**asdict(known), "words": told})
     compared = {
         "apart_pu": apart_pu(feeder, theirs),
         "losses_source_kw": theirs.losses_kw,
@@ -263,9 +265,20 @@ def kept_or_tried(published: Published, folder: Path, kept: Path) -> Outcome:
 def fetch(folder: Path) -> None:
     """Clone the repositories that are not there."""
     for name, address in REPOSITORIES.items():
-        if not (folder / name).exists():
-            subprocess.run(
-                ["git", "clone", "--depth", "1", address, str(folder / name)], check=True
+        if (folder / name).exists():
+            continue
+        command = ["git", "clone", "--depth", "1", address, str(folder / name)]
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, check=False)
+            why = "" if done.returncode == 0 else (done.stderr.strip().splitlines() or ["?"])[-1]
+        except OSError as error:
+            why = str(error)
+        if why:
+            raise InputError.of(
+                str(folder / name),
+                f"is not cloned from {address} ({why})",
+                f"Clone it there where the network allows it, and name the folder that has it: "
+                f"its feeders are in {WHERE}.",
             )
 
 
@@ -287,7 +300,8 @@ def main(
             typer.echo(f"{name} is a clone of {address}")
         return
     if clone:
-        fetch(folder)
+        with plain_errors("What was cloned before"):
+            fetch(folder)
     kept = results / "published_feeders"
     kept.mkdir(parents=True, exist_ok=True)
     outcomes = [

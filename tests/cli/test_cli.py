@@ -18,6 +18,8 @@ import vppres
 from tests.support.command_line import call
 from tests.support.offenders import assert_for_all
 from vppres.cli import commands as cli
+from vppres.cli import progress
+from vppres.cli.progress import progress_bar
 from vppres.day import simulate
 
 NOT_OF_A_RUN = (
@@ -401,3 +403,17 @@ def test_the_state_of_a_service_does_not_depend_on_where_it_is_started(
     assert packaged == str(tmp_path / "config" / "vppres" / "uk-heatwave-2022.live")
     assert cli._state_place("../site", "state") == str(other / "state")
     assert cli._state_place("../site", "postgresql://a@b/c") == "postgresql://a@b/c"
+
+
+def test_progress_without_a_terminal_is_a_line_now_and_then(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with progress_bar("mpc", quiet=False) as bar:
+        bar(1, 24)
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr(progress, "LINE_S", 0.0)
+    with progress_bar("mpc", quiet=False) as bar:
+        bar(2, 24)
+    with progress_bar("mpc", quiet=True) as bar:
+        bar(3, 24)
+    assert capsys.readouterr().err == "mpc: 2 of 24\n"

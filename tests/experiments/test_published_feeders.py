@@ -52,3 +52,24 @@ def test_each_feeder_is_compared_with_opendss_on_its_own_file(
     assert [each.name for each in master.parent.iterdir()] == [master.name]  # nothing is written
     where = CliRunner().invoke(app, [str(tmp_path), "--where"])
     assert f"{known[0].label}: {published_feeders.WHERE}/{known[0].master}" in where.output
+
+
+def test_what_is_not_compared_and_a_clone_that_fails_say_why(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    known = published_feeders.FEEDERS[:1]
+    master = tmp_path / published_feeders.WHERE / known[0].master
+    master.parent.mkdir(parents=True)
+    master.write_text(SCRIPT.replace("kw=100", "kw=100 vminpu=.5").replace("solve\n", ""))
+    monkeypatch.setattr(published_feeders, "FEEDERS", known)
+    failed = published_feeders.Itself(error="OpenDSS finds no solution of it")
+    monkeypatch.setattr(published_feeders, "itself", lambda _: failed)
+    outcome = published_feeders.attempt(known[0], tmp_path)
+    assert outcome.words == "not compared: OpenDSS finds no solution of it"
+    nowhere = {"there": (tmp_path / "no repository").as_uri()}
+    monkeypatch.setattr(published_feeders, "REPOSITORIES", nowhere)
+    app = published_feeders.typer.Typer()
+    app.command()(published_feeders.main)
+    done = CliRunner().invoke(app, [str(tmp_path), "--fetch"])
+    assert done.exit_code == 2, done.output
+    assert f"is not cloned from {nowhere['there']} (" in " ".join(done.output.split())

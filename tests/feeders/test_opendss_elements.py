@@ -14,6 +14,7 @@ from vppres.feeders.dss.phases import flow_of_source
 from vppres.feeders.dss.recheck import solved_steps
 from vppres.feeders.new.options import NewScenarioOptions
 from vppres.feeders.new.scenario import new_scenario, write_new_scenario
+from vppres.io import read_scenario
 from vppres.physics.powerflow import ACPowerFlow
 
 dss: Any = pytest.importorskip("opendssdirect")
@@ -233,6 +234,21 @@ ODD: dict[str, tuple[str, ...]] = {
     ),
     "battery": (*BASE, "new storage.x bus1=b kv=4.16 kwrated=60 kwhrated=200 state=discharging"),
     "parallel lines": (*BASE, LINE.replace("line.l", "line.k")),
+    "units from phase to phase": (
+        *BASE,
+        *(
+            f"new transformer.u{i} phases=1 buses=(b.{i}.{i + 1} e.{i}.{i + 1}) kvs=(4.16 .48) "
+            "kvas=(50 50) xhl=2"
+            for i in (1, 2)
+        ),
+        "new load.e bus1=e.3.1 phases=1 kv=.48 kw=9",
+    ),
+    "generator that is an impedance": (
+        *BASE,
+        "new generator.g bus1=b kv=4.16 kw=70 pf=.9 model=2",
+        "set genmult=.8",
+    ),
+    "loads that are admittances": (*BASE, "set loadmodel=a"),
     "no solution of its own yet": (
         *BASE[:3],
         SPUR,
@@ -461,6 +477,14 @@ def test_steps_are_solved_where_neutrals_float_and_where_nothing_is_left(tmp_pat
 
 
 REFUSED = {
+    "phases that turn the other way": (
+        (HEAD + " sequence=neg", *BASE[1:]),
+        "vsource.source has sequence=Negative: its phases turn the other way",
+    ),
+    "source between two buses": (
+        (HEAD + " bus2=z", "new reactor.z phases=3 bus1=z r=.5 x=0", *BASE[1:]),
+        "vsource.source stands between bus s and bus z",
+    ),
     "neutral that stays": (
         (*BASE, FOUR, "new line.q b.1.2.3.0 e.1.2.3.4 c4 .3 4 units=km",
          "new load.e bus1=e.1.4 phases=1 kv=2.4 kw=30"),
@@ -488,3 +512,19 @@ def test_what_has_no_counterpart_is_refused_by_name(name: str, tmp_path: Path) -
     with pytest.raises(InputError) as caught:
         import_network(written(tmp_path, lines))
     assert str(caught.value).startswith(f"odd.dss: {message}")
+
+
+def test_hours_of_most_and_least_demand_are_compared_by_phase(tmp_path: Path) -> None:
+    """OpenDSS has its own loads there: one of constant impedance where its voltage is low."""
+    found = []
+    for i, more in enumerate(("", " vminpu=1.2")):
+        feeder = import_network(written(tmp_path, (*BASE[:3], LOADS[0] + more, LOADS[1])))
+        assert feeder.phased is not None
+        options = NewScenarioOptions(add_batteries=True, pv="sized", accept_deviation=True)
+        write_new_scenario(feeder, options, tmp_path / str(i))
+        source = read_scenario(tmp_path / str(i)).source
+        assert source.deviation is not None
+        assert source.deviation.worst_hour_pu is not None
+        found.append(source.deviation.worst_hour_pu)
+    assert found[0] < CLOSE_PU
+    assert found[1] > 1e-4

@@ -211,19 +211,23 @@ def test_folder_reads_back_equal(day: Scenario, tmp_path: Path) -> None:
 def test_slopes_are_derivatives_at_no_load(day: Scenario) -> None:
     small = 1e-3
     for flow in flows(day):
-        slopes = Slopes.of(flow, Loadings.of(flow.phases))
+        slopes = Slopes(flow, Loadings.of(flow.phases))
+        u_p, u_q = slopes.of_voltages(np.arange(len(slopes.u_0)))
         count = len(flow.assets)
         for asset in range(0, count, 3):
             p = np.zeros(count)
             p[asset] = small
             for kw, kvar, u, source in (
-                (p, 0 * p, slopes.u_p, slopes.former_p),
-                (0 * p, p, slopes.u_q, slopes.former_q),
+                (p, 0 * p, u_p, slopes.former_p),
+                (0 * p, p, u_q, slopes.former_q),
             ):
                 found, other = flow.solve(kw, kvar), flow.solve(-kw, -kvar)
                 du = (flow.v_pu(found.v) ** 2 - flow.v_pu(other.v) ** 2) / (2 * small)
                 ds = (found.source_kva - other.source_kva) / (2 * small)
                 np.testing.assert_allclose(du, u[:, asset], atol=1e-7)
+                changed, given = slopes.changes(kw[None, :], kvar[None, :])
+                np.testing.assert_allclose(changed[0], small * u[:, asset], atol=1e-14)
+                np.testing.assert_allclose(given[0], small * source[:, asset], atol=1e-14)
                 np.testing.assert_allclose(ds, source[:, asset], atol=1e-4)
 
 
@@ -231,7 +235,7 @@ def test_newton_finds_what_the_fixed_point_finds(day: Scenario) -> None:
     grid, _ = flows(day)
     p, q = powers(day, 18)
     found = grid.solve(p, q)
-    by_newton = grid._newton(p, q, grid._across[0])
+    by_newton = grid._newton(p, q, grid._u0)
     assert by_newton is not None
     assert np.abs((by_newton - found.coil_v) / grid.rated_v).max() < 1e-8
 

@@ -13,7 +13,7 @@ from vppres.explain.prices import WORTH
 from vppres.explain.step import Binding, Scarce, Step
 from vppres.model.data import PhasedWindow
 from vppres.model.formulas import lossless_flows, voltage_drop_pu2
-from vppres.model.phases import GRID, ISLAND, phased_model
+from vppres.model.phases import GRID, ISLAND, Slopes, phased_model
 
 
 def limits_in_full(step: Step, customer: int, binding: Binding) -> list[Scarce]:
@@ -81,8 +81,14 @@ def _overloaded_current(step: Step, customer: int) -> int | None:
     slopes = model.slopes[ISLAND if step.outage else GRID]
     kw, kvar = _demand(step, customer)
     now = step.recorded.currents(step.t)
-    more = now + slopes.current_p[:, customer] * kw + slopes.current_q[:, customer] * kvar
+    more = now + slopes.currents(*_alone(slopes, customer, kw, kvar))[0]
     return _furthest(now, more, np.ones(len(now)))
+
+
+def _alone(slopes: Slopes, customer: int, kw: float, kvar: float) -> tuple[Floats, Floats]:
+    """Powers of all assets of which one draws, (1, D) each."""
+    one = np.arange(slopes.former_p.shape[1])[None, :] == customer
+    return one * kw, one * kvar
 
 
 def overloaded_phase(step: Step, customer: int) -> int | None:
@@ -143,6 +149,6 @@ def _node_under_voltage(step: Step, phased: PhasedWindow, customer: int) -> bool
     model = phased_model(step.site)
     slopes = model.slopes[ISLAND if step.outage else GRID]
     kw, kvar = _demand(step, customer)
-    change = slopes.u_p[:, customer] * kw + slopes.u_q[:, customer] * kvar
+    change = slopes.changes(*_alone(slopes, customer, kw, kvar))[0][0]
     after = step.recorded.v_node_pu[step.t] ** 2 + change
     return bool(((after < phased.u_min[0]) & (change < 0.0) & model.limited).any())

@@ -362,8 +362,9 @@ class Step:
         s = self.site
         at = buses_of(s.customers, s.pv, s.batteries) == bus
         slopes = model.slopes[ISLAND if self.outage and model.former is not None else GRID]
-        through = np.abs(slopes.current_p[:, at]) * model.loadings.kva[:, None]
-        return np.asarray(through.max(axis=1, initial=0.0) > ON_THE_WAY)
+        each = np.eye(len(at))[at]
+        through = np.abs(slopes.currents(each, np.zeros_like(each))) * model.loadings.kva
+        return np.asarray(through.max(axis=0, initial=0.0) > ON_THE_WAY)
 
     def scarce_for(self, customer: int) -> Binding:
         """What most limits the supply of a customer, empty if nothing does."""

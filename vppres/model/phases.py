@@ -40,55 +40,93 @@ REACH = float(np.cos(np.pi / SIDES))
 """Distance of a side from the middle of its disc, as a share of the radius."""
 
 
-@dataclass(frozen=True, eq=False)
 class Slopes:
-    """What one source's quantities change by per kW and kvar that each asset draws.
+    """What one source's quantities change by per kW and kvar that each asset draws, at no load.
 
-    ``u_p`` and ``u_q`` are of squared voltages, (m, D); ``former_p`` and ``former_q`` of the
-    source's complex power by phase, (3, D); ``current_p`` and ``current_q`` of the currents that
-    have a rating, as shares of it, (k, D). ``u_0``, ``former_0`` and ``current_0`` are at no load.
+    Nothing is kept of all voltages and assets: what powers change is one solution of the network's
+    equations, and so is a row of factors for one voltage.
+
+    Parameters
+    ----------
+    flow : PhasedFlow
+        The network with the source.
+    loadings : Loadings
+        Currents that have a rating.
+
+    Attributes
+    ----------
+    former_p, former_q : array, shape (3, D)
+        Complex power of the source's phases.
+    u_0, former_0, current_0 : array
+        Squared voltages, (m,), the source's power, (3,), and currents, (k,), at no load.
     """
 
-    u_p: Floats
-    u_q: Floats
-    former_p: Complexes
-    former_q: Complexes
-    current_p: Complexes
-    current_q: Complexes
-    u_0: Floats
-    former_0: Complexes
-    current_0: Complexes
-
-    @classmethod
-    def of(cls, flow: PhasedFlow, loadings: Loadings) -> Slopes:
-        """Slopes around no load, with load models at the voltages there."""
+    def __init__(self, flow: PhasedFlow, loadings: Loadings) -> None:
+        self._flow = flow
+        self._per_volt = loadings.per_volt
         w = flow.no_load_v
-        across = flow.coils @ w
-        ratio = np.abs(across) / flow.rated_v
-        p = _by_asset(flow, ratio**flow.p_exponent)
-        q = _by_asset(flow, ratio**flow.q_exponent)
-        measured = flow.measured[1]
-        at = measured @ w
-        drop = flow.drop / np.conj(across)[None, :]
-        drops = np.conj(at)[:, None] * (measured @ drop)
+        self._across = flow.coils @ w
+        ratio = np.abs(self._across) / flow.rated_v
+        # Load models at the voltages there.
+        self._p = _by_asset(flow, ratio**flow.p_exponent)
+        self._q = _by_asset(flow, ratio**flow.q_exponent)
+        self._measured = flow.measured[1]
+        self._at = self._measured @ w
+        self.u_0 = np.abs(self._at) ** 2
+        self.former_0 = flow.v_held * np.conj((flow.y @ w)[flow.held]) / W_PER_KW
+        self.current_0 = loadings.currents(w)
+        currents = flow.coils.T[flow.held] - flow.taken_at(flow.y[flow.held])
+        power = flow.v_held[:, None] * np.conj(np.asarray(currents)) / self._across[None, :]
+        self.former_p: Complexes = power @ self._p
+        self.former_q: Complexes = 1j * power @ self._q
+        self._known: dict[tuple[bool, int], tuple[Complexes, Complexes]] = {}
+
+    def _taken(self, p_kw: Floats, q_kvar: Floats) -> Complexes:
+        """Voltages of the nodes that powers of the assets take away, (nodes, W)."""
         # A coil that draws S takes drop conj(S / U) off the voltage: kW are thousands of watts.
-        u_p = -2.0 * W_PER_KW * np.real(drops)
-        u_q = -2.0 * W_PER_KW * np.imag(drops)
-        currents = (flow.coils.T - flow.y @ flow.drop)[flow.held]
-        power = flow.v_held[:, None] * np.conj(np.asarray(currents)) / across[None, :]
-        through: Complexes = np.asarray(loadings.per_volt @ drop)
-        no_load = flow.v_held * np.conj((flow.y @ w)[flow.held]) / W_PER_KW
-        return cls(
-            u_p=np.asarray(u_p @ p),
-            u_q=np.asarray(u_q @ q),
-            former_p=power @ p,
-            former_q=1j * power @ q,
-            current_p=-W_PER_KW * through @ p,
-            current_q=1j * W_PER_KW * through @ q,
-            u_0=np.abs(at) ** 2,
-            former_0=no_load,
-            current_0=loadings.currents(w),
-        )
+        drawn = self._p @ p_kw.T - 1j * (self._q @ q_kvar.T)
+        return self._flow.taken(W_PER_KW * drawn / np.conj(self._across)[:, None])
+
+    def changes(self, p_kw: Floats, q_kvar: Floats) -> tuple[Floats, Complexes]:
+        """What powers, (W, D), change: squared voltages, (W, m), the source's power, (W, 3)."""
+        taken = self._measured @ self._taken(p_kw, q_kvar)
+        u = -2.0 * np.real(np.conj(self._at)[:, None] * taken).T
+        return np.asarray(u), p_kw @ self.former_p.T + q_kvar @ self.former_q.T
+
+    def currents(self, p_kw: Floats, q_kvar: Floats) -> Complexes:
+        """What powers, (W, D), change of the currents, as shares of their ratings, (W, k)."""
+        return np.asarray(-(self._per_volt @ self._taken(p_kw, q_kvar)).T)
+
+    def of_voltages(self, places: Wholes) -> tuple[Floats, Floats]:
+        """Factors of some squared voltages for each kW and kvar, (R, D) each."""
+        p, q = self._rows(False, places)
+        return p.real, q.real
+
+    def of_currents(self, places: Wholes) -> tuple[Complexes, Complexes]:
+        """The same of some currents."""
+        return self._rows(True, places)
+
+    def of_former(self, places: Wholes) -> tuple[Complexes, Complexes]:
+        """The same of some of the source's phases."""
+        return self.former_p[places], self.former_q[places]
+
+    def _rows(self, of_currents: bool, places: Wholes) -> tuple[Complexes, Complexes]:
+        """Factors of some places, of which those that were asked for before are known."""
+        new = [at for at in np.unique(places).tolist() if (of_currents, at) not in self._known]
+        if new:
+            read = (self._per_volt if of_currents else self._measured)[new]
+            each = W_PER_KW * self._flow.taken_at(read) / np.conj(self._across)[None, :]
+            if of_currents:
+                p, q = -each @ self._p, 1j * each @ self._q
+            else:
+                turned = -2.0 * np.conj(self._at[new])[:, None] * each
+                p, q = turned.real @ self._p, turned.imag @ self._q
+            for row, at in enumerate(new):
+                self._known[of_currents, at] = p[row], q[row]
+        rows = [self._known[of_currents, at] for at in places.tolist()]
+        count = len(self._flow.assets)
+        p, q = (np.array(each).reshape(len(rows), count) for each in zip(*rows, strict=True))
+        return p, q
 
 
 def _by_asset(flow: PhasedFlow, factor: Floats) -> Any:
@@ -146,7 +184,7 @@ class PhasedModel:
     @cached_property
     def slopes(self) -> tuple[Slopes, ...]:
         """Slopes of each source."""
-        return tuple(Slopes.of(flow, self.loadings) for flow in self.flows)
+        return tuple(Slopes(flow, self.loadings) for flow in self.flows)
 
     @cached_property
     def former_device(self) -> int | None:
@@ -253,9 +291,8 @@ class PhasedModel:
         former: Complexes = np.zeros((W, 3), dtype=complex)
         for source, steps in ((GRID, ~data.dark), (ISLAND, data.dark)):
             if source < len(self.flows) and steps.any():
-                s = self.slopes[source]
-                u[steps] = p_kw[steps] @ s.u_p.T + q_kvar[steps] @ s.u_q.T
-                former[steps] = p_kw[steps] @ s.former_p.T + q_kvar[steps] @ s.former_q.T
+                changed = self.slopes[source].changes(p_kw[steps], q_kvar[steps])
+                u[steps], former[steps] = changed
         return u, former
 
     def currents(self, data: WindowData, p_kw: Floats, q_kvar: Floats) -> Complexes:
@@ -263,8 +300,7 @@ class PhasedModel:
         found: Complexes = np.zeros((data.n_steps, len(self.loadings.names)), dtype=complex)
         for source, steps in ((GRID, ~data.dark), (ISLAND, data.dark)):
             if source < len(self.flows) and steps.any():
-                s = self.slopes[source]
-                found[steps] = p_kw[steps] @ s.current_p.T + q_kvar[steps] @ s.current_q.T
+                found[steps] = self.slopes[source].currents(p_kw[steps], q_kvar[steps])
         return found
 
     def at_no_load(self, dark: Flags) -> tuple[Floats, Complexes, Complexes]:

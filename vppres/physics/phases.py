@@ -243,7 +243,7 @@ class PhasedFlow:
         self.free: Wholes = np.delete(np.arange(len(nodes)), self.held)
         self.v_held = v_pu * V_PER_KV * phases.by_bus[bus].kv / np.sqrt(3) * ANGLES
         self.y = admittances(phases, island)
-        self._factors = splu(self.y[self.free][:, self.free].tocsc())
+        self._factors: Any = splu(self.y[self.free][:, self.free].tocsc())
         rows = [phases.connection(name) for name in self.assets]
         places = [(row.bus, row.coils) for row in rows]
         self.coils = incidence(phases, places)
@@ -263,19 +263,34 @@ class PhasedFlow:
         v[self.free] = self._factors.solve(-(coupling @ self.v_held))
         return v
 
-    @cached_property
-    def drop(self) -> Complexes:
-        """Voltage at each node that a coil's current takes away, in ohm, (nodes, coils)."""
-        z = np.zeros((len(self.phases.nodes), self.coils.shape[0]), dtype=complex)
-        drawn = self.coils[:, self.free].T.toarray().astype(complex)
-        if drawn.size:
-            z[self.free] = self._factors.solve(drawn)
-        return z
+    def taken(self, current: Complexes) -> Complexes:
+        """Voltages of the nodes that currents of the coils take away, (nodes, k) of (coils, k)."""
+        v = np.zeros((len(self.phases.nodes), *current.shape[1:]), dtype=complex)
+        if current.size:
+            v[self.free] = self._factors.solve(np.asarray(self._drawn @ current, dtype=complex))
+        return v
+
+    def taken_at(self, rows: Any) -> Complexes:
+        """What currents of coils take of sums of voltages, (R, coils) of (R, nodes)."""
+        ends = sp.csr_array(rows)[:, self.free].T.toarray().astype(complex)
+        if not ends.size:
+            return np.zeros((rows.shape[0], self.coils.shape[0]), dtype=complex)
+        return np.asarray((self._drawn.T @ self._factors.solve(ends, "T")).T)
 
     @cached_property
-    def _across(self) -> tuple[Complexes, Complexes]:
-        """The same across the coils: their voltages at no load, and what currents take away."""
-        return np.asarray(self.coils @ self.no_load_v), np.asarray(self.coils @ self.drop)
+    def _drawn(self) -> Any:
+        """Coils at nodes that nothing holds, (nodes, coils)."""
+        return sp.csr_array(self.coils[:, self.free].T)
+
+    @cached_property
+    def _u0(self) -> Complexes:
+        """Voltages across the coils at no load."""
+        return np.asarray(self.coils @ self.no_load_v)
+
+    @cached_property
+    def _z(self) -> Complexes:
+        """Voltage across each coil that a current of another one takes away, in ohm."""
+        return self.taken_at(self.coils)
 
     def drawn_va(self, p_kw: Floats, q_kvar: Floats, u: Complexes) -> Complexes:
         """Power that each coil draws at its voltage, from powers of the assets at rated voltage."""
@@ -293,10 +308,9 @@ class PhasedFlow:
             If there is none.
         """
         p, q = np.asarray(p_kw, float), np.asarray(q_kvar, float)
-        u0, _ = self._across
-        found = self._fixed_point(p, q, u0)
+        found = self._fixed_point(p, q, self._u0)
         if found is None:
-            u, rounds = self._newton(p, q, u0), MAX_ROUNDS
+            u, rounds = self._newton(p, q, self._u0), MAX_ROUNDS
         else:
             u, rounds = found
         if u is None:
@@ -305,10 +319,10 @@ class PhasedFlow:
 
     def _fixed_point(self, p: Floats, q: Floats, u: Complexes) -> tuple[Complexes, int] | None:
         """Coil voltages, and in how many rounds; None where they do not meet."""
-        u0, z = self._across
         before = np.inf
         for rounds in range(MAX_ROUNDS):
-            after = u0 - z @ np.conj(self.drawn_va(p, q, u) / u)
+            current = np.conj(self.drawn_va(p, q, u) / u)
+            after = self._u0 - self.coils @ self.taken(current)
             change = float((np.abs(after - u) / self.rated_v).max(initial=0.0))
             u = after
             if change <= TOLERANCE_PU:
@@ -320,7 +334,7 @@ class PhasedFlow:
 
     def _newton(self, p: Floats, q: Floats, u: Complexes) -> Complexes | None:
         """The same by Newton's method in real and imaginary parts; None where it fails."""
-        u0, z = self._across
+        u0, z = self._u0, self._z
         for _ in range(MAX_NEWTON):
             s = self.drawn_va(p, q, u)
             current = np.conj(s / u)
@@ -354,7 +368,7 @@ class PhasedFlow:
     def _reached(self, p: Floats, q: Floats) -> float:
         """Share of a load up to which there is a solution, from no load on."""
         low, high = 0.0, 1.0
-        u = self._across[0]
+        u = self._u0
         while high - low > LEAST_SHARE:
             share = (low + high) / 2.0
             found = self._newton(share * p, share * q, u)
@@ -367,7 +381,7 @@ class PhasedFlow:
     def _result(self, p: Floats, q: Floats, u: Complexes, rounds: int) -> PhasedResult:
         s = self.drawn_va(p, q, u)
         current = np.conj(s / u)
-        v = self.no_load_v - self.drop @ current
+        v = self.no_load_v - self.taken(current)
         at_source = (self.y @ v + self.coils.T @ current)[self.held]
         source = self.v_held * np.conj(at_source) / W_PER_KW
         return PhasedResult(v, u, source, s / W_PER_KW, rounds)

@@ -7,10 +7,10 @@ for nearly each asset: all at once they take most of the time of a window.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
-from typing import TypeVar
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -54,7 +54,7 @@ linear solution that uses all that it may has no inside else."""
 TOWARDS = np.exp(-2j * np.pi * np.arange(SIDES) / SIDES)
 """Turns of a value by which its real part is what it has towards a side."""
 
-A = TypeVar("A", Floats, Complexes)
+Factors = Callable[[Wholes], tuple[Any, Any]]
 
 # Assets from the first one on, their columns, (W, k), and what of a column each draws.
 Term = tuple[int, Wholes, Floats | float]
@@ -212,18 +212,19 @@ class PhaseLimits:
         scale = (PER_PU2, -PER_PU2)[side]
         if not len(steps):
             return []
-        slopes = [(s.u_p, s.u_q) for s in self.model.slopes]
-        by_p, by_q = self._at(steps, nodes, slopes)
+        by_p, by_q = self._at(steps, nodes, [s.of_voltages for s in self.model.slopes])
         least = scale * (limit - self.phased.u_offset)[steps, nodes]
-        return self._rows(steps, scale * by_p, scale * by_q, least, nodes, side)
+        return self._rows(steps, scale * by_p.real, scale * by_q.real, least, nodes, side)
 
-    def _at(self, steps: Wholes, places: Wholes, slopes: list[tuple[A, A]]) -> tuple[A, A]:
-        """Slopes of some places in some steps, with the step's source, (R, D) each."""
-        by_p, by_q = (each[places] for each in slopes[GRID])
-        for source, (of_p, of_q) in enumerate(slopes):
+    def _at(self, steps: Wholes, places: Wholes, slopes: Sequence[Factors]) -> tuple[Any, Any]:
+        """Factors of some places in some steps, with the step's source, (R, D) each."""
+        found = [np.zeros((len(steps), self.draws.kw.shape[1]), dtype=complex) for _ in range(2)]
+        for source, of_places in enumerate(slopes):
             there = self.source[steps] == source
-            by_p[there], by_q[there] = of_p[places[there]], of_q[places[there]]
-        return by_p, by_q
+            if there.any():
+                for each, values in zip(found, of_places(places[there]), strict=True):
+                    each[there] = values
+        return found[0], found[1]
 
     def _former(self, kva: Complexes, over: float) -> list[PhaseRows]:
         """Rows of each phase of the former that is beyond its polygon."""
@@ -231,7 +232,7 @@ class PhaseLimits:
             return []
         room = np.maximum(self.phased.room_kva, NO_POWER_KW)
         room = np.where(self.data.dark, room, np.inf)[:, None]
-        slopes = [(s.former_p, s.former_q) for s in self.model.slopes]
+        slopes = [s.of_former for s in self.model.slopes]
         beyond = self._beyond(kva, room) > over
         return self._sides(kva, self.phased.former_offset, room, slopes, beyond, OF_FORMER)
 
@@ -244,7 +245,7 @@ class PhaseLimits:
         currents = offset + self.model.currents(self.data, *drawn)
         beyond = self._beyond(currents, room)
         least = -np.sort(-beyond, axis=1)[:, :MOST_NEW][:, -1:]
-        slopes = [(s.current_p, s.current_q) for s in self.model.slopes]
+        slopes = [s.of_currents for s in self.model.slopes]
         farthest = (beyond > over) & (beyond >= least)
         return self._sides(currents, offset, room, slopes, farthest, OF_RATING)
 
@@ -259,7 +260,7 @@ class PhaseLimits:
         at: Complexes,
         offset: Complexes,
         room: Floats,
-        slopes: list[tuple[Complexes, Complexes]],
+        slopes: Sequence[Factors],
         which: Flags,
         kind: int,
     ) -> list[PhaseRows]:

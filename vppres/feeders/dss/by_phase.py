@@ -19,6 +19,8 @@ NEXT, PREVIOUS = ("ab", "bc", "ca"), ("ac", "ba", "cb")
 EXPONENTS = {1: (0.0, 0.0), 2: (2.0, 2.0), 3: (0.0, 2.0), 5: (1.0, 1.0)}
 """How active and reactive power of OpenDSS's load models follow the voltage."""
 
+ADMITTANCE = 2  # option of 'set loadmodel': all loads are impedances
+CONSTANT_IMPEDANCE = 2
 US_PER_S = 1e6
 V_PER_KV = 1000.0
 SAME = 1e-9
@@ -49,7 +51,7 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
     own = _Matrices(engine, refused)
     tables = {
         "kept": kept,
-        "source": _source(),
+        "source": _source(refused),
         "lines": own.lines,
         "transformers": [_transformer(name, engine, own) for name in engine._of("transformer")],
         "shunts": own.shunts(),
@@ -71,27 +73,15 @@ def _needed(disabled: list[str], engine: Any) -> list[str]:
         for name in engine._of(kind):
             nodes = [tuple(engine.elements().admittance()[0])] if kind == "transformer" else []
             joined[f"{kind}.{name}"] = nodes or engine.elements().joined()
-    root: dict[Any, Any] = {}
-
-    def top(node: Any) -> Any:
-        while root.setdefault(node, node) != node:
-            node = root[node] = root[root[node]]
-        return node
-
-    def join(groups: list[tuple[Any, ...]]) -> None:
-        for first, *others in groups:
-            for other in others:
-                root[top(other)] = top(first)
-
-    for element, groups in joined.items():
-        if element not in disabled:
-            join(groups)
+    module = engine.elements().nodes()
+    groups = [group for element, own in joined.items() if element not in disabled for group in own]
     kept = []
     for element in disabled:
-        groups = joined.get(element, [])
-        if any(len({top(node) for node in group}) > 1 for group in groups):
+        own = joined.get(element, [])
+        known = module.beside(groups)
+        if any({*group} - {*module.reached(group[0], known)} for group in own):
             kept.append(element)
-            join(groups)
+            groups += own
     return kept
 
 
@@ -189,7 +179,7 @@ class _Matrices:
             if each > len(PHASES) and each != own and (bus, each) not in self.users
         ]  # fmt: skip
         if gone:
-            y = self.elements.without(y, gone)
+            y = self.elements.nodes().without(y, gone)
             nodes = [each for i, each in enumerate(nodes) if i not in gone]
         if own not in nodes:
             return 0j
@@ -268,14 +258,22 @@ class _Matrices:
             nodes, y = self._sum([sums])
             gone = [i for i, node in enumerate(nodes) if node > len(PHASES)]
             if gone:
-                y = self.elements.without(y, gone)
+                y = self.elements.nodes().without(y, gone)
             phases = [node - 1 for node in nodes if node <= len(PHASES)]
             found.append({"bus": bus, "phases": phases, "y": _complex(y)})
         return found
 
 
-def _source() -> dict[str, Any]:
+def _source(refused: Refused) -> dict[str, Any]:
     """Bus of the source, what it holds, and the impedance behind which it does."""
+    dss.Text.Command("? vsource.source.sequence")
+    if not dss.Text.Result().strip().lower().startswith("pos"):
+        _refuse(
+            refused,
+            "vsource.source",
+            f"has sequence={dss.Text.Result().strip()}: its phases turn the other way",
+            "Leave 'sequence' out and swap two phases everywhere, or import with --balance.",
+        )
     dss.Circuit.SetActiveElement("vsource.source")
     bus = dss.CktElement.BusNames()[0].partition(".")[0].lower()
     phases = [phase for _, phase in _nodes()[:3]]
@@ -321,7 +319,7 @@ def _transformer(name: str, engine: Any, matrices: _Matrices) -> dict[str, Any]:
         y[i, i] += matrices.grounding(node) or 0j
         ground = y[i, [bus == node[0] for bus, _ in live]].sum()
         neutrals.append({"bus": node[0], "z": _complex(1.0 / ground)})
-        y = engine.elements().without(y, [i])
+        y = engine.elements().nodes().without(y, [i])
         live.remove(node)
         for row in rows:
             row["ppm"] = 0.0  # it is in the matrix, that of the neutral too
@@ -382,10 +380,10 @@ def _service(name: str, engine: Any) -> dict[str, Any]:
 
 def _windings(phases: list[int], delta: bool, count: int) -> list[str]:
     """Coils that a winding may be, in words; a conductor at ground is no end of one."""
+    if count == 1:  # from one phase to another, or to ground
+        return ["".join(PHASES[phase] for phase in phases[:2] if phase in range(3))]
     if not delta:
         return [" ".join(PHASES[phase] for phase in phases[:count] if phase in range(3))]
-    if count == 1:
-        return ["".join(PHASES[phase] for phase in phases[:2] if phase in range(3))]
     names = [PHASES[phase] if phase in range(3) else "" for phase in phases[:3]]
     return [_delta(names, NEXT), _delta(names, PREVIOUS)]
 
@@ -434,13 +432,25 @@ def _powers(engine: Any, solved: bool, refused: Refused) -> Iterator[dict[str, A
                 "kv": kv,
                 "exponents": _exponents(name, refused) if kind == "load" else (0.0, 0.0),
                 **engine.nominal(kind, name, solved),
+                **(_impedance() if kind == "generator" else {}),
             }
+
+
+def _impedance() -> dict[str, Any]:
+    """Power at nominal voltage of the active generator if it is a constant impedance."""
+    if int(dss.Generators.Model()) != CONSTANT_IMPEDANCE:
+        return {}
+    # OpenDSS's multiplier of generators does not change it.
+    powers = {"p_kw": float(dss.Generators.kW()), "q_kvar": float(dss.Generators.kvar())}
+    return {**powers, "exponents": EXPONENTS[CONSTANT_IMPEDANCE]}
 
 
 def _exponents(name: str, refused: Refused) -> tuple[float, float]:
     """How active and reactive power of a load follow the voltage."""
     dss.Loads.Name(name)
     model = int(dss.Loads.Model())
+    if dss.Solution.LoadModel() == ADMITTANCE:
+        return EXPONENTS[CONSTANT_IMPEDANCE]
     if model == 4:
         return float(dss.Loads.CVRwatts()), float(dss.Loads.CVRvars())
     if model not in EXPONENTS:

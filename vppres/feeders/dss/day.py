@@ -40,6 +40,8 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
         return {"problems": problems}
     engine.settled()  # the taps of the plan are those of the state that the file gives
     dss.Text.Command("set loadmult=1")  # powers of the steps are what is drawn
+    for element in job.get("disabled", ()):
+        dss.Circuit.Disable(element)
     switched_off = list(_switch_off(job["off"]))
     names = [asset.get("load") or _new_asset(i, asset) for i, asset in enumerate(job["assets"])]
     if job["constant_power"]:

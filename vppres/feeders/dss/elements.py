@@ -6,6 +6,7 @@ out, reactances in series and conductors that are grounded are in it.
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,11 @@ that of either leg to ground.
 
 STARS: dict[str, tuple[str, tuple[int, ...]]] = {}
 """Transformers with three windings at three buses: the bus of their star, and its phases."""
+
+
+def nodes() -> Any:
+    """The module of what is joined: child.py loads it by its file."""
+    return sys.modules["dss/nodes"]
 
 
 def nodes_of() -> list[Node]:
@@ -140,13 +146,6 @@ def power_drawn() -> complex:
     return complex(flat[::2].sum(), flat[1::2].sum())
 
 
-def without(y: Any, gone: list[int]) -> Any:
-    """A matrix without some of its nodes, from which nothing else flows (Kron)."""
-    kept = [i for i in range(len(y)) if i not in gone]
-    own, across = y[np.ix_(kept, kept)], y[np.ix_(kept, gone)]
-    return own - across @ np.linalg.pinv(y[np.ix_(gone, gone)]) @ across.T
-
-
 def middle() -> tuple[int, str, dict[int, float]] | None:
     """Phase, bus and legs of the active transformer if its secondary has its middle at ground.
 
@@ -172,25 +171,12 @@ def middle() -> tuple[int, str, dict[int, float]] | None:
 
 def beside(lines: list[str]) -> dict[str, list[str]]:
     """Buses that lines join to each bus."""
-    found: dict[str, list[str]] = {}
+    ends = []
     for element in lines:
         dss.Circuit.SetActiveElement(element)
-        ends = buses_of(nodes_of())
-        for bus in ends:
-            found.setdefault(bus, []).extend(other for other in ends if other != bus)
+        ends.append(buses_of(nodes_of()))
+    found: dict[str, list[str]] = nodes().beside(ends)
     return found
-
-
-def reached(bus: str, beside: dict[str, list[str]]) -> list[str]:
-    """A bus, and all that lines join to it."""
-    found: dict[str, None] = {}
-    new = [bus]
-    while new:
-        each = new.pop()
-        if each not in found:
-            found[each] = None
-            new += beside.get(each, [])
-    return [*found]
 
 
 def find_legs(transformers: list[str], lines: list[str]) -> None:
@@ -202,7 +188,7 @@ def find_legs(transformers: list[str], lines: list[str]) -> None:
         found = middle()
         if found is not None:
             phase, bus, signs = found
-            for each in reached(bus, known):
+            for each in nodes().reached(bus, known):
                 LEGS.setdefault(each, (phase, signs))
 
 

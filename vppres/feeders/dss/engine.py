@@ -279,8 +279,13 @@ def _problem(element: str) -> dict[str, Any] | None:
         return _wrong(
             f"{element} is a second source", "Keep the circuit's own source and disable the others."
         )
+    dss.Circuit.SetActiveElement(element)
+    if kind == "vsource" and any(node for _, node in _far_end()):
+        return _wrong(
+            f"{element} stands between bus {_buses()[0]} and bus {_buses()[1]}",
+            "Leave its second bus out: the source holds its bus against ground.",
+        )
     if kind == "transformer":
-        dss.Circuit.SetActiveElement(element)
         service = elements().middle() is not None
         dss.Transformers.Name(name)
         count = dss.Transformers.NumWindings()
@@ -297,6 +302,12 @@ def _problem(element: str) -> dict[str, Any] | None:
                 "Give it one, such as xhl=0.01.",
             )
     return None
+
+
+def _far_end() -> list[tuple[str, int]]:
+    """Conductors of the active element's second terminal."""
+    found: list[tuple[str, int]] = elements().nodes_of()[dss.CktElement.NumConductors() :]
+    return found
 
 
 def named_once(words: list[str]) -> str:
@@ -336,7 +347,7 @@ def _fit_levels(lines: list[str]) -> None:
     for element, bus, rated_kv, _ in list(_ratings()):
         own = [kv for kv in levels if _fits(rated_kv, kv, TOLERANCE)]
         if element.startswith("transformer.") and own and not _fits(rated_kv, _base_kv(bus)):
-            for each in elements().reached(bus, beside):
+            for each in elements().nodes().reached(bus, beside):
                 dss.Text.Command(f'setkvbase bus="{each}" kvll={own[0]:.17g}')
                 MOVED[each] = own[0]
 

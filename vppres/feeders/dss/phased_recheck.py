@@ -8,20 +8,28 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from vppres.core.errors import VerificationError
 from vppres.core.units import V_PER_KV
+from vppres.feeders.closeness import extreme_times
+from vppres.feeders.dss.circuit import OpenDSSFlow
 from vppres.feeders.dss.recheck import (
     OWN_SOURCES,
     Recheck,
     Tables,
     drawn,
     side_by_side,
+    solved_job,
     solved_steps,
     step_jobs,
     step_table,
 )
+from vppres.feeders.feeder import ImportedFeeder
+from vppres.feeders.new.connections import customer_of
+from vppres.physics.phased_sources import assets_of, drawn_uncontrolled, flow_of_grid
 from vppres.physics.phases import measures
 from vppres.scenario.earthing import in_island
 from vppres.scenario.phases import PhaseConnection, Phases, coils_of
+from vppres.scenario.scenario import Scenario
 
 
 def recheck_phased(run: Tables, phases: Phases, source: Path, former: str | None) -> Recheck:
@@ -43,6 +51,50 @@ def recheck_phased(run: Tables, phases: Phases, source: Path, former: str | None
     found = solved_steps(job, source)
     voltages = _voltages(run, phases, found, former)
     return Recheck(voltages, step_table(run, found, voltages), _cause(voltages), _notes(former))
+
+
+def worst_hour_by_phase(feeder: ImportedFeeder, scenario: Scenario) -> float | None:
+    """Largest difference of a node's voltage in the hours of most and least demand.
+
+    OpenDSS has its own loads there, with their models and limits of voltage, and what the scenario
+    has besides. None where a power flow has no solution.
+    """
+    source, phases, flow = feeder.phased, scenario.phases, feeder.source_flow
+    assert source is not None
+    assert phases is not None
+    if not isinstance(flow, OpenDSSFlow):
+        return None
+    names = assets_of(scenario.customers, scenario.pv, scenario.batteries)
+    loads = {customer_of(load.connection.id): load.connection.id for load in source.loads}
+    own = [str(each) for each in scenario.customers.id]
+    assets = [
+        {"load": loads[each]} if each in own else _asset(phases.connection(each)) for each in names
+    ]
+    usable_kw = np.minimum(scenario.pv_kw, scenario.pv.s_max_kva)
+    powers = [
+        drawn_uncontrolled(
+            scenario.load_kw[t], scenario.load_kvar[t], usable_kw[t], len(scenario.batteries)
+        )
+        for t in extreme_times(scenario)
+    ]
+    steps = [{"p_kw": p.tolist(), "q_kvar": q.tolist(), "held_v": None} for p, q in powers]
+    job = {"off": OWN_SOURCES, "open_deltas": True, "assets": assets, "steps": steps}
+    job |= {"island_bus": None, "open": [], "disabled": flow.disabled, **flow.job}
+    found = solved_job(job, feeder.name)
+    own_flow = flow_of_grid(phases, names, scenario.network.v_slack_pu)
+    base_v = np.array([V_PER_KV * phases.by_bus[bus].kv / np.sqrt(3) for bus, _ in phases.nodes])
+    at = {node: i for i, node in enumerate(found["nodes"])}
+    places = [(i, at.get(f"{bus}.{phase + 1}")) for i, (bus, phase) in enumerate(phases.nodes)]
+    both = np.array([(i, other) for i, other in places if other is not None])
+    apart = []
+    for (p_kw, q_kvar), theirs in zip(powers, found["v"], strict=True):
+        try:
+            v = own_flow.solve(p_kw, q_kvar).v
+        except VerificationError:
+            return None
+        off = np.abs(np.abs(v[both[:, 0]]) - np.abs(theirs[both[:, 1]])) / base_v[both[:, 0]]
+        apart.append(float(off.max()))
+    return None if np.isnan(apart).any() else max(apart)
 
 
 def _ids(run: Tables, table: str) -> list[str]:

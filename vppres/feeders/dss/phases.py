@@ -14,6 +14,7 @@ from vppres.core.errors import InputError, Problem, VerificationError
 from vppres.core.text import named
 from vppres.core.units import V_PER_KV, W_PER_KW
 from vppres.feeders.closeness import NOT_CONVERGED
+from vppres.feeders.dss.nodes import beside, reached, without
 from vppres.feeders.dss.script import limit_s
 from vppres.feeders.feeder import ImportedFeeder, PhasedLoad, PhasedSource
 from vppres.feeders.strangers.confined import confined
@@ -182,18 +183,7 @@ class _Tables:
             ends = (line["from_bus"], line["to_bus"])
             groups += [{(bus, phase) for bus in ends} for phase in line["phases"]]
         groups += [pair for unit in self.units for pair in _pairs(unit)]
-        of_node: dict[Node, list[int]] = {}
-        for i, group in enumerate(groups):
-            for node in group:
-                of_node.setdefault(node, []).append(i)
-        reached: set[Node] = set()
-        new = [*groups[0]]
-        while new:
-            node = new.pop()
-            if node not in reached:
-                reached.add(node)
-                new += [other for i in of_node[node] for other in groups[i]]
-        return reached
+        return {*reached(next(iter(groups[0])), beside([[*group] for group in groups]))}
 
     def _line(self, line: Mapping[str, Any]) -> Iterator[PhaseLine]:
         """A line with the phases that are supplied."""
@@ -234,10 +224,11 @@ class _Tables:
         first = PhaseBus(self.behind, self.slack, 1.0, " ".join(PHASES))
         known, y = Phases((first, *own.values()), tuple(lines)), _of(one["y"])
         ends = [(bus, phase) for bus, phase in one["nodes"]]
-        at = [known.node_index[node] for node in ends]
         star = [
-            i for (bus, _), i in known.node_index.items() if bus not in {*dict(ends), self.behind}
+            i for i, (bus, _) in enumerate(known.nodes) if bus not in {*dict(ends), self.behind}
         ]
+        kept = [node for i, node in enumerate(known.nodes) if i not in star]
+        at = [kept.index(node) for node in ends]
         across = np.array([[first[0] != second[0] for second in ends] for first in ends])
         for coils in product(*one["coils"]):
             pairs = [(word, coils[-1]) for word in coils[:-1]]
@@ -250,7 +241,7 @@ class _Tables:
                 for row, pair in zip(one["rows"], pairs, strict=True)
             ]
             whole = admittances(replace(known, transformers=tuple(units))).toarray()
-            rest = y - (_without(whole, star) if star else whole)[np.ix_(at, at)]
+            rest = y - without(whole, star)[np.ix_(at, at)]
             if across.any() and np.abs(rest[across]).max() <= match * np.abs(y[across]).max():
                 for bus in dict.fromkeys(bus for bus, _ in ends):
                     own_at = [i for i, node in enumerate(ends) if node[0] == bus]
@@ -356,17 +347,6 @@ def _pairs(unit: PhaseTransformer) -> list[set[Node]]:
         for bus, words in ((unit.from_bus, unit.from_coils), (unit.to_bus, unit.to_coils))
     ]
     return [first | second for first, second in zip(*sides, strict=True)]
-
-
-def _without(y: Complexes, gone: list[int]) -> Complexes:
-    """A matrix of the same size whose nodes ``gone`` carry no current from outside (Kron)."""
-    found = np.zeros_like(y)
-    gone = [i for i in gone if y[i].any()]
-    kept = [i for i in range(len(y)) if i not in gone and y[i].any()]
-    across = y[np.ix_(kept, gone)]
-    inner = np.linalg.solve(y[np.ix_(gone, gone)], across.T)
-    found[np.ix_(kept, kept)] = y[np.ix_(kept, kept)] - across @ inner
-    return found
 
 
 def _of(parts: Mapping[str, Any]) -> Complexes:

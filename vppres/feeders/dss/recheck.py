@@ -146,11 +146,19 @@ class _Circuit:
 def solved_steps(job: dict[str, Any], source: Path) -> dict[str, Any]:
     """The steps of a job in OpenDSS, with ``v`` (T, nodes) in V, NaN where there is no solution."""
     script = dss_script.read_script(source)
-    job = {"constant_power": False, **job, **script.job()}
-    limit_s = dss_script.limit_s(job) * (1.0 + len(job["steps"]) / STEPS_OF_A_LIMIT)
-    found = confined("dss/day", job, source.name, limit_s)
+    found = solved_job({**job, **script.job()}, source.name)
     if found["problems"]:
         raise InputError(located(found["problems"], script, source.name))
+    return found
+
+
+def solved_job(job: dict[str, Any], name: str) -> dict[str, Any]:
+    """The same of a job that has the circuit's commands, or its problems."""
+    job = {"constant_power": False, **job}
+    limit_s = dss_script.limit_s(job) * (1.0 + len(job["steps"]) / STEPS_OF_A_LIMIT)
+    found = confined("dss/day", job, name, limit_s)
+    if found["problems"]:
+        return found
     lost = [np.nan] * 2 * len(found["nodes"])
     parts = np.array([lost if step["v"] is None else step["v"] for step in found["steps"]])
     return {**found, "v": parts[:, ::2] + 1j * parts[:, 1::2]}

@@ -17,7 +17,8 @@ from typing import Any
 
 ENGINES = {
     "dss/commands": (),
-    "dss/elements": (),
+    "dss/nodes": (),
+    "dss/elements": ("dss/nodes",),
     "dss/engine": ("dss/commands", "dss/elements"),
     "matpower/binary": (),
     "dss/day": ("dss/engine",),

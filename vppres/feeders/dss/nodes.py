@@ -1,0 +1,42 @@
+"""What nodes are joined, and matrices without some; for the reader and its process alike."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any, TypeVar
+
+import numpy as np
+
+N = TypeVar("N")
+
+
+def beside(groups: Iterable[Sequence[N]]) -> dict[N, list[N]]:
+    """What each node is joined to by groups of nodes."""
+    found: dict[N, list[N]] = {}
+    for group in groups:
+        for one in group:
+            found.setdefault(one, []).extend(other for other in group if other != one)
+    return found
+
+
+def reached(start: N, beside: dict[N, list[N]]) -> list[N]:
+    """A node, and all that are joined to it.
+
+    >>> reached("a", beside([("a", "b"), ("c", "d"), ("b", "e")]))
+    ['a', 'b', 'e']
+    """
+    found: dict[N, None] = {}
+    new = [start]
+    while new:
+        each = new.pop()
+        if each not in found:
+            found[each] = None
+            new += beside.get(each, [])
+    return [*found]
+
+
+def without(y: Any, gone: Sequence[int]) -> Any:
+    """A matrix without some of its nodes, from which nothing else flows (Kron)."""
+    kept = [i for i in range(len(y)) if i not in gone]
+    own, across = y[np.ix_(kept, kept)], y[np.ix_(kept, gone)]
+    return own - across @ np.linalg.pinv(y[np.ix_(gone, gone)]) @ across.T
