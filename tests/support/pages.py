@@ -30,13 +30,14 @@ def page_row(option: Option) -> str:
     text = option.meaning + unit
     text += f": {words}" if words else ""
     text += f"; {option.page}" if option.page else ""
-    return f"| `--{option.name}` | {_page_default(option)} | {text} |"
+    default = f"{_page_default(option)} ".lstrip()
+    return f"| `--{option.name}` | {default}| {text} |"
 
 
 def _page_default(option: Option) -> str:
     """Default of an option as the documentation writes it."""
     if option.scenario_key:
-        return "the scenario's"
+        return ""
     if option.default is None:
         return option.unset
     if isinstance(option.default, bool):
