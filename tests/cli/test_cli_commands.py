@@ -494,15 +494,9 @@ def test_sweep_writes_table_page_and_figure(small_folder: Path, tmp_path: Path) 
         "scale.load=2",
     ]
     assert sorted(path.name for path in out.iterdir()) == [
-        "scale.load=1",
-        "scale.load=1.5",
-        "scale.load=2",
-        "summary.csv",
-        "summary.json",
-        "sweep.html",
-        "sweep.png",
-        "sweep.svg",
-    ]
+        "scale.load=1", "scale.load=1.5", "scale.load=2", "summary.csv", "summary.json",
+        "sweep.html", "sweep.png", "sweep.svg",
+    ]  # fmt: skip
     loads = [
         read_scenario(out / run["folder"] / "scenario").load_kw[0, 0] for run in record["runs"]
     ]

@@ -27,10 +27,6 @@ N_STEPS = 5
 SEEDS = (100, 101, 102, 103, 106, 108, 110, 111)
 BY_DAY = (100, 101)
 RUNS = [(seed, kind) for seed in SEEDS for kind in ("mpc", "full-horizon")]
-each_run = pytest.mark.parametrize(
-    ("seed", "kind"),
-    [pytest.param(*run, marks=() if run[0] in BY_DAY else pytest.mark.nightly) for run in RUNS],
-)
 
 
 @cache
@@ -47,6 +43,15 @@ def random_run(seed: int, kind: str) -> Trajectory:
             thermal="exact" if seed % 3 == 0 else "off",
         ),
     )
+
+
+@pytest.fixture(
+    params=[pytest.param(r, marks=() if r[0] in BY_DAY else pytest.mark.nightly) for r in RUNS],
+    ids=lambda run: f"{run[0]}-{run[1]}",
+)
+def run(request: pytest.FixtureRequest) -> Trajectory:
+    """Each of the runs."""
+    return random_run(*request.param)
 
 
 def per_step(run: Trajectory, table: str, column: str) -> Floats:
@@ -90,9 +95,7 @@ def owners(scenario: Scenario) -> list[int]:
     return [scenario.customers.id.tolist().index(c) for c in scenario.pv.customer]
 
 
-@each_run
-def test_demand_and_pv_of_the_record_are_the_actual_ones(seed: int, kind: str) -> None:
-    run = random_run(seed, kind)
+def test_demand_and_pv_of_the_record_are_the_actual_ones(run: Trajectory) -> None:
     assert per_step(run, "customers", "p_load_kw") == pytest.approx(run.scenario.load_kw)
     tan_phi = np.sqrt(1 - run.scenario.customers.power_factor**2) / (
         run.scenario.customers.power_factor
@@ -103,9 +106,7 @@ def test_demand_and_pv_of_the_record_are_the_actual_ones(seed: int, kind: str) -
     assert per_step(run, "pv", "available_kw") == pytest.approx(run.scenario.pv_kw)
 
 
-@each_run
-def test_soc_recursion(seed: int, kind: str) -> None:
-    run = random_run(seed, kind)
+def test_soc_recursion(run: Trajectory) -> None:
     start, end = per_step(run, "batteries", "soc_start"), per_step(run, "batteries", "soc_end")
     kwh = run.scenario.grid.dt_h * (
         per_step(run, "batteries", "eta_charge") * per_step(run, "batteries", "charge_kw")
@@ -116,16 +117,12 @@ def test_soc_recursion(seed: int, kind: str) -> None:
     assert end == pytest.approx(start + kwh / run.scenario.batteries.energy_kwh, abs=1e-9)
 
 
-@each_run
-def test_soc_limits(seed: int, kind: str) -> None:
-    run = random_run(seed, kind)
+def test_soc_limits(run: Trajectory) -> None:
     end, b = per_step(run, "batteries", "soc_end"), run.scenario.batteries
     assert (end >= b.soc_min).all() and (end <= b.soc_max).all()
 
 
-@each_run
-def test_ratings_and_exclusivity(seed: int, kind: str) -> None:
-    run = random_run(seed, kind)
+def test_ratings_and_exclusivity(run: Trajectory) -> None:
     b = run.scenario.batteries
     charge, discharge = (per_step(run, "batteries", name) for name in ("charge_kw", "discharge_kw"))
     assert (np.minimum(charge, discharge) == 0.0).all()
@@ -137,9 +134,7 @@ def test_ratings_and_exclusivity(seed: int, kind: str) -> None:
     assert (apparent <= run.scenario.pv.s_max_kva * (1 + 1e-6)).all()
 
 
-@each_run
-def test_pv_split_and_self_consumption_of_the_served(seed: int, kind: str) -> None:
-    run = random_run(seed, kind)
+def test_pv_split_and_self_consumption_of_the_served(run: Trajectory) -> None:
     s = run.scenario
     own, export, curtailed = (
         per_step(run, "pv", name) for name in ("self_kw", "export_kw", "curtailed_kw")
@@ -150,10 +145,8 @@ def test_pv_split_and_self_consumption_of_the_served(seed: int, kind: str) -> No
     assert own == pytest.approx(served * np.minimum(s.pv_kw, s.load_kw[:, owners(s)]), abs=1e-9)
 
 
-@each_run
-def test_nodal_balance_of_the_ac_power_flow(seed: int, kind: str) -> None:
+def test_nodal_balance_of_the_ac_power_flow(run: Trajectory) -> None:
     """What arrives at a bus after the line's loss, and is injected there, leaves it again."""
-    run = random_run(seed, kind)
     net, (p, q) = run.scenario.network, nodal_injection(run)
     p_from, q_from = per_step(run, "lines", "p_ac_kw"), per_step(run, "lines", "q_ac_kvar")
     v_kv = per_step(run, "buses", "v_ac_pu") * net.base_kv
@@ -171,24 +164,18 @@ def test_nodal_balance_of_the_ac_power_flow(seed: int, kind: str) -> None:
     assert squared_a @ net.r_ohm / 1000.0 == pytest.approx(run.steps["losses_kw"], abs=1e-4)
 
 
-@each_run
-def test_dead_grid_gives_and_takes_no_more_than_the_losses(seed: int, kind: str) -> None:
-    run = random_run(seed, kind)
+def test_dead_grid_gives_and_takes_no_more_than_the_losses(run: Trajectory) -> None:
     dark = run.scenario.outage
     net_of_losses = (run.steps["p_grid_kw"] - run.steps["losses_kw"]).to_numpy()[dark]
     assert np.abs(net_of_losses).max(initial=0.0) <= 1.0
 
 
-@each_run
-def test_live_grid_is_never_fed(seed: int, kind: str) -> None:
-    run = random_run(seed, kind)
+def test_live_grid_is_never_fed(run: Trajectory) -> None:
     net_of_losses = (run.steps["p_grid_kw"] - run.steps["losses_kw"]).to_numpy()
     assert net_of_losses[~run.scenario.outage].min(initial=0.0) >= -1.0
 
 
-@each_run
-def test_batteries_charge_from_import_and_pv_export_only(seed: int, kind: str) -> None:
-    run = random_run(seed, kind)
+def test_batteries_charge_from_import_and_pv_export_only(run: Trajectory) -> None:
     given = (run.steps["p_grid_kw"] - run.steps["losses_kw"]).to_numpy()
     given = given + per_step(run, "pv", "export_kw").sum(axis=1)
     assert (per_step(run, "batteries", "charge_kw").sum(axis=1) <= given + 1.0).all()

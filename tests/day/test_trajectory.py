@@ -26,68 +26,21 @@ from vppres.day.run_files import read_run, write_tables
 from vppres.day.trajectory import Trajectory
 from vppres.io.scenario_writer import write_scenario
 
+# Columns of each table, in their order.
 CONTRACT = {
-    "steps": [
-        "time",
-        "outage",
-        "price_gbp_per_kwh",
-        "p_grid_kw",
-        "q_grid_kvar",
-        "losses_kw",
-        "v_min_ac_pu",
-        "v_max_ac_pu",
-        "v_error_pu",
-        "objective",
-        "bound",
-        "gap",
-        "status",
-        "solve_s",
-        "corrected",
-        "correction_reason",
-        "fallback",
-        "fallback_reason",
-        "estimated",
-        "ac_failed",
-        "phase",
-    ],
-    "customers": [
-        "time",
-        "id",
-        "bus",
-        "tier",
-        "weight",
-        "p_load_kw",
-        "q_load_kvar",
-        "served",
-        "shed",
-    ],
-    "pv": [
-        "time",
-        "id",
-        "customer",
-        "bus",
-        "available_kw",
-        "self_kw",
-        "export_kw",
-        "curtailed_kw",
-        "q_kvar",
-    ],
-    "batteries": [
-        "time",
-        "id",
-        "bus",
-        "charge_kw",
-        "discharge_kw",
-        "q_kvar",
-        "soc_start",
-        "soc_end",
-        "eta_charge",
-        "eta_discharge",
-        "temperature_c",
-        "mismatch_kw",
-    ],
-    "buses": ["time", "bus", "v_model_pu", "v_ac_pu"],
-    "lines": ["time", "from_bus", "to_bus", "p_model_kw", "q_model_kvar", "p_ac_kw", "q_ac_kvar"],
+    "steps": (
+        "time outage price_gbp_per_kwh p_grid_kw q_grid_kvar losses_kw v_min_ac_pu v_max_ac_pu "
+        "v_error_pu objective bound gap status solve_s corrected correction_reason fallback "
+        "fallback_reason estimated ac_failed phase"
+    ),
+    "customers": "time id bus tier weight p_load_kw q_load_kvar served shed",
+    "pv": "time id customer bus available_kw self_kw export_kw curtailed_kw q_kvar",
+    "batteries": (
+        "time id bus charge_kw discharge_kw q_kvar soc_start soc_end eta_charge eta_discharge "
+        "temperature_c mismatch_kw"
+    ),
+    "buses": "time bus v_model_pu v_ac_pu",
+    "lines": "time from_bus to_bus p_model_kw q_model_kvar p_ac_kw q_ac_kvar",
 }
 
 
@@ -98,18 +51,13 @@ CONTRACT = {
 )
 def test_tables_have_exactly_the_columns_of_the_contract(scenario):
     run = small_run(scenario)
-    assert {name: list(table.columns) for name, table in run.tables.items()} == CONTRACT
+    assert {name: " ".join(table.columns) for name, table in run.tables.items()} == CONTRACT
 
 
 def test_tables_have_a_row_per_step_and_item():
     assert {name: len(t) for name, t in small_run().tables.items()} == {
-        "steps": 4,
-        "customers": 12,
-        "pv": 4,
-        "batteries": 4,
-        "buses": 16,
-        "lines": 12,
-    }
+        "steps": 4, "customers": 12, "pv": 4, "batteries": 4, "buses": 16, "lines": 12,
+    }  # fmt: skip
 
 
 def test_rows_are_ordered_by_time_then_item():

@@ -616,26 +616,15 @@ def test_phases_between_two_outages() -> None:
     outage = np.array([0, 1, 0, 0, 0, 0, 1, 0], bool)
     returning = np.array([0, 1, 1, 1, 0, 0, 1, 0], bool)
     assert phases(outage, returning, 2) == [
-        "preparation",
-        "island",
-        "recovery",
-        "recovery",
+        "preparation", "island", "recovery", "recovery", "normal", "preparation", "island",
         "normal",
-        "preparation",
-        "island",
-        "normal",
-    ]
+    ]  # fmt: skip
 
 
 def test_figures_have_two_digits_that_count() -> None:
     assert [figure(v) for v in (0.0, 0.00122, -0.5, 99.4, 1268.0, float("nan"))] == [
-        "0",
-        "0.0012",
-        "-0.5",
-        "99",
-        "1270",
-        "0",
-    ]
+        "0", "0.0012", "-0.5", "99", "1270", "0",
+    ]  # fmt: skip
 
 
 @pytest.mark.nightly

@@ -631,6 +631,11 @@ BINARIES: dict[str, tuple[str, Callable[[], bytes], str]] = {
         lambda: b"function mpc = c\n" + b"mpc.bus = [\n" * 400_000,
         "net.m, row 2: has the character '='",
     ),
+    "blanks": (
+        "net.m",
+        lambda: b"function mpc = c\nx" + b" " * 200_000 + b"y\n",
+        "net.m, row 2: has 'x', which is not evaluated",
+    ),
     "empty lines": ("net.m", lambda: b"\n" * (9 * 2**20), "mpc.baseMVA is missing"),
     "long text": ("net.m", lambda: b"%" * (11 * 2**20), "has more than 10 MB"),
 }

@@ -337,6 +337,7 @@ def test_a_small_parquet_file_with_very_many_rows_is_refused_unread(tiny_folder:
         ("lines.csv", "r_ohm", "1e15", "must be at most 10000"),
         ("lines.csv", "r_ohm", "1e-300", "must be at least 1e-07"),
         ("customers.csv", "weight", "1e308", "must be at most 1e+06"),
+        ("customers.csv", "share_min", "1.25", "must be at most 1"),
         ("pv.csv", "p_max_kw", "1e308", "must be at most 1e+06"),
         ("load_kw.csv", "shop", "1e308", "must be at most 1e+06"),
         ("system.csv", "price_gbp_per_kwh", "-1e308", "must be at least -10000"),

@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support.pages import attribute_table_markdown
+from tests.support.tiny_day import tiny_scenario
 from vppres.core.errors import InputError
 from vppres.io import (
     find_scenario,
@@ -24,8 +25,11 @@ from vppres.io import (
     write_scenario,
 )
 from vppres.io.editor import json_schema
+from vppres.io.python_door import check_scenario
 from vppres.scenario.assets import Batteries, Customers, PVSystems
+from vppres.scenario.fairness import Fairness, Interruption
 from vppres.scenario.network import BUS_DRAWS, LINE_DEFAULTS, Network
+from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import ControllerDefaults, ObjectiveWeights, Scenario
 from vppres.scenario.timegrid import TimeGrid
 
@@ -147,14 +151,53 @@ def test_round_trip_of_everything_that_is_not_a_default(tiny: Scenario, tmp_path
     assert len(document["outages"]) == 2
 
 
+def of_customers(**columns: object) -> dict[str, object]:
+    """The tiny day's customers with these columns."""
+    return {"customers": replace(tiny_scenario().customers, **columns)}
+
+
+DAWN = pd.Timestamp("2022-07-18T04:00Z")
+PAST = (
+    Interruption(DAWN, DAWN + pd.Timedelta("6h")),
+    Interruption(DAWN, DAWN + pd.Timedelta("2h"), "shop"),
+    Interruption(DAWN + pd.Timedelta("4h"), DAWN + pd.Timedelta("5h"), "shop"),
+)
+RULES = SwitchingRules(min_served_h=2.0, max_actions_per_customer=4, stay_restored=True)
+BEYOND_THE_PAPER: dict[str, tuple[dict[str, object], str]] = {
+    "dimmed": (
+        of_customers(share_min=[1.0, 0.25, 1.0], recover_h=[np.nan, 2.0, np.nan]),
+        "share_min",
+    ),
+    "longest off": (of_customers(max_off_h=[4.0, np.nan, 2.0]), "off_h"),
+    "own backup": (of_customers(max_off_h=[np.nan] * 3, own_backup_h=[4.0, 1.5, 0.0]), "backup"),
+    "parts": (of_customers(shed_steps=[1, 4, 1]), "shed_steps"),
+    "rules": ({"switching": RULES}, "switching"),
+    "shared": ({"fairness": Fairness(rotation=0.2, turn_h=2.0, minimum_on_h=1.0)}, "rotation"),
+    "outages of the past": ({"interruptions": PAST}, "interruption"),
+}
+
+
+@pytest.mark.parametrize("name", BEYOND_THE_PAPER)
+def test_what_is_beyond_the_paper_comes_back_and_is_not_there_without(
+    name: str, tiny: Scenario, tiny_folder: Path, tmp_path: Path
+) -> None:
+    changes, word = BEYOND_THE_PAPER[name]
+    day = replace(tiny, **changes)
+    check_scenario(day)
+    read = round_trip(day, tmp_path / "other")
+    assert_equal(read, day)
+    assert scenario_digest(read) == scenario_digest(day) != scenario_digest(tiny)
+    assert not any(word in file.read_text("utf-8") for file in tiny_folder.glob("*.[ct]*"))
+    for part in ("switching", "fairness", "interruptions"):
+        assert getattr(read, part) == getattr(day, part)
+
+
 @pytest.mark.nightly
 @settings(max_examples=12)
 @given(values=st.lists(st.floats(0, 1e6), min_size=18, max_size=18))
 def test_numbers_come_back_to_the_last_digit(
     tmp_path_factory: pytest.TempPathFactory, values: list[float]
 ) -> None:
-    from tests.support.tiny_day import tiny_scenario
-
     scenario = replace(tiny_scenario(), load_kw=np.reshape(values, (6, 3)))
     read = round_trip(scenario, tmp_path_factory.mktemp("numbers") / "s")
     np.testing.assert_array_equal(read.load_kw, scenario.load_kw)
@@ -209,26 +252,12 @@ def test_defaults_fill_what_the_files_leave_out(tiny_folder: Path) -> None:
     battery = {f.name: getattr(read.batteries, f.name)[0] for f in fields(Batteries)}
     assert np.isnan(battery.pop("t_initial_c"))
     assert battery == {
-        "id": "b",
-        "bus": 2,
-        "energy_kwh": 100.0,
-        "p_max_kw": 50.0,
-        "s_max_kva": 60.0,
-        "soc_min": 0.2,
-        "soc_max": 0.85,
-        "soc_initial": 0.2,
-        "eta_charge": 0.95,
-        "eta_discharge": 0.95,
-        "r_theta_c_per_kw": 3.5,
-        "c_theta_kwh_per_c": 0.3,
-        "alpha_charge_per_c2": 1e-4,
-        "alpha_discharge_per_c2": 1e-4,
-        "r_int_ohm": 0.0035,
-        "beta_per_c": 0.003,
-        "u_batt_v": 900.0,
-        "t_ref_c": 25.0,
-        "grid_forming": False,
-    }
+        "id": "b", "bus": 2, "energy_kwh": 100.0, "p_max_kw": 50.0, "s_max_kva": 60.0,
+        "soc_min": 0.2, "soc_max": 0.85, "soc_initial": 0.2, "eta_charge": 0.95,
+        "eta_discharge": 0.95, "r_theta_c_per_kw": 3.5, "c_theta_kwh_per_c": 0.3,
+        "alpha_charge_per_c2": 1e-4, "alpha_discharge_per_c2": 1e-4, "r_int_ohm": 0.0035,
+        "beta_per_c": 0.003, "u_batt_v": 900.0, "t_ref_c": 25.0, "grid_forming": False,
+    }  # fmt: skip
 
 
 def test_one_named_bus_makes_all_buses_text(tiny_folder: Path) -> None:

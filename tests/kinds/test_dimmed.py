@@ -27,13 +27,10 @@ from vppres import InputError, RunOptions, explain_day, run_day, summarise
 from vppres.contract.decision import Decision
 from vppres.control.guard.check import violations
 from vppres.day.metrics import service_by_customer
-from vppres.io import read_scenario, write_scenario
 from vppres.io.digest import scenario_digest
-from vppres.io.python_door import check_scenario
 from vppres.model.site import Site
 from vppres.plant.plant import Plant
 from vppres.report.run_folder import render_report
-from vppres.scenario.parts import split_sheddable
 from vppres.scenario.priority import Ranks
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
@@ -265,25 +262,6 @@ def test_a_service_sends_the_share(tiny: Scenario, tmp_path: Path) -> None:
 
 
 # Files and messages.
-
-
-def test_the_column_is_read_and_written(tiny: Scenario, tmp_path: Path) -> None:
-    day = dimmable(tiny, 1.0, 0.25, 1.0)
-    more = {"shed_steps": [1, 2, 1], "recover_h": [np.nan, 2.0, np.nan]}
-    day = replace(day, customers=replace(day.customers, **more))
-    check_scenario(day)
-    write_scenario(day, tmp_path / "day")
-    again = read_scenario(tmp_path / "day")
-    assert again.customers.least_share.tolist() == [1.0, 0.25, 1.0]
-    assert scenario_digest(again) == scenario_digest(day)
-    assert again.customers.recovery_h.tolist() == [0.0, 2.0, 0.0]
-    assert split_sheddable(again).customers.least_share.tolist() == [1.0, 0.25, 0.25, 1.0]
-    write_scenario(tiny, tmp_path / "plain")
-    assert "share" not in (tmp_path / "plain" / "customers.csv").read_text("utf-8")
-    file = tmp_path / "day" / "customers.csv"
-    file.write_text(file.read_text("utf-8").replace("0.25", "1.25"), "utf-8")
-    with pytest.raises(InputError, match=r"customers.csv.*row 3.*share_min.*1.25"):
-        read_scenario(tmp_path / "day")
 
 
 def test_what_cannot_be_dimmed_is_refused(tiny: Scenario) -> None:

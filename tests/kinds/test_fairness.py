@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -16,7 +15,6 @@ from hypothesis import strategies as st
 import vppres
 from vppres.day.recorder import ROTATED
 from vppres.explain.day import explain_day
-from vppres.io import read_scenario, write_scenario
 from vppres.scenario.assets import Customers
 from vppres.scenario.fairness import Fairness, Interruption, hours_off, rotated, turns
 from vppres.scenario.scenario import Scenario
@@ -175,20 +173,13 @@ def test_the_memory_goes_on_over_a_restart(tiny: Scenario) -> None:
         vppres.Controller.of(tiny, replace(HERE, guard=True), state=going.state())
 
 
-def test_outages_of_the_past_are_read_and_written(tiny: Scenario, tmp_path: Path) -> None:
+def test_outages_of_the_past_count_once_for_each_customer(tiny: Scenario) -> None:
     start = tiny.grid.start - 30 * HOUR
-    past = (
-        Interruption(start, start + 6 * HOUR),
-        Interruption(start, start + 2 * HOUR, str(tiny.customers.id[1])),
-        Interruption(start + 4 * HOUR, start + 5 * HOUR, str(tiny.customers.id[1])),
-    )
-    rules = Fairness(rotation=0.2, turn_h=2.0, minimum_on_h=1.0)
-    write_scenario(replace(tiny, interruptions=past, fairness=rules), tmp_path / "day")
-    again = read_scenario(tmp_path / "day")
-    assert again.interruptions == past
-    assert again.fairness == rules
-    assert hours_off(again.interruptions, again.customers.id).tolist() == [0.0, 3.0, 0.0]
-    assert vppres.RunOptions().on(again).rotation == 0.2
+    past = [(0, 6, ""), (0, 2, "shop"), (4, 5, "shop")]
+    past = [Interruption(start + a * HOUR, start + b * HOUR, who) for a, b, who in past]
+    assert hours_off(past, tiny.customers.id).tolist() == [0.0, 3.0, 0.0]
+    shared = replace(tiny, fairness=Fairness(rotation=0.2))
+    assert vppres.RunOptions().on(shared).rotation == 0.2
 
 
 def test_sharing_is_for_the_controller_that_plans_anew(tiny: Scenario) -> None:

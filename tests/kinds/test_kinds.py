@@ -181,7 +181,21 @@ def test_the_last_check_sends_no_set_point_beyond_a_unit(it: Example) -> None:
     for columns, reason in it.beyond:
         wrong = tables | {it.kind: tables[it.kind].assign(**columns)}
         assert refusals(wrong, it.day, soc) == {(it.kind, name): reason}
-    assert parts("live")[it.kind].defaults(it.day) == {name: it.default}
+    live_part = parts("live")[it.kind]
+    assert live_part.defaults(it.day) == {name: it.default}
+    ruled = live_part.by_rule(it.day.between(t, it.day.grid.n_steps))
+    assert {column: float(np.max(value)) for column, value in ruled.items()} == it.by_rule
+
+
+@of_each_kind
+def test_without_voltage_units_do_nothing(it: Example) -> None:
+    """As much as before in steps that are lit, and nothing in others."""
+    ahead, units = known(it.day).ahead, getattr(it.day, it.kind)
+    lit = np.arange(it.day.grid.n_steps) % 2 > 0
+    part = ahead.in_the_dark(lit[:, None]).by_kind[it.kind]
+    for most in ("most_taken_kw", "most_given_kw"):
+        whole_kw, part_kw = (getattr(each, most)(units) for each in (ahead.by_kind[it.kind], part))
+        assert (part_kw == np.where(lit, whole_kw, 0.0)).all()
 
 
 @of_each_kind

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,13 +19,10 @@ from vppres.control.planner import levels_of
 from vppres.control.rules import rule_dispatch
 from vppres.control.step_state import StepState
 from vppres.day import priority
-from vppres.io import read_scenario, write_scenario
-from vppres.io.digest import scenario_digest
 from vppres.model.beyond_paper.table import beyond_paper
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.report.run_folder import render_report
-from vppres.scenario.parts import split_sheddable
 from vppres.scenario.priority import Ranks
 from vppres.scenario.remarks import remarks
 from vppres.scenario.rules import SwitchingRules
@@ -258,22 +254,6 @@ def test_since_when_a_customer_is_off_survives_a_restart() -> None:
 
 
 # Files.
-
-
-def test_columns_are_read_and_written(tmp_path: Path) -> None:
-    day = six_hours(2.0)
-    both = replace(day.customers, own_backup_h=[4.0, 1.5], shed_steps=[1, 2])
-    day = replace(day, customers=both)
-    write_scenario(day, tmp_path / "day")
-    again = read_scenario(tmp_path / "day")
-    assert again.customers.longest_off_h.tolist() == [4.0, 3.5]
-    assert scenario_digest(again) == scenario_digest(day)
-    assert split_sheddable(again).customers.longest_off_h.tolist() == [4.0, 3.5, 3.5]
-    plain = replace(day, customers=replace(both, max_off_h=[], own_backup_h=[]))
-    write_scenario(plain, tmp_path / "plain")
-    header = (tmp_path / "plain" / "customers.csv").read_text("utf-8").splitlines()[0]
-    assert "off" not in header and "backup" not in header
-    assert scenario_digest(plain) != scenario_digest(day)
 
 
 def test_without_limits_nothing_is_added() -> None:

@@ -13,11 +13,10 @@ from benchmarks.random_feeders import random_window
 from tests.support.agreement import both_methods
 from tests.support.builders import known, solved
 from tests.support.carried_out import carried_out
-from tests.support.homes import homes
-from tests.support.kinds import EXAMPLES
-from tests.support.sets import gensets
+from tests.support.homes import homes, with_random_homes
+from tests.support.sets import gensets, random_sets
 from tests.support.small_windows import two_buses
-from tests.support.vans import chargers, plugged_in
+from tests.support.vans import chargers, plugged_in, with_random_vehicles
 from vppres import (
     Controller,
     Measurement,
@@ -49,10 +48,14 @@ def mixed(seed: int) -> tuple[Scenario, WindowData]:
     """
     day, data = random_window(seed, stressed=seed % 2 > 0)
     rng = np.random.default_rng([seed, 51])
-    *kinds, dimmed, limited = rng.random(2 + len(EXAMPLES)) < OFTEN
+    vehicles, rooms, sets, dimmed, limited = rng.random(5) < OFTEN
     count, dt_h = len(day.customers), day.grid.dt_h
-    for here, it in zip(kinds, EXAMPLES.values(), strict=True):
-        day = it.draw(day, seed) if here else day
+    if vehicles:
+        day = with_random_vehicles(day, seed)
+    if rooms:
+        day = with_random_homes(day, rng)
+    if sets:
+        day = replace(day, gensets=random_sets(rng, day))
     if dimmed:
         share_min = np.where(rng.random(count) < 0.5, rng.choice([0.1, 0.3, 0.7], count), 1.0)
         day = replace(day, customers=replace(day.customers, share_min=share_min))

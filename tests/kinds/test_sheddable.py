@@ -14,7 +14,6 @@ from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.io import read_scenario, write_scenario
 from vppres.scenario.parts import split_sheddable
-from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 
 
@@ -38,6 +37,14 @@ def test_parts_add_up_to_the_customer(tiny: Scenario) -> None:
     assert (split.customers.shed_steps == 1).all()
 
 
+def test_parts_have_the_limits_of_their_customer(tiny: Scenario) -> None:
+    limits = {"share_min": [1.0, 0.25, 1.0], "max_off_h": [4.0, 3.5, np.nan]}
+    limited = replace(tiny, customers=replace(tiny.customers, **limits))
+    parts = split_sheddable(in_parts(limited, 1, 2, 1)).customers
+    assert parts.least_share.tolist() == [1.0, 0.25, 0.25, 1.0]
+    assert parts.longest_off_h.tolist() == [4.0, 3.5, 3.5, np.inf]
+
+
 def test_whole_customers_are_left_alone(tiny: Scenario) -> None:
     assert split_sheddable(tiny) is tiny
 
@@ -55,16 +62,6 @@ def test_share_of_a_customer_is_that_of_its_parts(tiny: Scenario) -> None:
     whole = summarise(run_day(tiny, RunOptions(horizon_h=2.0)))
     assert summary["resilience"] > whole["resilience"] + 1e-6
     assert "served_share_of_customer" not in whole
-
-
-def test_files_keep_parts_and_rules(tiny: Scenario, tmp_path: Path) -> None:
-    rules = SwitchingRules(min_served_h=2.0, max_actions_per_customer=4, stay_restored=True)
-    write_scenario(replace(in_parts(tiny, 1, 4, 1), switching=rules), tmp_path / "parts")
-    read = read_scenario(tmp_path / "parts")
-    assert (read.customers.shed_steps.tolist(), read.switching) == ([1, 4, 1], rules)
-    write_scenario(tiny, tmp_path / "whole")
-    assert "shed_steps" not in (tmp_path / "whole" / "customers.csv").read_text("utf-8")
-    assert "switching" not in (tmp_path / "whole" / "scenario.toml").read_text("utf-8")
 
 
 def test_identifier_of_a_part_is_reserved(tiny: Scenario, tmp_path: Path) -> None:

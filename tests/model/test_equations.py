@@ -282,16 +282,8 @@ def test_terms_of_arrays_are_those_of_the_problem(
 def test_signs_of_the_variables_are_the_papers(paper: PaperProblem) -> None:
     never_negative = {name for name in VALUES if getattr(paper.v, name).is_nonneg()}
     assert never_negative == {
-        "x_served",
-        "P_self",
-        "P_exp",
-        "P_curt",
-        "P_ch",
-        "P_dch",
-        "delta",
-        "P_grid",
-        "u",
-    }
+        "x_served", "P_self", "P_exp", "P_curt", "P_ch", "P_dch", "delta", "P_grid", "u",
+    }  # fmt: skip
     assert {v.name() for v in paper.problem.variables() if v.attributes["boolean"]} == {
         "x_served",
         "delta",

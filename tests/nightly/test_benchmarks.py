@@ -322,17 +322,10 @@ def test_stressed_answers_are_counted_by_what_binds() -> None:
 
 def solved_late(buses: int, first_s: float, again_s: float, ending: str) -> dict[str, object]:
     return {
-        "window": "one",
-        "buses": buses,
-        "limit_s": 1.0,
-        "load": 2.0,
-        "first_ending": "LimitError",
-        "first_late_s": first_s,
-        "first_late_cpu_s": 0.1,
-        "again_ending": ending,
-        "again_late_s": again_s,
-        "again_late_cpu_s": 0.0,
-    }
+        "window": "one", "buses": buses, "limit_s": 1.0, "load": 2.0, "first_ending": "LimitError",
+        "first_late_s": first_s, "first_late_cpu_s": 0.1, "again_ending": ending,
+        "again_late_s": again_s, "again_late_cpu_s": 0.0,
+    }  # fmt: skip
 
 
 def test_deadlines_by_hand() -> None:

@@ -88,14 +88,9 @@ def test_two_days_of_quarter_hours_are_cut_to_their_outage() -> None:
 
 def test_summary_counts_steps_that_are_left_open() -> None:
     day = {
-        "kind": "tight",
-        "seed": 1,
-        "seconds": [0.1, 0.3],
-        "status": ["optimal", "gap_open"],
-        "gap": [1e-6, 2e-3],
-        "fallback": ["none", "rule"],
-        "stages": ["a", "b"],
-    }
+        "kind": "tight", "seed": 1, "seconds": [0.1, 0.3], "status": ["optimal", "gap_open"],
+        "gap": [1e-6, 2e-3], "fallback": ["none", "rule"], "stages": ["a", "b"],
+    }  # fmt: skip
     table = summary(steps_of(pd.DataFrame([day, {**day, "kind": "rules", "gap": [0.0, 0.0]}])))
     assert table["kind"].tolist() == ["all", "tight", "rules"]
     assert table["days"].tolist() == [2, 1, 1]

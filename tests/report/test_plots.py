@@ -20,7 +20,16 @@ from tests.support.made_up_runs import without_devices as bare
 from vppres.day import series
 from vppres.report.plots.axes import TimeAxis, ValueAxis, range_of, round_values, time_step_min
 from vppres.report.plots.chart import Band, Chart, Curve, Curves, Limit
-from vppres.report.plots.drawing import BLUE, RUN_STYLES, Canvas, Style, blend, cividis, path_of
+from vppres.report.plots.drawing import (
+    BLUE,
+    CIVIDIS,
+    RUN_STYLES,
+    Canvas,
+    Style,
+    blend,
+    coloured,
+    path_of,
+)
 from vppres.report.plots.figures import (
     FIGURES,
     RUN_FIGURES,
@@ -315,8 +324,8 @@ def test_limits_are_within_the_axis():
 
 
 def test_colours_of_a_scale():
-    assert cividis(0.0) == "#00224e"
-    assert cividis(1.0) == "#fee838"
+    assert coloured(CIVIDIS, 0.0) == "#00224e"
+    assert coloured(CIVIDIS, 1.0) == "#fee838"
     assert blend(("#000000", "#FFFFFF"), np.array([0.5, np.nan])).tolist() == [
         [128, 128, 128],
         [255, 255, 255],

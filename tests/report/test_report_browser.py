@@ -14,6 +14,7 @@ import pytest
 
 from tests.support.made_up_runs import SECTIONS_OF_A_DAY, day_run, day_scenario
 from vppres.report.run_folder import write_run
+from vppres.studies.compare import read_runs, render_comparison
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 
@@ -310,4 +311,24 @@ def test_no_text_of_a_figure_leaves_it_or_covers_another(
             and min(a["bottom"], b["bottom"]) - max(a["top"], b["top"]) > 4.0
         ]
         assert covered == []
+    page.close()
+
+
+def test_charts_of_a_comparison_are_laid_out_for_a_phone(
+    browser: Any, report: Path, tmp_path: Path
+) -> None:
+    """As wide as the window, with letters of their own size; nothing is said to the console."""
+    shutil.copytree(report.parent, tmp_path / "other")
+    runs = read_runs([report.parent, tmp_path / "other"])
+    (tmp_path / "both.html").write_text(render_comparison(runs), encoding="utf-8")
+    page = browser.new_page(viewport={"width": 390, "height": 844})
+    messages: list[str] = []
+    page.on("console", lambda message: messages.append(message.text))
+    page.goto((tmp_path / "both.html").as_uri())
+    sizes = page.locator(DRAWINGS).evaluate_all(
+        "all => all.map(svg => [svg.viewBox.baseVal.width, svg.getBoundingClientRect().width])"
+    )
+    assert len(sizes) > 3
+    assert all(drawn == shown and 300 < shown < 390 for drawn, shown in sizes)
+    assert messages == []
     page.close()

@@ -6,14 +6,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
 
-from tests.support.live_service import NOON, decided, serving, site
+from tests.support.live_service import NOON, decided, readings, serving, site
+from tests.support.vans import van
 from vppres.day.options import RunOptions
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock, written
 from vppres.service.runner import Service
 
+HOUR = pd.Timedelta(hours=1)
 ISLAND = RunOptions(horizon_h=1.0, isolate=False, mode="physical")
 DARK = {"type": "outage", "start": written(NOON), "end": "2026-11-21T13:00:00Z"}
 
@@ -78,3 +81,24 @@ def test_a_limit_of_import_that_is_not_kept_is_told(
         found = http.post("/v1/mode/check", body).json()["found"]
     told = any(one.endswith("above its limit of 20 kW.") for one in found)
     assert told == (limit_kw is not None)
+
+
+@pytest.mark.parametrize("read_soc", [0.3, 0.99])
+def test_a_vehicle_is_charged_from_what_is_read_of_it(
+    tiny: Scenario, tmp_path: Path, read_soc: float
+) -> None:
+    """Its session says 18 kWh of 60: there is room for 40 kW, unless it is nearly full by now."""
+    day = site(tiny)
+    charger, session = van(NOON - HOUR, NOON + 6 * HOUR)
+    day = replace(day, chargers=replace(charger, p_charge_kw=[40.0]), sessions=session)
+    cap = {"type": "import_limit", "limit_kw": 130.0, "start": written(NOON), "end": DARK["end"]}
+    with serving(Service(day, ISLAND), tmp_path, SetClock(NOON)) as (http, runner):
+        http.put("/v1/events/cap", cap)
+        series = readings(NOON, "ev_soc", {"k0": read_soc})
+        assert http.post("/v1/telemetry", {"series": series}).status == 200
+        decided(http, runner.clock, NOON, soc=0.5)
+        rest = [{"kind": "batteries", "asset": name, "p_kw": 0.0} for name in ("big", "small")]
+        body = on("homes", "shop", "hospital")
+        body["setpoints"] += [*rest, {"kind": "chargers", "asset": "k0", "p_limit_kw": 40.0}]
+        found = http.post("/v1/mode/check", body).json()["found"]
+    assert any("above its limit" in one for one in found) == (read_soc < 0.5)

@@ -16,21 +16,11 @@ def homes(*customers: str, **more: Any) -> ThermalLoads:
     """Homes of 5 K/kW and 8 kWh/K with a gain of 0.5 kW, cooled by 2 kW with a COP of 3.5."""
     count = len(customers)
     values: dict[str, Any] = {
-        "id": [f"h{i}" for i in range(count)],
-        "customer": list(customers),
-        "heats": False,
-        "p_max_kw": 2.0,
-        "cop": 3.5,
-        "cop_at_c": 35.0,
-        "cop_per_c": 0.0,
-        "r_c_per_kw": 5.0,
-        "c_kwh_per_c": 8.0,
-        "t_min_c": 20.0,
-        "t_max_c": 26.0,
-        "t_initial_c": 24.0,
-        "gain_kw": 0.5,
+        "id": [f"h{i}" for i in range(count)], "customer": list(customers), "heats": False,
+        "p_max_kw": 2.0, "cop": 3.5, "cop_at_c": 35.0, "cop_per_c": 0.0, "r_c_per_kw": 5.0,
+        "c_kwh_per_c": 8.0, "t_min_c": 20.0, "t_max_c": 26.0, "t_initial_c": 24.0, "gain_kw": 0.5,
         "around_c": np.nan,
-    } | more
+    } | more  # fmt: skip
     return ThermalLoads(**{k: np.broadcast_to(np.asarray(v), count) for k, v in values.items()})
 
 
@@ -54,5 +44,4 @@ def with_random_homes(scenario: Scenario, rng: np.random.Generator) -> Scenario:
         gain_kw=rng.uniform(-1.0, 1.0, count),
     )
     outside_c = rng.uniform(-5.0, 40.0, scenario.grid.n_steps)
-    loads = replace(loads, cop_per_c=rng.uniform(-0.08, 0.02, count))
     return replace(scenario, temperature_c=outside_c, thermal_loads=loads)

@@ -38,6 +38,7 @@ class Example:
     beyond: Sequence[tuple[dict[str, Any], str]]  # columns of a set-point, the last check's words
     told: Sequence[tuple[dict[str, Any], str]]  # readings step by step, and what is said of them
     default: Mapping[str, Any]  # set-point without a decision
+    by_rule: Mapping[str, float]  # set-point where no plan was found in an outage
     figures: Mapping[str, Any]  # of a run of the site
     why: Mapping[str, str]  # actions of it, and the first reason of each
     caution: str
@@ -56,6 +57,14 @@ def _in_parts(day: Scenario) -> Scenario:
     return replace(day, customers=replace(day.customers, shed_steps=[2] * len(day.customers)))
 
 
+def _drawn_homes(day: Scenario, seed: int) -> Scenario:
+    """The day with rooms and tanks whose machines do better or worse in the heat."""
+    rng = np.random.default_rng([seed, 42])
+    loads = with_random_homes(day, rng)
+    cop_per_c = rng.uniform(-0.08, 0.02, len(loads.thermal_loads))
+    return replace(loads, thermal_loads=replace(loads.thermal_loads, cop_per_c=cop_per_c))
+
+
 def _cooling() -> Example:
     """A home that is cooled before an outage."""
     day = hot([OPEN] * 2 + [DARK] * 8 + [OPEN], t_max_c=25.0)
@@ -66,7 +75,7 @@ def _cooling() -> Example:
     return Example(
         kind="thermal_loads",
         day=day,
-        draw=lambda day, seed: with_random_homes(day, np.random.default_rng([seed, 42])),
+        draw=_drawn_homes,
         stored=lambda rooms, day, taken_kw, running: rooms.t_c(taken_kw),
         state=lambda t_c: t_c,
         limit=(held, two_buses([[1.0 + 2.5 / 3.5]] * 4, [1.0], [OPEN] * 4)),
@@ -85,6 +94,7 @@ def _cooling() -> Example:
             ({"indoor_c": {"h0": 26.0}}, ""),
         ],
         default={"setpoint_c": 25.0},
+        by_rule={"setpoint_c": 100.0},
         figures={
             "loads": 1,
             "missed_k_h": 3.068,
@@ -155,6 +165,7 @@ def _gensets() -> Example:
             ({"running": {"g0": 0}, "start_fault": {"g0": 1}}, "genset g0 is out (start fault)"),
         ],
         default={"running": False, "p_kw": 0.0},
+        by_rule={},
         figures={
             "hours_on": 2.0,
             "starts": 2,
@@ -235,6 +246,7 @@ def _vehicles() -> Example:
             ({"plugged": {"k0": 0.0}}, "vehicle car0 left k0 before its departure"),
         ],
         default={"p_kw": 7.4, "p_limit_kw": 7.4},
+        by_rule={"p_kw": 0.0, "p_limit_kw": 0.0},
         figures={  # 14.8 kWh with grid, and of 13.3 stored what the home leaves in four hours
             "departures": 1,
             "left_short": 1,

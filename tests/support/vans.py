@@ -12,70 +12,43 @@ from vppres.kinds.vehicles.data import Chargers, Sessions
 from vppres.scenario.scenario import Scenario
 
 
-def van(plug_in: pd.Timestamp, plug_out: pd.Timestamp) -> tuple[Chargers, Sessions]:
-    """A charger at bus 4, and a van that comes with 18 kWh and needs 54."""
-    charger = Chargers(
-        id=["k0"],
-        customer=[""],
-        bus=[4],
-        p_charge_kw=[7.4],
-        p_charge_min_kw=[1.4],
-        p_discharge_kw=[0.0],
-        eta_charge=[0.92],
-        eta_discharge=[0.92],
-    )
-    return charger, Sessions(
-        charger=["k0"],
-        vehicle=["van"],
-        plug_in=[plug_in],
-        plug_out=[plug_out],
-        capacity_kwh=[60.0],
-        soc_at_plug_in=[0.3],
-        soc_needed=[0.9],
-        energy_needed_kwh=[np.nan],
-        v2g_soc_floor=[np.nan],
-        tier=["low"],
-        weight=[0.02],
-        announced=[False],
-    )
-
-
 def chargers(count: int = 1, **more: Any) -> Chargers:
     """Chargers that stand alone at bus 2: 7.4 kW, efficiency 0.92, one way."""
     values: dict[str, Any] = {
-        "id": [f"k{i}" for i in range(count)],
-        "bus": [2] * count,
-        "customer": [""] * count,
-        "p_charge_kw": 7.4,
-        "p_charge_min_kw": 0.0,
-        "p_discharge_kw": 0.0,
-        "eta_charge": 0.92,
+        "id": [f"k{i}" for i in range(count)], "bus": [2] * count, "customer": [""] * count,
+        "p_charge_kw": 7.4, "p_charge_min_kw": 0.0, "p_discharge_kw": 0.0, "eta_charge": 0.92,
         "eta_discharge": 0.92,
-    } | more
+    } | more  # fmt: skip
     return Chargers(**{k: np.broadcast_to(np.asarray(v), count) for k, v in values.items()})
 
 
+def sessions(plug_in: list[pd.Timestamp], plug_out: list[pd.Timestamp], **more: Any) -> Sessions:
+    """A vehicle of 60 kWh at each charger between these times: 30 %, needs 80 %."""
+    count = len(plug_in)
+    values: dict[str, Any] = {
+        "vehicle": [f"car{i}" for i in range(count)], "capacity_kwh": 60.0, "soc_at_plug_in": 0.3,
+        "soc_needed": 0.8, "energy_needed_kwh": np.nan, "v2g_soc_floor": np.nan, "weight": 1.0,
+        "announced": True,
+    } | more  # fmt: skip
+    values = {k: np.broadcast_to(np.asarray(v), count) for k, v in values.items()}
+    times = (np.array(each, dtype=object) for each in (plug_in, plug_out))
+    return Sessions(**dict(zip(("plug_in", "plug_out"), times, strict=True)), **values)
+
+
 def plugged_in(day: Scenario, *hours: tuple[float, float], **more: Any) -> Scenario:
-    """The day with a vehicle of 60 kWh at each charger between these hours: 30 %, needs 80 %."""
-    count = len(hours)
+    """The day with a vehicle at each charger between these hours."""
     times = [
         [day.grid.start + pd.Timedelta(hours=h) for h in each] for each in zip(*hours, strict=True)
     ]
-    values: dict[str, Any] = {
-        "charger": day.chargers.id[:count],
-        "vehicle": [f"car{i}" for i in range(count)],
-        "capacity_kwh": 60.0,
-        "soc_at_plug_in": 0.3,
-        "soc_needed": 0.8,
-        "energy_needed_kwh": np.nan,
-        "v2g_soc_floor": np.nan,
-        "tier": day.tiers[0],
-        "weight": 1.0,
-        "announced": True,
-    } | more
-    values = {k: np.broadcast_to(np.asarray(v), count) for k, v in values.items()}
-    plug_in, plug_out = (np.array(each, dtype=object) for each in times)
-    return replace(day, sessions=Sessions(plug_in=plug_in, plug_out=plug_out, **values))
+    named = {"charger": day.chargers.id[: len(hours)], "tier": day.tiers[0]} | more
+    return replace(day, sessions=sessions(*times, **named))
+
+
+def van(plug_in: pd.Timestamp, plug_out: pd.Timestamp) -> tuple[Chargers, Sessions]:
+    """A charger at bus 4, and a van that comes unannounced with 18 kWh and needs 54."""
+    one = {"charger": "k0", "vehicle": "van", "tier": "low", "weight": 0.02, "announced": False}
+    charger = chargers(bus=[4], p_charge_min_kw=1.4)
+    return charger, sessions([plug_in], [plug_out], soc_needed=0.9, **one)
 
 
 def with_random_vehicles(scenario: Scenario, seed: int) -> Scenario:

@@ -14,14 +14,17 @@ def why_dimmed(step: Step, customer: int) -> Reason:
     said = overruled(step, what)
     if said is not None:
         return said
+    hours = float(step.site.customers.recovery_h[customer])
     binding = "" if step.service is None else step.scarce_for(customer)
+    if not binding and hours > 0.0:
+        later = f"what it lacks is caught up within {hours:g} h, and then counts as supplied"
+        return Reason("recovery", "", f"{what}: {later}.")
     if not binding:
         words = f"{what}: neither shadow prices nor the record give a reason."
         return Reason("unexplained", "", words)
     scarce = scarce_words(step, customer, binding)
     offer = one_more(step, binding)
     more = f"; {offer}" if offer else ""
-    hours = float(step.site.customers.recovery_h[customer])
     if hours > 0.0:
         words = f"{what}: {scarce} goes to others first; it catches up within {hours:g} h{more}."
         return Reason("recovery", binding, words)

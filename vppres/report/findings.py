@@ -34,7 +34,8 @@ def findings(run: Trajectory) -> list[str]:
 
 def doubts(run: Trajectory) -> list[str]:
     """What makes the answer doubtful: islands that nothing forms, blackouts, unknown phases."""
-    return [*_unlit(run), *blackouts(run), *unknown_phases(run.scenario)]
+    dark = darkness(run.scenario, run.options.get("mode", "paper"))
+    return [*([dark] if dark else []), *blackouts(run), *unknown_phases(run.scenario)]
 
 
 def remarks(run: Trajectory) -> list[str]:
@@ -158,13 +159,6 @@ def _answers(run: Trajectory) -> Iterator[str]:
     if len(others):
         kinds = ", ".join(f"{name} ({count})" for name, count in others.value_counts().items())
         yield f"Gap above the tolerance in {counted(len(others), 'step')}, status {kinds}."
-
-
-def _unlit(run: Trajectory) -> Iterator[str]:
-    """Islands that nothing can form."""
-    told = darkness(run.scenario, run.options.get("mode", "paper"))
-    if told:
-        yield told
 
 
 def _estimates(run: Trajectory) -> Iterator[str]:

@@ -18,7 +18,7 @@ from vppres.day.metrics import line_current_a, line_loading, service_by_tier
 from vppres.day.trajectory import Trajectory, supplied
 from vppres.kinds.table import KINDS
 from vppres.report.clock import Clock
-from vppres.report.plots.drawing import cividis, shortened
+from vppres.report.plots.drawing import CIVIDIS, coloured, shortened
 from vppres.report.tree_layout import tree_layout
 from vppres.scenario.network import Network
 from vppres.scenario.phases import PHASES
@@ -101,11 +101,13 @@ def drawing(run: Trajectory) -> Drawing:
     name_px = LETTER_PX * max(map(len, names))
     column_px = int(np.clip(WIDTH_PX / max(layout.column.max(), 1), *COLUMN_PX))
     leaning = name_px + 8 > column_px
-    deep = max(-(-sum(map(bool, kinds.values())) // 2) for kinds in connected)
-    above = TOP_PX + (LEAN * name_px if leaning else 0.0)
-    row_px = int(above + 14 + SLOT_PX * deep + 6)
+    deep = np.array([-(-sum(map(bool, kinds.values())) // 2) for kinds in connected])
+    above = int(TOP_PX + (LEAN * name_px if leaning else 0.0))
+    # A row is as high as the symbols of its buses.
+    row_px = np.array([deep[layout.row == row].max() for row in range(layout.row.max() + 1)])
+    row_px = above + 14 + SLOT_PX * row_px + 6
     x = GRID_PX + column_px * layout.column
-    y = int(above) + MARGIN_PX + row_px * layout.row
+    y = above + MARGIN_PX + (row_px.cumsum() - row_px)[layout.row]
     buses = tuple(
         BusMark(
             str(net.buses[i]), names[i], int(x[i]), int(y[i]), i == 0, i in critical, connected[i]
@@ -119,7 +121,8 @@ def drawing(run: Trajectory) -> Drawing:
     )
     beside = name_px if leaning else max(name_px / 2, MARGIN_PX)
     width = int(x.max() + beside + MARGIN_PX)
-    return Drawing(width, int(y.max()) + row_px - int(above), buses, lines, ties_at, leaning)
+    height = int(MARGIN_PX + row_px.sum())
+    return Drawing(width, height, buses, lines, ties_at, leaning)
 
 
 def tie_ends(network: Network, ties: Iterable[str]) -> Iterator[tuple[int, int]]:
@@ -149,7 +152,7 @@ def voltage_edges(run: Trajectory) -> Floats:
 
 def voltage_colours(n_classes: int) -> list[str]:
     """A colour for each voltage class, lowest first; dark to light in a grey print too."""
-    return [cividis(share) for share in np.linspace(0.0, 1.0, n_classes)]
+    return [coloured(CIVIDIS, share) for share in np.linspace(0.0, 1.0, n_classes)]
 
 
 def worst_step(run: Trajectory) -> int:
@@ -188,7 +191,7 @@ def step_states(run: Trajectory) -> dict[str, Any]:
         "time": [clock.full(time) for time in run.steps["time"]],
         "outage": run.steps["outage"].astype(int).tolist(),
         "info": _info(run),
-        "bus": _digits(_voltage_classes(run, v)),
+        "bus": _digits(voltage_classes(run, v)),
         "tile": _digits(_tile_classes(run, served)),
         "line": _digits(loading_classes(run)),
         "served": _digits(served.astype(int)),
@@ -213,7 +216,7 @@ def loading_classes(run: Trajectory) -> Wholes:
     return np.digitize(loading, LOADING_EDGES)
 
 
-def _voltage_classes(run: Trajectory, v: Floats) -> Wholes:
+def voltage_classes(run: Trajectory, v: Floats) -> Wholes:
     """Class of each voltage, shape (T, N)."""
     net = run.scenario.network
     edges = voltage_edges(run)

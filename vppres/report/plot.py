@@ -23,12 +23,20 @@ from matplotlib.transforms import ScaledTranslation
 from vppres.core.arrays import Flags, Floats, Wholes, spans_of
 from vppres.core.errors import InputError
 from vppres.core.plain import flattened
-from vppres.day.metrics import horizon_h, service_by_tier, summarise
+from vppres.day.metrics import service_by_tier, summarise
 from vppres.day.series import edges_of, per_step, quantity
 from vppres.day.trajectory import Trajectory
 from vppres.kinds.table import KINDS
 from vppres.report.key_figures import KEY_FIGURES
-from vppres.report.one_line import loading_classes, voltage_edges, worst_step
+from vppres.report.one_line import (
+    OUT_OF_LIMITS,
+    loading_classes,
+    voltage_classes,
+    voltage_colours,
+    voltage_edges,
+    worst_step,
+)
+from vppres.report.plots.chart import label_of
 from vppres.report.plots.drawing import (
     BLACK,
     BLUE,
@@ -44,7 +52,7 @@ from vppres.report.plots.drawing import (
     VERMILLION,
     WHITE,
     Style,
-    cividis,
+    shortened,
 )
 from vppres.report.tree_layout import tree_layout
 from vppres.scenario.scenario import Scenario
@@ -493,14 +501,7 @@ def _named(runs: Runs) -> dict[str, Record]:
 
 def _label(run: Run) -> str:
     """A run's controller, with its horizon."""
-    if not isinstance(run, Trajectory):
-        return str(run.summary["controller"])
-    hours = horizon_h(run)
-    return (
-        str(run.options["controller"]).replace("-", " ")
-        if hours is None
-        else f"MPC, H = {hours:g} h"
-    )
+    return label_of(run) if isinstance(run, Trajectory) else str(run.summary["controller"])
 
 
 def _axes(ax: Axes | None, size: tuple[float, float] = (8.0, 4.2)) -> Axes:
@@ -604,17 +605,14 @@ def _service(run: Trajectory, ax: Axes) -> None:
 
 def _voltage_colours(run: Trajectory, t: int, ax: Axes) -> list[str]:
     """Colour of each bus by the class of its voltage, with a scale beside the feeder."""
-    net = run.scenario.network
     edges = voltage_edges(run)
-    known = [cividis(share) for share in np.linspace(0.0, 1.0, len(edges) - 1)]
-    v_pu = run.by_step("buses", "v_ac_pu")[t].astype(float)
-    classes = np.clip(np.digitize(v_pu, edges) - 1, 0, len(known) - 1)
-    inside = (v_pu >= net.v_min_ac_pu) & (v_pu <= net.v_max_ac_pu)
+    known = voltage_colours(len(edges) - 1)
+    classes = voltage_classes(run, run.by_step("buses", "v_ac_pu"))[t]
     scale = ScalarMappable(BoundaryNorm(edges.tolist(), len(known)), ListedColormap(known))
     ax.figure.colorbar(scale, ax=ax, label="AC voltage (pu)", shrink=0.8, pad=0.02)
-    if not inside.all():
+    if OUT_OF_LIMITS in classes:
         ax.scatter([], [], s=46, c=VERMILLION, edgecolors=BLACK, label="voltage outside its limits")
-    return [known[c] if ok else VERMILLION for c, ok in zip(classes, inside, strict=True)]
+    return [VERMILLION if c == OUT_OF_LIMITS else known[c] for c in classes]
 
 
 def _tier_styles() -> Iterator[Style]:
@@ -625,13 +623,8 @@ def _tier_styles() -> Iterator[Style]:
 def _name_bus(ax: Axes, name: str, place: tuple[float, float]) -> None:
     """The name of a bus above it, shortened, and turned where it is longer than a number."""
     is_long = len(name) > _MOST_UPRIGHT
-    short = (
-        name
-        if len(name) <= _MOST_LETTERS
-        else f"{name[: _MOST_LETTERS - 1]}\N{HORIZONTAL ELLIPSIS}"
-    )
     ax.annotate(
-        short,
+        shortened(name, _MOST_LETTERS),
         place,
         (0.0, 7.0),
         textcoords="offset points",

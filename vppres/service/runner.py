@@ -47,6 +47,7 @@ from vppres.service.knowledge import INSTANT, Grid, Heard, Known, grid_at, known
 from vppres.service.learned import InSteps, learned, measured_in
 from vppres.service.news import AGAINST_PLANS, News, is_said_lost, newest, unknown_to
 from vppres.service.notify import Notifier
+from vppres.service.of_kind import told_by_plans
 from vppres.service.plans import (
     Left,
     defaults_of,
@@ -290,6 +291,7 @@ class Runner:
             pv_kw=np.minimum(measured.laid("pv_kw", step.pv.id, step.pv_kw), step.pv.p_max_kw),
             grid_limit_kw=np.array([0.0 if found.is_dark else known_kw]),
         )
+        step = told_by_plans(step, [found.plan])
         return ByHand(asked, step, found, self.options).words()
 
     def situation(self, now: pd.Timestamp) -> Situation:

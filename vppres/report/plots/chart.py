@@ -177,9 +177,7 @@ class Curves:
         for place, name in self._axis(frame.bottom, frame.top).ticks():
             canvas.text(frame.left - 6, place, name, anchor="end")
         canvas.line([(frame.left, frame.top), (frame.left, frame.bottom)], BLACK, 0.8)
-        middle = 0.5 * (frame.top + frame.bottom)
-        at = EDGE_PX + 0.5 * LINE_PX * len(self.axis.split("\n"))
-        canvas.text(at, middle, self.axis, anchor="middle", turned=True)
+        name_axis(canvas, frame, self.axis)
 
     def draw(self, canvas: Canvas, frame: Frame, time: Across) -> None:
         """Rules, limits, bands and curves."""
@@ -235,6 +233,12 @@ class Curves:
             }
             for curve in self.curves
         ]
+
+
+def name_axis(canvas: Canvas, frame: Frame, axis: str) -> None:
+    """What the axis at the left of a panel is, beside its middle."""
+    at = EDGE_PX + 0.5 * LINE_PX * len(axis.split("\n"))
+    canvas.text(at, (frame.top + frame.bottom) / 2, axis, anchor="middle", turned=True)
 
 
 def _points(values: Floats, axis: ValueAxis, time: Across) -> list[tuple[float, float]]:
@@ -383,8 +387,11 @@ def styled(runs: Runs) -> list[tuple[str, Trajectory, Style]]:
 
 def named_runs(runs: Runs) -> dict[str, Trajectory]:
     """Runs by label; a single run is labelled by its controller."""
-    if not isinstance(runs, Trajectory):
-        return dict(runs)
-    horizon = horizon_h(runs)
-    others = str(runs.options["controller"]).replace("-", " ")
-    return {others if horizon is None else f"MPC, H = {horizon:g} h": runs}
+    return {label_of(runs): runs} if isinstance(runs, Trajectory) else dict(runs)
+
+
+def label_of(run: Trajectory) -> str:
+    """A run's controller, with its horizon."""
+    horizon = horizon_h(run)
+    others = str(run.options["controller"]).replace("-", " ")
+    return others if horizon is None else f"MPC, H = {horizon:g} h"

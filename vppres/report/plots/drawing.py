@@ -77,13 +77,13 @@ TIER_STYLES = (
 )
 
 
-def cividis(share: float) -> str:
-    """Colour of a share of the scale.
+def coloured(colours: tuple[str, ...], share: float) -> str:
+    """Colour of a share of a scale.
 
-    >>> cividis(0.0), cividis(0.55)
+    >>> coloured(CIVIDIS, 0.0), coloured(CIVIDIS, 0.55)
     ('#00224e', '#888578')
     """
-    red, green, blue = blend(CIVIDIS, np.array([share]))[0]
+    red, green, blue = blend(colours, np.array([share]))[0]
     return f"#{red:02x}{green:02x}{blue:02x}"
 
 

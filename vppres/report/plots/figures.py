@@ -51,7 +51,7 @@ from vppres.report.plots.drawing import (
     VERMILLION,
     WHITE,
     Style,
-    blend,
+    coloured,
     png_of,
 )
 from vppres.report.plots.rows import (
@@ -239,16 +239,15 @@ def _shares(run: Trajectory, axis: str) -> Curves:
 
 def timeline(run: Trajectory) -> Chart:
     """Strips of the grid, the batteries, the PV power, and what is off supply."""
-    makers: list[Callable[[Trajectory], Strip]] = [
-        _grid_strip,
-        *([_battery_strip] if len(run.scenario.batteries) else []),
-        *([_sun_strip] if len(run.scenario.pv) else []),
-        _service_strip,
-        _off_strip,
+    strips = [
+        *([_phase_strip(run)] if "phase" in run.steps else []),
+        _grid_strip(run),
+        *([_battery_strip(run)] if len(run.scenario.batteries) else []),
+        *([_sun_strip(run)] if len(run.scenario.pv) else []),
+        _off("Off supply", (~run.by_step("customers", "served")).sum(axis=1)),
+        _off("kW off", off_kw(run)),
     ]
-    if "phase" in run.steps:
-        makers.insert(0, _phase_strip)
-    return Chart("timeline", "The day at a glance", run, [Strips([make(run) for make in makers])])
+    return Chart("timeline", "The day at a glance", run, [Strips(strips)])
 
 
 def _phase_strip(run: Trajectory) -> Strip:
@@ -279,18 +278,7 @@ def _sun_strip(run: Trajectory) -> Strip:
     """PV power as a share of its largest of the day."""
     available = run.scenario.pv_kw[: len(run.steps)].sum(axis=1)
     shares = available / max(float(available.max()), 1e-9)
-    colours = [f"#{red:02x}{green:02x}{blue:02x}" for red, green, blue in blend(SUN, shares)]
-    return Strip("PV power", [(colour, "", "") for colour in colours])
-
-
-def _service_strip(run: Trajectory) -> Strip:
-    """How many customers are not served."""
-    return _off("Off supply", (~run.by_step("customers", "served")).sum(axis=1))
-
-
-def _off_strip(run: Trajectory) -> Strip:
-    """Demand of customers that are off supply, in kW."""
-    return _off("kW off", off_kw(run))
+    return Strip("PV power", [(coloured(SUN, share), "", "") for share in shares])
 
 
 def _off(name: str, missing: Floats | Wholes) -> Strip:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby
@@ -15,7 +15,7 @@ from vppres.core.arrays import Floats, Wholes
 from vppres.day.metrics import service_by_tier as share_by_tier
 from vppres.day.trajectory import Trajectory
 from vppres.report.plots.axes import ValueAxis
-from vppres.report.plots.chart import EDGE_PX, Across, Entry, Frame, Panel
+from vppres.report.plots.chart import Across, Entry, Frame, Panel, name_axis
 from vppres.report.plots.drawing import (
     BLACK,
     FONT_PX,
@@ -96,8 +96,7 @@ class HeatMap(Panel):
     def name(self, canvas: Canvas, frame: Frame, time: Across) -> None:
         """Names of the rows, and the key."""
         draw_row_names(canvas, frame, self.names)
-        middle = (frame.top + frame.bottom) / 2
-        canvas.text(EDGE_PX + 0.6 * FONT_PX, middle, self.axis, anchor="middle", turned=True)
+        name_axis(canvas, frame, self.axis)
         with canvas.group("right"):
             self._draw_key(canvas, frame)
 
@@ -262,9 +261,7 @@ class Tiles(Panel):
         """Names of the rows and tiers."""
         if self.names:
             draw_row_names(canvas, frame, self.names)
-        middle = (frame.top + frame.bottom) / 2
-        at = EDGE_PX + 0.6 * FONT_PX * (1 + self.axis.count("\n"))
-        canvas.text(at, middle, self.axis, anchor="middle", turned=True)
+        name_axis(canvas, frame, self.axis)
         top, ends = frame.top, self._tier_ends(frame)
         with canvas.group("right"):
             for tier, text in self._tier_texts().items():
@@ -317,6 +314,14 @@ class Strip:
     said: Sequence[str] = ()
 
 
+def _alike(looks: Sequence[Any]) -> Iterator[tuple[Any, int, int]]:
+    """Stretches of steps that are alike: what they are, the first one, and the one after them."""
+    end = 0
+    for look, steps in groupby(looks):
+        start, end = end, end + len(list(steps))
+        yield look, start, end
+
+
 @dataclass(frozen=True, eq=False)
 class Strips(Panel):
     """Strips below each other, each with a box for steps that look alike."""
@@ -339,15 +344,10 @@ class Strips(Panel):
         edges = time.edges
         for row, strip in enumerate(self.strips):
             top = frame.top + STRIP_PX * row + 0.14 * STRIP_PX
-            start = 0
-            for (fill, hatch, _), steps in groupby(strip.looks):
-                end = start + len(list(steps))
+            for (fill, hatch, _), start, end in _alike(strip.looks):
                 width = edges[end] - edges[start]
-                canvas.box(edges[start], top, width, 0.72 * STRIP_PX, fill, GREY)
-                if hatch:
-                    over = canvas.hatched(BLACK, hatch)
-                    canvas.box(edges[start], top, width, 0.72 * STRIP_PX, over, GREY)
-                start = end
+                for fill_or_hatch in [fill, *([canvas.hatched(BLACK, hatch)] if hatch else [])]:
+                    canvas.box(edges[start], top, width, 0.72 * STRIP_PX, fill_or_hatch, GREY)
 
     def name(self, canvas: Canvas, frame: Frame, time: Across) -> None:
         """Names, and texts of steps."""
@@ -358,9 +358,7 @@ class Strips(Panel):
 
     def _write(self, canvas: Canvas, strip: Strip, edges: Any, middle: float) -> None:
         """Texts of steps, those of words once for steps that have the same."""
-        start = 0
-        for text, steps in groupby(look[2] for look in strip.looks):
-            end = start + len(list(steps))
+        for text, start, end in _alike([look[2] for look in strip.looks]):
             spans = [(t, t + 1) for t in range(start, end)] if text.isdigit() else [(start, end)]
             for first, last in spans:
                 if text and edges[last] - edges[first] > text_px(text, STRIP_TEXT_PX):
@@ -374,7 +372,6 @@ class Strips(Panel):
                         bold=text.isdigit(),
                         moves="at",
                     )
-            start = end
 
     def entries(self) -> Iterable[Entry]:
         """What the colours mean."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import pandas as pd
@@ -93,10 +94,11 @@ def _steps(run: Trajectory, prices: pd.DataFrame, counts: dict[str, int]) -> lis
     """One row for each step: limits that bound, and what one more unit was worth."""
     clock = Clock.of(run)
     rows = []
-    of_step = dict(iter(prices.groupby("time")))
-    nothing = prices.iloc[:0]
+    of_step: dict[Any, dict[str, pd.DataFrame]] = {}
+    for (time, name), found in prices.groupby(["time", "constraint"]):
+        of_step.setdefault(time, {})[str(name)] = found
     for step in run.steps[["time", "phase", "outage"]].to_dict("records"):
-        now = of_step.get(step["time"], nothing)
+        now = of_step.get(step["time"], {})
         rows.append(
             {
                 "time": clock.words(step["time"]),
@@ -111,13 +113,13 @@ def _steps(run: Trajectory, prices: pd.DataFrame, counts: dict[str, int]) -> lis
     return rows
 
 
-def _limits(prices: pd.DataFrame, counts: dict[str, int]) -> str:
+def _limits(prices: Mapping[str, pd.DataFrame], counts: dict[str, int]) -> str:
     """The limits that bound in a step, each with its items."""
     texts = []
     for name, words in LIMITS.items():
-        items = prices.loc[prices["constraint"] == name, "item"].tolist()
-        if not items:
+        if name not in prices:
             continue
+        items = prices[name]["item"].tolist()
         if name == "grid":
             texts.append(words)
         elif len(items) == counts.get(name):
@@ -128,10 +130,12 @@ def _limits(prices: pd.DataFrame, counts: dict[str, int]) -> str:
     return "; ".join(texts)
 
 
-def _worth(prices: pd.DataFrame, name: str) -> str:
+def _worth(prices: Mapping[str, pd.DataFrame], name: str) -> str:
     """The largest worth of a unit: in weighted customer hours, otherwise in GBP."""
-    rows = prices[prices["constraint"] == name]
-    where = "" if name == "stored_energy" or rows.empty else f", bus {rows['item'].iloc[0]}"
+    if name not in prices:
+        return ""
+    rows = prices[name]
+    where = "" if name == "stored_energy" else f", bus {rows['item'].iloc[0]}"
     if (rows["weighted_h"] != 0).any() and rows["weighted_h"].notna().any():
         return f"{figure(float(rows['weighted_h'].max()))} h{where}"
     gbp = rows["gbp"].dropna()

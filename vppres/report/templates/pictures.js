@@ -313,6 +313,16 @@ const Pictures = (function () {
     }
   }
 
+  // The charts of a page without another script.
+  function fitAll() {
+    const axes = [...document.querySelectorAll("figure.plot svg:has(svg.time)")].map((svg) => [svg.closest("figure"), new Axis(svg)]);
+    const fit = () => axes.forEach(([figure, axis]) => axis.layout(widthOf(figure)));
+    window.addEventListener("resize", fit);
+    window.addEventListener("beforeprint", () => axes.forEach(([, axis]) => axis.layout(PAPER)));
+    window.addEventListener("afterprint", fit);
+    fit();
+  }
+
   // Ranges of steps that have a mark.
   function spansOf(marks) {
     const spans = [];
@@ -323,5 +333,5 @@ const Pictures = (function () {
     return spans;
   }
 
-  return { Charts, Feeder, element, spansOf, PAPER };
+  return { Charts, Feeder, element, fitAll, spansOf, PAPER };
 })();
