@@ -20,23 +20,26 @@ from vppres.scenario.option_table import Option
 def page_row(option: Option) -> str:
     """An option of the table as a row of ``docs/command-line.md``.
 
+    What a choice means stands in brackets, which ``--help`` has and the page leaves out.
+
     >>> page_row(next(option for option in OPTIONS if option.name == "notice"))
     '| `--notice` | 6 | notice of an outage for the controller reserve (h) |'
     """
     unit = f" ({option.unit})" if option.unit not in ("", "share") else ""
-    words = option.words
+    words = re.sub(r" \([^)]*\)", "", option.words)
     for choice in option.choices:
         words = re.sub(rf"(?<!`)\b{choice}\b", f"`{choice}`", words, count=1)
     text = option.meaning + unit
     text += f": {words}" if words else ""
-    text += f"; {option.page}" if option.page else ""
-    return f"| `--{option.name}` | {_page_default(option)} | {text} |"
+    text += f"; {option.page.removeprefix('see ')}" if option.page else ""
+    default = f"{_page_default(option)} ".lstrip()
+    return f"| `--{option.name}` | {default}| {text} |"
 
 
 def _page_default(option: Option) -> str:
     """Default of an option as the documentation writes it."""
     if option.scenario_key:
-        return "the scenario's"
+        return ""
     if option.default is None:
         return option.unset
     if isinstance(option.default, bool):
