@@ -1,4 +1,4 @@
-"""What a controller answers, and what answers so."""
+"""Decision of a controller, and the interface of controllers."""
 
 from __future__ import annotations
 

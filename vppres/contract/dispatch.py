@@ -71,7 +71,7 @@ class Dispatch:
         return np.zeros(shape, dtype=bool) if found is None else found
 
     def acting(self, kind: str, taken_kw: Floats, running: Flags | None = None) -> Dispatch:
-        """The same with the powers of a kind, and which of its units are on."""
+        """Dispatch with the powers of a kind, and which of its units are on."""
         more = {} if running is None else {kind: running}
         return replace(
             self, taken_kw={**self.taken_kw, kind: taken_kw}, running={**self.running, **more}

@@ -1,4 +1,4 @@
-"""What the plan before had foreseen for the batteries, so that a new plan need not move them."""
+"""Battery powers of the previous plan, so that a new plan need not move them."""
 
 from __future__ import annotations
 

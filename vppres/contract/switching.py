@@ -24,7 +24,7 @@ DAY_H = 24.0
 
 @dataclass(frozen=True)
 class RuleSteps:
-    """What of the rules shapes a compiled problem, in steps.
+    """Rules that shape a compiled problem, in steps.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ class SwitchingData:
         return np.asarray(self.day == np.arange(len(self.actions_left))[:, None])
 
     def changes(self, served: Flags) -> tuple[Flags, Flags]:
-        """Who is switched on, and who off, at the beginning of each step, (W, C) each."""
+        """Customers that are switched on, and off, at the beginning of each step, (W, C) each."""
         before = np.vstack([self.served_before, served[:-1]])
         return served & ~before, before & ~served
 
@@ -195,7 +195,7 @@ class SwitchingData:
         return np.where(served & cold, self.cold_factor, 1.0)
 
     def broken(self, served: Flags) -> Flags:
-        """Who breaks a rule, shape (C,)."""
+        """Customers whose schedule breaks a rule, shape (C,)."""
         on, off = self.changes(served)
         broken = (self.served_min & ~served) | (served & ~self.served_max)
         broken |= _within(on, self.steps.served) & ~served
@@ -205,7 +205,7 @@ class SwitchingData:
         return np.asarray(broken.any(axis=0) | beyond)
 
     def connected(self, unlimited: Flags) -> Flags:
-        """Who may be taken as served without loss where the import has no limit, (W, C).
+        """Customers that are served without loss where the import has no limit, (W, C).
 
         Those served before the window up to its first limited step, and all customers after the
         last limited step; where minimum times unserved, actions or cold load matter, none
@@ -223,7 +223,7 @@ class SwitchingData:
 
 @dataclass(frozen=True, eq=False)
 class SwitchingState:
-    """What the rules need to know of the past, from what was really served.
+    """State of the switching rules, from the customers that were really served.
 
     Parameters
     ----------
@@ -307,7 +307,7 @@ class SwitchingState:
 
     @property
     def restored(self) -> Flags:
-        """Who is served after an interruption, (C,)."""
+        """Customers that are served again after an interruption, (C,)."""
         return np.asarray(self.served & np.isfinite(self.since_h))
 
     def window(self, n_steps: int) -> SwitchingData:

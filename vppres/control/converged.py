@@ -47,8 +47,8 @@ VOLTAGE_TOLERANCE_PU = 1e-4
 LOSS_TOLERANCE_KW = 1.0
 
 SHORT_KW = 1e-6
-"""What an island's plan may lack of its losses: what forms it may have no more, and then a customer
-is shed for it."""
+"""Losses that an island's plan may lack: its former may have no more, and then a customer is shed
+for it."""
 
 DEFAULT_PASSES = 4
 DEFAULT_HEADROOM = 0.1
@@ -59,7 +59,7 @@ FIRST_SHARE = 0.75
 """Share of a window's time in which its set is decided first: the passes need the rest."""
 
 SOC_NUDGE = 1e-6
-"""What is added to a measured SoC before a window counts as infeasible."""
+"""Change of a measured SoC that is tried before a window counts as infeasible."""
 
 _NO_POWER_KW = 1e-6
 _MAX_DECISIONS = 3
@@ -77,7 +77,7 @@ P = TypeVar("P", bound=Points)
 
 
 class PassesPlanner(ABC, Generic[P]):
-    """What solves a window and the passes after it.
+    """Planner that solves a window and the passes after it.
 
     Parameters
     ----------
@@ -211,7 +211,7 @@ class PassesPlanner(ABC, Generic[P]):
     def kept(
         self, data: WindowData, solution: WindowSolution, deadline: Deadline
     ) -> tuple[WindowData, WindowSolution]:
-        """The same supply with nothing stored spent while PV power is curtailed.
+        """Plan of the same supply in which nothing stored is spent while PV power is curtailed.
 
         Objective and bound stay those of the window in which the supply was decided. If the
         network has no such dispatch, both stay as they are.
@@ -309,7 +309,7 @@ class ConvergedPlanner(PassesPlanner[ACPoints]):
         return self._in_the_dark(whole, dark, solution)
 
     def _drawn_everywhere(self, observation: Observation, island: Flags) -> Drawn | None:
-        """What the network draws, in an island too: nothing but its batteries can supply it."""
+        """Power that the network draws, in islands too: only their batteries can supply it there."""
         network = self.solver.site.network
         if not network.draws:
             return None
@@ -416,7 +416,7 @@ class ConvergedPlanner(PassesPlanner[ACPoints]):
 
 
 def _rows(data: WindowData) -> tuple[Floats, ...]:
-    """What each step is linearised at: offset and losses of each line, and what each bus draws."""
+    """Linearisation of each step: offset and losses of each line, and the draw of each bus."""
     physics = data.require_physics()
     drawn = () if data.drawn is None else (data.drawn.kw, data.drawn.kvar)
     return data.delta_pu2, physics.loss_kw, physics.loss_kvar, *drawn

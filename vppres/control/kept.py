@@ -45,7 +45,7 @@ def rule_with_kinds(state: StepState, tiers: Sequence[str]) -> Carried:
 
 
 def by_rule(state: StepState, tiers: Sequence[str], reason: str) -> Decision:
-    """That dispatch as a fallback, with the reason for it."""
+    """Decision by rule as a fallback, with the reason for it."""
     carried = rule_with_kinds(state, tiers)
     words = f"{reason}; left open: {carried.shortage}" if carried.shortage else reason
     return Decision(

@@ -10,7 +10,7 @@ import numpy as np
 from vppres.contract.decision import Decision
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.moves import Moves
-from vppres.contract.observation import Observation, Turns
+from vppres.contract.observation import Observation, SupplyTurns
 from vppres.contract.operating_point import Centre
 from vppres.contract.stored_value import StoredValue
 from vppres.control.planner import OnePass, Planner, plan_with_rules, solve_info
@@ -129,7 +129,7 @@ class MPCController:
         return sound if sound[0].terms.f1 - found[0].terms.f1 > least else found
 
     def _foreseen_on(self, observation: Observation) -> Flags | None:
-        """Who is on now in the plan before, (C,); None if batteries are not where it has them."""
+        """Customers on now in the plan before, (C,); None if the batteries have left it."""
         before = self._plan_before(observation)
         if before is None:
             return None
@@ -138,7 +138,7 @@ class MPCController:
         return np.asarray(plan.served[ago]) if as_planned.all() else None
 
     def _in_turn(
-        self, observation: Observation, turns: Turns, found: WindowSolution
+        self, observation: Observation, turns: SupplyTurns, found: WindowSolution
     ) -> WindowSolution:
         """The plan with those on whose turn it is, one after another from the first tier on.
 
@@ -196,7 +196,7 @@ class MPCController:
         return left_kwh(self.solver.site, value, observation.ahead.find(SetsAhead), plan.dispatch)
 
     def _before(self, observation: Observation) -> Moves | None:
-        """What the plan before had foreseen for the window, None if it does not reach it."""
+        """Powers that the plan before foresaw for the window, None if it does not reach it."""
         before = self._plan_before(observation)
         if before is None:
             return None

@@ -22,7 +22,7 @@ from vppres.solve.phases import BINDS_PU2
 
 @dataclass(frozen=True, eq=False)
 class PhasedLinearisation:
-    """Where windows of a phased site are linearised, and whether a plan is what AC says there."""
+    """Linearisation of a phased site's windows, and its comparison with AC."""
 
     model: PhasedModel
 
@@ -46,7 +46,7 @@ class PhasedLinearisation:
         return self.at(data, p, q, points, lit & points.converged)
 
     def _without_control(self, data: WindowData) -> tuple[Floats, Floats]:
-        """What assets draw without control: all are served with grid, and at rest in an island.
+        """Power of assets without control: all are served with grid, and at rest in an island.
 
         Batteries are idle. PV power is used behind its meter, and beyond that exported as far as
         the connection takes it and the highest voltage allows.
@@ -65,7 +65,7 @@ class PhasedLinearisation:
         return self._with_sun(data, own + np.minimum(taken, allowed)[:, None] * spare)
 
     def _with_sun(self, data: WindowData, pv_kw: Floats) -> tuple[Floats, Floats]:
-        """What assets draw with all customers and so much PV power; nothing in an island."""
+        """Power of assets with all customers and so much PV power; nothing in an island."""
         idle = np.zeros((data.n_steps, len(self.model.site.batteries)))
         pv = (pv_kw, np.zeros_like(pv_kw))
         p, q = self.model.powers(data.dark, data.load_kw, pv, (idle, idle))

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from vppres.contract.decision import Decision
-from vppres.contract.observation import Observation, Turns
+from vppres.contract.observation import Observation, SupplyTurns
 from vppres.control.by_weight import ByWeight
 from vppres.control.remembered import PART
 from vppres.core.arrays import Flags, Floats
@@ -72,7 +72,7 @@ class Rotating:
             self._t = observation.t0
         due = self._due(observation)
         if due.any():
-            observation = replace(observation, turns=Turns(due, self._rank))
+            observation = replace(observation, turns=SupplyTurns(due, self._rank))
         return self._controllers.decide(observation)
 
     def _count(self, observation: Observation) -> None:
@@ -99,7 +99,7 @@ class Rotating:
         )
 
     def _turns(self, steps_ahead: int = 0) -> Flags:
-        """Whose turn it is, or will be if the outage lasts, (C,)."""
+        """Customers whose turn it is, or will be if the outage lasts, (C,)."""
         out_h = self.out_h + steps_ahead * self.scenario.grid.dt_h
         return turns(len(self.off_h), out_h, self.rules.minimum_on_h)
 

@@ -27,7 +27,7 @@ POWER_TOLERANCE_KW = 1e-6
 ROUNDING_KW = 1e-9
 VOLTAGE_TOLERANCE_PU = 1e-6
 SEARCH_NODES = 20_000
-"""Where the search for the best first tier stops; equal weights need as many as customers."""
+"""Limit of the search for the best first tier; equal weights need as many nodes as customers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ class Carried:
 
     @property
     def shortage(self) -> str:
-        """What is left open in words, empty if nothing is."""
+        """Shortage that is left, in words; empty if nothing is."""
         words = []
         if self.reactive_short_kvar > POWER_TOLERANCE_KW:
             words.append(f"{self.reactive_short_kvar:.1f} kvar short")

@@ -11,7 +11,7 @@ from vppres.contract.forecast import Forecast, ForecastErrors
 from vppres.contract.forecast import Forecaster as PaperForecaster
 from vppres.core.errors import InputError
 from vppres.day.options import PERFECT, RunOptions
-from vppres.forecasts.interface import Forecaster, LoadAndPV
+from vppres.forecasts.interface import ForecastMethod, LoadAndPV
 from vppres.forecasts.quantile_file import read_quantiles
 from vppres.forecasts.references import Climatology
 from vppres.forecasts.seasonal import Seasonal
@@ -19,7 +19,7 @@ from vppres.scenario.history import History
 from vppres.scenario.scenario import Scenario
 
 PAPER = "paper"
-FORECASTERS: dict[str, Forecaster] = {"seasonal": Seasonal(), "climatology": Climatology()}
+FORECASTERS: dict[str, ForecastMethod] = {"seasonal": Seasonal(), "climatology": Climatology()}
 """Those that learn from what was measured, by the name of the option."""
 MEMORY_DAYS = 80
 """Days before the present one that any of them looks at."""
@@ -28,7 +28,7 @@ BASIS = "forecast_basis"
 OWN_SERIES = "the scenario's own series"
 
 
-class Forecasts(Protocol):
+class DayForecasts(Protocol):
     """Forecasts of a scenario's day, as a run asks for them."""
 
     def at(self, t0: int, steps: range) -> Forecast:
@@ -36,14 +36,14 @@ class Forecasts(Protocol):
         ...
 
 
-def basis_of(forecasts: Forecasts, t: int) -> dict[str, str]:
+def basis_of(forecasts: DayForecasts, t: int) -> dict[str, str]:
     """What a step's forecast rested on, for its record; nothing of the paper's."""
     if not isinstance(forecasts, MeasuredForecasts):
         return {}
     return {BASIS: forecasts.bases.get(t, "")}
 
 
-def forecasts_of(scenario: Scenario, options: RunOptions, errors: ForecastErrors) -> Forecasts:
+def forecasts_of(scenario: Scenario, options: RunOptions, errors: ForecastErrors) -> DayForecasts:
     """The forecasts of a run.
 
     Parameters
@@ -74,7 +74,7 @@ def forecasts_of(scenario: Scenario, options: RunOptions, errors: ForecastErrors
 
 def named_forecasts(
     scenario: Scenario, name: str, errors: ForecastErrors, seed: int, file: str | None = None
-) -> Forecasts:
+) -> DayForecasts:
     """Forecasts of a day by the forecaster's name.
 
     Raises
@@ -89,7 +89,7 @@ def named_forecasts(
     return MeasuredForecasts(scenario, FORECASTERS[name])
 
 
-def _given_quantiles(scenario: Scenario, file: str | None) -> Forecaster:
+def _given_quantiles(scenario: Scenario, file: str | None) -> ForecastMethod:
     """Your own forecasts; of the present step's issue they are the forecast of the next."""
     if file is None:
         cure = "Give the file: --forecast-file FILE."
@@ -111,11 +111,11 @@ class MeasuredForecasts:
     ----------
     scenario : Scenario
         The day as it comes.
-    forecaster : Forecaster
+    forecaster : ForecastMethod
         Who learns from it.
     """
 
-    def __init__(self, scenario: Scenario, forecaster: Forecaster) -> None:
+    def __init__(self, scenario: Scenario, forecaster: ForecastMethod) -> None:
         self.scenario = scenario
         self.forecaster = forecaster
         self.bases: dict[int, str] = {}

@@ -19,14 +19,14 @@ from vppres.contract.observation import Observation
 from vppres.contract.stored_value import StoredValue
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
-from vppres.day.forecasting import Forecasts
+from vppres.day.forecasting import DayForecasts
 from vppres.day.priority import site_of
 from vppres.kinds.gensets.physics import SetsAhead
 from vppres.model.site import Site
 from vppres.outlook.belief import OutageBelief
 from vppres.outlook.outlook import OutageOutlook, SeenOutage
 from vppres.outlook.presets import Statistics
-from vppres.outlook.value import Ahead, Fleet, stored_value
+from vppres.outlook.value import Ahead, EquivalentBattery, stored_value
 from vppres.scenario.formers import forming_batteries
 from vppres.scenario.priority import STRICT
 from vppres.scenario.scenario import Scenario
@@ -199,7 +199,7 @@ class OutageView:
         grid: GridSeen,
         scenario: Scenario,
         row: int,
-        forecaster: Forecasts,
+        forecaster: DayForecasts,
         beside: Beside | None = None,
     ) -> Observation:
         """An observation without what cannot be known.
@@ -309,7 +309,7 @@ class OutageView:
 
         return stored_value(belief, fleet, expected, self.gbp_per_kwh_lost, end_gbp)
 
-    def _fleet(self, scenario: Scenario, seen: Observation, fuel: Fuel) -> Fleet:
+    def _fleet(self, scenario: Scenario, seen: Observation, fuel: Fuel) -> EquivalentBattery:
         """All batteries as one, with their present efficiencies; the guard tells who is there."""
         b = scenario.batteries
         power_kw = b.active_max_kw
@@ -320,7 +320,7 @@ class OutageView:
         reserve_kwh = headroom_kw.sum() * scenario.grid.dt_h / eta_discharge
         least_kwh = float(b.energy_kwh @ b.soc_min)
         most_kwh = float(b.energy_kwh @ b.soc_max)
-        return Fleet(
+        return EquivalentBattery(
             least_kwh=min(least_kwh + reserve_kwh, 0.5 * (least_kwh + most_kwh)),
             most_kwh=most_kwh,
             p_max_kw=float(power_kw.sum()),

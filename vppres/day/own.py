@@ -17,7 +17,7 @@ from vppres.control.guard.check import misshapen
 from vppres.core.arrays import Floats
 from vppres.core.errors import InputError
 from vppres.day.options import RunOptions
-from vppres.forecasts.interface import Forecaster
+from vppres.forecasts.interface import ForecastMethod
 from vppres.model.site import Site
 
 MPC = "mpc"
@@ -32,7 +32,7 @@ class Own:
     controller : callable, optional
         Makes a controller of a site, ``controller(site)``; a class will do. What it makes has
         ``horizon_steps(t0)`` and ``decide(observation)``.
-    forecaster : Forecaster, optional
+    forecaster : ForecastMethod, optional
         Has ``forecast(history, issued_at, steps)``.
     weights : callable or array, optional
         The customers' weights of each step: an array of shape (T, C), or a function of the
@@ -40,7 +40,7 @@ class Own:
     """
 
     controller: Callable[[Site], Decider] | None = None
-    forecaster: Forecaster | None = None
+    forecaster: ForecastMethod | None = None
     weights: Callable[[Observation], ArrayLike] | ArrayLike | None = None
 
     def check(self, options: RunOptions) -> None:

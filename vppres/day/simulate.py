@@ -24,14 +24,14 @@ from vppres.core.errors import ModelError, VppresError, function_of
 from vppres.day.assembly import make_controller
 from vppres.day.checks import check_parts
 from vppres.day.faults import FaultInjector, FaultPlan
-from vppres.day.forecasting import Forecasts, MeasuredForecasts, basis_of, forecasts_of
+from vppres.day.forecasting import DayForecasts, MeasuredForecasts, basis_of, forecasts_of
 from vppres.day.kind_tables import records_of
 from vppres.day.options import PERFECT, RunOptions
 from vppres.day.outages import BELIEF, LIKELY, GridSeen, OutageView
 from vppres.day.own import Own
 from vppres.day.recorder import ROTATED, Recorder, StepRecord, voltage_figures
 from vppres.day.trajectory import SHARE, Trajectory
-from vppres.forecasts.interface import Forecaster
+from vppres.forecasts.interface import ForecastMethod
 from vppres.io.python_door import check_scenario
 from vppres.model.site import Site
 from vppres.physics.powerflow import ACPowerFlow, ACResult
@@ -56,7 +56,7 @@ def run_day(
     faults: FaultPlan | None = None,
     *,
     controller: Callable[[Site], Decider] | None = None,
-    forecaster: Forecaster | None = None,
+    forecaster: ForecastMethod | None = None,
     weights: Callable[[Observation], ArrayLike] | ArrayLike | None = None,
     steps: int | None = None,
 ) -> Trajectory:
@@ -75,7 +75,7 @@ def run_day(
     controller : callable, optional
         Makes a controller of your own of a site, ``controller(site)``; a class with
         ``horizon_steps(t0)`` and ``decide(observation)``, for example. The guard checks it too.
-    forecaster : Forecaster, optional
+    forecaster : ForecastMethod, optional
         Your own, with ``forecast(history, issued_at, steps)``.
     weights : callable or array, optional
         The customers' weights of each step: an array of shape (T, C), or a function of the
@@ -116,7 +116,7 @@ class Day:
         scenario: Scenario,
         options: RunOptions,
         faults: FaultInjector | None = None,
-        forecaster: Forecaster | None = None,
+        forecaster: ForecastMethod | None = None,
     ) -> None:
         self.scenario = scenario
         self.options = options.on(scenario)
@@ -131,7 +131,7 @@ class Day:
         errors = ForecastErrors() if options.controller == PERFECT else options.errors
         if faults is not None:
             errors = faults.plan.forecast_errors(errors)
-        self.forecaster: Forecasts = (
+        self.forecaster: DayForecasts = (
             forecasts_of(scenario, self.options, errors)
             if forecaster is None
             else MeasuredForecasts(scenario, forecaster)

@@ -21,7 +21,7 @@ from vppres.contract.terminal import Terminal
 from vppres.control.converged import physics_of
 from vppres.control.phased_window import PhasedLinearisation
 from vppres.core.arrays import Complexes, Flags, Floats
-from vppres.day.forecasting import PAPER, Forecasts, named_forecasts
+from vppres.day.forecasting import PAPER, DayForecasts, named_forecasts
 from vppres.day.metrics import line_loading
 from vppres.day.outages import GridSeen, OutageView, believed_outages
 from vppres.day.priority import site_of, weighed
@@ -37,7 +37,7 @@ from vppres.model.phases import phased_model
 from vppres.model.ratings import with_ratings
 from vppres.scenario.rules import SwitchingRules
 from vppres.solve.ladder import WindowSolver
-from vppres.solve.shadow_price_model import Held
+from vppres.solve.shadow_price_model import FixedDecisions
 
 MOVE_KW = 1.0
 """Smallest power of a battery, or of curtailment, that counts as an action."""
@@ -268,7 +268,7 @@ class Recorded:
         steps = range(t, min(t + length, self.n_steps))
         return replace(self._told(t, steps), operating_point=self._operating_point(t - 1))
 
-    def held(self, t: int, n_steps: int) -> Held:
+    def held(self, t: int, n_steps: int) -> FixedDecisions:
         """Who was served stays served in the step; batteries that moved keep their mode.
 
         Those that were left out do not charge, and as they count as empty do not discharge. Who was
@@ -279,7 +279,7 @@ class Recorded:
         highest = np.ones(lowest.shape)
         highest[0] = np.where(self.served[t], 1.0, NEARLY_ALL)
         power = self.battery_kw[t]
-        return Held(
+        return FixedDecisions(
             lowest,
             highest,
             (power > MOVE_KW).astype(float),
@@ -300,7 +300,7 @@ class Recorded:
         return self.trajectory.by_step("batteries", "eta_discharge")
 
     @cached_property
-    def _forecaster(self) -> Forecasts:
+    def _forecaster(self) -> DayForecasts:
         known = self.options["controller"] == PERFECT
         errors = ForecastErrors(**({} if known else self.options.get("errors", {})))
         name = PAPER if known else self.options.get("forecaster", PAPER)
@@ -399,7 +399,7 @@ class Recorded:
 
 
 @dataclass(frozen=True, eq=False)
-class Limits:
+class LimitsReached:
     """What a step's record itself shows to be at its limit; for steps without shadow prices."""
 
     empty: Flags
@@ -408,7 +408,7 @@ class Limits:
     low_voltage: Flags
 
     @classmethod
-    def of(cls, recorded: Recorded, t: int) -> Limits:
+    def of(cls, recorded: Recorded, t: int) -> LimitsReached:
         """Limits reached in step ``t``, to 0.1% of each rating, 0.002 pu of the voltage."""
         b = recorded.site.batteries
         net = recorded.scenario.network

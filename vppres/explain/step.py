@@ -15,7 +15,7 @@ from vppres.core.arrays import Flags, Floats
 from vppres.day.metrics import AT_RATING
 from vppres.day.phases import Phase
 from vppres.explain.prices import WORTH, StepPrices
-from vppres.explain.recorded import Limits, Recorded
+from vppres.explain.recorded import LimitsReached, Recorded
 from vppres.model.phases import GRID, ISLAND, phased_model
 from vppres.physics.phased_sources import buses_of
 from vppres.scenario.formers import forming_batteries, largest_forming_battery
@@ -131,9 +131,9 @@ class Step:
         return np.asarray(self.outage & (off_h > 0.0) & due(limit_h, off_h, self.site.dt_h))
 
     @cached_property
-    def limits(self) -> Limits:
+    def limits(self) -> LimitsReached:
         """What the record alone shows to be at its limit."""
-        return Limits.of(self.recorded, self.t)
+        return LimitsReached.of(self.recorded, self.t)
 
     @cached_property
     def spare_kw(self) -> float:

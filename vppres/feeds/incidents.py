@@ -71,7 +71,7 @@ class Incident:
 
 
 @dataclass(frozen=True)
-class Answer:
+class FeedSnapshot:
     """What a feed answered.
 
     Parameters

@@ -14,7 +14,7 @@ from vppres.contract.observation import Observation
 from vppres.contract.switching import SwitchingState
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Floats
-from vppres.day.forecasting import Forecasts, forecasts_of
+from vppres.day.forecasting import DayForecasts, forecasts_of
 from vppres.day.options import RunOptions
 from vppres.day.outages import Beside, GridSeen, OutageView
 from vppres.day.recorder import StepRecord
@@ -100,7 +100,7 @@ class Present:
         measured = self._measured(forecasts)
         return view.told(measured, self.grid_seen, self.ahead, 0, forecasts, self.beside)
 
-    def _measured(self, forecasts: Forecasts) -> Observation:
+    def _measured(self, forecasts: DayForecasts) -> Observation:
         """What was measured, and the forecast of the window."""
         seen = self.seen
         forecast = forecasts.at(0, range(seen.scenario.grid.n_steps))

@@ -83,7 +83,7 @@ def paper_objective(site: Site, v: Variables, p: Parameters) -> cp.Expression:
 
 
 def paper_constraints(site: Site, v: Variables, p: Parameters) -> Named:
-    """What F is subject to (``sec:constraints``, ``sec:delta``)."""
+    """Constraints of the paper's F (``sec:constraints``, ``sec:delta``)."""
     return {
         # Battery storage; (1), the net power, is an expression of the variables.
         **battery_modes(site, v, p),  # text above (1)

@@ -29,7 +29,7 @@ FIELDS = {
     "P_flow": "p_flow_kw",
     "Q_flow": "q_flow_kvar",
 }
-"""What a dispatch has for each letter; voltages of ``u`` squared."""
+"""Field of a dispatch for each letter; voltages of ``u`` squared."""
 
 
 @dataclass(frozen=True, eq=False)

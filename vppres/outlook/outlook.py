@@ -388,7 +388,7 @@ def length_of(message: OutageWarning, step_h: float, length: int) -> Floats | No
 def said_so_far(
     messages: Sequence[OutageWarning], times: pd.DatetimeIndex
 ) -> tuple[Announced, Floats] | None:
-    """What messages of one outage come to, as onset in the steps of a grid if it comes.
+    """Outage that messages announce, and the probability of its onset in each step if it comes.
 
     Parameters
     ----------

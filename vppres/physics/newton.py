@@ -46,7 +46,7 @@ class Newton:
         self._keep_pattern(n)
 
     def _keep_pattern(self, n: int) -> None:
-        """Where the derivatives of active and reactive power stand in the Jacobian.
+        """Store the positions of the derivatives of active and reactive power in the Jacobian.
 
         Its rows are active, then reactive power of the free buses; its columns angles, then
         magnitudes. ``order`` sorts the four blocks' numbers, one block after the other, by rows.

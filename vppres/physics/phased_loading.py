@@ -68,7 +68,7 @@ class Loadings:
 
 
 def _line_kva(phases: Phases, line: PhaseLine) -> float:
-    """What a phase of a line carries at its rating."""
+    """Apparent power of a line's phase at its rating."""
     return float(line.i_max_a * phases.by_bus[line.from_bus].kv / np.sqrt(3))
 
 

@@ -1,4 +1,4 @@
-"""What happens where the AC power flow has no solution: the lowest tier is shed until it has.
+"""Collapse where the AC power flow has no solution: the lowest tier is shed until it has.
 
 Only evidence sheds: where no solution was found and none was shown to be missing, all customers
 stay on, and the record says by what its best answer misses.

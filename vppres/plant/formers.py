@@ -1,4 +1,4 @@
-"""What forms the grid of an island: its bus, and what it takes up of what the island lacks."""
+"""Devices that form an island's grid: their bus, and their share of the island's mismatch."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from vppres.scenario.assets import Batteries
 
 
 class Former(Protocol):
-    """What holds the voltage of an island and takes up its mismatch."""
+    """Device that holds the voltage of an island and takes up its mismatch."""
 
     @property
     def bus(self) -> int:

@@ -37,7 +37,7 @@ COLLAPSE_PU = 0.7
 """A voltage below which motors stall and inverters trip: the island blacks out."""
 
 CUT_MARGIN_KW = 1e-3
-"""What is cut beyond the need, so that the set has something left to settle with."""
+"""Margin of a cut beyond the need, so that the set has something left to settle with."""
 
 TAKE_LESS = ("thermal_loads", "chargers")
 """Kinds that take less where an island lacks power, in this order: before batteries and customers.
@@ -106,7 +106,7 @@ class Balance:
 
 
 class IslandPlant:
-    """What happens in an island's step.
+    """Plant of an island's step.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ class IslandPlant:
         return dark or self._dark(t, planned, state, self._why_dark())
 
     def _able(self, t: int, planned: Realised, state: BatteryState) -> Iterator[Former]:
-        """What can form the grid: batteries first, then one generating set after another."""
+        """Devices able to form the grid: batteries first, then one generating set after another."""
         _, most_discharge = self.plant.battery_limits_kw(state)
         holds = self.plant.scenario.batteries.holds_energy(state.soc)
         able = self.formers & holds & (most_discharge > BALANCE_TOLERANCE_KW)
@@ -226,7 +226,7 @@ class IslandPlant:
     def _others_room_kw(
         self, powers: Powers, state: BatteryState, others: Flags, ac: ACResult
     ) -> Floats:
-        """What batteries that do not form the grid can discharge beyond what they do, (B,)."""
+        """Further discharge that batteries can give that do not form the grid, (B,)."""
         _, most_discharge = self.plant.battery_limits_kw(state)
         s_max_kva = self.plant.scenario.batteries.s_max_kva
         disc_kw = np.sqrt(np.maximum(s_max_kva**2 - powers.batt_q_kvar**2, 0.0))
@@ -336,7 +336,7 @@ def powers_of(realised: Realised) -> Powers:
 
 
 def taking(powers: Powers, kind: str, taken_kw: Floats) -> Powers:
-    """The same with the units of a kind taking these powers, (n,)."""
+    """Powers in which the units of a kind take these, (n,)."""
     return replace(powers, taken_kw={**powers.taken_kw, kind: taken_kw})
 
 
@@ -361,7 +361,7 @@ def _forms(powers: Powers, kind: str) -> Flags:
 
 
 def _given_beyond_kw(set_points: Powers, powers: Powers) -> float:
-    """What the set that forms the grid gave beyond its set-point."""
+    """Power of the set that forms the grid beyond its set-point."""
     if powers.forming is None:
         return 0.0
     one = powers.forming.genset

@@ -30,7 +30,7 @@ from vppres.plant.plant import BatteryState, Plant, Powers, Realised
 from vppres.scenario.scenario import Scenario
 
 TOLERANCE_KVA = 1e-3
-"""What a solved flow may miss: a tenth of a billionth of a volt is a watt on a stiff feeder."""
+"""Residual of a solved flow: a tenth of a billionth of a volt is a watt on a stiff feeder."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,7 +223,7 @@ class PhasedIslandPlant(IslandPlant):
         return sorted(super()._order(t, powers, ac), key=lambda c: not on_phase[c])
 
     def _cut(self, t: int, powers: Powers, found: Balance, state: BatteryState) -> Powers | None:
-        """What relieves an overloaded phase: less of what feeds it, or other batteries on it.
+        """Relieve an overloaded phase: less of what feeds it, or other batteries on it.
 
         Then customers on it are shed. Where none is left, everything but the former stops.
         """
@@ -248,7 +248,7 @@ class PhasedIslandPlant(IslandPlant):
     def _others_room_kw(
         self, powers: Powers, state: BatteryState, others: Flags, ac: ACResult
     ) -> Floats:
-        """The same, on a phase and in all no more than what forms the grid gives there."""
+        """Further discharge of others, at most what the former gives on a phase and in all."""
         if not self._others_help:
             return np.zeros(len(others))
         room_kw = super()._others_room_kw(powers, state, others, ac)
@@ -286,7 +286,7 @@ class PhasedIslandPlant(IslandPlant):
 
 
 def _former_kva(ac: ACResult) -> Complexes:
-    """What the former gives on each phase, (3,)."""
+    """Complex power of the former on each phase, (3,)."""
     assert isinstance(ac, PhasedACResult)
     return ac.former_kva
 

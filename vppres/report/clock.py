@@ -16,7 +16,7 @@ _DATE = len("19 Jul ")
 
 
 @dataclass(frozen=True)
-class Clock:
+class TimeWords:
     """Times in words.
 
     Parameters
@@ -27,16 +27,16 @@ class Clock:
     Examples
     --------
     >>> noon = pd.Timestamp("2022-07-19T12:00:00Z")
-    >>> Clock(TimeGrid(noon, 60, 24)).words(noon)
+    >>> TimeWords(TimeGrid(noon, 60, 24)).words(noon)
     '19 Jul 12:00'
-    >>> Clock(TimeGrid(noon, 60, 24, "Europe/London")).full(noon)
+    >>> TimeWords(TimeGrid(noon, 60, 24, "Europe/London")).full(noon)
     '19 Jul 13:00 BST'
     """
 
     grid: TimeGrid
 
     @classmethod
-    def of(cls, run: Trajectory) -> Clock:
+    def of(cls, run: Trajectory) -> TimeWords:
         """The clock of a run."""
         return cls(run.scenario.grid)
 

@@ -14,7 +14,7 @@ from vppres.day.kind_tables import kind_events
 from vppres.day.series import energy_limits_kwh, outage_spans, stored_energy_kwh
 from vppres.day.switching_figures import switched
 from vppres.day.trajectory import WHOLE_SHARE, Trajectory, taken
-from vppres.report.clock import Clock
+from vppres.report.clock import TimeWords
 from vppres.report.key_figures import number
 
 NAMES_SHOWN = 6
@@ -22,7 +22,7 @@ EMPTY_SHARE = 0.01  # of the usable energy
 
 
 @dataclass(frozen=True)
-class Event:
+class DayEvent:
     """What happened at the beginning of a step ``t``, and its time; ``T`` is the end of the day."""
 
     t: int
@@ -30,7 +30,7 @@ class Event:
     words: str
 
 
-def events_of(run: Trajectory) -> list[Event]:
+def events_of(run: Trajectory) -> list[DayEvent]:
     """Outages, customers off, restored and dimmed, batteries, missed needs and comfort, sets."""
     found = sorted(
         [
@@ -43,8 +43,8 @@ def events_of(run: Trajectory) -> list[Event]:
         ],
         key=lambda entry: entry[0],
     )
-    clock = Clock.of(run)
-    return [Event(t, clock.at(t), words) for t, words in found]
+    clock = TimeWords.of(run)
+    return [DayEvent(t, clock.at(t), words) for t, words in found]
 
 
 def opening_of(run: Trajectory, summary: Mapping[str, Any]) -> list[str]:
@@ -113,7 +113,7 @@ def _battery_events(run: Trajectory) -> Iterator[tuple[int, str]]:
 
 
 def _day(run: Trajectory) -> str:
-    clock = Clock.of(run)
+    clock = TimeWords.of(run)
     n_steps = len(run.steps)
     return (
         f"{counted(n_steps, 'step')} of {clock.grid.step_minutes:g} min from {clock.at(0)} to "
@@ -125,7 +125,7 @@ def _outage(run: Trajectory, summary: Mapping[str, Any]) -> list[str]:
     spans = outage_spans(run)
     if not spans:
         return ["No grid outage."]
-    clock = Clock.of(run)
+    clock = TimeWords.of(run)
     when = " and ".join(clock.span(a, b) for a, b in spans)
     hours = sum(b - a for a, b in spans) * run.scenario.grid.dt_h
     shares = ", ".join(

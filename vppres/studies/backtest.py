@@ -15,7 +15,7 @@ from vppres.core.arrays import Flags, Floats, mean_of_known
 from vppres.core.errors import InputError
 from vppres.core.plain import json_safe
 from vppres.day.forecasting import history_before
-from vppres.forecasts.interface import Forecaster, LoadAndPV
+from vppres.forecasts.interface import ForecastMethod, LoadAndPV
 from vppres.forecasts.quantile_file import read_quantiles
 from vppres.forecasts.seasonal import Seasonal
 from vppres.io.find import is_scenario, load_scenario
@@ -240,7 +240,7 @@ class Backtest:
 def backtest(
     history: History,
     plan: Plan | None = None,
-    forecaster: Forecaster | None = None,
+    forecaster: ForecastMethod | None = None,
     name: str = "seasonal",
     progress: Progress | None = None,
 ) -> Backtest:
@@ -285,7 +285,7 @@ def measured_in(name_or_path: str, zone: str | None = None) -> History:
     return history if zone is None else replace(history, zone=zone)
 
 
-def forecasts_in(file: str | Path, history: History) -> Forecaster:
+def forecasts_in(file: str | Path, history: History) -> ForecastMethod:
     """A provider's quantiles of the totals ``load`` and ``pv``, to be scored on a history."""
     load_ids, pv_ids = (
         np.array([f"{words} {i}" for i in range(values.shape[1])], dtype=object)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from vppres.core.arrays import Flags, Floats
-from vppres.forecasts.interface import Forecaster, LoadAndPV
+from vppres.forecasts.interface import ForecastMethod, LoadAndPV
 from vppres.forecasts.references import Climatology, WeeklyNaive
 from vppres.forecasts.scores import crps, energy_score, holds, interval, pit
 from vppres.scenario.history import History
@@ -22,7 +22,7 @@ SHARES = (0.5, 0.8, 0.9)
 """What central intervals are to hold."""
 ENERGY_H = (6, 12, 24)
 FORECAST = "forecast"
-REFERENCES: dict[str, Forecaster] = {"climatology": Climatology(), "weekly": WeeklyNaive()}
+REFERENCES: dict[str, ForecastMethod] = {"climatology": Climatology(), "weekly": WeeklyNaive()}
 DAYLIGHT = 0.02
 """Share of the largest power from which on an hour counts as day: at night PV is known."""
 

@@ -1,4 +1,4 @@
-"""What is measured, judged by what the plant did; what is missing or frozen is estimated.
+"""State estimate from measurements, judged by what the plant did; missing ones are estimated.
 
 Forecasts are no evidence against a reading: two of them differ by their own noise. A reading counts
 as frozen only where the plant's response contradicts it, so that on a day without faults nothing is
@@ -15,7 +15,7 @@ import numpy as np
 from vppres.contract.ahead import KindsAhead
 from vppres.contract.decision import OUT, Decision
 from vppres.contract.observation import Observation
-from vppres.control.guard.balance import Commanded, Readings, feeder_off
+from vppres.control.guard.balance import Commanded, LoadAndPVReadings, feeder_off
 from vppres.control.guard.moved import Moved
 from vppres.control.guard.reckoning import SocReckoning
 from vppres.control.guard.series import SeriesJudge
@@ -33,8 +33,8 @@ RETRY_STEPS = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
-    """What is taken for true at a step.
+class StateEstimate:
+    """Estimated state of a step.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ class Estimator:
         self._commanded: Commanded | None = None
         self._out_until: Wholes = np.zeros(len(site.batteries), dtype=np.int64)
 
-    def known(self, seen: Observation) -> Known:
+    def known(self, seen: Observation) -> StateEstimate:
         """The observation with estimates for what cannot be trusted."""
         online = self._online(seen)
         self._reckon(seen)
@@ -100,10 +100,10 @@ class Estimator:
         soc = np.where(np.isnan(self._soc.soc), self.site.batteries.soc_min, self._soc.soc)
         believed = replace(seen, forecast=forecast, soc=soc, told=(), soc_age_h=None)
         self._last = _remembered(believed)
-        return Known(believed, online, "; ".join(words))
+        return StateEstimate(believed, online, "; ".join(words))
 
-    def proven(self, known: Known) -> Known:
-        """The same without demands far above all that an import has agreed with.
+    def proven(self, known: StateEstimate) -> StateEstimate:
+        """State estimate without demands far above all that an import has agreed with.
 
         Itself where there are none.
         """
@@ -178,22 +178,24 @@ class Estimator:
             words.append(f"soc {names[i]} {soc.soc[i]:.4f} +-{soc.band[i]:.3f} ({kind})")
         return words
 
-    def _expected(self, seen: Observation) -> tuple[Readings, bool]:
-        """What the last forecast said of this step, and whether it did; else what is known last."""
+    def _expected(self, seen: Observation) -> tuple[LoadAndPVReadings, bool]:
+        """Readings that a forecast or the profile expects, and whether one did; else the last known."""
         if self._last is None:
             ahead = seen.forecast
             if seen.profile_kw is not None and seen.profile_pv_kw is not None:
-                return Readings(seen.profile_kw, seen.profile_pv_kw), True
+                return LoadAndPVReadings(seen.profile_kw, seen.profile_pv_kw), True
             if len(ahead.load_kw) > 1:
-                return Readings(ahead.load_kw[1], ahead.pv_kw[1]), True
-            none = Readings(np.zeros(len(self.site.customers)), np.zeros(len(self.site.pv)))
+                return LoadAndPVReadings(ahead.load_kw[1], ahead.pv_kw[1]), True
+            none = LoadAndPVReadings(
+                np.zeros(len(self.site.customers)), np.zeros(len(self.site.pv))
+            )
             return none, False
         before = self._last.forecast
         steps = seen.t0 - self._last.t0
         row = steps if steps < len(before.load_kw) else 0
-        return Readings(before.load_kw[row], before.pv_kw[row]), row > 0
+        return LoadAndPVReadings(before.load_kw[row], before.pv_kw[row]), row > 0
 
 
 def _remembered(seen: Observation) -> Observation:
-    """What the next step compares with: kinds have readings of their own."""
+    """Observation to compare the next step with; kinds have readings of their own."""
     return replace(seen, ahead=KindsAhead())

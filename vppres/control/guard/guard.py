@@ -21,7 +21,7 @@ from vppres.control.forming import formed_by_set
 from vppres.control.full_horizon import FullHorizonController
 from vppres.control.guard.check import violations
 from vppres.control.guard.critical import CriticalFirst
-from vppres.control.guard.estimation import Estimator, Known
+from vppres.control.guard.estimation import Estimator, StateEstimate
 from vppres.control.guard.options import GuardOptions, SolverOf
 from vppres.control.guard.partial_fleet import reduced_observation, site_with, whole_fleet
 from vppres.control.guard.relax import relaxed_answers
@@ -57,7 +57,7 @@ class GuardedController:
     ----------
     inner : Decider
         The wrapped controller of the whole fleet.
-    known : Known or None
+    known : StateEstimate or None
         What the last decision took for true.
     """
 
@@ -74,7 +74,7 @@ class GuardedController:
         self.site = site
         self.options = options
         self.inner = controller_of(site)
-        self.known: Known | None = None
+        self.known: StateEstimate | None = None
         self._controller_of = controller_of
         self._solver_of = solver_of
         self._parts: dict[bytes, Decider] = {}
@@ -101,8 +101,8 @@ class GuardedController:
         self._estimator.commanded(decision)
         return replace(decision, estimated=known.estimated, seen=known.observation)
 
-    def _sure(self, known: Known) -> Known:
-        """What is known, with grid without demands that are unlikely and would cost the first tier.
+    def _sure(self, known: StateEstimate) -> StateEstimate:
+        """State estimate, with grid without unlikely demands that would cost the first tier.
 
         What is really taken was carried: readings are of customers that have supply.
         """
@@ -111,7 +111,7 @@ class GuardedController:
             return known
         return known if self._critical.possible(known, state) else self._estimator.proven(known)
 
-    def _state(self, known: Known) -> StepState:
+    def _state(self, known: StateEstimate) -> StepState:
         """The step as it is known; of an island, whether a battery or which set can form it."""
         centre = self.options.centre
         state = StepState.of(self.site, known.observation, centre, known.online)
@@ -124,7 +124,7 @@ class GuardedController:
         formed, _ = formed_by_set(site, now, dark, headroom=0.0)
         return replace(state, ahead=formed.ahead, dark=bool(dark[0]))
 
-    def _checked_answer(self, known: Known, state: StepState) -> Decision:
+    def _checked_answer(self, known: StateEstimate, state: StepState) -> Decision:
         """The wrapped controller's answer, or the first fallback that passes the check."""
         before = self.plan
         decision = self._answer_or_fallback(known, state)
@@ -135,7 +135,7 @@ class GuardedController:
             self._parts.clear()
         return decision
 
-    def _answer_or_fallback(self, known: Known, state: StepState) -> Decision:
+    def _answer_or_fallback(self, known: StateEstimate, state: StepState) -> Decision:
         try:
             decision = self._answer(known)
             reasons = violations(decision, state, self.options.within)
@@ -152,8 +152,8 @@ class GuardedController:
             reason = named_line(error)
         return self._without_solver(known, state, reason)
 
-    def _answer(self, known: Known) -> Decision:
-        """What the wrapped controller says, for the batteries that are there.
+    def _answer(self, known: StateEstimate) -> Decision:
+        """Decision of the wrapped controller, for the batteries that are there.
 
         A plan of the day is kept as it is: what it asks of a battery that is out fails the check.
         """
@@ -179,7 +179,9 @@ class GuardedController:
         if decision.row + 1 < decision.dispatch.n_steps:
             self._plan = decision.dispatch, t0 - decision.row
 
-    def _relaxed(self, known: Known, state: StepState, reason: str) -> tuple[Decision | None, str]:
+    def _relaxed(
+        self, known: StateEstimate, state: StepState, reason: str
+    ) -> tuple[Decision | None, str]:
         """Fallback of an infeasible window, None if there is none, and the reasons so far."""
         site = site_with(self.site, known.online)
         seen = reduced_observation(known.observation, known.online, self.site.batteries)
@@ -205,12 +207,12 @@ class GuardedController:
             failed.setdefault(f"refused: {'; '.join(wrong)}", []).append(name)
         return None, _with_failures(reason, failed)
 
-    def _without_solver(self, known: Known, state: StepState, reason: str) -> Decision:
+    def _without_solver(self, known: StateEstimate, state: StepState, reason: str) -> Decision:
         """The previous plan where it can be carried out, otherwise the rule."""
         planned = self._planned(known, state, reason)
         return planned if planned is not None else by_rule(state, self.options.tiers, reason)
 
-    def _planned(self, known: Known, state: StepState, reason: str) -> Decision | None:
+    def _planned(self, known: StateEstimate, state: StepState, reason: str) -> Decision | None:
         """The step of the last good plan, its balance closed by what is measured now."""
         if self._plan is None:
             return None

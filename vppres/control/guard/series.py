@@ -20,7 +20,7 @@ import numpy as np
 from vppres.contract.observation import Observation
 from vppres.control.guard.balance import (
     Commanded,
-    Readings,
+    LoadAndPVReadings,
     contradicts,
     mismatch_kw,
     served,
@@ -60,8 +60,8 @@ class _Step:
     """
 
     t: int
-    seen: Readings
-    expected: Readings
+    seen: LoadAndPVReadings
+    expected: LoadAndPVReadings
     read_kw: Floats
     most_import_kw: float = np.inf
     usual_kw: Floats | None = None
@@ -104,15 +104,19 @@ class SeriesJudge:
         self._carried_kw = _carried_kw(site)
 
     def judged(
-        self, seen: Observation, expected: Readings, foretold: bool, commanded: Commanded | None
-    ) -> tuple[Readings, list[str]]:
+        self,
+        seen: Observation,
+        expected: LoadAndPVReadings,
+        foretold: bool,
+        commanded: Commanded | None,
+    ) -> tuple[LoadAndPVReadings, list[str]]:
         """Readings of the step with estimates where they must be, and what was estimated.
 
         Parameters
         ----------
         seen : Observation
             The step's observation.
-        expected : Readings
+        expected : LoadAndPVReadings
             What was known of this step before it.
         foretold : bool
             Whether that was forecast, and is not the reading of a step before.
@@ -133,7 +137,7 @@ class SeriesJudge:
             proven_kw = np.full_like(usual_kw, np.inf)
         doubted &= _odd(read_kw, usual_kw) & ~far
         usable_kw = np.where(far, expected.load_kw, np.where(doubted, usual_kw, read_kw))
-        usable = Readings(usable_kw, seen.forecast.pv_kw[0])
+        usable = LoadAndPVReadings(usable_kw, seen.forecast.pv_kw[0])
         most_kw = _most_import_kw(seen, expected, usable)
         now = _Step(seen.t0, usable, expected, read_kw, most_kw, usual_kw, doubted, proven_kw)
         frozen = self._frozen_now(now, seen, commanded)
@@ -155,7 +159,7 @@ class SeriesJudge:
             f"{read_kw[i]:g})"
             for i in np.flatnonzero(doubted)
         ]
-        return Readings(load, pv), [*load_words, *pv_words, *far_words, *odd_words]
+        return LoadAndPVReadings(load, pv), [*load_words, *pv_words, *far_words, *odd_words]
 
     @property
     def unproven(self) -> Flags:
@@ -184,7 +188,7 @@ class SeriesJudge:
             for i in np.flatnonzero(unproven)
         ]
 
-    def _far_now(self, read_kw: Floats, seen: Observation, expected: Readings) -> Flags:
+    def _far_now(self, read_kw: Floats, seen: Observation, expected: LoadAndPVReadings) -> Flags:
         """Demand far from its forecasts, and from all that a step has shown to be right.
 
         By more than meters are off by; where no demand was expected nothing is far.
@@ -247,8 +251,8 @@ class SeriesJudge:
 
     def _as_read(
         self, seen: Observation, commanded: Commanded | None, before: _Step
-    ) -> Readings | None:
-        """What was read of the step before; of what was far the reading if the import bears it out.
+    ) -> LoadAndPVReadings | None:
+        """Readings of the step before; far ones only if the import bears them out.
 
         What was missing is as it was estimated.
         """
@@ -286,7 +290,7 @@ class SeriesJudge:
         """Whether the forecast explains the step before better than the frozen readings do."""
         before = self._before
         assert before is not None  # without a step before nothing is frozen
-        by_forecast = Readings(
+        by_forecast = LoadAndPVReadings(
             np.where(frozen.load, before.expected.load_kw, before.seen.load_kw),
             np.where(frozen.pv, before.expected.pv_kw, before.seen.pv_kw),
         )
@@ -297,7 +301,7 @@ class SeriesJudge:
         return abs(of_forecast) < abs(of_readings)
 
     def _mismatch(
-        self, seen: Observation, commanded: Commanded | None, readings: Readings
+        self, seen: Observation, commanded: Commanded | None, readings: LoadAndPVReadings
     ) -> float | None:
         """Mismatch of the step before, None where it is not known."""
         before = self._before
@@ -330,7 +334,9 @@ def _carried_kw(site: Site) -> Floats:
     return found
 
 
-def _most_import_kw(seen: Observation, expected: Readings, usable: Readings) -> float:
+def _most_import_kw(
+    seen: Observation, expected: LoadAndPVReadings, usable: LoadAndPVReadings
+) -> float:
     """The most import of a step that is one: what the connection passes, and no more than far.
 
     A demand that was believed counts as expected.

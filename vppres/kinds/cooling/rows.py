@@ -18,7 +18,7 @@ import numpy as np
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Floats
 from vppres.kinds.cooling.physics import Rooms
-from vppres.model.beyond_paper.addition import Addition, Held
+from vppres.model.beyond_paper.addition import Addition, AdditionDispatch
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
 from vppres.model.numerics import NOISE_KW, write
@@ -121,14 +121,14 @@ class ThermalLoadsModel(Addition):
         over, under = rooms.missed_c(rooms.t_c(machine_kw(site, dispatch)))
         return {"own": -float((price_of(site, rooms) * (over + under)).sum())}
 
-    def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> Held:
+    def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> AdditionDispatch:
         """Power and temperature of each."""
         rooms = data.ahead.known(Rooms)
         power_kw = machine_kw(site, dispatch)
         t_c = rooms.t_c(power_kw)
         over, under = rooms.missed_c(t_c)
         letters = zip(self.by_dispatch, (power_kw, t_c, over, under), strict=True)
-        return Held(dict(letters))
+        return AdditionDispatch(dict(letters))
 
     def read(self, found: Dispatch) -> Dispatch:
         """The power of each machine."""

@@ -116,7 +116,7 @@ class Ran:
 
 
 @dataclass(frozen=True, eq=False)
-class Readings:
+class GensetReadings:
     """What sets told at the beginning of a step, (G,) each; NaN where one told nothing.
 
     ``ordered_kw`` is the most that another sender ordered each since the last decision.
@@ -134,11 +134,11 @@ PAST = Ran
 
 def read(
     door: Door, scenario: Scenario, told: Mapping[str, Any], past: Ran | None
-) -> tuple[Scenario, Readings]:
+) -> tuple[Scenario, GensetReadings]:
     """What sets tell, and what another sender ordered them."""
     names = ("running", "genset_kw", "fuel_litres", "start_fault", "genset_ordered_kw")
     ids, none = scenario.gensets.id, np.full(len(scenario.gensets), np.nan)
-    return scenario, Readings(*(door.values(name, told[name], ids, none) for name in names))
+    return scenario, GensetReadings(*(door.values(name, told[name], ids, none) for name in names))
 
 
 def to_come(day: Scenario) -> Scenario:
@@ -151,7 +151,7 @@ def to_come(day: Scenario) -> Scenario:
     return replace(day, refuels=kept)
 
 
-def now(moment: Moment, told: Readings, past: Ran | None) -> SetsNow:
+def now(moment: Moment, told: GensetReadings, past: Ran | None) -> SetsNow:
     """Sets at the moment, with what was delivered since they were told how to run."""
     known = moment.known
     sets, dt_h, at_h = known.gensets, known.grid.dt_h, moment.at_h
@@ -175,7 +175,7 @@ class SetsNow(UnitsNow):
 
     @classmethod
     def of(
-        cls, sets: Gensets, told: Readings, past: Ran, at_h: float, dt_h: float, added: Floats
+        cls, sets: Gensets, told: GensetReadings, past: Ran, at_h: float, dt_h: float, added: Floats
     ) -> SetsNow:
         """The sets after their set-points, ``added`` fuel having been delivered since.
 
@@ -248,7 +248,7 @@ class _Running:
 
     @classmethod
     def of(
-        cls, told: Readings, past: Ran, by_others: Flags, gone_h: float, dt_h: float
+        cls, told: GensetReadings, past: Ran, by_others: Flags, gone_h: float, dt_h: float
     ) -> _Running:
         """The estimate so many hours after their set-points; ``by_others``, by another sender."""
         held = gone_h <= dt_h + ROUNDING_H
@@ -291,7 +291,7 @@ class _Fuel:
     def of(
         cls,
         sets: Gensets,
-        told: Readings,
+        told: GensetReadings,
         past: Ran,
         runs: _Running,
         burning_h: Floats,
@@ -335,7 +335,7 @@ def _hours(past: Ran, on: Flags, gone_h: float, dt_h: float) -> Floats:
 
 
 def _left_litres(
-    sets: Gensets, told: Readings, past: Ran, on: Flags, never: Flags, burning_h: Floats
+    sets: Gensets, told: GensetReadings, past: Ran, on: Flags, never: Flags, burning_h: Floats
 ) -> tuple[Floats, Floats]:
     """The least and the most that may be left of the fuel, by the line of each set.
 

@@ -18,7 +18,7 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.kinds.gensets.data import steps_of
 from vppres.kinds.gensets.physics import SetsAhead
-from vppres.model.beyond_paper.addition import Addition, Held
+from vppres.model.beyond_paper.addition import Addition, AdditionDispatch
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
 from vppres.model.numerics import write
@@ -273,13 +273,13 @@ class GensetsModel(Addition):
         most_gbp = litres @ sets.fuel_price_gbp_per_litre + sets.start_cost_gbp.sum()
         return least_gbp, dearest_gbp + float(most_gbp)
 
-    def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> Held:
+    def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> AdditionDispatch:
         """Switching, power and fuel of every set."""
         ahead = data.ahead.known(SetsAhead)
         on, power_kw = running(site, dispatch)
         fuel = ahead.fuel_litres(site.gensets, on, power_kw, site.dt_h)
         letters = (on.astype(float), ahead.starts(on).astype(float), power_kw, fuel)
-        return Held(dict(zip(self.by_dispatch, letters, strict=True)))
+        return AdditionDispatch(dict(zip(self.by_dispatch, letters, strict=True)))
 
     def read(self, found: Dispatch) -> Dispatch:
         """Which sets run, and what each gives."""

@@ -64,7 +64,7 @@ class Stay:
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
+class PluggedInVehicles:
     """The vehicles at chargers after a step, their energy, and what they were to take in it.
 
     ``since`` is the time of plug-in as text by charger, empty without a vehicle; ``kwh`` and
@@ -79,7 +79,7 @@ class Held:
     stays: tuple[Stay, ...] = ()
 
     @classmethod
-    def of(cls, scenario: Scenario, t: int, kwh: Floats, taken_kw: Floats) -> Held:
+    def of(cls, scenario: Scenario, t: int, kwh: Floats, taken_kw: Floats) -> PluggedInVehicles:
         """The vehicles of a step with their energy at its end."""
         here = [s for s in scenario.session_at[t].tolist() if s != NO_CAR]
         rows = rows_of(scenario.sessions) if here else []
@@ -101,19 +101,19 @@ def _since(scenario: Scenario, t: int) -> tuple[str, ...]:
     return tuple("" if row == NO_CAR else plug_in[row].isoformat() for row in rows)
 
 
-PAST = Held
+PAST = PluggedInVehicles
 
 
 @dataclass(frozen=True, eq=False)
 class VehiclesNow(UnitsNow):
     """Energy of the vehicle at each charger in a step, (K,), 0 without one."""
 
-    def after(self, day: Scenario, state: Floats, columns: Mapping[str, Any]) -> Held:
+    def after(self, day: Scenario, state: Floats, columns: Mapping[str, Any]) -> PluggedInVehicles:
         """The vehicles after the first step of a day."""
-        return Held.of(day, 0, state, columns["p_kw"])
+        return PluggedInVehicles.of(day, 0, state, columns["p_kw"])
 
 
-def now(moment: Moment, read_kwh: Floats, past: Held | None) -> VehiclesNow:
+def now(moment: Moment, read_kwh: Floats, past: PluggedInVehicles | None) -> VehiclesNow:
     """Vehicles as they were read, or else as reckoned, or else as their sessions say."""
     day, kwh = moment.window, read_kwh
     if past is not None:
@@ -129,7 +129,7 @@ def to_come(day: Scenario) -> Scenario:
 
 
 def read(
-    door: Door, scenario: Scenario, told: Mapping[str, Any], past: Held | None
+    door: Door, scenario: Scenario, told: Mapping[str, Any], past: PluggedInVehicles | None
 ) -> tuple[Scenario, Floats]:
     """The scenario with sessions as they are measured, and energies that were read, (K,).
 

@@ -19,7 +19,7 @@ import numpy as np
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Floats, Wholes
 from vppres.kinds.vehicles.physics import Plugged
-from vppres.model.beyond_paper.addition import Addition, Held
+from vppres.model.beyond_paper.addition import Addition, AdditionDispatch
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
 from vppres.model.numerics import NOISE_KW, write
@@ -201,7 +201,7 @@ class Vehicles(Addition):
         hours = site.dt_h * np.arange(data.n_steps)
         return least_gbp, dearest_gbp + LATER_GBP_PER_KWH_H * hours * most_kwh
 
-    def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> Held:
+    def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> AdditionDispatch:
         """Power and energy of every vehicle."""
         plugged = data.ahead.known(Plugged)
         power_kw = charging_kw(site, dispatch)
@@ -213,7 +213,7 @@ class Vehicles(Addition):
         }
         if self.discharge is not None:
             values["ev_discharge"] = np.maximum(-power_kw, 0.0)[:, self.two_way]
-        return Held(values)
+        return AdditionDispatch(values)
 
     def read(self, found: Dispatch) -> Dispatch:
         """The power of each charger."""
