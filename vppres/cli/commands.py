@@ -533,7 +533,7 @@ def serve(
 
 
 def _state_place(scenario: str, state: str | None) -> str:
-    """Where a service keeps its state: as given, beside the scenario's folder, or with the user's.
+    """Place of a service's state: as given, beside the scenario's folder, or with the user's.
 
     Packaged scenarios have no folder that is written to. Unless a folder is given, the place does
     not depend on the directory of the start.
@@ -688,7 +688,7 @@ def replay_feed(
 def _follower(
     feed: str, postcodes: list[str] | None, service: str | None, token: str | None
 ) -> Follower:
-    """What turns a feed into events of a service, each told in a line."""
+    """Follower that turns a feed into events of a service, each told in a line."""
     from vppres.feeds.adapters import feed_named
     from vppres.feeds.follow import Follower, events_at
     from vppres.feeds.incidents import check_areas

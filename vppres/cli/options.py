@@ -90,7 +90,7 @@ METAVARS = {
     "branch": "BRANCH",
     "grid": "GRID",
 }
-"""What stands for the value of an option with a unit."""
+"""Placeholder for the value of an option with a unit."""
 
 
 def help_text(option: Option) -> str:
@@ -109,7 +109,7 @@ def help_text(option: Option) -> str:
 
 
 def short_help(option: Option) -> str:
-    """The same without explanations of the choices.
+    """Help of an option without explanations of the choices.
 
     >>> short_help(next(option for option in OPTIONS if option.name == "priority"))
     'Order of the tiers: weights or strict.'
@@ -214,7 +214,7 @@ class SafeCommand(TyperCommand):
     table: tuple[Option, ...] = ()
 
     rare: tuple[str, ...] = ("debug",)
-    """What the short help leaves out besides the options of the table that are not usual."""
+    """Options that the short help leaves out besides those of the table that are not usual."""
 
     @property
     def _is_long(self) -> bool:
@@ -288,7 +288,7 @@ class NewCommand(SafeCommand):
 
 
 def fields_of(table: tuple[Option, ...], given: Mapping[str, Any]) -> dict[str, Any]:
-    """What the options of a table fill, from those of a command; those that say something."""
+    """Fields that a command's options of a table fill; those without a value are left out."""
     values = {option.field: given[_key(option)] for option in table}
     return {field: value for field, value in values.items() if value is not None}
 

@@ -309,7 +309,7 @@ class ConvergedPlanner(PassesPlanner[ACPoints]):
         return self._in_the_dark(whole, dark, solution)
 
     def _drawn_everywhere(self, observation: Observation, island: Flags) -> Drawn | None:
-        """Power that the network draws, in islands too: only their batteries can supply it there."""
+        """Power that the network draws, in an island too: only batteries can supply it there."""
         network = self.solver.site.network
         if not network.draws:
             return None

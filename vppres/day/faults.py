@@ -1,4 +1,4 @@
-"""What goes wrong in a simulated day: solvers, measurements, batteries and forecasts.
+"""Faults in a simulated day: solvers, measurements, batteries and forecasts.
 
 Faults are put between plant and controller: a solver that is wrapped, an observation that is
 changed before the controller sees it, a set-point that a battery does not follow. Neither the plant
@@ -33,7 +33,7 @@ QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
 
 
 class SolverKilledError(RuntimeError):
-    """What a solver that dies raises: nothing that vppres would raise itself."""
+    """Error of a solver that dies: nothing that vppres would raise itself."""
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ class FaultInjector:
         self._frozen: dict[MeasurementFault, Floats] = {}
 
     def solver_fault(self) -> SolverFault | None:
-        """What befalls the solve that is about to begin, None if nothing does."""
+        """Fault of the solve that is about to begin, None if there is none."""
         self._calls += 1
         outage = self.plan.solver.get(self.step)
         if outage is None or (self._calls > 1 and not outage.every_call):
@@ -178,7 +178,7 @@ class FaultInjector:
         return outage.kind
 
     def observe(self, true: Observation) -> Observation:
-        """What the controller gets to see of an observation."""
+        """Observation with the faults of its step."""
         self.step = true.t0
         self._calls = 0
         seen = replace(true, online=self._online(true.t0, silent_too=False))

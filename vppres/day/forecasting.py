@@ -1,4 +1,4 @@
-"""What a controller may know of load and PV power ahead: a forecaster by name, used in a run."""
+"""Forecasts of load and PV power in a run: a forecaster by name."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ class DayForecasts(Protocol):
     """Forecasts of a scenario's day, as a run asks for them."""
 
     def at(self, t0: int, steps: range) -> Forecast:
-        """What is known at the beginning of step ``t0``; that step itself exactly."""
+        """Forecast at the beginning of step ``t0``; that step itself exactly."""
         ...
 
 
 def basis_of(forecasts: DayForecasts, t: int) -> dict[str, str]:
-    """What a step's forecast rested on, for its record; nothing of the paper's."""
+    """Basis of a step's forecast, for its record; none for the paper's."""
     if not isinstance(forecasts, MeasuredForecasts):
         return {}
     return {BASIS: forecasts.bases.get(t, "")}
@@ -123,7 +123,7 @@ class MeasuredForecasts:
         self._before = history_before(scenario)
 
     def at(self, t0: int, steps: range) -> Forecast:
-        """What is known at the beginning of step ``t0``; that step itself exactly."""
+        """Forecast at the beginning of step ``t0``; that step itself exactly."""
         given = self._given.at(t0, steps)
         first = t0 + 1
         if steps.stop <= first:
@@ -188,7 +188,7 @@ class MeasuredForecasts:
 
 
 def history_before(scenario: Scenario) -> History:
-    """What was measured before a day, in its steps; empty where nothing was."""
+    """Measurements before a day, in its steps; empty where there are none."""
     grid = scenario.grid
     if scenario.history is None:
         none = (np.empty((0, len(scenario.customers))), np.empty((0, len(scenario.pv))))

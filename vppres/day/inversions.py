@@ -61,7 +61,7 @@ def inversions(run: Trajectory) -> list[Inversion]:
 
 
 def _could_have_been_on(run: Trajectory) -> list[Inversion]:
-    """The same, and customers for which what was left would have sufficed by itself."""
+    """Inversions, and customers that the energy left would have supplied by itself."""
     found: list[Inversion] = []
     fleet = _Fleet.of(run)
     out = run.steps["outage"].to_numpy(bool)
@@ -113,7 +113,7 @@ class _Fleet:
 
 
 def _behind_customers(run: Trajectory) -> Floats:
-    """What vehicles, rooms and tanks of each customer drew, (T, C); negative where they gave."""
+    """Power of vehicles, rooms and tanks of each customer, (T, C); negative where they gave."""
     day = run.scenario
     customers = day.customers
     drawn_kw = np.zeros((len(run.steps), len(customers)))
@@ -147,7 +147,7 @@ def _in_step(run: Trajectory, fleet: _Fleet, t: int, last: int) -> Iterator[Inve
 
 
 def _headroom_kw(run: Trajectory) -> float:
-    """What the grid-forming batteries leave free in an island by the options of the run."""
+    """Headroom of the grid-forming batteries in an island by the options of the run."""
     if run.options.get("mode") != "physical":
         return 0.0
     b = run.scenario.batteries

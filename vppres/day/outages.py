@@ -1,4 +1,4 @@
-"""What an observation may hold of the outages ahead: the option ``outages``.
+"""Outages ahead in an observation: the option ``outages``.
 
 Unless outages are known, nothing but the present step of the true grid limits passes from here.
 The same observation goes to the controller, to the guard around it and to its fallbacks.
@@ -45,7 +45,7 @@ DAY_H = 24.0
 
 @dataclass(frozen=True)
 class GridSeen:
-    """What has been seen of the grid up to the present step.
+    """History of the grid up to the present step.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class GridSeen:
         return bool(self.outages) and self.outages[-1].end is None
 
     def after(self, time: pd.Timestamp, limit_kw: float) -> GridSeen:
-        """The same after another step: its beginning, and its largest import.
+        """History after another step: its beginning, and its largest import.
 
         >>> noon = pd.Timestamp("2022-07-19T12:00Z")
         >>> GridSeen().after(noon, 0.0).out
@@ -81,7 +81,7 @@ class GridSeen:
 
 @dataclass(frozen=True, eq=False)
 class Beside:
-    """What is known beside the steps that are looked at.
+    """Import prices before the window, and announced import limits in it.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ class Fuel:
 
 @dataclass(frozen=True, eq=False)
 class OutageView:
-    """What a controller knows of outages.
+    """View of outages that a controller gets.
 
     Parameters
     ----------
@@ -260,7 +260,7 @@ class OutageView:
         out: bool,
         fuel: Fuel,
     ) -> Ahead:
-        """What is expected of the steps.
+        """Expected demand, power and prices of the steps.
 
         With grid stored energy is weighed against money, and customers by what they lose. Without
         it is weighed against customers, and strict order holds.
@@ -291,7 +291,7 @@ class OutageView:
         beside: Beside,
         fuel: Fuel,
     ) -> StoredValue:
-        """What energy is worth behind the present step."""
+        """Value of energy behind the present step."""
         fleet = self._fleet(scenario, seen, fuel)
         end = Terminal.of(self.soc_end, ahead, ends=True)
         # An evening's own prices would keep energy that the next night sells for less.
@@ -300,7 +300,7 @@ class OutageView:
         lowest = max(float(np.append(before, ahead.price_gbp_per_kwh).min()), 0.0)
 
         def end_gbp(energy_kwh: Floats) -> Floats:
-            """What is held behind the last step: bought at the day's lowest price, or asked for."""
+            """Worth of energy behind the last step: at the day's lowest price, or the target's."""
             if end is None:
                 return lowest / fleet.eta_charge * (energy_kwh - fleet.least_kwh)
             # What batteries are to hold is held besides all fuel.

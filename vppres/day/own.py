@@ -25,7 +25,7 @@ MPC = "mpc"
 
 @dataclass(frozen=True, eq=False)
 class Own:
-    """What replaces parts of a run.
+    """Replacements for parts of a run.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ class Own:
         return WellFormed(made, site)
 
     def record(self) -> dict[str, Any]:
-        """What is its own, by name, for the run's options."""
+        """Names of the parts that are replaced, for the run's options."""
         given = {"controller": self.controller, "forecaster": self.forecaster}
         found = {name: _name(part) for name, part in given.items() if part is not None}
         if self.weights is not None:

@@ -73,7 +73,7 @@ class StepRecord:
     nodes: Mapping[str, Floats] | None = None
     """Voltages by phase of the optimisation and of the AC power flow; None without phases."""
     kinds: Mapping[str, Mapping[str, NDArray[Any]]] = field(default_factory=dict)
-    """What the units of each kind of flexible power did and how they are, (n,) each."""
+    """Record of the units of each kind of flexible power, (n,) each."""
 
 
 def voltage_figures(v_model_pu: Floats, v_ac_pu: Floats) -> dict[str, float]:

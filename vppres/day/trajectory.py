@@ -74,7 +74,7 @@ def time_on(customers: pd.DataFrame) -> pd.Series[Any]:
 
 
 class Feeder(Protocol):
-    """What :func:`vppres.feeders.sources.import_network` yields; only the buses matter here."""
+    """Result of :func:`vppres.feeders.sources.import_network`; only the buses matter here."""
 
     @property
     def bus_of(self) -> Mapping[int, BusId]:

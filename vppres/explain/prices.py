@@ -19,7 +19,7 @@ WORTH = 1e-6
 """Smallest shadow price that counts, in weighted customer hours; solver noise is below 1e-9."""
 
 WORTH_GBP = 1e-3
-"""The same in GBP."""
+"""Smallest shadow price that counts, in GBP."""
 
 CURTAILED_SLACK_KWH = 1e-3
 WHOLE = 1e-6

@@ -128,7 +128,7 @@ def _why_off(step: Step, customer: int) -> Reason:
 
 
 def _too_little(step: Step, customer: int, binding: Scarce) -> str:
-    """What there is not enough of, by name."""
+    """Name of what there is not enough of."""
     demand_kw = figure(float(step.load_kw[customer]))
     limits = limits_in_full(step, customer, binding)
     if len(limits) > 1:
@@ -144,7 +144,7 @@ def _too_little(step: Step, customer: int, binding: Scarce) -> str:
 
 
 def scarce_words(step: Step, customer: int, binding: Scarce) -> str:
-    """What is scarce for a customer, by name."""
+    """Name of what is scarce for a customer."""
     which = _which_for(step, customer, binding)
     if which is None:
         return scarce_name(step, binding)
@@ -456,7 +456,7 @@ def why_curtailed(step: Step, system: int) -> Reason:
 
 
 def _taken(step: Step) -> str:
-    """What is exported of a surplus, in words."""
+    """Export of a surplus, in words."""
     if step.export_kw > MOVE_KW:
         return f"only {figure(step.export_kw)} kW is exported"
     return "nothing is exported" if _could_export(step) else "nothing can be exported"
@@ -467,7 +467,7 @@ def _could_export(step: Step) -> bool:
 
 
 def overruled(step: Step, what: str) -> Reason | None:
-    """What overrides every optimisation: a blacked-out island, or a fallback."""
+    """Reason that overrides every optimisation: a blacked-out island, or a fallback."""
     if step.dark:
         return Reason("dark", "", f"{what}: the island is blacked out ({step.dark}).")
     if step.fallback:

@@ -57,7 +57,7 @@ Told = Callable[[str], None]
 
 
 class EventSink:
-    """Where events go. This one takes them and does nothing: changes are shown only."""
+    """Receiver of events. This one takes them and does nothing: changes are shown only."""
 
     def put(self, name: str, body: dict[str, Any]) -> None:
         """Announce or change an event."""
@@ -302,7 +302,7 @@ class Asker:
         return found[0]
 
     def _answer(self) -> bytes:
-        """What the feed sends now."""
+        """Content that the feed sends now."""
         headers = {"User-Agent": f"vppres/{vppres.__version__}"}
         if self._tag is not None:
             headers["If-None-Match"] = self._tag
@@ -376,7 +376,7 @@ def _watch(follower: Follower, end: threading.Event) -> None:
 
 @contextmanager
 def _failures_told(follower: Follower) -> Iterator[None]:
-    """What a feed, a service or a disk refuses ends nothing."""
+    """Print what a feed, a service or a disk refuses, and go on."""
     try:
         yield
     except (InputError, OSError) as error:
@@ -456,5 +456,5 @@ def _words(body: dict[str, Any]) -> str:
 
 
 def _without_version(body: dict[str, Any]) -> dict[str, Any]:
-    """What was put, as it was put."""
+    """Event as it was put, without the version."""
     return {name: value for name, value in body.items() if name != "version" and value is not None}

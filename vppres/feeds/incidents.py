@@ -1,4 +1,4 @@
-"""What a network operator says of an outage, whichever feed it is in."""
+"""A network operator's incident, whichever feed it is in."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class Incident:
 
 @dataclass(frozen=True)
 class FeedSnapshot:
-    """What a feed answered.
+    """Incidents of a feed at one time.
 
     Parameters
     ----------

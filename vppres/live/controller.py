@@ -363,7 +363,7 @@ class Controller:
         return points
 
     def _before_again(self, row: int) -> tuple[dict[str, Any], Past] | None:
-        """What was remembered before a step, if it is the last one, which is decided again."""
+        """State before a step, if it is the last one, which is decided again."""
         return self._step_before if row + self._forgotten == self._past.t else None
 
     def _kinds_before(self, row: int) -> dict[str, Any]:
@@ -376,7 +376,7 @@ class Controller:
         put_back(self._decider, memory, self._given, WHERE)
 
     def _decided(self, seen: Seen, past: Past) -> tuple[SetPoints, Past]:
-        """What was decided for the window as it is expected, and what to remember of it."""
+        """Decision for the window as it is expected, and the state to go on from."""
         t = seen.t + self._forgotten
         window, ahead = self._window(seen.t), self._ahead(seen.t)
         known, options = self.scenario, self.options

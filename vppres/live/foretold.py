@@ -30,7 +30,7 @@ class GivenFirst:
         return cls(own, scenario, seen.foretold_load, seen.foretold_pv)
 
     def at(self, t0: int, steps: range) -> Forecast:
-        """What is known at the beginning of step ``t0``."""
+        """Forecast at the beginning of step ``t0``."""
         found = self.own.at(t0, steps)
         rows = slice(steps.start, steps.stop)
         return replace(

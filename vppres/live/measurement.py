@@ -1,4 +1,4 @@
-"""What your own plant measures and expects, laid over a scenario's series."""
+"""Measurements and expectations of your own plant, laid over a scenario's series."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Switches = Mapping[str, bool] | pd.Series  # by identifier
 
 @dataclass(frozen=True, eq=False)
 class Measurement(ReadOfKinds):
-    """What is known at the beginning of a step: measured now, expected for the steps ahead.
+    """State at the beginning of a step: measured now, expected for the steps ahead.
 
     Only the time must be given. What is not given of the series is what the scenario says, so that
     a scenario can serve as the forecast of a day; what is missing of the measurements is estimated
@@ -187,7 +187,7 @@ class Seen:
     profile_pv_kw: Floats
 
     def window(self, rows: range) -> Seen:
-        """The same of some steps alone, of which the first is the present one."""
+        """Measurements of some steps alone, of which the first is the present one."""
         announced = self.announced_kw
         scenario = self.scenario.between(rows.start, rows.stop)
         for live in parts("live").values():
@@ -398,7 +398,7 @@ def _check_order(door: Door, measured: Measurement, earliest: int) -> None:
 def _check_complete(
     door: Door, scenario: Scenario, measured: Measurement, soc: Floats, online: Flags
 ) -> None:
-    """What only a guard can do without."""
+    """Report readings that are missing and without which only a guard can do."""
     b = scenario.batteries
     given = measured.soc.keys() if isinstance(measured.soc, (Mapping, pd.Series)) else ()
     for i in np.flatnonzero(np.isnan(soc)):

@@ -93,7 +93,7 @@ class Present:
         )
 
     def observation(self, view: OutageView) -> Observation:
-        """What the controller knows, of outages by way of ``view``."""
+        """Observation of the controller, of outages by way of ``view``."""
         forecasts = GivenFirst.of(
             forecasts_of(self.ahead, self.options, ForecastErrors()), self.ahead, self.seen
         )
@@ -101,7 +101,7 @@ class Present:
         return view.told(measured, self.grid_seen, self.ahead, 0, forecasts, self.beside)
 
     def _measured(self, forecasts: DayForecasts) -> Observation:
-        """What was measured, and the forecast of the window."""
+        """Observation of the measurements, with the forecast of the window."""
         seen = self.seen
         forecast = forecasts.at(0, range(seen.scenario.grid.n_steps))
         b, kinds = seen.scenario.batteries, self.kinds.values()
@@ -170,7 +170,7 @@ class Present:
         return day
 
     def after(self, day: Day, record: StepRecord) -> Past:
-        """What the next step goes on from: a :meth:`day` after its first step, and that step."""
+        """State of a :meth:`day` after its first step, from which the next step goes on."""
         return Past(
             t=self.t,
             operating_point=day.operating_point,

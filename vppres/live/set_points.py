@@ -35,7 +35,7 @@ SOLVE_FIGURES = (
     "fallback_reason",
     "estimated",
 )
-"""What set-points say of how they were found, of every step's record."""
+"""Figures of the solution in set-points, of every step's record."""
 
 
 SHED = "shed"

@@ -110,7 +110,7 @@ class Backtest:
 
     @cached_property
     def quantities(self) -> list[str]:
-        """What was forecast: a history without PV power has no more than load."""
+        """Quantities that were forecast: a history without PV power has no more than load."""
         there = QUANTITIES if self.history.pv_kw.shape[1] else QUANTITIES[:1]
         return [name for name in there if not np.isnan(self.scores["crps", name]).all()]
 
@@ -190,7 +190,7 @@ class Backtest:
         return pd.DataFrame(rows)
 
     def by_month(self) -> pd.DataFrame:
-        """What the 80 % interval held in each month, one column for each quantity."""
+        """Coverage of the 80 % interval in each month, one column for each quantity."""
         month = self.issues.strftime("%Y-%m")
         names = pd.Index(dict.fromkeys(month), name="month")
         held = {

@@ -19,7 +19,7 @@ from vppres.scenario.history import History
 
 QUANTITIES = ("load", "pv", "net")
 SHARES = (0.5, 0.8, 0.9)
-"""What central intervals are to hold."""
+"""Nominal coverage of central intervals."""
 ENERGY_H = (6, 12, 24)
 FORECAST = "forecast"
 REFERENCES: dict[str, ForecastMethod] = {"climatology": Climatology(), "weekly": WeeklyNaive()}
@@ -106,7 +106,7 @@ def scores_of_issue(
 
 
 def came_in(history: History, row: int, steps: int) -> dict[str, Floats]:
-    """What came of each quantity in some steps from a row on, (W,)."""
+    """Values of each quantity in some steps from a row on, (W,)."""
     rows = slice(row, row + steps)
     load, pv = history.load_kw[rows].sum(axis=1), history.pv_kw[rows].sum(axis=1)
     return {"load": load, "pv": pv, "net": load - pv}

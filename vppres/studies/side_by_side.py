@@ -40,7 +40,7 @@ PATIENCE_S = 30.0
 
 @dataclass(frozen=True)
 class Where:
-    """Where jobs run.
+    """Processes or cluster on which jobs run.
 
     Parameters
     ----------
@@ -361,7 +361,7 @@ def _key(function: Callable[[J], R], job: J, expected: dict[str, str | None]) ->
 
 
 def _differences(found: dict[str, str | None], expected: dict[str, str | None]) -> list[str]:
-    """What another installation has otherwise, in words."""
+    """Differences of another installation, in words."""
     return [
         f"{name} {found.get(name)} in place of {wanted}"
         for name, wanted in expected.items()

@@ -96,7 +96,7 @@ class Tried:
 
 @dataclass(frozen=True)
 class OutageOutcome:
-    """What became of an outage.
+    """Supply of customers in an outage.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ class Variant:
 
 @dataclass(frozen=True, eq=False)
 class Survival:
-    """What became of all outages: one list of outcomes for each variant."""
+    """Outcomes of all outages: one list for each variant."""
 
     tried: Tried
     lengths: tuple[int, ...]
@@ -547,7 +547,7 @@ def _charge(variant: Variant, tried: Tried, folder: Path, base: str) -> Floats:
 
 
 def _kept(folder: Path, key: str) -> list[OutageOutcome] | None:
-    """What a job found in an earlier run; None if it was not there."""
+    """Outcomes of a job in an earlier run; None if it was not there."""
     file = folder / PIECES / f"{key}.json"
     if not file.is_file():
         return None

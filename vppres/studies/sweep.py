@@ -40,7 +40,7 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class SweepRow:
-    """What became of a case: its run folder below that of the sweep.
+    """Outcome of a case: its run folder below that of the sweep.
 
     Without a summary the run failed, and the error says why.
     """

@@ -1,4 +1,4 @@
-"""What a sweep can vary: options of a run and numbers of a scenario, each by its name."""
+"""Parameters of a sweep: options of a run and numbers of a scenario, each by its name."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def find_parameter(name: str, scenario: Scenario) -> Parameter:
 
 
 def scenario_changes(scenario: Scenario) -> dict[str, ChangeScenario]:
-    """What can be changed in a scenario, by name."""
+    """Changes that can be made in a scenario, by name."""
     limits = [name for name in schema.NetworkSection.model_fields if name != "slack_bus"]
     battery = [f.name for f in fields(Batteries) if f.name not in ("id", "bus", "grid_forming")]
     return {

@@ -15,8 +15,7 @@ from vppres.model.site import Site
 
 BALANCE_KW = 1.0
 BALANCE_SHARE = 0.01
-"""Error of meters: the first plus the second of the demand. Meters of class 1 are off by at most
-that share each.
+"""Error of meters: the first plus the second of the demand.
 
 Meters of class 1 are off by at most that share each.
 """

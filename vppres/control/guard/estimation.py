@@ -179,7 +179,7 @@ class Estimator:
         return words
 
     def _expected(self, seen: Observation) -> tuple[LoadAndPVReadings, bool]:
-        """Readings that a forecast or the profile expects, and whether one did; else the last known."""
+        """Readings expected by a forecast or the profile, and whether any was; else the last."""
         if self._last is None:
             ahead = seen.forecast
             if seen.profile_kw is not None and seen.profile_pv_kw is not None:

@@ -1,4 +1,4 @@
-"""What thermometers of rooms and tanks say, and what is reckoned if they say nothing."""
+"""Temperatures of rooms and tanks: readings, and estimates where thermometers say nothing."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 RANGES = {
     "indoor_c": Range(-50.0, 100.0, "must lie between -50 and 100", "Give degrees Celsius."),
 }
-"""What thermometers tell."""
+"""Plausible ranges of thermometers' readings."""
 
 QUANTITIES = tuple(RANGES)
 MEANS: tuple[str, ...] = ()
@@ -43,7 +43,7 @@ BAND_C = 0.02
 """By how much a set-point may be outside the comfort band: what solvers and rounding are off by."""
 
 STILL_C = 1.0
-"""What a temperature may have moved through by the model while its reading stands still, in K."""
+"""Change by the model, in K, beyond which a reading that stands still counts as frozen."""
 
 POWER_SHARE = 1e-3
 """Share of a machine's power that solvers leave of none, or of all of it."""

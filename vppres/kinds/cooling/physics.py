@@ -21,7 +21,7 @@ OF_A_STEP = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Rooms(UnitsAhead):
-    """What becomes of the temperature of each room or tank in a window, (W, H) each.
+    """Temperatures of rooms and tanks in a window, with their bands and machines, (W, H) each.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ class Rooms(UnitsAhead):
         )
 
     def in_the_dark(self, lit: Flags) -> Self:
-        """The same without power but in the lit steps, (W, 1)."""
+        """Window without power except in the lit steps, (W, 1)."""
         return replace(self, most_kw=self.most_kw * lit)
 
     def most_taken_kw(self, loads: ThermalLoads) -> Floats:

@@ -100,7 +100,7 @@ class ThermalLoadsModel(Addition):
         }
 
     def terms(self) -> dict[str, cp.Expression]:
-        """What is missed of the band."""
+        """Penalty for temperatures outside the band."""
         return {"own": -cp.sum(cp.multiply(self.price, self.over + self.under))}
 
     def fill(self, site: Site, data: WindowData) -> None:
@@ -116,7 +116,7 @@ class ThermalLoadsModel(Addition):
 
     @classmethod
     def worth(cls, site: Site, data: WindowData, dispatch: Dispatch) -> dict[str, float]:
-        """What is missed of the band."""
+        """Penalty for temperatures outside the band."""
         rooms = data.ahead.known(Rooms)
         over, under = rooms.missed_c(rooms.t_c(machine_kw(site, dispatch)))
         return {"own": -float((price_of(site, rooms) * (over + under)).sum())}

@@ -1,4 +1,4 @@
-"""What generating sets tell, and what is reckoned of them: on or off, hours, fuel, failed starts.
+"""State of generating sets from readings: on or off, hours, fuel, failed starts.
 
 A set with the set-point to run that stands still, or that says that it failed to start, is out:
 plans do without it until it takes that back, or runs. One that never said that there was a fault
@@ -47,7 +47,7 @@ RANGES = {
         0.0, 1.0, ZERO_OR_ONE, "Give 1 if it failed to start, else 0.", whole=True
     ),
 }
-"""What sets tell, and what another sender ordered them."""
+"""Plausible ranges of sets' readings, and of another sender's orders to them."""
 
 MEANS: tuple[str, ...] = ("genset_kw",)
 SETPOINT, NUMBERS = "p_kw", ("p_kw",)
@@ -61,7 +61,7 @@ FIGURES = ("p_min_kw", "p_max_kw", "tank_litres", "litres_per_kwh", "litres_per_
 """Readings and columns that the page shows."""
 
 QUANTITIES = ("running", "genset_kw", "fuel_litres", "start_fault")
-"""What a set can tell."""
+"""Quantities that a set can report."""
 
 STILL_SHARE = 0.05
 """Share of the tank that a set may have burnt while its gauge stands still: gauges are coarse."""
@@ -109,7 +109,7 @@ class Ran:
         return cls(at_h, first, first.fuel_litres, unread, out, unread, first.on, first.power_kw)
 
     def as_ordered(self, ordered_kw: Floats) -> Ran:
-        """The same where another sender ordered something else; NaN where none did."""
+        """State after another sender's orders; NaN where there was none."""
         by_others = np.isfinite(ordered_kw)
         power_kw = np.where(by_others, ordered_kw, self.power_kw)
         return replace(self, on=np.where(by_others, power_kw > 0.0, self.on), power_kw=power_kw)
@@ -117,7 +117,7 @@ class Ran:
 
 @dataclass(frozen=True, eq=False)
 class GensetReadings:
-    """What sets told at the beginning of a step, (G,) each; NaN where one told nothing.
+    """Readings of sets at the beginning of a step, (G,) each; NaN where there is none.
 
     ``ordered_kw`` is the most that another sender ordered each since the last decision.
     """
@@ -135,7 +135,7 @@ PAST = Ran
 def read(
     door: Door, scenario: Scenario, told: Mapping[str, Any], past: Ran | None
 ) -> tuple[Scenario, GensetReadings]:
-    """What sets tell, and what another sender ordered them."""
+    """Readings of sets, and the orders of another sender."""
     names = ("running", "genset_kw", "fuel_litres", "start_fault", "genset_ordered_kw")
     ids, none = scenario.gensets.id, np.full(len(scenario.gensets), np.nan)
     return scenario, GensetReadings(*(door.values(name, told[name], ids, none) for name in names))
@@ -297,7 +297,7 @@ class _Fuel:
         burning_h: Floats,
         added: Floats,
     ) -> _Fuel:
-        """What is left after so many hours of burning and what was delivered."""
+        """Fuel that is left after so many hours of burning and what was delivered."""
         least, most = _left_litres(sets, told, past, runs.on, runs.never, burning_h)
         least, most = (np.minimum(left + added, sets.tank_litres) for left in (least, most))
         told_litres = np.minimum(told.fuel_litres, sets.tank_litres)
@@ -374,7 +374,7 @@ def set_points(day: Scenario, t: int, columns: Mapping[str, Any]) -> dict[str, A
 def foreseen(
     window: Scenario, known: SetsAhead, taken_kw: Floats, running: Flags, times: pd.DatetimeIndex
 ) -> dict[str, pd.DataFrame]:
-    """What sets give and what is left in their tanks; nothing runs where a plan has none."""
+    """Planned power and fuel of sets; nothing runs where a plan has none."""
     sets = window.gensets
     litres = known.fuel_litres(sets, running, -taken_kw, window.grid.dt_h)
     names = [str(name) for name in sets.id]
@@ -385,7 +385,7 @@ def foreseen(
 
 
 def own_ranges(scenario: Scenario) -> Iterator[tuple[str, Any, Floats, Callable[[float], Range]]]:
-    """What sets can give, and their tanks hold."""
+    """Ranges of sets' power and of the fuel in their tanks."""
     sets = scenario.gensets
     yield "genset_kw", sets, sets.p_max_kw, lambda kw: rated(0.0, "set", kw, NUMBER)
     yield "fuel_litres", sets, sets.tank_litres, _in_tank

@@ -119,7 +119,7 @@ class GensetsModel(Addition):
         )
 
     def parameters(self, site: Site) -> dict[str, cp.Expression]:
-        """What sets give at the buses, from which batteries may charge."""
+        """Power of sets at the buses, from which batteries may charge."""
         place = site.unit_bus["gensets"].T
         forming = {} if self.reactive is None else {"Q_added": -self._given_kvar @ place}
         return {
@@ -231,7 +231,7 @@ class GensetsModel(Addition):
         return np.maximum(steps_of(hours, self.site.dt_h), 1)
 
     def terms(self) -> dict[str, cp.Expression]:
-        """What fuel and starts cost."""
+        """Cost of fuel and starts."""
         sets = self.site.gensets
         fuel = cp.sum(_times(self._litres, sets.fuel_price_gbp_per_litre))
         return {"f2": fuel + cp.sum(_times(self.start, sets.start_cost_gbp))}
@@ -255,7 +255,7 @@ class GensetsModel(Addition):
 
     @classmethod
     def worth(cls, site: Site, data: WindowData, dispatch: Dispatch) -> dict[str, float]:
-        """What fuel and starts cost."""
+        """Cost of fuel and starts."""
         sets = site.gensets
         on, power_kw = running(site, dispatch)
         litres = sets.litres(on, power_kw, site.dt_h)

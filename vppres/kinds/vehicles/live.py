@@ -1,4 +1,4 @@
-"""What is measured of vehicles, laid over the sessions of a scenario."""
+"""Readings of vehicles, laid over the sessions of a scenario."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ RANGES = {
     "energy_needed_kwh": POWER,
     "departure": Range(0.0, 7.3e9, "must be seconds since 1970", "Give a time of this century."),
 }
-"""What chargers tell of their vehicles."""
+"""Plausible ranges of chargers' readings of their vehicles."""
 
 MEANS: tuple[str, ...] = ()
 SETPOINT, NUMBERS = "p_limit_kw", ("p_kw", "p_limit_kw")
@@ -42,7 +42,7 @@ SHOWN, FIGURES = ("plugged",), ("p_charge_kw",)
 """Readings and columns that the page shows."""
 
 QUANTITIES = tuple(RANGES)
-"""What can be known of the vehicle at a charger."""
+"""Quantities of the vehicle at a charger."""
 
 
 @dataclass(frozen=True)
@@ -172,7 +172,7 @@ Row = dict[str, Any]  # of a session, by column
 
 @dataclass(frozen=True)
 class _Read:
-    """What is read of the vehicle at a charger, NaN or None where nothing is."""
+    """Readings of the vehicle at a charger, NaN or None where there is none."""
 
     plugged: float
     soc: float

@@ -158,7 +158,7 @@ class Vehicles(Addition):
         return rows
 
     def terms(self) -> dict[str, cp.Expression]:
-        """What vehicles lack, and the cost of charging later."""
+        """Penalty for energy that vehicles lack, and the cost of charging later."""
         hours = self.site.dt_h * np.arange(self.charge.shape[0])
         later = LATER_GBP_PER_KWH_H * self.site.dt_h * hours
         return {
@@ -181,7 +181,7 @@ class Vehicles(Addition):
 
     @classmethod
     def worth(cls, site: Site, data: WindowData, dispatch: Dispatch) -> dict[str, float]:
-        """What vehicles lack, and the cost of charging later."""
+        """Penalty for energy that vehicles lack, and the cost of charging later."""
         plugged = data.ahead.known(Plugged)
         power_kw = charging_kw(site, dispatch)
         energy_kwh = plugged.energy_kwh(power_kw, site.chargers, site.dt_h)

@@ -79,7 +79,7 @@ class HeldAtEnd(Addition):
     def cost_range(
         cls, site: Site, data: WindowData, least_gbp: Floats, dearest_gbp: Floats
     ) -> tuple[Floats, Floats]:
-        """Ranges of the parts of the cost, with missing energy: most where batteries hold nothing."""
+        """Ranges of the parts of the cost, with that of missing energy from none to all."""
         assert data.terminal is not None
         nothing = np.zeros(len(site.batteries))
         most_gbp = data.terminal.cost_gbp(site.batteries, nothing)
