@@ -22,8 +22,8 @@ from vppres.model.site import Site
 from vppres.model.violations import broken
 from vppres.report.assumptions import simplifications
 from vppres.scenario.scenario import Scenario
-from vppres.service.as_told import with_told
 from vppres.service.clock import written
+from vppres.service.of_kind import told_by_plans
 from vppres.solve.ladder import METHODS, WindowSolver
 
 MONDAY = date(2022, 7, 18).toordinal()  # the day before that of the small windows
@@ -77,7 +77,7 @@ def test_a_replay_of_stored_plans_keeps_past_days() -> None:
     day = history(two_buses([[1.0]] * 6, [1.0], [OPEN] * 6))
     told = {"vehicle": "car9", "leaves": written(day.grid.times[2])}
     plan = {"expected": {"vehicles": {"k0": {**told, "energy_kwh": 5.0, "needed_kwh": 9.0}}}}
-    replayed = with_told(day, [plan, *[None] * 5])
+    replayed = told_by_plans(day, [plan, *[None] * 5])
     assert "car9" in replayed.sessions.vehicle
     kept, past = PastDays.of(replayed, 0), PastDays.of(day, 0)
     assert kept is not None and past is not None

@@ -32,7 +32,7 @@ from vppres.service.announced import limits_kw, prices, warnings_ever
 from vppres.service.as_told import Plan, expected_by
 from vppres.service.clock import written
 from vppres.service.learned import InSteps
-from vppres.service.of_kind import every
+from vppres.service.of_kind import told_by_plans
 from vppres.service.records import Event, seconds
 from vppres.service.runner import Service
 from vppres.service.store import Store
@@ -157,9 +157,7 @@ class Replay:
             grid_limit_kw=np.where(dark, 0.0, limit_kw),
             batteries=replace(b, soc_initial=np.clip(first, b.soc_min, b.soc_max)),
         )
-        for kind in every().values():
-            known = kind.told_by_plans(known, stored)
-        return cls(known, options, stored, parts, soc)
+        return cls(told_by_plans(known, stored), options, stored, parts, soc)
 
     def records(self) -> Iterator[StepRecord]:
         """The plant's answer to every step that is stored.

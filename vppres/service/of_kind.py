@@ -169,6 +169,13 @@ def every() -> dict[str, OfKind]:
     return {kind: parts("service")[kind].SERVICE for kind in FOLDERS}
 
 
+def told_by_plans(scenario: Scenario, stored: Plans) -> Scenario:
+    """A scenario with the units of each kind as stored plans knew them."""
+    for kind in every().values():
+        scenario = kind.told_by_plans(scenario, stored)
+    return scenario
+
+
 def beyond_rating(name: str, value: float, rating: float, unit: str) -> Iterator[Wrong]:
     """That a value is beyond a rating, if it is."""
     if abs(value) > rating + POWER_KW + RATING_SHARE * rating:

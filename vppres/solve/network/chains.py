@@ -22,6 +22,7 @@ FLOWS = {"P_flow": "P_chain", "Q_flow": "Q_chain"}
 """Letters of the lines, and of the chains' mean flows."""
 
 OF_NO_CHAIN = -1
+"""The chain of a line behind which nothing moves."""
 
 
 @dataclass(frozen=True, eq=False)
