@@ -74,7 +74,7 @@ def overloaded_line(step: Step, customer: int) -> int | None:
 
 
 def _overloaded_current(step: Step, customer: int) -> int | None:
-    """Current of a phased feeder that a customer's demand takes furthest beyond its rating, if any."""
+    """Current of a phased feeder that a customer's demand would overload most, None if none."""
     model = phased_model(step.site)
     if step.dark or not model.loadings.names:
         return None
