@@ -133,9 +133,9 @@ class PassesPlanner(ABC, Generic[P]):
         except (InfeasibleError, NumericalError):
             pass
         try:
-            return nudged, _marked("nudged", self.solver.solve(nudged, deadline.left_s))
+            return nudged, _with_stage("nudged", self.solver.solve(nudged, deadline.left_s))
         except (InfeasibleError, NumericalError):
-            return start, _marked("lossless", self.solver.solve(start, deadline.left_s))
+            return start, _with_stage("lossless", self.solver.solve(start, deadline.left_s))
 
     def converge(
         self, data: WindowData, solution: WindowSolution, deadline: Deadline
@@ -296,16 +296,18 @@ class ConvergedPlanner(PassesPlanner[ACPoints]):
         deadline = Deadline(min(self.solver.limits.time_s, within_s))
         first = deadline.part(FIRST_SHARE)
         try:
-            data, solution = self.decide(self._guessed(t0, start), start, first)
+            data, solution = self.decide(self._started_where_last(t0, start), start, first)
         except InfeasibleError:
-            beyond = self._beyond_batteries(start, first) | self._beyond_set(whole, dark, first)
+            beyond = self._beyond_batteries(start, first) | self._steps_beyond_set(
+                whole, dark, first
+            )
             if not beyond.any():
                 raise
             dark = dark | beyond
             start = self._without_losses(whole, dark)
             data, solution = self.decide(start, start, first)
         _, reached, solution = self.converge(data, solution, deadline)
-        self._last = LastWindow(t0, kinds_of(reached), _rows(reached))
+        self._last = LastWindow(t0, kinds_of(reached), _linearisation_rows(reached))
         return self._in_the_dark(whole, dark, solution)
 
     def _drawn_everywhere(self, observation: Observation, island: Flags) -> Drawn | None:
@@ -333,7 +335,7 @@ class ConvergedPlanner(PassesPlanner[ACPoints]):
                 pass  # not proven
         return beyond
 
-    def _beyond_set(self, whole: WindowData, dark: Flags, deadline: Deadline) -> Flags:
+    def _steps_beyond_set(self, whole: WindowData, dark: Flags, deadline: Deadline) -> Flags:
         """Steps from the first on that the set which forms the grid cannot hold with any customers.
 
         Nothing may take its least power, or its fuel may not last for all that has to be served.
@@ -394,7 +396,7 @@ class ConvergedPlanner(PassesPlanner[ACPoints]):
         assert found is not None
         return found
 
-    def _guessed(self, t0: int, start: WindowData) -> WindowData:
+    def _started_where_last(self, t0: int, start: WindowData) -> WindowData:
         """The window at what its steps, or others like them, were linearised at before."""
         if self._last is None:
             return start
@@ -402,7 +404,11 @@ class ConvergedPlanner(PassesPlanner[ACPoints]):
         known = (rows != NO_ROW)[:, None]
         before = (values[rows] for values in self._last.rows)
         return _linearised_at(
-            start, [np.where(known, *pair) for pair in zip(before, _rows(start), strict=True)]
+            start,
+            [
+                np.where(known, *pair)
+                for pair in zip(before, _linearisation_rows(start), strict=True)
+            ],
         )
 
     def _at_rest(self, data: WindowData) -> WindowData:
@@ -415,7 +421,7 @@ class ConvergedPlanner(PassesPlanner[ACPoints]):
         return replace(data, delta_pu2=np.where(lit_steps(data)[:, None], data.delta_pu2, flat))
 
 
-def _rows(data: WindowData) -> tuple[Floats, ...]:
+def _linearisation_rows(data: WindowData) -> tuple[Floats, ...]:
     """Linearisation of each step: offset and losses of each line, and the draw of each bus."""
     physics = data.require_physics()
     drawn = () if data.drawn is None else (data.drawn.kw, data.drawn.kvar)
@@ -431,7 +437,7 @@ def _linearised_at(data: WindowData, rows: Sequence[Floats]) -> WindowData:
     )
 
 
-def _marked(attempt: str, solution: WindowSolution) -> WindowSolution:
+def _with_stage(attempt: str, solution: WindowSolution) -> WindowSolution:
     return replace(solution, stages=(attempt, *solution.stages))
 
 

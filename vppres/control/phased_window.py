@@ -96,19 +96,19 @@ class PhasedLinearisation:
             u_offset=phased.u_offset + moved * (u - phased.u_offset),
             former_offset=phased.former_offset + moved * (former - phased.former_offset),
             current_offset=phased.current_offset + moved * (currents - phased.current_offset),
-            bound=self._bound(data, p, q) & steps[:, None, None],
+            bound=self._binding(data, p, q) & steps[:, None, None],
             former_kva=np.where(steps[:, None], points.source_kva, phased.former_kva),
         )
-        return self._limited(replace(data, phased=found, drawn=Drawn(kw, kvar)))
+        return self._with_own_limits(replace(data, phased=found, drawn=Drawn(kw, kvar)))
 
-    def _bound(self, data: WindowData, p: Floats, q: Floats) -> Flags:
+    def _binding(self, data: WindowData, p: Floats, q: Floats) -> Flags:
         """Limits that bind a candidate in its own window, as far as they gave way, (W, 2, m)."""
         u = data.require_phased().u_offset + self.model.linear(data, p, q)[0]
         ways = [each.require_phased() for each in giving_way(self.model.site, data)]
         room = [np.stack([u - way.u_min, way.u_max - u], axis=1) for way in ways]
         return np.asarray((np.abs(room).min(axis=0) < BINDS_PU2) & self.model.limited)
 
-    def _limited(self, data: WindowData) -> WindowData:
+    def _with_own_limits(self, data: WindowData) -> WindowData:
         """Limits that give way to the voltages without control, and in an island to those at rest.
 
         They are those of the window's own linearisation, so that this state is a dispatch of it.

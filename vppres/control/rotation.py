@@ -59,7 +59,7 @@ class Rotating:
         self._t = -1
         self._out = False
         self._controllers = controllers
-        self._change()
+        self._update_weights()
 
     def horizon_steps(self, t0: int) -> range:
         """Those of its controllers."""
@@ -68,14 +68,14 @@ class Rotating:
     def decide(self, observation: Observation) -> Decision:
         """The decision with the weights of the step, and with those on whose turn it is."""
         if observation.t0 != self._t:  # not anew within the step
-            self._count(observation)
+            self._count_time_off(observation)
             self._t = observation.t0
         due = self._due(observation)
         if due.any():
             observation = replace(observation, turns=SupplyTurns(due, self._rank))
         return self._controllers.decide(observation)
 
-    def _count(self, observation: Observation) -> None:
+    def _count_time_off(self, observation: Observation) -> None:
         """Add the step before to the time off supply, and change weights if it is time."""
         dt_h = self.scenario.grid.dt_h
         if self._out:
@@ -89,9 +89,9 @@ class Rotating:
         self._out = bool(observation.forecast.grid_limit_kw[0] <= 0.0)
         if not self._out or self.turn_h >= self.rules.turn_h - HOURS_EXACT:
             self.turn_h = 0.0
-            self._change()
+            self._update_weights()
 
-    def _change(self) -> None:
+    def _update_weights(self) -> None:
         """Go on with the weights that follow from the time off supply."""
         c = self.scenario.customers
         self._controllers.change_to(

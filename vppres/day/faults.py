@@ -249,9 +249,9 @@ class FaultySolver(WindowSolver):
     def solve(self, data: WindowData, within_s: float = math.inf) -> WindowSolution:
         """Solve a window, or fail at it."""
         fault = self._injector.solver_fault()
-        _fail(fault)
+        _raise_fault(fault)
         solution = self._solver.solve(data, within_s)
-        return solution if fault is None else _garbled(solution, fault, self.site)
+        return solution if fault is None else _garbled_solution(solution, fault, self.site)
 
     def solve_served(
         self,
@@ -263,18 +263,18 @@ class FaultySolver(WindowSolver):
     ) -> WindowSolution | None:
         """Dispatch of a supply schedule, or a failure."""
         fault = self._injector.solver_fault()
-        _fail(fault)
+        _raise_fault(fault)
         solution = self._solver.solve_served(data, served, before, keeps_turns, within_s)
         if fault is None or solution is None:
             return solution
-        return _garbled(solution, fault, self.site)
+        return _garbled_solution(solution, fault, self.site)
 
     def least_slack(self, data: WindowData) -> float:
         """Least slack of the voltage limits; no fault befalls it."""
         return self._solver.least_slack(data)
 
 
-def _fail(fault: SolverFault | None) -> None:
+def _raise_fault(fault: SolverFault | None) -> None:
     """Raise what a solver without an answer raises."""
     if fault == "killed":
         raise SolverKilledError("the solver's process was killed")
@@ -284,7 +284,7 @@ def _fail(fault: SolverFault | None) -> None:
         raise InfeasibleError("The window has no feasible dispatch.")
 
 
-def _garbled(solution: WindowSolution, fault: SolverFault, site: Site) -> WindowSolution:
+def _garbled_solution(solution: WindowSolution, fault: SolverFault, site: Site) -> WindowSolution:
     """A solution whose values no one may carry out."""
     plan = solution.dispatch
     changed: dict[str, Any] = {}

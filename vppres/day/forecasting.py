@@ -151,7 +151,7 @@ class MeasuredForecasts:
             grid.start, self.scenario.load_kw[: t0 + 1], self.scenario.pv_kw[: t0 + 1]
         ).last_days(MEMORY_DAYS + n_steps * grid.dt_h / 24.0)
         found = self.forecaster.forecast(known, grid.start + (t0 + 1) * known.step, n_steps)
-        self._check(found, t0, n_steps)
+        self._check_paths(found, t0, n_steps)
         unknown = found.basis in ("recent values", "nothing")
         self.bases[t0] = OWN_SERIES if unknown else found.basis
         if not unknown:
@@ -159,7 +159,7 @@ class MeasuredForecasts:
         none = np.full_like
         return replace(found, load_kw=none(found.load_kw, np.nan), pv_kw=none(found.pv_kw, np.nan))
 
-    def _check(self, found: LoadAndPV, t0: int, n_steps: int) -> None:
+    def _check_paths(self, found: LoadAndPV, t0: int, n_steps: int) -> None:
         """Refuse other steps or items and impossible powers, as your own forecaster may give."""
         shapes = [
             ("load_kw", n_steps, len(self.scenario.customers)),

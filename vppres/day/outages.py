@@ -225,13 +225,15 @@ class OutageView:
         window = range(row, row + len(seen.forecast.price_gbp_per_kwh))
         if self.kind == "none":
             out = np.full(len(window), grid.out)
-            return _told(seen, scenario, window, out, grid, beside)
+            return _with_probable_outages(seen, scenario, window, out, grid, beside)
         n_ahead = min(
             max(scenario.grid.steps_in_horizon(LOOKAHEAD_H), len(window)),
             scenario.grid.n_steps - row,
         )
         belief = self.outlook.at(scenario.grid.times[row], n_ahead, grid.outages)
-        told = _told(seen, scenario, window, belief.likely[: len(window)], grid, beside)
+        told = _with_probable_outages(
+            seen, scenario, window, belief.likely[: len(window)], grid, beside
+        )
         told = replace(
             told,
             outage_messages=belief.words,
@@ -362,7 +364,7 @@ def believed_outages(scenario: Scenario, options: Mapping[str, Any]) -> Floats:
     return found
 
 
-def _told(
+def _with_probable_outages(
     seen: Observation, scenario: Scenario, window: range, out: Flags, grid: GridSeen, beside: Beside
 ) -> Observation:
     """An observation with probable outages instead of the true limits behind the present step."""

@@ -120,7 +120,7 @@ class Recorder:
         if step.t != len(self._records):
             raise ValueError(f"step {step.t} recorded, expected step {len(self._records)}")
         self._check_shapes(step)
-        self._records.append(_alone(step))
+        self._records.append(_without_window(step))
 
     def finish(
         self, options: Mapping[str, Any], planned: Mapping[str, Any] | None = None
@@ -236,7 +236,7 @@ class Recorder:
         )
 
 
-def _alone(step: StepRecord) -> StepRecord:
+def _without_window(step: StepRecord) -> StepRecord:
     """The record without what its arrays are parts of: a row would keep its whole window."""
     tables: dict[str, Any] = {
         name: {column: np.array(values) for column, values in getattr(step, name).items()}

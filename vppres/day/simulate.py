@@ -310,8 +310,8 @@ def _record(
     nodes = _of_nodes(done.ac, decision)
     held_by_batteries = str(options.mode) == "physical" and bool(scenario.outage[t])
     steps = {
-        **_supply(done, buses, held_by_batteries),
-        **_answer(decision, done),
+        **_of_power_flow(done, buses, held_by_batteries),
+        **_of_solution(decision, done),
         "ac_failed": done.ac_failed,
         **_effort(decision.info, done.realised.clipped_kw),
         "mode": str(options.mode),
@@ -418,7 +418,7 @@ def _by_phase(ac: ACResult, held_by_batteries: bool) -> dict[str, Any]:
     return {**found, "unbalance_max": ac.unbalance, **loading}
 
 
-def _supply(
+def _of_power_flow(
     done: Settled, buses: Mapping[str, Floats], held_by_batteries: bool
 ) -> dict[str, float]:
     """Figures of the AC power flow for the step as a whole."""
@@ -431,7 +431,7 @@ def _supply(
     }
 
 
-def _answer(decision: Decision, done: Settled) -> dict[str, Any]:
+def _of_solution(decision: Decision, done: Settled) -> dict[str, Any]:
     """Solution of the step, and what overruled or replaced it.
 
     A blacked-out island is one in its status too, whatever an optimal plan had promised; what is

@@ -266,7 +266,7 @@ class Recorded:
         """Observation of the controller in that window."""
         length = 1 if self.flag(t, "corrected") else self.n_seen
         steps = range(t, min(t + length, self.n_steps))
-        return replace(self._told(t, steps), operating_point=self._operating_point(t - 1))
+        return replace(self._observation_at(t, steps), operating_point=self._operating_point(t - 1))
 
     def held(self, t: int, n_steps: int) -> FixedDecisions:
         """Fixed decisions: customers served in the step stay so, batteries that moved keep mode.
@@ -322,7 +322,7 @@ class Recorded:
             now.export,
         )
 
-    def _told(self, t: int, steps: range) -> Observation:
+    def _observation_at(self, t: int, steps: range) -> Observation:
         """Observation of the controller: of outages no more than could be known."""
         forecast = self._forecast(t, steps)
         ends = steps.stop == self.n_steps

@@ -12,12 +12,12 @@ from vppres.explain.words import figure, money, one_more, scarce_name, service_w
 
 def why_step(step: Step) -> Reason:
     """Reason for a step as a whole, and for the energy that it keeps."""
-    reason = _driven(step)
+    reason = _main_reason(step)
     kept = "" if step.dark or step.fallback else why_kept(step)
     return replace(reason, words=f"{reason.words} {kept}".rstrip())
 
 
-def _driven(step: Step) -> Reason:
+def _main_reason(step: Step) -> Reason:
     """Reason for a step as a whole."""
     if step.dark:
         return Reason("dark", "", f"{_headline(step)} The island is blacked out: {step.dark}.")
@@ -32,7 +32,7 @@ def _driven(step: Step) -> Reason:
             f"{_headline(step)} Binding limit: {scarce_name(step, scarce).removeprefix('the ')}"
             f"{f'; {offer}' if offer else ''}.",
         )
-    return Reason(_calm_driver(step), scarce, f"{_headline(step)} {_worth(step)}".rstrip())
+    return Reason(_calm_driver(step), scarce, f"{_headline(step)} {_worth_words(step)}".rstrip())
 
 
 def _calm_driver(step: Step) -> Driver:
@@ -54,7 +54,7 @@ def _headline(step: Step) -> str:
     return f"{supply} Batteries {verb} at {figure(abs(power))} kW."
 
 
-def _worth(step: Step) -> str:
+def _worth_words(step: Step) -> str:
     """Worth of a stored kWh, if that is known."""
     if step.cost is None or not len(step.cost.kept_energy):
         offer = one_more(step, "energy")

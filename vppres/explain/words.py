@@ -95,7 +95,7 @@ def one_more(step: Step, binding: Binding, which: int | None = None) -> str:
     full = int(np.argmax(rated)) if which is None and len(rated) else which or 0
     offers: list[tuple[float, str]] = []
     if binding == "energy":
-        offers = [(_most(p.stored_energy), "one more stored kWh")]
+        offers = [(_largest(p.stored_energy), "one more stored kWh")]
     elif binding == "power":
         offers = [
             _dearest("one more kW of battery", batteries, p.battery_discharging),
@@ -206,10 +206,10 @@ def stored_worth_gbp(step: Step, battery: int) -> float | None:
     return value if value > WORTH_GBP else None
 
 
-def _most(values: Floats) -> float:
+def _largest(values: Floats) -> float:
     return float(values.max()) if len(values) else 0.0
 
 
 def _dearest(what: str, names: Names, values: Floats) -> tuple[float, str]:
     """The highest of some values, and at which of the names it is."""
-    return _most(values), f"{what} {names[int(np.argmax(values))]}" if len(values) else what
+    return _largest(values), f"{what} {names[int(np.argmax(values))]}" if len(values) else what

@@ -48,7 +48,7 @@ def read_ukpn(content: bytes) -> FeedSnapshot:
     """Live faults of UK Power Networks: a list of records, or a page with ``results``."""
     found = _json("ukpn", content)
     rows = found.get("results") if isinstance(found, dict) else found
-    return _answer("ukpn", rows, _of_ukpn)
+    return _snapshot("ukpn", rows, _of_ukpn)
 
 
 def _of_ukpn(row: Row) -> Incident:
@@ -69,7 +69,7 @@ def read_ssen(content: bytes) -> FeedSnapshot:
     found = _json("ssen", content)
     if not isinstance(found, dict):
         raise _unreadable("ssen", "is no object with faults")
-    return _answer("ssen", found.get("faults"), _of_ssen, found.get("timestampUtc"))
+    return _snapshot("ssen", found.get("faults"), _of_ssen, found.get("timestampUtc"))
 
 
 def _of_ssen(row: Row) -> Incident:
@@ -99,7 +99,7 @@ def read_nged(content: bytes) -> FeedSnapshot:
     except csv.Error as error:
         raise _unreadable("nged", "is no CSV file") from error
     made = [str(row.get("Upload Date") or "") for row in rows]
-    return _answer("nged", rows, _of_nged, max(made, default=None))
+    return _snapshot("nged", rows, _of_nged, max(made, default=None))
 
 
 def _of_nged(row: Row) -> Incident:
@@ -166,7 +166,7 @@ def feed_named(name: str) -> PublicFeed:
     return FEEDS[name]
 
 
-def _answer(
+def _snapshot(
     feed: str, rows: Any, incident: Callable[[Row], Incident], made_at: str | None = None
 ) -> FeedSnapshot:
     """The rows that can be read; an answer of which none can is refused."""
@@ -179,7 +179,7 @@ def _answer(
         made = time_in(made_at)
     except ValueError:
         made = None
-    return FeedSnapshot(tuple(_once(found)), made, len(rows) - len(found))
+    return FeedSnapshot(tuple(_merged_rows(found)), made, len(rows) - len(found))
 
 
 def _read(row: Any, incident: Callable[[Row], Incident]) -> Incident | None:
@@ -190,7 +190,7 @@ def _read(row: Any, incident: Callable[[Row], Incident]) -> Incident | None:
         return None
 
 
-def _once(incidents: Iterable[Incident]) -> list[Incident]:
+def _merged_rows(incidents: Iterable[Incident]) -> list[Incident]:
     """Rows of one reference as one incident, with the postcodes of all and the latest end."""
     rows: dict[str, list[Incident]] = {}
     for one in incidents:

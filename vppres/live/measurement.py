@@ -244,7 +244,7 @@ def see(
             value=readable(measured),
         )
     try:
-        return _seen(scenario, measured, guard, earliest, before)
+        return _measurement_arrays(scenario, measured, guard, earliest, before)
     except VppresError:
         raise
     except Exception as error:  # a mapping may come from any caller
@@ -268,7 +268,7 @@ def step_at(grid: TimeGrid, time: Any) -> int:
     return door.t
 
 
-def _seen(
+def _measurement_arrays(
     scenario: Scenario,
     measured: Measurement,
     guard: bool,
@@ -291,7 +291,7 @@ def _seen(
         announced = door.series("announced_limit_kw", measured.announced_limit_kw, unknown)
     now = _now(door, measured)
     soc_age_h = door.ages_h("soc_at", measured.soc_at, b.id, now)
-    told = _told(door, measured.ordered_kw, b.id, now)
+    told = _overrides(door, measured.ordered_kw, b.id, now)
     if not guard:
         _check_complete(door, scenario, measured, of_batteries["soc"], of_batteries["online"])
     past, kinds = before(door.t), {}
@@ -317,8 +317,8 @@ def _seen(
         import_kw=import_kw,
         connected=connected,
         announced_kw=announced,
-        foretold_load=_among(c.id, foretold.get("load_kw", ())),
-        foretold_pv=_among(pv.id, foretold.get("pv_kw", ())),
+        foretold_load=_is_named(c.id, foretold.get("load_kw", ())),
+        foretold_pv=_is_named(pv.id, foretold.get("pv_kw", ())),
         left_out=tuple(door.left_out),
         elapsed_h=(now - door.begun) / HOUR,
         soc_age_h=soc_age_h,
@@ -357,7 +357,7 @@ def _grid_series(door: Door, scenario: Scenario, measured: Measurement) -> dict[
     return {name: door.series(name, told, known) for name, (told, known) in own.items()}
 
 
-def _among(ids: Names, named: Sequence[str]) -> Flags:
+def _is_named(ids: Names, named: Sequence[str]) -> Flags:
     """Which identifiers are named."""
     chosen = set(named)
     return np.array([str(name) in chosen for name in ids], dtype=bool)
@@ -371,7 +371,7 @@ def _now(door: Door, measured: Measurement) -> pd.Timestamp:
     return now
 
 
-def _told(door: Door, ordered_kw: Any, ids: Names, now: pd.Timestamp) -> tuple[Told, ...]:
+def _overrides(door: Door, ordered_kw: Any, ids: Names, now: pd.Timestamp) -> tuple[Told, ...]:
     """Set-points of batteries from times on, the earliest first."""
     if ordered_kw is None:
         return ()

@@ -177,7 +177,7 @@ class Present:
             switching=day.switching,
             cold_load=day.plant.cold_load,
             served=record.customers["served"],
-            history=self._learned(day.scenario),
+            history=self._extended_history(day.scenario),
             voltages=day.ac.found,
             grid_seen=self.grid_seen,
             owed=day.owed,
@@ -187,7 +187,7 @@ class Present:
             },
         )
 
-    def _learned(self, believed: Scenario) -> History | None:
+    def _extended_history(self, believed: Scenario) -> History | None:
         """The history with what was read; what was not, or cannot be read, is NaN."""
         seen = self.seen
         unread_load = np.isnan(seen.load_kw) | ~seen.connected

@@ -126,7 +126,7 @@ def _restored(
     state: Any, scenario: Scenario, decider: Decider, options: RunOptions, start: Past
 ) -> Standing:
     """Controller state from a saved one, which may still lack something."""
-    _check(state, scenario, options)
+    _check_state(state, scenario, options)
     if state["version"] == 3:
         state = _from_version_3(state)
     known = _known(state["known"], scenario)
@@ -174,7 +174,7 @@ def _decisive(options: RunOptions) -> dict[str, Any]:
     return found | {"rotation or minimum_on_h": options.shares_supply}
 
 
-def _check(state: Any, scenario: Scenario, options: RunOptions) -> None:
+def _check_state(state: Any, scenario: Scenario, options: RunOptions) -> None:
     """Whether a state is whole, of this version, this site and these options."""
     if not isinstance(state, dict) or state.get("kind") != KIND:
         raise _refused("is not the state of a controller", "Give what Controller.state() returned.")

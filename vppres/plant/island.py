@@ -135,14 +135,14 @@ class IslandPlant:
             State before the step.
         """
         dark = None
-        for former in self._able(t, planned, state):
-            settled = self._held(t, planned, state, former)
+        for former in self._possible_formers(t, planned, state):
+            settled = self._with_former(t, planned, state, former)
             if not settled.dark:
                 return settled
             dark = dark or settled
         return dark or self._dark(t, planned, state, self._why_dark())
 
-    def _able(self, t: int, planned: Realised, state: BatteryState) -> Iterator[Former]:
+    def _possible_formers(self, t: int, planned: Realised, state: BatteryState) -> Iterator[Former]:
         """Devices able to form the grid: batteries first, then one generating set after another."""
         _, most_discharge = self.plant.battery_limits_kw(state)
         holds = self.plant.scenario.batteries.holds_energy(state.soc)
@@ -159,7 +159,9 @@ class IslandPlant:
             return NO_SET
         return NO_ENERGY if self.formers.any() else NO_FORMER
 
-    def _held(self, t: int, planned: Realised, state: BatteryState, former: Former) -> Settled:
+    def _with_former(
+        self, t: int, planned: Realised, state: BatteryState, former: Former
+    ) -> Settled:
         """The step with this former, dark if it cannot hold the island."""
         set_points = powers = former.begin(powers_of(planned))
         # Every round sheds, stops or curtails something, so this is more than can be needed.
@@ -185,7 +187,7 @@ class IslandPlant:
                     ac_failed=found.not_found,
                     by_set_kw=_given_beyond_kw(set_points, found.powers),
                 )
-            cut = self._cut(t, powers, found, state)
+            cut = self._protective_action(t, powers, found, state)
             if cut is None:
                 break
             powers = cut
@@ -233,7 +235,9 @@ class IslandPlant:
         room_kw = np.minimum(most_discharge, disc_kw) + np.minimum(powers.battery_kw, 0.0)
         return np.where(others, np.maximum(room_kw, 0.0), 0.0)
 
-    def _cut(self, t: int, powers: Powers, found: Balance, state: BatteryState) -> Powers | None:
+    def _protective_action(
+        self, t: int, powers: Powers, found: Balance, state: BatteryState
+    ) -> Powers | None:
         """One more protective action, None if there is none left."""
         need_kw = max(found.left_kw, found.excess_kvar) + CUT_MARGIN_KW
         others = ~found.former.batteries

@@ -92,7 +92,7 @@ def violations(
         _battery_power(row, state, within),
         _kinds(row, state, within),
         _sets_switched(row, state),
-        _formed(row, state),
+        _unformed_supply(row, state),
         _energy(row, state, within),
         _pv(row, state, within),
         _balance(row, state, within),
@@ -216,7 +216,7 @@ def _sets_switched(row: _Row, state: StepState) -> str:
     return f"genset switching: {sets.id[np.argmax(wrong)]}" if wrong.any() else ""
 
 
-def _formed(row: _Row, state: StepState) -> str:
+def _unformed_supply(row: _Row, state: StepState) -> str:
     """Customers on in an island that only a set can form, without a set that does."""
     if not state.forms.any() or not row.served.any():
         return ""

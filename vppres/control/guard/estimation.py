@@ -84,7 +84,7 @@ class Estimator:
     def known(self, seen: Observation) -> StateEstimate:
         """The observation with estimates for what cannot be trusted."""
         online = self._online(seen)
-        self._reckon(seen)
+        self._estimate_soc(seen)
         online &= ~self._soc.unknown
         now, series_words = self.series.judged(seen, *self._expected(seen), self._commanded)
         forecast = seen.forecast
@@ -120,12 +120,16 @@ class Estimator:
     def commanded(self, decision: Decision) -> None:
         """Keep what was decided, to compare it with what comes back."""
         self._commanded = Commanded.of(decision)
-        self._order(self._soc.at_h, self._commanded.battery_kw)
+        self._note_override(self._soc.at_h, self._commanded.battery_kw)
 
     def _online(self, seen: Observation) -> Flags:
         """Batteries that report to be there and followed their set-points."""
         told = np.ones(len(self.site.batteries), bool) if seen.online is None else seen.online
-        if seen.battery_kw is not None and self._commanded is not None and self._follow(seen):
+        if (
+            seen.battery_kw is not None
+            and self._commanded is not None
+            and self._should_have_followed(seen)
+        ):
             rating = self.site.batteries.p_max_kw
             told_kw = seen.told[-1].battery_kw if seen.told else self._commanded.battery_kw
             silent = (np.abs(told_kw) > RESPONSE_SHARE * rating) & (
@@ -134,7 +138,7 @@ class Estimator:
             self._out_until = np.where(silent, seen.t0 + RETRY_STEPS, self._out_until)
         return told & (self._out_until <= seen.t0)
 
-    def _follow(self, seen: Observation) -> bool:
+    def _should_have_followed(self, seen: Observation) -> bool:
         """Whether batteries were to follow their set-points in the last step.
 
         Where nothing flowed, protection stopped them; those that hold an island share its mismatch.
@@ -142,20 +146,20 @@ class Estimator:
         island = self._last is not None and self._last.forecast.grid_limit_kw[0] <= 0.0
         return not (feeder_off(seen) or (self.physical and island))
 
-    def _reckon(self, seen: Observation) -> None:
+    def _estimate_soc(self, seen: Observation) -> None:
         """The state of charge: the newest reading, and what was stored since.
 
         Set-points are held over steps that were left out.
         """
         now_h = seen.t0 * self.site.dt_h + seen.elapsed_h
         for told in seen.told:
-            self._order(now_h - told.before_h, told.battery_kw)
+            self._note_override(now_h - told.before_h, told.battery_kw)
         if seen.battery_kw is not None and self._last is not None:
             self._moved = self._moved.seen(self._soc.at_h, seen.battery_kw, self._eta(self._last))
         age_h = np.zeros(len(self.site.batteries)) if seen.soc_age_h is None else seen.soc_age_h
         self._soc = self._soc.after(seen.soc, now_h - age_h, now_h, self._moved)
 
-    def _order(self, at_h: float, battery_kw: Floats) -> None:
+    def _note_override(self, at_h: float, battery_kw: Floats) -> None:
         """Batteries got other set-points from a time on."""
         b = self.site.batteries
         eta = (b.eta_charge, b.eta_discharge) if self._last is None else self._eta(self._last)

@@ -93,25 +93,25 @@ class GuardedController:
 
     def decide(self, observation: Observation) -> Decision:
         """The wrapped controller's decision if it can be carried out, otherwise a fallback."""
-        self.known = known = self._sure(self._estimator.known(observation))
-        state = self._state(known)
-        decision = self._checked_answer(known, state)
+        self.known = known = self._without_unlikely_demands(self._estimator.known(observation))
+        state = self._step_state(known)
+        decision = self._checked_decision(known, state)
         if self.options.protect_critical:
             decision = self._critical.first(decision, known, state)
         self._estimator.commanded(decision)
         return replace(decision, estimated=known.estimated, seen=known.observation)
 
-    def _sure(self, known: StateEstimate) -> StateEstimate:
+    def _without_unlikely_demands(self, known: StateEstimate) -> StateEstimate:
         """State estimate, with grid without unlikely demands that would cost the first tier.
 
         What is really taken was carried: readings are of customers that have supply.
         """
-        state = self._state(known)
+        state = self._step_state(known)
         if state.island or not self._estimator.series.unproven.any():
             return known
         return known if self._critical.possible(known, state) else self._estimator.proven(known)
 
-    def _state(self, known: StateEstimate) -> StepState:
+    def _step_state(self, known: StateEstimate) -> StepState:
         """The step as it is known; of an island, whether a battery or which set can form it."""
         centre = self.options.centre
         state = StepState.of(self.site, known.observation, centre, known.online)
@@ -124,7 +124,7 @@ class GuardedController:
         formed, _ = formed_by_set(site, now, dark, headroom=0.0)
         return replace(state, ahead=formed.ahead, dark=bool(dark[0]))
 
-    def _checked_answer(self, known: StateEstimate, state: StepState) -> Decision:
+    def _checked_decision(self, known: StateEstimate, state: StepState) -> Decision:
         """The wrapped controller's answer, or the first fallback that passes the check."""
         before = self.plan
         decision = self._answer_or_fallback(known, state)
@@ -137,10 +137,10 @@ class GuardedController:
 
     def _answer_or_fallback(self, known: StateEstimate, state: StepState) -> Decision:
         try:
-            decision = self._answer(known)
+            decision = self._inner_decision(known)
             reasons = violations(decision, state, self.options.within)
             if not reasons:
-                self._keep(decision, known.observation.t0)
+                self._remember_plan(decision, known.observation.t0)
                 return decision
             reason = "refused: " + "; ".join(reasons)
         except InfeasibleError as error:
@@ -152,7 +152,7 @@ class GuardedController:
             reason = named_line(error)
         return self._without_solver(known, state, reason)
 
-    def _answer(self, known: StateEstimate) -> Decision:
+    def _inner_decision(self, known: StateEstimate) -> Decision:
         """Decision of the wrapped controller, for the batteries that are there.
 
         A plan of the day is kept as it is: what it asks of a battery that is out fails the check.
@@ -174,7 +174,7 @@ class GuardedController:
             self._parts[key] = self._controller_of(site_with(self.site, online))
         return self._parts[key]
 
-    def _keep(self, decision: Decision, t0: int) -> None:
+    def _remember_plan(self, decision: Decision, t0: int) -> None:
         """Remember a plan that goes beyond its step, for steps that find no other."""
         if decision.row + 1 < decision.dispatch.n_steps:
             self._plan = decision.dispatch, t0 - decision.row

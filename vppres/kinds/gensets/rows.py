@@ -136,7 +136,7 @@ class GensetsModel(Addition):
     def _switching(self) -> Named:
         """Starts, least times on and off, and the steps in which a set may be on."""
         sets = self.site.gensets
-        young = self._lately(sets.min_on_h)
+        young = self._recent_starts(sets.min_on_h)
         return {
             "gs_starts": self.on - self._before(self.on, self.was_on) <= self.start,
             "gs_can_start": self.start <= self.can_start,
@@ -144,7 +144,7 @@ class GensetsModel(Addition):
             "gs_must_run": self.on >= self.must_run,
             "gs_in_use": self.on <= self.can_start + self.must_run + young,
             "gs_min_on": young <= self.on + self._spent,
-            "gs_min_off": self._lately(sets.min_off_h) + self._on_then() <= 1.0,
+            "gs_min_off": self._recent_starts(sets.min_off_h) + self._on_then() <= 1.0,
         }
 
     @property
@@ -208,7 +208,7 @@ class GensetsModel(Addition):
         """Values of the step before, (W, G)."""
         return np.eye(x.shape[0], k=-1) @ x + first
 
-    def _lately(self, hours: Floats) -> cp.Expression:
+    def _recent_starts(self, hours: Floats) -> cp.Expression:
         """Starts in a step and the steps before it, as many as a least time has, (W, G)."""
         W = self.start.shape[0]
         columns = [

@@ -153,7 +153,7 @@ def read(
         own[row["charger"]].append(row)
     for stay in () if past is None else past.stays:
         row = dict(vars(stay))
-        own[stay.charger] = [*_beside(own[stay.charger], row, door.begun), row]
+        own[stay.charger] = [*_sessions_beside(own[stay.charger], row, door.begun), row]
     for k, (name, rows) in enumerate(own.items()):
         seen = _Read(plugged[k], soc[k], needed_kwh[k], departure[k])
         before = _at_charger(rows, seen.here, door.begun, scenario.grid.step)
@@ -161,7 +161,7 @@ def read(
         door.left_out.extend(words)
         own[name] = [row for row in rows if row is not before]
         if now is not None:
-            own[name] = [*_beside(own[name], now, door.begun), now]
+            own[name] = [*_sessions_beside(own[name], now, door.begun), now]
             held_kwh[k] = seen.soc * now["capacity_kwh"] if _by_soc(now) else np.nan
     told_of = [row for rows in own.values() for row in rows]
     return replace(scenario, sessions=sessions_of(told_of)), held_kwh
@@ -213,7 +213,7 @@ def _as_read(
     if not np.isfinite(read.needed_kwh):
         assert before is not None
         return {**before, "plug_out": leaves}, words
-    row = _needing(scenario, charger, before, read.needed_kwh)
+    row = _session_from_need(scenario, charger, before, read.needed_kwh)
     most_kwh = (before or row)["capacity_kwh"]
     if read.needed_kwh > most_kwh:
         words.append(f"{vehicle} needs {read.needed_kwh:g} kWh, and holds {most_kwh:g} kWh")
@@ -234,7 +234,7 @@ def _at_charger(
     return max(now, key=lambda row: row["plug_out"], default=None)
 
 
-def _beside(rows: Iterable[Row], one: Row, begun: pd.Timestamp) -> list[Row]:
+def _sessions_beside(rows: Iterable[Row], one: Row, begun: pd.Timestamp) -> list[Row]:
     """Sessions of a charger for which a vehicle at it leaves time; some begin later."""
     found = []
     for row in rows:
@@ -263,7 +263,7 @@ def sessions_of(rows: Sequence[Mapping[str, Any]]) -> Sessions:
     return Sessions(**columns)
 
 
-def _needing(
+def _session_from_need(
     scenario: Scenario, charger: str, before: Mapping[str, Any] | None, needed_kwh: float
 ) -> dict[str, Any]:
     """A session of a vehicle that tells the energy that it needs; without a name its charger's.

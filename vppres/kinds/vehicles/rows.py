@@ -27,7 +27,7 @@ from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
 
 LATER_GBP_PER_KWH_H = 1e-6
-"""What it costs to charge a kWh an hour later: vehicles charge at once where that costs the same.
+"""Cost of charging a kWh an hour later: vehicles charge at once where that costs the same.
 A day later costs less than the smallest difference of prices, 0.01 p."""
 
 
