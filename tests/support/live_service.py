@@ -70,7 +70,7 @@ def running(tiny: Scenario, folder: Path) -> Iterator[Running]:
 
 @contextmanager
 def at_noon(tiny: Scenario, folder: Path) -> Iterator[Live]:
-    """The same, and its clock."""
+    """Running service at noon, and its clock."""
     with running(tiny, folder) as (http, clock, _):
         yield http, clock
 
@@ -101,7 +101,7 @@ def said(plan: dict[str, Any], kind: str) -> dict[str, Any]:
 
 
 def told(run: vppres.Trajectory, t: int) -> dict[str, Any]:
-    """What a SCADA system would send before a step of a run."""
+    """Readings that a SCADA system would send before a step of a run."""
     time = run.scenario.grid.times[t]
     b = run.batteries[run.batteries["time"] == time]
     series = readings(time, "soc", dict(zip(b["id"], b["soc_start"], strict=True)))
