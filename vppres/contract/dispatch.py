@@ -65,7 +65,7 @@ class Dispatch:
         return np.zeros((self.n_steps, len(units))) if found is None else found
 
     def running_of(self, kind: str, units: Units) -> Flags:
-        """Which units of a kind are on, (W, n)."""
+        """Units of a kind that are on, (W, n)."""
         found = self.running.get(kind)
         shape = (self.n_steps, len(units))
         return np.zeros(shape, dtype=bool) if found is None else found

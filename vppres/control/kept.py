@@ -123,7 +123,7 @@ def as_planned(state: StepState, plan: Dispatch, row: int) -> StepState:
 
 
 def _with_running_sets(state: StepState, known: SetsAhead, wanted_kw: Floats) -> StepState:
-    """With the sets that are on or form the grid, and have fuel, near what is wanted of them."""
+    """Step state with the sets that are on or form the grid, and have fuel, near what is wanted."""
     sets, dt_h = state.site.gensets, state.site.dt_h
     most_kw = np.minimum(sets.p_max_kw, _by_fuel_kw(sets, known.added_litres[0], dt_h))
     fallen_kw = np.where(state.forms, 0.0, known.was_kw[0] - sets.fall_kw(dt_h))
@@ -146,7 +146,7 @@ def _by_fuel_kw(sets: Gensets, litres: Floats, dt_h: float) -> Floats:
 
 
 def _with_charging(state: StepState) -> StepState:
-    """With vehicles that charge as fast as they can, if there is grid."""
+    """Step state with vehicles that charge as fast as they can, if there is grid."""
     plugged, chargers = state.ahead.find(Plugged), state.site.chargers
     if plugged is None or state.island:
         return state

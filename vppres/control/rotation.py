@@ -62,7 +62,7 @@ class Rotating:
         self._update_weights()
 
     def horizon_steps(self, t0: int) -> range:
-        """Those of its controllers."""
+        """Steps of its controllers' windows."""
         return self._controllers.horizon_steps(t0)
 
     def decide(self, observation: Observation) -> Decision:

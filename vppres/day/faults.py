@@ -97,7 +97,7 @@ class BatteryTrip:
 
 @dataclass(frozen=True)
 class FaultPlan:
-    """Everything that goes wrong in a day.
+    """Faults of a day.
 
     Parameters
     ----------
@@ -243,7 +243,7 @@ class FaultySolver(WindowSolver):
 
     @property
     def compilations(self) -> int:
-        """Those of the solver that works."""
+        """Compilations of the solver that works."""
         return self._solver.compilations
 
     def solve(self, data: WindowData, within_s: float = math.inf) -> WindowSolution:

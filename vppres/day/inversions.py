@@ -266,7 +266,7 @@ def lower_tiers_now(
 
 
 def _waiting_words(later: Flags | None, customer: int) -> str:
-    """For what a customer off supply waits by the plan; empty if it looks at no later step."""
+    """Phrase: in how many of the next steps a plan supplies the customer; empty without any."""
     if later is None or not len(later):
         return ""
     on = np.asarray(later, dtype=bool)[:, customer]

@@ -130,7 +130,7 @@ class Fuel:
 
     @classmethod
     def of(cls, scenario: Scenario, row: int, n_steps: int, seen: Observation) -> Fuel:
-        """Of an observation and the deliveries of so many steps."""
+        """Fuel of an observation and the deliveries of so many steps."""
         sets = scenario.gensets
         known = seen.ahead.find(SetsAhead)
         if known is None:
@@ -180,7 +180,7 @@ class OutageView:
 
     @classmethod
     def create(cls, scenario: Scenario, options: Mapping[str, Any]) -> OutageView:
-        """By the options of a run, as they are recorded."""
+        """View of outages by the options of a run, as they are recorded."""
         statistics = scenario.outage_statistics
         return cls(
             kind=str(options.get("outages") or KNOWN),

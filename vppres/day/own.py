@@ -206,7 +206,7 @@ class ByStepWeights:
         self._controllers.change_to(weight)
 
     def horizon_steps(self, t0: int) -> range:
-        """Those of its controllers."""
+        """Steps of its controllers' windows."""
         return self._controllers.horizon_steps(t0)
 
     def decide(self, observation: Observation) -> Decision:

@@ -46,7 +46,7 @@ OPTIONAL = (ROTATED, SHARE, TIME_ON, LOSSES)
 
 @dataclass(frozen=True, eq=False)
 class StepRecord:
-    """Everything that is known of one step once it is over: a piece of each table.
+    """Record of one step once it is over: a piece of each table.
 
     Parameters
     ----------

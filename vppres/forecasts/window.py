@@ -25,7 +25,7 @@ LEAST_KNOWN = 0.5
 
 @dataclass(frozen=True)
 class LastErrors:
-    """How the latest errors of a rule go on.
+    """Rule by which the latest errors of a forecast go on.
 
     Parameters
     ----------

@@ -148,11 +148,11 @@ class UnitsAhead(ByStep):
     def power_beyond_kw(
         self, units: Any, connected: Flags, taken_kw: Floats, running: Flags, dt_h: float
     ) -> Floats:
-        """By how much powers are beyond what units can do, (W, n)."""
+        """Excess of powers beyond what units can do, (W, n)."""
         raise NotImplementedError
 
     def stored_beyond_kw(self, units: Any, taken_kw: Floats, running: Flags, dt_h: float) -> Floats:
-        """By how much what they store is outside its limits, as a power over the step, (W, n)."""
+        """Excess of stored energy beyond its limits, as a power over the step, (W, n)."""
         return np.zeros_like(taken_kw)
 
 
@@ -176,7 +176,7 @@ class Followers(Protocol):
         """Power nearest to what is wanted, and which units run, of a kind that is started."""
 
     def spare_kw(self, taken_kw: Floats, running: Flags) -> Floats:
-        """By how much each can give less without stopping, (n,)."""
+        """Power that each can give less without stopping, (n,)."""
 
     def advance(self, t: int, taken_kw: Floats, running: Flags) -> None:
         """The state at the end of a step."""

@@ -63,7 +63,7 @@ class ByPhase:
 
     @classmethod
     def of(cls, scenario: Scenario, step: StepRecord) -> ByPhase | None:
-        """Of a step that was decided; None without phases, and without power."""
+        """Power flow of a step that was decided; None without phases, and without power."""
         phases = scenario.phases
         if phases is None or step.nodes is None or np.isnan(step.nodes["v_ac_pu"]).any():
             return None

@@ -358,7 +358,7 @@ def _grid_series(door: Door, scenario: Scenario, measured: Measurement) -> dict[
 
 
 def _is_named(ids: Names, named: Sequence[str]) -> Flags:
-    """Which identifiers are named."""
+    """Whether each identifier is named."""
     chosen = set(named)
     return np.array([str(name) in chosen for name in ids], dtype=bool)
 

@@ -84,5 +84,5 @@ def slack_kw(rating: Floats) -> Floats:
 
 
 def above_rating(value: Floats, rating: Floats) -> Floats:
-    """By how much values are above their ratings, with what they may be off by."""
+    """Excess of values above their ratings and tolerances."""
     return value - rating - slack_kw(rating)

@@ -50,7 +50,7 @@ class PaperProblem:
 
     @property
     def problem(self) -> cp.Problem:
-        """As cvxpy takes it: a mixed-integer problem with cones and a quadratic objective."""
+        """Problem of cvxpy: mixed-integer with cones and a quadratic objective."""
         return cp.Problem(cp.Maximize(self.F), list(self.subject_to.values()))
 
 

@@ -34,7 +34,7 @@ FIELDS = {
 
 @dataclass(frozen=True, eq=False)
 class Parameters:
-    """Everything that a re-solve may change (W steps).
+    """Parameters that a re-solve may change (W steps).
 
     What stands at None is nothing of the paper: demand that is added at the buses, (W, N), and
     behind the meters of PV systems, (W, P), power besides import and PV export from which batteries

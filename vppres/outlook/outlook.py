@@ -277,7 +277,7 @@ class OutageOutlook:
     def _with_others(
         self, present: Lasting, others: Sequence[Announced], seen: SeenOutage, now: pd.Timestamp
     ) -> Lasting:
-        """How long it is dark: until the last one ends of those that have begun for sure."""
+        """Length of the time without grid: all outages that have begun for sure must end."""
         step = pd.Timedelta(hours=self.step_h)
         length = len(present.duration)
         elapsed = min(round((now - seen.start) / step), length - 1)

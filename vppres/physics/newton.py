@@ -106,7 +106,7 @@ class Newton:
         return v if largest < tolerance_mva else None
 
     def _mismatch(self, v: Complexes, s_mva: Complexes) -> Floats:
-        """By what active, then reactive power misses the injections of the free buses."""
+        """Mismatch of active, then reactive power at the free buses."""
         missed = (v * np.conj(self.y @ v) - s_mva)[self.free]
         return np.concatenate([missed.real, missed.imag])
 

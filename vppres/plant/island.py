@@ -218,7 +218,7 @@ class IslandPlant:
         raise VerificationError("the sharing of the mismatch does not converge")
 
     def _excess_kva(self, former: Former, powers: Powers, ac: ACResult) -> float:
-        """By how much what holds the island is beyond its rating."""
+        """Power of the island's former beyond its rating."""
         return former.excess_kva(powers)
 
     def _order(self, t: int, powers: Powers, ac: ACResult) -> list[int]:
@@ -345,7 +345,7 @@ def taking(powers: Powers, kind: str, taken_kw: Floats) -> Powers:
 
 
 def spare(plant: Plant, powers: Powers) -> dict[str, Floats]:
-    """By how much units can give less without stopping, (n,) by kind; sets come first.
+    """Power that units can give less without stopping, (n,) by kind; sets come first.
 
     The set that forms the grid takes up what is too much by itself.
     """

@@ -204,7 +204,7 @@ class PhasedIslandPlant(IslandPlant):
         return (int(not settled.dark), *(int((on == tier).sum()) for tier in s.tiers))
 
     def _excess_kva(self, former: Former, powers: Powers, ac: ACResult) -> float:
-        """By how much the worst phase of the former is beyond a third of its rating, times three.
+        """Power of the former's worst phase beyond a third of its rating, times three.
 
         What is cut on a phase comes off that phase alone, so its excess counts for all three.
         """

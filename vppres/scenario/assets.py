@@ -227,7 +227,7 @@ class PVSystems(Items):
         return kind_label(PV) if (self.kind == PV).all() else "generation"
 
     def counted(self) -> str:
-        """How many systems there are of each kind.
+        """Number of systems of each kind.
 
         >>> kinds = ["pv", "wind"]
         >>> PVSystems(["a", "b"], ["", ""], [1.0, 1.0], [1.0, 1.0], kinds, [1, 2]).counted()

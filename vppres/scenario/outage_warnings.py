@@ -23,7 +23,7 @@ WARNING_PRESETS = ("", "announced", "rota", "psps", "wind", "heat")
 
 @dataclass(frozen=True)
 class OnsetShares:
-    """When an outage begins if it comes: the probability of each of some equal intervals.
+    """Onset of an outage if it comes: the probability of each of some equal intervals.
 
     Parameters
     ----------

@@ -102,7 +102,7 @@ def _zero() -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Scenario(OfKinds):
-    """Everything that defines a day, and nothing that a controller decides.
+    """Definition of a day, without anything that a controller decides.
 
     Parameters
     ----------

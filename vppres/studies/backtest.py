@@ -43,7 +43,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class Plan:
-    """Which forecasts are made.
+    """Choice of the forecasts that are made.
 
     One that is issued at times that do not divide 24 h has every lead at every hour. Issues are
     from ``first`` to ``last``, as far as there is enough history before them and behind.

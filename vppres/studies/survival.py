@@ -54,7 +54,7 @@ _DIGITS = 6
 
 @dataclass(frozen=True)
 class Tried:
-    """Which outages are tried.
+    """Choice of the outages that are tried.
 
     Parameters
     ----------
@@ -169,7 +169,7 @@ class Survival:
         return self.variants[0].site.grid.dt_h
 
     def _of(self, variant: str, steps: int, name: str) -> Any:
-        """Something of the outcomes of a length, a row for each onset."""
+        """Values of a field in the outcomes of a length, a row for each onset."""
         found = [one for one in self.outcomes[variant] if one.steps == steps]
         return np.array([getattr(one, name) for one in found])
 

@@ -34,7 +34,7 @@ _DIGITS = 12  # of a point of a range: 0.3, not 0.30000000000000004
 
 @dataclass(frozen=True)
 class Parameter:
-    """Something that a sweep varies: its name, and ``float``, ``int`` or ``str``.
+    """Parameter that a sweep varies: its name, and ``float``, ``int`` or ``str``.
 
     ``change`` takes scenario, options and a value to the scenario and options with that value.
     """

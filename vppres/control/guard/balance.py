@@ -52,7 +52,7 @@ class LoadAndPVReadings:
 
 
 def tolerance_kw(demand_kw: float) -> float:
-    """By how much power that meters measure may differ from what it is."""
+    """Error in kW that meters may have at this demand."""
     return BALANCE_KW + BALANCE_SHARE * demand_kw
 
 

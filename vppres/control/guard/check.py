@@ -27,7 +27,7 @@ from vppres.scenario.source import EXACT_PU
 
 @dataclass(frozen=True)
 class Tolerances:
-    """How far a decision may be off before it is refused.
+    """Excess that a decision may have before it is refused.
 
     Parameters
     ----------

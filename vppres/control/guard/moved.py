@@ -68,7 +68,7 @@ class Moved:
         return cls(np.zeros(0), np.zeros(none), np.zeros(none, dtype=bool))
 
     def ordered(self, at_h: float, power_kw: Floats, eta: tuple[Floats, Floats]) -> Moved:
-        """With what was ordered at a time, charging positive; it replaces what was said of later.
+        """Add an order at a time, charging positive; it replaces what was said of later.
 
         Parameters
         ----------
@@ -87,7 +87,7 @@ class Moved:
         )
 
     def seen(self, since_h: float, power_kw: Floats, eta: tuple[Floats, Floats]) -> Moved:
-        """With the mean power that was measured since a time, (B,); NaN where it was not."""
+        """Add the mean power that was measured since a time, (B,); NaN where it was not."""
         rows = (self.begun_h >= since_h - SAME_H)[:, np.newaxis] & np.isfinite(power_kw)
         return Moved(
             self.begun_h,

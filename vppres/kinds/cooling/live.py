@@ -121,7 +121,7 @@ class Felt:
         return felt
 
     def moved_to(self, t_c: Floats) -> Felt:
-        """With other temperatures by the model."""
+        """Copy with other temperatures by the model."""
         lowest_c, highest_c = np.minimum(self.lowest_c, t_c), np.maximum(self.highest_c, t_c)
         return replace(self, reckoned_c=t_c, lowest_c=lowest_c, highest_c=highest_c)
 
@@ -231,7 +231,7 @@ def _temperature(t_max_c: float) -> Range:
 
 
 def excesses(table: pd.DataFrame, scenario: Scenario) -> dict[str, Any]:
-    """By how much set-points cool or heat beyond the comfort band, by what is said of it."""
+    """Excess of set-points beyond the comfort band, by what is said of it."""
     loads = scenario.thermal_loads
     setpoint_c = table["setpoint_c"].to_numpy(float)
     below_c = np.where(loads.heats, -np.inf, loads.t_min_c - setpoint_c)

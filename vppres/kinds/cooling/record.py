@@ -37,7 +37,7 @@ def record(day: Scenario, climate: Climate, t: int, realised: Realised) -> dict[
 
 
 def _outside_band(t_min_c: Floats, t_max_c: Floats, t_c: Floats) -> Floats:
-    """By how much temperatures are outside their band."""
+    """Temperature outside the band, in K."""
     away_c = np.maximum(t_c - t_max_c, t_min_c - t_c)
     return np.where(away_c > MISSED_C, away_c, 0.0)
 

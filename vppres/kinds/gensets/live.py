@@ -398,7 +398,7 @@ def _in_tank(litres: float) -> Range:
 
 
 def excesses(table: pd.DataFrame, scenario: Scenario) -> dict[str, Any]:
-    """By how much set-points are beyond ratings; what stands still gives nothing."""
+    """Excess of set-points beyond ratings; what stands still gives nothing."""
     sets = scenario.gensets
     on, p_kw = table["running"].to_numpy(bool), table["p_kw"].to_numpy(float)
     below_kw = np.where(on, sets.p_min_kw - p_kw, -p_kw)

@@ -110,7 +110,7 @@ class SetsAhead(UnitsAhead):
     def power_beyond_kw(
         self, sets: Gensets, connected: Flags, taken_kw: Floats, running: Flags, dt_h: float
     ) -> Floats:
-        """By how much powers are beyond what sets can do, ramps included, (W, G)."""
+        """Excess of powers beyond what sets can do, ramps included, (W, G)."""
         over = (
             -taken_kw + self.headroom_kw - running * sets.p_max_kw,
             running * sets.p_min_kw + self.headroom_kw + taken_kw,
@@ -121,7 +121,7 @@ class SetsAhead(UnitsAhead):
     def stored_beyond_kw(
         self, sets: Gensets, taken_kw: Floats, running: Flags, dt_h: float
     ) -> Floats:
-        """By how much fuel is not enough, as a power over the step, (W, G)."""
+        """Fuel that is missing, as a power over the step, (W, G)."""
         fuel_litres = self.fuel_litres(sets, running, -taken_kw, dt_h)
         missing_litres = self.kept_litres(sets, dt_h) - fuel_litres
         return missing_litres / (sets.litres_per_kwh * dt_h)
@@ -154,7 +154,7 @@ class SetsAhead(UnitsAhead):
         return np.array(rows).reshape(burnt.shape)
 
     def moved_too_fast_kw(self, sets: Gensets, on: Flags, power_kw: Floats, dt_h: float) -> Floats:
-        """By how much powers move more than ramps allow, (W, G).
+        """Excess of the change of powers beyond ramps, (W, G).
 
         A set may stop from any power, and one that forms the grid follows the load at once.
         """

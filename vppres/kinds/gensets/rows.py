@@ -295,7 +295,7 @@ class GensetsModel(Addition):
 
 
 def running(site: Site, dispatch: Dispatch) -> tuple[Flags, Floats]:
-    """Which sets run, and what each gives in kW, (W, G) each."""
+    """Sets that run, and what each gives in kW, (W, G) each."""
     sets = site.gensets
     return dispatch.running_of("gensets", sets), -dispatch.taken_by("gensets", sets)
 

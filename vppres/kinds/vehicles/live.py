@@ -95,7 +95,7 @@ class PluggedInVehicles:
 
 
 def _since(scenario: Scenario, t: int) -> tuple[str, ...]:
-    """When the vehicle at each charger was plugged in."""
+    """Time of plug-in of the vehicle at each charger."""
     rows = scenario.session_at[t].tolist()
     plug_in = scenario.sessions.plug_in
     return tuple("" if row == NO_CAR else plug_in[row].isoformat() for row in rows)
@@ -319,7 +319,7 @@ def own_ranges(scenario: Scenario) -> Iterator[tuple[str, Any, Floats, Callable[
 
 
 def excesses(table: pd.DataFrame, scenario: Scenario) -> dict[str, Any]:
-    """By how much set-points are beyond the ratings of chargers, by what is said of it."""
+    """Excess of set-points beyond the ratings of chargers, by what is said of it."""
     chargers = scenario.chargers
     p_kw, limit_kw = (table[name].to_numpy(float) for name in NUMBERS)
     most_kw = np.maximum(p_kw, limit_kw)

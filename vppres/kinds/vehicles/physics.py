@@ -189,7 +189,7 @@ class Plugged(UnitsAhead):
     def power_beyond_kw(
         self, chargers: Chargers, connected: Flags, taken_kw: Floats, running: Flags, dt_h: float
     ) -> Floats:
-        """By how much powers are beyond what chargers can do, (W, K).
+        """Excess of powers beyond what chargers can do, (W, K).
 
         None moves power without a vehicle, or for a customer that is off.
         """
@@ -200,7 +200,7 @@ class Plugged(UnitsAhead):
     def stored_beyond_kw(
         self, chargers: Chargers, taken_kw: Floats, running: Flags, dt_h: float
     ) -> Floats:
-        """By how much energies are outside their limits, as a power over the step, (W, K)."""
+        """Excess of energies beyond their limits, as a power over the step, (W, K)."""
         energy_kwh = self.energy_kwh(taken_kw, chargers, dt_h)
         below_kwh = np.where(self.here, self.lowest_kwh - energy_kwh, 0.0)
         return np.maximum(energy_kwh - self.full_kwh, below_kwh) / dt_h

@@ -35,7 +35,7 @@ class AdditionDispatch:
 
 
 class Addition:
-    """Something that a window's problem may have beyond the paper.
+    """Addition to a window's problem beyond the paper.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ class Addition:
 
     @classmethod
     def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
-        """Its variables and parameters, for the window of these variables."""
+        """Variables and parameters of the addition, for the window of these variables."""
         return cls()
 
     def parameters(self, site: Site) -> dict[str, cp.Expression]:
@@ -90,7 +90,7 @@ class Addition:
         return {}
 
     def families(self, site: Site, v: Variables, p: Parameters) -> Named:
-        """Its rows by the names of their families."""
+        """Rows of the addition by the names of their families."""
         return {}
 
     def implied(self, site: Site, v: Variables, p: Parameters) -> Named:
