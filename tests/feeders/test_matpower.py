@@ -16,7 +16,7 @@ from tests.support.own_power_flow import voltages
 from vppres.core.errors import InputError
 from vppres.feeders import import_network
 from vppres.feeders.matpower.case import net_of, read_m
-from vppres.feeders.matpower.text import CURE, StatementRefused, tables_of, words_of
+from vppres.feeders.matpower.text import CURE, Refused, tables_of, words_of
 from vppres.feeders.new.scenario import new_scenario
 from vppres.physics.powerflow import ACPowerFlow
 
@@ -211,7 +211,7 @@ def test_what_is_no_arithmetic_is_refused_by_line(
 def test_every_refused_statement_is_named() -> None:
     with pytest.raises(ExceptionGroup) as caught:
         tables_of("function mpc = c\ntic;\nmpc.baseMVA = 1;\nif 1\nx = 2;\nend\ndisp('x')\n")
-    lines = [one.line for one in caught.value.exceptions if isinstance(one, StatementRefused)]
+    lines = [one.line for one in caught.value.exceptions if isinstance(one, Refused)]
     assert lines == [2, 4, 7]
 
 

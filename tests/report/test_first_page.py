@@ -27,7 +27,7 @@ from vppres.day.series import off_kw
 from vppres.day.trajectory import Trajectory
 from vppres.io import read_scenario, write_scenario
 from vppres.report.answer import answer
-from vppres.report.clock import TimeWords
+from vppres.report.clock import Clock
 from vppres.report.events import events_of
 from vppres.report.findings import findings
 from vppres.report.finished import priced, read_finished
@@ -189,7 +189,7 @@ def test_times_are_those_of_the_site_and_of_utc_on_demand(tmp_path: Path) -> Non
     day = small_scenario()
     run = small_run(replace(day, grid=replace(day.grid, zone=LONDON)))
     assert events_of(run)[0].time == "19 Jul 01:30"
-    clock = TimeWords.of(run)
+    clock = Clock.of(run)
     assert clock.note == "Times are those of Europe/London: UTC+1 h."
     assert clock.heading == "Time (Europe/London)"
     assert clock.full(run.steps["time"].iloc[0]) == "19 Jul 01:00 BST"
@@ -217,13 +217,13 @@ def test_times_are_those_of_the_site_and_of_utc_on_demand(tmp_path: Path) -> Non
     ],
 )
 def test_days_of_23_and_25_hours(start: str, shown: list[str], changes: str) -> None:
-    clock = TimeWords(TimeGrid(pd.Timestamp(start), 60, 24, LONDON))
+    clock = Clock(TimeGrid(pd.Timestamp(start), 60, 24, LONDON))
     assert [clock.at(t)[len("29 Mar ") :] for t in range(3)] == shown
     assert clock.note == f"Times are those of {changes}"
 
 
 def test_a_date_is_that_of_the_site_and_is_written_once() -> None:
-    clock = TimeWords(TimeGrid(pd.Timestamp("2026-07-01T20:00Z"), 60, 20, "Asia/Tokyo"))
+    clock = Clock(TimeGrid(pd.Timestamp("2026-07-01T20:00Z"), 60, 20, "Asia/Tokyo"))
     assert clock.at(0) == "02 Jul 05:00"
     assert clock.span(0, 2) == "from 02 Jul 05:00 to 07:00"
     assert clock.span(0, 19) == "from 02 Jul 05:00 to 03 Jul 00:00"

@@ -19,7 +19,7 @@ from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
 from vppres.service.access import Access
 from vppres.service.app import make_app
-from vppres.service.clock import Clock, SetClock, written
+from vppres.service.clock import SetClock, TimeSource, written
 from vppres.service.records import Reading, seconds
 from vppres.service.runner import Runner, Service
 from vppres.service.serve import opened
@@ -44,7 +44,10 @@ def site(tiny: Scenario, minutes: int = 60) -> Scenario:
 
 @contextmanager
 def serving(
-    service: Service, folder: Path | str, clock: Clock | None = None, access: Access | None = None
+    service: Service,
+    folder: Path | str,
+    clock: TimeSource | None = None,
+    access: Access | None = None,
 ) -> Iterator[tuple[Caller, Runner]]:
     """A service that is asked without a network in between, and itself."""
     with opened(service, folder, clock) as runner:
@@ -53,7 +56,10 @@ def serving(
 
 @contextmanager
 def client(
-    service: Service, folder: Path | str, clock: Clock | None = None, access: Access | None = None
+    service: Service,
+    folder: Path | str,
+    clock: TimeSource | None = None,
+    access: Access | None = None,
 ) -> Iterator[Caller]:
     """A service that is asked without a network in between."""
     with serving(service, folder, clock, access) as (http, _):

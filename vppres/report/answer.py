@@ -11,7 +11,7 @@ from vppres.core.arrays import Flags, spans_of
 from vppres.core.text import counted
 from vppres.day.series import outage_spans
 from vppres.day.trajectory import Trajectory
-from vppres.report.clock import TimeWords
+from vppres.report.clock import Clock
 
 NAMES_SHOWN, SPANS_SHOWN = 3, 3
 MWH_FROM_KWH = 1000.0
@@ -60,7 +60,7 @@ def _how_long(run: Trajectory) -> str:
 
 def _when(run: Trajectory, off: Flags) -> str:
     """The stretches in which a customer was off; of many how long in all."""
-    clock, spans = TimeWords.of(run), spans_of(off)
+    clock, spans = Clock.of(run), spans_of(off)
     if len(spans) > SPANS_SHOWN:
         hours = float(off.sum()) * run.scenario.grid.dt_h
         return f"for {hours:g} h in {len(spans)} stretches"

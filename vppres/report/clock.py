@@ -16,7 +16,7 @@ _DATE = len("19 Jul ")
 
 
 @dataclass(frozen=True)
-class TimeWords:
+class Clock:
     """Times in words.
 
     Parameters
@@ -27,16 +27,16 @@ class TimeWords:
     Examples
     --------
     >>> noon = pd.Timestamp("2022-07-19T12:00:00Z")
-    >>> TimeWords(TimeGrid(noon, 60, 24)).words(noon)
+    >>> Clock(TimeGrid(noon, 60, 24)).words(noon)
     '19 Jul 12:00'
-    >>> TimeWords(TimeGrid(noon, 60, 24, "Europe/London")).full(noon)
+    >>> Clock(TimeGrid(noon, 60, 24, "Europe/London")).full(noon)
     '19 Jul 13:00 BST'
     """
 
     grid: TimeGrid
 
     @classmethod
-    def of(cls, run: Trajectory) -> TimeWords:
+    def of(cls, run: Trajectory) -> Clock:
         """The clock of a run."""
         return cls(run.scenario.grid)
 

@@ -14,7 +14,7 @@ from vppres.day.kind_tables import kind_events
 from vppres.day.series import energy_limits_kwh, outage_spans, stored_energy_kwh
 from vppres.day.switching_figures import switched
 from vppres.day.trajectory import WHOLE_SHARE, Trajectory, taken
-from vppres.report.clock import TimeWords
+from vppres.report.clock import Clock
 from vppres.report.key_figures import number
 
 NAMES_SHOWN = 6
@@ -43,7 +43,7 @@ def events_of(run: Trajectory) -> list[DayEvent]:
         ],
         key=lambda entry: entry[0],
     )
-    clock = TimeWords.of(run)
+    clock = Clock.of(run)
     return [DayEvent(t, clock.at(t), words) for t, words in found]
 
 
@@ -113,7 +113,7 @@ def _battery_events(run: Trajectory) -> Iterator[tuple[int, str]]:
 
 
 def _day(run: Trajectory) -> str:
-    clock = TimeWords.of(run)
+    clock = Clock.of(run)
     n_steps = len(run.steps)
     return (
         f"{counted(n_steps, 'step')} of {clock.grid.step_minutes:g} min from {clock.at(0)} to "
@@ -125,7 +125,7 @@ def _outage(run: Trajectory, summary: Mapping[str, Any]) -> list[str]:
     spans = outage_spans(run)
     if not spans:
         return ["No grid outage."]
-    clock = TimeWords.of(run)
+    clock = Clock.of(run)
     when = " and ".join(clock.span(a, b) for a, b in spans)
     hours = sum(b - a for a, b in spans) * run.scenario.grid.dt_h
     shares = ", ".join(

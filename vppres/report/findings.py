@@ -18,7 +18,7 @@ from vppres.day.metrics import (
 from vppres.day.options import RULES
 from vppres.day.trajectory import Trajectory
 from vppres.plant.plant import CLIP_TOLERANCE_KW, NOBODY
-from vppres.report.clock import TimeWords
+from vppres.report.clock import Clock
 from vppres.scenario.remarks import darkness, unknown_phases
 
 LIMIT_TOLERANCE_PU = 1e-6
@@ -187,4 +187,4 @@ def _plain(name: object) -> str:
 
 
 def _time(run: Trajectory, time: object) -> str:
-    return TimeWords.of(run).full(pd.Timestamp(str(time)))
+    return Clock.of(run).full(pd.Timestamp(str(time)))

@@ -18,7 +18,7 @@ from vppres.day.series import demand_kw, per_step, pv_available_kw, stored_energ
 from vppres.day.trajectory import Trajectory, supplied
 from vppres.explain.step import DRIVERS
 from vppres.kinds.table import KINDS, parts
-from vppres.report.clock import TimeWords
+from vppres.report.clock import Clock
 from vppres.report.findings import LIMIT_TOLERANCE_PU
 from vppres.report.key_figures import amount, number
 from vppres.scenario.phases import PHASES
@@ -174,7 +174,7 @@ def _phase_rows(run: Trajectory) -> Iterator[LimitRow]:
         yield LimitRow(
             "Largest loading of a phase",
             f"{loading.iloc[t]:.0%}",
-            f"{found['loading_at']}, {TimeWords.of(run).words(run.steps['time'].iloc[t])}",
+            f"{found['loading_at']}, {Clock.of(run).words(run.steps['time'].iloc[t])}",
             "rating",
             bool(loading.iloc[t] > 1.0),
         )
@@ -185,7 +185,7 @@ def _phase_rows(run: Trajectory) -> Iterator[LimitRow]:
         yield LimitRow(
             "Largest power of a former's phase",
             f"{kva.iloc[t]:,.0f} kVA",
-            TimeWords.of(run).words(run.steps["time"].iloc[t]),
+            Clock.of(run).words(run.steps["time"].iloc[t]),
             f"{rating:,.0f} kVA",
             bool(kva.iloc[t] > float(rating) + 1.0),
         )
@@ -193,7 +193,7 @@ def _phase_rows(run: Trajectory) -> Iterator[LimitRow]:
 
 def _voltage_rows(run: Trajectory) -> Iterator[LimitRow]:
     net = run.scenario.network
-    clock = TimeWords.of(run)
+    clock = Clock.of(run)
     # Of a bus with phases the record of buses has the node farthest from 1 pu alone.
     table = run.buses if run.nodes is None else run.nodes
     live = table[table["v_ac_pu"] > 0]
@@ -232,7 +232,7 @@ def _line_rows(run: Trajectory) -> Iterator[LimitRow]:
         "Largest line loading" if rated else "Largest line current",
         f"{largest:.0%}" if rated else f"{largest:,.1f} A",
         f"{net.from_bus[line]} to {net.to_bus[line]}, "
-        f"{TimeWords.of(run).words(run.steps['time'].iloc[int(t)])}",
+        f"{Clock.of(run).words(run.steps['time'].iloc[int(t)])}",
         f"{net.i_max_a[line]:,.0f} A" if rated else "no line has a rating",
         rated and largest > 1.0,
     )

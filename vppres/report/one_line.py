@@ -17,7 +17,7 @@ from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.day.metrics import line_current_a, line_loading, service_by_tier
 from vppres.day.trajectory import Trajectory, supplied
 from vppres.kinds.table import KINDS
-from vppres.report.clock import TimeWords
+from vppres.report.clock import Clock
 from vppres.report.plots.drawing import cividis, shortened
 from vppres.report.tree_layout import tree_layout
 from vppres.scenario.network import Network
@@ -182,7 +182,7 @@ def step_states(run: Trajectory) -> dict[str, Any]:
     v = run.by_step("buses", "v_ac_pu")
     served = run.by_step("customers", "served")
     soc = run.by_step("batteries", "soc_end")
-    clock = TimeWords.of(run)
+    clock = Clock.of(run)
     return {
         "start": worst_step(run),
         "time": [clock.full(time) for time in run.steps["time"]],

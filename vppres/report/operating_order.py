@@ -11,7 +11,7 @@ from vppres.core.text import named
 from vppres.day.series import off_kw
 from vppres.day.switching_figures import switched
 from vppres.day.trajectory import Trajectory
-from vppres.report.clock import TimeWords
+from vppres.report.clock import Clock
 
 ORDER_FILE = "operating_order.csv"
 OPEN, CLOSE = "open", "close"
@@ -51,7 +51,7 @@ def operating_order(run: Trajectory) -> pd.DataFrame:
 
 def order_lines(run: Trajectory) -> Iterator[str]:
     """The operating order in sentences, one for each time: names, and what is off then."""
-    clock = TimeWords.of(run)
+    clock = Clock.of(run)
     for time, rows in operating_order(run).groupby("time", sort=True):
         said = [
             f"{action} {named(list(names), NAMES_SHOWN)}"
@@ -73,7 +73,7 @@ def off_sentence(run: Trajectory) -> str:
     off = off_kw(run)
     if not off.any():
         return ""
-    clock, t = TimeWords.of(run), int(off.argmax())
+    clock, t = Clock.of(run), int(off.argmax())
     without = off > 0.0
     hours = float(without.sum()) * run.scenario.grid.dt_h
     return (

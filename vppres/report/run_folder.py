@@ -15,7 +15,7 @@ from vppres.day.run_files import write_tables
 from vppres.day.trajectory import Trajectory
 from vppres.io.atomic import atomic_folder, is_full
 from vppres.io.scenario_writer import write_scenario
-from vppres.report.clock import TimeWords
+from vppres.report.clock import Clock
 from vppres.report.operating_order import ORDER_FILE, operating_order
 from vppres.report.pages import page
 from vppres.report.plots.figures import SVG, save_figures
@@ -115,7 +115,7 @@ def render_report(trajectory: Trajectory, summary: Mapping[str, Any]) -> str:
             "title": trajectory.scenario.title,
             "summary": summary,
             "mode": trajectory.options.get("mode", ""),
-            "clock_note": TimeWords.of(trajectory).note,
+            "clock_note": Clock.of(trajectory).note,
             "sections": [section for section in made if section is not None],
         },
     )

@@ -32,7 +32,7 @@ from vppres.service.announced import warnings
 from vppres.service.as_told import expected_by
 from vppres.service.by_hand import ByHand
 from vppres.service.changes import Changes
-from vppres.service.clock import Clock, SetClock, written
+from vppres.service.clock import SetClock, TimeSource, written
 from vppres.service.conditions import BY_HAND, Situation, conditions, situation
 from vppres.service.gate import refusals
 from vppres.service.grid_readings import (
@@ -137,7 +137,7 @@ class Runner:
     """Decides the steps of a site, one after another, and remembers them."""
 
     def __init__(
-        self, service: Service, store: Store, clock: Clock, profile: ClockProfile | None
+        self, service: Service, store: Store, clock: TimeSource, profile: ClockProfile | None
     ) -> None:
         self.store = store
         self.clock = clock

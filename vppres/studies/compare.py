@@ -14,7 +14,7 @@ from vppres.day.metrics import service_by_customer
 from vppres.day.trajectory import OPTIONS
 from vppres.report.answer import answer
 from vppres.report.assumptions import value_words
-from vppres.report.clock import TimeWords
+from vppres.report.clock import Clock
 from vppres.report.findings import findings
 from vppres.report.finished import FinishedRun, read_finished
 from vppres.report.key_figures import KEY_FIGURES, OF_TIERS, number
@@ -160,7 +160,7 @@ def render_comparison(runs: Runs) -> str:
             "runs": runs,
             "figures": [row for row in compared_figures(runs) if row.differs],
             "equal": [row.words for row in compared_figures(runs) if not row.differs],
-            "clock_note": TimeWords.of(first.trajectory).note,
+            "clock_note": Clock.of(first.trajectory).note,
             "options": differing_options(runs),
             "customers": differing_customers(runs),
             "answers": {label: answer(run.trajectory, run.summary) for label, run in runs.items()},

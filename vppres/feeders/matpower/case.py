@@ -13,7 +13,7 @@ import numpy as np
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.core.errors import InputError, Problem
 from vppres.feeders.matpower.names import ALL
-from vppres.feeders.matpower.text import CURE, StatementRefused, tables_of, words_of
+from vppres.feeders.matpower.text import CURE, Refused, tables_of, words_of
 from vppres.feeders.net.ratings import NO_LIMIT_KA, NO_LIMIT_MVA
 from vppres.feeders.strangers.confined import confined
 from vppres.feeders.strangers.files import read_bytes, read_text
@@ -53,7 +53,7 @@ def read_m(path: Path) -> tuple[Any, tuple[str, ...]]:
             [
                 Problem(path.name, one.message, CURE, row=one.line)
                 for one in refused.exceptions
-                if isinstance(one, StatementRefused)
+                if isinstance(one, Refused)
             ]
         ) from None
     return net_of(case, path.name, words_of(text, FUELS))

@@ -69,7 +69,7 @@ _CALLS: dict[str, Callable[[Any], Any]] = {
 }
 
 
-class StatementRefused(Exception):
+class Refused(Exception):
     """A statement that is not read: its line, and why."""
 
     def __init__(self, line: int, message: str) -> None:
@@ -84,8 +84,8 @@ def tables_of(text: str) -> dict[str, Floats]:
     Raises
     ------
     ExceptionGroup
-        Of :class:`StatementRefused`, one for each statement that is not read; arithmetic is only
-        tried before the first of them.
+        Of :class:`Refused`, one for each statement that is not read; arithmetic is only tried
+        before the first of them.
 
     Examples
     --------
@@ -94,7 +94,7 @@ def tables_of(text: str) -> dict[str, Floats]:
            [2., 7.]])
     """
     case = _Case()
-    refused: list[StatementRefused] = []
+    refused: list[Refused] = []
     for count, (line, statement) in enumerate(_statements(text)):
         if statement == "return":
             break
@@ -103,9 +103,9 @@ def tables_of(text: str) -> dict[str, Floats]:
                 raise _Wrong(f"has more than {MOST_STATEMENTS} statements")
             case.read(statement, compute=not refused)
         except RecursionError:
-            refused.append(StatementRefused(line, "has too long an expression"))
+            refused.append(Refused(line, "has too long an expression"))
         except _Wrong as wrong:
-            refused.append(StatementRefused(line, str(wrong)))
+            refused.append(Refused(line, str(wrong)))
             if count >= MOST_STATEMENTS or len(refused) == MOST_REFUSED:
                 break
     if refused:

@@ -12,7 +12,7 @@ import pandas as pd
 from vppres.core.arrays import Floats
 from vppres.day.series import edges_of, outage_spans
 from vppres.day.trajectory import Trajectory
-from vppres.report.clock import TimeWords
+from vppres.report.clock import Clock
 
 MOST_TIMES, MOST_VALUES = 13, 6
 """Ticks that fit on an axis of a report's width, and of a panel's height."""
@@ -64,7 +64,7 @@ class TimeAxis:
     def title(self) -> str:
         """Which times these are."""
         grid = self.run.scenario.grid
-        return f"{TimeWords(grid).heading}, from {grid.local(grid.start):%d %B %Y}"
+        return f"{Clock(grid).heading}, from {grid.local(grid.start):%d %B %Y}"
 
 
 @dataclass(frozen=True, eq=False)

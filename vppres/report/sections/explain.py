@@ -9,7 +9,7 @@ import pandas as pd
 from vppres.day.trajectory import Trajectory
 from vppres.explain.step import DRIVERS
 from vppres.explain.words import figure, money
-from vppres.report.clock import TimeWords
+from vppres.report.clock import Clock
 from vppres.report.plots.figures import worth_of_energy
 from vppres.report.sections.base import FOLDED_ABOVE, Run, Section, figure_of, section
 from vppres.report.sections.narrative import episodes
@@ -73,7 +73,7 @@ def explain_section(run: Run) -> Section | None:
             "steps": _steps(trajectory, prices, _counts(run)),
             "reasons": _reasons(explanations),
             "folded_above": FOLDED_ABOVE,
-            "people": _people(explanations, TimeWords.of(trajectory)),
+            "people": _people(explanations, Clock.of(trajectory)),
             "figure": figure_of(worth_of_energy(trajectory), WORTH_TEXT),
         },
     )
@@ -91,7 +91,7 @@ def _counts(run: Run) -> dict[str, int]:
 
 def _steps(run: Trajectory, prices: pd.DataFrame, counts: dict[str, int]) -> list[Row]:
     """One row for each step: limits that bound, and what one more unit was worth."""
-    clock = TimeWords.of(run)
+    clock = Clock.of(run)
     rows = []
     of_step = dict(iter(prices.groupby("time")))
     nothing = prices.iloc[:0]
@@ -155,7 +155,7 @@ def _reasons(explanations: pd.DataFrame) -> list[Row]:
     return sorted(rows, key=lambda row: (row["action"], -int(row["count"])))
 
 
-def _people(explanations: pd.DataFrame, clock: TimeWords) -> list[Row]:
+def _people(explanations: pd.DataFrame, clock: Clock) -> list[Row]:
     """Every customer and step without service, or restored in time, with its reason."""
     rows = explanations[explanations["item"] == "customer"]
     return [

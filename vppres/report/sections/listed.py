@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from vppres.day.daily import daily_figures, spans_days
 from vppres.report.assumptions import data_words, option_words, simplifications
-from vppres.report.clock import TimeWords
+from vppres.report.clock import Clock
 from vppres.report.events import events_of
 from vppres.report.first_page import further_notes
 from vppres.report.key_figures import key_figures, number
@@ -17,7 +17,7 @@ def timeline_section(run: Run) -> Section:
         "timeline",
         "Events",
         {
-            "heading": TimeWords.of(run.trajectory).heading,
+            "heading": Clock.of(run.trajectory).heading,
             "events": events_of(run.trajectory),
             "folded_above": FOLDED_ABOVE,
         },
@@ -60,7 +60,7 @@ def figures_section(run: Run) -> Section:
 def solver_section(run: Run) -> Section:
     """Status, gap and time of each decision."""
     steps = run.trajectory.steps
-    times = steps["time"].map(TimeWords.of(run.trajectory).words)
+    times = steps["time"].map(Clock.of(run.trajectory).words)
     return section(
         "solver",
         "Solver results",

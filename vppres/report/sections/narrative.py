@@ -12,7 +12,7 @@ from vppres.day.priority import ranks_of
 from vppres.day.trajectory import Trajectory
 from vppres.explain.step import DRIVERS
 from vppres.explain.words import hours, money
-from vppres.report.clock import TimeWords
+from vppres.report.clock import Clock
 from vppres.scenario.priority import Ranks
 
 
@@ -66,7 +66,7 @@ def episodes(
     """The day as consecutive phases, of a run and its tables of these names."""
     of_steps = explanations[explanations["item"] == "step"].to_dict("records")
     step = run.scenario.grid.step
-    clock = TimeWords.of(run)
+    clock = Clock.of(run)
     found = []
     for phase, group in groupby(of_steps, key=itemgetter("phase")):
         rows = list(group)

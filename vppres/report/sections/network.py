@@ -9,7 +9,7 @@ import pandas as pd
 
 from vppres.day.metrics import line_current_a, line_loading
 from vppres.day.trajectory import Trajectory
-from vppres.report.clock import TimeWords
+from vppres.report.clock import Clock
 from vppres.report.key_figures import number
 from vppres.report.sections.base import Run, Section, section
 
@@ -26,7 +26,7 @@ def network_section(run: Run) -> Section:
             "lines": [] if phased else _top_lines(run.trajectory),
             "phases": _top_phases(run.trajectory) if phased else [],
             "number": number,
-            "heading": TimeWords.of(run.trajectory).heading,
+            "heading": Clock.of(run.trajectory).heading,
             "figures": [
                 run.figure("voltages"),
                 run.figure("by_phase" if phased else "line_loadings"),
@@ -52,7 +52,7 @@ def _fullest(run: Trajectory, rows: pd.DataFrame) -> dict[str, Any]:
     return {
         "name": rows["loading_at"].iloc[0],
         "loading": float(loading[first]),
-        "time": TimeWords.of(run).words(rows["time"].iloc[first]),
+        "time": Clock.of(run).words(rows["time"].iloc[first]),
         "hours_fullest": len(rows) * dt_h,
         "hours_above": float((loading > 1.0).sum() * dt_h),
     }
@@ -67,7 +67,7 @@ def _top_lines(run: Trajectory) -> list[dict[str, Any]]:
     peak = current.max(axis=0)
     share = np.where(rated, peak / net.i_max_a, np.nan)
     order = np.argsort(-np.where(rated, share, -1.0) if rated.any() else -peak, kind="stable")
-    times = run.steps["time"].map(TimeWords.of(run).words).tolist()
+    times = run.steps["time"].map(Clock.of(run).words).tolist()
     return [
         {
             "line": f"{net.from_bus[i]} to {net.to_bus[i]}",

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import pandas as pd
 
 from vppres.outlook.presets import completed
-from vppres.report.clock import TimeWords
+from vppres.report.clock import Clock
 from vppres.report.plots.figures import has_beliefs
 from vppres.report.sections.base import FOLDED_ABOVE, Run, Section, section
 from vppres.scenario.outage_warnings import OutageWarning
@@ -25,15 +25,15 @@ def outages_section(run: Run) -> Section | None:
         {
             "kind": run.trajectory.options["outages"],
             "figure": run.figure("outage_belief"),
-            "heading": TimeWords.of(run.trajectory).heading,
-            "messages": [_row(message, TimeWords.of(run.trajectory)) for message in messages],
+            "heading": Clock.of(run.trajectory).heading,
+            "messages": [_row(message, Clock.of(run.trajectory)) for message in messages],
             "folded_above": FOLDED_ABOVE,
-            "counting": _counting(run, TimeWords.of(run.trajectory)),
+            "counting": _counting(run, Clock.of(run.trajectory)),
         },
     )
 
 
-def _counting(run: Run, clock: TimeWords) -> list[dict[str, str]]:
+def _counting(run: Run, clock: Clock) -> list[dict[str, str]]:
     """From when on which of several messages about one outage counted."""
     steps = run.trajectory.steps
     if "outage_messages" not in steps:
@@ -46,7 +46,7 @@ def _counting(run: Run, clock: TimeWords) -> list[dict[str, str]]:
     ]
 
 
-def _row(message: OutageWarning, clock: TimeWords) -> dict[str, str]:
+def _row(message: OutageWarning, clock: Clock) -> dict[str, str]:
     """A message in the words of the table."""
     onsets = (message.onset_earliest, message.onset_likely, message.onset_latest)
     lengths = (message.duration_p10_h, message.duration_p50_h, message.duration_p90_h)
@@ -61,7 +61,7 @@ def _row(message: OutageWarning, clock: TimeWords) -> dict[str, str]:
     }
 
 
-def _end(message: OutageWarning, clock: TimeWords) -> str:
+def _end(message: OutageWarning, clock: Clock) -> str:
     """What a message says of the restoration, as times."""
     said = {
         "not before": message.restored_not_before,
@@ -71,7 +71,7 @@ def _end(message: OutageWarning, clock: TimeWords) -> str:
     return ", ".join(f"{word} {clock.words(time)}" for word, time in said.items() if time)
 
 
-def _between(onsets: Sequence[pd.Timestamp | None], clock: TimeWords) -> str:
+def _between(onsets: Sequence[pd.Timestamp | None], clock: Clock) -> str:
     """The onset's times, once where they are one."""
     times = list(dict.fromkeys(clock.words(time) for time in onsets if time is not None))
     return " to ".join(times)

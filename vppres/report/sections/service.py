@@ -6,7 +6,7 @@ from typing import Any
 
 from vppres.day.metrics import service_by_customer, service_by_tier
 from vppres.day.trajectory import Trajectory
-from vppres.report.clock import TimeWords
+from vppres.report.clock import Clock
 from vppres.report.key_figures import number
 from vppres.report.sections.base import FOLDED_ABOVE, Run, Section, section
 
@@ -46,7 +46,7 @@ def _tiers(trajectory: Trajectory) -> list[str]:
 def _service_rows(trajectory: Trajectory) -> list[dict[str, Any]]:
     """Time, outage and the share served of each tier, one row per step."""
     shares = service_by_tier(trajectory)
-    clock = TimeWords.of(trajectory)
+    clock = Clock.of(trajectory)
     return [
         {
             "time": clock.words(time),
