@@ -6,23 +6,23 @@ import cvxpy as cp
 import numpy as np
 
 from vppres.solve.result import Status
-from vppres.solve.solvers import SOLVERS, Answer, Interface, SolverSpec
+from vppres.solve.solvers import SOLVERS, CvxpyResult, Interface, SolverSpec
 
 
-def _gurobi_slack(answer: Answer) -> float:
+def _gurobi_slack(answer: CvxpyResult) -> float:
     return float(answer.stats.ObjVal - answer.stats.ObjBound)
 
 
-def _copt_slack(answer: Answer) -> float:
+def _copt_slack(answer: CvxpyResult) -> float:
     return float(answer.stats.objval - answer.stats.bestbnd)
 
 
-def _no_bound(answer: Answer) -> float:
+def _no_bound(answer: CvxpyResult) -> float:
     """Cvxpy hands on no bound of Xpress."""
     return np.nan
 
 
-def _ended_with_values(answer: Answer) -> Status:
+def _ended_with_values(answer: CvxpyResult) -> Status:
     return Status.TIME_LIMIT if answer.has_values else Status.NO_ANSWER
 
 

@@ -22,7 +22,7 @@ from vppres.day.trajectory import Trajectory
 from vppres.io.atomic import atomic_write_text
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
-from vppres.studies.side_by_side import Lost, Where, map_unordered
+from vppres.studies.side_by_side import FailedJob, Where, map_unordered
 
 Results = Mapping[Job, DayResult]
 
@@ -131,7 +131,7 @@ def _compute(jobs: list[Job], cache: Cache, where: Where) -> Iterable[tuple[Job,
     ):
         for outcome in outcomes:
             advance(1, _expected_s(outcome.job))
-            if isinstance(outcome, Lost):
+            if isinstance(outcome, FailedJob):
                 lost.append(f"{outcome.job.text()}: {outcome.reason}")
                 continue
             job, result = outcome.result

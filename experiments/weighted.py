@@ -23,7 +23,7 @@ from vppres.solve.certificate import Candidate
 from vppres.solve.dispatch import Attempt, carried
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import SolveLimits, Status, WindowSolution
-from vppres.solve.solvers import Answer, Interface, SolverSpec, run_by_cvxpy
+from vppres.solve.solvers import CvxpyResult, Interface, SolverSpec, run_by_cvxpy
 from vppres.solve.task import WindowTask
 from vppres.solve.turns import one_at_a_time
 
@@ -71,11 +71,11 @@ def _scip(gap: float, choices: WeightedChoices, time_s: float) -> Mapping[str, A
     return {"scip_params": parameters}
 
 
-def _highs_slack(answer: Answer) -> float:
+def _highs_slack(answer: CvxpyResult) -> float:
     return float(answer.stats.objective_function_value - answer.stats.mip_dual_bound)
 
 
-def _highs_ended(answer: Answer) -> Status:
+def _highs_ended(answer: CvxpyResult) -> Status:
     feasible = getattr(answer.stats, "primal_solution_status", 0) == 2
     return Status.TIME_LIMIT if feasible else Status.NO_ANSWER
 

@@ -34,7 +34,7 @@ from vppres.day.metrics import versions
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.io.find import load_scenario
-from vppres.studies.side_by_side import Lost, Where, map_unordered
+from vppres.studies.side_by_side import FailedJob, Where, map_unordered
 
 WORKERS = 2
 BLOCKS = 2
@@ -115,7 +115,7 @@ def play(seeds: Sequence[int], where: Where, victim: int | None = None) -> Pass:
     begin_s, begin_cpu_s = time.perf_counter(), tree_cpu_s()
     with closing(map_unordered(by_name(day_digest), seeds, where)) as outcomes:
         for outcome in outcomes:
-            if isinstance(outcome, Lost):
+            if isinstance(outcome, FailedJob):
                 lost += 1
             else:
                 digests[outcome.job] = outcome.result

@@ -26,7 +26,7 @@ import vppres
 from experiments.studies.shedding import Judge
 from experiments.studies.within import Within
 from vppres.day.options import RunOptions
-from vppres.live.profile import Profile
+from vppres.live.profile import ClockProfile
 from vppres.scenario.scenario import Scenario
 from vppres.service.access import Access
 from vppres.service.app import make_app
@@ -56,7 +56,7 @@ def days_of(site: Scenario, days: int, seed: int) -> Scenario:
     """
     steps_a_day = round(24 / site.grid.dt_h)
     start = site.grid.start.tz_convert(site.grid.zone).normalize().tz_convert("UTC")
-    come = Profile.of(site).steps(start, days * steps_a_day)
+    come = ClockProfile.of(site).steps(start, days * steps_a_day)
     row = ((come.grid.times - site.grid.start) // pd.Timedelta(minutes=site.grid.step_minutes)).map(
         lambda step: step % site.grid.n_steps
     )

@@ -35,7 +35,7 @@ from vppres.outlook import durations
 from vppres.outlook.belief import OutageBelief
 from vppres.outlook.outlook import OutageOutlook
 from vppres.outlook.presets import Statistics
-from vppres.outlook.value import Ahead, Fleet, stored_value
+from vppres.outlook.value import Ahead, EquivalentBattery, stored_value
 from vppres.scenario.scenario import Scenario
 
 POLICIES = {
@@ -89,7 +89,7 @@ class Plate:
     """
 
     ahead: Ahead
-    fleet: Fleet
+    fleet: EquivalentBattery
     energy_kwh: Floats
     out: Floats
     service: Floats
@@ -101,7 +101,7 @@ class Plate:
         b = scenario.batteries
         power_kw = float(b.active_max_kw.sum())
         efficiencies = float(b.eta_charge.mean()), float(b.eta_discharge.mean())
-        fleet = Fleet(
+        fleet = EquivalentBattery(
             float(b.energy_kwh @ b.soc_min),
             float(b.energy_kwh @ b.soc_max),
             power_kw,

@@ -20,7 +20,7 @@ from pydantic import TypeAdapter
 from benchmarks.terminal import Scheduler, bar_of, plain_errors, show_report
 from vppres.io.atomic import atomic_write_text
 from vppres.solve.result import SolveLimits
-from vppres.studies.side_by_side import Lost, Where, identity, map_unordered
+from vppres.studies.side_by_side import FailedJob, Where, identity, map_unordered
 
 J = TypeVar("J")
 R = TypeVar("R")
@@ -92,7 +92,7 @@ class Kept(Generic[T]):
 
 def run_seeds(
     run: Callable[[int], T], span: Span, where: Where, folder: Path
-) -> tuple[list[T], list[Lost[int]]]:
+) -> tuple[list[T], list[FailedJob[int]]]:
     """What a function makes of each seed, from files where they have it.
 
     Parameters
@@ -110,7 +110,7 @@ def run_seeds(
     -------
     list
         In the order of the seeds.
-    list of Lost
+    list of FailedJob
         Seeds whose process died each time that they were tried.
     """
     run = by_name(run)
@@ -123,7 +123,7 @@ def run_seeds(
         with closing(map_unordered(run, missing, where)) as outcomes:
             for outcome in outcomes:
                 advance(1)
-                if isinstance(outcome, Lost):
+                if isinstance(outcome, FailedJob):
                     lost.append(outcome)
                     continue
                 kept.put(outcome.job, outcome.result)

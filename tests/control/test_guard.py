@@ -23,7 +23,7 @@ from vppres.contract.decision import Decider, Decision
 from vppres.contract.forecast import Forecaster, ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import OperatingPoint
-from vppres.control.guard.balance import Commanded, Readings, mismatch_kw
+from vppres.control.guard.balance import Commanded, LoadAndPVReadings, mismatch_kw
 from vppres.control.guard.check import Tolerances, violations
 from vppres.control.guard.estimation import Estimator
 from vppres.control.guard.guard import GuardedController, GuardOptions
@@ -726,7 +726,7 @@ def unexplained_kw(day: Scenario) -> float | None:
     decider, run = make_controller(day, options), Day(day, options)
     done = decider.decide(run.observe(decider, 0))
     run.settle(0, done)
-    readings = Readings(day.load_kw[0], day.pv_kw[0])
+    readings = LoadAndPVReadings(day.load_kw[0], day.pv_kw[0])
     return mismatch_kw(Site.of(day), Commanded.of(done), run.observe(decider, 1), readings)
 
 

@@ -124,14 +124,14 @@ def test_what_a_controller_remembers_goes_on_with_other_weights(
     tiny: Scenario, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before: list[bool] = []
-    really = MPCController._before
+    really = MPCController._planned_moves
 
     def noted(self: Any, observation: Observation) -> Any:
         found = really(self, observation)
         before.append(found is not None)
         return found
 
-    monkeypatch.setattr(MPCController, "_before", noted)
+    monkeypatch.setattr(MPCController, "_planned_moves", noted)
     rows = tiny.customers.weight * (1.0 + np.arange(tiny.grid.n_steps) % 2)[:, np.newaxis]
     vppres.run_day(tiny, replace(HERE, priority="weights"), weights=rows)
     assert before == [False, *[True] * (tiny.grid.n_steps - 1)]

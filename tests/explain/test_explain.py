@@ -33,7 +33,7 @@ from vppres.scenario.network import Network
 from vppres.scenario.priority import Ranks
 from vppres.scenario.scenario import HARD, REPORT, ControllerDefaults, Scenario
 from vppres.scenario.timegrid import TimeGrid
-from vppres.solve.shadow_price_model import Held, PricedTerms, ShadowPriceModel
+from vppres.solve.shadow_price_model import FixedDecisions, PricedTerms, ShadowPriceModel
 from vppres.solve.shadow_prices import PricedWindow, price_window
 
 SERVICE = PricedTerms(1.0, 0.0, 0.1)
@@ -106,7 +106,7 @@ def solved(
     W, B = data.n_steps, len(day.batteries)
     lowest = np.zeros((W, len(day.customers)))
     lowest[0, 0] = 1.0
-    held = Held(lowest, np.ones_like(lowest), np.zeros(B), np.ones(B))
+    held = FixedDecisions(lowest, np.ones_like(lowest), np.zeros(B), np.ones(B))
     answer = price_window(ShadowPriceModel(Site.of(day), W), data, held, priced)
     assert answer is not None
     return answer
@@ -173,7 +173,7 @@ def test_cost_of_a_stored_kwh_by_hand() -> None:
     )
     day = with_battery(day, eta_charge=0.9, eta_discharge=0.8, p_max_kw=20.0)
     data, everyone = window(day), np.ones((2, 2))
-    held = Held(everyone, everyone, np.zeros(1), np.ones(1))
+    held = FixedDecisions(everyone, everyone, np.zeros(1), np.ones(1))
     answer = price_window(ShadowPriceModel(Site.of(day), 2), data, held, PricedTerms(0.0, 1.0, 0.0))
     assert answer is not None
     # The dear hour's discharge is at its 20 kW: what is left decides on the cheap hour's purchase.

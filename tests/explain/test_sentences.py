@@ -21,7 +21,7 @@ from vppres.explain.words import figure
 from vppres.model.data import WindowData
 from vppres.scenario.scenario import Scenario
 from vppres.solve.result import Status
-from vppres.solve.shadow_price_model import Held, PricedTerms, ShadowPriceModel
+from vppres.solve.shadow_price_model import FixedDecisions, PricedTerms, ShadowPriceModel
 from vppres.solve.shadow_prices import PricedWindow, price_window
 from vppres.solve.solvers import run_conic
 
@@ -53,7 +53,7 @@ class Priced:
     recorded: Recorded
     model: ShadowPriceModel
     data: WindowData
-    held: Held
+    held: FixedDecisions
 
     @classmethod
     def of(cls, recorded: Recorded, t: int) -> Priced:
@@ -64,7 +64,7 @@ class Priced:
         priced = cls(recorded, model, data, held)
         if not np.isnan(priced.value()):
             return priced
-        free = Held(
+        free = FixedDecisions(
             np.zeros_like(held.service_min),
             held.service_max,
             np.zeros_like(held.mode_min),
@@ -76,7 +76,7 @@ class Priced:
     def terms(self) -> PricedTerms:
         return PricedTerms(1.0, 0.0, self.recorded.site.weights.lambda_curt)
 
-    def value(self, held: Held | None = None, data: WindowData | None = None) -> float:
+    def value(self, held: FixedDecisions | None = None, data: WindowData | None = None) -> float:
         found = price_window(self.model, data or self.data, held or self.held, self.terms)
         return np.nan if found is None else found.value
 

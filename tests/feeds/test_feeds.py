@@ -24,7 +24,7 @@ from tests.support.live_service import HERE, Live, client, decided, site
 from tests.support.played_service import Here
 from vppres.core.errors import InputError
 from vppres.feeds import follow
-from vppres.feeds.adapters import FEEDS, Feed
+from vppres.feeds.adapters import FEEDS, PublicFeed
 from vppres.feeds.follow import Asker, Follower, OverHTTP, recorded, replay
 from vppres.feeds.incidents import Incident, check_areas, time_in
 from vppres.scenario.scenario import Scenario
@@ -36,7 +36,7 @@ AREAS = {"ukpn": "CM4 0", "ssen": "OX26 6JJ", "nged": "TA12"}
 ELEVEN = pd.Timestamp("2026-11-21T11:00Z")
 
 
-class Listed(follow.Service):
+class Listed(follow.EventSink):
     """Events as they are put and withdrawn."""
 
     def __init__(self) -> None:
@@ -271,7 +271,7 @@ class Lines(BaseHTTPRequestHandler):
 
 
 @pytest.fixture
-def line(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Feed, type[Lines]]]:
+def line(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[PublicFeed, type[Lines]]]:
     """A feed on this machine."""
     monkeypatch.setattr(Lines, "answers", [])
     monkeypatch.setattr(Lines, "asked", [])
@@ -282,7 +282,7 @@ def line(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Feed, type[Lines]]]:
     server.server_close()
 
 
-def test_a_feed_is_asked_when_it_is_time(line: tuple[Feed, type[Lines]]) -> None:
+def test_a_feed_is_asked_when_it_is_time(line: tuple[PublicFeed, type[Lines]]) -> None:
     """Once in its time, with the tag of its last answer; a silent one twice as late each time."""
     feed, lines = line
     now = 0.0
@@ -312,7 +312,7 @@ def test_a_feed_is_asked_when_it_is_time(line: tuple[Feed, type[Lines]]) -> None
 
 
 def test_what_is_no_answer_is_named(
-    line: tuple[Feed, type[Lines]], monkeypatch: pytest.MonkeyPatch
+    line: tuple[PublicFeed, type[Lines]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     feed, lines = line
     monkeypatch.setattr(follow, "TIMEOUT_S", 0.2)
@@ -379,7 +379,7 @@ def test_rows_of_one_reference_are_one_incident_with_all_their_postcodes() -> No
 
 
 def test_a_feed_that_is_silent_is_late_and_the_service_may_be_gone(
-    line: tuple[Feed, type[Lines]], monkeypatch: pytest.MonkeyPatch
+    line: tuple[PublicFeed, type[Lines]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Whatever fails is said; what was said before stays, and what was not put is put again."""
     feed, lines = line

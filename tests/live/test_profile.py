@@ -14,7 +14,7 @@ from vppres.core.errors import InputError
 from vppres.day.options import RunOptions
 from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
-from vppres.live.profile import Profile
+from vppres.live.profile import ClockProfile
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
 
@@ -38,7 +38,7 @@ def london(tiny: Scenario, days: int = 1) -> Scenario:
 def test_tariffs_follow_the_clock(
     tiny: Scenario, date: str, hours: int, skipped_or_twice: list[float] | None
 ) -> None:
-    profile = Profile.of(london(tiny))
+    profile = ClockProfile.of(london(tiny))
     midnight = pd.Timestamp(date, tz="Europe/London").tz_convert("UTC")
     price = profile.steps(midnight, 2 * hours + 2).price_gbp_per_kwh
     if skipped_or_twice is None:
@@ -51,7 +51,7 @@ def test_tariffs_follow_the_clock(
 
 
 def test_weekdays_differ_where_there_is_a_week(tiny: Scenario) -> None:
-    profile = Profile.of(london(tiny, days=14))
+    profile = ClockProfile.of(london(tiny, days=14))
     noon = pd.Timestamp("2026-11-22T12:00", tz="Europe/London")  # a Sunday: days 5 and 12
     assert profile.steps(noon, 1).price_gbp_per_kwh.tolist() == [12.0 + (500.0 + 1200.0) / 2]
     monday = profile.steps(noon + pd.Timedelta("12h"), 1)  # days 6 and 13
@@ -61,7 +61,7 @@ def test_weekdays_differ_where_there_is_a_week(tiny: Scenario) -> None:
 def test_outages_do_not_repeat_and_limits_do(tiny: Scenario) -> None:
     limit = np.where(np.arange(48) % 12 < 2, 0.0, 300.0 + np.arange(48))
     day = replace(london(tiny), grid_limit_kw=limit)
-    again = Profile.of(day).steps(day.grid.start, 48)
+    again = ClockProfile.of(day).steps(day.grid.start, 48)
     assert not again.outage.any()
     assert again.grid_limit_kw[0] == 302.0 and again.grid_limit_kw[47] == 347.0
     # All the rest is what the scenario says, to the bit.
@@ -70,7 +70,7 @@ def test_outages_do_not_repeat_and_limits_do(tiny: Scenario) -> None:
 
 
 def test_steps_begin_when_they_begin(tiny: Scenario) -> None:
-    profile = Profile.of(london(tiny))
+    profile = ClockProfile.of(london(tiny))
     now = pd.Timestamp("2026-11-21T20:47:11Z")
     assert profile.scenario.grid.begun(now) == pd.Timestamp("2026-11-21T20:30Z")
     before = pd.Timestamp("2020-01-01T00:15Z")
@@ -78,12 +78,12 @@ def test_steps_begin_when_they_begin(tiny: Scenario) -> None:
     with pytest.raises(InputError, match=r"T20:47:11.00:00: is not the beginning"):
         profile.steps(now, 2)
     with pytest.raises(InputError, match=r"hours = 3.0: does not fill a day"):
-        Profile.of(replace(tiny, grid=replace(tiny.grid, step_minutes=30.0)))
+        ClockProfile.of(replace(tiny, grid=replace(tiny.grid, step_minutes=30.0)))
 
 
 def test_a_controller_rolls_over_a_day_of_25_hours(tiny: Scenario) -> None:
     """Fed from the profile as time goes, it decides as one that knew both days."""
-    profile = Profile.of(london(tiny))
+    profile = ClockProfile.of(london(tiny))
     midnight = pd.Timestamp("2026-10-24T23:00Z")  # local midnight before the change of clocks
     options = RunOptions(horizon_h=1.0, isolate=False)
     whole = Controller.of(profile.steps(midnight, 60), options)

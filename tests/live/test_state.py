@@ -18,7 +18,7 @@ import pytest
 from tests.support.failing_solvers import BAD_PRICE, Refusing
 from tests.support.long_days import repeated
 from tests.support.same_steps import same
-from vppres.control.guard.estimation import Known
+from vppres.control.guard.estimation import StateEstimate
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import InputError
 from vppres.core.plain import from_plain, to_plain
@@ -170,7 +170,7 @@ def plain_parts(controller: Controller) -> list[str]:
     """All that the parts of a controller hold, as text, but for what is made anew."""
     found = []
     for part in parts_of(controller._decider, set()):
-        if isinstance(part, Known):
+        if isinstance(part, StateEstimate):
             continue
         values = {k: v for k, v in vars(part).items() if k not in MADE_ANEW}
         for name, value in values.items():

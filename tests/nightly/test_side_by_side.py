@@ -16,7 +16,7 @@ import pytest
 from experiments.studies.seeds import Kept, Span, run_seeds
 from vppres.core.errors import InputError, SolveError
 from vppres.studies import side_by_side
-from vppres.studies.side_by_side import Done, Lost, Where, identity, map_unordered
+from vppres.studies.side_by_side import Done, FailedJob, Where, identity, map_unordered
 
 distributed = pytest.importorskip("distributed")
 dask = pytest.importorskip("dask")
@@ -93,7 +93,7 @@ def results(function: Any, jobs: Any, where: Where) -> tuple[dict[Any, Any], lis
     lost = []
     with closing(map_unordered(function, jobs, where)) as outcomes:
         for outcome in outcomes:
-            if isinstance(outcome, Lost):
+            if isinstance(outcome, FailedJob):
                 lost.append(outcome)
             else:
                 assert isinstance(outcome, Done)

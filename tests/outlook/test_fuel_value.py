@@ -17,7 +17,7 @@ from vppres.contract.stored_value import PIECES, StoredValue
 from vppres.core.arrays import Floats
 from vppres.model.site import Site
 from vppres.outlook.belief import OutageBelief
-from vppres.outlook.value import Ahead, Fleet, stored_value
+from vppres.outlook.value import Ahead, EquivalentBattery, stored_value
 from vppres.solve.ladder import METHODS, WindowSolver
 
 KWH_PER_LITRE = 4.0
@@ -51,7 +51,7 @@ def test_service_is_given_up_to_keep_fuel_by_hand(
     assert answer.objective == pytest.approx(expected, abs=2e-5)
 
 
-def worth(one: Fleet, **more: Any) -> StoredValue:
+def worth(one: EquivalentBattery, **more: Any) -> StoredValue:
     """What energy is worth in four hours of an outage with 30 kW of customers."""
     values: dict[str, Any] = {
         "load_kw": np.full((4, 2), 15.0), "pv_kw": np.zeros(4),
@@ -68,8 +68,8 @@ def at(value: StoredValue, energy_kwh: Floats) -> list[float]:
 
 def test_fuel_is_worth_what_a_battery_of_as_much_energy_is() -> None:
     """A battery and a set together against a battery that has their power and energy."""
-    both = Fleet(10.0, 50.0, 25.0, 5.0, 0.95, 0.95, sets_kw=20.0, fuel_kwh=60.0)
-    one = Fleet(10.0, 110.0, 25.0, 25.0, 0.95, 0.95)
+    both = EquivalentBattery(10.0, 50.0, 25.0, 5.0, 0.95, 0.95, sets_kw=20.0, fuel_kwh=60.0)
+    one = EquivalentBattery(10.0, 110.0, 25.0, 25.0, 0.95, 0.95)
     energy = np.linspace(10.0, 110.0, 7)
     assert at(worth(both), energy) == pytest.approx(at(worth(one), energy), abs=0.02)
     # In the three hours behind the present one 25 kW serve the first and two thirds of the other.
@@ -78,7 +78,7 @@ def test_fuel_is_worth_what_a_battery_of_as_much_energy_is() -> None:
 
 def test_a_delivery_is_worth_as_much_as_fuel_in_the_tank() -> None:
     """In the next step already, 30 kWh are as good as if they were there."""
-    one = Fleet(10.0, 50.0, 25.0, 5.0, 0.95, 0.95, sets_kw=20.0, fuel_kwh=60.0)
+    one = EquivalentBattery(10.0, 50.0, 25.0, 5.0, 0.95, 0.95, sets_kw=20.0, fuel_kwh=60.0)
     there = worth(one)
     coming = worth(one, delivered_kwh=np.array([0.0, 30.0, 0.0, 0.0]))
     low = np.linspace(10.0, 80.0, 5)

@@ -18,7 +18,7 @@ from vppres.outlook import durations
 from vppres.outlook.belief import OutageBelief
 from vppres.outlook.outlook import HOUR, OutageOutlook, SeenOutage, seen_outages
 from vppres.outlook.presets import STATISTICS, WARNINGS, Statistics, completed
-from vppres.outlook.value import Ahead, Fleet, concave_above, stored_value
+from vppres.outlook.value import Ahead, EquivalentBattery, concave_above, stored_value
 from vppres.scenario.outage_warnings import (
     STATISTICS_PRESETS,
     WARNING_PRESETS,
@@ -422,8 +422,8 @@ def test_contradictions_are_refused(told: dict[str, float], message: str) -> Non
 PRICE, VOLL = 0.3, 10.0
 
 
-def fleet(power_kw: float = 50.0) -> Fleet:
-    return Fleet(10.0, 110.0, power_kw, power_kw, 0.9, 0.8)
+def fleet(power_kw: float = 50.0) -> EquivalentBattery:
+    return EquivalentBattery(10.0, 110.0, power_kw, power_kw, 0.9, 0.8)
 
 
 def ahead(load_kw: Floats, pv_kw: Floats, **other: object) -> Ahead:
@@ -478,7 +478,9 @@ def test_a_limit_that_is_announced_for_a_step_is_worth_what_it_denies() -> None:
     assert [worth[1], worth[2]] == pytest.approx([0.1, 0.0], abs=1e-3)
 
 
-def _optimum(energy: float, out: list[bool], known: Ahead, one: Fleet, end_gbp: float) -> float:
+def _optimum(
+    energy: float, out: list[bool], known: Ahead, one: EquivalentBattery, end_gbp: float
+) -> float:
     """Best of a known future by a linear programme: service less cost and curtailment."""
     T = len(out)
     per_service = VOLL * known.kwh_per_service

@@ -30,7 +30,7 @@ from vppres.service import serve as service
 from vppres.service.access import Access, new_token
 from vppres.service.app import make_app
 from vppres.service.clock import SetClock, written
-from vppres.service.limits import Limits, Rate
+from vppres.service.limits import Rate, RateLimits
 from vppres.service.perimeter import MOST_STEPS_ASKED
 from vppres.service.records import Reading, seconds
 from vppres.service.runner import Runner, Service
@@ -137,7 +137,7 @@ def test_tokens_are_kept_with_their_end_and_removed(tmp_path: Path) -> None:
 
 def test_a_bucket_fills_with_time() -> None:
     clock = [0.0]
-    limits = Limits({"read": Rate(per_s=2.0, at_once=3.0)}, now=lambda: clock[0])
+    limits = RateLimits({"read": Rate(per_s=2.0, at_once=3.0)}, now=lambda: clock[0])
     assert [limits.wait_s("a", "read") for _ in range(4)] == [0.0, 0.0, 0.0, 0.5]
     assert limits.wait_s("b", "read") == 0.0 and limits.wait_s("a", "other") == 0.0
     clock[0] = 0.5

@@ -133,7 +133,7 @@ def test_a_meter_in_watts_puts_nobody_off_with_grid(
         raise SolveError("no answer")
 
     if by_rule:
-        monkeypatch.setattr(GuardedController, "_answer", fails)
+        monkeypatch.setattr(GuardedController, "_inner_decision", fails)
     controller = Controller.of(day, OPTIONS)
     soc = dict(zip(day.batteries.id, day.batteries.soc_initial, strict=True))
     came: dict[str, Any] = {}

@@ -131,7 +131,7 @@ def test_what_is_finished_is_not_tried_again(
     monkeypatch.setattr(study, "AT_A_TIME", 1)
     real, done = study.run_job, []
 
-    def once(job: study.Job) -> list[study.Outcome]:
+    def once(job: study.Job) -> list[study.OutageOutcome]:
         if len(done) == 2:
             raise KeyboardInterrupt
         done.append(job.key)
@@ -212,7 +212,7 @@ def test_the_command_writes_tables_and_a_page(tmp_path: Path) -> None:
 def test_an_interrupted_command_says_what_is_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def interrupted(job: study.Job) -> list[study.Outcome]:
+    def interrupted(job: study.Job) -> list[study.OutageOutcome]:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(study, "run_job", interrupted)

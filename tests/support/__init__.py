@@ -1,1 +1,1 @@
-"""What several test modules share: small days, made-up runs, set-points, an independent check."""
+"""Helpers of several test modules: small days, made-up runs, set-points, an independent check."""

@@ -64,7 +64,7 @@ def assert_agree(
 
 
 def assert_methods_agree(site: Site, data: WindowData, always: bool = True) -> None:
-    """The same of a window with assets that :func:`check_dispatch` does not know.
+    """Compare both methods on a window with assets that :func:`check_dispatch` does not know.
 
     If it may have no dispatch, both methods say so.
     """

@@ -42,7 +42,7 @@ def solved(
 
 
 def planned_kw(day: Scenario, method: str = "decomposed") -> Floats:
-    """What units take in the plan of all steps of a site with one kind, (W, n)."""
+    """Power of units in the plan of all steps of a site with one kind, (W, n)."""
     (taken,) = solved(day, method).dispatch.taken_kw.values()
     return taken
 

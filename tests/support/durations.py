@@ -1,4 +1,4 @@
-"""What each test function costs, as last measured, and which cases run by that.
+"""CPU time of each test function, as last measured, and the cases that run by that.
 
 ``tests/durations.csv`` lists every test function and every fixture that tests share. Three sizes of
 run follow from it:

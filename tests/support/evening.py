@@ -31,7 +31,7 @@ PATIENCE_S = 60.0
 
 @dataclass(frozen=True)
 class Moment:
-    """What was ordered after something happened.
+    """Orders after something happened.
 
     Parameters
     ----------

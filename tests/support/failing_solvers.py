@@ -42,7 +42,7 @@ class Failing(WindowSolver, ABC):
 
     @abstractmethod
     def fail(self) -> None:
-        """What befalls it."""
+        """Fail in the way of the class."""
 
 
 class Sleeping(Failing):

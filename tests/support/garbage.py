@@ -71,7 +71,7 @@ ODD_TABLES: tuple[Any, ...] = (
 
 @dataclass(frozen=True)
 class GarbageOutcome:
-    """What became of a controller's measurements.
+    """Answers of a controller to garbled measurements.
 
     Parameters
     ----------

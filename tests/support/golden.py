@@ -159,7 +159,7 @@ RUNS: dict[str, Callable[[Path], None]] = {
 
 
 def figures(folder: Path) -> dict[str, float]:
-    """What a run amounts to: key figures, or the sums of what its tables decide."""
+    """Figures of a run: its key figures, or sums over its tables of decisions."""
     if (summary := folder / "summary.json").exists():
         told = json.loads(summary.read_text(encoding="utf-8"))
         return {name: told[name] for name in KEY_FIGURES if told.get(name) is not None}

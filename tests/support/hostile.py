@@ -42,7 +42,7 @@ ALWAYS_OPEN = ("/livez", "/readyz", "/metrics", "/openapi.json", "/", "/page/")
 
 @dataclass
 class Tally:
-    """What became of the requests.
+    """Count of the requests and their answers.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def site() -> Service:
 
 
 def judged(request: Request, answer: tuple[int, dict[str, str], bytes]) -> list[str]:
-    """What of an answer must not be."""
+    """Faults of an answer."""
     status, headers, body = answer
     wrong = []
     not_ready = status == 503 and request.target.startswith("/readyz")

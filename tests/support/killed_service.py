@@ -38,7 +38,7 @@ def service_of(n_steps: int) -> Service:
 
 
 def telemetry(runner: Runner, t: int) -> dict[str, Any]:
-    """What devices say before a step: that they did as the step before had planned."""
+    """Readings of devices before a step: they did as the step before had planned."""
     now = runner.scenario.grid.times[t]
     last = runner.store.step(now - runner.length)
     soc = {"big": 0.4, "small": 0.5} if last is None else last["expected"]["soc"]
@@ -63,7 +63,7 @@ def play(folder: Path, n_steps: int, done: int) -> None:
 
 
 def told(plan: dict[str, Any]) -> dict[str, Any]:
-    """What of a plan does not depend on when it was made."""
+    """Part of a plan that does not depend on when it was made."""
     return {"start": plan["start"], "status": plan["status"], "setpoints": plan["setpoints"]}
 
 

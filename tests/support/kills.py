@@ -42,7 +42,7 @@ WHOLE = {
 
 @dataclass
 class Tally:
-    """What became of the killed commands.
+    """Count of the killed commands and their remains.
 
     Parameters
     ----------

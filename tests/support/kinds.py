@@ -1,4 +1,4 @@
-"""What each kind brings for the laws of all kinds."""
+"""Example of each kind for the laws of all kinds."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from vppres.scenario.scenario import Scenario
 
 @dataclass(frozen=True)
 class Example:
-    """What a kind brings: a small site, and what is to be said of it."""
+    """Example of a kind: a small site, and the statements that hold for it."""
 
     kind: str
     day: Scenario  # one customer and one unit, with grid and without

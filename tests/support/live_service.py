@@ -19,7 +19,7 @@ from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
 from vppres.service.access import Access
 from vppres.service.app import make_app
-from vppres.service.clock import Clock, SetClock, written
+from vppres.service.clock import SetClock, TimeSource, written
 from vppres.service.records import Reading, seconds
 from vppres.service.runner import Runner, Service
 from vppres.service.serve import opened
@@ -44,7 +44,10 @@ def site(tiny: Scenario, minutes: int = 60) -> Scenario:
 
 @contextmanager
 def serving(
-    service: Service, folder: Path | str, clock: Clock | None = None, access: Access | None = None
+    service: Service,
+    folder: Path | str,
+    clock: TimeSource | None = None,
+    access: Access | None = None,
 ) -> Iterator[tuple[Caller, Runner]]:
     """A service that is asked without a network in between, and itself."""
     with opened(service, folder, clock) as runner:
@@ -53,7 +56,10 @@ def serving(
 
 @contextmanager
 def client(
-    service: Service, folder: Path | str, clock: Clock | None = None, access: Access | None = None
+    service: Service,
+    folder: Path | str,
+    clock: TimeSource | None = None,
+    access: Access | None = None,
 ) -> Iterator[Caller]:
     """A service that is asked without a network in between."""
     with serving(service, folder, clock, access) as (http, _):
@@ -70,7 +76,7 @@ def running(tiny: Scenario, folder: Path) -> Iterator[Running]:
 
 @contextmanager
 def at_noon(tiny: Scenario, folder: Path) -> Iterator[Live]:
-    """The same, and its clock."""
+    """Running service at noon, and its clock."""
     with running(tiny, folder) as (http, clock, _):
         yield http, clock
 
@@ -101,7 +107,7 @@ def said(plan: dict[str, Any], kind: str) -> dict[str, Any]:
 
 
 def told(run: vppres.Trajectory, t: int) -> dict[str, Any]:
-    """What a SCADA system would send before a step of a run."""
+    """Readings that a SCADA system would send before a step of a run."""
     time = run.scenario.grid.times[t]
     b = run.batteries[run.batteries["time"] == time]
     series = readings(time, "soc", dict(zip(b["id"], b["soc_start"], strict=True)))

@@ -39,7 +39,7 @@ def times(factor: float) -> Told:
 
 
 def always(value: float | None) -> Told:
-    """The same whatever is."""
+    """Reading that is the same whatever the true value is."""
     return lambda true, since: value
 
 
@@ -99,7 +99,7 @@ OTHERS: dict[str, dict[str, Told]] = {
 
 @dataclass(frozen=True)
 class Lie:
-    """What a sensor says that is not so.
+    """False reading of a sensor.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ def _swapped(quantity: str, one: str, other: str) -> Lie:
 
 @dataclass
 class Way:
-    """What arrives of readings when some sensors lie.
+    """Readings as they arrive when some sensors lie.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ class Way:
     _true: dict[tuple[str, str, str], list[float]] = field(default_factory=dict)
 
     def arriving(self, t: int, sent: Iterable[Series]) -> list[Series]:
-        """What a service hears."""
+        """Readings that arrive at a service."""
         sent = list(sent)
         for one in sent:
             self._true.setdefault(_key(one), []).append(float(one["values"][0]))
@@ -215,7 +215,7 @@ AGAIN = pd.Timedelta("5s")
 
 
 def off_with_grid(place: Place, lies: Sequence[Lie], since: int) -> list[str]:
-    """Who of the first tier was off while there was grid, step by step.
+    """Customers of the first tier that were off while there was grid, step by step.
 
     What the service asks again is answered by the same sensors, the liars among them.
     """
@@ -245,7 +245,7 @@ def off_with_grid(place: Place, lies: Sequence[Lie], since: int) -> list[str]:
 
 
 def _again(come: Scenario, t: int) -> list[Series]:
-    """What the substation then says of the grid, and of the seconds since."""
+    """Second readings of the substation: the grid, and the seconds since."""
     now = come.grid.times[t]
     there = come.grid_limit_kw[t] > 0.0
     import_kw = float(come.load_kw[t].sum() - come.pv_kw[t].sum()) * there

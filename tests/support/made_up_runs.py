@@ -76,7 +76,7 @@ def small_scenario(outage: bool = True, step_minutes: float = 30.0) -> Scenario:
 
 
 def without_devices(scenario: Scenario) -> Scenario:
-    """The same day without PV and batteries."""
+    """Copy of a day without PV and batteries."""
     return replace(
         scenario,
         pv=PVSystems(id=[], customer=[], p_max_kw=[], s_max_kva=[]),

@@ -40,7 +40,7 @@ TOLERANCE_PU = 1e-6
 
 @dataclass
 class Tally:
-    """What became of the folders.
+    """Count of the changed folders and their verdicts.
 
     Parameters
     ----------

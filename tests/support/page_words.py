@@ -1,4 +1,4 @@
-"""What the page's words say, by node."""
+"""Words of the page, by node."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ WORDS = Path(__file__).parents[2] / "vppres" / "service" / "page" / "words.js"
 
 
 def said_by(script: str, folder: Path, given: str = "") -> Any:
-    """What a script beside the page's words prints of what it is given."""
+    """Output of a script beside the page's words, with its input."""
     (folder / "words.mjs").write_text(WORDS.read_text(encoding="utf-8"), encoding="utf-8")
     (folder / "say.mjs").write_text(script, encoding="utf-8")
     asked = [str(NODE), str(folder / "say.mjs")]

@@ -93,7 +93,7 @@ WORDS_OF_MANY = {"file": "files of tables and series", "table": "the tables belo
 
 
 def _alike(attribute: Attribute) -> str:
-    """What attributes are one row by: files, tables and matrices of phases, else the name."""
+    """Key of attributes that share a row: files, tables and matrices of phases, else the name."""
     if attribute.default == f"{attribute.name}.csv":
         return "file"
     if attribute.default != "required" and re.match(r"(list of )?tables? \[", attribute.meaning):
@@ -102,7 +102,7 @@ def _alike(attribute: Attribute) -> str:
 
 
 def _values(field: FieldInfo) -> str:
-    """What a field may be: its range and unit, or its kind."""
+    """Allowed values of a field: its range and unit, or its kind."""
     limits, kind = _bounds(field), _kind(field)
     if kind == "whole number" or not limits:
         return f"{kind} {limits}".rstrip() if not unit(field) else unit(field)

@@ -43,7 +43,7 @@ class QuietDay:
 
 @dataclass(frozen=True)
 class QuietOutcome:
-    """What the guard did on a day without faults.
+    """Actions of the guard on a day without faults.
 
     Parameters
     ----------

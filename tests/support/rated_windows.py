@@ -128,7 +128,7 @@ def rated(kind: str, seed: int) -> Case | None:
 
 
 def verdict(site: Site, data: WindowData) -> list[str]:
-    """What is wrong with a window's answer beside its whole problem; empty if nothing is."""
+    """Faults of a window's answer beside its whole problem; empty if there is none."""
     limited = with_ratings(site, data)
     whole = whole_problem(site, limited)
     scale = SLACK * max(abs(whole.value), 1.0) if np.isfinite(whole.value) else SLACK

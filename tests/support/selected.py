@@ -23,7 +23,7 @@ def missed_by(selected: Selected, values: Mapping[str, Any]) -> dict[str, Floats
 
 
 def rows_missed(selected: Selected, over: Floats) -> dict[str, Floats]:
-    """The same of what rows exceed their limits by."""
+    """Excess of rows over their limits, by part."""
     found = {}
     for part in selected.parts:
         rows = over[selected.rows_of[part.name]]

@@ -104,7 +104,7 @@ def window(scenario: Scenario, steps: slice = slice(None), soc: float | None = N
 
 
 def first_step(scenario: Scenario, data: WindowData) -> StepState:
-    """What a guard knows in the first step of a window, all batteries there."""
+    """State that a guard knows in the first step of a window, all batteries there."""
     return StepState(
         Site.of(scenario),
         data.load_kw[0],

@@ -1,4 +1,4 @@
-"""What strangers may send to a service costs little.
+"""Cheap requests that strangers may send to a service.
 
 A service of the packaged day runs in a process of its own. Beside connections that ask for nothing,
 8 MB of mistakes and 13,000 reads it is asked whether it lives, and decides a step.

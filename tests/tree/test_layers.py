@@ -6,6 +6,7 @@ import ast
 import re
 import subprocess
 import sys
+from collections import defaultdict
 from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -29,6 +30,10 @@ LIBRARY_HOMES = {
     "uvicorn": {"service"},
 }
 MOST_ENTRIES, MOST_LAYERS = 25, 12
+PRONOUNS = {"What", "Who", "Whom", "Whose", "Where", "That", "Those"}
+"""First words that leave a docstring without a noun."""
+STILL_WITHOUT_NOUN = {"feeders", "report", "service", "solve"}
+"""Rooms of which docstrings still begin so; the set may only become smaller."""
 SOLVING = (
     "cvxpy",
     "highspy",
@@ -271,3 +276,27 @@ def test_every_number_of_the_solver_says_what_it_is() -> None:
     silent = [f"{m}: {name}" for m, numbers in found.items() for name, told in numbers if not told]
     assert not silent
     assert sum(len(numbers) for numbers in found.values()) > 30
+
+
+@pytest.mark.daily
+def test_a_class_name_names_one_thing() -> None:
+    homes = defaultdict(list)
+    for module in FILES:
+        for node in ast.walk(tree_of(module)):
+            if isinstance(node, ast.ClassDef):
+                homes[node.name].append(module)
+    assert {name: where for name, where in homes.items() if len(where) > 1} == {}
+
+
+@pytest.mark.daily
+def test_docstrings_name_a_quantity_or_an_action() -> None:
+    vague = [
+        f"{module}: {text.splitlines()[0]}"
+        for module in FILES
+        if module.partition(".")[0] not in STILL_WITHOUT_NOUN
+        for node in ast.walk(tree_of(module))
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)
+        and (text := ast.get_docstring(node))
+        and (text.split()[0] in PRONOUNS or text.startswith("The same "))
+    ]
+    assert vague == []

@@ -28,8 +28,7 @@ from vppres.cli import survival_options as cli_survival
 from vppres.cli import sweep_options as cli_sweep
 from vppres.cli.endings import TERMINATED, Terminated, extra
 from vppres.cli.options import (
-    Command,
-    Commands,
+    CommandGroup,
     DayCommand,
     Figures,
     Json,
@@ -38,6 +37,7 @@ from vppres.cli.options import (
     Quiet,
     RunCommand,
     RunFolder,
+    SafeCommand,
     ScenarioName,
     fields_of,
     figure_kinds,
@@ -78,7 +78,7 @@ more memory than a machine has."""
 OBJECTS_BETWEEN_COLLECTIONS = 100_000
 
 app = typer.Typer(
-    cls=Commands,
+    cls=CommandGroup,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     help="Dispatch a virtual power plant through an outage.",
@@ -193,7 +193,7 @@ def run(
     )
 
 
-@app.command(cls=Command, epilog="Example: vppres validate ./my-feeder")
+@app.command(cls=SafeCommand, epilog="Example: vppres validate ./my-feeder")
 def validate(
     scenario: ScenarioName,
     power_flow: Annotated[
@@ -254,7 +254,7 @@ def _cross_check(day: Scenario) -> CrossCheck | PhasedCheck:
 
 
 @app.command(
-    cls=Command, epilog="Example: vppres report results/uk-heatwave-2022-mpc --out report.html"
+    cls=SafeCommand, epilog="Example: vppres report results/uk-heatwave-2022-mpc --out report.html"
 )
 def report(
     run_folder: RunFolder,
@@ -296,7 +296,8 @@ def report(
 
 
 @app.command(
-    cls=Command, epilog="Example: vppres compare results/mpc results/plan --out mpc-or-plan.html"
+    cls=SafeCommand,
+    epilog="Example: vppres compare results/mpc results/plan --out mpc-or-plan.html",
 )
 def compare(
     run_folders: Annotated[
@@ -458,7 +459,9 @@ def new(
     typer.echo(f"Written to {folder}")
 
 
-@app.command(cls=Command, epilog="Example: vppres recheck results/my-feeder-mpc feeder/Master.dss")
+@app.command(
+    cls=SafeCommand, epilog="Example: vppres recheck results/my-feeder-mpc feeder/Master.dss"
+)
 def recheck(
     run_folder: RunFolder,
     source: Annotated[
@@ -530,7 +533,7 @@ def serve(
 
 
 def _state_place(scenario: str, state: str | None) -> str:
-    """Where a service keeps its state: as given, beside the scenario's folder, or with the user's.
+    """Place of a service's state: as given, beside the scenario's folder, or with the user's.
 
     Packaged scenarios have no folder that is written to. Unless a folder is given, the place does
     not depend on the directory of the start.
@@ -631,7 +634,7 @@ def simulate(
 
 
 @app.command(
-    cls=Command,
+    cls=SafeCommand,
     epilog='Example: vppres feeds ukpn --postcode "CM4 0" --service http://127.0.0.1:8420',
 )
 def feeds(
@@ -659,7 +662,7 @@ def feeds(
 
 @app.command(
     "feeds replay",
-    cls=Command,
+    cls=SafeCommand,
     epilog='Example: vppres feeds replay day ukpn --postcode "CM4 0" --speed 600',
 )
 def replay_feed(
@@ -685,7 +688,7 @@ def replay_feed(
 def _follower(
     feed: str, postcodes: list[str] | None, service: str | None, token: str | None
 ) -> Follower:
-    """What turns a feed into events of a service, each told in a line."""
+    """Follower that turns a feed into events of a service, each told in a line."""
     from vppres.feeds.adapters import feed_named
     from vppres.feeds.follow import Follower, events_at
     from vppres.feeds.incidents import check_areas
@@ -696,7 +699,7 @@ def _follower(
 
 
 @app.command(
-    cls=Command,
+    cls=SafeCommand,
     epilog="Example: vppres backtest data/homes --zone Etc/GMT+8 --out results/backtest",
 )
 def backtest(
@@ -738,7 +741,7 @@ def backtest(
     )
 
 
-@app.command(cls=Command, epilog="Example: vppres schema > my-feeder/scenario.schema.json")
+@app.command(cls=SafeCommand, epilog="Example: vppres schema > my-feeder/scenario.schema.json")
 def schema() -> None:
     """Print the JSON Schema of scenario.toml, for editors that complete it."""
     from vppres.io.editor import schema_text
@@ -746,7 +749,7 @@ def schema() -> None:
     typer.echo(schema_text(), nl=False)
 
 
-@app.command(cls=Command, epilog="Example: vppres scenarios --json")
+@app.command(cls=SafeCommand, epilog="Example: vppres scenarios --json")
 def scenarios(as_json: Json = False) -> None:
     """List the scenarios that come with the package."""
     from vppres.io.find import find_scenario, packaged_scenarios

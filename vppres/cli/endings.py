@@ -58,7 +58,7 @@ def plain_errors(debug: bool) -> Iterator[None]:
 
 
 def _left(interrupt: KeyboardInterrupt) -> str:
-    """What an interrupted command leaves: nothing, unless a note of the interrupt says more."""
+    """Remains of an interrupted command: nothing, unless a note of the interrupt says more."""
     notes: list[str] = getattr(interrupt, "__notes__", [])
     return notes[0] if notes else "nothing was written."
 

@@ -90,7 +90,7 @@ METAVARS = {
     "branch": "BRANCH",
     "grid": "GRID",
 }
-"""What stands for the value of an option with a unit."""
+"""Placeholder for the value of an option with a unit."""
 
 
 def help_text(option: Option) -> str:
@@ -109,7 +109,7 @@ def help_text(option: Option) -> str:
 
 
 def short_help(option: Option) -> str:
-    """The same without explanations of the choices.
+    """Help of an option without explanations of the choices.
 
     >>> short_help(next(option for option in OPTIONS if option.name == "priority"))
     'Order of the tiers: weights or strict.'
@@ -193,7 +193,7 @@ def _parameters(options: tuple[Option, ...]) -> tuple[Any, ...]:
     return tuple(typer.main.get_command(app).params)
 
 
-class Commands(TyperGroup):
+class CommandGroup(TyperGroup):
     """Commands of one word or two: ``vppres serve simulate`` stands beside ``vppres serve``."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
@@ -204,7 +204,7 @@ class Commands(TyperGroup):
         return super().resolve_command(ctx, args)
 
 
-class Command(TyperCommand):
+class SafeCommand(TyperCommand):
     """A command that ends in a sentence and an exit status, whatever happens.
 
     It has the options of its ``table`` besides those of its function, which finds them in
@@ -214,7 +214,7 @@ class Command(TyperCommand):
     table: tuple[Option, ...] = ()
 
     rare: tuple[str, ...] = ("debug",)
-    """What the short help leaves out besides the options of the table that are not usual."""
+    """Options that the short help leaves out besides those of the table that are not usual."""
 
     @property
     def _is_long(self) -> bool:
@@ -242,7 +242,7 @@ class Command(TyperCommand):
             for one in self.get_params(ctx)
             if one.name not in self.rare and (one.name not in of_table or of_table[one.name].usual)
         ]
-        return super(Command, brief).format_help(ctx, formatter)
+        return super(SafeCommand, brief).format_help(ctx, formatter)
 
     def invoke(self, ctx: Any) -> Any:
         """Call the function with its own options."""
@@ -263,7 +263,7 @@ def _shortened(parameter: Any, option: Option | None) -> Any:
     return shown
 
 
-class DayCommand(Command):
+class DayCommand(SafeCommand):
     """A command with the options of a day's run."""
 
     table = DAY_OPTIONS
@@ -275,20 +275,20 @@ class RunCommand(DayCommand):
     rare = ("explain", "no_figures", "debug")
 
 
-class LiveCommand(Command):
+class LiveCommand(SafeCommand):
     """A command with the options of ``run`` that do not describe a simulated day."""
 
     table = tuple(option for option in DAY_OPTIONS if option.live)
 
 
-class NewCommand(Command):
+class NewCommand(SafeCommand):
     """A command with the options of a new scenario."""
 
     table = NEW_OPTIONS + IMPORT_OPTIONS
 
 
 def fields_of(table: tuple[Option, ...], given: Mapping[str, Any]) -> dict[str, Any]:
-    """What the options of a table fill, from those of a command; those that say something."""
+    """Fields that a command's options of a table fill; those without a value are left out."""
     values = {option.field: given[_key(option)] for option in table}
     return {field: value for field, value in values.items() if value is not None}
 

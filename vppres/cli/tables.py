@@ -1,4 +1,4 @@
-"""What the command line shows: tables for people, records for machines. Nothing here prints."""
+"""Output of the command line: tables for people, records for machines. Nothing here prints."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ FIGURES = (
 
 
 def content_of(day: Scenario) -> dict[str, Any]:
-    """What a sound scenario holds, in numbers."""
+    """Contents of a sound scenario, in numbers."""
     from vppres.kinds.table import KINDS
     from vppres.physics.uncontrolled import without_control
     from vppres.scenario.remarks import export_words, remarks, source_words, unknown_phases
@@ -112,7 +112,7 @@ def validation_text(
 
 
 def order_told(run: Trajectory) -> list[str]:
-    """What is off over time, and the operating order, a line for each time."""
+    """Sentence on customers off over time, and the operating order, a line for each time."""
     from vppres.report.operating_order import off_sentence, shown_orders
 
     said = off_sentence(run)
@@ -120,7 +120,7 @@ def order_told(run: Trajectory) -> list[str]:
 
 
 def remarks_told(run: Trajectory) -> list[str]:
-    """What to know beside the figures of a run, a line each; of very many the first."""
+    """Remarks beside the figures of a run, a line each; of very many the first."""
     from vppres.report.first_page import island_words
     from vppres.scenario.remarks import former_words, remarks
 

@@ -1,1 +1,1 @@
-"""What controllers and plant agree on: forecast, observation, decision. Neither knows the other."""
+"""Data that controllers and plant exchange: forecast, observation, decision."""

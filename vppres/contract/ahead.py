@@ -22,7 +22,7 @@ def past_days_of(scenario: Scenario, seed: int) -> dict[str, Any]:
 
 @dataclass(frozen=True, eq=False)
 class KindsAhead:
-    """What is known in W steps of the units of each kind that the site has.
+    """Window data of the units of each kind that the site has, over W steps.
 
     Parameters
     ----------
@@ -56,13 +56,13 @@ class KindsAhead:
         return next((known for known in self.by_kind.values() if isinstance(known, window)), None)
 
     def known(self, window: type[W]) -> W:
-        """The same of a kind that the site has."""
+        """Window of a kind that the site has."""
         found = self.find(window)
         assert found is not None
         return found
 
     def with_window(self, window: UnitsAhead) -> Self:
-        """The same with another window of its kind."""
+        """Copy with one kind's window replaced."""
         return self._each(lambda known: window if type(known) is type(window) else known)
 
     def _each(self, change: Callable[[UnitsAhead], UnitsAhead]) -> Self:
@@ -73,15 +73,15 @@ class KindsAhead:
         return self._each(lambda known: known.part(steps))
 
     def followed_by_none(self, n_steps: int) -> Self:
-        """The same with steps behind it in which nothing is there, or can be missed."""
+        """Append steps in which nothing is there, or can be missed."""
         return self._each(lambda known: known.followed_by_none(n_steps))
 
     def in_the_dark(self, lit: Flags) -> Self:
-        """The same without power but in the lit steps, (W, 1)."""
+        """Window without power except in the lit steps, (W, 1)."""
         return self._each(lambda known: known.in_the_dark(lit))
 
     def without_duties(self) -> Self:
-        """The same without units that have to stay on."""
+        """Window without units that have to stay on."""
         return self._each(lambda known: known.without_duties())
 
     def most_taken_kw(self, units: Mapping[str, Units]) -> Iterator[Floats]:

@@ -1,4 +1,4 @@
-"""What a controller answers, and what answers so."""
+"""Decision of a controller, and the interface of controllers."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def batteries_out(estimated: str, names: Iterable[object]) -> Flags:
 
 @dataclass(frozen=True)
 class SolveInfo:
-    """How a decision was found, for the record."""
+    """Figures of a decision's solution, for the record."""
 
     objective: float = np.nan
     bound: float = np.nan
@@ -91,7 +91,7 @@ class Decision:
 
 
 class Decider(Protocol):
-    """Whatever decides one step at a time: controllers, and the guard around them."""
+    """Interface of what decides one step at a time: controllers, and the guard around them."""
 
     def horizon_steps(self, t0: int) -> range:
         """Steps for which it wants a forecast at step ``t0``."""

@@ -65,13 +65,13 @@ class Dispatch:
         return np.zeros((self.n_steps, len(units))) if found is None else found
 
     def running_of(self, kind: str, units: Units) -> Flags:
-        """Which units of a kind are on, (W, n)."""
+        """Units of a kind that are on, (W, n)."""
         found = self.running.get(kind)
         shape = (self.n_steps, len(units))
         return np.zeros(shape, dtype=bool) if found is None else found
 
     def acting(self, kind: str, taken_kw: Floats, running: Flags | None = None) -> Dispatch:
-        """The same with the powers of a kind, and which of its units are on."""
+        """Dispatch with the powers of a kind, and which of its units are on."""
         more = {} if running is None else {kind: running}
         return replace(
             self, taken_kw={**self.taken_kw, kind: taken_kw}, running={**self.running, **more}

@@ -1,4 +1,4 @@
-"""What the grid takes back over a window, and what it pays for it."""
+"""Limit and price of the export over a window."""
 
 from __future__ import annotations
 
@@ -49,12 +49,12 @@ class Export(ByStep):
     def believed(
         cls, scenario: Scenario, rows: Wholes | slice, grid_limit_kw: Floats
     ) -> Export | None:
-        """The same by import limits that are believed, (W,), whatever outages come."""
+        """Export under believed import limits, (W,), whatever outages come."""
         if not scenario.exports:
             return None
         limit_kw = np.broadcast_to(scenario.export_limit_kw, scenario.price_gbp_per_kwh.shape)
         return cls(limit_kw[rows], scenario.export_price[rows]).within(grid_limit_kw)
 
     def within(self, grid_limit_kw: Floats) -> Export:
-        """The same with nothing taken where the grid gives nothing: in an outage."""
+        """Export with limits of 0 in an outage, where the grid gives nothing."""
         return Export(np.where(grid_limit_kw > 0.0, self.limit_kw, 0.0), self.price_gbp_per_kwh)

@@ -1,4 +1,4 @@
-"""What a controller may know of the steps ahead: the actual series with forecast errors (paper).
+"""Forecast of the steps ahead: the actual series with forecast errors (paper).
 
 A forecast error is a bias that holds in full from the next step on and a random error whose
 standard deviation grows with the distance. The current step is known exactly; prices, grid
@@ -125,7 +125,7 @@ class Forecaster:
         self.seed = seed
 
     def at(self, t0: int, steps: range) -> Forecast:
-        """What is known at the beginning of step ``t0``.
+        """Forecast that is issued at the beginning of step ``t0``.
 
         Parameters
         ----------

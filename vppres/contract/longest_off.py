@@ -79,7 +79,7 @@ class LongestOff:
         return np.asarray(self.asked & (on == np.where(before < 0, 0, until)))
 
     def cost(self, served: Flags) -> float:
-        """What a service pays for steps beyond the limits, in weighted customer hours."""
+        """Penalty of a service for steps beyond the limits, in weighted customer hours."""
         return float(self.beyond(served).sum(axis=0) @ self.price)
 
     def first(self, n_steps: int) -> LongestOff | None:

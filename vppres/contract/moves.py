@@ -1,4 +1,4 @@
-"""What the plan before had foreseen for the batteries, so that a new plan need not move them."""
+"""Battery powers of the previous plan, so that a new plan need not move them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Moves:
 
     @classmethod
     def of(cls, plan_kw: Floats, steps_ago: int, n_steps: int, weight: float) -> Moves:
-        """From a plan, shape (V, B), that began some steps ago.
+        """Moves of a plan, shape (V, B), that began some steps ago.
 
         >>> Moves.of(np.array([[1.0], [2.0], [3.0]]), 1, 3, 0.5).planned_kw[:, 0]
         array([ 2.,  3., nan])
@@ -36,7 +36,7 @@ class Moves:
         return cls(np.vstack([known, beyond]), weight)
 
     def part(self, steps: slice) -> Moves:
-        """Those of some of the steps."""
+        """Moves in some of the steps."""
         return replace(self, planned_kw=self.planned_kw[steps])
 
     def targets(self, p_max_kw: Floats) -> tuple[Floats, Floats]:

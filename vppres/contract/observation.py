@@ -1,4 +1,4 @@
-"""What a controller may know at the beginning of a step."""
+"""Observation: all that a controller may know at the beginning of a step."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Told:
 
 
 @dataclass(frozen=True, eq=False)
-class Turns:
+class SupplyTurns:
     """Customers whose turn it is to be on supply.
 
     Parameters
@@ -49,7 +49,7 @@ class Turns:
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """What may be known at the beginning of a step: forecasts and measurements, no future truth.
+    """Forecasts and measurements at the beginning of a step, and no future truth.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ class Observation:
         Whether outages ahead in ``forecast`` are the likely ones and not known.
     kept_on : array of bool, shape (n, C), optional
         Customers that the first n steps must serve; none if not given.
-    turns : Turns, optional
+    turns : SupplyTurns, optional
         Customers that are to be served in the window, if no higher tier loses by it.
     outage_messages : str
         Which messages about outages the belief in ``forecast`` and ``stored_value`` follows, where
@@ -130,7 +130,7 @@ class Observation:
     open_ended: bool = False
     guessed: bool = False
     kept_on: Flags | None = None
-    turns: Turns | None = None
+    turns: SupplyTurns | None = None
     outage_messages: str = ""
     elapsed_h: float = 0.0
     soc_age_h: Floats | None = None
@@ -143,7 +143,7 @@ class Observation:
     profile_pv_kw: Floats | None = None
 
     def counted(self, times: float) -> Observation:
-        """The same where a weighted customer hour in an outage counts as so many."""
+        """Copy in which a weighted customer hour of an outage counts as so many."""
         value = self.stored_value
         if value is None or not value.as_service:
             return self
@@ -151,7 +151,7 @@ class Observation:
 
     @property
     def end(self) -> Terminal | None:
-        """What the batteries are to hold at the end of the window; None where a value says it."""
+        """Target of the batteries at the window's end; None where a stored value replaces it."""
         return None if self.stored_value is not None else self.terminal
 
     @property

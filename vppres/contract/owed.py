@@ -19,7 +19,7 @@ MOST_SHARE = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Owed:
-    """What customers lack of steps that are over, by the steps in which it may still be caught up.
+    """Demand that dimmed customers lack, by the steps in which it may still be caught up.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class Owed:
         return cls(np.zeros((steps.max(), len(customers))), steps)
 
     def after(self, load_kw: Floats, share: Floats) -> Owed:
-        """What is owed after a step of this demand, of which each was given a share, (C,) each.
+        """Owed demand after a step of this demand, of which each was given a share, (C,) each.
 
         The oldest is caught up first. Of a customer that is off, nothing is caught up later.
 
@@ -61,6 +61,6 @@ class Owed:
         return Owed(aged + newest * more_kw, self.steps)
 
     def valid(self, n_steps: int) -> Floats:
-        """What may still be caught up at the beginning of each step of a window, (W, C)."""
+        """Demand that may still be caught up at the beginning of each step of a window, (W, C)."""
         rows = np.vstack([self.kw, np.zeros((n_steps, self.kw.shape[1]))])
         return np.cumsum(rows[::-1], axis=0)[::-1][:n_steps]

@@ -1,4 +1,4 @@
-"""What energy left in batteries and tanks is worth behind a window: a concave function of its sum.
+"""Value of the energy left in batteries and tanks behind a window: a concave function of its sum.
 
 It is made outside the optimisation (:mod:`vppres.outlook.value`) and handed to it with a number of
 pieces that never changes, so that a problem is compiled once.
@@ -20,7 +20,7 @@ SHORTEST = 1e-3
 """Least length of a piece as a share of all energy."""
 
 Ending = Literal["", "target", "value"]
-"""What a window's problem says of its end: nothing, a state of charge to hold, a value."""
+"""Condition at a window's end: none, a state of charge to hold, or a value of stored energy."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +66,7 @@ class StoredValue:
 
     @property
     def offset(self) -> Floats:
-        """What each piece is worth at no energy, (K,): the value is the least of all pieces."""
+        """Value of each piece at no energy, (K,): the function is the least of all pieces."""
         return np.asarray(self.service[:-1] - self.slope * self.energy_kwh[:-1])
 
     def at(self, energy_kwh: float) -> float:
@@ -84,7 +84,7 @@ class StoredValue:
         return float(ends.min(initial=self.energy_kwh[-1]))
 
     def marginal_gbp_per_kwh(self, energy_kwh: float) -> float:
-        """What one more kWh than an energy is worth."""
+        """Value of one more kWh beyond an energy."""
         piece = np.searchsorted(self.energy_kwh, energy_kwh, side="right") - 1
         return float(self.gbp_per_service * self.slope[np.clip(piece, 0, len(self.slope) - 1)])
 
@@ -95,7 +95,7 @@ class StoredValue:
         return min(ends), max(*ends, *self.service[inside])
 
     def beside(self, unusable_kwh: float) -> StoredValue:
-        """The same as a function of what is held besides energy that no customer can use.
+        """Value as a function of the energy held besides some that no customer can use.
 
         >>> StoredValue([10.0, 20.0], [0.0, 1.0], 1.0, True).beside(5.0).at(15.0)
         1.0
@@ -103,7 +103,7 @@ class StoredValue:
         return replace(self, energy_kwh=self.energy_kwh - unusable_kwh)
 
     def counted(self, times: float) -> StoredValue:
-        """The same where a weighted customer hour counts as so many.
+        """Value where a weighted customer hour counts as so many.
 
         >>> more = StoredValue([0.0, 10.0], [0.0, 5.0], 1000.0, True).counted(4.0)
         >>> more.at(5.0), more.marginal_gbp_per_kwh(5.0)
@@ -114,7 +114,7 @@ class StoredValue:
         )
 
     def holding(self, energy_kwh: float, per_kwh: float) -> StoredValue:
-        """The same, but that less than an energy loses so much service for each kWh.
+        """Value with a loss of service for each kWh that is missing to an energy.
 
         >>> held = StoredValue([0.0, 10.0, 20.0], [0.0, 5.0, 6.0], 1000.0, True).holding(10.0, 3.0)
         >>> round(held.at(9.0), 9), round(held.at(20.0), 9)
@@ -139,5 +139,5 @@ class StoredValue:
 
     @property
     def gbp_as_cost(self) -> float:
-        """What a weighted customer hour takes off the cost, 0 where it counts as service."""
+        """Reduction of the cost for a weighted customer hour, 0 where it counts as service."""
         return 0.0 if self.as_service else self.gbp_per_service

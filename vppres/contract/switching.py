@@ -24,7 +24,7 @@ DAY_H = 24.0
 
 @dataclass(frozen=True)
 class RuleSteps:
-    """What of the rules shapes a compiled problem, in steps.
+    """Rules that shape a compiled problem, in steps.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ class SwitchingData:
         return np.asarray(self.day == np.arange(len(self.actions_left))[:, None])
 
     def changes(self, served: Flags) -> tuple[Flags, Flags]:
-        """Who is switched on, and who off, at the beginning of each step, (W, C) each."""
+        """Customers that are switched on, and off, at the beginning of each step, (W, C) each."""
         before = np.vstack([self.served_before, served[:-1]])
         return served & ~before, before & ~served
 
@@ -191,21 +191,21 @@ class SwitchingData:
     def demand_factor(self, served: Flags) -> Floats:
         """Demand of each customer as a multiple of the usual one under a service, (W, C)."""
         on, _ = self.changes(served)
-        cold = self.cold_before | _within(on, self.steps.cold)
+        cold = self.cold_before | _acted_within(on, self.steps.cold)
         return np.where(served & cold, self.cold_factor, 1.0)
 
     def broken(self, served: Flags) -> Flags:
-        """Who breaks a rule, shape (C,)."""
+        """Customers whose schedule breaks a rule, shape (C,)."""
         on, off = self.changes(served)
         broken = (self.served_min & ~served) | (served & ~self.served_max)
-        broken |= _within(on, self.steps.served) & ~served
-        broken |= _within(off, self.steps.unserved) & served
+        broken |= _acted_within(on, self.steps.served) & ~served
+        broken |= _acted_within(off, self.steps.unserved) & served
         actions = self.in_day.astype(float) @ (on | off)
         beyond = (actions > self.actions_left).any(axis=0)
         return np.asarray(broken.any(axis=0) | beyond)
 
     def connected(self, unlimited: Flags) -> Flags:
-        """Who may be taken as served without loss where the import has no limit, (W, C).
+        """Customers that are served without loss where the import has no limit, (W, C).
 
         Those served before the window up to its first limited step, and all customers after the
         last limited step; where minimum times unserved, actions or cold load matter, none
@@ -223,7 +223,7 @@ class SwitchingData:
 
 @dataclass(frozen=True, eq=False)
 class SwitchingState:
-    """What the rules need to know of the past, from what was really served.
+    """State of the switching rules, from the customers that were really served.
 
     Parameters
     ----------
@@ -307,7 +307,7 @@ class SwitchingState:
 
     @property
     def restored(self) -> Flags:
-        """Who is served after an interruption, (C,)."""
+        """Customers that are served again after an interruption, (C,)."""
         return np.asarray(self.served & np.isfinite(self.since_h))
 
     def window(self, n_steps: int) -> SwitchingData:
@@ -332,12 +332,12 @@ class SwitchingState:
         data = SwitchingData(
             steps=shape,
             served_before=self.served,
-            served_min=self.restored & (step < self._left(served_h)),
-            served_max=self.served | (step >= self._left(rules.min_unserved_h)),
+            served_min=self.restored & (step < self._steps_left(served_h)),
+            served_max=self.served | (step >= self._steps_left(rules.min_unserved_h)),
             actions_left=left,
             price_per_action=rules.price_per_action,
             cold_factor=rules.cold_load_factor,
-            cold_before=self.restored & (step < self._left(cold_h)),
+            cold_before=self.restored & (step < self._steps_left(cold_h)),
             day=days,
             longest_off=None
             if self.longest_off_h is None
@@ -355,14 +355,14 @@ class SwitchingState:
         """Steps of a minimum time, at least 1; more than the window has makes no difference."""
         return min(max(SwitchingRules.steps(hours, self.dt_h), 1), n_steps)
 
-    def _left(self, hours: float) -> Floats:
+    def _steps_left(self, hours: float) -> Floats:
         """Steps that a time since the last action still lasts, (C,)."""
         if np.isinf(hours):
             return np.where(np.isfinite(self.since_h), np.inf, 0.0)
         return np.ceil((hours - self.since_h) / self.dt_h - 1e-9)
 
 
-def _within(actions: Flags, steps: int) -> Flags:
+def _acted_within(actions: Flags, steps: int) -> Flags:
     """Whether there was an action in the last ``steps`` steps, the present one included."""
     found = np.zeros_like(actions)
     for back in range(min(steps, len(actions))):

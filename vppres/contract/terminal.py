@@ -1,4 +1,4 @@
-"""What batteries are to hold where the known steps end, so that the next ones find them charged.
+"""State of charge to hold where the known steps end, so that the next ones find charged batteries.
 
 A window that ends with the run, or where a live controller knows no more, sees no use for energy
 beyond. What is missing there to a state of charge costs more than any import of the window does:
@@ -20,7 +20,7 @@ OVER_IMPORT = 2.0
 storing it and taking it out again, which is less than half."""
 
 LEAST_PRICE_GBP_PER_KWH = 0.01
-"""The same where energy is free, or pays."""
+"""Price of the missing energy where energy is free, or pays."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Terminal:
         return np.asarray(soc * batteries.energy_kwh)
 
     def cost_gbp(self, batteries: Batteries, soc_end: Floats) -> float:
-        """What is missing at the end, (B,), at its price."""
+        """Price of the energy that is missing at the end to the target, in GBP."""
         missing = np.maximum(self.target_kwh(batteries) - soc_end * batteries.energy_kwh, 0.0)
         return self.price_gbp_per_kwh * float(missing.sum())
 

@@ -1,4 +1,4 @@
-"""What a dispatch has to beat: batteries left alone, and a reserve that is charged by rule.
+"""Baselines for a dispatch: batteries left alone, and a reserve that is charged by rule.
 
 The third baseline, perfect information, is the full horizon with the actual day as its forecast.
 """

@@ -63,7 +63,7 @@ class ByWeight:
         return np.frombuffer(next(iter(self._parts)), dtype=float)
 
     def horizon_steps(self, t0: int) -> range:
-        """Those of the present controller."""
+        """Steps of the present controller's window."""
         return self.inner.horizon_steps(t0)
 
     def decide(self, observation: Observation) -> Decision:

@@ -47,8 +47,8 @@ VOLTAGE_TOLERANCE_PU = 1e-4
 LOSS_TOLERANCE_KW = 1.0
 
 SHORT_KW = 1e-6
-"""What an island's plan may lack of its losses: what forms it may have no more, and then a customer
-is shed for it."""
+"""Losses that an island's plan may lack: its former may have no more, and then a customer is shed
+for it."""
 
 DEFAULT_PASSES = 4
 DEFAULT_HEADROOM = 0.1
@@ -59,7 +59,7 @@ FIRST_SHARE = 0.75
 """Share of a window's time in which its set is decided first: the passes need the rest."""
 
 SOC_NUDGE = 1e-6
-"""What is added to a measured SoC before a window counts as infeasible."""
+"""Change of a measured SoC that is tried before a window counts as infeasible."""
 
 _NO_POWER_KW = 1e-6
 _MAX_DECISIONS = 3
@@ -77,7 +77,7 @@ P = TypeVar("P", bound=Points)
 
 
 class PassesPlanner(ABC, Generic[P]):
-    """What solves a window and the passes after it.
+    """Planner that solves a window and the passes after it.
 
     Parameters
     ----------
@@ -133,9 +133,9 @@ class PassesPlanner(ABC, Generic[P]):
         except (InfeasibleError, NumericalError):
             pass
         try:
-            return nudged, _marked("nudged", self.solver.solve(nudged, deadline.left_s))
+            return nudged, _with_stage("nudged", self.solver.solve(nudged, deadline.left_s))
         except (InfeasibleError, NumericalError):
-            return start, _marked("lossless", self.solver.solve(start, deadline.left_s))
+            return start, _with_stage("lossless", self.solver.solve(start, deadline.left_s))
 
     def converge(
         self, data: WindowData, solution: WindowSolution, deadline: Deadline
@@ -211,7 +211,7 @@ class PassesPlanner(ABC, Generic[P]):
     def kept(
         self, data: WindowData, solution: WindowSolution, deadline: Deadline
     ) -> tuple[WindowData, WindowSolution]:
-        """The same supply with nothing stored spent while PV power is curtailed.
+        """Plan of the same supply in which nothing stored is spent while PV power is curtailed.
 
         Objective and bound stay those of the window in which the supply was decided. If the
         network has no such dispatch, both stay as they are.
@@ -296,20 +296,22 @@ class ConvergedPlanner(PassesPlanner[ACPoints]):
         deadline = Deadline(min(self.solver.limits.time_s, within_s))
         first = deadline.part(FIRST_SHARE)
         try:
-            data, solution = self.decide(self._guessed(t0, start), start, first)
+            data, solution = self.decide(self._started_where_last(t0, start), start, first)
         except InfeasibleError:
-            beyond = self._beyond_batteries(start, first) | self._beyond_set(whole, dark, first)
+            beyond = self._beyond_batteries(start, first) | self._steps_beyond_set(
+                whole, dark, first
+            )
             if not beyond.any():
                 raise
             dark = dark | beyond
             start = self._without_losses(whole, dark)
             data, solution = self.decide(start, start, first)
         _, reached, solution = self.converge(data, solution, deadline)
-        self._last = LastWindow(t0, kinds_of(reached), _rows(reached))
+        self._last = LastWindow(t0, kinds_of(reached), _linearisation_rows(reached))
         return self._in_the_dark(whole, dark, solution)
 
     def _drawn_everywhere(self, observation: Observation, island: Flags) -> Drawn | None:
-        """What the network draws, in an island too: nothing but its batteries can supply it."""
+        """Power that the network draws, in an island too: only batteries can supply it there."""
         network = self.solver.site.network
         if not network.draws:
             return None
@@ -333,7 +335,7 @@ class ConvergedPlanner(PassesPlanner[ACPoints]):
                 pass  # not proven
         return beyond
 
-    def _beyond_set(self, whole: WindowData, dark: Flags, deadline: Deadline) -> Flags:
+    def _steps_beyond_set(self, whole: WindowData, dark: Flags, deadline: Deadline) -> Flags:
         """Steps from the first on that the set which forms the grid cannot hold with any customers.
 
         Nothing may take its least power, or its fuel may not last for all that has to be served.
@@ -394,7 +396,7 @@ class ConvergedPlanner(PassesPlanner[ACPoints]):
         assert found is not None
         return found
 
-    def _guessed(self, t0: int, start: WindowData) -> WindowData:
+    def _started_where_last(self, t0: int, start: WindowData) -> WindowData:
         """The window at what its steps, or others like them, were linearised at before."""
         if self._last is None:
             return start
@@ -402,7 +404,11 @@ class ConvergedPlanner(PassesPlanner[ACPoints]):
         known = (rows != NO_ROW)[:, None]
         before = (values[rows] for values in self._last.rows)
         return _linearised_at(
-            start, [np.where(known, *pair) for pair in zip(before, _rows(start), strict=True)]
+            start,
+            [
+                np.where(known, *pair)
+                for pair in zip(before, _linearisation_rows(start), strict=True)
+            ],
         )
 
     def _at_rest(self, data: WindowData) -> WindowData:
@@ -415,8 +421,8 @@ class ConvergedPlanner(PassesPlanner[ACPoints]):
         return replace(data, delta_pu2=np.where(lit_steps(data)[:, None], data.delta_pu2, flat))
 
 
-def _rows(data: WindowData) -> tuple[Floats, ...]:
-    """What each step is linearised at: offset and losses of each line, and what each bus draws."""
+def _linearisation_rows(data: WindowData) -> tuple[Floats, ...]:
+    """Linearisation of each step: offset and losses of each line, and the draw of each bus."""
     physics = data.require_physics()
     drawn = () if data.drawn is None else (data.drawn.kw, data.drawn.kvar)
     return data.delta_pu2, physics.loss_kw, physics.loss_kvar, *drawn
@@ -431,7 +437,7 @@ def _linearised_at(data: WindowData, rows: Sequence[Floats]) -> WindowData:
     )
 
 
-def _marked(attempt: str, solution: WindowSolution) -> WindowSolution:
+def _with_stage(attempt: str, solution: WindowSolution) -> WindowSolution:
     return replace(solution, stages=(attempt, *solution.stages))
 
 

@@ -44,23 +44,23 @@ def formed_by_set(
     if ahead is None or not dark.any() or not sets.grid_forming.any():
         return data, dark
     room_kw = headroom_kw(sets, headroom)
-    lit = [_steps_of(ahead, sets, int(g), dark, room_kw, site.dt_h) for g in _named(sets)]
+    lit = [_steps_of(ahead, sets, int(g), dark, room_kw, site.dt_h) for g in _forming_sets(sets)]
     order = [
         (int(steps.sum()), bool(ahead.was_on[0, g] > 0.5), float(sets.p_max_kw[g]), -int(g))
-        for g, steps in zip(_named(sets), lit, strict=True)
+        for g, steps in zip(_forming_sets(sets), lit, strict=True)
     ]
     best = max(range(len(order)), key=order.__getitem__)
     forms = np.zeros(ahead.forms.shape, dtype=bool)
-    forms[:, _named(sets)[best]] = lit[best]
+    forms[:, _forming_sets(sets)[best]] = lit[best]
     known = ahead.forming(forms, room_kw)
-    spent = np.logical_or.accumulate(dark & ~lit[best] & _after(lit[best]))
+    spent = np.logical_or.accumulate(dark & ~lit[best] & _after_first_lit(lit[best]))
     can_run = known.can_run.copy()
-    can_run[:, _named(sets)[best]] &= lit[best] | ~spent
+    can_run[:, _forming_sets(sets)[best]] &= lit[best] | ~spent
     formed = data.ahead.with_window(replace(known, can_run=can_run))
     return replace(data, ahead=formed), dark & ~lit[best]
 
 
-def _after(lit: Flags) -> Flags:
+def _after_first_lit(lit: Flags) -> Flags:
     """Steps after the first that is lit, (W,)."""
     return np.logical_or.accumulate(lit) & ~lit
 
@@ -71,7 +71,7 @@ def headroom_kw(sets: Gensets, share: float) -> Floats:
     return np.minimum(share * sets.p_max_kw, LARGEST_SHARE * range_kw)
 
 
-def _named(sets: Gensets) -> list[int]:
+def _forming_sets(sets: Gensets) -> list[int]:
     """Sets that can form the grid."""
     return [int(g) for g in np.flatnonzero(sets.grid_forming)]
 

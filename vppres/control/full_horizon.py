@@ -128,20 +128,20 @@ class FullHorizonController:
         reasons = self.violations(actual)
         connected = self.guessed and actual.grid_limit_kw > 0.0
         if not reasons and connected and not self.plan.served[row].all():
-            kept = self._kept_on(observation, row)
+            kept = self._step_without_disconnections(observation, row)
             if (kept.dispatch.served[0] & ~self.plan.served[row]).any():
                 return kept
         if not reasons:
             return Decision(self.plan, row, info)
-        return self._correct(observation, "; ".join(reasons))
+        return self._solve_step_alone(observation, "; ".join(reasons))
 
-    def _correct(self, observation: Observation, reason: str) -> Decision:
+    def _solve_step_alone(self, observation: Observation, reason: str) -> Decision:
         """Optimise the step alone (H = 0) with actual values."""
         solution, relaxed = plan_with_rules(self.planner, observation, 1)
         info = solve_info(self.solver.site, solution, self.solver.compilations, relaxed)
         return Decision(solution.dispatch, 0, info, True, reason)
 
-    def _kept_on(self, observation: Observation, row: int) -> Decision:
+    def _step_without_disconnections(self, observation: Observation, row: int) -> Decision:
         """The step alone, with those who would be off for an outage that is only likely, or over.
 
         Batteries are charged as far as the plan has it, where no customer is off for it.
@@ -151,7 +151,7 @@ class FullHorizonController:
         planned = float(self.plan.soc[row + 1] @ b.energy_kwh / b.energy_kwh.sum())
         now = observation.forecast.first(1)
         alone = replace(observation, forecast=now, terminal=Terminal.of(planned, now, ends=True))
-        return self._correct(
+        return self._solve_step_alone(
             alone, "grid: an outage whose end is not known takes nobody off with grid"
         )
 

@@ -47,7 +47,7 @@ class HeadroomPlanner:
         try:
             kept = self.kept.plan(observation, n_steps)
         except (InfeasibleError, NumericalError):
-            return _marked(self.released.plan(observation, n_steps, deadline.left_s))
+            return _with_stage(self.released.plan(observation, n_steps, deadline.left_s))
         if self._first_tier(kept) == self._whole_first_tier(kept) or deadline.passed:
             return kept
         try:
@@ -55,7 +55,7 @@ class HeadroomPlanner:
         except SolveError:
             return kept
         more = self._first_tier(released) > self._first_tier(kept)
-        return _marked(released) if more else kept
+        return _with_stage(released) if more else kept
 
     def _first_tier(self, solution: WindowSolution) -> int:
         """Units of the first tier that a plan supplies."""
@@ -70,5 +70,5 @@ class HeadroomPlanner:
         return int(ranks.units[ranks.tier == 0].sum()) * solution.dispatch.n_steps
 
 
-def _marked(solution: WindowSolution) -> WindowSolution:
+def _with_stage(solution: WindowSolution) -> WindowSolution:
     return replace(solution, stages=(RELEASED, *solution.stages))

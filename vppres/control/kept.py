@@ -32,20 +32,20 @@ def rule_with_kinds(state: StepState, tiers: Sequence[str]) -> Carried:
         Names of the tiers, the most important first.
     """
     if state.dark:
-        return _formed(state, tiers)
+        return _dispatch_beside_set(state, tiers)
     alone = rule_dispatch(state, tiers)
     least = float(alone.dispatch.served[0] @ state.worth)
-    for tried in _kept(state):
+    for tried in _states_to_try(state):
         found = rule_dispatch(tried, tiers)
         costs_service = float(found.dispatch.served[0] @ state.worth) < least
         closes = found.surplus_kw <= POWER_TOLERANCE_KW and found.no_worse_than(alone)
-        if closes and not costs_service and _connected(found.dispatch, state):
+        if closes and not costs_service and _charges_only_supplied(found.dispatch, state):
             return found
     return alone
 
 
 def by_rule(state: StepState, tiers: Sequence[str], reason: str) -> Decision:
-    """That dispatch as a fallback, with the reason for it."""
+    """Decision by rule as a fallback, with the reason for it."""
     carried = rule_with_kinds(state, tiers)
     words = f"{reason}; left open: {carried.shortage}" if carried.shortage else reason
     return Decision(
@@ -53,25 +53,25 @@ def by_rule(state: StepState, tiers: Sequence[str], reason: str) -> Decision:
     )
 
 
-def _kept(state: StepState) -> Iterator[StepState]:
+def _states_to_try(state: StepState) -> Iterator[StepState]:
     """The step with vehicles and sets as they are, without the vehicles, with other powers.
 
     Sets follow what is left of the demand beside PV, or give their least power.
     """
     sets = state.ahead.find(SetsAhead)
     if sets is None:
-        yield _charging(state)
+        yield _with_charging(state)
         return
-    as_they_are = _running(state, sets, sets.was_kw[0])
-    yield _charging(as_they_are)
+    as_they_are = _with_running_sets(state, sets, sets.was_kw[0])
+    yield _with_charging(as_they_are)
     yield as_they_are
     lacking_kw = float(state.load_kw.sum() + state.drawn_kw.sum() - state.usable_pv_kw.sum())
     share = state.site.gensets.p_max_kw / state.site.gensets.p_max_kw.sum()
     for wanted_kw in (lacking_kw * share, 0.0 * share):
-        yield _running(state, sets, wanted_kw)
+        yield _with_running_sets(state, sets, wanted_kw)
 
 
-def _formed(state: StepState, tiers: Sequence[str]) -> Carried:
+def _dispatch_beside_set(state: StepState, tiers: Sequence[str]) -> Carried:
     """The dispatch by rule beside the set that forms the grid, no supply if none can.
 
     A customer that it can supply at its largest power gets what it lacks.
@@ -79,17 +79,19 @@ def _formed(state: StepState, tiers: Sequence[str]) -> Carried:
     sets = state.ahead.find(SetsAhead)
     forms = state.forms
     if sets is None or not forms.any():
-        return _nothing(state)
-    most = rule_dispatch(_running(state, sets, state.site.gensets.p_max_kw * forms), tiers)
+        return _no_supply(state)
+    most = rule_dispatch(
+        _with_running_sets(state, sets, state.site.gensets.p_max_kw * forms), tiers
+    )
     served = most.dispatch.served[0]
     lacking_kw = float(state.load_kw @ served + state.drawn_kw.sum() - state.usable_pv_kw.sum())
     wanted_kw = np.where(forms, lacking_kw, 0.0)
-    found = rule_dispatch(_running(state, sets, wanted_kw), tiers)
+    found = rule_dispatch(_with_running_sets(state, sets, wanted_kw), tiers)
     closes = found.surplus_kw <= POWER_TOLERANCE_KW and found.dispatch.served.any()
-    return found if closes else _nothing(state)
+    return found if closes else _no_supply(state)
 
 
-def _nothing(state: StepState) -> Carried:
+def _no_supply(state: StepState) -> Carried:
     """A step of an island that no source can form: no supply, and all PV power curtailed."""
     site = state.site
     without_power = replace(state, pv_kw=0.0 * state.pv_kw, drawn=None)
@@ -100,7 +102,7 @@ def _nothing(state: StepState) -> Carried:
     return replace(found, dispatch=curtailed)
 
 
-def _connected(plan: Dispatch, state: StepState) -> bool:
+def _charges_only_supplied(plan: Dispatch, state: StepState) -> bool:
     """Whether no vehicle charges behind a customer that is off."""
     chargers = state.site.chargers
     on = chargers.connected(state.site.customers, plan.served)
@@ -120,8 +122,8 @@ def as_planned(state: StepState, plan: Dispatch, row: int) -> StepState:
     )
 
 
-def _running(state: StepState, known: SetsAhead, wanted_kw: Floats) -> StepState:
-    """With the sets that are on or form the grid, and have fuel, near what is wanted of them."""
+def _with_running_sets(state: StepState, known: SetsAhead, wanted_kw: Floats) -> StepState:
+    """Step state with the sets that are on or form the grid, and have fuel, near what is wanted."""
     sets, dt_h = state.site.gensets, state.site.dt_h
     most_kw = np.minimum(sets.p_max_kw, _by_fuel_kw(sets, known.added_litres[0], dt_h))
     fallen_kw = np.where(state.forms, 0.0, known.was_kw[0] - sets.fall_kw(dt_h))
@@ -143,8 +145,8 @@ def _by_fuel_kw(sets: Gensets, litres: Floats, dt_h: float) -> Floats:
     return np.asarray(per_h / sets.litres_per_kwh)
 
 
-def _charging(state: StepState) -> StepState:
-    """With vehicles that charge as fast as they can, if there is grid."""
+def _with_charging(state: StepState) -> StepState:
+    """Step state with vehicles that charge as fast as they can, if there is grid."""
     plugged, chargers = state.ahead.find(Plugged), state.site.chargers
     if plugged is None or state.island:
         return state

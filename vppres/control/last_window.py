@@ -1,4 +1,4 @@
-"""Where the steps of the last window were linearised: the next window begins there."""
+"""Linearisation of the last window's steps: the next window begins there."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from vppres.model.data import WindowData
 from vppres.model.phases import GRID, ISLAND
 
 NO_POWER = -1
-"""What a step without power is, beside the sources of the others."""
+"""Source of a step without power, beside the sources of the others."""
 
 NO_ROW = -1
 """Instead of a row, if there is none."""
@@ -20,7 +20,7 @@ NO_ROW = -1
 
 @dataclass(frozen=True, eq=False)
 class LastWindow:
-    """What holds the voltage of the last window's steps, and where they were linearised.
+    """Source of the voltage in the last window's steps, and their linearisation.
 
     Parameters
     ----------
@@ -52,5 +52,5 @@ class LastWindow:
 
 
 def kinds_of(data: WindowData) -> Wholes:
-    """What holds the voltage of each step, (W,)."""
+    """Source of the voltage in each step, (W,)."""
     return np.where(lit_steps(data), np.where(data.dark, ISLAND, GRID), NO_POWER)

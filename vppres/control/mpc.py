@@ -10,7 +10,7 @@ import numpy as np
 from vppres.contract.decision import Decision
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.moves import Moves
-from vppres.contract.observation import Observation, Turns
+from vppres.contract.observation import Observation, SupplyTurns
 from vppres.contract.operating_point import Centre
 from vppres.contract.stored_value import StoredValue
 from vppres.control.planner import OnePass, Planner, plan_with_rules, solve_info
@@ -76,7 +76,7 @@ class MPCController:
 
     def decide(self, observation: Observation) -> Decision:
         """Solve the observed window and take its first step."""
-        before = self._before(observation)
+        before = self._planned_moves(observation)
         if self.move_weight > 0:
             observation = replace(observation, moves=before)
         solution, relaxed = self._planned(observation)
@@ -101,7 +101,7 @@ class MPCController:
         """
         found = self._planned_freely(observation)
         if observation.turns is not None:
-            return self._in_turn(observation, observation.turns, found[0]), found[1]
+            return self._plan_with_turns(observation, observation.turns, found[0]), found[1]
         served = found[0].dispatch.served[0]
         connected = observation.forecast.grid_limit_kw[0] > 0.0
         if served.all() or not (connected and observation.guessed):
@@ -129,7 +129,7 @@ class MPCController:
         return sound if sound[0].terms.f1 - found[0].terms.f1 > least else found
 
     def _foreseen_on(self, observation: Observation) -> Flags | None:
-        """Who is on now in the plan before, (C,); None if batteries are not where it has them."""
+        """Customers on now in the plan before, (C,); None if the batteries have left it."""
         before = self._plan_before(observation)
         if before is None:
             return None
@@ -137,8 +137,8 @@ class MPCController:
         as_planned = np.abs(observation.soc - plan.soc[ago]) <= SOC_ROUNDING
         return np.asarray(plan.served[ago]) if as_planned.all() else None
 
-    def _in_turn(
-        self, observation: Observation, turns: Turns, found: WindowSolution
+    def _plan_with_turns(
+        self, observation: Observation, turns: SupplyTurns, found: WindowSolution
     ) -> WindowSolution:
         """The plan with those on whose turn it is, one after another from the first tier on.
 
@@ -153,15 +153,17 @@ class MPCController:
             served = found.dispatch.served
             if not served[own].all():
                 higher = served & (turns.rank < turns.rank[c])
-                asked = self._keeping(observation, kept | own | higher, found)
-                tried = self._allowed(asked, found)
+                asked = self._observation_keeping(observation, kept | own | higher, found)
+                tried = self._plan_keeping_energy(asked, found)
                 if tried is None:
                     continue
                 found = tried
             kept |= own
         return found
 
-    def _allowed(self, asked: Observation, before: WindowSolution) -> WindowSolution | None:
+    def _plan_keeping_energy(
+        self, asked: Observation, before: WindowSolution
+    ) -> WindowSolution | None:
         """The plan that is asked for, if there is one that leaves as much energy for later."""
         try:
             found = self.planner.plan(asked)
@@ -173,7 +175,7 @@ class MPCController:
         left_kwh, before_kwh = (self._left_kwh(value, asked, each) for each in (found, before))
         return found if before_kwh - left_kwh <= ROUNDING_KWH else None
 
-    def _keeping(
+    def _observation_keeping(
         self, observation: Observation, served: Flags, plan: WindowSolution
     ) -> Observation:
         """The observation with customers that are kept on, and the energy that a plan leaves.
@@ -195,8 +197,8 @@ class MPCController:
         """Energy that a plan leaves at its end, as its value counts it."""
         return left_kwh(self.solver.site, value, observation.ahead.find(SetsAhead), plan.dispatch)
 
-    def _before(self, observation: Observation) -> Moves | None:
-        """What the plan before had foreseen for the window, None if it does not reach it."""
+    def _planned_moves(self, observation: Observation) -> Moves | None:
+        """Powers that the plan before foresaw for the window, None if it does not reach it."""
         before = self._plan_before(observation)
         if before is None:
             return None

@@ -72,7 +72,7 @@ class PhasedPlanner(PassesPlanner[PhasedPoints]):
             If no dispatch was found.
         """
         whole, dark, start = self.begun(observation, n_steps)
-        data = self._guessed(observation.t0, start)
+        data = self._started_where_last(observation.t0, start)
         deadline = Deadline(min(self.solver.limits.time_s, within_s))
         data, solution = self.decide(data, start, deadline.part(FIRST_SHARE))
         data, reached, solution = self.converge(data, solution, deadline)
@@ -92,7 +92,7 @@ class PhasedPlanner(PassesPlanner[PhasedPoints]):
         data = replace(without_power(whole, dark), physics=physics)
         return whole, dark, self._linearisation.at_rest(data)
 
-    def _guessed(self, t0: int, start: WindowData) -> WindowData:
+    def _started_where_last(self, t0: int, start: WindowData) -> WindowData:
         """The window at the plan before, or in steps that this had not at its last step like them.
 
         A plan at rest has no losses, and its first set may be one too many.

@@ -64,7 +64,7 @@ def served_by_phase(state: StepState, order: Iterable[int]) -> Dispatch:
 
 @dataclass(frozen=True, eq=False)
 class _Carried:
-    """What batteries give, (2, B): active and reactive, and what they took for the feeder, (B,)."""
+    """Power of batteries, (2, B): active and reactive, and what they took for the feeder, (B,)."""
 
     given: Floats
     taken_kvar: Floats
@@ -94,7 +94,7 @@ def _flow(
 
 
 def _rating_kva(state: StepState, model: PhasedModel, found: PhasedResult) -> float:
-    """What each phase of the former may carry."""
+    """Rating of each phase of the former."""
     return float(state.site.batteries.s_max_kva[model.former]) / len(found.source_kva)
 
 
@@ -116,7 +116,7 @@ def _fits(state: StepState, model: PhasedModel, found: PhasedResult) -> bool:
 
 
 def _carried(state: StepState, served: Flags, taken_kvar: Floats) -> _Carried | None:
-    """What batteries give to a supply schedule, None if a phase does not carry it.
+    """Power of batteries for a supply schedule, None if a phase does not carry it.
 
     What they took before for the feeder is where the search for what they take begins.
     """

@@ -22,7 +22,7 @@ from vppres.solve.phases import BINDS_PU2
 
 @dataclass(frozen=True, eq=False)
 class PhasedLinearisation:
-    """Where windows of a phased site are linearised, and whether a plan is what AC says there."""
+    """Linearisation of a phased site's windows, and its comparison with AC."""
 
     model: PhasedModel
 
@@ -46,7 +46,7 @@ class PhasedLinearisation:
         return self.at(data, p, q, points, lit & points.converged)
 
     def _without_control(self, data: WindowData) -> tuple[Floats, Floats]:
-        """What assets draw without control: all are served with grid, and at rest in an island.
+        """Power of assets without control: all are served with grid, and at rest in an island.
 
         Batteries are idle. PV power is used behind its meter, and beyond that exported as far as
         the connection takes it and the highest voltage allows.
@@ -65,7 +65,7 @@ class PhasedLinearisation:
         return self._with_sun(data, own + np.minimum(taken, allowed)[:, None] * spare)
 
     def _with_sun(self, data: WindowData, pv_kw: Floats) -> tuple[Floats, Floats]:
-        """What assets draw with all customers and so much PV power; nothing in an island."""
+        """Power of assets with all customers and so much PV power; nothing in an island."""
         idle = np.zeros((data.n_steps, len(self.model.site.batteries)))
         pv = (pv_kw, np.zeros_like(pv_kw))
         p, q = self.model.powers(data.dark, data.load_kw, pv, (idle, idle))
@@ -96,19 +96,19 @@ class PhasedLinearisation:
             u_offset=phased.u_offset + moved * (u - phased.u_offset),
             former_offset=phased.former_offset + moved * (former - phased.former_offset),
             current_offset=phased.current_offset + moved * (currents - phased.current_offset),
-            bound=self._bound(data, p, q) & steps[:, None, None],
+            bound=self._binding(data, p, q) & steps[:, None, None],
             former_kva=np.where(steps[:, None], points.source_kva, phased.former_kva),
         )
-        return self._limited(replace(data, phased=found, drawn=Drawn(kw, kvar)))
+        return self._with_own_limits(replace(data, phased=found, drawn=Drawn(kw, kvar)))
 
-    def _bound(self, data: WindowData, p: Floats, q: Floats) -> Flags:
+    def _binding(self, data: WindowData, p: Floats, q: Floats) -> Flags:
         """Limits that bind a candidate in its own window, as far as they gave way, (W, 2, m)."""
         u = data.require_phased().u_offset + self.model.linear(data, p, q)[0]
         ways = [each.require_phased() for each in giving_way(self.model.site, data)]
         room = [np.stack([u - way.u_min, way.u_max - u], axis=1) for way in ways]
         return np.asarray((np.abs(room).min(axis=0) < BINDS_PU2) & self.model.limited)
 
-    def _limited(self, data: WindowData) -> WindowData:
+    def _with_own_limits(self, data: WindowData) -> WindowData:
         """Limits that give way to the voltages without control, and in an island to those at rest.
 
         They are those of the window's own linearisation, so that this state is a dispatch of it.

@@ -96,7 +96,7 @@ class OnePass:
 def solve_info(
     site: Site, solution: WindowSolution, compilations: int, switching_relaxed: bool = False
 ) -> SolveInfo:
-    """How a window's solution was found, for the record of its decision."""
+    """Figures of a window's solution, for the record of its decision."""
     return SolveInfo(
         objective=solution.objective,
         bound=solution.bound,

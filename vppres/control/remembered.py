@@ -1,4 +1,4 @@
-"""What controllers remember from step to step, as a plain value that can be saved and put back.
+"""Memory of controllers from step to step, as a plain value that can be saved and put back.
 
 A class that remembers says so in ``REMEMBERED``: the name of each attribute, and its type. All else
 that it holds (sites, solvers, compiled problems) is made anew with it. A memory outlives a process,

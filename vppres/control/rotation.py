@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from vppres.contract.decision import Decision
-from vppres.contract.observation import Observation, Turns
+from vppres.contract.observation import Observation, SupplyTurns
 from vppres.control.by_weight import ByWeight
 from vppres.control.remembered import PART
 from vppres.core.arrays import Flags, Floats
@@ -59,23 +59,23 @@ class Rotating:
         self._t = -1
         self._out = False
         self._controllers = controllers
-        self._change()
+        self._update_weights()
 
     def horizon_steps(self, t0: int) -> range:
-        """Those of its controllers."""
+        """Steps of its controllers' windows."""
         return self._controllers.horizon_steps(t0)
 
     def decide(self, observation: Observation) -> Decision:
         """The decision with the weights of the step, and with those on whose turn it is."""
         if observation.t0 != self._t:  # not anew within the step
-            self._count(observation)
+            self._count_time_off(observation)
             self._t = observation.t0
         due = self._due(observation)
         if due.any():
-            observation = replace(observation, turns=Turns(due, self._rank))
+            observation = replace(observation, turns=SupplyTurns(due, self._rank))
         return self._controllers.decide(observation)
 
-    def _count(self, observation: Observation) -> None:
+    def _count_time_off(self, observation: Observation) -> None:
         """Add the step before to the time off supply, and change weights if it is time."""
         dt_h = self.scenario.grid.dt_h
         if self._out:
@@ -89,9 +89,9 @@ class Rotating:
         self._out = bool(observation.forecast.grid_limit_kw[0] <= 0.0)
         if not self._out or self.turn_h >= self.rules.turn_h - HOURS_EXACT:
             self.turn_h = 0.0
-            self._change()
+            self._update_weights()
 
-    def _change(self) -> None:
+    def _update_weights(self) -> None:
         """Go on with the weights that follow from the time off supply."""
         c = self.scenario.customers
         self._controllers.change_to(
@@ -99,7 +99,7 @@ class Rotating:
         )
 
     def _turns(self, steps_ahead: int = 0) -> Flags:
-        """Whose turn it is, or will be if the outage lasts, (C,)."""
+        """Customers whose turn it is, or will be if the outage lasts, (C,)."""
         out_h = self.out_h + steps_ahead * self.scenario.grid.dt_h
         return turns(len(self.off_h), out_h, self.rules.minimum_on_h)
 

@@ -27,7 +27,7 @@ POWER_TOLERANCE_KW = 1e-6
 ROUNDING_KW = 1e-9
 VOLTAGE_TOLERANCE_PU = 1e-6
 SEARCH_NODES = 20_000
-"""Where the search for the best first tier stops; equal weights need as many as customers."""
+"""Limit of the search for the best first tier; equal weights need as many nodes as customers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ class Carried:
 
     @property
     def shortage(self) -> str:
-        """What is left open in words, empty if nothing is."""
+        """Shortage that is left, in words; empty if nothing is."""
         words = []
         if self.reactive_short_kvar > POWER_TOLERANCE_KW:
             words.append(f"{self.reactive_short_kvar:.1f} kvar short")
@@ -178,10 +178,10 @@ def carry(state: StepState, served: Flags, battery_kw: Floats) -> Carried | None
     demand_kw = float(state.load_kw @ served + state.drawn_kw.sum()) + state.flexible_kw
     need_kw = float(demand_kw - state.usable_pv_kw.sum())
     wanted = np.clip(battery_kw, -state.discharge_max_kw, state.charge_max_kw)
-    battery, left_kw = _close(state, wanted, need_kw)
+    battery, left_kw = _closing_power_kw(state, wanted, need_kw)
     if left_kw > POWER_TOLERANCE_KW:
         return None
-    curtailed = _shared(max(-left_kw, 0.0), state.usable_pv_kw - own)
+    curtailed = _in_proportion(max(-left_kw, 0.0), state.usable_pv_kw - own)
     export = state.usable_pv_kw - own - curtailed
     grid_kw = need_kw + float(battery.sum() + curtailed.sum())
     exported_kw = min(max(-grid_kw, 0.0), state.export_limit_kw)
@@ -191,7 +191,7 @@ def carry(state: StepState, served: Flags, battery_kw: Floats) -> Carried | None
     return replace(carried, surplus_kw=max(-left_kw, 0.0) - float(curtailed.sum()))
 
 
-def _close(state: StepState, wanted_kw: Floats, need_kw: float) -> tuple[Floats, float]:
+def _closing_power_kw(state: StepState, wanted_kw: Floats, need_kw: float) -> tuple[Floats, float]:
     """Battery power that closes the balance, and what it leaves: short if positive, else surplus.
 
     Import and export take what they can first. Then a shortage ends charging before it discharges
@@ -200,18 +200,18 @@ def _close(state: StepState, wanted_kw: Floats, need_kw: float) -> tuple[Floats,
     battery = wanted_kw
     short_kw = need_kw + float(battery.sum()) - state.grid_limit_kw
     for lowest in (np.minimum(battery, 0.0), -state.discharge_max_kw):
-        step = _shared(max(short_kw, 0.0), battery - lowest)
+        step = _in_proportion(max(short_kw, 0.0), battery - lowest)
         battery = battery - step
         short_kw = short_kw - float(step.sum())
     surplus_kw = -(need_kw + float(battery.sum())) - state.export_limit_kw
     for highest in (np.maximum(battery, 0.0), state.charge_max_kw):
-        step = _shared(max(surplus_kw, 0.0), highest - battery)
+        step = _in_proportion(max(surplus_kw, 0.0), highest - battery)
         battery = battery + step
         surplus_kw = surplus_kw - float(step.sum())
     return battery, short_kw if short_kw > 0 else -max(surplus_kw, 0.0)
 
 
-def _shared(total: float, room: Floats) -> Floats:
+def _in_proportion(total: float, room: Floats) -> Floats:
     """A total, or as much of it as there is room for, in proportion to the room."""
     space = float(room.sum())
     return room * min(total / space, 1.0) if space > 0 and total > 0 else np.zeros_like(room)
@@ -223,7 +223,11 @@ def _without_circle(battery_kw: Floats, demand_kw: float) -> Floats:
     discharge = np.maximum(-battery_kw, 0.0)
     # Beside sets that give more than customers take, the demand is negative.
     excess_kw = max(float(discharge.sum()) - max(demand_kw, 0.0), 0.0)
-    return charge - _shared(excess_kw, charge) - (discharge - _shared(excess_kw, discharge))
+    return (
+        charge
+        - _in_proportion(excess_kw, charge)
+        - (discharge - _in_proportion(excess_kw, discharge))
+    )
 
 
 def _with_network(
@@ -303,7 +307,7 @@ def _reactive(
     if state.island:
         missing = float(demand.sum() - q.sum())
         missing = 0.0 if -POWER_TOLERANCE_KW < missing < 0.0 else missing
-        more = _shared(abs(missing), room - np.copysign(q, q * missing))
+        more = _in_proportion(abs(missing), room - np.copysign(q, q * missing))
         q = q + np.copysign(more, missing)
         left_kvar = float(np.copysign(abs(missing) - float(more.sum()), missing))
     return q[:n_pv], q[n_pv:], left_kvar

@@ -107,7 +107,7 @@ class StepState:
 
     @property
     def worth(self) -> Floats:
-        """What it is worth to serve each customer in the step, per hour, (C,)."""
+        """Worth of serving each customer in the step, per hour, (C,)."""
         weight = self.site.customers.weight
         return (
             weight if self.due is None else weight + np.where(self.due, self.site.hour_beyond, 0.0)
@@ -158,7 +158,7 @@ class StepState:
 
     @property
     def flexible_kw(self) -> float:
-        """What flexible power takes, less what it gives."""
+        """Power that flexible units take, less what they give."""
         return float(sum(kw.sum() for kw in self.taken_kw.values()))
 
     @property
@@ -176,7 +176,7 @@ class StepState:
         return np.minimum(low, self.own_v_pu), np.maximum(high, self.own_v_pu)
 
     def idle(self) -> StepState:
-        """The same step with every battery off."""
+        """Step state with every battery off."""
         return replace(self, online=np.zeros_like(self.online))
 
     def own_kw(self, served: Flags) -> Floats:

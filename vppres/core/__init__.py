@@ -1,1 +1,1 @@
-"""What everything stands on: typed errors, units, read-only arrays, HTML for notebooks."""
+"""Foundation of all packages: typed errors, units, read-only arrays, HTML for notebooks."""

@@ -17,7 +17,7 @@ class ByStep:
         return type(self)(*(each[steps] for each in self._arrays()))
 
     def followed_by_none(self, n_steps: int) -> Self:
-        """The same with steps behind it in which all is 0: nothing is there, or can be missed."""
+        """Append steps in which all is 0: nothing is there, or can be missed."""
         rows = ((0, n_steps), (0, 0))
         return type(self)(*(np.pad(each, rows[: each.ndim]) for each in self._arrays()))
 

@@ -67,7 +67,7 @@ class Problem:
 
 
 def first_line(error: BaseException) -> str:
-    """What an exception says in a line; its name if it says nothing.
+    """First line of an exception's message; its type's name if the message is empty.
 
     >>> first_line(KeyError("bus"))
     "lacks 'bus'"

@@ -22,7 +22,7 @@ _PROGRAM = "--"
 
 
 def command(*words: str) -> list[str]:
-    """What starts a module with its arguments, or a program after ``--``, bound to this process.
+    """Command that starts a module, or a program after ``--``, as a child bound to this process.
 
     Examples
     --------
@@ -41,7 +41,7 @@ def command(*words: str) -> list[str]:
 
 
 def me() -> tuple[int, bool]:
-    """What a process that is started here tells :func:`end_with`.
+    """Identity of this process and thread, which a process started here gives to :func:`end_with`.
 
     Returns
     -------

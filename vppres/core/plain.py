@@ -103,7 +103,7 @@ def _read(kind: Any, plain: Any, where: str, given: Given) -> Any:
         return _read_array(get_args(get_args(kind)[1])[0], plain, where)
     if origin is tuple:
         inner = get_args(kind)
-        items = _of(list, plain, where)
+        items = _of_type(list, plain, where)
         if inner[-1] is Ellipsis:
             inner = (inner[0],) * len(items)
         if len(items) != len(inner):
@@ -111,22 +111,22 @@ def _read(kind: Any, plain: Any, where: str, given: Given) -> Any:
         return tuple(_read(k, item, where, given) for k, item in zip(inner, items, strict=True))
     if origin is dict:
         key, value = get_args(kind)
-        pairs = [_of(list, pair, where) for pair in _of(list, plain, where)]
+        pairs = [_of_type(list, pair, where) for pair in _of_type(list, plain, where)]
         return {_read(key, k, where, given): _read(value, v, where, given) for k, v in pairs}
     if is_dataclass(kind):
         return _read_fields(kind, plain, where, given)
     if kind is float:
-        return float(plain if isinstance(plain, str) else _of((int, float), plain, where))
+        return float(plain if isinstance(plain, str) else _of_type((int, float), plain, where))
     if kind is pd.Timestamp:
-        return pd.Timestamp(_of(str, plain, where))
+        return pd.Timestamp(_of_type(str, plain, where))
     if kind is bytes:
-        return bytes.fromhex(_of(str, plain, where))
-    return _of(kind, plain, where)
+        return bytes.fromhex(_of_type(str, plain, where))
+    return _of_type(kind, plain, where)
 
 
 def _read_fields(kind: Any, plain: Any, where: str, given: Given) -> Any:
     """A dataclass, field by field; those of a given type are taken from there."""
-    found = _of(dict, plain, where)
+    found = _of_type(dict, plain, where)
     values: dict[str, Any] = {}
     for name, hint in _hints(kind).items():
         choices = [hint, *get_args(hint)]
@@ -135,7 +135,7 @@ def _read_fields(kind: Any, plain: Any, where: str, given: Given) -> Any:
             values[name] = _read(hint, found[name], f"{where}.{name}", given)
         elif known is not None:
             values[name] = given[known]
-        elif name in _needed(kind):
+        elif name in _required_fields(kind):
             raise _unreadable(f"{where}.{name}", "is missing")
     return kind(**values)
 
@@ -148,7 +148,7 @@ def _hints(kind: Any) -> dict[str, Any]:
 
 
 @cache
-def _needed(kind: Any) -> frozenset[str]:
+def _required_fields(kind: Any) -> frozenset[str]:
     """Fields without a default: what is added with one later is absent from what is older."""
     return frozenset(
         f.name for f in fields(kind) if f.default is MISSING and f.default_factory is MISSING
@@ -158,7 +158,7 @@ def _needed(kind: Any) -> frozenset[str]:
 def _read_array(dtype: Any, plain: Any, where: str) -> Any:
     """An array of a type; numbers of another type are no numbers of this one."""
     if dtype is np.complex128:
-        parts = _of(dict, plain, where)
+        parts = _of_type(dict, plain, where)
         real, imag = (_read_array(np.float64, parts[name], where) for name in ("real", "imag"))
         array = np.empty(real.shape, dtype)
         array.real = real
@@ -166,13 +166,13 @@ def _read_array(dtype: Any, plain: Any, where: str) -> Any:
         return array
     if isinstance(plain, dict):
         return np.empty([0, *plain["shape"][1:]], dtype=dtype)
-    array = np.array(_of(list, plain, where), dtype=dtype)
+    array = np.array(_of_type(list, plain, where), dtype=dtype)
     if dtype is not np.float64 and array.size and np.array(plain).dtype.kind != array.dtype.kind:
         raise _unreadable(where, "holds other values than expected")
     return array
 
 
-def _of(kind: Any, plain: Any, where: str) -> Any:
+def _of_type(kind: Any, plain: Any, where: str) -> Any:
     """A plain value of a type; true and false are no numbers."""
     wanted_bool = kind is bool
     if not isinstance(plain, kind) or (isinstance(plain, bool) and not wanted_bool):

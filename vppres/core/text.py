@@ -76,7 +76,7 @@ def brief(text: str) -> str:
 
 
 def flaw_of_name(text: str, longest: int) -> tuple[str, str] | None:
-    """What is wrong with a name that ends up in files, tables and figures, and its cure.
+    """Fault of a name that ends up in files, tables and figures, and its cure.
 
     Dollar signs, brackets, slashes and markup are allowed: a name is shown as it is.
 

@@ -110,7 +110,7 @@ def make_controller(
 
 
 def _guard_options(scenario: Scenario, options: RunOptions, simulated: bool) -> GuardOptions:
-    """What the guard holds decisions to, and which errors it answers."""
+    """Options of the guard: limits of decisions, and the errors that it handles."""
     # A rule does not plan for voltages, and must not be replaced by another rule for them.
     v_pu = np.inf if options.controller in RULES else Tolerances().v_pu
     physical = options.mode == "physical"
@@ -160,7 +160,7 @@ def _plain_controller(
 
 
 def _planner(solver: WindowSolver, options: RunOptions) -> Planner | None:
-    """What plans the windows of physical mode; None for the paper's one solve."""
+    """Planner of windows in physical mode; None for the paper's one solve."""
     if options.mode != "physical":
         return None
     assert options.headroom is not None

@@ -1,4 +1,4 @@
-"""What a run refuses: options, columns and kinds of assets that its plans do not state."""
+"""Checks of a run: options, columns and kinds of assets that its plans do not state."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def _cold(scenario: Scenario, options: RunOptions) -> Iterator[Problem]:
 
 
 def _controller(scenario: Scenario, options: RunOptions, grid: TimeGrid) -> Iterator[Problem]:
-    """What only the MPC plans, a horizon that ends within its step, and outages without a use."""
+    """Problems of options that only the MPC plans, of the horizon, and of outages without a use."""
     name, outages = options.controller, str(options.outages)
     if name != MPC:
         for kind in map(KINDS.__getitem__, units_of(scenario)):

@@ -1,4 +1,4 @@
-"""What goes wrong in a simulated day: solvers, measurements, batteries and forecasts.
+"""Faults in a simulated day: solvers, measurements, batteries and forecasts.
 
 Faults are put between plant and controller: a solver that is wrapped, an observation that is
 changed before the controller sees it, a set-point that a battery does not follow. Neither the plant
@@ -33,7 +33,7 @@ QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
 
 
 class SolverKilledError(RuntimeError):
-    """What a solver that dies raises: nothing that vppres would raise itself."""
+    """Error of a solver that dies: nothing that vppres would raise itself."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class BatteryTrip:
 
 @dataclass(frozen=True)
 class FaultPlan:
-    """Everything that goes wrong in a day.
+    """Faults of a day.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ class FaultInjector:
         self._frozen: dict[MeasurementFault, Floats] = {}
 
     def solver_fault(self) -> SolverFault | None:
-        """What befalls the solve that is about to begin, None if nothing does."""
+        """Fault of the solve that is about to begin, None if there is none."""
         self._calls += 1
         outage = self.plan.solver.get(self.step)
         if outage is None or (self._calls > 1 and not outage.every_call):
@@ -178,7 +178,7 @@ class FaultInjector:
         return outage.kind
 
     def observe(self, true: Observation) -> Observation:
-        """What the controller gets to see of an observation."""
+        """Observation with the faults of its step."""
         self.step = true.t0
         self._calls = 0
         seen = replace(true, online=self._online(true.t0, silent_too=False))
@@ -243,15 +243,15 @@ class FaultySolver(WindowSolver):
 
     @property
     def compilations(self) -> int:
-        """Those of the solver that works."""
+        """Compilations of the solver that works."""
         return self._solver.compilations
 
     def solve(self, data: WindowData, within_s: float = math.inf) -> WindowSolution:
         """Solve a window, or fail at it."""
         fault = self._injector.solver_fault()
-        _fail(fault)
+        _raise_fault(fault)
         solution = self._solver.solve(data, within_s)
-        return solution if fault is None else _garbled(solution, fault, self.site)
+        return solution if fault is None else _garbled_solution(solution, fault, self.site)
 
     def solve_served(
         self,
@@ -263,18 +263,18 @@ class FaultySolver(WindowSolver):
     ) -> WindowSolution | None:
         """Dispatch of a supply schedule, or a failure."""
         fault = self._injector.solver_fault()
-        _fail(fault)
+        _raise_fault(fault)
         solution = self._solver.solve_served(data, served, before, keeps_turns, within_s)
         if fault is None or solution is None:
             return solution
-        return _garbled(solution, fault, self.site)
+        return _garbled_solution(solution, fault, self.site)
 
     def least_slack(self, data: WindowData) -> float:
         """Least slack of the voltage limits; no fault befalls it."""
         return self._solver.least_slack(data)
 
 
-def _fail(fault: SolverFault | None) -> None:
+def _raise_fault(fault: SolverFault | None) -> None:
     """Raise what a solver without an answer raises."""
     if fault == "killed":
         raise SolverKilledError("the solver's process was killed")
@@ -284,7 +284,7 @@ def _fail(fault: SolverFault | None) -> None:
         raise InfeasibleError("The window has no feasible dispatch.")
 
 
-def _garbled(solution: WindowSolution, fault: SolverFault, site: Site) -> WindowSolution:
+def _garbled_solution(solution: WindowSolution, fault: SolverFault, site: Site) -> WindowSolution:
     """A solution whose values no one may carry out."""
     plan = solution.dispatch
     changed: dict[str, Any] = {}

@@ -1,4 +1,4 @@
-"""What a controller may know of load and PV power ahead: a forecaster by name, used in a run."""
+"""Forecasts of load and PV power in a run: a forecaster by name."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from vppres.contract.forecast import Forecast, ForecastErrors
 from vppres.contract.forecast import Forecaster as PaperForecaster
 from vppres.core.errors import InputError
 from vppres.day.options import PERFECT, RunOptions
-from vppres.forecasts.interface import Forecaster, LoadAndPV
+from vppres.forecasts.interface import ForecastMethod, LoadAndPV
 from vppres.forecasts.quantile_file import read_quantiles
 from vppres.forecasts.references import Climatology
 from vppres.forecasts.seasonal import Seasonal
@@ -19,7 +19,7 @@ from vppres.scenario.history import History
 from vppres.scenario.scenario import Scenario
 
 PAPER = "paper"
-FORECASTERS: dict[str, Forecaster] = {"seasonal": Seasonal(), "climatology": Climatology()}
+FORECASTERS: dict[str, ForecastMethod] = {"seasonal": Seasonal(), "climatology": Climatology()}
 """Those that learn from what was measured, by the name of the option."""
 MEMORY_DAYS = 80
 """Days before the present one that any of them looks at."""
@@ -28,22 +28,22 @@ BASIS = "forecast_basis"
 OWN_SERIES = "the scenario's own series"
 
 
-class Forecasts(Protocol):
+class DayForecasts(Protocol):
     """Forecasts of a scenario's day, as a run asks for them."""
 
     def at(self, t0: int, steps: range) -> Forecast:
-        """What is known at the beginning of step ``t0``; that step itself exactly."""
+        """Forecast at the beginning of step ``t0``; that step itself exactly."""
         ...
 
 
-def basis_of(forecasts: Forecasts, t: int) -> dict[str, str]:
-    """What a step's forecast rested on, for its record; nothing of the paper's."""
+def basis_of(forecasts: DayForecasts, t: int) -> dict[str, str]:
+    """Basis of a step's forecast, for its record; none for the paper's."""
     if not isinstance(forecasts, MeasuredForecasts):
         return {}
     return {BASIS: forecasts.bases.get(t, "")}
 
 
-def forecasts_of(scenario: Scenario, options: RunOptions, errors: ForecastErrors) -> Forecasts:
+def forecasts_of(scenario: Scenario, options: RunOptions, errors: ForecastErrors) -> DayForecasts:
     """The forecasts of a run.
 
     Parameters
@@ -74,7 +74,7 @@ def forecasts_of(scenario: Scenario, options: RunOptions, errors: ForecastErrors
 
 def named_forecasts(
     scenario: Scenario, name: str, errors: ForecastErrors, seed: int, file: str | None = None
-) -> Forecasts:
+) -> DayForecasts:
     """Forecasts of a day by the forecaster's name.
 
     Raises
@@ -89,7 +89,7 @@ def named_forecasts(
     return MeasuredForecasts(scenario, FORECASTERS[name])
 
 
-def _given_quantiles(scenario: Scenario, file: str | None) -> Forecaster:
+def _given_quantiles(scenario: Scenario, file: str | None) -> ForecastMethod:
     """Your own forecasts; of the present step's issue they are the forecast of the next."""
     if file is None:
         cure = "Give the file: --forecast-file FILE."
@@ -111,11 +111,11 @@ class MeasuredForecasts:
     ----------
     scenario : Scenario
         The day as it comes.
-    forecaster : Forecaster
+    forecaster : ForecastMethod
         Who learns from it.
     """
 
-    def __init__(self, scenario: Scenario, forecaster: Forecaster) -> None:
+    def __init__(self, scenario: Scenario, forecaster: ForecastMethod) -> None:
         self.scenario = scenario
         self.forecaster = forecaster
         self.bases: dict[int, str] = {}
@@ -123,7 +123,7 @@ class MeasuredForecasts:
         self._before = history_before(scenario)
 
     def at(self, t0: int, steps: range) -> Forecast:
-        """What is known at the beginning of step ``t0``; that step itself exactly."""
+        """Forecast at the beginning of step ``t0``; that step itself exactly."""
         given = self._given.at(t0, steps)
         first = t0 + 1
         if steps.stop <= first:
@@ -151,7 +151,7 @@ class MeasuredForecasts:
             grid.start, self.scenario.load_kw[: t0 + 1], self.scenario.pv_kw[: t0 + 1]
         ).last_days(MEMORY_DAYS + n_steps * grid.dt_h / 24.0)
         found = self.forecaster.forecast(known, grid.start + (t0 + 1) * known.step, n_steps)
-        self._check(found, t0, n_steps)
+        self._check_paths(found, t0, n_steps)
         unknown = found.basis in ("recent values", "nothing")
         self.bases[t0] = OWN_SERIES if unknown else found.basis
         if not unknown:
@@ -159,7 +159,7 @@ class MeasuredForecasts:
         none = np.full_like
         return replace(found, load_kw=none(found.load_kw, np.nan), pv_kw=none(found.pv_kw, np.nan))
 
-    def _check(self, found: LoadAndPV, t0: int, n_steps: int) -> None:
+    def _check_paths(self, found: LoadAndPV, t0: int, n_steps: int) -> None:
         """Refuse other steps or items and impossible powers, as your own forecaster may give."""
         shapes = [
             ("load_kw", n_steps, len(self.scenario.customers)),
@@ -188,7 +188,7 @@ class MeasuredForecasts:
 
 
 def history_before(scenario: Scenario) -> History:
-    """What was measured before a day, in its steps; empty where nothing was."""
+    """Measurements before a day, in its steps; empty where there are none."""
     grid = scenario.grid
     if scenario.history is None:
         none = (np.empty((0, len(scenario.customers))), np.empty((0, len(scenario.pv))))

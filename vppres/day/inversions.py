@@ -61,7 +61,7 @@ def inversions(run: Trajectory) -> list[Inversion]:
 
 
 def _could_have_been_on(run: Trajectory) -> list[Inversion]:
-    """The same, and customers for which what was left would have sufficed by itself."""
+    """Inversions, and customers that the energy left would have supplied by itself."""
     found: list[Inversion] = []
     fleet = _Fleet.of(run)
     out = run.steps["outage"].to_numpy(bool)
@@ -113,7 +113,7 @@ class _Fleet:
 
 
 def _behind_customers(run: Trajectory) -> Floats:
-    """What vehicles, rooms and tanks of each customer drew, (T, C); negative where they gave."""
+    """Power of vehicles, rooms and tanks of each customer, (T, C); negative where they gave."""
     day = run.scenario
     customers = day.customers
     drawn_kw = np.zeros((len(run.steps), len(customers)))
@@ -147,7 +147,7 @@ def _in_step(run: Trajectory, fleet: _Fleet, t: int, last: int) -> Iterator[Inve
 
 
 def _headroom_kw(run: Trajectory) -> float:
-    """What the grid-forming batteries leave free in an island by the options of the run."""
+    """Headroom of the grid-forming batteries in an island by the options of the run."""
     if run.options.get("mode") != "physical":
         return 0.0
     b = run.scenario.batteries
@@ -179,20 +179,20 @@ def inversion_words(run: Trajectory) -> list[str]:
     words = []
     if needed:
         words.append(
-            f"Tier order was not kept in {_who(run, needed)}: the energy of lower tiers would have "
-            f"sufficed. {_worst_words(run, needed)}"
+            f"Tier order was not kept in {_count_words(run, needed)}: the energy of lower tiers "
+            f"would have sufficed. {_worst_words(run, needed)}"
         )
     if kept:
         uncertain = run.options.get("outages", "known") != "known"
         why = ": it was kept in case the outage lasted longer" if uncertain else ""
         words.append(
-            f"What batteries had left at the end would have sufficed for {_who(run, kept)} off "
-            f"supply while lower tiers had some{why}."
+            f"What batteries had left at the end would have sufficed for {_count_words(run, kept)} "
+            f"off supply while lower tiers had some{why}."
         )
     return words
 
 
-def _who(run: Trajectory, found: list[Inversion]) -> str:
+def _count_words(run: Trajectory, found: list[Inversion]) -> str:
     """How many inversions there are, and whose."""
     ids = run.scenario.customers.id
     names = list(dict.fromkeys(str(ids[one.customer]) for one in found))
@@ -256,7 +256,7 @@ def lower_tiers_now(
         others = f"{named(c.id[lower], NAMES)} {have} {lower_kw:,.1f} kW"
         if charge_kw > TOLERANCE_KW:
             others += f" and batteries charge with {charge_kw:,.1f} kW"
-        words, waits = f"{off} is off supply, while {others}", _waits(later, int(customer))
+        words, waits = f"{off} is off supply, while {others}", _waiting_words(later, int(customer))
         if lower_kw + charge_kw >= kw:
             return {"inverted": f"{words}{waits}"}
         minutes = scenario.grid.step_minutes * (lower_kw + charge_kw) / kw
@@ -265,8 +265,8 @@ def lower_tiers_now(
     return found
 
 
-def _waits(later: Flags | None, customer: int) -> str:
-    """For what a customer off supply waits by the plan; empty if it looks at no later step."""
+def _waiting_words(later: Flags | None, customer: int) -> str:
+    """Phrase: in how many of the next steps a plan supplies the customer; empty without any."""
     if later is None or not len(later):
         return ""
     on = np.asarray(later, dtype=bool)[:, customer]

@@ -1,4 +1,4 @@
-"""What a run tells of each kind of flexible power: its table, figures and words."""
+"""Output of a run for each kind of flexible power: its table, figures and words."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from vppres.plant.plant import Plant, Realised
 
 
 def records_of(plant: Plant, t: int, realised: Realised) -> dict[str, dict[str, Any]]:
-    """What the units of each kind did in a step, and how they are then."""
+    """Record of the units of each kind in a step."""
     records = parts("record")
     return {
         kind: records[kind].record(plant.scenario, units, t, realised)
@@ -36,7 +36,7 @@ def kind_events(trajectory: Trajectory) -> Iterator[tuple[int, str]]:
 
 
 def kind_words(trajectory: Trajectory) -> list[str]:
-    """What has to be known of kinds, in sentences."""
+    """Cautions about kinds, in sentences."""
     records = parts("record")
     kinds = units_of(trajectory.scenario)
     return [words for kind in kinds for words in records[kind].cautions(trajectory)]

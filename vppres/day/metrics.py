@@ -89,7 +89,7 @@ def summarise(trajectory: Trajectory) -> dict[str, Any]:
 
 
 def cautions(trajectory: Trajectory) -> list[str]:
-    """What has to be known before any figure, in sentences."""
+    """Cautions to read before any figure, in sentences."""
     off = off_with_grid(trajectory)
     return [
         *blackouts(trajectory),
@@ -153,7 +153,7 @@ def _at_rating(trajectory: Trajectory, off: pd.DataFrame) -> str:
 
 
 def _why_off(trajectory: Trajectory, off: pd.DataFrame) -> str:
-    """What kept customers off by the record: the limit that was scarce, else what drove it."""
+    """Reasons by the record for customers off: the scarce limit, else the driver."""
     told = trajectory.explanations
     if told is None:
         return ""
@@ -254,7 +254,7 @@ def export_kwh(trajectory: Trajectory) -> float:
 
 
 def export_revenue_gbp(trajectory: Trajectory) -> float:
-    """What the exported energy earns in GBP, negative where it costs."""
+    """Revenue of the exported energy in GBP, negative where it costs."""
     day = trajectory.scenario
     price = day.export_price[: len(trajectory.steps)]
     return float(price @ trajectory.exported_kw * day.grid.dt_h)
@@ -311,7 +311,7 @@ def line_figures(trajectory: Trajectory) -> dict[str, float | None]:
 
 
 def island_figures(trajectory: Trajectory) -> dict[str, float | None]:
-    """What the slack bus has to balance although the grid is dead, at its largest.
+    """Largest balance at the slack bus of an island, although its grid is dead.
 
     The optimisation's island is lossless; the AC power flow draws the losses, and any mismatch,
     from the slack bus. ``import`` is active power into the feeder, ``export`` a surplus that has

@@ -1,4 +1,4 @@
-"""What an observation may hold of the outages ahead: the option ``outages``.
+"""Outages ahead in an observation: the option ``outages``.
 
 Unless outages are known, nothing but the present step of the true grid limits passes from here.
 The same observation goes to the controller, to the guard around it and to its fallbacks.
@@ -19,14 +19,14 @@ from vppres.contract.observation import Observation
 from vppres.contract.stored_value import StoredValue
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
-from vppres.day.forecasting import Forecasts
+from vppres.day.forecasting import DayForecasts
 from vppres.day.priority import site_of
 from vppres.kinds.gensets.physics import SetsAhead
 from vppres.model.site import Site
 from vppres.outlook.belief import OutageBelief
 from vppres.outlook.outlook import OutageOutlook, SeenOutage
 from vppres.outlook.presets import Statistics
-from vppres.outlook.value import Ahead, Fleet, stored_value
+from vppres.outlook.value import Ahead, EquivalentBattery, stored_value
 from vppres.scenario.formers import forming_batteries
 from vppres.scenario.priority import STRICT
 from vppres.scenario.scenario import Scenario
@@ -45,7 +45,7 @@ DAY_H = 24.0
 
 @dataclass(frozen=True)
 class GridSeen:
-    """What has been seen of the grid up to the present step.
+    """History of the grid up to the present step.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class GridSeen:
         return bool(self.outages) and self.outages[-1].end is None
 
     def after(self, time: pd.Timestamp, limit_kw: float) -> GridSeen:
-        """The same after another step: its beginning, and its largest import.
+        """History after another step: its beginning, and its largest import.
 
         >>> noon = pd.Timestamp("2022-07-19T12:00Z")
         >>> GridSeen().after(noon, 0.0).out
@@ -81,7 +81,7 @@ class GridSeen:
 
 @dataclass(frozen=True, eq=False)
 class Beside:
-    """What is known beside the steps that are looked at.
+    """Import prices before the window, and announced import limits in it.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ class Fuel:
 
     @classmethod
     def of(cls, scenario: Scenario, row: int, n_steps: int, seen: Observation) -> Fuel:
-        """Of an observation and the deliveries of so many steps."""
+        """Fuel of an observation and the deliveries of so many steps."""
         sets = scenario.gensets
         known = seen.ahead.find(SetsAhead)
         if known is None:
@@ -152,7 +152,7 @@ class Fuel:
 
 @dataclass(frozen=True, eq=False)
 class OutageView:
-    """What a controller knows of outages.
+    """View of outages that a controller gets.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ class OutageView:
 
     @classmethod
     def create(cls, scenario: Scenario, options: Mapping[str, Any]) -> OutageView:
-        """By the options of a run, as they are recorded."""
+        """View of outages by the options of a run, as they are recorded."""
         statistics = scenario.outage_statistics
         return cls(
             kind=str(options.get("outages") or KNOWN),
@@ -199,7 +199,7 @@ class OutageView:
         grid: GridSeen,
         scenario: Scenario,
         row: int,
-        forecaster: Forecasts,
+        forecaster: DayForecasts,
         beside: Beside | None = None,
     ) -> Observation:
         """An observation without what cannot be known.
@@ -225,13 +225,15 @@ class OutageView:
         window = range(row, row + len(seen.forecast.price_gbp_per_kwh))
         if self.kind == "none":
             out = np.full(len(window), grid.out)
-            return _told(seen, scenario, window, out, grid, beside)
+            return _with_probable_outages(seen, scenario, window, out, grid, beside)
         n_ahead = min(
             max(scenario.grid.steps_in_horizon(LOOKAHEAD_H), len(window)),
             scenario.grid.n_steps - row,
         )
         belief = self.outlook.at(scenario.grid.times[row], n_ahead, grid.outages)
-        told = _told(seen, scenario, window, belief.likely[: len(window)], grid, beside)
+        told = _with_probable_outages(
+            seen, scenario, window, belief.likely[: len(window)], grid, beside
+        )
         told = replace(
             told,
             outage_messages=belief.words,
@@ -260,7 +262,7 @@ class OutageView:
         out: bool,
         fuel: Fuel,
     ) -> Ahead:
-        """What is expected of the steps.
+        """Expected demand, power and prices of the steps.
 
         With grid stored energy is weighed against money, and customers by what they lose. Without
         it is weighed against customers, and strict order holds.
@@ -291,7 +293,7 @@ class OutageView:
         beside: Beside,
         fuel: Fuel,
     ) -> StoredValue:
-        """What energy is worth behind the present step."""
+        """Value of energy behind the present step."""
         fleet = self._fleet(scenario, seen, fuel)
         end = Terminal.of(self.soc_end, ahead, ends=True)
         # An evening's own prices would keep energy that the next night sells for less.
@@ -300,7 +302,7 @@ class OutageView:
         lowest = max(float(np.append(before, ahead.price_gbp_per_kwh).min()), 0.0)
 
         def end_gbp(energy_kwh: Floats) -> Floats:
-            """What is held behind the last step: bought at the day's lowest price, or asked for."""
+            """Worth of energy behind the last step: at the day's lowest price, or the target's."""
             if end is None:
                 return lowest / fleet.eta_charge * (energy_kwh - fleet.least_kwh)
             # What batteries are to hold is held besides all fuel.
@@ -309,7 +311,7 @@ class OutageView:
 
         return stored_value(belief, fleet, expected, self.gbp_per_kwh_lost, end_gbp)
 
-    def _fleet(self, scenario: Scenario, seen: Observation, fuel: Fuel) -> Fleet:
+    def _fleet(self, scenario: Scenario, seen: Observation, fuel: Fuel) -> EquivalentBattery:
         """All batteries as one, with their present efficiencies; the guard tells who is there."""
         b = scenario.batteries
         power_kw = b.active_max_kw
@@ -320,7 +322,7 @@ class OutageView:
         reserve_kwh = headroom_kw.sum() * scenario.grid.dt_h / eta_discharge
         least_kwh = float(b.energy_kwh @ b.soc_min)
         most_kwh = float(b.energy_kwh @ b.soc_max)
-        return Fleet(
+        return EquivalentBattery(
             least_kwh=min(least_kwh + reserve_kwh, 0.5 * (least_kwh + most_kwh)),
             most_kwh=most_kwh,
             p_max_kw=float(power_kw.sum()),
@@ -362,7 +364,7 @@ def believed_outages(scenario: Scenario, options: Mapping[str, Any]) -> Floats:
     return found
 
 
-def _told(
+def _with_probable_outages(
     seen: Observation, scenario: Scenario, window: range, out: Flags, grid: GridSeen, beside: Beside
 ) -> Observation:
     """An observation with probable outages instead of the true limits behind the present step."""

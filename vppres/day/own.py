@@ -17,7 +17,7 @@ from vppres.control.guard.check import misshapen
 from vppres.core.arrays import Floats
 from vppres.core.errors import InputError
 from vppres.day.options import RunOptions
-from vppres.forecasts.interface import Forecaster
+from vppres.forecasts.interface import ForecastMethod
 from vppres.model.site import Site
 
 MPC = "mpc"
@@ -25,14 +25,14 @@ MPC = "mpc"
 
 @dataclass(frozen=True, eq=False)
 class Own:
-    """What replaces parts of a run.
+    """Replacements for parts of a run.
 
     Parameters
     ----------
     controller : callable, optional
         Makes a controller of a site, ``controller(site)``; a class will do. What it makes has
         ``horizon_steps(t0)`` and ``decide(observation)``.
-    forecaster : Forecaster, optional
+    forecaster : ForecastMethod, optional
         Has ``forecast(history, issued_at, steps)``.
     weights : callable or array, optional
         The customers' weights of each step: an array of shape (T, C), or a function of the
@@ -40,7 +40,7 @@ class Own:
     """
 
     controller: Callable[[Site], Decider] | None = None
-    forecaster: Forecaster | None = None
+    forecaster: ForecastMethod | None = None
     weights: Callable[[Observation], ArrayLike] | ArrayLike | None = None
 
     def check(self, options: RunOptions) -> None:
@@ -114,7 +114,7 @@ class Own:
         return WellFormed(made, site)
 
     def record(self) -> dict[str, Any]:
-        """What is its own, by name, for the run's options."""
+        """Names of the parts that are replaced, for the run's options."""
         given = {"controller": self.controller, "forecaster": self.forecaster}
         found = {name: _name(part) for name, part in given.items() if part is not None}
         if self.weights is not None:
@@ -206,7 +206,7 @@ class ByStepWeights:
         self._controllers.change_to(weight)
 
     def horizon_steps(self, t0: int) -> range:
-        """Those of its controllers."""
+        """Steps of its controllers' windows."""
         return self._controllers.horizon_steps(t0)
 
     def decide(self, observation: Observation) -> Decision:

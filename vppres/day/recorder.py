@@ -46,7 +46,7 @@ OPTIONAL = (ROTATED, SHARE, TIME_ON, LOSSES)
 
 @dataclass(frozen=True, eq=False)
 class StepRecord:
-    """Everything that is known of one step once it is over: a piece of each table.
+    """Record of one step once it is over: a piece of each table.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ class StepRecord:
     nodes: Mapping[str, Floats] | None = None
     """Voltages by phase of the optimisation and of the AC power flow; None without phases."""
     kinds: Mapping[str, Mapping[str, NDArray[Any]]] = field(default_factory=dict)
-    """What the units of each kind of flexible power did and how they are, (n,) each."""
+    """Record of the units of each kind of flexible power, (n,) each."""
 
 
 def voltage_figures(v_model_pu: Floats, v_ac_pu: Floats) -> dict[str, float]:
@@ -120,7 +120,7 @@ class Recorder:
         if step.t != len(self._records):
             raise ValueError(f"step {step.t} recorded, expected step {len(self._records)}")
         self._check_shapes(step)
-        self._records.append(_alone(step))
+        self._records.append(_without_window(step))
 
     def finish(
         self, options: Mapping[str, Any], planned: Mapping[str, Any] | None = None
@@ -236,7 +236,7 @@ class Recorder:
         )
 
 
-def _alone(step: StepRecord) -> StepRecord:
+def _without_window(step: StepRecord) -> StepRecord:
     """The record without what its arrays are parts of: a row would keep its whole window."""
     tables: dict[str, Any] = {
         name: {column: np.array(values) for column, values in getattr(step, name).items()}

@@ -1,4 +1,4 @@
-"""What an outage cost the customers: interruptions, minutes lost, energy and its worth.
+"""Cost of an outage to the customers: interruptions, minutes lost, energy and its worth.
 
 The indices are those of IEEE Std 1366 (SAIFI, SAIDI) and of British regulation (CI, CML), taken
 over one run instead of a year.

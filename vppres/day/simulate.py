@@ -24,14 +24,14 @@ from vppres.core.errors import ModelError, VppresError, function_of
 from vppres.day.assembly import make_controller
 from vppres.day.checks import check_parts
 from vppres.day.faults import FaultInjector, FaultPlan
-from vppres.day.forecasting import Forecasts, MeasuredForecasts, basis_of, forecasts_of
+from vppres.day.forecasting import DayForecasts, MeasuredForecasts, basis_of, forecasts_of
 from vppres.day.kind_tables import records_of
 from vppres.day.options import PERFECT, RunOptions
 from vppres.day.outages import BELIEF, LIKELY, GridSeen, OutageView
 from vppres.day.own import Own
 from vppres.day.recorder import ROTATED, Recorder, StepRecord, voltage_figures
 from vppres.day.trajectory import SHARE, Trajectory
-from vppres.forecasts.interface import Forecaster
+from vppres.forecasts.interface import ForecastMethod
 from vppres.io.python_door import check_scenario
 from vppres.model.site import Site
 from vppres.physics.powerflow import ACPowerFlow, ACResult
@@ -56,7 +56,7 @@ def run_day(
     faults: FaultPlan | None = None,
     *,
     controller: Callable[[Site], Decider] | None = None,
-    forecaster: Forecaster | None = None,
+    forecaster: ForecastMethod | None = None,
     weights: Callable[[Observation], ArrayLike] | ArrayLike | None = None,
     steps: int | None = None,
 ) -> Trajectory:
@@ -75,7 +75,7 @@ def run_day(
     controller : callable, optional
         Makes a controller of your own of a site, ``controller(site)``; a class with
         ``horizon_steps(t0)`` and ``decide(observation)``, for example. The guard checks it too.
-    forecaster : Forecaster, optional
+    forecaster : ForecastMethod, optional
         Your own, with ``forecast(history, issued_at, steps)``.
     weights : callable or array, optional
         The customers' weights of each step: an array of shape (T, C), or a function of the
@@ -116,7 +116,7 @@ class Day:
         scenario: Scenario,
         options: RunOptions,
         faults: FaultInjector | None = None,
-        forecaster: Forecaster | None = None,
+        forecaster: ForecastMethod | None = None,
     ) -> None:
         self.scenario = scenario
         self.options = options.on(scenario)
@@ -131,7 +131,7 @@ class Day:
         errors = ForecastErrors() if options.controller == PERFECT else options.errors
         if faults is not None:
             errors = faults.plan.forecast_errors(errors)
-        self.forecaster: Forecasts = (
+        self.forecaster: DayForecasts = (
             forecasts_of(scenario, self.options, errors)
             if forecaster is None
             else MeasuredForecasts(scenario, forecaster)
@@ -149,7 +149,7 @@ class Day:
         self.outage_messages = ""
 
     def observe(self, controller: Decider, t: int) -> Observation:
-        """What the controller may know at step ``t``."""
+        """Observation of the controller at step ``t``."""
         steps = controller.horizon_steps(t)
         forecast = self.forecaster.at(t, steps)
         s = self.state
@@ -215,7 +215,7 @@ class Day:
         return self.settle(t, decision)
 
     def settle(self, t: int, decision: Decision) -> StepRecord:
-        """What comes of a decision; the day is at the step after it."""
+        """Record of a decision's step; the day is at the step after it."""
         done = self.carry_out(t, decision)
         realised = done.realised
         kinds = records_of(self.plant, t, realised)
@@ -252,7 +252,7 @@ class Day:
         return record
 
     def carry_out(self, t: int, decision: Decision) -> Settled:
-        """What the day makes of a decision; physical mode's islands hold themselves."""
+        """Outcome of a decision; physical mode's islands hold themselves."""
         if not self._held_by_batteries(t):
             flow = self.island_ac if self.scenario.outage[t] else self.ac
             return realise(self.plant, flow, t, decision, self.state)
@@ -274,13 +274,13 @@ def _balanced(plant: Plant) -> tuple[ACPowerFlow, ACPowerFlow, IslandPlant]:
 
 
 def _with_phases(plant: Plant) -> tuple[ACPowerFlow, ACPowerFlow, IslandPlant]:
-    """The same of a phased feeder."""
+    """Power flows and island plant of a phased feeder."""
     flow = PhasedACFlow(plant.scenario)
     return flow, flow, PhasedIslandPlant(plant, flow)
 
 
 def _promised(plan: Dispatch | None, scenario: Scenario) -> dict[str, Any] | None:
-    """What a full horizon's plan promises; nothing where it was made later in the day."""
+    """Promise of a full horizon's plan; None where it was made later in the day."""
     if plan is None or plan.n_steps < scenario.grid.n_steps:
         return None
     return {
@@ -298,7 +298,7 @@ def _record(
     done: Settled,
     options: RunOptions,
 ) -> StepRecord:
-    """Everything that is known of the step."""
+    """Record of the step."""
     plan, row = decision.dispatch, decision.row
     buses = {"v_model_pu": plan.v_pu[row], "v_ac_pu": done.ac.v_pu}
     lines = {
@@ -310,8 +310,8 @@ def _record(
     nodes = _of_nodes(done.ac, decision)
     held_by_batteries = str(options.mode) == "physical" and bool(scenario.outage[t])
     steps = {
-        **_supply(done, buses, held_by_batteries),
-        **_answer(decision, done),
+        **_of_power_flow(done, buses, held_by_batteries),
+        **_of_solution(decision, done),
         "ac_failed": done.ac_failed,
         **_effort(decision.info, done.realised.clipped_kw),
         "mode": str(options.mode),
@@ -350,7 +350,7 @@ def _of_customers(scenario: Scenario, decision: Decision, done: Settled) -> dict
 
 
 def _of_pv(available_kw: Floats, realised: Realised) -> dict[str, Floats]:
-    """What PV systems could give, and what they gave."""
+    """Available power of PV systems, and its use."""
     return {
         "available_kw": available_kw,
         "self_kw": realised.pv_self_kw,
@@ -377,7 +377,7 @@ def _of_batteries(state: BatteryState, done: Settled) -> dict[str, Floats]:
 
 
 def _of_rules(info: SolveInfo, options: RunOptions) -> dict[str, Any]:
-    """What a strict order proves of its tiers, and what beliefs make of stored energy."""
+    """Levels that a strict order proves of its tiers, and the value of stored energy by beliefs."""
     found: dict[str, Any] = {}
     if options.priority == STRICT:
         found["levels"] = info.levels
@@ -406,7 +406,7 @@ def _over_nodes(v_model_pu: Floats, v_ac_pu: Floats) -> dict[str, float]:
 
 
 def _by_phase(ac: ACResult, held_by_batteries: bool) -> dict[str, Any]:
-    """What the source gives by phase, unbalance, and the fullest phase; NaN in a blackout."""
+    """Power of the source by phase, unbalance, and the fullest phase; NaN in a blackout."""
     source = "former" if held_by_batteries else "import"
     found: dict[str, Any] = {
         f"{each}_{p}_kva": np.nan for each in ("former", "import") for p in PHASES
@@ -418,10 +418,10 @@ def _by_phase(ac: ACResult, held_by_batteries: bool) -> dict[str, Any]:
     return {**found, "unbalance_max": ac.unbalance, **loading}
 
 
-def _supply(
+def _of_power_flow(
     done: Settled, buses: Mapping[str, Floats], held_by_batteries: bool
 ) -> dict[str, float]:
-    """What the AC power flow says of the step as a whole."""
+    """Figures of the AC power flow for the step as a whole."""
     return {
         # Where batteries hold the island the reference bus is one of theirs: nothing is imported.
         "p_grid_kw": 0.0 if held_by_batteries else done.ac.p_slack_kw,
@@ -431,8 +431,8 @@ def _supply(
     }
 
 
-def _answer(decision: Decision, done: Settled) -> dict[str, Any]:
-    """What was found for the step, and what overruled or replaced it.
+def _of_solution(decision: Decision, done: Settled) -> dict[str, Any]:
+    """Solution of the step, and what overruled or replaced it.
 
     A blacked-out island is one in its status too, whatever an optimal plan had promised; what is
     wrong with an answer stays said.
@@ -469,7 +469,7 @@ def _effort(info: SolveInfo, clipped_kw: float) -> dict[str, Any]:
 
 
 def _island_notes(scenario: Scenario, done: Settled) -> dict[str, float | str]:
-    """What the record says of an island's step; the figures are 0 where nothing was cut."""
+    """Record of an island's step; the figures are 0 where nothing was cut."""
     net = scenario.network
     v = done.ac.v_pu
     within = bool(v.min() >= net.v_min_ac_pu and v.max() <= net.v_max_ac_pu)

@@ -24,7 +24,7 @@ from vppres.scenario.network import BusId
 from vppres.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
-    from vppres.feeders.actuate import Powers
+    from vppres.feeders.actuate import PowerTables
 
 TABLES = ("steps", "customers", "pv", "batteries", "buses", "lines")
 EXPLAINING_TABLES = ("explanations", "shadow_prices")
@@ -74,7 +74,7 @@ def time_on(customers: pd.DataFrame) -> pd.Series[Any]:
 
 
 class Feeder(Protocol):
-    """What :func:`vppres.feeders.sources.import_network` yields; only the buses matter here."""
+    """Result of :func:`vppres.feeders.sources.import_network`; only the buses matter here."""
 
     @property
     def bus_of(self) -> Mapping[int, BusId]:
@@ -221,15 +221,15 @@ class Trajectory(RunsOfKinds):
             )
         return int(found[0])
 
-    def _powers(self, t: int) -> Powers:
+    def _powers(self, t: int) -> PowerTables:
         """Powers of a step by identifier."""
-        from vppres.feeders.actuate import Feeding, Powers
+        from vppres.feeders.actuate import Feeding, PowerTables
 
         day = self.scenario
         rows = {name: self.rows(name, t) for name in ("customers", "pv", "batteries")}
         c, pv, b = rows["customers"], rows["pv"], rows["batteries"]
         on = taken(c).to_numpy()
-        return Powers(
+        return PowerTables(
             _powers(
                 day.customers.id, day.customers.bus, c["p_load_kw"] * on, c["q_load_kvar"] * on
             ),

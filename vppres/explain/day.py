@@ -153,7 +153,7 @@ def _prices(step: Step) -> list[Row]:
         values = _level(step.service, name, len(items)), _level(step.cost, name, len(items))
         if not step.levels.solved:
             continue
-        shown = _shown(name, *values)
+        shown = _items_shown(name, *values)
         rows += [
             {
                 "constraint": name,
@@ -204,7 +204,7 @@ def _level(prices: ShadowPrices | None, name: str, count: int) -> Floats:
     return np.where(np.abs(values) > WORTH, values, 0.0)
 
 
-def _shown(name: str, service: Floats, cost: Floats) -> list[int]:
+def _items_shown(name: str, service: Floats, cost: Floats) -> list[int]:
     """Items worth a row; of the powers at buses only the best, which says what could be had."""
     worth = (np.abs(np.nan_to_num(service)) > WORTH) | (np.abs(np.nan_to_num(cost)) > WORTH_GBP)
     if name == "stored_energy":

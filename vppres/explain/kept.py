@@ -106,7 +106,7 @@ class Kept:
     hours: float
 
     def words(self, out: bool, zone: str) -> str:
-        """The same in a sentence; times by the clocks at the site."""
+        """Description of the kept energy in a sentence; times by the clocks at the site."""
         end, until = (f"{one.tz_convert(zone):%H:%M}" for one in (self.end, self.likely_to))
         may = "the outage may last to" if out else "an outage is possible up to"
         costs = in_pounds(self.gbp, ",.0f") if self.gbp >= LEAST_GBP else "nothing"
@@ -159,7 +159,7 @@ def kept_in(step: Step) -> Kept | None:
 
 
 def _costs_gbp(step: Step) -> float | None:
-    """What the step would cost less if nothing were kept: solved again without the value."""
+    """Saving of the step if nothing were kept, solved again without the value."""
     window = step.levels.window.first(1)
     value = step.levels.window.stored_value
     assert value is not None

@@ -12,14 +12,14 @@ from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import ModelError
 from vppres.explain.recorded import Recorded
 from vppres.model.data import WindowData
-from vppres.solve.shadow_price_model import Held, PricedTerms, ShadowPriceModel
+from vppres.solve.shadow_price_model import FixedDecisions, PricedTerms, ShadowPriceModel
 from vppres.solve.shadow_prices import PricedWindow, price_window
 
 WORTH = 1e-6
 """Smallest shadow price that counts, in weighted customer hours; solver noise is below 1e-9."""
 
 WORTH_GBP = 1e-3
-"""The same in GBP."""
+"""Smallest shadow price that counts, in GBP."""
 
 CURTAILED_SLACK_KWH = 1e-3
 WHOLE = 1e-6
@@ -90,7 +90,9 @@ def step_prices(recorded: Recorded, model: ShadowPriceModel, t: int) -> StepPric
     window = recorded.seen(t)
     left_out = recorded.left_out(t)
 
-    def price(held: Held, terms: PricedTerms, more: Floats | float = 0.0) -> PricedWindow | None:
+    def price(
+        held: FixedDecisions, terms: PricedTerms, more: Floats | float = 0.0
+    ) -> PricedWindow | None:
         richer = replace(window, soc=window.soc + more)
         try:
             answer = price_window(model, richer, held, terms)
@@ -127,7 +129,7 @@ def _of_the_others(answer: PricedWindow, left_out: Flags) -> PricedWindow:
 
 
 def _service_level(
-    price: Price, lambda_curt: float, held: Held, energy_kwh: Floats
+    price: Price, lambda_curt: float, held: FixedDecisions, energy_kwh: Floats
 ) -> PricedWindow | None:
     """Service and curtailment as weighted; if the model cannot carry what was served, without it.
 
@@ -137,7 +139,7 @@ def _service_level(
     terms = PricedTerms(1.0, 0.0, lambda_curt)
     answer = price(held, terms)
     if answer is None:
-        held = Held(
+        held = FixedDecisions(
             np.zeros_like(held.service_min),
             held.service_max,
             np.zeros_like(held.mode_min),

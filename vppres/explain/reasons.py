@@ -50,10 +50,12 @@ UNEXPLAINED = Reason(
 def why_restored(step: Step, customer: int) -> Reason:
     """Why a customer is on supply again whose longest time off has ended."""
     local = step.scenario.grid.local(step.scenario.grid.times[step.t])
-    return Reason("longest_off", "", f"On at {local:%H:%M}: {_its_limit(step, customer)} ends.")
+    return Reason(
+        "longest_off", "", f"On at {local:%H:%M}: {_longest_off_words(step, customer)} ends."
+    )
 
 
-def _its_limit(step: Step, customer: int) -> str:
+def _longest_off_words(step: Step, customer: int) -> str:
     """How long a customer may be off at a time, in words."""
     c = step.site.customers
     limit_h = c.longest_off_h[customer]
@@ -68,7 +70,7 @@ def why_not_served(step: Step, customer: int) -> Reason:
         return reason
     off_h = step.recorded.off_before_h[step.t][customer] + step.site.dt_h
     beyond_h = off_h - step.site.customers.longest_off_h[customer]
-    limit = _its_limit(step, customer)
+    limit = _longest_off_words(step, customer)
     return replace(reason, words=f"{reason.words} It is {figure(beyond_h)} h beyond {limit}.")
 
 
@@ -128,7 +130,7 @@ def _why_off(step: Step, customer: int) -> Reason:
 
 
 def _too_little(step: Step, customer: int, binding: Scarce) -> str:
-    """What there is not enough of, by name."""
+    """Name of what there is not enough of."""
     demand_kw = figure(float(step.load_kw[customer]))
     limits = limits_in_full(step, customer, binding)
     if len(limits) > 1:
@@ -144,7 +146,7 @@ def _too_little(step: Step, customer: int, binding: Scarce) -> str:
 
 
 def scarce_words(step: Step, customer: int, binding: Scarce) -> str:
-    """What is scarce for a customer, by name."""
+    """Name of what is scarce for a customer."""
     which = _which_for(step, customer, binding)
     if which is None:
         return scarce_name(step, binding)
@@ -333,11 +335,11 @@ def _relieved_phase(step: Step, battery: int) -> int | None:
     phases = None if step.service is None else step.service.phases
     if phases is None or battery == step.site.batteries.largest_former:
         return None
-    cost = phases.active[:, _place(step, battery)]
+    cost = phases.active[:, _asset_index(step, battery)]
     return int(np.argmax(cost)) if cost.max() > WORTH else None
 
 
-def _place(step: Step, battery: int) -> int:
+def _asset_index(step: Step, battery: int) -> int:
     """Place of a battery among the assets of a phased feeder."""
     return len(step.site.customers) + len(step.site.pv) + battery
 
@@ -356,7 +358,7 @@ def _move_with_grid(step: Step, battery: int, verb: str) -> Reason:
         return Reason(
             "surplus",
             limit,
-            f"Charges: {step.site.pv.word} exceeds demand, and {_taken(step)}.",
+            f"Charges: {step.site.pv.word} exceeds demand, and {_export_words(step)}.",
         )
     worth = step.later_worth_gbp
     if worth is None:
@@ -385,7 +387,7 @@ def _voltage_decides(step: Step, battery: int) -> bool:
         by_voltage = prices.active - prices.line_active
         above = float((step.site.battery_bus.T @ by_voltage)[battery]) - base
     else:
-        above = float(prices.phases.by_voltage[_place(step, battery)])
+        above = float(prices.phases.by_voltage[_asset_index(step, battery)])
     # A discharge helps where power is worth more than at the slack bus, a charge where less.
     helps = above * -np.sign(step.battery_kw[battery])
     return bound > WORTH and bool(helps > OFF_PRICE * max(abs(base), WORTH))
@@ -451,12 +453,12 @@ def why_curtailed(step: Step, system: int) -> Reason:
     return Reason(
         "surplus",
         where,
-        f"Curtailed: {pv.word} exceeds the supplied demand, {rest}, and {_taken(step)}.",
+        f"Curtailed: {pv.word} exceeds the supplied demand, {rest}, and {_export_words(step)}.",
     )
 
 
-def _taken(step: Step) -> str:
-    """What is exported of a surplus, in words."""
+def _export_words(step: Step) -> str:
+    """Export of a surplus, in words."""
     if step.export_kw > MOVE_KW:
         return f"only {figure(step.export_kw)} kW is exported"
     return "nothing is exported" if _could_export(step) else "nothing can be exported"
@@ -467,7 +469,7 @@ def _could_export(step: Step) -> bool:
 
 
 def overruled(step: Step, what: str) -> Reason | None:
-    """What overrides every optimisation: a blacked-out island, or a fallback."""
+    """Reason that overrides every optimisation: a blacked-out island, or a fallback."""
     if step.dark:
         return Reason("dark", "", f"{what}: the island is blacked out ({step.dark}).")
     if step.fallback:

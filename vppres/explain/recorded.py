@@ -21,7 +21,7 @@ from vppres.contract.terminal import Terminal
 from vppres.control.converged import physics_of
 from vppres.control.phased_window import PhasedLinearisation
 from vppres.core.arrays import Complexes, Flags, Floats
-from vppres.day.forecasting import PAPER, Forecasts, named_forecasts
+from vppres.day.forecasting import PAPER, DayForecasts, named_forecasts
 from vppres.day.metrics import line_loading
 from vppres.day.outages import GridSeen, OutageView, believed_outages
 from vppres.day.priority import site_of, weighed
@@ -37,7 +37,7 @@ from vppres.model.phases import phased_model
 from vppres.model.ratings import with_ratings
 from vppres.scenario.rules import SwitchingRules
 from vppres.solve.ladder import WindowSolver
-from vppres.solve.shadow_price_model import Held
+from vppres.solve.shadow_price_model import FixedDecisions
 
 MOVE_KW = 1.0
 """Smallest power of a battery, or of curtailment, that counts as an action."""
@@ -125,7 +125,7 @@ class Recorded:
 
     @cached_property
     def _owed(self) -> list[Owed | None]:
-        """What could still be caught up at the beginning of each step."""
+        """Demand that could still be caught up at the beginning of each step."""
         none = Owed.of(self.site.customers, self.site.dt_h)
         if none is None:
             return [None] * self.n_steps
@@ -177,7 +177,7 @@ class Recorded:
 
     @property
     def beyond(self) -> Beyond:
-        """What the windows' problems had beyond the paper; the first and last have all of it."""
+        """Additions of the windows to the paper's problem; the first and last have all of them."""
         last = max(self.n_steps - self.n_seen, 0)
         there = {name: shape for t in (0, last) for name, shape in self._beyond_of(t)}
         return tuple(there.items())
@@ -220,7 +220,7 @@ class Recorded:
         return self.trajectory.by_step("nodes", "v_ac_pu")
 
     def former_kva(self, t: int) -> Complexes:
-        """What the former gave on each phase in a step of an island, (3,)."""
+        """Complex power of the former on each phase in a step of an island, (3,)."""
         (p,), (q,) = self.drawn(t)
         found = phased_model(self.site).solved(True, p, q)
         assert found is not None
@@ -238,7 +238,7 @@ class Recorded:
         return nothing if found is None else model.loadings.currents(found.v)
 
     def drawn(self, t: int) -> tuple[Floats, Floats]:
-        """What assets of a phased feeder drew in a step, (1, D) each, the former's own left out."""
+        """Power of a phased feeder's assets in a step, (1, D) each, the former's own left out."""
         run = self.trajectory
         pv_kw = run.by_step("pv", "self_kw") + run.by_step("pv", "export_kw")
         pv_kvar = run.by_step("pv", "q_kvar")
@@ -263,13 +263,13 @@ class Recorded:
         return with_ratings(self.site, found) if self.site.rated else found
 
     def observation(self, t: int) -> Observation:
-        """What the controller knew of that window."""
+        """Observation of the controller in that window."""
         length = 1 if self.flag(t, "corrected") else self.n_seen
         steps = range(t, min(t + length, self.n_steps))
-        return replace(self._told(t, steps), operating_point=self._operating_point(t - 1))
+        return replace(self._observation_at(t, steps), operating_point=self._operating_point(t - 1))
 
-    def held(self, t: int, n_steps: int) -> Held:
-        """Who was served stays served in the step; batteries that moved keep their mode.
+    def held(self, t: int, n_steps: int) -> FixedDecisions:
+        """Fixed decisions: customers served in the step stay so, batteries that moved keep mode.
 
         Those that were left out do not charge, and as they count as empty do not discharge. Who was
         not served may be served by nearly all of its demand.
@@ -279,7 +279,7 @@ class Recorded:
         highest = np.ones(lowest.shape)
         highest[0] = np.where(self.served[t], 1.0, NEARLY_ALL)
         power = self.battery_kw[t]
-        return Held(
+        return FixedDecisions(
             lowest,
             highest,
             (power > MOVE_KW).astype(float),
@@ -300,7 +300,7 @@ class Recorded:
         return self.trajectory.by_step("batteries", "eta_discharge")
 
     @cached_property
-    def _forecaster(self) -> Forecasts:
+    def _forecaster(self) -> DayForecasts:
         known = self.options["controller"] == PERFECT
         errors = ForecastErrors(**({} if known else self.options.get("errors", {})))
         name = PAPER if known else self.options.get("forecaster", PAPER)
@@ -322,8 +322,8 @@ class Recorded:
             now.export,
         )
 
-    def _told(self, t: int, steps: range) -> Observation:
-        """What the controller knew: of outages no more than could be known."""
+    def _observation_at(self, t: int, steps: range) -> Observation:
+        """Observation of the controller: of outages no more than could be known."""
         forecast = self._forecast(t, steps)
         ends = steps.stop == self.n_steps
         seen = Observation(
@@ -356,7 +356,7 @@ class Recorded:
 
     @cached_property
     def _grid_seen(self) -> list[GridSeen]:
-        """What had been seen of the grid at each step."""
+        """History of the grid at each step."""
         steps = zip(self.scenario.grid.times, self.scenario.grid_limit_kw, strict=True)
         found = accumulate(steps, lambda seen, now: seen.after(*now), initial=GridSeen())
         return list(found)[1:]
@@ -376,7 +376,7 @@ class Recorded:
         )
 
     def _injections(self, t: int) -> tuple[Floats, Floats]:
-        """What all devices gave at each bus in a step, in kW and kvar, (N,) each."""
+        """Power of all devices at each bus in a step, in kW and kvar, (N,) each."""
         run = self.trajectory
         q_load_kvar = run.by_step("customers", "q_load_kvar")[t]
         active = {
@@ -393,14 +393,14 @@ class Recorded:
         return bus_injections(self.site, active), bus_injections(self.site, reactive)
 
     def _given_kw(self, kind: str) -> Floats:
-        """What each unit of a kind gave, negative where it took, (T, n)."""
+        """Power of each unit of a kind, negative where it took, (T, n)."""
         power_kw = self._of_kind(kind, "p_kw")
         return power_kw if KINDS[kind].gives else -power_kw
 
 
 @dataclass(frozen=True, eq=False)
-class Limits:
-    """What a step's record itself shows to be at its limit; for steps without shadow prices."""
+class LimitsReached:
+    """Limits that a step's record itself shows as reached; for steps without shadow prices."""
 
     empty: Flags
     at_power: Flags
@@ -408,7 +408,7 @@ class Limits:
     low_voltage: Flags
 
     @classmethod
-    def of(cls, recorded: Recorded, t: int) -> Limits:
+    def of(cls, recorded: Recorded, t: int) -> LimitsReached:
         """Limits reached in step ``t``, to 0.1% of each rating, 0.002 pu of the voltage."""
         b = recorded.site.batteries
         net = recorded.scenario.network

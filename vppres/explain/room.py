@@ -74,7 +74,7 @@ def overloaded_line(step: Step, customer: int) -> int | None:
 
 
 def _overloaded_current(step: Step, customer: int) -> int | None:
-    """The same of the currents of a phased feeder."""
+    """Current of a phased feeder that a customer's demand would overload most, None if none."""
     model = phased_model(step.site)
     if step.dark or not model.loadings.names:
         return None
@@ -117,7 +117,7 @@ def _demand(step: Step, customer: int) -> tuple[float, float]:
 
 
 def _flows_for(step: Step, customer: int) -> tuple[Floats, Floats]:
-    """What the supply of a customer adds to the flows of the lines, in kW and kvar, (L,) each.
+    """Flows of the lines that the supply of a customer adds, in kW and kvar, (L,) each.
 
     It comes from the grid, and in an island from the set or the largest battery that forms it.
     """
@@ -145,7 +145,7 @@ def _under_voltage(step: Step, customer: int) -> bool:
 
 
 def _node_under_voltage(step: Step, phased: PhasedWindow, customer: int) -> bool:
-    """The same of the nodes of a phased feeder."""
+    """Whether a node of a phased feeder would fall below its least voltage."""
     model = phased_model(step.site)
     slopes = model.slopes[ISLAND if step.outage else GRID]
     kw, kvar = _demand(step, customer)

@@ -15,7 +15,7 @@ from vppres.core.arrays import Flags, Floats
 from vppres.day.metrics import AT_RATING
 from vppres.day.phases import Phase
 from vppres.explain.prices import WORTH, StepPrices
-from vppres.explain.recorded import Limits, Recorded
+from vppres.explain.recorded import LimitsReached, Recorded
 from vppres.model.phases import GRID, ISLAND, phased_model
 from vppres.physics.phased_sources import buses_of
 from vppres.scenario.formers import forming_batteries, largest_forming_battery
@@ -70,7 +70,7 @@ DRIVERS: dict[str, str] = {
     "dark": "blacked-out island",
     "unexplained": "not explained",
 }
-"""What drives actions, and what it is called in the report."""
+"""Drivers of actions, and their names in the report."""
 
 Binding = Scarce | Literal[""]
 
@@ -131,9 +131,9 @@ class Step:
         return np.asarray(self.outage & (off_h > 0.0) & due(limit_h, off_h, self.site.dt_h))
 
     @cached_property
-    def limits(self) -> Limits:
-        """What the record alone shows to be at its limit."""
-        return Limits.of(self.recorded, self.t)
+    def limits(self) -> LimitsReached:
+        """Limits that the record alone shows as reached."""
+        return LimitsReached.of(self.recorded, self.t)
 
     @cached_property
     def spare_kw(self) -> float:
@@ -147,7 +147,7 @@ class Step:
 
     @property
     def spare_now_kw(self) -> float:
-        """The same, of each battery no more than what it keeps at the end of the step."""
+        """Spare power now, of each battery no more than what it keeps at the end of the step."""
         if not self.dark_steps:
             return np.inf
         more_kw = np.minimum(self._more_kw, self.kept_kwh[0] / self.site.dt_h)
@@ -217,12 +217,12 @@ class Step:
 
     @cached_property
     def later_worth_gbp(self) -> float | None:
-        """What one more stored kWh was expected to be worth later; None where outages are known."""
+        """Expected later worth of one more stored kWh; None where outages are known."""
         text = self.recorded.note(self.t, "stored_value_gbp_per_kwh")
         return float(text) if text else None
 
     def worth_gbp_per_kwh(self, customer: int) -> float | None:
-        """What a stored kWh is worth to a customer now; None where outages are known."""
+        """Worth of a stored kWh to a customer now; None where outages are known."""
         value = self.levels.window.stored_value
         if value is None:
             return None
@@ -243,7 +243,7 @@ class Step:
 
     @property
     def export_price_gbp_per_kwh(self) -> float:
-        """What exported energy earns."""
+        """Price of exported energy."""
         return float(self.scenario.export_price[self.t])
 
     @property
@@ -276,7 +276,7 @@ class Step:
 
     @cached_property
     def supply_cost(self) -> Mapping[Scarce, Floats]:
-        """What it would take from others to serve each customer in full, by what is scarce, (C,).
+        """Cost to others of serving each customer in full, by what is scarce, (C,).
 
         In weighted customer hours. The active power at the slack bus is priced by what limits the
         fleet, each battery counting with its rated power; what the price at the customer's bus has
@@ -313,14 +313,14 @@ class Step:
 
     @cached_property
     def phase_cost(self) -> Floats:
-        """What the former's phases make of the cost of each customer, (3, C); 0 without phases."""
+        """Part of the former's phases in the cost of each customer, (3, C); 0 without phases."""
         phases = None if self.service is None else self.service.phases
         if phases is None:
             return np.zeros((3, len(self.load_kw)))
         return self._cost_by(phases.active, phases.reactive)
 
     def _cost_by(self, active: Floats, reactive: Floats) -> Floats:
-        """What prices of powers, (..., D), make of the cost of each customer, (..., C)."""
+        """Cost of each customer at prices of powers, (..., D), as (..., C)."""
         n = len(self.load_kw)
         kvar = self.load_kw * self.site.customers.q_per_p
         return np.asarray(active[..., :n] * self.load_kw + reactive[..., :n] * kvar)
@@ -367,14 +367,14 @@ class Step:
         return np.asarray(through.max(axis=0, initial=0.0) > ON_THE_WAY)
 
     def scarce_for(self, customer: int) -> Binding:
-        """What most limits the supply of a customer, empty if nothing does."""
+        """Limit that most binds the supply of a customer, empty if none does."""
         cost = {name: float(values[customer]) for name, values in self.supply_cost.items()}
         name = max(cost, key=lambda key: cost[key])
         return name if cost[name] > WORTH else ""
 
     @cached_property
     def scarce(self) -> Binding:
-        """What most limits service in the step, empty if nothing does."""
+        """Limit that most binds service in the step, empty if none does."""
         total = {name: float(values.sum()) for name, values in self.supply_cost.items()}
         name = max(total, key=lambda key: total[key])
         return name if total[name] > WORTH else ""

@@ -1,4 +1,4 @@
-"""What drove a step, in a sentence."""
+"""Reason for a step as a whole, in a sentence."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from vppres.explain.words import figure, money, one_more, scarce_name, service_w
 
 
 def why_step(step: Step) -> Reason:
-    """What drove a step as a whole, and why it keeps energy."""
-    reason = _driven(step)
+    """Reason for a step as a whole, and for the energy that it keeps."""
+    reason = _main_reason(step)
     kept = "" if step.dark or step.fallback else why_kept(step)
     return replace(reason, words=f"{reason.words} {kept}".rstrip())
 
 
-def _driven(step: Step) -> Reason:
-    """What drove a step as a whole."""
+def _main_reason(step: Step) -> Reason:
+    """Reason for a step as a whole."""
     if step.dark:
         return Reason("dark", "", f"{_headline(step)} The island is blacked out: {step.dark}.")
     if step.fallback:
@@ -32,7 +32,7 @@ def _driven(step: Step) -> Reason:
             f"{_headline(step)} Binding limit: {scarce_name(step, scarce).removeprefix('the ')}"
             f"{f'; {offer}' if offer else ''}.",
         )
-    return Reason(_calm_driver(step), scarce, f"{_headline(step)} {_worth(step)}".rstrip())
+    return Reason(_calm_driver(step), scarce, f"{_headline(step)} {_worth_words(step)}".rstrip())
 
 
 def _calm_driver(step: Step) -> Driver:
@@ -54,8 +54,8 @@ def _headline(step: Step) -> str:
     return f"{supply} Batteries {verb} at {figure(abs(power))} kW."
 
 
-def _worth(step: Step) -> str:
-    """What a stored kWh serves or saves, if that is known."""
+def _worth_words(step: Step) -> str:
+    """Worth of a stored kWh, if that is known."""
     if step.cost is None or not len(step.cost.kept_energy):
         offer = one_more(step, "energy")
         return f"{_capital(offer)}." if offer else ""

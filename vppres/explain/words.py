@@ -37,7 +37,7 @@ TOO_LITTLE: dict[Binding, str] = {
 
 
 def scarce_name(step: Step, binding: Binding) -> str:
-    """What is scarce, by name; what gives the power of an island that has no batteries."""
+    """Name of what is scarce; the source of power in an island that has no batteries."""
     if binding not in ("power", "energy") or len(step.site.batteries):
         return SCARCE[binding]
     units = ((step.site.pv.word, step.site.pv), ("generating sets", step.site.gensets))
@@ -45,7 +45,7 @@ def scarce_name(step: Step, binding: Binding) -> str:
 
 
 def too_little(step: Step, binding: Binding) -> str:
-    """That there is too little of what is scarce."""
+    """Phrase for too little of what is scarce."""
     if scarce_name(step, binding) == SCARCE[binding]:
         return TOO_LITTLE[binding]
     return f"not enough {scarce_name(step, binding)} to supply it in full"
@@ -95,7 +95,7 @@ def one_more(step: Step, binding: Binding, which: int | None = None) -> str:
     full = int(np.argmax(rated)) if which is None and len(rated) else which or 0
     offers: list[tuple[float, str]] = []
     if binding == "energy":
-        offers = [(_most(p.stored_energy), "one more stored kWh")]
+        offers = [(_largest(p.stored_energy), "one more stored kWh")]
     elif binding == "power":
         offers = [
             _dearest("one more kW of battery", batteries, p.battery_discharging),
@@ -199,17 +199,17 @@ def time_of(hours: float) -> str:
 
 
 def stored_worth_gbp(step: Step, battery: int) -> float | None:
-    """What a stored kWh saves later; None if unknown, or if service decides."""
+    """Later saving of a stored kWh; None if unknown, or if service decides."""
     if step.cost is None:
         return None
     value = float(step.cost.kept_energy[battery])
     return value if value > WORTH_GBP else None
 
 
-def _most(values: Floats) -> float:
+def _largest(values: Floats) -> float:
     return float(values.max()) if len(values) else 0.0
 
 
 def _dearest(what: str, names: Names, values: Floats) -> tuple[float, str]:
     """The highest of some values, and at which of the names it is."""
-    return _most(values), f"{what} {names[int(np.argmax(values))]}" if len(values) else what
+    return _largest(values), f"{what} {names[int(np.argmax(values))]}" if len(values) else what

@@ -88,7 +88,7 @@ class Feeding:
 
 
 @dataclass(frozen=True, eq=False)
-class Powers:
+class PowerTables:
     """Powers of a step by identifier: ``bus``, ``p_kw`` and ``q_kvar`` in each table.
 
     What ``customers``, ``batteries`` and ``chargers`` take is positive in kW, what ``pv`` and
@@ -129,7 +129,7 @@ def _beside(table: pd.DataFrame, more: pd.DataFrame | None, word: str) -> pd.Dat
     return pd.concat([table, named])
 
 
-def put_into_net(net: Any, bus_of: Mapping[int, BusId], powers: Powers) -> None:
+def put_into_net(net: Any, bus_of: Mapping[int, BusId], powers: PowerTables) -> None:
     """Put a step into a net, in place; a second call replaces the first.
 
     Branches that were opened for the import have to be open in ``net``; ``bus_of`` has the bus of
@@ -149,7 +149,7 @@ def put_into_net(net: Any, bus_of: Mapping[int, BusId], powers: Powers) -> None:
             _write(net, table, str(name), bus_in_net[row["bus"]], row["p_kw"], row["q_kvar"])
 
 
-def _unknown_buses(powers: Powers, bus_in_net: Mapping[BusId, int]) -> list[Problem]:
+def _unknown_buses(powers: PowerTables, bus_in_net: Mapping[BusId, int]) -> list[Problem]:
     """Buses of the step that the net does not have."""
     tables = (powers.drawn, powers.fed, powers.stored, powers.feeding.fixed)
     items = pd.concat([table["bus"] for table in tables])

@@ -19,7 +19,7 @@ from vppres.feeders.closeness import given_deviation
 from vppres.feeders.dss.circuit import OpenDSSFlow
 from vppres.feeders.feeder import ImportedFeeder, Profile, Storages
 from vppres.feeders.net.balance import PhasePowers, balance_net, balanced, phase_powers
-from vppres.feeders.net.changes import Changes, changed
+from vppres.feeders.net.changes import PermittedChanges, changed
 from vppres.feeders.net.names import bus_names, name_in
 from vppres.feeders.net.numbers import impossible_numbers, missing_numbers, unknown_buses
 from vppres.feeders.net.reduce import feeder_of
@@ -102,7 +102,7 @@ def import_network(
     InputError
         If there is no such network, its library is missing, or it cannot be a radial feeder.
     """
-    changes = Changes(tuple(open_branches), open_loops, slack, balance, names)
+    changes = PermittedChanges(tuple(open_branches), open_loops, slack, balance, names)
     if not isinstance(name_or_file, (str, Path)):
         with _quiet():
             return _feeder(_Net(_of_today(name_or_file)), "pandapower net", changes)
@@ -144,7 +144,7 @@ def _to_blame(path: Path, what: str) -> Iterator[None]:
         raise _unreadable(path, what, first_line(error)) from error
 
 
-def _feeder(found: _Net, name: str, changes: Changes) -> ImportedFeeder:
+def _feeder(found: _Net, name: str, changes: PermittedChanges) -> ImportedFeeder:
     """The feeder of a net, after the changes that were asked for."""
     checks = (unknown_buses, missing_numbers, impossible_numbers)
     problems = folded([problem for check in checks for problem in check(found.net, name)])

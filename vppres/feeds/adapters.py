@@ -10,14 +10,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from vppres.core.errors import InputError
-from vppres.feeds.incidents import Answer, Incident, time_in
+from vppres.feeds.incidents import FeedSnapshot, Incident, time_in
 from vppres.io.messages import did_you_mean
 
 Row = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
-class Feed:
+class PublicFeed:
     """A public feed.
 
     Parameters
@@ -41,14 +41,14 @@ class Feed:
     url: str
     licence: str
     suffix: str
-    read: Callable[[bytes], Answer]
+    read: Callable[[bytes], FeedSnapshot]
 
 
-def read_ukpn(content: bytes) -> Answer:
+def read_ukpn(content: bytes) -> FeedSnapshot:
     """Live faults of UK Power Networks: a list of records, or a page with ``results``."""
     found = _json("ukpn", content)
     rows = found.get("results") if isinstance(found, dict) else found
-    return _answer("ukpn", rows, _of_ukpn)
+    return _snapshot("ukpn", rows, _of_ukpn)
 
 
 def _of_ukpn(row: Row) -> Incident:
@@ -64,12 +64,12 @@ def _of_ukpn(row: Row) -> Incident:
     )
 
 
-def read_ssen(content: bytes) -> Answer:
+def read_ssen(content: bytes) -> FeedSnapshot:
     """Faults of Scottish and Southern Electricity Networks."""
     found = _json("ssen", content)
     if not isinstance(found, dict):
         raise _unreadable("ssen", "is no object with faults")
-    return _answer("ssen", found.get("faults"), _of_ssen, found.get("timestampUtc"))
+    return _snapshot("ssen", found.get("faults"), _of_ssen, found.get("timestampUtc"))
 
 
 def _of_ssen(row: Row) -> Incident:
@@ -84,7 +84,7 @@ def _of_ssen(row: Row) -> Incident:
     )
 
 
-def read_nged(content: bytes) -> Answer:
+def read_nged(content: bytes) -> FeedSnapshot:
     """Live power cuts of National Grid Electricity Distribution, a CSV file."""
     try:
         text = content.decode("utf-8-sig")
@@ -99,7 +99,7 @@ def read_nged(content: bytes) -> Answer:
     except csv.Error as error:
         raise _unreadable("nged", "is no CSV file") from error
     made = [str(row.get("Upload Date") or "") for row in rows]
-    return _answer("nged", rows, _of_nged, max(made, default=None))
+    return _snapshot("nged", rows, _of_nged, max(made, default=None))
 
 
 def _of_nged(row: Row) -> Incident:
@@ -116,7 +116,7 @@ def _of_nged(row: Row) -> Incident:
 FEEDS = {
     feed.name: feed
     for feed in (
-        Feed(
+        PublicFeed(
             "ukpn",
             "UK Power Networks",
             "https://ukpowernetworks.opendatasoft.com/api/explore/v2.1/catalog/datasets/"
@@ -125,7 +125,7 @@ FEEDS = {
             ".json",
             read_ukpn,
         ),
-        Feed(
+        PublicFeed(
             "ssen",
             "Scottish and Southern Electricity Networks",
             "https://external.distribution.prd.ssen.co.uk/opendataportal-prd/v4/api/getallfaults",
@@ -133,7 +133,7 @@ FEEDS = {
             ".json",
             read_ssen,
         ),
-        Feed(
+        PublicFeed(
             "nged",
             "National Grid Electricity Distribution",
             "https://connecteddata.nationalgrid.co.uk/dataset/"
@@ -147,7 +147,7 @@ FEEDS = {
 }
 
 
-def feed_named(name: str) -> Feed:
+def feed_named(name: str) -> PublicFeed:
     """A feed by its name.
 
     Raises
@@ -166,9 +166,9 @@ def feed_named(name: str) -> Feed:
     return FEEDS[name]
 
 
-def _answer(
+def _snapshot(
     feed: str, rows: Any, incident: Callable[[Row], Incident], made_at: str | None = None
-) -> Answer:
+) -> FeedSnapshot:
     """The rows that can be read; an answer of which none can is refused."""
     if not isinstance(rows, list):
         raise _unreadable(feed, "has no list of incidents")
@@ -179,7 +179,7 @@ def _answer(
         made = time_in(made_at)
     except ValueError:
         made = None
-    return Answer(tuple(_once(found)), made, len(rows) - len(found))
+    return FeedSnapshot(tuple(_merged_rows(found)), made, len(rows) - len(found))
 
 
 def _read(row: Any, incident: Callable[[Row], Incident]) -> Incident | None:
@@ -190,7 +190,7 @@ def _read(row: Any, incident: Callable[[Row], Incident]) -> Incident | None:
         return None
 
 
-def _once(incidents: Iterable[Incident]) -> list[Incident]:
+def _merged_rows(incidents: Iterable[Incident]) -> list[Incident]:
     """Rows of one reference as one incident, with the postcodes of all and the latest end."""
     rows: dict[str, list[Incident]] = {}
     for one in incidents:

@@ -20,8 +20,8 @@ import pandas as pd
 
 import vppres
 from vppres.core.errors import InputError
-from vppres.feeds.adapters import Feed
-from vppres.feeds.incidents import Answer
+from vppres.feeds.adapters import PublicFeed
+from vppres.feeds.incidents import FeedSnapshot
 from vppres.service.client import Client
 from vppres.service.clock import written
 
@@ -56,8 +56,8 @@ STAMP = "%Y-%m-%dT%H%M%SZ"
 Told = Callable[[str], None]
 
 
-class Service:
-    """Where events go. This one takes them and does nothing: changes are shown only."""
+class EventSink:
+    """Receiver of events. This one takes them and does nothing: changes are shown only."""
 
     def put(self, name: str, body: dict[str, Any]) -> None:
         """Announce or change an event."""
@@ -73,7 +73,7 @@ class Service:
         """Let it be so late, in a replay."""
 
 
-class OverHTTP(Service):
+class OverHTTP(EventSink):
     """A service that listens at an address."""
 
     def __init__(self, client: Client) -> None:
@@ -99,9 +99,9 @@ class OverHTTP(Service):
         self.client.wanted("PUT", "/v1/clock", {"now": written(now)})
 
 
-def events_at(url: str | None, token: str | None) -> Service:
+def events_at(url: str | None, token: str | None) -> EventSink:
     """The service at an address, or none: changes are shown only."""
-    return Service() if url is None else OverHTTP(Client(url, token))
+    return EventSink() if url is None else OverHTTP(Client(url, token))
 
 
 class Follower:
@@ -110,7 +110,7 @@ class Follower:
     ``areas`` are postcodes, sectors or districts of the site; ``told`` gets a line for each change.
     """
 
-    def __init__(self, feed: Feed, areas: list[str], service: Service, told: Told) -> None:
+    def __init__(self, feed: PublicFeed, areas: list[str], service: EventSink, told: Told) -> None:
         self.feed = feed
         self.areas = areas
         self.service = service
@@ -138,7 +138,7 @@ class Follower:
             self.told(f"{self.feed.name}: {answer.left_out} rows could not be read")
         self._announce(answer, now)
 
-    def _announce(self, answer: Answer, now: pd.Timestamp) -> None:
+    def _announce(self, answer: FeedSnapshot, now: pd.Timestamp) -> None:
         """The events of an answer in the place of those before."""
         near = [one for one in answer.incidents if one.touches(self.areas)]
         there = {f"{self.feed.name} {one.name}": one for one in near if not one.restored}
@@ -215,7 +215,7 @@ class Asker:
 
     Parameters
     ----------
-    feed : Feed
+    feed : PublicFeed
         Which one.
     every_s : float
         Time between two requests in s.
@@ -229,7 +229,7 @@ class Asker:
     """
 
     def __init__(
-        self, feed: Feed, every_s: float, clock: Callable[[], float] = time.monotonic
+        self, feed: PublicFeed, every_s: float, clock: Callable[[], float] = time.monotonic
     ) -> None:
         if not every_s >= LEAST_S:
             raise InputError.of(
@@ -302,7 +302,7 @@ class Asker:
         return found[0]
 
     def _answer(self) -> bytes:
-        """What the feed sends now."""
+        """Content that the feed sends now."""
         headers = {"User-Agent": f"vppres/{vppres.__version__}"}
         if self._tag is not None:
             headers["If-None-Match"] = self._tag
@@ -376,7 +376,7 @@ def _watch(follower: Follower, end: threading.Event) -> None:
 
 @contextmanager
 def _failures_told(follower: Follower) -> Iterator[None]:
-    """What a feed, a service or a disk refuses ends nothing."""
+    """Print what a feed, a service or a disk refuses, and go on."""
     try:
         yield
     except (InputError, OSError) as error:
@@ -387,7 +387,7 @@ def _now() -> pd.Timestamp:
     return pd.Timestamp.now(tz="UTC")
 
 
-def recorded(folder: Path, feed: Feed) -> Iterator[tuple[pd.Timestamp, bytes]]:
+def recorded(folder: Path, feed: PublicFeed) -> Iterator[tuple[pd.Timestamp, bytes]]:
     """Recorded answers of a folder with their times, in order.
 
     Raises
@@ -444,7 +444,7 @@ def replay(
     return wrong
 
 
-def _silent(feed: Feed, message: str) -> InputError:
+def _silent(feed: PublicFeed, message: str) -> InputError:
     return InputError.of(f"feed {feed.name}", message, "It is asked again.")
 
 
@@ -456,5 +456,5 @@ def _words(body: dict[str, Any]) -> str:
 
 
 def _without_version(body: dict[str, Any]) -> dict[str, Any]:
-    """What was put, as it was put."""
+    """Event as it was put, without the version."""
     return {name: value for name, value in body.items() if name != "version" and value is not None}

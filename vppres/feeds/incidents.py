@@ -1,4 +1,4 @@
-"""What a network operator says of an outage, whichever feed it is in."""
+"""A network operator's incident, whichever feed it is in."""
 
 from __future__ import annotations
 
@@ -71,8 +71,8 @@ class Incident:
 
 
 @dataclass(frozen=True)
-class Answer:
-    """What a feed answered.
+class FeedSnapshot:
+    """Incidents of a feed at one time.
 
     Parameters
     ----------

@@ -110,7 +110,7 @@ class ClockTable:
         return np.where(np.isneginf(largest), self.largest, largest)
 
     def _shifted(self, rows: range, day: int) -> tuple[slice, Floats]:
-        """Where rows have a row that many days before in the table, and the values there.
+        """Rows that have a row so many days before in the table, and the values of those.
 
         Values behind the present row are never among them: they are not known.
         """

@@ -1,4 +1,4 @@
-"""What every forecaster takes and gives."""
+"""Interface of forecasters: their history, and their paths of load and PV power."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from vppres.core.arrays import Floats, freeze_arrays
 from vppres.scenario.history import History
 
 Basis = Literal["model", "past days", "recent values", "nothing"]
-"""What a forecast rests on, from the best to the least: see :mod:`vppres.forecasts.seasonal`."""
+"""Evidence that a forecast rests on, from the best to the least: see
+:mod:`vppres.forecasts.seasonal`."""
 
 MEDIAN = 0.5
 
@@ -64,7 +65,7 @@ class LoadAndPV:
         return np.asarray(self.load_kw.sum(axis=2) - self.pv_kw.sum(axis=2))
 
     def point(self) -> tuple[Floats, Floats]:
-        """What a plan for one course of things takes: demand (W, C) and PV power (W, P).
+        """Point forecast for a plan: demand (W, C) and PV power (W, P).
 
         The feeder's total is the median of its paths. It is shared out like the means of the
         items: medians of single homes would add up to too little, as their demand is skew.
@@ -72,7 +73,7 @@ class LoadAndPV:
         return middle(self.load_kw), middle(self.pv_kw)
 
 
-class Forecaster(Protocol):
+class ForecastMethod(Protocol):
     """A way of making forecasts."""
 
     def forecast(self, history: History, issued_at: pd.Timestamp, steps: int) -> LoadAndPV:

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import pandas as pd
 
 from vppres.forecasts.interface import LoadAndPV
-from vppres.forecasts.window import Known, like_days_before
+from vppres.forecasts.window import PastMeasurements, like_days_before
 from vppres.scenario.history import History
 
 
 @dataclass(frozen=True)
 class Climatology:
-    """What was at the same time of day on each of the last days: the honest reference.
+    """Values at the same time of day on each of the last days: the honest reference.
 
     Parameters
     ----------
@@ -24,15 +24,15 @@ class Climatology:
     days: int = 42
 
     def forecast(self, history: History, issued_at: pd.Timestamp, steps: int) -> LoadAndPV:
-        """See :class:`vppres.forecasts.interface.Forecaster`."""
-        known = Known.at(history, issued_at, steps, self.days)
+        """See :class:`vppres.forecasts.interface.ForecastMethod`."""
+        known = PastMeasurements.at(history, issued_at, steps, self.days)
         days = known.past_days(self.days)
         return known.of_past_days(days) if len(days) else known.of_the_mean()
 
 
 @dataclass(frozen=True)
 class WeeklyNaive:
-    """What was a week before, with the errors of that rule: the weak reference that many quote.
+    """Values of a week before, with that rule's errors: the weak reference that many quote.
 
     Parameters
     ----------
@@ -43,8 +43,8 @@ class WeeklyNaive:
     residual_days: int = 42
 
     def forecast(self, history: History, issued_at: pd.Timestamp, steps: int) -> LoadAndPV:
-        """See :class:`vppres.forecasts.interface.Forecaster`."""
-        known = Known.at(history, issued_at, steps, self.residual_days + 9)
+        """See :class:`vppres.forecasts.interface.ForecastMethod`."""
+        known = PastMeasurements.at(history, issued_at, steps, self.residual_days + 9)
         days = known.days_with_errors(self.residual_days, rule_days=7)
         if not len(days):
             return Climatology().forecast(history, issued_at, steps)

@@ -45,7 +45,7 @@ def crps(paths: Floats, came: Floats) -> Floats:
 
 
 def energy_score(paths: Floats, came: Floats) -> float:
-    """The same of whole courses, whose distance is Euclid's: (M, W) and (W,).
+    """Energy score of whole courses, whose distance is Euclid's: (M, W) and (W,).
 
     >>> energy_score(np.array([[0.0, 0.0], [6.0, 8.0]]), np.array([0.0, 0.0]))
     2.5

@@ -23,7 +23,13 @@ import pandas as pd
 
 from vppres.core.arrays import Floats
 from vppres.forecasts.interface import LoadAndPV
-from vppres.forecasts.window import HOURS_PER_DAY, Known, LastErrors, Window, like_days_before
+from vppres.forecasts.window import (
+    HOURS_PER_DAY,
+    ClockWindow,
+    LastErrors,
+    PastMeasurements,
+    like_days_before,
+)
 from vppres.scenario.history import History
 
 LEAST_SUN_H = 0.1
@@ -97,7 +103,7 @@ class Seasonal:
         InputError
             If steps do not fill a day, or ``issued_at`` is not the beginning of one.
         """
-        known = Known.at(history, issued_at, steps, self.memory_days)
+        known = PastMeasurements.at(history, issued_at, steps, self.memory_days)
         days = known.days_with_errors(self.residual_days)
         if len(days) >= FEWEST_PATHS:
             w = known.window(known.load, days)
@@ -108,7 +114,7 @@ class Seasonal:
             return known.of_past_days(days)
         return known.of_the_mean()
 
-    def _pv_paths(self, w: Window) -> Floats:
+    def _pv_paths(self, w: ClockWindow) -> Floats:
         """PV power of each path, (M, W, P)."""
         sun = w.table
         before = range(1, self.envelope_days + 1)
@@ -149,7 +155,7 @@ class Seasonal:
         possible = np.minimum((happened + moved) * clear_at[0], peak)
         return np.asarray(np.where(np.isnan(peak), np.nan, possible))
 
-    def _moved_mean(self, w: Window) -> Floats:
+    def _moved_mean(self, w: ClockWindow) -> Floats:
         """Share of a change of the mean index that past days are moved by, (W, 1).
 
         At once all of it: the last hours count from the mean. Further ahead less: the mean of three

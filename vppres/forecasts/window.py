@@ -1,4 +1,4 @@
-"""What is known when a forecast is issued, and the same times of past days beside it."""
+"""Measurements at a forecast's issue, and the same times of past days beside the steps to come."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LEAST_KNOWN = 0.5
 
 @dataclass(frozen=True)
 class LastErrors:
-    """How the latest errors of a rule go on.
+    """Rule by which the latest errors of a forecast go on.
 
     Parameters
     ----------
@@ -62,8 +62,8 @@ class LastErrors:
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
-    """What is known of load and PV power when a forecast is issued, and nothing later.
+class PastMeasurements:
+    """Load and PV power as measured when a forecast is issued, and nothing later.
 
     Parameters
     ----------
@@ -82,8 +82,10 @@ class Known:
     sun: ClockTable
 
     @classmethod
-    def at(cls, history: History, issued_at: pd.Timestamp, steps: int, memory_days: int) -> Known:
-        """What was over at a time, no older than it matters.
+    def at(
+        cls, history: History, issued_at: pd.Timestamp, steps: int, memory_days: int
+    ) -> PastMeasurements:
+        """Measurements of the steps that were over at a time, no older than they matter.
 
         Parameters
         ----------
@@ -125,9 +127,9 @@ class Known:
         """Rows of the clocks to come."""
         return int(max(self.load.ahead[-1], self.sun.ahead[-1])) + 1
 
-    def window(self, table: ClockTable, days: Wholes) -> Window:
+    def window(self, table: ClockTable, days: Wholes) -> ClockWindow:
         """The rows to come of a table, and those of past days."""
-        return Window(table, days, self.ahead, self.dt_h)
+        return ClockWindow(table, days, self.ahead, self.dt_h)
 
     def days_with_errors(self, most: int, rule_days: int = 1) -> Wholes:
         """Past days whose errors can be looked at: over, known, and with days before them."""
@@ -173,7 +175,7 @@ class Known:
 
 
 @dataclass(frozen=True, eq=False)
-class Window:
+class ClockWindow:
     """The steps to come and the same times of past days, on the rows of a clock.
 
     Parameters
@@ -219,7 +221,7 @@ class Window:
         return np.vstack([held, np.full((self.ahead, values.shape[1]), np.nan)])
 
     def seen_from_origins(self, by_early: Any) -> Any:
-        """What holds for each forecast and step, from (days early, span, items).
+        """Values for each forecast and step, from (days early, span, items).
 
         Returns
         -------
@@ -229,7 +231,7 @@ class Window:
         return by_early[self.early, rows]
 
     def happened(self, values: Floats) -> Floats:
-        """What came in the past, (M, W, items)."""
+        """Values that came after each past origin, (M, W, items)."""
         return np.asarray(values[self.origins[1:, np.newaxis] + np.arange(self.ahead)])
 
     def mean_of_last(self, values: Floats, hours: float) -> Floats:
@@ -244,13 +246,13 @@ class Window:
 
 
 def like_days_before(
-    w: Window, days_at: Callable[[int], Iterable[int]], errors: LastErrors | None = None
+    w: ClockWindow, days_at: Callable[[int], Iterable[int]], errors: LastErrors | None = None
 ) -> Floats:
     """Paths of what is the mean of some days before, with the errors of that rule, (M, W, items).
 
     Parameters
     ----------
-    w : Window
+    w : ClockWindow
         The steps to come and past days.
     days_at : callable
         Days before a step whose mean it is, by the whole days early that it is forecast.

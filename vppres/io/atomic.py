@@ -149,7 +149,7 @@ def is_full(error: OSError) -> bool:
 
 
 def full_disk(target: str, older: bool) -> str:
-    """What to say of a disk that took no more."""
+    """Message for a full disk, with its cure."""
     kept = "what was there before is kept" if older else "nothing was written"
     return (
         f"{target}: the disk is full, or a quota is reached; {kept}. Free some space, or write "

@@ -189,7 +189,7 @@ def check_pv_series(series: Table, name: str, values: Floats, p_max_kw: float) -
     return series.problems(over, name, message, cure)
 
 
-def check_one_export_limit(file: schema.Section | None, system: Table | None) -> list[Problem]:
+def check_one_export_limit(file: schema.TomlSection | None, system: Table | None) -> list[Problem]:
     """Whether the export has its limit in one place only."""
     if file is None or file.network.export_limit_kw is None or system is None:
         return []

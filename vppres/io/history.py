@@ -173,7 +173,7 @@ class _Series:
         )
 
     def at(self, rows: Wholes, message: str, cure: str) -> list[Problem]:
-        """What is wrong with some of the times."""
+        """Problems of some of the times."""
         return few(rows, lambda i: self._problem(i, message, cure))
 
     def _problem(self, i: int, message: str, cure: str) -> Problem:

@@ -108,7 +108,7 @@ def _line(row: Any) -> PhaseLine:
 
 
 def _lines_wrong(table: Table | None, rows: dict[int, Any]) -> list[Problem]:
-    """Of each line entries of phases that it lacks, or else an impedance without currents."""
+    """Faults of each line: lacking entries of phases, or else an impedance without currents."""
     problems = []
     for place, row in rows.items():
         assert table is not None  # it has rows

@@ -281,7 +281,7 @@ def _read_series(
 def _read_history(
     settings: Settings, tables: Tables, rows: AllRows
 ) -> tuple[History | None, list[Problem]]:
-    """What was measured before the first step, if there is anything."""
+    """Measurements before the first step, if there are any, and their problems."""
     grid = settings.grid
     load, pv = (tables[key] for key in _HISTORY)
     if grid is None or (load is None and pv is None):
@@ -390,14 +390,14 @@ def _assemble(
     )
 
 
-def _source(section: schema.Section) -> Source:
+def _source(section: schema.TomlSection) -> Source:
     deviation = SourceDeviation(**section.deviation.model_dump())
     told = (tuple(section.notes), deviation, section.unbalanced, tuple(section.ties))
     return Source(section.name, section.kind, *told)
 
 
 def _network(
-    section: schema.Section, lines: Columns, buses: Columns, read_bus: Callable[[str], BusId]
+    section: schema.TomlSection, lines: Columns, buses: Columns, read_bus: Callable[[str], BusId]
 ) -> Network:
     rating_a = given_or(lines.pop("i_max_a"), np.inf)
     drawing_bus = buses.pop("bus")

@@ -36,7 +36,7 @@ _NAMED_BY = {"buses": "bus", "lines": "to_bus"}
 
 
 def tables_of(scenario: Scenario) -> dict[str, Any]:
-    """What :func:`vppres.io.write_scenario` would write, as tables and one dictionary."""
+    """Tables of a scenario, and its settings as a dictionary, as they would be written."""
     settings = document_of(scenario)
     return {SETTINGS: settings, **frames_of(scenario, settings["tiers"])}
 
@@ -67,7 +67,7 @@ def scenario_of(tables: Mapping[str, Any]) -> Scenario:
 
 
 def replaced(scenario: Scenario, table: str, name: object, values: Mapping[str, Any]) -> Scenario:
-    """The same scenario with other values in one row of a table."""
+    """Scenario with other values in one row of a table."""
     tables = tables_of(scenario)
     key = _NAMED_BY.get(table, "id")
     frame = tables.get(table)

@@ -152,7 +152,7 @@ def _time(grid: TimeGrid) -> dict[str, Any]:
 
 
 def _source(source: Source) -> dict[str, Any]:
-    """What is known of the source; TOML has no word for what is not."""
+    """Fields of the source that are known; TOML has no word for the others."""
     deviation = {
         name: float(value) for name, value in asdict(source.deviation).items() if value is not None
     }
@@ -212,7 +212,7 @@ def outage_frame(interruptions: Sequence[Interruption]) -> pd.DataFrame:
 
 
 def _history_frames(scenario: Scenario, history: History) -> dict[str, pd.DataFrame]:
-    """What was measured before, empty cells where nothing was."""
+    """Tables of the measurements before the scenario, with empty cells where none was made."""
     values = {
         "history_load_kw": (scenario.customers.id, history.load_kw),
         "history_pv_kw": (scenario.pv.id, history.pv_kw),
@@ -223,7 +223,7 @@ def _history_frames(scenario: Scenario, history: History) -> dict[str, pd.DataFr
 
 
 def _bus_frame(network: Network) -> pd.DataFrame:
-    """What the buses draw by themselves, without buses and columns of nothing."""
+    """Power that the buses draw by themselves, without buses and columns of nothing."""
     drawing = np.any([getattr(network, name) != 0 for name in BUS_DRAWS], axis=0)
     columns = {name: getattr(network, name)[drawing] for name in (*BUS_DRAWS, "island")}
     buses = SimpleNamespace(bus=network.buses[drawing], **columns)

@@ -141,7 +141,7 @@ class Row(BaseModel):
         def __getattr__(self, name: str) -> Any: ...
 
 
-class Section(Row):
+class TomlSection(Row):
     """A section of scenario.toml; TOML has types, so nothing is converted."""
 
     model_config = ConfigDict(strict=True)
@@ -210,7 +210,7 @@ def _model(table: str) -> Any:
     }
     options = section_options(table.strip("[]"))
     fields |= {key: _option_field(option) for key, option in options.items()}
-    base = Section if table.startswith(("[", "scenario.toml")) else Row
+    base = TomlSection if table.startswith(("[", "scenario.toml")) else Row
     about = _MODELS[table]
     return create_model(
         about["model"], __base__=base, __doc__=about["meaning"], __module__=__name__, **fields
@@ -264,7 +264,7 @@ def _number(cell: str) -> float:
 
 
 def _option_field(option: Option) -> tuple[Any, FieldInfo]:
-    """The same of an option's key in scenario.toml."""
+    """Type and field of an option's key in scenario.toml."""
     kind: Any = Literal[option.choices] if option.choices else option.kind
     absent = f" (no such key: {option.unset})" if option.unset else ""
     bounds: dict[str, Any] = {}
@@ -337,7 +337,7 @@ def limits(field: FieldInfo) -> tuple[float, float]:
 
 
 def cure(field: FieldInfo) -> str:
-    """What to write into a field.
+    """Advice for a field: the value to give, and its unit.
 
     >>> cure(PVRow.model_fields["p_max_kw"])
     'Give the largest active power in kW.'

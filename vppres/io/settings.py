@@ -36,11 +36,11 @@ class Settings:
     The other files are checked against what is there, so that one reading finds all problems.
     """
 
-    file: schema.Section | None
+    file: schema.TomlSection | None
     grid: TimeGrid | None
     slack_bus: str | None
     tiers: dict[str, float] | None
-    files: schema.Section
+    files: schema.TomlSection
 
 
 def read_settings(folder: Path) -> tuple[Settings, list[Problem]]:
@@ -48,7 +48,7 @@ def read_settings(folder: Path) -> tuple[Settings, list[Problem]]:
     document, problems = _read_toml(folder / SCENARIO_FILE)
     if problems:
         return Settings(None, None, None, None, schema.FilesSection()), problems
-    file: schema.Section | None = None
+    file: schema.TomlSection | None = None
     try:
         file = schema.ScenarioFile.model_validate(document)
     except ValidationError as error:
@@ -72,11 +72,11 @@ def read_settings(folder: Path) -> tuple[Settings, list[Problem]]:
 
 
 def _wrong(field: str, message: str, cure: str, value: object) -> Problem:
-    """What is wrong with a key of scenario.toml."""
+    """Problem of a key of scenario.toml."""
     return Problem(SCENARIO_FILE, message, cure, field=field, value=value)
 
 
-def check_length(time: schema.Section) -> list[Problem]:
+def check_length(time: schema.TomlSection) -> list[Problem]:
     """A time grid too long, or too far away, to be meant."""
     if not 1970 <= time.start.year < 2200:
         message = "must lie in the years 1970 to 2199"
@@ -87,7 +87,7 @@ def check_length(time: schema.Section) -> list[Problem]:
     return []
 
 
-def check_voltages(network: schema.Section) -> list[Problem]:
+def check_voltages(network: schema.TomlSection) -> list[Problem]:
     """Voltage limits that contradict each other or exclude the slack bus."""
     problems = []
     v_slack_pu = network.v_slack_pu
@@ -104,7 +104,7 @@ def check_voltages(network: schema.Section) -> list[Problem]:
     return problems
 
 
-def check_outages(outages: list[schema.Section], grid: TimeGrid) -> list[Problem]:
+def check_outages(outages: list[schema.TomlSection], grid: TimeGrid) -> list[Problem]:
     """Outages that end before they begin, leave the day, or cut a step."""
     problems = []
     day = f"The day is {iso(grid.start)} to {iso(grid.end)}, in steps of {grid.step_minutes:g} min."
@@ -125,7 +125,7 @@ def check_outages(outages: list[schema.Section], grid: TimeGrid) -> list[Problem
     return problems or _check_apart(outages)
 
 
-def _check_apart(outages: list[schema.Section]) -> list[Problem]:
+def _check_apart(outages: list[schema.TomlSection]) -> list[Problem]:
     """Outages that begin before the one before them is over."""
     order = sorted(range(len(outages)), key=lambda i: outages[i].start)
     return [
@@ -160,7 +160,7 @@ def _read_toml(path: Path) -> tuple[dict[str, Any], list[Problem]]:
         ]
 
 
-def _grid(time: schema.Section) -> TimeGrid:
+def _grid(time: schema.TomlSection) -> TimeGrid:
     return TimeGrid(pd.Timestamp(time.start), time.step_minutes, time.steps, time.zone)
 
 

@@ -61,13 +61,13 @@ class Table:
     def problem(
         self, row: int, field: str, message: str, cure: str, value: object = None
     ) -> Problem:
-        """What is wrong with a cell of a line of the file."""
+        """Problem of a cell in a line of the file."""
         return Problem(self.file, message, cure, row=row, field=field, value=value)
 
     def problems(
         self, positions: Sequence[int] | Wholes, field: str, message: str, cure: str
     ) -> list[Problem]:
-        """The same of the first of some cells, by their position; the last one counts the others.
+        """Problems of the first of some cells, by their position; the last one counts the others.
 
         An empty cell is called empty.
         """
@@ -117,7 +117,7 @@ def read_table(
 
 
 def no_file(path: Path, cure_if_missing: str) -> Problem:
-    """What is there in the place of a file, or that nothing is."""
+    """Problem of a path that is missing, or is not a file."""
     if not path.exists():
         return Problem(path.name, "the file is missing", cure_if_missing)
     kind = "folder" if path.is_dir() else "pipe or a device"

@@ -26,7 +26,7 @@ def parsed_times(texts: pd.Series[str]) -> tuple[pd.Series[pd.Timestamp], Flags,
 
 
 def time_fault(text: str, unreadable: bool) -> tuple[str, str]:
-    """What is wrong with a text that says no time with an offset, and the cure."""
+    """Message and cure for a text that is not a time with an offset."""
     if unreadable:
         return "is not an ISO 8601 time", "Write it like 2022-07-19T12:00:00Z."
     return "has no time zone", f"Add the offset, for example {text}Z."

@@ -32,7 +32,7 @@ def read_warnings(table: Table | None) -> tuple[dict[int, OutageWarning], list[P
 
 
 def _beside(table: Table, rows: Mapping[int, Any], problems: list[Problem]) -> list[Problem]:
-    """What else is wrong in rows that have a cell that cannot be read."""
+    """Further problems of rows with a cell that cannot be read."""
     wrong: list[Problem] = []
     fields: dict[int | None, set[str | None]] = {}
     for problem in problems:

@@ -1,4 +1,4 @@
-"""What every layer asks of a kind of flexible power: names, windows, units of the plant.
+"""Interface of a kind of flexible power: names, windows, units of the plant.
 
 Power is what the n units of a kind take, negative where they give.
 """
@@ -46,7 +46,7 @@ class KindTable(Items):
 
     @classmethod
     def problems(cls, table: Any, rows: Mapping[int, Any]) -> list[Problem]:
-        """What is wrong with rows of the file beside one another."""
+        """Problems of rows of the file beside one another."""
         return []
 
     @property
@@ -118,7 +118,7 @@ class Units(Protocol):
 
 
 class UnitsAhead(ByStep):
-    """What is known of the units of a kind in a window, (W, n) each; ``WINDOW`` of its physics.
+    """Window data of the units of a kind, (W, n) each; ``WINDOW`` of its physics.
 
     ``units`` are those of the scenario. ``running`` says which are on, of a kind that is started
     and stopped.
@@ -130,11 +130,11 @@ class UnitsAhead(ByStep):
         return None
 
     def in_the_dark(self, lit: Flags) -> Any:
-        """The same without power but in the lit steps, (W, 1)."""
+        """Window without power except in the lit steps, (W, 1)."""
         raise NotImplementedError
 
     def without_duties(self) -> Any:
-        """The same without units that have to stay on."""
+        """Window without units that have to stay on."""
         return self
 
     def most_taken_kw(self, units: Any) -> Floats:
@@ -148,11 +148,11 @@ class UnitsAhead(ByStep):
     def power_beyond_kw(
         self, units: Any, connected: Flags, taken_kw: Floats, running: Flags, dt_h: float
     ) -> Floats:
-        """By how much powers are beyond what units can do, (W, n)."""
+        """Excess of powers beyond what units can do, (W, n)."""
         raise NotImplementedError
 
     def stored_beyond_kw(self, units: Any, taken_kw: Floats, running: Flags, dt_h: float) -> Floats:
-        """By how much what they store is outside its limits, as a power over the step, (W, n)."""
+        """Excess of stored energy beyond its limits, as a power over the step, (W, n)."""
         return np.zeros_like(taken_kw)
 
 
@@ -176,7 +176,7 @@ class Followers(Protocol):
         """Power nearest to what is wanted, and which units run, of a kind that is started."""
 
     def spare_kw(self, taken_kw: Floats, running: Flags) -> Floats:
-        """By how much each can give less without stopping, (n,)."""
+        """Power that each can give less without stopping, (n,)."""
 
     def advance(self, t: int, taken_kw: Floats, running: Flags) -> None:
         """The state at the end of a step."""
@@ -243,7 +243,7 @@ class UnitsNow:
         return {}
 
     def after(self, day: Any, state: Any, columns: Mapping[str, Any]) -> Any:
-        """What the next step goes on from: units after the first step of a day, by its record."""
+        """State of the units after the first step of a day, by its record."""
         raise NotImplementedError
 
 

@@ -1,4 +1,4 @@
-"""What set-points lead to on each phase of a phased feeder, and what is nearest its limit."""
+"""Power flow of set-points on each phase of a phased feeder, and what is nearest its limit."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ GRID = "grid"
 
 @dataclass(frozen=True)
 class Nearest:
-    """What is nearest its limit: a phase of the former, or the voltage of a bus.
+    """Quantity nearest to its limit: a phase of the former, or the voltage of a bus.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ class Nearest:
 
 @dataclass(frozen=True, eq=False)
 class ByPhase:
-    """What an AC power flow of the set-points gives on each phase.
+    """Result of an AC power flow of the set-points on each phase.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ class ByPhase:
 
     @classmethod
     def of(cls, scenario: Scenario, step: StepRecord) -> ByPhase | None:
-        """Of a step that was decided; None without phases, and without power."""
+        """Power flow of a step that was decided; None without phases, and without power."""
         phases = scenario.phases
         if phases is None or step.nodes is None or np.isnan(step.nodes["v_ac_pu"]).any():
             return None

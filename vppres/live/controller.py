@@ -351,7 +351,7 @@ class Controller:
                 start = (latest, start[1].within_step(self._past))
         try:
             self._recall(start[0])
-            points, past = self._decided(seen, start[1])
+            points, past = self._decision_and_state(seen, start[1])
         except BaseException as error:  # Ctrl-C too
             self._recall(latest)
             if isinstance(error, Exception) and not isinstance(error, VppresError):
@@ -363,7 +363,7 @@ class Controller:
         return points
 
     def _before_again(self, row: int) -> tuple[dict[str, Any], Past] | None:
-        """What was remembered before a step, if it is the last one, which is decided again."""
+        """State before a step, if it is the last one, which is decided again."""
         return self._step_before if row + self._forgotten == self._past.t else None
 
     def _kinds_before(self, row: int) -> dict[str, Any]:
@@ -375,14 +375,14 @@ class Controller:
         """Let the decider stand where a memory of it was made."""
         put_back(self._decider, memory, self._given, WHERE)
 
-    def _decided(self, seen: Seen, past: Past) -> tuple[SetPoints, Past]:
-        """What was decided for the window as it is expected, and what to remember of it."""
+    def _decision_and_state(self, seen: Seen, past: Past) -> tuple[SetPoints, Past]:
+        """Decision for the window as it is expected, and the state to go on from."""
         t = seen.t + self._forgotten
         window, ahead = self._window(seen.t), self._ahead(seen.t)
         known, options = self.scenario, self.options
         present = Present.of(t, seen, known, window, ahead, past, options, self._past_days)
         told = present.observation(OutageView.create(self.scenario, self._record))
-        decision = _without(self._decider.decide(told), seen.connected)
+        decision = _without_disconnected(self._decider.decide(told), seen.connected)
         estimated = _joined(*seen.left_out, *present.estimated, decision.estimated)
         decision = replace(decision, estimated=estimated)
         day = present.day(decision.seen or told, decision.estimated)
@@ -392,7 +392,7 @@ class Controller:
         return points, present.after(day, record)
 
 
-def _without(decision: Decision, connected: Flags) -> Decision:
+def _without_disconnected(decision: Decision, connected: Flags) -> Decision:
     """A decision without customers that cannot be supplied; they take nothing in it."""
     if connected.all():
         return decision

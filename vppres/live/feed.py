@@ -156,7 +156,7 @@ def _feed_of(scenario: Scenario, more: Feed | Scenario) -> Feed:
 
 
 def _start(scenario: Scenario, feed: Feed, earliest: int, replacing: bool) -> pd.Timestamp:
-    """Where the new steps begin: where the known ones end, or before if they may be replaced."""
+    """Beginning of the new steps: the end of the known ones, or before if they may be replaced."""
     grid = scenario.grid
     first = feed.first
     if first is None:

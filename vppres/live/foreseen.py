@@ -1,4 +1,4 @@
-"""What a decision's plan foresees for the steps after it."""
+"""Course of a decision's plan in the steps after it."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Foreseen(ForeseenOfKinds):
 def _of_kinds(
     decision: Decision, window: Scenario, told: Observation, times: pd.DatetimeIndex
 ) -> dict[str, pd.DataFrame]:
-    """What the plan foresees of each kind, of as many steps as it has."""
+    """Planned course of each kind, of as many steps as the plan has."""
     found: dict[str, pd.DataFrame] = {}
     live, plan = parts("live"), decision.dispatch
     for kind, known in told.ahead.by_kind.items():

@@ -8,7 +8,7 @@ import numpy as np
 
 from vppres.contract.forecast import Forecast
 from vppres.core.arrays import Flags
-from vppres.day.forecasting import Forecasts
+from vppres.day.forecasting import DayForecasts
 from vppres.live.measurement import Seen
 from vppres.scenario.scenario import Scenario
 
@@ -17,20 +17,20 @@ from vppres.scenario.scenario import Scenario
 class GivenFirst:
     """A forecaster's forecasts, but for the series that another provider foretold."""
 
-    own: Forecasts
+    own: DayForecasts
     scenario: Scenario
     load: Flags
     pv: Flags
 
     @classmethod
-    def of(cls, own: Forecasts, scenario: Scenario, seen: Seen) -> Forecasts:
+    def of(cls, own: DayForecasts, scenario: Scenario, seen: Seen) -> DayForecasts:
         """The forecaster's alone where there is no other provider."""
         if not (seen.foretold_load.any() or seen.foretold_pv.any()):
             return own
         return cls(own, scenario, seen.foretold_load, seen.foretold_pv)
 
     def at(self, t0: int, steps: range) -> Forecast:
-        """What is known at the beginning of step ``t0``."""
+        """Forecast at the beginning of step ``t0``."""
         found = self.own.at(t0, steps)
         rows = slice(steps.start, steps.stop)
         return replace(

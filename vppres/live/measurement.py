@@ -1,4 +1,4 @@
-"""What your own plant measures and expects, laid over a scenario's series."""
+"""Measurements and expectations of your own plant, laid over a scenario's series."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Switches = Mapping[str, bool] | pd.Series  # by identifier
 
 @dataclass(frozen=True, eq=False)
 class Measurement(ReadOfKinds):
-    """What is known at the beginning of a step: measured now, expected for the steps ahead.
+    """State at the beginning of a step: measured now, expected for the steps ahead.
 
     Only the time must be given. What is not given of the series is what the scenario says, so that
     a scenario can serve as the forecast of a day; what is missing of the measurements is estimated
@@ -187,7 +187,7 @@ class Seen:
     profile_pv_kw: Floats
 
     def window(self, rows: range) -> Seen:
-        """The same of some steps alone, of which the first is the present one."""
+        """Measurements of some steps alone, of which the first is the present one."""
         announced = self.announced_kw
         scenario = self.scenario.between(rows.start, rows.stop)
         for live in parts("live").values():
@@ -244,7 +244,7 @@ def see(
             value=readable(measured),
         )
     try:
-        return _seen(scenario, measured, guard, earliest, before)
+        return _measurement_arrays(scenario, measured, guard, earliest, before)
     except VppresError:
         raise
     except Exception as error:  # a mapping may come from any caller
@@ -268,7 +268,7 @@ def step_at(grid: TimeGrid, time: Any) -> int:
     return door.t
 
 
-def _seen(
+def _measurement_arrays(
     scenario: Scenario,
     measured: Measurement,
     guard: bool,
@@ -291,7 +291,7 @@ def _seen(
         announced = door.series("announced_limit_kw", measured.announced_limit_kw, unknown)
     now = _now(door, measured)
     soc_age_h = door.ages_h("soc_at", measured.soc_at, b.id, now)
-    told = _told(door, measured.ordered_kw, b.id, now)
+    told = _overrides(door, measured.ordered_kw, b.id, now)
     if not guard:
         _check_complete(door, scenario, measured, of_batteries["soc"], of_batteries["online"])
     past, kinds = before(door.t), {}
@@ -317,8 +317,8 @@ def _seen(
         import_kw=import_kw,
         connected=connected,
         announced_kw=announced,
-        foretold_load=_among(c.id, foretold.get("load_kw", ())),
-        foretold_pv=_among(pv.id, foretold.get("pv_kw", ())),
+        foretold_load=_is_named(c.id, foretold.get("load_kw", ())),
+        foretold_pv=_is_named(pv.id, foretold.get("pv_kw", ())),
         left_out=tuple(door.left_out),
         elapsed_h=(now - door.begun) / HOUR,
         soc_age_h=soc_age_h,
@@ -357,8 +357,8 @@ def _grid_series(door: Door, scenario: Scenario, measured: Measurement) -> dict[
     return {name: door.series(name, told, known) for name, (told, known) in own.items()}
 
 
-def _among(ids: Names, named: Sequence[str]) -> Flags:
-    """Which identifiers are named."""
+def _is_named(ids: Names, named: Sequence[str]) -> Flags:
+    """Whether each identifier is named."""
     chosen = set(named)
     return np.array([str(name) in chosen for name in ids], dtype=bool)
 
@@ -371,7 +371,7 @@ def _now(door: Door, measured: Measurement) -> pd.Timestamp:
     return now
 
 
-def _told(door: Door, ordered_kw: Any, ids: Names, now: pd.Timestamp) -> tuple[Told, ...]:
+def _overrides(door: Door, ordered_kw: Any, ids: Names, now: pd.Timestamp) -> tuple[Told, ...]:
     """Set-points of batteries from times on, the earliest first."""
     if ordered_kw is None:
         return ()
@@ -398,7 +398,7 @@ def _check_order(door: Door, measured: Measurement, earliest: int) -> None:
 def _check_complete(
     door: Door, scenario: Scenario, measured: Measurement, soc: Floats, online: Flags
 ) -> None:
-    """What only a guard can do without."""
+    """Report readings that are missing and without which only a guard can do."""
     b = scenario.batteries
     given = measured.soc.keys() if isinstance(measured.soc, (Mapping, pd.Series)) else ()
     for i in np.flatnonzero(np.isnan(soc)):

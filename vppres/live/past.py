@@ -1,4 +1,4 @@
-"""What the set-points of the last step should have led to, from which the next one goes on."""
+"""Expected state after the set-points of the last step, from which the next one goes on."""
 
 from __future__ import annotations
 
@@ -66,14 +66,14 @@ class Past:
         )
 
     def owed_at(self, t: int) -> Owed | None:
-        """What may still be caught up at a step; in steps between nothing was."""
+        """Demand that may still be caught up at a step; in steps between nothing was."""
         owed = self.owed
         for _ in range(self.t + 1, t):
             owed = owed and owed.after(np.zeros(len(owed.steps)), np.ones(len(owed.steps)))
         return owed
 
     def within_step(self, latest: Past) -> Past:
-        """The same for a step that is decided anew within it: what was ordered in it has happened.
+        """State for a step that is decided anew within it: what was ordered in it has happened.
 
         ``latest`` is the site after the step as it was decided first.
         """
@@ -92,7 +92,7 @@ class Past:
         return switching, cold_load
 
     def as_plain(self, given: Given) -> dict[str, Any]:
-        """What JSON can hold of it, but for the history, which a state holds once."""
+        """State as JSON can hold it, but for the history, which a state holds once."""
         plain = {name: to_plain(getattr(self, name), given) for name in _types()}
         kinds = {kind: to_plain(one, given) for kind, one in self.kinds.items()}
         return plain | {"kinds": kinds, "cold_load": memory_of(self.cold_load, given)}

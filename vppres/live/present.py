@@ -14,7 +14,7 @@ from vppres.contract.observation import Observation
 from vppres.contract.switching import SwitchingState
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Floats
-from vppres.day.forecasting import Forecasts, forecasts_of
+from vppres.day.forecasting import DayForecasts, forecasts_of
 from vppres.day.options import RunOptions
 from vppres.day.outages import Beside, GridSeen, OutageView
 from vppres.day.recorder import StepRecord
@@ -93,15 +93,15 @@ class Present:
         )
 
     def observation(self, view: OutageView) -> Observation:
-        """What the controller knows, of outages by way of ``view``."""
+        """Observation of the controller, of outages by way of ``view``."""
         forecasts = GivenFirst.of(
             forecasts_of(self.ahead, self.options, ForecastErrors()), self.ahead, self.seen
         )
         measured = self._measured(forecasts)
         return view.told(measured, self.grid_seen, self.ahead, 0, forecasts, self.beside)
 
-    def _measured(self, forecasts: Forecasts) -> Observation:
-        """What was measured, and the forecast of the window."""
+    def _measured(self, forecasts: DayForecasts) -> Observation:
+        """Observation of the measurements, with the forecast of the window."""
         seen = self.seen
         forecast = forecasts.at(0, range(seen.scenario.grid.n_steps))
         b, kinds = seen.scenario.batteries, self.kinds.values()
@@ -170,14 +170,14 @@ class Present:
         return day
 
     def after(self, day: Day, record: StepRecord) -> Past:
-        """What the next step goes on from: a :meth:`day` after its first step, and that step."""
+        """State of a :meth:`day` after its first step, from which the next step goes on."""
         return Past(
             t=self.t,
             operating_point=day.operating_point,
             switching=day.switching,
             cold_load=day.plant.cold_load,
             served=record.customers["served"],
-            history=self._learned(day.scenario),
+            history=self._extended_history(day.scenario),
             voltages=day.ac.found,
             grid_seen=self.grid_seen,
             owed=day.owed,
@@ -187,7 +187,7 @@ class Present:
             },
         )
 
-    def _learned(self, believed: Scenario) -> History | None:
+    def _extended_history(self, believed: Scenario) -> History | None:
         """The history with what was read; what was not, or cannot be read, is NaN."""
         seen = self.seen
         unread_load = np.isnan(seen.load_kw) | ~seen.connected

@@ -22,7 +22,7 @@ WEEK = 7
 
 
 @dataclass(frozen=True, eq=False)
-class Profile:
+class ClockProfile:
     """Series by the clock.
 
     Parameters
@@ -39,7 +39,7 @@ class Profile:
     Examples
     --------
     >>> import vppres
-    >>> profile = Profile.of(vppres.load_scenario("uk-heatwave-2022"))
+    >>> profile = ClockProfile.of(vppres.load_scenario("uk-heatwave-2022"))
     >>> night = profile.steps(pd.Timestamp("2026-01-31T22:00Z"), 4)
     >>> night.grid.times[2].isoformat(), night.load_kw.shape, night.outage.any()
     ('2026-02-01T00:00:00+00:00', (4, 32), np.False_)
@@ -51,7 +51,7 @@ class Profile:
     weekly: bool
 
     @classmethod
-    def of(cls, scenario: Scenario) -> Profile:
+    def of(cls, scenario: Scenario) -> ClockProfile:
         """The profile of a scenario's days; times that it has more than once are averaged.
 
         Raises

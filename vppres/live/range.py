@@ -14,7 +14,7 @@ RATED_SHARE = 1.5
 
 RATING_SHARE = 2e-3
 POWER_KW = 0.02
-"""What solvers and rounding may be off by."""
+"""Tolerance of powers for solvers and rounding."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Range:
         return self.lowest <= value <= self.highest or (self.infinite and value == np.inf)
 
     def text(self, value: float) -> str:
-        """What to say of a number that is not."""
+        """Message for a number outside the range."""
         above = np.isfinite(value) and value > self.highest and self.beyond != ""
         return self.beyond if above else self.message
 
@@ -79,10 +79,10 @@ def rated(lowest_share: float, what: str, rating: float, no_number: str) -> Rang
 
 
 def slack_kw(rating: Floats) -> Floats:
-    """What powers of a rating may be off by."""
+    """Tolerance of powers of a rating."""
     return POWER_KW + RATING_SHARE * rating
 
 
 def above_rating(value: Floats, rating: Floats) -> Floats:
-    """By how much values are above their ratings, with what they may be off by."""
+    """Excess of values above their ratings and tolerances."""
     return value - rating - slack_kw(rating)

@@ -54,7 +54,7 @@ RANGES: Mapping[str, Range] = {
 
 
 def ranges_of(scenario: Scenario) -> Ranges:
-    """What inverters and sets of a site can give, rooms become and tanks hold, by asset.
+    """Ranges of a site's inverters, sets, rooms and tanks, by quantity and asset.
 
     Examples
     --------

@@ -35,7 +35,7 @@ SOLVE_FIGURES = (
     "fallback_reason",
     "estimated",
 )
-"""What set-points say of how they were found, of every step's record."""
+"""Figures of the solution in set-points, of every step's record."""
 
 
 SHED = "shed"
@@ -173,14 +173,14 @@ class SetPoints(SetPointsOfKinds):
         feeder : ImportedFeeder
             What :func:`vppres.feeders.sources.import_network` made of it.
         """
-        from vppres.feeders.actuate import Powers, put_into_net
+        from vppres.feeders.actuate import PowerTables, put_into_net
 
         on = supplied(self.customers)
         drawn = self.customers.assign(
             p_kw=self.customers["load_kw"] * on, q_kvar=self.customers["load_kvar"] * on
         )
         kinds = (self.chargers, self.thermal_loads, self.gensets)
-        powers = Powers(drawn, self.pv, self.batteries, self.feeding, *kinds)
+        powers = PowerTables(drawn, self.pv, self.batteries, self.feeding, *kinds)
         put_into_net(net, feeder.bus_of, powers)
 
     def _repr_html_(self) -> str:

@@ -51,7 +51,7 @@ DECISIVE = ("controller", "mode", "guard", "switching")
 
 @dataclass(frozen=True, eq=False)
 class Standing:
-    """Where a controller stands between two steps.
+    """State of a controller between two steps.
 
     The first of the known steps has ``forgotten`` ones before it, since the controller's first;
     ``before`` is memory and past before the last step, which may be decided again.
@@ -75,7 +75,7 @@ def state_of(standing: Standing, decider: Decider, options: RunOptions) -> dict[
 
 
 def saved_state(standing: Standing, decider: Decider, options: RunOptions) -> str:
-    """The same as text, for a caller that saves every step: each number is written once.
+    """State as text, for a caller that saves every step: each number is written once.
 
     What was measured is not in it, nor what the last step may be decided again from.
     """
@@ -84,7 +84,7 @@ def saved_state(standing: Standing, decider: Decider, options: RunOptions) -> st
 
 
 def _body(standing: Standing, decider: Decider, options: RunOptions) -> dict[str, Any]:
-    """What both have in common."""
+    """Common part of a state in full and as it is saved in steps."""
     known = standing.known
     given = given_by(known, options)
     return {
@@ -125,8 +125,8 @@ def restored(
 def _restored(
     state: Any, scenario: Scenario, decider: Decider, options: RunOptions, start: Past
 ) -> Standing:
-    """The same, of a state that may still lack something."""
-    _check(state, scenario, options)
+    """Controller state from a saved one, which may still lack something."""
+    _check_state(state, scenario, options)
     if state["version"] == 3:
         state = _from_version_3(state)
     known = _known(state["known"], scenario)
@@ -145,12 +145,12 @@ def _restored(
 
 
 def _moment(memory: dict[str, Any], past: Past, given: Given) -> dict[str, Any]:
-    """What the site and the controller are at, between two steps."""
+    """State of the site and memory of the controller, between two steps."""
     return {"past": past.as_plain(given), "memory": memory}
 
 
 def _history(plain: Any, start: Past) -> History | None:
-    """What was measured, where a forecaster learns from it; the site's own if the state has none.
+    """Measurements that a forecaster learns from; the site's own if the state has none.
 
     The measurements before the last step are those of its beginning: no other copy is kept.
     """
@@ -161,7 +161,7 @@ def _history(plain: Any, start: Past) -> History | None:
 
 
 def given_by(known: Scenario, options: RunOptions) -> Given:
-    """What every controller of the site has by itself."""
+    """Objects that every controller of the site has by itself."""
     return {Site: Site.of(known), SwitchingRules: options.switching}
 
 
@@ -174,7 +174,7 @@ def _decisive(options: RunOptions) -> dict[str, Any]:
     return found | {"rotation or minimum_on_h": options.shares_supply}
 
 
-def _check(state: Any, scenario: Scenario, options: RunOptions) -> None:
+def _check_state(state: Any, scenario: Scenario, options: RunOptions) -> None:
     """Whether a state is whole, of this version, this site and these options."""
     if not isinstance(state, dict) or state.get("kind") != KIND:
         raise _refused("is not the state of a controller", "Give what Controller.state() returned.")

@@ -188,7 +188,7 @@ def at_slack_bus(site: Site, power: cp.Expression) -> cp.Expression:
 
 
 def _each_step(rating: Floats, power: cp.Expression) -> cp.Expression:
-    """The same ratings in every step, (W, items)."""
+    """Ratings repeated in every step, (W, items)."""
     return cp.Constant(np.broadcast_to(rating, power.shape))
 
 

@@ -1,4 +1,4 @@
-"""What a window's problem is made of: fixed site data, and the data that change at every step."""
+"""Data of a window's problem: fixed ones of the site, and those that change at every step."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from vppres.scenario.network import Network
 
 @dataclass(frozen=True, eq=False)
 class Physics:
-    """What physical mode adds to a window of W steps.
+    """Losses and headroom of physical mode in a window of W steps.
 
     Parameters
     ----------
@@ -53,14 +53,14 @@ class Physics:
         return Physics(*(getattr(self, f.name)[steps] for f in fields(self)))
 
     def followed_by_nothing(self, n_steps: int) -> Physics:
-        """The same with steps behind it that lose nothing and keep nothing."""
+        """Append steps that lose nothing and keep nothing."""
         values = (getattr(self, f.name) for f in fields(self))
         return Physics(*(np.pad(v, [(0, n_steps), (0, 0)][: v.ndim]) for v in values))
 
 
 @dataclass(frozen=True, eq=False)
 class Unspent:
-    """What keeps stored energy while PV power is curtailed, in a window of W steps.
+    """Limits that keep stored energy while PV power is curtailed, in a window of W steps.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ class Unspent:
 
 @dataclass(frozen=True, eq=False)
 class PhasedWindow:
-    """What a window of W steps on a phased feeder is linearised at; m voltages have limits.
+    """Linearisation of a window of W steps on a phased feeder; m voltages have limits.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ class PhasedWindow:
         return PhasedWindow(*(getattr(self, f.name)[steps] for f in fields(self)))
 
     def followed_by_rest(self, n_steps: int) -> PhasedWindow:
-        """The same with steps behind it in which no voltage and no phase limits anything."""
+        """Append steps in which no voltage and no phase limits anything."""
         rest = {"u_offset": 1.0, "u_max": 2.0, "room_kva": 1.0, "current_max": np.inf}
         longer: dict[str, Any] = {}
         for f in fields(self):
@@ -129,7 +129,7 @@ class PhasedWindow:
 
 @dataclass(frozen=True, eq=False)
 class WindowData:
-    """What changes with every solve, for a window of W steps.
+    """Data that change with every solve, for a window of W steps.
 
     Parameters
     ----------
@@ -328,7 +328,7 @@ class WindowData:
 
     @property
     def ending(self) -> Ending:
-        """What the window's problem says of its end."""
+        """Condition at the window's end."""
         if self.stored_value is not None:
             return "value"
         return "" if self.terminal is None else "target"

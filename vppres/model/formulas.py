@@ -134,7 +134,7 @@ def voltage_drop_pu2(network: Network, p_kw: Floats, q_kvar: Floats) -> Floats:
 
 
 def voltage_offset_pu2(network: Network, u_pu2: Floats, p_kw: Floats, q_kvar: Floats) -> Floats:
-    """What (21) leaves open at an AC point with squared voltages (..., N), shape (..., L).
+    """Residual of (21) at an AC point with squared voltages (..., N), shape (..., L).
 
     Here and below voltages are referred to the slack bus (``Network.u_pu2``).
     """

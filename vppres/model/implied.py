@@ -13,7 +13,7 @@ from vppres.model.variables import Parameters, Variables
 
 
 def inverter_active(site: Site, v: Variables, p: Parameters) -> Named:
-    """What the discs (3) and (7) imply for active power alone, with exclusive modes."""
+    """Limits on active power that follow from the discs (3) and (7) with exclusive modes."""
     battery_kva = site.batteries.s_max_kva[None, :]
     pv_kva = site.pv.s_max_kva[None, :]
     return {
@@ -33,7 +33,7 @@ def battery_rated(site: Site, v: Variables, p: Parameters) -> Named:
 
 
 def battery_room(site: Site, v: Variables, p: Parameters) -> Named:
-    """What exclusive modes imply together with the SoC limits; it cuts off no feasible dispatch.
+    """Limits from exclusive modes and SoC limits together; they cut off no feasible dispatch.
 
     A battery that charges must have the room, whatever a fractional mode would discharge at the
     same time; likewise for discharging.

@@ -59,7 +59,7 @@ def delta_offset(
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """What the network itself draws in a window: shunts, charging and fixed demand.
+    """Power that the network itself draws in a window: shunts, charging and fixed demand.
 
     Parameters
     ----------
@@ -75,12 +75,12 @@ class Drawn:
         return Drawn(self.kw[steps], self.kvar[steps])
 
     def where(self, steps: Flags) -> Drawn:
-        """The same in some steps, (W,), and nothing in the others."""
+        """Power drawn in some steps, (W,), and nothing in the others."""
         return Drawn(self.kw * steps[:, None], self.kvar * steps[:, None])
 
 
 def drawn_by(network: Network, v_pu: Floats | None, island: Flags) -> Drawn | None:
-    """What a network draws in the steps of a window, None if it never draws anything.
+    """Power that a network draws in the steps of a window, None if it never draws anything.
 
     An island of the paper's mode is lossless: as with losses, the slack bus supplies what the
     network draws, so that the sum over the buses is zero.
@@ -113,7 +113,7 @@ def drawn_by(network: Network, v_pu: Floats | None, island: Flags) -> Drawn | No
 
 
 def drawn_at(network: Network, v_pu: Floats, island: Flags) -> Drawn:
-    """What a network draws at the voltages of each step, (W, N), with grid and in an island."""
+    """Power that a network draws at each step's voltages, (W, N), with grid and in an island."""
     kw, kvar = network.drawn(v_pu)
     if network.islanded is not network:
         kw[island], kvar[island] = network.islanded.drawn(v_pu[island])

@@ -1,4 +1,4 @@
-"""What solvers need that the mathematics does not: scales, sides of discs, one compilation."""
+"""Numerics that solvers need: scales, sides of discs, one compilation."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LARGEST_WITH_CONES = 400
 """Buses times steps up to which discs are cones where there are no binaries."""
 
 ROUNDING = 1e-9
-"""What a sum of powers, energies or weights may be off by."""
+"""Rounding error of a sum of powers, energies or weights."""
 
 SAME = 1e-12
 """Share by which numbers may differ and still be the same: rounding of products."""
@@ -25,13 +25,13 @@ NOISE_KW = 1e-6
 """Power of a kind of asset that a solver leaves where there is none."""
 
 LEFT_KW = 1e-7
-"""The same of what the paper has and of export, which are solved to more digits."""
+"""Power that a solver leaves of the paper's devices and of export, solved to more digits."""
 
 ANY_KW = 1e6
 """Power, in kW or kvar, that nothing has: a limit where there is none."""
 
 BELOW_ZERO = 1e-8
-"""What a value may be below zero by where it may not be negative: rounding, as cvxpy has it."""
+"""Rounding below zero of a value that may not be negative, as cvxpy has it."""
 
 
 def disc_sides(site: Site, n_steps: int) -> int:

@@ -19,7 +19,7 @@ from vppres.model.variables import Parameters, Variables
 
 
 def own_term(F: cp.Expression, site: Site, v: Variables, p: Parameters) -> cp.Expression | None:
-    """What F has besides the paper's terms as weighted, None for the paper's F.
+    """Terms of F besides the paper's as weighted, None for the paper's F.
 
     Raises
     ------

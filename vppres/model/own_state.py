@@ -27,7 +27,7 @@ COLLAPSED_PU2 = 0.25
 is no state of the feeder to which limits could give way, whatever a linear model says."""
 
 KEPT_PU = 1e-4
-"""What a plan by phase leaves free to the AC limits: passes that agree may be off by as much."""
+"""Margin to the AC limits in a plan by phase: passes that agree may be off by as much."""
 
 
 def giving_way(site: Site, data: WindowData) -> list[WindowData]:
@@ -59,7 +59,7 @@ def giving_way(site: Site, data: WindowData) -> list[WindowData]:
 
 
 def _phases_giving_way(site: Site, data: WindowData, phased: PhasedWindow) -> list[WindowData]:
-    """The same of voltages by phase, whose last limits the window has.
+    """Windows whose voltage limits by phase give way one after another.
 
     Beyond the AC voltages they give way by a share of what is beyond first: a regulator that keeps
     its tap may leave next to nothing within, and all of it is seldom needed.

@@ -31,7 +31,7 @@ from vppres.physics.phased_sources import (
 from vppres.physics.phases import NoPhasedSolutionError, PhasedFlow, PhasedResult
 
 GRID, ISLAND = 0, 1
-"""What holds the voltage in a step."""
+"""Source that holds the voltage in a step."""
 
 SIDES = 32
 """Sides of the polygon inside a phase's disc: it takes 0.5% of the rating away."""
@@ -41,7 +41,7 @@ REACH = float(np.cos(np.pi / SIDES))
 
 
 class Slopes:
-    """What one source's quantities change by per kW and kvar that each asset draws, at no load.
+    """Change of one source's quantities per kW and kvar that each asset draws, at no load.
 
     Nothing is kept of all voltages and assets: what powers change is one solution of the network's
     equations, and so is a row of factors for one voltage.
@@ -223,7 +223,7 @@ class PhasedModel:
     # Set-points.
 
     def drawn(self, data: WindowData, dispatch: Dispatch) -> tuple[Floats, Floats]:
-        """What each asset draws in each step, (W, D) each, its former's own power left out."""
+        """Power of each asset in each step, (W, D) each, its former's own power left out."""
         return self.powers(
             data.dark,
             load_kw=data.load_kw * dispatch.served,
@@ -238,7 +238,7 @@ class PhasedModel:
         pv: tuple[Floats, Floats],
         batteries: tuple[Floats, Floats],
     ) -> tuple[Floats, Floats]:
-        """What each asset draws, (..., D) each, nothing by the former where it is the source.
+        """Power of each asset, (..., D) each, nothing by the former where it is the source.
 
         Demand is drawn; ``pv`` and ``batteries`` are the kW and kvar that they give.
         """
@@ -285,7 +285,7 @@ class PhasedModel:
         return points.u_pu2 - u, points.source_kva - former
 
     def linear(self, data: WindowData, p_kw: Floats, q_kvar: Floats) -> tuple[Floats, Complexes]:
-        """What powers change: squared voltages (W, m), source's complex power (W, 3)."""
+        """Change of squared voltages (W, m) and of the source's complex power (W, 3) by powers."""
         W = data.n_steps
         u = np.zeros((W, self.n_measured))
         former: Complexes = np.zeros((W, 3), dtype=complex)
@@ -296,7 +296,7 @@ class PhasedModel:
         return u, former
 
     def currents(self, data: WindowData, p_kw: Floats, q_kvar: Floats) -> Complexes:
-        """What powers change of the currents that have a rating, as shares of it, (W, k)."""
+        """Change of the rated currents by powers, as shares of the rating, (W, k)."""
         found: Complexes = np.zeros((data.n_steps, len(self.loadings.names)), dtype=complex)
         for source, steps in ((GRID, ~data.dark), (ISLAND, data.dark)):
             if source < len(self.flows) and steps.any():
@@ -315,7 +315,7 @@ class PhasedModel:
         return u, former, currents
 
     def rating_kva(self, kept: Floats) -> Floats:
-        """What each phase of the former may carry in each step, (W,), less what is kept free."""
+        """Rating of each phase of the former in each step, (W,), less what is kept free."""
         if self.former is None:
             return np.zeros(len(kept))
         return np.asarray((self.site.batteries.s_max_kva[self.former] - kept[:, self.former]) / 3.0)

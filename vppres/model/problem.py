@@ -50,7 +50,7 @@ class PaperProblem:
 
     @property
     def problem(self) -> cp.Problem:
-        """As cvxpy takes it: a mixed-integer problem with cones and a quadratic objective."""
+        """Problem of cvxpy: mixed-integer with cones and a quadratic objective."""
         return cp.Problem(cp.Maximize(self.F), list(self.subject_to.values()))
 
 
@@ -83,7 +83,7 @@ def paper_objective(site: Site, v: Variables, p: Parameters) -> cp.Expression:
 
 
 def paper_constraints(site: Site, v: Variables, p: Parameters) -> Named:
-    """What F is subject to (``sec:constraints``, ``sec:delta``)."""
+    """Constraints of the paper's F (``sec:constraints``, ``sec:delta``)."""
     return {
         # Battery storage; (1), the net power, is an expression of the variables.
         **battery_modes(site, v, p),  # text above (1)

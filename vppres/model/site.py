@@ -20,7 +20,7 @@ from vppres.scenario.priority import Ranks
 from vppres.scenario.scenario import ObjectiveWeights, Scenario
 
 LESS_THAN_A_UNIT = 0.5
-"""What all curtailment of a window counts at most in strict order: rounded to whole units, a bound
+"""Most that all curtailment of a window counts in strict order: rounded to whole units, a bound
 on service and curtailment is one on service."""
 
 
@@ -54,7 +54,7 @@ def as_tree(network: Network) -> Network:
 
 @dataclass(frozen=True, eq=False)
 class Site(OfKinds):
-    """What stays the same from step to step: network, assets, weights and step length.
+    """Fixed data of all steps: network, assets, weights and step length.
 
     ``ranks`` are those behind the weights of strict priority; None where tiers are weighed.
     With ``soft_voltages`` the limits of the voltages give way, with grid, to what the feeder has

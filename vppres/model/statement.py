@@ -17,7 +17,7 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import ModelError
 from vppres.model import objective, problem
-from vppres.model.beyond_paper.addition import Held
+from vppres.model.beyond_paper.addition import AdditionDispatch
 from vppres.model.beyond_paper.table import PROVEN, Beyond
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
@@ -186,10 +186,10 @@ class Statement:
         known = self.letters.keys() | self.families.keys() | self.implied.keys()
         return tuple(n for n in names if n in known)
 
-    def held(self, data: WindowData, dispatch: Dispatch) -> Held:
-        """What the tie-breakers hold of a dispatch of what is beyond the paper."""
+    def held(self, data: WindowData, dispatch: Dispatch) -> AdditionDispatch:
+        """Part of a dispatch's additions that the tie-breakers hold."""
         found = [each.of_dispatch(self.site, data, dispatch) for each in self.additions]
-        return Held(
+        return AdditionDispatch(
             {name: value for each in found for name, value in each.values.items()},
             {name: ends for each in found for name, ends in each.ranges.items()},
             sum(each.gbp for each in found),

@@ -29,12 +29,12 @@ FIELDS = {
     "P_flow": "p_flow_kw",
     "Q_flow": "q_flow_kvar",
 }
-"""What a dispatch has for each letter; voltages of ``u`` squared."""
+"""Field of a dispatch for each letter; voltages of ``u`` squared."""
 
 
 @dataclass(frozen=True, eq=False)
 class Parameters:
-    """Everything that a re-solve may change (W steps).
+    """Parameters that a re-solve may change (W steps).
 
     What stands at None is nothing of the paper: demand that is added at the buses, (W, N), and
     behind the meters of PV systems, (W, P), power besides import and PV export from which batteries

@@ -32,10 +32,10 @@ VOLTAGE_TOLERANCE_PU2 = 1e-5
 """By how much a squared voltage may miss a limit, in pu²: about 5e-6 pu."""
 
 RATING_TOLERANCE = 1e-5
-"""The same of a current by phase, as a share of its rating."""
+"""Tolerance of a current by phase, as a share of its rating."""
 
 Excess = dict[str, float]
-"""What each family of rows is exceeded by at most, as a multiple of its tolerance."""
+"""Largest excess of each family of rows, as a multiple of its tolerance."""
 
 
 def broken(site: Site, data: WindowData, dispatch: Dispatch) -> list[str]:

@@ -98,7 +98,7 @@ def between_quantiles(
 
 
 def _edges_h(dt_h: float, n_steps: int) -> Floats:
-    """Where a length is rounded up from one number of steps to the next, in h, (n_steps - 1,)."""
+    """Lengths in h at which rounding passes to the next number of steps, (n_steps - 1,)."""
     return np.asarray((np.arange(1, n_steps) + 0.5) * dt_h)
 
 

@@ -187,7 +187,7 @@ class OutageOutlook:
         explained = [self._explanation(announced, one) for one in seen]
         waited_for = [one for one in announced if not any(one is known for known in explained)]
         words = [one.words for one in announced if one.words]
-        onset = [self._onset(one, now, n_steps) for one in waited_for]
+        onset = [self._onset_probability(one, now, n_steps) for one in waited_for]
         kinds = [self._length(one, one.likely, length) for one in waited_for]
         kind = 0
         if lasting is not None:
@@ -277,7 +277,7 @@ class OutageOutlook:
     def _with_others(
         self, present: Lasting, others: Sequence[Announced], seen: SeenOutage, now: pd.Timestamp
     ) -> Lasting:
-        """How long it is dark: until the last one ends of those that have begun for sure."""
+        """Length of the time without grid: all outages that have begun for sure must end."""
         step = pd.Timedelta(hours=self.step_h)
         length = len(present.duration)
         elapsed = min(round((now - seen.start) / step), length - 1)
@@ -295,9 +295,9 @@ class OutageOutlook:
             laws.append(present.duration.cumsum() / present.duration.sum())
         return Lasting(np.diff(np.prod(laws, axis=0), prepend=0.0), "")
 
-    def _onset(self, one: Announced, now: pd.Timestamp, n_steps: int) -> Floats:
+    def _onset_probability(self, one: Announced, now: pd.Timestamp, n_steps: int) -> Floats:
         """Probability that it begins at each step, given that it has not so far."""
-        begun = self._begun(one, now, n_steps)
+        begun = self._begun_probability(one, now, n_steps)
         p = 1.0 if one.message.probability is None else one.message.probability
         left = 1.0 - p * begun[1]
         onset = np.zeros(n_steps)
@@ -306,7 +306,7 @@ class OutageOutlook:
             onset[1:] = p * np.diff(begun)[1:] / left
         return onset
 
-    def _begun(self, one: Announced, now: pd.Timestamp, n_steps: int) -> Floats:
+    def _begun_probability(self, one: Announced, now: pd.Timestamp, n_steps: int) -> Floats:
         """Probability that it begins before each step if it comes, (T + 1,)."""
         steps = np.arange(n_steps + 1)
         if one.shares is not None:
@@ -388,7 +388,7 @@ def length_of(message: OutageWarning, step_h: float, length: int) -> Floats | No
 def said_so_far(
     messages: Sequence[OutageWarning], times: pd.DatetimeIndex
 ) -> tuple[Announced, Floats] | None:
-    """What messages of one outage come to, as onset in the steps of a grid if it comes.
+    """Outage that messages announce, and the probability of its onset in each step if it comes.
 
     Parameters
     ----------
@@ -408,7 +408,7 @@ def said_so_far(
         return None
     step_h = (times[1] - times[0]) / HOUR
     outlook = OutageOutlook(messages, OutageStatistics("none"), step_h)
-    return found, np.diff(outlook._begun(found, times[0], len(times)))
+    return found, np.diff(outlook._begun_probability(found, times[0], len(times)))
 
 
 def seen_outages(times: pd.DatetimeIndex, out: Sequence[bool]) -> list[SeenOutage]:

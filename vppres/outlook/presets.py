@@ -88,7 +88,7 @@ STATISTICS: dict[str, StatisticsPreset] = {
 
 @dataclass(frozen=True)
 class WarningPreset:
-    """What a kind of warning leaves to be understood.
+    """Assumptions for a kind of warning, where it does not say.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ class Statistics:
 
     @classmethod
     def of(cls, given: OutageStatistics) -> Statistics:
-        """What is given, and the preset's for the rest.
+        """Statistics as given, and the preset's for the rest.
 
         >>> of_a_storm = Statistics.of(OutageStatistics(saifi_per_year=36.5, duration_sigma=0.0))
         >>> round(24 * of_a_storm.hazard_per_h, 6), of_a_storm.median_h

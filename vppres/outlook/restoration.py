@@ -1,4 +1,4 @@
-"""What crews say of the end of an outage: that it is not yet, or near; and that they say nothing.
+"""Crews' news of the end of an outage: not yet, or near, or none at all.
 
 Lengths are probabilities of numbers of steps, as in :mod:`vppres.outlook.durations`: entry ``k`` is
 that of an outage of ``k + 1`` steps, which ends ``k + 1`` steps after it began.

@@ -1,4 +1,4 @@
-"""What stored energy is worth under a belief: dynamic programming backwards over (energy, state).
+"""Value of stored energy under a belief: dynamic programming backwards over (energy, state).
 
 The fleet is one battery, in which the fuel of generating sets is energy that is held already;
 customers are shares of the cheapest service, and the network is not there. Of all that the belief
@@ -32,7 +32,7 @@ LEAST_KW = 1e-9
 
 
 @dataclass(frozen=True)
-class Fleet:
+class EquivalentBattery:
     """All batteries as one.
 
     Parameters
@@ -66,7 +66,7 @@ class Fleet:
 
 @dataclass(frozen=True, eq=False)
 class Ahead:
-    """What is expected of the present step and the ``T - 1`` behind it.
+    """Expected demand, power and prices of the present step and the ``T - 1`` behind it.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ class Ahead:
         return np.asarray(self.service(t, power_kw) - self.lambda_curt * self.dt_h * lost_kw)
 
     def worth_with_grid(self, t: int, charge_kw: Floats, gbp_per_service: float) -> Floats:
-        """The same with grid: cost in service, less what is curtailed or an import limit denies."""
+        """Worth of a step with grid: minus cost, curtailment and denied import, as service."""
         net_kw = self.total_kw[t] - self.pv_kw[t] + charge_kw
         most_kw = float(self.import_kw[t])
         imported_kw = np.clip(net_kw, 0.0, most_kw)
@@ -158,7 +158,7 @@ class Ahead:
 
 def stored_value(
     belief: OutageBelief,
-    fleet: Fleet,
+    fleet: EquivalentBattery,
     ahead: Ahead,
     gbp_per_kwh_lost: float,
     end_gbp: Callable[[Floats], Floats],
@@ -169,7 +169,7 @@ def stored_value(
     ----------
     belief : OutageBelief
         States of the ``T`` steps.
-    fleet : Fleet
+    fleet : EquivalentBattery
         The batteries.
     ahead : Ahead
         What is expected of the steps.
@@ -214,7 +214,7 @@ def concave_above(values: Floats) -> Floats:
     return np.interp(np.arange(len(values)), kept, values[kept])
 
 
-def _cells(fleet: Fleet, dt_h: float) -> Floats:
+def _cells(fleet: EquivalentBattery, dt_h: float) -> Floats:
     """Energies in equal distances, close enough that the least move of a step spans some."""
     usable_kwh = max(fleet.most_kwh + fleet.fuel_kwh - fleet.least_kwh, LEAST_KW)
     move_kwh = fleet.eta_charge * max(fleet.p_out_kw, LEAST_KW) * dt_h
@@ -224,7 +224,7 @@ def _cells(fleet: Fleet, dt_h: float) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class _Moves:
-    """What may be stored or drawn in a step, in cells of energy (M,), and what it is worth, (M,).
+    """Energy to store or draw in a step, in cells of energy (M,), and its worth, (M,).
 
     Cells may be broken: the largest powers, and those that leave nothing to import or to curtail,
     are no whole number of cells.
@@ -257,7 +257,7 @@ class _Problem:
     """Energies (n,) and what is expected: everything but the belief."""
 
     energy: Floats
-    fleet: Fleet
+    fleet: EquivalentBattery
     ahead: Ahead
     gbp_per_service: float
 
@@ -279,7 +279,7 @@ class _Problem:
         return _Moves(self._cells(charge_kw), self.ahead.worth_in_outage(t, charge_kw))
 
     def before_delivery(self, t: int, worth: Floats) -> Floats:
-        """What energies are worth to which the fuel of step ``t`` is still to come, (R, n) each."""
+        """Worth of energies to which the fuel of step ``t`` is still to come, (R, n) each."""
         delivered_kwh = self.ahead.delivered_kwh[t]
         if not delivered_kwh:
             return worth

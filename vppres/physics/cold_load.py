@@ -12,7 +12,7 @@ from vppres.scenario.rules import SwitchingRules
 
 
 class ColdLoad:
-    """Who takes more than usual, and for how many steps yet.
+    """Higher demand of restored customers, and for how many more steps it lasts.
 
     Parameters
     ----------

@@ -46,7 +46,7 @@ class Newton:
         self._keep_pattern(n)
 
     def _keep_pattern(self, n: int) -> None:
-        """Where the derivatives of active and reactive power stand in the Jacobian.
+        """Store the positions of the derivatives of active and reactive power in the Jacobian.
 
         Its rows are active, then reactive power of the free buses; its columns angles, then
         magnitudes. ``order`` sorts the four blocks' numbers, one block after the other, by rows.
@@ -106,7 +106,7 @@ class Newton:
         return v if largest < tolerance_mva else None
 
     def _mismatch(self, v: Complexes, s_mva: Complexes) -> Floats:
-        """By what active, then reactive power misses the injections of the free buses."""
+        """Mismatch of active, then reactive power at the free buses."""
         missed = (v * np.conj(self.y @ v) - s_mva)[self.free]
         return np.concatenate([missed.real, missed.imag])
 

@@ -46,7 +46,7 @@ SHORTEST, LONGEST = 1e-7, 2.0
 
 @dataclass(frozen=True, eq=False)
 class Followed:
-    """Where the curve led.
+    """Result of following the curve.
 
     Parameters
     ----------
@@ -289,7 +289,7 @@ def _corrected(tree: _Tree, point: _Point, step: float, last: bool) -> tuple[_Po
 
 
 def _heading(tree: _Tree, point: _Point) -> _Point:
-    """The same point with the direction of the curve there, of length 1 and never backwards."""
+    """Point with the curve's direction at it, of length 1 and never backwards."""
     by_share = splu(tree.slope(point.x)).solve(-tree.by_share())
     weights = tree.weights()
     length = float(np.sqrt(weights @ by_share**2 + 1.0))

@@ -33,7 +33,7 @@ class Loadings:
 
     @classmethod
     def of(cls, phases: Phases) -> Loadings:
-        """Those of all lines and transformers with a rating."""
+        """Loadings of all lines and transformers with a rating."""
         rated = [line for line in phases.lines if np.isfinite(line.i_max_a)]
         blocks = [_of_line(phases, line) for line in rated]
         blocks += [_of_transformers(phases)]
@@ -54,7 +54,7 @@ class Loadings:
 
     @classmethod
     def none(cls, phases: Phases) -> Loadings:
-        """Those of a feeder whose ratings count nothing."""
+        """Loadings of a feeder whose ratings count nothing."""
         nothing = sp.csr_array((0, len(phases.nodes)), dtype=complex)
         return cls((), nothing, np.zeros(0))
 
@@ -68,7 +68,7 @@ class Loadings:
 
 
 def _line_kva(phases: Phases, line: PhaseLine) -> float:
-    """What a phase of a line carries at its rating."""
+    """Apparent power of a line's phase at its rating."""
     return float(line.i_max_a * phases.by_bus[line.from_bus].kv / np.sqrt(3))
 
 

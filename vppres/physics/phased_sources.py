@@ -46,7 +46,7 @@ def measured_at(phases: Phases, network: Network) -> Wholes:
 
 
 def farthest(v_pu: Floats, at_bus: Wholes, n_buses: int) -> Floats:
-    """Of each bus the voltage that is farthest from 1 pu, (..., N) of (..., m).
+    """Voltage of each bus that is farthest from 1 pu, (..., N) of (..., m).
 
     >>> farthest(np.array([[1.01, 0.98, 1.02]]), np.array([0, 0, 1]), 2)
     array([[0.98, 1.02]])

@@ -73,7 +73,7 @@ def incidence(phases: Phases, places: Iterable[tuple[str, str]]) -> Any:
 
 
 def each_coil(values: ArrayLike, counts: Wholes) -> Any:
-    """What devices have, for each of their coils."""
+    """Values of devices, repeated for each of their coils."""
     return np.repeat(np.asarray(values), counts)
 
 
@@ -140,7 +140,7 @@ class Turns(NamedTuple):
 
     @classmethod
     def of(cls, phases: Phases) -> Turns:
-        """Those of all transformers of a feeder."""
+        """Turns of all transformers of a feeder."""
         units = phases.transformers
         of_from = [(unit.from_bus, unit.from_coils) for unit in units]
         of_to = [(unit.to_bus, unit.to_coils) for unit in units]
@@ -155,12 +155,12 @@ class Turns(NamedTuple):
         )
 
     def per_unit(self, phases: Phases, of: Callable[[PhaseTransformer], complex]) -> Any:
-        """What units have, for each of their pairs of coils."""
+        """Values of units, repeated for each of their pairs of coils."""
         return each_coil([of(unit) for unit in phases.transformers], self.counts)
 
     @property
     def through(self) -> Any:
-        """What drives current through each pair of coils, of voltages at nodes, in turns."""
+        """Matrix from voltages at nodes to those that drive current through pairs of coils."""
         first, second = (
             sp.diags_array(1.0 / (volts * tap)) @ coils
             for coils, volts, tap in zip(self.sides, self.volts, self.taps, strict=True)
@@ -212,7 +212,7 @@ class PhasedResult:
 
     @property
     def losses_kw(self) -> float:
-        """What the source gives beyond what all coils draw."""
+        """Losses: power of the source beyond that of all coils."""
         return float(self.source_kva.sum().real - self.drawn_kva.sum().real)
 
 
@@ -333,7 +333,7 @@ class PhasedFlow:
         return None
 
     def _newton(self, p: Floats, q: Floats, u: Complexes) -> Complexes | None:
-        """The same by Newton's method in real and imaginary parts; None where it fails."""
+        """Voltages by Newton's method in real and imaginary parts; None where it fails."""
         u0, z = self._u0, self._z
         for _ in range(MAX_NEWTON):
             s = self.drawn_va(p, q, u)

@@ -27,7 +27,7 @@ MOST_STEPS = 96
 
 
 def without_control(scenario: Scenario) -> list[str]:
-    """Where the feeder leaves its AC limits by itself while the grid is on; empty if nowhere."""
+    """Violations of AC limits without control while the grid is on; empty if there are none."""
     steps = _extreme_steps(scenario)
     if not len(steps):
         return []
@@ -83,7 +83,7 @@ def _balanced(scenario: Scenario) -> Solved:
 
 
 def _by_phase(scenario: Scenario, phases: Phases) -> Solved:
-    """The same of a phased feeder: of each bus the voltage that is farthest from 1 pu."""
+    """Solver of a phased feeder: for each bus the voltage that is farthest from 1 pu."""
     net, b = scenario.network, scenario.batteries
     flow = flow_of_grid(phases, assets_of(scenario.customers, scenario.pv, b), net.v_slack_pu)
     at_bus = measured_at(phases, net)

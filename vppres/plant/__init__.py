@@ -1,1 +1,1 @@
-"""What the day really does with a decision: the true demand, batteries, islands, collapse."""
+"""Simulation of the real day: true demand, batteries, islands, collapse."""

@@ -1,4 +1,4 @@
-"""What happens where the AC power flow has no solution: the lowest tier is shed until it has.
+"""Collapse where the AC power flow has no solution: the lowest tier is shed until it has.
 
 Only evidence sheds: where no solution was found and none was shown to be missing, all customers
 stay on, and the record says by what its best answer misses.
@@ -45,7 +45,7 @@ def realise(
         State at the beginning of the step.
     """
     failed = ""
-    for shed, tried in _reduced(plant.scenario, t, decision):
+    for shed, tried in _with_less_load(plant.scenario, t, decision):
         realised = plant.apply(t, tried, state)
         try:
             realised, result = within_export_limit(plant, flow, t, realised, state)
@@ -70,7 +70,9 @@ def _settled(decision: Decision, realised: Realised, ac: ACResult, ac_failed: st
     )
 
 
-def _reduced(scenario: Scenario, t: int, decision: Decision) -> Iterator[tuple[str, Decision]]:
+def _with_less_load(
+    scenario: Scenario, t: int, decision: Decision
+) -> Iterator[tuple[str, Decision]]:
     """The decision, then without vehicles, machines and ever more tiers, then without any power."""
     yield NOBODY, decision
     asked = decision.dispatch

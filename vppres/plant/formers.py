@@ -1,4 +1,4 @@
-"""What forms the grid of an island: its bus, and what it takes up of what the island lacks."""
+"""Devices that form an island's grid: their bus, and their share of the island's mismatch."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from vppres.scenario.assets import Batteries
 
 
 class Former(Protocol):
-    """What holds the voltage of an island and takes up its mismatch."""
+    """Device that holds the voltage of an island and takes up its mismatch."""
 
     @property
     def bus(self) -> int:
@@ -39,7 +39,7 @@ class Former(Protocol):
         ...
 
     def excess_kva(self, powers: Powers) -> float:
-        """By how much the reference is beyond its rating."""
+        """Power of the reference beyond its rating."""
         ...
 
 
@@ -93,7 +93,7 @@ class FormingBatteries:
         return replace(powers, battery_kw=base_kw - given), float(deficit_kw - given.sum())
 
     def excess_kva(self, powers: Powers) -> float:
-        """By how much the reactive power of the reference is beyond its rating."""
+        """Reactive power of the reference beyond its rating."""
         rating = self._b.s_max_kva[self.reference]
         return float(abs(powers.batt_q_kvar[self.reference]) - rating)
 
@@ -141,7 +141,7 @@ class FormingSet:
         return shared, deficit_kw - (given_kw - before_kw)
 
     def excess_kva(self, powers: Powers) -> float:
-        """By how much the reactive power of the set is beyond what its power factor allows."""
+        """Reactive power of the set beyond what its power factor allows."""
         assert powers.forming is not None
         most_kvar = self.plant.scenario.gensets.q_max_kvar[self.genset]
         return float(abs(powers.forming.q_kvar) - most_kvar)

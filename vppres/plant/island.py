@@ -37,7 +37,7 @@ COLLAPSE_PU = 0.7
 """A voltage below which motors stall and inverters trip: the island blacks out."""
 
 CUT_MARGIN_KW = 1e-3
-"""What is cut beyond the need, so that the set has something left to settle with."""
+"""Margin of a cut beyond the need, so that the set has something left to settle with."""
 
 TAKE_LESS = ("thermal_loads", "chargers")
 """Kinds that take less where an island lacks power, in this order: before batteries and customers.
@@ -106,7 +106,7 @@ class Balance:
 
 
 class IslandPlant:
-    """What happens in an island's step.
+    """Plant of an island's step.
 
     Parameters
     ----------
@@ -135,15 +135,15 @@ class IslandPlant:
             State before the step.
         """
         dark = None
-        for former in self._able(t, planned, state):
-            settled = self._held(t, planned, state, former)
+        for former in self._possible_formers(t, planned, state):
+            settled = self._with_former(t, planned, state, former)
             if not settled.dark:
                 return settled
             dark = dark or settled
         return dark or self._dark(t, planned, state, self._why_dark())
 
-    def _able(self, t: int, planned: Realised, state: BatteryState) -> Iterator[Former]:
-        """What can form the grid: batteries first, then one generating set after another."""
+    def _possible_formers(self, t: int, planned: Realised, state: BatteryState) -> Iterator[Former]:
+        """Devices able to form the grid: batteries first, then one generating set after another."""
         _, most_discharge = self.plant.battery_limits_kw(state)
         holds = self.plant.scenario.batteries.holds_energy(state.soc)
         able = self.formers & holds & (most_discharge > BALANCE_TOLERANCE_KW)
@@ -159,7 +159,9 @@ class IslandPlant:
             return NO_SET
         return NO_ENERGY if self.formers.any() else NO_FORMER
 
-    def _held(self, t: int, planned: Realised, state: BatteryState, former: Former) -> Settled:
+    def _with_former(
+        self, t: int, planned: Realised, state: BatteryState, former: Former
+    ) -> Settled:
         """The step with this former, dark if it cannot hold the island."""
         set_points = powers = former.begin(powers_of(planned))
         # Every round sheds, stops or curtails something, so this is more than can be needed.
@@ -185,7 +187,7 @@ class IslandPlant:
                     ac_failed=found.not_found,
                     by_set_kw=_given_beyond_kw(set_points, found.powers),
                 )
-            cut = self._cut(t, powers, found, state)
+            cut = self._protective_action(t, powers, found, state)
             if cut is None:
                 break
             powers = cut
@@ -216,7 +218,7 @@ class IslandPlant:
         raise VerificationError("the sharing of the mismatch does not converge")
 
     def _excess_kva(self, former: Former, powers: Powers, ac: ACResult) -> float:
-        """By how much what holds the island is beyond its rating."""
+        """Power of the island's former beyond its rating."""
         return former.excess_kva(powers)
 
     def _order(self, t: int, powers: Powers, ac: ACResult) -> list[int]:
@@ -226,14 +228,16 @@ class IslandPlant:
     def _others_room_kw(
         self, powers: Powers, state: BatteryState, others: Flags, ac: ACResult
     ) -> Floats:
-        """What batteries that do not form the grid can discharge beyond what they do, (B,)."""
+        """Further discharge that batteries can give that do not form the grid, (B,)."""
         _, most_discharge = self.plant.battery_limits_kw(state)
         s_max_kva = self.plant.scenario.batteries.s_max_kva
         disc_kw = np.sqrt(np.maximum(s_max_kva**2 - powers.batt_q_kvar**2, 0.0))
         room_kw = np.minimum(most_discharge, disc_kw) + np.minimum(powers.battery_kw, 0.0)
         return np.where(others, np.maximum(room_kw, 0.0), 0.0)
 
-    def _cut(self, t: int, powers: Powers, found: Balance, state: BatteryState) -> Powers | None:
+    def _protective_action(
+        self, t: int, powers: Powers, found: Balance, state: BatteryState
+    ) -> Powers | None:
         """One more protective action, None if there is none left."""
         need_kw = max(found.left_kw, found.excess_kvar) + CUT_MARGIN_KW
         others = ~found.former.batteries
@@ -336,12 +340,12 @@ def powers_of(realised: Realised) -> Powers:
 
 
 def taking(powers: Powers, kind: str, taken_kw: Floats) -> Powers:
-    """The same with the units of a kind taking these powers, (n,)."""
+    """Powers in which the units of a kind take these, (n,)."""
     return replace(powers, taken_kw={**powers.taken_kw, kind: taken_kw})
 
 
 def spare(plant: Plant, powers: Powers) -> dict[str, Floats]:
-    """By how much units can give less without stopping, (n,) by kind; sets come first.
+    """Power that units can give less without stopping, (n,) by kind; sets come first.
 
     The set that forms the grid takes up what is too much by itself.
     """
@@ -361,7 +365,7 @@ def _forms(powers: Powers, kind: str) -> Flags:
 
 
 def _given_beyond_kw(set_points: Powers, powers: Powers) -> float:
-    """What the set that forms the grid gave beyond its set-point."""
+    """Power of the set that forms the grid beyond its set-point."""
     if powers.forming is None:
         return 0.0
     one = powers.forming.genset

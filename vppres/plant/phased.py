@@ -30,7 +30,7 @@ from vppres.plant.plant import BatteryState, Plant, Powers, Realised
 from vppres.scenario.scenario import Scenario
 
 TOLERANCE_KVA = 1e-3
-"""What a solved flow may miss: a tenth of a billionth of a volt is a watt on a stiff feeder."""
+"""Residual of a solved flow: a tenth of a billionth of a volt is a watt on a stiff feeder."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,17 +180,19 @@ class PhasedIslandPlant(IslandPlant):
         self.formers = plant.scenario.formers
         self._others_help = True
 
-    def _held(self, t: int, planned: Realised, state: BatteryState, former: Former) -> Settled:
+    def _with_former(
+        self, t: int, planned: Realised, state: BatteryState, former: Former
+    ) -> Settled:
         """The step with other batteries discharging beyond their set-points, or without them.
 
         What relieves one phase may overload another, and then more customers are shed for it.
         """
-        helped = super()._held(t, planned, state, former)
+        helped = super()._with_former(t, planned, state, former)
         if not (helped.dark or helped.shed.any()):
             return helped
         self._others_help = False
         try:
-            alone = super()._held(t, planned, state, former)
+            alone = super()._with_former(t, planned, state, former)
         finally:
             self._others_help = True
         return max(helped, alone, key=self._supplied)
@@ -202,7 +204,7 @@ class PhasedIslandPlant(IslandPlant):
         return (int(not settled.dark), *(int((on == tier).sum()) for tier in s.tiers))
 
     def _excess_kva(self, former: Former, powers: Powers, ac: ACResult) -> float:
-        """By how much the worst phase of the former is beyond a third of its rating, times three.
+        """Power of the former's worst phase beyond a third of its rating, times three.
 
         What is cut on a phase comes off that phase alone, so its excess counts for all three.
         """
@@ -222,13 +224,15 @@ class PhasedIslandPlant(IslandPlant):
         on_phase = self._on_phase(_worst_phase(ac))
         return sorted(super()._order(t, powers, ac), key=lambda c: not on_phase[c])
 
-    def _cut(self, t: int, powers: Powers, found: Balance, state: BatteryState) -> Powers | None:
-        """What relieves an overloaded phase: less of what feeds it, or other batteries on it.
+    def _protective_action(
+        self, t: int, powers: Powers, found: Balance, state: BatteryState
+    ) -> Powers | None:
+        """Relieve an overloaded phase: less of what feeds it, or other batteries on it.
 
         Then customers on it are shed. Where none is left, everything but the former stops.
         """
         if abs(found.left_kw) > self.tolerance_kw:
-            return super()._cut(t, powers, found, state)
+            return super()._protective_action(t, powers, found, state)
         worst = _worst_phase(found.ac)
         on_phase = self._on_phase(worst)
         if _former_kva(found.ac)[worst].real < 0.0:
@@ -243,12 +247,14 @@ class PhasedIslandPlant(IslandPlant):
                 given_kw = room_kw * (there_kw > 0.0) * min(1.0, need_kw / there_kw.sum())
                 return replace(powers, battery_kw=powers.battery_kw - given_kw)
         everything = np.ones(len(self.flow.grid.assets), dtype=bool)
-        return super()._cut(t, powers, found, state) or self._without(powers, everything)
+        return super()._protective_action(t, powers, found, state) or self._without(
+            powers, everything
+        )
 
     def _others_room_kw(
         self, powers: Powers, state: BatteryState, others: Flags, ac: ACResult
     ) -> Floats:
-        """The same, on a phase and in all no more than what forms the grid gives there."""
+        """Further discharge of others, at most what the former gives on a phase and in all."""
         if not self._others_help:
             return np.zeros(len(others))
         room_kw = super()._others_room_kw(powers, state, others, ac)
@@ -286,7 +292,7 @@ class PhasedIslandPlant(IslandPlant):
 
 
 def _former_kva(ac: ACResult) -> Complexes:
-    """What the former gives on each phase, (3,)."""
+    """Complex power of the former on each phase, (3,)."""
     assert isinstance(ac, PhasedACResult)
     return ac.former_kva
 

@@ -1,4 +1,4 @@
-"""What the day really does with a decision. Written apart from the model, in plain numpy.
+"""Simulation of the real day. Written apart from the model, in plain numpy.
 
 The plant knows the actual demand, PV power and battery state. It carries out a decision as far as
 physics lets it and says where it did not; it shares data with the optimiser, never functions.
@@ -24,7 +24,7 @@ from vppres.scenario.scenario import Scenario
 F = TypeVar("F", bound=Followers)
 
 NOBODY = "nobody"
-"""Who was shed where a power flow was not found; the record's word for it."""
+"""Word of the record for nobody shed, where a power flow was not found."""
 
 CLIP_TOLERANCE_KW = 1e-3
 """Set-points that the plant had to move by more than this are named in the record."""
@@ -98,7 +98,7 @@ class Realised:
 
     @property
     def flexible_kw(self) -> float:
-        """What vehicles and machines take, less what generating sets give."""
+        """Power of vehicles and machines, less that of generating sets."""
         return sum((float(np.sum(taken_kw)) for taken_kw in self.taken_kw.values()), start=0.0)
 
 
@@ -237,7 +237,7 @@ class Plant:
     def realise(
         self, t: int, powers: Powers, state: BatteryState, clipped_kw: float = 0.0
     ) -> Realised:
-        """What powers that are within all limits do to the buses and the batteries."""
+        """Injections at the buses and batteries' states after powers that are within all limits."""
         b = self.scenario.batteries
         load_kw = self.load_kw(t, powers.served)
         charge = np.maximum(powers.battery_kw, 0.0)

@@ -22,7 +22,7 @@ EMPTY_SHARE = 0.01  # of the usable energy
 
 
 @dataclass(frozen=True)
-class Event:
+class DayEvent:
     """What happened at the beginning of a step ``t``, and its time; ``T`` is the end of the day."""
 
     t: int
@@ -30,7 +30,7 @@ class Event:
     words: str
 
 
-def events_of(run: Trajectory) -> list[Event]:
+def events_of(run: Trajectory) -> list[DayEvent]:
     """Outages, customers off, restored and dimmed, batteries, missed needs and comfort, sets."""
     found = sorted(
         [
@@ -44,7 +44,7 @@ def events_of(run: Trajectory) -> list[Event]:
         key=lambda entry: entry[0],
     )
     clock = Clock.of(run)
-    return [Event(t, clock.at(t), words) for t, words in found]
+    return [DayEvent(t, clock.at(t), words) for t, words in found]
 
 
 def opening_of(run: Trajectory, summary: Mapping[str, Any]) -> list[str]:

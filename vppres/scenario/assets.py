@@ -223,11 +223,11 @@ class PVSystems(Items):
 
     @property
     def word(self) -> str:
-        """What gives the power, in a sentence: PV where all systems are, else generation."""
+        """Word for the power in a sentence: PV where all systems are PV, else generation."""
         return kind_label(PV) if (self.kind == PV).all() else "generation"
 
     def counted(self) -> str:
-        """How many systems there are of each kind.
+        """Number of systems of each kind.
 
         >>> kinds = ["pv", "wind"]
         >>> PVSystems(["a", "b"], ["", ""], [1.0, 1.0], [1.0, 1.0], kinds, [1, 2]).counted()
@@ -312,7 +312,7 @@ class Batteries(Items):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was mended when the table was made, in sentences."""
+        """Corrections that were made when the table was built, in sentences."""
         notes: tuple[str, ...] = self.__dict__["_notes"]
         return notes
 
@@ -336,7 +336,7 @@ class Batteries(Items):
 
     @property
     def formers(self) -> Flags:
-        """Who forms an island's grid, (B,): those that are named, else the largest inverter.
+        """Batteries that form an island's grid, (B,): those named so, else the largest inverter.
 
         None does whose power is no more than the 1 W below which equipment is not there.
         """

@@ -66,7 +66,7 @@ def too_large_by_phase(network: Network, phases: Phases, former_kva: float) -> F
 
 
 def _at_no_load(network: Network) -> tuple[Floats, float]:
-    """What capacitors give at no load, (N,), and charging lines together."""
+    """Reactive power in kvar at no load: of capacitors, (N,), and of all lines' charging."""
     at_no_load = network.v_slack_pu * network.bus_ratio
     given_kvar = np.maximum(-network.q_shunt_kvar, 0.0) * at_no_load**2
     shunts_kvar = network.drawn(at_no_load)[1] - network.q_fixed_kvar

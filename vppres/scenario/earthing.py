@@ -1,4 +1,4 @@
-"""What earths the buses of a phased feeder, with the grid as source or with an island's former.
+"""Earthing of a phased feeder's buses, with the grid as source or with an island's former.
 
 Only lines and transformers do, from a source or a winding that is earthed: charging, capacitors and
 the millionth of a transformer's rating hold no voltage to ground against a customer's current.

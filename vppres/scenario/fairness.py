@@ -134,7 +134,7 @@ def _scaled(weight: Floats, grown: Floats, least: float, most: float) -> Floats:
 
 
 def turns(n_customers: int, out_h: float, length_h: float) -> Flags:
-    """Whose turn it is after so many hours of outage, (C,).
+    """Customers whose turn it is after so many hours of outage, (C,).
 
     Turns begin one after another in the customers' order, spread evenly over 24 h of outage.
 

@@ -1,4 +1,4 @@
-"""What can form the grid of an island: batteries, and generating sets where these cannot."""
+"""Devices that can form an island's grid: batteries, and generating sets where these cannot."""
 
 from __future__ import annotations
 

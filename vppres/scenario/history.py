@@ -1,4 +1,4 @@
-"""What was measured before a day: demand and available PV power by step."""
+"""Demand and available PV power that were measured before a day, by step."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ class History:
         )
 
     def before(self, time: pd.Timestamp) -> History:
-        """What was known at a time: the steps that were over."""
+        """Steps that were over at a time."""
         return self.rows(0, int((time - self.start) // self.step))
 
     def last_days(self, days: float) -> History:
@@ -131,7 +131,7 @@ class History:
         )
 
     def in_steps_of(self, step_minutes: float) -> History:
-        """The same in other steps: means of shorter ones, or each longer one repeated.
+        """Resample to other steps: means of shorter ones, or each longer one repeated.
 
         Steps of which neither length is a multiple of the other are repeated minute by minute in
         between. What does not fill a whole step at the beginning is left out.

@@ -24,10 +24,10 @@ from vppres.core.units import ohm_to_pu2_per_kw, us_to_kw_at_1_pu
 BusId = int | str
 
 LINE_DEFAULTS = {"i_max_a": np.inf, "ratio": 1.0, "b_us": 0.0, "g_us": 0.0}
-"""What lines may lack, and what they have then."""
+"""Columns that a table of lines may lack, and their values then."""
 
 BUS_DRAWS = ("p_shunt_kw", "q_shunt_kvar", "p_fixed_kw", "q_fixed_kvar")
-"""What a bus may draw without a customer."""
+"""Columns of power that a bus draws without a customer."""
 
 LOW_VOLTAGE_KV = 1.0
 """Highest nominal voltage between lines that counts as low (EN 50160)."""
@@ -203,7 +203,7 @@ class Network:
         return any(len(values := getattr(self, name)) and values[row] for name in BUS_DRAWS)
 
     def _drawn_at(self, order: Names) -> dict[str, Any]:
-        """What the buses draw by themselves, in the network's order; rows of a bus add up."""
+        """Power that the buses draw by themselves, in the network's order; rows of a bus add up."""
         position = {bus: i for i, bus in enumerate(order)}
         rows = [i for i, bus in enumerate(self.drawing_bus) if bus in position]
         at = np.array([position[self.drawing_bus[i]] for i in rows], dtype=int)

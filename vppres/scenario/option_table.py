@@ -21,7 +21,7 @@ Value = str | float | int | bool
 
 
 @dataclass(frozen=True)
-class Range:
+class NumberRange:
     """Numbers that an option takes; infinity and NaN are in none.
 
     Parameters
@@ -56,26 +56,26 @@ class Range:
 
 
 RANGES = {
-    "hours": Range(0, inf, "must be zero or positive", "Give hours."),
-    "count": Range(0, inf, "must not be negative", "Give a whole number from zero."),
-    "not negative": Range(0, inf, "must be zero or positive", "Give a number from 0."),
-    "positive": Range(0, inf, "must be positive", "Give a number above 0.", open_least=True),
-    "at least one": Range(1, inf, "must be at least 1", "Give a factor, for example 1.5."),
-    "share": Range(0, 1, "must lie between 0 and 1", "Give a share, for example 0.8."),
-    "error bias": Range(
+    "hours": NumberRange(0, inf, "must be zero or positive", "Give hours."),
+    "count": NumberRange(0, inf, "must not be negative", "Give a whole number from zero."),
+    "not negative": NumberRange(0, inf, "must be zero or positive", "Give a number from 0."),
+    "positive": NumberRange(0, inf, "must be positive", "Give a number above 0.", open_least=True),
+    "at least one": NumberRange(1, inf, "must be at least 1", "Give a factor, for example 1.5."),
+    "share": NumberRange(0, 1, "must lie between 0 and 1", "Give a share, for example 0.8."),
+    "error bias": NumberRange(
         -1, inf, "must be a number not below -1", "Give a share, for example 0.05."
     ),
-    "error growth": Range(
+    "error growth": NumberRange(
         0, inf, "must be a number not below 0", "Give a share, for example 0.05."
     ),
-    "headroom": Range(
+    "headroom": NumberRange(
         0,
         1,
         "must be a share from 0 to below 1",
         "Give a share of the inverter's rating, for example 0.1.",
         open_most=True,
     ),
-    "rota": Range(0, 24, "must lie between 0 and 24", "Give hours of 24, for example 1."),
+    "rota": NumberRange(0, 24, "must lie between 0 and 24", "Give hours of 24, for example 1."),
 }
 """Ranges by the names that the tables give them."""
 
@@ -115,7 +115,7 @@ class Option:
         Words that it takes; empty for numbers, and for names that another table checks.
     hidden : tuple of str
         Words that it takes besides, for studies; neither offered nor documented.
-    range : Range, optional
+    range : NumberRange, optional
         Numbers that it takes.
     unset : str
         What None means.
@@ -147,7 +147,7 @@ class Option:
     unit: str = ""
     choices: tuple[str, ...] = ()
     hidden: tuple[str, ...] = ()
-    range: Range | None = None
+    range: NumberRange | None = None
     unset: str = ""
     group: str = ""
     scenario_key: str = ""
@@ -164,7 +164,7 @@ class Option:
         return None if self.follows_scenario else self.default
 
     def problems(self, value: Any) -> Iterator[Problem]:
-        """What is wrong with a value; nothing is wrong with None where it has a meaning."""
+        """Faults of a value; None has no fault where it has a meaning."""
         if value is None and self.run_default is None:
             return
         if self.choices and value not in (*self.choices, *self.hidden):

@@ -1,4 +1,4 @@
-"""What is said of outages that are not known exactly: warnings, and statistics for all others.
+"""Knowledge of outages whose times are uncertain: warnings, and statistics for all others.
 
 Checked values; what follows from them is computed in :mod:`vppres.outlook`.
 """
@@ -23,7 +23,7 @@ WARNING_PRESETS = ("", "announced", "rota", "psps", "wind", "heat")
 
 @dataclass(frozen=True)
 class OnsetShares:
-    """When an outage begins if it comes: the probability of each of some equal intervals.
+    """Onset of an outage if it comes: the probability of each of some equal intervals.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ class OutageWarning:
         return self.duration_p50_h is not None or self.restored_likely is not None
 
     def contradictions(self) -> list[tuple[str, str, str]]:
-        """What does not fit together: field, message, cure."""
+        """Statements of the warning that contradict each other: field, message, cure."""
         found = self._wrong_numbers()
         onsets = ("onset_earliest", "onset_likely", "onset_latest")
         ends = ("restored_not_before", "restored_likely", "restored_by")

@@ -22,7 +22,7 @@ from vppres.scenario.network import BusId, Network
 
 PHASES = "abc"
 GROUND, LINES = "ground", "lines"
-"""What a bus's voltage limits are for: phases against ground, or phases against each other."""
+"""Voltages that a bus's limits hold for: phases against ground, or phases against each other."""
 
 TRIANGLE = tuple((row, column) for row in range(3) for column in range(row + 1))
 """Entries of a symmetric matrix of three phases that a table gives."""
@@ -137,7 +137,7 @@ class PhaseShunt:
 
 @dataclass(frozen=True)
 class PhaseConnection:
-    """Where an asset is connected, and how its power follows the voltage across its coils."""
+    """Phases of an asset, and how its power follows the voltage across its coils."""
 
     id: str
     bus: str
@@ -233,7 +233,7 @@ class Phases:
         return known[asset] if asset in known else known[asset.rpartition("/")[0]]
 
     def formers(self, batteries: Batteries) -> Flags:
-        """Who can form an island, (B,): those that are to, with all three phases."""
+        """Batteries that can form an island, (B,): those chosen to that have all three phases."""
         complete = [self.connection(str(name)).three_coils for name in batteries.id]
         return np.asarray(batteries.formers & np.array(complete, dtype=bool))
 
@@ -256,7 +256,7 @@ class Phases:
         return problems
 
     def _buses_wrong(self) -> tuple[list[Problem], dict[str, set[int]]]:
-        """What is wrong with buses, and the phases of those that are right."""
+        """Faults of the table of buses, and the phases of the buses without fault."""
         problems: list[Problem] = []
         known: dict[str, set[int]] = {}
         for i, row in enumerate(self.buses):
@@ -278,7 +278,7 @@ class Phases:
     def _transformer_wrong(
         self, known: dict[str, set[int]], i: int, unit: PhaseTransformer
     ) -> list[Problem]:
-        """What is wrong with the coils of a transformer."""
+        """Faults of a transformer's coils."""
         problems = []
         for end in ("from", "to"):
             bus, coils = getattr(unit, f"{end}_bus"), getattr(unit, f"{end}_coils")
@@ -294,7 +294,7 @@ class Phases:
     def _coils_at(
         self, known: dict[str, set[int]], table: str, i: int, name: str, bus: str, words: str
     ) -> list[Problem]:
-        """What is wrong with coils at a bus."""
+        """Faults of coils at a bus."""
         try:
             coils = coils_of(words)
         except ValueError:

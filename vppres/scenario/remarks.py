@@ -106,7 +106,7 @@ def darkness(scenario: Scenario, mode: str | None = None) -> str:
 
 
 def unknown_phases(scenario: Scenario) -> list[str]:
-    """What no run of a scenario can tell, because its source is not balanced; empty if it is.
+    """Warnings that no run knows the phases, as the source is unbalanced; empty if it is not.
 
     Examples
     --------
@@ -160,7 +160,7 @@ ONE_FORMER = "Nothing else forms it: if it fails or has no energy left, no custo
 
 
 def former_words(scenario: Scenario, mode: str | None = None, always: bool = False) -> str:
-    """What forms the grid of an island; empty where no island needs it.
+    """Description of the devices that form an island's grid; empty where no island needs it.
 
     ``mode`` is that of its islands, the scenario's own if not given; with ``always`` an outage may
     come that is not in the scenario, as it may for a service.
@@ -198,7 +198,7 @@ def former_words(scenario: Scenario, mode: str | None = None, always: bool = Fal
 
 
 def _unearthed(scenario: Scenario) -> str:
-    """That nothing holds the voltages to ground in an island where customers have them."""
+    """Warning that customers in an island have no earthed source; empty if they have one."""
     if scenario.phases is None:
         return ""
     b = scenario.batteries
@@ -214,7 +214,7 @@ def _unearthed(scenario: Scenario) -> str:
 
 
 def export_words(scenario: Scenario) -> str:
-    """What the connection does with a surplus.
+    """Description of the connection's export limit.
 
     >>> from vppres.io.find import load_scenario
     >>> export_words(load_scenario("uk-heatwave-2022"))
@@ -292,7 +292,7 @@ def brief_sessions(scenario: Scenario) -> str:
 
 
 def source_words(scenario: Scenario) -> list[str]:
-    """Where a scenario comes from, how exact it is, and where the notes of its import are.
+    """Description of a scenario's source, its exactness and the place of the import's notes.
 
     Examples
     --------

@@ -10,7 +10,7 @@ from vppres.scenario.option_table import check_group
 
 @dataclass(frozen=True)
 class SwitchingRules:
-    """What an operator allows, or charges, when customers are switched.
+    """Limits and prices of switching customers off and on.
 
     One action is one customer switched off or on. Times are rounded up to whole steps.
 

@@ -70,7 +70,7 @@ class ObjectiveWeights:
 
 @dataclass(frozen=True)
 class ControllerDefaults:
-    """What ``vppres run`` uses when an option is not given."""
+    """Options of a scenario, which ``vppres run`` uses where none is given."""
 
     kind: str = default_of("controller")
     horizon_h: float = default_of("horizon_h")
@@ -102,7 +102,7 @@ def _zero() -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Scenario(OfKinds):
-    """Everything that defines a day, and nothing that a controller decides.
+    """Definition of a day, without anything that a controller decides.
 
     Parameters
     ----------
@@ -212,7 +212,7 @@ class Scenario(OfKinds):
 
     @cached_property
     def export_price(self) -> Floats:
-        """What exported energy earns in each step in GBP/kWh, shape (T,)."""
+        """Price of exported energy in each step in GBP/kWh, shape (T,)."""
         return np.broadcast_to(self.export_price_gbp_per_kwh, self.outage.shape)
 
     @cached_property
@@ -245,7 +245,7 @@ class Scenario(OfKinds):
 
     @property
     def series(self) -> dict[str, Floats]:
-        """What changes with the steps, by the names of the fields, (T, ...) each."""
+        """All arrays that vary by step, by the names of the fields, (T, ...) each."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}
         return {
             name: value
@@ -254,7 +254,7 @@ class Scenario(OfKinds):
         }
 
     def between(self, first: int, last: int) -> Scenario:
-        """The same scenario from step ``first`` on, up to but without step ``last``.
+        """Part of the scenario from step ``first`` on, up to but without step ``last``.
 
         Where it has a history, the steps before join it.
 
@@ -277,7 +277,7 @@ class Scenario(OfKinds):
         return replace(self, grid=grid, history=history, **rows)
 
     def with_outage(self, start: pd.Timestamp, end: pd.Timestamp) -> Scenario:
-        """The same scenario with one outage over the half-open interval ``[start, end)``."""
+        """Copy of the scenario with one outage over the half-open interval ``[start, end)``."""
         times = self.grid.times
         limit = np.where(self.outage, np.inf, self.grid_limit_kw)
         limit = np.where((times >= start) & (times < end), 0.0, limit)
@@ -308,7 +308,7 @@ class Scenario(OfKinds):
         return found
 
     def replace(self, table: str, name: object, **values: Any) -> Scenario:
-        """The same scenario with other values in one row of a table.
+        """Copy of the scenario with other values in one row of a table.
 
         A customer that had the weight of its tier gets that of its new one. What else follows from
         a value is not changed with it, as the power of a battery with its energy.
@@ -343,7 +343,7 @@ class Scenario(OfKinds):
         return import_module("vppres.report.plot").scenario(self, ax=ax)
 
     def _repr_html_(self) -> str:
-        """What the scenario holds, for a notebook."""
+        """Table of the scenario's contents, for a notebook."""
         return facts_html(
             f"{self.name}: {self.title}",
             {

@@ -1,4 +1,4 @@
-"""Where a scenario's feeder comes from: its source, what was simplified, and how exact it is."""
+"""Source of a scenario's feeder: its name, what was simplified, and how exact it is."""
 
 from __future__ import annotations
 

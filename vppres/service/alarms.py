@@ -35,7 +35,7 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class Kind:
+class AlarmKind:
     """What all alarms of a kind have in common.
 
     Parameters
@@ -52,43 +52,45 @@ class Kind:
 
 
 KINDS = {
-    "no_decision": Kind(
+    "no_decision": AlarmKind(
         1.0, 0.0, "Look at the log of the service. Until it decides again, set devices by hand."
     ),
-    "grid_contradicted": Kind(
+    "grid_contradicted": AlarmKind(
         0.0,
         5.0,
         "Ask on site whether there is grid. If there is none, announce an outage; "
         "then check both sources.",
     ),
-    "grid_lost": Kind(
+    "grid_lost": AlarmKind(
         0.0, 0.0, "Ask the network operator how long it will last, and record it as an event."
     ),
-    "off_with_grid": Kind(
+    "off_with_grid": AlarmKind(
         0.0, 0.0, "Look at the reason. If the mode or a limit of import is yours, change it."
     ),
-    "one_former_left": Kind(
+    "one_former_left": AlarmKind(
         0.0,
         0.0,
         "Bring back what cannot form the grid, or bring a generator that can: "
         "without any, nobody is supplied in an island.",
     ),
-    "shed": Kind(
+    "shed": AlarmKind(
         0.0, 0.0, "Disconnect other customers by hand where these are more urgent; look at the log."
     ),
-    "critical_off": Kind(
+    "critical_off": AlarmKind(
         0.0, 10.0, "Check the state of charge on site. Bring a generator, or switch by hand."
     ),
-    "longest_off": Kind(
+    "longest_off": AlarmKind(
         0.0,
         0.0,
         "Ask the customer how long its own backup lasts. Bring a generator, or switch by hand.",
     ),
-    "island_margin": Kind(0.0, 15.0, "Bring a generator, or disconnect further customers by hand."),
-    "fallback": Kind(30.0, 0.0, "Look at the reason and at the log. Check the set-points."),
-    "source_lost": Kind(5.0, 5.0, "Check the source and its connection."),
-    "setpoint_rejected": Kind(0.0, 0.0, "Check the device on site."),
-    "notices_undelivered": Kind(
+    "island_margin": AlarmKind(
+        0.0, 15.0, "Bring a generator, or disconnect further customers by hand."
+    ),
+    "fallback": AlarmKind(30.0, 0.0, "Look at the reason and at the log. Check the set-points."),
+    "source_lost": AlarmKind(5.0, 5.0, "Check the source and its connection."),
+    "setpoint_rejected": AlarmKind(0.0, 0.0, "Check the device on site."),
+    "notices_undelivered": AlarmKind(
         0.0, 0.0, "Check the address of --notify and its server; look at this list until then."
     ),
 }

@@ -9,7 +9,7 @@ from fastapi import FastAPI
 import vppres
 from vppres.service.access import LOOPBACK, Access
 from vppres.service.answers import answer_errors
-from vppres.service.limits import Limits, Rate
+from vppres.service.limits import Rate, RateLimits
 from vppres.service.perimeter import Perimeter
 from vppres.service.routes import (
     alarms,
@@ -63,7 +63,7 @@ def make_app(
     # Not by `include_router`, which prepares every route once more at the first request.
     app.router.routes += health.routes(runner).routes
     # Who rehearses asks for one step after another.
-    guarded = Guard(access, Limits({} if runner.rehearsal else rates))
+    guarded = Guard(access, RateLimits({} if runner.rehearsal else rates))
     app.add_middleware(Perimeter, guard=guarded, hosts=hosts, encrypted=encrypted)
     for subject in GUARDED:
         app.router.routes += subject.routes(runner, guarded).routes

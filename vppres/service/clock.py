@@ -9,7 +9,7 @@ import pandas as pd
 from vppres.core.text import iso
 
 
-class Clock(Protocol):
+class TimeSource(Protocol):
     """Whatever tells the time."""
 
     def now(self) -> pd.Timestamp:

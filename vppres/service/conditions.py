@@ -16,7 +16,7 @@ from vppres.scenario.scenario import Scenario
 from vppres.service.announced import announced_at
 from vppres.service.as_told import expected_by
 from vppres.service.changes import GRID_LOST
-from vppres.service.forming import Former, formers_now, why_dark
+from vppres.service.forming import FormerState, formers_now, why_dark
 from vppres.service.knowledge import Heard, Latest, refusing, soc_now
 from vppres.service.lost import lost_customers
 from vppres.service.of_kind import every
@@ -84,7 +84,7 @@ class Situation:
     unreached: Sequence[str] = ()
     read_by: str = ""
     announced: bool = False
-    formers: Sequence[Former] | None = None
+    formers: Sequence[FormerState] | None = None
 
     @property
     def why_dark(self) -> str:

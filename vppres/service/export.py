@@ -25,7 +25,7 @@ from vppres.day.options import RunOptions
 from vppres.day.recorder import ROTATED, Recorder, StepRecord
 from vppres.day.trajectory import LOSSES, TIME_ON, Trajectory
 from vppres.io.times import option_time
-from vppres.live.profile import Profile
+from vppres.live.profile import ClockProfile
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
 from vppres.service.announced import limits_kw, prices, warnings_ever
@@ -37,7 +37,7 @@ from vppres.service.records import Event, seconds
 from vppres.service.runner import Service
 from vppres.service.store import Store
 from vppres.service.window import Window
-from vppres.service.within import Part, off_in, parts_of
+from vppres.service.within import StepPart, off_in, parts_of
 from vppres.service.world import World
 
 MOST_STEPS = 40_000
@@ -97,7 +97,7 @@ def exported(service: Service, store: Store, start: pd.Timestamp, end: pd.Timest
 
 def site_of(service: Service, start: pd.Timestamp, end: pd.Timestamp) -> Scenario:
     """The site with the steps of a time, as its profile or its own days have them."""
-    profile = Profile.of(service.scenario)
+    profile = ClockProfile.of(service.scenario)
     first = service.scenario.grid.begun(start.tz_convert("UTC"))
     step = service.scenario.grid.step
     n_steps = -((first - end) // step)
@@ -122,7 +122,7 @@ class Replay:
         How they were decided.
     stored : list of dict or None
         Their plans, None for a step without; none of steps that were not replayed yet.
-    parts : list of list of Part
+    parts : list of list of StepPart
         Parts of each step; none of a step without a plan.
     soc : array, shape (T, B)
         States of charge that were read, NaN where none was.
@@ -131,7 +131,7 @@ class Replay:
     scenario: Scenario
     options: RunOptions
     stored: list[Plan | None]
-    parts: list[list[Part]]
+    parts: list[list[StepPart]]
     soc: Floats
 
     @classmethod
@@ -230,7 +230,7 @@ def off_minutes(
     return found, sum(minutes)
 
 
-def _on_in(part: Part, t: int, replay: Replay, store: Store) -> Flags:
+def _on_in(part: StepPart, t: int, replay: Replay, store: Store) -> Flags:
     """Who was on in a part of a step, (C,)."""
     plan = replay.stored[t]
     assert plan is not None

@@ -17,7 +17,7 @@ NOTHING = "nothing can form the grid"
 
 
 @dataclass(frozen=True)
-class Former:
+class FormerState:
     """A device that can form the grid of an island, and why it cannot now; empty if it can."""
 
     asset: str
@@ -30,7 +30,7 @@ def formers_now(
     plan: Mapping[str, Any] | None,
     soc: Mapping[str, float],
     failing: Mapping[str, str],
-) -> list[Former]:
+) -> list[FormerState]:
     """Devices that are there to form the grid.
 
     Parameters
@@ -45,7 +45,7 @@ def formers_now(
         Devices that do not follow, and why.
     """
     units = (
-        Former(name, kind, failing.get(name, "") or why)
+        FormerState(name, kind, failing.get(name, "") or why)
         for kind, of in every().items()
         for name, why in of.formers(scenario, plan)
     )
@@ -57,7 +57,7 @@ def _batteries(
     plan: Mapping[str, Any] | None,
     soc: Mapping[str, float],
     failing: Mapping[str, str],
-) -> Iterator[Former]:
+) -> Iterator[FormerState]:
     """Named ones; where nothing is named, one after another stands in for the largest."""
     b, sets = scenario.batteries, scenario.gensets
     there = scenario.formers
@@ -77,10 +77,10 @@ def _batteries(
             why = "it is out"
         if not why and empty[i]:
             why = EMPTY
-        yield Former(name, "batteries", why)
+        yield FormerState(name, "batteries", why)
 
 
-def why_dark(plan: Mapping[str, Any] | None, formers: Sequence[Former], island: bool) -> str:
+def why_dark(plan: Mapping[str, Any] | None, formers: Sequence[FormerState], island: bool) -> str:
     """Why nobody is supplied in an island now; empty if something forms its grid, or may.
 
     A plan says so of itself. Where nobody decided, and where devices failed since, it follows from

@@ -92,7 +92,7 @@ class Grid:
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
+class StepInputs:
     """What is known at a step, and what to ask for ``again``."""
 
     measurement: Measurement
@@ -234,7 +234,7 @@ def known_at(
     store: Store,
     own_days: bool = False,
     now: pd.Timestamp | None = None,
-) -> Known:
+) -> StepInputs:
     """What is known at the beginning of a step.
 
     Parameters
@@ -303,7 +303,7 @@ def known_at(
     again = ""
     if grid.known_by == "reading" and not grid.available:
         again = stands_alone(zero, at, window.length, store)
-    return Known(measurement, readings.heard, grid, estimated, soc_of(soc), lost, again)
+    return StepInputs(measurement, readings.heard, grid, estimated, soc_of(soc), lost, again)
 
 
 def grid_at(time: pd.Timestamp, controller: Controller, store: Store, now: pd.Timestamp) -> Grid:

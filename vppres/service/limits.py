@@ -29,7 +29,7 @@ RATES = {
 }
 
 
-class Limits:
+class RateLimits:
     """Counts requests.
 
     Parameters
@@ -41,7 +41,7 @@ class Limits:
 
     Examples
     --------
-    >>> limits = Limits({"read": Rate(per_s=2.0, at_once=1.0)}, now=lambda: 0.0)
+    >>> limits = RateLimits({"read": Rate(per_s=2.0, at_once=1.0)}, now=lambda: 0.0)
     >>> limits.wait_s("panel", "read"), limits.wait_s("panel", "read")
     (0.0, 0.5)
     """

@@ -22,7 +22,7 @@ from vppres.live.measurement import Measurement
 from vppres.live.set_points import SetPoints
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import written
-from vppres.service.knowledge import Known
+from vppres.service.knowledge import StepInputs
 from vppres.service.of_kind import every
 from vppres.service.records import DECIDED, versions
 
@@ -95,7 +95,7 @@ def told_at(plan: Mapping[str, Any] | None, time: pd.Timestamp) -> Told:
 def plan_of(
     decision: SetPoints,
     scenario: Scenario,
-    known: Known,
+    known: StepInputs,
     refused: Mapping[tuple[str, str], str],
     left: Left,
 ) -> dict[str, Any]:
@@ -273,7 +273,7 @@ def etag(plan: Mapping[str, Any]) -> str:
     return f'"{hashlib.sha256(text.encode()).hexdigest()[:32]}"'
 
 
-def _ahead(foreseen: Foreseen, known: Known) -> dict[str, Any]:
+def _ahead(foreseen: Foreseen, known: StepInputs) -> dict[str, Any]:
     """What is foreseen of the steps after this one; it is decided anew when they begin."""
     times = foreseen.import_kw.index[:MOST_AHEAD]
     limits_kw = dict(zip(known.limits_kw.index, known.limits_kw.to_numpy(float), strict=True))

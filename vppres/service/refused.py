@@ -49,7 +49,7 @@ class _Standing:
     at: pd.Timestamp
 
 
-class Refused:
+class RefusedReadings:
     """What was refused last, by source, asset and quantity; a good reading takes it back."""
 
     def __init__(self, step: pd.Timedelta) -> None:

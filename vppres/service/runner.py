@@ -24,7 +24,7 @@ from vppres.day.outages import KNOWN, LOOKAHEAD_H
 from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
 from vppres.live.past import REMEMBERED_DAYS
-from vppres.live.profile import Profile
+from vppres.live.profile import ClockProfile
 from vppres.scenario.outage_warnings import OutageWarning
 from vppres.scenario.scenario import Scenario
 from vppres.service.alarms import Alarms
@@ -32,7 +32,7 @@ from vppres.service.announced import warnings
 from vppres.service.as_told import expected_by
 from vppres.service.by_hand import ByHand
 from vppres.service.changes import Changes
-from vppres.service.clock import Clock, SetClock, written
+from vppres.service.clock import SetClock, TimeSource, written
 from vppres.service.conditions import BY_HAND, Situation, conditions, situation
 from vppres.service.gate import refusals
 from vppres.service.grid_readings import (
@@ -43,7 +43,7 @@ from vppres.service.grid_readings import (
     lost_now,
     stands_alone,
 )
-from vppres.service.knowledge import INSTANT, Grid, Heard, Known, grid_at, known_at, soc_at
+from vppres.service.knowledge import INSTANT, Grid, Heard, StepInputs, grid_at, known_at, soc_at
 from vppres.service.learned import InSteps, learned, measured_in
 from vppres.service.news import AGAINST_PLANS, News, is_said_lost, newest, unknown_to
 from vppres.service.notify import Notifier
@@ -59,7 +59,7 @@ from vppres.service.plans import (
     told_at,
 )
 from vppres.service.records import DECIDED, After, Asked, Reading, Written, seconds
-from vppres.service.refused import Refused
+from vppres.service.refused import RefusedReadings
 from vppres.service.ruled import ruled
 from vppres.service.store import Store
 
@@ -120,9 +120,9 @@ class Service:
     keep_days: float = KEEP_DAYS
 
     @property
-    def profile(self) -> Profile | None:
+    def profile(self) -> ClockProfile | None:
         """What is repeated day by day; nothing in a rehearsal."""
-        return None if self.rehearsal else Profile.of(self.scenario)
+        return None if self.rehearsal else ClockProfile.of(self.scenario)
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,7 @@ class Runner:
     """Decides the steps of a site, one after another, and remembers them."""
 
     def __init__(
-        self, service: Service, store: Store, clock: Clock, profile: Profile | None
+        self, service: Service, store: Store, clock: TimeSource, profile: ClockProfile | None
     ) -> None:
         self.store = store
         self.clock = clock
@@ -157,7 +157,7 @@ class Runner:
         self.on_plan: Callable[[], None] = lambda: None
         self._jobs: OrderedDict[str, Future[dict[str, Any]]] = OrderedDict()
         self.changes = Changes()
-        self.refused = Refused(self.length)
+        self.refused = RefusedReadings(self.length)
         self.news = News(store)
         self._fresh: dict[tuple[str, str], Reading] = {}
         self._hearing = threading.Lock()
@@ -431,7 +431,7 @@ class Runner:
         with self._hearing:
             self._fresh = {}
         mode = self.mode
-        known: Known | None = None
+        known: StepInputs | None = None
         if mode["mode"] == "off":
             reason, left = mode["reason"] or "switched off", self._left(time, self._grid(time))
             plan = defaults_of(time, self.scenario, "off", reason, left)
@@ -455,7 +455,7 @@ class Runner:
         time: pd.Timestamp,
         plan: dict[str, Any],
         asked: Asked | None = None,
-        known: Known | None = None,
+        known: StepInputs | None = None,
     ) -> dict[str, Any]:
         """A plan as it is stored: with its time, and for the rest of the step if decided anew.
 
@@ -501,9 +501,9 @@ class Runner:
         if problem is not None:
             raise InputError.of("step", *problem, field="time", value=written(time))
 
-    def _decided(self, time: pd.Timestamp) -> tuple[dict[str, Any], Known | None]:
+    def _decided(self, time: pd.Timestamp) -> tuple[dict[str, Any], StepInputs | None]:
         """The controller's plan, and on what; by rule on nothing, whatever it is that fails."""
-        known: Known | None = None
+        known: StepInputs | None = None
         try:
             known = self._known(time)
             self.heard = known.heard
@@ -520,7 +520,7 @@ class Runner:
         plan = plan_of(decision, self.scenario, known, refused, self._left(time, known.grid))
         return {**plan, "outage_probability": self._believed(known)}, known
 
-    def _known(self, time: pd.Timestamp) -> Known:
+    def _known(self, time: pd.Timestamp) -> StepInputs:
         """What is known at a step, or at the moment from which its rest is decided anew."""
         self._feed(time)
         now = None if self._within is None else self._within.at
@@ -561,7 +561,9 @@ class Runner:
                 log.warning("%s: %s", plan["start"], words)
         self._odd = set(odd)
 
-    def _ruled(self, time: pd.Timestamp, known: Known | None, error: Exception) -> dict[str, Any]:
+    def _ruled(
+        self, time: pd.Timestamp, known: StepInputs | None, error: Exception
+    ) -> dict[str, Any]:
         """The plan of a rule that needs no solver, for a step in which everything else failed."""
         now = self._profile_of(time)
         left = self._left(time, None if known is None else known.grid)
@@ -669,7 +671,7 @@ class Runner:
         own = self.scenario.warnings if self.rehearsal else ()
         return [*own, *warnings(self.store.events(), time, self.length)]
 
-    def _believed(self, known: Known) -> list[float]:
+    def _believed(self, known: StepInputs) -> list[float]:
         """Probability of an outage in the present step and those behind it."""
         if self.options.outages == KNOWN:
             return [float(limit_kw <= 0.0) for limit_kw in known.grid.limits_kw]

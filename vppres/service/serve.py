@@ -17,7 +17,7 @@ from vppres.io.messages import did_you_mean
 from vppres.model.site import Site
 from vppres.service.access import LOOPBACK, Access, new_token
 from vppres.service.app import make_app
-from vppres.service.clock import Clock, SetClock, SystemClock
+from vppres.service.clock import SetClock, SystemClock, TimeSource
 from vppres.service.connections import MOST_AT_ONCE, Connection
 from vppres.service.loop import Loop
 from vppres.service.notify import notifier, target_of
@@ -123,7 +123,9 @@ def _no_password() -> str:
 
 
 @contextmanager
-def opened(service: Service, folder: Path | str, clock: Clock | None = None) -> Iterator[Runner]:
+def opened(
+    service: Service, folder: Path | str, clock: TimeSource | None = None
+) -> Iterator[Runner]:
     """A runner with its store, a folder or a PostgreSQL address, closed in the end."""
     if clock is None:
         played = service.rehearsal or service.paced

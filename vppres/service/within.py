@@ -26,7 +26,7 @@ GRID_ON = "grid_on"
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class StepPart:
     """A part of a step in which the same set-points held, with grid or without.
 
     Parameters
@@ -63,7 +63,7 @@ class Part:
 
 def parts_of(
     plan: Plan, length: pd.Timedelta, store: Store, until: pd.Timestamp | None = None
-) -> list[Part]:
+) -> list[StepPart]:
     """The parts of a step, the earliest first; up to a time within it, if it is not over."""
     begin = pd.Timestamp(plan["start"])
     end = begin + length if until is None else min(begin + length, max(until, begin))
@@ -72,7 +72,7 @@ def parts_of(
     if len(said) == 1 and said[0].get("grid"):
         island = not said[0]["grid"]["available"]
         foreseen = not island or said[0]["status"] in DECIDED
-        return [Part(begin, end, said[0]["setpoints"], island, foreseen)]
+        return [StepPart(begin, end, said[0]["setpoints"], island, foreseen)]
     read = [*store.latest(begin, (GRID_ON,)), *store.between(begin, end, (GRID_ON,))]
     read = [one for one in read if one.value is not None]
     found = []
@@ -82,7 +82,7 @@ def parts_of(
             known = one.get("grid")
             lost = known is not None and not known["available"]
             foreseen = not island or (lost and one["status"] in DECIDED)
-            found.append(Part(since, till, one["setpoints"], island, foreseen))
+            found.append(StepPart(since, till, one["setpoints"], island, foreseen))
     return [one for one in found if one.end > one.begin] or found[-1:]
 
 
@@ -116,7 +116,7 @@ def _spans(
 
 
 def off_in(
-    part: Part,
+    part: StepPart,
     plan: Plan,
     alone: Callable[[], Scenario],
     options: RunOptions,

@@ -60,7 +60,7 @@ class Lumping:
             self.lumps.append(Lump(members, sums.ravel(), weight))
         self.ranges: list[str] = []
         self._known: dict[tuple[object, ...], tuple[int, float]] = {}
-        self._ranges: list[Range] = []
+        self._ranges: list[ScaledSum] = []
         self._written: list[tuple[bool, sp.csr_array]] = []
         self.extras = 0
 
@@ -183,7 +183,7 @@ class Lumping:
                 self.ranges.append(letter)
             self._known[key] = column, sign
             first = self._write(True, sp.csr_array(sign * factors))
-            self._ranges.append(Range(letter, column, of, first))
+            self._ranges.append(ScaledSum(letter, column, of, first))
         return self._known[key][0], sign
 
     def range_rows(self) -> list[Family]:
@@ -195,7 +195,7 @@ class Lumping:
             found.append(self._limits("largest", ranges, 1))
         return found
 
-    def _limits(self, name: str, ranges: Sequence[Range], which: int) -> Family:
+    def _limits(self, name: str, ranges: Sequence[ScaledSum], which: int) -> Family:
         """Sums of a letter at least, or at most, so many times the letter's sum."""
         count = len(ranges)
         width = self.sheet.width
@@ -224,7 +224,7 @@ class Lumping:
 
 
 @dataclass(frozen=True)
-class Range:
+class ScaledSum:
     """A sum with factors of its own: its column, that of the sum itself, where they are written."""
 
     letter: str

@@ -33,7 +33,7 @@ RATED = {
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
+class FixedDecisions:
     """What the pricing problem holds of the record, for a window of W steps.
 
     Parameters
@@ -96,7 +96,7 @@ class ShadowPriceModel(Selected):
             found = found.limit(f"{name}_min", {letter: -1.0}).limit(f"{name}_max", {letter: 1.0})
         return found.limit_term("f3").optimise(True, f1=1.0, f2=-1.0, f3=-1.0, f7=1.0, own=1.0)
 
-    def price(self, data: WindowData, held: Held, priced: PricedTerms) -> None:
+    def price(self, data: WindowData, held: FixedDecisions, priced: PricedTerms) -> None:
         """Write a window's data, padded to the compiled length, and what is held and priced."""
         missing = self.n_steps - data.n_steps
         self.data = _padded(data, missing)

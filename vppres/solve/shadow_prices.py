@@ -18,7 +18,7 @@ from vppres.model.numerics import ROUNDING
 from vppres.solve.limits import run_within_limits
 from vppres.solve.phase_prices import PhasePrices
 from vppres.solve.result import Status
-from vppres.solve.shadow_price_model import Held, PricedTerms, ShadowPriceModel
+from vppres.solve.shadow_price_model import FixedDecisions, PricedTerms, ShadowPriceModel
 from vppres.solve.turns import one_at_a_time
 
 
@@ -112,7 +112,11 @@ class PricedWindow:
 
 @one_at_a_time
 def price_window(
-    model: ShadowPriceModel, data: WindowData, held: Held, priced: PricedTerms, time_s: float = 20.0
+    model: ShadowPriceModel,
+    data: WindowData,
+    held: FixedDecisions,
+    priced: PricedTerms,
+    time_s: float = 20.0,
 ) -> PricedWindow | None:
     """Solve a window's pricing problem; None where it has no answer that the solver vouches for.
 
@@ -122,7 +126,7 @@ def price_window(
         Compiled for at least as many steps as the window has.
     data : WindowData
         The window as the controller saw it.
-    held : Held
+    held : FixedDecisions
         What is held of the record.
     priced : PricedTerms
         What is maximised.

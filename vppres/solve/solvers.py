@@ -32,7 +32,7 @@ number that a large one has as a variable or in a constraint, with cones or with
 
 
 @dataclass(frozen=True)
-class Answer:
+class CvxpyResult:
     """How a solve by way of cvxpy ended.
 
     Parameters
@@ -64,8 +64,8 @@ class Interface(NamedTuple):
     """
 
     options: Callable[[float, float], Mapping[str, Any]]
-    slack: Callable[[Answer], float]
-    ended: Callable[[Answer], Status]
+    slack: Callable[[CvxpyResult], float]
+    ended: Callable[[CvxpyResult], Status]
 
 
 @dataclass(frozen=True)
@@ -102,12 +102,12 @@ def _installed() -> frozenset[str]:
     return frozenset(cp.installed_solvers())
 
 
-def _scip_slack(answer: Answer) -> float:
+def _scip_slack(answer: CvxpyResult) -> float:
     model = answer.stats["model"]
     return float(model.getPrimalbound() - model.getDualbound())
 
 
-def _scip_ended(answer: Answer) -> Status:
+def _scip_ended(answer: CvxpyResult) -> Status:
     model = answer.stats["model"]
     if model.getNSols() == 0:
         return Status.NO_ANSWER
@@ -228,7 +228,7 @@ def run_by_cvxpy(
     return replace(nothing, value=value / scale, bound=bound / scale)
 
 
-def _status(answer: Answer, interface: Interface) -> Status:
+def _status(answer: CvxpyResult, interface: Interface) -> Status:
     """What an answer is worth."""
     if answer.word == cp.OPTIMAL:
         return Status.OPTIMAL
@@ -291,7 +291,7 @@ def _by_cvxpy(
     solver: str,
     deadline: Deadline,
     options: Callable[[float], Mapping[str, Any]],
-) -> Answer | None:
+) -> CvxpyResult | None:
     """Ask in what compiling leaves of the time; None where it left nothing.
 
     These are the steps of ``Problem.solve``, which hands a solver the whole limit however long
@@ -316,7 +316,7 @@ def _by_cvxpy(
         )
         problem.unpack_results(solution, chain, inverse)
     stats = None if problem.solver_stats is None else problem.solver_stats.extra_stats
-    return Answer(problem.status, stats, problem.variables()[0].value is not None)
+    return CvxpyResult(problem.status, stats, problem.variables()[0].value is not None)
 
 
 def as_cvxpy(selected: Selected) -> tuple[cp.Problem, cp.Variable]:

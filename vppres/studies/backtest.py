@@ -15,7 +15,7 @@ from vppres.core.arrays import Flags, Floats, mean_of_known
 from vppres.core.errors import InputError
 from vppres.core.plain import json_safe
 from vppres.day.forecasting import history_before
-from vppres.forecasts.interface import Forecaster, LoadAndPV
+from vppres.forecasts.interface import ForecastMethod, LoadAndPV
 from vppres.forecasts.quantile_file import read_quantiles
 from vppres.forecasts.seasonal import Seasonal
 from vppres.io.find import is_scenario, load_scenario
@@ -43,7 +43,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class Plan:
-    """Which forecasts are made.
+    """Choice of the forecasts that are made.
 
     One that is issued at times that do not divide 24 h has every lead at every hour. Issues are
     from ``first`` to ``last``, as far as there is enough history before them and behind.
@@ -110,7 +110,7 @@ class Backtest:
 
     @cached_property
     def quantities(self) -> list[str]:
-        """What was forecast: a history without PV power has no more than load."""
+        """Quantities that were forecast: a history without PV power has no more than load."""
         there = QUANTITIES if self.history.pv_kw.shape[1] else QUANTITIES[:1]
         return [name for name in there if not np.isnan(self.scores["crps", name]).all()]
 
@@ -190,7 +190,7 @@ class Backtest:
         return pd.DataFrame(rows)
 
     def by_month(self) -> pd.DataFrame:
-        """What the 80 % interval held in each month, one column for each quantity."""
+        """Coverage of the 80 % interval in each month, one column for each quantity."""
         month = self.issues.strftime("%Y-%m")
         names = pd.Index(dict.fromkeys(month), name="month")
         held = {
@@ -240,7 +240,7 @@ class Backtest:
 def backtest(
     history: History,
     plan: Plan | None = None,
-    forecaster: Forecaster | None = None,
+    forecaster: ForecastMethod | None = None,
     name: str = "seasonal",
     progress: Progress | None = None,
 ) -> Backtest:
@@ -285,7 +285,7 @@ def measured_in(name_or_path: str, zone: str | None = None) -> History:
     return history if zone is None else replace(history, zone=zone)
 
 
-def forecasts_in(file: str | Path, history: History) -> Forecaster:
+def forecasts_in(file: str | Path, history: History) -> ForecastMethod:
     """A provider's quantiles of the totals ``load`` and ``pv``, to be scored on a history."""
     load_ids, pv_ids = (
         np.array([f"{words} {i}" for i in range(values.shape[1])], dtype=object)

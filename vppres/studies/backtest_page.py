@@ -77,7 +77,7 @@ def render_backtest(result: Backtest, title: str, warned: WarningScores | None =
 
 
 def backtest_findings(result: Backtest, warned: WarningScores | None = None) -> list[str]:
-    """What a reader is to know first, in sentences."""
+    """Main findings for a reader, in sentences."""
     ranges = result.ranges()
     held = result.by_lead()
     energy = result.energy()
@@ -116,7 +116,7 @@ def _drift_findings(result: Backtest) -> list[str]:
 
 
 def _warned_findings(warned: WarningScores) -> list[str]:
-    """What warnings were worth."""
+    """Findings on outage warnings, in sentences."""
     sentences = [
         f"Outage warnings: of {_counted(len(warned.pairs), 'announced outage')} {warned.n_came} "
         f"came, and {_counted(len(warned.unannounced), 'outage')} came unannounced."
@@ -185,7 +185,7 @@ def _band(result: Backtest) -> float:
 
 
 def _held_by_lead(result: Backtest) -> list[dict[str, Any]]:
-    """What intervals held, at some leads."""
+    """Coverage of intervals at some leads."""
     table = result.by_lead()
     chosen = [lead for lead in (1, 2, 3, 6, 12, 24, 36, 48) if lead <= result.plan.horizon_h]
     rows = table[table["lead_h"].isin(chosen) & table["held_80%"].notna()]

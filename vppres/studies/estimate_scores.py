@@ -30,7 +30,7 @@ QUANTILES = {"estimate_p10": 0.1, "estimate_p50": 0.5, "estimate_p90": 0.9}
 
 @dataclass(frozen=True, eq=False)
 class EstimateScores:
-    """What was said while outages lasted, and what came.
+    """Estimates made during outages, and the ends that came.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ class EstimateScores:
 
     @property
     def learned(self) -> dict[str, float]:
-        """What ``[outage_statistics]`` may say; empty of fewer outages than ``LEAST``."""
+        """Figures for ``[outage_statistics]``; empty of fewer outages than ``LEAST``."""
         found: dict[str, float] = {}
         if self.estimates["outage"].nunique() >= LEAST:
             figures = _figures(self.estimates)

@@ -12,17 +12,17 @@ from typing import Any
 import numpy as np
 
 from vppres.core.arrays import Flags, Floats
-from vppres.forecasts.interface import Forecaster, LoadAndPV
+from vppres.forecasts.interface import ForecastMethod, LoadAndPV
 from vppres.forecasts.references import Climatology, WeeklyNaive
 from vppres.forecasts.scores import crps, energy_score, holds, interval, pit
 from vppres.scenario.history import History
 
 QUANTITIES = ("load", "pv", "net")
 SHARES = (0.5, 0.8, 0.9)
-"""What central intervals are to hold."""
+"""Nominal coverage of central intervals."""
 ENERGY_H = (6, 12, 24)
 FORECAST = "forecast"
-REFERENCES: dict[str, Forecaster] = {"climatology": Climatology(), "weekly": WeeklyNaive()}
+REFERENCES: dict[str, ForecastMethod] = {"climatology": Climatology(), "weekly": WeeklyNaive()}
 DAYLIGHT = 0.02
 """Share of the largest power from which on an hour counts as day: at night PV is known."""
 
@@ -106,7 +106,7 @@ def scores_of_issue(
 
 
 def came_in(history: History, row: int, steps: int) -> dict[str, Floats]:
-    """What came of each quantity in some steps from a row on, (W,)."""
+    """Values of each quantity in some steps from a row on, (W,)."""
     rows = slice(row, row + steps)
     load, pv = history.load_kw[rows].sum(axis=1), history.pv_kw[rows].sum(axis=1)
     return {"load": load, "pv": pv, "net": load - pv}

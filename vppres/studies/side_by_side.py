@@ -40,7 +40,7 @@ PATIENCE_S = 30.0
 
 @dataclass(frozen=True)
 class Where:
-    """Where jobs run.
+    """Processes or cluster on which jobs run.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ class Done(Generic[J, R]):
 
 
 @dataclass(frozen=True, eq=False)
-class Lost(Generic[J]):
+class FailedJob(Generic[J]):
     """A job whose process died each time that it was tried, and what is known of it."""
 
     job: J
@@ -83,7 +83,7 @@ class Lost(Generic[J]):
 
 def map_unordered(
     function: Callable[[J], R], jobs: Sequence[J], where: Where | None = None
-) -> Generator[Done[J, R] | Lost[J], None, None]:
+) -> Generator[Done[J, R] | FailedJob[J], None, None]:
     """Results of all jobs, each as soon as it is there.
 
     Function and jobs can be pickled. Close the iterator (``contextlib.closing``) to stop what still
@@ -108,7 +108,7 @@ def map_unordered(
 
 def _on_this_machine(
     function: Callable[[J], R], jobs: Sequence[J], processes: int
-) -> Generator[Done[J, R] | Lost[J], None, None]:
+) -> Generator[Done[J, R] | FailedJob[J], None, None]:
     """Jobs in loky's processes; where one dies, those that may have killed it go on alone.
 
     All jobs that were running are lost with it, and which of them is to blame is not known. They
@@ -125,7 +125,7 @@ def _on_this_machine(
             suspects = suspects[1:]
         except BrokenProcessPool as error:
             if suspects:
-                yield Lost(
+                yield FailedJob(
                     left.pop(suspects.pop(0)), f"Its process died twice. {first_line(error)}"
                 )
             else:
@@ -157,7 +157,7 @@ def _numbered(function: Callable[[J], R], number: int, job: J) -> tuple[int, R]:
 
 def _on_cluster(
     function: Callable[[J], R], jobs: Sequence[J], where: Where
-) -> Generator[Done[J, R] | Lost[J], None, None]:
+) -> Generator[Done[J, R] | FailedJob[J], None, None]:
     """Jobs as tasks of a Dask cluster, keyed by what they depend on.
 
     With a worker die the tasks that wait on it, and the scheduler gives all of them up after some
@@ -204,7 +204,7 @@ def _on_cluster(
                     if error is None:
                         yield Done(job, futures[key].result())
                     else:
-                        yield Lost(
+                        yield FailedJob(
                             job, f"Its worker died each time, alone too. {first_line(error)}"
                         )
         finally:
@@ -361,7 +361,7 @@ def _key(function: Callable[[J], R], job: J, expected: dict[str, str | None]) ->
 
 
 def _differences(found: dict[str, str | None], expected: dict[str, str | None]) -> list[str]:
-    """What another installation has otherwise, in words."""
+    """Differences of another installation, in words."""
     return [
         f"{name} {found.get(name)} in place of {wanted}"
         for name, wanted in expected.items()

@@ -31,7 +31,7 @@ from vppres.io.digest import scenario_digest
 from vppres.scenario.assets import Customers
 from vppres.scenario.parts import split_sheddable
 from vppres.scenario.scenario import Scenario
-from vppres.studies.side_by_side import Lost, Where, identity, map_unordered
+from vppres.studies.side_by_side import FailedJob, Where, identity, map_unordered
 from vppres.studies.sweep_parameters import Value, changed, find_parameter, read_values
 
 LENGTHS_H = (1.0, 2.0, 4.0, 8.0, 12.0, 24.0, 48.0)
@@ -54,7 +54,7 @@ _DIGITS = 6
 
 @dataclass(frozen=True)
 class Tried:
-    """Which outages are tried.
+    """Choice of the outages that are tried.
 
     Parameters
     ----------
@@ -95,8 +95,8 @@ class Tried:
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """What became of an outage.
+class OutageOutcome:
+    """Supply of customers in an outage.
 
     Parameters
     ----------
@@ -155,12 +155,12 @@ class Variant:
 
 @dataclass(frozen=True, eq=False)
 class Survival:
-    """What became of all outages: one list of outcomes for each variant."""
+    """Outcomes of all outages: one list for each variant."""
 
     tried: Tried
     lengths: tuple[int, ...]
     variants: tuple[Variant, ...]
-    outcomes: dict[str, list[Outcome]]
+    outcomes: dict[str, list[OutageOutcome]]
     every_step: bool
 
     @cached_property
@@ -169,7 +169,7 @@ class Survival:
         return self.variants[0].site.grid.dt_h
 
     def _of(self, variant: str, steps: int, name: str) -> Any:
-        """Something of the outcomes of a length, a row for each onset."""
+        """Values of a field in the outcomes of a length, a row for each onset."""
         found = [one for one in self.outcomes[variant] if one.steps == steps]
         return np.array([getattr(one, name) for one in found])
 
@@ -374,7 +374,7 @@ def _tried(
     possible = _possible(variants[0], tried, max(lengths))
     onsets = _drawn(possible, tried)
     jobs: list[Job] = []
-    found: dict[str, list[Outcome]] = {variant.name: [] for variant in variants}
+    found: dict[str, list[OutageOutcome]] = {variant.name: [] for variant in variants}
     done, total = 0, len(onsets) * len(variants)
     for variant in variants:
         for job in _jobs(variant, tried, onsets, lengths, folder):
@@ -388,7 +388,7 @@ def _tried(
         progress(done, total)
     with closing(map_unordered(run_job, jobs, where)) as outcomes:
         for outcome in outcomes:
-            if isinstance(outcome, Lost):
+            if isinstance(outcome, FailedJob):
                 raise SolveError(f"{outcome.job.variant}: {outcome.reason} Run again to try it.")
             _keep(folder, outcome.job.key, outcome.result)
             found[outcome.job.variant] += outcome.result
@@ -415,7 +415,7 @@ def begin(folder: Path) -> None:
         atomic_write_text(folder / MARK, "{}\n")
 
 
-def run_job(job: Job) -> list[Outcome]:
+def run_job(job: Job) -> list[OutageOutcome]:
     """Try the outages of a job."""
     found = []
     for start in job.starts:
@@ -427,7 +427,7 @@ def run_job(job: Job) -> list[Outcome]:
     return found
 
 
-def _outcomes(job: Job, start: Start) -> Iterator[Outcome]:
+def _outcomes(job: Job, start: Start) -> Iterator[OutageOutcome]:
     """Every length of an outage: of one whose end is not known all from the longest."""
     known = job.options.outages == KNOWN
     first = job.lead
@@ -447,7 +447,7 @@ def _outcomes(job: Job, start: Start) -> Iterator[Outcome]:
             missing_kwh = round(float(off_kwh[:steps].sum()), _DIGITS)
             supplied = (~lost[:steps]).sum(axis=0).tolist()
             together = [int(each_step[:steps].sum()) for each_step in whole]
-            yield Outcome(start.onset, steps, kept, supplied, together, missing_kwh)
+            yield OutageOutcome(start.onset, steps, kept, supplied, together, missing_kwh)
 
 
 def _lead(variant: Variant, tried: Tried) -> int:
@@ -546,14 +546,14 @@ def _charge(variant: Variant, tried: Tried, folder: Path, base: str) -> Floats:
     return np.array(json.loads(file.read_text(encoding="utf-8")), dtype=float)
 
 
-def _kept(folder: Path, key: str) -> list[Outcome] | None:
-    """What a job found in an earlier run; None if it was not there."""
+def _kept(folder: Path, key: str) -> list[OutageOutcome] | None:
+    """Outcomes of a job in an earlier run; None if it was not there."""
     file = folder / PIECES / f"{key}.json"
     if not file.is_file():
         return None
-    return [Outcome(**one) for one in json.loads(file.read_text(encoding="utf-8"))]
+    return [OutageOutcome(**one) for one in json.loads(file.read_text(encoding="utf-8"))]
 
 
-def _keep(folder: Path, key: str, outcomes: Sequence[Outcome]) -> None:
+def _keep(folder: Path, key: str, outcomes: Sequence[OutageOutcome]) -> None:
     text = json.dumps([asdict(one) for one in outcomes])
     atomic_write_text(folder / PIECES / f"{key}.json", text)

@@ -62,7 +62,7 @@ def write_survival(study: Survival, folder: Path) -> dict[str, Any]:
 
 
 def answers(study: Survival, table: pd.DataFrame) -> list[str]:
-    """What the first tier can rely on, a sentence for each variant."""
+    """Supply that the first tier can rely on, a sentence for each variant."""
     found = []
     for variant in study.variants:
         rows = table[table["variant"] == variant.name]

@@ -21,7 +21,7 @@ from vppres.io.atomic import RUN_MARK, atomic_folder, atomic_write_text
 from vppres.report.key_figures import KEY_FIGURES, OF_TIERS
 from vppres.report.run_folder import write_run
 from vppres.scenario.scenario import Scenario
-from vppres.studies.side_by_side import Lost, Where, map_unordered
+from vppres.studies.side_by_side import FailedJob, Where, map_unordered
 from vppres.studies.sweep_parameters import Parameter, Value, changed, value_text
 
 _LONGEST_FOLDER = 60  # characters of up to four bytes; a name has at most 255 bytes
@@ -40,7 +40,7 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class SweepRow:
-    """What became of a case: its run folder below that of the sweep.
+    """Outcome of a case: its run folder below that of the sweep.
 
     Without a summary the run failed, and the error says why.
     """
@@ -157,7 +157,7 @@ def _outcomes(
     with closing(map_unordered(work, list(enumerate(cases)), where)) as outcomes:
         for outcome in outcomes:
             position, case = outcome.job
-            if isinstance(outcome, Lost):
+            if isinstance(outcome, FailedJob):
                 found[position] = SweepRow(case.value, case.folder, None, outcome.reason)
             else:
                 found[position] = outcome.result

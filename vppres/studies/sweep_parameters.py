@@ -1,4 +1,4 @@
-"""What a sweep can vary: options of a run and numbers of a scenario, each by its name."""
+"""Parameters of a sweep: options of a run and numbers of a scenario, each by its name."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _DIGITS = 12  # of a point of a range: 0.3, not 0.30000000000000004
 
 @dataclass(frozen=True)
 class Parameter:
-    """Something that a sweep varies: its name, and ``float``, ``int`` or ``str``.
+    """Parameter that a sweep varies: its name, and ``float``, ``int`` or ``str``.
 
     ``change`` takes scenario, options and a value to the scenario and options with that value.
     """
@@ -65,7 +65,7 @@ def find_parameter(name: str, scenario: Scenario) -> Parameter:
 
 
 def scenario_changes(scenario: Scenario) -> dict[str, ChangeScenario]:
-    """What can be changed in a scenario, by name."""
+    """Changes that can be made in a scenario, by name."""
     limits = [name for name in schema.NetworkSection.model_fields if name != "slack_bus"]
     battery = [f.name for f in fields(Batteries) if f.name not in ("id", "bus", "grid_forming")]
     return {

@@ -27,7 +27,7 @@ from vppres.studies.estimate_scores import EstimateScores
 BINS = 5
 
 HOUR_H = 1.0
-"""What an onset of a file may be off by at least."""
+"""Least error in h that an onset of a file may have."""
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ class WarningScores:
 
     @cached_property
     def duration_pit(self) -> Floats:
-        """Where the lengths of outages lay in what was said of them, evenly spread if it was right.
+        """Ranks of outages' lengths in their forecasts, evenly spread if these were right.
 
         The logarithm of the length is normal on either side of the median, such that the quantiles
         are those of the warning. Outages of unknown length, and warnings without a spread, are left
@@ -184,7 +184,7 @@ class WarningScores:
 
     @property
     def brier_of_share(self) -> float:
-        """The same if the share that came had been said each time: what warnings are to beat."""
+        """Brier score of the share that came, said each time: what warnings are to beat."""
         _, came = self._said
         return float(came.mean() * (1.0 - came.mean())) if len(came) else float("nan")
 
@@ -229,7 +229,7 @@ def _came_of(
 
 
 def announced_before(messages: Sequence[OutageWarning], time: pd.Timestamp) -> Announced | None:
-    """What messages up to a time had announced, all-clears left out."""
+    """Outage that messages up to a time had announced, all-clears left out."""
     said = [one for one in messages if one.issued_at <= time and not one.all_clear]
     return announced_by(said) if said else None
 

@@ -15,7 +15,7 @@ from vppres.model.site import Site
 
 BALANCE_KW = 1.0
 BALANCE_SHARE = 0.01
-"""What meters are off by: the first plus the second of the demand.
+"""Error of meters: the first plus the second of the demand.
 
 Meters of class 1 are off by at most that share each.
 """
@@ -23,7 +23,7 @@ Meters of class 1 are off by at most that share each.
 
 @dataclass(frozen=True, eq=False)
 class Commanded:
-    """What was decided for a step: customers (C,), PV systems (P,), batteries (B,)."""
+    """Decision for a step: customers (C,), PV systems (P,), batteries (B,)."""
 
     served: Flags
     pv_curtailed_kw: Floats
@@ -44,7 +44,7 @@ class Commanded:
 
 
 @dataclass(frozen=True, eq=False)
-class Readings:
+class LoadAndPVReadings:
     """Demand (C,) and PV power (P,) of one step in kW."""
 
     load_kw: Floats
@@ -52,7 +52,7 @@ class Readings:
 
 
 def tolerance_kw(demand_kw: float) -> float:
-    """By how much power that meters measure may differ from what it is."""
+    """Error in kW that meters may have at this demand."""
     return BALANCE_KW + BALANCE_SHARE * demand_kw
 
 
@@ -63,7 +63,7 @@ def feeder_off(seen: Observation) -> bool:
 
 
 def mismatch_kw(
-    site: Site, commanded: Commanded, seen: Observation, readings: Readings
+    site: Site, commanded: Commanded, seen: Observation, readings: LoadAndPVReadings
 ) -> float | None:
     """Import of the step before beyond what readings of that step explain.
 
@@ -75,7 +75,7 @@ def mismatch_kw(
         What was decided for that step.
     seen : Observation
         The observation after it: import, service and battery power as they were.
-    readings : Readings
+    readings : LoadAndPVReadings
         Of that step.
 
     Returns
@@ -100,7 +100,9 @@ def mismatch_kw(
     return found if np.isfinite(found) else None
 
 
-def contradicts(off_kw: float, commanded: Commanded, seen: Observation, readings: Readings) -> bool:
+def contradicts(
+    off_kw: float, commanded: Commanded, seen: Observation, readings: LoadAndPVReadings
+) -> bool:
     """Whether a mismatch is more than meters are off by."""
     served_kw = float(readings.load_kw @ served(commanded, seen))
     return abs(off_kw) > tolerance_kw(served_kw) + seen.flexible_off_kw

@@ -27,7 +27,7 @@ from vppres.scenario.source import EXACT_PU
 
 @dataclass(frozen=True)
 class Tolerances:
-    """How far a decision may be off before it is refused.
+    """Excess that a decision may have before it is refused.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def violations(
     within: Tolerances = PAPER,
     v_limits_pu: tuple[float, float] | None = None,
 ) -> list[str]:
-    """What is wrong with a decision, each in words; empty if it can be carried out.
+    """Limits that a decision violates, each in words; empty if it can be carried out.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def violations(
         _battery_power(row, state, within),
         _kinds(row, state, within),
         _sets_switched(row, state),
-        _formed(row, state),
+        _unformed_supply(row, state),
         _energy(row, state, within),
         _pv(row, state, within),
         _balance(row, state, within),
@@ -187,7 +187,7 @@ def _battery_power(row: _Row, state: StepState, within: Tolerances) -> str:
 
 
 def _kinds(row: _Row, state: StepState, within: Tolerances) -> str:
-    """What units of each kind of flexible power can do, and what they hold."""
+    """Violation of a kind's limits of power or storage; empty if there is none."""
     for kind, known in state.ahead.by_kind.items():
         units = state.site.kinds[kind]
         taken_kw, running = row.taken_kw[kind], row.running[kind]
@@ -216,7 +216,7 @@ def _sets_switched(row: _Row, state: StepState) -> str:
     return f"genset switching: {sets.id[np.argmax(wrong)]}" if wrong.any() else ""
 
 
-def _formed(row: _Row, state: StepState) -> str:
+def _unformed_supply(row: _Row, state: StepState) -> str:
     """Customers on in an island that only a set can form, without a set that does."""
     if not state.forms.any() or not row.served.any():
         return ""
@@ -244,7 +244,7 @@ def _pv(row: _Row, state: StepState, within: Tolerances) -> str:
 
 
 def _balance(row: _Row, state: StepState, within: Tolerances) -> str:
-    """What import has to be, against what the grid gives, and what export has to, likewise."""
+    """Violation of the import or export limit by the power balance; empty if there is none."""
     pv = state.site.pv
     served_kw = state.load_kw * row.served
     curtailed = curtailed_kw(state.site, row.curtailed_kw, state.pv_kw, served_kw)
@@ -272,7 +272,7 @@ def _balance(row: _Row, state: StepState, within: Tolerances) -> str:
 
 
 def _phased_network_kw(row: _Row, curtailed_kw: Floats, state: StepState) -> float:
-    """What a phased feeder draws beyond its assets at the set-points; 0 without a solution."""
+    """Power that a phased feeder draws beyond its assets, in kW; 0 without a solution."""
     model = phased_model(state.site)
     p_kw, q_kvar = model.powers(
         np.array(state.island),

@@ -1,4 +1,4 @@
-"""What is measured, judged by what the plant did; what is missing or frozen is estimated.
+"""State estimate from measurements, judged by what the plant did; missing ones are estimated.
 
 Forecasts are no evidence against a reading: two of them differ by their own noise. A reading counts
 as frozen only where the plant's response contradicts it, so that on a day without faults nothing is
@@ -15,7 +15,7 @@ import numpy as np
 from vppres.contract.ahead import KindsAhead
 from vppres.contract.decision import OUT, Decision
 from vppres.contract.observation import Observation
-from vppres.control.guard.balance import Commanded, Readings, feeder_off
+from vppres.control.guard.balance import Commanded, LoadAndPVReadings, feeder_off
 from vppres.control.guard.moved import Moved
 from vppres.control.guard.reckoning import SocReckoning
 from vppres.control.guard.series import SeriesJudge
@@ -33,8 +33,8 @@ RETRY_STEPS = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
-    """What is taken for true at a step.
+class StateEstimate:
+    """Estimated state of a step.
 
     Parameters
     ----------
@@ -81,10 +81,10 @@ class Estimator:
         self._commanded: Commanded | None = None
         self._out_until: Wholes = np.zeros(len(site.batteries), dtype=np.int64)
 
-    def known(self, seen: Observation) -> Known:
+    def known(self, seen: Observation) -> StateEstimate:
         """The observation with estimates for what cannot be trusted."""
         online = self._online(seen)
-        self._reckon(seen)
+        self._estimate_soc(seen)
         online &= ~self._soc.unknown
         now, series_words = self.series.judged(seen, *self._expected(seen), self._commanded)
         forecast = seen.forecast
@@ -100,10 +100,10 @@ class Estimator:
         soc = np.where(np.isnan(self._soc.soc), self.site.batteries.soc_min, self._soc.soc)
         believed = replace(seen, forecast=forecast, soc=soc, told=(), soc_age_h=None)
         self._last = _remembered(believed)
-        return Known(believed, online, "; ".join(words))
+        return StateEstimate(believed, online, "; ".join(words))
 
-    def proven(self, known: Known) -> Known:
-        """The same without demands far above all that an import has agreed with.
+    def proven(self, known: StateEstimate) -> StateEstimate:
+        """State estimate without demands far above all that an import has agreed with.
 
         Itself where there are none.
         """
@@ -120,12 +120,16 @@ class Estimator:
     def commanded(self, decision: Decision) -> None:
         """Keep what was decided, to compare it with what comes back."""
         self._commanded = Commanded.of(decision)
-        self._order(self._soc.at_h, self._commanded.battery_kw)
+        self._note_override(self._soc.at_h, self._commanded.battery_kw)
 
     def _online(self, seen: Observation) -> Flags:
         """Batteries that report to be there and followed their set-points."""
         told = np.ones(len(self.site.batteries), bool) if seen.online is None else seen.online
-        if seen.battery_kw is not None and self._commanded is not None and self._follow(seen):
+        if (
+            seen.battery_kw is not None
+            and self._commanded is not None
+            and self._should_have_followed(seen)
+        ):
             rating = self.site.batteries.p_max_kw
             told_kw = seen.told[-1].battery_kw if seen.told else self._commanded.battery_kw
             silent = (np.abs(told_kw) > RESPONSE_SHARE * rating) & (
@@ -134,7 +138,7 @@ class Estimator:
             self._out_until = np.where(silent, seen.t0 + RETRY_STEPS, self._out_until)
         return told & (self._out_until <= seen.t0)
 
-    def _follow(self, seen: Observation) -> bool:
+    def _should_have_followed(self, seen: Observation) -> bool:
         """Whether batteries were to follow their set-points in the last step.
 
         Where nothing flowed, protection stopped them; those that hold an island share its mismatch.
@@ -142,20 +146,20 @@ class Estimator:
         island = self._last is not None and self._last.forecast.grid_limit_kw[0] <= 0.0
         return not (feeder_off(seen) or (self.physical and island))
 
-    def _reckon(self, seen: Observation) -> None:
+    def _estimate_soc(self, seen: Observation) -> None:
         """The state of charge: the newest reading, and what was stored since.
 
         Set-points are held over steps that were left out.
         """
         now_h = seen.t0 * self.site.dt_h + seen.elapsed_h
         for told in seen.told:
-            self._order(now_h - told.before_h, told.battery_kw)
+            self._note_override(now_h - told.before_h, told.battery_kw)
         if seen.battery_kw is not None and self._last is not None:
             self._moved = self._moved.seen(self._soc.at_h, seen.battery_kw, self._eta(self._last))
         age_h = np.zeros(len(self.site.batteries)) if seen.soc_age_h is None else seen.soc_age_h
         self._soc = self._soc.after(seen.soc, now_h - age_h, now_h, self._moved)
 
-    def _order(self, at_h: float, battery_kw: Floats) -> None:
+    def _note_override(self, at_h: float, battery_kw: Floats) -> None:
         """Batteries got other set-points from a time on."""
         b = self.site.batteries
         eta = (b.eta_charge, b.eta_discharge) if self._last is None else self._eta(self._last)
@@ -178,22 +182,24 @@ class Estimator:
             words.append(f"soc {names[i]} {soc.soc[i]:.4f} +-{soc.band[i]:.3f} ({kind})")
         return words
 
-    def _expected(self, seen: Observation) -> tuple[Readings, bool]:
-        """What the last forecast said of this step, and whether it did; else what is known last."""
+    def _expected(self, seen: Observation) -> tuple[LoadAndPVReadings, bool]:
+        """Readings expected by a forecast or the profile, and whether any was; else the last."""
         if self._last is None:
             ahead = seen.forecast
             if seen.profile_kw is not None and seen.profile_pv_kw is not None:
-                return Readings(seen.profile_kw, seen.profile_pv_kw), True
+                return LoadAndPVReadings(seen.profile_kw, seen.profile_pv_kw), True
             if len(ahead.load_kw) > 1:
-                return Readings(ahead.load_kw[1], ahead.pv_kw[1]), True
-            none = Readings(np.zeros(len(self.site.customers)), np.zeros(len(self.site.pv)))
+                return LoadAndPVReadings(ahead.load_kw[1], ahead.pv_kw[1]), True
+            none = LoadAndPVReadings(
+                np.zeros(len(self.site.customers)), np.zeros(len(self.site.pv))
+            )
             return none, False
         before = self._last.forecast
         steps = seen.t0 - self._last.t0
         row = steps if steps < len(before.load_kw) else 0
-        return Readings(before.load_kw[row], before.pv_kw[row]), row > 0
+        return LoadAndPVReadings(before.load_kw[row], before.pv_kw[row]), row > 0
 
 
 def _remembered(seen: Observation) -> Observation:
-    """What the next step compares with: kinds have readings of their own."""
+    """Observation to compare the next step with; kinds have readings of their own."""
     return replace(seen, ahead=KindsAhead())

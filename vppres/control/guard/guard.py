@@ -21,7 +21,7 @@ from vppres.control.forming import formed_by_set
 from vppres.control.full_horizon import FullHorizonController
 from vppres.control.guard.check import violations
 from vppres.control.guard.critical import CriticalFirst
-from vppres.control.guard.estimation import Estimator, Known
+from vppres.control.guard.estimation import Estimator, StateEstimate
 from vppres.control.guard.options import GuardOptions, SolverOf
 from vppres.control.guard.partial_fleet import reduced_observation, site_with, whole_fleet
 from vppres.control.guard.relax import relaxed_answers
@@ -57,7 +57,7 @@ class GuardedController:
     ----------
     inner : Decider
         The wrapped controller of the whole fleet.
-    known : Known or None
+    known : StateEstimate or None
         What the last decision took for true.
     """
 
@@ -74,7 +74,7 @@ class GuardedController:
         self.site = site
         self.options = options
         self.inner = controller_of(site)
-        self.known: Known | None = None
+        self.known: StateEstimate | None = None
         self._controller_of = controller_of
         self._solver_of = solver_of
         self._parts: dict[bytes, Decider] = {}
@@ -93,25 +93,25 @@ class GuardedController:
 
     def decide(self, observation: Observation) -> Decision:
         """The wrapped controller's decision if it can be carried out, otherwise a fallback."""
-        self.known = known = self._sure(self._estimator.known(observation))
-        state = self._state(known)
-        decision = self._checked_answer(known, state)
+        self.known = known = self._without_unlikely_demands(self._estimator.known(observation))
+        state = self._step_state(known)
+        decision = self._checked_decision(known, state)
         if self.options.protect_critical:
             decision = self._critical.first(decision, known, state)
         self._estimator.commanded(decision)
         return replace(decision, estimated=known.estimated, seen=known.observation)
 
-    def _sure(self, known: Known) -> Known:
-        """What is known, with grid without demands that are unlikely and would cost the first tier.
+    def _without_unlikely_demands(self, known: StateEstimate) -> StateEstimate:
+        """State estimate, with grid without unlikely demands that would cost the first tier.
 
         What is really taken was carried: readings are of customers that have supply.
         """
-        state = self._state(known)
+        state = self._step_state(known)
         if state.island or not self._estimator.series.unproven.any():
             return known
         return known if self._critical.possible(known, state) else self._estimator.proven(known)
 
-    def _state(self, known: Known) -> StepState:
+    def _step_state(self, known: StateEstimate) -> StepState:
         """The step as it is known; of an island, whether a battery or which set can form it."""
         centre = self.options.centre
         state = StepState.of(self.site, known.observation, centre, known.online)
@@ -124,7 +124,7 @@ class GuardedController:
         formed, _ = formed_by_set(site, now, dark, headroom=0.0)
         return replace(state, ahead=formed.ahead, dark=bool(dark[0]))
 
-    def _checked_answer(self, known: Known, state: StepState) -> Decision:
+    def _checked_decision(self, known: StateEstimate, state: StepState) -> Decision:
         """The wrapped controller's answer, or the first fallback that passes the check."""
         before = self.plan
         decision = self._answer_or_fallback(known, state)
@@ -135,12 +135,12 @@ class GuardedController:
             self._parts.clear()
         return decision
 
-    def _answer_or_fallback(self, known: Known, state: StepState) -> Decision:
+    def _answer_or_fallback(self, known: StateEstimate, state: StepState) -> Decision:
         try:
-            decision = self._answer(known)
+            decision = self._inner_decision(known)
             reasons = violations(decision, state, self.options.within)
             if not reasons:
-                self._keep(decision, known.observation.t0)
+                self._remember_plan(decision, known.observation.t0)
                 return decision
             reason = "refused: " + "; ".join(reasons)
         except InfeasibleError as error:
@@ -152,8 +152,8 @@ class GuardedController:
             reason = named_line(error)
         return self._without_solver(known, state, reason)
 
-    def _answer(self, known: Known) -> Decision:
-        """What the wrapped controller says, for the batteries that are there.
+    def _inner_decision(self, known: StateEstimate) -> Decision:
+        """Decision of the wrapped controller, for the batteries that are there.
 
         A plan of the day is kept as it is: what it asks of a battery that is out fails the check.
         """
@@ -174,12 +174,14 @@ class GuardedController:
             self._parts[key] = self._controller_of(site_with(self.site, online))
         return self._parts[key]
 
-    def _keep(self, decision: Decision, t0: int) -> None:
+    def _remember_plan(self, decision: Decision, t0: int) -> None:
         """Remember a plan that goes beyond its step, for steps that find no other."""
         if decision.row + 1 < decision.dispatch.n_steps:
             self._plan = decision.dispatch, t0 - decision.row
 
-    def _relaxed(self, known: Known, state: StepState, reason: str) -> tuple[Decision | None, str]:
+    def _relaxed(
+        self, known: StateEstimate, state: StepState, reason: str
+    ) -> tuple[Decision | None, str]:
         """Fallback of an infeasible window, None if there is none, and the reasons so far."""
         site = site_with(self.site, known.online)
         seen = reduced_observation(known.observation, known.online, self.site.batteries)
@@ -205,12 +207,12 @@ class GuardedController:
             failed.setdefault(f"refused: {'; '.join(wrong)}", []).append(name)
         return None, _with_failures(reason, failed)
 
-    def _without_solver(self, known: Known, state: StepState, reason: str) -> Decision:
+    def _without_solver(self, known: StateEstimate, state: StepState, reason: str) -> Decision:
         """The previous plan where it can be carried out, otherwise the rule."""
         planned = self._planned(known, state, reason)
         return planned if planned is not None else by_rule(state, self.options.tiers, reason)
 
-    def _planned(self, known: Known, state: StepState, reason: str) -> Decision | None:
+    def _planned(self, known: StateEstimate, state: StepState, reason: str) -> Decision | None:
         """The step of the last good plan, its balance closed by what is measured now."""
         if self._plan is None:
             return None

@@ -25,8 +25,8 @@ SAME_H = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Stored:
-    """What was stored since a time; (B,) each.
+class StoredEnergy:
+    """Energy that was stored since a time; (B,) each.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class Moved:
         return cls(np.zeros(0), np.zeros(none), np.zeros(none, dtype=bool))
 
     def ordered(self, at_h: float, power_kw: Floats, eta: tuple[Floats, Floats]) -> Moved:
-        """With what was ordered at a time, charging positive; it replaces what was said of later.
+        """Add an order at a time, charging positive; it replaces what was said of later.
 
         Parameters
         ----------
@@ -87,7 +87,7 @@ class Moved:
         )
 
     def seen(self, since_h: float, power_kw: Floats, eta: tuple[Floats, Floats]) -> Moved:
-        """With the mean power that was measured since a time, (B,); NaN where it was not."""
+        """Add the mean power that was measured since a time, (B,); NaN where it was not."""
         rows = (self.begun_h >= since_h - SAME_H)[:, np.newaxis] & np.isfinite(power_kw)
         return Moved(
             self.begun_h,
@@ -95,14 +95,14 @@ class Moved:
             self.measured | rows,
         )
 
-    def since(self, begin_h: Floats, now_h: float, b: Batteries) -> Stored:
-        """What was stored since a time of each battery, (B,), up to now."""
+    def since(self, begin_h: Floats, now_h: float, b: Batteries) -> StoredEnergy:
+        """Energy that was stored since a time of each battery, (B,), up to now."""
         ends = np.append(self.begun_h[1:], now_h)[: len(self.begun_h), np.newaxis]
         begins = np.maximum(self.begun_h[:, np.newaxis], begin_h)
         hours = np.clip(np.minimum(ends, now_h) - begins, 0.0, None)
         blind_h = np.maximum(now_h - begin_h, 0.0) - (hours * self.measured).sum(axis=0)
         blind_kwh = (hours * ~self.measured * np.abs(self.cell_kw)).sum(axis=0)
-        return Stored(
+        return StoredEnergy(
             (hours * self.cell_kw).sum(axis=0) / b.energy_kwh,
             LOOSE_SHARE * blind_kwh / b.energy_kwh + LOOSE_PER_H * np.maximum(blind_h, 0.0),
             blind_h <= SAME_H,

@@ -1,4 +1,4 @@
-"""How a guard answers."""
+"""Options of a guard."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SolverOf = Callable[[Site], WindowSolver]
 
 @dataclass(frozen=True)
 class GuardOptions:
-    """How a guard answers.
+    """Limits, fallbacks and errors that a guard works with.
 
     Parameters
     ----------

@@ -30,7 +30,7 @@ SAME_MOMENT_H = 1.0 / 3600.0
 
 @dataclass(frozen=True, eq=False)
 class SocReckoning:
-    """What is known of the state of charge; (B,) each.
+    """Estimated state of charge; (B,) each.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What is given up for an infeasible window, in order: voltage limits, then all but this step."""
+"""Relaxations of an infeasible window, in order: voltage limits, then all but this step."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ import numpy as np
 from vppres.contract.observation import Observation
 from vppres.control.guard.balance import (
     Commanded,
-    Readings,
+    LoadAndPVReadings,
     contradicts,
     mismatch_kw,
     served,
@@ -60,8 +60,8 @@ class _Step:
     """
 
     t: int
-    seen: Readings
-    expected: Readings
+    seen: LoadAndPVReadings
+    expected: LoadAndPVReadings
     read_kw: Floats
     most_import_kw: float = np.inf
     usual_kw: Floats | None = None
@@ -104,15 +104,19 @@ class SeriesJudge:
         self._carried_kw = _carried_kw(site)
 
     def judged(
-        self, seen: Observation, expected: Readings, foretold: bool, commanded: Commanded | None
-    ) -> tuple[Readings, list[str]]:
+        self,
+        seen: Observation,
+        expected: LoadAndPVReadings,
+        foretold: bool,
+        commanded: Commanded | None,
+    ) -> tuple[LoadAndPVReadings, list[str]]:
         """Readings of the step with estimates where they must be, and what was estimated.
 
         Parameters
         ----------
         seen : Observation
             The step's observation.
-        expected : Readings
+        expected : LoadAndPVReadings
             What was known of this step before it.
         foretold : bool
             Whether that was forecast, and is not the reading of a step before.
@@ -121,7 +125,7 @@ class SeriesJudge:
         """
         read_kw = seen.forecast.load_kw[0]
         doubted, proven_kw = self._by_import(seen, commanded)
-        self._learn(seen, commanded)
+        self._accept_confirmed(seen, commanded)
         profiled = foretold or seen.profile_kw is not None
         far = self._far_now(read_kw, seen, expected) & profiled
         beyond = read_kw > self._carried_kw
@@ -131,9 +135,9 @@ class SeriesJudge:
             usual_kw = seen.profile_kw
         if not profiled:  # a reading before is no evidence against the next one
             proven_kw = np.full_like(usual_kw, np.inf)
-        doubted &= _odd(read_kw, usual_kw) & ~far
+        doubted &= _implausible(read_kw, usual_kw) & ~far
         usable_kw = np.where(far, expected.load_kw, np.where(doubted, usual_kw, read_kw))
-        usable = Readings(usable_kw, seen.forecast.pv_kw[0])
+        usable = LoadAndPVReadings(usable_kw, seen.forecast.pv_kw[0])
         most_kw = _most_import_kw(seen, expected, usable)
         now = _Step(seen.t0, usable, expected, read_kw, most_kw, usual_kw, doubted, proven_kw)
         frozen = self._frozen_now(now, seen, commanded)
@@ -155,7 +159,7 @@ class SeriesJudge:
             f"{read_kw[i]:g})"
             for i in np.flatnonzero(doubted)
         ]
-        return Readings(load, pv), [*load_words, *pv_words, *far_words, *odd_words]
+        return LoadAndPVReadings(load, pv), [*load_words, *pv_words, *far_words, *odd_words]
 
     @property
     def unproven(self) -> Flags:
@@ -184,7 +188,7 @@ class SeriesJudge:
             for i in np.flatnonzero(unproven)
         ]
 
-    def _far_now(self, read_kw: Floats, seen: Observation, expected: Readings) -> Flags:
+    def _far_now(self, read_kw: Floats, seen: Observation, expected: LoadAndPVReadings) -> Flags:
         """Demand far from its forecasts, and from all that a step has shown to be right.
 
         By more than meters are off by; where no demand was expected nothing is far.
@@ -198,13 +202,15 @@ class SeriesJudge:
         matters = off_kw > tolerance_kw(float(expected.load_kw.sum()))
         return np.asarray(far & matters & (expected.load_kw > 0.0))
 
-    def _learn(self, seen: Observation, commanded: Commanded | None) -> None:
+    def _accept_confirmed(self, seen: Observation, commanded: Commanded | None) -> None:
         """Take up what was far if the import of its step says that it was right."""
         before = self._before
         if before is None or not self._far.any():
             return
-        used = self._mismatch(seen, commanded, before.seen)
-        read = self._mismatch(seen, commanded, replace(before.seen, load_kw=before.read_kw))
+        used = self._import_mismatch_kw(seen, commanded, before.seen)
+        read = self._import_mismatch_kw(
+            seen, commanded, replace(before.seen, load_kw=before.read_kw)
+        )
         if used is not None and read is not None and abs(read) < abs(used):
             kw = np.where(before.read_kw > self._carried_kw, before.seen.load_kw, before.read_kw)
             self._usual = _Usual(
@@ -223,15 +229,15 @@ class SeriesJudge:
             return nobody, np.zeros(len(nobody))
         kept = nobody if before.doubted is None else before.doubted
         proven_kw = np.zeros(len(nobody)) if before.proven_kw is None else before.proven_kw
-        given = self._as_read(seen, commanded, before)
-        off_kw = None if given is None else self._mismatch(seen, commanded, given)
+        given = self._readings_before(seen, commanded, before)
+        off_kw = None if given is None else self._import_mismatch_kw(seen, commanded, given)
         if given is None or off_kw is None or commanded is None:
             return kept, proven_kw
         on = served(commanded, seen)
         if not contradicts(off_kw, commanded, seen, given):
             agreed_kw = np.where(on > 0.0, np.maximum(proven_kw, given.load_kw), proven_kw)
             return kept & (on == 0.0), agreed_kw
-        odd = _odd(given.load_kw, before.usual_kw) & (on > 0.0)
+        odd = _implausible(given.load_kw, before.usual_kw) & (on > 0.0)
         if not odd.any():
             return kept, proven_kw
         alone = np.abs(off_kw + on * (given.load_kw - before.usual_kw))
@@ -240,15 +246,15 @@ class SeriesJudge:
         least_kw = abs(off_kw)
         for tried in (worst, odd):
             kw = np.where(tried, before.usual_kw, given.load_kw)
-            left_kw = self._mismatch(seen, commanded, replace(given, load_kw=kw))
+            left_kw = self._import_mismatch_kw(seen, commanded, replace(given, load_kw=kw))
             if left_kw is not None and abs(left_kw) < EXPLAINED * least_kw:
                 found, least_kw = tried | (kept & (on == 0.0)), abs(left_kw)
         return found, proven_kw
 
-    def _as_read(
+    def _readings_before(
         self, seen: Observation, commanded: Commanded | None, before: _Step
-    ) -> Readings | None:
-        """What was read of the step before; of what was far the reading if the import bears it out.
+    ) -> LoadAndPVReadings | None:
+        """Readings of the step before; far ones only if the import bears them out.
 
         What was missing is as it was estimated.
         """
@@ -258,7 +264,7 @@ class SeriesJudge:
             return whole
         tame_kw = np.where(self._far, before.seen.load_kw, whole.load_kw)
         both = [whole, replace(whole, load_kw=tame_kw)]
-        off_kw = [self._mismatch(seen, commanded, one) for one in both]
+        off_kw = [self._import_mismatch_kw(seen, commanded, one) for one in both]
         known = [(abs(off), i) for i, off in enumerate(off_kw) if off is not None]
         return both[min(known)[1]] if known else None
 
@@ -273,7 +279,7 @@ class SeriesJudge:
         still = _Frozen(
             now.seen.load_kw == before.seen.load_kw, now.seen.pv_kw == before.seen.pv_kw
         )
-        off_kw = self._mismatch(seen, commanded, before.seen)
+        off_kw = self._import_mismatch_kw(seen, commanded, before.seen)
         if commanded is None or off_kw is None:
             return _Frozen(still.load & self._frozen.load, still.pv & self._frozen.pv)
         if contradicts(off_kw, commanded, seen, before.seen):
@@ -286,18 +292,18 @@ class SeriesJudge:
         """Whether the forecast explains the step before better than the frozen readings do."""
         before = self._before
         assert before is not None  # without a step before nothing is frozen
-        by_forecast = Readings(
+        by_forecast = LoadAndPVReadings(
             np.where(frozen.load, before.expected.load_kw, before.seen.load_kw),
             np.where(frozen.pv, before.expected.pv_kw, before.seen.pv_kw),
         )
-        of_readings = self._mismatch(seen, commanded, before.seen)
-        of_forecast = self._mismatch(seen, commanded, by_forecast)
+        of_readings = self._import_mismatch_kw(seen, commanded, before.seen)
+        of_forecast = self._import_mismatch_kw(seen, commanded, by_forecast)
         if of_readings is None or of_forecast is None:
             return True
         return abs(of_forecast) < abs(of_readings)
 
-    def _mismatch(
-        self, seen: Observation, commanded: Commanded | None, readings: Readings
+    def _import_mismatch_kw(
+        self, seen: Observation, commanded: Commanded | None, readings: LoadAndPVReadings
     ) -> float | None:
         """Mismatch of the step before, None where it is not known."""
         before = self._before
@@ -308,7 +314,7 @@ class SeriesJudge:
         return mismatch_kw(self.site, commanded, seen, readings)
 
 
-def _odd(read_kw: Floats, usual_kw: Floats) -> Flags:
+def _implausible(read_kw: Floats, usual_kw: Floats) -> Flags:
     """Demands so far from what was expected that a meter may be wrong, (C,)."""
     return np.asarray((read_kw > ODD * usual_kw) | (read_kw < usual_kw / ODD))
 
@@ -330,7 +336,9 @@ def _carried_kw(site: Site) -> Floats:
     return found
 
 
-def _most_import_kw(seen: Observation, expected: Readings, usable: Readings) -> float:
+def _most_import_kw(
+    seen: Observation, expected: LoadAndPVReadings, usable: LoadAndPVReadings
+) -> float:
     """The most import of a step that is one: what the connection passes, and no more than far.
 
     A demand that was believed counts as expected.

@@ -353,7 +353,7 @@ def _row(
 
 def _service(name: str, engine: Any) -> dict[str, Any]:
     """A transformer with its middle at ground, as one coil on each side."""
-    own = engine.elements().Service()
+    own = engine.elements().ServiceTransformer()
     (bus, _), _, (end, phase) = own.ends
     words = "".join(PHASES[node - 1] for _, node in own.ends[:2] if node > 0)
     row = {

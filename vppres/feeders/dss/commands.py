@@ -54,7 +54,7 @@ SHOWN = 40
 Values = list[list[str]]
 
 
-class Refused(Exception):
+class CommandRefused(Exception):
     """Why a command is not carried out, and the cure."""
 
     def __init__(self, message: str, cure: str) -> None:
@@ -82,7 +82,7 @@ class Commands:
 
         Raises
         ------
-        Refused
+        CommandRefused
             If the command asks for what is not done here.
         """
         self.count += 1
@@ -122,9 +122,11 @@ class Commands:
         if kind in IDLE:
             return ""
         if verb == "batchedit" and not re.fullmatch(r"[\w.*+?\[\]^$|\\-]+", target):
-            raise Refused(f"'{_cut(target)}' is not a pattern", "Write: batchedit class.pattern.")
+            raise CommandRefused(
+                f"'{_cut(target)}' is not a pattern", "Write: batchedit class.pattern."
+            )
         if kind not in _schema():
-            raise Refused(
+            raise CommandRefused(
                 f"'{_cut(kind)}' is not a class of OpenDSS", "Correct it, or remove the element."
             )
         head = verb if verb == "~" else f'{verb} "{target}"'
@@ -140,13 +142,13 @@ class Commands:
             place = names.index(full) if full else place + 1
             if (name and not full) or place >= len(names):
                 what = f"'{_cut(name)}'" if name else f"the value '{_cut(text)}' beyond its last"
-                raise Refused(
+                raise CommandRefused(
                     f"{kind} has {what}, which is not a property of OpenDSS",
                     "Correct or remove it.",
                 )
             full = names[place]
             if CODE.fullmatch(full):
-                raise Refused(f"{kind} has '{full}', which names code", "Remove it.")
+                raise CommandRefused(f"{kind} has '{full}', which names code", "Remove it.")
             if full == TRACES:
                 continue
             if full in FILES:
@@ -188,17 +190,19 @@ class Commands:
         column = next((parts.pop(key) for key in [*parts] if "column".startswith(key)), "1")
         header = next((parts.pop(key) for key in [*parts] if "header".startswith(key)), "no")
         if name is None or parts or not column.isdecimal():
-            raise Refused(f"'{_cut(text)}' is not a value", "Write numbers, or file=name.csv.")
+            raise CommandRefused(
+                f"'{_cut(text)}' is not a value", "Write numbers, or file=name.csv."
+            )
         table = _table(self._content(name), name, header.lower().startswith(("y", "t")))
         if not 1 <= int(column) <= table.shape[1]:
-            raise Refused(f"{_cut(name)} has no column {column}", "Correct the column.")
+            raise CommandRefused(f"{_cut(name)} has no column {column}", "Correct the column.")
         return _row(table[:, int(column) - 1])
 
     def _content(self, name: str) -> str:
         """A file's bytes as Latin-1 text."""
         name = name.strip().strip("\"'")
         if name not in self.files:
-            raise Refused(
+            raise CommandRefused(
                 f"names the file {_cut(name)}, which is not in the master's folder",
                 "Copy the file into the folder, and name it from there.",
             )
@@ -264,7 +268,7 @@ def _table(content: str, name: str, header: bool = False) -> Any:
     except ValueError:
         table = np.zeros((0, 0))
     if not table.size or table.size > MOST_VALUES or not np.isfinite(table).all():
-        raise Refused(f"{_cut(name)} holds no columns of numbers", "Give one value a line.")
+        raise CommandRefused(f"{_cut(name)} holds no columns of numbers", "Give one value a line.")
     return table
 
 

@@ -264,7 +264,7 @@ class Star:
         self.kv = kv
 
 
-class Service:
+class ServiceTransformer:
     """The active transformer with its middle at ground, as one with two windings.
 
     ``y`` is its matrix between its primary and both legs, from which its impedance follows.

@@ -195,7 +195,7 @@ def build(job: dict[str, Any]) -> Problems:
     for i, (verb, target, values) in enumerate(job["commands"]):
         try:
             texts.append((i, commands.text(verb, target, values)))
-        except words.Refused as no:
+        except words.CommandRefused as no:
             refused.append(_wrong(no.message, no.cure, i))
     if refused:
         return refused
@@ -613,7 +613,7 @@ def _cores() -> Table:
 def _service(name: str) -> dict[str, Any]:
     """A transformer with its middle at ground, as one with two windings."""
     carried_kva = _carried_kva()
-    own = elements().Service()
+    own = elements().ServiceTransformer()
     ends = [own.ends[0][0], own.ends[2][0]]
     kv = [_between_lines(kv, _base_kv(bus)) for kv, bus in zip(own.kv, ends, strict=True)]
     return {

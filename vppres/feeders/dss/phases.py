@@ -75,7 +75,7 @@ def phased_source(
     at: dict[str, BusId] = {
         bus: feeder.bus_of[i] for bus, i in flow.index.items() if i in feeder.bus_of
     }
-    tables = _Tables(found, name, at, feeder.network.slack_bus)
+    tables = _CircuitTables(found, name, at, feeder.network.slack_bus)
     phases = tables.phases()
     loads, left_out = tables.powers()
     source = PhasedSource(with_grid(phases), tuple(loads), found["source"]["v_pu"])
@@ -127,7 +127,7 @@ def _notes(phases: Phases) -> Iterator[str]:
         yield f"Limits are for voltages between phases at {wires} buses that nothing earths."
 
 
-class _Tables:
+class _CircuitTables:
     """The tables of a circuit: of each bus the phases that the source reaches.
 
     ``at`` has the feeder's bus of each bus that has supply.

@@ -22,7 +22,7 @@ from vppres.core.text import named
 from vppres.core.units import V_PER_KV
 from vppres.feeders.dss import script as dss_script
 from vppres.feeders.dss.circuit import located, read_opendss
-from vppres.feeders.net.changes import Changes, changed
+from vppres.feeders.net.changes import PermittedChanges, changed
 from vppres.feeders.net.reduce import feeder_of
 from vppres.feeders.strangers.confined import confined
 from vppres.kinds.table import KINDS
@@ -132,7 +132,7 @@ class _Circuit:
         """The circuit of a script."""
         net, ids, *_ = read_opendss(source)
         # Which line opens a loop says nothing of which buses are one.
-        radial, _ = changed(net, source.name, Changes(open_loops=True), ids)
+        radial, _ = changed(net, source.name, PermittedChanges(open_loops=True), ids)
         bus_of = feeder_of(radial, source.name, bus_ids=ids).bus_of
         group_of = {str(ids[i]): str(bus) for i, bus in bus_of.items()}
         base_v = {str(ids[i]): kv * V_PER_KV / np.sqrt(3) for i, kv in net.bus["vn_kv"].items()}

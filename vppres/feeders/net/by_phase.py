@@ -79,7 +79,7 @@ def phased_net(net: Any, name: str, feeder: ImportedFeeder) -> PhasedSource:
     notes = [*_connected_to_ground(net)]
     _end_before_buses_out_of_service(net)
     solved, v_pu = _solved(net, name)
-    tables = _Tables(solved, name, feeder)
+    tables = _NetTables(solved, name, feeder)
     source = PhasedSource(
         tables.phases(), tuple(_loads(net, feeder.bus_of)), feeder.network.v_slack_pu
     )
@@ -189,7 +189,7 @@ def _solve(net: Any) -> None:
     runpp_3ph(net, numba=False, tolerance_mva=1e-10, max_iteration=100)
 
 
-class _Tables:
+class _NetTables:
     """Tables of a net that was solved by phase."""
 
     def __init__(self, net: Any, name: str, feeder: ImportedFeeder) -> None:

@@ -16,7 +16,7 @@ from vppres.scenario.network import BusId
 
 
 @dataclass(frozen=True)
-class Changes:
+class PermittedChanges:
     """What may be changed so that a net becomes a balanced radial feeder.
 
     As the parameters of :func:`vppres.feeders.import_network`.
@@ -30,7 +30,7 @@ class Changes:
 
 
 def changed(
-    net: Any, name: str, changes: Changes, bus_ids: Mapping[int, BusId] | None = None
+    net: Any, name: str, changes: PermittedChanges, bus_ids: Mapping[int, BusId] | None = None
 ) -> tuple[Any, tuple[str, ...]]:
     """A changed copy of a net, and notes on what was changed."""
     net = copy.deepcopy(net)

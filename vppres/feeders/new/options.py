@@ -15,7 +15,7 @@ import pandas as pd
 from vppres.core.errors import InputError, Problem
 from vppres.feeders.series.clocks import check_zone, grid_from, local_midnight, time_of_day
 from vppres.io import schema
-from vppres.scenario.option_table import NEW_OPTIONS, Range
+from vppres.scenario.option_table import NEW_OPTIONS, NumberRange
 from vppres.scenario.timegrid import UTC, TimeGrid
 
 PVRule = Literal["existing", "sized", "none"]
@@ -31,38 +31,38 @@ PV_SHARE_OF_BUSES = 0.8
 
 _CLOCK = re.compile(r"(\d{1,2}):(\d{2})")
 _RANGES = {
-    "step_minutes": Range(
+    "step_minutes": NumberRange(
         1,
         1440,
         "must be at least 1 and divide a day",
         "Give a step that divides the day, for example 60, 30 or 15.",
     ),
-    "days": Range(
+    "days": NumberRange(
         1,
         schema.MAX_GRID_DAYS,
         f"must lie between 1 and {schema.MAX_GRID_DAYS}",
         "Give the number of days.",
     ),
-    "pv_share_of_peak": Range(
+    "pv_share_of_peak": NumberRange(
         1e-9, 10, "must lie between 0 and 10", "Give kW of PV per kW of peak load, for example 0.5."
     ),
-    "battery_kwh_per_peak_kw": Range(
+    "battery_kwh_per_peak_kw": NumberRange(
         0, 100, "must lie between 0 and 100", "Give kWh per kW of peak load, for example 0.625."
     ),
-    "export_price_gbp_per_kwh": Range(
+    "export_price_gbp_per_kwh": NumberRange(
         -schema.MAX_PRICE,
         schema.MAX_PRICE,
         f"must lie between -{schema.MAX_PRICE:g} and {schema.MAX_PRICE:g}",
         "Give GBP per kWh, for example 0.05.",
     ),
-    "seed": Range(0, inf, "must be at least 0", "Give another seed."),
-    "max_gap_minutes": Range(
+    "seed": NumberRange(0, inf, "must be at least 0", "Give another seed."),
+    "max_gap_minutes": NumberRange(
         0,
         7 * 1440,
         "must lie between 0 and a week",
         "Give the longest gap that is filled, for example 120.",
     ),
-    "profile_step_minutes": Range(
+    "profile_step_minutes": NumberRange(
         0, inf, "must be positive", "Give minutes, for example 15.", open_least=True
     ),
 }

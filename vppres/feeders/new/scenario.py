@@ -32,7 +32,7 @@ from vppres.feeders.new.kinds import WIND
 from vppres.feeders.new.low_voltage import limits_of
 from vppres.feeders.new.options import NewScenarioOptions, check_options, outages_of
 from vppres.feeders.new.profiles import Series, place_profiles, timed
-from vppres.feeders.series.files import Reading, read_profiles
+from vppres.feeders.series.files import FileDefaults, read_profiles
 from vppres.io import atomic_folder
 from vppres.io.editor import add_editor_schema
 from vppres.io.messages import did_you_mean
@@ -183,7 +183,7 @@ def _series(
 def _given_profiles(feeder: ImportedFeeder, options: NewScenarioOptions) -> list[Profile]:
     """Series of the network itself, or of files."""
     if str(options.profiles) != OWN_PROFILES:
-        reading = Reading(options.time_zone, options.profile_unit)
+        reading = FileDefaults(options.time_zone, options.profile_unit)
         return read_profiles(str(options.profiles), reading)
     if feeder.profiles:
         return [*feeder.profiles]

@@ -24,14 +24,14 @@ _PLAIN = re.compile(r"(kw|mw|pu|p\.u\.)", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
-class Reading:
+class FileDefaults:
     """Zone of times without offset, and unit (``kw``, ``mw`` or ``pu``), of files that say none."""
 
     zone: str | None = None
     unit: str | None = None
 
 
-def read_profiles(path: str | Path, reading: Reading) -> list[Profile]:
+def read_profiles(path: str | Path, reading: FileDefaults) -> list[Profile]:
     """Series of a file, or of all CSV and Parquet files of a folder.
 
     A file has a column of times (``time``, ``timestamp`` or ``datetime``) and is of one of three
@@ -75,7 +75,7 @@ def _files(path: Path) -> list[Path]:
     return files
 
 
-def _read(table: Table, reading: Reading) -> tuple[list[Profile], list[Problem]]:
+def _read(table: Table, reading: FileDefaults) -> tuple[list[Profile], list[Problem]]:
     """All series of a file."""
     frame = table.frame
     names = {str(name).strip().lower(): str(name) for name in frame.columns}
@@ -98,7 +98,7 @@ def _read(table: Table, reading: Reading) -> tuple[list[Profile], list[Problem]]
 
 
 def _wide(
-    table: Table, clock: str, columns: list[str], reading: Reading
+    table: Table, clock: str, columns: list[str], reading: FileDefaults
 ) -> tuple[list[Profile], list[Problem]]:
     """A column for each asset; a single column of values is that of the file's asset."""
     times, problems = in_utc(pd.Index(table.frame[clock]), reading.zone, table.file, clock)
@@ -119,7 +119,7 @@ def _wide(
 
 
 def _long(
-    table: Table, clock: str, key: str, columns: list[str], reading: Reading
+    table: Table, clock: str, key: str, columns: list[str], reading: FileDefaults
 ) -> tuple[list[Profile], list[Problem]]:
     """One row for each time and asset; hours that clocks show twice are distinguished by asset."""
     if len(columns) > 1:

@@ -1,4 +1,4 @@
-"""What thermometers of rooms and tanks say, and what is reckoned if they say nothing."""
+"""Temperatures of rooms and tanks: readings, and estimates where thermometers say nothing."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 RANGES = {
     "indoor_c": Range(-50.0, 100.0, "must lie between -50 and 100", "Give degrees Celsius."),
 }
-"""What thermometers tell."""
+"""Plausible ranges of thermometers' readings."""
 
 QUANTITIES = tuple(RANGES)
 MEANS: tuple[str, ...] = ()
@@ -43,7 +43,7 @@ BAND_C = 0.02
 """By how much a set-point may be outside the comfort band: what solvers and rounding are off by."""
 
 STILL_C = 1.0
-"""What a temperature may have moved through by the model while its reading stands still, in K."""
+"""Change by the model, in K, beyond which a reading that stands still counts as frozen."""
 
 POWER_SHARE = 1e-3
 """Share of a machine's power that solvers leave of none, or of all of it."""
@@ -121,7 +121,7 @@ class Felt:
         return felt
 
     def moved_to(self, t_c: Floats) -> Felt:
-        """With other temperatures by the model."""
+        """Copy with other temperatures by the model."""
         lowest_c, highest_c = np.minimum(self.lowest_c, t_c), np.maximum(self.highest_c, t_c)
         return replace(self, reckoned_c=t_c, lowest_c=lowest_c, highest_c=highest_c)
 
@@ -231,7 +231,7 @@ def _temperature(t_max_c: float) -> Range:
 
 
 def excesses(table: pd.DataFrame, scenario: Scenario) -> dict[str, Any]:
-    """By how much set-points cool or heat beyond the comfort band, by what is said of it."""
+    """Excess of set-points beyond the comfort band, by what is said of it."""
     loads = scenario.thermal_loads
     setpoint_c = table["setpoint_c"].to_numpy(float)
     below_c = np.where(loads.heats, -np.inf, loads.t_min_c - setpoint_c)

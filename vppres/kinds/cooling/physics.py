@@ -21,7 +21,7 @@ OF_A_STEP = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Rooms(UnitsAhead):
-    """What becomes of the temperature of each room or tank in a window, (W, H) each.
+    """Temperatures of rooms and tanks in a window, with their bands and machines, (W, H) each.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ class Rooms(UnitsAhead):
         )
 
     def in_the_dark(self, lit: Flags) -> Self:
-        """The same without power but in the lit steps, (W, 1)."""
+        """Window without power except in the lit steps, (W, 1)."""
         return replace(self, most_kw=self.most_kw * lit)
 
     def most_taken_kw(self, loads: ThermalLoads) -> Floats:
@@ -80,7 +80,7 @@ class Rooms(UnitsAhead):
     def power_beyond_kw(
         self, loads: ThermalLoads, connected: Flags, taken_kw: Floats, running: Flags, dt_h: float
     ) -> Floats:
-        """By how much powers are beyond what machines can do, none of a customer off, (W, H)."""
+        """Excess of powers beyond what machines can do, none of a customer off, (W, H)."""
         return np.maximum(taken_kw - connected * self.most_kw, -taken_kw)
 
     def t_c(self, power_kw: Floats) -> Floats:
@@ -93,7 +93,7 @@ class Rooms(UnitsAhead):
         return np.array(rows).reshape(power_kw.shape)
 
     def missed_c(self, t_c: Floats) -> tuple[Floats, Floats]:
-        """By how much temperatures are above the band and below it, (W, H) each."""
+        """Temperature above the band and below it, in K, (W, H) each."""
         return np.maximum(t_c - self.t_max_c, 0.0), np.maximum(self.t_min_c - t_c, 0.0)
 
     def price(self, least_weight: float, dt_h: float) -> Floats:

@@ -21,7 +21,7 @@ MISSED_C = 1e-6
 
 
 def record(day: Scenario, climate: Climate, t: int, realised: Realised) -> dict[str, Any]:
-    """What machines did in a step, and how rooms and tanks are."""
+    """Power of machines in a step, and temperatures of rooms and tanks."""
     loads = day.thermal_loads
     power_kw = realised.taken_kw["thermal_loads"]
     end_c = climate.after_c(t, power_kw)
@@ -37,7 +37,7 @@ def record(day: Scenario, climate: Climate, t: int, realised: Realised) -> dict[
 
 
 def _outside_band(t_min_c: Floats, t_max_c: Floats, t_c: Floats) -> Floats:
-    """By how much temperatures are outside their band."""
+    """Temperature outside the band, in K."""
     away_c = np.maximum(t_c - t_max_c, t_min_c - t_c)
     return np.where(away_c > MISSED_C, away_c, 0.0)
 
@@ -104,7 +104,7 @@ def events(run: Trajectory) -> Iterator[tuple[int, str]]:
 
 
 def assumption(run: Trajectory) -> str:
-    """What plans knew of rooms and tanks."""
+    """Assumptions of plans about rooms and tanks."""
     count = len(run.scenario.thermal_loads)
     return f"{count} rooms and tanks come after service; the temperature outside is known."
 

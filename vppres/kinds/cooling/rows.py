@@ -18,7 +18,7 @@ import numpy as np
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Floats
 from vppres.kinds.cooling.physics import Rooms
-from vppres.model.beyond_paper.addition import Addition, Held
+from vppres.model.beyond_paper.addition import Addition, AdditionDispatch
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
 from vppres.model.numerics import NOISE_KW, write
@@ -100,7 +100,7 @@ class ThermalLoadsModel(Addition):
         }
 
     def terms(self) -> dict[str, cp.Expression]:
-        """What is missed of the band."""
+        """Penalty for temperatures outside the band."""
         return {"own": -cp.sum(cp.multiply(self.price, self.over + self.under))}
 
     def fill(self, site: Site, data: WindowData) -> None:
@@ -116,19 +116,19 @@ class ThermalLoadsModel(Addition):
 
     @classmethod
     def worth(cls, site: Site, data: WindowData, dispatch: Dispatch) -> dict[str, float]:
-        """What is missed of the band."""
+        """Penalty for temperatures outside the band."""
         rooms = data.ahead.known(Rooms)
         over, under = rooms.missed_c(rooms.t_c(machine_kw(site, dispatch)))
         return {"own": -float((price_of(site, rooms) * (over + under)).sum())}
 
-    def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> Held:
+    def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> AdditionDispatch:
         """Power and temperature of each."""
         rooms = data.ahead.known(Rooms)
         power_kw = machine_kw(site, dispatch)
         t_c = rooms.t_c(power_kw)
         over, under = rooms.missed_c(t_c)
         letters = zip(self.by_dispatch, (power_kw, t_c, over, under), strict=True)
-        return Held(dict(letters))
+        return AdditionDispatch(dict(letters))
 
     def read(self, found: Dispatch) -> Dispatch:
         """The power of each machine."""

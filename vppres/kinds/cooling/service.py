@@ -1,4 +1,4 @@
-"""What thermostats of rooms and tanks tell the service, and are told."""
+"""Readings and set-points of thermostats of rooms and tanks in the service."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Thermostats(OfKind):
             yield "indoor_c", str(name), float(t_c)
 
     def powers(self, t: int, units: Climate, told: Mapping[str, Floats], served: Flags) -> Floats:
-        """What machines do at these temperatures."""
+        """Power of machines at these set temperatures."""
         held_c = units.scenario.thermal_loads.held_c
         asked_c = told["setpoint_c"]
         return units.thermostat_kw(t, np.where(np.isnan(asked_c), held_c, asked_c), served)

@@ -18,7 +18,7 @@ from vppres.scenario.assets import Customers
 from vppres.scenario.timegrid import TimeGrid
 
 RATED_POWER_FACTOR = 0.8
-"""That of the sets that are sold."""
+"""Rated power factor of the sets that are sold."""
 
 ROUNDING_H = 1e-9
 """By how much a time on or off may miss a least time."""
@@ -71,7 +71,7 @@ class Gensets(KindTable):
 
     @property
     def unsaid(self) -> tuple[str, ...]:
-        """What is said of sets that form the grid, where none does."""
+        """Columns of sets that form the grid, which a file leaves out where none does."""
         return () if self.grid_forming.any() else ("grid_forming", "power_factor")
 
     def __post_init__(self) -> None:
@@ -153,7 +153,7 @@ class Refuels(KindTable):
     litres: Floats = field(default_factory=no_items)
 
     def by_step(self, sets: Gensets, grid: TimeGrid) -> Floats:
-        """What is delivered at the beginning of each step, (T, G).
+        """Fuel that is delivered at the beginning of each step, (T, G).
 
         A delivery within a step counts from the next one on.
         """

@@ -1,4 +1,4 @@
-"""What generating sets tell, and what is reckoned of them: on or off, hours, fuel, failed starts.
+"""State of generating sets from readings: on or off, hours, fuel, failed starts.
 
 A set with the set-point to run that stands still, or that says that it failed to start, is out:
 plans do without it until it takes that back, or runs. One that never said that there was a fault
@@ -47,7 +47,7 @@ RANGES = {
         0.0, 1.0, ZERO_OR_ONE, "Give 1 if it failed to start, else 0.", whole=True
     ),
 }
-"""What sets tell, and what another sender ordered them."""
+"""Plausible ranges of sets' readings, and of another sender's orders to them."""
 
 MEANS: tuple[str, ...] = ("genset_kw",)
 SETPOINT, NUMBERS = "p_kw", ("p_kw",)
@@ -61,7 +61,7 @@ FIGURES = ("p_min_kw", "p_max_kw", "tank_litres", "litres_per_kwh", "litres_per_
 """Readings and columns that the page shows."""
 
 QUANTITIES = ("running", "genset_kw", "fuel_litres", "start_fault")
-"""What a set can tell."""
+"""Quantities that a set can report."""
 
 STILL_SHARE = 0.05
 """Share of the tank that a set may have burnt while its gauge stands still: gauges are coarse."""
@@ -109,15 +109,15 @@ class Ran:
         return cls(at_h, first, first.fuel_litres, unread, out, unread, first.on, first.power_kw)
 
     def as_ordered(self, ordered_kw: Floats) -> Ran:
-        """The same where another sender ordered something else; NaN where none did."""
+        """State after another sender's orders; NaN where there was none."""
         by_others = np.isfinite(ordered_kw)
         power_kw = np.where(by_others, ordered_kw, self.power_kw)
         return replace(self, on=np.where(by_others, power_kw > 0.0, self.on), power_kw=power_kw)
 
 
 @dataclass(frozen=True, eq=False)
-class Readings:
-    """What sets told at the beginning of a step, (G,) each; NaN where one told nothing.
+class GensetReadings:
+    """Readings of sets at the beginning of a step, (G,) each; NaN where there is none.
 
     ``ordered_kw`` is the most that another sender ordered each since the last decision.
     """
@@ -134,11 +134,11 @@ PAST = Ran
 
 def read(
     door: Door, scenario: Scenario, told: Mapping[str, Any], past: Ran | None
-) -> tuple[Scenario, Readings]:
-    """What sets tell, and what another sender ordered them."""
+) -> tuple[Scenario, GensetReadings]:
+    """Readings of sets, and the orders of another sender."""
     names = ("running", "genset_kw", "fuel_litres", "start_fault", "genset_ordered_kw")
     ids, none = scenario.gensets.id, np.full(len(scenario.gensets), np.nan)
-    return scenario, Readings(*(door.values(name, told[name], ids, none) for name in names))
+    return scenario, GensetReadings(*(door.values(name, told[name], ids, none) for name in names))
 
 
 def to_come(day: Scenario) -> Scenario:
@@ -151,7 +151,7 @@ def to_come(day: Scenario) -> Scenario:
     return replace(day, refuels=kept)
 
 
-def now(moment: Moment, told: Readings, past: Ran | None) -> SetsNow:
+def now(moment: Moment, told: GensetReadings, past: Ran | None) -> SetsNow:
     """Sets at the moment, with what was delivered since they were told how to run."""
     known = moment.known
     sets, dt_h, at_h = known.gensets, known.grid.dt_h, moment.at_h
@@ -175,7 +175,7 @@ class SetsNow(UnitsNow):
 
     @classmethod
     def of(
-        cls, sets: Gensets, told: Readings, past: Ran, at_h: float, dt_h: float, added: Floats
+        cls, sets: Gensets, told: GensetReadings, past: Ran, at_h: float, dt_h: float, added: Floats
     ) -> SetsNow:
         """The sets after their set-points, ``added`` fuel having been delivered since.
 
@@ -248,7 +248,7 @@ class _Running:
 
     @classmethod
     def of(
-        cls, told: Readings, past: Ran, by_others: Flags, gone_h: float, dt_h: float
+        cls, told: GensetReadings, past: Ran, by_others: Flags, gone_h: float, dt_h: float
     ) -> _Running:
         """The estimate so many hours after their set-points; ``by_others``, by another sender."""
         held = gone_h <= dt_h + ROUNDING_H
@@ -291,13 +291,13 @@ class _Fuel:
     def of(
         cls,
         sets: Gensets,
-        told: Readings,
+        told: GensetReadings,
         past: Ran,
         runs: _Running,
         burning_h: Floats,
         added: Floats,
     ) -> _Fuel:
-        """What is left after so many hours of burning and what was delivered."""
+        """Fuel that is left after so many hours of burning and what was delivered."""
         least, most = _left_litres(sets, told, past, runs.on, runs.never, burning_h)
         least, most = (np.minimum(left + added, sets.tank_litres) for left in (least, most))
         told_litres = np.minimum(told.fuel_litres, sets.tank_litres)
@@ -335,7 +335,7 @@ def _hours(past: Ran, on: Flags, gone_h: float, dt_h: float) -> Floats:
 
 
 def _left_litres(
-    sets: Gensets, told: Readings, past: Ran, on: Flags, never: Flags, burning_h: Floats
+    sets: Gensets, told: GensetReadings, past: Ran, on: Flags, never: Flags, burning_h: Floats
 ) -> tuple[Floats, Floats]:
     """The least and the most that may be left of the fuel, by the line of each set.
 
@@ -374,7 +374,7 @@ def set_points(day: Scenario, t: int, columns: Mapping[str, Any]) -> dict[str, A
 def foreseen(
     window: Scenario, known: SetsAhead, taken_kw: Floats, running: Flags, times: pd.DatetimeIndex
 ) -> dict[str, pd.DataFrame]:
-    """What sets give and what is left in their tanks; nothing runs where a plan has none."""
+    """Planned power and fuel of sets; nothing runs where a plan has none."""
     sets = window.gensets
     litres = known.fuel_litres(sets, running, -taken_kw, window.grid.dt_h)
     names = [str(name) for name in sets.id]
@@ -385,7 +385,7 @@ def foreseen(
 
 
 def own_ranges(scenario: Scenario) -> Iterator[tuple[str, Any, Floats, Callable[[float], Range]]]:
-    """What sets can give, and their tanks hold."""
+    """Ranges of sets' power and of the fuel in their tanks."""
     sets = scenario.gensets
     yield "genset_kw", sets, sets.p_max_kw, lambda kw: rated(0.0, "set", kw, NUMBER)
     yield "fuel_litres", sets, sets.tank_litres, _in_tank
@@ -398,7 +398,7 @@ def _in_tank(litres: float) -> Range:
 
 
 def excesses(table: pd.DataFrame, scenario: Scenario) -> dict[str, Any]:
-    """By how much set-points are beyond ratings; what stands still gives nothing."""
+    """Excess of set-points beyond ratings; what stands still gives nothing."""
     sets = scenario.gensets
     on, p_kw = table["running"].to_numpy(bool), table["p_kw"].to_numpy(float)
     below_kw = np.where(on, sets.p_min_kw - p_kw, -p_kw)

@@ -19,7 +19,7 @@ from vppres.scenario.scenario import Scenario
 
 @dataclass(frozen=True, eq=False)
 class SetsAhead(UnitsAhead):
-    """What is known of sets in a window, (W, G) each.
+    """State and limits of sets in a window, (W, G) each.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ class SetsAhead(UnitsAhead):
         )
 
     def in_the_dark(self, lit: Flags) -> Self:
-        """The same with every set off but in the lit steps, (W, 1)."""
+        """Window with every set off except in the lit steps, (W, 1)."""
         return replace(
             self,
             can_run=self.can_run & lit,
@@ -83,11 +83,11 @@ class SetsAhead(UnitsAhead):
         )
 
     def without_duties(self) -> Self:
-        """The same without sets that have to stay on."""
+        """Window without sets that have to stay on."""
         return replace(self, must_run=np.zeros_like(self.must_run))
 
     def forming(self, forms: Flags, headroom_kw: Floats) -> Self:
-        """The same with sets that form the grid, (W, G), and leave power free then, (G,)."""
+        """Window with sets that form the grid, (W, G), and leave power free then, (G,)."""
         return replace(
             self,
             must_run=self.must_run | forms,
@@ -110,7 +110,7 @@ class SetsAhead(UnitsAhead):
     def power_beyond_kw(
         self, sets: Gensets, connected: Flags, taken_kw: Floats, running: Flags, dt_h: float
     ) -> Floats:
-        """By how much powers are beyond what sets can do, ramps included, (W, G)."""
+        """Excess of powers beyond what sets can do, ramps included, (W, G)."""
         over = (
             -taken_kw + self.headroom_kw - running * sets.p_max_kw,
             running * sets.p_min_kw + self.headroom_kw + taken_kw,
@@ -121,7 +121,7 @@ class SetsAhead(UnitsAhead):
     def stored_beyond_kw(
         self, sets: Gensets, taken_kw: Floats, running: Flags, dt_h: float
     ) -> Floats:
-        """By how much fuel is not enough, as a power over the step, (W, G)."""
+        """Fuel that is missing, as a power over the step, (W, G)."""
         fuel_litres = self.fuel_litres(sets, running, -taken_kw, dt_h)
         missing_litres = self.kept_litres(sets, dt_h) - fuel_litres
         return missing_litres / (sets.litres_per_kwh * dt_h)
@@ -154,7 +154,7 @@ class SetsAhead(UnitsAhead):
         return np.array(rows).reshape(burnt.shape)
 
     def moved_too_fast_kw(self, sets: Gensets, on: Flags, power_kw: Floats, dt_h: float) -> Floats:
-        """By how much powers move more than ramps allow, (W, G).
+        """Excess of the change of powers beyond ramps, (W, G).
 
         A set may stop from any power, and one that forms the grid follows the load at once.
         """
@@ -273,7 +273,7 @@ class Engines:
         return sets.p_min_kw, np.minimum(sets.p_max_kw, litres_per_h / sets.litres_per_kwh)
 
     def spare_kw(self, taken_kw: Floats, running: Flags) -> Floats:
-        """What each gives beyond its least power, (G,)."""
+        """Power of each beyond its least, (G,)."""
         return -taken_kw - np.where(running, self.scenario.gensets.p_min_kw, 0.0)
 
     def after(self, t: int, on: Flags, power_kw: Floats) -> GensetState:

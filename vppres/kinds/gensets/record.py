@@ -19,7 +19,7 @@ from vppres.scenario.scenario import Scenario
 
 
 def record(day: Scenario, engines: Engines, t: int, realised: Realised) -> dict[str, Any]:
-    """What sets did in a step, and what is in their tanks."""
+    """Power and starts of sets in a step, and the fuel in their tanks."""
     sets = day.gensets
     before = engines.state
     on, power_kw = realised.running["gensets"], 0.0 - realised.taken_kw["gensets"]
@@ -121,7 +121,7 @@ def events(run: Trajectory) -> Iterator[tuple[int, str]]:
 
 
 def assumption(run: Trajectory) -> str:
-    """What plans took for true of generating sets."""
+    """Assumptions of plans about generating sets."""
     return (
         f"{len(run.scenario.gensets)} generating sets have a power factor of 1 where they form no "
         "grid; a set starts in the step for which it is told to."

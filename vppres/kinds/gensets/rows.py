@@ -18,7 +18,7 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.kinds.gensets.data import steps_of
 from vppres.kinds.gensets.physics import SetsAhead
-from vppres.model.beyond_paper.addition import Addition, Held
+from vppres.model.beyond_paper.addition import Addition, AdditionDispatch
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
 from vppres.model.numerics import write
@@ -119,7 +119,7 @@ class GensetsModel(Addition):
         )
 
     def parameters(self, site: Site) -> dict[str, cp.Expression]:
-        """What sets give at the buses, from which batteries may charge."""
+        """Power of sets at the buses, from which batteries may charge."""
         place = site.unit_bus["gensets"].T
         forming = {} if self.reactive is None else {"Q_added": -self._given_kvar @ place}
         return {
@@ -136,7 +136,7 @@ class GensetsModel(Addition):
     def _switching(self) -> Named:
         """Starts, least times on and off, and the steps in which a set may be on."""
         sets = self.site.gensets
-        young = self._lately(sets.min_on_h)
+        young = self._recent_starts(sets.min_on_h)
         return {
             "gs_starts": self.on - self._before(self.on, self.was_on) <= self.start,
             "gs_can_start": self.start <= self.can_start,
@@ -144,7 +144,7 @@ class GensetsModel(Addition):
             "gs_must_run": self.on >= self.must_run,
             "gs_in_use": self.on <= self.can_start + self.must_run + young,
             "gs_min_on": young <= self.on + self._spent,
-            "gs_min_off": self._lately(sets.min_off_h) + self._on_then() <= 1.0,
+            "gs_min_off": self._recent_starts(sets.min_off_h) + self._on_then() <= 1.0,
         }
 
     @property
@@ -208,7 +208,7 @@ class GensetsModel(Addition):
         """Values of the step before, (W, G)."""
         return np.eye(x.shape[0], k=-1) @ x + first
 
-    def _lately(self, hours: Floats) -> cp.Expression:
+    def _recent_starts(self, hours: Floats) -> cp.Expression:
         """Starts in a step and the steps before it, as many as a least time has, (W, G)."""
         W = self.start.shape[0]
         columns = [
@@ -231,7 +231,7 @@ class GensetsModel(Addition):
         return np.maximum(steps_of(hours, self.site.dt_h), 1)
 
     def terms(self) -> dict[str, cp.Expression]:
-        """What fuel and starts cost."""
+        """Cost of fuel and starts."""
         sets = self.site.gensets
         fuel = cp.sum(_times(self._litres, sets.fuel_price_gbp_per_litre))
         return {"f2": fuel + cp.sum(_times(self.start, sets.start_cost_gbp))}
@@ -255,7 +255,7 @@ class GensetsModel(Addition):
 
     @classmethod
     def worth(cls, site: Site, data: WindowData, dispatch: Dispatch) -> dict[str, float]:
-        """What fuel and starts cost."""
+        """Cost of fuel and starts."""
         sets = site.gensets
         on, power_kw = running(site, dispatch)
         litres = sets.litres(on, power_kw, site.dt_h)
@@ -273,13 +273,13 @@ class GensetsModel(Addition):
         most_gbp = litres @ sets.fuel_price_gbp_per_litre + sets.start_cost_gbp.sum()
         return least_gbp, dearest_gbp + float(most_gbp)
 
-    def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> Held:
+    def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> AdditionDispatch:
         """Switching, power and fuel of every set."""
         ahead = data.ahead.known(SetsAhead)
         on, power_kw = running(site, dispatch)
         fuel = ahead.fuel_litres(site.gensets, on, power_kw, site.dt_h)
         letters = (on.astype(float), ahead.starts(on).astype(float), power_kw, fuel)
-        return Held(dict(zip(self.by_dispatch, letters, strict=True)))
+        return AdditionDispatch(dict(zip(self.by_dispatch, letters, strict=True)))
 
     def read(self, found: Dispatch) -> Dispatch:
         """Which sets run, and what each gives."""
@@ -295,7 +295,7 @@ class GensetsModel(Addition):
 
 
 def running(site: Site, dispatch: Dispatch) -> tuple[Flags, Floats]:
-    """Which sets run, and what each gives in kW, (W, G) each."""
+    """Sets that run, and what each gives in kW, (W, G) each."""
     sets = site.gensets
     return dispatch.running_of("gensets", sets), -dispatch.taken_by("gensets", sets)
 

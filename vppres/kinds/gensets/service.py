@@ -1,4 +1,4 @@
-"""What generating sets tell the service, and are told."""
+"""Readings and set-points of generating sets in the service."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Sets(OfKind):
     states: ClassVar[Mapping[str, float]] = {"start_fault": 0.0}
 
     def told(self, stored: Stored) -> dict[str, Any]:
-        """What sets tell, and what others than the controller told them.
+        """Readings of sets, and the orders of other senders than the controller.
 
         Whether one runs counts if it was read since its set-point. A fault counts however old
         it is, and a start that a device rejected is one; that there is none counts while it is
@@ -129,12 +129,12 @@ class Sets(OfKind):
             yield "start_fault", name, 0.0
 
     def powers(self, t: int, units: Engines, told: Mapping[str, Floats], served: Flags) -> Floats:
-        """What sets are told to give."""
+        """Set-points of sets, negative as power that is given."""
         return -np.nan_to_num(told["p_kw"])
 
 
 def _told_of_all(scenario: Scenario, plan: Plan | None) -> list[Mapping[str, Any]] | None:
-    """What a plan says of each set; None unless it says something of all."""
+    """Values of a plan for each set; None unless it has them for all."""
     told = expected_by(plan).get("gensets", {})
     names = [str(name) for name in scenario.gensets.id]
     return [told[name] for name in names] if names and all(n in told for n in names) else None

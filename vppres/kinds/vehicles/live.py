@@ -1,4 +1,4 @@
-"""What is measured of vehicles, laid over the sessions of a scenario."""
+"""Readings of vehicles, laid over the sessions of a scenario."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ RANGES = {
     "energy_needed_kwh": POWER,
     "departure": Range(0.0, 7.3e9, "must be seconds since 1970", "Give a time of this century."),
 }
-"""What chargers tell of their vehicles."""
+"""Plausible ranges of chargers' readings of their vehicles."""
 
 MEANS: tuple[str, ...] = ()
 SETPOINT, NUMBERS = "p_limit_kw", ("p_kw", "p_limit_kw")
@@ -42,7 +42,7 @@ SHOWN, FIGURES = ("plugged",), ("p_charge_kw",)
 """Readings and columns that the page shows."""
 
 QUANTITIES = tuple(RANGES)
-"""What can be known of the vehicle at a charger."""
+"""Quantities of the vehicle at a charger."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Stay:
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
+class PluggedInVehicles:
     """The vehicles at chargers after a step, their energy, and what they were to take in it.
 
     ``since`` is the time of plug-in as text by charger, empty without a vehicle; ``kwh`` and
@@ -79,7 +79,7 @@ class Held:
     stays: tuple[Stay, ...] = ()
 
     @classmethod
-    def of(cls, scenario: Scenario, t: int, kwh: Floats, taken_kw: Floats) -> Held:
+    def of(cls, scenario: Scenario, t: int, kwh: Floats, taken_kw: Floats) -> PluggedInVehicles:
         """The vehicles of a step with their energy at its end."""
         here = [s for s in scenario.session_at[t].tolist() if s != NO_CAR]
         rows = rows_of(scenario.sessions) if here else []
@@ -95,25 +95,25 @@ class Held:
 
 
 def _since(scenario: Scenario, t: int) -> tuple[str, ...]:
-    """When the vehicle at each charger was plugged in."""
+    """Time of plug-in of the vehicle at each charger."""
     rows = scenario.session_at[t].tolist()
     plug_in = scenario.sessions.plug_in
     return tuple("" if row == NO_CAR else plug_in[row].isoformat() for row in rows)
 
 
-PAST = Held
+PAST = PluggedInVehicles
 
 
 @dataclass(frozen=True, eq=False)
 class VehiclesNow(UnitsNow):
     """Energy of the vehicle at each charger in a step, (K,), 0 without one."""
 
-    def after(self, day: Scenario, state: Floats, columns: Mapping[str, Any]) -> Held:
+    def after(self, day: Scenario, state: Floats, columns: Mapping[str, Any]) -> PluggedInVehicles:
         """The vehicles after the first step of a day."""
-        return Held.of(day, 0, state, columns["p_kw"])
+        return PluggedInVehicles.of(day, 0, state, columns["p_kw"])
 
 
-def now(moment: Moment, read_kwh: Floats, past: Held | None) -> VehiclesNow:
+def now(moment: Moment, read_kwh: Floats, past: PluggedInVehicles | None) -> VehiclesNow:
     """Vehicles as they were read, or else as reckoned, or else as their sessions say."""
     day, kwh = moment.window, read_kwh
     if past is not None:
@@ -129,7 +129,7 @@ def to_come(day: Scenario) -> Scenario:
 
 
 def read(
-    door: Door, scenario: Scenario, told: Mapping[str, Any], past: Held | None
+    door: Door, scenario: Scenario, told: Mapping[str, Any], past: PluggedInVehicles | None
 ) -> tuple[Scenario, Floats]:
     """The scenario with sessions as they are measured, and energies that were read, (K,).
 
@@ -153,7 +153,7 @@ def read(
         own[row["charger"]].append(row)
     for stay in () if past is None else past.stays:
         row = dict(vars(stay))
-        own[stay.charger] = [*_beside(own[stay.charger], row, door.begun), row]
+        own[stay.charger] = [*_sessions_beside(own[stay.charger], row, door.begun), row]
     for k, (name, rows) in enumerate(own.items()):
         seen = _Read(plugged[k], soc[k], needed_kwh[k], departure[k])
         before = _at_charger(rows, seen.here, door.begun, scenario.grid.step)
@@ -161,7 +161,7 @@ def read(
         door.left_out.extend(words)
         own[name] = [row for row in rows if row is not before]
         if now is not None:
-            own[name] = [*_beside(own[name], now, door.begun), now]
+            own[name] = [*_sessions_beside(own[name], now, door.begun), now]
             held_kwh[k] = seen.soc * now["capacity_kwh"] if _by_soc(now) else np.nan
     told_of = [row for rows in own.values() for row in rows]
     return replace(scenario, sessions=sessions_of(told_of)), held_kwh
@@ -172,7 +172,7 @@ Row = dict[str, Any]  # of a session, by column
 
 @dataclass(frozen=True)
 class _Read:
-    """What is read of the vehicle at a charger, NaN or None where nothing is."""
+    """Readings of the vehicle at a charger, NaN or None where there is none."""
 
     plugged: float
     soc: float
@@ -213,7 +213,7 @@ def _as_read(
     if not np.isfinite(read.needed_kwh):
         assert before is not None
         return {**before, "plug_out": leaves}, words
-    row = _needing(scenario, charger, before, read.needed_kwh)
+    row = _session_from_need(scenario, charger, before, read.needed_kwh)
     most_kwh = (before or row)["capacity_kwh"]
     if read.needed_kwh > most_kwh:
         words.append(f"{vehicle} needs {read.needed_kwh:g} kWh, and holds {most_kwh:g} kWh")
@@ -234,7 +234,7 @@ def _at_charger(
     return max(now, key=lambda row: row["plug_out"], default=None)
 
 
-def _beside(rows: Iterable[Row], one: Row, begun: pd.Timestamp) -> list[Row]:
+def _sessions_beside(rows: Iterable[Row], one: Row, begun: pd.Timestamp) -> list[Row]:
     """Sessions of a charger for which a vehicle at it leaves time; some begin later."""
     found = []
     for row in rows:
@@ -263,7 +263,7 @@ def sessions_of(rows: Sequence[Mapping[str, Any]]) -> Sessions:
     return Sessions(**columns)
 
 
-def _needing(
+def _session_from_need(
     scenario: Scenario, charger: str, before: Mapping[str, Any] | None, needed_kwh: float
 ) -> dict[str, Any]:
     """A session of a vehicle that tells the energy that it needs; without a name its charger's.
@@ -319,7 +319,7 @@ def own_ranges(scenario: Scenario) -> Iterator[tuple[str, Any, Floats, Callable[
 
 
 def excesses(table: pd.DataFrame, scenario: Scenario) -> dict[str, Any]:
-    """By how much set-points are beyond the ratings of chargers, by what is said of it."""
+    """Excess of set-points beyond the ratings of chargers, by what is said of it."""
     chargers = scenario.chargers
     p_kw, limit_kw = (table[name].to_numpy(float) for name in NUMBERS)
     most_kw = np.maximum(p_kw, limit_kw)

@@ -22,7 +22,7 @@ NEGLIGIBLE_KW = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Plugged(UnitsAhead):
-    """What is known of vehicles in W steps at K chargers, (W, K) each; energies in kWh.
+    """Vehicles in W steps at K chargers, (W, K) each; energies in kWh.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ class Plugged(UnitsAhead):
         return np.array(rows).reshape(power_kw.shape)
 
     def short_kwh(self, energy_kwh: Floats) -> Floats:
-        """What each vehicle lacks when it leaves, (W, K)."""
+        """Energy that each vehicle lacks when it leaves, (W, K)."""
         return np.maximum(self.needed_kwh - energy_kwh, 0.0)
 
     @classmethod
@@ -175,7 +175,7 @@ class Plugged(UnitsAhead):
         return PastDays.of(scenario, seed)
 
     def in_the_dark(self, lit: Flags) -> Self:
-        """The same with no vehicle plugged in but in the lit steps, (W, 1)."""
+        """Window with no vehicle plugged in except in the lit steps, (W, 1)."""
         return replace(self, here=self.here & lit, known=self.known & lit)
 
     def most_taken_kw(self, chargers: Chargers) -> Floats:
@@ -189,7 +189,7 @@ class Plugged(UnitsAhead):
     def power_beyond_kw(
         self, chargers: Chargers, connected: Flags, taken_kw: Floats, running: Flags, dt_h: float
     ) -> Floats:
-        """By how much powers are beyond what chargers can do, (W, K).
+        """Excess of powers beyond what chargers can do, (W, K).
 
         None moves power without a vehicle, or for a customer that is off.
         """
@@ -200,7 +200,7 @@ class Plugged(UnitsAhead):
     def stored_beyond_kw(
         self, chargers: Chargers, taken_kw: Floats, running: Flags, dt_h: float
     ) -> Floats:
-        """By how much energies are outside their limits, as a power over the step, (W, K)."""
+        """Excess of energies beyond their limits, as a power over the step, (W, K)."""
         energy_kwh = self.energy_kwh(taken_kw, chargers, dt_h)
         below_kwh = np.where(self.here, self.lowest_kwh - energy_kwh, 0.0)
         return np.maximum(energy_kwh - self.full_kwh, below_kwh) / dt_h
@@ -283,7 +283,7 @@ class Garage:
         return self.possible_kw(t, wanted_kw, served), running
 
     def spare_kw(self, taken_kw: Floats, running: Flags) -> Floats:
-        """What each gives back, (K,)."""
+        """Power that each gives back, (K,)."""
         return np.maximum(-taken_kw, 0.0)
 
     def after_kwh(self, t: int, power_kw: Floats) -> Floats:

@@ -27,7 +27,7 @@ SHORT_KWH = 1e-3
 
 
 def record(day: Scenario, garage: Garage, t: int, realised: Realised) -> dict[str, NDArray[Any]]:
-    """What chargers did in a step, and what vehicles lack that leave then."""
+    """Power of chargers in a step, and energy that vehicles lack that leave then."""
     power_kw = realised.taken_kw["chargers"]
     session = day.session_at[t]
     here = session >= 0
@@ -112,7 +112,7 @@ def events(run: Trajectory) -> Iterator[tuple[int, str]]:
 
 
 def assumption(run: Trajectory) -> str:
-    """What plans knew of vehicles."""
+    """Assumptions of plans about vehicles."""
     day = run.scenario
     count = int((~day.sessions.over(day.grid.start)).sum())
     words = (

@@ -19,7 +19,7 @@ import numpy as np
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Floats, Wholes
 from vppres.kinds.vehicles.physics import Plugged
-from vppres.model.beyond_paper.addition import Addition, Held
+from vppres.model.beyond_paper.addition import Addition, AdditionDispatch
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
 from vppres.model.numerics import NOISE_KW, write
@@ -27,7 +27,7 @@ from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
 
 LATER_GBP_PER_KWH_H = 1e-6
-"""What it costs to charge a kWh an hour later: vehicles charge at once where that costs the same.
+"""Cost of charging a kWh an hour later: vehicles charge at once where that costs the same.
 A day later costs less than the smallest difference of prices, 0.01 p."""
 
 
@@ -158,7 +158,7 @@ class Vehicles(Addition):
         return rows
 
     def terms(self) -> dict[str, cp.Expression]:
-        """What vehicles lack, and the cost of charging later."""
+        """Penalty for energy that vehicles lack, and the cost of charging later."""
         hours = self.site.dt_h * np.arange(self.charge.shape[0])
         later = LATER_GBP_PER_KWH_H * self.site.dt_h * hours
         return {
@@ -181,7 +181,7 @@ class Vehicles(Addition):
 
     @classmethod
     def worth(cls, site: Site, data: WindowData, dispatch: Dispatch) -> dict[str, float]:
-        """What vehicles lack, and the cost of charging later."""
+        """Penalty for energy that vehicles lack, and the cost of charging later."""
         plugged = data.ahead.known(Plugged)
         power_kw = charging_kw(site, dispatch)
         energy_kwh = plugged.energy_kwh(power_kw, site.chargers, site.dt_h)
@@ -201,7 +201,7 @@ class Vehicles(Addition):
         hours = site.dt_h * np.arange(data.n_steps)
         return least_gbp, dearest_gbp + LATER_GBP_PER_KWH_H * hours * most_kwh
 
-    def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> Held:
+    def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> AdditionDispatch:
         """Power and energy of every vehicle."""
         plugged = data.ahead.known(Plugged)
         power_kw = charging_kw(site, dispatch)
@@ -213,7 +213,7 @@ class Vehicles(Addition):
         }
         if self.discharge is not None:
             values["ev_discharge"] = np.maximum(-power_kw, 0.0)[:, self.two_way]
-        return Held(values)
+        return AdditionDispatch(values)
 
     def read(self, found: Dispatch) -> Dispatch:
         """The power of each charger."""

@@ -1,4 +1,4 @@
-"""What chargers tell the service of their vehicles, and are told."""
+"""Readings and set-points of chargers and their vehicles in the service."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from vppres.service.records import Reading, moment, seconds
 from vppres.service.store import Store
 
 CHARGED = ("ev_soc", "energy_needed_kwh")
-"""What changes while a vehicle charges."""
+"""Quantities that change while a vehicle charges."""
 
 
 class ChargingPoints(OfKind):
@@ -35,7 +35,7 @@ class ChargingPoints(OfKind):
     of_visits = (*CHARGED, "departure")
 
     def told(self, stored: Stored) -> dict[str, Any]:
-        """What chargers tell of their vehicles, by quantity.
+        """Readings of chargers about their vehicles, by quantity.
 
         The controller knows what was told before the step that it decided last. What came since
         counts however short it holds: a vehicle is plugged in once. One that left during its
@@ -117,7 +117,7 @@ class ChargingPoints(OfKind):
                 yield "ev_soc", name, held_kwh[k] / sessions.full_kwh[s]
 
     def powers(self, t: int, units: Garage, told: Mapping[str, Floats], served: Flags) -> Floats:
-        """What chargers are told to take."""
+        """Set-points of chargers."""
         return np.nan_to_num(told["p_kw"])
 
 

@@ -1,1 +1,1 @@
-"""What the paper's problem does not have: losses and islands, switching rules."""
+"""Additions to the paper's problem: losses and islands, switching rules."""

@@ -1,4 +1,4 @@
-"""What every addition to the paper's problem says of itself.
+"""Interface of an addition to the paper's problem.
 
 An addition states parameters, families of rows and parts of the objective. No method of solving
 knows it: what it adds reaches all of them through the one statement of the window.
@@ -22,8 +22,8 @@ from vppres.model.variables import Parameters, Variables
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
-    """What a dispatch says of an addition where cost is held, for the tie-breakers.
+class AdditionDispatch:
+    """Part of a dispatch that an addition holds, with its cost, for the tie-breakers.
 
     ``values`` are those of its letters of :attr:`Addition.by_dispatch`, ``ranges`` the least and
     the most of other letters, and ``gbp`` the part of the cost that goes with it.
@@ -35,7 +35,7 @@ class Held:
 
 
 class Addition:
-    """Something that a window's problem may have beyond the paper.
+    """Addition to a window's problem beyond the paper.
 
     Attributes
     ----------
@@ -77,20 +77,20 @@ class Addition:
 
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
-        """What a problem is compiled for; None for a window without it."""
+        """Key for which a problem is compiled; None for a window without the addition."""
         return True
 
     @classmethod
     def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
-        """Its variables and parameters, for the window of these variables."""
+        """Variables and parameters of the addition, for the window of these variables."""
         return cls()
 
     def parameters(self, site: Site) -> dict[str, cp.Expression]:
-        """What it sets of :class:`vppres.model.variables.Parameters`; what is added is summed."""
+        """Expressions for :class:`vppres.model.variables.Parameters`; those added are summed."""
         return {}
 
     def families(self, site: Site, v: Variables, p: Parameters) -> Named:
-        """Its rows by the names of their families."""
+        """Rows of the addition by the names of their families."""
         return {}
 
     def implied(self, site: Site, v: Variables, p: Parameters) -> Named:
@@ -98,7 +98,7 @@ class Addition:
         return {}
 
     def terms(self) -> dict[str, cp.Expression]:
-        """What it adds to the terms of the objective, by their names.
+        """Additions to the terms of the objective, by their names.
 
         ``own`` is a term of F with weight 1, in weighted customer hours.
         """
@@ -109,7 +109,7 @@ class Addition:
 
     @classmethod
     def worth(cls, site: Site, data: WindowData, dispatch: Dispatch) -> dict[str, float]:
-        """What it adds to the terms of a dispatch, recomputed from its arrays."""
+        """Additions to the terms of a dispatch, recomputed from its arrays."""
         return {}
 
     @classmethod
@@ -119,12 +119,12 @@ class Addition:
         """The least and the most that each step can cost, (W,) each, with what it adds."""
         return least_gbp, dearest_gbp
 
-    def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> Held:
-        """What the tie-breakers hold of a dispatch."""
-        return Held()
+    def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> AdditionDispatch:
+        """Part of a dispatch that the tie-breakers hold."""
+        return AdditionDispatch()
 
     def both_ways_kw(self, P_grid_kw: Floats) -> Floats:
-        """What the last solution imports and exports at the same time, (W,)."""
+        """Power that the last solution both imports and exports, (W,)."""
         return np.zeros_like(P_grid_kw)
 
     def read(self, found: Dispatch) -> Dispatch:

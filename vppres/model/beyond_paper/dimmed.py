@@ -87,7 +87,7 @@ class DimmedDemand(Addition):
 
     @classmethod
     def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
-        """What a window may dim."""
+        """Variables and parameters of the customers that a window may dim."""
         assert isinstance(shape, tuple)
         customer = np.flatnonzero(site.customers.dimmable)
         steps = tuple(each for each in shape if each)
@@ -112,7 +112,7 @@ class DimmedDemand(Addition):
         return self.dimmed - self.caught_up @ self.catching if self.steps else self.dimmed
 
     def parameters(self, site: Site) -> dict[str, cp.Expression]:
-        """What is dimmed comes off the demand at the buses, active and reactive."""
+        """Dimmed power, taken off the demand at the buses, active and reactive."""
         place = -site.customer_bus[:, self.customer]
         q_per_p = site.customers.q_per_p[self.customer]
         less_kw = cp.multiply(self.P_whole, self.missing)
@@ -129,7 +129,7 @@ class DimmedDemand(Addition):
         return dimmed | (self._recovery(v) if self.steps else {})
 
     def _recovery(self, v: Variables) -> Named:
-        """What is owed grows by what is dimmed and lapses when its steps are over."""
+        """Rows of owed demand: it grows by what is dimmed and lapses when its steps are over."""
         W = self.caught_up.shape[0]
         x = v.x_served[:, self.customer] @ self.catching.T
         P = self.P_whole @ self.catching.T

@@ -1,4 +1,4 @@
-"""What the network itself draws: shunts, charging of lines, fixed demand at buses."""
+"""Power that the network itself draws: shunts, charging of lines, fixed demand at buses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a connection that also exports adds to a window's problem.
+"""Export of a connection in a window's problem.
 
 Exported power is a demand at the slack bus that earns its price. Import and export have a variable
 each, and one binary for each step says which of the two there is: a meter cannot turn both ways at
@@ -17,7 +17,7 @@ import numpy as np
 
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Floats
-from vppres.model.beyond_paper.addition import Addition, Held
+from vppres.model.beyond_paper.addition import Addition, AdditionDispatch
 from vppres.model.constraints import Named, at_slack_bus
 from vppres.model.data import WindowData
 from vppres.model.numerics import LEFT_KW, write
@@ -28,7 +28,7 @@ CIRCLE_KW = 1e-4
 """By how much charging may exceed import and PV export after import and export were netted."""
 
 EXPLOITED_GBP = 1e-5
-"""What exchange in both directions may have earned before it counts as exploited."""
+"""Earnings of exchange in both directions above which it counts as exploited."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +86,7 @@ class ExportToGrid(Addition):
         }
 
     def terms(self) -> dict[str, cp.Expression]:
-        """What the export earns comes off the cost, in GBP."""
+        """Revenue of the export, which comes off the cost, in GBP."""
         return {"f2": -(self.sigma_dt @ self.P_out)}
 
     def fill(self, site: Site, data: WindowData) -> None:
@@ -97,7 +97,7 @@ class ExportToGrid(Addition):
 
     @classmethod
     def worth(cls, site: Site, data: WindowData, dispatch: Dispatch) -> dict[str, float]:
-        """What the export earns, and no price of import for it."""
+        """Correction of the cost: exported energy earns its own price and not that of import."""
         assert data.export is not None
         exported_kw = np.maximum(-dispatch.p_grid_kw, 0.0)
         each_gbp = data.price_gbp_per_kwh - data.export.price_gbp_per_kwh
@@ -112,9 +112,9 @@ class ExportToGrid(Addition):
         most_gbp = -data.export.price_gbp_per_kwh * data.export_max_kw(site) * site.dt_h
         return np.minimum(least_gbp, most_gbp), np.maximum(dearest_gbp, most_gbp)
 
-    def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> Held:
+    def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> AdditionDispatch:
         """The direction of each step."""
-        return Held({"importing": np.where(dispatch.p_grid_kw < 0.0, 0.0, 1.0)})
+        return AdditionDispatch({"importing": np.where(dispatch.p_grid_kw < 0.0, 0.0, 1.0)})
 
     def both_ways_kw(self, P_grid_kw: Floats) -> Floats:
         """The lesser of import and export."""

@@ -1,4 +1,4 @@
-"""What each phase of the battery that forms an island gives, as far as active power decides it."""
+"""Active power on each phase of the battery that forms an island, within its rating."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class FormerPhases(Addition):
         write(self.room_kw, np.where(data.dark[:, None], room_kw, ANY_KW))
 
     def implied(self, site: Site, v: Variables, p: Parameters) -> Named:
-        """What customers and batteries draw less PV power, in both directions."""
+        """Limits in both directions on the power of customers and batteries less PV power."""
         kw, kvar = (_by_kind(site, reactive)[0] for reactive in (False, True))
         drawn = cp.multiply(p.P_load, v.x_served) @ (kw + site.customers.q_per_p[:, None] * kvar)
         if len(site.pv):

@@ -60,7 +60,7 @@ class LongestTimeOff(Addition):
 
     @classmethod
     def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
-        """What lies beyond the limits of a window."""
+        """Variables and parameters of the steps beyond a window's limits."""
         assert isinstance(shape, tuple)
         W, n = v.x_served.shape[0], len(shape)
         return cls(
@@ -78,7 +78,7 @@ class LongestTimeOff(Addition):
         return {"longest_time_off": at_least_once}
 
     def terms(self) -> dict[str, cp.Expression]:
-        """What is paid for the steps beyond the limits."""
+        """Penalty for the steps beyond the limits."""
         return {"f6": cp.sum(self.beyond @ self.price)}
 
     def fill(self, site: Site, data: WindowData) -> None:

@@ -1,4 +1,4 @@
-"""What physical mode changes in a window's problem: losses, the island's reference, headroom.
+"""Physical mode in a window's problem: losses, the island's reference, headroom.
 
 The paper's families that would not hold in an island have other limits, under their names: losses
 and ratings are parameters of the families, the rest is here. Every datum is a
@@ -29,7 +29,7 @@ _U_ANY = 4.0  # no limit on the grid's squared voltage while the grid holds it
 
 @dataclass(frozen=True, eq=False)
 class PhysicalMode(Addition):
-    """What a window of W steps has beyond :class:`vppres.model.variables.Parameters`.
+    """Parameters of physical mode beyond :class:`vppres.model.variables.Parameters`, for W steps.
 
     ``P_loss`` and ``Q_loss`` are the lines' losses at the buses where they end; ``held`` marks the
     bus that holds the voltage, of those that may; ``u_root_min`` and ``u_root_max`` limit the
@@ -140,7 +140,7 @@ def holding_buses(site: Site) -> Wholes:
 
 
 def taken_by_network(site: Site, data: WindowData) -> Drawn:
-    """What the network takes at each bus: what it draws itself, and losses where lines end."""
+    """Power that the network takes at each bus: its own draw, and losses where lines end."""
     nothing = np.zeros((data.n_steps, site.network.n_buses))
     found = data.drawn or Drawn(nothing, nothing)
     physics = data.physics

@@ -1,4 +1,4 @@
-"""What the value of energy that is left adds to a window's problem.
+"""Value of the energy that is left at the end, in a window's problem.
 
 The value is the least of a fixed number of lines in the stored energy, so a variable below all of
 them and a reward for it state it exactly. In an outage the reward is service; with grid it comes
@@ -19,7 +19,7 @@ from vppres.contract.stored_value import PIECES, StoredValue
 from vppres.core.arrays import Floats
 from vppres.kinds.gensets.physics import SetsAhead
 from vppres.kinds.gensets.rows import running
-from vppres.model.beyond_paper.addition import Addition, Held
+from vppres.model.beyond_paper.addition import Addition, AdditionDispatch
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
 from vppres.model.numerics import write
@@ -99,12 +99,12 @@ class ValueAtEnd(Addition):
         }
 
     def terms(self) -> dict[str, cp.Expression]:
-        """What comes off the cost in GBP, and later service in weighted customer hours."""
+        """Value of the kept energy: off the cost in GBP, or as later weighted customer hours."""
         return {"f2": -self.gbp * self.kept, "f7": self.share * self.kept}
 
     @classmethod
     def worth(cls, site: Site, data: WindowData, dispatch: Dispatch) -> dict[str, float]:
-        """What the energy at the end takes off the cost, and the later service that it buys."""
+        """Value of the energy at the end: off the cost, and the later service that it buys."""
         value = data.require_value()
         kept = value.at(left_kwh(site, value, data.ahead.find(SetsAhead), dispatch))
         return {"f2": -value.gbp_as_cost * kept, "f7": kept if value.as_service else 0.0}
@@ -113,19 +113,19 @@ class ValueAtEnd(Addition):
     def cost_range(
         cls, site: Site, data: WindowData, least_gbp: Floats, dearest_gbp: Floats
     ) -> tuple[Floats, Floats]:
-        """What is kept takes most off the cost where it is most."""
+        """Ranges of the parts of the cost, with that of the value of what can be kept."""
         each_gbp = -data.require_value().gbp_as_cost
         least, most = data.kept_range(site)
         return np.append(least_gbp, each_gbp * most), np.append(dearest_gbp, each_gbp * least)
 
-    def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> Held:
+    def of_dispatch(self, site: Site, data: WindowData, dispatch: Dispatch) -> AdditionDispatch:
         """The energies at the end that are worth as much, and what comes off the cost for it."""
         value = data.require_value()
         missed_kwh = KEPT_TOLERANCE * float(site.batteries.energy_kwh.sum())
         kept_kwh = left_kwh(site, value, data.ahead.find(SetsAhead), dispatch)
         most_kwh = max(kept_kwh, value.most_kwh(value.at(kept_kwh)))
         gbp = self.worth(site, data, dispatch)["f2"]
-        return Held(
+        return AdditionDispatch(
             {"kept": 0.0}, {"E_stored": (kept_kwh - missed_kwh, most_kwh + missed_kwh)}, gbp
         )
 

@@ -164,7 +164,7 @@ def minimum_times(m: SwitchingModel) -> Named:
 
 
 def past_actions(m: SwitchingModel) -> Named:
-    """What the time before the window demands of the service, and the actions that are left."""
+    """Rows of the time before the window: bounds on the service, and the actions that are left."""
     actions = m.on + m.off
     # A window within one day has no use for a product with a parameter.
     of_day = cp.sum(actions, axis=0, keepdims=True) if m.steps.days == 1 else m.in_day @ actions

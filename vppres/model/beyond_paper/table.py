@@ -37,7 +37,7 @@ OF_WINDOWS: tuple[type[Addition], ...] = (
 """Additions for which the stages that were made for the paper's problem have a proof."""
 
 PROVEN: tuple[type[Addition], ...] = (*OF_WINDOWS, LineRatings)
-"""The same, and what shadow prices alone state: ratings, whose rows windows make by hand."""
+"""Additions of windows and of shadow prices: line ratings, whose rows windows make by hand."""
 
 
 @cache
@@ -75,7 +75,7 @@ def own_additions() -> tuple[type[Addition], ...]:
 
 
 Beyond = tuple[tuple[type[Addition], Hashable], ...]
-"""What a window has beyond the paper, with what a problem is compiled for; () for the paper."""
+"""Additions of a window, each with the key that a problem is compiled for; () for the paper."""
 
 
 def beyond_paper(site: Site, data: WindowData) -> Beyond:

@@ -1,4 +1,4 @@
-"""What a state of charge that batteries are to hold at the end adds to a window's problem.
+"""Target for the batteries' state of charge at the end, in a window's problem.
 
 The energy that is missing has a variable and a price, and is part of the cost: so it decides
 among dispatches of equal service, and no service is given up for it. Without it no problem has any
@@ -52,7 +52,7 @@ class HeldAtEnd(Addition):
 
     @classmethod
     def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
-        """What the batteries are to hold."""
+        """Variables and parameters of the energy that batteries are to hold."""
         B = len(site.batteries)
         return cls(
             cp.Variable(B, name="E_missing", nonneg=True),
@@ -66,12 +66,12 @@ class HeldAtEnd(Addition):
         return {"held_at_end": energy_kwh + self.missing >= self.target_kwh}
 
     def terms(self) -> dict[str, cp.Expression]:
-        """What the missing energy costs, in GBP."""
+        """Cost of the missing energy, in GBP."""
         return {"f2": self.price * cp.sum(self.missing)}
 
     @classmethod
     def worth(cls, site: Site, data: WindowData, dispatch: Dispatch) -> dict[str, float]:
-        """What the missing energy costs."""
+        """Cost of the missing energy."""
         assert data.terminal is not None
         return {"f2": data.terminal.cost_gbp(site.batteries, dispatch.soc[-1])}
 
@@ -79,7 +79,7 @@ class HeldAtEnd(Addition):
     def cost_range(
         cls, site: Site, data: WindowData, least_gbp: Floats, dearest_gbp: Floats
     ) -> tuple[Floats, Floats]:
-        """What is missing costs most where batteries hold nothing."""
+        """Ranges of the parts of the cost, with that of missing energy from none to all."""
         assert data.terminal is not None
         nothing = np.zeros(len(site.batteries))
         most_gbp = data.terminal.cost_gbp(site.batteries, nothing)

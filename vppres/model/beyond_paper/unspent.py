@@ -1,4 +1,4 @@
-"""What keeps stored energy while PV power is curtailed, in physical mode.
+"""Limits that keep stored energy while PV power is curtailed, in physical mode.
 
 The paper counts the curtailed energy alone. A battery that gives power beside curtailed PV power,
 and takes it back an hour later, loses some on the way and so has less curtailed: nothing is gained
@@ -37,7 +37,7 @@ def spent_kw(site: Site, data: WindowData, plan: Dispatch) -> Floats:
 
 
 def unspent(site: Site, data: WindowData, plan: Dispatch, network_kw: Floats) -> Unspent:
-    """What a plan's supply leaves batteries to give, and PV systems to curtail.
+    """Limits on discharge and curtailment that a plan's supply allows.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def unspent(site: Site, data: WindowData, plan: Dispatch, network_kw: Floats) ->
 
 
 def _most_sold_kw(data: WindowData) -> Floats:
-    """What the grid takes back, (W,)."""
+    """Largest export that the grid takes back, (W,)."""
     return np.zeros(data.n_steps) if data.export is None else data.export.limit_kw
 
 

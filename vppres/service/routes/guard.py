@@ -7,15 +7,15 @@ from typing import Annotated, Any
 from fastapi import Depends, Header
 
 from vppres.service.access import Access, Denied
-from vppres.service.limits import DENIED, Limits
+from vppres.service.limits import DENIED, RateLimits
 
 
 class Guard:
     """Lets those pass who may, and not too often."""
 
-    def __init__(self, access: Access, limits: Limits | None = None) -> None:
+    def __init__(self, access: Access, limits: RateLimits | None = None) -> None:
         self.access = access
-        self.limits = limits or Limits()
+        self.limits = limits or RateLimits()
 
     def __call__(self, scope: str) -> Any:
         """The name of who asks, in a route for a scope."""

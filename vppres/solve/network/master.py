@@ -22,7 +22,7 @@ from vppres.solve.network.cheapest import EXACT_DISC, CheapestDispatch
 from vppres.solve.network.feeders import Feeders, feeder_of_buses
 from vppres.solve.network.program import DISC, FINER_DISC, NetworkProgram
 from vppres.solve.network.rows import Rows, limited
-from vppres.solve.network.sets import BOUND_OFF, Known, ServiceCuts
+from vppres.solve.network.sets import BOUND_OFF, SearchState, ServiceCuts
 from vppres.solve.programs import (
     DIRECT,
     HALF_UNIT,
@@ -121,7 +121,7 @@ class NetworkMaster:
             return root.outcome(watch.spent_s), None
         cuts = ServiceCuts(self.units)
         most = self._cut(root, cuts)
-        known = Known(np.ones(x.size), float(np.floor(most + SOLVED)), self._shares(root))
+        known = SearchState(np.ones(x.size), float(np.floor(most + SOLVED)), self._shares(root))
         known.improve(*self._carried(root))
         if self.network.is_large:
             self._close_large(known, cuts, deadline)
@@ -137,7 +137,7 @@ class NetworkMaster:
         outcome = Outcome(status, known.most, known.bound, watch.spent_s, DIRECT)
         return outcome, known.best.reshape(x.shape) > 0.5
 
-    def _close(self, known: Known, cuts: ServiceCuts, deadline: Deadline) -> None:
+    def _close(self, known: SearchState, cuts: ServiceCuts, deadline: Deadline) -> None:
         """Try sets until the best has as much as the bound, or nothing improves any more.
 
         With rules the best set is put to the discs themselves, in two steps, where it has no
@@ -160,7 +160,7 @@ class NetworkMaster:
 
     def _try_sets(
         self,
-        known: Known,
+        known: SearchState,
         cuts: ServiceCuts,
         deadline: Deadline,
         binding: Flags,
@@ -214,7 +214,7 @@ class NetworkMaster:
         cuts.lower(raised, total)
         return held
 
-    def _close_large(self, known: Known, cuts: ServiceCuts, deadline: Deadline) -> None:
+    def _close_large(self, known: SearchState, cuts: ServiceCuts, deadline: Deadline) -> None:
         """Try sets of as many units as none exceeds, and of fewer where there are none.
 
         The best set is put to the discs themselves, in two steps, where it has no dispatch within
@@ -235,7 +235,9 @@ class NetworkMaster:
                 return
         self._reach(known, cuts, held, deadline, finer)
 
-    def _put_to_discs(self, known: Known, cuts: ServiceCuts, over: float) -> ProgramSolution | None:
+    def _put_to_discs(
+        self, known: SearchState, cuts: ServiceCuts, over: float
+    ) -> ProgramSolution | None:
         """Put the best set to discs so near the true ones; the best is what they carry of it then.
 
         None where that was not solved.
@@ -251,7 +253,7 @@ class NetworkMaster:
         return carried
 
     def _reach(
-        self, known: Known, cuts: ServiceCuts, held: Floats, deadline: Deadline, over: float
+        self, known: SearchState, cuts: ServiceCuts, held: Floats, deadline: Deadline, over: float
     ) -> None:
         """Try sets of as many units as the bound, which falls where none has them.
 
@@ -267,7 +269,7 @@ class NetworkMaster:
     def _none_has(
         self,
         units: float,
-        known: Known,
+        known: SearchState,
         cuts: ServiceCuts,
         held: Floats,
         deadline: Deadline,
@@ -292,7 +294,9 @@ class NetworkMaster:
                     return False
         return found is not None and found.status == Status.INFEASIBLE
 
-    def _learns(self, known: Known, cuts: ServiceCuts, deadline: Deadline, over: float) -> bool:
+    def _learns(
+        self, known: SearchState, cuts: ServiceCuts, deadline: Deadline, over: float
+    ) -> bool:
         """Put the set that is tried into the network; says whether that was solved.
 
         The discs themselves are asked only where the set would be the best without them.

@@ -28,7 +28,7 @@ PREFERENCE_LEFT = 0.03
 
 
 @dataclass
-class Known:
+class SearchState:
     """The set last tried, the bound on all, and the best set that is carried, in units.
 
     ``shares`` is how far customers are served by the last linear solution.
