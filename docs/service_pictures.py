@@ -15,10 +15,10 @@ from playwright.sync_api import sync_playwright
 import vppres
 from tests.support.browser import FLAGS, chromium, listening
 from vppres.service.access import Access
-from vppres.service.app import make_app
-from vppres.service.runner import Runner, Service
-from vppres.service.serve import opened
-from vppres.service.store import Reading, seconds
+from vppres.service.http.app import make_app
+from vppres.service.http.serve import opened
+from vppres.service.operation.runner import Runner, Service
+from vppres.service.storage.store import Reading, seconds
 
 FOLDER = Path(__file__).with_name("_static")
 COLOURS = 96

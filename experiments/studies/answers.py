@@ -24,12 +24,12 @@ import vppres
 from experiments.studies.within import Within
 from vppres.day.options import RunOptions
 from vppres.service.access import Access
-from vppres.service.app import make_app
 from vppres.service.clock import written
-from vppres.service.runner import Service
-from vppres.service.serve import opened
+from vppres.service.http.app import make_app
+from vppres.service.http.serve import opened
+from vppres.service.operation.runner import Service
+from vppres.service.plans.world import World
 from vppres.service.simulate import Place, Play, simulate
-from vppres.service.world import World
 
 DAY = "uk-heatwave-2022"
 

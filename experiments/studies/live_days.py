@@ -29,12 +29,12 @@ from vppres.day.options import RunOptions
 from vppres.live.profile import ClockProfile
 from vppres.scenario.scenario import Scenario
 from vppres.service.access import Access
-from vppres.service.app import make_app
 from vppres.service.clock import SetClock
-from vppres.service.runner import Service
-from vppres.service.serve import opened
+from vppres.service.http.app import make_app
+from vppres.service.http.serve import opened
+from vppres.service.operation.runner import Service
+from vppres.service.plans.world import World
 from vppres.service.simulate import Place, Play, Player, TelemetryFaults, simulate
-from vppres.service.world import World
 
 SITES = ("uk-heatwave-2022", "two-outages-cigre-mv")
 WORST = TelemetryFaults(lost=0.3, delayed=0.1, skew_s=90.0, repeats=True)

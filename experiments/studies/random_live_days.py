@@ -42,12 +42,12 @@ from vppres.day.options import RunOptions
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
 from vppres.service.access import Access
-from vppres.service.app import make_app
 from vppres.service.clock import SetClock, written
+from vppres.service.http.app import make_app
+from vppres.service.http.serve import opened
 from vppres.service.mqtt import Bridge, Topics
-from vppres.service.runner import Service
-from vppres.service.serve import opened
-from vppres.service.world import Series, World, critical_off
+from vppres.service.operation.runner import Service
+from vppres.service.plans.world import Series, World, critical_off
 from vppres.studies.side_by_side import Where
 
 OPTIONS = RunOptions(horizon_h=4.0, isolate=False, priority="strict", limits=PATIENT)

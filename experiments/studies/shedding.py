@@ -21,7 +21,7 @@ from vppres.control.guard.partial_fleet import reduced_observation, site_with
 from vppres.core.arrays import Flags
 from vppres.model.data import WindowData
 from vppres.model.site import Site
-from vppres.service.runner import Runner
+from vppres.service.operation.runner import Runner
 from vppres.solve.ladder import WindowSolver
 
 OTHERS = 1e-4

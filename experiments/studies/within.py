@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 from urllib.parse import unquote
 
-from vppres.service.client import Answer, Client
+from vppres.service.http.client import Answer, Client
 
 
 @dataclass(frozen=True)

@@ -37,8 +37,8 @@ from vppres.plant.island import SET_NO_BALANCE
 from vppres.scenario.remarks import ONE_FORMER, darkness, former_words
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
-from vppres.service.gate import refusals
-from vppres.service.plans import tables_of
+from vppres.service.plans.document import tables_of
+from vppres.service.plans.gate import refusals
 from vppres.solve.cache import shared_cache
 from vppres.solve.forms import Form, window_problem
 from vppres.solve.ladder import METHODS

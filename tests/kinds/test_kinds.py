@@ -25,8 +25,8 @@ from vppres.plant.plant import Plant
 from vppres.report.events import events_of
 from vppres.report.run_folder import render_report
 from vppres.scenario.scenario import Scenario
-from vppres.service.gate import refusals
-from vppres.service.plans import tables_of
+from vppres.service.plans.document import tables_of
+from vppres.service.plans.gate import refusals
 from vppres.solve.ladder import METHODS
 
 of_each_kind = pytest.mark.parametrize("it", EXAMPLES.values(), ids=list(EXAMPLES))

@@ -34,7 +34,7 @@ from vppres import RunOptions, run_day
 from vppres.explain.day import explain_day
 from vppres.io import read_scenario
 from vppres.report.run_folder import write_run
-from vppres.service.runner import Service
+from vppres.service.operation.runner import Service
 from vppres.service.simulate import Play
 
 day, options = read_scenario("day").between({FIRST}, {LAST}), RunOptions(horizon_h=1.0)

@@ -61,7 +61,7 @@ from vppres.scenario.phases import (
 )
 from vppres.scenario.remarks import darkness, former_words, held_capacitors
 from vppres.scenario.scenario import Scenario
-from vppres.service.world import World
+from vppres.service.plans.world import World
 from vppres.solve.shadow_price_model import PricedTerms, ShadowPriceModel
 from vppres.solve.shadow_prices import price_window
 

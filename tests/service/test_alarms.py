@@ -24,14 +24,14 @@ from tests.support.live_service import (
 )
 from vppres.scenario.scenario import Scenario
 from vppres.service.access import Access, new_token
-from vppres.service.alarms import KINDS, Alarms, Notice
-from vppres.service.app import make_app
+from vppres.service.alarms.conditions import Condition, Situation, conditions, situation
+from vppres.service.alarms.state import KINDS, Alarms, Notice
 from vppres.service.clock import SetClock, written
-from vppres.service.conditions import Condition, Situation, conditions, situation
-from vppres.service.knowledge import Heard
-from vppres.service.records import Reading, seconds
-from vppres.service.runner import Runner, Service
-from vppres.service.store import Store
+from vppres.service.http.app import make_app
+from vppres.service.operation.runner import Runner, Service
+from vppres.service.storage.records import Reading, seconds
+from vppres.service.storage.store import Store
+from vppres.service.telemetry.knowledge import Heard
 
 HOUR = pd.Timedelta("1h")
 MINUTE = pd.Timedelta("1min")

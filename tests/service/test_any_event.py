@@ -17,7 +17,7 @@ from tests.support.played_service import crowded
 from tests.support.vans import van
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock, written
-from vppres.service.runner import Runner, Service
+from vppres.service.operation.runner import Runner, Service
 
 Plan = dict[str, Any]
 Act = Callable[["Site"], None]

@@ -25,11 +25,11 @@ from tests.support.live_service import (
 )
 from vppres.core.errors import InputError, StorageError
 from vppres.scenario.scenario import Scenario
-from vppres.service.announced import check_not_over
-from vppres.service.loop import Loop
+from vppres.service.events.announced import check_not_over
+from vppres.service.http.serve import opened
+from vppres.service.operation.loop import Loop
+from vppres.service.operation.runner import Service
 from vppres.service.payloads import Belief
-from vppres.service.runner import Service
-from vppres.service.serve import opened
 
 LATER = NOON + pd.Timedelta("13min")
 END = "2026-11-21T13:06:00Z"
@@ -179,7 +179,7 @@ def test_the_loop_tries_a_new_plan_again_that_could_not_be_kept(
         done.set()
 
     monkeypatch.setattr(runner, "anew", anew)
-    monkeypatch.setattr("vppres.service.loop.RETRY_S", 0.01)
+    monkeypatch.setattr("vppres.service.operation.loop.RETRY_S", 0.01)
     loop = Loop(runner)
     loop.start()
     runner.changes.note("event storm")

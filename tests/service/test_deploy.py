@@ -16,10 +16,10 @@ from tests.support.tiny_day import tiny_scenario
 from vppres.cli import commands
 from vppres.day.options import RunOptions
 from vppres.service.access import Access
-from vppres.service.app import make_app
-from vppres.service.records import Reading, seconds
-from vppres.service.runner import Service
-from vppres.service.serve import opened
+from vppres.service.http.app import make_app
+from vppres.service.http.serve import opened
+from vppres.service.operation.runner import Service
+from vppres.service.storage.records import Reading, seconds
 
 DEPLOY = Path(__file__).parents[2] / "docs" / "deploy"
 HOWTO = DEPLOY.parent / "howto" / "deploy.md"

@@ -17,10 +17,10 @@ from vppres.day.options import RunOptions
 from vppres.day.reliability import reliability_by_tier
 from vppres.scenario.scenario import Scenario
 from vppres.service.access import Access
-from vppres.service.app import make_app
 from vppres.service.clock import SetClock, written
-from vppres.service.export import export
-from vppres.service.runner import Runner, Service
+from vppres.service.http.app import make_app
+from vppres.service.operation.runner import Runner, Service
+from vppres.service.replay.export import export
 
 ISLAND = RunOptions(horizon_h=1.0, isolate=False, mode="physical")
 MINUTE = pd.Timedelta("1min")

@@ -16,7 +16,7 @@ from tests.support.played_service import crowded
 from vppres.kinds.vehicles.data import Sessions
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock
-from vppres.service.runner import Runner, Service
+from vppres.service.operation.runner import Runner, Service
 
 LEAVES = (NOON + pd.Timedelta("3h")).timestamp()
 FIRST: dict[tuple[str, str], float] = {

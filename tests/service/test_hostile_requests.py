@@ -14,8 +14,8 @@ from tests.support.hostile_requests import Request, hostile_requests
 from tests.support.tiny_day import tiny_scenario
 from vppres.day.options import RunOptions
 from vppres.service.access import Access
-from vppres.service.app import make_app
-from vppres.service.runner import Service
+from vppres.service.http.app import make_app
+from vppres.service.operation.runner import Service
 
 
 def site() -> Service:

@@ -24,11 +24,11 @@ from tests.support.tiny_day import tiny_scenario
 from vppres.core.errors import InputError
 from vppres.day.options import RunOptions
 from vppres.service.access import Access, new_token
-from vppres.service.app import make_app
-from vppres.service.client import Answer, Client
 from vppres.service.clock import SetClock
-from vppres.service.runner import Runner, Service
-from vppres.service.serve import opened
+from vppres.service.http.app import make_app
+from vppres.service.http.client import Answer, Client
+from vppres.service.http.serve import opened
+from vppres.service.operation.runner import Runner, Service
 
 paho = pytest.importorskip("paho.mqtt.client", reason="paho-mqtt is not installed")
 mqtt = pytest.importorskip("vppres.service.mqtt")

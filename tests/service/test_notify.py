@@ -20,8 +20,8 @@ import pytest
 
 from vppres.core.errors import InputError
 from vppres.service import notify
-from vppres.service.alarms import Notice
-from vppres.service.notify import Target, message_of, notifier, target_of
+from vppres.service.alarms.notify import Target, message_of, notifier, target_of
+from vppres.service.alarms.state import Notice
 
 ALARM = {"priority": "high", "text": "h1 of the first tier off supply.", "advice": "Go and look."}
 NOTICE = Notice("raised", [ALARM])

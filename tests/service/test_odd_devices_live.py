@@ -23,10 +23,10 @@ from tests.support.vans import van
 from vppres import Controller, Measurement, RunOptions
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock
-from vppres.service.explanations import explained, question
-from vppres.service.runner import Service
+from vppres.service.operation.runner import Service
+from vppres.service.plans.world import Series, World
+from vppres.service.replay.explanations import explained, question
 from vppres.service.simulate import Play, Player
-from vppres.service.world import Series, World
 
 REAL = RunOptions(mode="physical", horizon_h=2.0, isolate=False)
 HOUR = pd.Timedelta(hours=1)

@@ -14,12 +14,12 @@ from tests.support.asgi import Caller
 from tests.support.live_service import NOON, Running, decide, running
 from vppres.scenario.scenario import Scenario
 from vppres.service.access import Access, new_token
-from vppres.service.app import make_app
 from vppres.service.clock import written
-from vppres.service.overview import Overview
-from vppres.service.records import Reading, seconds
+from vppres.service.http.app import make_app
+from vppres.service.operation.runner import Runner
+from vppres.service.page.overview import Overview
 from vppres.service.routes.page import FILES
-from vppres.service.runner import Runner
+from vppres.service.storage.records import Reading, seconds
 
 HOUR = pd.Timedelta("1h")
 
@@ -142,7 +142,7 @@ def test_older_steps_are_asked_for(live: Running) -> None:
 
 def test_what_the_gate_refused_is_named(runner: Runner, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        "vppres.service.runner.refusals", lambda *_: {("batteries", "big"): "no number"}
+        "vppres.service.operation.runner.refusals", lambda *_: {("batteries", "big"): "no number"}
     )
     decide(runner, NOON)
     found = Overview(runner)._now()

@@ -21,11 +21,11 @@ from tests.support.tiny_day import tiny_scenario
 from vppres.day.options import RunOptions
 from vppres.service import explainer
 from vppres.service.access import Access, new_token
-from vppres.service.app import make_app
 from vppres.service.clock import SetClock
-from vppres.service.explanations import explained
-from vppres.service.runner import Runner, Service
-from vppres.service.serve import opened
+from vppres.service.http.app import make_app
+from vppres.service.http.serve import opened
+from vppres.service.operation.runner import Runner, Service
+from vppres.service.replay.explanations import explained
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 pytestmark = pytest.mark.skipif(chromium() is None, reason="no chromium or chrome on the path")

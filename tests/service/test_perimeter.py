@@ -28,13 +28,13 @@ from vppres.day.options import RunOptions
 from vppres.io import write_scenario
 from vppres.service import serve as service
 from vppres.service.access import Access, new_token
-from vppres.service.app import make_app
 from vppres.service.clock import SetClock, written
+from vppres.service.http.app import make_app
+from vppres.service.http.perimeter import MOST_STEPS_ASKED
+from vppres.service.http.started import started
 from vppres.service.limits import Rate, RateLimits
-from vppres.service.perimeter import MOST_STEPS_ASKED
-from vppres.service.records import Reading, seconds
-from vppres.service.runner import Runner, Service
-from vppres.service.started import started
+from vppres.service.operation.runner import Runner, Service
+from vppres.service.storage.records import Reading, seconds
 
 OUTAGE = {"type": "outage", "start": "2026-11-21T14:00:00Z"}
 

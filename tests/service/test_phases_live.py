@@ -20,12 +20,12 @@ from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock
-from vppres.service.knowledge import readings_of
-from vppres.service.overview import site_of
+from vppres.service.http.serve import opened
+from vppres.service.operation.runner import Service
+from vppres.service.page.overview import site_of
 from vppres.service.payloads import Readings
-from vppres.service.runner import Service
-from vppres.service.serve import opened
 from vppres.service.simulate import Play
+from vppres.service.telemetry.knowledge import readings_of
 
 pytest.importorskip("opendssdirect")
 

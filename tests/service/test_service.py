@@ -35,12 +35,12 @@ from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
 from vppres.service.access import Access, new_token
 from vppres.service.clock import SetClock, written
-from vppres.service.gate import refusals
-from vppres.service.loop import Loop
-from vppres.service.plans import tables_of
-from vppres.service.runner import Service
-from vppres.service.serve import opened
-from vppres.service.store import Store
+from vppres.service.http.serve import opened
+from vppres.service.operation.loop import Loop
+from vppres.service.operation.runner import Service
+from vppres.service.plans.document import tables_of
+from vppres.service.plans.gate import refusals
+from vppres.service.storage.store import Store
 
 
 @pytest.mark.daily
@@ -133,7 +133,7 @@ def test_a_step_that_cannot_be_kept_is_not_decided(
         def full(*_: Any, **__: Any) -> None:
             raise sa.exc.OperationalError("insert", {}, Exception("database or disk is full"))
 
-        broken.setattr("vppres.service.store.put", full)
+        broken.setattr("vppres.service.storage.store.put", full)
         clock.set(later)
         answer = http.post("/v1/steps")
         assert answer.status == 503 and "disk is full" in answer.json()["detail"]
@@ -324,7 +324,7 @@ def test_what_the_gate_refuses_becomes_the_default(
 ) -> None:
     http, clock = live
     monkeypatch.setattr(
-        "vppres.service.runner.refusals", lambda *_: {("batteries", "big"): "no number"}
+        "vppres.service.operation.runner.refusals", lambda *_: {("batteries", "big"): "no number"}
     )
     big = said(decided(http, clock, NOON), "batteries")["big"]
     assert (big["p_kw"], big["q_kvar"], big["reason"]) == (0.0, 0.0, "default: no number")

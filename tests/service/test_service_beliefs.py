@@ -21,10 +21,10 @@ from vppres.outlook.durations import of_length
 from vppres.outlook.outlook import OutageOutlook, seen_outages
 from vppres.scenario.outage_warnings import OnsetShares, OutageLength, OutageStatistics
 from vppres.scenario.scenario import Scenario
-from vppres.service.announced import warnings
 from vppres.service.clock import SetClock
-from vppres.service.records import Event, seconds
-from vppres.service.runner import Service
+from vppres.service.events.announced import warnings
+from vppres.service.operation.runner import Service
+from vppres.service.storage.records import Event, seconds
 
 HOUR = pd.Timedelta("1h")
 TWO_ONSETS = {"start": "2026-11-21T13:00:00Z", "resolution": "PT1H", "probabilities": [0.5, 0.5]}

@@ -17,9 +17,9 @@ from tests.support.live_service import HERE, NOON, heard, site
 from vppres.core.errors import InputError
 from vppres.scenario.scenario import Scenario
 from vppres.service.access import Access
-from vppres.service.app import make_app
-from vppres.service.runner import Runner, Service
-from vppres.service.serve import opened
+from vppres.service.http.app import make_app
+from vppres.service.http.serve import opened
+from vppres.service.operation.runner import Runner, Service
 
 HOUR = pd.Timedelta("1h")
 

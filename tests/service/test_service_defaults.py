@@ -17,8 +17,8 @@ from tests.support.phased_feeder import CIRCUIT, phased_day
 from tests.support.sets import gensets
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock, written
-from vppres.service.runner import Service
-from vppres.service.world import World
+from vppres.service.operation.runner import Service
+from vppres.service.plans.world import World
 
 HOUR = pd.Timedelta("1h")
 LOST = {"type": "outage", "start": written(NOON)}
@@ -139,7 +139,7 @@ def test_what_the_last_check_stops_in_an_island_stays_as_it_was(
         http.put("/v1/events/storm", LOST)
         first = decided(http, clock, NOON, soc=0.2)
         stopped = {("gensets", "g0"): "no number", ("batteries", "big"): "no number"}
-        monkeypatch.setattr("vppres.service.runner.refusals", lambda *_: stopped)
+        monkeypatch.setattr("vppres.service.operation.runner.refusals", lambda *_: stopped)
         plan = decided(http, clock, NOON + HOUR, soc=0.2)
         assert state(said(plan, "gensets")) == state(said(first, "gensets"))
         assert said(plan, "gensets")["g0"]["reason"] == "default: no number"

@@ -36,11 +36,11 @@ from vppres.scenario.scenario import Scenario
 from vppres.service import explainer
 from vppres.service.access import Denied
 from vppres.service.clock import written
-from vppres.service.explanations import KINDS, explained, question
-from vppres.service.export import exported
-from vppres.service.loop import Loop
-from vppres.service.runner import Service
-from vppres.service.serve import opened
+from vppres.service.http.serve import opened
+from vppres.service.operation.loop import Loop
+from vppres.service.operation.runner import Service
+from vppres.service.replay.explanations import KINDS, explained, question
+from vppres.service.replay.export import exported
 
 
 @pytest.mark.nightly

@@ -34,10 +34,10 @@ from vppres.report.events import events_of
 from vppres.report.finished import read_finished
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock, written
-from vppres.service.export import export
-from vppres.service.runner import Service
+from vppres.service.operation.runner import Service
+from vppres.service.replay.export import export
 from vppres.service.simulate import Play
-from vppres.service.store import Store
+from vppres.service.storage.store import Store
 
 HOUR = pd.Timedelta("1h")
 

@@ -28,7 +28,7 @@ from vppres.contract.observation import Observation
 from vppres.scenario.outage_warnings import OutageStatistics
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock, written
-from vppres.service.runner import Runner, Service
+from vppres.service.operation.runner import Runner, Service
 
 HOUR = pd.Timedelta("1h")
 LEARNING = replace(HERE, forecaster="seasonal")

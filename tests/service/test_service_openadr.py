@@ -12,7 +12,7 @@ import pytest
 from tests.support.live_service import HERE, NOON, Live, client, decided, running, said, site
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock
-from vppres.service.runner import Service
+from vppres.service.operation.runner import Service
 
 EVENT: dict[str, Any] = {
     "id": "17",

@@ -24,10 +24,10 @@ from tests.support.live_service import (
 )
 from vppres.scenario.scenario import Scenario
 from vppres.service.access import Access
-from vppres.service.app import make_app
-from vppres.service.client import Client
 from vppres.service.clock import SetClock, written
-from vppres.service.runner import Service
+from vppres.service.http.app import make_app
+from vppres.service.http.client import Client
+from vppres.service.operation.runner import Service
 
 HOUR = pd.Timedelta("1h")
 

@@ -14,9 +14,9 @@ from tests.support.live_service import HERE, NOON, client, decided, heard, said,
 from vppres.core.errors import InputError, StorageError
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock, written
-from vppres.service.database import OnServer
-from vppres.service.runner import Service
-from vppres.service.store import Store
+from vppres.service.operation.runner import Service
+from vppres.service.storage.database import OnServer
+from vppres.service.storage.store import Store
 
 HOUR = pd.Timedelta("1h")
 

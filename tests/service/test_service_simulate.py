@@ -19,11 +19,11 @@ from vppres.outlook.outlook import OutageOutlook, seen_outages
 from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
-from vppres.service.client import Answer
 from vppres.service.clock import SetClock, written
-from vppres.service.runner import Service
+from vppres.service.http.client import Answer
+from vppres.service.operation.runner import Service
+from vppres.service.plans.world import World, critical_off, energy_allowed
 from vppres.service.simulate import Play, Player, TelemetryFaults, Way, announcements, warned
-from vppres.service.world import World, critical_off, energy_allowed
 
 HOUR = pd.Timedelta("1h")
 

@@ -25,14 +25,14 @@ from vppres.core.errors import StorageError
 from vppres.scenario.scenario import Scenario
 from vppres.service import connections
 from vppres.service.access import Access, new_token
-from vppres.service.app import make_app
-from vppres.service.client import Client
 from vppres.service.clock import SetClock
-from vppres.service.connections import MOST_AT_ONCE, SILENT_S
-from vppres.service.runner import Service
-from vppres.service.serve import opened
-from vppres.service.started import Started, started
-from vppres.service.store import TRIED_S
+from vppres.service.http.app import make_app
+from vppres.service.http.client import Client
+from vppres.service.http.connections import MOST_AT_ONCE, SILENT_S
+from vppres.service.http.serve import opened
+from vppres.service.http.started import Started, started
+from vppres.service.operation.runner import Service
+from vppres.service.storage.store import TRIED_S
 
 LOCKED_OUT_S = SILENT_S / 2
 """Whoever is locked out waits until a silent connection is closed, which takes twice as long."""

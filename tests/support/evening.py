@@ -18,10 +18,10 @@ import pandas as pd
 
 from vppres.day.options import RunOptions
 from vppres.scenario.scenario import Scenario
-from vppres.service.client import Client
 from vppres.service.clock import written
-from vppres.service.runner import Service
-from vppres.service.started import started
+from vppres.service.http.client import Client
+from vppres.service.http.started import started
+from vppres.service.operation.runner import Service
 
 STEP = pd.Timestamp("2026-11-21T18:00Z")
 SOC = 0.62

@@ -35,10 +35,10 @@ from vppres.live.measurement import Measurement
 from vppres.model.site import Site
 from vppres.report.run_folder import write_run
 from vppres.scenario.scenario import Scenario
-from vppres.service.client import Answer
-from vppres.service.runner import Service
+from vppres.service.http.client import Answer
+from vppres.service.operation.runner import Service
+from vppres.service.plans.world import World
 from vppres.service.simulate import Play, Player
-from vppres.service.world import World
 from vppres.solve.ladder import WindowSolver
 
 HEAT_WAVE = "uk-heatwave-2022"

@@ -27,10 +27,10 @@ from tests.support.hostile_requests import Request, generated_requests, hostile_
 from vppres.core.errors import VppresError
 from vppres.scenario.scenario import Scenario
 from vppres.service.access import Access, new_token
-from vppres.service.app import make_app
 from vppres.service.clock import SetClock
-from vppres.service.runner import Runner, Service
-from vppres.service.serve import opened
+from vppres.service.http.app import make_app
+from vppres.service.http.serve import opened
+from vppres.service.operation.runner import Runner, Service
 
 NOON = pd.Timestamp("2026-11-21T12:00Z")
 STEP_EVERY = 250

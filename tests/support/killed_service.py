@@ -21,11 +21,11 @@ from tests.support.tiny_day import tiny_scenario
 from vppres.day.options import RunOptions
 from vppres.scenario.rules import SwitchingRules
 from vppres.service.access import Access
-from vppres.service.app import make_app
 from vppres.service.clock import written
-from vppres.service.records import seconds
-from vppres.service.runner import Runner, Service
-from vppres.service.serve import opened
+from vppres.service.http.app import make_app
+from vppres.service.http.serve import opened
+from vppres.service.operation.runner import Runner, Service
+from vppres.service.storage.records import seconds
 
 RULES = SwitchingRules(min_unserved_h=2.0, cold_load_factor=1.3, cold_load_h=2.0)
 

@@ -18,11 +18,11 @@ from vppres.day.options import RunOptions
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
 from vppres.service.access import Access
-from vppres.service.app import make_app
 from vppres.service.clock import SetClock, TimeSource, written
-from vppres.service.records import Reading, seconds
-from vppres.service.runner import Runner, Service
-from vppres.service.serve import opened
+from vppres.service.http.app import make_app
+from vppres.service.http.serve import opened
+from vppres.service.operation.runner import Runner, Service
+from vppres.service.storage.records import Reading, seconds
 
 HERE = RunOptions(horizon_h=2.0, isolate=False)
 NOON = pd.Timestamp("2026-11-21T12:00Z")

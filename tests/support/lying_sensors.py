@@ -26,8 +26,8 @@ from vppres.scenario.network import Network
 from vppres.scenario.scenario import ControllerDefaults, Scenario
 from vppres.scenario.timegrid import TimeGrid
 from vppres.service.clock import SetClock, written
-from vppres.service.runner import Service
-from vppres.service.world import Series, World, critical_off
+from vppres.service.operation.runner import Service
+from vppres.service.plans.world import Series, World, critical_off
 
 Told = Callable[[Sequence[float], int], float | None]
 """What is told, of all true values up to now and the step from which on the sensor lies."""

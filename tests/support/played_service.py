@@ -12,11 +12,11 @@ from tests.support.live_service import client
 from tests.support.sets import gensets
 from tests.support.vans import van
 from vppres.scenario.scenario import Scenario
-from vppres.service.client import Answer, Client
 from vppres.service.clock import SetClock
-from vppres.service.runner import Service
+from vppres.service.http.client import Answer, Client
+from vppres.service.operation.runner import Service
+from vppres.service.plans.world import World
 from vppres.service.simulate import Play, Player
-from vppres.service.world import World
 
 
 class Here(Client):

@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vppres.service.client import Client
 from vppres.service.clock import written
-from vppres.service.connections import MOST_AT_ONCE
-from vppres.service.started import Started
+from vppres.service.http.client import Client
+from vppres.service.http.connections import MOST_AT_ONCE
+from vppres.service.http.started import Started
 
 BEGIN = "2026-11-21T12:00:00Z"
 READERS = 26

@@ -167,6 +167,22 @@ def test_imports_lead_down() -> None:
     assert wrong == set()
 
 
+def test_folders_of_the_service_stand_in_their_order() -> None:
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    folders = re.findall(r"^\| `service/(\w+)` \|", text, flags=re.MULTILINE)
+    of_service = {m.split(".")[1]: m for m in FILES if m.startswith("service.")}
+    assert set(folders) == {name for name in of_service if (PACKAGE / "service" / name).is_dir()}
+    wrong = {
+        f"{module} imports {other}"
+        for module in FILES
+        for other in own_imports(module)
+        if module.startswith("service.") and other.startswith("service.")
+        for place, below in [(module.split(".")[1], other.split(".")[1])]
+        if place in folders and below in folders and folders.index(below) > folders.index(place)
+    }
+    assert wrong == set()
+
+
 def test_modules_import_in_no_circle() -> None:
     # A package's face imports its parts and is loaded before them, which is no circle.
     graph = {

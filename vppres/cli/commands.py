@@ -516,8 +516,8 @@ def serve(
     from vppres.io.find import load_scenario
 
     with extra("serve"):
-        from vppres.service import serve as service
-        from vppres.service.runner import Service
+        from vppres.service.http import serve as service
+        from vppres.service.operation.runner import Service
     day = load_scenario(scenario)
     served = Service(day, run_options(day, context.obj), rehearse, paced, keep_days)
     folder = _state_place(scenario, state)
@@ -573,8 +573,8 @@ def export(
     from vppres.report.run_folder import write_run
 
     with extra("serve"):
-        from vppres.service import export as past
-        from vppres.service.runner import Service
+        from vppres.service.operation.runner import Service
+        from vppres.service.replay import export as past
     check_target(out)
     day = load_scenario(scenario)
     served = Service(day, run_options(day, context.obj))
@@ -620,7 +620,7 @@ def simulate(
 
     with extra("serve"):
         from vppres.service import simulate as player
-        from vppres.service.runner import Service
+        from vppres.service.operation.runner import Service
     site = load_scenario(scenario)
     comes = site if world is None else load_scenario(world)
     served = Service(site, run_options(site, context.obj), world is None, world is not None)

@@ -22,8 +22,8 @@ import vppres
 from vppres.core.errors import InputError
 from vppres.feeds.adapters import PublicFeed
 from vppres.feeds.incidents import FeedSnapshot
-from vppres.service.client import Client
 from vppres.service.clock import written
+from vppres.service.http.client import Client
 
 LEAST_S = 60.0
 """Time between two requests of a feed at least."""

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from vppres.core.errors import InputError
-from vppres.service.records import Token
+from vppres.service.storage.records import Token
 
 SCOPES = ("read", "telemetry", "events", "operator")
 DAY_S = 86_400.0

@@ -16,7 +16,7 @@ from vppres.core.errors import InputError, Problem, StorageError, VppresError
 from vppres.core.text import visible
 from vppres.io.messages import did_you_mean
 from vppres.service.access import Denied
-from vppres.service.records import ChangedError, UnknownError
+from vppres.service.storage.records import ChangedError, UnknownError
 
 PROBLEM = "application/problem+json"
 MOST_PROBLEMS = 50

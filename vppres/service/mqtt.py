@@ -41,8 +41,8 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
 from vppres.core.errors import InputError
-from vppres.service.client import Client
 from vppres.service.clock import written
+from vppres.service.http.client import Client
 from vppres.service.payloads import MOST_SERIES
 
 MOST_WAITING = 10_000

@@ -18,8 +18,8 @@ from vppres.kinds.table import FOLDERS, parts
 from vppres.live.range import POWER_KW, RATING_SHARE
 from vppres.scenario.scenario import Scenario
 from vppres.service.as_told import Plan, Plans
-from vppres.service.records import Reading
-from vppres.service.store import Store
+from vppres.service.storage.records import Reading
+from vppres.service.storage.store import Store
 
 Wrong = tuple[str, float, str, str]  # field, value, what is wrong, and what to do
 

@@ -25,13 +25,13 @@ from vppres.day.outages import BELIEF, LOOKAHEAD_H
 from vppres.outlook.outlook import Announced, length_of, said_so_far
 from vppres.scenario.outage_warnings import OutageWarning
 from vppres.scenario.scenario import Scenario
-from vppres.service.announced import SAID_OF_END
-from vppres.service.client import Client
 from vppres.service.clock import written
+from vppres.service.events.announced import SAID_OF_END
+from vppres.service.http.client import Client
+from vppres.service.http.started import started
+from vppres.service.operation.runner import Service
 from vppres.service.payloads import read_moment
-from vppres.service.runner import Service
-from vppres.service.started import started
-from vppres.service.world import Series, World, critical_off, energy_allowed
+from vppres.service.plans.world import Series, World, critical_off, energy_allowed
 
 Progress = Callable[[int, int], None]
 

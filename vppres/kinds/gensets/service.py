@@ -16,8 +16,8 @@ from vppres.scenario.scenario import Scenario
 from vppres.service.as_told import Plan, Plans, expected_by
 from vppres.service.of_kind import OfKind, Stored, Wrong
 from vppres.service.payloads import OperatorSetpoint
-from vppres.service.records import DECIDED, Reading, moment, versions
-from vppres.service.store import Store
+from vppres.service.storage.records import DECIDED, Reading, moment, versions
+from vppres.service.storage.store import Store
 
 
 class Sets(OfKind):

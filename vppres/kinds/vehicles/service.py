@@ -18,8 +18,8 @@ from vppres.scenario.scenario import Scenario
 from vppres.service.as_told import Plan, Plans, expected_by, said_of
 from vppres.service.of_kind import OfKind, Stored, Wrong, beyond_rating, moved
 from vppres.service.payloads import OperatorSetpoint
-from vppres.service.records import Reading, moment, seconds
-from vppres.service.store import Store
+from vppres.service.storage.records import Reading, moment, seconds
+from vppres.service.storage.store import Store
 
 CHARGED = ("ev_soc", "energy_needed_kwh")
 """Quantities that change while a vehicle charges."""

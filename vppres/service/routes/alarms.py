@@ -9,9 +9,9 @@ from fastapi import APIRouter, Path, Query
 from vppres.core.errors import InputError
 from vppres.service import payloads
 from vppres.service.clock import written
+from vppres.service.operation.runner import Runner
 from vppres.service.routes.guard import Guard
 from vppres.service.routes.times import moment_asked
-from vppres.service.runner import Runner
 
 Number = Annotated[int, Path(ge=1, lt=2**31)]
 """Of an alarm, as databases count."""

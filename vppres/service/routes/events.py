@@ -9,12 +9,12 @@ from fastapi import APIRouter, Header, Response
 from starlette.exceptions import HTTPException
 
 from vppres.service import payloads
-from vppres.service.announced import believes, check_belief, check_new
 from vppres.service.clock import written
-from vppres.service.openadr import OpenADREvent, events_of, those_of
-from vppres.service.records import Event, moment
+from vppres.service.events.announced import believes, check_belief, check_new
+from vppres.service.events.openadr import OpenADREvent, events_of, those_of
+from vppres.service.operation.runner import Runner
 from vppres.service.routes.guard import Guard
-from vppres.service.runner import Runner
+from vppres.service.storage.records import Event, moment
 from vppres.service.window import check_forecast
 
 

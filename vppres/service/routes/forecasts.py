@@ -9,8 +9,8 @@ from starlette.exceptions import HTTPException
 
 from vppres.service import payloads
 from vppres.service.clock import written
+from vppres.service.operation.runner import Runner
 from vppres.service.routes.guard import Guard
-from vppres.service.runner import Runner
 from vppres.service.window import check_forecast
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from fastapi import APIRouter, Response
 from fastapi.responses import JSONResponse
 
-from vppres.service.metrics import Figures
-from vppres.service.runner import Runner
+from vppres.service.operation.metrics import Figures
+from vppres.service.operation.runner import Runner
 
 
 def routes(runner: Runner) -> APIRouter:

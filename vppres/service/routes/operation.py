@@ -8,9 +8,9 @@ from fastapi import APIRouter, Header, Response
 
 from vppres.service import payloads
 from vppres.service.clock import written
-from vppres.service.knowledge import check_setpoints, last_heard
+from vppres.service.operation.runner import MODE, Runner
 from vppres.service.routes.guard import Guard
-from vppres.service.runner import MODE, Runner
+from vppres.service.telemetry.knowledge import check_setpoints, last_heard
 
 
 def routes(runner: Runner, guarded: Guard) -> APIRouter:

@@ -10,10 +10,10 @@ from fastapi.responses import Response
 from starlette.concurrency import run_in_threadpool
 
 from vppres.service.clock import written
-from vppres.service.overview import Overview, site_of
+from vppres.service.operation.runner import Runner
+from vppres.service.page.overview import Overview, site_of
 from vppres.service.routes.guard import Guard
 from vppres.service.routes.times import moment_asked
-from vppres.service.runner import Runner
 
 POLICY = "; ".join(
     (

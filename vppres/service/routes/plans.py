@@ -11,11 +11,11 @@ from starlette.exceptions import HTTPException
 
 from vppres.service import payloads
 from vppres.service.clock import written
-from vppres.service.explainer import Explainer, only
-from vppres.service.plans import etag
+from vppres.service.operation.runner import Runner
+from vppres.service.plans.document import etag
+from vppres.service.replay.explainer import Explainer, only
 from vppres.service.routes.guard import Guard
 from vppres.service.routes.times import check_asset, moment_asked
-from vppres.service.runner import Runner
 
 RESPOND_ASYNC = "respond-async"
 

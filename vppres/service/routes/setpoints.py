@@ -11,12 +11,12 @@ from starlette.exceptions import HTTPException
 
 from vppres.service import payloads
 from vppres.service.clock import written
-from vppres.service.plans import points_at
-from vppres.service.records import versions
+from vppres.service.operation.runner import Runner
+from vppres.service.plans.document import points_at
 from vppres.service.routes.guard import Guard
 from vppres.service.routes.times import check_asset, moment_asked
-from vppres.service.runner import Runner
-from vppres.service.statements import REFUSED
+from vppres.service.storage.records import versions
+from vppres.service.storage.statements import REFUSED
 
 LONGEST_ID = 1300
 """Characters of an identifier: of four bytes of a name twelve are made."""

@@ -12,10 +12,10 @@ from fastapi.responses import JSONResponse
 from vppres.core.errors import InputError
 from vppres.service import payloads
 from vppres.service.answers import MOST_PROBLEMS, listed, problem_of
-from vppres.service.knowledge import WHERE, readings_of
-from vppres.service.refused import Refusal
+from vppres.service.operation.runner import Runner
 from vppres.service.routes.guard import Guard
-from vppres.service.runner import Runner
+from vppres.service.telemetry.knowledge import WHERE, readings_of
+from vppres.service.telemetry.refused import Refusal
 
 
 def routes(runner: Runner, guarded: Guard) -> APIRouter:

@@ -1,0 +1,409 @@
+"""What is wrong now and needs an operator: a function for each kind of condition."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import pandas as pd
+
+from vppres.contract.longest_off import ROUNDING
+from vppres.core.text import named
+from vppres.live.by_phase import GRID
+from vppres.scenario.scenario import Scenario
+from vppres.service.as_told import expected_by
+from vppres.service.events.announced import announced_at
+from vppres.service.of_kind import every
+from vppres.service.plans.document import points_at, refused_of
+from vppres.service.plans.forming import FormerState, formers_now, why_dark
+from vppres.service.storage.store import Store
+from vppres.service.telemetry.changes import GRID_LOST
+from vppres.service.telemetry.knowledge import Heard, Latest, refusing, soc_now
+from vppres.service.telemetry.lost import lost_customers
+
+HIGH, MEDIUM = "high", "medium"
+PRIORITIES = (HIGH, MEDIUM)
+"""The first needs an operator at once, the second within the hour."""
+
+AHEAD = pd.Timedelta(hours=6)
+"""How far ahead of a planned loss of supply an operator is notified: time to bring a generator."""
+
+SOON = pd.Timedelta(hours=1)
+"""Before which there is no time for that any more."""
+
+LEAST_MARGIN = 0.1
+"""Share of the usable energy below which an island is about to end."""
+
+NAMES_SHOWN = 5
+
+BY_HAND = ("hold", "manual")
+"""Modes in which an operator decides."""
+
+
+@dataclass(frozen=True)
+class Condition:
+    """Something that is wrong.
+
+    Its ``subject`` is an asset or source, empty if it is the site. An acknowledgement is about its
+    ``items``, for example the customers that are off; it may be ``due`` later.
+    """
+
+    kind: str
+    subject: str
+    priority: str
+    text: str
+    items: tuple[str, ...] = ()
+    due: pd.Timestamp | None = None
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """What makes two of them the same alarm."""
+        return self.kind, self.subject
+
+
+@dataclass(frozen=True, eq=False)
+class Situation:
+    """How a site is, with its last plan, how long that still holds, and what it misses.
+
+    Whether there is grid was ``read_by`` a source last; an outage of now may be ``announced``.
+    ``formers`` can form the grid of an island; None in paper mode, whose islands need none.
+    """
+
+    now: pd.Timestamp
+    scenario: Scenario
+    plan: Mapping[str, Any] | None
+    ahead_s: float
+    unaware_of: Sequence[str]
+    heard: Sequence[Heard]
+    soc: Mapping[str, float]
+    is_dark: bool
+    failing: Mapping[str, str]
+    grid_on: float | None = None
+    unreached: Sequence[str] = ()
+    read_by: str = ""
+    announced: bool = False
+    formers: Sequence[FormerState] | None = None
+
+    @property
+    def why_dark(self) -> str:
+        """Why nobody is supplied in an island; empty if something forms its grid, or may."""
+        if self.formers is None:
+            return ""
+        return why_dark(self.plan, self.formers, self.is_dark)
+
+    @property
+    def off(self) -> set[str]:
+        """Customers without supply: all of a dark island, whatever was ordered."""
+        if self.why_dark:
+            return {str(name) for name in self.scenario.customers.id}
+        points = [] if self.plan is None else points_at(self.plan, self.now)
+        return {one["asset"] for one in points if one.get("served") is False}
+
+    def clock(self, time: str | pd.Timestamp) -> str:
+        """Hours and minutes at the site."""
+        return f"{pd.Timestamp(time).tz_convert(self.scenario.grid.zone):%H:%M}"
+
+    @property
+    def critical(self) -> set[str]:
+        """Customers of the first tier."""
+        c = self.scenario.customers
+        first = self.scenario.tiers[0]
+        return {str(name) for name, tier in zip(c.id, c.tier, strict=True) if tier == first}
+
+
+def situation(
+    now: pd.Timestamp,
+    scenario: Scenario,
+    store: Store,
+    plan: Mapping[str, Any] | None,
+    ahead_s: float,
+    unaware_of: Sequence[str] = (),
+    mode: str | None = None,
+) -> Situation:
+    """How a site is by what is stored; ``mode`` is that of its islands, if not the scenario's."""
+    latest = Latest.at(now, scenario, store)
+    failing = failing_now(scenario, latest, store, plan)
+    grid = (plan or {}).get("grid")
+    read = latest.newest("grid_on").get(GRID)
+    grid_on = None if read is None else read.value
+    is_dark = not grid["available"] if grid else grid_on == 0.0
+    soc = soc_now(latest, plan, scenario.grid.step, now)
+    heard = latest.heard
+    physical = (mode or scenario.controller.mode) == "physical"
+    return Situation(
+        now,
+        scenario,
+        plan,
+        ahead_s,
+        unaware_of,
+        heard,
+        soc,
+        is_dark,
+        failing,
+        grid_on,
+        read_by="" if read is None else read.source,
+        announced=announced_at([*store.events().values()], now),
+        formers=formers_now(scenario, plan, soc, failing) if physical else None,
+    )
+
+
+def failing_now(
+    scenario: Scenario, latest: Latest, store: Store, plan: Mapping[str, Any] | None
+) -> dict[str, str]:
+    """Devices that do not follow their set-points, and why."""
+    batteries = dict.fromkeys(refusing(latest.newest("soc"), store), "its device rejected it")
+    out = [name for kind in every().values() for name in kind.out(plan)]
+    units = dict.fromkeys(out, "it does not start")
+    return {**batteries, **lost_customers(scenario, latest.found, store), **units}
+
+
+def conditions(now: Situation) -> Iterator[Condition]:
+    """All that is wrong."""
+    yield from _no_decision(now)
+    yield from _grid_contradicted(now)
+    yield from _grid_lost(now)
+    yield from _off_with_grid(now)
+    yield from _one_former_left(now)
+    yield from _shed(now)
+    yield from _critical_off(now)
+    yield from _longest_off(now)
+    yield from _island_margin(now)
+    yield from _fallback(now)
+    yield from _source_lost(now)
+    yield from _setpoint_rejected(now)
+    yield from _notices_undelivered(now)
+
+
+def _no_decision(now: Situation) -> Iterator[Condition]:
+    """There is no plan for now, or none that knows what has changed."""
+    plan = now.plan
+    text = ""
+    grid = (plan or {}).get("grid") or {"available": True}
+    left = "devices use default set-points"
+    if not grid["available"]:
+        left = "devices keep their last state, and how long the island lasts is not known"
+    if plan is None or now.ahead_s <= 0.0:
+        ends = max((one["valid_until"] for one in (plan or {}).get("setpoints", ())), default=None)
+        if ends is not None and now.now < pd.Timestamp(ends):
+            left = f"set-points hold until {now.clock(ends)}, then {left}"
+        text = f"There is no plan for the present step: {left}."
+    elif plan["status"] == "failed":
+        text = f"The present step could not be planned: {plan['reason']}."
+    elif plan["status"] == "missed":
+        text = f"The present step was missed: {plan['reason']}; {left}."
+    elif now.unaware_of:
+        text = f"The plan does not know yet: {'; '.join(now.unaware_of)}."
+    if text:
+        yield Condition("no_decision", "", HIGH, text)
+
+
+def _grid_contradicted(now: Situation) -> Iterator[Condition]:
+    """The plan ignores a reading that the grid is lost, and that is still the last one."""
+    for words in (now.plan or {}).get("estimated", ()):
+        if words.startswith("grid_on ") and now.grid_on == 0.0:
+            yield Condition("grid_contradicted", "", HIGH, f"The plan ignores a reading: {words}.")
+
+
+def _is_lost(now: Situation) -> bool:
+    """Whether the grid is lost by a reading that counts."""
+    if now.grid_on != 0.0 or any(_grid_contradicted(now)):
+        return False
+    grid = (now.plan or {}).get("grid")
+    if grid is None or not grid["available"]:
+        return True
+    return any(words.startswith(GRID_LOST) for words in now.unaware_of)
+
+
+def _grid_lost(now: Situation) -> Iterator[Condition]:
+    """There is no grid, by a reading."""
+    if not _is_lost(now):
+        return
+    if now.announced:
+        words = "as announced"
+        yield Condition("grid_lost", "", MEDIUM, f"The grid is lost, by {now.read_by}, {words}.")
+    else:
+        words = "No outage is announced for now"
+        yield Condition("grid_lost", "", HIGH, f"The grid is lost, by {now.read_by}. {words}.")
+
+
+def _off_with_grid(now: Situation) -> Iterator[Condition]:
+    """Customers are off although there is grid, and they could be switched on."""
+    plan = now.plan
+    if plan is None or now.ahead_s <= 0.0 or now.is_dark or _is_lost(now):
+        return
+    if not plan.get("grid") and now.grid_on != 1.0:
+        return  # as by hand: nobody knows
+    off = sorted(now.off - set(now.failing))
+    if not off:
+        return
+    words = f"{named(off, NAMES_SHOWN)} off supply, and there is grid"
+    limit_kw = expected_by(plan).get("grid_limit_kw")
+    if limit_kw is not None:
+        words += f" of at most {limit_kw:g} kW"
+    if plan["status"] in BY_HAND:
+        words += f", by the operator's mode {plan['status']}"
+    priority = HIGH if now.critical.intersection(off) else MEDIUM
+    yield Condition("off_with_grid", "", priority, f"{words}.", tuple(off))
+
+
+def _shed(now: Situation) -> Iterator[Condition]:
+    """Customers whom the plan served and whom its island cannot hold."""
+    shed = [one["asset"] for one in (now.plan or {}).get("shed", ())]
+    if not shed or now.ahead_s <= 0.0:
+        return
+    assert now.plan is not None
+    (why, *_) = [one["reason"] for one in now.plan["shed"]]
+    priority = HIGH if now.critical.intersection(shed) else MEDIUM
+    them = "it" if len(shed) == 1 else "them"
+    words = f"{named(shed, NAMES_SHOWN)} shed, although the plan supplied {them}: {why}."
+    yield Condition("shed", "", priority, words, tuple(sorted(shed)))
+
+
+def _one_former_left(now: Situation) -> Iterator[Condition]:
+    """Of the devices that can form the grid of an island one is left, or none."""
+    able = [one.asset for one in now.formers or () if not one.why_not]
+    missing = [one for one in now.formers or () if one.why_not]
+    if now.plan is None or not missing or len(able) > 1:
+        return
+    others = named([f"{one.asset} ({one.why_not})" for one in missing], NAMES_SHOWN)
+    priority = HIGH if now.is_dark else MEDIUM
+    if able:
+        words = f"Only {able[0]} can form the grid of an island; not {others}."
+    else:
+        words = f"Nothing can form the grid of an island: not {others}."
+    yield Condition("one_former_left", "", priority, words, tuple(one.asset for one in missing))
+
+
+def _critical_off(now: Situation) -> Iterator[Condition]:
+    """Customers of the first tier are off, or will be; and whether that rests on old readings."""
+    if now.plan is None:
+        return
+    able = now.critical - set(now.failing)
+    off = sorted(now.off & able)
+    late = _late_batteries(now)
+    if off:
+        words = f"{named(off, NAMES_SHOWN)} of the first tier off supply"
+        if now.why_dark:
+            words += f": {now.why_dark}"
+        elif late:
+            words += f", and the state of charge of {named(late, NAMES_SHOWN)} is late"
+        yield Condition("critical_off", "", HIGH, f"{words}.", tuple(off))
+        return
+    ahead = now.plan.get("ahead") or {"times": [], "served": {}}
+    for t, text in enumerate(ahead["times"]):
+        time = pd.Timestamp(text)
+        later = [name for name in able if not ahead["served"].get(name, [True] * (t + 1))[t]]
+        if now.now < time <= now.now + AHEAD and later:
+            priority = HIGH if time <= now.now + SOON else MEDIUM
+            names = named(sorted(later), NAMES_SHOWN)
+            words = f"Planned: {names} of the first tier off supply at {now.clock(time)}."
+            yield Condition("critical_off", "", priority, words, tuple(sorted(later)), time)
+            return
+
+
+def limits_h(scenario: Scenario) -> dict[str, float]:
+    """How long customers may be off at a time in h, of those that have a limit."""
+    c = scenario.customers
+    pairs = zip(c.id, c.longest_off_h, strict=True)
+    return {str(name): float(hours) for name, hours in pairs if math.isfinite(hours)}
+
+
+def _longest_off(now: Situation) -> Iterator[Condition]:
+    """Customers are off for longer than they may be, or will be if the next step leaves them off.
+
+    One that the plan restores in the next step needs no operator.
+    """
+    plan = now.plan
+    if plan is None:
+        return
+    limit_h = limits_h(now.scenario)
+    dt_h = now.scenario.grid.dt_h
+    back = {
+        name for name, on in ((plan.get("ahead") or {}).get("served", {})).items() if any(on[:1])
+    }
+    until = now.clock(pd.Timestamp(plan["start"]) + now.scenario.grid.step)
+    for name, off_h in plan.get("off_h", {}).items():
+        if name not in now.off:
+            continue
+        words = f"{name} is off, for {off_h:g} h by {until}"
+        left_h = limit_h[name] - off_h
+        if left_h < -ROUNDING * dt_h:
+            words = f"{words}, longer than its {limit_h[name]:g} h."
+            yield Condition("longest_off", name, HIGH, words)
+        elif left_h < (1.0 - ROUNDING) * dt_h and name not in back:
+            words = f"{words}, of {limit_h[name]:g} h, and not planned to be on in the next one."
+            yield Condition("longest_off", name, MEDIUM, words)
+
+
+def _late_batteries(now: Situation) -> list[str]:
+    """Batteries whose state of charge was late when the plan was made, and still is."""
+    heard = {one.asset: one.state for one in now.heard if one.quantity == "soc"}
+    plan = now.plan or {}
+    then = {one["asset"] for one in plan.get("late", ()) if one["quantity"] == "soc"}
+    names = [str(name) for name in now.scenario.batteries.id]
+    return [one for one in names if one not in heard or (heard[one] != "ok" and one in then)]
+
+
+def _island_margin(now: Situation) -> Iterator[Condition]:
+    """What is stored for an island is nearly used up."""
+    if not now.is_dark:
+        return
+    b = now.scenario.batteries
+    usable_kwh = left_kwh = 0.0
+    for i, name in enumerate(b.id):
+        soc = now.soc.get(str(name))
+        if soc is not None:
+            usable_kwh += float(b.energy_kwh[i] * (b.soc_max[i] - b.soc_min[i]))
+            left_kwh += float(b.energy_kwh[i] * max(soc - b.soc_min[i], 0.0))
+    for kind in every().values():
+        full_kwh, held_kwh = kind.held_kwh(now.scenario, now.plan)
+        usable_kwh += full_kwh
+        left_kwh += held_kwh
+    if left_kwh < LEAST_MARGIN * usable_kwh:
+        words = f"Less than {LEAST_MARGIN:.0%} of the usable energy is left, and there is no grid."
+        yield Condition("island_margin", "", MEDIUM, words)
+
+
+def _fallback(now: Situation) -> Iterator[Condition]:
+    """Fallbacks decide."""
+    if now.plan is not None and now.plan["status"] == "fallback" and now.ahead_s > 0.0:
+        solve = now.plan["solve"]
+        kind = str(solve["fallback"]).replace("_", " ")
+        words = f"Steps are decided by a fallback ({kind}): {solve['fallback_reason']}."
+        yield Condition("fallback", "", MEDIUM, words)
+
+
+def _source_lost(now: Situation) -> Iterator[Condition]:
+    """Sources are silent."""
+    if not now.heard:
+        yield Condition("source_lost", "", MEDIUM, "No source has sent a reading.")
+    by_source: dict[str, list[str]] = {}
+    for one in now.heard:
+        if one.state == "lost":
+            by_source.setdefault(one.source, []).append(f"{one.quantity} of {one.asset}")
+    for source, names in by_source.items():
+        yield Condition(
+            "source_lost", source, MEDIUM, f"No data from {source}: {named(names, NAMES_SHOWN)}."
+        )
+
+
+def _setpoint_rejected(now: Situation) -> Iterator[Condition]:
+    """A device does not follow its set-point, or the last check lets nothing through to it."""
+    found = {
+        name: f"{name} did not follow its set-point: {why}." for name, why in now.failing.items()
+    }
+    if now.plan is not None and now.ahead_s > 0.0:
+        for one in refused_of(now.plan):
+            words = f"The last check rejected the set-point of {one['asset']}: {one['reason']}."
+            found.setdefault(one["asset"], f"{words} The default was sent.")
+    for name, text in found.items():
+        yield Condition("setpoint_rejected", name, HIGH if name in now.critical else MEDIUM, text)
+
+
+def _notices_undelivered(now: Situation) -> Iterator[Condition]:
+    """People are not told of alarms."""
+    for name in now.unreached:
+        text = f"The last notice of an alarm did not reach {name}."
+        yield Condition("notices_undelivered", name, MEDIUM, text)

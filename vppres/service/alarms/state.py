@@ -1,0 +1,302 @@
+"""Alarms: what an operator has to act on, from its rise to its end.
+
+An alarm is raised when its condition has lasted for its delay. An operator acknowledges it, and it
+is cleared when the condition has been gone for a time. A shelved alarm sends no notification up to
+its end. What the conditions are: ``service/alarms/conditions.py``.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import pandas as pd
+
+from vppres.service.alarms.conditions import PRIORITIES, Condition
+from vppres.service.clock import written
+from vppres.service.storage.records import AlarmRow, moment, seconds
+from vppres.service.storage.store import Store
+
+REMINDER = pd.Timedelta(hours=2)
+"""After which an alarm without an acknowledgement is notified again."""
+
+SHOWN = pd.Timedelta(hours=24)
+"""For how long an alarm that was cleared waits for its acknowledgement in the list."""
+
+RAISED, REMINDER_OF, CLEARED = "raised", "reminder", "cleared"
+
+STATES = ("raised", "acknowledged", "shelved", "cleared", "closed")
+"""Those to be seen first come first."""
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class AlarmKind:
+    """What all alarms of a kind have in common.
+
+    Parameters
+    ----------
+    delay_min, gone_min : float
+        How long the condition lasts before it is raised, and is gone before it is cleared.
+    advice : str
+        What an operator can do.
+    """
+
+    delay_min: float
+    gone_min: float
+    advice: str
+
+
+KINDS = {
+    "no_decision": AlarmKind(
+        1.0, 0.0, "Look at the log of the service. Until it decides again, set devices by hand."
+    ),
+    "grid_contradicted": AlarmKind(
+        0.0,
+        5.0,
+        "Ask on site whether there is grid. If there is none, announce an outage; "
+        "then check both sources.",
+    ),
+    "grid_lost": AlarmKind(
+        0.0, 0.0, "Ask the network operator how long it will last, and record it as an event."
+    ),
+    "off_with_grid": AlarmKind(
+        0.0, 0.0, "Look at the reason. If the mode or a limit of import is yours, change it."
+    ),
+    "one_former_left": AlarmKind(
+        0.0,
+        0.0,
+        "Bring back what cannot form the grid, or bring a generator that can: "
+        "without any, nobody is supplied in an island.",
+    ),
+    "shed": AlarmKind(
+        0.0, 0.0, "Disconnect other customers by hand where these are more urgent; look at the log."
+    ),
+    "critical_off": AlarmKind(
+        0.0, 10.0, "Check the state of charge on site. Bring a generator, or switch by hand."
+    ),
+    "longest_off": AlarmKind(
+        0.0,
+        0.0,
+        "Ask the customer how long its own backup lasts. Bring a generator, or switch by hand.",
+    ),
+    "island_margin": AlarmKind(
+        0.0, 15.0, "Bring a generator, or disconnect further customers by hand."
+    ),
+    "fallback": AlarmKind(30.0, 0.0, "Look at the reason and at the log. Check the set-points."),
+    "source_lost": AlarmKind(5.0, 5.0, "Check the source and its connection."),
+    "setpoint_rejected": AlarmKind(0.0, 0.0, "Check the device on site."),
+    "notices_undelivered": AlarmKind(
+        0.0, 0.0, "Check the address of --notify and its server; look at this list until then."
+    ),
+}
+"""Delays outlast a reading that is late, and a plan that changes its mind from step to step."""
+
+
+@dataclass(frozen=True)
+class Notice:
+    """Something to tell people: alarms "raised" or "cleared", or a "reminder" of them."""
+
+    what: str
+    alarms: list[dict[str, Any]]
+
+
+class Alarms:
+    """The alarms of a site.
+
+    Attributes
+    ----------
+    on_notice : callable
+        Gets what is to be notified.
+    """
+
+    def __init__(self, store: Store) -> None:
+        self.store = store
+        self.on_notice: Callable[[Notice], None] = lambda _: None
+        self._turn = threading.Lock()
+        self._standing = {row.key: row for row in store.standing_alarms()}
+        self._since: dict[tuple[str, str], pd.Timestamp] = {}
+        self._gone: dict[tuple[str, str], pd.Timestamp] = {}
+        self._told: dict[int, pd.Timestamp] = {}
+
+    def look(self, conditions: Iterable[Condition], now: pd.Timestamp) -> None:
+        """Raise, change and clear alarms."""
+        present = {one.key: one for one in conditions}
+        with self._turn:
+            self._since = {key: self._since.get(key, now) for key in present}
+            gone = [key for key in self._standing if key not in present]
+            self._gone = {key: self._gone.get(key, now) for key in gone}
+            before = self._standing
+            new = [self._row(one, now) for key, one in present.items() if self._is_due(key, now)]
+            still = [_updated(row, present[key]) for key, row in before.items() if key in present]
+            changed = [row for row in still if row != before[row.key]]
+            over = [replace(before[key], cleared_at=seconds(now)) for key in self._over(now)]
+            if new or changed or over:
+                kept = self.store.write_alarms([*new, *changed, *over])
+                rows = {**before, **{row.key: row for row in kept}}
+                self._standing = {k: row for k, row in rows.items() if row.cleared_at is None}
+                loud = [row for row in kept if row.cleared_at is None]
+                worse = [row for row in loud if _is_worse(before.get(row.key), row)]
+                self._notify(RAISED, worse, now)
+                self._notify(CLEARED, over, now)
+            self._notify(REMINDER_OF, self._forgotten(now), now)
+
+    def acknowledge(
+        self, number: int, actor: str, reason: str, now: pd.Timestamp
+    ) -> dict[str, Any]:
+        """Note that an operator has seen an alarm, cleared or not."""
+        seen = {"acknowledged_at": seconds(now), "acknowledged_by": actor}
+        return self._change(number, seen, now, actor, "alarm acknowledged", reason)
+
+    def shelve(
+        self, number: int, until: pd.Timestamp | None, actor: str, reason: str, now: pd.Timestamp
+    ) -> dict[str, Any]:
+        """Let an alarm send no notification up to a time; without a time it notifies again."""
+        if until is None:
+            values: dict[str, Any] = {"shelved_until": None, "shelved_by": ""}
+            return self._change(number, values, now, actor, "alarm unshelved", reason)
+        values = {"shelved_until": seconds(until), "shelved_by": actor}
+        words = f"until {written(until)} {reason}"
+        return self._change(number, values, now, actor, "alarm shelved", words)
+
+    def listed(self, now: pd.Timestamp, since: pd.Timestamp | None = None) -> list[dict[str, Any]]:
+        """Alarms that stand or wait for an acknowledgement, those to be seen first first.
+
+        With ``since`` also all that were cleared from then on.
+        """
+        found = [
+            self._told_of(row, now)
+            for row in self.store.alarms(now - SHOWN if since is None else since)
+        ]
+        shown = [one for one in found if since is not None or one["state"] != "closed"]
+        return sorted(shown, key=_order)
+
+    def _told_of(self, row: AlarmRow, now: pd.Timestamp) -> dict[str, Any]:
+        """An alarm as answers have it, and since when its condition is gone if it still stands."""
+        gone = self._gone.get(row.key)
+        return {**told(row, now), "gone_since": None if gone is None else written(gone)}
+
+    def _change(
+        self,
+        number: int,
+        values: Mapping[str, Any],
+        now: pd.Timestamp,
+        actor: str,
+        action: str,
+        reason: str,
+    ) -> dict[str, Any]:
+        with self._turn:
+            row = self.store.change_alarm(number, values, now, actor, action, reason)
+            if row.key in self._standing and row.cleared_at is None:
+                self._standing[row.key] = row
+            return self._told_of(row, now)
+
+    def _is_due(self, key: tuple[str, str], now: pd.Timestamp) -> bool:
+        """Whether a condition that is no alarm yet has lasted for its delay."""
+        delay = pd.Timedelta(minutes=KINDS[key[0]].delay_min)
+        return key not in self._standing and now - self._since[key] >= delay
+
+    def _over(self, now: pd.Timestamp) -> list[tuple[str, str]]:
+        """Alarms whose condition has been gone for long enough."""
+        return [
+            key
+            for key, since in self._gone.items()
+            if now - since >= pd.Timedelta(minutes=KINDS[key[0]].gone_min)
+        ]
+
+    def _row(self, condition: Condition, now: pd.Timestamp) -> AlarmRow:
+        """A new alarm; one that was shelved when it came last stays so."""
+        new = AlarmRow(
+            number=0,
+            kind=condition.kind,
+            subject=condition.subject,
+            priority=condition.priority,
+            text=condition.text,
+            items=condition.items,
+            due_at=None if condition.due is None else seconds(condition.due),
+            raised_at=seconds(now),
+        )
+        last = self.store.last_alarm(*condition.key)
+        if last is None or (last.shelved_until or 0) <= seconds(now):
+            return new
+        return replace(new, shelved_until=last.shelved_until, shelved_by=last.shelved_by)
+
+    def _forgotten(self, now: pd.Timestamp) -> list[AlarmRow]:
+        """Alarms without an acknowledgement for long since their last notification."""
+        return [
+            row
+            for row in self._standing.values()
+            if row.acknowledged_at is None
+            and now - self._told.setdefault(row.number, moment(row.raised_at)) >= REMINDER
+        ]
+
+    def _notify(self, what: str, rows: Sequence[AlarmRow], now: pd.Timestamp) -> None:
+        """Tell people of alarms, unless they are shelved."""
+        loud = [row for row in rows if (row.shelved_until or 0) <= seconds(now)]
+        if not loud:
+            return
+        for row in loud:
+            self._told[row.number] = now
+            log.warning("%s: alarm %s: %s", written(now), what, row.text)
+        self.on_notice(Notice(what, [self._told_of(row, now) for row in loud]))
+
+
+def told(row: AlarmRow, now: pd.Timestamp) -> dict[str, Any]:
+    """An alarm as answers have it."""
+    return {
+        "id": row.number,
+        "kind": row.kind,
+        "subject": row.subject or None,
+        "priority": row.priority,
+        "state": state_of(row, now),
+        "text": row.text,
+        "advice": KINDS[row.kind].advice,
+        "due": _time(row.due_at),
+        "raised_at": _time(row.raised_at),
+        "acknowledged_at": _time(row.acknowledged_at),
+        "acknowledged_by": row.acknowledged_by or None,
+        "cleared_at": _time(row.cleared_at),
+        "shelved_until": _time(row.shelved_until),
+        "shelved_by": row.shelved_by or None,
+    }
+
+
+def state_of(row: AlarmRow, now: pd.Timestamp) -> str:
+    """How an alarm stands; what was cleared and not acknowledged is not closed yet."""
+    if row.cleared_at is not None:
+        return "cleared" if row.acknowledged_at is None else "closed"
+    if (row.shelved_until or 0) > seconds(now):
+        return "shelved"
+    return "raised" if row.acknowledged_at is None else "acknowledged"
+
+
+def _updated(row: AlarmRow, condition: Condition) -> AlarmRow:
+    """A standing alarm as it is now; an acknowledgement lapses if it has become worse."""
+    now = replace(
+        row,
+        priority=condition.priority,
+        text=condition.text,
+        items=(*row.items, *sorted(set(condition.items) - set(row.items))),
+        due_at=None if condition.due is None else seconds(condition.due),
+    )
+    return replace(now, acknowledged_at=None, acknowledged_by="") if _is_worse(row, now) else now
+
+
+def _is_worse(before: AlarmRow | None, row: AlarmRow) -> bool:
+    """Whether an alarm is new, more urgent, or about more than before."""
+    if before is None:
+        return True
+    more_urgent = PRIORITIES.index(row.priority) < PRIORITIES.index(before.priority)
+    return more_urgent or len(row.items) > len(before.items)
+
+
+def _order(alarm: Mapping[str, Any]) -> tuple[int, int, int]:
+    return STATES.index(alarm["state"]), PRIORITIES.index(alarm["priority"]), -alarm["id"]
+
+
+def _time(stored: int | None) -> str | None:
+    return None if stored is None else written(moment(stored))

@@ -1,0 +1,1 @@
+"""What is announced: outages, limits and prices, of operators, feeds and OpenADR."""

@@ -1,0 +1,70 @@
+"""The service over HTTP: routes by subject, around a runner."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from fastapi import FastAPI
+
+import vppres
+from vppres.service.access import LOOPBACK, Access
+from vppres.service.answers import answer_errors
+from vppres.service.http.perimeter import Perimeter
+from vppres.service.limits import Rate, RateLimits
+from vppres.service.operation.runner import Runner
+from vppres.service.routes import (
+    alarms,
+    events,
+    forecasts,
+    health,
+    operation,
+    page,
+    plans,
+    setpoints,
+    telemetry,
+)
+from vppres.service.routes.guard import Guard
+
+GUARDED = (telemetry, forecasts, events, plans, setpoints, alarms, operation, page)
+
+
+def make_app(
+    runner: Runner,
+    access: Access,
+    hosts: Sequence[str] = LOOPBACK,
+    encrypted: bool = False,
+    rates: Mapping[str, Rate] | None = None,
+) -> FastAPI:
+    """The service's routes around a runner.
+
+    Parameters
+    ----------
+    runner : Runner
+        Who decides.
+    access : Access
+        Who may ask.
+    hosts : sequence of str
+        Names under which the service answers; a page of a stranger that calls it by its own name
+        gets nothing.
+    encrypted : bool
+        Whether it listens with TLS itself.
+    rates : mapping of str to Rate, optional
+        How often may be asked, by scope; a rehearsal has no limit.
+    """
+    app = FastAPI(
+        title="vppres",
+        version=str(vppres.__version__),
+        description="A controller of a virtual power plant that runs day and night.",
+        docs_url=None,
+        redoc_url=None,
+        redirect_slashes=False,
+    )
+    answer_errors(app)
+    # Not by `include_router`, which prepares every route once more at the first request.
+    app.router.routes += health.routes(runner).routes
+    # Who rehearses asks for one step after another.
+    guarded = Guard(access, RateLimits({} if runner.rehearsal else rates))
+    app.add_middleware(Perimeter, guard=guarded, hosts=hosts, encrypted=encrypted)
+    for subject in GUARDED:
+        app.router.routes += subject.routes(runner, guarded).routes
+    return app

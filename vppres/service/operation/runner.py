@@ -1,0 +1,712 @@
+"""One step, from the clock to the stored plan, and what is to be said between two of them."""
+
+from __future__ import annotations
+
+import json
+import logging
+import re
+import threading
+import time as machine
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from vppres.core.errors import InputError, StorageError
+from vppres.day.forecasting import FORECASTERS
+from vppres.day.options import RunOptions
+from vppres.day.outages import KNOWN, LOOKAHEAD_H
+from vppres.live.controller import Controller
+from vppres.live.measurement import Measurement
+from vppres.live.past import REMEMBERED_DAYS
+from vppres.live.profile import ClockProfile
+from vppres.scenario.outage_warnings import OutageWarning
+from vppres.scenario.scenario import Scenario
+from vppres.service.alarms.conditions import BY_HAND, Situation, conditions, situation
+from vppres.service.alarms.notify import Notifier
+from vppres.service.alarms.state import Alarms
+from vppres.service.as_told import expected_by
+from vppres.service.clock import SetClock, TimeSource, written
+from vppres.service.events.announced import warnings
+from vppres.service.of_kind import told_by_plans
+from vppres.service.operation.by_hand import ByHand
+from vppres.service.plans.document import (
+    Left,
+    defaults_of,
+    made_anew,
+    ordered,
+    ordered_plan,
+    plan_of,
+    tables_of,
+    told_at,
+)
+from vppres.service.plans.gate import refusals
+from vppres.service.plans.ruled import ruled
+from vppres.service.storage.records import DECIDED, After, Asked, Reading, Written, seconds
+from vppres.service.storage.store import Store
+from vppres.service.telemetry.changes import Changes
+from vppres.service.telemetry.grid_readings import (
+    EARLY_SHARE,
+    GRID_ON,
+    IMPORT,
+    contradiction,
+    lost_now,
+    stands_alone,
+)
+from vppres.service.telemetry.knowledge import (
+    INSTANT,
+    Grid,
+    Heard,
+    StepInputs,
+    grid_at,
+    known_at,
+    soc_at,
+)
+from vppres.service.telemetry.learned import InSteps, learned, measured_in
+from vppres.service.telemetry.news import AGAINST_PLANS, News, is_said_lost, newest, unknown_to
+from vppres.service.telemetry.refused import RefusedReadings
+
+DEADLINE_SHARE = 0.25
+"""Largest share of a step that a window may be searched for."""
+
+FAILED = "failed"
+"""The status of a step that only the rule could decide."""
+
+LAST_PLAN = "last plan"
+"""Who says whether there is grid where nothing else does."""
+
+MODE = "mode"
+"""The setting of what an operator asked for."""
+
+MOST_JOBS = 100
+"""Steps that were asked for and are remembered, beside those that are stored."""
+
+LONGEST_GAP = pd.Timedelta(days=7)
+"""Since the last step: over a longer time it was the clock that was set, and no step is missed."""
+
+KEEP_DAYS = 400.0
+"""More than a year, so that the same day of the last one is there."""
+
+MOST_KNOWN = 24
+"""Steps of which it is remembered what was expected when they were decided."""
+
+FULL_HORIZON_H = 24.0
+
+NUMBERS = re.compile(r" [-+.\d]+")
+"""What changes from step to step in words about the same."""
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False)
+class Service:
+    """What is served.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The site.
+    options : RunOptions
+        How it decides.
+    rehearsal : bool
+        Whether the scenario's own steps are played, at the pace of the requests.
+    paced : bool
+        Whether the clock is set over HTTP, instead of the machine's; that of a rehearsal is.
+    keep_days : float
+        How long readings and plans are kept, in days.
+    """
+
+    scenario: Scenario
+    options: RunOptions
+    rehearsal: bool = False
+    paced: bool = False
+    keep_days: float = KEEP_DAYS
+
+    @property
+    def profile(self) -> ClockProfile | None:
+        """What is repeated day by day; nothing in a rehearsal."""
+        return None if self.rehearsal else ClockProfile.of(self.scenario)
+
+
+@dataclass(frozen=True)
+class Within:
+    """A moment within a step that is decided anew from then on, and why the plan before is not."""
+
+    at: pd.Timestamp
+    why: str
+    before: dict[str, Any]
+
+
+class Runner:
+    """Decides the steps of a site, one after another, and remembers them."""
+
+    def __init__(
+        self, service: Service, store: Store, clock: TimeSource, profile: ClockProfile | None
+    ) -> None:
+        self.store = store
+        self.clock = clock
+        self.rehearsal = service.rehearsal
+        self.notifier: Notifier | None = None
+        self.keeps = pd.Timedelta(days=service.keep_days)
+        self.played = service.rehearsal or service.paced
+        self.scenario = service.scenario
+        self.length = self.scenario.grid.step
+        self.profile = profile
+        self.options = _in_time(service.options, self.scenario)
+        self.heard: list[Heard] = []
+        self.expected: OrderedDict[str, Measurement] = OrderedDict()
+        self.last: dict[str, Any] | None = store.last_step()
+        self.on_step: Callable[[float], None] = lambda _: None
+        self.on_plan: Callable[[], None] = lambda: None
+        self._jobs: OrderedDict[str, Future[dict[str, Any]]] = OrderedDict()
+        self.changes = Changes()
+        self.refused = RefusedReadings(self.length)
+        self.news = News(store)
+        self._fresh: dict[tuple[str, str], Reading] = {}
+        self._hearing = threading.Lock()
+        self.alarms = Alarms(store)
+        self._within: Within | None = None
+        self._odd = set[str]()
+        if isinstance(clock, SetClock) and self.last is not None:
+            clock.set(max(clock.now(), pd.Timestamp(self.last["start"])))
+        self._state = self._last_state()
+        if self._made_later(self.last, clock.now()):
+            self._come_back(clock.now())
+        else:
+            self._controller = self._restored()
+        # One thread decides all steps, so that there is one process that solves.
+        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="vppres-step")
+
+    def close(self) -> None:
+        """End the thread, after the step that it is in."""
+        self._thread.shutdown()
+
+    def step(self, time: pd.Timestamp | None = None, actor: str | None = None) -> dict[str, Any]:
+        """The plan of a step, the present one if not given: the stored one, or a new one.
+
+        Raises
+        ------
+        InputError
+            If no step begins then, if it is over, or not yet there.
+        StorageError
+            If it could not be kept: then nothing was decided.
+        """
+        return self._thread.submit(self._step, time, actor).result()
+
+    def anew(self) -> dict[str, Any] | None:
+        """Decide the rest of the present step, if its plan does not know something; else None."""
+        return self._thread.submit(self._anew).result()
+
+    def hear(self, readings: list[Reading], now: pd.Timestamp, actor: str) -> Written:
+        """Keep readings, and note what the present plan does not know of them."""
+        until = now + EARLY_SHARE * self.length
+        new = self.news.of(readings, until, self.last or {})
+        kept = self.store.write_readings(readings, now, actor)
+        told = newest(readings)
+        with self._hearing:
+            self._fresh |= told
+        if self.last is not None:
+            self._compare(told.values(), until)
+            imports = any(one.quantity == IMPORT and one.value for one in readings)
+            if imports and is_said_lost(self.last) and self._fed():
+                new.append("import although the grid was said to be lost")
+            for words in new:
+                self.changes.note(words)
+        return kept
+
+    def _compare(self, told: Iterable[Reading], until: pd.Timestamp) -> None:
+        """Note what readings say against the plan, as far as they are the last ones."""
+        said = [one for one in told if one.quantity in AGAINST_PLANS]
+        kinds = {one.quantity for one in said}
+        last = self.store.latest(until, kinds) if kinds else []
+        for words in unknown_to(self.last or {}, (one for one in last if one in said), self._fed):
+            self.changes.note(words)
+
+    def _fed(self) -> bool:
+        """Whether something contradicts the last reading of the grid, that it is lost."""
+        now = self.clock.now()
+        zero = lost_now(now, self.length, self.store)
+        demand_kw = float(self._profile_of(self.begun(now)).load_kw.sum())
+        return contradiction(zero, now, self.length, self.store, demand_kw) != ""
+
+    def asked_again(self, readings: Iterable[Reading]) -> list[str]:
+        """What to send again: that the grid is lost, where it is among these and stands alone."""
+        if not any(one.quantity == GRID_ON and one.value == 0.0 for one in readings):
+            return []
+        now = self.clock.now()
+        words = stands_alone(lost_now(now, self.length, self.store), now, self.length, self.store)
+        return [words] if words else []
+
+    def look(self) -> None:
+        """Note what has changed while the service did not run."""
+        if self.last is None:
+            return
+        until = self.clock.now() + EARLY_SHARE * self.length
+        latest = self.store.latest(until, INSTANT)
+        self._compare(latest, until)
+        since = seconds(pd.Timestamp(self.last["generated_at"]))
+        if any(one.time > since for one in latest):
+            self.changes.note("the service has started again")
+        for name, event in self.store.events().items():
+            if event.made_at > since:
+                self.changes.note(f"event {name}")
+
+    def note_ends(self) -> None:
+        """Note what has ended since the plan of the present step was made."""
+        if self.last is None or self.rehearsal:
+            return
+        since, now = pd.Timestamp(self.last["generated_at"]), self.clock.now()
+        for what, end in self._ends():
+            if since < end <= now:
+                self.changes.note(f"{what} ended")
+
+    def to_next_end_s(self) -> float:
+        """How long until something ends that the plan of the present step knows, in s."""
+        now = self.clock.now()
+        left = [(end - now).total_seconds() for _, end in self._ends() if end > now]
+        return float(min(left, default=np.inf))
+
+    def _ends(self) -> list[tuple[str, pd.Timestamp]]:
+        """When the mode and events end, of those that have an end."""
+        asked, _ = self.store.setting(MODE)
+        ends = {f"event {name}": one.body.get("end") for name, one in self.store.events().items()}
+        if asked is not None:
+            ends[f"mode {asked['mode']}"] = asked["until"]
+        return [(what, pd.Timestamp(end)) for what, end in ends.items() if end is not None]
+
+    def checked(self, asked: Mapping[str, Any]) -> list[str]:
+        """What an operator's set-points would lead to now, by balance and AC power flow.
+
+        Raises
+        ------
+        InputError
+            If they would black out an island that is lit.
+        """
+        now, last = self.clock.now(), self.last
+        found = self.situation(now)
+        step = self._profile_of(self.begun(now))
+        measured = InSteps(self.store, step.grid)
+        limit_kw = expected_by(last).get("grid_limit_kw")
+        known_kw = np.inf if limit_kw in (None, 0.0) else limit_kw
+        step = replace(
+            step,
+            load_kw=measured.laid("load_kw", step.customers.id, step.load_kw),
+            pv_kw=np.minimum(measured.laid("pv_kw", step.pv.id, step.pv_kw), step.pv.p_max_kw),
+            grid_limit_kw=np.array([0.0 if found.is_dark else known_kw]),
+        )
+        step = told_by_plans(step, [found.plan])
+        return ByHand(asked, step, found, self.options).words()
+
+    def situation(self, now: pd.Timestamp) -> Situation:
+        """How the site is, with the last plan and what that does not know."""
+        return situation(
+            now,
+            self.scenario,
+            self.store,
+            self.last,
+            self.ahead_s,
+            self.changes.reasons,
+            self.options.mode,
+        )
+
+    def check_alarms(self) -> None:
+        """Raise, change and clear alarms by what is wrong now."""
+        now = self.clock.now()
+        with suppress(StorageError):  # /readyz says so, and the next look comes soon
+            found = self.situation(now)
+            found = replace(found, unreached=self.notifier.unreached() if self.notifier else ())
+            self.alarms.look(conditions(found), now)
+
+    def begin(self, time: pd.Timestamp | None = None, actor: str | None = None) -> str:
+        """Let a step be decided, and do not wait; the name of the job, that of its step."""
+        time = self.begun(self.clock.now()) if time is None else time.tz_convert("UTC")
+        name = written(time)
+        if name not in self._jobs or self._jobs[name].done():
+            self._jobs[name] = self._thread.submit(self._step, time, actor)
+            while len(self._jobs) > MOST_JOBS:
+                self._jobs.popitem(last=False)
+        return name
+
+    def job(self, name: str) -> dict[str, Any] | None:
+        """How a step that was asked for stands, with its plan; None if it was not."""
+        future = self._jobs.get(name)
+        if future is not None and not future.done():
+            return {"id": name, "status": "started" if future.running() else "queued"}
+        try:
+            plan = self.store.step(pd.Timestamp(name))
+        except ValueError:
+            plan = None
+        if plan is not None:
+            return {"id": name, "status": "finished", "plan": plan}
+        if future is None:
+            return None
+        return {"id": name, "status": "failed", "reason": str(future.exception()).splitlines()[0]}
+
+    def set_clock(self, time: pd.Timestamp) -> None:
+        """Let it be a later time.
+
+        Raises
+        ------
+        InputError
+            If it is the machine's clock that counts, or the time is over.
+        """
+        problem = None
+        if not isinstance(self.clock, SetClock):
+            problem = ("is the machine's", "Start the service with --paced or --rehearse.")
+        elif time < self.clock.now():
+            problem = ("does not go back", f"It is {written(self.clock.now())}.")
+        if problem is not None:
+            raise InputError.of("clock", *problem, field="now", value=written(time))
+        self._thread.submit(self._set_clock, time).result()
+
+    def _set_clock(self, time: pd.Timestamp) -> None:
+        assert isinstance(self.clock, SetClock)
+        self.clock.set(time)
+        if self._state is None:  # nothing was decided yet: it begins here
+            self._controller = self._restored()
+        self.note_ends()
+        if self.changes.reasons:  # a plan of the same moment could not be told from the one before
+            self.changes.new.set()
+        self.check_alarms()
+
+    def begun(self, time: pd.Timestamp) -> pd.Timestamp:
+        """Beginning of the step that covers a time."""
+        return self.scenario.grid.begun(time).tz_convert("UTC")
+
+    @property
+    def mode(self) -> dict[str, Any]:
+        """What an operator asked for, as long as it holds."""
+        asked, _ = self.store.setting(MODE)
+        if asked is None or (
+            asked["until"] is not None and pd.Timestamp(asked["until"]) <= self.clock.now()
+        ):
+            return {"mode": "auto", "until": None, "reason": "", "setpoints": []}
+        found: dict[str, Any] = asked
+        return found
+
+    @property
+    def ahead_s(self) -> float:
+        """How long the last plan still holds, in s; negative when it is over, or not yet there."""
+        if self.last is None:
+            return -float("inf")
+        start, now = pd.Timestamp(self.last["start"]), self.clock.now()
+        left = start + self.length - now if start <= now else now - start
+        return float(left.total_seconds())
+
+    def _step(self, time: pd.Timestamp | None, actor: str | None) -> dict[str, Any]:
+        """The same, in the thread of steps."""
+        now = self.clock.now()
+        asked = None if actor is None else Asked(actor, now)
+        time = self.begun(now) if time is None else time.tz_convert("UTC")
+        if self._made_later(self.last, now):
+            self._come_back(now)
+        stored = self.store.step(time)
+        if stored is not None:
+            return stored
+        self._check(time, now)
+        if self.rehearsal and isinstance(self.clock, SetClock):
+            self.clock.set(time)
+        self._bridge_gap(time)
+        return self._planned(time, asked)
+
+    def _anew(self) -> dict[str, Any] | None:
+        """The same of the present step, whose plan is replaced for the rest of it."""
+        self.changes.new.clear()
+        why = "; ".join(self.changes.reasons)
+        now = self.clock.now()
+        before = self.last
+        time = self.begun(now)
+        # Where the step is not decided yet its own plan will know; a rehearsal stands still.
+        if not why or self.rehearsal or before is None or before["start"] != written(time):
+            return None
+        if now <= pd.Timestamp(before["valid_from"]):
+            return None
+        self._within = Within(now, why, before)
+        try:
+            return self._planned(time, None)
+        finally:
+            self._within = None
+
+    def _planned(self, time: pd.Timestamp, asked: Asked | None) -> dict[str, Any]:
+        """A plan as the mode has it, kept."""
+        begin = machine.monotonic()
+        noted = self.changes.noted
+        with self._hearing:
+            self._fresh = {}
+        mode = self.mode
+        known: StepInputs | None = None
+        if mode["mode"] == "off":
+            reason, left = mode["reason"] or "switched off", self._left(time, self._grid(time))
+            plan = defaults_of(time, self.scenario, "off", reason, left)
+        elif mode["mode"] in BY_HAND:
+            plan = self._by_hand(time, mode)
+        else:
+            plan, known = self._decided(time)
+        plan = self._kept(time, plan, asked, known)
+        self.on_step(machine.monotonic() - begin)
+        self._forget(time)
+        self.last = plan
+        self.changes.known(noted)
+        with self._hearing:
+            told = [*self._fresh.values()]
+        self._compare(told, self.clock.now() + EARLY_SHARE * self.length)
+        self.check_alarms()
+        return plan
+
+    def _kept(
+        self,
+        time: pd.Timestamp,
+        plan: dict[str, Any],
+        asked: Asked | None = None,
+        known: StepInputs | None = None,
+    ) -> dict[str, Any]:
+        """A plan as it is stored: with its time, and for the rest of the step if decided anew.
+
+        Where the controller decided on what is ``known`` its state is stored too.
+        """
+        plan = {**plan, "generated_at": written(self.clock.now())}
+        if self._within is not None:
+            plan = made_anew(plan, self._within.at, self._within.why, self._within.before)
+        if known is None:
+            self.store.write_step(time, plan, asked=asked)
+            return plan
+        after = After(self._controller.saved(), measured_in(self._controller))
+        try:
+            self.store.write_step(time, plan, after, asked)
+        except StorageError:
+            self._controller = self._restored()  # as if it had not decided
+            raise
+        self._log_odd(plan)
+        self._state = after.state
+        self.expected[plan["id"]] = known.measurement
+        while len(self.expected) > MOST_KNOWN:
+            self.expected.popitem(last=False)
+        return plan
+
+    def _check(self, time: pd.Timestamp, now: pd.Timestamp) -> None:
+        """Whether a step may be decided now."""
+        problem = None
+        if self.begun(time) != time:
+            problem = (
+                "is not the beginning of a step",
+                f"One begins at {written(self.begun(time))}.",
+            )
+        elif self.last is not None and time < pd.Timestamp(self.last["start"]):
+            problem = ("is over, and was not decided", f"The last step is {self.last['start']}.")
+        elif self.rehearsal and not self.scenario.grid.start <= time < self.scenario.grid.end:
+            problem = (
+                "is no step of the scenario that is rehearsed",
+                f"Its steps are those from {written(self.scenario.grid.start)} up to "
+                f"{written(self.scenario.grid.end)}.",
+            )
+        elif not self.rehearsal and time != self.begun(now):
+            problem = ("is not the present step", f"That one began at {written(self.begun(now))}.")
+        if problem is not None:
+            raise InputError.of("step", *problem, field="time", value=written(time))
+
+    def _decided(self, time: pd.Timestamp) -> tuple[dict[str, Any], StepInputs | None]:
+        """The controller's plan, and on what; by rule on nothing, whatever it is that fails."""
+        known: StepInputs | None = None
+        try:
+            known = self._known(time)
+            self.heard = known.heard
+            decision = self._controller.step(known.measurement)
+            # What was decided on, not what was read: the gate checks this decision.
+            tables = tables_of(decision, self.scenario)
+            refused = refusals(tables, self.scenario, dict(decision.batteries["soc"]))
+        except StorageError:
+            raise
+        except Exception as error:
+            # A step without an answer is worse than any of it.
+            log.exception("step")
+            return self._ruled(time, known, error), None
+        plan = plan_of(decision, self.scenario, known, refused, self._left(time, known.grid))
+        return {**plan, "outage_probability": self._believed(known)}, known
+
+    def _known(self, time: pd.Timestamp) -> StepInputs:
+        """What is known at a step, or at the moment from which its rest is decided anew."""
+        self._feed(time)
+        now = None if self._within is None else self._within.at
+        return known_at(time, self._controller, self.store, self.rehearsal, now)
+
+    def _grid(self, time: pd.Timestamp) -> Grid | None:
+        """Whether there is grid in a step that the controller does not decide; None if unknown."""
+        try:
+            self._feed(time)
+            return grid_at(time, self._controller, self.store, self._moment(time))
+        except StorageError:
+            raise
+        except Exception:
+            log.exception("whether there is grid at %s", written(time))
+            return None
+
+    def _left(self, time: pd.Timestamp, grid: Grid | None) -> Left:
+        """What devices were told last, and whether there is grid: as it was if that is unknown."""
+        told = told_at(self.last, self._moment(time))
+        if grid is not None:
+            return Left(grid.available, grid.known_by, told)
+        before = (self.last or {}).get("grid") or {"available": True}
+        return Left(before["available"], LAST_PLAN, told)
+
+    def _moment(self, time: pd.Timestamp) -> pd.Timestamp:
+        """From when on a plan of a step holds."""
+        return time if self._within is None else self._within.at
+
+    def _log_odd(self, plan: dict[str, Any]) -> None:
+        """A line for what is odd, when it begins; readings that are only missing are late.
+
+        Several messages speak of one outage, or a device is not as its readings or sessions say.
+        """
+        said = [plan["solve"]["outage_messages"] or "", *plan["estimated"]]
+        odd = {NUMBERS.sub("", words): words for words in said if not words.endswith("(missing)")}
+        for key, words in odd.items():
+            if key and key not in self._odd:
+                log.warning("%s: %s", plan["start"], words)
+        self._odd = set(odd)
+
+    def _ruled(
+        self, time: pd.Timestamp, known: StepInputs | None, error: Exception
+    ) -> dict[str, Any]:
+        """The plan of a rule that needs no solver, for a step in which everything else failed."""
+        now = self._profile_of(time)
+        left = self._left(time, None if known is None else known.grid)
+        if known is None:
+            soc, lost = soc_at(time, self.scenario, self.store), dict[str, str]()
+        else:
+            soc, lost = known.soc, known.lost
+        if not left.available:
+            now = replace(now, grid_limit_kw=np.zeros(1))
+        words = str(error).splitlines()[:1] or [type(error).__name__]
+        mode = {"mode": FAILED, "reason": f"by rule: {words[0]}"}
+        tables = ruled(now, soc, lost, ordered(self.scenario, self.last, []))
+        return ordered_plan(time, self.scenario, mode, tables, {}, left)
+
+    def _profile_of(self, time: pd.Timestamp) -> Scenario:
+        """What the scenario says of a step."""
+        if self.profile is not None:
+            return self.profile.steps(time, 1)
+        row = round((time - self.scenario.grid.start) / self.length)
+        return self.scenario.between(row, row + 1)
+
+    def _forget(self, time: pd.Timestamp) -> None:
+        """Once a day drop what is too old."""
+        begun = time if self.last is None else pd.Timestamp(self.last["start"])
+        if begun.normalize() != time.normalize() and time - begun <= LONGEST_GAP:
+            with suppress(StorageError):  # the step is kept; tomorrow is another day
+                self.store.forget(time - self.keeps, time - pd.Timedelta(days=REMEMBERED_DAYS))
+
+    def _by_hand(self, time: pd.Timestamp, mode: dict[str, Any]) -> dict[str, Any]:
+        """The plan of an operator, through the gate as any other."""
+        tables = ordered(self.scenario, self.last, mode.get("setpoints", []))
+        refused = refusals(tables, self.scenario, soc_at(time, self.scenario, self.store))
+        left = self._left(time, self._grid(time))
+        return ordered_plan(time, self.scenario, mode, tables, refused, left)
+
+    def _bridge_gap(self, time: pd.Timestamp) -> None:
+        """Write down the steps since the last one as missed; they are not decided any more."""
+        if self.last is None:
+            return
+        missed = pd.Timestamp(self.last["start"]) + self.length
+        if time - missed > LONGEST_GAP:
+            log.warning("the clock went from %s to %s: no step counts as missed", missed, time)
+            self._controller = self._restored()
+            return
+        while missed < time:
+            reason, left = "the service did not run", self._left(missed, None)
+            plan = defaults_of(missed, self.scenario, "missed", reason, left)
+            del plan["grid"]  # nobody looked
+            self._kept(missed, plan)
+            missed += self.length
+
+    def _made_later(self, plan: dict[str, Any] | None, now: pd.Timestamp) -> bool:
+        """Whether a plan was made later than now, by a clock that has been set back since."""
+        if plan is None or isinstance(self.clock, SetClock):  # that one never goes back
+            return False
+        return bool(pd.Timestamp(plan["generated_at"]) > now + EARLY_SHARE * self.length)
+
+    def _come_back(self, now: pd.Timestamp) -> None:
+        """Take back what was decided ahead of time: it is decided again when its time comes."""
+        begun = self.begun(now)
+        later = begun if self._made_later(self.store.step(begun), now) else begun + self.length
+        reason = f"the clock was set back to {written(now)}"
+        log.warning("%s: steps from %s on are decided again", reason, written(later))
+        self.store.withdraw(later, now, reason)
+        self.last = self.store.last_step()
+        self._state = self._last_state()
+        self._controller = self._restored()
+
+    def _restored(self) -> Controller:
+        """The controller where the last stored state left it."""
+        known = self.scenario
+        if self.profile is not None:
+            known = self.profile.steps(self.begun(self.clock.now()), self.n_ahead)
+        state = None if self._state is None else json.loads(self._state)
+        history = None
+        if self.options.forecaster in FORECASTERS:
+            history = learned(self.store, self.scenario, self.begun(self.clock.now()))
+        return Controller.of(known, self.options, state=state, history=history)
+
+    def _last_state(self) -> str | None:
+        """The last state that is whole; None where nothing was decided yet."""
+        states = self.store.states()
+        for text in states:
+            try:
+                json.loads(text)
+                return text
+            except ValueError:
+                log.error("the last state of the controller is cut: the one before it is taken")
+        if states:
+            cure = "Put a copy of the database in its place, or remove it."
+            raise InputError.of(self.store.place, "has no whole state of the controller", cure)
+        return None
+
+    def _feed(self, time: pd.Timestamp) -> None:
+        """Let the controller know the steps up to the horizon's end and one more, and messages."""
+        if self.profile is not None:
+            end = self._controller.scenario.grid.end
+            missing = round((time - end) / self.length) + self.n_ahead
+            if missing > 0:
+                self._controller.extend(self.profile.steps(end, missing))
+        self._controller.warn(*self.warnings(time), replacing=True)
+
+    def warnings(self, time: pd.Timestamp) -> list[OutageWarning]:
+        """Messages of outages: those of events, and the scenario's own where it is rehearsed."""
+        own = self.scenario.warnings if self.rehearsal else ()
+        return [*own, *warnings(self.store.events(), time, self.length)]
+
+    def _believed(self, known: StepInputs) -> list[float]:
+        """Probability of an outage in the present step and those behind it."""
+        if self.options.outages == KNOWN:
+            return [float(limit_kw <= 0.0) for limit_kw in known.grid.limits_kw]
+        found = self._controller.out_probability(known.measurement.time)
+        return [round(float(each), 6) for each in found]
+
+    @property
+    def n_ahead(self) -> int:
+        """Steps that are known ahead."""
+        o = self.options
+        hours = {"mpc": o.horizon_h, "reserve": o.reserve.notice_h, "idle": 0.0}
+        horizon_h = hours.get(o.controller, FULL_HORIZON_H)
+        if o.outages != KNOWN:
+            horizon_h = max(horizon_h, LOOKAHEAD_H)
+        return self.scenario.grid.steps_in_horizon(horizon_h) + 1
+
+    @property
+    def outcomes(self) -> dict[str, int]:
+        """How many steps there were of each outcome."""
+        return {
+            **dict.fromkeys((*DECIDED, *BY_HAND, FAILED, "off", "missed"), 0),
+            **self.store.outcomes(),
+        }
+
+
+def _in_time(options: RunOptions, scenario: Scenario) -> RunOptions:
+    """The options with a time limit that leaves most of the step to the devices."""
+    most_s = DEADLINE_SHARE * scenario.grid.dt_h * 3600.0
+    limits = options.limits
+    return replace(options, limits=replace(limits, time_s=min(limits.time_s, most_s)))

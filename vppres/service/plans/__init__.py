@@ -1,0 +1,1 @@
+"""Plans: how a decision is told, checked and carried out by devices."""

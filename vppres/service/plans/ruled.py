@@ -1,0 +1,69 @@
+"""A step that could not be decided otherwise: the guard's rule, on what is known without doubt."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from vppres.control.rules import rule_dispatch
+from vppres.control.step_state import StepState
+from vppres.kinds.table import parts
+from vppres.model.linearise import delta_offset
+from vppres.model.site import Site
+from vppres.scenario.scenario import Scenario
+from vppres.service.plans.document import Tables
+
+
+def ruled(
+    now: Scenario, soc: Mapping[str, float], lost: Mapping[str, str], before: Tables
+) -> Tables:
+    """Set-points by rule, which needs no solver.
+
+    Parameters
+    ----------
+    now : Scenario
+        The step, with the import limit that is known, 0 in an outage.
+    soc : mapping of str to float
+        States of charge that were read; a battery without one rests.
+    lost : mapping
+        Customers that cannot be supplied.
+    before : mapping of str to DataFrame
+        Set-points of the last step by kind: generating sets keep theirs, chargers charge nothing.
+    """
+    site = Site.of(now)
+    b = site.batteries
+    held = np.array([soc.get(str(name), np.nan) for name in b.id], dtype=float)
+    connected = np.array([str(name) not in lost for name in site.customers.id], dtype=bool)
+    state = StepState(
+        site,
+        now.load_kw[0] * connected,
+        now.pv_kw[0],
+        float(now.grid_limit_kw[0]),
+        np.where(np.isfinite(held), np.clip(held, b.soc_min, b.soc_max), b.soc_min),
+        b.eta_charge,
+        b.eta_discharge,
+        delta_offset(site.network, None),
+        np.isfinite(held),
+    )
+    sets = before.get("gensets")
+    if sets is not None:
+        on, given_kw = sets["running"].to_numpy(bool), sets["p_kw"].to_numpy(float)
+        state = replace(state, taken_kw={"gensets": -given_kw}, running={"gensets": on})
+    found = rule_dispatch(state, now.tiers).dispatch
+    columns: dict[str, dict[str, Any]] = {
+        "batteries": {
+            "p_kw": (found.charge_kw - found.discharge_kw)[0],
+            "q_kvar": found.batt_q_kvar[0],
+        },
+        "pv": {
+            "p_kw": found.pv_self_kw[0] + found.pv_export_kw[0],
+            "q_kvar": found.pv_q_kvar[0],
+            "curtailed_kw": found.pv_curtailed_kw[0],
+        },
+        "customers": {"served": np.asarray(found.served[0], dtype=bool) & connected},
+        **{kind: live.by_rule(now) for kind, live in parts("live").items()},
+    }
+    return {kind: table.assign(**columns[kind]) for kind, table in before.items()}

@@ -1,0 +1,1 @@
+"""Stored plans played again: exports, what happened within a step, explanations."""

@@ -1,0 +1,601 @@
+"""From what is stored to the measurement of a step: what is heard, late, or lost.
+
+A reading holds for its own resolution, demand and PV power for a step at least. What is older is
+late: of demand and PV power the guard estimates it. Of the state of charge the newest reading
+counts, however old it is, and the guard adds what was stored since.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from vppres.core.arrays import Floats, Names
+from vppres.core.errors import InputError, Problem
+from vppres.io.messages import did_you_mean
+from vppres.kinds.table import parts
+from vppres.live.by_phase import GRID
+from vppres.live.controller import Controller
+from vppres.live.door import float_of, readable
+from vppres.live.measurement import Measurement
+from vppres.live.range import Range
+from vppres.live.ranges import RANGES, ranges_of
+from vppres.outlook.belief import HALF
+from vppres.scenario.scenario import Scenario
+from vppres.service.clock import written
+from vppres.service.events.announced import (
+    announced_at,
+    announced_kw,
+    is_over,
+    limits_kw,
+    outages,
+    prices,
+)
+from vppres.service.of_kind import Stored, Wrong, beyond_rating, every
+from vppres.service.payloads import OperatorSetpoint, Readings
+from vppres.service.storage.records import DECIDED, Event, Reading, moment, seconds, versions
+from vppres.service.storage.statements import REFUSED
+from vppres.service.storage.store import Store
+from vppres.service.telemetry.grid_readings import EARLY_SHARE, contradiction, stands_alone
+from vppres.service.telemetry.lost import lost_customers
+from vppres.service.telemetry.phased_readings import stored, sums, wrong_phase
+from vppres.service.telemetry.refused import Refusal
+from vppres.service.window import CAUTIOUS, Window
+
+OF_KINDS = {kind: live.QUANTITIES for kind, live in parts("live").items()}
+"""Quantities of the units of each kind."""
+
+MEAN = (
+    "battery_kw",
+    "import_kw",
+    *(name for live in parts("live").values() for name in live.MEANS),
+)
+INSTANT = (
+    *("soc", "load_kw", "pv_kw", "online", "grid_on"),
+    *(name for names in OF_KINDS.values() for name in names if name not in MEAN),
+)
+MOVING = ("soc", "grid_on")
+"""Readings that are late by their own period, however long a step is."""
+
+MOST_STEPS = 24
+"""Steps over which means are taken where nothing was decided for long."""
+
+LOST_AFTER = 3
+"""Multiples of the time for which a reading holds."""
+
+WHERE = "telemetry"
+
+
+@dataclass(frozen=True)
+class Heard:
+    """How old a reading is: "ok", "stale" where it is estimated, "lost" after long silence."""
+
+    asset: str
+    quantity: str
+    source: str
+    age_s: int
+    state: str
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Whether there is grid in a step, who says so, and limits of the window, 0 in outages."""
+
+    available: bool
+    known_by: str
+    limits_kw: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class StepInputs:
+    """What is known at a step, and what to ask for ``again``."""
+
+    measurement: Measurement
+    heard: list[Heard]
+    grid: Grid
+    estimated: list[str]
+    soc: dict[str, float] = field(default_factory=dict)
+    lost: dict[str, str] = field(default_factory=dict)
+    again: str = ""
+
+    @property
+    def limits_kw(self) -> pd.Series[float]:
+        """Limits of import over the window, infinite where there are none."""
+        return pd.Series(self.measurement.grid_limit_kw)
+
+
+def assets_of(scenario: Scenario) -> dict[str, list[str]]:
+    """Assets of each quantity."""
+    batteries = [str(name) for name in scenario.batteries.id]
+    customers = [str(name) for name in scenario.customers.id]
+    return {
+        "soc": batteries,
+        "battery_kw": batteries,
+        "online": [*batteries, *customers],
+        "load_kw": customers,
+        "pv_kw": [str(name) for name in scenario.pv.id],
+        "import_kw": [GRID],
+        "grid_on": [GRID],
+        **{
+            name: [str(unit) for unit in getattr(scenario, kind).id]
+            for kind, names in OF_KINDS.items()
+            for name in names
+        },
+        "source_kva": [GRID, *batteries],
+        "v_pu": [] if scenario.phases is None else list(scenario.phases.by_bus),
+    }
+
+
+def readings_of(
+    batch: Iterable[Readings], scenario: Scenario, until: pd.Timestamp
+) -> tuple[list[Reading], list[Refusal]]:
+    """Readings that can be kept, and what is wrong with the others.
+
+    Those after ``until``, the end of the next step, are of another clock.
+    """
+    assets = assets_of(scenario)
+    own = ranges_of(scenario)
+    good: list[Reading] = []
+    refused: list[Refusal] = []
+    for one in batch:
+        wrong = _wrong_series(one, assets[one.quantity], scenario, until)
+        if wrong is not None:
+            refused.append(Refusal(one.source, one.asset, one.quantity, wrong))
+            continue
+        permitted = own.get((one.quantity, one.asset), RANGES[one.quantity])
+        for step, sent in enumerate(one.values):
+            value = None if sent is None else float_of(sent)
+            if sent is not None and (value is None or not permitted.holds(value)):
+                wrong = _wrong_value(f"{one.quantity} of {one.asset}", sent, value, permitted)
+                refused.append(Refusal(one.source, one.asset, one.quantity, wrong))
+                continue
+            if value is not None and one.quantity == "pv_kw":
+                value = max(value, 0.0)
+            time = seconds(one.start + step * one.resolution)
+            long = int(one.resolution.total_seconds())
+            quantity = stored(one.quantity, one.phase)
+            good.append(Reading(one.asset, quantity, time, one.source, long, value))
+    for found in [*sums(good, scenario)]:
+        if isinstance(found, Refusal):
+            refused.append(found)
+        else:
+            good.append(found)
+    return good, refused
+
+
+def _wrong_series(
+    one: Readings, known: list[str], scenario: Scenario, until: pd.Timestamp
+) -> Problem | None:
+    """What is wrong with all values of a series."""
+    if one.asset not in known:
+        cure = did_you_mean(one.asset, known, "Give an asset of the site.")
+        return Problem(WHERE, "is not at the site", cure, None, "asset", one.asset)
+    wrong = wrong_phase(one, scenario)
+    last = one.start + (len(one.values) - 1) * one.resolution
+    if wrong is None and last >= until:
+        cure = f"Set the clock of {one.source}; the present step ends at {written(until)}."
+        time = written(last)
+        return Problem(WHERE, "lies in the future", cure, None, f"time of {one.asset}", time)
+    return wrong
+
+
+def _wrong_value(what: str, sent: object, value: float | None, permitted: Range) -> Problem:
+    """What is wrong with a value: it is no number, or none that the quantity can have."""
+    if value is None or math.isnan(value):
+        cure = "Give a number, or null where it is missing."
+        return Problem(WHERE, "is not a number", cure, None, what, readable(sent))
+    return Problem(WHERE, permitted.text(value), permitted.cure, None, what, sent)
+
+
+def check_setpoints(asked: Iterable[OperatorSetpoint], scenario: Scenario) -> None:
+    """Whether an operator asks of devices that there are what they can do.
+
+    Raises
+    ------
+    InputError
+        With everything that is not at the site or beyond a rating.
+    """
+    problems = []
+    for one in asked:
+        devices = getattr(scenario, one.kind)
+        known = [str(name) for name in devices.id]
+        if one.asset not in known:
+            cure = did_you_mean(one.asset, known, f"Give one of the {one.kind}.")
+            problems.append(Problem("mode", "is not at the site", cure, None, "asset", one.asset))
+            continue
+        for name, value, message, cure in _impossible(one, devices, known.index(one.asset)):
+            where = f"{name} of {one.asset}"
+            problems.append(Problem("mode", message, cure, None, where, value))
+    if problems:
+        raise InputError(problems)
+
+
+def _impossible(one: OperatorSetpoint, devices: Any, i: int) -> Iterator[Wrong]:
+    """What a device cannot do: field, value, what is wrong and what to do."""
+    if one.kind in OF_KINDS:
+        yield from every()[one.kind].impossible(one, devices, i)
+    elif one.p_kw is not None:
+        yield from beyond_rating("p_kw", one.p_kw, devices.p_max_kw[i], "kW")
+        apparent_kva = math.hypot(one.p_kw, one.q_kvar)
+        yield from beyond_rating("kVA", apparent_kva, devices.s_max_kva[i], "kVA")
+    if one.share is not None and one.share < devices.least_share[i]:
+        least = f"{devices.least_share[i]:g}"
+        yield "share", one.share, f"is below the least share of {least}", "Give more, or 1."
+
+
+def known_at(
+    time: pd.Timestamp,
+    controller: Controller,
+    store: Store,
+    own_days: bool = False,
+    now: pd.Timestamp | None = None,
+) -> StepInputs:
+    """What is known at the beginning of a step.
+
+    Parameters
+    ----------
+    time : pandas.Timestamp
+        The step.
+    controller : Controller
+        Whose window is to be known; it knows the outages that are announced.
+    store : Store
+        What was received.
+    own_days : bool, optional
+        Whether the scenario's own days come, whose limits ahead are not known.
+    now : pandas.Timestamp, optional
+        The moment, where the step is decided anew within it.
+    """
+    scenario = controller.scenario
+    at = time if now is None else now
+    readings = Latest.at(at, scenario, store)
+    window = Window.of(controller, time)
+    events = _events(time, controller, store)
+    load = _Powers.of("load_kw", scenario.customers.id, window, readings, store)
+    pv = _Powers.of("pv_kw", scenario.pv.id, window, readings, store)
+    grid, doubt = _grid(controller, window, readings, events, at, load, store)
+    zero = readings.last.get((GRID, "grid_on"))
+    said = _Said.since(controller.decided, time - window.length, at, store)
+    means = _means(store, max(said.decided_at, at - MOST_STEPS * window.length), at)
+    stored = Stored(
+        scenario,
+        time,
+        readings,
+        means,
+        said.decided_at,
+        said.plans,
+        at,
+        store,
+    )
+    batteries = [str(name) for name in scenario.batteries.id]
+    read_kw = means.get("battery_kw", {})
+    moved = {name: read_kw[name] for name in batteries if name in read_kw}
+    soc = readings.newest("soc")
+    out = refusing(soc, store)
+    off = {name for name, value in readings.now("online").items() if value == 0.0}
+    lost = lost_customers(scenario, readings.found, store)
+    announced = announced_kw(events, window, own_days)
+    measurement = Measurement(
+        time,
+        soc=soc_of(soc),
+        load_kw=load.table,
+        pv_kw=pv.table,
+        price_gbp_per_kwh=pd.Series(prices(events, window), window.times),
+        grid_limit_kw=pd.Series(grid.limits_kw, window.times),
+        battery_kw=moved or None,
+        online={name: name not in out | off for name in batteries},
+        import_kw=means.get("import_kw", {}).get(GRID) if said.by_controller else None,
+        connected=dict.fromkeys(lost, False),
+        announced_limit_kw=None
+        if announced is None
+        else pd.Series(announced, window.times).dropna(),
+        foretold=load.foretold | pv.foretold,
+        now=now,
+        soc_at={name: moment(reading.time) for name, reading in soc.items()},
+        ordered_kw=said.ordered_kw,
+        **{name: told for kind in every().values() for name, told in kind.told(stored).items()},
+    )
+    estimated = [*load.estimated, *pv.estimated, *([doubt] if doubt else [])]
+    again = ""
+    if grid.known_by == "reading" and not grid.available:
+        again = stands_alone(zero, at, window.length, store)
+    return StepInputs(measurement, readings.heard, grid, estimated, soc_of(soc), lost, again)
+
+
+def grid_at(time: pd.Timestamp, controller: Controller, store: Store, now: pd.Timestamp) -> Grid:
+    """Whether there is grid in a step that nobody decides; a moment in it counts."""
+    readings = Latest.at(now, controller.scenario, store)
+    window = Window.of(controller, time)
+    load = _Powers.of("load_kw", controller.scenario.customers.id, window, readings, store)
+    events = _events(time, controller, store)
+    return _grid(controller, window, readings, events, now, load, store)[0]
+
+
+def _events(time: pd.Timestamp, controller: Controller, store: Store) -> list[Event]:
+    """Events that count."""
+    replaced = controller.replaced(time)
+    return [event for name, event in store.events().items() if name not in replaced]
+
+
+def _finite(values: Mapping[str, float]) -> dict[str, float]:
+    """Readings that hold."""
+    return {one: value for one, value in values.items() if np.isfinite(value)}
+
+
+def soc_at(time: pd.Timestamp, scenario: Scenario, store: Store) -> dict[str, float]:
+    """States of charge that were read last."""
+    return soc_of(Latest.at(time, scenario, store).newest("soc"))
+
+
+def soc_now(
+    latest: Latest, plan: Mapping[str, Any] | None, step: pd.Timedelta, now: pd.Timestamp
+) -> dict[str, float]:
+    """States of charge at a moment: readings that hold, else the newest and the set-points since.
+
+    The newest alone where the plan expects nothing, as by hand.
+    """
+    newest = latest.newest("soc")
+    found = soc_of(newest)
+    expected = (plan or {}).get("expected")
+    if plan is not None and expected:
+        begin = pd.Timestamp(plan.get("valid_from", plan["start"]))
+        end = pd.Timestamp(plan["start"]) + step
+        for name, start in expected.get("soc_start", {}).items():
+            after = expected["soc"][name]
+            if start is None or after is None:
+                continue
+            at, value = begin, start
+            if name in newest and moment(newest[name].time) > begin:
+                at, value = min(moment(newest[name].time), end), found[name]
+            found[name] = value + (after - start) * ((min(now, end) - at) / (end - begin))
+    return found | _finite(latest.now("soc"))
+
+
+def soc_of(found: Mapping[str, Reading]) -> dict[str, float]:
+    """States of charge by battery."""
+    return {name: float(one.value) for name, one in found.items() if one.value is not None}
+
+
+@dataclass(frozen=True, eq=False)
+class Latest:
+    """Last readings at a time.
+
+    Parameters
+    ----------
+    found : list of Reading
+        The last ones of all that was ever received.
+    heard : list of Heard
+        How old they are.
+    values : dict
+        By asset and quantity; NaN where it is too old, or known to be missing.
+    last : dict
+        Readings that are too old too, but not lost.
+    """
+
+    found: list[Reading]
+    heard: list[Heard]
+    values: dict[tuple[str, str], float]
+    last: dict[tuple[str, str], Reading]
+
+    @classmethod
+    def at(cls, time: pd.Timestamp, scenario: Scenario, store: Store) -> Latest:
+        """Those of a time, by clocks that may be a little off."""
+        step_s = round(scenario.grid.step_minutes * 60)
+        found = store.latest(time + pd.Timedelta(seconds=EARLY_SHARE * step_s), INSTANT)
+        for kind in every().values():
+            found = kind.of_those_here(found)
+        now_s = seconds(time)
+        heard = [_heard(reading, now_s, step_s) for reading in found]
+        values = {
+            (r.asset, r.quantity): np.nan if r.value is None or h.state != "ok" else r.value
+            for r, h in zip(found, heard, strict=True)
+        }
+        last = {
+            (r.asset, r.quantity): r for r, h in zip(found, heard, strict=True) if h.state != "lost"
+        }
+        return cls(found, heard, values, last)
+
+    def now(self, quantity: str) -> dict[str, float]:
+        """Readings of a quantity by asset."""
+        return {asset: value for (asset, kind), value in self.values.items() if kind == quantity}
+
+    def newest(self, quantity: str) -> dict[str, Reading]:
+        """The last readings of a quantity by asset, however old they are."""
+        return {
+            one.asset: one
+            for one in self.found
+            if one.quantity == quantity and one.value is not None
+        }
+
+    def lost(self, quantity: str) -> set[str]:
+        """Assets that have been silent for too long."""
+        return {h.asset for h in self.heard if h.quantity == quantity and h.state == "lost"}
+
+
+@dataclass(frozen=True, eq=False)
+class _Powers:
+    """Loads or PV power of a window: what is read now, and what is expected of later steps.
+
+    Assets that a forecast was sent for are ``foretold``, by quantity; of some of them that are
+    silent for too long what is ``estimated`` stands in.
+    """
+
+    table: pd.DataFrame | None
+    foretold: dict[str, list[str]]
+    estimated: list[str]
+
+    @classmethod
+    def of(
+        cls, quantity: str, ids: Names, window: Window, readings: Latest, store: Store
+    ) -> _Powers:
+        """A row for each step; no table where there are no assets."""
+        if not len(ids):
+            return cls(None, {}, [])
+        forecast = store.forecast(quantity, window.times[0] + window.length)
+        table, cautious = window.expected(quantity, ids, forecast, readings.lost(quantity))
+        foretold = {quantity: [] if forecast is None else list(forecast.assets)}
+        words = [f"{quantity} {name} is {CAUTIOUS[quantity]} of its forecast" for name in cautious]
+        read = {k: v for k, v in readings.now(quantity).items() if k not in cautious}
+        names = [str(name) for name in ids]
+        table[0] = [read.get(name, old) for name, old in zip(names, table[0], strict=True)]
+        return cls(pd.DataFrame(table, window.times, names), foretold, words)
+
+
+@dataclass(frozen=True, eq=False)
+class _Said:
+    """Set-points of devices since the controller decided last.
+
+    Parameters
+    ----------
+    decided_at : pandas.Timestamp
+        When that was.
+    ordered_kw : DataFrame or None
+        Set-points of batteries from times on; None where there are none.
+    by_controller : bool
+        Whether all of it was the controller's own.
+    plans : list of dict
+        What was said.
+    """
+
+    decided_at: pd.Timestamp
+    ordered_kw: pd.DataFrame | None
+    by_controller: bool
+    plans: list[dict[str, Any]] = field(default_factory=list)
+
+    @classmethod
+    def since(
+        cls, decided: pd.Timestamp | None, before: pd.Timestamp, now: pd.Timestamp, store: Store
+    ) -> _Said:
+        """What plans said from a step on up to now; from ``before`` on if none was decided."""
+        plans = store.plans(before if decided is None else decided, now)
+        if not plans:
+            return cls(before, None, True)
+        ordered: list[tuple[pd.Timestamp, dict[str, float]]] = []
+        for plan in plans:
+            for one in versions(plan):
+                rows = _orders(one, store)
+                # A new plan replaces what was said of later.
+                ordered = [row for row in ordered if not rows or row[0] < rows[0][0]] + rows
+        held = [row for row in ordered if row[0] < now]
+        table = pd.DataFrame([power for _, power in held], [time for time, _ in held])
+        own = [plan for plan in plans if plan["status"] in DECIDED]
+        return cls(
+            pd.Timestamp((own or plans)[-1].get("valid_from", before)),
+            table if len(table) else None,
+            plans[-1]["status"] in DECIDED,
+            plans,
+        )
+
+
+def _orders(plan: Mapping[str, Any], store: Store) -> list[tuple[pd.Timestamp, dict[str, float]]]:
+    """Set-points of batteries in a plan, and that they rest when it is over.
+
+    Those that refused did nothing.
+    """
+    points = [one for one in plan["setpoints"] if one["kind"] == "batteries"]
+    if not points:
+        return []
+    said = store.acks(one["id"] for one in points)
+    refused = {name for name, one in said.items() if one["status"] in REFUSED}
+    told = {one["asset"]: 0.0 if one["id"] in refused else one["p_kw"] for one in points}
+    rest = {one["asset"]: one["default"]["p_kw"] for one in points}
+    return [
+        (pd.Timestamp(points[0]["valid_from"]), told),
+        (pd.Timestamp(points[0]["valid_until"]), rest),
+    ]
+
+
+def refusing(soc: Mapping[str, Reading], store: Store) -> set[str]:
+    """Batteries that did not follow their set-points, until they say how they are."""
+    return {
+        name
+        for name, at in store.refusing("batteries").items()
+        if name not in soc or soc[name].time < at
+    }
+
+
+def _grid(
+    controller: Controller,
+    window: Window,
+    readings: Latest,
+    events: list[Event],
+    now: pd.Timestamp,
+    load: _Powers,
+    store: Store,
+) -> tuple[Grid, str]:
+    """Whether there is grid: by its own reading, else by what is announced or believed.
+
+    A reading that it is lost, and that another one contradicts, counts for nothing; in words what
+    contradicts it.
+    """
+    demand_kw = 0.0 if load.table is None else float(load.table.iloc[0].sum())
+    zero = readings.last.get((GRID, "grid_on"))
+    doubt = contradiction(zero, now, window.length, store, demand_kw)
+    # What ended within the step is over for the rest of it.
+    lasting = [one for one in events if one.said and not is_over(one.said, now)]
+    limits = limits_kw(lasting, window)
+    out = outages(lasting, window) | (limits <= 0.0)
+    read = readings.now("grid_on").get(GRID, np.nan)
+    last = readings.last.get((GRID, "grid_on"))
+    known_by = "profile"
+    if read == 1.0 and last is not None and _begun_since(events, moment(last.time), now):
+        read = np.nan  # it says nothing of an outage that was announced and has begun since
+    if doubt:
+        read, last = np.nan, None
+    if np.isfinite(read):
+        known_by = "reading"
+        if read == 0.0 and not out[0]:
+            # As an outage that was announced without an end: until an event says otherwise.
+            out[:] = True
+        out[0] = read == 0.0
+    elif out[0]:
+        known_by = "event"
+    elif last is not None and last.value == 0.0 and not announced_at(events, moment(last.time)):
+        # Its end was neither announced nor seen.
+        known_by = "last reading"
+        out[:] = True
+    elif controller.out_probability(window.times[0]).iloc[0] >= HALF:
+        known_by = "belief"
+        out[0] = True
+    limits = np.where(out, 0.0, limits)
+    return Grid(bool(limits[0] > 0.0), known_by, limits), doubt
+
+
+def _begun_since(events: list[Event], then: pd.Timestamp, now: pd.Timestamp) -> bool:
+    """Whether a certain outage has begun since a time."""
+    return announced_at(events, now) and not announced_at(events, then)
+
+
+def _heard(reading: Reading, now_s: int, step_s: int) -> Heard:
+    """How old a reading is."""
+    held = reading.time + (reading.resolution_s if reading.quantity in MEAN else 0)
+    age_s = max(now_s - held, 0)
+    long_s = max(reading.resolution_s, step_s)
+    holds_s = reading.resolution_s if reading.quantity in MOVING else long_s
+    lost_s = LOST_AFTER * long_s  # an outage that was seen lasts on
+    state = "ok" if age_s < holds_s else "stale" if age_s <= lost_s else "lost"
+    return Heard(reading.asset, reading.quantity, reading.source, age_s, state)
+
+
+def _means(store: Store, begun: pd.Timestamp, now: pd.Timestamp) -> dict[str, dict[str, float]]:
+    """Means over a time by quantity and asset, of the readings whose middle lies in it."""
+    length = now - begun
+    values: dict[str, dict[str, list[float]]] = {}
+    for reading in store.between(begun - length, now, MEAN):
+        middle_s = reading.time + reading.resolution_s / 2
+        if reading.value is not None and seconds(begun) <= middle_s < seconds(now):
+            of_quantity = values.setdefault(reading.quantity, {})
+            of_quantity.setdefault(reading.asset, []).append(reading.value)
+    return {
+        quantity: {asset: sum(each) / len(each) for asset, each in by_asset.items()}
+        for quantity, by_asset in values.items()
+    }
+
+
+def last_heard(store: Store) -> dict[str, str]:
+    """When each source was last heard from, as answers have it."""
+    return {source: written(moment(at)) for source, at in store.contacts().items()}

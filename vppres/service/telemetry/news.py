@@ -1,0 +1,145 @@
+"""What readings say that the present plan does not know.
+
+A device that is back or gone is planned for at once, as the grid is; so is one that is heard for
+the first time, or after a silence for which the plan did without it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any
+
+import pandas as pd
+
+from vppres.contract.decision import OUT
+from vppres.service.clock import written
+from vppres.service.of_kind import every
+from vppres.service.storage.records import Reading, moment
+from vppres.service.storage.store import Store
+from vppres.service.telemetry.changes import GRID_LOST
+from vppres.service.telemetry.grid_readings import CONTRADICTED, GRID_ON
+from vppres.service.telemetry.knowledge import INSTANT
+
+KIND_OF = {name: kind for kind in every().values() for name in (*kind.states, *kind.of_visits)}
+"""The kind of which a quantity tells whether a unit is there, can work, or has come."""
+
+STATES = ("online", *(name for kind in every().values() for name in kind.states))
+"""What devices say of whether they are there and can work."""
+
+OF_VISITS = tuple(name for kind in every().values() for name in kind.of_visits)
+"""What is told anew of every unit that comes."""
+
+AGAINST_PLANS = (GRID_ON, "soc", "online")
+"""What can contradict a plan."""
+
+Key = tuple[str, str]
+Plan = Mapping[str, Any]
+
+
+def newest(readings: Iterable[Reading]) -> dict[Key, Reading]:
+    """The last reading of each asset and quantity of which plans know the value at a time."""
+    found: dict[Key, Reading] = {}
+    for one in readings:
+        key = one.asset, one.quantity
+        if one.value is not None and one.quantity in INSTANT:
+            before = found.get(key)
+            if before is None or before.time <= one.time:
+                found[key] = one
+    return found
+
+
+class News:
+    """Compares what comes with what was there.
+
+    Parameters
+    ----------
+    store : Store
+        What was received before.
+    """
+
+    def __init__(self, store: Store) -> None:
+        self.store = store
+        self._missing = set[Key]()
+
+    def of(self, readings: Iterable[Reading], until: pd.Timestamp, plan: Plan) -> list[str]:
+        """What is new in readings that are not kept yet; those up to a time count."""
+        readings = list(readings)
+        told = newest(one for one in readings if moment(one.time) <= until)
+        found = [*self._changed(told, until, plan), *self._first(told, plan)]
+        self._missing -= set(told)
+        last = {(one.asset, one.quantity): one.value for one in readings}
+        self._missing |= {key for key, value in last.items() if value is None}
+        return found
+
+    def _changed(
+        self, told: Mapping[Key, Reading], until: pd.Timestamp, plan: Plan
+    ) -> Iterator[str]:
+        """States that are others than before, and what is read of a unit for the first time."""
+        quantities = (*STATES, *OF_VISITS)
+        if all(quantity not in quantities for _, quantity in told):
+            return
+        latest = self.store.latest(until, quantities)
+        for of in every().values():
+            latest = of.of_those_here(latest)
+        before = {(one.asset, one.quantity): one for one in latest}
+        for (asset, quantity), one in told.items():
+            was = before.get((asset, quantity))
+            if quantity not in quantities or (was is not None and was.time > one.time):
+                continue
+            value: float | None
+            if quantity == "online":
+                value = 1.0 if was is None or was.value is None else was.value
+            else:
+                value = KIND_OF[quantity].stood(self.store, plan, one, was)
+            if one.value != value:
+                yield f"{asset} {quantity} = {one.value:g} ({one.source})"
+
+    def _first(self, told: Mapping[Key, Reading], plan: Plan) -> Iterator[str]:
+        """What was never heard, or not for long, or was missing."""
+        lost = {(one["asset"], one["quantity"]) for one in plan.get("late", ()) if is_lost(one)}
+        for key in told:
+            asset, kind = key
+            if kind in (*STATES, *OF_VISITS, GRID_ON):
+                continue
+            unheard = not self.store.was_heard(asset, kind) or key in self._missing
+            # A battery without any state of charge is out, and named so.
+            if key in lost or (unheard and kind != "soc"):
+                yield f"{kind} of {asset} is heard"
+
+
+def is_lost(late: Mapping[str, Any]) -> bool:
+    """Whether a late reading of a plan had been silent for too long to count."""
+    return bool(late["state"] == "lost")
+
+
+def is_said_lost(plan: Plan) -> bool:
+    """Whether a plan has no grid because a reading says so."""
+    grid = plan.get("grid") or {"available": True}
+    return not grid["available"] and grid["known_by"] in ("reading", "last reading")
+
+
+def unknown_to(plan: Plan, readings: Iterable[Reading], fed: Callable[[], bool]) -> Iterator[str]:
+    """What readings say against a plan; nothing for which it was made anew.
+
+    The grid is lost or back, or a battery or customer that the plan leaves out is heard. A loss
+    that the plan knows to be contradicted is none as long as the site is ``fed``.
+    """
+    grid = plan.get("grid")
+    for one in readings if grid is not None else ():
+        words = ""
+        heard = one.value is not None if one.quantity == "soc" else one.value == 1.0
+        if one.quantity in ("soc", "online") and heard:
+            out = OUT.format(one.asset) in plan.get("estimated", ())
+            lost = any(one.asset == other["asset"] for other in plan.get("lost", ()))
+            words = f"battery {one.asset} is heard" if out else ""
+            words = f"customer {one.asset} is heard" if lost else words
+        elif one.quantity == GRID_ON and one.value is not None:
+            change = "grid back" if one.value else GRID_LOST
+            differs = grid is not None and (one.value == 1.0) != grid["available"]
+            doubt = CONTRADICTED.format(one.source)
+            doubted = any(doubt in said for said in plan.get("estimated", ()))
+            differs = differs and not (doubted and fed())
+            at = written(moment(one.time))
+            words = f"{change} at {at} ({one.source})" if differs else ""
+        if words and words not in plan.get("anew", ""):
+            yield words

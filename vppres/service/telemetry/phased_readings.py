@@ -1,0 +1,79 @@
+"""Readings by phase: which phases there are, and what those of an asset add up to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+from vppres.core.errors import Problem
+from vppres.live.by_phase import GRID
+from vppres.physics.phased_sources import labels_by_source
+from vppres.scenario.phases import PHASES
+from vppres.scenario.scenario import Scenario
+from vppres.service.payloads import Readings
+from vppres.service.storage.records import Reading
+from vppres.service.telemetry.refused import Refusal
+
+SUMMED = ("load_kw", "pv_kw", "battery_kw", "import_kw")
+"""Powers whose phases add up to the asset's."""
+
+ALWAYS = ("source_kva", "v_pu")
+"""Quantities that are of a phase, and never of all of them."""
+
+WHERE = "telemetry"
+
+
+def stored(quantity: str, phase: str | None) -> str:
+    """The name under which a quantity of a phase is kept.
+
+    >>> stored("source_kva", "a"), stored("load_kw", None)
+    ('source_kva/a', 'load_kw')
+    """
+    return quantity if phase is None else f"{quantity}/{phase}"
+
+
+def phases_of(scenario: Scenario, quantity: str, asset: str) -> list[str]:
+    """Phases that a quantity of an asset has; none of a feeder without phases."""
+    phases = scenario.phases
+    if phases is None:
+        return []
+    if quantity == "v_pu":
+        grid, island = labels_by_source(phases, scenario.batteries)
+        return [*dict.fromkeys(phase for bus, phase in (*grid, *island) if bus == asset)]
+    if asset == GRID or quantity == "source_kva":
+        return list(PHASES)
+    return phases.connection(asset).coils.split()
+
+
+def wrong_phase(one: Readings, scenario: Scenario) -> Problem | None:
+    """What is wrong with the phase of readings."""
+    needed = one.quantity in ALWAYS
+    if one.phase is None and not needed:
+        return None
+    allowed = needed or one.quantity in SUMMED
+    known = phases_of(scenario, one.quantity, one.asset) if allowed else []
+    if one.phase in known:
+        return None
+    cure = f"Give one of {', '.join(known)}." if known else "Leave the phase out."
+    field = f"phase of {one.quantity} of {one.asset}"
+    return Problem(WHERE, "is no phase of it", cure, None, field, str(one.phase))
+
+
+def sums(readings: Iterable[Reading], scenario: Scenario) -> Iterator[Reading | Refusal]:
+    """What readings by phase of a batch add up to, and which of them are not complete."""
+    found: dict[tuple[str, str, str, int, int], dict[str, float | None]] = {}
+    for one in readings:
+        quantity, _, phase = one.quantity.partition("/")
+        if phase and quantity in SUMMED:
+            key = one.asset, quantity, one.source, one.time, one.resolution_s
+            found.setdefault(key, {})[phase] = one.value
+    for (asset, quantity, source, time, long), values in found.items():
+        lacking = [p for p in phases_of(scenario, quantity, asset) if p not in values]
+        if lacking:
+            message = f"lacks phase {' and '.join(lacking)}"
+            cure = "Send all phases of an asset in one batch."
+            wrong = Problem(WHERE, message, cure, None, f"{quantity} of {asset}")
+            yield Refusal(source, asset, quantity, wrong)
+            continue
+        known = [value for value in values.values() if value is not None]
+        total = sum(known) if len(known) == len(values) else None
+        yield Reading(asset, quantity, time, source, long, total)
