@@ -48,7 +48,7 @@ def progress_bar(words: str, quiet: bool) -> Iterator[Callable[[int, int], None]
 
 
 def _lines(words: str) -> Callable[[int, int], None]:
-    """What writes a line where the last one is long ago."""
+    """A writer of lines, each a while after the last one."""
     told = time.monotonic()
 
     def tell(done: int, total: int) -> None:

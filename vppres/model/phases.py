@@ -88,13 +88,13 @@ class Slopes:
         return self._flow.taken(W_PER_KW * drawn / np.conj(self._across)[:, None])
 
     def changes(self, p_kw: Floats, q_kvar: Floats) -> tuple[Floats, Complexes]:
-        """What powers, (W, D), change: squared voltages, (W, m), the source's power, (W, 3)."""
+        """Changes by powers (W, D): squared voltages, (W, m), and the source's power, (W, 3)."""
         taken = self._measured @ self._taken(p_kw, q_kvar)
         u = -2.0 * np.real(np.conj(self._at)[:, None] * taken).T
         return np.asarray(u), p_kw @ self.former_p.T + q_kvar @ self.former_q.T
 
     def currents(self, p_kw: Floats, q_kvar: Floats) -> Complexes:
-        """What powers, (W, D), change of the currents, as shares of their ratings, (W, k)."""
+        """Changes of currents by powers (W, D), as shares of their ratings, (W, k)."""
         return np.asarray(-(self._per_volt @ self._taken(p_kw, q_kvar)).T)
 
     def of_voltages(self, places: Wholes) -> tuple[Floats, Floats]:
@@ -103,11 +103,11 @@ class Slopes:
         return p.real, q.real
 
     def of_currents(self, places: Wholes) -> tuple[Complexes, Complexes]:
-        """The same of some currents."""
+        """Factors of some currents, (k, D) by active and by reactive power."""
         return self._rows(True, places)
 
     def of_former(self, places: Wholes) -> tuple[Complexes, Complexes]:
-        """The same of some of the source's phases."""
+        """Factors of some of the source's phases, (k, D) by active and by reactive power."""
         return self.former_p[places], self.former_q[places]
 
     def _rows(self, of_currents: bool, places: Wholes) -> tuple[Complexes, Complexes]:

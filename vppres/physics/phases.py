@@ -271,7 +271,7 @@ class PhasedFlow:
         return v
 
     def taken_at(self, rows: Any) -> Complexes:
-        """What currents of coils take of sums of voltages, (R, coils) of (R, nodes)."""
+        """Drop of sums of voltages, (R, nodes), by currents of coils, (R, coils)."""
         ends = sp.csr_array(rows)[:, self.free].T.toarray().astype(complex)
         if not ends.size:
             return np.zeros((rows.shape[0], self.coils.shape[0]), dtype=complex)
