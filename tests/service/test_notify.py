@@ -19,7 +19,7 @@ from typing import Any
 import pytest
 
 from vppres.core.errors import InputError
-from vppres.service import notify
+from vppres.service.alarms import notify
 from vppres.service.alarms.notify import Target, message_of, notifier, target_of
 from vppres.service.alarms.state import Notice
 

@@ -19,12 +19,12 @@ from tests.support.browser import FLAGS, chromium, listening
 from tests.support.live_service import decide
 from tests.support.tiny_day import tiny_scenario
 from vppres.day.options import RunOptions
-from vppres.service import explainer
 from vppres.service.access import Access, new_token
 from vppres.service.clock import SetClock
 from vppres.service.http.app import make_app
 from vppres.service.http.serve import opened
 from vppres.service.operation.runner import Runner, Service
+from vppres.service.replay import explainer
 from vppres.service.replay.explanations import explained
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")

@@ -26,9 +26,9 @@ from tests.support.tiny_day import tiny_scenario
 from vppres.core.errors import InputError
 from vppres.day.options import RunOptions
 from vppres.io import write_scenario
-from vppres.service import serve as service
 from vppres.service.access import Access, new_token
 from vppres.service.clock import SetClock, written
+from vppres.service.http import serve as service
 from vppres.service.http.app import make_app
 from vppres.service.http.perimeter import MOST_STEPS_ASKED
 from vppres.service.http.started import started

@@ -33,12 +33,12 @@ from vppres.day.recorder import ROTATED
 from vppres.day.simulate import run_day
 from vppres.explain.day import explain_day
 from vppres.scenario.scenario import Scenario
-from vppres.service import explainer
 from vppres.service.access import Denied
 from vppres.service.clock import written
 from vppres.service.http.serve import opened
 from vppres.service.operation.loop import Loop
 from vppres.service.operation.runner import Service
+from vppres.service.replay import explainer
 from vppres.service.replay.explanations import KINDS, explained, question
 from vppres.service.replay.export import exported
 

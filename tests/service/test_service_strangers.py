@@ -23,9 +23,9 @@ from tests.support.strangers import attacks, lives, silent
 from tests.support.tiny_day import tiny_scenario
 from vppres.core.errors import StorageError
 from vppres.scenario.scenario import Scenario
-from vppres.service import connections
 from vppres.service.access import Access, new_token
 from vppres.service.clock import SetClock
+from vppres.service.http import connections
 from vppres.service.http.app import make_app
 from vppres.service.http.client import Client
 from vppres.service.http.connections import MOST_AT_ONCE, SILENT_S
