@@ -17,7 +17,7 @@ from vppres.service.access import Access, new_token
 from vppres.service.clock import written
 from vppres.service.http.app import make_app
 from vppres.service.operation.runner import Runner
-from vppres.service.page.overview import Overview
+from vppres.service.overview import Overview
 from vppres.service.routes.page import FILES
 from vppres.service.storage.records import Reading, seconds
 

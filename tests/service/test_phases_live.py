@@ -22,7 +22,7 @@ from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock
 from vppres.service.http.serve import opened
 from vppres.service.operation.runner import Service
-from vppres.service.page.overview import site_of
+from vppres.service.overview import site_of
 from vppres.service.payloads import Readings
 from vppres.service.simulate import Play
 from vppres.service.telemetry.knowledge import readings_of

@@ -11,7 +11,7 @@ from starlette.concurrency import run_in_threadpool
 
 from vppres.service.clock import written
 from vppres.service.operation.runner import Runner
-from vppres.service.page.overview import Overview, site_of
+from vppres.service.overview import Overview, site_of
 from vppres.service.routes.guard import Guard
 from vppres.service.routes.times import moment_asked
 
