@@ -59,7 +59,7 @@ class Odd(World):
 def test_what_is_odd_is_named_and_nobody_is_off_for_it(
     tiny: Scenario, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Those are on who are on without the set and the van, in an island that batteries hold."""
+    """Everybody is on for as long as without the set and the van, in an island of batteries."""
     day = crowded(tiny)
     nobody = type(day.sessions)()
     plain = replace(day, gensets=gensets(0), sessions=nobody)
@@ -71,7 +71,8 @@ def test_what_is_odd_is_named_and_nobody_is_off_for_it(
             player = Player(world, Here(http), Play(announced=False))
             assert player.play().statuses == {"ok": 6}
             alarms = http.get("/v1/alarms?since=2022-07-19T00:00:00Z").json()["alarms"]
-        assert bool(alarms) == (name == "odd") and player.tally.off_needlessly == 0
+        of_devices = [one for one in alarms if one["subject"] is not None]
+        assert bool(of_devices) == (name == "odd") and player.tally.off_needlessly == 0
         logged = [record.getMessage() for record in caplog.records]
         named = [
             "indoor_c h0",
@@ -82,7 +83,8 @@ def test_what_is_odd_is_named_and_nobody_is_off_for_it(
         found = [any(words in line for line in logged) for words in named]
         assert found == [name == "odd"] * len(named)
         players.append([each.customers["served"] for each in world.records])
-    assert np.array_equal(*players)
+    # Of equal plans, which step a customer is on in depends on where the search begins.
+    assert np.array_equal(*np.sum(players, axis=1))
     assert not np.all(players[0])
 
 

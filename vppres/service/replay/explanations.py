@@ -12,7 +12,7 @@ import os
 import pickle
 import resource
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -24,7 +24,8 @@ from vppres.core.plain import json_safe
 from vppres.core.text import named
 from vppres.day.forecasting import PAPER
 from vppres.day.outages import KNOWN
-from vppres.day.recorder import Recorder
+from vppres.day.recorder import Recorder, StepRecord
+from vppres.day.trajectory import SHARE
 from vppres.explain.day import explain_step
 from vppres.explain.recorded import MOVE_KW
 from vppres.kinds.table import KINDS as OF_KINDS
@@ -115,9 +116,8 @@ def explained(asked: Replay) -> dict[str, Any]:
     recorder = Recorder(scenario)
     for record in asked.records():
         recorder.add(record)
-    # Those ahead stand for their number alone: what was expected of them is the scenario's.
-    for t in range(len(asked.stored), scenario.grid.n_steps):
-        recorder.add(replace(record, t=t))
+    for ahead in _foreseen(record, asked.stored[-1], scenario):
+        recorder.add(ahead)
     trajectory = recorder.finish(asked.options.as_record())
     explanations, shadow_prices = explain_step(trajectory, len(asked.stored) - 1)
     step, *actions = explanations
@@ -137,6 +137,24 @@ def explained(asked: Replay) -> dict[str, Any]:
         "price": prices or None,
         "price_reason": None if prices else "The step has no shadow prices.",
     }
+
+
+def _foreseen(
+    record: StepRecord, plan: Mapping[str, Any] | None, scenario: Scenario
+) -> Iterator[StepRecord]:
+    """Steps after the explained one with the customers that its plan means to supply.
+
+    What was expected of them otherwise is the scenario's.
+    """
+    served = ((plan or {}).get("ahead") or {}).get("served") or {}
+    customers = record.customers
+    for k in range(scenario.grid.n_steps - record.t - 1):
+        told = [on for name in scenario.customers.id for on in served.get(str(name), ())[k : k + 1]]
+        if len(told) == len(scenario.customers):
+            on = np.array(told, dtype=bool)
+            shares = {SHARE: on.astype(float)} if SHARE in customers else {}
+            customers = {**record.customers, "served": on, **shares}
+        yield replace(record, t=record.t + 1 + k, customers=customers)
 
 
 def _reason(row: Mapping[str, Any]) -> dict[str, Any]:
