@@ -59,7 +59,7 @@ class Odd(World):
 def test_what_is_odd_is_named_and_nobody_is_off_for_it(
     tiny: Scenario, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Everybody is on for as long as without the set and the van, in an island of batteries."""
+    """Customers are on for as long as without the set and the van, in an island of batteries."""
     day = crowded(tiny)
     nobody = type(day.sessions)()
     plain = replace(day, gensets=gensets(0), sessions=nobody)
