@@ -514,6 +514,7 @@ def test_what_has_no_counterpart_is_refused_by_name(name: str, tmp_path: Path) -
     assert str(caught.value).startswith(f"odd.dss: {message}")
 
 
+@pytest.mark.daily
 def test_hours_of_most_and_least_demand_are_compared_by_phase(tmp_path: Path) -> None:
     """OpenDSS has its own loads there: one of constant impedance where its voltage is low."""
     found = []

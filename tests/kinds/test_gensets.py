@@ -303,6 +303,7 @@ def test_headroom_is_left_above_and_below() -> None:
     assert headroom_kw(gensets(p_min_kw=80.0), 0.1) == pytest.approx([5.0])
 
 
+@pytest.mark.daily
 def test_a_named_battery_comes_before_a_set_and_a_set_before_an_unnamed_one() -> None:
     b = battery(200.0, 100.0, 100.0)
     day = replace(hospital(*[50.0] * 4), batteries=b)
