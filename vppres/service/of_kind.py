@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, ClassVar, Protocol
 
-import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Flags, Floats
@@ -27,8 +27,8 @@ Wrong = tuple[str, float, str, str]  # field, value, what is wrong, and what to 
 class LastReadings(Protocol):
     """The last readings of all devices."""
 
-    def now(self, quantity: str) -> dict[str, float]:
-        """Values of a quantity by asset; NaN where they hold no more, or are missing."""
+    def holding(self, quantity: str) -> dict[str, float]:
+        """Readings of a quantity that hold, by asset."""
 
     def newest(self, quantity: str) -> dict[str, Reading]:
         """The last readings of a quantity by asset, however old they are."""
@@ -67,15 +67,6 @@ class Stored:
     at: pd.Timestamp
     store: Store
 
-    def holding(self, quantity: str) -> dict[str, float]:
-        """Values of the readings of a quantity that hold, by asset."""
-        held = self.readings.now(quantity)
-        return {asset: value for asset, value in held.items() if np.isfinite(value)}
-
-    def newest(self, quantity: str) -> dict[str, Reading]:
-        """The last readings of a quantity, however old, by asset."""
-        return self.readings.newest(quantity)
-
 
 class OfKind:
     """How the service speaks with the units of a kind; what most kinds have in common.
@@ -109,7 +100,9 @@ class OfKind:
         """Fields of a measurement, None where nothing is told."""
         means = self.live.MEANS
         return {
-            name: dict(stored.means.get(name, {}) if name in means else stored.holding(name))
+            name: dict(
+                stored.means.get(name, {}) if name in means else stored.readings.holding(name)
+            )
             or None
             for name in self.live.QUANTITIES
         }
@@ -118,8 +111,13 @@ class OfKind:
         """Readings without those of units that have left since: they will tell nothing more."""
         return readings
 
-    def stood(self, store: Store, plan: Plan, one: Reading, before: Reading | None) -> float | None:
-        """The value that stood until a reading, which is news if it has another; None if none."""
+    def stood(
+        self, plan: Plan, one: Reading, before: Reading | None, rejected: Mapping[str, int]
+    ) -> float | None:
+        """The value that stood until a reading, which is news if it has another; None if none.
+
+        ``rejected`` says when units rejected a set-point last.
+        """
         value = None if before is None else before.value
         return self.states.get(one.quantity) if value is None else value
 
@@ -164,6 +162,7 @@ class OfKind:
         raise NotImplementedError
 
 
+@cache
 def every() -> dict[str, OfKind]:
     """How the service speaks with the units of each kind."""
     return {kind: parts("service")[kind].SERVICE for kind in FOLDERS}

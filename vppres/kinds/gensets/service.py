@@ -17,7 +17,6 @@ from vppres.service.as_told import Plan, Plans, expected_by
 from vppres.service.of_kind import OfKind, Stored, Wrong
 from vppres.service.payloads import OperatorSetpoint
 from vppres.service.storage.records import DECIDED, Reading, moment, versions
-from vppres.service.storage.store import Store
 
 
 class Sets(OfKind):
@@ -35,22 +34,24 @@ class Sets(OfKind):
         fresh.
         """
         by_others = _ordered_by_others(stored.plans, stored.at)
-        runs = stored.newest("running")
+        runs = stored.readings.newest("running")
         since = {name for name, one in runs.items() if moment(one.time) > stored.decided_at}
         running = {name: float(runs) for name, (runs, _) in by_others.items()}
-        running |= {k: v for k, v in stored.holding("running").items() if k in since}
+        running |= {k: v for k, v in stored.readings.holding("running").items() if k in since}
         return super().told(stored) | {
             "running": running or None,
             "genset_ordered_kw": {name: kw for name, (_, kw) in by_others.items()} or None,
             "start_fault": _faults(stored) or None,
         }
 
-    def stood(self, store: Store, plan: Plan, one: Reading, before: Reading | None) -> float | None:
+    def stood(
+        self, plan: Plan, one: Reading, before: Reading | None, rejected: Mapping[str, int]
+    ) -> float | None:
         """A start that was rejected since the last reading is a fault."""
-        rejected = store.refusing("gensets").get(one.asset)
-        if rejected is not None and (before is None or before.time <= rejected):
+        at = rejected.get(one.asset)
+        if at is not None and (before is None or before.time <= at):
             return 1.0
-        return super().stood(store, plan, one, before)
+        return super().stood(plan, one, before, rejected)
 
     def asked(self, said: Mapping[str, Any]) -> dict[str, Any]:
         """A set runs if it is to give power."""
@@ -142,8 +143,10 @@ def _told_of_all(scenario: Scenario, plan: Plan | None) -> list[Mapping[str, Any
 
 def _faults(stored: Stored) -> dict[str, float]:
     """Sets that failed to start, 1, and those that say that they did not, 0."""
-    fault = stored.newest("start_fault")
-    faults = {k: value for k, value in stored.holding("start_fault").items() if value == 0.0}
+    fault = stored.readings.newest("start_fault")
+    faults = {
+        k: value for k, value in stored.readings.holding("start_fault").items() if value == 0.0
+    }
     faults |= {name: 1.0 for name, one in fault.items() if one.value == 1.0}
     names = {str(name) for name in stored.scenario.gensets.id}
     for name, at in stored.store.refusing("gensets").items():

@@ -19,7 +19,6 @@ from vppres.service.as_told import Plan, Plans, expected_by, said_of
 from vppres.service.of_kind import OfKind, Stored, Wrong, beyond_rating, moved
 from vppres.service.payloads import OperatorSetpoint
 from vppres.service.storage.records import Reading, moment, seconds
-from vppres.service.storage.store import Store
 
 CHARGED = ("ev_soc", "energy_needed_kwh")
 """Quantities that change while a vehicle charges."""
@@ -47,11 +46,11 @@ class ChargingPoints(OfKind):
             known = pd.Timestamp(before.get("valid_from", before["start"]))
         told: dict[str, Any] = {}
         for name in QUANTITIES:
-            newest = stored.newest(name).items()
+            newest = stored.readings.newest(name).items()
             since = {k: one.value for k, one in newest if moment(one.time) > known}
-            told[name] = stored.holding(name) | since
+            told[name] = stored.readings.holding(name) | since
         sessions = stored.scenario.sessions
-        for name, last in stored.newest("plugged").items():
+        for name, last in stored.readings.newest("plugged").items():
             at = moment(last.time)
             stays = (sessions.charger == name) & (sessions.plug_in <= at) & (at < sessions.plug_out)
             if last.value == 0.0 and stays.any():
@@ -70,7 +69,9 @@ class ChargingPoints(OfKind):
             if one.quantity not in self.of_visits or one.time > left.get(one.asset, -math.inf)
         ]
 
-    def stood(self, store: Store, plan: Plan, one: Reading, before: Reading | None) -> float | None:
+    def stood(
+        self, plan: Plan, one: Reading, before: Reading | None, rejected: Mapping[str, int]
+    ) -> float | None:
         """A vehicle that the plan knows was plugged in; what charging changes is no news."""
         if before is None or before.value is None:
             here = float(one.asset in expected_by(plan).get("vehicles", {}))

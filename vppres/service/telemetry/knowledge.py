@@ -321,11 +321,6 @@ def _events(time: pd.Timestamp, controller: Controller, store: Store) -> list[Ev
     return [event for name, event in store.events().items() if name not in replaced]
 
 
-def _finite(values: Mapping[str, float]) -> dict[str, float]:
-    """Readings that hold."""
-    return {one: value for one, value in values.items() if np.isfinite(value)}
-
-
 def soc_at(time: pd.Timestamp, scenario: Scenario, store: Store) -> dict[str, float]:
     """States of charge that were read last."""
     return soc_of(Latest.at(time, scenario, store).newest("soc"))
@@ -352,7 +347,7 @@ def soc_now(
             if name in newest and moment(newest[name].time) > begin:
                 at, value = min(moment(newest[name].time), end), found[name]
             found[name] = value + (after - start) * ((min(now, end) - at) / (end - begin))
-    return found | _finite(latest.now("soc"))
+    return found | latest.holding("soc")
 
 
 def soc_of(found: Mapping[str, Reading]) -> dict[str, float]:
@@ -402,6 +397,10 @@ class Latest:
     def now(self, quantity: str) -> dict[str, float]:
         """Readings of a quantity by asset."""
         return {asset: value for (asset, kind), value in self.values.items() if kind == quantity}
+
+    def holding(self, quantity: str) -> dict[str, float]:
+        """Readings of a quantity that hold, by asset."""
+        return {one: value for one, value in self.now(quantity).items() if np.isfinite(value)}
 
     def newest(self, quantity: str) -> dict[str, Reading]:
         """The last readings of a quantity by asset, however old they are."""

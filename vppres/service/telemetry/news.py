@@ -82,6 +82,8 @@ class News:
         for of in every().values():
             latest = of.of_those_here(latest)
         before = {(one.asset, one.quantity): one for one in latest}
+        of_kinds = {KIND_OF[name].kind for _, name in told if name in KIND_OF}
+        rejected = {kind: self.store.refusing(kind) for kind in of_kinds}
         for (asset, quantity), one in told.items():
             was = before.get((asset, quantity))
             if quantity not in quantities or (was is not None and was.time > one.time):
@@ -90,7 +92,8 @@ class News:
             if quantity == "online":
                 value = 1.0 if was is None or was.value is None else was.value
             else:
-                value = KIND_OF[quantity].stood(self.store, plan, one, was)
+                of = KIND_OF[quantity]
+                value = of.stood(plan, one, was, rejected[of.kind])
             if one.value != value:
                 yield f"{asset} {quantity} = {one.value:g} ({one.source})"
 
