@@ -449,7 +449,11 @@ def scenario(site: Scenario, ax: Sequence[Axes] | None = None) -> Sequence[Axes]
 
 
 def limit(ax: Axes, value: float, text: str, linestyle: str = "--") -> None:
-    """A horizontal limit with its name at the left, where there is no legend."""
+    """A horizontal limit with its name in the legend, or at the left where there is none."""
+    if ax.get_legend() is not None:
+        ax.axhline(value, label=text, **_limit_line(linestyle))
+        _legend(ax)
+        return
     ax.axhline(value, **_limit_line(linestyle))
     ax.annotate(
         text,
