@@ -25,7 +25,6 @@ from vppres.solve.fleet.relaxation import (
     whole_price,
 )
 from vppres.solve.programs import (
-    DIRECT,
     GAP_SHARE,
     HALF_UNIT,
     NODES,
@@ -108,7 +107,7 @@ class Master:
             most, served = self._of_one_battery
             if served is not None and self._carries(problem, served, most):
                 self.best = served
-                return Outcome(Status.OPTIMAL, most, most, watch.spent_s, DIRECT), served
+                return Outcome(Status.OPTIMAL, most, most, watch.spent_s, self.spec.name), served
             problem.write(self.data, all_connected=True, eased=True)
         open_units = GAP_SHARE * gap
         if not self.data.keeps_service:
