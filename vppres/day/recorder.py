@@ -61,6 +61,10 @@ class StepRecord:
         terminals, state of charge, efficiencies and cell temperature.
     buses, lines : mapping of str to array, shape (N,), (L,)
         Voltages and flows of the optimisation, and of the AC power flow at the sending end.
+    nodes : mapping of str to array, shape (m,)
+        Voltages that have limits, of the optimisation and of the AC power flow.
+    kinds : mapping
+        Record of the units of each kind of flexible power, (n,) each.
     """
 
     t: int
@@ -70,10 +74,8 @@ class StepRecord:
     batteries: Mapping[str, Floats]
     buses: Mapping[str, Floats]
     lines: Mapping[str, Floats]
-    nodes: Mapping[str, Floats] | None = None
-    """Voltages by phase of the optimisation and of the AC power flow; None without phases."""
+    nodes: Mapping[str, Floats] = field(default_factory=dict)
     kinds: Mapping[str, Mapping[str, NDArray[Any]]] = field(default_factory=dict)
-    """Record of the units of each kind of flexible power, (n,) each."""
 
 
 def voltage_figures(v_model_pu: Floats, v_ac_pu: Floats) -> dict[str, float]:
@@ -192,16 +194,17 @@ class Recorder:
             return None
         by_source = labels_by_source(phases, self._scenario.batteries)
         count = len(phases.measured)
-        dark = {name: np.full(count, np.nan) for name in ("v_model_pu", "v_ac_pu")}
-        found = [record.nodes or dark for record in self._records]
-        islands = self._scenario.outage[: len(found)]
+        islands = self._scenario.outage[: len(self._records)]
         labels = [label for island in islands for label in by_source[int(island)]]
         return pd.DataFrame(
             {
                 "time": self._times().repeat(count),
                 "bus": [bus for bus, _ in labels],
                 "phase": [phase for _, phase in labels],
-                **{name: np.concatenate([nodes[name] for nodes in found]) for name in dark},
+                **{
+                    name: np.concatenate([record.nodes[name] for record in self._records])
+                    for name in ITEM_COLUMNS["buses"]
+                },
             }
         )
 
@@ -240,7 +243,7 @@ def _without_window(step: StepRecord) -> StepRecord:
     """The record without what its arrays are parts of: a row would keep its whole window."""
     tables: dict[str, Any] = {
         name: {column: np.array(values) for column, values in getattr(step, name).items()}
-        for name in ITEM_COLUMNS
+        for name in (*ITEM_COLUMNS, "nodes")
     }
     return replace(step, **tables)
 

@@ -17,8 +17,8 @@ class Former(Protocol):
     """Device that holds the voltage of an island and takes up its mismatch."""
 
     @property
-    def bus(self) -> int:
-        """Position of the bus at which the voltage is held."""
+    def place(self) -> int:
+        """Place at which the voltage is held."""
         ...
 
     @property
@@ -36,6 +36,11 @@ class Former(Protocol):
 
     def share(self, powers: Powers, deficit_kw: float) -> tuple[Powers, float]:
         """The powers with a deficit taken up, and what is left of it."""
+        ...
+
+    @property
+    def rating_kva(self) -> float:
+        """Rating of the reference."""
         ...
 
     def excess_kva(self, powers: Powers) -> float:
@@ -60,9 +65,9 @@ class FormingBatteries:
         return int(np.argmax(np.where(self.batteries, self._b.s_max_kva, -1.0)))
 
     @property
-    def bus(self) -> int:
-        """Position of its bus."""
-        return int(self.plant.battery_bus[self.reference])
+    def place(self) -> int:
+        """Its place."""
+        return int(self.plant.places.batteries[self.reference])
 
     @property
     def _b(self) -> Batteries:
@@ -92,10 +97,14 @@ class FormingBatteries:
         )
         return replace(powers, battery_kw=base_kw - given), float(deficit_kw - given.sum())
 
+    @property
+    def rating_kva(self) -> float:
+        """Rating of its inverter."""
+        return float(self._b.s_max_kva[self.reference])
+
     def excess_kva(self, powers: Powers) -> float:
         """Reactive power of the reference beyond its rating."""
-        rating = self._b.s_max_kva[self.reference]
-        return float(abs(powers.batt_q_kvar[self.reference]) - rating)
+        return float(abs(powers.batt_q_kvar[self.reference]) - self.rating_kva)
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,9 +116,9 @@ class FormingSet:
     genset: int
 
     @property
-    def bus(self) -> int:
-        """Position of its bus."""
-        return int(self.plant.unit_bus["gensets"][self.genset])
+    def place(self) -> int:
+        """Its place."""
+        return int(self.plant.places.units["gensets"][self.genset])
 
     @property
     def batteries(self) -> Flags:
@@ -139,6 +148,12 @@ class FormingSet:
         taken_kw[self.genset] = -given_kw
         shared = replace(powers, taken_kw={**powers.taken_kw, "gensets": taken_kw})
         return shared, deficit_kw - (given_kw - before_kw)
+
+    @property
+    def rating_kva(self) -> float:
+        """Apparent power of its generator: all of its power at its power factor."""
+        sets = self.plant.scenario.gensets
+        return float(np.hypot(sets.p_max_kw[self.genset], sets.q_max_kvar[self.genset]))
 
     def excess_kva(self, powers: Powers) -> float:
         """Reactive power of the set beyond what its power factor allows."""

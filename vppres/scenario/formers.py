@@ -10,13 +10,15 @@ from vppres.core.arrays import Flags
 
 
 def forming_batteries(site: Any) -> Flags:
-    """Batteries that form the grid of a balanced feeder, (B,), of a scenario or site.
+    """Batteries that form the grid, (B,), of a scenario or site; with phases those with all three.
 
     They are those that are named. If none is, it is the largest, unless a generating set is named.
     """
     batteries = site.batteries
     if site.gensets.grid_forming.any() and not batteries.grid_forming.any():
         return np.zeros(len(batteries), dtype=bool)
+    if site.phases is not None:
+        return np.asarray(site.phases.formers(batteries))
     return np.asarray(batteries.formers)
 
 

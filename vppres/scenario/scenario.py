@@ -201,8 +201,6 @@ class Scenario(OfKinds):
     @property
     def formers(self) -> Flags:
         """Batteries that form the grid of an island, (B,); with phases those with all three."""
-        if self.phases is not None:
-            return self.phases.formers(self.batteries)
         return forming_batteries(self)
 
     @cached_property
