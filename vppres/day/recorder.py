@@ -15,7 +15,6 @@ from vppres.day.phases import phases, returning_steps
 from vppres.day.trajectory import LOSSES, OPTIONS, SHARE, TIME_ON, Trajectory
 from vppres.kinds.kind import Units
 from vppres.kinds.table import KINDS, units_of
-from vppres.physics.phased_sources import labels_by_source
 from vppres.scenario.network import BusId
 from vppres.scenario.scenario import Scenario
 
@@ -62,7 +61,8 @@ class StepRecord:
     buses, lines : mapping of str to array, shape (N,), (L,)
         Voltages and flows of the optimisation, and of the AC power flow at the sending end.
     nodes : mapping of str to array, shape (m,)
-        Voltages that have limits, of the optimisation and of the AC power flow.
+        Voltages that have limits, of the optimisation and of the AC power flow; with phases
+        their buses and phases.
     kinds : mapping
         Record of the units of each kind of flexible power, (n,) each.
     """
@@ -74,7 +74,7 @@ class StepRecord:
     batteries: Mapping[str, Floats]
     buses: Mapping[str, Floats]
     lines: Mapping[str, Floats]
-    nodes: Mapping[str, Floats] = field(default_factory=dict)
+    nodes: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     kinds: Mapping[str, Mapping[str, NDArray[Any]]] = field(default_factory=dict)
 
 
@@ -189,22 +189,13 @@ class Recorder:
 
     def _nodes(self) -> pd.DataFrame | None:
         """Voltages by phase; None for a balanced feeder."""
-        phases = self._scenario.phases
-        if phases is None:
+        if self._scenario.phases is None:
             return None
-        by_source = labels_by_source(phases, self._scenario.batteries)
-        count = len(phases.measured)
-        islands = self._scenario.outage[: len(self._records)]
-        labels = [label for island in islands for label in by_source[int(island)]]
+        found = [record.nodes for record in self._records]
         return pd.DataFrame(
             {
-                "time": self._times().repeat(count),
-                "bus": [bus for bus, _ in labels],
-                "phase": [phase for _, phase in labels],
-                **{
-                    name: np.concatenate([record.nodes[name] for record in self._records])
-                    for name in ITEM_COLUMNS["buses"]
-                },
+                "time": self._times().repeat(len(found[0]["bus"])),
+                **{name: np.concatenate([nodes[name] for nodes in found]) for name in found[0]},
             }
         )
 

@@ -293,6 +293,7 @@ def _record(
         "q_ac_kvar": done.ac.q_from_kvar,
     }
     nodes = {"v_model_pu": _planned_v_pu(done.ac, decision), "v_ac_pu": done.ac.v_node_pu}
+    labels = dict(zip(("bus", "phase"), np.array(done.ac.nodes, dtype=object).T, strict=False))
     held_by_batteries = str(options.mode) == "physical" and bool(scenario.outage[t])
     steps = {
         **_of_power_flow(done, held_by_batteries),
@@ -304,7 +305,7 @@ def _record(
         "passes": float(decision.info.passes),
         **_island_notes(scenario, done),
         **_of_rules(decision.info, options),
-        **_by_phase(done.ac, held_by_batteries),
+        **_by_phase(done, held_by_batteries),
     }
     return StepRecord(
         t,
@@ -314,7 +315,7 @@ def _record(
         _of_batteries(state, done),
         buses,
         lines,
-        nodes,
+        {**labels, **nodes},
     )
 
 
@@ -378,8 +379,9 @@ def _planned_v_pu(ac: ACResult, decision: Decision) -> Floats:
     return np.full_like(ac.v_node_pu, np.nan) if planned is None else planned[decision.row]
 
 
-def _by_phase(ac: ACResult, held_by_batteries: bool) -> dict[str, Any]:
+def _by_phase(done: Settled, held_by_batteries: bool) -> dict[str, Any]:
     """Power of the source by phase, unbalance, and the fullest phase; NaN in a blackout."""
+    ac = done.ac
     if not ac.phases:
         return {}
     source = "former" if held_by_batteries else "import"
@@ -389,7 +391,7 @@ def _by_phase(ac: ACResult, held_by_batteries: bool) -> dict[str, Any]:
         for phase, kva in zip(ac.phases, ac.source_kva, strict=True)
     }
     loading = {"loading_max": ac.loading, "loading_at": ac.loading_at}
-    return {**none, **found, "unbalance_max": ac.unbalance, **loading}
+    return {"former": done.former, **none, **found, "unbalance_max": ac.unbalance, **loading}
 
 
 def _of_power_flow(done: Settled, held_by_batteries: bool) -> dict[str, float]:

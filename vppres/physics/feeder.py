@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,6 +14,7 @@ from vppres.physics.phased_sources import (
     assets_of,
     farthest,
     flow_of_former,
+    labels_by_source,
     measured_at,
 )
 from vppres.physics.phases import NoPhasedSolutionError, PhasedFlow, PhasedResult
@@ -56,11 +58,11 @@ class FlowByPhase:
         self._phases = phases
         self._island = island
         self._network = scenario.network
-        self._batteries = scenario.batteries
-        self._assets = assets_of(scenario.customers, scenario.pv, scenario.batteries)
+        self._assets = assets_of(scenario)
         self._sources: dict[int, PhasedFlow] = {}
         self._places = Places.of(scenario)
         self._at_bus = measured_at(phases, self._network)
+        self._dead_labels = labels_by_source(scenario)[1]
         self._loadings = Loadings.of(phases)
 
     @property
@@ -104,7 +106,14 @@ class FlowByPhase:
     def dead(self) -> ACResult:
         """The result without any source."""
         net = self._network
-        return ACResult.dead(net.n_lines, net.n_buses, len(self._at_bus), PHASES)
+        labels = self._dead_labels
+        return replace(
+            ACResult.dead(net.n_lines, net.n_buses),
+            v_node_pu=np.full(len(labels), np.nan),
+            nodes=labels,
+            source_kva=np.full(len(PHASES), np.nan, dtype=complex),
+            phases=PHASES,
+        )
 
     def on_phase(self, places: Wholes) -> Flags:
         """Phases on which devices at these places have a coil, (3, n)."""
@@ -117,12 +126,7 @@ class FlowByPhase:
             net, phases = self._network, self._phases
             self._sources[reference] = (
                 flow_of_former(
-                    phases,
-                    self._assets,
-                    self._batteries,
-                    reference - int(self._places.batteries[0]),
-                    net.v_min_pu,
-                    net.v_max_pu,
+                    phases, self._assets, self._assets[reference - 1], net.v_min_pu, net.v_max_pu
                 )
                 if reference
                 else PhasedFlow(
@@ -151,6 +155,7 @@ class FlowByPhase:
             p_slack_kw=float(total.real - own.real),
             q_slack_kvar=float(total.imag - own.imag),
             v_node_pu=v_node,
+            nodes=flow.phases.measured,
             source_kva=found.source_kva,
             phases=PHASES,
             unbalance=float(flow.unbalance(found.v).max(initial=0.0)),

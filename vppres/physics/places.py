@@ -28,6 +28,8 @@ class Places:
         Place of each unit, (n,) by kind.
     bus : array, shape (places,)
         Position of the network's bus of each place.
+    n_buses : int
+        Buses of the network.
     """
 
     customers: Wholes
@@ -35,6 +37,7 @@ class Places:
     batteries: Wholes
     units: Mapping[str, Wholes]
     bus: Wholes
+    n_buses: int
 
     @classmethod
     def of(cls, site: Any) -> Places:
@@ -48,17 +51,18 @@ class Places:
             *(units.buses(site.customers) for units in kinds.values()),
         )
         at = [np.array([index[bus] for bus in buses], dtype=int) for buses in named]
-        bus = np.arange(site.network.n_buses)
+        n_buses = site.network.n_buses
+        bus = np.arange(n_buses)
         if site.phases is not None:
             bus = np.concatenate([[0], *at])
             ends = np.cumsum([1, *map(len, at)])
             at = [np.arange(end - len(each), end) for each, end in zip(at, ends[1:], strict=True)]
         customers, pv, batteries, *units = at
-        return cls(customers, pv, batteries, dict(zip(kinds, units, strict=True)), bus)
+        return cls(customers, pv, batteries, dict(zip(kinds, units, strict=True)), bus, n_buses)
 
     def __len__(self) -> int:
         return len(self.bus)
 
     def at_buses(self, power: Floats) -> Floats:
         """Powers of the network's buses, (N,), of those of the places."""
-        return np.asarray(np.bincount(self.bus, weights=power), dtype=float)
+        return np.asarray(np.bincount(self.bus, power, self.n_buses), dtype=float)

@@ -88,8 +88,10 @@ class ACResult:
         What the source at the reference place gives: the import, unless an island was solved.
     v_node_pu : array, shape (m,)
         Voltages that have limits: of nodes or between them, of the buses where these are the nodes.
+    nodes : tuple
+        Bus and phase, or pair of phases, of each of them; empty on a balanced feeder.
     source_kva : array of complex, shape (3,) or (1,)
-        What the source gives on each phase, its own set-point included; in all if balanced.
+        What the reference place gives on each phase, source and devices; in all if balanced.
     phases : str
         The source's phases; empty on a balanced feeder.
     unbalance : float
@@ -112,6 +114,7 @@ class ACResult:
     q_slack_kvar: float
     v_node_pu: Floats
     source_kva: Complexes
+    nodes: tuple[tuple[str, str], ...] = ()
     phases: str = ""
     unbalance: float = np.nan
     loading: float = np.nan
@@ -132,12 +135,11 @@ class ACResult:
         return float(len(self.source_kva) * np.abs(self.source_kva).max())
 
     @classmethod
-    def dead(cls, n_lines: int, n_buses: int, n_nodes: int, phases: str = "") -> ACResult:
-        """The result without any voltage: NaN, and no flow."""
-        none = np.zeros(n_lines)
-        source = np.full(len(phases) or 1, np.nan, dtype=complex)
-        v_pu, v_node_pu = np.full(n_buses, np.nan), np.full(n_nodes, np.nan)
-        return cls(v_pu, none, none, none, none, 0.0, 0.0, 0.0, v_node_pu, source, phases)
+    def dead(cls, n_lines: int, n_buses: int) -> ACResult:
+        """The result of a balanced feeder without any voltage: NaN, and no flow."""
+        none, v_pu = np.zeros(n_lines), np.full(n_buses, np.nan)
+        source = np.full(1, np.nan, dtype=complex)
+        return cls(v_pu, none, none, none, none, 0.0, 0.0, 0.0, v_pu, source)
 
 
 class PowerFlow(Protocol):
@@ -248,7 +250,7 @@ class ACPowerFlow:
     def dead(self) -> ACResult:
         """The result without any source."""
         net = self.network
-        return ACResult.dead(net.n_lines, net.n_buses, net.n_buses)
+        return ACResult.dead(net.n_lines, net.n_buses)
 
     def on_phase(self, places: Wholes) -> Flags:
         """Every device is on all that there is, (1, n)."""

@@ -17,6 +17,11 @@ class Former(Protocol):
     """Device that holds the voltage of an island and takes up its mismatch."""
 
     @property
+    def name(self) -> str:
+        """Name of the reference."""
+        ...
+
+    @property
     def place(self) -> int:
         """Place at which the voltage is held."""
         ...
@@ -63,6 +68,11 @@ class FormingBatteries:
     def reference(self) -> int:
         """The battery that is the reference."""
         return int(np.argmax(np.where(self.batteries, self._b.s_max_kva, -1.0)))
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+        return str(self._b.id[self.reference])
 
     @property
     def place(self) -> int:
@@ -116,6 +126,11 @@ class FormingSet:
     genset: int
 
     @property
+    def name(self) -> str:
+        """Its name."""
+        return str(self.plant.scenario.gensets.id[self.genset])
+
+    @property
     def place(self) -> int:
         """Its place."""
         return int(self.plant.places.units["gensets"][self.genset])
@@ -151,9 +166,8 @@ class FormingSet:
 
     @property
     def rating_kva(self) -> float:
-        """Apparent power of its generator: all of its power at its power factor."""
-        sets = self.plant.scenario.gensets
-        return float(np.hypot(sets.p_max_kw[self.genset], sets.q_max_kvar[self.genset]))
+        """Rating of its generator."""
+        return float(self.plant.scenario.gensets.s_max_kva[self.genset])
 
     def excess_kva(self, powers: Powers) -> float:
         """Reactive power of the set beyond what its power factor allows."""

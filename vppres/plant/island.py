@@ -70,6 +70,8 @@ class Settled:
         What each battery gave beyond its set-point (negative: took).
     by_set_kw : float
         What the generating set gave so that forms the grid.
+    former : str
+        The device that was the source; empty where none was, and with grid.
     shed : array of bool, shape (C,)
         Who was to be served and was cut off.
     dark_reason : str
@@ -86,6 +88,7 @@ class Settled:
     dark_reason: str = ""
     ac_failed: str = ""
     by_set_kw: float = 0.0
+    former: str = ""
 
     @property
     def dark(self) -> bool:
@@ -211,6 +214,7 @@ class IslandPlant:
                     planned.served & ~realised.served,
                     ac_failed=found.not_found,
                     by_set_kw=_given_beyond_kw(set_points, found.powers),
+                    former=former.name,
                 )
             cut = self._protective_action(t, powers, found, state, helpers)
             if cut is None:
@@ -274,9 +278,12 @@ class IslandPlant:
         """One more protective action, None if there is none left."""
         need_kw = max(found.left_kw, found.excess_kva) + CUT_MARGIN_KW
         if self._on.n_phases > 1 and abs(found.left_kw) <= self.tolerance_kw:
-            room_kw = self._room_kw(powers, state, helpers, found.ac)
+            relieved = None
+            if found.former.excess_kva(found.powers) <= 0.0:
+                room_kw = self._room_kw(powers, state, helpers, found.ac)
+                relieved = self._on.relieved(powers, found.ac, need_kw, room_kw, found.former)
             return (
-                self._on.relieved(powers, found.ac, need_kw, room_kw, found.former)
+                relieved
                 or self._shed(t, powers, need_kw, found.ac)
                 or self._on.without_any(powers, found.former)
             )

@@ -22,6 +22,24 @@ def forming_batteries(site: Any) -> Flags:
     return np.asarray(batteries.formers)
 
 
+def island_former(site: Any) -> str | None:
+    """Name of the device that holds an island: the largest battery that forms it, else set."""
+    sets, battery = site.gensets, largest_forming_battery(site)
+    if battery is not None:
+        return str(site.batteries.id[battery])
+    if not sets.grid_forming.any():
+        return None
+    return str(sets.id[np.argmax(np.where(sets.grid_forming, sets.p_max_kw, -1.0))])
+
+
+def former_kva(site: Any, name: str) -> float:
+    """Rating of a device that holds an island."""
+    for table in (site.batteries, site.gensets):
+        for at in np.flatnonzero(table.id == name):
+            return float(table.s_max_kva[at])
+    raise KeyError(name)
+
+
 def largest_forming_battery(site: Any) -> int | None:
     """Position of the one with the largest inverter; None without any."""
     formers = forming_batteries(site)
