@@ -251,12 +251,14 @@ class IslandPlant:
     def _excess_kva(self, former: Former, powers: Powers, ac: ACResult) -> float:
         """Power of the island's former beyond its rating.
 
-        What is cut on a phase comes off that phase alone, so its excess counts for all of them.
+        What is cut on a phase comes off that phase alone, so its excess counts for all of them. What
+        the power flow itself may miss is none.
         """
         own_kva = former.excess_kva(powers)
-        if self._on.n_phases == 1:
+        of_phases_kva = ac.fullest_kva - former.rating_kva
+        if self._on.n_phases == 1 or own_kva > 0.0 or of_phases_kva <= self.tolerance_kw:
             return own_kva
-        return max(own_kva, ac.fullest_kva - former.rating_kva)
+        return of_phases_kva
 
     def _order(self, t: int, powers: Powers, ac: ACResult) -> list[int]:
         """Customers that are on in the order in which they are shed; those off the phase last."""
