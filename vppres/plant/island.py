@@ -251,8 +251,8 @@ class IslandPlant:
     def _excess_kva(self, former: Former, powers: Powers, ac: ACResult) -> float:
         """Power of the island's former beyond its rating.
 
-        What is cut on a phase comes off that phase alone, so its excess counts for all of them. What
-        the power flow itself may miss is none.
+        What is cut on a phase comes off that phase alone, so its excess counts for all of them.
+        What the power flow itself may miss is none.
         """
         own_kva = former.excess_kva(powers)
         of_phases_kva = ac.fullest_kva - former.rating_kva
