@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,28 +16,14 @@ from vppres.physics.phased_sources import (
     labels_by_source,
     measured_at,
 )
-from vppres.physics.phases import NoPhasedSolutionError, PhasedFlow, PhasedResult
+from vppres.physics.phases import PhasedFlow, PhasedResult
 from vppres.physics.places import Places
-from vppres.physics.powerflow import ACPowerFlow, ACResult, NoSolutionError, PowerFlow
+from vppres.physics.powerflow import ACPowerFlow, ACResult
 from vppres.scenario.phases import PHASES, Phases
 from vppres.scenario.scenario import Scenario
 
 TOLERANCE_KVA = 1e-3
 """Residual of a solved flow: a tenth of a billionth of a volt is a watt on a stiff feeder."""
-
-
-def power_flows(scenario: Scenario) -> tuple[PowerFlow, PowerFlow]:
-    """The flow of a scenario's feeder with grid, and without the shunts that open in islands.
-
-    It is the same one where none opens.
-    """
-    net, phases = scenario.network, scenario.phases
-    if phases is not None:
-        by_phase = FlowByPhase(scenario, phases)
-        opens = any(shunt.island == "no" for shunt in phases.shunts)
-        return by_phase, FlowByPhase(scenario, phases, island=True) if opens else by_phase
-    balanced = ACPowerFlow(net)
-    return balanced, balanced if net.islanded is net else ACPowerFlow(net.islanded)
 
 
 class FlowByPhase:
@@ -97,23 +82,16 @@ class FlowByPhase:
         p, q = -np.asarray(p_kw, float), -np.asarray(q_kvar, float)
         own = -complex(p[reference], q[reference])
         p[reference] = q[reference] = 0.0
-        try:
-            found = flow.solve(p[1:], q[1:])
-        except NoPhasedSolutionError as error:
-            raise NoSolutionError(str(error), error.share) from None
-        return self._read(flow, found, p, q, own)
+        return self._read(flow, flow.solve(p[1:], q[1:]), p, q, own)
 
     def dead(self) -> ACResult:
-        """The result without any source."""
-        net = self._network
-        labels = self._dead_labels
-        return replace(
-            ACResult.dead(net.n_lines, net.n_buses),
-            v_node_pu=np.full(len(labels), np.nan),
-            nodes=labels,
-            source_kva=np.full(len(PHASES), np.nan, dtype=complex),
-            phases=PHASES,
-        )
+        """The result without any source: NaN, and no flow."""
+        net, labels = self._network, self._dead_labels
+        none, v_pu = np.zeros(net.n_lines), np.full(net.n_buses, np.nan)
+        source = np.full(len(PHASES), np.nan, dtype=complex)
+        v_node_pu = np.full(len(labels), np.nan)
+        flows = none, none, none, none, 0.0, 0.0, 0.0
+        return ACResult(v_pu, *flows, v_node_pu, source, labels, PHASES)
 
     def on_phase(self, places: Wholes) -> Flags:
         """Phases on which devices at these places have a coil, (3, n)."""
@@ -162,3 +140,21 @@ class FlowByPhase:
             loading=np.nan if fullest is None else float(loading[fullest]),
             loading_at="" if fullest is None else self._loadings.names[fullest],
         )
+
+
+PowerFlow = ACPowerFlow | FlowByPhase
+"""AC power flow for powers at a feeder's places (:class:`vppres.physics.places.Places`)."""
+
+
+def power_flows(scenario: Scenario) -> tuple[PowerFlow, PowerFlow]:
+    """The flow of a scenario's feeder with grid, and without the shunts that open in islands.
+
+    It is the same one where none opens.
+    """
+    net, phases = scenario.network, scenario.phases
+    if phases is not None:
+        by_phase = FlowByPhase(scenario, phases)
+        opens = any(shunt.island == "no" for shunt in phases.shunts)
+        return by_phase, FlowByPhase(scenario, phases, island=True) if opens else by_phase
+    balanced = ACPowerFlow(net)
+    return balanced, balanced if net.islanded is net else ACPowerFlow(net.islanded)

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -100,7 +99,7 @@ class ACResult:
         Largest current of a phase as a share of the rating of its line or transformer, and where;
         NaN on a balanced feeder.
     converged : bool
-        Always true in what :meth:`PowerFlow.solve` returns: without convergence it raises. False
+        Always true in what :meth:`ACPowerFlow.solve` returns: without convergence it raises. False
         in ``NotFoundError.best``.
     """
 
@@ -133,49 +132,6 @@ class ACResult:
     def fullest_kva(self) -> float:
         """Power of a source whose phases all give what the fullest of its own does."""
         return float(len(self.source_kva) * np.abs(self.source_kva).max())
-
-    @classmethod
-    def dead(cls, n_lines: int, n_buses: int) -> ACResult:
-        """The result of a balanced feeder without any voltage: NaN, and no flow."""
-        none, v_pu = np.zeros(n_lines), np.full(n_buses, np.nan)
-        source = np.full(1, np.nan, dtype=complex)
-        return cls(v_pu, none, none, none, none, 0.0, 0.0, 0.0, v_pu, source)
-
-
-class PowerFlow(Protocol):
-    """AC power flow for powers at a feeder's places (:class:`vppres.physics.places.Places`)."""
-
-    @property
-    def tolerance_kva(self) -> float:
-        """Power that a solved flow may miss; the source's power is no better known."""
-        ...
-
-    def solve(self, p_kw: ArrayLike, q_kvar: ArrayLike, reference: int = 0) -> ACResult:
-        """The flow of net injections, with the only source at one of the places.
-
-        Raises
-        ------
-        NoSolutionError, NotFoundError
-            If there is none, or none was found.
-        """
-        ...
-
-    def dead(self) -> ACResult:
-        """The result without any source."""
-        ...
-
-    def on_phase(self, places: Wholes) -> Flags:
-        """Phases of the source on which devices at these places are, (phases, n)."""
-        ...
-
-    @property
-    def found(self) -> dict[int, Complexes]:
-        """Voltages of the last solutions by their reference, from which the next solves start."""
-        ...
-
-    def go_on_from(self, found: Mapping[int, Complexes]) -> None:
-        """Start the next solves from solutions that were found before, here or elsewhere."""
-        ...
 
 
 class ACPowerFlow:
@@ -248,9 +204,10 @@ class ACPowerFlow:
         return _read(net, self._admittances, v, s_mva, reference)
 
     def dead(self) -> ACResult:
-        """The result without any source."""
-        net = self.network
-        return ACResult.dead(net.n_lines, net.n_buses)
+        """The result without any source: NaN, and no flow."""
+        none, v_pu = np.zeros(self.network.n_lines), np.full(self.network.n_buses, np.nan)
+        source = np.full(1, np.nan, dtype=complex)
+        return ACResult(v_pu, none, none, none, none, 0.0, 0.0, 0.0, v_pu, source)
 
     def on_phase(self, places: Wholes) -> Flags:
         """Every device is on all that there is, (1, n)."""

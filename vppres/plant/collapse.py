@@ -15,7 +15,8 @@ import numpy as np
 from vppres.contract.decision import Decision
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import VerificationError
-from vppres.physics.powerflow import ACResult, NoSolutionError, NotFoundError, PowerFlow
+from vppres.physics.feeder import PowerFlow
+from vppres.physics.powerflow import ACResult, NoSolutionError, NotFoundError
 from vppres.plant.exporting import within_export_limit
 from vppres.plant.island import Settled
 from vppres.plant.plant import NOBODY, BatteryState, Plant, Realised

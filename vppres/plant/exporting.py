@@ -11,7 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from vppres.physics.powerflow import ACResult, PowerFlow
+from vppres.physics.feeder import PowerFlow
+from vppres.physics.powerflow import ACResult
 from vppres.plant.changes import curtailed, part_of, powers_of, spare, taking
 from vppres.plant.plant import BatteryState, Plant, Powers, Realised
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -11,46 +10,6 @@ from vppres.core.arrays import Flags, Floats
 from vppres.kinds.gensets.physics import Engines
 from vppres.plant.plant import BatteryState, Plant, Powers, SetForms
 from vppres.scenario.assets import Batteries
-
-
-class Former(Protocol):
-    """Device that holds the voltage of an island and takes up its mismatch."""
-
-    @property
-    def name(self) -> str:
-        """Name of the reference."""
-        ...
-
-    @property
-    def place(self) -> int:
-        """Place at which the voltage is held."""
-        ...
-
-    @property
-    def batteries(self) -> Flags:
-        """Batteries that form the grid, (B,)."""
-        ...
-
-    def begin(self, powers: Powers) -> Powers:
-        """The set-points of a step that it forms."""
-        ...
-
-    def feeding(self, powers: Powers, kvar: float) -> Powers:
-        """The powers with so much more reactive power of the reference."""
-        ...
-
-    def share(self, powers: Powers, deficit_kw: float) -> tuple[Powers, float]:
-        """The powers with a deficit taken up, and what is left of it."""
-        ...
-
-    @property
-    def rating_kva(self) -> float:
-        """Rating of the reference."""
-        ...
-
-    def excess_kva(self, powers: Powers) -> float:
-        """Power of the reference beyond its rating."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,6 +133,10 @@ class FormingSet:
         assert powers.forming is not None
         most_kvar = self.plant.scenario.gensets.q_max_kvar[self.genset]
         return float(abs(powers.forming.q_kvar) - most_kvar)
+
+
+Former = FormingBatteries | FormingSet
+"""A device that holds the voltage of an island at its place and takes up the island's mismatch."""
 
 
 def share_out(power_kw: float, room_kw: Floats, rating: Floats) -> Floats:

@@ -22,7 +22,8 @@ import numpy as np
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import VerificationError
 from vppres.kinds.gensets.physics import Engines
-from vppres.physics.powerflow import ACResult, NoSolutionError, NotFoundError, PowerFlow
+from vppres.physics.feeder import PowerFlow
+from vppres.physics.powerflow import ACResult, NoSolutionError, NotFoundError
 from vppres.plant.changes import (
     CUT_MARGIN_KW,
     TAKE_LESS,
@@ -41,7 +42,7 @@ from vppres.scenario.scenario import Scenario
 
 BALANCE_TOLERANCE_KW = 1e-6
 """Largest power that the source of the power flow may still give once the set has shared it; more
-only where the power flow itself is less exact (``PowerFlow.tolerance_kva``)."""
+only where the power flow itself is less exact (``tolerance_kva`` of a power flow)."""
 
 COLLAPSE_PU = 0.7
 """A voltage below which motors stall and inverters trip: the island blacks out."""

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vppres.core.arrays import Flags, Floats
-from vppres.physics.powerflow import ACResult, PowerFlow
+from vppres.physics.feeder import PowerFlow
+from vppres.physics.powerflow import ACResult
 from vppres.plant.changes import CUT_MARGIN_KW, TAKE_LESS, forms, part_of, taking
 from vppres.plant.formers import Former
 from vppres.plant.plant import Plant, Powers
