@@ -87,7 +87,9 @@ class World:
         by_phase = ByPhase.of(site, record)
         if by_phase is not None:
             source = by_phase.source
-            teller = "substation" if source == GRID else "batteries"
+            sets = self.scenario.gensets.id
+            teller = "gensets" if source in sets else "batteries"
+            teller = "substation" if source == GRID else teller
             for phase, kva in by_phase.source_kva.items():
                 yield self._one(teller, "source_kva", begun, source, kva, str(phase))
             for (bus, phase), v_pu in zip(by_phase.nodes.index, by_phase.nodes, strict=True):

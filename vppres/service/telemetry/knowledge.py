@@ -126,7 +126,7 @@ def assets_of(scenario: Scenario) -> dict[str, list[str]]:
             for kind, names in OF_KINDS.items()
             for name in names
         },
-        "source_kva": [GRID, *batteries],
+        "source_kva": [GRID, *batteries, *map(str, scenario.gensets.id)],
         "v_pu": [] if scenario.phases is None else list(scenario.phases.by_bus),
     }
 
