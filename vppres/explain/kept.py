@@ -13,6 +13,7 @@ from vppres.core.text import in_pounds, named
 from vppres.explain.room import limits_in_full
 from vppres.explain.step import Step
 from vppres.explain.words import figure
+from vppres.kinds.table import KINDS
 
 POSSIBLE = 0.2
 """Probability from which a step of an outage counts as one that energy is kept for."""
@@ -136,9 +137,10 @@ def kept_in(step: Step) -> Kept | None:
     b = step.site.batteries
     held_kwh = float(b.energy_kwh @ (step.recorded.soc_end[step.t] - b.soc_min))
     most_kwh = float(b.energy_kwh @ (b.soc_max - b.soc_min))
-    of_fuel = window.stored_value.kwh_per_litre
-    held_kwh += float(step.recorded.fuel_left(step.t) @ of_fuel)
-    most_kwh += float(step.scenario.gensets.tank_litres @ of_fuel)
+    for kind, kwh_each in window.stored_value.kwh_each.items():
+        for left, most in KINDS[kind].store:
+            held_kwh += float(step.recorded.of_kind(kind, left)[step.t] @ kwh_each)
+            most_kwh += float(getattr(step.site.kinds[kind], most) @ kwh_each)
     first = step.site.customers.tier == step.scenario.tiers[0]
     needed_kw = float(step.scenario.load_kw[step.t :][: len(ahead) + 1, first].mean(axis=0).sum())
     gbp = _costs_gbp(step)

@@ -199,6 +199,8 @@ KIND = Kind(
     subject="genset",
     sign="generating set",
     gives=True,
+    forms=True,
+    store=(("fuel_end_litres", "tank_litres"),),
 )
 
 

@@ -15,6 +15,7 @@ import cvxpy as cp
 import numpy as np
 
 from vppres.contract.dispatch import Dispatch
+from vppres.contract.stored_value import StoredValue
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.kinds.gensets.data import steps_of
 from vppres.kinds.gensets.physics import SetsAhead
@@ -249,9 +250,8 @@ class GensetsModel(Addition):
             write(self.headroom, ahead.headroom_kw)
             write(self.at_once, np.where(ahead.forms, site.gensets.p_max_kw, 0.0))
             write(self.q_most, ahead.q_most_kvar(site.gensets))
-        nothing = np.zeros(len(site.gensets))
-        value = data.stored_value
-        write(self.stands_for, nothing if value is None else value.kwh_per_litre)
+        value = data.stored_value or StoredValue.nothing()
+        write(self.stands_for, value.kwh_each.get("gensets", np.zeros(len(site.gensets))))
 
     @classmethod
     def worth(cls, site: Site, data: WindowData, dispatch: Dispatch) -> dict[str, float]:
