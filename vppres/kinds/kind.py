@@ -49,6 +49,10 @@ class KindTable(Items):
         """Problems of rows of the file beside one another."""
         return []
 
+    def to_come(self, now: Any) -> Self:
+        """The table as a window that begins at a time is to know it."""
+        return self
+
     @property
     def unsaid(self) -> tuple[str, ...]:
         """Columns that need not be written."""

@@ -152,6 +152,10 @@ class Refuels(KindTable):
     time: Names = field(default_factory=no_items)
     litres: Floats = field(default_factory=no_items)
 
+    def to_come(self, now: Any) -> Refuels:
+        """Deliveries that are not in the tanks yet at a time."""
+        return self.rows(np.array([time > now for time in self.time], dtype=bool))
+
     def by_step(self, sets: Gensets, grid: TimeGrid) -> Floats:
         """Fuel that is delivered at the beginning of each step, (T, G).
 

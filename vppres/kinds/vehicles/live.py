@@ -123,11 +123,6 @@ def now(moment: Moment, read_kwh: Floats, past: PluggedInVehicles | None) -> Veh
     return VehiclesNow(Garage(day, kwh).at(0), float(taken_kw.sum()), off_kw, ())
 
 
-def to_come(day: Scenario) -> Scenario:
-    """A day without what is over at its beginning: the day itself."""
-    return day
-
-
 def read(
     door: Door, scenario: Scenario, told: Mapping[str, Any], past: PluggedInVehicles | None
 ) -> tuple[Scenario, Floats]:
