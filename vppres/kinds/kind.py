@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol, Self
+from typing import Any, ClassVar, Literal, Protocol, Self
 
 import numpy as np
 
@@ -75,6 +75,8 @@ class Kind:
         Item of the explanations that reasons are about.
     sign : str
         What a sign in the feeder's diagram stands for.
+    element : tuple of str
+        Table of a pandapower net in which units stand, and the word before their identifiers there.
     gives : bool
         Whether units only give power: the column ``p_kw`` of that table is what they give, and
         batteries may charge from it.
@@ -91,6 +93,7 @@ class Kind:
     item: str
     subject: str
     sign: str
+    element: tuple[Literal["load", "sgen", "storage"], str]
     gives: bool = False
     forms: bool = False
     store: tuple[tuple[str, str], ...] = ()

@@ -19,7 +19,7 @@ from vppres.physics.phased_sources import former_of
 from vppres.report.plots.chart import Chart, Curve, Curves, Limit
 from vppres.report.plots.drawing import BLACK, RUN_STYLES, Style
 from vppres.report.plots.figures import save_chart
-from vppres.scenario.formers import largest_forming_battery
+from vppres.scenario.formers import largest_forming_battery, named_units
 
 DECIMALS = 6
 
@@ -41,7 +41,7 @@ def recheck_run(run: Trajectory, source: Path) -> Recheck:
         name = None if former is None else str(batteries.id[former])
         return recheck_phased(run.tables, phases, source, name)
     no_battery = largest_forming_battery(run.scenario) is None
-    forms = run.scenario.gensets.grid_forming if no_battery else None
+    forms = named_units(run.scenario) if no_battery else {}
     holder = Feeding.of(run.scenario, True, mode, np.ones(network.n_buses), forms).bus
     opened = [*network.drawing_bus[~network.island]]
     held = None if holder == network.slack_bus else holder

@@ -158,6 +158,10 @@ class OfKind:
         """Units that can form the grid of an island, and why one cannot now."""
         return iter(())
 
+    def able_kw(self, scenario: Scenario, recorded: Mapping[str, Any]) -> float:
+        """Power that units could give in a recorded step."""
+        return 0.0
+
     def held_kwh(self, scenario: Scenario, plan: Plan | None) -> tuple[float, float]:
         """Electric energy of full stores, and of what is in them, of units that can give it."""
         return 0.0, 0.0

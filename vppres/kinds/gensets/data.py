@@ -202,6 +202,7 @@ KIND = Kind(
     item="genset",
     subject="genset",
     sign="generating set",
+    element=("sgen", "set"),
     gives=True,
     forms=True,
     store=(("fuel_end_litres", "tank_litres"),),

@@ -103,6 +103,12 @@ class Sets(OfKind):
             empty = litres is not None and litres < least_litres[g]
             yield name, "it has no fuel for a step" if empty else ""
 
+    def able_kw(self, scenario: Scenario, recorded: Mapping[str, Any]) -> float:
+        """Largest power of the sets that have fuel for the step."""
+        sets = scenario.gensets
+        fuelled = recorded["fuel_start_litres"] >= sets.least_litres(scenario.grid.dt_h)
+        return float(sets.p_max_kw[fuelled].sum())
+
     def held_kwh(self, scenario: Scenario, plan: Plan | None) -> tuple[float, float]:
         """Energy of full tanks and of what is in them, at full power, of sets that start."""
         sets = scenario.gensets
