@@ -30,7 +30,7 @@ _PUT, _OPENED = "put", "opened"
 
 @dataclass(frozen=True, eq=False)
 class Feeding:
-    """What feeds the feeder in a step, and what its buses draw that no customer owns.
+    """Supply of the feeder in a step, and power of its buses that no customer owns.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ class Feeding:
         v_ac_pu: Floats,
         forms: Flags | None = None,
     ) -> Feeding:
-        """Who holds the voltage of a step.
+        """Asset that holds the voltage of a step.
 
         ``v_ac_pu`` (N,) is NaN in a blackout; ``forms`` (G,) marks sets that form the grid.
         """

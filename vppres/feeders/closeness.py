@@ -140,7 +140,7 @@ def told_deviation(feeder: ImportedFeeder, deviation: SourceDeviation) -> str:
 
 
 def told_causes(feeder: ImportedFeeder, deviation: SourceDeviation) -> Iterator[str]:
-    """What causes more than a trace of difference, or why it is not known."""
+    """Causes of more than a trace of difference, or the reason why they are unknown."""
     largest = deviation.largest_pu
     if feeder.deviation is None:
         yield NOT_CONVERGED
@@ -246,7 +246,7 @@ def _apart(feeder: ImportedFeeder, v_pu: Floats, source: Mapping[int, float]) ->
 
 
 def causes_of(net: Any, case: NetCase) -> Iterator[str]:
-    """What the voltages may differ by, by its size, the largest first."""
+    """Causes of differences in voltage with their sizes, the largest first."""
     found = [*_held_voltages(net, case), *_following_loads(net, case)]
     yield from (words for _, words in sorted(found, key=lambda cause: -cause[0]))
 

@@ -1,4 +1,4 @@
-"""What the service asks of a kind of flexible power; a folder of a kind has its own in ``service``.
+"""Protocol of a kind of flexible power in the service, which the kind's ``service`` implements.
 
 A unit tells readings, is told set-points, and is replayed as plans knew it.
 """
@@ -36,7 +36,7 @@ class LastReadings(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Stored:
-    """What is stored of a site's devices when a step is decided.
+    """Stored state of a site's devices when a step is decided.
 
     Parameters
     ----------
@@ -126,11 +126,11 @@ class OfKind:
         return {}
 
     def impossible(self, said: Any, units: Any, i: int) -> Iterator[Wrong]:
-        """What a unit cannot do of what an operator says."""
+        """Refusals of an operator's values that a unit cannot follow."""
         return iter(())
 
     def action(self, setpoint: Mapping[str, Any]) -> str:
-        """What a set-point asks for, in the words of explanations; empty if nothing."""
+        """Action of a set-point in the words of explanations; empty if there is none."""
         return ""
 
     def told_by_plans(self, scenario: Scenario, stored: Plans) -> Scenario:
@@ -176,7 +176,7 @@ def told_by_plans(scenario: Scenario, stored: Plans) -> Scenario:
 
 
 def beyond_rating(name: str, value: float, rating: float, unit: str) -> Iterator[Wrong]:
-    """That a value is beyond a rating, if it is."""
+    """Refusal of a value beyond a rating; None within it."""
     if abs(value) > rating + POWER_KW + RATING_SHARE * rating:
         yield name, value, f"is beyond its rating of {rating:g} {unit}", "Give at most the rating."
 

@@ -25,7 +25,7 @@ served."""
 
 
 def eased_soc(batteries: Batteries) -> Floats:
-    """That energy as a state of charge, (B,), at most ``SOC_OVER``."""
+    """Eased energy as a state of charge, (B,), at most ``SOC_OVER``."""
     return np.minimum(EASED_KWH / batteries.energy_kwh, SOC_OVER)
 
 

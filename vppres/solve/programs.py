@@ -119,7 +119,7 @@ class Program:
         )
 
     def priced(self, prices: Floats) -> tuple[float, Floats]:
-        """What the rows are worth at some prices, and what is left of the columns' costs.
+        """Worth of the rows at some prices, and reduced costs of the columns.
 
         By weak duality ``cost @ x >= worth + left @ x`` for every x that satisfies the rows,
         whatever the prices: those of a sign that a one-sided row forbids are taken as zero.
@@ -131,7 +131,7 @@ class Program:
         return float(prices[used] @ limits[used]), left
 
     def least(self, prices: Floats) -> float:
-        """What any x within its bounds costs at least, by any prices of the rows."""
+        """Least cost of any x within its bounds, by any prices of the rows."""
         worth, left = self.priced(prices)
         return worth + float(np.minimum(left * self.x_lower, left * self.x_upper).sum())
 
@@ -249,7 +249,7 @@ class ProgramSolution:
         )
 
     def outcome(self, solve_s: float) -> Outcome:
-        """The same without values, after so many seconds."""
+        """Outcome without values, after so many seconds."""
         return Outcome(self.status, self.value, self.bound, solve_s, DIRECT)
 
 
@@ -374,7 +374,7 @@ def program_of(selected: Selected) -> Program:
 
 
 def _status(status: highspy.HighsModelStatus, primal: int) -> Status:
-    """What HiGHS's end is worth."""
+    """Status of HiGHS's end."""
     ends = {
         highspy.HighsModelStatus.kOptimal: Status.OPTIMAL,
         highspy.HighsModelStatus.kInfeasible: Status.INFEASIBLE,

@@ -98,7 +98,7 @@ class SolverSpec:
 
 @cache
 def _installed() -> frozenset[str]:
-    """What cvxpy finds: it looks through the folders of the environment for every solver."""
+    """Solvers that cvxpy finds: it looks through the folders of the environment for each."""
     return frozenset(cp.installed_solvers())
 
 
@@ -200,7 +200,7 @@ def run_by_cvxpy(
     time_s: float,
     scale: float = 1.0,
 ) -> Outcome:
-    """The same by way of cvxpy."""
+    """Solve by way of cvxpy."""
     interface = spec.interface
     assert interface is not None
     options = partial(interface.options, gap_abs * scale)
@@ -229,7 +229,7 @@ def run_by_cvxpy(
 
 
 def _status(answer: CvxpyResult, interface: Interface) -> Status:
-    """What an answer is worth."""
+    """Status of an answer."""
     if answer.word == cp.OPTIMAL:
         return Status.OPTIMAL
     if answer.word in (
@@ -342,7 +342,7 @@ def as_cvxpy(selected: Selected) -> tuple[cp.Problem, cp.Variable]:
 
 
 def _compile_s(problem: cp.Problem | Selected) -> float:
-    """What compiling a problem may take, 0 for one that is compiled."""
+    """Time for compiling a problem, in seconds; 0 for one that is compiled."""
     if isinstance(problem, Selected):
         return 0.0 if problem.is_compiled else COMPILE_S + COMPILE_S_PER_ENTRY * problem.entries
     if problem.compilation_time is not None:

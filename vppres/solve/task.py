@@ -36,7 +36,7 @@ window in which time ran out during the search still gets the dispatch of the se
 
 @dataclass(frozen=True, eq=False)
 class WindowTask:
-    """What every stage of a window gets, and where it leaves what it found.
+    """Shared state of the stages of a window: data, limits, certificate and found sets.
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ class WindowTask:
 
     @property
     def grace_s(self) -> float:
-        """What the way to the first answer may take beyond the time limit."""
+        """Time beyond the limit for the way to the first answer, in seconds."""
         return GRACE_S + GRACE_S_PER_BUS * self.site.network.n_buses
 
     @property

@@ -171,7 +171,7 @@ class _Matrices:
         return len(one) == len(self.users[node]) == 1 and self.grounding(node) is not None
 
     def grounding(self, node: tuple[str, int]) -> complex | None:
-        """What grounds a neutral, in siemens; None where it is joined to more than ground."""
+        """Admittance of a neutral to ground, in siemens; None where it joins more than ground."""
         bus, own = node
         nodes, y = self._sum([sums for (at, _), sums in self.at_bus.items() if at == bus])
         gone = [

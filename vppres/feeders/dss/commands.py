@@ -78,7 +78,7 @@ class Commands:
         self.named_levels = False
 
     def text(self, verb: str, target: str, values: Values) -> str:
-        """What the engine gets; empty for nothing.
+        """Command for the engine; empty if it gets none.
 
         Raises
         ------

@@ -166,7 +166,7 @@ def from_leg_to_leg(bus: str) -> complex:
 
 
 def _losses_kw() -> float:
-    """What the source gives beyond what is drawn, and what its own impedance takes.
+    """Losses: the source's power beyond the demand, and the share of its own impedance.
 
     OpenDSS's own figure leaves out the latter, and capacitors and reactors to ground.
     """
@@ -258,7 +258,7 @@ def _control(element: str) -> str:
 
 
 def told(error: Exception) -> str:
-    """What the engine says, in a line; without what it says of itself."""
+    """Message of the engine in a line, without its name and version."""
     lines = [line.strip() for line in str(error).splitlines()]
     kept = [line for line in lines if line and not line.endswith(":")]
     return " ".join(kept or lines)[:MOST_TOLD].rstrip(".")
@@ -404,7 +404,7 @@ def _buses() -> list[str]:
 
 
 def _tables(solved: bool) -> dict[str, Any]:
-    """What the reader makes a pandapower net of."""
+    """Tables from which the reader makes a pandapower net."""
     branches, shunts = _branches()
     return {
         "problems": [],
@@ -639,7 +639,7 @@ def _between_lines(rated_kv: float, base_kv: float) -> float:
 
 
 def _causes(solved: bool) -> Iterator[list[Any]]:
-    """What the balanced equivalent of constant powers does not have, with its size in kW."""
+    """Causes of differences that the balanced equivalent of constant powers has, in kW."""
     drawn_kw: dict[str, float] = {}
     single_kw = 0.0
     for name in _of("load"):
@@ -801,7 +801,7 @@ def _live_phases(kind: str) -> int:
 
 
 def _notes_on_balance() -> Iterator[str]:
-    """What the balanced equivalent leaves out."""
+    """Notes on the simplifications of the balanced equivalent."""
     yield (
         "The circuit is taken as balanced: lines have their positive-sequence impedance, loads "
         "of single phases count as spread over three. Voltages are compared with the mean of the "
@@ -816,7 +816,7 @@ def _notes_on_balance() -> Iterator[str]:
 
 
 def _notes() -> Iterator[str]:
-    """What is taken as something else, whether the feeder is balanced or not."""
+    """Notes on elements that are modelled as something else, balanced or by phase."""
     if LEFT_OUT:
         yield f"Options of 'set' are left out: {', '.join(LEFT_OUT)}."
     for control, why in REFUSED_CONTROLS.items():
@@ -843,7 +843,7 @@ def _notes() -> Iterator[str]:
 
 
 def _notes_on_legs() -> Iterator[str]:
-    """That both legs behind a service transformer count as one voltage."""
+    """Note that both legs behind a service transformer count as one voltage."""
     count = sum(elements().middle() is not None for _ in _of("transformer"))
     if count:
         yield (
@@ -854,7 +854,7 @@ def _notes_on_legs() -> Iterator[str]:
 
 
 def _notes_on_controls() -> Iterator[str]:
-    """What acts in the source and stays as it is left there."""
+    """Notes on controls of the source, which stay in their last state."""
     acting = [
         element for element in _elements()
         if element.partition(".")[0] in CONTROLS - {"regcontrol", "swtcontrol"}

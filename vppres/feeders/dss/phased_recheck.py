@@ -116,7 +116,7 @@ def _asset(row: PhaseConnection) -> dict[str, Any]:
 def _steps(
     run: Tables, phases: Phases, assets: list[str], former: str | None
 ) -> list[dict[str, Any]]:
-    """What each asset draws in every step, and the voltage that a battery holds in islands."""
+    """Power of each asset in every step, and the voltage that a battery holds in islands."""
     wide = drawn(run).pivot(index="time", columns="id", values=["p", "q"])
     p_kw, q_kvar = (wide[each][assets] for each in ("p", "q"))
     held_v = _held_v(run, phases, former)

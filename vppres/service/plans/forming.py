@@ -1,4 +1,4 @@
-"""What can form the grid of an island now, and why the others cannot."""
+"""Devices that can form the grid of an island now, and reasons of those that cannot."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ class World:
         )
 
     def readings(self, t: int) -> list[Series]:
-        """What devices measure at the beginning of a step, and of the one before, by source."""
+        """Readings at the beginning of a step and over the one before, by source."""
         site, now = self.scenario, self.scenario.grid.times[t]
         found = [
             *self._each("batteries", "soc", now, site.batteries.id, self.day.state.soc),
@@ -73,7 +73,7 @@ class World:
         return found if t == 0 else [*found, *self._means(site.grid.times[t - 1])]
 
     def _means(self, begun: pd.Timestamp) -> Iterator[Series]:
-        """What devices measure over the last step."""
+        """Means that devices measure over the last step."""
         site, day, record = self.scenario, self.day, self.records[-1]
         if day.battery_kw is not None:
             names = site.batteries.id

@@ -93,7 +93,7 @@ class Grid:
 
 @dataclass(frozen=True, eq=False)
 class StepInputs:
-    """What is known at a step, and what to ask for ``again``."""
+    """Inputs of a step, and readings to request ``again``."""
 
     measurement: Measurement
     heard: list[Heard]
@@ -171,7 +171,7 @@ def readings_of(
 def _wrong_series(
     one: Readings, known: list[str], scenario: Scenario, until: pd.Timestamp
 ) -> Problem | None:
-    """What is wrong with all values of a series."""
+    """Errors of a series as a whole."""
     if one.asset not in known:
         cure = did_you_mean(one.asset, known, "Give an asset of the site.")
         return Problem(WHERE, "is not at the site", cure, None, "asset", one.asset)
@@ -185,7 +185,7 @@ def _wrong_series(
 
 
 def _wrong_value(what: str, sent: object, value: float | None, permitted: Range) -> Problem:
-    """What is wrong with a value: it is no number, or none that the quantity can have."""
+    """Error of a value: it is no number, or outside the quantity's range."""
     if value is None or math.isnan(value):
         cure = "Give a number, or null where it is missing."
         return Problem(WHERE, "is not a number", cure, None, what, readable(sent))
@@ -216,7 +216,7 @@ def check_setpoints(asked: Iterable[OperatorSetpoint], scenario: Scenario) -> No
 
 
 def _impossible(one: OperatorSetpoint, devices: Any, i: int) -> Iterator[Wrong]:
-    """What a device cannot do: field, value, what is wrong and what to do."""
+    """Refusal of a value that a device cannot have: field, value, error and cure."""
     if one.kind in OF_KINDS:
         yield from every()[one.kind].impossible(one, devices, i)
     elif one.p_kw is not None:
@@ -235,7 +235,7 @@ def known_at(
     own_days: bool = False,
     now: pd.Timestamp | None = None,
 ) -> StepInputs:
-    """What is known at the beginning of a step.
+    """Inputs at the beginning of a step.
 
     Parameters
     ----------
@@ -378,7 +378,7 @@ class Latest:
 
     @classmethod
     def at(cls, time: pd.Timestamp, scenario: Scenario, store: Store) -> Latest:
-        """Those of a time, by clocks that may be a little off."""
+        """Readings of a time, by clocks that may be a little off."""
         step_s = round(scenario.grid.step_minutes * 60)
         found = store.latest(time + pd.Timedelta(seconds=EARLY_SHARE * step_s), INSTANT)
         for kind in every().values():
@@ -469,7 +469,7 @@ class _Said:
     def since(
         cls, decided: pd.Timestamp | None, before: pd.Timestamp, now: pd.Timestamp, store: Store
     ) -> _Said:
-        """What plans said from a step on up to now; from ``before`` on if none was decided."""
+        """Plans from a step on up to now; from ``before`` on if none was decided."""
         plans = store.plans(before if decided is None else decided, now)
         if not plans:
             return cls(before, None, True)
