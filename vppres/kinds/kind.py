@@ -227,7 +227,7 @@ class UnitsAhead(ByStep):
         return taken_kw
 
     def store(self, scenario: Any, steps: range, eta_discharge: float) -> EnergyHeld:
-        """What units hold, with what is delivered in the steps, as energy in a battery."""
+        """Energy in a battery of what units hold, and of deliveries in the steps."""
         return EnergyHeld(np.zeros(self._arrays()[0].shape[1]), 0.0, 0.0, np.zeros(len(steps)))
 
     def left_kwh(
