@@ -99,15 +99,11 @@ class Recorded:
         """How long each customer had been off at the beginning of each step in h, (T, C)."""
         return off_before_h(self.served, self.scenario.grid.dt_h)
 
-    def _of_kind(self, kind: str, column: str) -> Floats:
+    def of_kind(self, kind: str, column: str) -> Floats:
         """A column of a kind of flexible power by step and unit, (T, n)."""
         table = KINDS[kind].table
         there = table in self.trajectory.tables
         return self.trajectory.by_step(table, column) if there else np.zeros((self.n_steps, 0))
-
-    def fuel_left(self, t: int) -> Floats:
-        """Fuel of each generating set at the end of a step, (G,)."""
-        return np.asarray(self._of_kind("gensets", "fuel_end_litres")[t])
 
     def _ahead(self, steps: range) -> KindsAhead:
         """Flexible power as it was known at the beginning of a window."""
@@ -391,7 +387,7 @@ class Recorded:
 
     def _given_kw(self, kind: str) -> Floats:
         """Power of each unit of a kind, negative where it took, (T, n)."""
-        power_kw = self._of_kind(kind, "p_kw")
+        power_kw = self.of_kind(kind, "p_kw")
         return power_kw if KINDS[kind].gives else -power_kw
 
 

@@ -18,7 +18,7 @@ from vppres.io.atomic import atomic_folder
 from vppres.report.plots.chart import Chart, Curve, Curves, Limit
 from vppres.report.plots.drawing import BLACK, RUN_STYLES, Style
 from vppres.report.plots.figures import save_chart
-from vppres.scenario.formers import island_former, largest_forming_battery
+from vppres.scenario.formers import island_former, largest_forming_battery, named_units
 
 DECIMALS = 6
 
@@ -37,7 +37,7 @@ def recheck_run(run: Trajectory, source: Path) -> Recheck:
 
         return recheck_phased(run.tables, phases, source, island_former(run.scenario))
     no_battery = largest_forming_battery(run.scenario) is None
-    forms = run.scenario.gensets.grid_forming if no_battery else None
+    forms = named_units(run.scenario) if no_battery else {}
     holder = Feeding.of(run.scenario, True, mode, np.ones(network.n_buses), forms).bus
     opened = [*network.drawing_bus[~network.island]]
     held = None if holder == network.slack_bus else holder

@@ -157,6 +157,10 @@ class Refuels(KindTable):
     time: Names = field(default_factory=no_items)
     litres: Floats = field(default_factory=no_items)
 
+    def to_come(self, now: Any) -> Refuels:
+        """Deliveries that are not in the tanks yet at a time."""
+        return self.rows(np.array([time > now for time in self.time], dtype=bool))
+
     def by_step(self, sets: Gensets, grid: TimeGrid) -> Floats:
         """Fuel that is delivered at the beginning of each step, (T, G).
 
@@ -203,7 +207,10 @@ KIND = Kind(
     item="genset",
     subject="genset",
     sign="generating set",
+    element=("sgen", "set"),
     gives=True,
+    forms=True,
+    store=(("fuel_end_litres", "tank_litres"),),
 )
 
 
