@@ -42,7 +42,6 @@ from vppres.physics.phased_sources import (
     assets_of,
     flow_of_former,
     flow_of_grid,
-    former_of,
     labels_by_source,
 )
 from vppres.physics.phases import NoPhasedSolutionError, PhasedFlow, PhasedResult
@@ -54,6 +53,7 @@ from vppres.report.rechecked import recheck_run
 from vppres.report.sections.base import Run
 from vppres.report.sections.network import network_section
 from vppres.scenario.earthing import in_island, unearthed, unearthed_by
+from vppres.scenario.formers import island_former
 from vppres.scenario.phases import (
     PhaseBus,
     PhaseConnection,
@@ -97,11 +97,11 @@ def powers(day: Scenario, t: int) -> tuple[np.ndarray, np.ndarray]:
 def flows(day: Scenario) -> tuple[PhasedFlow, PhasedFlow]:
     """With the grid as source, and with the former."""
     assert day.phases is not None
-    names = assets_of(day.customers, day.pv, day.batteries)
-    former = former_of(day.phases, day.batteries)
+    names = assets_of(day)
+    former = island_former(day)
     assert former is not None
     grid = flow_of_grid(day.phases, names, day.network.v_slack_pu)
-    island = flow_of_former(day.phases, names, day.batteries, former, 0.947, 1.053)
+    island = flow_of_former(day.phases, names, former, 0.947, 1.053)
     return grid, island
 
 
@@ -178,7 +178,7 @@ def test_an_island_is_formed_by_a_battery_that_earths_its_customers(
 def test_limits_of_an_island_are_between_phases_where_nothing_earths(day: Scenario) -> None:
     """Not at a bus where an asset has a coil to ground, and of as many voltages."""
     assert day.phases is not None
-    by_source = labels_by_source(day.phases, day.batteries)
+    by_source = labels_by_source(day)
     grid, island = ([word for bus, word in each if bus == "sourcebus"] for each in by_source)
     assert (grid, island) == (["a", "b", "c"], ["ab", "bc", "ca"])
     assert [bus for bus, _ in by_source[0]] == [bus for bus, _ in by_source[1]]

@@ -116,7 +116,7 @@ def step_prices(recorded: Recorded, model: ShadowPriceModel, t: int) -> StepPric
     energy_kwh = recorded.site.batteries.energy_kwh
     service = _service_level(price, recorded.site.weights.lambda_curt, held, energy_kwh)
     connected = bool((window.grid_limit_kw > 0).any())
-    if service is None or not connected or np.any(_worth(service) > WORTH):
+    if service is None or not connected or np.any(np.abs(service.prices.stored_energy) > WORTH):
         return StepPrices(window, service, None)
     share = _whole(service.served_share)
     fixed = replace(held, service_min=share, service_max=share)
@@ -179,11 +179,6 @@ def _as_more_gains(
 def _cost_alone(curtailed_kwh: float) -> PricedTerms:
     """Cost alone, with no more curtailment than the level above has."""
     return PricedTerms(0.0, 1.0, 0.0, curtailed_kwh + CURTAILED_SLACK_KWH)
-
-
-def _worth(service: PricedWindow) -> np.ndarray:
-    """Absolute worth of a stored kWh in each battery."""
-    return np.abs(service.prices.stored_energy)
 
 
 def _whole(share: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ from vppres.contract.observation import Told
 from vppres.core.arrays import Flags, Floats, Names
 from vppres.core.errors import InputError, VppresError
 from vppres.kinds.live_fields import ReadOfKinds
-from vppres.kinds.table import parts
+from vppres.kinds.table import TABLES, parts
 from vppres.live.door import HOUR, WHERE, Door, readable
 from vppres.live.ranges import ranges_of
 from vppres.scenario.assets import Batteries
@@ -190,8 +190,10 @@ class Seen:
         """Measurements of some steps alone, of which the first is the present one."""
         announced = self.announced_kw
         scenario = self.scenario.between(rows.start, rows.stop)
-        for live in parts("live").values():
-            scenario = live.to_come(scenario)
+        now = scenario.grid.start
+        scenario = replace(
+            scenario, **{name: getattr(scenario, name).to_come(now) for name in TABLES}
+        )
         return replace(
             self,
             t=0,

@@ -89,6 +89,7 @@ KIND = Kind(
     item="thermal_load",
     subject="thermal_load",
     sign="cooling or heat",
+    element=("load", "machine"),
 )
 
 

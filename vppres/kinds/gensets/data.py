@@ -100,6 +100,11 @@ class Gensets(KindTable):
         return np.ones((*served.shape[:-1], len(self)), dtype=bool)
 
     @property
+    def s_max_kva(self) -> Floats:
+        """Apparent power of each generator, (G,): all of its power at its power factor."""
+        return np.asarray(np.hypot(self.p_max_kw, self.q_max_kvar))
+
+    @property
     def q_max_kvar(self) -> Floats:
         """Reactive power that each can give or take at any power while it forms the grid, (G,)."""
         return np.asarray(self.p_max_kw * np.tan(np.arccos(self.power_factor)))
@@ -152,6 +157,10 @@ class Refuels(KindTable):
     time: Names = field(default_factory=no_items)
     litres: Floats = field(default_factory=no_items)
 
+    def to_come(self, now: Any) -> Refuels:
+        """Deliveries that are not in the tanks yet at a time."""
+        return self.rows(np.array([time > now for time in self.time], dtype=bool))
+
     def by_step(self, sets: Gensets, grid: TimeGrid) -> Floats:
         """Fuel that is delivered at the beginning of each step, (T, G).
 
@@ -198,7 +207,10 @@ KIND = Kind(
     item="genset",
     subject="genset",
     sign="generating set",
+    element=("sgen", "set"),
     gives=True,
+    forms=True,
+    store=(("fuel_end_litres", "tank_litres"),),
 )
 
 

@@ -240,6 +240,7 @@ KIND = Kind(
     item="charger",
     subject="vehicle",
     sign="charger",
+    element=("storage", "charger"),
 )
 
 
