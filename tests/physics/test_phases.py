@@ -17,7 +17,9 @@ from tests.support.phased_feeder import CIRCUIT, phased_day
 from tests.support.sets import gensets
 from vppres.contract.decision import Decision, SolveInfo
 from vppres.contract.observation import Observation
-from vppres.control.rules import rule_dispatch
+from vppres.control.phased import PhasedPlanner
+from vppres.control.phased_rule import served_by_phase
+from vppres.control.rules import rule_dispatch, service_order
 from vppres.control.step_state import StepState
 from vppres.core.errors import InputError
 from vppres.day.assembly import make_controller
@@ -33,17 +35,16 @@ from vppres.feeders.dss.phases import flow_of_source
 from vppres.io import read_scenario
 from vppres.io.digest import scenario_digest
 from vppres.io.scenario_writer import write_scenario
-from vppres.model.phases import Slopes
+from vppres.model.phases import PhasedModel, Slopes
 from vppres.model.site import Site
 from vppres.physics.phased_loading import Loadings
 from vppres.physics.phased_sources import (
     assets_of,
     flow_of_former,
     flow_of_grid,
-    former_of,
     labels_by_source,
 )
-from vppres.physics.phases import NoPhasedSolutionError, PhasedFlow
+from vppres.physics.phases import NoPhasedSolutionError, PhasedFlow, PhasedResult
 from vppres.report.findings import findings
 from vppres.report.first_page import limit_rows, who_and_why
 from vppres.report.one_line import step_states
@@ -52,6 +53,7 @@ from vppres.report.rechecked import recheck_run
 from vppres.report.sections.base import Run
 from vppres.report.sections.network import network_section
 from vppres.scenario.earthing import in_island, unearthed, unearthed_by
+from vppres.scenario.formers import island_former
 from vppres.scenario.phases import (
     PhaseBus,
     PhaseConnection,
@@ -62,6 +64,8 @@ from vppres.scenario.phases import (
 from vppres.scenario.remarks import darkness, former_words, held_capacitors
 from vppres.scenario.scenario import Scenario
 from vppres.service.plans.world import World
+from vppres.solve.ladder import WindowSolver
+from vppres.solve.phases import MOST_BINDING, near_to
 from vppres.solve.shadow_price_model import PricedTerms, ShadowPriceModel
 from vppres.solve.shadow_prices import price_window
 
@@ -93,11 +97,11 @@ def powers(day: Scenario, t: int) -> tuple[np.ndarray, np.ndarray]:
 def flows(day: Scenario) -> tuple[PhasedFlow, PhasedFlow]:
     """With the grid as source, and with the former."""
     assert day.phases is not None
-    names = assets_of(day.customers, day.pv, day.batteries)
-    former = former_of(day.phases, day.batteries)
+    names = assets_of(day)
+    former = island_former(day)
     assert former is not None
     grid = flow_of_grid(day.phases, names, day.network.v_slack_pu)
-    island = flow_of_former(day.phases, names, day.batteries, former, 0.947, 1.053)
+    island = flow_of_former(day.phases, names, former, 0.947, 1.053)
     return grid, island
 
 
@@ -174,7 +178,7 @@ def test_an_island_is_formed_by_a_battery_that_earths_its_customers(
 def test_limits_of_an_island_are_between_phases_where_nothing_earths(day: Scenario) -> None:
     """Not at a bus where an asset has a coil to ground, and of as many voltages."""
     assert day.phases is not None
-    by_source = labels_by_source(day.phases, day.batteries)
+    by_source = labels_by_source(day)
     grid, island = ([word for bus, word in each if bus == "sourcebus"] for each in by_source)
     assert (grid, island) == (["a", "b", "c"], ["ab", "bc", "ca"])
     assert [bus for bus, _ in by_source[0]] == [bus for bus, _ in by_source[1]]
@@ -512,6 +516,63 @@ def test_the_rule_serves_in_an_island_what_every_phase_carries(day: Scenario) ->
     assert (found.steps["shed_kw"] == 0.0).all()
     assert kva.max() <= rating / 3 + 0.1
     assert found.customers.groupby("time")["served"].any().all()
+
+
+@pytest.mark.parametrize("share", [10.0, 1.0, 0.2])
+def test_the_rule_needs_few_power_flows_and_serves_what_it_would_one_by_one(
+    day: Scenario, share: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With a former that carries everyone, and with smaller ones."""
+    full = replace(day.batteries, soc_initial=day.batteries.soc_max)
+    factor = np.where(full.formers, share, 1.0)
+    sizes = {each: getattr(full, each) * factor for each in ("energy_kwh", "p_max_kw", "s_max_kva")}
+    full = replace(full, **sizes)
+    island = replace(day, batteries=full).between(12, 13)
+    options = RunOptions(horizon_h=0.0).on(island)
+    observation = Day(island, options).observe(make_controller(island, options), 0)
+    state = StepState.of(Site.of(island), observation, "lossless")
+    order = service_order(state, list(island.tiers)).tolist()
+    kept: list[int] = []
+    for customer in order:
+        tried = served_by_phase(state, [*kept, customer]).served[0]
+        kept += [customer] if tried[[*kept, customer]].all() else []
+    flows: list[bool] = []
+    solved = PhasedModel.solved
+
+    def counted(model: PhasedModel, island: bool, *drawn: Any) -> PhasedResult | None:
+        flows.append(island)
+        return solved(model, island, *drawn)
+
+    monkeypatch.setattr(PhasedModel, "solved", counted)
+    served = served_by_phase(state, order).served[0]
+    assert np.flatnonzero(served).tolist() == sorted(kept)
+    assert served.all() == (share == 10.0)
+    assert share < 10.0 or len(flows) < len(order)
+
+
+@pytest.mark.daily
+def test_few_of_the_limits_that_bind_everywhere_are_rows_from_the_start(tmp_path: Path) -> None:
+    """A plan near the feeder without control has all of its voltages at limits that give way."""
+    file = tmp_path / "low.dss"
+    lines = [
+        f"new line.s{at} bus1=e{at or ''} bus2=e{at + 1} linecode=three length=0.01 units=km\n"
+        for at in range(40)
+    ]
+    file.write_text(CIRCUIT.replace("set voltagebases", "".join(lines) + "set voltagebases"))
+    day = phased_day(file)
+    two = day.between(18, 20)
+    options = RunOptions(horizon_h=1.0).on(two)
+    observation = Day(two, options).observe(make_controller(two, options), 0)
+    site = Site.of(two)
+    planner = PhasedPlanner(WindowSolver(site))
+    data = planner.begun(observation)[2]
+    plan = planner.solver.solve(data).dispatch
+    phased = data.require_phased()
+    there = phased.u_offset + planner.model.linear(data, *planner.model.drawn(data, plan))[0]
+    data = replace(data, phased=replace(phased, u_min=there))
+    bound = near_to(site, data, plan).require_phased().bound.sum(axis=2)
+    assert (bound[:, 0] >= 3 * MOST_BINDING).all()
+    assert (bound[:, 0] <= len(planner.model.by_phase) * MOST_BINDING).all()
 
 
 def test_phases_are_part_of_the_digest(day: Scenario) -> None:

@@ -11,7 +11,7 @@ from vppres.core.text import counted, named
 from vppres.kinds.table import KINDS, TABLES
 from vppres.scenario.capacitors import too_large, too_large_by_phase
 from vppres.scenario.earthing import floating
-from vppres.scenario.formers import forming_batteries, named_units
+from vppres.scenario.formers import forming_batteries, island_former, named_units
 from vppres.scenario.network import LOW_VOLTAGE_KV
 
 if TYPE_CHECKING:
@@ -184,7 +184,7 @@ def former_words(scenario: Scenario, mode: str | None = None, always: bool = Fal
     alone = f" {ONE_FORMER}" if len(names) + len(forming) == 1 else ""
     if not names:
         fuelled = f"{named(forming, NAMES_SHOWN)}, as long as it has fuel"
-        return f"The island is formed by {fuelled}.{alone}"
+        return f"The island is formed by {fuelled}.{alone}{_unearthed(scenario)}"
     if b.grid_forming.any():
         then = f" Without their energy, it is {named(forming, NAMES_SHOWN)}." if forming else ""
         formed = f"The island is formed by {named(names, NAMES_SHOWN)}."
@@ -200,17 +200,16 @@ def former_words(scenario: Scenario, mode: str | None = None, always: bool = Fal
 
 def _unearthed(scenario: Scenario) -> str:
     """Warning that customers in an island have no earthed source; empty if they have one."""
-    if scenario.phases is None:
+    former = island_former(scenario)
+    if scenario.phases is None or former is None:
         return ""
-    b = scenario.batteries
-    former = str(b.id[np.argmax(np.where(scenario.formers, b.s_max_kva, -1.0))])
     names = floating(scenario.phases, former, [str(name) for name in scenario.customers.id])
     if not names:
         return ""
     return (
         f" With {former} as source nothing earths the buses of {named(names, NAMES_SHOWN)}, whose "
         "coils are to ground: nothing holds their voltages there, and no plan is sure. Mark a "
-        "battery whose coils or transformer earth them as grid_forming in batteries.csv."
+        "battery or generating set whose coils or transformer earth them as grid_forming."
     )
 
 

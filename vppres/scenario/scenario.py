@@ -190,7 +190,7 @@ class Scenario(OfKinds):
 
     def __post_init__(self) -> None:
         if self.phases is not None:
-            check_phases(self.phases, self.network, self.customers, self.pv, self.batteries)
+            check_phases(self.phases, self)
         freeze_arrays(self)
 
     @cached_property
@@ -201,8 +201,6 @@ class Scenario(OfKinds):
     @property
     def formers(self) -> Flags:
         """Batteries that form the grid of an island, (B,); with phases those with all three."""
-        if self.phases is not None:
-            return self.phases.formers(self.batteries)
         return forming_batteries(self)
 
     @cached_property

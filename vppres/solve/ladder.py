@@ -76,8 +76,8 @@ class WindowSolver:
     method : {"decomposed", "monolithic"}
         How the supply schedule is found; ``docs/method.md`` proves the certificates.
     solver : str
-        Name in the table of solvers. Counts, the stages in the network and continuous problems with
-        cones do not follow it; the stages of a solution name the solver of each.
+        Name in the table of solvers. The stages in the network and continuous problems with cones
+        do not follow it; the stages of a solution name the solver of each.
     limits : SolveLimits, optional
         Gaps and time limit of a window.
     polygon_sides : int, optional

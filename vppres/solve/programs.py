@@ -189,13 +189,6 @@ class Program:
             )
         return solver
 
-    def loaded_by_shares(self) -> highspy.Highs:
-        """A solver that has the program without whole numbers, as it is.
-
-        Presolving compares all columns of the few rows, and takes longer than the iterations.
-        """
-        return self.by_shares().loaded(more={"presolve": "off"})
-
     @property
     def model(self) -> highspy.HighsModel:
         """The program in HiGHS's own form."""
@@ -251,13 +244,6 @@ class ProgramSolution:
     def outcome(self, solve_s: float) -> Outcome:
         """Outcome without values, after so many seconds."""
         return Outcome(self.status, self.value, self.bound, solve_s, DIRECT)
-
-
-def add_row(
-    solver: highspy.Highs, columns: Wholes, values: Floats, lower: float, upper: float
-) -> None:
-    """Add a row to a solver, which keeps its basis."""
-    solver.addRow(lower, upper, len(columns), columns.astype(np.int32), values)
 
 
 def begin_with(solver: highspy.Highs, columns: Wholes, values: Floats | Flags) -> None:

@@ -326,7 +326,11 @@ def as_cvxpy(selected: Selected) -> tuple[cp.Problem, cp.Variable]:
     x = cp.Variable(len(numbers.cost), integer=(whole,) if len(whole) else False)
     zero, end = selected.dims.zero, selected.dims.zero + selected.dims.nonneg
     left = numbers.limit - numbers.rows @ x
-    rows = [left[:zero] == 0, left[zero:end] >= 0]
+    # A row without coefficients that holds is left out: cvxpy reads no prices of it from SCIP.
+    bare = abs(numbers.rows).sum(axis=1) == 0
+    equal = np.flatnonzero(~bare[:zero] | (numbers.limit[:zero] != 0))
+    least = zero + np.flatnonzero(~bare[zero:end] | (numbers.limit[zero:end] < 0))
+    rows = [left[equal] == 0, left[least] >= 0]
     if selected.dims.soc:
         cones = cp.reshape(left[end:], (3, len(selected.dims.soc)), order="F")
         rows.append(cp.SOC(cones[0], cones[1:], axis=0))
@@ -336,8 +340,8 @@ def as_cvxpy(selected: Selected) -> tuple[cp.Problem, cp.Variable]:
     if selected.added is not None:
         matrix, at_least = selected.added
         rows.append(selected.shown(matrix) @ x >= at_least)
-    least = numbers.cost @ x + numbers.offset
-    sense = cp.Maximize(-least) if selected.maximises else cp.Minimize(least)
+    cost = numbers.cost @ x + numbers.offset
+    sense = cp.Maximize(-cost) if selected.maximises else cp.Minimize(cost)
     return cp.Problem(sense, rows), x
 
 

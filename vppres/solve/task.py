@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -54,6 +55,8 @@ class WindowTask:
         When the window's time limit is reached.
     certificate : Certificate
         What is known so far.
+    masters : dict
+        Those without the network by whether they lump the fleet, each made once.
     """
 
     data: WindowData
@@ -63,6 +66,7 @@ class WindowTask:
     sides: int
     deadline: Deadline
     certificate: Certificate
+    masters: dict[bool, Any] = field(default_factory=dict)
 
     @classmethod
     def begin(

@@ -164,6 +164,10 @@ def solved_job(job: dict[str, Any], name: str) -> dict[str, Any]:
     return {**found, "v": parts[:, ::2] + 1j * parts[:, 1::2]}
 
 
+ITEMS = {kind.item: "id" for kind in KINDS.values()}
+"""Columns of units, of all kinds."""
+
+
 def drawn(run: Tables) -> pd.DataFrame:
     """Power of a run's assets: columns ``time``, ``bus``, ``id``, ``table``, ``p``, ``q``."""
     customers, pv, batteries = run["customers"], run["pv"], run["batteries"]
@@ -178,7 +182,10 @@ def drawn(run: Tables) -> pd.DataFrame:
             p_kw = run[kind.table]["p_kw"]
             parts[kind.table] = (-p_kw if kind.gives else p_kw, 0.0 * p_kw)
     frames = [
-        run[name].reindex(columns=["time", "bus", "id"]).assign(table=name, p=p_kw, q=q_kvar)
+        run[name]
+        .rename(columns=ITEMS)
+        .reindex(columns=["time", "bus", "id"])
+        .assign(table=name, p=p_kw, q=q_kvar)
         for name, (p_kw, q_kvar) in parts.items()
         if len(run[name])
     ]

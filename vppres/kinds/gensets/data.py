@@ -110,6 +110,11 @@ class Gensets(KindTable):
         return np.ones((*served.shape[:-1], len(self)), dtype=bool)
 
     @property
+    def s_max_kva(self) -> Floats:
+        """Apparent power of each generator, (G,): all of its power at its power factor."""
+        return np.asarray(np.hypot(self.p_max_kw, self.q_max_kvar))
+
+    @property
     def q_max_kvar(self) -> Floats:
         """Reactive power that each can give or take at any power while it forms the grid, (G,)."""
         return np.asarray(self.p_max_kw * np.tan(np.arccos(self.power_factor)))

@@ -93,11 +93,11 @@ class Sets(OfKind):
         return [name for name, one in expected_by(plan).get("gensets", {}).items() if one["out"]]
 
     def formers(self, scenario: Scenario, plan: Plan | None) -> Iterator[tuple[str, str]]:
-        """Sets that are named; none forms a feeder by phases."""
+        """Sets that are named."""
         sets = scenario.gensets
         told = expected_by(plan).get("gensets", {})
         least_litres = sets.least_litres(scenario.grid.dt_h)
-        for g in np.flatnonzero(sets.grid_forming) if scenario.phases is None else ():
+        for g in np.flatnonzero(sets.grid_forming):
             name = str(sets.id[g])
             litres = told.get(name, {}).get("fuel_litres")
             empty = litres is not None and litres < least_litres[g]

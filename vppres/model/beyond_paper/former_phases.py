@@ -11,7 +11,7 @@ import numpy as np
 
 from vppres.core.arrays import Floats
 from vppres.model.beyond_paper.addition import Addition
-from vppres.model.constraints import Named
+from vppres.model.constraints import Named, of_served
 from vppres.model.data import WindowData
 from vppres.model.numerics import ANY_KW, write
 from vppres.model.phases import ISLAND, REACH, phased_model
@@ -71,7 +71,7 @@ class FormerPhases(Addition):
     def implied(self, site: Site, v: Variables, p: Parameters) -> Named:
         """Limits in both directions on the power of customers and batteries less PV power."""
         kw, kvar = (_by_kind(site, reactive)[0] for reactive in (False, True))
-        drawn = cp.multiply(p.P_load, v.x_served) @ (kw + site.customers.q_per_p[:, None] * kvar)
+        drawn = of_served(p.P_load, v) @ (kw + site.customers.q_per_p[:, None] * kvar)
         if len(site.pv):
             drawn = drawn + v.P_curt @ self.by_pv
         given_kw = self.rest_kw + drawn + (v.P_ch - v.P_dch) @ self.by_batteries

@@ -37,7 +37,7 @@ def phases_of(scenario: Scenario, quantity: str, asset: str) -> list[str]:
     if phases is None:
         return []
     if quantity == "v_pu":
-        grid, island = labels_by_source(phases, scenario.batteries)
+        grid, island = labels_by_source(scenario)
         return [*dict.fromkeys(phase for bus, phase in (*grid, *island) if bus == asset)]
     if asset == GRID or quantity == "source_kva":
         return list(PHASES)
