@@ -98,6 +98,9 @@ class Kind:
         batteries may charge from it.
     forms : bool
         Whether units can form the grid of an island; they have ``grid_forming`` and ``q_max_kvar``.
+    takes_less : bool
+        Whether units take less where an island lacks power, before a battery gives more or a
+        customer is shed; those of later kinds first.
     store : tuple of tuple
         Column of a run with what units hold at a step's end, and that of their table with the most,
         of a kind whose store is worth energy later; empty otherwise.
@@ -112,6 +115,7 @@ class Kind:
     element: tuple[Literal["load", "sgen", "storage"], str]
     gives: bool = False
     forms: bool = False
+    takes_less: bool = False
     store: tuple[tuple[str, str], ...] = ()
 
     @property
