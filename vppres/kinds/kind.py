@@ -101,6 +101,8 @@ class Kind:
     takes_less : bool
         Whether units take less where an island lacks power, before a battery gives more or a
         customer is shed; those of later kinds first.
+    recovers_by : str
+        State by which customers' units draw more after an outage, in words; empty if there is none.
     store : tuple of tuple
         Column of a run with what units hold at a step's end, and that of their table with the most,
         of a kind whose store is worth energy later; empty otherwise.
@@ -116,6 +118,7 @@ class Kind:
     gives: bool = False
     forms: bool = False
     takes_less: bool = False
+    recovers_by: str = ""
     store: tuple[tuple[str, str], ...] = ()
 
     @property

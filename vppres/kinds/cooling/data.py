@@ -96,6 +96,7 @@ KIND = Kind(
     sign="cooling or heat",
     element=("load", "machine"),
     takes_less=True,
+    recovers_by="temperatures",
 )
 
 
