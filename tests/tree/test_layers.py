@@ -54,6 +54,7 @@ def module_name(path: Path) -> str:
 LAYER_OF_PART = {
     "kinds": "scenario",
     "kind": "scenario",
+    "folder": "scenario",
     "table": "scenario",
     "fields": "scenario",
     "data": "scenario",

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Literal, Protocol
 
 import pandas as pd
 
@@ -21,6 +21,7 @@ from vppres.service.as_told import Plan, Plans
 from vppres.service.storage.records import Reading
 from vppres.service.storage.store import Store
 
+Direction = Literal["", "charging_positive", "injection_positive"]
 Wrong = tuple[str, float, str, str]  # field, value, what is wrong, and what to do
 
 
@@ -77,7 +78,7 @@ class OfKind:
         Its field in a scenario.
     source : str
         Who tells its readings in a simulation.
-    sign : str
+    direction : {"", "charging_positive", "injection_positive"}
         Which way a set-point's ``p_kw`` counts; empty if it has none.
     states : dict
         Quantities by which a unit is there or can work, and what stands until they are told.
@@ -87,7 +88,7 @@ class OfKind:
 
     kind: str
     source: str
-    sign: str = ""
+    direction: Direction = ""
     states: ClassVar[Mapping[str, float]] = {}
     of_visits: tuple[str, ...] = ()
 

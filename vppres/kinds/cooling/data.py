@@ -100,6 +100,6 @@ KIND = Kind(
 )
 
 
-def told(content: Mapping[str, Any]) -> str:
+def contents(content: Mapping[str, Any]) -> str:
     """Rooms and tanks in words, from the numbers of what a scenario holds."""
     return counted(content["thermal_loads"], "thermal load")

@@ -225,6 +225,6 @@ KIND = Kind(
 )
 
 
-def told(content: Mapping[str, Any]) -> str:
+def contents(content: Mapping[str, Any]) -> str:
     """Generating sets in words, from the numbers of what a scenario holds."""
     return counted(content["gensets"], "generating set")

@@ -263,7 +263,7 @@ KIND = Kind(
 )
 
 
-def told(content: Mapping[str, Any]) -> str:
+def contents(content: Mapping[str, Any]) -> str:
     """Chargers and sessions in words, from the numbers of what a scenario holds."""
     sessions = counted(content["ev_sessions"], "session")
     return f"{counted(content['chargers'], 'charger')} with {sessions}"

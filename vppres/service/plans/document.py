@@ -421,7 +421,7 @@ def _like(default: Mapping[str, Any], row: Mapping[Any, Any]) -> dict[str, Any]:
 _SIGNS = {
     "batteries": "charging_positive",
     "pv": "injection_positive",
-    **{name: kind.sign for name, kind in every().items() if kind.sign},
+    **{name: kind.direction for name, kind in every().items() if kind.direction},
 }
 
 
