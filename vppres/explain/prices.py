@@ -76,13 +76,19 @@ class StepPrices:
         return sum(level.solver_s for level in (self.service, self.cost) if level is not None)
 
 
-def day_prices(recorded: Sequence[Recorded]) -> list[StepPrices]:
+def day_prices(
+    recorded: Sequence[Recorded], progress: Callable[[int, int], None] | None = None
+) -> list[StepPrices]:
     """Shadow prices of every step of a run; one problem is compiled for all that share a record."""
     models: dict[int, ShadowPriceModel] = {}
-    for one in recorded:
+    found = []
+    for t, one in enumerate(recorded):
         if id(one) not in models:
             models[id(one)] = ShadowPriceModel(one.site, one.n_seen, one.beyond)
-    return [step_prices(one, models[id(one)], t) for t, one in enumerate(recorded)]
+        found.append(step_prices(one, models[id(one)], t))
+        if progress is not None:
+            progress(t + 1, len(recorded))
+    return found
 
 
 def step_prices(recorded: Recorded, model: ShadowPriceModel, t: int) -> StepPrices:

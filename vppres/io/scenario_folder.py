@@ -381,7 +381,14 @@ def _assemble(
         pv=PVSystems(**columns["pv"]),
         batteries=Batteries(**b | {"soc_initial": given_or(b["soc_initial"], b["soc_min"])}),
         tiers=tuple(file.tiers),
-        source=_source(file.source),
+        source=Source(
+            file.source.name,
+            file.source.kind,
+            tuple(file.source.notes),
+            SourceDeviation(**file.source.deviation.model_dump()),
+            file.source.unbalanced,
+            tuple(file.source.ties),
+        ),
         voll_gbp_per_kwh=file.reliability.voll_gbp_per_kwh,
         warnings=tuple(rows["warnings"].values()),
         interruptions=tuple(rows["outages"].values()),
@@ -390,12 +397,6 @@ def _assemble(
         **arrays,
         **{key: kind(**getattr(file, key).model_dump()) for key, kind in _SECTIONS.items()},
     )
-
-
-def _source(section: schema.TomlSection) -> Source:
-    deviation = SourceDeviation(**section.deviation.model_dump())
-    told = (tuple(section.notes), deviation, section.unbalanced, tuple(section.ties))
-    return Source(section.name, section.kind, *told)
 
 
 def _network(

@@ -285,6 +285,11 @@ def _problem(element: str) -> dict[str, Any] | None:
             f"{element} stands between bus {_buses()[0]} and bus {_buses()[1]}",
             "Leave its second bus out: the source holds its bus against ground.",
         )
+    if kind == "load" and dss.Solution.Year() and (shape := text_of(f"{element}.growth")):
+        return _wrong(
+            f"{element} grows by growthshape.{shape} to year {dss.Solution.Year()}",
+            "Write its power of that year, and leave out 'set year'.",
+        )
     if kind == "transformer":
         service = elements().middle() is not None
         dss.Transformers.Name(name)
@@ -302,6 +307,12 @@ def _problem(element: str) -> dict[str, Any] | None:
                 "Give it one, such as xhl=0.01.",
             )
     return None
+
+
+def text_of(of: str) -> str:
+    """Value of a property, ``class.name.property``, in lower case."""
+    dss.Text.Command(f"? {of}")
+    return str(dss.Text.Result()).strip().lower()
 
 
 def _far_end() -> list[tuple[str, int]]:
@@ -444,8 +455,7 @@ def _sources() -> Iterator[dict[str, Any]]:
 
 def number(query: str) -> float:
     """A property that OpenDSS only tells as text."""
-    dss.Text.Command(f"? {query}")
-    return float(dss.Text.Result())
+    return float(text_of(query))
 
 
 def _branches() -> tuple[Table, Table]:
@@ -704,8 +714,7 @@ def _shapes() -> dict[str, Any]:
     follows: dict[str, str] = {}
     for kind in ("load", "pvsystem"):
         for name in _of(kind):
-            dss.Text.Command(f"? {kind}.{name}.daily")
-            shape = dss.Text.Result().strip().lower()
+            shape = text_of(f"{kind}.{name}.daily")
             if shape and shape != "default":
                 follows[f"{kind}.{name}"] = shape
     values = {}
@@ -719,6 +728,13 @@ def _shapes() -> dict[str, Any]:
     return {"follows": follows, "values": values}
 
 
+def _growth() -> float:
+    """Factor by which loads have grown in the year that the script sets."""
+    years = dss.Solution.Year() - 1
+    dss.Text.Command("get %growth")
+    return float((1.0 + float(dss.Text.Result()) / 100.0) ** years) if years >= 0 else 1.0
+
+
 def nominal(kind: str, name: str, solved: bool) -> dict[str, float]:
     """Nominal power of a load, and what anything else gives or draws in the solution.
 
@@ -728,6 +744,7 @@ def nominal(kind: str, name: str, solved: bool) -> dict[str, float]:
     if kind == "load":
         dss.Loads.Name(name)
         factor = 1.0 if int(dss.Loads.Status()) == FIXED else dss.Solution.LoadMult()
+        factor *= _growth()
         return {"p_kw": float(dss.Loads.kW() * factor), "q_kvar": float(dss.Loads.kvar() * factor)}
     element = f"{kind}.{name}"
     dss.Circuit.SetActiveElement(element)
