@@ -14,7 +14,9 @@ from experiments.studies.phases import admittances_apart
 from tests.support.command_line import call
 from tests.support.homes import homes
 from tests.support.phased_feeder import CIRCUIT, phased_day
+from tests.support.set_points import asked
 from tests.support.sets import gensets
+from tests.support.vans import chargers, plugged_in
 from vppres.contract.decision import Decision, SolveInfo
 from vppres.contract.observation import Observation
 from vppres.control.phased import PhasedPlanner
@@ -383,6 +385,55 @@ def test_plans_keep_every_phase_of_the_former_and_every_node(circuit: Path, day:
     assert off["words"].str.contains("phase [abc] of be").any()
     assert "phase rating" in " ".join(who_and_why(explained))
     check_price_of_a_phase(trajectory)
+
+
+class Asks:
+    """A controller with the same set-points in every step."""
+
+    def __init__(self, day: Scenario, plan: Decision) -> None:
+        self.day = day
+        self.decision = plan
+
+    def horizon_steps(self, t0: int) -> range:
+        """The step alone."""
+        return range(t0, t0 + 1)
+
+    def decide(self, observation: Observation) -> Decision:
+        """The set-points."""
+        return self.decision
+
+
+@pytest.mark.daily
+@pytest.mark.parametrize("former", ["be", "g0"])
+def test_vehicles_rooms_and_sets_are_those_of_opendss(
+    circuit: Path, day: Scenario, former: str
+) -> None:
+    rooms, fuel = homes("cb", p_max_kw=40.0), {"tank_litres": 900.0, "fuel_level_litres": 900.0}
+    sets = gensets(bus="m", p_min_kw=0.0, p_max_kw=300.0, only_in_outage=False, **fuel)
+    sets = replace(sets, grid_forming=sets.id == former, power_factor=np.array([0.5]))
+    vehicles = chargers(bus=["n"], p_charge_kw=60.0)
+    rows = [
+        PhaseConnection(name, bus, coils, kv)
+        for name, bus, coils, kv in (
+            ("h0", "n", "b", 2.4), ("g0", "m", "a b c", 2.4), ("k0", "n", "bc", 4.16)
+        )
+    ]  # fmt: skip
+    assert day.phases is not None
+    phases = replace(day.phases, connections=(*day.phases.connections, *rows))
+    b = day.batteries
+    full = replace(b, soc_initial=b.soc_max, grid_forming=b.id == former)
+    parts = {"thermal_loads": rooms, "gensets": sets, "chargers": vehicles, "batteries": full}
+    more = plugged_in(replace(day, phases=phases, **parts).between(10, 14), (0.0, 4.0))
+    wanted = {"thermal_loads": 40.0, "gensets": -150.0, "chargers": 60.0}
+    on = np.isin(day.customers.id, ["cb", "cd"])
+    plan = asked(more, wanted, served=on, curtailed_kw=1e3)
+    run = Day(more, RunOptions(mode="physical")).run(Asks(more, plan))
+    assert run.gensets is not None and run.vehicles is not None
+    assert (run.gensets["p_kw"] > 100.0).all() and (run.vehicles["p_kw"] > 0.0).any()
+    assert (run.steps["former"][run.steps["outage"]] == former).all()
+    found = recheck_run(run, circuit).voltages
+    apart = found.groupby("outage")["difference_pu"].agg(lambda off: off.abs().max())
+    assert apart[False] < 1e-6 and apart[True] < 1e-6
 
 
 def check_price_of_a_phase(trajectory: Trajectory) -> None:

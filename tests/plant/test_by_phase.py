@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -11,12 +10,11 @@ import pytest
 
 from benchmarks.random_feeders import random_scenario
 from tests.support.homes import homes, with_random_homes
-from tests.support.set_points import decision, state
+from tests.support.set_points import asked, state
 from tests.support.sets import gensets, random_sets
 from tests.support.three_phases import three_phases
 from tests.support.vans import chargers, plugged_in, with_random_vehicles
 from vppres.contract.decision import Decision
-from vppres.core.arrays import Floats
 from vppres.kinds.cooling.physics import Climate
 from vppres.kinds.table import KINDS, units_of
 from vppres.physics.feeder import power_flows
@@ -34,17 +32,6 @@ POWERS = (
     *("pv_self_kw", "pv_export_kw", "pv_curtailed_kw", "pv_q_kvar", "charge_kw", "discharge_kw"),
     *("batt_q_kvar", "soc_end", "load_kw"),
 )
-
-
-def asked(day: Scenario, kw: Mapping[str, Floats | float], **set_points: Any) -> Decision:
-    """Set-points of a step with what the units of each kind take; all sets run."""
-    plan = decision(day, **set_points)
-    taken_kw = {
-        kind: np.broadcast_to(kw.get(kind, 0.0), (1, len(units)))
-        for kind, units in units_of(day).items()
-    }
-    running = {"gensets": np.ones((1, len(day.gensets)), dtype=bool)} if len(day.gensets) else {}
-    return replace(plan, dispatch=replace(plan.dispatch, taken_kw=taken_kw, running=running))
 
 
 def played(day: Scenario, plan: Decision, before: BatteryState, t: int, plant: Plant) -> Settled:

@@ -6,7 +6,6 @@ pieces that never changes, so that a problem is compiled once.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -39,7 +38,7 @@ class StoredValue:
     as_service : bool
         Whether it counts as service: in an outage, where energy is all that there is to spend.
         Otherwise all customers are supplied, and it counts against the cost of energy.
-    kwh_each : mapping
+    kwh_each : dict
         Energy in a battery that a unit of what each asset of a kind holds stands for, a litre of
         fuel for example, (n,) by kind.
 
@@ -56,7 +55,7 @@ class StoredValue:
     service: Floats
     gbp_per_service: float
     as_service: bool
-    kwh_each: Mapping[str, Floats] = field(default_factory=dict)
+    kwh_each: dict[str, Floats] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         freeze_arrays(self)

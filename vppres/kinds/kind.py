@@ -31,6 +31,14 @@ class KindTable(Items):
         Columns with identifiers of another table: the column, the key of that table, what it holds.
     limits : tuple
         Columns that must not exceed another one of their row, with the cure where it is special.
+    names : str
+        Column of names that are shown; empty if there is none.
+    may_be_nan, may_be_infinite : tuple
+        Columns that may have no value, and those that may have no limit.
+    series : mapping
+        Series of its rows, and what each is, for the documentation. Each is a file with a column
+        for each row, by its identifier, and an array of the scenario by step, (T, n): the name is
+        the file's, the array's, and that of the number in ``attributes.csv``.
     """
 
     key: ClassVar[str]
@@ -38,6 +46,10 @@ class KindTable(Items):
     about: ClassVar[str]
     references: ClassVar[tuple[tuple[str, str, str], ...]] = ()
     limits: ClassVar[tuple[tuple[str, str, str], ...]] = ()
+    names: ClassVar[str] = "id"
+    may_be_nan: ClassVar[tuple[str, ...]] = ()
+    may_be_infinite: ClassVar[tuple[str, ...]] = ()
+    series: ClassVar[Mapping[str, str]] = {}
 
     @classmethod
     def of_columns(cls, columns: dict[str, Any], tiers: Mapping[str, float]) -> Self:
@@ -52,6 +64,10 @@ class KindTable(Items):
     def to_come(self, now: Any) -> Self:
         """The table as a window that begins at a time is to know it."""
         return self
+
+    def remark(self, scenario: Any) -> str:
+        """Doubts about the rows, in a sentence; empty if there are none."""
+        return ""
 
     @property
     def unsaid(self) -> tuple[str, ...]:
@@ -121,6 +137,9 @@ class Units(Protocol):
         """Largest power of each, (n,)."""
 
     def __len__(self) -> int: ...
+
+    def most_taken_kw(self, scenario: Any) -> Floats:
+        """Most that each takes in each step, (T, n)."""
 
     def owner(self, customers: Any) -> Wholes:
         """Position of each unit's customer, (n,); 0 for one that stands alone."""
@@ -213,7 +232,7 @@ class UnitsAhead(ByStep):
         return taken_kw
 
     def store(self, scenario: Any, steps: range, eta_discharge: float) -> EnergyHeld:
-        """What units hold, with what is delivered in the steps, as energy in a battery."""
+        """Energy in a battery of what units hold, and of deliveries in the steps."""
         return EnergyHeld(np.zeros(self._arrays()[0].shape[1]), 0.0, 0.0, np.zeros(len(steps)))
 
     def left_kwh(

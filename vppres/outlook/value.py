@@ -9,7 +9,7 @@ the value is a lumped one, and nothing certifies it: a window that is solved for
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import ceil, floor
@@ -49,7 +49,7 @@ class EquivalentBattery:
         Largest power of all generating sets, which they give in an outage.
     fuel_kwh : float
         Energy in a battery that stands for all fuel that they have or will get.
-    kwh_each : mapping
+    kwh_each : dict
         Energy that a unit of what each asset of a kind holds stands for, (n,) by kind.
     """
 
@@ -61,7 +61,7 @@ class EquivalentBattery:
     eta_discharge: float
     sets_kw: float = 0.0
     fuel_kwh: float = 0.0
-    kwh_each: Mapping[str, Floats] = field(default_factory=dict)
+    kwh_each: dict[str, Floats] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

@@ -236,11 +236,6 @@ class Scenario(OfKinds):
         """Fuel that is delivered to each set at the beginning of each step, (T, G)."""
         return self.refuels.by_step(self.gensets, self.grid)
 
-    @cached_property
-    def most_charging_kw(self) -> Floats:
-        """Largest power of each charger that has a vehicle, 0 of others, (T, K)."""
-        return np.where(self.session_at >= 0, self.chargers.p_charge_kw, 0.0)
-
     @property
     def series(self) -> dict[str, Floats]:
         """All arrays that vary by step, by the names of the fields, (T, ...) each."""

@@ -38,6 +38,7 @@ class Gensets(KindTable):
     model = "GensetRow"
     about = "A generating set with a tank of fuel."
     limits = (("p_min_kw", "p_max_kw", ""), ("fuel_level_litres", "tank_litres", ""))
+    may_be_infinite = ("ramp_up_kw_per_h", "ramp_down_kw_per_h")
 
     id: Names = field(default_factory=no_items)
     bus: Names = field(default_factory=no_items)
@@ -81,6 +82,15 @@ class Gensets(KindTable):
             if len(getattr(self, name)) == 0:
                 object.__setattr__(self, name, values)
         super().__post_init__()
+
+    def most_taken_kw(self, scenario: Any) -> Floats:
+        """None, (T, G): sets give."""
+        return np.zeros((scenario.grid.n_steps, len(self)))
+
+    def fuelled(self, scenario: Any) -> Flags:
+        """Sets that have fuel for a step, or get it, (G,)."""
+        litres = self.fuel_level_litres + scenario.refuelled_litres.sum(axis=0)
+        return np.asarray(litres >= self.least_litres(scenario.grid.dt_h))
 
     def owner(self, customers: Customers) -> Wholes:
         """Nobody: sets stand alone, (G,)."""
@@ -152,6 +162,7 @@ class Refuels(KindTable):
     model = "RefuelRow"
     about = "A delivery of fuel that is known ahead."
     references = (("genset", "gensets", "set"),)
+    names = ""
 
     genset: Names = field(default_factory=no_items)
     time: Names = field(default_factory=no_items)
