@@ -136,7 +136,7 @@ def test_cars_machines_and_sets_are_in_networks_and_in_charts() -> None:
         assert 1000 * machine["p_mw"].item() == pytest.approx(cooled_kw, abs=1e-6)
     names = [curve["name"] for curve in import_load_pv(run).data()["curves"]]
     assert any(name.endswith("vehicles") for name in names)
-    assert any(name.endswith("cooling and heat") for name in names)
+    assert any(name.endswith("thermal loads") for name in names)
     assert any(name.endswith("generating sets") for name in names)
     assert [curve["name"] for curve in indoor(run).data()["curves"]][-1].endswith("median")
     assert cross_check(day).agrees

@@ -34,8 +34,10 @@ NAMES = (
     ("thermal loads", "pools"),
     ('"th_', '"po_'),
     ("indoor_", "water_"),
+    ('"prepared"', '"readied"'),
+    ('"cooled or heated ahead"', '"readied for an outage"'),
 )
-"""What is renamed in the copy: folder, file, field, table, item, letters, and what is read."""
+"""What is renamed in the copy: folder, file, field, table, item, letters, what is read and done."""
 GAIN = "pools.csv,gain_kw,number,kW,-1000,1000,0,"
 SERIES = (
     (
@@ -70,6 +72,7 @@ options = RunOptions(horizon_h=1.0, isolate=False)
 RUN = f"""{SITE}
 from tests.support.played_service import played
 from vppres.explain.day import explain_day
+from vppres.report.sections.explain import ACTIONS
 from vppres.report.run_folder import write_run
 from vppres.service.operation.runner import Service
 from vppres.service.simulate import Play
@@ -96,7 +99,7 @@ of_run = in_net()
 told = Controller.of(day, options).step(Measurement(day.grid.times[0]))
 told.apply_to(net, feeder)
 print(json.dumps([summary["pools"], run.pools["p_kw"].tolist(), live_kw, player.tally.statuses,
-                  of_run, in_net(), told.pools["p_kw"].to_dict()]))
+                  of_run, in_net(), told.pools["p_kw"].to_dict(), ACTIONS["readied"]]))
 """
 LATER = f"""{SITE}
 from tests.support.played_service import played
@@ -196,12 +199,12 @@ def told(folder: Path, code: str) -> Any:
 
 @pytest.mark.daily
 def test_a_copy_of_a_kind_is_a_kind(copied: Path) -> None:
-    figures, p_kw, live_kw, statuses, of_run, of_live, set_kw = told(copied, RUN)
+    figures, p_kw, live_kw, statuses, of_run, of_live, set_kw, action = told(copied, RUN)
     village = read_scenario(find_scenario("village-hot-week")).between(FIRST, LAST)
     loads = village.thermal_loads
     warm = replace(loads, t_initial_c=np.full(len(loads), WARM_C))
     village = replace(village, thermal_loads=warm)
-    run = run_day(village, RunOptions(horizon_h=1.0))
+    run = run_day(village, RunOptions(horizon_h=1.0, isolate=False))
     assert run.thermal_loads is not None
     assert p_kw == pytest.approx(run.thermal_loads["p_kw"].tolist(), abs=1e-6)
     assert live_kw == pytest.approx(p_kw, abs=1e-6) and statuses == {"ok": LAST - FIRST}
@@ -214,6 +217,8 @@ def test_a_copy_of_a_kind_is_a_kind(copied: Path) -> None:
     assert figures["machines_kwh"] == pytest.approx(run.thermal_loads["p_kw"].sum(), abs=1e-6)
     page = (copied / "run" / "report.html").read_text(encoding="utf-8")
     assert "rooms and tanks come after service" in page
+    assert action == "readied for an outage"
+    assert ": pools" in (copied / "run" / "figures" / "import_load_pv.svg").read_text("utf-8")
 
 
 @pytest.mark.daily

@@ -55,9 +55,11 @@ def _cold(scenario: Scenario, options: RunOptions) -> Iterator[Problem]:
         message = "is not stated for customers that may be dimmed"
         cure = "Use 1, or leave the column share_min of customers.csv out."
         yield Problem("options", message, cure, field=field, value=value)
-    if options.switching.cold and len(scenario.thermal_loads):
-        message = "counts what thermal loads draw after an outage twice"
-        cure = "Use 1: what restored customers draw follows from their temperatures."
+    for kind in map(KINDS.__getitem__, units_of(scenario)):
+        if not (options.switching.cold and kind.recovers_by):
+            continue
+        message = f"counts what {kind.what} draw after an outage twice"
+        cure = f"Use 1: what restored customers draw follows from their {kind.recovers_by}."
         yield Problem("options", message, cure, field=field, value=value)
 
 

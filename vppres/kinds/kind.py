@@ -98,6 +98,11 @@ class Kind:
         batteries may charge from it.
     forms : bool
         Whether units can form the grid of an island; they have ``grid_forming`` and ``q_max_kvar``.
+    takes_less : bool
+        Whether units take less where an island lacks power, before a battery gives more or a
+        customer is shed; those of later kinds first.
+    recovers_by : str
+        State by which customers' units draw more after an outage, in words; empty if there is none.
     store : tuple of tuple
         Column of a run with what units hold at a step's end, and that of their table with the most,
         of a kind whose store is worth energy later; empty otherwise.
@@ -112,6 +117,8 @@ class Kind:
     element: tuple[Literal["load", "sgen", "storage"], str]
     gives: bool = False
     forms: bool = False
+    takes_less: bool = False
+    recovers_by: str = ""
     store: tuple[tuple[str, str], ...] = ()
 
     @property

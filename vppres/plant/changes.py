@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from vppres.core.arrays import Flags, Floats
+from vppres.kinds.table import KINDS
 from vppres.plant.plant import Plant, Powers, Realised
 
-TAKE_LESS = ("thermal_loads", "chargers")
+TAKE_LESS = tuple(kind for kind in reversed(KINDS) if KINDS[kind].takes_less)
 """Kinds that take less where an island lacks power, in this order: before batteries and customers.
 """
 
@@ -37,6 +38,20 @@ def powers_of(realised: Realised) -> Powers:
 def taking(powers: Powers, kind: str, taken_kw: Floats) -> Powers:
     """Powers in which the units of a kind take these, (n,)."""
     return replace(powers, taken_kw={**powers.taken_kw, kind: taken_kw})
+
+
+def taking_less(plant: Plant, t: int, powers: Powers, kind: str, less_kw: Floats) -> Powers | None:
+    """Powers in which the units of a kind take so much less, (n,), or what they can.
+
+    One that has a least power takes nothing below it. None if that is not less.
+    """
+    taken_kw = powers.taken_kw[kind]
+    able_kw, running = plant.units[kind].follow(
+        t, taken_kw - less_kw, powers.running[kind], powers.served
+    )
+    if able_kw.sum() >= taken_kw.sum():
+        return None
+    return taking(replace(powers, running={**powers.running, kind: running}), kind, able_kw)
 
 
 def spare(plant: Plant, powers: Powers) -> dict[str, Floats]:

@@ -33,6 +33,7 @@ from vppres.plant.changes import (
     powers_of,
     spare,
     taking,
+    taking_less,
 )
 from vppres.plant.formers import Former, FormingBatteries, FormingSet
 from vppres.plant.plant import NOBODY, BatteryState, Plant, Powers, Realised
@@ -284,7 +285,7 @@ class IslandPlant:
             relieved = None
             if found.former.excess_kva(found.powers) <= 0.0:
                 room_kw = self._room_kw(powers, state, helpers, found.ac)
-                relieved = self._on.relieved(powers, found.ac, need_kw, room_kw, found.former)
+                relieved = self._on.relieved(t, powers, found.ac, need_kw, room_kw, found.former)
             return (
                 relieved
                 or self._shed(t, powers, need_kw, found.ac)
@@ -296,7 +297,10 @@ class IslandPlant:
                 taken_kw = powers.taken_kw.get(kind, np.zeros(0))
                 taking_kw = np.maximum(taken_kw, 0.0)
                 if taking_kw.sum() > 0:
-                    return taking(powers, kind, taken_kw - part_of(taking_kw, need_kw))
+                    off_kw = part_of(taking_kw, need_kw)
+                    less = taking_less(self.plant, t, powers, kind, off_kw)
+                    if less is not None:
+                        return less
             charging = np.where(others, np.maximum(powers.battery_kw, 0.0), 0.0)
             if found.left_kw > self.tolerance_kw and charging.sum() > 0:
                 return replace(powers, battery_kw=powers.battery_kw - part_of(charging, need_kw))

@@ -10,7 +10,7 @@ import numpy as np
 from vppres.core.arrays import Flags, Floats
 from vppres.physics.feeder import PowerFlow
 from vppres.physics.powerflow import ACResult
-from vppres.plant.changes import CUT_MARGIN_KW, TAKE_LESS, forms, part_of, taking
+from vppres.plant.changes import CUT_MARGIN_KW, TAKE_LESS, forms, part_of, taking_less
 from vppres.plant.formers import Former
 from vppres.plant.plant import Plant, Powers
 
@@ -25,6 +25,7 @@ class OnPhases:
     ``units`` are those of each kind. A device's power is that of all its phases, in equal parts.
     """
 
+    plant: Plant
     customers: Flags
     pv: Flags
     batteries: Flags
@@ -36,7 +37,7 @@ class OnPhases:
         at = plant.places
         units = {kind: flow.on_phase(places) for kind, places in at.units.items()}
         customers, pv, batteries = map(flow.on_phase, (at.customers, at.pv, at.batteries))
-        return cls(customers, pv, batteries, units)
+        return cls(plant, customers, pv, batteries, units)
 
     @property
     def n_phases(self) -> int:
@@ -61,14 +62,22 @@ class OnPhases:
         return np.asarray(part_of(room_kw * least, max(float(former_kw.sum()), 0.0)))
 
     def relieved(
-        self, powers: Powers, ac: ACResult, need_kw: float, room_kw: Floats, former: Former
+        self,
+        t: int,
+        powers: Powers,
+        ac: ACResult,
+        need_kw: float,
+        room_kw: Floats,
+        former: Former,
     ) -> Powers | None:
         """Powers with less on the fullest phase, all customers on; None if there are none.
 
         Parameters
         ----------
+        t : int
+            The step.
         powers : Powers
-            Those of the step.
+            Its powers.
         ac : ACResult
             Their power flow.
         need_kw : float
@@ -88,7 +97,9 @@ class OnPhases:
                 there_kw = _by_phase_kw(taken_kw, self.units[kind])[fullest]
                 if there_kw.sum() > LITTLE_KW:
                     off_kw = _on_phase(taken_kw, there_kw, need_kw)
-                    return taking(powers, kind, powers.taken_kw[kind] - off_kw)
+                    less = taking_less(self.plant, t, powers, kind, off_kw)
+                    if less is not None:
+                        return less
         there_kw = _by_phase_kw(room_kw, self.batteries)[fullest]
         if there_kw.sum() > LITTLE_KW:
             given_kw = _on_phase(room_kw, there_kw, need_kw)

@@ -153,7 +153,8 @@ def held_capacitors(scenario: Scenario) -> str:
 
 NO_FORMER = (
     "Nothing can form the grid of an island: without grid no customer is supplied. Mark a battery "
-    "in batteries.csv or a generating set in gensets.csv with grid_forming."
+    f"in batteries.csv{''.join(f' or a {k.sign} in {k.file}' for k in KINDS.values() if k.forms)} "
+    "with grid_forming."
 )
 ONE_FORMER = "Nothing else forms it: if it fails or has no energy left, no customer is supplied."
 

@@ -95,6 +95,8 @@ KIND = Kind(
     subject="thermal_load",
     sign="cooling or heat",
     element=("load", "machine"),
+    takes_less=True,
+    recovers_by="temperatures",
 )
 
 

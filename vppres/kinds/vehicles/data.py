@@ -259,6 +259,7 @@ KIND = Kind(
     subject="vehicle",
     sign="charger",
     element=("storage", "charger"),
+    takes_less=True,
 )
 
 
