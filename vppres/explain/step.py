@@ -359,8 +359,7 @@ class Step:
     def _phases_towards(self, bus: str) -> Flags:
         """Currents of a phased feeder that carry most of what an asset of a bus draws, (k,)."""
         model = phased_model(self.site)
-        s = self.site
-        at = buses_of(s.customers, s.pv, s.batteries) == bus
+        at = buses_of(self.site) == bus
         slopes = model.slopes[ISLAND if self.outage and model.former is not None else GRID]
         each = np.eye(len(at))[at]
         through = np.abs(slopes.currents(each, np.zeros_like(each))) * model.loadings.kva

@@ -84,12 +84,12 @@ def _balanced(scenario: Scenario) -> Solved:
 
 def _by_phase(scenario: Scenario, phases: Phases) -> Solved:
     """Solver of a phased feeder: for each bus the voltage that is farthest from 1 pu."""
-    net, b = scenario.network, scenario.batteries
-    flow = flow_of_grid(phases, assets_of(scenario.customers, scenario.pv, b), net.v_slack_pu)
+    net = scenario.network
+    flow = flow_of_grid(phases, assets_of(scenario), net.v_slack_pu)
     at_bus = measured_at(phases, net)
 
     def solved(load_kw: Floats, load_kvar: Floats, pv_kw: Floats) -> Floats:
-        drawn = drawn_uncontrolled(load_kw, load_kvar, pv_kw, len(b))
+        drawn = drawn_uncontrolled(load_kw, load_kvar, pv_kw, len(flow.assets))
         return farthest(flow.v_pu(flow.solve(*drawn).v), at_bus, net.n_buses)
 
     return solved

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vppres.core.arrays import Complexes, Flags, Floats
+from vppres.kinds.table import units_of
 from vppres.physics.phased_loading import Loadings
 from vppres.physics.phased_sources import (
     assets_of,
@@ -70,7 +71,10 @@ class PhasedPlant(Plant):
         self._customer_bus = np.arange(C)
         self._pv_bus = C + np.arange(P)
         self.battery_bus = C + P + np.arange(B)
-        self.n_places = C + P + B
+        first = self.n_places = C + P + B
+        for kind, units in units_of(s).items():
+            self.unit_bus[kind] = first + np.arange(len(units))
+            first = self.n_places = first + len(units)
 
     def at_buses(self, realised: Realised) -> tuple[Floats, Floats]:
         """Net injections of the network's buses, (N,) each."""
@@ -79,8 +83,7 @@ class PhasedPlant(Plant):
 
 def _place(scenario: Scenario) -> Any:
     """Powers of the network's buses of those of the assets, (N, D)."""
-    buses = buses_of(scenario.customers, scenario.pv, scenario.batteries)
-    return scenario.network.place(buses)
+    return scenario.network.place(buses_of(scenario))
 
 
 class PhasedACFlow(ACPowerFlow):
@@ -98,10 +101,10 @@ class PhasedACFlow(ACPowerFlow):
         self.network = scenario.network
         self._last = {}
         b = scenario.batteries
-        assets = assets_of(scenario.customers, scenario.pv, b)
+        assets = assets_of(scenario)
         net = scenario.network
         self.grid = flow_of_grid(phases, assets, net.v_slack_pu)
-        self.before_batteries = len(assets) - len(b)
+        self.before_batteries = len(scenario.customers) + len(scenario.pv)
         limits = net.v_min_pu, net.v_max_pu
         self.islands = {
             self.before_batteries + int(i): flow_of_former(phases, assets, b, int(i), *limits)
@@ -268,15 +271,17 @@ class PhasedIslandPlant(IslandPlant):
 
     def _by_phase_kw(self, battery_kw: Floats) -> Floats:
         """Powers of batteries on each of their phases, in equal parts, (3, B)."""
-        first = len(self.flow.grid.assets) - len(battery_kw)
-        on = np.array([self._on_phase(phase)[first:] for phase in range(3)])
+        first = self.flow.before_batteries
+        of_batteries = slice(first, first + len(battery_kw))
+        on = np.array([self._on_phase(phase)[of_batteries] for phase in range(3)])
         return np.asarray(on * battery_kw / np.maximum(on.sum(axis=0), 1))
 
     def _without(self, powers: Powers, which: Flags) -> Powers | None:
         """Powers without PV export and discharge of some assets; None if they have neither."""
         s = self.plant.scenario
         first = len(s.customers)
-        pv, batteries = which[first : first + len(s.pv)], which[first + len(s.pv) :] & ~self.formers
+        ends = first + len(s.pv), first + len(s.pv) + len(s.batteries)
+        pv, batteries = which[first : ends[0]], which[ends[0] : ends[1]] & ~self.formers
         export = np.where(pv, powers.pv_export_kw, 0.0)
         feeding = np.where(batteries, np.minimum(powers.battery_kw, 0.0), 0.0)
         if not (export.any() or feeding.any()):

@@ -190,7 +190,7 @@ class Scenario(OfKinds):
 
     def __post_init__(self) -> None:
         if self.phases is not None:
-            check_phases(self.phases, self.network, self.customers, self.pv, self.batteries)
+            check_phases(self.phases, self)
         freeze_arrays(self)
 
     @cached_property

@@ -64,7 +64,7 @@ def worst_hour_by_phase(feeder: ImportedFeeder, scenario: Scenario) -> float | N
     assert phases is not None
     if not isinstance(flow, OpenDSSFlow):
         return None
-    names = assets_of(scenario.customers, scenario.pv, scenario.batteries)
+    names = assets_of(scenario)
     loads = {customer_of(load.connection.id): load.connection.id for load in source.loads}
     own = [str(each) for each in scenario.customers.id]
     assets = [
@@ -72,9 +72,7 @@ def worst_hour_by_phase(feeder: ImportedFeeder, scenario: Scenario) -> float | N
     ]
     usable_kw = np.minimum(scenario.pv_kw, scenario.pv.s_max_kva)
     powers = [
-        drawn_uncontrolled(
-            scenario.load_kw[t], scenario.load_kvar[t], usable_kw[t], len(scenario.batteries)
-        )
+        drawn_uncontrolled(scenario.load_kw[t], scenario.load_kvar[t], usable_kw[t], len(assets))
         for t in extreme_times(scenario)
     ]
     steps = [{"p_kw": p.tolist(), "q_kvar": q.tolist(), "held_v": None} for p, q in powers]
