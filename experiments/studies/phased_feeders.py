@@ -86,10 +86,10 @@ def in_phases(scenario: Scenario, rng: Generator | None = None) -> Scenario:
         coils |= {name: str(rng.choice(COILS)) for name in at if name not in fixed}
     rows = []
     for name in at:
-        own = coils[owner.get(name) or name]
-        between = len(own.split()[0]) > 1
+        words = coils[owner.get(name) or name]
+        between = len(words.split()[0]) > 1
         kv = net.base_kv if between else net.base_kv / np.sqrt(3.0)
-        rows.append(PhaseConnection(str(name), str(at[name]), own, kv))
+        rows.append(PhaseConnection(str(name), str(at[name]), words, kv))
     return replace(scenario, phases=Phases(tuple(buses), tuple(lines), connections=tuple(rows)))
 
 

@@ -154,7 +154,7 @@ def test_a_restored_customer_draws_more_on_its_phase(
 def test_hard_limits_switch_a_customer_off_for_a_voltage_of_its_phase(
     street: Scenario, limits: str, on: int
 ) -> None:
-    day = on_phase_a(street, [140.0], [OPEN])
+    day = on_phase_a(street, [220.0], [OPEN])
     run = run_of(day, horizon_h=0.0, voltage_limits=limits)
     assert served(run)[:, 0].tolist() == [on]
     assert run.nodes is not None

@@ -42,7 +42,8 @@ run = run_day(day, options)
 summary = write_run(explain_day(run), Path("run"))
 player = played(Service(day, options, rehearsal=True), day, Path("live"), Play(announced=False))
 live_kw = [kw for record in player.world.records for kw in record.kinds["pools"]["p_kw"]]
-print(json.dumps([summary["pools"], run.pools["p_kw"].tolist(), live_kw, player.tally.statuses]))
+in_net = [str(name) for name in run._powers(0).drawn.index if str(name).startswith("machine ")]
+print(json.dumps([summary["pools"], run.pools["p_kw"].tolist(), live_kw, player.tally.statuses, in_net]))
 """
 
 
@@ -71,12 +72,13 @@ def test_a_copy_of_a_kind_is_a_kind(tmp_path: Path) -> None:
         text=True,
         check=True,
     )
-    figures, p_kw, live_kw, statuses = json.loads(done.stdout)
+    figures, p_kw, live_kw, statuses, in_net = json.loads(done.stdout)
     village = read_scenario(find_scenario("village-hot-week")).between(FIRST, LAST)
     run = run_day(village, RunOptions(horizon_h=1.0))
     assert run.thermal_loads is not None
     assert p_kw == pytest.approx(run.thermal_loads["p_kw"].tolist(), abs=1e-6)
     assert live_kw == pytest.approx(p_kw, abs=1e-6) and statuses == {"ok": LAST - FIRST}
+    assert in_net == [f"machine {name}" for name in village.thermal_loads.id]
     assert figures["machines_kwh"] == pytest.approx(run.thermal_loads["p_kw"].sum(), abs=1e-6)
     page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
     assert "rooms and tanks come after service" in page

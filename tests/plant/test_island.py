@@ -15,6 +15,7 @@ from vppres.contract.decision import Decision
 from vppres.physics import nose
 from vppres.physics.newton import Newton
 from vppres.physics.powerflow import ACPowerFlow
+from vppres.plant.changes import curtailed
 from vppres.plant.formers import share_out
 from vppres.plant.island import (
     COLLAPSE,
@@ -24,7 +25,6 @@ from vppres.plant.island import (
     NO_SOLUTION,
     IslandPlant,
     Settled,
-    curtailed,
     shedding_order,
 )
 from vppres.plant.plant import BatteryState, Plant, Powers
@@ -186,8 +186,9 @@ def dark_and_empty(scenario: Scenario, done: Settled) -> bool:
         done.dark
         and not r.served.any()
         and np.isnan(done.ac.v_pu).all()
+        and np.isnan(done.ac.source_kva).all()
         and done.ac.v_pu.shape == (scenario.network.n_buses,)
-        and not np.concatenate([np.r_[flow] for flow in astuple(done.ac)[1:-1]]).any()
+        and not np.concatenate([np.r_[flow] for flow in astuple(done.ac)[1:8]]).any()
         and (done.mismatch_kw == 0.0).all()
         and (r.pv_curtailed_kw == scenario.pv_kw[T]).all()
         and not (r.charge_kw + r.discharge_kw + np.abs(r.p_injection_kw).sum()).any()

@@ -32,7 +32,7 @@ LIBRARY_HOMES = {
 MOST_ENTRIES, MOST_LAYERS = 25, 12
 PRONOUNS = {"What", "Who", "Whom", "Whose", "Where", "That", "Those"}
 """First words that leave a docstring without a noun."""
-STILL_WITHOUT_NOUN = {"feeders", "report", "service", "solve"}
+STILL_WITHOUT_NOUN = {"solve"}
 """Rooms of which docstrings still begin so; the set may only become smaller."""
 SOLVING = (
     "cvxpy",

@@ -17,7 +17,7 @@ from vppres.model.linearise import Drawn
 from vppres.model.own_state import COLLAPSED_PU2, giving_way, share_of
 from vppres.model.phases import PhasedModel, PhasedPoints
 from vppres.model.ratings import KEPT_SHARE, loading_of_phases
-from vppres.solve.phases import BINDS_PU2
+from vppres.solve.phases import binding
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,8 +105,8 @@ class PhasedLinearisation:
         """Limits that bind a candidate in its own window, as far as they gave way, (W, 2, m)."""
         u = data.require_phased().u_offset + self.model.linear(data, p, q)[0]
         ways = [each.require_phased() for each in giving_way(self.model.site, data)]
-        room = [np.stack([u - way.u_min, way.u_max - u], axis=1) for way in ways]
-        return np.asarray((np.abs(room).min(axis=0) < BINDS_PU2) & self.model.limited)
+        room = [np.abs([u - way.u_min, way.u_max - u]) for way in ways]
+        return binding(self.model, self.model.limited, np.min(room, axis=0))
 
     def _with_own_limits(self, data: WindowData) -> WindowData:
         """Limits that give way to the voltages without control, and in an island to those at rest.

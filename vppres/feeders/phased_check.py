@@ -31,7 +31,7 @@ class Extreme:
 
 @dataclass(frozen=True)
 class PhasedCheck:
-    """What the power flow of the three phases says without control, and whether currents add up.
+    """Power flow of the three phases without control, and whether currents add up.
 
     Parameters
     ----------

@@ -358,6 +358,8 @@ def _assemble(
     assert file is not None
     assert grid is not None
     columns = {key: columns_of(rows[key], model, read_bus) for key, model in MODELS.items()}
+    c, b = columns["customers"], columns["batteries"]
+    of_tier = [file.tiers[tier] for tier in c["tier"]]
     limit_kw = series["grid_limit_kw"].copy()
     if file.network.export_limit_kw is not None:
         series["export_limit_kw"] = np.array(file.network.export_limit_kw)
@@ -375,11 +377,18 @@ def _assemble(
         title=file.title or file.name,
         grid=grid,
         network=_network(file.network, columns["lines"], columns["buses"], read_bus),
-        customers=_customers(columns["customers"], file.tiers),
+        customers=Customers(**c | {"weight": given_or(c["weight"], of_tier)}),
         pv=PVSystems(**columns["pv"]),
-        batteries=_batteries(columns["batteries"]),
+        batteries=Batteries(**b | {"soc_initial": given_or(b["soc_initial"], b["soc_min"])}),
         tiers=tuple(file.tiers),
-        source=_source(file.source),
+        source=Source(
+            file.source.name,
+            file.source.kind,
+            tuple(file.source.notes),
+            SourceDeviation(**file.source.deviation.model_dump()),
+            file.source.unbalanced,
+            tuple(file.source.ties),
+        ),
         voll_gbp_per_kwh=file.reliability.voll_gbp_per_kwh,
         warnings=tuple(rows["warnings"].values()),
         interruptions=tuple(rows["outages"].values()),
@@ -390,12 +399,6 @@ def _assemble(
     )
 
 
-def _source(section: schema.TomlSection) -> Source:
-    deviation = SourceDeviation(**section.deviation.model_dump())
-    told = (tuple(section.notes), deviation, section.unbalanced, tuple(section.ties))
-    return Source(section.name, section.kind, *told)
-
-
 def _network(
     section: schema.TomlSection, lines: Columns, buses: Columns, read_bus: Callable[[str], BusId]
 ) -> Network:
@@ -404,14 +407,3 @@ def _network(
     scalars = section.model_dump(exclude={"export_limit_kw"})
     scalars["slack_bus"] = read_bus(section.slack_bus)
     return Network(**lines, i_max_a=rating_a, **buses, drawing_bus=drawing_bus, **scalars)
-
-
-def _customers(columns: Columns, tiers: dict[str, float]) -> Customers:
-    of_tier = [tiers[tier] for tier in columns["tier"]]
-    columns["weight"] = given_or(columns["weight"], of_tier)
-    return Customers(**columns)
-
-
-def _batteries(columns: Columns) -> Batteries:
-    columns["soc_initial"] = given_or(columns["soc_initial"], columns["soc_min"])
-    return Batteries(**columns)

@@ -28,7 +28,7 @@ from vppres.kinds.kind import KindTable
 from vppres.kinds.table import KINDS, units_of
 from vppres.scenario.fairness import Fairness, Interruption
 from vppres.scenario.history import History
-from vppres.scenario.network import BUS_DRAWS, LINE_DEFAULTS, BusId, Network
+from vppres.scenario.network import BUS_DRAWS, LINE_DEFAULTS, Network
 from vppres.scenario.outage_warnings import OutageStatistics
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import DEFAULT_VOLL_GBP_PER_KWH, ControllerDefaults, Scenario
@@ -95,8 +95,9 @@ def _network(scenario: Scenario) -> dict[str, Any]:
     network = scenario.network
     of_network = {f.name for f in fields(network)} - {"slack_bus"}
     limits = [name for name in schema.NetworkSection.model_fields if name in of_network]
+    slack = network.slack_bus
     section = {
-        "slack_bus": _plain(network.slack_bus),
+        "slack_bus": slack if isinstance(slack, str) else int(str(slack)),
         **{name: float(getattr(network, name)) for name in limits},
     }
     if scenario.export_limit_kw.ndim == 0 and np.isfinite(scenario.export_limit_kw):
@@ -164,11 +165,6 @@ def _source(source: Source) -> dict[str, Any]:
         **({"ties": list(source.ties)} if source.ties else {}),
         **({"deviation": deviation} if deviation else {}),
     }
-
-
-def _plain(bus: object) -> BusId:
-    """A bus identifier without NumPy's types."""
-    return str(bus) if isinstance(bus, str) else int(str(bus))
 
 
 def frames_of(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, pd.DataFrame]:

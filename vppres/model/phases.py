@@ -181,7 +181,7 @@ class PhasedModel:
         limits = (net.v_min_pu, net.v_max_pu)
         flows = [flow_of_grid(phases, names, net.v_slack_pu)]
         if former is not None:
-            flows.append(flow_of_former(phases, names, site.batteries, former, *limits))
+            flows.append(flow_of_former(phases, names, str(site.batteries.id[former]), *limits))
         loadings = Loadings.of(phases) if site.rated else Loadings.none(phases)
         return cls(site, tuple(flows), former, loadings)
 

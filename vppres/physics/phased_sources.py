@@ -1,4 +1,4 @@
-"""The flows of a phased feeder from each of its sources: the grid, and the battery of an island.
+"""The flows of a phased feeder from each of its sources: the grid, and what forms an island.
 
 Its assets are customers, PV systems, batteries, and the units of each kind of flexible power, in
 this order.
@@ -16,6 +16,7 @@ from vppres.kinds.table import units_of
 from vppres.physics.phases import PhasedFlow
 from vppres.scenario.assets import Batteries
 from vppres.scenario.earthing import in_island
+from vppres.scenario.formers import island_former
 from vppres.scenario.network import Network
 from vppres.scenario.phases import Phases
 
@@ -37,12 +38,14 @@ Labels = tuple[tuple[str, str], ...]
 """Bus and phase of each voltage with limits."""
 
 
-def labels_by_source(phases: Phases, batteries: Batteries) -> tuple[Labels, Labels]:
-    """Voltages with limits, as many of both: with the grid, and in the island of the former."""
-    former = former_of(phases, batteries)
-    if former is None:
-        return phases.measured, phases.measured
-    return phases.measured, in_island(phases, str(batteries.id[former])).measured
+def labels_by_source(site: Any) -> tuple[Labels, Labels]:
+    """Voltages with limits, as many of both: with the grid, and in the island of the former.
+
+    The site is a scenario or site with phases.
+    """
+    own = site.phases.measured
+    former = island_former(site)
+    return own, own if former is None else in_island(site.phases, former).measured
 
 
 def measured_at(phases: Phases, network: Network) -> Wholes:
@@ -92,17 +95,16 @@ def flow_of_grid(phases: Phases, assets: Sequence[str], v_pu: float) -> PhasedFl
 def flow_of_former(
     phases: Phases,
     assets: Sequence[str],
-    batteries: Batteries,
-    former: int,
+    former: str,
     v_min_pu: float,
     v_max_pu: float,
 ) -> PhasedFlow:
-    """The flow with a battery as source, at the voltage from which no load is within limits.
+    """The flow with a device as source, at the voltage from which no load is within limits.
 
     It holds the middle of what keeps all voltages within their limits at no load.
     """
-    bus = phases.connection(str(batteries.id[former])).bus
-    phases = in_island(phases, str(batteries.id[former]))
+    bus = phases.connection(former).bus
+    phases = in_island(phases, former)
     probe = PhasedFlow(phases, assets, bus, 1.0, island=True)
     at_rest = probe.v_pu(probe.no_load_v)
     held = (v_min_pu / at_rest.min() + v_max_pu / at_rest.max()) / 2.0

@@ -41,6 +41,10 @@ farthest out first."""
 BINDS_PU2 = 2e-5
 """How near its limit a squared voltage of a candidate is that the limit binds: 1e-5 pu."""
 
+MOST_BINDING = 16
+"""Voltages of a step and phase that bind a candidate on a side and get a row from the start. Where
+limits give way to the feeder without control, a plan near that state has thousands at them."""
+
 NEAR_RATING = 0.03
 """Share of what a phase of the former may carry that the last candidate may stay below it by for
 its sides to be rows from the start: passes move it by less."""
@@ -143,21 +147,12 @@ class PhaseLimits:
         u, former = self.model.linear(self.data, *drawn)
         u = self.phased.u_offset + u
         sides = ((LOW, self.phased.u_min - u), (HIGH, u - self.phased.u_max))
-        worst = [self._voltages(side, self._worst(beyond, over)) for side, beyond in sides]
+        worst = [
+            self._voltages(side, _farthest(self.model, self.limited, beyond, over, MOST_NEW))
+            for side, beyond in sides
+        ]
         former = self.phased.former_offset + former
         return [*chain(*worst), *self._former(former, over), *self._rated(drawn, over)]
-
-    def _worst(self, beyond: Floats, over: float) -> Flags:
-        """The voltages farthest beyond a limit in each step and phase, (W, m)."""
-        found = np.zeros(beyond.shape, dtype=bool)
-        beyond = np.where(self.limited, beyond, -np.inf)
-        for places in self.model.by_phase:
-            order = np.argsort(-beyond[:, places], axis=1, kind="stable")
-            worst = places[order[:, :MOST_NEW]]
-            np.put_along_axis(
-                found, worst, np.take_along_axis(beyond, worst, axis=1) > over, axis=1
-            )
-        return found
 
     def _voltages(self, side: int, which: Flags) -> list[PhaseRows]:
         """Rows of some limits, (W, m), on a side."""
@@ -266,6 +261,23 @@ class PhaseLimits:
         ]
 
 
+def _farthest(model: PhasedModel, limited: Flags, beyond: Floats, over: float, most: int) -> Flags:
+    """The voltages farthest beyond a limit in each step and phase, by more than so much, (W, m)."""
+    found = np.zeros(beyond.shape, dtype=bool)
+    beyond = np.where(limited, beyond, -np.inf)
+    for places in model.by_phase:
+        order = np.argsort(-beyond[:, places], axis=1, kind="stable")
+        worst = places[order[:, :most]]
+        np.put_along_axis(found, worst, np.take_along_axis(beyond, worst, axis=1) > over, axis=1)
+    return found
+
+
+def binding(model: PhasedModel, limited: Flags, room: Sequence[Floats]) -> Flags:
+    """Limits that bind a candidate, (W, 2, m), of each side by the room that it has there."""
+    of_sides = [_farthest(model, limited, -each, -BINDS_PU2, MOST_BINDING) for each in room]
+    return np.stack(of_sides, axis=1)
+
+
 def near_to(site: Site, data: WindowData, dispatch: Dispatch) -> WindowData:
     """A window that knows which limits bind a dispatch in the network too, as far as it has phases.
 
@@ -277,9 +289,9 @@ def near_to(site: Site, data: WindowData, dispatch: Dispatch) -> WindowData:
     model = phased_model(site)
     u, former = model.linear(data, *model.drawn(data, dispatch))
     u = phased.u_offset + u
-    room = np.abs(np.stack([u - phased.u_min, phased.u_max - u], axis=1))
-    limited = (model.limited & lit_steps(data)[:, None])[:, None, :]
-    bound = phased.bound | ((room < BINDS_PU2) & limited)
+    room = np.abs(u - phased.u_min), np.abs(phased.u_max - u)
+    limited = model.limited & lit_steps(data)[:, None]
+    bound = phased.bound | binding(model, limited, room)
     kva = phased.former_offset + former
     return replace(data, phased=replace(phased, bound=bound, former_kva=kva))
 

@@ -124,10 +124,10 @@ def service_of(site: Site, terms: Terms) -> float:
 
 
 def missed(service: float) -> float:
-    """What the dispatch of as much service may miss of it."""
+    """Service that the dispatch of as much service may miss."""
     return SERVICE_HELD_REL * (1.0 + abs(service))
 
 
 def missed_gbp(cost_gbp: float) -> float:
-    """What the dispatch of a cost may cost more."""
+    """Cost by which the dispatch of a cost may exceed it, in GBP."""
     return HELD_REL * abs(cost_gbp) + HELD_ABS

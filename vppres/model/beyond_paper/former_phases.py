@@ -1,4 +1,4 @@
-"""What assets draw by phase, and the power of the battery that forms an island on each phase."""
+"""Power of the assets of a feeder with phases, and of an island's former on each phase."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from vppres.core.arrays import Floats
 from vppres.model.beyond_paper.addition import Addition, Taken
-from vppres.model.constraints import Named
+from vppres.model.constraints import Named, of_served
 from vppres.model.data import WindowData
 from vppres.model.numerics import ANY_KW, write
 from vppres.model.phases import ISLAND, REACH, phased_model
@@ -96,7 +96,7 @@ def drawn_by_assets(
     W = v.x_served.shape[0]
     tables = {"customers": site.customers, "pv": site.pv, "batteries": site.batteries}
     drawn: dict[str, list[Any]] = {
-        "customers": [cp.multiply(p.P_load, v.x_served), cp.multiply(p.Q_load, v.x_served)],
+        "customers": [of_served(p.P_load, v), of_served(p.Q_load, v)],
         "pv": [v.P_curt - p.P_pv, -v.Q_pv],
         "batteries": [v.P_ch - v.P_dch, -v.Q_batt],
     }

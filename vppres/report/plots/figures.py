@@ -215,7 +215,7 @@ def voltages(runs: Runs) -> Chart:
 
 
 def service_by_tier(runs: Runs) -> Chart:
-    """Who was served, step by step: a tile per customer, and the share of each tier."""
+    """Service step by step: a tile per customer, and the share of each tier."""
     named = named_runs(runs)
     panels: list[Panel] = []
     for label, run in named.items():
@@ -438,7 +438,7 @@ def by_phase(run: Trajectory) -> Chart:
 
 
 def source_kva(run: Trajectory, phase: str) -> Floats:
-    """What the grid gives on a phase, or in an island its former, (T,)."""
+    """Power of the grid on a phase, or of the former in an island, (T,)."""
     steps = run.steps
     grid, former = (steps[f"{name}_{phase}_kva"].to_numpy(float) for name in ("import", "former"))
     return np.where(np.isnan(grid), former, grid)
@@ -487,7 +487,7 @@ def _before(believed: Floats, steps: int) -> Floats:
 
 
 def _stored_worth(run: Trajectory) -> Curves:
-    """What one more stored kWh was worth, and what one costs."""
+    """Value of one more stored kWh, and the cost of one."""
     worth = run.steps["stored_value_gbp_per_kwh"].to_numpy(float)
     price = run.steps["price_gbp_per_kwh"].to_numpy(float)
     return Curves(
@@ -515,7 +515,7 @@ def indoor(run: Trajectory) -> Chart:
 
 
 def _temperatures(run: Trajectory, axis: str, t_c: Floats, chosen: Flags) -> Curves:
-    """Those of a kind, with the ends of their comfort band if they have the same."""
+    """Temperatures of a kind, with the ends of the comfort band if all have the same."""
     loads = run.scenario.thermal_loads
     each = [Curve("each", t_c[:, h], ROOM, in_legend=False) for h in np.flatnonzero(chosen)]
     median = Curve("median", np.median(t_c[:, chosen], axis=1), MEDIAN)
