@@ -13,6 +13,7 @@ from vppres.core.errors import InputError, Problem
 from vppres.core.text import flaw_of_name
 from vppres.io import schema
 from vppres.io.messages import Suggestions, few, folded, shown
+from vppres.kinds.table import SERIES as KIND_SERIES
 from vppres.kinds.table import TABLES as KIND_TABLES
 from vppres.scenario.assets import OF_HOURS
 from vppres.scenario.scenario import Scenario
@@ -107,6 +108,7 @@ def _numbers(scenario: Scenario) -> Iterator[Problem]:
         ),
         ("load_kw", scenario, schema.LoadSeries),
         ("pv_kw", scenario, schema.PVSeries),
+        *((name, scenario, schema.row_of(name)) for name in KIND_SERIES),
         ("system", scenario, schema.SystemSeries),
         ("objective", scenario.objective, schema.ObjectiveSection),
     ]
@@ -119,7 +121,17 @@ def _numbers(scenario: Scenario) -> Iterator[Problem]:
 
 
 def _limits(scenario: Scenario) -> Iterator[Problem]:
-    """Limits of the state of charge that leave nothing between them, and loads without power."""
+    """Series of other units, limits of a charge with nothing between, and loads without power."""
+    for name, of in KIND_SERIES.items():
+        size = (scenario.grid.n_steps, len(getattr(scenario, of)))
+        if size[1] and getattr(scenario, name).shape != size:
+            yield Problem(
+                "scenario",
+                f"is not of shape {size}: its steps by its {of}",
+                "Give a column for each, with every step.",
+                field=name,
+                value=str(getattr(scenario, name).shape),
+            )
     batteries = scenario.batteries
     for i in np.flatnonzero(~(batteries.soc_min < batteries.soc_max)):
         yield Problem(

@@ -35,6 +35,7 @@ from vppres.io.tables import (
     read_table,
 )
 from vppres.io.warning_rows import read_warnings
+from vppres.kinds.table import SERIES as KIND_SERIES
 from vppres.kinds.table import TABLES as KIND_TABLES
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.fairness import Fairness
@@ -64,8 +65,14 @@ MODELS: dict[str, type[BaseModel]] = {
 }
 """Rows of each table, by its key under [files]."""
 
-_NEEDED = ("lines", "customers", "load_kw", "pv_kw", "system")
-"""Files without which there is no scenario; series of PV only where there is PV."""
+_NEEDED = ("lines", "customers", "load_kw", "system")
+"""Files without which there is no scenario."""
+
+_SERIES_OF = {
+    "pv_kw": "pv",
+    **{name: KIND_TABLES[of].key for name, of in KIND_SERIES.items()},
+}
+"""Files of series that are needed where the file beside them has rows."""
 
 _HISTORY = ("history_load_kw", "history_pv_kw")
 
@@ -139,9 +146,9 @@ def _read_files(folder: Path, settings: Settings) -> tuple[Tables, list[Problem]
     tables: Tables = {}
     problems: list[Problem] = []
     for key, file in names.items():
-        without_pv = key == "pv_kw" and (pv := tables["pv"]) is not None and pv.frame.empty
-        optional = key not in _NEEDED or without_pv
-        if optional and key not in settings.files.model_fields_set and not (folder / file).exists():
+        of = tables.get(_SERIES_OF.get(key, ""))
+        needed = of is None or not of.frame.empty if key in _SERIES_OF else key in _NEEDED
+        if not (needed or key in settings.files.model_fields_set or (folder / file).exists()):
             absent = no_table(file, MODELS.get(key, schema.PVSeries))
             tables[key] = None if key in _HISTORY else absent
             continue
@@ -267,14 +274,23 @@ def _read_series(
         rating_kw = {row.id: row.p_max_kw for row in reversed(rows["pv"].values())}
         for name in rating_kw.keys() & pv.keys():
             problems += checks.check_pv_series(pv_series, name, pv[name], rating_kw[name])
+    columns = {"load_kw": load, "pv_kw": pv}
+    for name, key in _SERIES_OF.items():
+        if name not in columns:
+            field = schema.row_of(name).model_fields[name]
+            file = getattr(settings.files, key)
+            cure = f"Add one column per row of {file}."
+            columns[name], found = _read_columns(tables[name], tables[key], field, cure)
+            problems += found
     grid = settings.grid
     if grid:
-        unused = pv_series if systems and systems.frame.empty else None
-        for table in (tables["load_kw"], pv_series, tables["system"]):
-            if table and not (table is unused and table.frame.empty):
+        for name in (*columns, "system"):
+            table, of = tables[name], tables.get(_SERIES_OF.get(name, ""))
+            unused = of is not None and of.frame.empty
+            if table and not (unused and table.frame.empty):
                 problems += check_times(table, grid)
     n_steps = grid.n_steps if grid else 0
-    stacked = {"load_kw": _stack(load, n_steps), "pv_kw": _stack(pv, n_steps)}
+    stacked = {name: _stack(each, n_steps) for name, each in columns.items()}
     return stacked | system, problems
 
 

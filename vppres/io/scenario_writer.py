@@ -24,7 +24,6 @@ from vppres.io.phase_files import phase_frames
 from vppres.io.rows import frame_of
 from vppres.io.series import TIME
 from vppres.io.settings import SCENARIO_FILE, outage_intervals
-from vppres.kinds.kind import KindTable
 from vppres.kinds.table import KINDS, units_of
 from vppres.scenario.fairness import Fairness, Interruption
 from vppres.scenario.history import History
@@ -186,10 +185,13 @@ def frames_of(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, p
         frames["buses"] = _bus_frame(network)
     for kind in map(KINDS.__getitem__, units_of(scenario)):
         for name, table in kind.tables.items():
-            rows: KindTable = getattr(scenario, name)
+            rows: Any = getattr(scenario, name)
             frames[table.key] = frame_of(rows, schema.row_of(table.key)).drop(
                 columns=[*rows.unsaid]
             )
+            for series in table.series:
+                values = getattr(scenario, series)
+                frames[series] = _timed_frame(scenario.grid.times, rows.id, values)
     if scenario.warnings:
         unsaid = ("outage", "preset")
         frames["warnings"] = frame_of(scenario.warnings, schema.WarningRow, unsaid)

@@ -35,6 +35,10 @@ class KindTable(Items):
         Column of names that are shown; empty if there is none.
     may_be_nan, may_be_infinite : tuple
         Columns that may have no value, and those that may have no limit.
+    series : mapping
+        Series of its rows, and what each is, for the documentation. Each is a file with a column
+        for each row, by its identifier, and an array of the scenario by step, (T, n): the name is
+        the file's, the array's, and that of the number in ``attributes.csv``.
     """
 
     key: ClassVar[str]
@@ -45,6 +49,7 @@ class KindTable(Items):
     names: ClassVar[str] = "id"
     may_be_nan: ClassVar[tuple[str, ...]] = ()
     may_be_infinite: ClassVar[tuple[str, ...]] = ()
+    series: ClassVar[Mapping[str, str]] = {}
 
     @classmethod
     def of_columns(cls, columns: dict[str, Any], tiers: Mapping[str, float]) -> Self:

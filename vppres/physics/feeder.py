@@ -40,6 +40,7 @@ class FlowByPhase:
     """
 
     def __init__(self, scenario: Scenario, phases: Phases, island: bool = False) -> None:
+        self._scenario = scenario
         self._phases = phases
         self._island = island
         self._network = scenario.network
@@ -47,7 +48,6 @@ class FlowByPhase:
         self._sources: dict[int, PhasedFlow] = {}
         self._places = Places.of(scenario)
         self._at_bus = measured_at(phases, self._network)
-        self._dead_labels = labels_by_source(scenario)[1]
         self._loadings = Loadings.of(phases)
 
     @property
@@ -86,7 +86,7 @@ class FlowByPhase:
 
     def dead(self) -> ACResult:
         """The result without any source: NaN, and no flow."""
-        net, labels = self._network, self._dead_labels
+        net, labels = self._network, labels_by_source(self._scenario)[1]
         none, v_pu = np.zeros(net.n_lines), np.full(net.n_buses, np.nan)
         source = np.full(len(PHASES), np.nan, dtype=complex)
         v_node_pu = np.full(len(labels), np.nan)

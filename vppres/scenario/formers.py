@@ -12,10 +12,14 @@ from vppres.kinds.table import KINDS
 from vppres.scenario.network import BusId
 
 
+def forming_kinds(site: Any) -> dict[str, Any]:
+    """Units of kinds that can form islands, of a scenario or site."""
+    return {kind: getattr(site, kind) for kind in KINDS if KINDS[kind].forms}
+
+
 def named_units(site: Any) -> dict[str, Flags]:
     """Units that are to form islands, (n,), by kind, of a scenario or site."""
-    able = (kind for kind in KINDS if KINDS[kind].forms)
-    found = {kind: getattr(site, kind).grid_forming for kind in able}
+    found = {kind: units.grid_forming for kind, units in forming_kinds(site).items()}
     return {kind: named for kind, named in found.items() if named.any()}
 
 
@@ -42,18 +46,19 @@ def forming_batteries(site: Any) -> Flags:
 
 
 def island_former(site: Any) -> str | None:
-    """Name of the device that holds an island: the largest battery that forms it, else set."""
-    sets, battery = site.gensets, largest_forming_battery(site)
+    """Name of the device that holds an island: the largest battery that forms it, else unit."""
+    battery = largest_forming_battery(site)
     if battery is not None:
         return str(site.batteries.id[battery])
-    if not sets.grid_forming.any():
-        return None
-    return str(sets.id[np.argmax(np.where(sets.grid_forming, sets.p_max_kw, -1.0))])
+    for kind, named in named_units(site).items():
+        units = getattr(site, kind)
+        return str(units.id[np.argmax(np.where(named, units.largest_kw, -1.0))])
+    return None
 
 
 def former_kva(site: Any, name: str) -> float:
     """Rating of a device that holds an island."""
-    for table in (site.batteries, site.gensets):
+    for table in (site.batteries, *forming_kinds(site).values()):
         for at in np.flatnonzero(table.id == name):
             return float(table.s_max_kva[at])
     raise KeyError(name)

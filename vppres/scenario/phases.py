@@ -18,8 +18,9 @@ from scipy.sparse.csgraph import connected_components
 
 from vppres.core.arrays import Complexes, Flags, Floats, freeze
 from vppres.core.errors import InputError, Problem
-from vppres.kinds.table import units_of
+from vppres.kinds.table import KINDS, units_of
 from vppres.scenario.assets import Batteries
+from vppres.scenario.formers import forming_kinds
 from vppres.scenario.network import BusId, Network
 
 PHASES = "abc"
@@ -429,8 +430,9 @@ def _unreached(phases: Phases) -> Iterator[Problem]:
 
 
 def _formers(phases: Phases, scenario: Any) -> Iterator[Problem]:
-    """Batteries and generating sets that are to form an island and lack a phase."""
-    words = {"battery": scenario.batteries, "generating set": scenario.gensets}
+    """Batteries and units of kinds that are to form an island and lack a phase."""
+    units = forming_kinds(scenario).items()
+    words = {"battery": scenario.batteries, **{KINDS[kind].sign: each for kind, each in units}}
     named = [(word, each.id[each.grid_forming]) for word, each in words.items()]
     for word, name in ((word, name) for word, names in named for name in names):
         own = phases.connection(str(name))

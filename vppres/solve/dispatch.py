@@ -140,7 +140,7 @@ def _ways(
     keeps_turns: bool,
     fleet: bool,
 ) -> Iterator[Candidate | None]:
-    """What each way of ``dispatch_of`` finds, in their order; the ways end where a proof ends them.
+    """The candidate of each way of ``dispatch_of``, in order; the ways end where a proof ends them.
 
     Where the network is not asked, and batteries would waste energy, their modes are left to what
     decides them with the service; those of next to no power waste next to nothing, whatever their
@@ -247,7 +247,7 @@ def _costs(
     network: bool,
     least_gbp: float | None = None,
 ) -> Candidate | None:
-    """What a solve for the cheapest dispatch of a set found, which costs no less than something."""
+    """The candidate of a solve for the cheapest dispatch of a set, with the least it may cost."""
     task.certificate.note("network_cost" if network else "cost", attempt.outcome)
     task.certificate.wasteful |= attempt.wasteful
     if attempt.dispatch is None:
@@ -292,7 +292,7 @@ def settle(task: WindowTask) -> None:
 
 
 def tie_breakers(task: WindowTask, found: Candidate, inside: bool = False) -> Attempt:
-    """What the tie-breakers prefer, nothing if the network forbids its cost.
+    """The dispatch that the tie-breakers prefer, none if the network forbids its cost.
 
     With ``inside`` a window with phases has more than its rows allow, so that interior points have
     an inside: they may curtail more, and load the former's phases by what a check lets pass.

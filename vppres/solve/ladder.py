@@ -188,7 +188,7 @@ class WindowSolver:
         if is_settled(self.site, data, served) or deadline.passed:
             return found
         task = self._task(data, self.limits.at_most(deadline.left_s))
-        if task.is_large or task.own:
+        if task.is_large:
             return found
         for other in sooner(task, served, found.terms, task.deadline.part(COST_SHARE)):
             limits = self.limits.at_most(deadline.left_s)

@@ -18,6 +18,7 @@ from vppres.day.options import RunOptions
 from vppres.day.recorder import StepRecord
 from vppres.day.simulate import Day
 from vppres.live.by_phase import GRID, ByPhase
+from vppres.scenario.formers import forming_kinds
 from vppres.scenario.scenario import Scenario
 from vppres.service.as_told import Plan
 from vppres.service.clock import written
@@ -87,9 +88,9 @@ class World:
         by_phase = ByPhase.of(site, record)
         if by_phase is not None:
             source = by_phase.source
-            sets = self.scenario.gensets.id
-            teller = "gensets" if source in sets else "batteries"
-            teller = "substation" if source == GRID else teller
+            teller = "substation" if source == GRID else "batteries"
+            for kind, units in forming_kinds(self.scenario).items():
+                teller = kind if source in units.id else teller
             for phase, kva in by_phase.source_kva.items():
                 yield self._one(teller, "source_kva", begun, source, kva, str(phase))
             for (bus, phase), v_pu in zip(by_phase.nodes.index, by_phase.nodes, strict=True):

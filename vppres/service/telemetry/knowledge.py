@@ -26,6 +26,7 @@ from vppres.live.measurement import Measurement
 from vppres.live.range import Range
 from vppres.live.ranges import RANGES, ranges_of
 from vppres.outlook.belief import HALF
+from vppres.scenario.formers import forming_kinds
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import written
 from vppres.service.events.announced import (
@@ -113,6 +114,7 @@ def assets_of(scenario: Scenario) -> dict[str, list[str]]:
     """Assets of each quantity."""
     batteries = [str(name) for name in scenario.batteries.id]
     customers = [str(name) for name in scenario.customers.id]
+    forming = (units.id for units in forming_kinds(scenario).values())
     return {
         "soc": batteries,
         "battery_kw": batteries,
@@ -126,7 +128,7 @@ def assets_of(scenario: Scenario) -> dict[str, list[str]]:
             for kind, names in OF_KINDS.items()
             for name in names
         },
-        "source_kva": [GRID, *batteries, *map(str, scenario.gensets.id)],
+        "source_kva": [GRID, *batteries, *(str(unit) for ids in forming for unit in ids)],
         "v_pu": [] if scenario.phases is None else list(scenario.phases.by_bus),
     }
 

@@ -226,7 +226,7 @@ class InNetwork:
 
     @cached_property
     def _fleet(self) -> Master | None:
-        """The fleet's master; cuts of its first answer serve the second too."""
+        """The fleet's master, in its share of the time."""
         return fleet_master(self.task, self.task.deadline.part(COST_SHARE))
 
     def _fleet_cost(self, units_min: float) -> Outcome:
