@@ -84,9 +84,9 @@ def admittances_apart(file: Path, flow: Any) -> float:
     """Largest difference of an entry from OpenDSS's, as a share of its row's diagonal."""
     import opendssdirect as dss
 
-    from vppres.feeders.dss import commands, elements, engine, script
+    from vppres.feeders.dss import commands, elements, engine, nodes, script
 
-    sys.modules |= {"dss/commands": commands, "dss/elements": elements}
+    sys.modules |= {"dss/commands": commands, "dss/elements": elements, "dss/nodes": nodes}
     engine._elements.cache_clear()
     assert not engine.build({**script.read_script(file).job(), "open_deltas": True})
     engine.settled()

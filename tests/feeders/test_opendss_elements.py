@@ -540,6 +540,8 @@ GROWN = {
     "a year": (*BASE, "set year=4"),
     "a growth of its own": (*BASE, "set %growth=6", "set year=3",
         "new load.f bus1=b.3 phases=1 kv=2.4 kw=30 status=fixed"),
+    "a load that no factor changes": (*BASE, "set loadmult=.5",
+        "new load.e bus1=b.3 phases=1 kv=2.4 kw=30 status=exempt"),
     "an allocation": (*BASE, "new load.e bus1=b.3 phases=1 kv=2.4 xfkva=75 pf=.9",
         "set allocationfactors=.7"),
 }  # fmt: skip

@@ -306,7 +306,6 @@ def test_connections_that_cannot_be(day: Scenario, change: dict[str, str], messa
         ({"mode": "paper"}, "mode"),
         ({"controller": "full-horizon"}, "controller"),
         ({"method": "monolithic"}, "method"),
-        ({"voltage_limits": "hard"}, "voltage_limits"),
     ],
 )
 def test_options_that_are_not_stated_are_refused_by_name(
@@ -316,20 +315,17 @@ def test_options_that_are_not_stated_are_refused_by_name(
         make_controller(day, RunOptions().having(options))
 
 
-@pytest.mark.nightly
-def test_columns_and_kinds_that_are_not_stated_are_refused_at_once(day: Scenario) -> None:
-    longest = np.where(day.customers.id == "ca", np.nan, 4.0)
-    customers = replace(day.customers, max_off_h=longest)
-    more = {"thermal_loads": homes("ca", "cb"), "gensets": gensets(bus="m")}
+def test_a_set_that_is_to_form_an_island_with_phases_is_refused(day: Scenario) -> None:
+    assert day.phases is not None
+    one = PhaseConnection("g0", "m", "a b c", 4.16 / np.sqrt(3.0))
+    phases = replace(day.phases, connections=(*day.phases.connections, one))
+    forming = replace(day, phases=phases, gensets=gensets(bus="m", grid_forming=True))
     with pytest.raises(InputError) as refused:
-        make_controller(replace(day, customers=customers, **more), RunOptions())
-    why = "is not stated for feeders with phases"
-    otherwise = "or remove the folder's phase_*.csv for its balanced equivalent."
-    assert str(refused.value).splitlines() == [
-        f"customers.csv, max_off_h of cb = 4.0: {why}, and 3 more. Leave the column out, {otherwise}",
-        f"thermal_loads.csv, id = h0: {why}, and 1 more. Remove the file, {otherwise}",
-        f"gensets.csv, id = g0: {why}. Remove the file, {otherwise}",
-    ]
+        make_controller(forming, RunOptions())
+    assert str(refused.value) == (
+        "gensets.csv, grid_forming of g0 = yes: is not stated for feeders with phases. "
+        "Use no, or remove the folder's phase_*.csv for its balanced equivalent."
+    )
 
 
 @pytest.mark.nightly

@@ -87,7 +87,8 @@ def carried_by_phase(state: StepState, dispatch: Dispatch) -> bool:
     load_kw = state.load_kw * dispatch.supplied[0]
     pv = (dispatch.pv_self_kw[0] + dispatch.pv_export_kw[0], dispatch.pv_q_kvar[0])
     batteries = (dispatch.discharge_kw[0] - dispatch.charge_kw[0], dispatch.batt_q_kvar[0])
-    drawn = model.powers(ISLANDED, load_kw, pv, batteries)
+    taken_kw = {kind: kw[0] for kind, kw in dispatch.taken_kw.items()}
+    drawn = model.powers(ISLANDED, load_kw, pv, batteries, taken_kw)
     found = _flow(state, model, *drawn)
     return found is not None and _fits(state, model, found)
 
@@ -143,7 +144,8 @@ def _carried(
     found: PhasedResult | None = None
     for _ in range(MOST_FLOWS):
         given = np.array([behind[0], np.maximum(behind[1] - taken_kvar, lowest_kvar)])
-        drawn = model.powers(ISLANDED, load_kw, (own, 0.0 * own), (given[0], given[1]))
+        batteries = given[0], given[1]
+        drawn = model.powers(ISLANDED, load_kw, (own, 0.0 * own), batteries, state.taken_kw)
         if before is not None and _far_beyond(state, model, before, drawn[0]):
             return None
         found = _flow(state, model, *drawn)
@@ -224,13 +226,14 @@ def _dispatch(state: StepState, served: Flags, given: Floats) -> Dispatch:
     site = state.site
     own = state.own_kw(served)
     load_kw = state.load_kw * served
-    p = bus_injections(site, {"pv": own, "batteries": given[0], "customers": -load_kw})
+    given_kw = {"pv": own, "batteries": given[0], "customers": -load_kw}
+    p = bus_injections(site, given_kw | {kind: -kw for kind, kw in state.taken_kw.items()})
     kvar = load_kw * site.customers.q_per_p
     q = bus_injections(site, {"batteries": given[1], "customers": -kvar})
     p_flow, q_flow, v_pu = network_state(state, p, q)
     charge, discharge = np.maximum(-given[0], 0.0), np.maximum(given[0], 0.0)
     stored_kw = cell_kw(charge, discharge, state.eta_charge, state.eta_discharge)
-    return one_step(
+    dispatch = one_step(
         served=served,
         pv_self_kw=own,
         pv_export_kw=0.0 * own,
@@ -246,3 +249,7 @@ def _dispatch(state: StepState, served: Flags, given: Floats) -> Dispatch:
         q_flow_kvar=q_flow,
         soc=np.vstack([state.soc, soc_after(state.soc, stored_kw, site.batteries, site.dt_h)]),
     )
+    for kind, kw in state.taken_kw.items():
+        on = state.running.get(kind)
+        dispatch = dispatch.acting(kind, kw[np.newaxis], None if on is None else on[np.newaxis])
+    return dispatch

@@ -112,12 +112,14 @@ class PhasedLinearisation:
         """Limits that give way to the voltages without control, and in an island to those at rest.
 
         They are those of the window's own linearisation, so that this state is a dispatch of it.
+        Hard limits give way in islands alone.
         """
         phased = data.require_phased()
         net = self.model.site.feeder
         own = phased.u_offset + self.model.linear(data, *self._without_control(data))[0]
-        own = np.maximum(own, COLLAPSED_PU2)
-        low, high = np.minimum(net.v_min_pu**2, own), np.maximum(net.v_max_pu**2, own)
+        given = np.full(data.n_steps, self.model.site.soft_voltages) | data.dark
+        own = np.where(given[:, None], np.maximum(own, COLLAPSED_PU2), np.nan)
+        low, high = np.fmin(net.v_min_pu**2, own), np.fmax(net.v_max_pu**2, own)
         return replace(data, phased=replace(phased, u_min=low, u_max=high))
 
     def v_pu(self, data: WindowData, p: Floats, q: Floats) -> Floats:

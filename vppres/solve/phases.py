@@ -7,7 +7,7 @@ for nearly each asset: all at once they take most of the time of a window.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import Any
@@ -21,6 +21,7 @@ from vppres.model.beyond_paper.losses import lit_steps
 from vppres.model.data import WindowData
 from vppres.model.phases import GRID, REACH, SIDES, PhasedModel, phased_model
 from vppres.model.site import Site
+from vppres.model.statement import DRAWN
 from vppres.model.violations import VOLTAGE_TOLERANCE_PU2
 from vppres.scenario.assets import NO_POWER_KW
 from vppres.solve.deadline import HALF
@@ -60,9 +61,6 @@ TOWARDS = np.exp(-2j * np.pi * np.arange(SIDES) / SIDES)
 
 Factors = Callable[[Wholes], tuple[Any, Any]]
 
-# Assets from the first one on, their columns, (W, k), and what of a column each draws.
-Term = tuple[int, Wholes, Floats | float]
-
 
 @dataclass(frozen=True, eq=False)
 class Draws:
@@ -77,71 +75,27 @@ class Draws:
     kvar: Floats
 
     @classmethod
-    def of(
-        cls,
-        model: PhasedModel,
-        data: WindowData,
-        size: int,
-        active: Iterable[Term],
-        reactive: Iterable[Term],
-        known: tuple[Floats, Floats],
-    ) -> Draws:
-        """Sums of columns; what the former gives as a source is no draw."""
-        by_kw, by_kvar = (_sums(model, data, size, terms) for terms in (active, reactive))
-        return cls(by_kw, by_kvar, *known)
-
-    @classmethod
-    def of_problem(
-        cls, site: Site, data: WindowData, problem: Selected, served: Flags | None
-    ) -> Draws:
-        """Those of a selection of the statement, for a supply schedule if service is held."""
-        model = phased_model(site)
-        pv = len(site.customers)
-        batteries = pv + len(site.pv)
-        rest = np.zeros((data.n_steps, len(site.batteries)))
-        all_sun = (data.pv_kw, np.zeros_like(data.pv_kw))
-        held = 0.0 if served is None else served
-        known = model.powers(data.dark, data.load_kw * held, all_sun, (rest, rest))
-
-        def terms(letters: dict[str, tuple[int, Floats | float]]) -> list[Term]:
-            there = [name for name in letters if name in problem.first]
-            return [(letters[name][0], problem.at(name), letters[name][1]) for name in there]
-
-        active: dict[str, tuple[int, Floats | float]] = {
-            "P_curt": (pv, 1.0),
-            "P_ch": (batteries, 1.0),
-            "P_dch": (batteries, -1.0),
-        }
-        reactive: dict[str, tuple[int, Floats | float]] = {
-            "Q_pv": (pv, -1.0),
-            "Q_batt": (batteries, -1.0),
-        }
-        if served is None:
-            active["x_served"] = 0, data.load_kw
-            reactive["x_served"] = 0, data.load_kw * site.customers.q_per_p
-        size = len(problem.x_lower)
-        return cls.of(model, data, size, terms(active), terms(reactive), known)
+    def of(cls, model: PhasedModel, data: WindowData, problem: Selected) -> Draws:
+        """Those of a selection of the statement; what the former gives as a source is no draw."""
+        W = data.n_steps
+        shown = np.ones((W, len(model.flows[GRID].assets)))
+        if model.former_device is not None:
+            shown[data.dark, model.former_device] = 0.0
+        by_step = np.arange(shown.size).reshape(shown.shape, order="F").ravel()
+        mask = sp.diags_array(shown.ravel())
+        found = []
+        for name in DRAWN:
+            rows, known = problem.numbers_of(name)
+            found.append(
+                (sp.csr_array(mask @ rows[by_step]), shown * known[by_step].reshape(W, -1))
+            )
+        (by_kw, kw), (by_kvar, kvar) = found
+        return cls(by_kw, by_kvar, kw, kvar)
 
     def at(self, x: Floats) -> tuple[Floats, Floats]:
         """What assets draw in a solution, (W, D) each."""
         kw = self.kw + (self.by_kw @ x).reshape(self.kw.shape)
         return kw, self.kvar + (self.by_kvar @ x).reshape(self.kvar.shape)
-
-
-def _sums(model: PhasedModel, data: WindowData, size: int, terms: Iterable[Term]) -> sp.csr_array:
-    """What columns add to the power of each asset and step, (W * D, n)."""
-    count = len(model.flows[GRID].assets)
-    shown = np.ones((data.n_steps, count), dtype=bool)
-    if model.former_device is not None:
-        shown[data.dark, model.former_device] = False
-    found = sp.csr_array((data.n_steps * count, size))
-    for first, columns, factor in terms:
-        steps, places = np.indices(columns.shape)
-        values = np.broadcast_to(factor, columns.shape) * shown[steps, first + places]
-        rows = steps * count + first + places
-        entries = (values.ravel(), (rows.ravel(), columns.ravel()))
-        found = found + sp.csr_array(sp.coo_array(entries, shape=found.shape))
-    return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -104,7 +104,7 @@ class Sheet:
         self.whole: dict[str, bool] = {}
         statement = self.statement
         terms = {_of_term(name): term == 0.0 for name, term in statement.terms.items()}
-        self._constraints = {**statement.families, **statement.implied, **terms}
+        self._constraints = {**statement.families, **statement.implied, **statement.drawn, **terms}
         self._families: dict[str, tuple[Family, ...]] = {}
         for name, x in self.statement.letters.items():
             self._add_letter(name, x.shape, *_bounds(x), _is_whole(x))
@@ -608,6 +608,29 @@ class Selected:
         cost = cost[: len(cost) - len(held)]
         self._numbers = checked(Numbers(self._squares, cost, offset, rows, limit))
         return self._numbers
+
+    def numbers_of(self, name: str) -> tuple[sp.csr_array, Floats]:
+        """A family on the problem's columns, whether it has it or not: rows, and what is known.
+
+        They are those of the window that was written last, with what is held put in: what has to
+        be 0, or no more, is ``rows @ x + known``.
+        """
+        part = self._ready(self.sheet.family(name))
+        size = self.sheet.size
+        x = np.zeros(size + 1)
+        x[-1] = -1.0
+        place = np.full(size + 1, -1)
+        for letter, columns in self.sheet.columns.items():
+            if letter in self.first:
+                place[columns] = self.at(letter)
+            elif letter in self.held:
+                x[columns] = self.held[letter]
+        values = part.by @ self.values
+        free = place[part.column] >= 0
+        entries = (values[free], (part.row[free], place[part.column[free]]))
+        rows = sp.csr_array(sp.coo_array(entries, shape=(part.shape[0], len(self.x_lower))))
+        known = values[~free] * x[part.column[~free]]
+        return rows, np.bincount(part.row[~free], known, part.shape[0]).astype(float)
 
     @property
     def offset(self) -> float:

@@ -280,6 +280,7 @@ def _phased_network_kw(row: _Row, curtailed_kw: Floats, state: StepState) -> flo
         load_kw=state.load_kw * row.served,
         pv=(state.pv_kw - curtailed_kw, row.pv_q_kvar),
         batteries=(row.discharge_kw - row.charge_kw, row.batt_q_kvar),
+        taken_kw=row.taken_kw,
     )
     try:
         found = model.solved(state.island, p_kw, q_kvar)

@@ -19,7 +19,7 @@ CONTROLS = frozenset(_CONTROLS.split())
 _CARRYING = "vsource line transformer load generator pvsystem storage capacitor reactor"
 CARRYING = frozenset(_CARRYING.split())
 CONSTANT_POWER = 1  # OpenDSS's model of a load; 2 is constant impedance, 5 constant current
-FIXED = 1  # status of a load that no multiplier changes
+VARIABLE = 0  # status of a load that multipliers change
 MOST_NAMED = 6
 NO_REACTANCE = 700.0
 LOAD_MODELS = {2: "constant impedance", 5: "constant current"}
@@ -435,7 +435,7 @@ def _tables(solved: bool) -> dict[str, Any]:
         "causes": list(_causes(solved)),
         "single_phases": _single_phases(),
         "balanced_notes": list(_notes_on_balance()),
-        "notes": list(_notes()),
+        "notes": list(_notes(solved)),
     }
 
 
@@ -743,7 +743,7 @@ def nominal(kind: str, name: str, solved: bool) -> dict[str, float]:
     """
     if kind == "load":
         dss.Loads.Name(name)
-        factor = 1.0 if int(dss.Loads.Status()) == FIXED else dss.Solution.LoadMult()
+        factor = dss.Solution.LoadMult() if int(dss.Loads.Status()) == VARIABLE else 1.0
         factor *= _growth()
         return {"p_kw": float(dss.Loads.kW() * factor), "q_kvar": float(dss.Loads.kvar() * factor)}
     element = f"{kind}.{name}"
@@ -832,7 +832,7 @@ def _notes_on_balance() -> Iterator[str]:
         )
 
 
-def _notes() -> Iterator[str]:
+def _notes(solved: bool) -> Iterator[str]:
     """Notes on elements that are modelled as something else, balanced or by phase."""
     if LEFT_OUT:
         yield f"Options of 'set' are left out: {', '.join(LEFT_OUT)}."
@@ -856,7 +856,7 @@ def _notes() -> Iterator[str]:
             f"{', '.join(held)}."
         )
     yield from _notes_on_legs()
-    yield from _notes_on_controls()
+    yield from _notes_on_controls(solved)
 
 
 def _notes_on_legs() -> Iterator[str]:
@@ -870,7 +870,7 @@ def _notes_on_legs() -> Iterator[str]:
         )
 
 
-def _notes_on_controls() -> Iterator[str]:
+def _notes_on_controls(solved: bool) -> Iterator[str]:
     """Notes on controls of the source, which stay in their last state."""
     acting = [
         element for element in _elements()
@@ -897,6 +897,11 @@ def _notes_on_controls() -> Iterator[str]:
             f"What batteries draw while they rest is left out, {sum(idle_kw):.3g} kW in all; "
             "efficiencies of inverters at partial load too."
         )
+        if not solved:
+            yield (
+                "OpenDSS finds no solution. What storage in wye draws at rest may be why: it may "
+                "find one with '%idlingkw=0'."
+            )
 
 
 def _set_point(name: str) -> str:

@@ -19,7 +19,7 @@ from vppres.contract.stored_value import StoredValue
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.kinds.gensets.data import steps_of
 from vppres.kinds.gensets.physics import SetsAhead
-from vppres.model.beyond_paper.addition import Addition, AdditionDispatch
+from vppres.model.beyond_paper.addition import Addition, AdditionDispatch, Taken
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
 from vppres.model.numerics import write
@@ -120,15 +120,15 @@ class GensetsModel(Addition):
         )
 
     def parameters(self, site: Site) -> dict[str, cp.Expression]:
-        """Power of sets at the buses, from which batteries may charge."""
-        place = site.unit_bus["gensets"].T
-        forming = {} if self.reactive is None else {"Q_added": -self._given_kvar @ place}
+        """Power of sets, from which batteries may charge, and what their fuel stands for."""
         return {
-            **forming,
-            "P_added": -self.power @ place,
             "P_fed_added": cp.sum(self.power, axis=1),
             "E_kept_added": self.stands_for @ self.fuel[-1],
         }
+
+    def taken(self, site: Site) -> dict[str, Taken]:
+        """Power that sets give, and reactive power of those that can form the grid."""
+        return {"gensets": (-self.power, None if self.reactive is None else -self._given_kvar)}
 
     def families(self, site: Site, v: Variables, p: Parameters) -> Named:
         """Switching, powers and fuel, and what a set that forms the grid leaves free."""

@@ -17,6 +17,7 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.data import WindowData
 from vppres.model.formulas import lossless_flows
+from vppres.model.phases import phased_model
 from vppres.model.site import Site
 from vppres.solve.cache import ModelCache
 from vppres.solve.forms import (
@@ -375,7 +376,7 @@ class PhasedInjections(Injections):
 
     def __init__(self, cache: ModelCache, data: WindowData) -> None:
         super().__init__(cache, data)
-        draws = Draws.of_problem(self.site, data, self.problem, None)
+        draws = Draws.of(phased_model(self.site), data, self.problem)
         self.limits = PhaseLimits(self.site, data, draws)
 
     @property
