@@ -189,7 +189,7 @@ def _with_turns(task: WindowTask, before: Dispatch | None) -> Candidate | None:
 
 
 def netted(task: WindowTask, outcome: Outcome, dispatch: Dispatch | None) -> Candidate | None:
-    """What a linear problem in the network found; None where batteries would have to take turns."""
+    """Dispatch of a linear problem in the network; None if batteries must take turns."""
     task.certificate.note("network_dispatch", outcome)
     if dispatch is None:
         return None

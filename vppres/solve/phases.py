@@ -64,7 +64,7 @@ Factors = Callable[[Wholes], tuple[Any, Any]]
 
 @dataclass(frozen=True, eq=False)
 class Draws:
-    """What assets draw as it follows from a problem's columns: ``by_kw @ x`` and what is known.
+    """Power of assets as a function of a problem's columns: ``by_kw @ x`` and a known part.
 
     ``by_kw`` and ``by_kvar`` are (W * D, n), one step after the other; ``kw`` and ``kvar`` (W, D).
     """
@@ -76,7 +76,7 @@ class Draws:
 
     @classmethod
     def of(cls, model: PhasedModel, data: WindowData, problem: Selected) -> Draws:
-        """Those of a selection of the statement; what the former gives as a source is no draw."""
+        """Draws of a selection of the statement; the former's power as a source is none."""
         W = data.n_steps
         shown = np.ones((W, len(model.flows[GRID].assets)))
         if model.former_device is not None:
@@ -93,7 +93,7 @@ class Draws:
         return cls(by_kw, by_kvar, kw, kvar)
 
     def at(self, x: Floats) -> tuple[Floats, Floats]:
-        """What assets draw in a solution, (W, D) each."""
+        """Power of assets in a solution, (W, D) each."""
         kw = self.kw + (self.by_kw @ x).reshape(self.kw.shape)
         return kw, self.kvar + (self.by_kvar @ x).reshape(self.kvar.shape)
 

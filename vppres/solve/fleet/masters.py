@@ -172,7 +172,7 @@ class Master:
 
 
 def set_of(problem: FleetProblem, outcome: Outcome) -> Flags | None:
-    """Who is served by the last answer."""
+    """Customers that the last answer serves."""
     return problem.value_of("x_served") > 0.5 if outcome.status.has_answer else None
 
 

@@ -64,7 +64,7 @@ class Losses:
         return found
 
     def _with(self, weight: int, loads: Floats, most_lost: int) -> Losses:
-        """The same with the customers of one more weight."""
+        """Table with the customers of one more weight."""
         count = np.arange(len(loads) + 1)
         saved = np.append(0.0, np.cumsum(np.sort(loads)[::-1]))
         units = np.add.outer(self.units, weight * count).ravel()

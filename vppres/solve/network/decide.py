@@ -50,7 +50,7 @@ def enter_network(task: WindowTask, master: NetworkMaster | None) -> None:
 
 
 def _by_phase(task: WindowTask, best: Candidate) -> None:
-    """The same with phases: the set itself first, if need be at a higher cost."""
+    """Decide a window with phases: the set itself first, if need be at a higher cost."""
     known = task.certificate
     known.best = dispatch_of(task, best.dispatch.served)
     if not known.certified:

@@ -77,7 +77,7 @@ def select_devices(sheet: Sheet) -> Selection:
 
 
 def devices(site: Site, sheet: Sheet) -> Selected:
-    """That selection as a problem."""
+    """Problem of the selection."""
     return Selected(sheet, select_devices)
 
 
@@ -372,7 +372,7 @@ class Injections:
 
 
 class PhasedInjections(Injections):
-    """The same columns and rows, with the limits of a phased window's phases."""
+    """Columns and rows of injections, with the limits of a phased window's phases."""
 
     def __init__(self, cache: ModelCache, data: WindowData) -> None:
         super().__init__(cache, data)
