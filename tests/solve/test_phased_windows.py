@@ -100,6 +100,7 @@ def with_kinds(seed: int) -> Scenario:
     return in_phases(day, np.random.default_rng([seed, 44]))
 
 
+@pytest.mark.daily
 @pytest.mark.parametrize("seed", [4, pytest.param(5, marks=pytest.mark.nightly), 14, 15])
 def test_windows_with_all_kinds_equal_the_whole_problem_with_all_rows(seed: int) -> None:
     site, data, found = decided(with_kinds(seed))
