@@ -177,10 +177,10 @@ def table(rows: pd.DataFrame, chosen: Sequence[Variant]) -> pd.DataFrame:
                 "switched off": variant.name,
                 "lines": lines_of(variant),
                 "windows": len(off),
-                "certified": int(_certified(on).sum()),
-                "without": int(_certified(off).sum()),
-                "cost certified": int(_cost_certified(on).sum()),
-                "cost without": int(_cost_certified(off).sum()),
+                "certified": int(certified(on).sum()),
+                "without": int(certified(off).sum()),
+                "cost certified": int(cost_certified(on).sum()),
+                "cost without": int(cost_certified(off).sum()),
                 "worse": int(worse.sum()),
                 "share of all time": f"{more_s / total_s:+.1%}",
             }
@@ -188,13 +188,13 @@ def table(rows: pd.DataFrame, chosen: Sequence[Variant]) -> pd.DataFrame:
     return pd.DataFrame(found)
 
 
-def _certified(rows: pd.DataFrame) -> pd.Series[bool]:
+def certified(rows: pd.DataFrame) -> pd.Series[bool]:
     """Windows that are certified, or proven to have no dispatch, in time."""
     done = rows["status"].isin(["optimal", "InfeasibleError"])
     return done & (rows["cpu_s"] <= CERTIFY_S)
 
 
-def _cost_certified(rows: pd.DataFrame) -> pd.Series[bool]:
+def cost_certified(rows: pd.DataFrame) -> pd.Series[bool]:
     """Windows in which no dispatch of the same service is cheaper by more than the gap of cost."""
     return rows["cost_gap_gbp"] <= rows["cost_gbp"].abs().map(cost_gap_gbp)
 
@@ -230,7 +230,7 @@ def main(
         summary.to_csv(TABLE, index=False)
     base = rows[rows["variant"] == BASE]
     typer.echo(
-        f"{len(base)} windows, {_certified(base).sum()} certified, {base['cpu_s'].sum():.1f} s"
+        f"{len(base)} windows, {certified(base).sum()} certified, {base['cpu_s'].sum():.1f} s"
     )
     typer.echo(summary.to_string(index=False))
 

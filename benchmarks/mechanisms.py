@@ -45,6 +45,11 @@ def nothing(*_: object) -> None:
     """Does nothing, finds nothing."""
 
 
+def nothing_proven(*_: object) -> tuple[float, None]:
+    """No bound of one battery, and no set."""
+    return np.inf, None
+
+
 def none_held(master: Any, *_: object) -> Floats:
     """No customer that a feeder's own search has decided."""
     return np.full(master.units.size, np.nan)
@@ -78,16 +83,7 @@ def no_groups(*_: object) -> list[Any]:
 MECHANISMS = (
     Mechanism("everyone first", {"ladder.worth_everyone": no}, ("fleet.reach",)),
     Mechanism("steps apart", {"ladder.falls_apart": no}, ("apart",)),
-    Mechanism(
-        "counts",
-        {"fleet.masters.MOST_BINARIES": np.inf},
-        ("fleet.counts", "fleet.demand", "fleet.cuts", "fleet.recursion"),
-    ),
-    Mechanism(
-        "recursion",
-        {"fleet.counts.Counts._step_by_step": nothing},
-        ("fleet.recursion", "fleet.counts.Counts._step_by_step"),
-    ),
+    Mechanism("recursion", {"fleet.masters.most_units": nothing_proven}, ("fleet.recursion",)),
     Mechanism(
         "equivalent battery first",
         {"ladder.fleets_of": every_battery, "fleet.all_terms.fleets_of": every_battery},
@@ -120,7 +116,6 @@ MECHANISMS = (
             "network.master.search_options": no_options,
             "fleet.masters.search_options": no_options,
             "programs.PROOF": {},
-            "fleet.counts.PROOF": {},
             "network.feeders.SEARCH": {},
         },
     ),
@@ -143,6 +138,6 @@ MECHANISMS = (
 )
 
 GROUPS: dict[str, tuple[str, ...]] = {
-    "the fleet": ("counts", "all terms of the fleet", "battery modes"),
+    "the fleet": ("recursion", "all terms of the fleet", "battery modes"),
 }
 """Mechanisms that are switched off together."""

@@ -35,8 +35,8 @@ def figure(config: Config, results: Results) -> Figure:
     picture, (energy, price) = panels((3, 1.3), 5.6, "Battery energy and price, ideal conditions")
     plot.energy(days, energy)
     lowest, highest = energy_limits_kwh()
-    plot.limit(energy, highest, "SoC 0.85")
-    plot.limit(energy, lowest, "SoC 0.15")
+    plot.limit(energy, highest, "upper SoC limit, 0.85")
+    plot.limit(energy, lowest, "lower SoC limit, 0.15")
     energy.axvline(ALERT_HOUR, color="#888888", linewidth=0.8, linestyle=":")
     energy.text(
         ALERT_HOUR - 0.1,

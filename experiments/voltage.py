@@ -31,8 +31,8 @@ def figure(config: Config, results: Results) -> Figure:
     plot.voltages(days, lowest)
     for name, day in days.items():
         plot.steps(error, day, 1000 * day.series("v_error_pu"), STYLES[name])
-    plot.limit(lowest, V_MIN_MODEL_PU, "0.947 optimisation")
-    plot.limit(lowest, V_MIN_AC_PU, "0.94 AC", "-")
+    plot.limit(lowest, V_MIN_MODEL_PU, "0.947 pu, optimisation limit")
+    plot.limit(lowest, V_MIN_AC_PU, "0.94 pu, AC limit", "-")
     plot.limit(error, 5.0, "5")
     error.set_ylabel("Largest\n|optim. \N{MINUS SIGN} AC|\n(0.001 pu)")
     error.set_ylim(bottom=0.0)

@@ -20,7 +20,7 @@ from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.solve.cache import shared_cache
 from vppres.solve.certificate import Candidate
-from vppres.solve.dispatch import Attempt, carried
+from vppres.solve.dispatch import as_it_is, carried
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import SolveLimits, Status, WindowSolution
 from vppres.solve.solvers import CvxpyResult, Interface, SolverSpec, run_by_cvxpy
@@ -163,7 +163,7 @@ def solve_weighted(task: WindowTask, choices: WeightedChoices) -> WindowSolution
     served = task.data.for_service(dispatch.served)
     known.bound_by(outcome.bound)
     found = Candidate.of(task.site, served, dispatch, np.inf, in_network=False)
-    known.keep(carried(task, found, Attempt(outcome, dispatch)))
+    known.keep(carried(task, found, as_it_is))
     return replace(_with_cost_gap(task.solution(), site.weights.lambda_grid), status=outcome.status)
 
 

@@ -26,7 +26,7 @@ from vppres.contract.stored_value import StoredValue
 from vppres.day.assembly import make_controller
 from vppres.day.metrics import summarise
 from vppres.day.options import RunOptions
-from vppres.day.outages import Fuel, OutageView
+from vppres.day.outages import OutageView
 from vppres.day.simulate import Day
 from vppres.scenario.scenario import Scenario
 from vppres.studies.side_by_side import Where
@@ -54,10 +54,10 @@ class CountedFuel(OutageView):
 
     def _value(self, *known: Any) -> StoredValue:
         """The same at the fuel that is held now."""
-        value = super()._value(*known)
-        fuel = next(each for each in known if isinstance(each, Fuel))
+        value, fuel = super()._value(*known), known[-1]["gensets"]
         uncounted_kwh = (1.0 - self.factor) * fuel.held_kwh
-        return replace(value.beside(uncounted_kwh), kwh_per_litre=self.factor * value.kwh_per_litre)
+        kwh_each = {"gensets": self.factor * fuel.kwh_each}
+        return replace(value.beside(uncounted_kwh), kwh_each=kwh_each)
 
 
 @dataclass(frozen=True)

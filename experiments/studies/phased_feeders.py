@@ -32,6 +32,7 @@ from vppres.day.assembly import make_controller
 from vppres.day.options import RunOptions
 from vppres.day.priority import site_of
 from vppres.day.simulate import Day
+from vppres.kinds.table import units_of
 from vppres.model.beyond_paper.losses import lit_steps
 from vppres.model.data import WindowData
 from vppres.model.numerics import objective_scale
@@ -65,20 +66,30 @@ def in_phases(scenario: Scenario, rng: Generator | None = None) -> Scenario:
     ends = zip(net.from_bus, net.to_bus, own, strict=True)
     lines = [PhaseLine(str(a), str(b), z * shape, np.zeros((3, 3))) for a, b, z in ends]
     buses = [PhaseBus(str(bus), bus, net.base_kv, WYE) for bus in net.bus_index]
-    coils = dict.fromkeys(scenario.customers.id, WYE) | dict.fromkeys(scenario.batteries.id, WYE)
-    if rng is not None:
-        former = scenario.batteries.grid_forming
-        drawn = [*scenario.customers.id, *scenario.batteries.id[~former]]
-        coils |= {name: str(rng.choice(COILS)) for name in drawn}
-    at = dict(zip(scenario.customers.id, scenario.customers.bus, strict=True))
+    customers = scenario.customers
+    at = dict(zip(customers.id, customers.bus, strict=True))
     at |= dict(zip(scenario.batteries.id, scenario.batteries.bus, strict=True))
+    at |= dict(zip(scenario.pv.id, scenario.pv.buses(customers), strict=True))
     owner = dict(zip(scenario.pv.id, scenario.pv.customer, strict=True))
+    for each in units_of(scenario).values():
+        at |= dict(zip(each.id, each.buses(customers), strict=True))
+        owned = ~each.connected(customers, np.zeros(len(customers), dtype=bool))
+        of = customers.id[each.owner(customers)]
+        owner |= dict(zip(np.array(each.id)[owned], of[owned], strict=True))
+    coils = dict.fromkeys(at, WYE)
+    if rng is not None:
+        forming = (scenario.batteries, scenario.gensets)
+        fixed = {
+            *filter(owner.get, owner),
+            *(name for each in forming for name in each.id[each.grid_forming]),
+        }
+        coils |= {name: str(rng.choice(COILS)) for name in at if name not in fixed}
     rows = []
-    for name in (*scenario.customers.id, *scenario.pv.id, *scenario.batteries.id):
-        asset = owner.get(name, name)
-        between = len(coils[asset].split()[0]) > 1
+    for name in at:
+        words = coils[owner.get(name) or name]
+        between = len(words.split()[0]) > 1
         kv = net.base_kv if between else net.base_kv / np.sqrt(3.0)
-        rows.append(PhaseConnection(name, str(at[asset]), coils[asset], kv))
+        rows.append(PhaseConnection(str(name), str(at[name]), words, kv))
     return replace(scenario, phases=Phases(tuple(buses), tuple(lines), connections=tuple(rows)))
 
 
@@ -243,7 +254,7 @@ def plain_problem(
     ]
     p = cp.hstack([cp.multiply(data.load_kw, x), -through, net])
     q = cp.hstack([cp.multiply(kvar, x), -q_pv, -q_batt])
-    rows += _phases(site, data, p, q)
+    rows += phase_rows(site, data, p, q)
     w = site.weights
     curtailed = cp.sum(data.pv_kw - through)
     worth = (
@@ -263,7 +274,7 @@ def _discs(
     return [np.cos(a) * p + np.sin(a) * q <= reach * radius for a in angles]
 
 
-def _phases(
+def phase_rows(
     site: Site, data: WindowData, p: cp.Expression, q: cp.Expression
 ) -> list[cp.Constraint]:
     """Voltages of all nodes, and the former's phases, in all steps with power."""

@@ -40,7 +40,6 @@ from vppres.feeders.sources import import_network
 from vppres.io import read_scenario
 from vppres.model.beyond_paper.losses import lit_steps
 from vppres.model.data import WindowData
-from vppres.plant.phased import PhasedACFlow
 from vppres.scenario.scenario import REPORT, Scenario
 from vppres.solve.deadline import Deadline
 from vppres.solve.result import SolveLimits, WindowSolution
@@ -85,9 +84,9 @@ def admittances_apart(file: Path, flow: Any) -> float:
     """Largest difference of an entry from OpenDSS's, as a share of its row's diagonal."""
     import opendssdirect as dss
 
-    from vppres.feeders.dss import commands, elements, engine, script
+    from vppres.feeders.dss import commands, elements, engine, nodes, script
 
-    sys.modules |= {"dss/commands": commands, "dss/elements": elements}
+    sys.modules |= {"dss/commands": commands, "dss/elements": elements, "dss/nodes": nodes}
     engine._elements.cache_clear()
     assert not engine.build({**script.read_script(file).job(), "open_deltas": True})
     engine.settled()
@@ -265,12 +264,13 @@ class Watched(Day):
     def settle(self, t: int, decision: Decision) -> StepRecord:
         """One step, with the former's phases at the set-points of the plan before it."""
         self.planned.append(np.asarray(decision.dispatch.served[decision.row]))
-        if self.scenario.outage[t] and isinstance(self.ac, PhasedACFlow):
+        if self.scenario.outage[t] and self.scenario.phases is not None:
             planned = self.plant.apply(t, decision, self.state)
-            former = self.plant.battery_bus[int(np.argmax(self.scenario.batteries.grid_forming))]
+            former = int(np.argmax(self.scenario.batteries.grid_forming))
+            injections = planned.p_injection_kw, planned.q_injection_kvar
             try:
-                found = self.ac.solve(planned.p_injection_kw, planned.q_injection_kvar, int(former))
-                self.worst_kva.append(float(np.abs(found.former_kva).max()))
+                found = self.island_ac.solve(*injections, int(self.plant.places.batteries[former]))
+                self.worst_kva.append(float(np.abs(found.source_kva).max()))
             except VerificationError:
                 self.worst_kva.append(np.inf)
         return super().settle(t, decision)

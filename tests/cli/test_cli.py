@@ -179,6 +179,15 @@ def test_scenario_names_controller_and_horizon(
     assert [(o.controller, o.horizon_h) for o in options] == [("full-horizon", 3.0), ("mpc", 0.0)]
 
 
+def test_reasons_of_a_day_tell_how_far_they_are(
+    tiny_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(progress, "LINE_S", 0.0)
+    result = call("run", tiny_folder, "--out", tmp_path / "mine", "--figures", "none")
+    told = result.stderr.splitlines()
+    assert "mpc: 6 of 6" in told and told[-1] == "explained: 6 of 6"
+
+
 def caught_options(monkeypatch: pytest.MonkeyPatch) -> list[simulate.RunOptions]:
     """Options of the runs that follow, none of which is done."""
     caught = []

@@ -477,6 +477,11 @@ def test_steps_are_solved_where_neutrals_float_and_where_nothing_is_left(tmp_pat
 
 
 REFUSED = {
+    "growth of its own": (
+        (*BASE, "new growthshape.g npts=2 year=(1 10) mult=(1.1 1.05)",
+         "new load.f bus1=b.3 phases=1 kv=2.4 kw=30 growth=g", "set year=3"),
+        "load.f grows by growthshape.g to year 3",
+    ),
     "phases that turn the other way": (
         (HEAD + " sequence=neg", *BASE[1:]),
         "vsource.source has sequence=Negative: its phases turn the other way",
@@ -529,3 +534,22 @@ def test_hours_of_most_and_least_demand_are_compared_by_phase(tmp_path: Path) ->
         found.append(source.deviation.worst_hour_pu)
     assert found[0] < CLOSE_PU
     assert found[1] > 1e-4
+
+
+GROWN = {
+    "a year": (*BASE, "set year=4"),
+    "a growth of its own": (*BASE, "set %growth=6", "set year=3",
+        "new load.f bus1=b.3 phases=1 kv=2.4 kw=30 status=fixed"),
+    "a load that no factor changes": (*BASE, "set loadmult=.5",
+        "new load.e bus1=b.3 phases=1 kv=2.4 kw=30 status=exempt"),
+    "an allocation": (*BASE, "new load.e bus1=b.3 phases=1 kv=2.4 xfkva=75 pf=.9",
+        "set allocationfactors=.7"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", GROWN)
+def test_options_that_change_what_loads_draw_act(name: str, tmp_path: Path) -> None:
+    file = written(tmp_path, GROWN[name])
+    feeder = import_network(file)
+    assert apart(feeder, file) < CLOSE_PU
+    assert not any("'set'" in note for note in feeder.notes)

@@ -196,6 +196,7 @@ LINES = {
     "edited model": (["generator.g.usermodel=canary.so"], CODE),
     "edited model, part": (["generator.g.userm=canary.so"], CODE),
     "control": (["new capcontrol.c usermodel=canary.so"], CODE),
+    "equations": (["new generator.g bus1=a dynamiceq=canary"], CODE),
     # kind 7: substitution
     "variable": (["var @x=canary"], "has '@', which stands for a variable"),
     "variable in a value": (["new load.e bus1=@x"], "has '@', which stands for a variable"),
@@ -222,6 +223,10 @@ LINES = {
     "no series": (["new loadshape.s npts=9 mult=(fil=../secret.txt)"], "is not a value"),
     "edited": (["loadshape.s.csvfile=/etc/passwd"], NO_FILE),
     "spectrum": (["new spectrum.s numharm=1 csvfile=../secret.txt"], NO_FILE),
+    "prices": (["new priceshape.s npts=9 csvf=/etc/passwd"], NO_FILE),
+    "curve": (["new xycurve.s npts=2 sngf=../secret.txt"], NO_FILE),
+    "fuse": (["new tcc_curve.s npts=2 c_array=(file=/etc/passwd) t_array=(1 2)"], NO_FILE),
+    "temperatures": (["new tshape.s npts=2 csvfile=..\\secret.txt"], NO_FILE),
     # kind 9: work without end
     "redirect to itself": (["redirect mill.dss"], "which is read already"),
     # kind 10: sizes, which spoil the voltages of all else
@@ -231,6 +236,8 @@ LINES = {
     "ratings": (["new transformer.q kvas=[1e30, 5]"], "kvas = 1e30, a size that no equipment has"),
     "impedance": (["new linecode.q rmatrix=(1 | 0 2e20)"], "rmatrix = 2e20, a size that no"),
     "beyond numbers": (["new line.x a b r1=1e999"], "r1 = 1e999, a size that no equipment has"),
+    "product": (["new load.e bus1=a kw=(10 1e308 * 1e308 *)"], "1e308, a size that no equipment"),
+    "brackets": (["new load.e bus1=a kw=" + "(" * 5000], "a quote that is not closed"),
     "in full": (["load.d.kw=10000000000000000000"], "a size that no equipment has"),
 }
 
@@ -268,6 +275,7 @@ IGNORED = {
     "dump": ["dump debug"],
     "demand files": ["set demand=true"],
     "log": ["set tracecontrol=yes log=yes"],
+    "case": ["set casename=../../canary"],
     "monitor": ["new monitor.m element=line.head mode=0", "~ action=save"],
     "meter": ["new energymeter.m element=line.head", "edit energymeter.m action=save"],
     "debugtrace": ["new generator.g bus1=a kw=0 debugtrace=yes"],
@@ -395,6 +403,35 @@ def too_many_phases(house: Path) -> Path:
     return master(house, "new line.e bus1=a bus2=b phases=30000 r1=1 x1=1", "calcv")
 
 
+def device(house: Path) -> Path:
+    (house / "zero.dss").symlink_to("/dev/zero")
+    return master(house, "redirect zero.dss")
+
+
+def device_of_a_series(house: Path) -> Path:
+    (house / "zero.bin").symlink_to("/dev/zero")
+    return master(house, "new loadshape.s npts=9 sngfile=zero.bin")
+
+
+def folder_as_a_series(house: Path) -> Path:
+    (house / "sub.csv").mkdir()
+    return master(house, "new loadshape.s npts=9 mult=(file=sub.csv)")
+
+
+def half_a_number(house: Path) -> Path:
+    (house / "half.bin").write_bytes(b"12345")
+    return master(house, "new loadshape.s npts=9 dblfile=half.bin")
+
+
+def no_numbers(house: Path) -> Path:
+    (house / "nan.bin").write_bytes(b"\xff" * 32)
+    return master(house, "new loadshape.s npts=4 mult=(dblfile=nan.bin)")
+
+
+def windings(house: Path) -> Path:
+    return master(house, "new transformer.q windings=100000000", "calcv")
+
+
 FILES: dict[str, tuple[Callable[[Path], Path], str]] = {
     "levels": (many_levels, "files are read 10 deep"),
     "circle": (circle, "which is read already"),
@@ -406,6 +443,12 @@ FILES: dict[str, tuple[Callable[[Path], Path], str]] = {
     "out of a folder": (out_of_a_folder, OUT),
     "pipe of a series": (pipe_of_a_series, NO_FILE),
     "words as a series": (words_as_a_series, "holds no columns of numbers"),
+    "device": (device, OUT),
+    "device of a series": (device_of_a_series, NO_FILE),
+    "folder as a series": (folder_as_a_series, NO_FILE),
+    "half a number": (half_a_number, "holds no numbers of 8 bytes"),
+    "no numbers": (no_numbers, "holds no numbers of 8 bytes"),
+    "windings": (windings, "mill.dss: "),
     "long file": (long_file, "has more than 32 MB"),
     "long line": (long_line, "has more than 1000000 characters"),
     "many lines": (many_lines, "more lines like these"),

@@ -20,13 +20,12 @@ from vppres.contract.ahead import KindsAhead
 from vppres.contract.decision import Decision
 from vppres.contract.observation import Observation
 from vppres.control.converged import dark_steps, physics_of, without_power
-from vppres.control.forming import formed_by_set, headroom_kw
 from vppres.control.step_state import one_step
 from vppres.core.errors import NumericalError
 from vppres.day.faults import FaultPlan, SolverOutage
 from vppres.day.trajectory import Trajectory
 from vppres.kinds.gensets.data import Gensets, GensetState, Refuels
-from vppres.kinds.gensets.physics import Engines, SetsAhead
+from vppres.kinds.gensets.physics import Engines, SetsAhead, headroom_kw
 from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
 from vppres.model.beyond_paper.losses import lossless
@@ -419,7 +418,7 @@ def forming_windows(seed: int) -> tuple[Site, WindowData]:
     seen = SetsAhead.of(day, steps, GensetState.at_first(day.gensets))
     data = replace(data, grid_limit_kw=limits, ahead=KindsAhead({"gensets": seen}))
     site = Site.of(day)
-    data, dark = formed_by_set(site, data, dark_steps(site, data), 0.1)
+    data, dark = data.formed(site, dark_steps(site, data), 0.1)
     lit = without_power(data, dark)
     return site, lossless(lit, physics_of(site, lit, 0.1))
 

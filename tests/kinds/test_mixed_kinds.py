@@ -26,6 +26,7 @@ from vppres import (
     new_scenario,
     run_day,
 )
+from vppres.contract.ahead import KindsAhead
 from vppres.contract.switching import SwitchingState
 from vppres.feeders.closeness import extreme_steps
 from vppres.feeders.cross_check import cross_check
@@ -65,7 +66,8 @@ def mixed(seed: int) -> tuple[Scenario, WindowData]:
     data = known(day, data)
     if plugged := data.ahead.find(Plugged):
         told = plugged.here & (plugged.here[0] | (rng.random(len(day.chargers)) < 0.5))
-        data = replace(data, ahead=data.ahead.with_window(replace(plugged, known=told)))
+        now = {**data.ahead.by_kind, "chargers": replace(plugged, known=told)}
+        data = replace(data, ahead=KindsAhead(now))
     state = SwitchingState.of(SwitchingRules(), day.customers, dt_h)
     if state is not None:
         rules = state.window(data.n_steps).priced(Site.of(day).hour_beyond, dt_h)
@@ -134,7 +136,7 @@ def test_cars_machines_and_sets_are_in_networks_and_in_charts() -> None:
         assert 1000 * machine["p_mw"].item() == pytest.approx(cooled_kw, abs=1e-6)
     names = [curve["name"] for curve in import_load_pv(run).data()["curves"]]
     assert any(name.endswith("vehicles") for name in names)
-    assert any(name.endswith("cooling and heat") for name in names)
+    assert any(name.endswith("thermal loads") for name in names)
     assert any(name.endswith("generating sets") for name in names)
     assert [curve["name"] for curve in indoor(run).data()["curves"]][-1].endswith("median")
     assert cross_check(day).agrees

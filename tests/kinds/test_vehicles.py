@@ -33,7 +33,7 @@ from vppres.model.site import Site
 from vppres.model.violations import broken
 from vppres.plant.plant import Plant
 from vppres.report.assumptions import simplifications
-from vppres.scenario.remarks import brief_sessions
+from vppres.scenario.remarks import remarks
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock, written
 from vppres.service.of_kind import told_by_plans
@@ -150,7 +150,7 @@ def test_a_vehicle_within_a_step_is_named_and_leaves_plans_as_they_are() -> None
     plugged = known(day).ahead.find(Plugged)
     assert plugged is not None and not plugged.held_kwh.any()
     assert solved(day).dispatch.served.all()
-    assert "no whole step of 60 min" in brief_sessions(day)
+    assert "no whole step of 60 min" in " ".join(remarks(day))
 
 
 # The step: plant and guard.

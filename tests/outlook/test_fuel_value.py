@@ -41,7 +41,9 @@ def test_service_is_given_up_to_keep_fuel_by_hand(
     )
     day = replace(day, gensets=sets, batteries=battery(soc=0.15))
     energy = np.linspace(15.0, 185.0, PIECES + 1)
-    value = StoredValue(energy, per_kwh * (energy - 15.0), 1000.0, True, sets.kwh_per_litre / 0.95)
+    value = StoredValue(
+        energy, per_kwh * (energy - 15.0), 1000.0, True, {"gensets": sets.kwh_per_litre / 0.95}
+    )
     data = replace(window(day), ahead=KindsAhead({"gensets": ahead(day)}), stored_value=value)
     answer = WindowSolver(Site.of(day), method).solve(data)
     assert answer.status == "optimal"
@@ -102,5 +104,5 @@ def test_methods_agree_on_random_windows(seed: int) -> None:
     if seed % 3:
         first = replace(first, grid_limit_kw=np.zeros(1))
     out = bool(first.grid_limit_kw[0] <= 0.0)
-    value = StoredValue(energy, service, 1000.0, out, of_fuel)
+    value = StoredValue(energy, service, 1000.0, out, {"gensets": of_fuel})
     assert_methods_agree(Site.of(day), replace(first, stored_value=value))

@@ -14,10 +14,14 @@ from experiments.studies.phases import admittances_apart
 from tests.support.command_line import call
 from tests.support.homes import homes
 from tests.support.phased_feeder import CIRCUIT, phased_day
+from tests.support.set_points import asked
 from tests.support.sets import gensets
+from tests.support.vans import chargers, plugged_in
 from vppres.contract.decision import Decision, SolveInfo
 from vppres.contract.observation import Observation
-from vppres.control.rules import rule_dispatch
+from vppres.control.phased import PhasedPlanner
+from vppres.control.phased_rule import served_by_phase
+from vppres.control.rules import rule_dispatch, service_order
 from vppres.control.step_state import StepState
 from vppres.core.errors import InputError
 from vppres.day.assembly import make_controller
@@ -33,17 +37,16 @@ from vppres.feeders.dss.phases import flow_of_source
 from vppres.io import read_scenario
 from vppres.io.digest import scenario_digest
 from vppres.io.scenario_writer import write_scenario
-from vppres.model.phases import Slopes
+from vppres.model.phases import PhasedModel, Slopes
 from vppres.model.site import Site
 from vppres.physics.phased_loading import Loadings
 from vppres.physics.phased_sources import (
     assets_of,
     flow_of_former,
     flow_of_grid,
-    former_of,
     labels_by_source,
 )
-from vppres.physics.phases import NoPhasedSolutionError, PhasedFlow
+from vppres.physics.phases import NoPhasedSolutionError, PhasedFlow, PhasedResult
 from vppres.report.findings import findings
 from vppres.report.first_page import limit_rows, who_and_why
 from vppres.report.one_line import step_states
@@ -52,6 +55,7 @@ from vppres.report.rechecked import recheck_run
 from vppres.report.sections.base import Run
 from vppres.report.sections.network import network_section
 from vppres.scenario.earthing import in_island, unearthed, unearthed_by
+from vppres.scenario.formers import island_former
 from vppres.scenario.phases import (
     PhaseBus,
     PhaseConnection,
@@ -62,6 +66,8 @@ from vppres.scenario.phases import (
 from vppres.scenario.remarks import darkness, former_words, held_capacitors
 from vppres.scenario.scenario import Scenario
 from vppres.service.plans.world import World
+from vppres.solve.ladder import WindowSolver
+from vppres.solve.phases import MOST_BINDING, near_to
 from vppres.solve.shadow_price_model import PricedTerms, ShadowPriceModel
 from vppres.solve.shadow_prices import price_window
 
@@ -93,11 +99,11 @@ def powers(day: Scenario, t: int) -> tuple[np.ndarray, np.ndarray]:
 def flows(day: Scenario) -> tuple[PhasedFlow, PhasedFlow]:
     """With the grid as source, and with the former."""
     assert day.phases is not None
-    names = assets_of(day.customers, day.pv, day.batteries)
-    former = former_of(day.phases, day.batteries)
+    names = assets_of(day)
+    former = island_former(day)
     assert former is not None
     grid = flow_of_grid(day.phases, names, day.network.v_slack_pu)
-    island = flow_of_former(day.phases, names, day.batteries, former, 0.947, 1.053)
+    island = flow_of_former(day.phases, names, former, 0.947, 1.053)
     return grid, island
 
 
@@ -174,7 +180,7 @@ def test_an_island_is_formed_by_a_battery_that_earths_its_customers(
 def test_limits_of_an_island_are_between_phases_where_nothing_earths(day: Scenario) -> None:
     """Not at a bus where an asset has a coil to ground, and of as many voltages."""
     assert day.phases is not None
-    by_source = labels_by_source(day.phases, day.batteries)
+    by_source = labels_by_source(day)
     grid, island = ([word for bus, word in each if bus == "sourcebus"] for each in by_source)
     assert (grid, island) == (["a", "b", "c"], ["ab", "bc", "ca"])
     assert [bus for bus, _ in by_source[0]] == [bus for bus, _ in by_source[1]]
@@ -300,7 +306,6 @@ def test_connections_that_cannot_be(day: Scenario, change: dict[str, str], messa
         ({"mode": "paper"}, "mode"),
         ({"controller": "full-horizon"}, "controller"),
         ({"method": "monolithic"}, "method"),
-        ({"voltage_limits": "hard"}, "voltage_limits"),
     ],
 )
 def test_options_that_are_not_stated_are_refused_by_name(
@@ -310,20 +315,17 @@ def test_options_that_are_not_stated_are_refused_by_name(
         make_controller(day, RunOptions().having(options))
 
 
-@pytest.mark.nightly
-def test_columns_and_kinds_that_are_not_stated_are_refused_at_once(day: Scenario) -> None:
-    longest = np.where(day.customers.id == "ca", np.nan, 4.0)
-    customers = replace(day.customers, max_off_h=longest)
-    more = {"thermal_loads": homes("ca", "cb"), "gensets": gensets(bus="m")}
+def test_a_set_that_is_to_form_an_island_with_phases_is_refused(day: Scenario) -> None:
+    assert day.phases is not None
+    one = PhaseConnection("g0", "m", "a b c", 4.16 / np.sqrt(3.0))
+    phases = replace(day.phases, connections=(*day.phases.connections, one))
+    forming = replace(day, phases=phases, gensets=gensets(bus="m", grid_forming=True))
     with pytest.raises(InputError) as refused:
-        make_controller(replace(day, customers=customers, **more), RunOptions())
-    why = "is not stated for feeders with phases"
-    otherwise = "or remove the folder's phase_*.csv for its balanced equivalent."
-    assert str(refused.value).splitlines() == [
-        f"customers.csv, max_off_h of cb = 4.0: {why}, and 3 more. Leave the column out, {otherwise}",
-        f"thermal_loads.csv, id = h0: {why}, and 1 more. Remove the file, {otherwise}",
-        f"gensets.csv, id = g0: {why}. Remove the file, {otherwise}",
-    ]
+        make_controller(forming, RunOptions())
+    assert str(refused.value) == (
+        "gensets.csv, grid_forming of g0 = yes: is not stated for feeders with phases. "
+        "Use no, or remove the folder's phase_*.csv for its balanced equivalent."
+    )
 
 
 @pytest.mark.nightly
@@ -379,6 +381,55 @@ def test_plans_keep_every_phase_of_the_former_and_every_node(circuit: Path, day:
     assert off["words"].str.contains("phase [abc] of be").any()
     assert "phase rating" in " ".join(who_and_why(explained))
     check_price_of_a_phase(trajectory)
+
+
+class Asks:
+    """A controller with the same set-points in every step."""
+
+    def __init__(self, day: Scenario, plan: Decision) -> None:
+        self.day = day
+        self.decision = plan
+
+    def horizon_steps(self, t0: int) -> range:
+        """The step alone."""
+        return range(t0, t0 + 1)
+
+    def decide(self, observation: Observation) -> Decision:
+        """The set-points."""
+        return self.decision
+
+
+@pytest.mark.daily
+@pytest.mark.parametrize("former", ["be", "g0"])
+def test_vehicles_rooms_and_sets_are_those_of_opendss(
+    circuit: Path, day: Scenario, former: str
+) -> None:
+    rooms, fuel = homes("cb", p_max_kw=40.0), {"tank_litres": 900.0, "fuel_level_litres": 900.0}
+    sets = gensets(bus="m", p_min_kw=0.0, p_max_kw=300.0, only_in_outage=False, **fuel)
+    sets = replace(sets, grid_forming=sets.id == former, power_factor=np.array([0.5]))
+    vehicles = chargers(bus=["n"], p_charge_kw=60.0)
+    rows = [
+        PhaseConnection(name, bus, coils, kv)
+        for name, bus, coils, kv in (
+            ("h0", "n", "b", 2.4), ("g0", "m", "a b c", 2.4), ("k0", "n", "bc", 4.16)
+        )
+    ]  # fmt: skip
+    assert day.phases is not None
+    phases = replace(day.phases, connections=(*day.phases.connections, *rows))
+    b = day.batteries
+    full = replace(b, soc_initial=b.soc_max, grid_forming=b.id == former)
+    parts = {"thermal_loads": rooms, "gensets": sets, "chargers": vehicles, "batteries": full}
+    more = plugged_in(replace(day, phases=phases, **parts).between(10, 14), (0.0, 4.0))
+    wanted = {"thermal_loads": 40.0, "gensets": -150.0, "chargers": 60.0}
+    on = np.isin(day.customers.id, ["cb", "cd"])
+    plan = asked(more, wanted, served=on, curtailed_kw=1e3)
+    run = Day(more, RunOptions(mode="physical")).run(Asks(more, plan))
+    assert run.gensets is not None and run.vehicles is not None
+    assert (run.gensets["p_kw"] > 100.0).all() and (run.vehicles["p_kw"] > 0.0).any()
+    assert (run.steps["former"][run.steps["outage"]] == former).all()
+    found = recheck_run(run, circuit).voltages
+    apart = found.groupby("outage")["difference_pu"].agg(lambda off: off.abs().max())
+    assert apart[False] < 1e-6 and apart[True] < 1e-6
 
 
 def check_price_of_a_phase(trajectory: Trajectory) -> None:
@@ -512,6 +563,63 @@ def test_the_rule_serves_in_an_island_what_every_phase_carries(day: Scenario) ->
     assert (found.steps["shed_kw"] == 0.0).all()
     assert kva.max() <= rating / 3 + 0.1
     assert found.customers.groupby("time")["served"].any().all()
+
+
+@pytest.mark.parametrize("share", [10.0, 1.0, 0.2])
+def test_the_rule_needs_few_power_flows_and_serves_what_it_would_one_by_one(
+    day: Scenario, share: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With a former that carries everyone, and with smaller ones."""
+    full = replace(day.batteries, soc_initial=day.batteries.soc_max)
+    factor = np.where(full.formers, share, 1.0)
+    sizes = {each: getattr(full, each) * factor for each in ("energy_kwh", "p_max_kw", "s_max_kva")}
+    full = replace(full, **sizes)
+    island = replace(day, batteries=full).between(12, 13)
+    options = RunOptions(horizon_h=0.0).on(island)
+    observation = Day(island, options).observe(make_controller(island, options), 0)
+    state = StepState.of(Site.of(island), observation, "lossless")
+    order = service_order(state, list(island.tiers)).tolist()
+    kept: list[int] = []
+    for customer in order:
+        tried = served_by_phase(state, [*kept, customer]).served[0]
+        kept += [customer] if tried[[*kept, customer]].all() else []
+    flows: list[bool] = []
+    solved = PhasedModel.solved
+
+    def counted(model: PhasedModel, island: bool, *drawn: Any) -> PhasedResult | None:
+        flows.append(island)
+        return solved(model, island, *drawn)
+
+    monkeypatch.setattr(PhasedModel, "solved", counted)
+    served = served_by_phase(state, order).served[0]
+    assert np.flatnonzero(served).tolist() == sorted(kept)
+    assert served.all() == (share == 10.0)
+    assert share < 10.0 or len(flows) < len(order)
+
+
+@pytest.mark.daily
+def test_few_of_the_limits_that_bind_everywhere_are_rows_from_the_start(tmp_path: Path) -> None:
+    """A plan near the feeder without control has all of its voltages at limits that give way."""
+    file = tmp_path / "low.dss"
+    lines = [
+        f"new line.s{at} bus1=e{at or ''} bus2=e{at + 1} linecode=three length=0.01 units=km\n"
+        for at in range(40)
+    ]
+    file.write_text(CIRCUIT.replace("set voltagebases", "".join(lines) + "set voltagebases"))
+    day = phased_day(file)
+    two = day.between(18, 20)
+    options = RunOptions(horizon_h=1.0).on(two)
+    observation = Day(two, options).observe(make_controller(two, options), 0)
+    site = Site.of(two)
+    planner = PhasedPlanner(WindowSolver(site))
+    data = planner.begun(observation)[2]
+    plan = planner.solver.solve(data).dispatch
+    phased = data.require_phased()
+    there = phased.u_offset + planner.model.linear(data, *planner.model.drawn(data, plan))[0]
+    data = replace(data, phased=replace(phased, u_min=there))
+    bound = near_to(site, data, plan).require_phased().bound.sum(axis=2)
+    assert (bound[:, 0] >= 3 * MOST_BINDING).all()
+    assert (bound[:, 0] <= len(planner.model.by_phase) * MOST_BINDING).all()
 
 
 def test_phases_are_part_of_the_digest(day: Scenario) -> None:

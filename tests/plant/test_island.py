@@ -10,11 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.random_feeders import random_scenario
-from tests.support.set_points import decision, state
+from tests.support.set_points import asked, decision, state
+from tests.support.vans import chargers, plugged_in
 from vppres.contract.decision import Decision
 from vppres.physics import nose
 from vppres.physics.newton import Newton
 from vppres.physics.powerflow import ACPowerFlow
+from vppres.plant.changes import curtailed
 from vppres.plant.formers import share_out
 from vppres.plant.island import (
     COLLAPSE,
@@ -24,7 +26,6 @@ from vppres.plant.island import (
     NO_SOLUTION,
     IslandPlant,
     Settled,
-    curtailed,
     shedding_order,
 )
 from vppres.plant.plant import BatteryState, Plant, Powers
@@ -147,6 +148,20 @@ def test_charging_stops_before_anyone_is_shed(tiny: Scenario) -> None:
     assert done.realised.charge_kw[1] == pytest.approx(19.5 - done.ac.losses_kw, abs=5e-3)
 
 
+@pytest.mark.parametrize(("least_kw", "taken_kw"), [(0.0, 19.5), (19.0, 19.5), (19.6, 0.0)])
+def test_a_charger_that_gives_way_takes_its_least_power_or_nothing(
+    tiny: Scenario, least_kw: float, taken_kw: float
+) -> None:
+    small = replace(tiny, load_kw=tiny.load_kw * 0.5)
+    charger = chargers(bus=[4], p_charge_kw=22.0, p_charge_min_kw=least_kw)
+    now_h = T * small.grid.dt_h
+    small = plugged_in(replace(small, chargers=charger), (now_h, now_h + 2.0))
+    done = settle(small, asked(small, {"chargers": 22.0}), state([0.85, 0.2]))
+    assert not done.shed.any() and not done.dark
+    given_kw = taken_kw and taken_kw - done.ac.losses_kw
+    assert done.realised.taken_kw["chargers"] == pytest.approx([given_kw], abs=5e-3)
+
+
 def test_surplus_is_curtailed(tiny: Scenario) -> None:
     # Nobody is served, and the battery that holds the grid has room for 5 kWh: 5.26 kW.
     done = settle(tiny, decision(tiny, served=False), state([0.80, 0.5]))
@@ -186,8 +201,9 @@ def dark_and_empty(scenario: Scenario, done: Settled) -> bool:
         done.dark
         and not r.served.any()
         and np.isnan(done.ac.v_pu).all()
+        and np.isnan(done.ac.source_kva).all()
         and done.ac.v_pu.shape == (scenario.network.n_buses,)
-        and not np.concatenate([np.r_[flow] for flow in astuple(done.ac)[1:-1]]).any()
+        and not np.concatenate([np.r_[flow] for flow in astuple(done.ac)[1:8]]).any()
         and (done.mismatch_kw == 0.0).all()
         and (r.pv_curtailed_kw == scenario.pv_kw[T]).all()
         and not (r.charge_kw + r.discharge_kw + np.abs(r.p_injection_kw).sum()).any()

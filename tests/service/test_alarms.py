@@ -286,6 +286,8 @@ def test_readings_are_not_late_before_they_can_have_come(live: Running) -> None:
 
     later(runner, 60)
     assert said() == f"{off}."
+    no_sun = readings(NOON + HOUR, "pv_kw", {"roof": 0.0, "field": 0.0})
+    http.post("/v1/telemetry", {"series": no_sun})
     http.post("/v1/steps")
     assert said() == f"{off}, and the state of charge of big, small is late."
 

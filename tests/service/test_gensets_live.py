@@ -20,6 +20,7 @@ from vppres import (
     SetPoints,
 )
 from vppres.kinds.gensets.data import Refuels
+from vppres.kinds.gensets.physics import Engines
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock, written
 from vppres.service.operation.runner import Service
@@ -217,6 +218,21 @@ def test_an_operator_runs_a_set_and_sees_that_it_does_not_start(
     assert told["running"].tolist()[:5] == [True, False, True, True, False]
     assert told["fuel_start_litres"][2] == 123.0 and told["p_kw"][3] == 40.0
     assert told["hours_before"].tolist() == [-24.0, -25.0, -26.0, 1.0, 2.0, 0.0]
+
+
+def test_an_exported_day_has_its_first_delivery_once(tiny: Scenario, tmp_path: Path) -> None:
+    clock = SetClock(NOON)
+    day = replace(with_set(site(tiny)), refuels=Refuels(["g0"], [NOON], [50.0]))
+    with client(Service(day, HERE), tmp_path, clock) as http:
+        assert http.post(
+            "/v1/telemetry", {"series": readings(NOON, "fuel_litres", {"g0": 120.0})}
+        ).status == 200  # fmt: skip
+        first = decided(http, clock, NOON, soc=0.1)
+        assert first["expected"]["gensets"]["g0"]["fuel_litres"] == 120.0
+        told = export(
+            Service(day, HERE), tmp_path, written(NOON), written(NOON + pd.Timedelta(hours=1))
+        ).scenario
+    assert Engines(told).tank_litres(0).tolist() == [120.0]
 
 
 def test_a_step_by_rule_leaves_a_set_as_it_was(

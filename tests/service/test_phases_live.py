@@ -12,6 +12,8 @@ import pytest
 
 from tests.support.phased_feeder import CIRCUIT, phased_day
 from tests.support.played_service import played
+from tests.support.sets import gensets
+from tests.support.three_phases import three_phases
 from vppres.control.guard.guard import GuardedController
 from vppres.core.errors import SolveError
 from vppres.day.options import RunOptions
@@ -24,6 +26,7 @@ from vppres.service.http.serve import opened
 from vppres.service.operation.runner import Service
 from vppres.service.overview import site_of
 from vppres.service.payloads import Readings
+from vppres.service.plans.world import World
 from vppres.service.simulate import Play
 from vppres.service.telemetry.knowledge import readings_of
 
@@ -83,6 +86,21 @@ def test_strict_order_gives_up_headroom_of_phases_for_the_first_tier(evening: Sc
     assert run.customers.set_index("id")["served"]["cbc"]
     assert 0.9 * third < kva <= third
     assert run.steps["levels"].iloc[0].startswith("critical 1/1")
+
+
+def test_a_set_that_forms_an_island_is_read_by_phase(tiny: Scenario) -> None:
+    sets = gensets(p_max_kw=400.0, p_min_kw=0.0, grid_forming=True, power_factor=0.8)
+    day = three_phases(replace(tiny, gensets=sets))
+    dark = int(np.argmax(day.outage))
+    world = World(day, replace(OPTIONS, mode="physical"))
+    record = world.obey(dark, [])
+    series = [one for one in world.readings(dark + 1) if one["quantity"] == "source_kva"]
+    told = {(one["source"], one["asset"], one["phase"]): one["values"] for one in series}
+    kva = {("gensets", "g0", phase): [record.steps[f"former_{phase}_kva"]] for phase in "abc"}
+    assert record.steps["former"] == "g0" and told == kva
+    batch = [Readings.model_validate(one) for one in series]
+    kept, refused = readings_of(batch, day, day.grid.times[-1])
+    assert len(kept) == 3 and not refused
 
 
 @pytest.mark.daily

@@ -27,7 +27,7 @@ from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 from vppres.solve.apart import falls_apart, solve_apart
 from vppres.solve.cache import shared_cache
-from vppres.solve.dispatch import cheapest_with_modes
+from vppres.solve.dispatch import cheapest
 from vppres.solve.ladder import METHODS, WindowSolver
 from vppres.solve.result import SolveLimits, Status, WindowSolution
 from vppres.solve.solvers import find_solver
@@ -172,9 +172,9 @@ def test_modes_are_dispatched_where_rounding_took_their_energy() -> None:
     served = np.ones((1, 1), dtype=bool)
     limits, highs = SolveLimits(time_s=10.0), find_solver("highs")
     task = WindowTask.begin(window(scenario), cache, limits, highs, 0)
-    found = cheapest_with_modes(task, served, modes)
+    found = cheapest(task, served, modes=modes)
     assert found is not None
     assert found.dispatch.discharge_kw[0, 0] == pytest.approx(10.0)
     less = replace(scenario, batteries=battery(soc=soc - 1e-6))
     task = WindowTask.begin(window(less), cache, limits, highs, 0)
-    assert cheapest_with_modes(task, served, modes) is None
+    assert cheapest(task, served, modes=modes) is None

@@ -13,18 +13,16 @@ import pytest
 from benchmarks.instances import Instance, packaged, read_instances, window_data
 from benchmarks.random_feeders import random_window
 from tests.support.small_windows import window
-from vppres.core.arrays import Flags
 from vppres.core.errors import LimitError, SolveError
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
 from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import Deadline, Stopwatch
-from vppres.solve.fleet.counts import Counts, _Found
-from vppres.solve.fleet.masters import demand_of
+from vppres.solve.fleet.masters import Master
 from vppres.solve.forms import Form, window_problem
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.programs import ProgramSolution
-from vppres.solve.result import SolveLimits, Status
+from vppres.solve.result import Outcome, SolveLimits, Status
 from vppres.solve.selection import Selected
 from vppres.solve.solvers import find_solver, run, run_conic
 from vppres.solve.task import WindowTask
@@ -193,16 +191,16 @@ def test_a_bound_whose_search_ran_out_of_time_is_not_called_optimal(
 ) -> None:
     site = Site.of(packaged())
     data = window_data(instance("o040"))
-    demand = demand_of(ModelCache(site), data, lumped=True)
-    counts = Counts(demand, data, Deadline(60.0))
-    most, _ = counts.service(0.0)
-    linear, _ = counts.cost(most.value, False, np.inf, np.inf)
+    spec = find_solver("highs")
+    master = Master(ModelCache(site), data, spec, Deadline(60.0), lumped=True, stepwise=True)
+    most, _ = master.service(0.0)
+    linear, _ = master.cost(most.value, False, np.inf, np.inf)
 
-    def no_search(free: Flags, units_min: float, gap_gbp: float) -> _Found:
-        return replace(counts._least_by_shares(free, units_min)(), status=Status.NO_ANSWER)
+    def no_search(*_: object, **__: object) -> Outcome:
+        return Outcome(Status.NO_ANSWER, np.nan, np.nan, 0.0)
 
-    monkeypatch.setattr(counts, "_least", no_search)
-    outcome, served = counts.cost(most.value, False, known_gbp=1e6, gap_gbp=1e-3)
+    monkeypatch.setattr("vppres.solve.fleet.masters.search_for_set", no_search)
+    outcome, served = master.cost(most.value, False, known_gbp=1e6, gap_gbp=1e-3)
     assert outcome.status == Status.TIME_LIMIT
     assert outcome.bound == pytest.approx(linear.bound)
     assert served is None

@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support.sets import gensets
 from tests.support.small_windows import DARK, OPEN, battery, two_buses, window, with_pv
+from tests.support.vans import chargers, plugged_in
 from vppres import RunOptions, Trajectory, run_day
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
@@ -80,6 +82,21 @@ def test_a_lone_customer_is_not_put_off(options: dict[str, Any]) -> None:
     day = replace(alone, tiers=("critical",), batteries=day.batteries)
     run = run_day(day, RunOptions(horizon_h=5, **options))
     assert run.customers["served"].tolist() == [1] * 3 + [0] * 6
+
+
+@pytest.mark.parametrize("kind", ["set", "vehicle"])
+@pytest.mark.parametrize("outages", ["none", "known"])
+def test_a_lone_customer_is_not_put_off_beside(kind: str, outages: str) -> None:
+    """The same three hours, beside a set of 100 W or a vehicle that gets nothing in them."""
+    alone = two_buses([[2.0]] * 9, [1.0], [DARK] * 9)
+    day = replace(alone, tiers=("critical",), batteries=hours([DARK]).batteries)
+    if kind == "set":
+        day = replace(day, gensets=gensets(p_max_kw=0.1, p_min_kw=0.0))
+    else:
+        of_customer = chargers(customer=[day.customers.id[0]], bus=[None])
+        day = plugged_in(replace(day, chargers=of_customer), (0, 9))
+    options = RunOptions(horizon_h=5, mode="physical", outages=outages, headroom=0.0)
+    assert run_day(day, options).customers["served"].tolist() == [1] * 3 + [0] * 6
 
 
 def test_higher_tiers_come_first_and_then_sooner() -> None:

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from benchmarks.feeders import with_days
 from benchmarks.hard_days import hard_window
 from benchmarks.instances import packaged as instances_day
 from benchmarks.instances import read_instances, window_data
@@ -29,10 +28,7 @@ from vppres.solve.cache import ModelCache, shared_cache
 from vppres.solve.certificate import Certificate
 from vppres.solve.deadline import Deadline
 from vppres.solve.dispatch import _solve_cost, cost_form, least_reactive
-from vppres.solve.fleet.counts import Counts
-from vppres.solve.fleet.cuts import Reach
-from vppres.solve.fleet.demand import DemandModel
-from vppres.solve.fleet.masters import Binaries, demand_of
+from vppres.solve.fleet.masters import Master, master_of
 from vppres.solve.fleet.relaxation import fleet_problem
 from vppres.solve.fleet.rungs import service_then_cost
 from vppres.solve.ladder import WindowSolver
@@ -134,39 +130,23 @@ def day_window(day: Scenario, first: int, steps: int, soc: float) -> WindowData:
     )
 
 
-def demand_model(site: Site, data: WindowData, lumped: bool = True) -> DemandModel:
-    """What the fleet can carry."""
-    return demand_of(shared_cache(site), data, lumped)
-
-
-def point_of(model: DemandModel, data: WindowData, dispatch: Dispatch) -> np.ndarray:
-    """Demand, loss and cost of a dispatch, as the masters know it."""
-    site = model.site
-    lost = site.weights.lambda_curt * site.dt_h / model.grid
-    return np.array(
-        [
-            *(data.load_kw * dispatch.served).sum(axis=1),
-            lost * dispatch.pv_curtailed_kw.sum(),
-            data.price_gbp_per_kwh @ dispatch.p_grid_kw * site.dt_h,
-        ]
-    )
+def master_of_fleet(site: Site, data: WindowData, lumped: bool = True) -> Master:
+    """The master without the network, which asks one battery first."""
+    return Master(shared_cache(site), data, SPEC[0], Deadline(TIME_S), lumped, stepwise=True)
 
 
 @pytest.mark.parametrize("lumped", [True, False])
 @pytest.mark.parametrize("seed", SEEDS)
-def test_no_cut_excludes_what_can_be_dispatched(seed: int, lumped: bool) -> None:
+def test_no_bound_of_the_fleet_excludes_what_can_be_dispatched(seed: int, lumped: bool) -> None:
     case = random_window(seed)
     site = Site.of(case.scenario)
     answer = WindowSolver(site).solve(case.data)
-    model = demand_model(site, case.data, lumped)
-    master = Counts(model, case.data, Deadline(TIME_S))
+    master = master_of_fleet(site, case.data, lumped)
     outcome, _ = master.service(0.1)
     service = answer.terms.f1 - site.weights.lambda_curt * answer.terms.f3
     assert outcome.bound * master.unit >= service - 1e-6
     least, _ = master.cost(service / master.unit - 1e-3, False, np.inf, np.inf)
     assert least.bound <= answer.terms.f2 + 1e-4
-    point = point_of(model, case.data, answer.dispatch)
-    assert all(cut.weights @ point <= cut.most + 1e-3 for cut in master.cuts)
 
 
 def test_cost_bound_of_a_set_is_not_above_its_cost(packaged: Scenario) -> None:
@@ -174,84 +154,20 @@ def test_cost_bound_of_a_set_is_not_above_its_cost(packaged: Scenario) -> None:
     data = day_window(packaged, 2, 6, 0.5)
     site = Site.of(packaged)
     cost_gbp = WindowSolver(site).solve(data).terms.f2
-    master = Counts(demand_model(site, data), data, Deadline(TIME_S))
+    master = master_of_fleet(site, data)
     everyone = packaged.customers.weight.sum() * 6 / master.unit
     outcome, _ = master.cost(everyone - 1e-6, True, np.inf, np.inf)
     assert outcome.bound <= cost_gbp
     assert outcome.bound == pytest.approx(cost_gbp, rel=3e-6)  # the tie-breakers spend 1e-6 of it
 
 
-@pytest.mark.parametrize(
-    ("first", "steps", "soc"),
-    [
-        (14, 4, 0.3),
-        *(pytest.param(*w, marks=pytest.mark.nightly) for w in [(12, 6, 0.5), (10, 8, 0.7)]),
-    ],
-)
-def test_counts_find_what_binaries_find(
-    packaged: Scenario, first: int, steps: int, soc: float
-) -> None:
-    data, problems = day_window(packaged, first, steps, soc), shared_cache(Site.of(packaged))
-    counted, _ = Counts(demand_of(problems, data, lumped=False), data, Deadline(TIME_S)).service(
-        0.1
-    )
-    master = Binaries(problems, data, find_solver("highs"), Deadline(TIME_S), lumped=False)
-    binary, _ = master.service(0.1)
-    assert counted.value == pytest.approx(binary.value, abs=1e-4)
-    assert counted.bound == binary.bound
-
-
-def test_counts_of_several_outages_find_what_binaries_find(packaged: Scenario) -> None:
-    limit_kw = np.array([np.inf, 0.0, 0.0, np.inf, np.inf, 0.0, 0.0, np.inf])
-    data = replace(day_window(packaged, 10, 8, 0.3), grid_limit_kw=limit_kw)
-    problems = shared_cache(Site.of(packaged))
-    master = Counts(demand_of(problems, data, lumped=True), data, Deadline(TIME_S))
-    counted, _ = master.service(0.5)
-    binary, _ = Binaries(problems, data, find_solver("highs"), Deadline(TIME_S), True).service(0.5)
-    assert counted.status == Status.OPTIMAL
-    assert counted.value == pytest.approx(binary.value, abs=1e-4)
-    assert counted.bound == binary.bound
-
-
-def test_no_cut_prices_a_loss_of_next_to_nothing() -> None:
-    """Service would be no number: a window of 96 steps had no answer in a minute."""
-    day = with_days(instances_day(), 4)
-    data = day_window(day, 8, 72, 0.4)
-    counts = Counts(demand_model(Site.of(day), data), data, Deadline(TIME_S))
-    outcome, _ = counts.service(0.5)
-    assert outcome.status == Status.OPTIMAL
-    assert counts.cuts
-    for cut in counts.cuts:
-        assert (cut.weights[-2:] == 0.0).all()
-
-
-def test_energy_of_the_fleet_is_a_cut(packaged: Scenario) -> None:
-    """In the dark without PV power a fleet carries what its energy yields, and no more."""
-    dark = replace(day_window(packaged, 13, 2, 0.5), grid_limit_kw=np.zeros(2))
-    dark = replace(dark, pv_kw=np.zeros_like(dark.pv_kw))
-    site, b = Site.of(packaged), packaged.batteries
-    model = demand_model(site, dark)
-    model.write(dark)
-    energy_kwh = (b.energy_kwh * (0.5 - b.soc_min)).sum() * dark.eta_discharge.min()
-    reach = Reach(model)
-    share = energy_kwh / dark.load_kw.sum()
-    for factor, carried in ((0.999, True), (1.001, False)):
-        point = np.append(factor * share * dark.load_kw.sum(axis=1), [0.0, 0.0])
-        status, cut = reach.separate(point, Deadline(TIME_S))
-        assert status == Status.OPTIMAL
-        assert (cut is None) is carried
-    assert cut is not None
-    assert cut.weights[:2] == pytest.approx([1.0, 1.0], abs=1e-6)
-    assert cut.most == pytest.approx(energy_kwh, rel=1e-6)
-
-
 def test_any_prices_give_a_bound(packaged: Scenario) -> None:
     data = day_window(packaged, 12, 3, 0.5)
-    model = demand_model(Site.of(packaged), data)
+    model = fleet_problem(shared_cache(Site.of(packaged)), data, True, False, "service")
     model.write(data)
     program = program_of(model)
     cost = np.zeros(len(program.cost))
-    cost[model.at("load")] = -1.0
+    cost[model.at("x_served")] = -1.0
     box = replace(
         program, cost=cost, x_lower=np.full(len(cost), -1e4), x_upper=np.full(len(cost), 1e4)
     )
@@ -288,76 +204,29 @@ def test_voltages_follow_from_injections(seed: int) -> None:
         assert getattr(back, name) == pytest.approx(getattr(d, name), abs=1e-4), name
 
 
-def test_counts_are_rounded_down_where_time_runs_out(
-    packaged: Scenario, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    data, site = day_window(packaged, 10, 8, 0.5), Site.of(packaged)
-    best = WindowSolver(site).solve(data)
-    search = Counts._most
-
-    def late(self: Counts, free: np.ndarray, deadline: Deadline) -> object:
-        return replace(search(self, free, deadline), status=Status.NO_ANSWER)
-
-    monkeypatch.setattr(Counts, "_most", late)
-    monkeypatch.setattr(Counts, "_step_by_step", lambda *_: None)
-    monkeypatch.setattr("vppres.solve.fleet.masters.MOST_BINARIES", 0)
-    counts = Counts(demand_model(site, data), data, Deadline(TIME_S))
-    outcome, served = counts.service(0.5)
-    assert outcome.status == Status.TIME_LIMIT
-    assert served is not None
-    assert outcome.value == pytest.approx((served * counts.units).sum())
-    assert 0.9 * outcome.bound < outcome.value <= outcome.bound
-    assert outcome.bound * counts.unit >= best.terms.f1
-    found = WindowSolver(site).solve(data)
-    assert found.stages[0] == "service[highs]:time_limit"
-    assert check_dispatch(packaged, data, found.dispatch).worst[1] < 2e-5
-
-
-@pytest.mark.parametrize(("status", "searches"), [(Status.GAP_OPEN, 1), (Status.OPTIMAL, 3)])
-def test_counts_that_ended_at_their_nodes_are_not_asked_with_a_cut_more(
-    packaged: Scenario, monkeypatch: pytest.MonkeyPatch, status: Status, searches: int
-) -> None:
-    data = day_window(packaged, 12, 6, 0.5)
-    counts = Counts(demand_model(Site.of(packaged), data), data, Deadline(TIME_S))
-    found = counts._carried(counts._most_by_shares(~counts.unlimited), counts.deadline)
-    cuts = len(counts.cuts)
-    assert cuts >= 2
-    asked = []
-
-    def search() -> object:
-        asked.append(len(counts.cuts))
-        return replace(found, status=status)
-
-    # The fleet refuses the set twice.
-    answers = iter([(Status.OPTIMAL, cut) for cut in counts.cuts[:2]])
-    monkeypatch.setattr(counts.reach, "separate", lambda *_: next(answers, (Status.OPTIMAL, None)))
-    ended = counts._carried(search, counts.deadline)
-    assert asked == [cuts + k for k in range(searches)]
-    assert ended.status == (Status.OPTIMAL if searches > 1 else Status.NO_ANSWER)
-
-
 @pytest.mark.parametrize("certified", [True, False])
 def test_a_cheaper_set_of_a_certified_plan_has_a_share_of_the_time(
     packaged: Scenario, monkeypatch: pytest.MonkeyPatch, certified: bool
 ) -> None:
     left_s = []
-    cost = Counts.cost
+    cost = Master.cost
 
-    def timed(self: Counts, *given: Any) -> object:
+    def timed(self: Master, *given: Any) -> object:
         left_s.append(self.deadline.left_s)
         return cost(self, *given)
 
-    monkeypatch.setattr(Counts, "cost", timed)
+    monkeypatch.setattr(Master, "cost", timed)
     monkeypatch.setattr(Certificate, "certified", certified)
     data = day_window(packaged, 10, 8, 0.5)
     limits = SolveLimits(time_s=100.0)
     task = WindowTask.begin(data, ModelCache(Site.of(packaged)), limits, *SPEC)
-    counts = Counts(demand_of(task.cache, data, lumped=True), data, task.search)
-    service_then_cost(task, counts)
+    master = master_of(task, True, task.search)
+    assert master is not None
+    service_then_cost(task, master)
     search_s = 100.0 * (1.0 - NETWORK_RESERVE)
     share = COST_SHARE if certified else 1.0
     assert left_s[0] == pytest.approx(share * search_s, abs=5.0)
-    assert counts.deadline is task.search
+    assert master.deadline is task.search
 
 
 def test_many_units_are_searched_to_a_share_of_the_gap(packaged: Scenario) -> None:
@@ -368,17 +237,14 @@ def test_many_units_are_searched_to_a_share_of_the_gap(packaged: Scenario) -> No
     data = day_window(replace(tiers, grid_limit_kw=limit_kw), 12, 6, 0.5)
     site = Site.of(tiers)
 
-    def counts() -> Counts:
-        return Counts(demand_model(site, data), data, Deadline(TIME_S))
-
-    exact, served = counts().service(0.5)
+    exact, served = master_of_fleet(site, data).service(0.5)
     assert exact.status == Status.OPTIMAL
     assert served is not None
-    rough, _ = counts().service(50.0)
+    rough, _ = master_of_fleet(site, data).service(50.0)
     assert rough.bound >= exact.bound
     assert rough.value >= exact.value - 40.0
     assert rough.bound - rough.value <= 40.0
-    assert counts().unit == pytest.approx(0.001)
+    assert master_of_fleet(site, data).unit == pytest.approx(0.001)
 
 
 @pytest.mark.daily

@@ -16,7 +16,11 @@ from experiments.studies.phased_feeders import (
     random_phased,
     with_a_former,
 )
+from tests.support.homes import homes
 from tests.support.phased_feeder import CIRCUIT, phased_day
+from tests.support.sets import random_sets
+from tests.support.vans import with_random_vehicles
+from tests.support.whole_statement import whole_problem
 from vppres.contract.decision import Decision
 from vppres.control.phased import PhasedPlanner
 from vppres.day.assembly import make_controller
@@ -31,6 +35,7 @@ from vppres.model.phases import phased_model
 from vppres.model.ratings import loading_of_phases
 from vppres.model.site import Site
 from vppres.model.statement import Statement
+from vppres.model.violations import broken
 from vppres.scenario.scenario import Scenario
 from vppres.solve.fleet.relaxation import fleet_problem
 from vppres.solve.ladder import WindowSolver
@@ -78,6 +83,31 @@ def test_windows_equal_a_plain_statement_of_the_whole_problem(seed: int) -> None
     gap = max(5e-3, 1e-4 * abs(found.objective))
     assert inside - gap <= found.objective <= around + 1e-6
     assert found.bound >= inside - 1e-6
+
+
+def with_kinds(seed: int) -> Scenario:
+    """The random day on an unbalanced feeder with vehicles, sets, rooms and dimmed customers."""
+    day = with_random_vehicles(with_a_former(random_scenario(seed)), seed)
+    rng = np.random.default_rng([seed, 77])
+    count = len(day.customers)
+    day = replace(
+        day,
+        gensets=random_sets(rng, day),
+        thermal_loads=homes(*day.customers.id[:2], p_max_kw=20.0, r_c_per_kw=1.0),
+        temperature_c=day.temperature_c + 12.0,
+        customers=replace(day.customers, share_min=np.where(rng.random(count) < 0.5, 0.4, 1.0)),
+    )
+    return in_phases(day, np.random.default_rng([seed, 44]))
+
+
+@pytest.mark.parametrize("seed", [4, pytest.param(5, marks=pytest.mark.nightly), 14, 15])
+def test_windows_with_all_kinds_equal_the_whole_problem_with_all_rows(seed: int) -> None:
+    site, data, found = decided(with_kinds(seed))
+    whole = whole_problem(site, data)
+    gap = max(5e-3, 1e-4 * abs(whole.value))
+    assert whole.value - gap <= found.objective <= whole.bound + gap
+    assert found.bound >= whole.value - 1e-6
+    assert not broken(site, data, found.dispatch)
 
 
 @pytest.mark.nightly

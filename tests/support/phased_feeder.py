@@ -1,9 +1,15 @@
-"""A small unbalanced feeder with every kind of element, and a day of it."""
+"""Small unbalanced feeders, one with every kind of element and one with a customer a phase."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
+from vppres.core.arrays import Floats
+from vppres.day.trajectory import Trajectory
 from vppres.feeders.new.options import NewScenarioOptions
 from vppres.feeders.new.scenario import write_new_scenario
 from vppres.feeders.sources import import_network
@@ -46,3 +52,70 @@ def phased_day(circuit: Path) -> Scenario:
     options = NewScenarioOptions(add_batteries=True, pv="sized", draw_tiers=True)
     write_new_scenario(import_network(circuit), options, folder)
     return read_scenario(folder)
+
+
+STREET = """clear
+new circuit.street basekv=0.4 pu=1.0 mvasc3=100 mvasc1=100
+new linecode.three nphases=3 rmatrix=[0.4|0.15 0.41|0.15 0.15 0.4] basefreq=50
+~ xmatrix=[0.3|0.1 0.3|0.1 0.1 0.3] units=km
+new line.l1 bus1=sourcebus bus2=m linecode=three length=0.1 units=km
+new line.l2 bus1=m bus2=n linecode=three length=0.1 units=km
+new load.a bus1=m.1 phases=1 kv=0.2309 kw=3 kvar=0.5 model=1
+new load.b bus1=n.2 phases=1 kv=0.2309 kw=3 kvar=0.5 model=1
+new load.c bus1=n.3 phases=1 kv=0.2309 kw=3 kvar=0.5 model=1
+new load.d bus1=n phases=3 kv=0.4 kw=3 kvar=0.5 model=1
+set voltagebases=[0.4]
+calcvoltagebases
+"""
+"""A customer on each phase and one on all three, whose battery forms the grid."""
+
+NONE_KW = 1e-3
+DARK, OPEN = 0.0, np.inf
+
+
+def street_day(
+    street: Scenario,
+    load_kw: Floats,
+    limits_kw: Sequence[float],
+    first: Sequence[int],
+    soc: float = 0.85,
+    p_max_kw: float = 10.0,
+    sun_kw: Sequence[float] = (),
+) -> Scenario:
+    """Hours of the street, ``first`` its customers of the highest tier; one battery of 10 kWh."""
+    steps = len(load_kw)
+    day = street.between(0, steps)
+    b, pv = day.batteries, day.pv
+    forms = b.id == "bd"
+    batteries = replace(
+        b,
+        energy_kwh=np.where(forms, 10.0, 0.1),
+        p_max_kw=np.where(forms, p_max_kw, 0.05),
+        s_max_kva=np.where(forms, 36.0, 0.1),
+        soc_initial=np.where(forms, soc, 0.15),
+        grid_forming=forms,
+    )
+    pv_kw = np.zeros((steps, len(pv)))
+    if len(sun_kw):
+        pv_kw[:, 0] = sun_kw
+    highest = np.isin(np.arange(4), first)
+    customers = replace(
+        day.customers,
+        tier=np.where(highest, "critical", "low").astype(object),
+        weight=np.where(highest, 1.0, 0.02),
+    )
+    return replace(
+        day,
+        customers=customers,
+        batteries=batteries,
+        pv=replace(pv, p_max_kw=np.full(len(pv), 50.0), s_max_kva=np.full(len(pv), 60.0)),
+        load_kw=np.asarray(load_kw, dtype=float),
+        pv_kw=pv_kw,
+        grid_limit_kw=np.asarray(limits_kw, dtype=float),
+        export_limit_kw=np.zeros(steps),
+    )
+
+
+def served(run: Trajectory) -> Floats:
+    """Who is supplied, (T, C)."""
+    return run.customers.pivot(index="time", columns="id", values="served").to_numpy(dtype=int)

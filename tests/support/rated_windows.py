@@ -13,7 +13,6 @@ from tests.support.whole_statement import whole_problem
 from vppres.contract.ahead import KindsAhead
 from vppres.contract.stored_value import PIECES, StoredValue
 from vppres.control.converged import dark_steps, physics_of, without_power
-from vppres.control.forming import formed_by_set
 from vppres.core.errors import SolveError
 from vppres.core.units import kva_to_a
 from vppres.kinds.gensets.data import GensetState
@@ -79,7 +78,7 @@ def forming(seed: int) -> Case:
     limits = np.where(outage, 0.0, data.grid_limit_kw)
     data = replace(data, grid_limit_kw=limits, ahead=KindsAhead({"gensets": seen}))
     site = Site.of(day)
-    data, dark = formed_by_set(site, data, dark_steps(site, data), 0.1)
+    data, dark = data.formed(site, dark_steps(site, data), 0.1)
     lit = without_power(data, dark)
     return site, lossless(lit, physics_of(site, lit, 0.1))
 

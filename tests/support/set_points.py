@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from vppres.contract.decision import Decision
 from vppres.contract.dispatch import Dispatch
+from vppres.core.arrays import Floats
+from vppres.kinds.table import units_of
 from vppres.plant.plant import BatteryState
 from vppres.scenario.scenario import Scenario
 
@@ -41,6 +47,17 @@ def decision(
             q_flow_kvar=np.zeros((1, lines)),
         )
     )
+
+
+def asked(day: Scenario, kw: Mapping[str, Floats | float], **set_points: Any) -> Decision:
+    """Set-points of a step with what the units of each kind take; all sets run."""
+    plan = decision(day, **set_points)
+    taken_kw = {
+        kind: np.broadcast_to(kw.get(kind, 0.0), (1, len(units)))
+        for kind, units in units_of(day).items()
+    }
+    running = {"gensets": np.ones((1, len(day.gensets)), dtype=bool)} if len(day.gensets) else {}
+    return replace(plan, dispatch=replace(plan.dispatch, taken_kw=taken_kw, running=running))
 
 
 def state(soc: ArrayLike, eta: float = 0.95) -> BatteryState:

@@ -1,6 +1,7 @@
 """A window's whole problem as the page states it, by cvxpy and SCIP: nothing of ``vppres.solve``.
 
-Ratings of lines are cones of all lines in all steps here, which plans make row by row.
+Ratings of lines are cones of all lines in all steps here, which plans make row by row, and so are
+limits of phases.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from typing import NamedTuple
 import cvxpy as cp
 import numpy as np
 
+from experiments.studies.phased_feeders import phase_rows
 from vppres.model.beyond_paper.ratings import LineRatings
 from vppres.model.beyond_paper.table import beyond_paper
 from vppres.model.data import WindowData
@@ -37,7 +39,10 @@ def whole_problem(site: Site, data: WindowData, time_s: float = 60.0) -> Whole:
     F = sum(factors[name] * term for name, term in statement.terms.items())
     # Cost weighs so little that SCIP would stop before it counts.
     scale = 1e3 / float(site.customers.weight.max())
-    problem = cp.Problem(cp.Maximize(scale * F), list(statement.families.values()))
+    rows = list(statement.families.values())
+    if data.phased is not None:
+        rows += phase_rows(site, data, *_drawn(site, data, statement))
+    problem = cp.Problem(cp.Maximize(scale * F), rows)
     limits = {"limits/time": time_s, "limits/absgap": 1e-5 * scale, "limits/gap": 0.0}
     try:
         problem.solve(solver=cp.SCIP, scip_params=limits)
@@ -48,3 +53,36 @@ def whole_problem(site: Site, data: WindowData, time_s: float = 60.0) -> Whole:
     value = float(problem.value) / scale
     done = problem.status == cp.OPTIMAL
     return Whole(value, value + 1e-5 if done else np.inf)
+
+
+def _drawn(
+    site: Site, data: WindowData, statement: Statement
+) -> tuple[cp.Expression, cp.Expression]:
+    """Power of the assets of a feeder with phases, by the letters of their kinds."""
+    v, letters = statement.v, statement.letters
+    customers = data.load_kw * site.customers.q_per_p
+    parts = [
+        (cp.multiply(data.load_kw, v.x_served), cp.multiply(customers, v.x_served)),
+        (-(v.P_self + v.P_exp), -v.Q_pv),
+        (v.P_ch - v.P_dch, -v.Q_batt),
+    ]
+    dimmed = np.flatnonzero(site.customers.dimmable)
+    if len(dimmed):
+        lost = letters["dimmed"] @ np.eye(len(site.customers))[dimmed]
+        kw, kvar = parts[0]
+        parts[0] = kw - cp.multiply(data.load_kw, lost), kvar - cp.multiply(customers, lost)
+    for kind, units in site.kinds.items():
+        taken: cp.Expression = np.zeros((data.n_steps, len(units)))
+        if kind == "chargers" and "ev_charge" in letters:
+            taken = letters["ev_charge"]
+            if "ev_discharge" in letters:
+                two_way = np.eye(len(units))[np.flatnonzero(units.p_discharge_kw > 0.0)]
+                taken = taken - letters["ev_discharge"] @ two_way
+        elif kind == "thermal_loads":
+            taken = letters["th_power"]
+        elif kind == "gensets":
+            taken = -letters["gs_power"]
+        parts.append((taken, np.zeros((data.n_steps, len(units)))))
+    there = [part for part in parts if part[0].shape[1]]
+    kw, kvar = (cp.hstack(each) for each in zip(*there, strict=True))
+    return kw, kvar

@@ -179,7 +179,7 @@ def run(
     with progress_bar(options.controller, quiet) as bar:
         done = run_day(day, options, progress=bar)
     if explain:
-        done = _explained(done)
+        done = _explained(done, quiet)
     summary = write_run(done, folder, not (no_figures or too_long), kinds)
     without = (
         f"Without figures and report: {day.grid.n_steps} steps are more than the "
@@ -639,7 +639,7 @@ def export(
     served = Service(day, run_options(day, context.obj))
     run = past.export(served, _state_place(scenario, state), begin, end)
     if explain:
-        run = _explained(run)
+        run = _explained(run, quiet=True)
     summary = write_run(run, out, figures=False)
     _show(
         {"folder": str(out), **summary} if as_json else None,
@@ -818,11 +818,12 @@ def scenarios(as_json: Json = False) -> None:
     _show(records if as_json else None, *names)
 
 
-def _explained(done: Trajectory) -> Trajectory:
+def _explained(done: Trajectory, quiet: bool) -> Trajectory:
     """A finished day with the reasons of its actions and the shadow prices."""
     from vppres.explain.day import explain_day
 
-    return explain_day(done)
+    with progress_bar("explained", quiet) as bar:
+        return explain_day(done, bar)
 
 
 def _show(record: object, *shown: Table | str) -> None:

@@ -101,7 +101,7 @@ def validation_text(
     from vppres.kinds.table import parts
 
     kinds = [counted(content["batteries"], "battery", "batteries")]
-    kinds += [data.told(content) for kind, data in parts("data").items() if content[kind]]
+    kinds += [data.contents(content) for kind, data in parts("data").items() if content[kind]]
     holds = (
         "{folder} is valid: {buses} buses, {customers} customers, {generators}, "
         f"{', '.join(kinds)}, "

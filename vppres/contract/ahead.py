@@ -61,10 +61,6 @@ class KindsAhead:
         assert found is not None
         return found
 
-    def with_window(self, window: UnitsAhead) -> Self:
-        """Copy with one kind's window replaced."""
-        return self._each(lambda known: window if type(known) is type(window) else known)
-
     def _each(self, change: Callable[[UnitsAhead], UnitsAhead]) -> Self:
         return type(self)({kind: change(known) for kind, known in self.by_kind.items()})
 
@@ -83,6 +79,29 @@ class KindsAhead:
     def without_duties(self) -> Self:
         """Window without units that have to stay on."""
         return self._each(lambda known: known.without_duties())
+
+    @property
+    def switched(self) -> bool:
+        """Whether there are units that are started and stopped."""
+        return any(known.switched for known in self.by_kind.values())
+
+    def formers(self) -> dict[str, Flags]:
+        """Steps in which units form the grid of an island, (W, n), by kind of those that do."""
+        found = {kind: known.forming_steps() for kind, known in self.by_kind.items()}
+        return {kind: forms for kind, forms in found.items() if forms.any()}
+
+    def formed(
+        self, units: Mapping[str, Units], dark: Flags, headroom: float, dt_h: float
+    ) -> tuple[Self, Flags]:
+        """Window with the units that form dark steps, (W,), and the steps that stay dark.
+
+        ``headroom`` is the share of a rating that is left free above and below the plan.
+        """
+        by_kind = {}
+        for kind, known in self.by_kind.items():
+            by_kind[kind], lit = known.formed(units[kind], dark, headroom, dt_h)
+            dark = dark & ~lit
+        return type(self)(by_kind), dark
 
     def most_taken_kw(self, units: Mapping[str, Units]) -> Iterator[Floats]:
         """Most that the units of each kind take together, (W,)."""

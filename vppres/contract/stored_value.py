@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from vppres.core.arrays import Floats, freeze_arrays, no_items
+from vppres.core.arrays import Floats, freeze_arrays
 
 PIECES = 30
 """Linear pieces of every function: the same number, so that problems keep their shape."""
@@ -38,8 +38,9 @@ class StoredValue:
     as_service : bool
         Whether it counts as service: in an outage, where energy is all that there is to spend.
         Otherwise all customers are supplied, and it counts against the cost of energy.
-    kwh_per_litre : array, shape (G,)
-        Energy in a battery that a litre in the tank of each generating set stands for.
+    kwh_each : dict
+        Energy in a battery that a unit of what each asset of a kind holds stands for, a litre of
+        fuel for example, (n,) by kind.
 
     Examples
     --------
@@ -54,7 +55,7 @@ class StoredValue:
     service: Floats
     gbp_per_service: float
     as_service: bool
-    kwh_per_litre: Floats = field(default_factory=no_items)
+    kwh_each: dict[str, Floats] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         freeze_arrays(self)

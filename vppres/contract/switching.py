@@ -104,19 +104,14 @@ class SwitchingData:
 
     def part(self, steps: slice) -> SwitchingData:
         """The rules of some of the window's steps."""
+        first, stop, _ = steps.indices(len(self.served_min))
+        limits = self.longest_off if first == 0 else None  # else the time before is not known
+        by_step = ("served_min", "served_max", "cold_before", "day")
         return replace(
             self,
-            **{
-                name: getattr(self, name)[steps]
-                for name in ("served_min", "served_max", "cold_before", "day")
-            },
-            longest_off=self._longest_off_of(steps),
+            **{name: getattr(self, name)[steps] for name in by_step},
+            longest_off=limits and limits.first(stop),
         )
-
-    def _longest_off_of(self, steps: slice) -> LongestOff | None:
-        """The longest time off in some steps; only from the first on is the time before known."""
-        first, stop, _ = steps.indices(len(self.served_min))
-        return self.longest_off.first(stop) if self.longest_off and first == 0 else None
 
     def priced(self, hour_beyond: Floats, dt_h: float) -> SwitchingData:
         """The rules at the prices of an hour beyond the longest time off, (C,)."""

@@ -19,11 +19,9 @@ import numpy as np
 
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.observation import Observation
-from vppres.control.forming import formed_by_set
 from vppres.control.last_window import NO_ROW, LastWindow, kinds_of
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import InfeasibleError, LimitError, NumericalError
-from vppres.kinds.gensets.physics import SetsAhead
 from vppres.model.beyond_paper.losses import (
     ACPoints,
     Sweeps,
@@ -289,7 +287,7 @@ class ConvergedPlanner(PassesPlanner[ACPoints]):
         whole = WindowData.of(observation, site, "none")
         whole = whole if n_steps is None else whole.first(n_steps)
         whole = replace(whole, drawn=self._drawn_everywhere(observation, whole.dark))
-        whole, dark = formed_by_set(site, whole, dark_steps(site, whole), self.headroom)
+        whole, dark = whole.formed(site, dark_steps(site, whole), self.headroom)
         start = self._without_losses(whole, dark)
         if self.passes == 0:
             return self._in_the_dark(whole, dark, self.solver.solve(start))
@@ -340,11 +338,9 @@ class ConvergedPlanner(PassesPlanner[ACPoints]):
 
         Nothing may take its least power, or its fuel may not last for all that has to be served.
         """
-        sets = whole.ahead.find(SetsAhead)
         beyond = np.zeros(whole.n_steps, dtype=bool)
-        if sets is None:
-            return beyond
-        formed = np.flatnonzero(sets.forms.any(axis=1))
+        formers = whole.ahead.formers().values()
+        formed = np.flatnonzero(sum((forms.any(axis=1) for forms in formers), start=beyond))
         held, missed = 0, len(formed)
         while missed - held > 1:
             tried = (held + missed) // 2
@@ -476,9 +472,10 @@ def physics_of(site: Site, data: WindowData, headroom: float, open_kw: float = 0
     former = largest_forming_battery(site)
     if former is not None:
         reference[island] = site.network.bus_index[b.bus[former]]
-    if sets := data.ahead.find(SetsAhead):
-        for step, one in np.argwhere(sets.forms):
-            reference[step] = site.network.bus_index[site.gensets.bus[one]]
+    for kind, forms in data.ahead.formers().items():
+        step, one = np.nonzero(forms)
+        buses = site.kinds[kind].buses(site.customers)[one]
+        reference[step] = [site.network.bus_index[bus] for bus in buses]
     forming = forming_batteries(site)
     share_kw = np.where(forming, np.minimum(headroom * b.s_max_kva, b.active_max_kw), 0.0)
     headroom_kw = np.where(island[:, None], share_kw, 0.0)

@@ -17,7 +17,6 @@ from vppres.control.planner import OnePass, Planner, plan_with_rules, solve_info
 from vppres.control.remembered import PART
 from vppres.core.arrays import Flags
 from vppres.core.errors import SolveError
-from vppres.kinds.gensets.physics import SetsAhead
 from vppres.model.beyond_paper.stored_value import left_kwh
 from vppres.scenario.assets import SOC_ROUNDING
 from vppres.scenario.timegrid import TimeGrid
@@ -195,7 +194,7 @@ class MPCController:
         self, value: StoredValue, observation: Observation, plan: WindowSolution
     ) -> float:
         """Energy that a plan leaves at its end, as its value counts it."""
-        return left_kwh(self.solver.site, value, observation.ahead.find(SetsAhead), plan.dispatch)
+        return left_kwh(self.solver.site, value, observation.ahead, plan.dispatch)
 
     def _planned_moves(self, observation: Observation) -> Moves | None:
         """Powers that the plan before foresaw for the window, None if it does not reach it."""

@@ -53,21 +53,32 @@ def served_by_phase(state: StepState, order: Iterable[int]) -> Dispatch:
     best = _carried(state, served, nothing[1])
     if best is None:
         return _dispatch(state, served, nothing)
-    for c in order:
+    # Customers that are carried together are carried one by one: most of them take no flow each.
+    blocks = [np.array(list(order), dtype=int)]
+    while blocks:
+        block = blocks.pop()
         tried = served.copy()
-        tried[c] = True
-        found = _carried(state, tried, best.taken_kvar)
+        tried[block] = True
+        found = _carried(state, tried, best.taken_kvar, best)
         if found is not None:
             served, best = tried, found
+        elif len(block) > 1:
+            first, second = np.array_split(block, 2)
+            blocks += [second, first]
     return _dispatch(state, served, best.given)
 
 
 @dataclass(frozen=True, eq=False)
 class _Carried:
-    """Power of batteries, (2, B): active and reactive, and what they took for the feeder, (B,)."""
+    """Power of batteries, (2, B): active and reactive, and what they took for the feeder, (B,).
+
+    ``drawn_kw`` (D,) is what assets draw, ``source_kw`` (3,) what the former's phases give.
+    """
 
     given: Floats
     taken_kvar: Floats
+    drawn_kw: Floats
+    source_kw: Floats
 
 
 def carried_by_phase(state: StepState, dispatch: Dispatch) -> bool:
@@ -76,7 +87,8 @@ def carried_by_phase(state: StepState, dispatch: Dispatch) -> bool:
     load_kw = state.load_kw * dispatch.supplied[0]
     pv = (dispatch.pv_self_kw[0] + dispatch.pv_export_kw[0], dispatch.pv_q_kvar[0])
     batteries = (dispatch.discharge_kw[0] - dispatch.charge_kw[0], dispatch.batt_q_kvar[0])
-    drawn = model.powers(ISLANDED, load_kw, pv, batteries)
+    taken_kw = {kind: kw[0] for kind, kw in dispatch.taken_kw.items()}
+    drawn = model.powers(ISLANDED, load_kw, pv, batteries, taken_kw)
     found = _flow(state, model, *drawn)
     return found is not None and _fits(state, model, found)
 
@@ -115,10 +127,13 @@ def _fits(state: StepState, model: PhasedModel, found: PhasedResult) -> bool:
     )
 
 
-def _carried(state: StepState, served: Flags, taken_kvar: Floats) -> _Carried | None:
+def _carried(
+    state: StepState, served: Flags, taken_kvar: Floats, before: _Carried | None = None
+) -> _Carried | None:
     """Power of batteries for a supply schedule, None if a phase does not carry it.
 
-    What they took before for the feeder is where the search for what they take begins.
+    What they took before for the feeder is where the search for what they take begins. No power
+    flow is needed where half of what is drawn more than before is beyond the former already.
     """
     site = state.site
     model = phased_model(site)
@@ -129,7 +144,10 @@ def _carried(state: StepState, served: Flags, taken_kvar: Floats) -> _Carried | 
     found: PhasedResult | None = None
     for _ in range(MOST_FLOWS):
         given = np.array([behind[0], np.maximum(behind[1] - taken_kvar, lowest_kvar)])
-        drawn = model.powers(ISLANDED, load_kw, (own, 0.0 * own), (given[0], given[1]))
+        batteries = given[0], given[1]
+        drawn = model.powers(ISLANDED, load_kw, (own, 0.0 * own), batteries, state.taken_kw)
+        if before is not None and _far_beyond(state, model, before, drawn[0]):
+            return None
         found = _flow(state, model, *drawn)
         if found is None:
             return None
@@ -141,7 +159,17 @@ def _carried(state: StepState, served: Flags, taken_kvar: Floats) -> _Carried | 
         return None
     total = found.source_kva.sum()
     given[:, model.former] = total.real, total.imag
-    return _Carried(given, taken_kvar)
+    return _Carried(given, taken_kvar, drawn[0], found.source_kva.real)
+
+
+def _far_beyond(state: StepState, model: PhasedModel, before: _Carried, drawn_kw: Floats) -> bool:
+    """Whether half of what is drawn more than before is beyond the former's active power."""
+    assert model.former is not None
+    more_kw = model.slopes[ISLAND].former_p.real @ (drawn_kw - before.drawn_kw)
+    half_kw = before.source_kw + 0.5 * more_kw
+    rating_kva = float(state.site.batteries.s_max_kva[model.former]) / len(half_kw)
+    most_kw = float(state.discharge_max_kw[model.former])
+    return bool(half_kw.sum() > most_kw or half_kw.max() > rating_kva + TOLERANCE_KVA)
 
 
 def _taken_kvar(
@@ -172,17 +200,18 @@ def _behind_meters(state: StepState, served: Flags, own: Floats, model: PhasedMo
     phases = site.phases
     assert phases is not None
     load_kw = state.load_kw * served
-    left: dict[tuple[str, str], Floats] = {}
+    own_kw = np.bincount(site.owner, own, len(load_kw))
+    kw = np.stack([load_kw - own_kw, load_kw * site.customers.q_per_p], axis=1)
+    rows = [phases.connection(str(name)) for name in site.batteries.id]
+    left = {(row.bus, row.coils): np.zeros(2) for row in rows}
     for c, name in enumerate(site.customers.id):
-        row = phases.connection(str(name))
-        own_kw = float(own[site.owner == c].sum())
-        kw = np.array([load_kw[c] - own_kw, load_kw[c] * site.customers.q_per_p[c]])
-        left[row.bus, row.coils] = left.get((row.bus, row.coils), np.zeros(2)) + kw
+        at = phases.connection(str(name))
+        if (at.bus, at.coils) in left:
+            left[at.bus, at.coils] = left[at.bus, at.coils] + kw[c]
     given = np.zeros((2, len(site.batteries)))
-    for b, name in enumerate(site.batteries.id):
-        row = phases.connection(str(name))
-        need = left.get((row.bus, row.coils))
-        if b == model.former or need is None or not state.online[b]:
+    for b, row in enumerate(rows):
+        need = left[row.bus, row.coils]
+        if b == model.former or not state.online[b]:
             continue
         most_kw = float(state.discharge_max_kw[b])
         active_kw = min(max(float(need[0]), 0.0), most_kw)
@@ -197,13 +226,14 @@ def _dispatch(state: StepState, served: Flags, given: Floats) -> Dispatch:
     site = state.site
     own = state.own_kw(served)
     load_kw = state.load_kw * served
-    p = bus_injections(site, {"pv": own, "batteries": given[0], "customers": -load_kw})
+    given_kw = {"pv": own, "batteries": given[0], "customers": -load_kw}
+    p = bus_injections(site, given_kw | {kind: -kw for kind, kw in state.taken_kw.items()})
     kvar = load_kw * site.customers.q_per_p
     q = bus_injections(site, {"batteries": given[1], "customers": -kvar})
     p_flow, q_flow, v_pu = network_state(state, p, q)
     charge, discharge = np.maximum(-given[0], 0.0), np.maximum(given[0], 0.0)
     stored_kw = cell_kw(charge, discharge, state.eta_charge, state.eta_discharge)
-    return one_step(
+    dispatch = one_step(
         served=served,
         pv_self_kw=own,
         pv_export_kw=0.0 * own,
@@ -219,3 +249,7 @@ def _dispatch(state: StepState, served: Flags, given: Floats) -> Dispatch:
         q_flow_kvar=q_flow,
         soc=np.vstack([state.soc, soc_after(state.soc, stored_kw, site.batteries, site.dt_h)]),
     )
+    for kind, kw in state.taken_kw.items():
+        on = state.running.get(kind)
+        dispatch = dispatch.acting(kind, kw[np.newaxis], None if on is None else on[np.newaxis])
+    return dispatch

@@ -17,7 +17,7 @@ from vppres.model.linearise import Drawn
 from vppres.model.own_state import COLLAPSED_PU2, giving_way, share_of
 from vppres.model.phases import PhasedModel, PhasedPoints
 from vppres.model.ratings import KEPT_SHARE, loading_of_phases
-from vppres.solve.phases import BINDS_PU2
+from vppres.solve.phases import binding
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,19 +105,21 @@ class PhasedLinearisation:
         """Limits that bind a candidate in its own window, as far as they gave way, (W, 2, m)."""
         u = data.require_phased().u_offset + self.model.linear(data, p, q)[0]
         ways = [each.require_phased() for each in giving_way(self.model.site, data)]
-        room = [np.stack([u - way.u_min, way.u_max - u], axis=1) for way in ways]
-        return np.asarray((np.abs(room).min(axis=0) < BINDS_PU2) & self.model.limited)
+        room = [np.abs([u - way.u_min, way.u_max - u]) for way in ways]
+        return binding(self.model, self.model.limited, np.min(room, axis=0))
 
     def _with_own_limits(self, data: WindowData) -> WindowData:
         """Limits that give way to the voltages without control, and in an island to those at rest.
 
         They are those of the window's own linearisation, so that this state is a dispatch of it.
+        Hard limits give way in islands alone.
         """
         phased = data.require_phased()
         net = self.model.site.feeder
         own = phased.u_offset + self.model.linear(data, *self._without_control(data))[0]
-        own = np.maximum(own, COLLAPSED_PU2)
-        low, high = np.minimum(net.v_min_pu**2, own), np.maximum(net.v_max_pu**2, own)
+        given = np.full(data.n_steps, self.model.site.soft_voltages) | data.dark
+        own = np.where(given[:, None], np.maximum(own, COLLAPSED_PU2), np.nan)
+        low, high = np.fmin(net.v_min_pu**2, own), np.fmax(net.v_max_pu**2, own)
         return replace(data, phased=replace(phased, u_min=low, u_max=high))
 
     def v_pu(self, data: WindowData, p: Floats, q: Floats) -> Floats:

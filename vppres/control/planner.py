@@ -14,7 +14,6 @@ from vppres.contract.decision import SolveInfo
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
 from vppres.core.errors import InfeasibleError
-from vppres.kinds.gensets.physics import SetsAhead
 from vppres.model.data import WindowData
 from vppres.model.site import LESS_THAN_A_UNIT, Site
 from vppres.solve.ladder import WindowSolver
@@ -55,7 +54,7 @@ def plan_with_rules(
         return planner.plan(observation, n_steps), False
     except InfeasibleError:
         rules, ahead = observation.switching, observation.ahead
-        if rules is None and ahead.find(SetsAhead) is None:
+        if rules is None and not ahead.switched:
             raise
         freed = replace(
             observation,

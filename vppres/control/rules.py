@@ -242,12 +242,14 @@ def _with_network(
     (own, export) = pv_kw
     load_kvar = state.load_kw * served * site.customers.q_per_p
     pv_q, batt_q, missing_kvar = _reactive(state, load_kvar, own + export, battery_kw)
-    most_kvar = site.gensets.q_max_kvar * state.forms
-    sets_q = np.clip(missing_kvar, -most_kvar, most_kvar)
+    given_kvar, short_kvar = {}, abs(missing_kvar)
+    for kind in state.formers:
+        most_kvar = state.ahead.by_kind[kind].q_most_kvar(site.kinds[kind])[0]
+        given_kvar[kind] = np.clip(missing_kvar, -most_kvar, most_kvar)
+        short_kvar -= float(np.abs(given_kvar[kind]).sum())
     load_kw = state.load_kw * served
     given = {"pv": own + export, "batteries": -battery_kw, "customers": -load_kw}
     p = bus_injections(site, given | {kind: -kw for kind, kw in state.taken_kw.items()})
-    given_kvar = {"gensets": sets_q} if state.forms.any() else {}
     of_devices = {"pv": pv_q, "batteries": batt_q, "customers": -load_kvar}
     q = bus_injections(site, of_devices | given_kvar)
     p_flow, q_flow, v_pu = network_state(state, p, q)
@@ -277,7 +279,6 @@ def _with_network(
     for kind, kw in state.taken_kw.items():
         on = state.running.get(kind)
         dispatch = dispatch.acting(kind, kw[np.newaxis], None if on is None else on[np.newaxis])
-    short_kvar = abs(missing_kvar) - float(np.abs(sets_q).sum())
     return Carried(dispatch, max(short_kvar, 0.0), max(float(outside.max()), 0.0))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -13,7 +14,6 @@ from vppres.contract.dispatch import Dispatch
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
 from vppres.core.arrays import Flags, Floats
-from vppres.kinds.gensets.physics import SetsAhead
 from vppres.model.data import WindowData
 from vppres.model.formulas import (
     charge_to_kw,
@@ -114,11 +114,16 @@ class StepState:
         )
 
     @property
-    def forms(self) -> Flags:
-        """The generating set that forms the grid, if one has to and can, (G,)."""
-        sets = self.ahead.find(SetsAhead)
-        nothing = np.zeros(len(self.site.gensets), dtype=bool)
-        return nothing if sets is None or not self.dark else sets.forms[0]
+    def formers(self) -> dict[str, Flags]:
+        """Units that form the grid, (n,), by kind; none where none has to, or can."""
+        return {kind: forms[0] for kind, forms in self.ahead.formers().items()}
+
+    def acting(self, acts: Mapping[str, tuple[Floats, Flags]]) -> StepState:
+        """Step state with these powers of kinds, and which units run of those that are switched."""
+        taken_kw = {kind: kw for kind, (kw, _) in acts.items()}
+        switched = (kind for kind in acts if self.ahead.by_kind[kind].switched)
+        running = {kind: acts[kind][1] for kind in switched}
+        return replace(self, taken_kw=self.taken_kw | taken_kw, running=self.running | running)
 
     @property
     def island(self) -> bool:

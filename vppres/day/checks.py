@@ -1,4 +1,4 @@
-"""Checks of a run: options, columns and kinds of assets that its plans do not state."""
+"""Checks of a run: options and kinds of assets that its plans do not state."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from vppres.core.errors import InputError, Problem
 from vppres.day.options import PERFECT, RunOptions
 from vppres.day.outages import BELIEF, KNOWN
 from vppres.kinds.table import KINDS, parts, units_of
-from vppres.scenario.scenario import HARD, Scenario
+from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
 
 MPC = "mpc"
@@ -55,9 +55,11 @@ def _cold(scenario: Scenario, options: RunOptions) -> Iterator[Problem]:
         message = "is not stated for customers that may be dimmed"
         cure = "Use 1, or leave the column share_min of customers.csv out."
         yield Problem("options", message, cure, field=field, value=value)
-    if options.switching.cold and len(scenario.thermal_loads):
-        message = "counts what thermal loads draw after an outage twice"
-        cure = "Use 1: what restored customers draw follows from their temperatures."
+    for kind in map(KINDS.__getitem__, units_of(scenario)):
+        if not (options.switching.cold and kind.recovers_by):
+            continue
+        message = f"counts what {kind.what} draw after an outage twice"
+        cure = f"Use 1: what restored customers draw follows from their {kind.recovers_by}."
         yield Problem("options", message, cure, field=field, value=value)
 
 
@@ -86,43 +88,22 @@ def _controller(scenario: Scenario, options: RunOptions, grid: TimeGrid) -> Iter
 
 
 def _phased(scenario: Scenario, options: RunOptions) -> Iterator[Problem]:
-    """Options, columns of customers and kinds of assets that a phased feeder has no plan for."""
+    """Options that a phased feeder has no plan for, and sets that are to form its islands."""
     if scenario.phases is None:
         return
     for field, value, wrong, cure in (
         ("mode", options.mode, options.mode != "physical", "physical"),
         ("controller", options.controller, options.controller != MPC, MPC),
         ("method", options.method, options.method != DECOMPOSED, DECOMPOSED),
-        ("voltage_limits", options.voltage_limits, options.voltage_limits == HARD, "soft"),
-        ("rotation", options.rotation, bool(options.rotation), "0"),
-        ("minimum_on_h", options.minimum_on_h, bool(options.minimum_on_h), "0"),
-        ("cold_load_factor", options.switching.cold_load_factor, options.switching.cold, "1"),
     ):
         if wrong:
             cure = f"Use {cure}, or {BALANCED}."
             yield Problem("options", NOT_STATED, cure, field=field, value=value)
-    customers = scenario.customers
-    for name in ("max_off_h", "own_backup_h", "share_min"):
-        values = getattr(customers, name)
-        given = np.flatnonzero(~np.isnan(values))
-        if len(given):
-            yield Problem(
-                "customers.csv",
-                NOT_STATED,
-                f"Leave the column out, or {BALANCED}.",
-                field=f"{name} of {customers.id[given[0]]}",
-                value=values[given[0]],
-                more=len(given) - 1,
-            )
-    for name, units in units_of(scenario).items():
-        yield Problem(
-            KINDS[name].file,
-            NOT_STATED,
-            f"Remove the file, or {BALANCED}.",
-            field="id",
-            value=units.id[0],
-            more=len(units) - 1,
-        )
+    sets = scenario.gensets
+    for name in sets.id[sets.grid_forming]:
+        cure = f"Use no, or {BALANCED}."
+        field = f"grid_forming of {name}"
+        yield Problem("gensets.csv", NOT_STATED, cure, field=field, value="yes")
 
 
 def check_parts(scenario: Scenario) -> None:

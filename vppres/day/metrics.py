@@ -238,7 +238,7 @@ def cost_gbp(trajectory: Trajectory) -> float:
 
     What the export earns is not in it.
     """
-    steps = _connected(trajectory)
+    steps = trajectory.steps[~trajectory.steps["outage"].astype(bool)]
     price = steps["price_gbp_per_kwh"]
     return float((price * _imported_kw(trajectory)).sum() * trajectory.scenario.grid.dt_h)
 
@@ -417,11 +417,6 @@ def _imported_kw(trajectory: Trajectory) -> pd.Series:
     steps = trajectory.steps
     connected = ~steps["outage"].astype(bool)
     return pd.Series(trajectory.imported_kw, steps.index)[connected]
-
-
-def _connected(trajectory: Trajectory) -> pd.DataFrame:
-    """Steps with a grid."""
-    return trajectory.steps[~trajectory.steps["outage"].astype(bool)]
 
 
 def _version(package: str) -> str | None:

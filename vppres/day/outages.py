@@ -21,7 +21,7 @@ from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
 from vppres.day.forecasting import DayForecasts
 from vppres.day.priority import site_of
-from vppres.kinds.gensets.physics import SetsAhead
+from vppres.kinds.kind import EnergyHeld
 from vppres.model.site import Site
 from vppres.outlook.belief import OutageBelief
 from vppres.outlook.outlook import OutageOutlook, SeenOutage
@@ -35,6 +35,8 @@ KNOWN = "known"
 LIKELY = "likely"
 BELIEF = "belief"
 PHYSICAL = "physical"
+
+Stores = Mapping[str, EnergyHeld]  # of each kind
 
 LOOKAHEAD_H = 48.0
 """How far a belief looks ahead: energy that is kept for longer is bought again."""
@@ -107,47 +109,6 @@ class Beside:
             return found
         said = self.limits_kw[:steps]
         return np.where(np.isnan(said), found, said)
-
-
-@dataclass(frozen=True, eq=False)
-class Fuel:
-    """Fuel of generating sets as energy in a battery: what a set at its largest power makes of it.
-
-    Parameters
-    ----------
-    kwh_per_litre : array, shape (G,)
-        Energy in a battery that a litre of each set stands for, 0 for a set that cannot run.
-    power_kw, held_kwh : float
-        Largest power of all sets, and their fuel now.
-    delivered_kwh : array, shape (T,)
-        What comes at the beginning of each step, that of the present one left out.
-    """
-
-    kwh_per_litre: Floats
-    power_kw: float
-    held_kwh: float
-    delivered_kwh: Floats
-
-    @classmethod
-    def of(cls, scenario: Scenario, row: int, n_steps: int, seen: Observation) -> Fuel:
-        """Fuel of an observation and the deliveries of so many steps."""
-        sets = scenario.gensets
-        known = seen.ahead.find(SetsAhead)
-        if known is None:
-            return cls(np.zeros(len(sets)), 0.0, 0.0, np.zeros(n_steps))
-        power_kw = scenario.batteries.active_max_kw
-        eta_discharge = float(power_kw @ seen.eta_discharge / power_kw.sum())
-        usable = known.usable
-        kwh_per_litre = np.where(usable, sets.kwh_per_litre / eta_discharge, 0.0)
-        delivered = scenario.refuelled_litres[row : row + n_steps] @ kwh_per_litre
-        delivered[0] = 0.0  # it is in the tank already
-        held = np.minimum(known.added_litres[0], sets.tank_litres)
-        return cls(
-            kwh_per_litre,
-            float(sets.p_max_kw[usable].sum()),
-            float(held @ kwh_per_litre),
-            delivered,
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,11 +206,16 @@ class OutageView:
             return told
         ahead = forecaster.at(row, range(row, row + n_ahead))
         import_kw = beside.import_kw(n_ahead, grid.import_kw)
-        fuel = Fuel.of(scenario, row, n_ahead, seen)
+        power_kw = scenario.batteries.active_max_kw
+        eta_discharge = float(power_kw @ seen.eta_discharge / power_kw.sum())
+        stores = {
+            kind: known.store(scenario, range(row, row + n_ahead), eta_discharge)
+            for kind, known in seen.ahead.by_kind.items()
+        }
         expected = self._ahead(
-            scenario, slice(row, row + n_ahead), ahead, import_kw, belief.out, fuel
+            scenario, slice(row, row + n_ahead), ahead, import_kw, belief.out, stores
         )
-        value = self._value(told, belief, scenario, expected, ahead, beside, fuel)
+        value = self._value(told, belief, scenario, expected, ahead, beside, stores)
         # A value that is no number says nothing: the likely future is left.
         return replace(told, stored_value=value) if np.isfinite(value.service).all() else told
 
@@ -260,7 +226,7 @@ class OutageView:
         ahead: Forecast,
         import_kw: Floats,
         out: bool,
-        fuel: Fuel,
+        stores: Stores,
     ) -> Ahead:
         """Expected demand, power and prices of the steps.
 
@@ -280,7 +246,9 @@ class OutageView:
             weight=weight,
             lambda_curt=objective.lambda_curt,
             dt_h=scenario.grid.dt_h,
-            delivered_kwh=fuel.delivered_kwh,
+            delivered_kwh=sum(
+                (one.delivered_kwh for one in stores.values()), start=np.zeros(steps)
+            ),
         )
 
     def _value(
@@ -291,10 +259,10 @@ class OutageView:
         expected: Ahead,
         ahead: Forecast,
         beside: Beside,
-        fuel: Fuel,
+        stores: Stores,
     ) -> StoredValue:
         """Value of energy behind the present step."""
-        fleet = self._fleet(scenario, seen, fuel)
+        fleet = self._fleet(scenario, seen, stores)
         end = Terminal.of(self.soc_end, ahead, ends=True)
         # An evening's own prices would keep energy that the next night sells for less.
         steps_before = max(round(DAY_H / scenario.grid.dt_h) - expected.n_steps, 0)
@@ -311,7 +279,7 @@ class OutageView:
 
         return stored_value(belief, fleet, expected, self.gbp_per_kwh_lost, end_gbp)
 
-    def _fleet(self, scenario: Scenario, seen: Observation, fuel: Fuel) -> EquivalentBattery:
+    def _fleet(self, scenario: Scenario, seen: Observation, stores: Stores) -> EquivalentBattery:
         """All batteries as one, with their present efficiencies; the guard tells who is there."""
         b = scenario.batteries
         power_kw = b.active_max_kw
@@ -329,9 +297,11 @@ class OutageView:
             p_out_kw=float((power_kw - headroom_kw).sum()),
             eta_charge=float(share @ seen.eta_charge),
             eta_discharge=eta_discharge,
-            sets_kw=fuel.power_kw,
-            fuel_kwh=fuel.held_kwh + float(fuel.delivered_kwh.sum()),
-            kwh_per_litre=fuel.kwh_per_litre,
+            sets_kw=sum((one.power_kw for one in stores.values()), 0.0),
+            fuel_kwh=sum(
+                (one.held_kwh + float(one.delivered_kwh.sum()) for one in stores.values()), 0.0
+            ),
+            kwh_each={kind: one.kwh_each for kind, one in stores.items()},
         )
 
 

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from vppres.physics.phased_sources import former_of
+from vppres.scenario.formers import former_kva, island_former
 from vppres.scenario.phases import PHASES
 
 if TYPE_CHECKING:
@@ -20,11 +18,14 @@ def phase_figures(trajectory: Trajectory) -> dict[str, float | int | str | None]
         return {}
     net, steps = trajectory.scenario.network, trajectory.steps
     v_pu = nodes["v_ac_pu"].dropna()
-    batteries = trajectory.scenario.batteries
-    former = former_of(phases, batteries)
-    rating_kva = None if former is None else float(batteries.s_max_kva[former]) / len(PHASES)
-    kva = steps[[f"former_{phase}_kva" for phase in PHASES]].to_numpy(float)
-    held = not np.isnan(kva).all()
+    former = island_former(trajectory.scenario)
+    kva = steps[[f"former_{phase}_kva" for phase in PHASES]].max(axis=1)
+    names = steps["former"].where(kva.notna(), former)
+    rating_kva = names.map({one: former_kva(trajectory.scenario, one) for one in set(names) if one})
+    # The step in which a former is nearest its rating: another device may hold another step.
+    share = (kva / rating_kva).astype(float)
+    held = share.notna().any()
+    at = int(share.argmax()) if held else 0
     unbalance, loading = steps["unbalance_max"], steps["loading_max"]
     fullest = int(loading.argmax()) if loading.notna().any() else None
     return {
@@ -33,6 +34,8 @@ def phase_figures(trajectory: Trajectory) -> dict[str, float | int | str | None]
         "unbalance_max": float(unbalance.max()) if unbalance.notna().any() else None,
         "loading_max": None if fullest is None else float(loading.iloc[fullest]),
         "loading_at": None if fullest is None else str(steps["loading_at"].iloc[fullest]),
-        "former_phase_rating_kva": rating_kva,
-        "former_phase_max_kva": float(np.nanmax(kva)) if held else None,
+        "former_phase_rating_kva": None
+        if former is None
+        else float(rating_kva.iloc[at]) / len(PHASES),
+        "former_phase_max_kva": float(kva.iloc[at]) if held else None,
     }

@@ -22,8 +22,7 @@ def site_of(scenario: Scenario, options: Mapping[str, Any]) -> Site:
     options : mapping
         Of the run, as they are recorded.
     """
-    balanced = scenario.phases is None
-    soft = balanced and options.get("voltage_limits") == SOFT
+    soft = options.get("voltage_limits") == SOFT
     feeder = scenario.phases or scenario.network
     rated = options.get("ratings") == LIMIT and feeder.has_ratings
     site = replace(Site.of(scenario), soft_voltages=soft, rated=rated)

@@ -15,7 +15,6 @@ from vppres.day.phases import phases, returning_steps
 from vppres.day.trajectory import LOSSES, OPTIONS, SHARE, TIME_ON, Trajectory
 from vppres.kinds.kind import Units
 from vppres.kinds.table import KINDS, units_of
-from vppres.physics.phased_sources import labels_by_source
 from vppres.scenario.network import BusId
 from vppres.scenario.scenario import Scenario
 
@@ -61,6 +60,11 @@ class StepRecord:
         terminals, state of charge, efficiencies and cell temperature.
     buses, lines : mapping of str to array, shape (N,), (L,)
         Voltages and flows of the optimisation, and of the AC power flow at the sending end.
+    nodes : mapping of str to array, shape (m,)
+        Voltages that have limits, of the optimisation and of the AC power flow; with phases
+        their buses and phases.
+    kinds : mapping
+        Record of the units of each kind of flexible power, (n,) each.
     """
 
     t: int
@@ -70,10 +74,8 @@ class StepRecord:
     batteries: Mapping[str, Floats]
     buses: Mapping[str, Floats]
     lines: Mapping[str, Floats]
-    nodes: Mapping[str, Floats] | None = None
-    """Voltages by phase of the optimisation and of the AC power flow; None without phases."""
+    nodes: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     kinds: Mapping[str, Mapping[str, NDArray[Any]]] = field(default_factory=dict)
-    """Record of the units of each kind of flexible power, (n,) each."""
 
 
 def voltage_figures(v_model_pu: Floats, v_ac_pu: Floats) -> dict[str, float]:
@@ -187,21 +189,13 @@ class Recorder:
 
     def _nodes(self) -> pd.DataFrame | None:
         """Voltages by phase; None for a balanced feeder."""
-        phases = self._scenario.phases
-        if phases is None:
+        if self._scenario.phases is None:
             return None
-        by_source = labels_by_source(phases, self._scenario.batteries)
-        count = len(phases.measured)
-        dark = {name: np.full(count, np.nan) for name in ("v_model_pu", "v_ac_pu")}
-        found = [record.nodes or dark for record in self._records]
-        islands = self._scenario.outage[: len(found)]
-        labels = [label for island in islands for label in by_source[int(island)]]
+        found = [record.nodes for record in self._records]
         return pd.DataFrame(
             {
-                "time": self._times().repeat(count),
-                "bus": [bus for bus, _ in labels],
-                "phase": [phase for _, phase in labels],
-                **{name: np.concatenate([nodes[name] for nodes in found]) for name in dark},
+                "time": self._times().repeat(len(found[0]["bus"])),
+                **{name: np.concatenate([nodes[name] for nodes in found]) for name in found[0]},
             }
         )
 
@@ -240,7 +234,7 @@ def _without_window(step: StepRecord) -> StepRecord:
     """The record without what its arrays are parts of: a row would keep its whole window."""
     tables: dict[str, Any] = {
         name: {column: np.array(values) for column, values in getattr(step, name).items()}
-        for name in ITEM_COLUMNS
+        for name in (*ITEM_COLUMNS, "nodes")
     }
     return replace(step, **tables)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -34,14 +34,13 @@ from vppres.day.trajectory import SHARE, Trajectory
 from vppres.forecasts.interface import ForecastMethod
 from vppres.io.python_door import check_scenario
 from vppres.model.site import Site
-from vppres.physics.powerflow import ACPowerFlow, ACResult
+from vppres.physics.feeder import power_flows
+from vppres.physics.powerflow import ACResult
 from vppres.plant.collapse import realise
 from vppres.plant.island import IslandPlant, Settled
-from vppres.plant.phased import PhasedACFlow, PhasedACResult, PhasedIslandPlant, PhasedPlant
 from vppres.plant.plant import CLIP_TOLERANCE_KW, BatteryState, Plant, Realised
 from vppres.scenario.formers import forming_batteries
 from vppres.scenario.parts import parts_record, split_sheddable
-from vppres.scenario.phases import PHASES
 from vppres.scenario.priority import STRICT
 from vppres.scenario.scenario import Scenario
 from vppres.solve.result import Status
@@ -121,9 +120,7 @@ class Day:
         self.scenario = scenario
         self.options = options.on(scenario)
         self.faults = faults
-        phased = scenario.phases is not None
-        make_plant = PhasedPlant if phased else Plant
-        self.plant = make_plant(scenario, options.thermal, options.switching)
+        self.plant = Plant(scenario, options.thermal, options.switching)
         self.switching = SwitchingState.of(
             options.switching, scenario.customers, scenario.grid.dt_h
         )
@@ -136,7 +133,8 @@ class Day:
             if forecaster is None
             else MeasuredForecasts(scenario, forecaster)
         )
-        self.ac, self.island_ac, self.island = (_with_phases if phased else _balanced)(self.plant)
+        self.ac, self.island_ac = power_flows(scenario)
+        self.island = IslandPlant(self.plant, self.island_ac)
         self.recorder = Recorder(scenario)
         self.operating_point: OperatingPoint | None = None
         self.battery_kw: Floats | None = None
@@ -232,7 +230,8 @@ class Day:
                 result.v_pu,
                 result.p_from_kw,
                 result.q_from_kvar,
-                *self.plant.at_buses(realised),
+                self.plant.places.at_buses(realised.p_injection_kw),
+                self.plant.places.at_buses(realised.q_injection_kvar),
                 bool(self.scenario.outage[t]),
             )
         )
@@ -265,20 +264,6 @@ class Day:
         return self.options.mode == "physical" and bool(self.scenario.outage[t])
 
 
-def _balanced(plant: Plant) -> tuple[ACPowerFlow, ACPowerFlow, IslandPlant]:
-    """Flows with grid and without, and what happens in an island."""
-    network = plant.scenario.network
-    flow = ACPowerFlow(network)
-    island = flow if network.islanded is network else ACPowerFlow(network.islanded)
-    return flow, island, IslandPlant(plant, island)
-
-
-def _with_phases(plant: Plant) -> tuple[ACPowerFlow, ACPowerFlow, IslandPlant]:
-    """Power flows and island plant of a phased feeder."""
-    flow = PhasedACFlow(plant.scenario)
-    return flow, flow, PhasedIslandPlant(plant, flow)
-
-
 def _promised(plan: Dispatch | None, scenario: Scenario) -> dict[str, Any] | None:
     """Promise of a full horizon's plan; None where it was made later in the day."""
     if plan is None or plan.n_steps < scenario.grid.n_steps:
@@ -307,10 +292,12 @@ def _record(
         "p_ac_kw": done.ac.p_from_kw,
         "q_ac_kvar": done.ac.q_from_kvar,
     }
-    nodes = _of_nodes(done.ac, decision)
+    nodes = {"v_model_pu": _planned_v_pu(done.ac, decision), "v_ac_pu": done.ac.v_node_pu}
+    labels = dict(zip(("bus", "phase"), np.array(done.ac.nodes, dtype=object).T, strict=False))
     held_by_batteries = str(options.mode) == "physical" and bool(scenario.outage[t])
     steps = {
-        **_of_power_flow(done, buses, held_by_batteries),
+        **_of_power_flow(done, held_by_batteries),
+        **voltage_figures(**nodes),
         **_of_solution(decision, done),
         "ac_failed": done.ac_failed,
         **_effort(decision.info, done.realised.clipped_kw),
@@ -318,8 +305,7 @@ def _record(
         "passes": float(decision.info.passes),
         **_island_notes(scenario, done),
         **_of_rules(decision.info, options),
-        **({} if scenario.phases is None else _by_phase(done.ac, held_by_batteries)),
-        **({} if nodes is None else _over_nodes(**nodes)),
+        **_by_phase(done, held_by_batteries),
     }
     return StepRecord(
         t,
@@ -329,7 +315,7 @@ def _record(
         _of_batteries(state, done),
         buses,
         lines,
-        nodes,
+        {**labels, **nodes},
     )
 
 
@@ -386,48 +372,35 @@ def _of_rules(info: SolveInfo, options: RunOptions) -> dict[str, Any]:
     return found
 
 
-def _of_nodes(ac: ACResult, decision: Decision) -> dict[str, Floats] | None:
-    """Voltages by phase, as planned and in the power flow; None of a balanced feeder."""
-    if not isinstance(ac, PhasedACResult):
-        return None
-    planned = decision.dispatch.v_node_pu
-    unknown = np.full_like(ac.v_node_pu, np.nan)
-    v_model_pu = unknown if planned is None else planned[decision.row]
-    return {"v_model_pu": v_model_pu, "v_ac_pu": ac.v_node_pu}
+def _planned_v_pu(ac: ACResult, decision: Decision) -> Floats:
+    """Planned voltages of the nodes, NaN where nothing was planned of them."""
+    plan = decision.dispatch
+    planned = plan.v_node_pu if ac.phases else plan.v_pu
+    return np.full_like(ac.v_node_pu, np.nan) if planned is None else planned[decision.row]
 
 
-def _over_nodes(v_model_pu: Floats, v_ac_pu: Floats) -> dict[str, float]:
-    """Extremes over the nodes, which replace those over the buses."""
-    return {
-        "v_error_pu": float(np.abs(v_model_pu - v_ac_pu).max(initial=0.0)),
-        "v_min_ac_pu": float(v_ac_pu.min()),
-        "v_max_ac_pu": float(v_ac_pu.max()),
-    }
-
-
-def _by_phase(ac: ACResult, held_by_batteries: bool) -> dict[str, Any]:
+def _by_phase(done: Settled, held_by_batteries: bool) -> dict[str, Any]:
     """Power of the source by phase, unbalance, and the fullest phase; NaN in a blackout."""
+    ac = done.ac
+    if not ac.phases:
+        return {}
     source = "former" if held_by_batteries else "import"
-    found: dict[str, Any] = {
-        f"{each}_{p}_kva": np.nan for each in ("former", "import") for p in PHASES
+    none = {f"{each}_{phase}_kva": np.nan for each in ("former", "import") for phase in ac.phases}
+    found = {
+        f"{source}_{phase}_kva": abs(kva)
+        for phase, kva in zip(ac.phases, ac.source_kva, strict=True)
     }
-    if not isinstance(ac, PhasedACResult):
-        return {**found, "unbalance_max": np.nan, "loading_max": np.nan, "loading_at": ""}
-    found |= {f"{source}_{p}_kva": abs(s) for p, s in zip(PHASES, ac.former_kva, strict=True)}
     loading = {"loading_max": ac.loading, "loading_at": ac.loading_at}
-    return {**found, "unbalance_max": ac.unbalance, **loading}
+    return {"former": done.former, **none, **found, "unbalance_max": ac.unbalance, **loading}
 
 
-def _of_power_flow(
-    done: Settled, buses: Mapping[str, Floats], held_by_batteries: bool
-) -> dict[str, float]:
+def _of_power_flow(done: Settled, held_by_batteries: bool) -> dict[str, float]:
     """Figures of the AC power flow for the step as a whole."""
     return {
         # Where batteries hold the island the reference bus is one of theirs: nothing is imported.
         "p_grid_kw": 0.0 if held_by_batteries else done.ac.p_slack_kw,
         "q_grid_kvar": 0.0 if held_by_batteries else done.ac.q_slack_kvar,
         "losses_kw": done.ac.losses_kw,
-        **voltage_figures(buses["v_model_pu"], buses["v_ac_pu"]),
     }
 
 

@@ -19,6 +19,7 @@ from vppres.core.errors import InputError
 from vppres.core.notebook import facts_html
 from vppres.day.wide import Wide
 from vppres.kinds.fields import RunsOfKinds
+from vppres.kinds.kind import Units
 from vppres.kinds.table import KINDS, units_of
 from vppres.scenario.network import BusId
 from vppres.scenario.scenario import Scenario
@@ -249,20 +250,17 @@ class Trajectory(RunsOfKinds):
                 self.rows("buses", t)["v_ac_pu"].to_numpy(float),
                 self.forms(t),
             ),
-            *(self._active(kind, t) for kind in KINDS),
+            {kind: self._active(kind, t) for kind in units_of(day)},
         )
 
-    def forms(self, t: int) -> Flags | None:
-        """Generating sets that formed the grid in a step, (G,); None where none can."""
-        if self.gensets is None or FORMS not in self.gensets:
-            return None
-        return self.rows("gensets", t)[FORMS].to_numpy(bool)
+    def forms(self, t: int) -> dict[str, Flags]:
+        """Units that formed the grid in a step, (n,), by kind; none where none can."""
+        rows = {kind: self.rows(KINDS[kind].table, t) for kind in units_of(self.scenario)}
+        return {kind: each[FORMS].to_numpy(bool) for kind, each in rows.items() if FORMS in each}
 
-    def _active(self, kind: str, t: int) -> pd.DataFrame | None:
-        """Powers of the units of a kind in a step by identifier; None without any."""
-        units = units_of(self.scenario).get(kind)
-        if units is None:
-            return None
+    def _active(self, kind: str, t: int) -> pd.DataFrame:
+        """Powers of the units of a kind in a step by identifier."""
+        units: Units = getattr(self.scenario, kind)
         buses = units.buses(self.scenario.customers)
         columns = {"bus": buses, "p_kw": self.rows(KINDS[kind].table, t)["p_kw"].to_numpy()}
         return pd.DataFrame(columns, index=pd.Index(units.id, name="id"))

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Flags
 from vppres.core.errors import SolveError
 from vppres.core.text import in_pounds, named
 from vppres.explain.room import limits_in_full
 from vppres.explain.step import Step
 from vppres.explain.words import figure
+from vppres.kinds.table import KINDS
 
 POSSIBLE = 0.2
 """Probability from which a step of an outage counts as one that energy is kept for."""
@@ -52,7 +52,8 @@ def kept_for(step: Step, customer: int) -> str:
     on = first & (service.served_share[later] >= MOSTLY)
     if not on.any():
         return ""
-    who = _ranked(step, on.any(axis=0))
+    rank = [step.scenario.tiers.index(tier) for tier in c.tier]
+    who = sorted(np.flatnonzero(on.any(axis=0)).tolist(), key=lambda one: rank[one])
     highest = str(c.tier[who[0]])
     names = [str(c.id[one]) for one in who if c.tier[one] == highest]
     lower = len(who) - len(names)
@@ -66,12 +67,6 @@ def kept_for(step: Step, customer: int) -> str:
         f"kept for later hours of {named(names, NAMES_SHOWN)} ({highest}){more} "
         f"up to {until:%H:%M}, {then}"
     )
-
-
-def _ranked(step: Step, which: Flags) -> list[int]:
-    """Positions of some customers, the most important tier first."""
-    rank = [step.scenario.tiers.index(tier) for tier in step.site.customers.tier]
-    return sorted(np.flatnonzero(which).tolist(), key=lambda one: rank[one])
 
 
 @dataclass(frozen=True)
@@ -136,14 +131,17 @@ def kept_in(step: Step) -> Kept | None:
     b = step.site.batteries
     held_kwh = float(b.energy_kwh @ (step.recorded.soc_end[step.t] - b.soc_min))
     most_kwh = float(b.energy_kwh @ (b.soc_max - b.soc_min))
-    of_fuel = window.stored_value.kwh_per_litre
-    held_kwh += float(step.recorded.fuel_left(step.t) @ of_fuel)
-    most_kwh += float(step.scenario.gensets.tank_litres @ of_fuel)
+    for kind, kwh_each in window.stored_value.kwh_each.items():
+        for left, most in KINDS[kind].store:
+            held_kwh += float(step.recorded.of_kind(kind, left)[step.t] @ kwh_each)
+            most_kwh += float(getattr(step.site.kinds[kind], most) @ kwh_each)
     first = step.site.customers.tier == step.scenario.tiers[0]
     needed_kw = float(step.scenario.load_kw[step.t :][: len(ahead) + 1, first].mean(axis=0).sum())
     gbp = _costs_gbp(step)
     if not len(possible) or gbp is None or held_kwh <= 0.01 * most_kwh or needed_kw <= 0.0:
         return None
+    names = [str(name) for name in step.site.customers.id[first]]
+    the_many = f"the {len(names)} customers of tier {step.scenario.tiers[0]}"
     last = int(possible[-1])
     length = pd.Timedelta(minutes=step.scenario.grid.step_minutes)
     now = step.scenario.grid.times[step.t]
@@ -153,7 +151,7 @@ def kept_in(step: Step) -> Kept | None:
         likely_to=now + (last + 2) * length,
         probability=float(ahead[last]),
         gbp=gbp,
-        covers=_named([str(name) for name in step.site.customers.id[first]], step),
+        covers=" and ".join(names) if len(names) <= NAMED else the_many,
         hours=held_kwh * float(b.eta_discharge.mean()) / needed_kw,
     )
 
@@ -173,9 +171,3 @@ def _costs_gbp(step: Step) -> float | None:
     imported_kw = 0.0 if step.outage else step.recorded.imported_kw(step.t)
     spent = step.price_gbp_per_kwh * (imported_kw - float(alone.p_grid_kw[0])) * dt_h
     return max(value.gbp_per_service * lost + spent, 0.0)
-
-
-def _named(names: list[str], step: Step) -> str:
-    if len(names) <= NAMED:
-        return " and ".join(names)
-    return f"the {len(names)} customers of tier {step.scenario.tiers[0]}"

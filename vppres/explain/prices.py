@@ -76,13 +76,19 @@ class StepPrices:
         return sum(level.solver_s for level in (self.service, self.cost) if level is not None)
 
 
-def day_prices(recorded: Sequence[Recorded]) -> list[StepPrices]:
+def day_prices(
+    recorded: Sequence[Recorded], progress: Callable[[int, int], None] | None = None
+) -> list[StepPrices]:
     """Shadow prices of every step of a run; one problem is compiled for all that share a record."""
     models: dict[int, ShadowPriceModel] = {}
-    for one in recorded:
+    found = []
+    for t, one in enumerate(recorded):
         if id(one) not in models:
             models[id(one)] = ShadowPriceModel(one.site, one.n_seen, one.beyond)
-    return [step_prices(one, models[id(one)], t) for t, one in enumerate(recorded)]
+        found.append(step_prices(one, models[id(one)], t))
+        if progress is not None:
+            progress(t + 1, len(recorded))
+    return found
 
 
 def step_prices(recorded: Recorded, model: ShadowPriceModel, t: int) -> StepPrices:
@@ -110,7 +116,7 @@ def step_prices(recorded: Recorded, model: ShadowPriceModel, t: int) -> StepPric
     energy_kwh = recorded.site.batteries.energy_kwh
     service = _service_level(price, recorded.site.weights.lambda_curt, held, energy_kwh)
     connected = bool((window.grid_limit_kw > 0).any())
-    if service is None or not connected or np.any(_worth(service) > WORTH):
+    if service is None or not connected or np.any(np.abs(service.prices.stored_energy) > WORTH):
         return StepPrices(window, service, None)
     share = _whole(service.served_share)
     fixed = replace(held, service_min=share, service_max=share)
@@ -173,11 +179,6 @@ def _as_more_gains(
 def _cost_alone(curtailed_kwh: float) -> PricedTerms:
     """Cost alone, with no more curtailment than the level above has."""
     return PricedTerms(0.0, 1.0, 0.0, curtailed_kwh + CURTAILED_SLACK_KWH)
-
-
-def _worth(service: PricedWindow) -> np.ndarray:
-    """Absolute worth of a stored kWh in each battery."""
-    return np.abs(service.prices.stored_energy)
 
 
 def _whole(share: np.ndarray) -> np.ndarray:

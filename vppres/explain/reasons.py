@@ -461,11 +461,8 @@ def _export_words(step: Step) -> str:
     """Export of a surplus, in words."""
     if step.export_kw > MOVE_KW:
         return f"only {figure(step.export_kw)} kW is exported"
-    return "nothing is exported" if _could_export(step) else "nothing can be exported"
-
-
-def _could_export(step: Step) -> bool:
-    return float(step.scenario.export_max_kw[step.t]) > 0.0
+    could = step.scenario.export_max_kw[step.t] > 0.0
+    return f"nothing {'is' if could else 'can be'} exported"
 
 
 def overruled(step: Step, what: str) -> Reason | None:

@@ -99,15 +99,11 @@ class Recorded:
         """How long each customer had been off at the beginning of each step in h, (T, C)."""
         return off_before_h(self.served, self.scenario.grid.dt_h)
 
-    def _of_kind(self, kind: str, column: str) -> Floats:
+    def of_kind(self, kind: str, column: str) -> Floats:
         """A column of a kind of flexible power by step and unit, (T, n)."""
         table = KINDS[kind].table
         there = table in self.trajectory.tables
         return self.trajectory.by_step(table, column) if there else np.zeros((self.n_steps, 0))
-
-    def fuel_left(self, t: int) -> Floats:
-        """Fuel of each generating set at the end of a step, (G,)."""
-        return np.asarray(self._of_kind("gensets", "fuel_end_litres")[t])
 
     def _ahead(self, steps: range) -> KindsAhead:
         """Flexible power as it was known at the beginning of a window."""
@@ -239,16 +235,12 @@ class Recorded:
 
     def drawn(self, t: int) -> tuple[Floats, Floats]:
         """Power of a phased feeder's assets in a step, (1, D) each, the former's own left out."""
-        run = self.trajectory
-        pv_kw = run.by_step("pv", "self_kw") + run.by_step("pv", "export_kw")
-        pv_kvar = run.by_step("pv", "q_kvar")
-        row = slice(t, t + 1)
-        return phased_model(self.site).powers(
-            self.scenario.outage[row],
-            load_kw=(self.load_kw * self.served)[row],
-            pv=(pv_kw[row], pv_kvar[row]),
-            batteries=(-self.battery_kw[row], self.batt_q_kvar[row]),
-        )
+        order = ("customers", "pv", "batteries", *self.site.kinds)
+        p, q = (-np.concatenate([each[name] for name in order])[None, :] for each in self._given(t))
+        former = phased_model(self.site).former_device
+        if former is not None and self.scenario.outage[t]:
+            p[0, former] = q[0, former] = 0.0
+        return p, q
 
     def _by_phase(self, t: int, seen: WindowData) -> WindowData:
         """A window of a phased feeder, its first step linearised at what was recorded."""
@@ -365,7 +357,7 @@ class Recorded:
         """The AC solution of a step, None before the first and after a blackout."""
         if t < 0 or not np.isfinite(self.v_ac_pu[t]).all():
             return None
-        p_kw, q_kvar = self._injections(t)
+        p_kw, q_kvar = (bus_injections(self.site, each) for each in self._given(t))
         return OperatingPoint(
             self.v_ac_pu[t],
             self.flow_kw[t],
@@ -375,8 +367,8 @@ class Recorded:
             bool(self.scenario.outage[t]),
         )
 
-    def _injections(self, t: int) -> tuple[Floats, Floats]:
-        """Power of all devices at each bus in a step, in kW and kvar, (N,) each."""
+    def _given(self, t: int) -> tuple[dict[str, Floats], dict[str, Floats]]:
+        """Power that devices gave in a step by table, in kW and kvar."""
         run = self.trajectory
         q_load_kvar = run.by_step("customers", "q_load_kvar")[t]
         active = {
@@ -389,12 +381,13 @@ class Recorded:
             "pv": run.by_step("pv", "q_kvar")[t],
             "customers": -q_load_kvar * self.share[t],
             "batteries": self.batt_q_kvar[t],
+            **{kind: np.zeros(len(units)) for kind, units in self.site.kinds.items()},
         }
-        return bus_injections(self.site, active), bus_injections(self.site, reactive)
+        return active, reactive
 
     def _given_kw(self, kind: str) -> Floats:
         """Power of each unit of a kind, negative where it took, (T, n)."""
-        power_kw = self._of_kind(kind, "p_kw")
+        power_kw = self.of_kind(kind, "p_kw")
         return power_kw if KINDS[kind].gives else -power_kw
 
 

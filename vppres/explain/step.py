@@ -18,7 +18,7 @@ from vppres.explain.prices import WORTH, StepPrices
 from vppres.explain.recorded import LimitsReached, Recorded
 from vppres.model.phases import GRID, ISLAND, phased_model
 from vppres.physics.phased_sources import buses_of
-from vppres.scenario.formers import forming_batteries, largest_forming_battery
+from vppres.scenario.formers import bus_of_former, forming_batteries, largest_forming_battery
 from vppres.scenario.network import BusId
 from vppres.solve.shadow_prices import ShadowPrices
 
@@ -158,8 +158,8 @@ class Step:
         """The bus from which power comes: the grid's, or that of what forms the island."""
         site, forms = self.site, self.recorded.trajectory.forms(self.t)
         former = largest_forming_battery(site) if self.outage else None
-        if forms is not None and forms.any():
-            bus: BusId = site.gensets.bus[np.argmax(forms)]
+        bus = bus_of_former(site, forms)
+        if bus is not None:
             return bus
         return site.network.slack_bus if former is None else site.batteries.bus[former]
 
@@ -359,8 +359,7 @@ class Step:
     def _phases_towards(self, bus: str) -> Flags:
         """Currents of a phased feeder that carry most of what an asset of a bus draws, (k,)."""
         model = phased_model(self.site)
-        s = self.site
-        at = buses_of(s.customers, s.pv, s.batteries) == bus
+        at = buses_of(self.site) == bus
         slopes = model.slopes[ISLAND if self.outage and model.former is not None else GRID]
         each = np.eye(len(at))[at]
         through = np.abs(slopes.currents(each, np.zeros_like(each))) * model.loadings.kva

@@ -32,14 +32,9 @@ def _main_reason(step: Step) -> Reason:
             f"{_headline(step)} Binding limit: {scarce_name(step, scarce).removeprefix('the ')}"
             f"{f'; {offer}' if offer else ''}.",
         )
-    return Reason(_calm_driver(step), scarce, f"{_headline(step)} {_worth_words(step)}".rstrip())
-
-
-def _calm_driver(step: Step) -> Driver:
-    """The driver of a step without shortage."""
-    if step.phase == "island":
-        return "supply"
-    return "preparation" if step.phase == "preparation" else "price"
+    driver: Driver = "preparation" if step.phase == "preparation" else "price"
+    driver = "supply" if step.phase == "island" else driver
+    return Reason(driver, scarce, f"{_headline(step)} {_worth_words(step)}".rstrip())
 
 
 def _headline(step: Step) -> str:
@@ -58,7 +53,7 @@ def _worth_words(step: Step) -> str:
     """Worth of a stored kWh, if that is known."""
     if step.cost is None or not len(step.cost.kept_energy):
         offer = one_more(step, "energy")
-        return f"{_capital(offer)}." if offer else ""
+        return f"{offer[:1].upper()}{offer[1:]}." if offer else ""
     # With outage probabilities the plan states the value, and each battery's sentence has it.
     believed = step.later_worth_gbp
     stored = (
@@ -76,7 +71,3 @@ def _worth_words(step: Step) -> str:
         f"{worth} One more kWh of battery capacity would add "
         f"{service_words(step, headroom)} in the outage."
     )
-
-
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sized
+
 import numpy as np
 
 from vppres.core.arrays import Floats, Names
@@ -9,6 +11,7 @@ from vppres.core.text import in_pounds
 from vppres.core.units import h_to_minutes
 from vppres.explain.prices import WHOLE, WORTH, WORTH_GBP
 from vppres.explain.step import Binding, Step
+from vppres.kinds.table import KINDS
 from vppres.model.phases import phased_model
 from vppres.scenario.phases import PHASES
 from vppres.scenario.priority import Ranks
@@ -40,7 +43,9 @@ def scarce_name(step: Step, binding: Binding) -> str:
     """Name of what is scarce; the source of power in an island that has no batteries."""
     if binding not in ("power", "energy") or len(step.site.batteries):
         return SCARCE[binding]
-    units = ((step.site.pv.word, step.site.pv), ("generating sets", step.site.gensets))
+    units: list[tuple[str, Sized]] = [(step.site.pv.word, step.site.pv)]
+    giving = (kind for kind in step.site.kinds if KINDS[kind].gives)
+    units += [(KINDS[kind].what, step.site.kinds[kind]) for kind in giving]
     return f"power from {' and '.join(name for name, each in units if len(each)) or 'batteries'}"
 
 

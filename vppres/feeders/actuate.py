@@ -16,7 +16,8 @@ import pandas as pd
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import InputError, Problem
 from vppres.core.units import kw_to_mw
-from vppres.scenario.formers import largest_forming_battery
+from vppres.kinds.table import KINDS
+from vppres.scenario.formers import bus_of_former, largest_forming_battery
 from vppres.scenario.network import BusId
 from vppres.scenario.scenario import Scenario
 
@@ -30,7 +31,7 @@ _PUT, _OPENED = "put", "opened"
 
 @dataclass(frozen=True, eq=False)
 class Feeding:
-    """What feeds the feeder in a step, and what its buses draw that no customer owns.
+    """Supply of the feeder in a step, and power of its buses that no customer owns.
 
     Parameters
     ----------
@@ -57,19 +58,19 @@ class Feeding:
         outage: bool,
         mode: str,
         v_ac_pu: Floats,
-        forms: Flags | None = None,
+        forms: Mapping[str, Flags],
     ) -> Feeding:
-        """Who holds the voltage of a step.
+        """Asset that holds the voltage of a step.
 
-        ``v_ac_pu`` (N,) is NaN in a blackout; ``forms`` (G,) marks sets that form the grid.
+        ``v_ac_pu`` (N,) is NaN in a blackout; ``forms`` marks units that form the grid, by kind.
         """
         net = scenario.network
         b = scenario.batteries
-        bus = net.slack_bus
+        by_unit, bus = bus_of_former(scenario, forms), net.slack_bus
         former = largest_forming_battery(scenario)
-        if forms is not None and forms.any():
-            # What the set gives of reactive power comes from what holds the voltage.
-            bus = scenario.gensets.bus[np.argmax(forms)]
+        if by_unit is not None:
+            # What the unit gives of reactive power comes from what holds the voltage.
+            bus = by_unit
         elif outage and mode == "physical" and former is not None:
             # The island gets and gives nothing: any bus may hold the voltage that it has.
             bus = b.bus[former]
@@ -91,34 +92,39 @@ class Feeding:
 class PowerTables:
     """Powers of a step by identifier: ``bus``, ``p_kw`` and ``q_kvar`` in each table.
 
-    What ``customers``, ``batteries`` and ``chargers`` take is positive in kW, what ``pv`` and
-    generating ``sets`` feed likewise; kvar are drawn by customers and injected by PV systems and
-    batteries. Chargers, sets and ``machines``, which cool or heat, have a power factor of 1, and no
-    column ``q_kvar``; None without any.
+    What ``customers`` and ``batteries`` take is positive in kW, what ``pv`` feeds likewise; kvar
+    are drawn by customers and injected by PV systems and batteries. Units of ``kinds`` have a power
+    factor of 1, and no column ``q_kvar``; what those of generators feed is positive.
     """
 
     customers: pd.DataFrame
     pv: pd.DataFrame
     batteries: pd.DataFrame
     feeding: Feeding
-    chargers: pd.DataFrame | None = None
-    machines: pd.DataFrame | None = None
-    sets: pd.DataFrame | None = None
+    kinds: Mapping[str, pd.DataFrame]
 
     @property
     def fed(self) -> pd.DataFrame:
-        """PV systems, then generating sets, which are named so."""
-        return _beside(self.pv, self.sets, "set")
+        """PV systems, then units that are generators."""
+        return self._with_units(self.pv, "sgen")
 
     @property
     def drawn(self) -> pd.DataFrame:
-        """Customers, then machines, which are named so."""
-        return _beside(self.customers, self.machines, "machine")
+        """Customers, then units that are loads."""
+        return self._with_units(self.customers, "load")
 
     @property
     def stored(self) -> pd.DataFrame:
-        """Batteries, then chargers, which are named so."""
-        return _beside(self.batteries, self.chargers, "charger")
+        """Batteries, then units that are storages."""
+        return self._with_units(self.batteries, "storage")
+
+    def _with_units(self, table: pd.DataFrame, element: str) -> pd.DataFrame:
+        """A table with the units that stand in a table of the net below it, named by their word."""
+        for kind, units in self.kinds.items():
+            where, word = KINDS[kind].element
+            if where == element:
+                table = _beside(table, units, word)
+        return table
 
 
 def _beside(table: pd.DataFrame, more: pd.DataFrame | None, word: str) -> pd.DataFrame:

@@ -21,6 +21,7 @@ from vppres.core.text import named
 from vppres.core.units import kw_to_mw, mw_to_kw
 from vppres.feeders.feeder import Deviation, ImportedFeeder
 from vppres.feeders.net.elements import NetCase, label, supplied
+from vppres.kinds.table import units_of
 from vppres.physics.powerflow import ACPowerFlow, ACResult
 from vppres.scenario.network import BusId, Network
 from vppres.scenario.scenario import Scenario
@@ -140,7 +141,7 @@ def told_deviation(feeder: ImportedFeeder, deviation: SourceDeviation) -> str:
 
 
 def told_causes(feeder: ImportedFeeder, deviation: SourceDeviation) -> Iterator[str]:
-    """What causes more than a trace of difference, or why it is not known."""
+    """Causes of more than a trace of difference, or the reason why they are unknown."""
     largest = deviation.largest_pu
     if feeder.deviation is None:
         yield NOT_CONVERGED
@@ -195,24 +196,23 @@ def extreme_steps(scenario: Scenario) -> Iterator[tuple[Floats, Floats]]:
     network = scenario.network
     at_customer = network.place(scenario.customers.bus)
     at_pv = network.place(scenario.pv.buses(scenario.customers))
-    at_charger = network.place(scenario.chargers.buses(scenario.customers))
-    charging_kw = scenario.most_charging_kw
-    loads = scenario.thermal_loads
-    machines_kw = network.place(loads.buses(scenario.customers)) @ loads.p_max_kw
+    taken = [
+        (network.place(units.buses(scenario.customers)), units.most_taken_kw(scenario))
+        for units in units_of(scenario).values()
+    ]
     for t in extreme_times(scenario):
-        p_kw = (
-            at_pv @ given_kw[t]
-            - at_customer @ load_kw[t]
-            - at_charger @ charging_kw[t]
-            - machines_kw
-        )
+        p_kw = at_pv @ given_kw[t] - at_customer @ load_kw[t]
+        for place, most_kw in taken:
+            p_kw = p_kw - place @ most_kw[t]
         q_kvar = -(at_customer @ (load_kw[t] * scenario.customers.q_per_p))
         yield p_kw, q_kvar
 
 
 def extreme_times(scenario: Scenario) -> list[int]:
     """Steps with the largest and least demand, in all and less generation."""
-    load_kw = scenario.load_kw.sum(axis=1) + scenario.most_charging_kw.sum(axis=1)
+    load_kw = scenario.load_kw.sum(axis=1)
+    for units in units_of(scenario).values():
+        load_kw = load_kw + units.most_taken_kw(scenario).sum(axis=1)
     net_kw = load_kw - scenario.pv_kw.sum(axis=1)
     return sorted({int(each) for kw in (load_kw, net_kw) for each in (kw.argmax(), kw.argmin())})
 
@@ -246,7 +246,7 @@ def _apart(feeder: ImportedFeeder, v_pu: Floats, source: Mapping[int, float]) ->
 
 
 def causes_of(net: Any, case: NetCase) -> Iterator[str]:
-    """What the voltages may differ by, by its size, the largest first."""
+    """Causes of differences in voltage with their sizes, the largest first."""
     found = [*_held_voltages(net, case), *_following_loads(net, case)]
     yield from (words for _, words in sorted(found, key=lambda cause: -cause[0]))
 

@@ -1,4 +1,4 @@
-"""What an import yields: a radial network, its loads and generators, and what was simplified."""
+"""Imported feeder: a radial network, its loads and generators, and notes on simplifications."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ class Extreme:
 
 @dataclass(frozen=True)
 class PhasedCheck:
-    """What the power flow of the three phases says without control, and whether currents add up.
+    """Power flow of the three phases without control, and whether currents add up.
 
     Parameters
     ----------
@@ -86,8 +86,8 @@ class PhasedCheck:
 
 def phased_check(scenario: Scenario, phases: Phases) -> PhasedCheck:
     """Solve the steps of largest and least demand and generation by phase."""
-    net, b = scenario.network, scenario.batteries
-    flow = flow_of_grid(phases, assets_of(scenario.customers, scenario.pv, b), net.v_slack_pu)
+    net = scenario.network
+    flow = flow_of_grid(phases, assets_of(scenario), net.v_slack_pu)
     loadings = Loadings.of(phases)
     usable_kw = np.minimum(scenario.pv_kw, scenario.pv.s_max_kva)
     times = extreme_times(scenario)
@@ -96,7 +96,9 @@ def phased_check(scenario: Scenario, phases: Phases) -> PhasedCheck:
     mismatch, v_pu, loading, unbalance = [], [], [], []
     solved = []
     for t in times:
-        drawn = drawn_uncontrolled(scenario.load_kw[t], scenario.load_kvar[t], usable_kw[t], len(b))
+        drawn = drawn_uncontrolled(
+            scenario.load_kw[t], scenario.load_kvar[t], usable_kw[t], len(flow.assets)
+        )
         try:
             v = flow.solve(*drawn).v
         except VerificationError:

@@ -186,7 +186,11 @@ def _problem(details: ErrorDetails, model: type[BaseModel], where: str, row: int
     if row is not None and kind == "missing":
         message = "is empty"
     has_value = kind not in ("missing", "too_short")
-    cure = details["ctx"]["cure"] if kind == "flawed_name" else _cure(kind, owner, field)
+    cure = _CURES.get(kind, schema.cure(field))
+    if kind == "flawed_name":
+        cure = details["ctx"]["cure"]
+    elif kind == "string_pattern_mismatch" and owner is schema.FilesSection:
+        cure = _FILE_CURE
     if kind in ("float_type", "int_type") and _is_number(details["input"]):
         message, cure = "is text", "Write the number without quotes."
     return Problem(
@@ -205,12 +209,6 @@ def _is_number(value: object) -> bool:
         return isinstance(value, str) and isfinite(float(value))
     except ValueError:
         return False
-
-
-def _cure(kind: str, owner: type[BaseModel], field: FieldInfo) -> str:
-    if kind == "string_pattern_mismatch" and owner is schema.FilesSection:
-        return _FILE_CURE
-    return _CURES.get(kind, schema.cure(field))
 
 
 def dotted(place: tuple[int | str, ...]) -> str:

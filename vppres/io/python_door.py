@@ -13,20 +13,18 @@ from vppres.core.errors import InputError, Problem
 from vppres.core.text import flaw_of_name
 from vppres.io import schema
 from vppres.io.messages import Suggestions, few, folded, shown
+from vppres.kinds.table import SERIES as KIND_SERIES
 from vppres.kinds.table import TABLES as KIND_TABLES
-from vppres.kinds.table import units_of
-from vppres.kinds.vehicles.data import OF_SESSIONS
 from vppres.scenario.assets import OF_HOURS
 from vppres.scenario.scenario import Scenario
 
 # Attributes that may have no value (a temperature at the start), or no limit.
-_MAY_BE_NAN = {*OF_HOURS, "t_initial_c", "around_c", *OF_SESSIONS}
+_MAY_BE_NAN = {*OF_HOURS, *(name for table in KIND_TABLES.values() for name in table.may_be_nan)}
 _MAY_BE_INFINITE = {
     "i_max_a",
     "grid_limit_kw",
     "export_limit_kw",
-    "ramp_up_kw_per_h",
-    "ramp_down_kw_per_h",
+    *(name for table in KIND_TABLES.values() for name in table.may_be_infinite),
 }
 
 
@@ -56,8 +54,11 @@ def _names(scenario: Scenario) -> Iterator[Problem]:
         ("customers", "tier", customers.tier),
         ("pv", "id", pv.id),
         ("batteries", "id", batteries.id),
-        *((kind, "id", units.id) for kind, units in units_of(scenario).items()),
-        ("sessions", "vehicle", scenario.sessions.vehicle),
+        *(
+            (name, table.names, getattr(getattr(scenario, name), table.names))
+            for name, table in KIND_TABLES.items()
+            if table.names
+        ),
         ("network", "buses", scenario.network.buses),
         ("scenario", "tiers", scenario.tiers),
     ]
@@ -72,14 +73,16 @@ def _names(scenario: Scenario) -> Iterator[Problem]:
 
 
 def _tiers(scenario: Scenario) -> Iterator[Problem]:
-    """Customers and vehicles of tiers that the scenario does not have."""
+    """Customers and others of tiers that the scenario does not have."""
     suggestions = Suggestions(scenario.tiers, "Correct it, or add the tier to the scenario's.")
-    sessions = scenario.sessions
-    for table, names, tiers in (
-        ("customers", scenario.customers.id, scenario.customers.tier),
-        ("sessions", sessions.vehicle, sessions.tier),
-    ):
-        for name, tier in zip(names, tiers, strict=True):
+    tiered = {
+        name: table.names
+        for name, table in KIND_TABLES.items()
+        if "tier" in schema.row_of(table.key).model_fields
+    }
+    for table, names in {"customers": "id", **tiered}.items():
+        rows = getattr(scenario, table)
+        for name, tier in zip(getattr(rows, names), rows.tier, strict=True):
             if tier not in scenario.tiers:
                 yield Problem(
                     table,
@@ -105,6 +108,7 @@ def _numbers(scenario: Scenario) -> Iterator[Problem]:
         ),
         ("load_kw", scenario, schema.LoadSeries),
         ("pv_kw", scenario, schema.PVSeries),
+        *((name, scenario, schema.row_of(name)) for name in KIND_SERIES),
         ("system", scenario, schema.SystemSeries),
         ("objective", scenario.objective, schema.ObjectiveSection),
     ]
@@ -117,7 +121,17 @@ def _numbers(scenario: Scenario) -> Iterator[Problem]:
 
 
 def _limits(scenario: Scenario) -> Iterator[Problem]:
-    """Limits of the state of charge that leave nothing between them, and loads without power."""
+    """Series of other units, limits of a charge with nothing between, and loads without power."""
+    for name, of in KIND_SERIES.items():
+        size = (scenario.grid.n_steps, len(getattr(scenario, of)))
+        if size[1] and getattr(scenario, name).shape != size:
+            yield Problem(
+                "scenario",
+                f"is not of shape {size}: its steps by its {of}",
+                "Give a column for each, with every step.",
+                field=name,
+                value=str(getattr(scenario, name).shape),
+            )
     batteries = scenario.batteries
     for i in np.flatnonzero(~(batteries.soc_min < batteries.soc_max)):
         yield Problem(

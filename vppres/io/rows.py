@@ -56,7 +56,9 @@ def frame_of(assets: Any, model: type[BaseModel], unsaid: Collection[str] = ()) 
     for name in columns:
         default = fields[name].default
         empty = default is None and name not in ALWAYS
-        if (empty or name in unsaid) and _all_are(frame[name], default):
+        cells = frame[name]
+        by_default = (cells.isna() | (cells == default) | (cells == "")).all()
+        if (empty or name in unsaid) and by_default:
             frame = frame.drop(columns=name)
     return frame
 
@@ -70,8 +72,3 @@ def _cells(values: Any) -> Any:
         return np.where(np.isinf(array), np.nan, array)
     cells = [iso(each) if isinstance(each, pd.Timestamp) else each for each in values]
     return pd.Series(cells, dtype=array.dtype)
-
-
-def _all_are(cells: pd.Series[Any], default: object) -> bool:
-    """Whether every row says no more than the default."""
-    return bool((cells.isna() | (cells == default) | (cells == "")).all())

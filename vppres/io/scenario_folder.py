@@ -35,6 +35,7 @@ from vppres.io.tables import (
     read_table,
 )
 from vppres.io.warning_rows import read_warnings
+from vppres.kinds.table import SERIES as KIND_SERIES
 from vppres.kinds.table import TABLES as KIND_TABLES
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.fairness import Fairness
@@ -64,8 +65,14 @@ MODELS: dict[str, type[BaseModel]] = {
 }
 """Rows of each table, by its key under [files]."""
 
-_NEEDED = ("lines", "customers", "load_kw", "pv_kw", "system")
-"""Files without which there is no scenario; series of PV only where there is PV."""
+_NEEDED = ("lines", "customers", "load_kw", "system")
+"""Files without which there is no scenario."""
+
+_SERIES_OF = {
+    "pv_kw": "pv",
+    **{name: KIND_TABLES[of].key for name, of in KIND_SERIES.items()},
+}
+"""Files of series that are needed where the file beside them has rows."""
 
 _HISTORY = ("history_load_kw", "history_pv_kw")
 
@@ -139,9 +146,9 @@ def _read_files(folder: Path, settings: Settings) -> tuple[Tables, list[Problem]
     tables: Tables = {}
     problems: list[Problem] = []
     for key, file in names.items():
-        without_pv = key == "pv_kw" and (pv := tables["pv"]) is not None and pv.frame.empty
-        optional = key not in _NEEDED or without_pv
-        if optional and key not in settings.files.model_fields_set and not (folder / file).exists():
+        of = tables.get(_SERIES_OF.get(key, ""))
+        needed = of is None or not of.frame.empty if key in _SERIES_OF else key in _NEEDED
+        if not (needed or key in settings.files.model_fields_set or (folder / file).exists()):
             absent = no_table(file, MODELS.get(key, schema.PVSeries))
             tables[key] = None if key in _HISTORY else absent
             continue
@@ -267,14 +274,23 @@ def _read_series(
         rating_kw = {row.id: row.p_max_kw for row in reversed(rows["pv"].values())}
         for name in rating_kw.keys() & pv.keys():
             problems += checks.check_pv_series(pv_series, name, pv[name], rating_kw[name])
+    columns = {"load_kw": load, "pv_kw": pv}
+    for name, key in _SERIES_OF.items():
+        if name not in columns:
+            field = schema.row_of(name).model_fields[name]
+            file = getattr(settings.files, key)
+            cure = f"Add one column per row of {file}."
+            columns[name], found = _read_columns(tables[name], tables[key], field, cure)
+            problems += found
     grid = settings.grid
     if grid:
-        unused = pv_series if systems and systems.frame.empty else None
-        for table in (tables["load_kw"], pv_series, tables["system"]):
-            if table and not (table is unused and table.frame.empty):
+        for name in (*columns, "system"):
+            table, of = tables[name], tables.get(_SERIES_OF.get(name, ""))
+            unused = of is not None and of.frame.empty
+            if table and not (unused and table.frame.empty):
                 problems += check_times(table, grid)
     n_steps = grid.n_steps if grid else 0
-    stacked = {"load_kw": _stack(load, n_steps), "pv_kw": _stack(pv, n_steps)}
+    stacked = {name: _stack(each, n_steps) for name, each in columns.items()}
     return stacked | system, problems
 
 
@@ -358,6 +374,8 @@ def _assemble(
     assert file is not None
     assert grid is not None
     columns = {key: columns_of(rows[key], model, read_bus) for key, model in MODELS.items()}
+    c, b = columns["customers"], columns["batteries"]
+    of_tier = [file.tiers[tier] for tier in c["tier"]]
     limit_kw = series["grid_limit_kw"].copy()
     if file.network.export_limit_kw is not None:
         series["export_limit_kw"] = np.array(file.network.export_limit_kw)
@@ -375,11 +393,18 @@ def _assemble(
         title=file.title or file.name,
         grid=grid,
         network=_network(file.network, columns["lines"], columns["buses"], read_bus),
-        customers=_customers(columns["customers"], file.tiers),
+        customers=Customers(**c | {"weight": given_or(c["weight"], of_tier)}),
         pv=PVSystems(**columns["pv"]),
-        batteries=_batteries(columns["batteries"]),
+        batteries=Batteries(**b | {"soc_initial": given_or(b["soc_initial"], b["soc_min"])}),
         tiers=tuple(file.tiers),
-        source=_source(file.source),
+        source=Source(
+            file.source.name,
+            file.source.kind,
+            tuple(file.source.notes),
+            SourceDeviation(**file.source.deviation.model_dump()),
+            file.source.unbalanced,
+            tuple(file.source.ties),
+        ),
         voll_gbp_per_kwh=file.reliability.voll_gbp_per_kwh,
         warnings=tuple(rows["warnings"].values()),
         interruptions=tuple(rows["outages"].values()),
@@ -390,12 +415,6 @@ def _assemble(
     )
 
 
-def _source(section: schema.TomlSection) -> Source:
-    deviation = SourceDeviation(**section.deviation.model_dump())
-    told = (tuple(section.notes), deviation, section.unbalanced, tuple(section.ties))
-    return Source(section.name, section.kind, *told)
-
-
 def _network(
     section: schema.TomlSection, lines: Columns, buses: Columns, read_bus: Callable[[str], BusId]
 ) -> Network:
@@ -404,14 +423,3 @@ def _network(
     scalars = section.model_dump(exclude={"export_limit_kw"})
     scalars["slack_bus"] = read_bus(section.slack_bus)
     return Network(**lines, i_max_a=rating_a, **buses, drawing_bus=drawing_bus, **scalars)
-
-
-def _customers(columns: Columns, tiers: dict[str, float]) -> Customers:
-    of_tier = [tiers[tier] for tier in columns["tier"]]
-    columns["weight"] = given_or(columns["weight"], of_tier)
-    return Customers(**columns)
-
-
-def _batteries(columns: Columns) -> Batteries:
-    columns["soc_initial"] = given_or(columns["soc_initial"], columns["soc_min"])
-    return Batteries(**columns)

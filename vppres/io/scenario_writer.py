@@ -24,11 +24,10 @@ from vppres.io.phase_files import phase_frames
 from vppres.io.rows import frame_of
 from vppres.io.series import TIME
 from vppres.io.settings import SCENARIO_FILE, outage_intervals
-from vppres.kinds.kind import KindTable
 from vppres.kinds.table import KINDS, units_of
 from vppres.scenario.fairness import Fairness, Interruption
 from vppres.scenario.history import History
-from vppres.scenario.network import BUS_DRAWS, LINE_DEFAULTS, BusId, Network
+from vppres.scenario.network import BUS_DRAWS, LINE_DEFAULTS, Network
 from vppres.scenario.outage_warnings import OutageStatistics
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import DEFAULT_VOLL_GBP_PER_KWH, ControllerDefaults, Scenario
@@ -95,8 +94,9 @@ def _network(scenario: Scenario) -> dict[str, Any]:
     network = scenario.network
     of_network = {f.name for f in fields(network)} - {"slack_bus"}
     limits = [name for name in schema.NetworkSection.model_fields if name in of_network]
+    slack = network.slack_bus
     section = {
-        "slack_bus": _plain(network.slack_bus),
+        "slack_bus": slack if isinstance(slack, str) else int(str(slack)),
         **{name: float(getattr(network, name)) for name in limits},
     }
     if scenario.export_limit_kw.ndim == 0 and np.isfinite(scenario.export_limit_kw):
@@ -166,11 +166,6 @@ def _source(source: Source) -> dict[str, Any]:
     }
 
 
-def _plain(bus: object) -> BusId:
-    """A bus identifier without NumPy's types."""
-    return str(bus) if isinstance(bus, str) else int(str(bus))
-
-
 def frames_of(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, pd.DataFrame]:
     """The tables by name of their file."""
     network = scenario.network
@@ -190,10 +185,13 @@ def frames_of(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, p
         frames["buses"] = _bus_frame(network)
     for kind in map(KINDS.__getitem__, units_of(scenario)):
         for name, table in kind.tables.items():
-            rows: KindTable = getattr(scenario, name)
+            rows: Any = getattr(scenario, name)
             frames[table.key] = frame_of(rows, schema.row_of(table.key)).drop(
                 columns=[*rows.unsaid]
             )
+            for series in table.series:
+                values = getattr(scenario, series)
+                frames[series] = _timed_frame(scenario.grid.times, rows.id, values)
     if scenario.warnings:
         unsaid = ("outage", "preset")
         frames["warnings"] = frame_of(scenario.warnings, schema.WarningRow, unsaid)

@@ -22,6 +22,7 @@ from pydantic_core import PydanticCustomError
 from vppres.core.tables import packaged_table
 from vppres.core.text import flaw_of_name
 from vppres.io.times import time_of
+from vppres.kinds.table import SERIES as KIND_SERIES
 from vppres.kinds.table import TABLES as KIND_TABLES
 from vppres.kinds.table import parts
 from vppres.scenario.network import Network
@@ -181,8 +182,10 @@ _TYPES: dict[str, Any] = {
     "statistics preset": Literal[STATISTICS_PRESETS],
 }
 _JSON_TYPES = {"bus": {"type": ["string", "integer"]}}
-# Columns of a series, named by the identifiers of customers or PV systems.
-_ALIASES = {("load_kw.csv", "load_kw"): "<customer id>", ("pv_kw.csv", "pv_kw"): "<PV id>"}
+# Columns of a series, named by the identifiers of customers, PV systems or units of a kind.
+_ALIASES = {("load_kw.csv", "load_kw"): "<customer id>", ("pv_kw.csv", "pv_kw"): "<PV id>"} | {
+    (f"{name}.csv", name): f"<{KIND_TABLES[of].key} id>" for name, of in KIND_SERIES.items()
+}
 
 
 # What bounds and defaults of the table may name.
@@ -197,6 +200,11 @@ _ATTRIBUTES = [line for place in _PLACES for line in packaged_table(place, "attr
 _MODELS = {line["table"]: line for line in packaged_table(__file__, "attribute_tables.csv")} | {
     f"{table.key}.csv": {"model": table.model, "meaning": table.about}
     for table in KIND_TABLES.values()
+}
+_MODELS |= {
+    f"{name}.csv": {"model": f"{name.title().replace('_', '')}Series", "meaning": about}
+    for table in KIND_TABLES.values()
+    for name, about in table.series.items()
 }
 
 

@@ -60,7 +60,9 @@ def read_settings(folder: Path) -> tuple[Settings, list[Problem]]:
     too_long = check_length(time) if time else []
     problems += too_long
     problems += check_voltages(network) if network else []
-    grid = _grid(time) if time and not too_long else None
+    grid = None
+    if time and not too_long:
+        grid = TimeGrid(pd.Timestamp(time.start), time.step_minutes, time.steps, time.zone)
     problems += check_outages(outages, grid) if grid else []
     return Settings(
         file=file,
@@ -158,10 +160,6 @@ def _read_toml(path: Path) -> tuple[dict[str, Any], list[Problem]]:
         return {}, [
             Problem(path.name, f"is not valid TOML: {reason}", "Correct this line.", row=line)
         ]
-
-
-def _grid(time: schema.TomlSection) -> TimeGrid:
-    return TimeGrid(pd.Timestamp(time.start), time.step_minutes, time.steps, time.zone)
 
 
 def _sound(document: dict[str, Any], name: str, model: type[M]) -> M | None:

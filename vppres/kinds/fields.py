@@ -9,13 +9,21 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, make_dataclass
 from typing import TYPE_CHECKING, Any
 
-from vppres.kinds.table import KINDS, TABLES
+import numpy as np
+
+from vppres.core.arrays import Floats
+from vppres.kinds.table import KINDS, SERIES, TABLES
 
 
 def class_of(name: str, fields: Iterable[str]) -> type:
     """A frozen class of fields that are None where they are not given."""
     unsaid = [(each, Any, field(default=None)) for each in fields]
     return make_dataclass(name, unsaid, frozen=True, eq=False, kw_only=True)
+
+
+def _no_series() -> Floats:
+    """The series of a site that has nothing of a kind."""
+    return np.empty((0, 0))
 
 
 if TYPE_CHECKING:
@@ -27,7 +35,10 @@ if TYPE_CHECKING:
 
     @dataclass(frozen=True, eq=False, kw_only=True)
     class OfKinds:
-        """Tables of all kinds in a scenario, of length 0 where a site has nothing of a kind."""
+        """Tables of all kinds in a scenario, of length 0 where a site has nothing of a kind.
+
+        Their series, (T, n), are fields too.
+        """
 
         chargers: Chargers = field(default_factory=Chargers)
         sessions: Sessions = field(default_factory=Sessions)
@@ -54,7 +65,10 @@ if TYPE_CHECKING:
 else:
     OfKinds = make_dataclass(
         "OfKinds",
-        [(name, rows, field(default_factory=rows)) for name, rows in TABLES.items()],
+        [
+            *((name, rows, field(default_factory=rows)) for name, rows in TABLES.items()),
+            *((name, "Floats", field(default_factory=_no_series)) for name in SERIES),
+        ],
         frozen=True,
         eq=False,
         kw_only=True,

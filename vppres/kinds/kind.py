@@ -5,9 +5,9 @@ Power is what the n units of a kind take, negative where they give.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol, Self
+from typing import Any, ClassVar, Literal, Protocol, Self
 
 import numpy as np
 
@@ -31,6 +31,14 @@ class KindTable(Items):
         Columns with identifiers of another table: the column, the key of that table, what it holds.
     limits : tuple
         Columns that must not exceed another one of their row, with the cure where it is special.
+    names : str
+        Column of names that are shown; empty if there is none.
+    may_be_nan, may_be_infinite : tuple
+        Columns that may have no value, and those that may have no limit.
+    series : mapping
+        Series of its rows, and what each is, for the documentation. Each is a file with a column
+        for each row, by its identifier, and an array of the scenario by step, (T, n): the name is
+        the file's, the array's, and that of the number in ``attributes.csv``.
     """
 
     key: ClassVar[str]
@@ -38,6 +46,10 @@ class KindTable(Items):
     about: ClassVar[str]
     references: ClassVar[tuple[tuple[str, str, str], ...]] = ()
     limits: ClassVar[tuple[tuple[str, str, str], ...]] = ()
+    names: ClassVar[str] = "id"
+    may_be_nan: ClassVar[tuple[str, ...]] = ()
+    may_be_infinite: ClassVar[tuple[str, ...]] = ()
+    series: ClassVar[Mapping[str, str]] = {}
 
     @classmethod
     def of_columns(cls, columns: dict[str, Any], tiers: Mapping[str, float]) -> Self:
@@ -48,6 +60,14 @@ class KindTable(Items):
     def problems(cls, table: Any, rows: Mapping[int, Any]) -> list[Problem]:
         """Problems of rows of the file beside one another."""
         return []
+
+    def to_come(self, now: Any) -> Self:
+        """The table as a window that begins at a time is to know it."""
+        return self
+
+    def remark(self, scenario: Any) -> str:
+        """Doubts about the rows, in a sentence; empty if there are none."""
+        return ""
 
     @property
     def unsaid(self) -> tuple[str, ...]:
@@ -71,8 +91,21 @@ class Kind:
         Item of the explanations that reasons are about.
     sign : str
         What a sign in the feeder's diagram stands for.
+    element : tuple of str
+        Table of a pandapower net in which units stand, and the word before their identifiers there.
     gives : bool
-        Whether the column ``p_kw`` of that table is what units give.
+        Whether units only give power: the column ``p_kw`` of that table is what they give, and
+        batteries may charge from it.
+    forms : bool
+        Whether units can form the grid of an island; they have ``grid_forming`` and ``q_max_kvar``.
+    takes_less : bool
+        Whether units take less where an island lacks power, before a battery gives more or a
+        customer is shed; those of later kinds first.
+    recovers_by : str
+        State by which customers' units draw more after an outage, in words; empty if there is none.
+    store : tuple of tuple
+        Column of a run with what units hold at a step's end, and that of their table with the most,
+        of a kind whose store is worth energy later; empty otherwise.
     """
 
     tables: Mapping[str, type[KindTable]]
@@ -81,7 +114,12 @@ class Kind:
     item: str
     subject: str
     sign: str
+    element: tuple[Literal["load", "sgen", "storage"], str]
     gives: bool = False
+    forms: bool = False
+    takes_less: bool = False
+    recovers_by: str = ""
+    store: tuple[tuple[str, str], ...] = ()
 
     @property
     def file(self) -> str:
@@ -107,6 +145,9 @@ class Units(Protocol):
 
     def __len__(self) -> int: ...
 
+    def most_taken_kw(self, scenario: Any) -> Floats:
+        """Most that each takes in each step, (T, n)."""
+
     def owner(self, customers: Any) -> Wholes:
         """Position of each unit's customer, (n,); 0 for one that stands alone."""
 
@@ -117,12 +158,34 @@ class Units(Protocol):
         """Units that have voltage if these customers are served, (..., n) for (..., C)."""
 
 
+@dataclass(frozen=True, eq=False)
+class EnergyHeld:
+    """Energy in a battery that stands for what the units of a kind hold.
+
+    Parameters
+    ----------
+    kwh_each : array, shape (n,)
+        What a unit of the store stands for, a litre of fuel for example; 0 where it is no use.
+    power_kw, held_kwh : float
+        Largest power of all, and their energy now.
+    delivered_kwh : array, shape (T,)
+        What comes at the beginning of each step, that of the present one left out.
+    """
+
+    kwh_each: Floats
+    power_kw: float
+    held_kwh: float
+    delivered_kwh: Floats
+
+
 class UnitsAhead(ByStep):
     """Window data of the units of a kind, (W, n) each; ``WINDOW`` of its physics.
 
     ``units`` are those of the scenario. ``running`` says which are on, of a kind that is started
-    and stopped.
+    and stopped, which is ``switched``.
     """
+
+    switched: ClassVar[bool] = False
 
     @classmethod
     def past_days(cls, scenario: Any, seed: int) -> Any:
@@ -136,6 +199,73 @@ class UnitsAhead(ByStep):
     def without_duties(self) -> Any:
         """Window without units that have to stay on."""
         return self
+
+    def forming_steps(self) -> Flags:
+        """Steps in which each forms the grid of an island, (W, n)."""
+        return np.zeros(self._arrays()[0].shape, dtype=bool)
+
+    def formed(self, units: Any, dark: Flags, headroom: float, dt_h: float) -> tuple[Any, Flags]:
+        """Window with what forms dark steps, (W,), as far as it can, and the steps that it forms.
+
+        ``headroom`` is the share of a rating that is left free above and below the plan.
+        """
+        return self, np.zeros_like(dark)
+
+    def able_to_form(self, units: Any) -> Flags:
+        """Units that form an island if nothing else does and they run, (n,)."""
+        return np.asarray(self.forming_steps()[0])
+
+    def by_rule(
+        self, units: Any, lacking_kw: float, island: bool, dt_h: float
+    ) -> Sequence[tuple[Floats, Flags]]:
+        """Powers of the first step without a plan, and which units run, the best first.
+
+        Each gives way to the next; ``lacking_kw`` is the demand that PV leaves. At last all rest.
+        """
+        none = np.zeros(self._arrays()[0].shape[1])
+        return [(none, none > 0.0)]
+
+    def beside(
+        self, units: Any, wanted_kw: Floats, island: bool, dt_h: float
+    ) -> tuple[Floats, Flags]:
+        """Power of the first step of units that form the grid or run, near what they are to give.
+
+        With it goes which of them run.
+        """
+        raise NotImplementedError
+
+    def here_kw(self, taken_kw: Floats) -> Floats:
+        """Planned powers of the first step, (n,), of the units that are there."""
+        return taken_kw
+
+    def store(self, scenario: Any, steps: range, eta_discharge: float) -> EnergyHeld:
+        """Energy in a battery of what units hold, and of deliveries in the steps."""
+        return EnergyHeld(np.zeros(self._arrays()[0].shape[1]), 0.0, 0.0, np.zeros(len(steps)))
+
+    def left_kwh(
+        self, units: Any, taken_kw: Floats, running: Flags, dt_h: float, kwh_each: Floats
+    ) -> float:
+        """Energy in a battery that stands for what units hold behind these powers.
+
+        ``kwh_each`` says what a unit of their store stands for, (n,).
+        """
+        return 0.0
+
+    def most_left_kwh(self, kwh_each: Floats) -> float:
+        """Most energy that what units hold at the end can stand for."""
+        return 0.0
+
+    def wrongly_switched(self, units: Any, running: Flags, outage: Flags, dt_h: float) -> Flags:
+        """Steps in which a unit is on or off against a rule, (W, n)."""
+        return np.zeros_like(running)
+
+    def switched_early(self, units: Any, running: Flags, outage: Flags) -> Flags:
+        """Steps in which a unit starts before it may, or runs where it must not, (W, n)."""
+        return np.zeros_like(running)
+
+    def q_most_kvar(self, units: Any) -> Floats:
+        """Largest reactive power of each, (W, n)."""
+        return np.zeros(self._arrays()[0].shape)
 
     def most_taken_kw(self, units: Any) -> Floats:
         """Most that all take together, (W,)."""

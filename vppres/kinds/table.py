@@ -35,6 +35,9 @@ TABLES: dict[str, type[KindTable]] = {
 }
 """Tables of all kinds by field of the scenario."""
 
+SERIES: dict[str, str] = {name: field for field, rows in TABLES.items() for name in rows.series}
+"""Field of the table whose rows a series is about, by field of the series."""
+
 
 def units_of(site: Any) -> dict[str, Units]:
     """Units of each kind that a scenario or site has any of."""

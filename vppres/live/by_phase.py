@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.day.recorder import StepRecord
-from vppres.physics.phased_sources import former_of, labels_by_source
+from vppres.scenario.formers import former_kva
 from vppres.scenario.phases import PHASES
 from vppres.scenario.scenario import Scenario
 
@@ -24,7 +24,7 @@ class Nearest:
     phase : str
         A phase, or a pair of phases.
     at : str
-        The battery, or the bus.
+        The device, or the bus.
     share : float
         Of its limit; a voltage's is 0 in the middle of its limits and 1 at one of them.
     """
@@ -43,11 +43,11 @@ class ByPhase:
     nodes : Series
         Voltages in pu by bus and phase, of pairs of phases on three wires.
     source : str
-        ``grid``, or the battery that holds the island.
+        ``grid``, or the battery or generating set that holds the island.
     source_kva : Series
         What it gives on each phase.
     rating_kva : float or None
-        What the battery can give on each phase; None of the grid.
+        What that device can give on each phase; None of the grid.
     unbalance_max : float
         Largest unbalance factor of any bus with three phases.
     nearest : Nearest
@@ -64,20 +64,17 @@ class ByPhase:
     @classmethod
     def of(cls, scenario: Scenario, step: StepRecord) -> ByPhase | None:
         """Power flow of a step that was decided; None without phases, and without power."""
-        phases = scenario.phases
-        if phases is None or step.nodes is None or np.isnan(step.nodes["v_ac_pu"]).any():
+        if scenario.phases is None or np.isnan(step.nodes["v_ac_pu"]).any():
             return None
-        held = not np.isnan(step.steps["former_a_kva"])
-        labels = labels_by_source(phases, scenario.batteries)[int(held)]
-        index = pd.MultiIndex.from_tuples(labels, names=["bus", "phase"])
+        labels = [step.nodes["bus"], step.nodes["phase"]]
+        index = pd.MultiIndex.from_arrays(labels, names=["bus", "phase"])
         nodes = pd.Series(step.nodes["v_ac_pu"], index, name="v_ac_pu")
-        column = "former" if held else "import"
+        former = str(step.steps["former"])
+        column = "former" if former else "import"
         kva = pd.Series({phase: float(step.steps[f"{column}_{phase}_kva"]) for phase in PHASES})
-        source, rating_kva = GRID, None
-        former = former_of(phases, scenario.batteries) if held else None
-        if former is not None:
-            source = str(scenario.batteries.id[former])
-            rating_kva = float(scenario.batteries.s_max_kva[former]) / len(PHASES)
+        source, rating_kva = former or GRID, None
+        if former:
+            rating_kva = former_kva(scenario, former) / len(PHASES)
         nearest = _nearest(scenario, nodes)
         if rating_kva and kva.max() / rating_kva > nearest.share:
             nearest = Nearest(str(kva.idxmax()), source, float(kva.max() / rating_kva))

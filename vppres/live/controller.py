@@ -383,7 +383,8 @@ class Controller:
         present = Present.of(t, seen, known, window, ahead, past, options, self._past_days)
         told = present.observation(OutageView.create(self.scenario, self._record))
         decision = _without_disconnected(self._decider.decide(told), seen.connected)
-        estimated = _joined(*seen.left_out, *present.estimated, decision.estimated)
+        words = (*seen.left_out, *present.estimated, decision.estimated)
+        estimated = "; ".join(filter(None, words))
         decision = replace(decision, estimated=estimated)
         day = present.day(decision.seen or told, decision.estimated)
         record = day.settle(0, decision)
@@ -400,7 +401,3 @@ def _without_disconnected(decision: Decision, connected: Flags) -> Decision:
     share = decision.dispatch.share
     given = None if share is None else share * connected
     return replace(decision, dispatch=replace(decision.dispatch, served=served, share=given))
-
-
-def _joined(*words: str) -> str:
-    return "; ".join(word for word in words if word)

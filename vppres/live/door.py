@@ -261,14 +261,11 @@ class Door:
         if not (now and self.estimates):
             self.problem(field, limits.text(number), limits.cure, value, name)
         elif number >= 0.0 or field not in ("load_kw", "pv_kw"):  # else a wrong sign or offset
-            self._leave_out(field, f"{_named(field, name)} = {number:g} {limits.text(number)}")
+            self._left[field] += 1
+            if self._left[field] <= MOST_OF_A_KIND:
+                words = f"{_named(field, name)} = {number:g} {limits.text(number)}"
+                self.left_out.append(words)
         return np.nan
-
-    def _leave_out(self, field: str, words: str) -> None:
-        """Name a reading that does not count, or count it where there are many of its kind."""
-        self._left[field] += 1
-        if self._left[field] <= MOST_OF_A_KIND:
-            self.left_out.append(words)
 
     def _steps(self, field: str, times: Sequence[Any]) -> Wholes:
         """Steps of the scenario that begin at these times, each once; -1 for no such step."""

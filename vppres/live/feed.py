@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Floats
+from vppres.core.arrays import Floats, Names
 from vppres.core.errors import InputError, VppresError
+from vppres.kinds.table import SERIES
 from vppres.live.door import Door, moment_of, readable
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
@@ -42,6 +44,8 @@ class Feed:
         Ambient temperature; the last known one if not given.
     export_limit_kw, export_price_gbp_per_kwh : Series, optional
         Largest export and what it earns; the last known ones if not given.
+    of_kinds : mapping of str to DataFrame, optional
+        Series of kinds by name, one column per unit; needed where there are any.
 
     Examples
     --------
@@ -57,6 +61,7 @@ class Feed:
     temperature_c: pd.Series | None = None
     export_limit_kw: pd.Series | None = None
     export_price_gbp_per_kwh: pd.Series | None = None
+    of_kinds: Mapping[str, pd.DataFrame] = field(default_factory=dict)
 
     @classmethod
     def of(cls, scenario: Scenario) -> Feed:
@@ -68,12 +73,20 @@ class Feed:
             pv_kw=pd.DataFrame(scenario.pv_kw, times, list(scenario.pv.id)),
             grid_limit_kw=pd.Series(scenario.grid_limit_kw, times),
             **{name: pd.Series(_rows(scenario, name), times) for name in LAST_KNOWN},
+            of_kinds={
+                name: pd.DataFrame(getattr(scenario, name), times, list(ids))
+                for name, ids in _units(scenario).items()
+            },
         )
 
     @property
     def of_tables(self) -> bool:
         """Whether everything is a table, and what must be given is."""
-        given = [getattr(self, f.name) for f in fields(self)]
+        of_kinds: Any = self.of_kinds
+        given = [getattr(self, f.name) for f in fields(self) if f.name != "of_kinds"]
+        if not isinstance(of_kinds, Mapping):
+            return False
+        given += of_kinds.values()
         tables = all(isinstance(value, (pd.DataFrame, pd.Series, type(None))) for value in given)
         needed = isinstance(self.load_kw, pd.DataFrame) and self.price_gbp_per_kwh is not None
         return tables and needed
@@ -205,13 +218,25 @@ def _read(scenario: Scenario, feed: Feed, start: pd.Timestamp) -> dict[str, Floa
         given = getattr(feed, name)
         last = _rows(scenario, name)[-1]
         found[name] = door.series(name, given, np.full(n, last) if given is None else empty)
+    of_kinds = _units(scenario)
+    for name, units in of_kinds.items():
+        nothing = np.full((n, len(units)), np.nan)
+        found[name] = door.table(name, feed.of_kinds.get(name), units, nothing)
+    for name in feed.of_kinds.keys() - of_kinds.keys():
+        door.problem(name, "is no series of the site's units", "Leave it out.")
     if not door.problems:
         for name, values in found.items():
-            ids = {"load_kw": customers, "pv_kw": pv}.get(name)
+            ids = {"load_kw": customers, "pv_kw": pv, **of_kinds}.get(name)
             _complete(door, name, values if ids is not None else values[:, None], ids)
     door.finish()
     found["pv_kw"] = np.minimum(found["pv_kw"], scenario.pv.p_max_kw)
     return found
+
+
+def _units(scenario: Scenario) -> dict[str, Names]:
+    """Identifiers of the units of each series of a kind that the site has any of."""
+    tables = {name: getattr(scenario, of) for name, of in SERIES.items()}
+    return {name: table.id for name, table in tables.items() if len(table)}
 
 
 def _length(grid: TimeGrid, feed: Feed, start: pd.Timestamp) -> int:

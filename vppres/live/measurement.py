@@ -14,7 +14,7 @@ from vppres.contract.observation import Told
 from vppres.core.arrays import Flags, Floats, Names
 from vppres.core.errors import InputError, VppresError
 from vppres.kinds.live_fields import ReadOfKinds
-from vppres.kinds.table import parts
+from vppres.kinds.table import TABLES, parts
 from vppres.live.door import HOUR, WHERE, Door, readable
 from vppres.live.ranges import ranges_of
 from vppres.scenario.assets import Batteries
@@ -190,8 +190,10 @@ class Seen:
         """Measurements of some steps alone, of which the first is the present one."""
         announced = self.announced_kw
         scenario = self.scenario.between(rows.start, rows.stop)
-        for live in parts("live").values():
-            scenario = live.to_come(scenario)
+        now = scenario.grid.start
+        scenario = replace(
+            scenario, **{name: getattr(scenario, name).to_come(now) for name in TABLES}
+        )
         return replace(
             self,
             t=0,
@@ -289,7 +291,9 @@ def _measurement_arrays(
     if measured.announced_limit_kw is not None:
         unknown = np.full(scenario.grid.n_steps, np.nan)
         announced = door.series("announced_limit_kw", measured.announced_limit_kw, unknown)
-    now = _now(door, measured)
+    now = door.moment("now", measured.now) or door.begun
+    if not door.begun <= now < door.begun + door.grid.step:
+        door.problem("now", "lies outside the step", "Give a time within it.", measured.now)
     soc_age_h = door.ages_h("soc_at", measured.soc_at, b.id, now)
     told = _overrides(door, measured.ordered_kw, b.id, now)
     if not guard:
@@ -361,14 +365,6 @@ def _is_named(ids: Names, named: Sequence[str]) -> Flags:
     """Whether each identifier is named."""
     chosen = set(named)
     return np.array([str(name) in chosen for name in ids], dtype=bool)
-
-
-def _now(door: Door, measured: Measurement) -> pd.Timestamp:
-    """The moment of the decision, within its step."""
-    now = door.moment("now", measured.now) or door.begun
-    if not door.begun <= now < door.begun + door.grid.step:
-        door.problem("now", "lies outside the step", "Give a time within it.", measured.now)
-    return now
 
 
 def _overrides(door: Door, ordered_kw: Any, ids: Names, now: pd.Timestamp) -> tuple[Told, ...]:

@@ -70,7 +70,10 @@ class ClockProfile:
             )
         weekly = grid.n_steps * grid.step_minutes >= WEEK * DAY_MINUTES
         minutes, place = np.unique(_minutes(grid.times, grid.zone, weekly), return_inverse=True)
-        values = {**scenario.series, "grid_limit_kw": _limits_kw(scenario)}
+        # Import limits are without outages, in which the least of the other limits holds.
+        connected = scenario.grid_limit_kw[~scenario.outage]
+        limits_kw = np.where(scenario.outage, connected.min(initial=np.inf), scenario.grid_limit_kw)
+        values = {**scenario.series, "grid_limit_kw": limits_kw}
         series = {name: _means(rows, place, len(minutes)) for name, rows in values.items()}
         return cls(scenario, minutes, series, weekly)
 
@@ -113,13 +116,6 @@ def _minutes(times: pd.DatetimeIndex, zone: str, weekly: bool) -> Wholes:
     if weekly:
         minutes = minutes + local.dayofweek * DAY_MINUTES
     return minutes.to_numpy(dtype=np.int64)
-
-
-def _limits_kw(scenario: Scenario) -> Floats:
-    """Import limits without outages, in which the least of the other limits holds."""
-    connected = scenario.grid_limit_kw[~scenario.outage]
-    least = float(connected.min()) if len(connected) else np.inf
-    return np.where(scenario.outage, least, scenario.grid_limit_kw)
 
 
 def _means(rows: Floats, place: Wholes, n_places: int) -> Floats:

@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import Any
 
 from vppres.core.arrays import Floats
-from vppres.io.schema import MAX_KW
-from vppres.kinds.table import parts
+from vppres.io.schema import MAX_KW, limits, row_of
+from vppres.kinds.table import SERIES, parts
 from vppres.live.range import (
     CORRECT,
     EFFICIENCY,
@@ -30,6 +30,13 @@ NIGHT_SHARE = 0.01
 
 Ranges = Mapping[tuple[str, str], Range]  # by quantity and asset, where an asset has its own
 
+
+def series_range(name: str) -> Range:
+    """The numbers of a series of a kind."""
+    lowest, highest = limits(row_of(name).model_fields[name])
+    return Range(lowest, highest, f"must lie between {lowest:g} and {highest:g}", CORRECT)
+
+
 RANGES: Mapping[str, Range] = {
     "soc": Range(0.0, 1.0, "must lie between 0 and 1", "Give a share, for example 0.5."),
     "load_kw": POWER,
@@ -50,6 +57,7 @@ RANGES: Mapping[str, Range] = {
     "online": FLAG,
     "grid_on": FLAG,
     **{name: each for part in parts("live").values() for name, each in part.RANGES.items()},
+    **{name: series_range(name) for name in SERIES},
 }
 
 

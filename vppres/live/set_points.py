@@ -18,7 +18,7 @@ from vppres.day.trajectory import FORMS, SHARE, Feeder, supplied
 from vppres.feeders.actuate import Feeding
 from vppres.kinds.fields import SetPointsOfKinds
 from vppres.kinds.kind import UnitsNow
-from vppres.kinds.table import parts
+from vppres.kinds.table import KINDS, parts
 from vppres.live.by_phase import ByPhase
 from vppres.live.foreseen import Foreseen
 from vppres.scenario.scenario import Scenario
@@ -148,7 +148,7 @@ class SetPoints(SetPointsOfKinds):
                 bool(scenario.outage[step.t]),
                 str(step.steps["mode"]),
                 np.asarray(step.buses["v_ac_pu"], dtype=float),
-                step.kinds.get("gensets", {}).get(FORMS),
+                {kind: row[FORMS] for kind, row in step.kinds.items() if FORMS in row},
             ),
             foreseen=foreseen,
             by_phase=ByPhase.of(scenario, step),
@@ -179,8 +179,8 @@ class SetPoints(SetPointsOfKinds):
         drawn = self.customers.assign(
             p_kw=self.customers["load_kw"] * on, q_kvar=self.customers["load_kvar"] * on
         )
-        kinds = (self.chargers, self.thermal_loads, self.gensets)
-        powers = PowerTables(drawn, self.pv, self.batteries, self.feeding, *kinds)
+        kinds = {kind: table for kind in KINDS if (table := getattr(self, kind)) is not None}
+        powers = PowerTables(drawn, self.pv, self.batteries, self.feeding, kinds)
         put_into_net(net, feeder.bus_of, powers)
 
     def _repr_html_(self) -> str:

@@ -21,6 +21,7 @@ from vppres.core.arrays import Floats
 from vppres.core.errors import InputError
 from vppres.core.plain import Given, from_plain, to_plain
 from vppres.day.options import RunOptions
+from vppres.kinds.table import SERIES as OF_KINDS
 from vppres.live.past import Past
 from vppres.model.site import Site
 from vppres.scenario.history import History
@@ -43,6 +44,7 @@ SERIES = (
     "grid_limit_kw",
     "export_limit_kw",
     "export_price_gbp_per_kwh",
+    *OF_KINDS,
 )
 
 DECISIVE = ("controller", "mode", "guard", "switching")

@@ -18,7 +18,6 @@ from vppres.contract.switching import SwitchingData
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Complexes, Flags, Floats, Wholes
 from vppres.core.errors import ModelError
-from vppres.kinds.gensets.physics import SetsAhead
 from vppres.model.formulas import cell_kw, soc_after
 from vppres.model.linearise import Drawn, delta_offset, drawn_by
 from vppres.model.site import Site
@@ -287,6 +286,14 @@ class WindowData:
         """Steps W of the window."""
         return len(self.price_gbp_per_kwh)
 
+    def formed(self, site: Site, dark: Flags, headroom: float) -> tuple[WindowData, Flags]:
+        """Window with the units of kinds that form dark steps, (W,), and the steps that stay dark.
+
+        ``headroom`` is the share of a rating that is left free above and below the plan.
+        """
+        ahead, dark = self.ahead.formed(site.kinds, dark, headroom, site.dt_h)
+        return replace(self, ahead=ahead), dark
+
     def first(self, n_steps: int) -> WindowData:
         """The first steps of the window."""
         return self.part(slice(n_steps))
@@ -369,12 +376,9 @@ class WindowData:
             held_kwh + charged_kw * hours, max(float(b.energy_kwh @ b.soc_max), held_kwh)
         )
         least_kwh = max(held_kwh - drawn_kw * hours, min(float(b.energy_kwh @ b.soc_min), held_kwh))
-        return self.stored_value.between(least_kwh, most_kwh + self._fuel_kwh(self.stored_value))
-
-    def _fuel_kwh(self, value: StoredValue) -> float:
-        """Most energy that fuel at the end of the window can stand for."""
-        sets = self.ahead.find(SetsAhead)
-        return 0.0 if sets is None else float(sets.added_litres.sum(axis=0) @ value.kwh_per_litre)
+        for kind, kwh_each in self.stored_value.kwh_each.items():
+            most_kwh += self.ahead.by_kind[kind].most_left_kwh(kwh_each)
+        return self.stored_value.between(least_kwh, most_kwh)
 
     def active_max_kw(self, batteries: Batteries) -> Floats:
         """Largest active power that a plan may ask of each battery, (W, B)."""

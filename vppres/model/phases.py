@@ -8,8 +8,10 @@ power of each of the source's phases are linear in the powers that assets draw, 
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -35,6 +37,8 @@ GRID, ISLAND = 0, 1
 
 SIDES = 32
 """Sides of the polygon inside a phase's disc: it takes 0.5% of the rating away."""
+
+NOTHING: Mapping[str, Floats] = MappingProxyType({})
 
 REACH = float(np.cos(np.pi / SIDES))
 """Distance of a side from the middle of its disc, as a share of the radius."""
@@ -172,12 +176,12 @@ class PhasedModel:
         phases = site.phases
         assert phases is not None
         former = former_of(phases, site.batteries)
-        names = assets_of(site.customers, site.pv, site.batteries)
+        names = assets_of(site)
         net = site.feeder
         limits = (net.v_min_pu, net.v_max_pu)
         flows = [flow_of_grid(phases, names, net.v_slack_pu)]
         if former is not None:
-            flows.append(flow_of_former(phases, names, site.batteries, former, *limits))
+            flows.append(flow_of_former(phases, names, str(site.batteries.id[former]), *limits))
         loadings = Loadings.of(phases) if site.rated else Loadings.none(phases)
         return cls(site, tuple(flows), former, loadings)
 
@@ -226,9 +230,11 @@ class PhasedModel:
         """Power of each asset in each step, (W, D) each, its former's own power left out."""
         return self.powers(
             data.dark,
-            load_kw=data.load_kw * dispatch.served,
+            load_kw=data.load_kw * dispatch.supplied,
             pv=(dispatch.pv_self_kw + dispatch.pv_export_kw, dispatch.pv_q_kvar),
             batteries=(dispatch.discharge_kw - dispatch.charge_kw, dispatch.batt_q_kvar),
+            taken_kw=dispatch.taken_kw,
+            given_kvar=dispatch.given_kvar,
         )
 
     def powers(
@@ -237,14 +243,23 @@ class PhasedModel:
         load_kw: Floats,
         pv: tuple[Floats, Floats],
         batteries: tuple[Floats, Floats],
+        taken_kw: Mapping[str, Floats] = NOTHING,
+        given_kvar: Mapping[str, Floats] = NOTHING,
     ) -> tuple[Floats, Floats]:
         """Power of each asset, (..., D) each, nothing by the former where it is the source.
 
-        Demand is drawn; ``pv`` and ``batteries`` are the kW and kvar that they give.
+        Demand is drawn; ``pv`` and ``batteries`` are the kW and kvar that they give. Of the units
+        of a kind it is what they take in kW and give in kvar, nothing where it is not said.
         """
         q_kvar = load_kw * self.site.customers.q_per_p
-        p = np.concatenate([load_kw, -pv[0], -batteries[0]], axis=-1)
-        q = np.concatenate([q_kvar, -pv[1], -batteries[1]], axis=-1)
+        nothing = {
+            kind: np.zeros((*load_kw.shape[:-1], len(units)))
+            for kind, units in self.site.kinds.items()
+        }
+        taken = [taken_kw.get(kind, none) for kind, none in nothing.items()]
+        given = [given_kvar.get(kind, none) for kind, none in nothing.items()]
+        p = np.concatenate([load_kw, -pv[0], -batteries[0], *taken], axis=-1)
+        q = np.concatenate([q_kvar, -pv[1], -batteries[1], *(-each for each in given)], axis=-1)
         if self.former_device is not None:
             p[..., self.former_device] *= ~island
             q[..., self.former_device] *= ~island

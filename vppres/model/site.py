@@ -171,6 +171,11 @@ class Site(OfKinds):
         return {kind: self.network.place(buses) for kind, buses in places.items()}
 
     @cached_property
+    def taking_bus(self) -> dict[str, sp.csr_array]:
+        """Shape (N, n) by what takes power besides: places customers, and the units of kinds."""
+        return {"customers": self.customer_bus, **self.unit_bus}
+
+    @cached_property
     def owner(self) -> Wholes:
         """Shape (P,): position of each PV system's customer, 0 for a system that stands alone."""
         return self.pv.owner(self.customers)

@@ -6,7 +6,7 @@ selection of them; see :mod:`vppres.solve.selection`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import cached_property
 
@@ -17,7 +17,8 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import ModelError
 from vppres.model import objective, problem
-from vppres.model.beyond_paper.addition import AdditionDispatch
+from vppres.model.beyond_paper.addition import Addition, AdditionDispatch
+from vppres.model.beyond_paper.former_phases import drawn_by_assets
 from vppres.model.beyond_paper.table import PROVEN, Beyond
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
@@ -29,6 +30,10 @@ from vppres.model.variables import Parameters, Variables
 
 NETWORK = frozenset({"P_flow", "Q_flow", "u", "Q_pv", "Q_batt"})
 """The paper's letters that a relaxation without the network has not."""
+
+
+DRAWN = ("drawn_kw", "drawn_kvar")
+"""Active and reactive power of the assets of a feeder with phases."""
 
 
 class Statement:
@@ -47,6 +52,8 @@ class Statement:
     ----------
     v, p : Variables, Parameters
         The paper's.
+    drawn : dict
+        Power of each asset of a feeder with phases, as rows that no problem has.
     families : dict
         Constraints by the names of their families.
     implied : dict
@@ -75,7 +82,7 @@ class Statement:
         v = Variables.create(site, n_steps)
         self.additions = [each.create(site, v, shape) for each, shape in beyond]
         self._own_parts = [each for each in self.additions if type(each) not in PROVEN]
-        p = self._with_additions(Parameters.create(site, n_steps))
+        p = self._with_additions(v, Parameters.create(site, n_steps))
         self.v = v
         self.p = p
         paper = problem.paper_constraints(site, v, p)
@@ -90,6 +97,9 @@ class Statement:
         for addition in self.additions:
             self.implied_beyond |= addition.implied(site, v, p)
         self.implied |= self.implied_beyond
+        self.drawn: Named = {}
+        if p.by_asset is not None:
+            self.drawn = {n: drawn <= 0.0 for n, drawn in zip(DRAWN, p.by_asset, strict=True)}
         self.F = problem.paper_objective(site, v, p)
         self.terms = self._terms()
         self.changed = changed_families(paper, site, v, p)
@@ -101,7 +111,7 @@ class Statement:
                     f"The family {name} is not DPP: a parameter multiplies a parameter or "
                     "enters non-affinely. Move the product into the parameter's value."
                 )
-        parts = [*named.values(), *self.terms.values(), self.F]
+        parts = [*named.values(), *self.terms.values(), self.F, *self.drawn.values()]
         found = [q for part in parts for q in part.parameters()]
         self.parameters: list[cp.Parameter] = list({q.id: q for q in found}.values())
         letters = [x for part in parts for x in part.variables()]
@@ -109,14 +119,26 @@ class Statement:
         if len(self.letters) < len({x.id for x in letters}):
             raise ModelError("Two variables of the problem have the same name.")
 
-    def _with_additions(self, p: Parameters) -> Parameters:
+    def _with_additions(self, v: Variables, p: Parameters) -> Parameters:
         """The parameters with what additions set of them; what is added is summed."""
         values: dict[str, cp.Expression] = {}
         for addition in self.additions:
-            for name, value in addition.parameters(self.site).items():
+            for name, value in (*addition.parameters(self.site).items(), *self._at_buses(addition)):
                 both = name.endswith("_added") and name in values
                 values[name] = values[name] + value if both else value
-        return replace(p, **values)
+        p = replace(p, **values)
+        if self.site.phases is None:
+            return p
+        taken = [addition.taken(self.site) for addition in self.additions]
+        return replace(p, by_asset=drawn_by_assets(self.site, v, p, taken))
+
+    def _at_buses(self, addition: Addition) -> Iterator[tuple[str, cp.Expression]]:
+        """Power that an addition takes at the buses."""
+        for name, each in addition.taken(self.site).items():
+            place = self.site.taking_bus[name].T
+            for letter, power in zip(("P_added", "Q_added"), each, strict=True):
+                if power is not None:
+                    yield letter, power @ place
 
     def _own_names(self, paper: Named) -> tuple[str, ...]:
         """Families of the page and of additions without a proof in any stage, and their term."""

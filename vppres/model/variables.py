@@ -40,6 +40,7 @@ class Parameters:
     behind the meters of PV systems, (W, P), power besides import and PV export from which batteries
     charge, (W,), ratings and lowest states of charge that change with the steps, (W, B), and energy
     that is left for later besides that of batteries. What a window has beyond the paper sets them.
+    Of a feeder with phases ``by_asset`` is what each asset draws, in kW and kvar, (W, D) each.
     """
 
     P_load: cp.Parameter
@@ -62,6 +63,7 @@ class Parameters:
     S_max: cp.Expression | None = None
     SoC_min: cp.Expression | None = None
     E_kept_added: cp.Expression | None = None
+    by_asset: tuple[cp.Expression, cp.Expression] | None = None
 
     @classmethod
     def create(cls, site: Site, W: int) -> Parameters:

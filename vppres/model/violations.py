@@ -13,7 +13,6 @@ import numpy as np
 
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Floats, Wholes
-from vppres.kinds.gensets.physics import SetsAhead
 from vppres.kinds.table import KINDS
 from vppres.model.beyond_paper.losses import injections
 from vppres.model.beyond_paper.physical import taken_by_network
@@ -144,7 +143,9 @@ def _grid(site: Site, data: WindowData, d: Dispatch) -> Excess:
     imported_kw = np.maximum(d.p_grid_kw, 0.0)
     charged_kw = d.charge_kw.sum(axis=1)
     fed_kw = imported_kw + d.pv_export_kw.sum(axis=1)
-    fed_kw = fed_kw - d.taken_by("gensets", site.gensets).sum(axis=1)
+    for kind, units in site.kinds.items():
+        if KINDS[kind].gives:
+            fed_kw = fed_kw - d.taken_by(kind, units).sum(axis=1)
     return {
         "import": _most(tolerance, d.p_grid_kw - np.maximum(data.grid_limit_kw, 0.0)),
         "export": _most(tolerance, -d.p_grid_kw - data.export_max_kw(site)),
@@ -260,15 +261,12 @@ def _kinds(site: Site, data: WindowData, d: Dispatch) -> Excess:
     for kind, known in data.ahead.by_kind.items():
         units, word = site.kinds[kind], KINDS[kind].word
         on = units.connected(site.customers, d.served)
-        plan = (d.taken_by(kind, units), d.running_of(kind, units), site.dt_h)
+        taken_kw, running = d.taken_by(kind, units), d.running_of(kind, units)
+        plan = (taken_kw, running, site.dt_h)
         found[f"{word} power"] = _most(tolerance, known.power_beyond_kw(units, on, *plan))
         found[f"{word} energy"] = _most(tolerance, known.stored_beyond_kw(units, *plan))
-    ahead = data.ahead.find(SetsAhead)
-    if ahead is not None:
-        on = d.running_of("gensets", site.gensets)
-        wrong = ahead.wrongly_switched(site.gensets, on, data.dark, site.dt_h)
-        found["genset switching"] = 2.0 * wrong.sum()
-        given_kvar = d.given_kvar.get("gensets", np.zeros_like(on, dtype=float))
-        over_kvar = np.abs(given_kvar) - ahead.q_most_kvar(site.gensets)
-        found["genset reactive power"] = _most(tolerance, over_kvar)
+        wrong = known.wrongly_switched(units, running, data.dark, site.dt_h)
+        found[f"{word} switching"] = 2.0 * wrong.sum()
+        over_kvar = np.abs(d.given_kvar.get(kind, 0.0 * taken_kw)) - known.q_most_kvar(units)
+        found[f"{word} reactive power"] = _most(tolerance, over_kvar)
     return found

@@ -18,7 +18,7 @@ import numpy as np
 
 from vppres.contract.export import Export
 from vppres.contract.stored_value import PIECES, StoredValue
-from vppres.core.arrays import Floats, no_items
+from vppres.core.arrays import Floats
 from vppres.outlook.belief import OutageBelief
 
 MOST_CELLS = 240
@@ -49,8 +49,8 @@ class EquivalentBattery:
         Largest power of all generating sets, which they give in an outage.
     fuel_kwh : float
         Energy in a battery that stands for all fuel that they have or will get.
-    kwh_per_litre : array, shape (G,)
-        What a litre of each set stands for.
+    kwh_each : dict
+        Energy that a unit of what each asset of a kind holds stands for, (n,) by kind.
     """
 
     least_kwh: float
@@ -61,7 +61,7 @@ class EquivalentBattery:
     eta_discharge: float
     sets_kw: float = 0.0
     fuel_kwh: float = 0.0
-    kwh_per_litre: Floats = field(default_factory=no_items)
+    kwh_each: dict[str, Floats] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,7 +195,7 @@ def stored_value(
     points = np.linspace(energy[0], energy[-1], PIECES + 1)
     concave = np.interp(points, energy, concave_above(worth))
     service = concave - concave[0]
-    return StoredValue(points, service, gbp_per_service, belief.out, fleet.kwh_per_litre)
+    return StoredValue(points, service, gbp_per_service, belief.out, fleet.kwh_each)
 
 
 def concave_above(values: Floats) -> Floats:

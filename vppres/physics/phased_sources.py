@@ -1,42 +1,51 @@
-"""The flows of a phased feeder from each of its sources: the grid, and the battery of an island.
+"""The flows of a phased feeder from each of its sources: the grid, and what forms an island.
 
-Its assets are customers, PV systems and batteries, in this order.
+Its assets are customers, PV systems, batteries, and the units of each kind of flexible power, in
+this order.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from vppres.core.arrays import Floats, Names, Wholes
+from vppres.kinds.table import units_of
 from vppres.physics.phases import PhasedFlow
-from vppres.scenario.assets import Batteries, Customers, PVSystems
+from vppres.scenario.assets import Batteries
 from vppres.scenario.earthing import in_island
+from vppres.scenario.formers import island_former
 from vppres.scenario.network import Network
 from vppres.scenario.phases import Phases
 
 
-def assets_of(customers: Customers, pv: PVSystems, batteries: Batteries) -> list[str]:
-    """Names of all assets."""
-    return [str(name) for table in (customers, pv, batteries) for name in table.id]
+def assets_of(site: Any) -> list[str]:
+    """Names of all assets of a scenario or site."""
+    tables = (site.customers, site.pv, site.batteries, *units_of(site).values())
+    return [str(name) for table in tables for name in table.id]
 
 
-def buses_of(customers: Customers, pv: PVSystems, batteries: Batteries) -> Names:
-    """Bus of the network of each asset."""
-    return np.concatenate([customers.bus, pv.buses(customers), batteries.bus])
+def buses_of(site: Any) -> Names:
+    """Bus of the network of each asset of a scenario or site."""
+    customers = site.customers
+    units = (each.buses(customers) for each in units_of(site).values())
+    return np.concatenate([customers.bus, site.pv.buses(customers), site.batteries.bus, *units])
 
 
 Labels = tuple[tuple[str, str], ...]
 """Bus and phase of each voltage with limits."""
 
 
-def labels_by_source(phases: Phases, batteries: Batteries) -> tuple[Labels, Labels]:
-    """Voltages with limits, as many of both: with the grid, and in the island of the former."""
-    former = former_of(phases, batteries)
-    if former is None:
-        return phases.measured, phases.measured
-    return phases.measured, in_island(phases, str(batteries.id[former])).measured
+def labels_by_source(site: Any) -> tuple[Labels, Labels]:
+    """Voltages with limits, as many of both: with the grid, and in the island of the former.
+
+    The site is a scenario or site with phases.
+    """
+    own = site.phases.measured
+    former = island_former(site)
+    return own, own if former is None else in_island(site.phases, former).measured
 
 
 def measured_at(phases: Phases, network: Network) -> Wholes:
@@ -58,14 +67,14 @@ def farthest(v_pu: Floats, at_bus: Wholes, n_buses: int) -> Floats:
 
 
 def drawn_uncontrolled(
-    load_kw: Floats, load_kvar: Floats, pv_kw: Floats, n_batteries: int
+    load_kw: Floats, load_kvar: Floats, pv_kw: Floats, n_assets: int
 ) -> tuple[Floats, Floats]:
-    """Powers that assets draw without control: all customers, all PV power, batteries idle.
+    """Powers that assets draw without control: all customers, all PV power, the rest idle.
 
-    >>> drawn_uncontrolled(np.array([3.0]), np.array([1.0]), np.array([2.0]), n_batteries=1)
+    >>> drawn_uncontrolled(np.array([3.0]), np.array([1.0]), np.array([2.0]), n_assets=3)
     (array([ 3., -2.,  0.]), array([1., 0., 0.]))
     """
-    idle = np.zeros(n_batteries)
+    idle = np.zeros(n_assets - len(load_kw) - len(pv_kw))
     p_kw = np.concatenate([load_kw, -pv_kw, idle])
     return p_kw, np.concatenate([load_kvar, np.zeros_like(pv_kw), idle])
 
@@ -86,17 +95,16 @@ def flow_of_grid(phases: Phases, assets: Sequence[str], v_pu: float) -> PhasedFl
 def flow_of_former(
     phases: Phases,
     assets: Sequence[str],
-    batteries: Batteries,
-    former: int,
+    former: str,
     v_min_pu: float,
     v_max_pu: float,
 ) -> PhasedFlow:
-    """The flow with a battery as source, at the voltage from which no load is within limits.
+    """The flow with a device as source, at the voltage from which no load is within limits.
 
     It holds the middle of what keeps all voltages within their limits at no load.
     """
-    bus = phases.connection(str(batteries.id[former])).bus
-    phases = in_island(phases, str(batteries.id[former]))
+    bus = phases.connection(former).bus
+    phases = in_island(phases, former)
     probe = PhasedFlow(phases, assets, bus, 1.0, island=True)
     at_rest = probe.v_pu(probe.no_load_v)
     held = (v_min_pu / at_rest.min() + v_max_pu / at_rest.max()) / 2.0

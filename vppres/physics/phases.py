@@ -19,8 +19,8 @@ from numpy.typing import ArrayLike
 from scipy.sparse.linalg import splu
 
 from vppres.core.arrays import Complexes, Floats, Wholes
-from vppres.core.errors import VerificationError
 from vppres.core.units import V_PER_KV, VA_PER_KVA, W_PER_KW
+from vppres.physics.powerflow import NoSolutionError
 from vppres.scenario.phases import Phases, PhaseShunt, PhaseTransformer, coils_of
 
 TOLERANCE_PU = 1e-10
@@ -37,7 +37,7 @@ ANGLES = np.exp(-2j * np.pi / 3 * np.arange(3))
 S_PER_US = 1e-6
 
 
-class NoPhasedSolutionError(VerificationError):
+class NoPhasedSolutionError(NoSolutionError):
     """The flow of three phases has no solution beyond a share of its load.
 
     Parameters
@@ -49,9 +49,9 @@ class NoPhasedSolutionError(VerificationError):
     def __init__(self, share: float) -> None:
         super().__init__(
             "the three-phase power flow has no solution: voltages collapse at "
-            f"{share:.1%} of the load. Serve less, or check the impedances."
+            f"{share:.1%} of the load. Serve less, or check the impedances.",
+            share,
         )
-        self.share = share
 
 
 def incidence(phases: Phases, places: Iterable[tuple[str, str]]) -> Any:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vppres.core.arrays import Complexes, Floats, freeze_arrays
+from vppres.core.arrays import Complexes, Flags, Floats, Wholes, freeze_arrays
 from vppres.core.errors import InputError, VerificationError
 from vppres.core.units import kw_to_mw, mw_to_kw
 from vppres.physics.admittances import Admittances, admittances_of
@@ -84,7 +84,20 @@ class ACResult:
     losses_kw : float
         Active losses of all lines, and what leakage and shunts draw.
     p_slack_kw, q_slack_kvar : float
-        What the source at the reference bus gives: the import, unless an island was solved.
+        What the source at the reference place gives: the import, unless an island was solved.
+    v_node_pu : array, shape (m,)
+        Voltages that have limits: of nodes or between them, of the buses where these are the nodes.
+    nodes : tuple
+        Bus and phase, or pair of phases, of each of them; empty on a balanced feeder.
+    source_kva : array of complex, shape (3,) or (1,)
+        What the reference place gives on each phase, source and devices; in all if balanced.
+    phases : str
+        The source's phases; empty on a balanced feeder.
+    unbalance : float
+        Largest unbalance factor of any bus with three phases; NaN on a balanced feeder.
+    loading, loading_at : float and str
+        Largest current of a phase as a share of the rating of its line or transformer, and where;
+        NaN on a balanced feeder.
     converged : bool
         Always true in what :meth:`ACPowerFlow.solve` returns: without convergence it raises. False
         in ``NotFoundError.best``.
@@ -98,14 +111,33 @@ class ACResult:
     losses_kw: float
     p_slack_kw: float
     q_slack_kvar: float
+    v_node_pu: Floats
+    source_kva: Complexes
+    nodes: tuple[tuple[str, str], ...] = ()
+    phases: str = ""
+    unbalance: float = np.nan
+    loading: float = np.nan
+    loading_at: str = ""
     converged: bool = True
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
 
+    @property
+    def fullest(self) -> int:
+        """The phase on which the source gives or takes most."""
+        return int(np.abs(self.source_kva).argmax())
+
+    @property
+    def fullest_kva(self) -> float:
+        """Power of a source whose phases all give what the fullest of its own does."""
+        return float(len(self.source_kva) * np.abs(self.source_kva).max())
+
 
 class ACPowerFlow:
-    """AC power flow of a network, built once and solved for one injection after another.
+    """AC power flow of a balanced feeder, whose buses are its nodes and its places.
+
+    It is built once and solved for one injection after another.
 
     A solve tries, one after another until one converges: Newton's method from the voltages of the
     solve before; from a flat start; the same with the tolerance that rounding allows, where that is
@@ -170,6 +202,16 @@ class ACPowerFlow:
             return self._followed(p, q, reference)
         self._last[reference] = v
         return _read(net, self._admittances, v, s_mva, reference)
+
+    def dead(self) -> ACResult:
+        """The result without any source: NaN, and no flow."""
+        none, v_pu = np.zeros(self.network.n_lines), np.full(self.network.n_buses, np.nan)
+        source = np.full(1, np.nan, dtype=complex)
+        return ACResult(v_pu, none, none, none, none, 0.0, 0.0, 0.0, v_pu, source)
+
+    def on_phase(self, places: Wholes) -> Flags:
+        """Every device is on all that there is, (1, n)."""
+        return np.ones((1, len(places)), dtype=bool)
 
     def _by_newton(self, reference: int, s_mva: Complexes) -> Complexes | None:
         """Voltages from those of the solve before, else from a flat start; None if not found."""
@@ -289,6 +331,11 @@ def _summed(powers: Floats) -> Floats:
     return np.diff(np.cumsum(powers), prepend=0.0)
 
 
+def _in_kva(s_mva: complex) -> Complexes:
+    """A source's power on its only phase, (1,)."""
+    return np.array([complex(mw_to_kw(s_mva.real), mw_to_kw(s_mva.imag))])
+
+
 def _read(
     network: Network, admittances: Admittances, v: Complexes, s_mva: Complexes, reference: int
 ) -> ACResult:
@@ -301,8 +348,9 @@ def _read(
     own = s_mva[reference]
     v_referred = np.abs(v)
     losses_kw = float(mw_to_kw(sent.real + arrived.real).sum())
+    v_pu = v_referred * network.bus_ratio
     return ACResult(
-        v_pu=v_referred * network.bus_ratio,
+        v_pu=v_pu,
         p_from_kw=mw_to_kw(sent.real),
         q_from_kvar=mw_to_kw(sent.imag),
         p_to_kw=-mw_to_kw(arrived.real),
@@ -310,6 +358,8 @@ def _read(
         losses_kw=losses_kw + float(network.shunt_kw @ v_referred**2),
         p_slack_kw=float(mw_to_kw(source.real - own.real)),
         q_slack_kvar=float(mw_to_kw(source.imag - own.imag)),
+        v_node_pu=v_pu,
+        source_kva=_in_kva(source),
     )
 
 
@@ -324,9 +374,10 @@ def _read_followed(
     # What leaves the reference bus over its lines comes from its source and its own injection,
     # less what the network draws there.
     source = -found.v[reference] * np.conj((network.incidence @ found.i)[reference])
-    own_kw, own_kvar = network.drawn(v_referred * network.bus_ratio)
+    v_pu = v_referred * network.bus_ratio
+    own_kw, own_kvar = network.drawn(v_pu)
     return ACResult(
-        v_pu=v_referred * network.bus_ratio,
+        v_pu=v_pu,
         p_from_kw=mw_to_kw(sent.real),
         q_from_kvar=mw_to_kw(sent.imag),
         p_to_kw=mw_to_kw(arrived.real),
@@ -334,5 +385,7 @@ def _read_followed(
         losses_kw=losses_kw + float(network.shunt_kw @ v_referred**2),
         p_slack_kw=float(mw_to_kw(source.real) - p_kw[reference] + own_kw[reference]),
         q_slack_kvar=float(mw_to_kw(source.imag) - q_kvar[reference] + own_kvar[reference]),
+        v_node_pu=v_pu,
+        source_kva=_in_kva(source),
         converged=found.outcome == "solved",
     )

@@ -2,25 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
 from vppres.core.arrays import Floats, Wholes
 from vppres.core.errors import VerificationError
-from vppres.physics.phased_sources import (
-    assets_of,
-    drawn_uncontrolled,
-    farthest,
-    flow_of_grid,
-    measured_at,
-)
-from vppres.physics.powerflow import ACPowerFlow
-from vppres.scenario.phases import Phases
+from vppres.physics.feeder import power_flows
+from vppres.physics.places import Places
 from vppres.scenario.scenario import SOFT, Scenario
-
-Solved = Callable[[Floats, Floats, Floats], Floats]
-"""Voltages of the buses, (N,), from demand (C,), its reactive power, and PV power (P,)."""
 
 MOST_STEPS = 96
 """Steps that are solved, a day of quarter hours: those with the most and the least net demand."""
@@ -56,43 +46,20 @@ def _extreme_steps(scenario: Scenario) -> Wholes:
 
 def _voltages(scenario: Scenario, steps: Wholes) -> tuple[Floats, int]:
     """AC voltages of the steps that have any, NaN in the others, and how many those are."""
-    solved = (
-        _balanced(scenario) if scenario.phases is None else _by_phase(scenario, scenario.phases)
-    )
+    flow, _ = power_flows(scenario)
+    at = Places.of(scenario)
     usable_kw = np.minimum(scenario.pv_kw, scenario.pv.s_max_kva)
     found = np.full((len(steps), scenario.network.n_buses), np.nan)
     for row, t in enumerate(steps):
+        p_kw, q_kvar = np.zeros((2, len(at)))
+        np.add.at(p_kw, at.pv, usable_kw[t])
+        np.add.at(p_kw, at.customers, -scenario.load_kw[t])
+        np.add.at(q_kvar, at.customers, -scenario.load_kvar[t])
         try:
-            found[row] = solved(scenario.load_kw[t], scenario.load_kvar[t], usable_kw[t])
+            found[row] = flow.solve(p_kw, q_kvar).v_pu
         except VerificationError:
             continue
     return found, int(np.isnan(found).any(axis=1).sum())
-
-
-def _balanced(scenario: Scenario) -> Solved:
-    """The flow of a balanced feeder."""
-    net = scenario.network
-    customer = net.place(scenario.customers.bus)
-    pv = net.place(scenario.pv.buses(scenario.customers))
-    flow = ACPowerFlow(net)
-
-    def solved(load_kw: Floats, load_kvar: Floats, pv_kw: Floats) -> Floats:
-        return flow.solve(pv @ pv_kw - customer @ load_kw, -(customer @ load_kvar)).v_pu
-
-    return solved
-
-
-def _by_phase(scenario: Scenario, phases: Phases) -> Solved:
-    """Solver of a phased feeder: for each bus the voltage that is farthest from 1 pu."""
-    net, b = scenario.network, scenario.batteries
-    flow = flow_of_grid(phases, assets_of(scenario.customers, scenario.pv, b), net.v_slack_pu)
-    at_bus = measured_at(phases, net)
-
-    def solved(load_kw: Floats, load_kvar: Floats, pv_kw: Floats) -> Floats:
-        drawn = drawn_uncontrolled(load_kw, load_kvar, pv_kw, len(b))
-        return farthest(flow.v_pu(flow.solve(*drawn).v), at_bus, net.n_buses)
-
-    return solved
 
 
 def _beyond(scenario: Scenario, steps: Wholes, v_pu: Floats) -> Iterator[str]:

@@ -15,7 +15,8 @@ import numpy as np
 from vppres.contract.decision import Decision
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import VerificationError
-from vppres.physics.powerflow import ACPowerFlow, ACResult, NoSolutionError, NotFoundError
+from vppres.physics.feeder import PowerFlow
+from vppres.physics.powerflow import ACResult, NoSolutionError, NotFoundError
 from vppres.plant.exporting import within_export_limit
 from vppres.plant.island import Settled
 from vppres.plant.plant import NOBODY, BatteryState, Plant, Realised
@@ -23,7 +24,7 @@ from vppres.scenario.scenario import Scenario
 
 
 def realise(
-    plant: Plant, flow: ACPowerFlow, t: int, decision: Decision, state: BatteryState
+    plant: Plant, flow: PowerFlow, t: int, decision: Decision, state: BatteryState
 ) -> Settled:
     """Carry out a decision; where its power flow has no solution, shed tiers from the lowest up.
 
@@ -35,8 +36,8 @@ def realise(
     ----------
     plant : Plant
         The actual day.
-    flow : ACPowerFlow
-        Power flow of its network.
+    flow : PowerFlow
+        Power flow of its feeder.
     t : int
         Step.
     decision : Decision

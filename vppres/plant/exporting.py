@@ -11,8 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from vppres.physics.powerflow import ACPowerFlow, ACResult
-from vppres.plant.island import curtailed, part_of, powers_of, spare, taking
+from vppres.physics.feeder import PowerFlow
+from vppres.physics.powerflow import ACResult
+from vppres.plant.changes import curtailed, part_of, powers_of, spare, taking
 from vppres.plant.plant import BatteryState, Plant, Powers, Realised
 
 LIMIT_TOLERANCE_KW = 1e-3
@@ -22,7 +23,7 @@ _MAX_ROUNDS = 20
 
 
 def within_export_limit(
-    plant: Plant, flow: ACPowerFlow, t: int, realised: Realised, state: BatteryState
+    plant: Plant, flow: PowerFlow, t: int, realised: Realised, state: BatteryState
 ) -> tuple[Realised, ACResult]:
     """A connected step with no more export than its limit, and its power flow.
 
@@ -30,8 +31,8 @@ def within_export_limit(
     ----------
     plant : Plant
         The actual day.
-    flow : ACPowerFlow
-        Power flow of its network.
+    flow : PowerFlow
+        Power flow of its feeder.
     t : int
         Step.
     realised : Realised

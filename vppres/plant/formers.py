@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -11,36 +10,6 @@ from vppres.core.arrays import Flags, Floats
 from vppres.kinds.gensets.physics import Engines
 from vppres.plant.plant import BatteryState, Plant, Powers, SetForms
 from vppres.scenario.assets import Batteries
-
-
-class Former(Protocol):
-    """Device that holds the voltage of an island and takes up its mismatch."""
-
-    @property
-    def bus(self) -> int:
-        """Position of the bus at which the voltage is held."""
-        ...
-
-    @property
-    def batteries(self) -> Flags:
-        """Batteries that form the grid, (B,)."""
-        ...
-
-    def begin(self, powers: Powers) -> Powers:
-        """The set-points of a step that it forms."""
-        ...
-
-    def feeding(self, powers: Powers, kvar: float) -> Powers:
-        """The powers with so much more reactive power of the reference."""
-        ...
-
-    def share(self, powers: Powers, deficit_kw: float) -> tuple[Powers, float]:
-        """The powers with a deficit taken up, and what is left of it."""
-        ...
-
-    def excess_kva(self, powers: Powers) -> float:
-        """Power of the reference beyond its rating."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,9 +29,14 @@ class FormingBatteries:
         return int(np.argmax(np.where(self.batteries, self._b.s_max_kva, -1.0)))
 
     @property
-    def bus(self) -> int:
-        """Position of its bus."""
-        return int(self.plant.battery_bus[self.reference])
+    def name(self) -> str:
+        """Its name."""
+        return str(self._b.id[self.reference])
+
+    @property
+    def place(self) -> int:
+        """Its place."""
+        return int(self.plant.places.batteries[self.reference])
 
     @property
     def _b(self) -> Batteries:
@@ -92,10 +66,14 @@ class FormingBatteries:
         )
         return replace(powers, battery_kw=base_kw - given), float(deficit_kw - given.sum())
 
+    @property
+    def rating_kva(self) -> float:
+        """Rating of its inverter."""
+        return float(self._b.s_max_kva[self.reference])
+
     def excess_kva(self, powers: Powers) -> float:
         """Reactive power of the reference beyond its rating."""
-        rating = self._b.s_max_kva[self.reference]
-        return float(abs(powers.batt_q_kvar[self.reference]) - rating)
+        return float(abs(powers.batt_q_kvar[self.reference]) - self.rating_kva)
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,9 +85,14 @@ class FormingSet:
     genset: int
 
     @property
-    def bus(self) -> int:
-        """Position of its bus."""
-        return int(self.plant.unit_bus["gensets"][self.genset])
+    def name(self) -> str:
+        """Its name."""
+        return str(self.plant.scenario.gensets.id[self.genset])
+
+    @property
+    def place(self) -> int:
+        """Its place."""
+        return int(self.plant.places.units["gensets"][self.genset])
 
     @property
     def batteries(self) -> Flags:
@@ -140,11 +123,20 @@ class FormingSet:
         shared = replace(powers, taken_kw={**powers.taken_kw, "gensets": taken_kw})
         return shared, deficit_kw - (given_kw - before_kw)
 
+    @property
+    def rating_kva(self) -> float:
+        """Rating of its generator."""
+        return float(self.plant.scenario.gensets.s_max_kva[self.genset])
+
     def excess_kva(self, powers: Powers) -> float:
         """Reactive power of the set beyond what its power factor allows."""
         assert powers.forming is not None
         most_kvar = self.plant.scenario.gensets.q_max_kvar[self.genset]
         return float(abs(powers.forming.q_kvar) - most_kvar)
+
+
+Former = FormingBatteries | FormingSet
+"""A device that holds the voltage of an island at its place and takes up the island's mismatch."""
 
 
 def share_out(power_kw: float, room_kw: Floats, rating: Floats) -> Floats:

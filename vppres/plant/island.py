@@ -6,6 +6,10 @@ cannot hold the island, a grid-forming generating set does. What is beyond that 
 that need no communication: surplus PV power is curtailed; what is missing is first given by the
 other batteries, then customers are shed from the least important tier upwards. Where nothing is
 able, the island blacks out.
+
+On a feeder with phases the former takes what each phase lacks. Where one of its phases is beyond
+its part of the rating, the same is done for what is on that phase first
+(:mod:`vppres.plant.relief`).
 """
 
 from __future__ import annotations
@@ -18,30 +22,31 @@ import numpy as np
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import VerificationError
 from vppres.kinds.gensets.physics import Engines
-from vppres.physics.powerflow import (
-    ACPowerFlow,
-    ACResult,
-    NoSolutionError,
-    NotFoundError,
+from vppres.physics.feeder import PowerFlow
+from vppres.physics.powerflow import ACResult, NoSolutionError, NotFoundError
+from vppres.plant.changes import (
+    CUT_MARGIN_KW,
+    TAKE_LESS,
+    curtailed,
+    forms,
+    part_of,
+    powers_of,
+    spare,
+    taking,
+    taking_less,
 )
 from vppres.plant.formers import Former, FormingBatteries, FormingSet
 from vppres.plant.plant import NOBODY, BatteryState, Plant, Powers, Realised
+from vppres.plant.relief import OnPhases
 from vppres.scenario.formers import forming_batteries
 from vppres.scenario.scenario import Scenario
 
 BALANCE_TOLERANCE_KW = 1e-6
 """Largest power that the source of the power flow may still give once the set has shared it; more
-only where the power flow itself is less exact (``ACPowerFlow.tolerance_kva``)."""
+only where the power flow itself is less exact (``tolerance_kva`` of a power flow)."""
 
 COLLAPSE_PU = 0.7
 """A voltage below which motors stall and inverters trip: the island blacks out."""
-
-CUT_MARGIN_KW = 1e-3
-"""Margin of a cut beyond the need, so that the set has something left to settle with."""
-
-TAKE_LESS = ("thermal_loads", "chargers")
-"""Kinds that take less where an island lacks power, in this order: before batteries and customers.
-"""
 
 _MAX_SHARINGS = 50
 NO_FORMER = "no battery forms the grid"
@@ -67,6 +72,8 @@ class Settled:
         What each battery gave beyond its set-point (negative: took).
     by_set_kw : float
         What the generating set gave so that forms the grid.
+    former : str
+        The device that was the source; empty where none was, and with grid.
     shed : array of bool, shape (C,)
         Who was to be served and was cut off.
     dark_reason : str
@@ -83,6 +90,7 @@ class Settled:
     dark_reason: str = ""
     ac_failed: str = ""
     by_set_kw: float = 0.0
+    former: str = ""
 
     @property
     def dark(self) -> bool:
@@ -101,7 +109,7 @@ class Balance:
     former: Former
     ac: ACResult
     left_kw: float
-    excess_kvar: float
+    excess_kva: float
     not_found: str = ""
 
 
@@ -112,14 +120,15 @@ class IslandPlant:
     ----------
     plant : Plant
         The actual day.
-    flow : ACPowerFlow
-        Power flow of its network.
+    flow : PowerFlow
+        Power flow of its feeder.
     """
 
-    def __init__(self, plant: Plant, flow: ACPowerFlow) -> None:
+    def __init__(self, plant: Plant, flow: PowerFlow) -> None:
         self.plant = plant
         self.flow = flow
         self.formers = forming_batteries(plant.scenario)
+        self._on = OnPhases.of(plant, flow)
         self.tolerance_kw = max(BALANCE_TOLERANCE_KW, flow.tolerance_kva)
 
     def settle(self, t: int, planned: Realised, state: BatteryState) -> Settled:
@@ -162,7 +171,28 @@ class IslandPlant:
     def _with_former(
         self, t: int, planned: Realised, state: BatteryState, former: Former
     ) -> Settled:
-        """The step with this former, dark if it cannot hold the island."""
+        """The step with this former, dark if it cannot hold the island.
+
+        Other batteries discharge beyond their set-points before a customer is shed. What relieves
+        one phase may overload another, and then the step without that help is the other choice.
+        """
+        others = ~former.batteries
+        helped = self._held(t, planned, state, former, others)
+        if self._on.n_phases == 1 or not (helped.dark or helped.shed.any()):
+            return helped
+        alone = self._held(t, planned, state, former, np.zeros_like(others))
+        return max(helped, alone, key=self._supplied)
+
+    def _supplied(self, settled: Settled) -> tuple[int, ...]:
+        """How many customers of each tier are on, those of the first tier first."""
+        s = self.plant.scenario
+        on = s.customers.tier[settled.realised.served]
+        return (int(not settled.dark), *(int((on == tier).sum()) for tier in s.tiers))
+
+    def _held(
+        self, t: int, planned: Realised, state: BatteryState, former: Former, helpers: Flags
+    ) -> Settled:
+        """The step with this former and the help of some batteries, (B,)."""
         set_points = powers = former.begin(powers_of(planned))
         # Every round sheds, stops or curtails something, so this is more than can be needed.
         devices = len(planned.served) + len(planned.pv_self_kw)
@@ -176,7 +206,7 @@ class IslandPlant:
                 break
             if not found.not_found and found.ac.v_pu.min() < COLLAPSE_PU:
                 return self._dark(t, planned, state, COLLAPSE)
-            if abs(found.left_kw) <= self.tolerance_kw and found.excess_kvar <= 0.0:
+            if abs(found.left_kw) <= self.tolerance_kw and found.excess_kva <= 0.0:
                 realised = self.plant.realise(t, found.powers, state, planned.clipped_kw)
                 gave = set_points.battery_kw - found.powers.battery_kw
                 return Settled(
@@ -186,8 +216,9 @@ class IslandPlant:
                     planned.served & ~realised.served,
                     ac_failed=found.not_found,
                     by_set_kw=_given_beyond_kw(set_points, found.powers),
+                    former=former.name,
                 )
-            cut = self._protective_action(t, powers, found, state)
+            cut = self._protective_action(t, powers, found, state, helpers)
             if cut is None:
                 break
             powers = cut
@@ -201,7 +232,9 @@ class IslandPlant:
             shared, left_kw = former.share(powers, deficit_kw)
             realised = self.plant.realise(t, shared, state)
             try:
-                ac = self.flow.solve(realised.p_injection_kw, realised.q_injection_kvar, former.bus)
+                ac = self.flow.solve(
+                    realised.p_injection_kw, realised.q_injection_kvar, former.place
+                )
             except NotFoundError as error:
                 # Nothing shows that the lines cannot carry it: what is known is the balance.
                 deficit_kw += left_kw - float(realised.p_injection_kw.sum())
@@ -218,39 +251,60 @@ class IslandPlant:
         raise VerificationError("the sharing of the mismatch does not converge")
 
     def _excess_kva(self, former: Former, powers: Powers, ac: ACResult) -> float:
-        """Power of the island's former beyond its rating."""
-        return former.excess_kva(powers)
+        """Power of the island's former beyond its rating.
+
+        What is cut on a phase comes off that phase alone, so its excess counts for all of them.
+        What the power flow itself may miss is none.
+        """
+        own_kva = former.excess_kva(powers)
+        of_phases_kva = ac.fullest_kva - former.rating_kva
+        if self._on.n_phases == 1 or own_kva > 0.0 or of_phases_kva <= self.tolerance_kw:
+            return own_kva
+        return of_phases_kva
 
     def _order(self, t: int, powers: Powers, ac: ACResult) -> list[int]:
-        """Customers that are on in the order in which they are shed."""
-        return [c for c in shedding_order(self.plant.scenario, t) if powers.served[c]]
+        """Customers that are on in the order in which they are shed; those off the phase last."""
+        on_phase = self._on.customers[ac.fullest]
+        order = [c for c in shedding_order(self.plant.scenario, t) if powers.served[c]]
+        return sorted(order, key=lambda c: not on_phase[c])
 
-    def _others_room_kw(
-        self, powers: Powers, state: BatteryState, others: Flags, ac: ACResult
-    ) -> Floats:
-        """Further discharge that batteries can give that do not form the grid, (B,)."""
+    def _room_kw(self, powers: Powers, state: BatteryState, helpers: Flags, ac: ACResult) -> Floats:
+        """Further discharge that batteries can give as a help, (B,)."""
         _, most_discharge = self.plant.battery_limits_kw(state)
         s_max_kva = self.plant.scenario.batteries.s_max_kva
         disc_kw = np.sqrt(np.maximum(s_max_kva**2 - powers.batt_q_kvar**2, 0.0))
         room_kw = np.minimum(most_discharge, disc_kw) + np.minimum(powers.battery_kw, 0.0)
-        return np.where(others, np.maximum(room_kw, 0.0), 0.0)
+        return self._on.room_kw(np.where(helpers, np.maximum(room_kw, 0.0), 0.0), ac)
 
     def _protective_action(
-        self, t: int, powers: Powers, found: Balance, state: BatteryState
+        self, t: int, powers: Powers, found: Balance, state: BatteryState, helpers: Flags
     ) -> Powers | None:
         """One more protective action, None if there is none left."""
-        need_kw = max(found.left_kw, found.excess_kvar) + CUT_MARGIN_KW
+        need_kw = max(found.left_kw, found.excess_kva) + CUT_MARGIN_KW
+        if self._on.n_phases > 1 and abs(found.left_kw) <= self.tolerance_kw:
+            relieved = None
+            if found.former.excess_kva(found.powers) <= 0.0:
+                room_kw = self._room_kw(powers, state, helpers, found.ac)
+                relieved = self._on.relieved(t, powers, found.ac, need_kw, room_kw, found.former)
+            return (
+                relieved
+                or self._shed(t, powers, need_kw, found.ac)
+                or self._on.without_any(powers, found.former)
+            )
         others = ~found.former.batteries
         if found.left_kw >= -self.tolerance_kw:
             for kind in TAKE_LESS if found.left_kw > self.tolerance_kw else ():
                 taken_kw = powers.taken_kw.get(kind, np.zeros(0))
                 taking_kw = np.maximum(taken_kw, 0.0)
                 if taking_kw.sum() > 0:
-                    return taking(powers, kind, taken_kw - part_of(taking_kw, need_kw))
+                    off_kw = part_of(taking_kw, need_kw)
+                    less = taking_less(self.plant, t, powers, kind, off_kw)
+                    if less is not None:
+                        return less
             charging = np.where(others, np.maximum(powers.battery_kw, 0.0), 0.0)
             if found.left_kw > self.tolerance_kw and charging.sum() > 0:
                 return replace(powers, battery_kw=powers.battery_kw - part_of(charging, need_kw))
-            room_kw = self._others_room_kw(powers, state, others, found.ac)
+            room_kw = self._room_kw(powers, state, helpers, found.ac)
             if found.left_kw > self.tolerance_kw and room_kw.sum() > self.tolerance_kw:
                 return replace(powers, battery_kw=powers.battery_kw - part_of(room_kw, need_kw))
             return self._shed(t, powers, need_kw, found.ac)
@@ -264,7 +318,7 @@ class IslandPlant:
         if discharging.sum() > 0:
             return replace(powers, battery_kw=powers.battery_kw + part_of(discharging, surplus_kw))
         for kind, taken_kw in powers.taken_kw.items():
-            stops = (taken_kw < 0.0) & ~_forms(powers, kind)
+            stops = (taken_kw < 0.0) & ~forms(powers, kind)
             if stops.any():
                 running = {**powers.running, kind: powers.running[kind] & ~stops}
                 stopped = replace(powers, running=running)
@@ -293,7 +347,6 @@ class IslandPlant:
 
     def _dark(self, t: int, planned: Realised, state: BatteryState, reason: str) -> Settled:
         """No customer is supplied, nothing generates, nothing flows."""
-        net = self.plant.scenario.network
         pv = np.zeros(len(planned.pv_self_kw))
         batteries = np.zeros(len(planned.charge_kw))
         off = Powers(
@@ -305,9 +358,8 @@ class IslandPlant:
             batteries,
             batteries,
         )
-        lines = np.zeros(net.n_lines)
-        ac = ACResult(np.full(net.n_buses, np.nan), lines, lines, lines, lines, 0.0, 0.0, 0.0)
-        return Settled(self.plant.realise(t, off, state), ac, batteries, planned.served, reason)
+        realised = self.plant.realise(t, off, state)
+        return Settled(realised, self.flow.dead(), batteries, planned.served, reason)
 
 
 def shedding_order(scenario: Scenario, t: int) -> list[int]:
@@ -322,70 +374,9 @@ def shedding_order(scenario: Scenario, t: int) -> list[int]:
     return [int(c) for c in np.lexsort((per_kw, -tier))]
 
 
-def powers_of(realised: Realised) -> Powers:
-    """The powers of a step that happened."""
-    return Powers(
-        realised.served,
-        realised.pv_self_kw,
-        realised.pv_export_kw,
-        realised.pv_curtailed_kw,
-        realised.pv_q_kvar,
-        realised.charge_kw - realised.discharge_kw,
-        realised.batt_q_kvar,
-        realised.share,
-        realised.taken_kw,
-        realised.running,
-        realised.forming,
-    )
-
-
-def taking(powers: Powers, kind: str, taken_kw: Floats) -> Powers:
-    """Powers in which the units of a kind take these, (n,)."""
-    return replace(powers, taken_kw={**powers.taken_kw, kind: taken_kw})
-
-
-def spare(plant: Plant, powers: Powers) -> dict[str, Floats]:
-    """Power that units can give less without stopping, (n,) by kind; sets come first.
-
-    The set that forms the grid takes up what is too much by itself.
-    """
-    return {
-        kind: plant.units[kind].spare_kw(powers.taken_kw[kind], powers.running[kind])
-        * ~_forms(powers, kind)
-        for kind in reversed(plant.units)
-    }
-
-
-def _forms(powers: Powers, kind: str) -> Flags:
-    """Units of a kind that form the grid, (n,)."""
-    forms = np.zeros(len(powers.taken_kw[kind]), dtype=bool)
-    if kind == "gensets" and powers.forming is not None:
-        forms[powers.forming.genset] = True
-    return forms
-
-
 def _given_beyond_kw(set_points: Powers, powers: Powers) -> float:
     """Power of the set that forms the grid beyond its set-point."""
     if powers.forming is None:
         return 0.0
     one = powers.forming.genset
     return float(set_points.taken_kw["gensets"][one] - powers.taken_kw["gensets"][one])
-
-
-def part_of(powers_kw: Floats, need_kw: float) -> Floats:
-    """So much of each power, in proportion, that their sum meets the need."""
-    total_kw = float(powers_kw.sum())
-    return powers_kw * min(1.0, need_kw / total_kw) if total_kw else powers_kw
-
-
-def curtailed(powers: Powers, surplus_kw: float) -> Powers:
-    """PV power off until the surplus is gone, exports in proportion first."""
-    exports = powers.pv_export_kw if powers.pv_export_kw.sum() > 0 else powers.pv_self_kw
-    off = part_of(exports, surplus_kw)
-    from_export = off if exports is powers.pv_export_kw else np.zeros_like(off)
-    return replace(
-        powers,
-        pv_export_kw=powers.pv_export_kw - from_export,
-        pv_self_kw=powers.pv_self_kw - (off - from_export),
-        pv_curtailed_kw=powers.pv_curtailed_kw + off,
-    )

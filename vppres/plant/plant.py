@@ -17,6 +17,7 @@ from vppres.core.arrays import Flags, Floats
 from vppres.kinds.kind import Followers
 from vppres.kinds.table import parts, units_of
 from vppres.physics.cold_load import ColdLoad
+from vppres.physics.places import Places
 from vppres.physics.thermal import Power, ThermalScheme, advance, initial_state
 from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
@@ -72,7 +73,9 @@ class Powers:
 
 @dataclass(frozen=True, eq=False)
 class Realised:
-    """One step as it happened; powers in kW and kvar, injections (N,) positive as generation.
+    """One step as it happened; powers in kW and kvar, injections positive as generation.
+
+    ``p_injection_kw`` and ``q_injection_kvar`` are those of the places (``Plant.places``).
 
     ``load_kw`` (C,) is the demand, served or not; ``share`` the part of it that those get who are.
     ``taken_kw`` is what each unit of flexible power took, ``running`` which were on, by kind.
@@ -126,23 +129,13 @@ class Plant:
         self.cold_load = ColdLoad(
             rules or SwitchingRules(), scenario.grid.dt_h, len(scenario.customers)
         )
-        index = scenario.network.bus_index
-        kinds = units_of(scenario)
+        self.places = Places.of(scenario)
         self._every: dict[str, Followers] = {
             kind: part.PLANT(scenario) for kind, part in parts("physics").items()
         }
-        self.units = {kind: self._every[kind] for kind in kinds}
-        self.unit_bus = {
-            kind: np.array([index[b] for b in units.buses(scenario.customers)], dtype=int)
-            for kind, units in kinds.items()
-        }
-        self._customer_bus = np.array([index[b] for b in scenario.customers.bus], dtype=int)
-        self.battery_bus = np.array([index[b] for b in scenario.batteries.bus], dtype=int)
+        self.units = {kind: self._every[kind] for kind in units_of(scenario)}
         self.owner = scenario.pv.owner(scenario.customers)
         self._alone = scenario.pv.alone
-        pv_buses = scenario.pv.buses(scenario.customers)
-        self._pv_bus = np.array([index[b] for b in pv_buses], dtype=int)
-        self.n_places = scenario.network.n_buses
 
     def of(self, units: type[F]) -> F:
         """The units of a kind, by their class."""
@@ -160,10 +153,6 @@ class Plant:
         """Begin a step with these states by kind."""
         for kind, state in states.items():
             self.units[kind].state = state
-
-    def at_buses(self, realised: Realised) -> tuple[Floats, Floats]:
-        """Net injections of the network's buses, (N,) each."""
-        return realised.p_injection_kw, realised.q_injection_kvar
 
     def initial_state(self) -> BatteryState:
         """State before the first step."""
@@ -237,7 +226,7 @@ class Plant:
     def realise(
         self, t: int, powers: Powers, state: BatteryState, clipped_kw: float = 0.0
     ) -> Realised:
-        """Injections at the buses and batteries' states after powers that are within all limits."""
+        """Injections at places and batteries' states after powers that are within all limits."""
         b = self.scenario.batteries
         load_kw = self.load_kw(t, powers.served)
         charge = np.maximum(powers.battery_kw, 0.0)
@@ -251,11 +240,11 @@ class Plant:
         )
         taken_kw = self.connected_kw(powers.taken_kw, powers.served)
         for kind, each_kw in taken_kw.items():
-            np.add.at(p, self.unit_bus[kind], -each_kw)
-        np.add.at(q, self._pv_bus, powers.pv_q_kvar)
-        np.add.at(q, self.battery_bus, powers.batt_q_kvar)
+            np.add.at(p, self.places.units[kind], -each_kw)
+        np.add.at(q, self.places.pv, powers.pv_q_kvar)
+        np.add.at(q, self.places.batteries, powers.batt_q_kvar)
         if powers.forming is not None:
-            q[self.unit_bus["gensets"][powers.forming.genset]] += powers.forming.q_kvar
+            q[self.places.units["gensets"][powers.forming.genset]] += powers.forming.q_kvar
         soc_end = np.clip(
             state.soc + stored * self.scenario.grid.dt_h / b.energy_kwh, b.soc_min, b.soc_max
         )
@@ -326,13 +315,13 @@ class Plant:
     def _injections(
         self, demand_kw: Floats, own: Floats, export: Floats, battery_kw: Floats
     ) -> tuple[Floats, Floats]:
-        """Net injection of every bus: generation less served demand; kvar of the demand only."""
-        p = np.zeros(self.n_places)
+        """Net injection at every place: generation less served demand; kvar of the demand only."""
+        p = np.zeros(len(self.places))
         q = np.zeros_like(p)
-        np.add.at(p, self._customer_bus, -demand_kw)
-        np.add.at(q, self._customer_bus, -demand_kw * self.scenario.customers.q_per_p)
-        np.add.at(p, self._pv_bus, own + export)
-        np.add.at(p, self.battery_bus, -battery_kw)
+        np.add.at(p, self.places.customers, -demand_kw)
+        np.add.at(q, self.places.customers, -demand_kw * self.scenario.customers.q_per_p)
+        np.add.at(p, self.places.pv, own + export)
+        np.add.at(p, self.places.batteries, -battery_kw)
         return p, q
 
 

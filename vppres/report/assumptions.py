@@ -47,7 +47,7 @@ def option_words(options: Mapping[str, Any]) -> list[OptionWords]:
 
 
 def _meaning(option: Option) -> str:
-    """What an option is, in a sentence."""
+    """Meaning of an option in a sentence."""
     unit = f", in {option.unit}" if option.unit not in ("", "share") else ""
     words = f": {option.words}" if option.words else ""
     return f"{option.meaning[0].upper()}{option.meaning[1:]}{unit}{words}."
@@ -106,7 +106,7 @@ def simplifications(run: Trajectory) -> list[str]:
 
 
 def _order(options: Mapping[str, Any]) -> str:
-    """What tiers meant to the plans."""
+    """Meaning of tiers in the plans."""
     if options.get("priority") == STRICT:
         return (
             "Tiers are in strict order: a window supplies as many customers and steps of the first "
@@ -116,7 +116,7 @@ def _order(options: Mapping[str, Any]) -> str:
 
 
 def _ratings(options: Mapping[str, Any]) -> str:
-    """What ratings of lines meant to the plans."""
+    """Meaning of line ratings in the plans."""
     if options.get("ratings") == LIMIT and options.get("controller") not in RULES:
         return "Plans keep the currents of lines within their ratings where a dispatch does."
     return "Line ratings are reported, not enforced."

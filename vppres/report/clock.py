@@ -67,7 +67,7 @@ class Clock:
 
     @property
     def heading(self) -> str:
-        """What stands above a column of times."""
+        """Heading of a column of times."""
         return f"Time ({self.grid.zone})"
 
     @property

@@ -23,7 +23,7 @@ EMPTY_SHARE = 0.01  # of the usable energy
 
 @dataclass(frozen=True)
 class DayEvent:
-    """What happened at the beginning of a step ``t``, and its time; ``T`` is the end of the day."""
+    """Event at the beginning of a step ``t``, and its time; ``T`` is the end of the day."""
 
     t: int
     time: str

@@ -33,7 +33,7 @@ def findings(run: Trajectory) -> list[str]:
 
 
 def doubts(run: Trajectory) -> list[str]:
-    """What makes the answer doubtful: islands that nothing forms, blackouts, unknown phases."""
+    """Doubts about the answer: islands that nothing forms, blackouts, unknown phases."""
     dark = darkness(run.scenario, run.options.get("mode", "paper"))
     return [*([dark] if dark else []), *blackouts(run), *unknown_phases(run.scenario)]
 

@@ -117,7 +117,7 @@ def who_and_why(run: Trajectory) -> list[str]:
 
 
 def _reasons(run: Trajectory) -> Iterator[str]:
-    """What left customers without supply, most frequent first."""
+    """Reasons why customers were not supplied, most frequent first."""
     if run.explanations is None:
         yield "No reasons recorded: the run used --no-explain."
         return
@@ -129,7 +129,7 @@ def _reasons(run: Trajectory) -> Iterator[str]:
 
 
 def energy_rows(run: Trajectory, summary: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Where energy came from and went, in kWh."""
+    """Sources and uses of energy, in kWh."""
     dt_h = run.scenario.grid.dt_h
     demand_kwh = float(demand_kw(run).sum()) * dt_h
     unserved_kwh = summary["energy_not_supplied_kwh"]
@@ -277,7 +277,7 @@ def further_notes(run: Trajectory) -> tuple[str, ...]:
 
 
 def island_words(run: Trajectory) -> Iterator[str]:
-    """What forms the island, and what is known of outages."""
+    """Formers of the island and foreknowledge of outages, in words."""
     day, options = run.scenario, run.options
     if not day.outage.any():
         return

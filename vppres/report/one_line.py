@@ -234,7 +234,7 @@ def _tile_classes(run: Trajectory, served: Flags) -> Wholes:
 
 
 def _info(run: Trajectory) -> list[str]:
-    """What happens in each step, in a line."""
+    """Line of text for each step."""
     shares = service_by_tier(run)
     lines = []
     for (_, row), (_, step) in zip(shares.iterrows(), run.steps.iterrows(), strict=True):
@@ -247,7 +247,7 @@ def _info(run: Trajectory) -> list[str]:
 
 
 def _phases(run: Trajectory, step: pd.Series[Any]) -> str:
-    """What the source gives on each phase of a phased feeder, in words."""
+    """Source power on each phase of a phased feeder, in words."""
     if run.scenario.phases is None:
         return ""
     name = "former" if step["outage"] else "import"

@@ -69,7 +69,7 @@ def shown_orders(run: Trajectory) -> list[str]:
 
 
 def off_sentence(run: Trajectory) -> str:
-    """What is off over time, in a sentence; empty if nothing ever is."""
+    """Customers off over time, in a sentence; empty if all are always on."""
     off = off_kw(run)
     if not off.any():
         return ""

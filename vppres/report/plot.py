@@ -80,7 +80,7 @@ _LINE_WIDTHS = (0.8, 1.4, 2.0, 2.8, 3.6, 5.0)
 
 
 class Record(Protocol):
-    """What is drawn of a run; also of one that only its series are kept of."""
+    """Series of a run that are drawn; also of one of which only the series are kept."""
 
     @property
     def edges(self) -> Any:
@@ -92,7 +92,7 @@ class Record(Protocol):
 
     @property
     def planned(self) -> Mapping[str, Any] | None:
-        """What a full horizon's plan promised."""
+        """Planned series of a full horizon."""
 
     def series(self, name: str) -> Floats:
         """A quantity of :data:`vppres.day.series.QUANTITIES`, or a column of the steps."""
@@ -449,7 +449,11 @@ def scenario(site: Scenario, ax: Sequence[Axes] | None = None) -> Sequence[Axes]
 
 
 def limit(ax: Axes, value: float, text: str, linestyle: str = "--") -> None:
-    """A horizontal limit with its name at the left, where there is no legend."""
+    """A horizontal limit with its name in the legend, or at the left where there is none."""
+    if ax.get_legend() is not None:
+        ax.axhline(value, label=text, **_limit_line(linestyle))
+        _legend(ax)
+        return
     ax.axhline(value, **_limit_line(linestyle))
     ax.annotate(
         text,
@@ -547,7 +551,7 @@ def steps(ax: Axes, run: Record, values: Floats, style: Style, label: str = "_")
 
 
 def _stack(run: Trajectory, ax: Axes) -> None:
-    """What supplied the customers' demand, one above the other, and what was not supplied."""
+    """Stacked sources of the customers' demand, and the demand not supplied."""
     edges = edges_of(run)
     served, demand = quantity(run, "served_kw"), quantity(run, "load_kw")
     given = {

@@ -15,11 +15,10 @@ from vppres.day.trajectory import Trajectory
 from vppres.feeders.actuate import Feeding
 from vppres.feeders.dss.recheck import PHASE_NAMES, Recheck, recheck_opendss
 from vppres.io.atomic import atomic_folder
-from vppres.physics.phased_sources import former_of
 from vppres.report.plots.chart import Chart, Curve, Curves, Limit
 from vppres.report.plots.drawing import BLACK, RUN_STYLES, Style
 from vppres.report.plots.figures import save_chart
-from vppres.scenario.formers import largest_forming_battery
+from vppres.scenario.formers import island_former, largest_forming_battery, named_units
 
 DECIMALS = 6
 
@@ -36,12 +35,9 @@ def recheck_run(run: Trajectory, source: Path) -> Recheck:
     if phases is not None:
         from vppres.feeders.dss.phased_recheck import recheck_phased
 
-        batteries = run.scenario.batteries
-        former = former_of(phases, batteries)
-        name = None if former is None else str(batteries.id[former])
-        return recheck_phased(run.tables, phases, source, name)
+        return recheck_phased(run.tables, phases, source, island_former(run.scenario))
     no_battery = largest_forming_battery(run.scenario) is None
-    forms = run.scenario.gensets.grid_forming if no_battery else None
+    forms = named_units(run.scenario) if no_battery else {}
     holder = Feeding.of(run.scenario, True, mode, np.ones(network.n_buses), forms).bus
     opened = [*network.drawing_bus[~network.island]]
     held = None if holder == network.slack_bus else holder

@@ -92,7 +92,7 @@ def _illustrate(
 
 
 def _without_report(folder: Path, failure: Exception) -> VppresError:
-    """What to say of a run folder that has no figures and no report."""
+    """Note on a run folder that has no figures and no report."""
     cure = f"{folder} holds the run; make its report with vppres report {folder}."
     if isinstance(failure, OSError) and is_full(failure):
         return StorageError(

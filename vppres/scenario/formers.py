@@ -1,23 +1,67 @@
-"""Devices that can form an island's grid: batteries, and generating sets where these cannot."""
+"""Devices that can form an island's grid: batteries, and units of kinds where these cannot."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from vppres.core.arrays import Flags
+from vppres.kinds.table import KINDS
+from vppres.scenario.network import BusId
+
+
+def forming_kinds(site: Any) -> dict[str, Any]:
+    """Units of kinds that can form islands, of a scenario or site."""
+    return {kind: getattr(site, kind) for kind in KINDS if KINDS[kind].forms}
+
+
+def named_units(site: Any) -> dict[str, Flags]:
+    """Units that are to form islands, (n,), by kind, of a scenario or site."""
+    found = {kind: units.grid_forming for kind, units in forming_kinds(site).items()}
+    return {kind: named for kind, named in found.items() if named.any()}
+
+
+def bus_of_former(site: Any, forms: Mapping[str, Flags]) -> BusId | None:
+    """Bus of the unit that forms the grid, marked by kind in (n,); None if none does."""
+    for kind, flags in forms.items():
+        if flags.any():
+            bus: BusId = getattr(site, kind).buses(site.customers)[np.argmax(flags)]
+            return bus
+    return None
 
 
 def forming_batteries(site: Any) -> Flags:
-    """Batteries that form the grid of a balanced feeder, (B,), of a scenario or site.
+    """Batteries that form the grid, (B,), of a scenario or site; with phases those with all three.
 
-    They are those that are named. If none is, it is the largest, unless a generating set is named.
+    They are those that are named. If none is, it is the largest, unless a unit of a kind is named.
     """
     batteries = site.batteries
-    if site.gensets.grid_forming.any() and not batteries.grid_forming.any():
+    if named_units(site) and not batteries.grid_forming.any():
         return np.zeros(len(batteries), dtype=bool)
+    if site.phases is not None:
+        return np.asarray(site.phases.formers(batteries))
     return np.asarray(batteries.formers)
+
+
+def island_former(site: Any) -> str | None:
+    """Name of the device that holds an island: the largest battery that forms it, else unit."""
+    battery = largest_forming_battery(site)
+    if battery is not None:
+        return str(site.batteries.id[battery])
+    for kind, named in named_units(site).items():
+        units = getattr(site, kind)
+        return str(units.id[np.argmax(np.where(named, units.largest_kw, -1.0))])
+    return None
+
+
+def former_kva(site: Any, name: str) -> float:
+    """Rating of a device that holds an island."""
+    for table in (site.batteries, *forming_kinds(site).values()):
+        for at in np.flatnonzero(table.id == name):
+            return float(table.s_max_kva[at])
+    raise KeyError(name)
 
 
 def largest_forming_battery(site: Any) -> int | None:

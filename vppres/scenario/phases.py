@@ -10,6 +10,7 @@ import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -17,7 +18,9 @@ from scipy.sparse.csgraph import connected_components
 
 from vppres.core.arrays import Complexes, Flags, Floats, freeze
 from vppres.core.errors import InputError, Problem
-from vppres.scenario.assets import Batteries, Customers, PVSystems
+from vppres.kinds.table import KINDS, units_of
+from vppres.scenario.assets import Batteries
+from vppres.scenario.formers import forming_kinds
 from vppres.scenario.network import BusId, Network
 
 PHASES = "abc"
@@ -337,16 +340,10 @@ class Phases:
         )
 
 
-def check_phases(
-    phases: Phases,
-    network: Network,
-    customers: Customers,
-    pv: PVSystems,
-    batteries: Batteries,
-) -> None:
+def check_phases(phases: Phases, scenario: Any) -> None:
     """Refuse phases that are not those of buses and assets, or that the source does not reach."""
-    problems = [*_places(phases, network), *_connected(phases, network, customers, pv, batteries)]
-    problems = problems or [*_unreached(phases), *_formers(phases, batteries)]
+    problems = [*_places(phases, scenario.network), *_connected(phases, scenario)]
+    problems = problems or [*_unreached(phases), *_formers(phases, scenario)]
     if problems:
         raise InputError(problems)
 
@@ -370,17 +367,13 @@ def _places(phases: Phases, network: Network) -> Iterator[Problem]:
         )
 
 
-def _connected(
-    phases: Phases,
-    network: Network,
-    customers: Customers,
-    pv: PVSystems,
-    batteries: Batteries,
-) -> Iterator[Problem]:
+def _connected(phases: Phases, scenario: Any) -> Iterator[Problem]:
     """Assets without a connection, or with one at another bus, and connections of none."""
+    customers = scenario.customers
     buses = dict(zip(customers.id, customers.bus, strict=True))
-    buses |= dict(zip(pv.id, pv.buses(customers), strict=True))
-    buses |= dict(zip(batteries.id, batteries.bus, strict=True))
+    buses |= dict(zip(scenario.batteries.id, scenario.batteries.bus, strict=True))
+    for units in (scenario.pv, *units_of(scenario).values()):
+        buses |= dict(zip(units.id, units.buses(customers), strict=True))
     known: set[str] = set()
     for i, row in enumerate(phases.connections):
         if row.id in known:
@@ -436,9 +429,12 @@ def _unreached(phases: Phases) -> Iterator[Problem]:
             )
 
 
-def _formers(phases: Phases, batteries: Batteries) -> Iterator[Problem]:
-    """Batteries that are to form an island and lack a phase."""
-    for name in batteries.id[batteries.grid_forming]:
+def _formers(phases: Phases, scenario: Any) -> Iterator[Problem]:
+    """Batteries and units of kinds that are to form an island and lack a phase."""
+    units = forming_kinds(scenario).items()
+    words = {"battery": scenario.batteries, **{KINDS[kind].sign: each for kind, each in units}}
+    named = [(word, each.id[each.grid_forming]) for word, each in words.items()]
+    for word, name in ((word, name) for word, names in named for name in names):
         own = phases.connection(str(name))
         if not own.three_coils:
             i = phases.connections.index(own)
@@ -447,5 +443,5 @@ def _formers(phases: Phases, batteries: Batteries) -> Iterator[Problem]:
                 i,
                 "coils",
                 own.coils,
-                f"must be three: battery {name} is to form the grid of an island",
+                f"must be three: {word} {name} is to form the grid of an island",
             )

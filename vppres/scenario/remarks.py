@@ -8,16 +8,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vppres.core.text import counted, named
+from vppres.kinds.table import KINDS, TABLES
 from vppres.scenario.capacitors import too_large, too_large_by_phase
 from vppres.scenario.earthing import floating
-from vppres.scenario.formers import forming_batteries
+from vppres.scenario.formers import forming_batteries, island_former, named_units
 from vppres.scenario.network import LOW_VOLTAGE_KV
 
 if TYPE_CHECKING:
     from vppres.scenario.scenario import Scenario
 
 NAMES_SHOWN = 5
-"""Batteries, customers or vehicles named in one sentence."""
+"""Assets named in one sentence."""
 
 LOW_VOLTAGE_KW = (0.1, 1e3)
 MEDIUM_VOLTAGE_KW = (1.0, 1e4)
@@ -78,11 +79,9 @@ def darkness(scenario: Scenario, mode: str | None = None) -> str:
 
     ``mode`` is that of its islands; the scenario's own if not given.
     """
-    sets = scenario.gensets
-    forming = sets.grid_forming
-    fuelled = sets.fuel_level_litres + scenario.refuelled_litres.sum(axis=0)
-    fuelled = fuelled >= sets.least_litres(scenario.grid.dt_h)
-    if not scenario.outage.any() or scenario.formers.any() or (forming & fuelled).any():
+    named_of = named_units(scenario)
+    able = [(each & getattr(scenario, kind).fuelled(scenario)) for kind, each in named_of.items()]
+    if not scenario.outage.any() or scenario.formers.any() or any(each.any() for each in able):
         return ""
     count = int(scenario.outage.sum())
     steps = "the only step" if count == 1 else f"the {count} steps"
@@ -93,7 +92,7 @@ def darkness(scenario: Scenario, mode: str | None = None) -> str:
         )
     elif len(scenario.batteries):
         cause = "No battery has the power to form a grid"
-    if forming.any():
+    if named_of:
         cause = (
             "No battery can form a grid, and no generating set with this duty has fuel for a step"
         )
@@ -154,7 +153,8 @@ def held_capacitors(scenario: Scenario) -> str:
 
 NO_FORMER = (
     "Nothing can form the grid of an island: without grid no customer is supplied. Mark a battery "
-    "in batteries.csv or a generating set in gensets.csv with grid_forming."
+    f"in batteries.csv{''.join(f' or a {k.sign} in {k.file}' for k in KINDS.values() if k.forms)} "
+    "with grid_forming."
 )
 ONE_FORMER = "Nothing else forms it: if it fails or has no energy left, no customer is supplied."
 
@@ -165,14 +165,16 @@ def former_words(scenario: Scenario, mode: str | None = None, always: bool = Fal
     ``mode`` is that of its islands, the scenario's own if not given; with ``always`` an outage may
     come that is not in the scenario, as it may for a service.
     """
-    b, sets = scenario.batteries, scenario.gensets
+    b = scenario.batteries
     physical = (mode or scenario.controller.mode) == "physical"
     outage = always or scenario.outage.any()
     if not physical or not outage:
         return ""
     forming = [
-        f"generating set {sets.id[g]} at bus {sets.bus[g]} ({sets.p_max_kw[g]:,.4g} kW)"
-        for g in np.flatnonzero(sets.grid_forming)
+        f"{KINDS[kind].sign} {units.id[i]} at bus {units.bus[i]} ({units.largest_kw[i]:,.4g} kW)"
+        for kind, forms in named_units(scenario).items()
+        for units in [getattr(scenario, kind)]
+        for i in np.flatnonzero(forms)
     ]
     names = [
         f"{b.id[i]} at bus {b.bus[i]} ({b.s_max_kva[i]:,.4g} kVA)"
@@ -183,7 +185,7 @@ def former_words(scenario: Scenario, mode: str | None = None, always: bool = Fal
     alone = f" {ONE_FORMER}" if len(names) + len(forming) == 1 else ""
     if not names:
         fuelled = f"{named(forming, NAMES_SHOWN)}, as long as it has fuel"
-        return f"The island is formed by {fuelled}.{alone}"
+        return f"The island is formed by {fuelled}.{alone}{_unearthed(scenario)}"
     if b.grid_forming.any():
         then = f" Without their energy, it is {named(forming, NAMES_SHOWN)}." if forming else ""
         formed = f"The island is formed by {named(names, NAMES_SHOWN)}."
@@ -199,17 +201,16 @@ def former_words(scenario: Scenario, mode: str | None = None, always: bool = Fal
 
 def _unearthed(scenario: Scenario) -> str:
     """Warning that customers in an island have no earthed source; empty if they have one."""
-    if scenario.phases is None:
+    former = island_former(scenario)
+    if scenario.phases is None or former is None:
         return ""
-    b = scenario.batteries
-    former = str(b.id[np.argmax(np.where(scenario.formers, b.s_max_kva, -1.0))])
     names = floating(scenario.phases, former, [str(name) for name in scenario.customers.id])
     if not names:
         return ""
     return (
         f" With {former} as source nothing earths the buses of {named(names, NAMES_SHOWN)}, whose "
         "coils are to ground: nothing holds their voltages there, and no plan is sure. Mark a "
-        "battery whose coils or transformer earth them as grid_forming in batteries.csv."
+        "battery or generating set whose coils or transformer earth them as grid_forming."
     )
 
 
@@ -278,19 +279,6 @@ def short_times_off(scenario: Scenario) -> str:
     )
 
 
-def brief_sessions(scenario: Scenario) -> str:
-    """Vehicles that are plugged in for no whole step of the time grid, in a sentence."""
-    sessions, grid = scenario.sessions, scenario.grid
-    first, after = sessions.steps(grid)
-    brief = sessions.vehicle[(after == first) & (first >= 0) & (first < grid.n_steps)]
-    if not len(brief):
-        return ""
-    return (
-        f"Plugged in for no whole step of {grid.step_minutes:g} min, and so not charged: "
-        f"{named(brief, NAMES_SHOWN)}. Use shorter steps."
-    )
-
-
 def source_words(scenario: Scenario) -> list[str]:
     """Description of a scenario's source, its exactness and the place of the import's notes.
 
@@ -327,6 +315,6 @@ def remarks(scenario: Scenario, mode: str | None = None) -> list[str]:
         dear_export(scenario),
         rising_weights(scenario),
         short_times_off(scenario),
-        brief_sessions(scenario),
+        *(getattr(scenario, name).remark(scenario) for name in TABLES),
     ]
     return [*filter(None, said)]

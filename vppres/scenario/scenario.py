@@ -190,7 +190,7 @@ class Scenario(OfKinds):
 
     def __post_init__(self) -> None:
         if self.phases is not None:
-            check_phases(self.phases, self.network, self.customers, self.pv, self.batteries)
+            check_phases(self.phases, self)
         freeze_arrays(self)
 
     @cached_property
@@ -201,8 +201,6 @@ class Scenario(OfKinds):
     @property
     def formers(self) -> Flags:
         """Batteries that form the grid of an island, (B,); with phases those with all three."""
-        if self.phases is not None:
-            return self.phases.formers(self.batteries)
         return forming_batteries(self)
 
     @cached_property
@@ -237,11 +235,6 @@ class Scenario(OfKinds):
     def refuelled_litres(self) -> Floats:
         """Fuel that is delivered to each set at the beginning of each step, (T, G)."""
         return self.refuels.by_step(self.gensets, self.grid)
-
-    @cached_property
-    def most_charging_kw(self) -> Floats:
-        """Largest power of each charger that has a vehicle, 0 of others, (T, K)."""
-        return np.where(self.session_at >= 0, self.chargers.p_charge_kw, 0.0)
 
     @property
     def series(self) -> dict[str, Floats]:

@@ -1,4 +1,4 @@
-"""Who may do what: every user of this machine while there is no token, else the holders of one."""
+"""Access: every user of this machine while there is no token, else the holders of one."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ class Access:
 
 
 def digest(secret: str) -> str:
-    """What is kept of a token; 32 random bytes need no salt.
+    """Hash of a token, which alone is stored; 32 random bytes need no salt.
 
     >>> digest("x")[:8]
     '2d711642'

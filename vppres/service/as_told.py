@@ -1,4 +1,4 @@
-"""What stored plans say of the units of each kind, for their replay."""
+"""States of the units of each kind as stored plans give them, for their replay."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ Plans = Sequence[Plan | None]  # by step, None for a step without
 
 
 def expected_by(plan: Plan | None) -> Mapping[str, Any]:
-    """What a plan expects of its step; nothing where it is none of the controller's."""
+    """Values that a plan expects of its step; empty for a plan that the controller did not make."""
     return (plan or {}).get("expected") or {}
 
 
 def said_of(
     plan: Plan | None, what: str, ids: Names, reckoned: Floats, field: str | None = None
 ) -> Floats:
-    """What a step was decided on, by unit; as reckoned where its plan does not say it."""
+    """State on which a step was decided, by unit; as reckoned where its plan does not give it."""
     told = expected_by(plan).get(what, {})
     values = [told.get(str(name)) for name in ids]
     found = [one[field] if field is not None and one is not None else one for one in values]

@@ -1,4 +1,4 @@
-"""What time it is: the machine's clock, or one that is set."""
+"""Sources of time: the machine's clock, or one that is set."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from vppres.core.text import iso
 
 
 class TimeSource(Protocol):
-    """Whatever tells the time."""
+    """Source of the present time."""
 
     def now(self) -> pd.Timestamp:
         """The time, in UTC."""

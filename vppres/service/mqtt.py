@@ -84,7 +84,7 @@ class Topics:
         return f"{self.prefix}/telemetry/#"
 
     def set_points(self, asset: str) -> list[str]:
-        """Where an asset's set-point is: as in a URL, and as it is named if a topic can be."""
+        """Topics of a set-point: the asset's name as in a URL, and plain if a topic allows it."""
         names = [quote(asset, safe="")]
         if not set(asset) & set(WILDCARDS):
             names.append(asset)
@@ -92,7 +92,7 @@ class Topics:
 
     @property
     def grid_again(self) -> str:
-        """Where it is asked again whether there is grid."""
+        """Topic that asks again for the state of the grid."""
         return f"{self.prefix}/asked/grid/grid_on"
 
     def reading(self, topic: str) -> tuple[str, str]:

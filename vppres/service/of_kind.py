@@ -1,4 +1,4 @@
-"""What the service asks of a kind of flexible power; a folder of a kind has its own in ``service``.
+"""Protocol of a kind of flexible power in the service, which the kind's ``service`` implements.
 
 A unit tells readings, is told set-points, and is replayed as plans knew it.
 """
@@ -6,9 +6,9 @@ A unit tells readings, is told set-points, and is replayed as plans knew it.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Literal, Protocol
 
 import pandas as pd
 
@@ -21,6 +21,7 @@ from vppres.service.as_told import Plan, Plans
 from vppres.service.storage.records import Reading
 from vppres.service.storage.store import Store
 
+Direction = Literal["", "charging_positive", "injection_positive"]
 Wrong = tuple[str, float, str, str]  # field, value, what is wrong, and what to do
 
 
@@ -36,7 +37,7 @@ class LastReadings(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Stored:
-    """What is stored of a site's devices when a step is decided.
+    """Stored state of a site's devices when a step is decided.
 
     Parameters
     ----------
@@ -77,7 +78,7 @@ class OfKind:
         Its field in a scenario.
     source : str
         Who tells its readings in a simulation.
-    sign : str
+    direction : {"", "charging_positive", "injection_positive"}
         Which way a set-point's ``p_kw`` counts; empty if it has none.
     states : dict
         Quantities by which a unit is there or can work, and what stands until they are told.
@@ -87,7 +88,7 @@ class OfKind:
 
     kind: str
     source: str
-    sign: str = ""
+    direction: Direction = ""
     states: ClassVar[Mapping[str, float]] = {}
     of_visits: tuple[str, ...] = ()
 
@@ -126,16 +127,25 @@ class OfKind:
         return {}
 
     def impossible(self, said: Any, units: Any, i: int) -> Iterator[Wrong]:
-        """What a unit cannot do of what an operator says."""
+        """Refusals of an operator's values that a unit cannot follow."""
         return iter(())
 
     def action(self, setpoint: Mapping[str, Any]) -> str:
-        """What a set-point asks for, in the words of explanations; empty if nothing."""
+        """Action of a set-point in the words of explanations; empty if there is none."""
         return ""
 
     def told_by_plans(self, scenario: Scenario, stored: Plans) -> Scenario:
-        """A scenario with units as stored plans knew them."""
-        return scenario
+        """A scenario with units as stored plans knew them: that begin as the first plan says."""
+        units = getattr(scenario, self.kind)
+        if not len(units):
+            return scenario
+        first = parts("physics")[self.kind].PLANT(scenario).state
+        begun = self.begun(units, self.state(scenario, 0, stored[0], first))
+        return replace(scenario, **{self.kind: begun})
+
+    def begun(self, units: Any, state: Any) -> Any:
+        """Units that begin a day with a state."""
+        return units
 
     def state(self, scenario: Scenario, t: int, plan: Plan | None, reckoned: Any) -> Any:
         """State that a step was decided on; as reckoned where its plan says nothing."""
@@ -148,6 +158,10 @@ class OfKind:
     def formers(self, scenario: Scenario, plan: Plan | None) -> Iterator[tuple[str, str]]:
         """Units that can form the grid of an island, and why one cannot now."""
         return iter(())
+
+    def able_kw(self, scenario: Scenario, recorded: Mapping[str, Any]) -> float:
+        """Power that units could give in a recorded step."""
+        return 0.0
 
     def held_kwh(self, scenario: Scenario, plan: Plan | None) -> tuple[float, float]:
         """Electric energy of full stores, and of what is in them, of units that can give it."""
@@ -176,7 +190,7 @@ def told_by_plans(scenario: Scenario, stored: Plans) -> Scenario:
 
 
 def beyond_rating(name: str, value: float, rating: float, unit: str) -> Iterator[Wrong]:
-    """That a value is beyond a rating, if it is."""
+    """Refusal of a value beyond a rating; None within it."""
     if abs(value) > rating + POWER_KW + RATING_SHARE * rating:
         yield name, value, f"is beyond its rating of {rating:g} {unit}", "Give at most the rating."
 

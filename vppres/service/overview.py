@@ -1,4 +1,4 @@
-"""What the page to watch shows, in two answers: what a site is, and how it is now."""
+"""Data of the page, in two answers: the site, and its present state."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ REFRESH_S = 1
 
 
 def site_of(runner: Runner) -> dict[str, Any]:
-    """What no step changes: names, limits, ratings, and the modes that there are."""
+    """Constant data of the site: names, limits, ratings and modes."""
     day = runner.scenario
     return {
         "name": day.name,
@@ -109,7 +109,7 @@ def _phases_of(runner: Runner) -> dict[str, str] | None:
 
 
 def _orders(points: Iterable[Mapping[str, Any]], kind: str) -> dict[str, Any]:
-    """What is ordered of devices of a kind, and why."""
+    """Set-points of devices of a kind, with their reasons."""
     return {
         one["asset"]: {name: one[name] for name in (*one["default"], "reason")}
         for one in points
@@ -137,7 +137,7 @@ class Overview:
         self._made: tuple[Any, bytes] | None = None
 
     def fresh(self) -> bytes | None:
-        """What was made already, if it holds still, or is just being made anew."""
+        """Stored answer, if it still holds or is just being made anew."""
         if self._made is None:
             return None
         return self._made[1] if self._made[0] == self._key() or self._turn.locked() else None
@@ -186,7 +186,7 @@ class Overview:
         }
 
     def _told(self, plan: Mapping[str, Any], now: pd.Timestamp, dark: str) -> dict[str, Any]:
-        """What holds of the last plan, without the customers that are on.
+        """Valid part of the last plan, without the customers that are on.
 
         Where an island is ``dark``, whatever was ordered, nobody is.
         """
@@ -216,7 +216,7 @@ class Overview:
         ahead: Mapping[str, Any] | None,
         off_h: Mapping[str, float],
     ) -> list[dict[str, Any]]:
-        """Who is off, why, for how long of its longest time, and when it is meant to be on."""
+        """Customers that are off: reason, share of the longest time off, next planned supply."""
         found = []
         for one in points:
             if one["kind"] != "customers" or one["served"]:

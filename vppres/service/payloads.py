@@ -128,7 +128,7 @@ Phase = Annotated[str, Field(pattern=r"^[abc]{1,2}$")]
 
 
 class Body(BaseModel):
-    """What all bodies have in common: no other fields than those named."""
+    """Body of a request: fields that are not named are refused."""
 
     model_config = ConfigDict(extra="forbid", arbitrary_types_allowed=True)
 
@@ -305,7 +305,7 @@ class Belief(Body):
 
 
 class Restoration(Body):
-    """What a crew says of the end of the present outage."""
+    """Notice of a crew on the end of the present outage."""
 
     type: Literal["restoration"]
     source: Name = "crew"
@@ -315,7 +315,7 @@ class Restoration(Body):
 
     @property
     def times(self) -> list[pd.Timestamp]:
-        """What is given, in the order that it must have."""
+        """Times that are given, in the order that they must have."""
         return [one for one in (self.not_before, self.likely, self.by) if one is not None]
 
     @model_validator(mode="after")
@@ -417,7 +417,7 @@ class StepRequest(Body):
 
 
 class ClockRequest(Body):
-    """What time it is, for services whose clock is set."""
+    """Time of a service whose clock is set."""
 
     now: Moment
 
@@ -432,7 +432,7 @@ OF_KIND = {
 
 
 class OperatorSetpoint(Body):
-    """What an operator wants of one device.
+    """Set-point of one device from an operator.
 
     Power of batteries and PV systems, the most that a charger charges with, the temperature of a
     thermostat, power of a generating set (0 stops it), whether a customer is on, and of one that
@@ -458,7 +458,7 @@ class OperatorSetpoint(Body):
 
 
 class ModeRequest(Body):
-    """What the service does from now on.
+    """Mode of the service from now on.
 
     ``auto`` decides, ``off`` gives defaults only, ``hold`` gives the last set-points again, and
     ``manual`` the operator's, with the last ones for devices that are not named.
@@ -491,7 +491,7 @@ class Shelf(Remark):
 
 
 class SetpointStatus(Body):
-    """What became of a set-point, in the words of S2."""
+    """Status of a set-point, in the words of S2."""
 
     status: Literal["accepted", "rejected", "started", "succeeded", "aborted"]
     value: Number | None = None

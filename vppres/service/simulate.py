@@ -58,7 +58,7 @@ LATEST_STEPS = 3
 
 @dataclass(frozen=True)
 class TelemetryFaults:
-    """What happens to readings on their way.
+    """Faults of readings on their way.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ class Play:
 
 @dataclass
 class Tally:
-    """What happened so far.
+    """Counts of the simulation so far.
 
     Parameters
     ----------
@@ -233,7 +233,7 @@ class Player:
         return self.tally
 
     def _step(self, t: int) -> None:
-        """What is said and asked at the beginning of a step."""
+        """Send readings and events of a step, and ask for its set-points."""
         now = self.world.scenario.grid.times[t]
         self.client.wanted("PUT", "/v1/clock", {"now": written(now)})
         if self.how.announced:
@@ -273,7 +273,7 @@ class Player:
 
 @dataclass(frozen=True)
 class Place:
-    """Where the service is that is played against: a running one, else one of its own.
+    """Service that the simulation runs against: a running one, else one of its own.
 
     Its own one has a free port and a folder that is dropped in the end, if none are given.
     """
@@ -378,7 +378,7 @@ def _belief(
 
 
 def _of_crew(message: OutageWarning) -> dict[str, Any] | None:
-    """What a warning says of the end, as an event of the service; None if it says nothing."""
+    """End of the outage in a warning, as an event of the service; None if it names none."""
     said = {key: getattr(message, field) for key, field in SAID_OF_END.items()}
     times = {key: written(time) for key, time in said.items() if time is not None}
     return {"type": "restoration", "source": "simulation", **times} if times else None

@@ -59,7 +59,7 @@ class Window:
         forecast: Forecasts | None,
         lost: Iterable[str] = (),
     ) -> tuple[Floats, list[str]]:
-        """What is expected, (W, items), and of which items that are lost it is cautious.
+        """Expected values, (W, items), and lost items for which they are cautious.
 
         Parameters
         ----------

@@ -142,7 +142,7 @@ def _joined(
 
 
 def _status(steps: Sequence[WindowSolution], met: bool) -> Status:
-    """What the whole window's dispatch is worth."""
+    """Status of the whole window's dispatch."""
     if met:
         return Status.OPTIMAL
     late = any(step.status == Status.TIME_LIMIT for step in steps)

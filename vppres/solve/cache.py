@@ -65,7 +65,7 @@ class ModelCache:
         return cast(M, self._problems[key])
 
     def table(self, make: Callable[[Site], M]) -> M:
-        """What ``make`` computes of the site once and for all; nothing is compiled for it."""
+        """Table that ``make`` computes of the site once and for all; nothing is compiled for it."""
         if make not in self._tables:
             self._tables[make] = make(self.site)
         return cast(M, self._tables[make])

@@ -1,4 +1,4 @@
-"""What is proven about a window while it is being solved: the best dispatch, bounds and gaps.
+"""Certificate of a window while it is being solved: incumbent, bounds and gaps.
 
 The proofs are in ``docs/method.md``, section *Why the bounds hold*. They are stated there for
 prices of any sign: ``CostRange.least_gbp`` is zero where no price is negative.
@@ -27,7 +27,7 @@ demand knows, and a tenth of a penny where there is next to no cost."""
 
 @dataclass(frozen=True, eq=False)
 class OwnValues:
-    """What a solution says of what only the page has: its term of F, and its letters."""
+    """Values of what only the page has in a solution: its term of F, and its letters."""
 
     value: float = 0.0
     letters: Mapping[str, Floats] = field(default_factory=dict)
@@ -87,7 +87,7 @@ class Candidate:
         return cls(data, dispatch, terms, service, value, cost_gbp, in_network, own)
 
     def carried_by(self, site: Site, dispatch: Dispatch, own: OwnValues) -> Candidate:
-        """The same set and cost in the network, with a dispatch that carries them."""
+        """Candidate with the same set and cost in the network, and a dispatch that carries them."""
         terms = evaluate(site, self.data, dispatch, own.value)
         return replace(self, dispatch=dispatch, terms=terms, own=own, in_network=True)
 
@@ -271,7 +271,7 @@ class Certificate:
         return max(self.best.terms.f2 - bound_gbp, 0.0)
 
     def status(self, objective: float, late: bool) -> Status:
-        """What the best dispatch is worth, by its F with the tie-breakers."""
+        """Status of the incumbent, by its F with the tie-breakers."""
         if self.limits.met(self.bound, objective):
             return Status.OPTIMAL
         return Status.TIME_LIMIT if late else Status.GAP_OPEN

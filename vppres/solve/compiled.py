@@ -67,7 +67,7 @@ class Affine:
 
 
 def rows_of(constraint: cp.Constraint) -> cp.Expression:
-    """What an affine constraint has at zero or above, row by row; of a cone what lies in it."""
+    """Rows of an affine constraint that are zero or above; of a cone the members."""
     if isinstance(constraint, cp.SOC):
         radius, vector = constraint.args
         found = cp.vstack([cp.reshape(radius, (1, radius.size), order="F"), vector])

@@ -6,7 +6,7 @@ precision with the terms above it held (``docs/method.md``, *Lexicographic level
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from types import MappingProxyType
@@ -80,136 +80,116 @@ class Attempt:
 # From a supply schedule to a candidate.
 
 
-def keep_dispatch(task: WindowTask, served: Flags) -> None:
-    """Keep the cheapest dispatch of a schedule if it is the best so far; without the network.
-
-    A relaxation without binaries may serve what the switching rules forbid: nothing to find then.
-    Where batteries would waste energy, their modes are left to who decides them with the service;
-    those of next to no power waste next to nothing, whatever their modes.
-    """
-    if task.obeys_rules(served):
-        form = cost_form(0, network=False)
-        later = not task.site.batteries.idle
-        task.certificate.keep(cheapest(task, "cost", served, form, modes_later=later))
-
-
-def keep_dispatch_in_network(
+def keep_dispatch(
     task: WindowTask,
     served: Flags,
+    network: bool = False,
     before: Dispatch | None = None,
     charges: Flags | None = None,
+    keeps_turns: bool = False,
 ) -> None:
-    """Keep the cheapest dispatch of a supply schedule that the network carries if it is the best.
+    """Keep the dispatch of a supply schedule if it is the best so far.
 
-    The cost without the network is tried first, since most networks carry it. Where batteries'
-    turns would have to be searched for, those of a plan ``before`` for the set are tried first:
-    others were never worth more by the gap, and took as long to find as the set itself. Of a
-    window with phases, which has its rows at once, ``charges`` has the batteries that charge, (W,
-    B), where they waste energy.
+    A relaxation without binaries may serve what the switching rules forbid: nothing to find then.
     """
-    if not task.obeys_rules(served):
+    if task.obeys_rules(served):
+        task.certificate.keep(
+            dispatch_of(task, served, network, before, charges, keeps_turns=keeps_turns)
+        )
+
+
+def dispatch_of(
+    task: WindowTask,
+    served: Flags,
+    network: bool = True,
+    before: Dispatch | None = None,
+    charges: Flags | None = None,
+    keeps_turns: bool = False,
+    fleet: bool = True,
+) -> Candidate | None:
+    """Cheapest dispatch of a supply schedule, by the first way that has one.
+
+    Parameters
+    ----------
+    task : WindowTask
+        The window.
+    served : Flags
+        Who is served, (W, C).
+    network : bool, optional
+        Whether the network must carry it.
+    before : Dispatch, optional
+        A plan for the schedule. Where batteries' turns would have to be searched for, its turns are
+        tried first: others were never worth more by the gap, and took as long to find as the set.
+    charges : Flags, optional
+        Which batteries charge where they waste energy, (W, B), in a window with phases.
+    keeps_turns : bool, optional
+        Whether there is no dispatch but with the turns of the plan.
+    fleet : bool, optional
+        Whether the cost without the network is tried first, since most networks carry it.
+    """
+    ways = _ways(task, served, network, before, charges, keeps_turns, fleet)
+    return next((found for found in ways if found is not None), None)
+
+
+def _ways(
+    task: WindowTask,
+    served: Flags,
+    network: bool,
+    before: Dispatch | None,
+    charges: Flags | None,
+    keeps_turns: bool,
+    fleet: bool,
+) -> Iterator[Candidate | None]:
+    """The candidate of each way of ``dispatch_of``, in order; the ways end where a proof ends them.
+
+    Where the network is not asked, and batteries would waste energy, their modes are left to what
+    decides them with the service; those of next to no power waste next to nothing, whatever their
+    modes. A window with phases gets its rows as they are needed; its tie-breakers take longer than
+    all else, so that they are left to ``settle``.
+    """
+    if not network:
+        yield cheapest(task, served, modes_later=not task.site.batteries.idle)
         return
     if task.by_phase:
         if charges is None and before is not None:
             charges = before.charge_kw > before.discharge_kw
-        task.certificate.keep(in_network(task, served, charges))
+        way = CheapestDispatch.of_set(task.cache, task.data, served)
+        outcome, dispatch = way.of(served, task.answer_by(HALF), charges, keeps_turns)
+        found = netted(task, outcome, dispatch)
+        yield found and carried(task, found)
+        if keeps_turns or (found is None and outcome.status == Status.INFEASIBLE):
+            return
+    elif keeps_turns:
+        found = _with_turns(task, before)
+        yield found and carried(task, found, tie_breakers)
         return
-    if task.own_in_network:
-        task.certificate.keep(in_network(task, served))
-        return
-    form = cost_form(0, network=False)
-    found = cheapest(task, "cost", served, form, modes_later=before is not None)
-    if before is not None and task.certificate.wasteful:
-        found = _cheapest_with_turns(task, before) or cheapest(task, "cost", served, form)
-    if found is not None:
-        found = with_tie_breakers(task, found) or in_network(task, served)
-        task.certificate.keep(found)
+    elif fleet and not task.own_in_network:
+        found = cheapest(task, served, modes_later=before is not None)
+        if before is not None and task.certificate.wasteful:
+            found = _with_turns(task, before) or cheapest(task, served)
+        yield found and carried(task, found, tie_breakers)
+        if found is None:
+            return
+    found = cheapest(task, served, network=True)
+    yield found and carried(task, found)
 
 
-def keep_with_turns(task: WindowTask, before: Dispatch) -> None:
-    """Keep the cheapest dispatch of a plan's set with its batteries' turns, if it has one."""
-    if task.by_phase:
-        charges = before.charge_kw > before.discharge_kw
-        task.certificate.keep(_by_rows(task, before.served, charges, keeps_turns=True)[0])
-        return
-    found = _cheapest_with_turns(task, before) if task.obeys_rules(before.served) else None
-    if found is not None:
-        task.certificate.keep(with_tie_breakers(task, found))
-
-
-def _cheapest_with_turns(task: WindowTask, before: Dispatch) -> Candidate | None:
+def _with_turns(task: WindowTask, before: Dispatch | None) -> Candidate | None:
     """Cheapest dispatch without the network of a plan's set with its binaries.
 
     Where it earns to import and export at once, the step's direction would have to be held too.
     """
-    if len(task.site.batteries) == 0 or task.data.both_ways_earn:
+    if before is None or len(task.site.batteries) == 0 or task.data.both_ways_earn:
         return None
     sheet = sheet_of(task.cache, task.data)
     known = sheet.statement.held(task.data, before).values
     switched = {name: np.asarray(known[name]) for name in sheet.own_whole if name in known}
     turns = {"delta": (before.charge_kw > before.discharge_kw).astype(float)}
-    return cheapest_with_modes(task, before.served, turns | switched)
-
-
-def cheapest_with_modes(
-    task: WindowTask, served: Flags, modes: Mapping[str, Floats]
-) -> Candidate | None:
-    """Cheapest dispatch without the network of a schedule with binaries held, by their names.
-
-    What other modes leave open of its cost is not known.
-    """
-    data = task.data.for_service(served)
-    form = cost_form(0, network=False)
-    deadline = task.answer_by()
-    attempt = solve_cost(task.cache, data, served, task.spec, form, deadline, 0.0, held=modes)
-    return _candidate(task, "cost", data, attempt, -np.inf)
-
-
-def _candidate(
-    task: WindowTask,
-    stage: str,
-    data: WindowData,
-    attempt: Attempt,
-    least_gbp: float,
-    in_network: bool = False,
-) -> Candidate | None:
-    """What a solve for the cheapest dispatch of a set found, which costs no less than something."""
-    task.certificate.note(stage, attempt.outcome)
-    task.certificate.wasteful |= attempt.wasteful
-    if attempt.dispatch is None:
-        return None
-    slack_gbp = max(attempt.outcome.value - least_gbp, 0.0)
-    return Candidate.of(task.site, data, attempt.dispatch, slack_gbp, in_network, attempt.own)
-
-
-def in_network(task: WindowTask, served: Flags, charges: Flags | None = None) -> Candidate | None:
-    """Cheapest dispatch of a supply schedule in the network, with the true discs."""
-    if task.by_phase:
-        found, proven = _by_rows(task, served, charges)
-        if found is not None or proven:
-            return found
-    form = cost_form(task.sides, network=True)
-    found = cheapest(task, "network_cost", served, form)
-    return found and polished(task, found)
-
-
-def _by_rows(
-    task: WindowTask, served: Flags, charges: Flags | None, keeps_turns: bool = False
-) -> tuple[Candidate | None, bool]:
-    """The same by a linear problem that gets rows as they are needed, for windows with phases.
-
-    None where batteries would have to take turns, and where it is proven that there is none.
-    """
-    way = CheapestDispatch.of_set(task.cache, task.data, served)
-    outcome, dispatch = way.of(served, task.answer_by(HALF), charges, keeps_turns)
-    found = netted(task, outcome, dispatch)
-    if found is None:
-        return None, outcome.status == Status.INFEASIBLE
-    return polished(task, found), False
+    return cheapest(task, before.served, modes=turns | switched)
 
 
 def netted(task: WindowTask, outcome: Outcome, dispatch: Dispatch | None) -> Candidate | None:
-    """What a linear problem in the network found; None where batteries would have to take turns."""
+    """Dispatch of a linear problem in the network; None if batteries must take turns."""
     task.certificate.note("network_dispatch", outcome)
     if dispatch is None:
         return None
@@ -219,127 +199,132 @@ def netted(task: WindowTask, outcome: Outcome, dispatch: Dispatch | None) -> Can
 
 
 def cheapest(
-    task: WindowTask, name: str, served: Flags, form: Form, modes_later: bool = False
+    task: WindowTask,
+    served: Flags,
+    network: bool = False,
+    modes_later: bool = False,
+    modes: Mapping[str, Floats] = NOTHING,
 ) -> Candidate | None:
-    """Cheapest dispatch of a supply schedule in a form of the cost level."""
+    """Cheapest dispatch of a supply schedule by its cost alone, with binaries held by their names.
+
+    What other ``modes`` leave open of its cost is not known. Sets on and off, and the like, are
+    first those of the fleet as one battery: a search with every battery takes much longer, and
+    mostly ends at the same. They stay if the fleet's bound leaves no more of the cost open than a
+    search for cost may.
+    """
     # A large network may need long to find that there is none.
-    deadline = task.answer_by(HALF if form.network else 1.0)
+    deadline = task.answer_by(HALF if network else 1.0)
     # What a restoration adds to the demand is known with the service.
     data = task.data.for_service(served)
     # A curtailed kW is worth 100,000 GBP: the gap of cost would ask for the last microwatt.
-    gap_gbp = (1.0 - GAP_SHARE) * task.gap_to_best * cost_scale(task.site)
+    gap_gbp = 0.0 if modes else (1.0 - GAP_SHARE) * task.gap_to_best * cost_scale(task.site)
+    form = cost_form(task.sides if network else 0, network)
     cost = partial(
         solve_cost, task.cache, data, served, task.spec, form, deadline, gap_gbp, modes_later
     )
-    if not form.network and sheet_of(task.cache, data).own_whole:
-        found = _as_one_battery(task, name, data, served, cost)
-        if found is not None or task.certificate.wasteful:
-            return found
-    attempt = cost()
-    return _candidate(task, name, data, attempt, attempt.outcome.bound, form.network)
+    if modes:
+        return _costs(task, data, cost(held=modes), network, -np.inf)
+    if not network and sheet_of(task.cache, data).own_whole:
+        fleet = fleet_problem(task.cache, data, lumped=True, integer=True, goal="dispatch")
+        fleet.write(data, eased=True)
+        fleet.hold(served)
+        outcome = run(fleet, task.spec, COST_GAP_GBP, task.answer_by().left_s)
+        task.certificate.note("switched", outcome)
+        if outcome.status.has_answer:
+            held = cost(held=fleet.own_letters())
+            found = _costs(task, data, held, network, outcome.bound)
+            if found and found.terms.f2 - found.cost_bound_gbp <= cost_gap_gbp(found.terms.f2):
+                return found
+        if task.certificate.wasteful:
+            return None
+    return _costs(task, data, cost(), network)
 
 
-def _as_one_battery(
-    task: WindowTask, name: str, data: WindowData, served: Flags, cost: Callable[..., Attempt]
+def _costs(
+    task: WindowTask,
+    data: WindowData,
+    attempt: Attempt,
+    network: bool,
+    least_gbp: float | None = None,
 ) -> Candidate | None:
-    """The same with sets on and off, and the like, as the fleet as one battery would have them.
-
-    A search with every battery takes much longer, and mostly ends at the same. None if there is no
-    such dispatch, or if the fleet's bound leaves more of its cost open than a search for cost may.
-    """
-    fleet = fleet_problem(task.cache, data, lumped=True, integer=True, goal="dispatch")
-    fleet.write(data, eased=True)
-    fleet.hold(served)
-    outcome = run(fleet, task.spec, COST_GAP_GBP, task.answer_by().left_s)
-    task.certificate.note("switched", outcome)
-    if not outcome.status.has_answer:
+    """The candidate of a solve for the cheapest dispatch of a set, with the least it may cost."""
+    task.certificate.note("network_cost" if network else "cost", attempt.outcome)
+    task.certificate.wasteful |= attempt.wasteful
+    if attempt.dispatch is None:
         return None
-    found = _candidate(task, name, data, cost(held=fleet.own_letters()), outcome.bound)
-    if found is None or found.terms.f2 - found.cost_bound_gbp > cost_gap_gbp(found.terms.f2):
-        return None
-    return found
+    outcome = attempt.outcome
+    slack_gbp = max(outcome.value - (outcome.bound if least_gbp is None else least_gbp), 0.0)
+    return Candidate.of(task.site, data, attempt.dispatch, slack_gbp, network, attempt.own)
 
 
-def _curtailed_within_gap_kwh(task: WindowTask, found: Candidate) -> float:
-    """What may be curtailed more than by a dispatch: it is worth a share of the window's gap.
+# From a candidate to one that the network carries.
 
-    Infinite if curtailment is worth nothing.
+Carrier = Callable[[WindowTask, Candidate], Attempt]
+"""Finds flows, reactive power and voltages for a candidate's service and cost."""
+
+
+def carried(task: WindowTask, found: Candidate, *ways: Carrier) -> Candidate | None:
+    """The candidate with a dispatch in the network, by the first way whose answer breaks no row.
+
+    Every answer comes through here: none is one because a solver calls it so. What only minimises
+    cost has any reactive power that the discs allow. Its losses would be the next pass's in
+    physical mode, and from there it may never agree with AC, so that the usual ways are the
+    tie-breakers and the least reactive power. The latter knows the paper's rows alone: with what
+    the page adds, the dispatch stays as it is then, as it does at first with rows of phases.
     """
-    worth = task.site.weights.lambda_curt
-    allowed = (1.0 - GAP_SHARE) * task.certificate.limits.gap_at(found.value)
-    return allowed / worth if worth > 0.0 else np.inf
-
-
-def with_tie_breakers(task: WindowTask, found: Candidate, inside: bool = False) -> Candidate | None:
-    """The dispatch that the tie-breakers prefer, None if the network forbids its cost.
-
-    With ``inside`` a window with phases has more than its rows allow, so that interior points have
-    an inside: they may curtail more, and load the former's phases by what a check lets pass.
-    """
-    rest_kwh = _curtailed_within_gap_kwh(task, found)
-    more_kwh = rest_kwh if inside and np.isfinite(rest_kwh) else 0.0
-    data = with_more_room(found.data) if inside else found.data
-    attempt = polish(
-        task.cache, data, found.dispatch, task.answer_by(), found.own, more_kwh, rest_kwh
-    )
-    task.certificate.note("tie_breakers", attempt.outcome)
-    return carried(task, found, attempt)
-
-
-def carried(task: WindowTask, found: Candidate, attempt: Attempt) -> Candidate | None:
-    """The candidate with a dispatch in the network, None if that breaks a row of the window.
-
-    Every answer comes through here: none is one because a solver calls it so.
-    """
-    dispatch = attempt.dispatch
-    if dispatch is None:
-        return None
-    # The check knows the paper's families, and none that the page changes.
-    if not task.changed and broken(task.site, found.data, dispatch):
+    usual = (tie_breakers, as_it_is if task.own else least_reactive_power)
+    for way in ways or ((as_it_is, *OF_PHASES) if task.by_phase else usual):
+        attempt = way(task, found)
+        if attempt.dispatch is None:
+            continue
+        # The check knows the paper's families, and none that the page changes.
+        if task.changed or not broken(task.site, found.data, attempt.dispatch):
+            return found.carried_by(task.site, attempt.dispatch, attempt.own)
         task.certificate.note("checked", Outcome(Status.INACCURATE, np.nan, np.nan, 0.0))
-        return None
-    return found.carried_by(task.site, dispatch, attempt.own)
-
-
-def polished(task: WindowTask, found: Candidate) -> Candidate | None:
-    """A dispatch of the network with the tie-breakers, or with the least reactive power.
-
-    What only minimises cost has any reactive power that the discs allow. Its losses would be the
-    next pass's in physical mode, and from there it may never agree with AC. The least reactive
-    power knows the paper's rows alone: with what the page adds, the dispatch stays as it is then.
-    By rows of phases tie-breakers take longer than all else, so that they are left to ``settle``.
-    """
-    if task.by_phase:
-        return as_it_is(task, found) or _with_tie_breakers_by_phase(task, found)
-    better = with_tie_breakers(task, found)
-    if better is not None:
-        return better
-    return as_it_is(task, found) if task.own else with_least_reactive(task, found)
+    return None
 
 
 def settle(task: WindowTask) -> None:
     """Give the answer to a window with rows of phases its tie-breakers; others have theirs."""
     best = task.certificate.best
     if task.by_phase and best is not None:
-        task.certificate.best = _with_tie_breakers_by_phase(task, best) or best
+        task.certificate.best = carried(task, best, *OF_PHASES) or best
 
 
-def _with_tie_breakers_by_phase(task: WindowTask, found: Candidate) -> Candidate | None:
-    """With tie-breakers, to which shares of dimmed customers at a voltage limit leave no inside."""
-    return with_tie_breakers(task, found) or with_tie_breakers(task, found, inside=True)
+def tie_breakers(task: WindowTask, found: Candidate, inside: bool = False) -> Attempt:
+    """The dispatch that the tie-breakers prefer, none if the network forbids its cost.
+
+    With ``inside`` a window with phases has more than its rows allow, so that interior points have
+    an inside: they may curtail more, and load the former's phases by what a check lets pass.
+    """
+    # More is curtailed at most by what is worth a share of the window's gap.
+    worth = task.site.weights.lambda_curt
+    allowed = (1.0 - GAP_SHARE) * task.certificate.limits.gap_at(found.value)
+    rest_kwh = allowed / worth if worth > 0.0 else np.inf
+    more_kwh = rest_kwh if inside and np.isfinite(rest_kwh) else 0.0
+    data = with_more_room(found.data) if inside else found.data
+    attempt = polish(
+        task.cache, data, found.dispatch, task.answer_by(), found.own, more_kwh, rest_kwh
+    )
+    task.certificate.note("tie_breakers", attempt.outcome)
+    return attempt
 
 
-def as_it_is(task: WindowTask, found: Candidate) -> Candidate | None:
-    """A dispatch of the network with the reactive power that it has."""
+OF_PHASES: tuple[Carrier, ...] = (tie_breakers, partial(tie_breakers, inside=True))
+"""Shares of dimmed customers at a voltage limit leave the tie-breakers no inside."""
+
+
+def as_it_is(_: WindowTask, found: Candidate) -> Attempt:
+    """The dispatch with the reactive power that it has."""
     known = Outcome(Status.OPTIMAL, np.nan, np.nan, 0.0)
-    return carried(task, found, Attempt(known, found.dispatch, own=found.own))
+    return Attempt(known, found.dispatch, own=found.own)
 
 
-def with_least_reactive(task: WindowTask, found: Candidate) -> Candidate | None:
-    """A dispatch with the least reactive power that its active power needs."""
+def least_reactive_power(task: WindowTask, found: Candidate) -> Attempt:
+    """The dispatch with the least reactive power that its active power needs."""
     attempt = least_reactive(task.cache, found.data, found.dispatch, task.answer_by())
     task.certificate.note("reactive_power", attempt.outcome)
-    return carried(task, found, attempt)
+    return attempt
 
 
 # Cost.

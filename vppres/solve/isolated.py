@@ -526,10 +526,10 @@ class IsolatedSolver(WindowSolver):
         return reply.value
 
     def _from(self) -> Workers:
-        """Where the processes come from; others after a fork."""
+        """Context of new processes; another after a fork."""
         return self._workers or shared_workers()
 
 
 def _kind(site: Site, method: str, data: WindowData) -> tuple[object, ...]:
-    """What of a task decides on the problems that it needs."""
+    """Kind of a task, which decides on the problems that it needs."""
     return method, data.n_steps, beyond_paper(site, data), data.moves is not None

@@ -31,12 +31,7 @@ from vppres.model.violations import broken
 from vppres.solve.apart import falls_apart, solve_apart
 from vppres.solve.cache import shared_cache
 from vppres.solve.deadline import Deadline
-from vppres.solve.dispatch import (
-    SERVICE_HELD_REL,
-    keep_dispatch_in_network,
-    keep_with_turns,
-    settle,
-)
+from vppres.solve.dispatch import SERVICE_HELD_REL, keep_dispatch, settle
 from vppres.solve.fleet.all_terms import all_terms, require_bounds
 from vppres.solve.fleet.masters import fleets_of, master_of
 from vppres.solve.fleet.reach import everyone_in_reach
@@ -76,8 +71,8 @@ class WindowSolver:
     method : {"decomposed", "monolithic"}
         How the supply schedule is found; ``docs/method.md`` proves the certificates.
     solver : str
-        Name in the table of solvers. Counts, the stages in the network and continuous problems with
-        cones do not follow it; the stages of a solution name the solver of each.
+        Name in the table of solvers. The stages in the network and continuous problems with cones
+        do not follow it; the stages of a solution name the solver of each.
     limits : SolveLimits, optional
         Gaps and time limit of a window.
     polygon_sides : int, optional
@@ -193,7 +188,7 @@ class WindowSolver:
         if is_settled(self.site, data, served) or deadline.passed:
             return found
         task = self._task(data, self.limits.at_most(deadline.left_s))
-        if task.is_large or task.own:
+        if task.is_large:
             return found
         for other in sooner(task, served, found.terms, task.deadline.part(COST_SHARE)):
             limits = self.limits.at_most(deadline.left_s)
@@ -289,9 +284,9 @@ class WindowSolver:
         rated = has_ratings(data)
         if not (rated and serve_within_ratings(task, served)):
             if before is not None and keeps_turns:
-                keep_with_turns(task, before)
+                keep_dispatch(task, before.served, True, before, keeps_turns=True)
             if not task.certificate.answered:
-                keep_dispatch_in_network(task, served, before)
+                keep_dispatch(task, served, True, before)
         if not task.certificate.answered:
             return None
         settle(task)
@@ -359,7 +354,7 @@ def climb(task: WindowTask) -> None:
 def keep_a_steady_set(task: WindowTask) -> None:
     """An answer by rule, if switching rules left the searches none in their time."""
     for served in steady_sets(task.data):
-        keep_dispatch_in_network(task, served)
+        keep_dispatch(task, served, network=True)
         if task.certificate.answered:
             return
 

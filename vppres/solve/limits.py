@@ -16,6 +16,7 @@ import numpy as np
 from vppres.core.arrays import Flags, Floats
 from vppres.model.beyond_paper.ratings import FAMILY
 from vppres.model.data import WindowData
+from vppres.model.phases import phased_model
 from vppres.model.ratings import limit_kva
 from vppres.model.site import Site
 from vppres.solve.deadline import Deadline
@@ -78,7 +79,7 @@ def limits_of(
     None where the window has none, and where the problem has no network.
     """
     if data.phased is not None:
-        return PhaseLimits(site, data, Draws.of_problem(site, data, problem, served))
+        return PhaseLimits(site, data, Draws.of(phased_model(site), data, problem))
     stated = FAMILY in problem.statement.families or "P_flow" not in problem.first
     return None if data.flow_max_kva is None or stated else FlowLimits(site, data, problem)
 

@@ -60,11 +60,11 @@ class Linear:
         )
 
     def written(self, width: int) -> Linear:
-        """The same rows, of as many values as a window writes."""
+        """Rows of as many values as a window writes."""
         return replace(self, by=_widened(self.by, width))
 
     def wider(self, size: int) -> Linear:
-        """The same rows of more columns; those that come behind are not used."""
+        """Rows of more columns; those that come behind are not used."""
         column = np.where(self.column == self.shape[1], size, self.column)
         return replace(self, column=column, shape=(self.shape[0], size))
 
@@ -124,7 +124,7 @@ class Linear:
 
 
 def _widened(by: sp.csr_array, width: int) -> sp.csr_array:
-    """The same numbers of more values, on which they do not depend."""
+    """Numbers of more values, on which they do not depend."""
     if by.shape[1] == width:
         return by
     return sp.csr_array((by.data, by.indices, by.indptr), shape=(by.shape[0], width))

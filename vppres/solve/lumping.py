@@ -211,7 +211,7 @@ class Lumping:
         return Family(f"{name} {letter}", rows, MOST, (count,), letters)
 
     def written(self, values: Floats) -> Floats:
-        """What a window writes behind the statement's values: sums, and ranges of factors."""
+        """Values that a window writes behind the statement's: sums, and ranges of factors."""
         found = []
         for is_range, factors in self._written:
             data = factors.data * values[factors.indices]

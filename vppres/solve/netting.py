@@ -8,7 +8,6 @@ import numpy as np
 
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Floats
-from vppres.kinds.gensets.physics import SetsAhead
 from vppres.model.beyond_paper.stored_value import left_kwh
 from vppres.model.data import WindowData
 from vppres.model.site import Site
@@ -25,7 +24,7 @@ served."""
 
 
 def eased_soc(batteries: Batteries) -> Floats:
-    """That energy as a state of charge, (B,), at most ``SOC_OVER``."""
+    """Eased energy as a state of charge, (B,), at most ``SOC_OVER``."""
     return np.minimum(EASED_KWH / batteries.energy_kwh, SOC_OVER)
 
 
@@ -50,6 +49,5 @@ def _is_worth_less(site: Site, data: WindowData, before: Dispatch, after: Dispat
     value = data.stored_value
     if value is None:
         return False
-    sets = data.ahead.find(SetsAhead)
-    least, found = (value.at(left_kwh(site, value, sets, each)) for each in (before, after))
+    least, found = (value.at(left_kwh(site, value, data.ahead, each)) for each in (before, after))
     return found < least - SOC_OVER * (1.0 + abs(least))

@@ -70,7 +70,7 @@ class PhasePrices:
 
 
 def _units(model: ShadowPriceModel) -> dict[int, Floats | float]:
-    """What a row of each side moves for 0.001 pu or 1 kVA: the rows are in squares and shares."""
+    """Move of a row of each side for 0.001 pu or 1 kVA: the rows are in squares and shares."""
     assert model.data is not None
     net = model.site.feeder
     room_kva = float(model.data.require_phased().room_kva[0])

@@ -7,7 +7,7 @@ for nearly each asset: all at once they take most of the time of a window.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import Any
@@ -21,6 +21,7 @@ from vppres.model.beyond_paper.losses import lit_steps
 from vppres.model.data import WindowData
 from vppres.model.phases import GRID, REACH, SIDES, PhasedModel, phased_model
 from vppres.model.site import Site
+from vppres.model.statement import DRAWN
 from vppres.model.violations import VOLTAGE_TOLERANCE_PU2
 from vppres.scenario.assets import NO_POWER_KW
 from vppres.solve.deadline import HALF
@@ -40,6 +41,10 @@ farthest out first."""
 BINDS_PU2 = 2e-5
 """How near its limit a squared voltage of a candidate is that the limit binds: 1e-5 pu."""
 
+MOST_BINDING = 16
+"""Voltages of a step and phase that bind a candidate on a side and get a row from the start. Where
+limits give way to the feeder without control, a plan near that state has thousands at them."""
+
 NEAR_RATING = 0.03
 """Share of what a phase of the former may carry that the last candidate may stay below it by for
 its sides to be rows from the start: passes move it by less."""
@@ -56,13 +61,10 @@ TOWARDS = np.exp(-2j * np.pi * np.arange(SIDES) / SIDES)
 
 Factors = Callable[[Wholes], tuple[Any, Any]]
 
-# Assets from the first one on, their columns, (W, k), and what of a column each draws.
-Term = tuple[int, Wholes, Floats | float]
-
 
 @dataclass(frozen=True, eq=False)
 class Draws:
-    """What assets draw as it follows from a problem's columns: ``by_kw @ x`` and what is known.
+    """Power of assets as a function of a problem's columns: ``by_kw @ x`` and a known part.
 
     ``by_kw`` and ``by_kvar`` are (W * D, n), one step after the other; ``kw`` and ``kvar`` (W, D).
     """
@@ -73,71 +75,27 @@ class Draws:
     kvar: Floats
 
     @classmethod
-    def of(
-        cls,
-        model: PhasedModel,
-        data: WindowData,
-        size: int,
-        active: Iterable[Term],
-        reactive: Iterable[Term],
-        known: tuple[Floats, Floats],
-    ) -> Draws:
-        """Sums of columns; what the former gives as a source is no draw."""
-        by_kw, by_kvar = (_sums(model, data, size, terms) for terms in (active, reactive))
-        return cls(by_kw, by_kvar, *known)
-
-    @classmethod
-    def of_problem(
-        cls, site: Site, data: WindowData, problem: Selected, served: Flags | None
-    ) -> Draws:
-        """Those of a selection of the statement, for a supply schedule if service is held."""
-        model = phased_model(site)
-        pv = len(site.customers)
-        batteries = pv + len(site.pv)
-        rest = np.zeros((data.n_steps, len(site.batteries)))
-        all_sun = (data.pv_kw, np.zeros_like(data.pv_kw))
-        held = 0.0 if served is None else served
-        known = model.powers(data.dark, data.load_kw * held, all_sun, (rest, rest))
-
-        def terms(letters: dict[str, tuple[int, Floats | float]]) -> list[Term]:
-            there = [name for name in letters if name in problem.first]
-            return [(letters[name][0], problem.at(name), letters[name][1]) for name in there]
-
-        active: dict[str, tuple[int, Floats | float]] = {
-            "P_curt": (pv, 1.0),
-            "P_ch": (batteries, 1.0),
-            "P_dch": (batteries, -1.0),
-        }
-        reactive: dict[str, tuple[int, Floats | float]] = {
-            "Q_pv": (pv, -1.0),
-            "Q_batt": (batteries, -1.0),
-        }
-        if served is None:
-            active["x_served"] = 0, data.load_kw
-            reactive["x_served"] = 0, data.load_kw * site.customers.q_per_p
-        size = len(problem.x_lower)
-        return cls.of(model, data, size, terms(active), terms(reactive), known)
+    def of(cls, model: PhasedModel, data: WindowData, problem: Selected) -> Draws:
+        """Draws of a selection of the statement; the former's power as a source is none."""
+        W = data.n_steps
+        shown = np.ones((W, len(model.flows[GRID].assets)))
+        if model.former_device is not None:
+            shown[data.dark, model.former_device] = 0.0
+        by_step = np.arange(shown.size).reshape(shown.shape, order="F").ravel()
+        mask = sp.diags_array(shown.ravel())
+        found = []
+        for name in DRAWN:
+            rows, known = problem.numbers_of(name)
+            found.append(
+                (sp.csr_array(mask @ rows[by_step]), shown * known[by_step].reshape(W, -1))
+            )
+        (by_kw, kw), (by_kvar, kvar) = found
+        return cls(by_kw, by_kvar, kw, kvar)
 
     def at(self, x: Floats) -> tuple[Floats, Floats]:
-        """What assets draw in a solution, (W, D) each."""
+        """Power of assets in a solution, (W, D) each."""
         kw = self.kw + (self.by_kw @ x).reshape(self.kw.shape)
         return kw, self.kvar + (self.by_kvar @ x).reshape(self.kvar.shape)
-
-
-def _sums(model: PhasedModel, data: WindowData, size: int, terms: Iterable[Term]) -> sp.csr_array:
-    """What columns add to the power of each asset and step, (W * D, n)."""
-    count = len(model.flows[GRID].assets)
-    shown = np.ones((data.n_steps, count), dtype=bool)
-    if model.former_device is not None:
-        shown[data.dark, model.former_device] = False
-    found = sp.csr_array((data.n_steps * count, size))
-    for first, columns, factor in terms:
-        steps, places = np.indices(columns.shape)
-        values = np.broadcast_to(factor, columns.shape) * shown[steps, first + places]
-        rows = steps * count + first + places
-        entries = (values.ravel(), (rows.ravel(), columns.ravel()))
-        found = found + sp.csr_array(sp.coo_array(entries, shape=found.shape))
-    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,21 +147,12 @@ class PhaseLimits:
         u, former = self.model.linear(self.data, *drawn)
         u = self.phased.u_offset + u
         sides = ((LOW, self.phased.u_min - u), (HIGH, u - self.phased.u_max))
-        worst = [self._voltages(side, self._worst(beyond, over)) for side, beyond in sides]
+        worst = [
+            self._voltages(side, _farthest(self.model, self.limited, beyond, over, MOST_NEW))
+            for side, beyond in sides
+        ]
         former = self.phased.former_offset + former
         return [*chain(*worst), *self._former(former, over), *self._rated(drawn, over)]
-
-    def _worst(self, beyond: Floats, over: float) -> Flags:
-        """The voltages farthest beyond a limit in each step and phase, (W, m)."""
-        found = np.zeros(beyond.shape, dtype=bool)
-        beyond = np.where(self.limited, beyond, -np.inf)
-        for places in self.model.by_phase:
-            order = np.argsort(-beyond[:, places], axis=1, kind="stable")
-            worst = places[order[:, :MOST_NEW]]
-            np.put_along_axis(
-                found, worst, np.take_along_axis(beyond, worst, axis=1) > over, axis=1
-            )
-        return found
 
     def _voltages(self, side: int, which: Flags) -> list[PhaseRows]:
         """Rows of some limits, (W, m), on a side."""
@@ -312,6 +261,23 @@ class PhaseLimits:
         ]
 
 
+def _farthest(model: PhasedModel, limited: Flags, beyond: Floats, over: float, most: int) -> Flags:
+    """The voltages farthest beyond a limit in each step and phase, by more than so much, (W, m)."""
+    found = np.zeros(beyond.shape, dtype=bool)
+    beyond = np.where(limited, beyond, -np.inf)
+    for places in model.by_phase:
+        order = np.argsort(-beyond[:, places], axis=1, kind="stable")
+        worst = places[order[:, :most]]
+        np.put_along_axis(found, worst, np.take_along_axis(beyond, worst, axis=1) > over, axis=1)
+    return found
+
+
+def binding(model: PhasedModel, limited: Flags, room: Sequence[Floats]) -> Flags:
+    """Limits that bind a candidate, (W, 2, m), of each side by the room that it has there."""
+    of_sides = [_farthest(model, limited, -each, -BINDS_PU2, MOST_BINDING) for each in room]
+    return np.stack(of_sides, axis=1)
+
+
 def near_to(site: Site, data: WindowData, dispatch: Dispatch) -> WindowData:
     """A window that knows which limits bind a dispatch in the network too, as far as it has phases.
 
@@ -323,9 +289,9 @@ def near_to(site: Site, data: WindowData, dispatch: Dispatch) -> WindowData:
     model = phased_model(site)
     u, former = model.linear(data, *model.drawn(data, dispatch))
     u = phased.u_offset + u
-    room = np.abs(np.stack([u - phased.u_min, phased.u_max - u], axis=1))
-    limited = (model.limited & lit_steps(data)[:, None])[:, None, :]
-    bound = phased.bound | ((room < BINDS_PU2) & limited)
+    room = np.abs(u - phased.u_min), np.abs(phased.u_max - u)
+    limited = model.limited & lit_steps(data)[:, None]
+    bound = phased.bound | binding(model, limited, room)
     kva = phased.former_offset + former
     return replace(data, phased=replace(phased, bound=bound, former_kva=kva))
 

@@ -119,7 +119,7 @@ class Program:
         )
 
     def priced(self, prices: Floats) -> tuple[float, Floats]:
-        """What the rows are worth at some prices, and what is left of the columns' costs.
+        """Worth of the rows at some prices, and reduced costs of the columns.
 
         By weak duality ``cost @ x >= worth + left @ x`` for every x that satisfies the rows,
         whatever the prices: those of a sign that a one-sided row forbids are taken as zero.
@@ -131,7 +131,7 @@ class Program:
         return float(prices[used] @ limits[used]), left
 
     def least(self, prices: Floats) -> float:
-        """What any x within its bounds costs at least, by any prices of the rows."""
+        """Least cost of any x within its bounds, by any prices of the rows."""
         worth, left = self.priced(prices)
         return worth + float(np.minimum(left * self.x_lower, left * self.x_upper).sum())
 
@@ -189,13 +189,6 @@ class Program:
             )
         return solver
 
-    def loaded_by_shares(self) -> highspy.Highs:
-        """A solver that has the program without whole numbers, as it is.
-
-        Presolving compares all columns of the few rows, and takes longer than the iterations.
-        """
-        return self.by_shares().loaded(more={"presolve": "off"})
-
     @property
     def model(self) -> highspy.HighsModel:
         """The program in HiGHS's own form."""
@@ -249,15 +242,8 @@ class ProgramSolution:
         )
 
     def outcome(self, solve_s: float) -> Outcome:
-        """The same without values, after so many seconds."""
+        """Outcome without values, after so many seconds."""
         return Outcome(self.status, self.value, self.bound, solve_s, DIRECT)
-
-
-def add_row(
-    solver: highspy.Highs, columns: Wholes, values: Floats, lower: float, upper: float
-) -> None:
-    """Add a row to a solver, which keeps its basis."""
-    solver.addRow(lower, upper, len(columns), columns.astype(np.int32), values)
 
 
 def begin_with(solver: highspy.Highs, columns: Wholes, values: Floats | Flags) -> None:
@@ -374,7 +360,7 @@ def program_of(selected: Selected) -> Program:
 
 
 def _status(status: highspy.HighsModelStatus, primal: int) -> Status:
-    """What HiGHS's end is worth."""
+    """Status of HiGHS's end."""
     ends = {
         highspy.HighsModelStatus.kOptimal: Status.OPTIMAL,
         highspy.HighsModelStatus.kInfeasible: Status.INFEASIBLE,

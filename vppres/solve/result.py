@@ -22,7 +22,7 @@ from vppres.solve.deadline import LEAST_S
 
 
 class Status(enum.StrEnum):
-    """What a solver's answer is worth."""
+    """Status of a solver's answer."""
 
     OPTIMAL = "optimal"
     """Within the gap that was asked for."""
@@ -114,11 +114,11 @@ class SolveLimits:
         check_group("limits", self)
 
     def within(self, share: float) -> SolveLimits:
-        """The same gaps in a share of the time."""
+        """Limits with the same gaps in a share of the time."""
         return replace(self, time_s=share * self.time_s)
 
     def at_most(self, time_s: float) -> SolveLimits:
-        """The same gaps in no more time than some seconds are left."""
+        """Limits with the same gaps in at most the seconds that are left."""
         return replace(self, time_s=min(self.time_s, max(time_s, LEAST_S)))
 
     def absolute(self, scale: float) -> float:
@@ -199,7 +199,7 @@ class WindowSolution:
         return self.gap_abs / max(abs(self.objective), LEAST_OBJECTIVE)
 
     def after(self, before: WindowSolution) -> WindowSolution:
-        """The same with the seconds of a solution before it too."""
+        """Copy with the seconds of a solution before it added."""
         return replace(
             self, solve_s=before.solve_s + self.solve_s, solver_s=before.solver_s + self.solver_s
         )

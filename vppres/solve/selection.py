@@ -69,7 +69,7 @@ class Family:
     letters: tuple[str, ...]
 
     def with_column(self, column: int, value: float, letter: str, limit: float = 0.0) -> Family:
-        """The same with a column more in each row, and something added to each limit."""
+        """Copy with a column more in each row, and an addition to each limit."""
         count, size = self.rows.shape
         places = np.arange(count), np.full(count, column)
         matrix = sp.coo_array((np.full(count, value), places), shape=(count, max(size, column + 1)))
@@ -104,7 +104,7 @@ class Sheet:
         self.whole: dict[str, bool] = {}
         statement = self.statement
         terms = {_of_term(name): term == 0.0 for name, term in statement.terms.items()}
-        self._constraints = {**statement.families, **statement.implied, **terms}
+        self._constraints = {**statement.families, **statement.implied, **statement.drawn, **terms}
         self._families: dict[str, tuple[Family, ...]] = {}
         for name, x in self.statement.letters.items():
             self._add_letter(name, x.shape, *_bounds(x), _is_whole(x))
@@ -246,7 +246,7 @@ class Sheet:
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """What a method takes of the statement.
+    """Selection of the statement that a method takes.
 
     A selection is made by steps, each of which gives another one.
 
@@ -280,12 +280,12 @@ class Selection:
     order: tuple[str, ...] = ()
 
     def keep(self, *names: str) -> Selection:
-        """The same with all rows of some families."""
+        """Copy with all rows of some families."""
         more = [part for name in names for part in self.sheet.parts(name)]
         return replace(self, parts=(*self.parts, *more))
 
     def combine(self, name: str, R: Any, kind: str, shape: tuple[int, ...]) -> Selection:
-        """The same with combinations of a family's rows."""
+        """Copy with combinations of a family's rows."""
         family = self.sheet.family(name)
         rows = family.rows.times(R)
         letters = tuple(each for each in family.letters if self.sheet.used(each, rows))
@@ -293,17 +293,17 @@ class Selection:
         return replace(self, parts=(*self.parts, part))
 
     def scale(self, name: str, factor: float) -> Selection:
-        """The same with a family's rows multiplied, to have them met as sharply as others."""
+        """Copy with a family's rows multiplied, to have them met as sharply as others."""
         family = self.sheet.family(name)
         count = family.rows.shape[0]
         return self.combine(name, factor * sp.eye_array(count), family.kind, family.shape)
 
     def limit(self, name: str, sums: Mapping[str, float]) -> Selection:
-        """The same with rows that limit a sum of letters from above; a window writes the limits."""
+        """Copy with rows that limit a sum of letters from above; a window writes the limits."""
         return replace(self, parts=(*self.parts, self.sheet.limit_of(name, sums)))
 
     def limit_term(self, name: str, sign: float = 1.0) -> Selection:
-        """The same with a row that limits a term from above; a window writes the limit.
+        """Copy with a row that limits a term from above; a window writes the limit.
 
         With the sign -1 what is limited is the term's negative.
         """
@@ -313,7 +313,7 @@ class Selection:
         return replace(self, parts=(*self.parts, part))
 
     def polygon(self, name: str, polygon: Polygon, of_size: bool = False) -> Selection:
-        """The same with polygons for a family of discs, a block of rows for each angle.
+        """Copy with polygons for a family of discs, a block of rows for each angle.
 
         Those of exclusive modes may stand for the size of the battery's power, which is the sum of
         charging and discharging: then half of the sides say what all of them do.
@@ -347,20 +347,20 @@ class Selection:
         return replace(self, parts=(*others, replace(part, rows=rows)))
 
     def hold(self, *names: str) -> Selection:
-        """The same with letters held, those that there are, at what a window writes."""
+        """Copy with letters held, those that there are, at values that a window writes."""
         there = {name for name in names if name in self.sheet.columns}
         return replace(self, held=self.held | there)
 
     def relax(self, name: str, lower: float = -np.inf, upper: float = np.inf) -> Selection:
-        """The same with a letter that is no whole number, within other limits."""
+        """Copy with a letter relaxed to real numbers, within other limits."""
         return replace(self, relaxed={**self.relaxed, name: (lower, upper)})
 
     def relaxed_to_shares(self, names: Sequence[str]) -> Selection:
-        """The same with binaries that take any share."""
+        """Copy with binaries relaxed to shares."""
         return replace(self, relaxed={**self.relaxed, **dict.fromkeys(names, (0.0, 1.0))})
 
     def optimise(self, maximises: bool = False, **terms: float) -> Selection:
-        """The same with factors of the terms that there are; others are left out."""
+        """Copy with factors of the terms that there are; others are left out."""
         there = [(n, f) for n, f in terms.items() if n in self.sheet.statement.terms]
         found = tuple((self.sheet.term(name), factor) for name, factor in there)
         return replace(self, terms=found, maximises=maximises)
@@ -421,7 +421,7 @@ class Selected:
 
     @cached_property
     def selection(self) -> Selection:
-        """What it takes of the statement."""
+        """Selection of the statement that was compiled."""
         return self._select(self.sheet)
 
     @property
@@ -609,9 +609,32 @@ class Selected:
         self._numbers = checked(Numbers(self._squares, cost, offset, rows, limit))
         return self._numbers
 
+    def numbers_of(self, name: str) -> tuple[sp.csr_array, Floats]:
+        """A family on the problem's columns, whether it has it or not: rows, and what is known.
+
+        They are those of the window that was written last, with what is held put in: what has to
+        be 0, or no more, is ``rows @ x + known``.
+        """
+        part = self._ready(self.sheet.family(name))
+        size = self.sheet.size
+        x = np.zeros(size + 1)
+        x[-1] = -1.0
+        place = np.full(size + 1, -1)
+        for letter, columns in self.sheet.columns.items():
+            if letter in self.first:
+                place[columns] = self.at(letter)
+            elif letter in self.held:
+                x[columns] = self.held[letter]
+        values = part.by @ self.values
+        free = place[part.column] >= 0
+        entries = (values[free], (part.row[free], place[part.column[free]]))
+        rows = sp.csr_array(sp.coo_array(entries, shape=(part.shape[0], len(self.x_lower))))
+        known = values[~free] * x[part.column[~free]]
+        return rows, np.bincount(part.row[~free], known, part.shape[0]).astype(float)
+
     @property
     def offset(self) -> float:
-        """What the objective of the window that was written last has besides, as a minimum."""
+        """Constant of the objective of the window that was written last, as a minimum."""
         assert self._numbers is not None
         return self._numbers.offset
 
@@ -662,7 +685,7 @@ class Selected:
         return self.statement.dispatch(served)
 
     def own_value(self) -> float:
-        """What the page's own term of F is worth in the last solution."""
+        """Value of the page's own term of F in the last solution."""
         term = self.statement.terms.get("own")
         return 0.0 if term is None else float(term.value)
 
@@ -671,7 +694,7 @@ class Selected:
         return {name: self.value_of(name) for name in self.sheet.own_whole}
 
     def both_ways_kw(self) -> Floats:
-        """What the last solution imports and exports at the same time, (W,)."""
+        """Power that the last solution imports and exports at the same time, (W,)."""
         imported = np.maximum(self.value_of("P_grid"), 0.0)
         found = [each.both_ways_kw(imported) for each in self.statement.additions]
         return np.sum(found, axis=0) if found else np.zeros_like(imported)

@@ -34,7 +34,7 @@ RATED = {
 
 @dataclass(frozen=True, eq=False)
 class FixedDecisions:
-    """What the pricing problem holds of the record, for a window of W steps.
+    """Decisions of the record that the pricing problem holds, for a window of W steps.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class FixedDecisions:
 
 @dataclass(frozen=True)
 class PricedTerms:
-    """What is maximised: weights of f1 (weighted customer hours), f2 (GBP) and f3 (kWh)."""
+    """Objective: weights of f1 (weighted customer hours), f2 (GBP) and f3 (kWh)."""
 
     service: float
     cost: float
@@ -122,7 +122,7 @@ class ShadowPriceModel(Selected):
         return part
 
     def dual(self, name: str) -> Floats:
-        """What one more unit of a family's limits would gain, in its rows' shape."""
+        """Gain of one more unit of a family's limits, in its rows' shape."""
         return np.reshape(self.duals[self.rows_of[name]], self.family(name).shape, order="F")
 
 

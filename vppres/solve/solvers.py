@@ -98,7 +98,7 @@ class SolverSpec:
 
 @cache
 def _installed() -> frozenset[str]:
-    """What cvxpy finds: it looks through the folders of the environment for every solver."""
+    """Solvers that cvxpy finds: it looks through the folders of the environment for each."""
     return frozenset(cp.installed_solvers())
 
 
@@ -200,7 +200,7 @@ def run_by_cvxpy(
     time_s: float,
     scale: float = 1.0,
 ) -> Outcome:
-    """The same by way of cvxpy."""
+    """Solve by way of cvxpy."""
     interface = spec.interface
     assert interface is not None
     options = partial(interface.options, gap_abs * scale)
@@ -229,7 +229,7 @@ def run_by_cvxpy(
 
 
 def _status(answer: CvxpyResult, interface: Interface) -> Status:
-    """What an answer is worth."""
+    """Status of an answer."""
     if answer.word == cp.OPTIMAL:
         return Status.OPTIMAL
     if answer.word in (
@@ -326,7 +326,11 @@ def as_cvxpy(selected: Selected) -> tuple[cp.Problem, cp.Variable]:
     x = cp.Variable(len(numbers.cost), integer=(whole,) if len(whole) else False)
     zero, end = selected.dims.zero, selected.dims.zero + selected.dims.nonneg
     left = numbers.limit - numbers.rows @ x
-    rows = [left[:zero] == 0, left[zero:end] >= 0]
+    # A row without coefficients that holds is left out: cvxpy reads no prices of it from SCIP.
+    bare = abs(numbers.rows).sum(axis=1) == 0
+    equal = np.flatnonzero(~bare[:zero] | (numbers.limit[:zero] != 0))
+    least = zero + np.flatnonzero(~bare[zero:end] | (numbers.limit[zero:end] < 0))
+    rows = [left[equal] == 0, left[least] >= 0]
     if selected.dims.soc:
         cones = cp.reshape(left[end:], (3, len(selected.dims.soc)), order="F")
         rows.append(cp.SOC(cones[0], cones[1:], axis=0))
@@ -336,13 +340,13 @@ def as_cvxpy(selected: Selected) -> tuple[cp.Problem, cp.Variable]:
     if selected.added is not None:
         matrix, at_least = selected.added
         rows.append(selected.shown(matrix) @ x >= at_least)
-    least = numbers.cost @ x + numbers.offset
-    sense = cp.Maximize(-least) if selected.maximises else cp.Minimize(least)
+    cost = numbers.cost @ x + numbers.offset
+    sense = cp.Maximize(-cost) if selected.maximises else cp.Minimize(cost)
     return cp.Problem(sense, rows), x
 
 
 def _compile_s(problem: cp.Problem | Selected) -> float:
-    """What compiling a problem may take, 0 for one that is compiled."""
+    """Time for compiling a problem, in seconds; 0 for one that is compiled."""
     if isinstance(problem, Selected):
         return 0.0 if problem.is_compiled else COMPILE_S + COMPILE_S_PER_ENTRY * problem.entries
     if problem.compilation_time is not None:

@@ -19,6 +19,7 @@ from vppres.solve.compiled import Numbers
 from vppres.solve.deadline import Deadline
 from vppres.solve.direct import solve_by_highs
 from vppres.solve.dispatch import HELD_ABS, HELD_REL, SERVICE_HELD_REL
+from vppres.solve.fleet.all_terms import not_bounded
 from vppres.solve.fleet.masters import fleets_of, set_of
 from vppres.solve.fleet.relaxation import Fleet, FleetProblem, fleet_of
 from vppres.solve.programs import NODES, search_options
@@ -96,8 +97,13 @@ def _swaps(before: Flags, served: Flags) -> bool:
 
 
 def sooner(task: WindowTask, served: Flags, terms: Terms, deadline: Deadline) -> Iterator[Flags]:
-    """Schedules of no less service and no more cost than one that serve sooner, by each fleet."""
+    """Schedules of no less service and no more cost than one that serve sooner, by each fleet.
+
+    A fleet that does not know all that the page has would find what no dispatch is worth.
+    """
     for lumped in fleets_of(task.data):
+        if not_bounded(task, lumped):
+            continue
         fleet = fleet_of(task.cache, task.data, lumped)
         problem = task.cache.problem(Sooner, fleet=fleet)
         problem.write_equals(task.data, served, terms)
@@ -124,10 +130,10 @@ def service_of(site: Site, terms: Terms) -> float:
 
 
 def missed(service: float) -> float:
-    """What the dispatch of as much service may miss of it."""
+    """Service that the dispatch of as much service may miss."""
     return SERVICE_HELD_REL * (1.0 + abs(service))
 
 
 def missed_gbp(cost_gbp: float) -> float:
-    """What the dispatch of a cost may cost more."""
+    """Cost by which the dispatch of a cost may exceed it, in GBP."""
     return HELD_REL * abs(cost_gbp) + HELD_ABS

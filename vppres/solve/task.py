@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -36,7 +37,7 @@ window in which time ran out during the search still gets the dispatch of the se
 
 @dataclass(frozen=True, eq=False)
 class WindowTask:
-    """What every stage of a window gets, and where it leaves what it found.
+    """Shared state of the stages of a window: data, limits, certificate and found sets.
 
     Parameters
     ----------
@@ -54,6 +55,8 @@ class WindowTask:
         When the window's time limit is reached.
     certificate : Certificate
         What is known so far.
+    masters : dict
+        Those without the network by whether they lump the fleet, each made once.
     """
 
     data: WindowData
@@ -63,6 +66,7 @@ class WindowTask:
     sides: int
     deadline: Deadline
     certificate: Certificate
+    masters: dict[bool, Any] = field(default_factory=dict)
 
     @classmethod
     def begin(
@@ -161,7 +165,7 @@ class WindowTask:
 
     @property
     def grace_s(self) -> float:
-        """What the way to the first answer may take beyond the time limit."""
+        """Time beyond the limit for the way to the first answer, in seconds."""
         return GRACE_S + GRACE_S_PER_BUS * self.site.network.n_buses
 
     @property

@@ -1,4 +1,4 @@
-"""What a controller and a solver's process say to each other, and how it crosses the socket."""
+"""Messages of a controller and a solver's process, and their form on the socket."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def _own_parts() -> tuple[str, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """What a solver is made of.
+    """Setup of a solver.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ class Task:
 
 @dataclass(frozen=True, eq=False)
 class Reply:
-    """What came of a task: a value or an error; neither where the process lacks the setup."""
+    """Reply to a task: a value or an error; neither where the process lacks the setup."""
 
     value: Any = None
     error: Exception | None = None
@@ -168,7 +168,7 @@ class Channel:
         return bytes(self._exactly(length, due))
 
     def _exactly(self, count: int, due: float | None) -> bytearray:
-        """That many bytes."""
+        """Receive a number of bytes."""
         found = bytearray()
         while len(found) < count:
             if due is not None:

@@ -6,10 +6,7 @@ from dataclasses import replace
 from functools import partial
 
 from vppres.model.numerics import POLYGON_SIDES, objective_scale
-from vppres.solve.dispatch import (
-    FINER,
-    keep_dispatch_in_network,
-)
+from vppres.solve.dispatch import FINER, keep_dispatch
 from vppres.solve.forms import Form, window_problem
 from vppres.solve.limits import run_within_limits
 from vppres.solve.programs import SOLVED
@@ -44,7 +41,7 @@ def without_binaries(task: WindowTask) -> None:
     known.note("relaxed", outcome)
     if outcome.status == Status.OPTIMAL:
         known.bound_by(outcome.value + SOLVED * (1.0 + abs(outcome.value)))
-        keep_dispatch_in_network(task, problem.value_of("x_served") > IN_FULL)
+        keep_dispatch(task, problem.value_of("x_served") > IN_FULL, network=True)
 
 
 def with_binaries(task: WindowTask) -> None:
@@ -86,5 +83,5 @@ def _solve(task: WindowTask, name: str, form: Form, gap: float) -> bool:
         known.learn(name, outcome)
     if outcome.status.has_answer:
         charges = problem.value_of("delta") > 0.5
-        keep_dispatch_in_network(task, problem.value_of("x_served") > 0.5, charges=charges)
+        keep_dispatch(task, problem.value_of("x_served") > 0.5, network=True, charges=charges)
     return outcome.status == Status.OPTIMAL

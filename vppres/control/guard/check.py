@@ -10,7 +10,6 @@ from vppres.contract.decision import Decision
 from vppres.contract.owed import MOST_SHARE
 from vppres.control.step_state import StepState
 from vppres.core.arrays import Flags, Floats, Names
-from vppres.kinds.gensets.physics import SetsAhead
 from vppres.kinds.table import KINDS
 from vppres.model.formulas import (
     bus_injections,
@@ -91,7 +90,7 @@ def violations(
         _service(row, state),
         _battery_power(row, state, within),
         _kinds(row, state, within),
-        _sets_switched(row, state),
+        _switched_early(row, state),
         _unformed_supply(row, state),
         _energy(row, state, within),
         _pv(row, state, within),
@@ -204,24 +203,26 @@ def _kinds(row: _Row, state: StepState, within: Tolerances) -> str:
     return ""
 
 
-def _sets_switched(row: _Row, state: StepState) -> str:
-    """Generating sets that start before they may, or run where they must not."""
-    ahead = state.ahead.find(SetsAhead)
-    if ahead is None:
-        return ""
-    sets = state.site.gensets
-    on = row.running["gensets"][np.newaxis]
-    early = ahead.starts(on) & ~ahead.may_start(sets, np.array([state.island]))
-    wrong = (early | (on & ~ahead.can_run))[0]
-    return f"genset switching: {sets.id[np.argmax(wrong)]}" if wrong.any() else ""
+def _switched_early(row: _Row, state: StepState) -> str:
+    """Units that start before they may, or run where they must not."""
+    outage = np.array([state.island])
+    for kind, known in state.ahead.by_kind.items():
+        units = state.site.kinds[kind]
+        wrong = known.switched_early(units, row.running[kind][np.newaxis], outage)[0]
+        if wrong.any():
+            return f"{KINDS[kind].word} switching: {units.id[np.argmax(wrong)]}"
+    return ""
 
 
 def _unformed_supply(row: _Row, state: StepState) -> str:
-    """Customers on in an island that only a set can form, without a set that does."""
-    if not state.forms.any() or not row.served.any():
+    """Customers on in an island that only a unit of a kind can form, without one that does."""
+    if not state.formers or not row.served.any():
         return ""
-    lit = row.running["gensets"] & state.site.gensets.grid_forming
-    return "" if lit.any() else "island: no set forms the grid"
+    for kind in state.formers:
+        able = state.ahead.by_kind[kind].able_to_form(state.site.kinds[kind])
+        if (row.running[kind] & able).any():
+            return ""
+    return "island: no set forms the grid"
 
 
 def _energy(row: _Row, state: StepState, within: Tolerances) -> str:
@@ -279,6 +280,7 @@ def _phased_network_kw(row: _Row, curtailed_kw: Floats, state: StepState) -> flo
         load_kw=state.load_kw * row.served,
         pv=(state.pv_kw - curtailed_kw, row.pv_q_kvar),
         batteries=(row.discharge_kw - row.charge_kw, row.batt_q_kvar),
+        taken_kw=row.taken_kw,
     )
     try:
         found = model.solved(state.island, p_kw, q_kvar)

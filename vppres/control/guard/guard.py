@@ -17,7 +17,6 @@ from vppres.contract.decision import Decider, Decision, SolveInfo
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.observation import Observation
 from vppres.control.converged import dark_steps
-from vppres.control.forming import formed_by_set
 from vppres.control.full_horizon import FullHorizonController
 from vppres.control.guard.check import violations
 from vppres.control.guard.critical import CriticalFirst
@@ -121,7 +120,7 @@ class GuardedController:
         seen = reduced_observation(known.observation, known.online, self.site.batteries)
         now = WindowData.of(seen, site, centre).first(1)
         dark = dark_steps(site, now)
-        formed, _ = formed_by_set(site, now, dark, headroom=0.0)
+        formed, _ = now.formed(site, dark, headroom=0.0)
         return replace(state, ahead=formed.ahead, dark=bool(dark[0]))
 
     def _checked_decision(self, known: StateEstimate, state: StepState) -> Decision:

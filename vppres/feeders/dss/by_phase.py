@@ -171,7 +171,7 @@ class _Matrices:
         return len(one) == len(self.users[node]) == 1 and self.grounding(node) is not None
 
     def grounding(self, node: tuple[str, int]) -> complex | None:
-        """What grounds a neutral, in siemens; None where it is joined to more than ground."""
+        """Admittance of a neutral to ground, in siemens; None where it joins more than ground."""
         bus, own = node
         nodes, y = self._sum([sums for (at, _), sums in self.at_bus.items() if at == bus])
         gone = [
@@ -416,8 +416,7 @@ def _powers(engine: Any, solved: bool, refused: Refused) -> Iterator[dict[str, A
             n = dss.CktElement.NumPhases()
             ends = _nodes()
             kv = engine.number(f"{element}.kv")
-            dss.Text.Command(f"? {element}.conn")
-            delta = dss.Text.Result().strip().lower() in ("delta", "ll")
+            delta = engine.text_of(f"{element}.conn") in ("delta", "ll")
             coils = _load_coils([phase for _, phase in ends], delta, n)
             kv = kv if n == 1 or delta else kv / np.sqrt(3)
             legs = engine.elements().LEGS.get(ends[0][0])

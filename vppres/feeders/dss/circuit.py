@@ -81,7 +81,7 @@ def read_opendss(path: Path, time_limit_s: float | None = None, by_phase: bool =
 
 
 def _profiles(net: Any, found: dict[str, Any], where: str) -> Iterator[Profile]:
-    """What loads and PV systems follow over time; rows have no times."""
+    """Profiles of loads and PV systems; rows have no times."""
     shapes = found["shapes"]
     for table, kinds in (("load", ("load",)), ("sgen", ("generator", "pvsystem"))):
         powers = [power for power in found["powers"] if power["kind"] in kinds]
@@ -96,7 +96,7 @@ def _profiles(net: Any, found: dict[str, Any], where: str) -> Iterator[Profile]:
 
 
 def _told_shapes(shapes: dict[str, Any]) -> Iterator[str]:
-    """That there are shapes, and how they are followed."""
+    """Sentence on load shapes and how they are followed."""
     minutes = sorted({own["minutes"] for own in shapes["values"].values()})
     if minutes:
         yield (
@@ -187,7 +187,7 @@ class OpenDSSFlow:
         return (first, *self.causes[1:])
 
     def told_opening(self) -> Iterator[str]:
-        """What opening elements that are in service in the source changes, in a sentence."""
+        """Sentence on the effect of opening elements that are in service in the source."""
         if not self.disabled:
             return
         opened, whole = self.as_given() or {}, self.given or {}

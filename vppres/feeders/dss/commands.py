@@ -31,7 +31,7 @@ FILES = {"csvfile": "", "pqcsvfile": "", "sngfile": "<f4", "dblfile": "<f8"}
 _SET = """
 voltagebases defaultbasefrequency basefrequency earthmodel loadmult genmult loadmodel algorithm
 tolerance maxiterations maxcontroliter controlmode allowduplicates longlinecorrection normvminpu
-normvmaxpu emergvminpu emergvmaxpu
+normvmaxpu emergvminpu emergvmaxpu year allocationfactors %growth
 """
 SET = frozenset(_SET.split())
 """Options that OpenDSS gets. All others are of a study or of its figures."""
@@ -78,7 +78,7 @@ class Commands:
         self.named_levels = False
 
     def text(self, verb: str, target: str, values: Values) -> str:
-        """What the engine gets; empty for nothing.
+        """Command for the engine; empty if it gets none.
 
         Raises
         ------
@@ -161,10 +161,7 @@ class Commands:
     def _in_file(self, kind: str, name: str, form: str, full: str) -> Iterator[str]:
         """The values of a file, as the properties that it stands for."""
         columns = COLUMNS[kind]
-        if form:
-            table = np.frombuffer(self._content(name).encode("latin-1"), form)[:, None]
-        else:
-            table = _table(self._content(name), name)
+        table = self._binary(name, form)[:, None] if form else _table(self._content(name), name)
         if full == "pqcsvfile":
             columns = ("hour", "mult", "qmult")
         count = min(table.shape[1], len(columns))
@@ -186,7 +183,7 @@ class Commands:
         binary = next((key for key in ("sngfile", "dblfile") if key in parts), "")
         if binary:
             name = parts.pop(binary)
-            return _row(np.frombuffer(self._content(name).encode("latin-1"), FILES[binary]))
+            return _row(self._binary(name, FILES[binary]))
         column = next((parts.pop(key) for key in [*parts] if "column".startswith(key)), "1")
         header = next((parts.pop(key) for key in [*parts] if "header".startswith(key)), "no")
         if name is None or parts or not column.isdecimal():
@@ -197,6 +194,16 @@ class Commands:
         if not 1 <= int(column) <= table.shape[1]:
             raise CommandRefused(f"{_cut(name)} has no column {column}", "Correct the column.")
         return _row(table[:, int(column) - 1])
+
+    def _binary(self, name: str, form: str) -> Any:
+        """Numbers of a file that holds nothing else."""
+        content, size = self._content(name).encode("latin-1"), np.dtype(form).itemsize
+        found = np.frombuffer(content[: len(content) // size * size], form)
+        if len(content) % size or not np.isfinite(found).all():
+            raise CommandRefused(
+                f"{_cut(name)} holds no numbers of {size} bytes", "Write it anew, or a csvfile."
+            )
+        return found
 
     def _content(self, name: str) -> str:
         """A file's bytes as Latin-1 text."""

@@ -134,14 +134,14 @@ class TwoPort:
 
 
 def power_at_nominal(nodes: list[Node], y: Any, base_kv: float) -> complex:
-    """What a matrix draws at the nominal voltages of its bus, in kW and kvar; neutrals have 0 V."""
+    """Power of a matrix at the nominal voltages of its bus, in kW and kvar; neutrals have 0 V."""
     phases = [i for i, (_, node) in enumerate(nodes) if node in PHASES]
     v = base_kv * V_PER_KV / np.sqrt(3) * ANGLES[[nodes[i][1] - 1 for i in phases]]
     return complex((v * np.conj(y[np.ix_(phases, phases)] @ v)).sum()) / VA_PER_KVA
 
 
 def power_drawn() -> complex:
-    """What the active element draws in the last solution at all terminals, in kW and kvar."""
+    """Power of the active element in the last solution at all terminals, in kW and kvar."""
     flat = np.asarray(dss.CktElement.Powers())
     return complex(flat[::2].sum(), flat[1::2].sum())
 

@@ -19,7 +19,7 @@ CONTROLS = frozenset(_CONTROLS.split())
 _CARRYING = "vsource line transformer load generator pvsystem storage capacitor reactor"
 CARRYING = frozenset(_CARRYING.split())
 CONSTANT_POWER = 1  # OpenDSS's model of a load; 2 is constant impedance, 5 constant current
-FIXED = 1  # status of a load that no multiplier changes
+VARIABLE = 0  # status of a load that multipliers change
 MOST_NAMED = 6
 NO_REACTANCE = 700.0
 LOAD_MODELS = {2: "constant impedance", 5: "constant current"}
@@ -166,7 +166,7 @@ def from_leg_to_leg(bus: str) -> complex:
 
 
 def _losses_kw() -> float:
-    """What the source gives beyond what is drawn, and what its own impedance takes.
+    """Losses: the source's power beyond the demand, and the share of its own impedance.
 
     OpenDSS's own figure leaves out the latter, and capacitors and reactors to ground.
     """
@@ -258,7 +258,7 @@ def _control(element: str) -> str:
 
 
 def told(error: Exception) -> str:
-    """What the engine says, in a line; without what it says of itself."""
+    """Message of the engine in a line, without its name and version."""
     lines = [line.strip() for line in str(error).splitlines()]
     kept = [line for line in lines if line and not line.endswith(":")]
     return " ".join(kept or lines)[:MOST_TOLD].rstrip(".")
@@ -285,6 +285,11 @@ def _problem(element: str) -> dict[str, Any] | None:
             f"{element} stands between bus {_buses()[0]} and bus {_buses()[1]}",
             "Leave its second bus out: the source holds its bus against ground.",
         )
+    if kind == "load" and dss.Solution.Year() and (shape := text_of(f"{element}.growth")):
+        return _wrong(
+            f"{element} grows by growthshape.{shape} to year {dss.Solution.Year()}",
+            "Write its power of that year, and leave out 'set year'.",
+        )
     if kind == "transformer":
         service = elements().middle() is not None
         dss.Transformers.Name(name)
@@ -302,6 +307,12 @@ def _problem(element: str) -> dict[str, Any] | None:
                 "Give it one, such as xhl=0.01.",
             )
     return None
+
+
+def text_of(of: str) -> str:
+    """Value of a property, ``class.name.property``, in lower case."""
+    dss.Text.Command(f"? {of}")
+    return str(dss.Text.Result()).strip().lower()
 
 
 def _far_end() -> list[tuple[str, int]]:
@@ -404,7 +415,7 @@ def _buses() -> list[str]:
 
 
 def _tables(solved: bool) -> dict[str, Any]:
-    """What the reader makes a pandapower net of."""
+    """Tables from which the reader makes a pandapower net."""
     branches, shunts = _branches()
     return {
         "problems": [],
@@ -424,7 +435,7 @@ def _tables(solved: bool) -> dict[str, Any]:
         "causes": list(_causes(solved)),
         "single_phases": _single_phases(),
         "balanced_notes": list(_notes_on_balance()),
-        "notes": list(_notes()),
+        "notes": list(_notes(solved)),
     }
 
 
@@ -444,8 +455,7 @@ def _sources() -> Iterator[dict[str, Any]]:
 
 def number(query: str) -> float:
     """A property that OpenDSS only tells as text."""
-    dss.Text.Command(f"? {query}")
-    return float(dss.Text.Result())
+    return float(text_of(query))
 
 
 def _branches() -> tuple[Table, Table]:
@@ -639,7 +649,7 @@ def _between_lines(rated_kv: float, base_kv: float) -> float:
 
 
 def _causes(solved: bool) -> Iterator[list[Any]]:
-    """What the balanced equivalent of constant powers does not have, with its size in kW."""
+    """Causes of differences that the balanced equivalent of constant powers has, in kW."""
     drawn_kw: dict[str, float] = {}
     single_kw = 0.0
     for name in _of("load"):
@@ -704,8 +714,7 @@ def _shapes() -> dict[str, Any]:
     follows: dict[str, str] = {}
     for kind in ("load", "pvsystem"):
         for name in _of(kind):
-            dss.Text.Command(f"? {kind}.{name}.daily")
-            shape = dss.Text.Result().strip().lower()
+            shape = text_of(f"{kind}.{name}.daily")
             if shape and shape != "default":
                 follows[f"{kind}.{name}"] = shape
     values = {}
@@ -719,6 +728,13 @@ def _shapes() -> dict[str, Any]:
     return {"follows": follows, "values": values}
 
 
+def _growth() -> float:
+    """Factor by which loads have grown in the year that the script sets."""
+    years = dss.Solution.Year() - 1
+    dss.Text.Command("get %growth")
+    return float((1.0 + float(dss.Text.Result()) / 100.0) ** years) if years >= 0 else 1.0
+
+
 def nominal(kind: str, name: str, solved: bool) -> dict[str, float]:
     """Nominal power of a load, and what anything else gives or draws in the solution.
 
@@ -727,7 +743,8 @@ def nominal(kind: str, name: str, solved: bool) -> dict[str, float]:
     """
     if kind == "load":
         dss.Loads.Name(name)
-        factor = 1.0 if int(dss.Loads.Status()) == FIXED else dss.Solution.LoadMult()
+        factor = dss.Solution.LoadMult() if int(dss.Loads.Status()) == VARIABLE else 1.0
+        factor *= _growth()
         return {"p_kw": float(dss.Loads.kW() * factor), "q_kvar": float(dss.Loads.kvar() * factor)}
     element = f"{kind}.{name}"
     dss.Circuit.SetActiveElement(element)
@@ -801,7 +818,7 @@ def _live_phases(kind: str) -> int:
 
 
 def _notes_on_balance() -> Iterator[str]:
-    """What the balanced equivalent leaves out."""
+    """Notes on the simplifications of the balanced equivalent."""
     yield (
         "The circuit is taken as balanced: lines have their positive-sequence impedance, loads "
         "of single phases count as spread over three. Voltages are compared with the mean of the "
@@ -815,8 +832,8 @@ def _notes_on_balance() -> Iterator[str]:
         )
 
 
-def _notes() -> Iterator[str]:
-    """What is taken as something else, whether the feeder is balanced or not."""
+def _notes(solved: bool) -> Iterator[str]:
+    """Notes on elements that are modelled as something else, balanced or by phase."""
     if LEFT_OUT:
         yield f"Options of 'set' are left out: {', '.join(LEFT_OUT)}."
     for control, why in REFUSED_CONTROLS.items():
@@ -839,11 +856,11 @@ def _notes() -> Iterator[str]:
             f"{', '.join(held)}."
         )
     yield from _notes_on_legs()
-    yield from _notes_on_controls()
+    yield from _notes_on_controls(solved)
 
 
 def _notes_on_legs() -> Iterator[str]:
-    """That both legs behind a service transformer count as one voltage."""
+    """Note that both legs behind a service transformer count as one voltage."""
     count = sum(elements().middle() is not None for _ in _of("transformer"))
     if count:
         yield (
@@ -853,8 +870,8 @@ def _notes_on_legs() -> Iterator[str]:
         )
 
 
-def _notes_on_controls() -> Iterator[str]:
-    """What acts in the source and stays as it is left there."""
+def _notes_on_controls(solved: bool) -> Iterator[str]:
+    """Notes on controls of the source, which stay in their last state."""
     acting = [
         element for element in _elements()
         if element.partition(".")[0] in CONTROLS - {"regcontrol", "swtcontrol"}
@@ -880,6 +897,11 @@ def _notes_on_controls() -> Iterator[str]:
             f"What batteries draw while they rest is left out, {sum(idle_kw):.3g} kW in all; "
             "efficiencies of inverters at partial load too."
         )
+        if not solved:
+            yield (
+                "OpenDSS finds no solution. What storage in wye draws at rest may be why: it may "
+                "find one with '%idlingkw=0'."
+            )
 
 
 def _set_point(name: str) -> str:

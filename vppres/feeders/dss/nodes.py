@@ -1,4 +1,4 @@
-"""What nodes are joined, and matrices without some; for the reader and its process alike."""
+"""Joined nodes, and matrices without some nodes; for the reader and its process alike."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ N = TypeVar("N")
 
 
 def beside(groups: Iterable[Sequence[N]]) -> dict[N, list[N]]:
-    """What each node is joined to by groups of nodes."""
+    """Neighbours of each node by groups of joined nodes."""
     found: dict[N, list[N]] = {}
     for group in groups:
         for one in group:

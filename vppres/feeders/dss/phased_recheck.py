@@ -35,10 +35,10 @@ from vppres.scenario.scenario import Scenario
 def recheck_phased(run: Tables, phases: Phases, source: Path, former: str | None) -> Recheck:
     """Solve the steps of a phased run on the circuit of an OpenDSS script.
 
-    As :func:`vppres.feeders.dss.recheck.recheck_opendss`; ``former`` is the battery that holds
+    As :func:`vppres.feeders.dss.recheck.recheck_opendss`; ``former`` is the device that holds
     islands, None without any.
     """
-    assets = [*_ids(run, "customers"), *_ids(run, "pv"), *_ids(run, "batteries")]
+    assets = [str(name) for name in pd.unique(drawn(run)["id"])]
     rows = [phases.connection(name) for name in assets]
     job = {
         "off": ("load", *OWN_SOURCES),
@@ -64,7 +64,7 @@ def worst_hour_by_phase(feeder: ImportedFeeder, scenario: Scenario) -> float | N
     assert phases is not None
     if not isinstance(flow, OpenDSSFlow):
         return None
-    names = assets_of(scenario.customers, scenario.pv, scenario.batteries)
+    names = assets_of(scenario)
     loads = {customer_of(load.connection.id): load.connection.id for load in source.loads}
     own = [str(each) for each in scenario.customers.id]
     assets = [
@@ -72,9 +72,7 @@ def worst_hour_by_phase(feeder: ImportedFeeder, scenario: Scenario) -> float | N
     ]
     usable_kw = np.minimum(scenario.pv_kw, scenario.pv.s_max_kva)
     powers = [
-        drawn_uncontrolled(
-            scenario.load_kw[t], scenario.load_kvar[t], usable_kw[t], len(scenario.batteries)
-        )
+        drawn_uncontrolled(scenario.load_kw[t], scenario.load_kvar[t], usable_kw[t], len(assets))
         for t in extreme_times(scenario)
     ]
     steps = [{"p_kw": p.tolist(), "q_kvar": q.tolist(), "held_v": None} for p, q in powers]
@@ -97,10 +95,6 @@ def worst_hour_by_phase(feeder: ImportedFeeder, scenario: Scenario) -> float | N
     return None if np.isnan(apart).any() else max(apart)
 
 
-def _ids(run: Tables, table: str) -> list[str]:
-    return [str(name) for name in pd.unique(run[table]["id"])]
-
-
 def _asset(row: PhaseConnection) -> dict[str, Any]:
     """How OpenDSS connects an asset's coils."""
     coils = coils_of(row.coils)
@@ -116,7 +110,7 @@ def _asset(row: PhaseConnection) -> dict[str, Any]:
 def _steps(
     run: Tables, phases: Phases, assets: list[str], former: str | None
 ) -> list[dict[str, Any]]:
-    """What each asset draws in every step, and the voltage that a battery holds in islands."""
+    """Power of each asset in every step, and the voltage that is held in islands."""
     wide = drawn(run).pivot(index="time", columns="id", values=["p", "q"])
     p_kw, q_kvar = (wide[each][assets] for each in ("p", "q"))
     held_v = _held_v(run, phases, former)
@@ -170,4 +164,4 @@ def _notes(former: str | None) -> tuple[str, ...]:
     stays = "Regulators stay as in the scenario; loads and generation of the script are off."
     if former is None:
         return (stays,)
-    return stays, f"In islands a source stands at battery {former}, at the voltage that it holds."
+    return stays, f"In islands a source stands at {former}, at the voltage that it holds."

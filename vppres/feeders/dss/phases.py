@@ -106,7 +106,7 @@ def _difference(source: PhasedSource, v_pu: Mapping[str, float], bus: str) -> fl
 
 
 def kept_phases(phases: Phases) -> str:
-    """That a feeder is by phase, in sentences."""
+    """Sentences on a feeder that keeps its phases."""
     return (
         f"The feeder keeps its phases: {len(phases.nodes)} nodes at {len(phases.buses)} buses. "
         "Plans keep each phase of its lines and transformers within its rating."
@@ -114,13 +114,13 @@ def kept_phases(phases: Phases) -> str:
 
 
 def _told_kept(kept: list[str]) -> Iterator[str]:
-    """What the tree of buses lacks and the phases have."""
+    """Sentence on elements that the phases have and the tree of buses lacks."""
     if kept:
         yield f"In service by phase, as conductors depend on it: {named(kept)}."
 
 
 def _notes(phases: Phases) -> Iterator[str]:
-    """What is known of the phases."""
+    """Notes on the phases."""
     yield kept_phases(phases)
     wires = sum(row.limits == LINES for row in phases.buses)
     if wires:
@@ -319,7 +319,7 @@ class _CircuitTables:
                     yield PhaseShunt(bus, words, across, float(kva.real), float(kva.imag))
 
     def powers(self) -> tuple[list[PhasedLoad], list[str]]:
-        """What draws or gives power with its connection, and what is not supplied, in sentences."""
+        """Loads and generators with their connections, and sentences on those not supplied."""
         found: list[PhasedLoad] = []
         dead: list[str] = []
         for row in self.found["powers"]:

@@ -45,7 +45,7 @@ Tables = Mapping[str, pd.DataFrame]
 
 @dataclass(frozen=True, eq=False)
 class Recheck:
-    """What the original feeder says to a run.
+    """Check of a run by the original feeder.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ def solved_steps(job: dict[str, Any], source: Path) -> dict[str, Any]:
 
 
 def solved_job(job: dict[str, Any], name: str) -> dict[str, Any]:
-    """The same of a job that has the circuit's commands, or its problems."""
+    """Solve a job that has the circuit's commands, or return its problems."""
     job = {"constant_power": False, **job}
     limit_s = dss_script.limit_s(job) * (1.0 + len(job["steps"]) / STEPS_OF_A_LIMIT)
     found = confined("dss/day", job, name, limit_s)
@@ -164,8 +164,12 @@ def solved_job(job: dict[str, Any], name: str) -> dict[str, Any]:
     return {**found, "v": parts[:, ::2] + 1j * parts[:, 1::2]}
 
 
+ITEMS = {kind.item: "id" for kind in KINDS.values()}
+"""Columns of units, of all kinds."""
+
+
 def drawn(run: Tables) -> pd.DataFrame:
-    """What the assets of a run draw: columns ``time``, ``bus``, ``id``, ``table``, ``p``, ``q``."""
+    """Power of a run's assets: columns ``time``, ``bus``, ``id``, ``table``, ``p``, ``q``."""
     customers, pv, batteries = run["customers"], run["pv"], run["batteries"]
     served = customers.get("share", customers["served"]).astype(float)
     parts = {
@@ -178,7 +182,10 @@ def drawn(run: Tables) -> pd.DataFrame:
             p_kw = run[kind.table]["p_kw"]
             parts[kind.table] = (-p_kw if kind.gives else p_kw, 0.0 * p_kw)
     frames = [
-        run[name].reindex(columns=["time", "bus", "id"]).assign(table=name, p=p_kw, q=q_kvar)
+        run[name]
+        .rename(columns=ITEMS)
+        .reindex(columns=["time", "bus", "id"])
+        .assign(table=name, p=p_kw, q=q_kvar)
         for name, (p_kw, q_kvar) in parts.items()
         if len(run[name])
     ]
@@ -295,7 +302,7 @@ def _worst(voltages: pd.DataFrame) -> pd.Series[Any] | None:
 
 
 def _cause(voltages: pd.DataFrame, stiff: pd.DataFrame) -> str:
-    """Where the largest difference with grid comes from.
+    """Cause of the largest difference with grid.
 
     The mean of a bus's phases, less the plan, is what the balanced model misses; a phase less the
     mean is unbalance. A bus without all three phases has no such mean.
@@ -335,7 +342,7 @@ def _cause(voltages: pd.DataFrame, stiff: pd.DataFrame) -> str:
 def _notes(
     found: dict[str, Any], steps: pd.DataFrame, voltages: pd.DataFrame, island_bus: BusId | None
 ) -> Iterator[str]:
-    """What the comparison assumes."""
+    """Assumptions of the comparison."""
     yield (
         "Regulators and capacitors stay as OpenDSS's controls leave them with the loads of the "
         "file, as in the plan."

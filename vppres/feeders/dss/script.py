@@ -113,7 +113,7 @@ class Script:
     files: dict[str, str] = field(default_factory=dict)
 
     def job(self) -> Job:
-        """What the engine builds the circuit of."""
+        """Commands from which the engine builds the circuit."""
         return {
             "commands": [[c.verb, c.target, [*c.values]] for c in self.commands],
             "files": self.files,
@@ -177,7 +177,7 @@ def folded_lines(problems: list[Problem], master: str) -> list[Problem]:
 
 @dataclass
 class _Reader:
-    """What is known while files are read: each is read once, and only below the root."""
+    """State of reading: each file is read once, and only below the root."""
 
     root: Path
     commands: list[Command] = field(default_factory=list)
@@ -192,7 +192,7 @@ class _Reader:
     """Whether the last element was refused, so that what continues it is not told again."""
 
     def notes(self) -> Iterator[str]:
-        """What is left out, in a sentence."""
+        """Sentence on the commands that are left out."""
         if self.left_out:
             words = [f"{what} ({n})" if n > 1 else what for what, n in self.left_out.items()]
             yield f"Commands that build nothing are left out: {named(words)}."

@@ -147,7 +147,7 @@ def _statements(text: str) -> Iterator[tuple[int, str]]:
 
 
 def _without_block_comments(text: str) -> str:
-    """The same lines, those between ``%{`` and ``%}`` empty."""
+    """Lines of which those between ``%{`` and ``%}`` are empty."""
     found = []
     inside = False
     for line in text.splitlines():

@@ -60,7 +60,7 @@ def _three(values: pd.Series[float]) -> str:
 
 
 def phase_powers(net: Any) -> PhasePowers | None:
-    """What the loads and generators of single phases draw; None if a net has none."""
+    """Power of loads and generators of single phases; None if a net has none."""
     words = []
     powers = []
     for table, plain, plural in TABLES:
@@ -99,7 +99,7 @@ def _phase_kw(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def _replace(net: Any, frame: pd.DataFrame, plain: str) -> None:
-    """The same powers, all phases together."""
+    """Replace powers by phase by their sums."""
     import pandapower as pp
 
     create = pp.create_load if plain == "load" else pp.create_sgen

@@ -129,7 +129,7 @@ def _end_before_buses_out_of_service(net: Any) -> None:
 
 
 def _told_stiff(net: Any, v_pu: Floats) -> str:
-    """That the grid is held stiff, and what its own strength would change."""
+    """Note that the grid is held stiff, with the effect of its own strength."""
     grids = in_service(net, "ext_grid")
     given = grids.reindex(columns=[*STIFF])
     if given.isna().any(axis=None):
@@ -308,7 +308,7 @@ class _NetTables:
             self.y[sequence][low] += half[1] / self._ohm(self.kv[low])
 
     def _shunts(self) -> Iterator[PhaseShunt]:
-        """What goes to ground at each bus: a wye for the zero sequence, a delta for the rest."""
+        """Shunts at each bus: a wye for the zero sequence, a delta for the rest."""
         found: dict[BusId, Complexes] = {}
         for row, own in self.id_of.items():
             zero, one = self.y["zero"][row], self.y["one"][row]
@@ -328,7 +328,7 @@ class _NetTables:
 
 
 def _to_ground(case: Any, row: int) -> Complexes:
-    """What a transformer has to ground at its two ends, in pu, doubled."""
+    """Admittance of a transformer to ground at its two ends, in pu, doubled."""
     b, g, g_more, b_more = case["branch"][row, [B, BR_G, BR_G_ASYM, BR_B_ASYM]].real
     return np.array([g + 1j * b, g + g_more + 1j * (b + b_more)])
 

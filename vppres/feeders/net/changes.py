@@ -17,7 +17,7 @@ from vppres.scenario.network import BusId
 
 @dataclass(frozen=True)
 class PermittedChanges:
-    """What may be changed so that a net becomes a balanced radial feeder.
+    """Changes that are permitted so that a net becomes a balanced radial feeder.
 
     As the parameters of :func:`vppres.feeders.import_network`.
     """

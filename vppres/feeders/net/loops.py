@@ -86,7 +86,7 @@ def _solved(net: Any) -> pd.Series[float] | None:
 
 
 def _change(before: pd.Series[float] | None, after: pd.Series[float] | None) -> str:
-    """What opening changed."""
+    """Effect of opening on the voltages."""
     if before is None or after is None:
         return (
             "The AC power flow of the net has no solution with all its loops or without: where it "
@@ -127,7 +127,7 @@ def _closing(net: Any, solved: bool) -> list[list[Element]]:
 
 
 def _given(net: Any, column: str) -> dict[Element, float]:
-    """What the source says of its branches; empty where it says nothing."""
+    """Texts of the source on its branches; empty where there are none."""
     return {
         (table, i): float(value)
         for table in FIRST_END

@@ -1,4 +1,4 @@
-"""What the reduction of a net leaves out, in sentences that name the elements."""
+"""Notes on the reduction of a net: sentences that name the elements left out."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def told_left_out(net: Any, case: NetCase, bus_ids: Mapping[int, BusId] | None) 
 def notes_of(
     net: Any, case: NetCase, stubs: list[Stub], closed: list[str], condensers: Generators
 ) -> Iterator[str]:
-    """What was simplified, in sentences.
+    """Sentences on the simplifications.
 
     ``case`` has the branches before any are merged; ``stubs`` are open at one end, ``closed``
     became closed switches, and ``condensers`` only have reactive power.
@@ -101,7 +101,7 @@ def _notes_on_branches(net: Any, case: NetCase) -> Iterator[str]:
 
 
 def _set_points(net: Any) -> Iterator[str]:
-    """What controllers of taps hold in the source."""
+    """Voltages that controllers of taps hold in the source."""
     found = []
     for control in net["controller"]["object"] if "controller" in net else ():
         table = str(getattr(control, "element", getattr(control, "trafotable", "")))

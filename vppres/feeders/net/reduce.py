@@ -74,7 +74,7 @@ GS, BS, KV = 4, 5, 9
 
 
 def _own_name(net: Any) -> str:
-    """What a net calls itself, if that can be shown."""
+    """Name of a net, if it can be shown."""
     name = str(net.get("name") or "").strip()
     return "" if flaw_of_name(name, LONGEST_TITLE) else name
 
@@ -478,7 +478,7 @@ def has_customer(loads: pd.DataFrame) -> pd.Series[bool]:
 
 
 def fixed_power(loads: pd.DataFrame, condensers: Generators) -> pd.DataFrame:
-    """What buses draw that no customer can own: power without or against active demand."""
+    """Fixed power of buses, which no customer can own: without or against active demand."""
     owned = has_customer(loads)
     given = pd.DataFrame({"p_kw": -condensers.p_kw, "q_kvar": -condensers.q_kvar}, condensers.bus)
     both = pd.concat([loads.loc[~owned, ["p_kw", "q_kvar"]], given])

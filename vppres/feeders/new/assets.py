@@ -168,7 +168,7 @@ def _told_tiers(
 
 
 def connections_of(feeder: ImportedFeeder) -> pd.DataFrame:
-    """What becomes a customer: the load of each bus, or the source's loads with their names.
+    """Loads that become customers: one a bus, or the source's loads with their names.
 
     Columns ``id``, ``bus``, ``p_kw``, ``q_kvar`` and ``tier``; ``attrs["of_load"]`` has the row of
     each load of the source, -1 for none. Where loads are not the customers of a bus one by one,
@@ -247,7 +247,7 @@ def _told_merged(feeder: ImportedFeeder, connections: pd.DataFrame) -> Iterator[
 
 
 def _told_loads(feeder: ImportedFeeder) -> Iterator[str]:
-    """What the source draws that no customer of the scenario owns."""
+    """Sentence on loads of the source that no customer of the scenario owns."""
     if feeder.phased is not None:
         left = [
             f"{load.kind} {load.connection.id} ({load.p_kw:.4g} kW, {load.q_kvar:.4g} kvar)"
@@ -532,7 +532,7 @@ def _amount(batteries: Batteries) -> str:
 
 
 def _stems(customers: Customers) -> Names:
-    """What the customers are named after: their bus, or their load."""
+    """Stems of the customers' names: their bus, or their load."""
     return np.array([str(name)[1:] for name in customers.id], dtype=object)
 
 

@@ -1,4 +1,4 @@
-"""Where the assets of a new phased scenario are connected."""
+"""Connections of the assets of a new phased scenario."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def _generators(source: PhasedSource, bus: object) -> list[PhasedLoad]:
 
 
 def _constant(row: PhaseConnection, asset: str) -> PhaseConnection:
-    """The same connection at constant power."""
+    """Connection at constant power."""
     return PhaseConnection(str(asset), row.bus, row.coils, row.kv)
 
 

@@ -80,7 +80,7 @@ class NewSets:
         )
 
     def told(self) -> Iterator[str]:
-        """What they are, and what of it is assumed."""
+        """Sentences on the sets and on the assumptions about them."""
         sets = self.sets
         if not len(sets):
             return

@@ -1,4 +1,4 @@
-"""What the source's word for a generator means here."""
+"""Meanings of the source's words for generators."""
 
 from __future__ import annotations
 

@@ -82,7 +82,7 @@ class Series:
 
 @dataclass(frozen=True)
 class _Target:
-    """What a series is for: one position of a kind, and the power that 1 pu means."""
+    """Target of a series: one position of a kind, and the power that 1 pu means."""
 
     kind: str
     at: int
@@ -215,7 +215,7 @@ class _Sorter:
             targets.append(target)
 
     def target(self, profile: Profile) -> tuple[_Target | None, list[Problem]]:
-        """What a series is for."""
+        """Target of a series."""
         found = self.known.get(profile.name, [])
         if len(found) == 1:
             return found[0], []
@@ -234,7 +234,7 @@ def _scale(profile: Profile, target: _Target) -> float:
 
 
 def _problem(profile: Profile, message: str, cure: str) -> Problem:
-    """What is wrong with a series, by its column, or by the name that its rows have."""
+    """Error of a series, by its column, or by the name that its rows have."""
     field = "column" if profile.column else "id"
     value = profile.column or profile.name
     return Problem(profile.where, message, cure, field=field, value=value)
@@ -297,7 +297,7 @@ def _systems(
 
 
 def _invented(names: list[str], count: int, what: str) -> str:
-    """What fills in for series that were not given."""
+    """Sentence on profiles in place of series that were not given."""
     of = "all of them" if len(names) == count else named(names)
     rule = " (wind: no power; kinds other than PV: the largest)" if what != "Load" else ""
     return f"Invented: {what} without a series follows one bundled summer day{rule}: {of}."

@@ -244,12 +244,12 @@ def write_new_scenario(
 
 
 def assumptions(feeder: ImportedFeeder, options: NewScenarioOptions) -> list[str]:
-    """What was simplified and what was chosen by rule, in sentences."""
+    """Sentences on simplifications and on choices by rule."""
     return [*feeder.notes, *_built(feeder, options)[1]]
 
 
 def _told_bundled(pv: PVSystems) -> Iterator[str]:
-    """That load and generation are the bundled day's."""
+    """Sentence that load and generation are the bundled day's."""
     kinds = dict.fromkeys(pv.kind)
     shaped = "load and PV follow" if PV in kinds else "load follows"
     yield f"Invented: {shaped} one bundled summer day; the source's loads are the peaks."
@@ -325,7 +325,7 @@ def _network(feeder: ImportedFeeder, options: NewScenarioOptions) -> Network:
 
 
 def _told_limits(network: Network, options: NewScenarioOptions) -> Iterator[str]:
-    """Whose limits a low-voltage feeder has."""
+    """Sentence on the voltage limits of a low-voltage feeder."""
     limits = limits_of(network, options.time_zone)
     if limits.origin:
         yield (

@@ -54,7 +54,7 @@ def _at(clock: pd.Timestamp, zone: str) -> pd.Timestamp:
 
 
 def days_later(start: pd.Timestamp, days: int, zone: str) -> pd.Timestamp:
-    """The same time on the clock some days later; a day may have 23 or 25 hours.
+    """Time some days later with the same reading of the clock; a day may have 23 or 25 hours.
 
     Examples
     --------

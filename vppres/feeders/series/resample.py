@@ -82,7 +82,7 @@ def _means(own: pd.Series[float], step: pd.Timedelta, grid: TimeGrid) -> Floats:
 
 
 def _faults(times: pd.DatetimeIndex, grid: TimeGrid) -> Iterator[tuple[str, str, str | None]]:
-    """What is wrong with the times of a series, the gravest first: message, cure and time."""
+    """Errors of the times of a series, the gravest first: message, cure and time."""
     if len(times) == 0:
         yield "has no value", "Give a value for every step.", None
     for i in np.flatnonzero(times[1:] <= times[:-1]).tolist():

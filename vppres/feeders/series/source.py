@@ -94,7 +94,7 @@ def controls_of(net: Any) -> Iterator[Control]:
 
 
 def controls_in_json(objects: Iterable[Mapping[str, Any]]) -> Iterator[Control]:
-    """The same from the texts of a file, of which nothing is built but numbers and names."""
+    """Controls from the texts of a file, of which only numbers and names are built."""
     for value in objects:
         content = _parsed(value.get("_object"))
         source = _parsed(_parsed(content.get("data_source")).get("_object"))

@@ -26,7 +26,7 @@ ALARM = int(getattr(signal, "SIGALRM", 0))
 def confined(
     engine: str, job: dict[str, Any], name: str, time_limit_s: float = TIME_LIMIT_S
 ) -> dict[str, Any]:
-    """What an engine answers.
+    """Answer of an engine.
 
     ``engine`` is one of :mod:`vppres.feeders.strangers.child`, ``job`` what JSON can hold; the time
     counts from the moment in which the engine is loaded.

@@ -29,5 +29,5 @@ def read_bytes(path: Path, limit: int = LARGEST_BYTES, shown: str = "") -> bytes
 
 
 def read_text(path: Path, limit: int = LARGEST_BYTES, shown: str = "") -> str:
-    """The same as text; what is no UTF-8 is replaced, and refused where it matters."""
+    """Text of a file; bytes that are no UTF-8 are replaced, and refused where they matter."""
     return read_bytes(path, limit, shown).decode("utf-8-sig", errors="replace")

@@ -31,6 +31,7 @@ class ThermalLoads(KindTable):
     about = "A room or tank that is cooled or heated."
     references = (("customer", "customers", "customer"),)
     limits = (("t_min_c", "t_max_c", ""),)
+    may_be_nan = ("t_initial_c", "around_c")
 
     id: Names = field(default_factory=no_items)
     customer: Names = field(default_factory=no_items)
@@ -46,6 +47,10 @@ class ThermalLoads(KindTable):
     t_initial_c: Floats = field(default_factory=no_items)
     gain_kw: Floats = field(default_factory=no_items)
     around_c: Floats = field(default_factory=no_items)
+
+    def most_taken_kw(self, scenario: Any) -> Floats:
+        """Largest power of each machine in every step, (T, H)."""
+        return np.tile(self.p_max_kw, (scenario.grid.n_steps, 1))
 
     def owner(self, customers: Customers) -> Wholes:
         """Position of each load's customer, (H,)."""
@@ -89,9 +94,12 @@ KIND = Kind(
     item="thermal_load",
     subject="thermal_load",
     sign="cooling or heat",
+    element=("load", "machine"),
+    takes_less=True,
+    recovers_by="temperatures",
 )
 
 
-def told(content: Mapping[str, Any]) -> str:
+def contents(content: Mapping[str, Any]) -> str:
     """Rooms and tanks in words, from the numbers of what a scenario holds."""
     return counted(content["thermal_loads"], "thermal load")

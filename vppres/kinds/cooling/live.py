@@ -139,11 +139,6 @@ def read(
     )
 
 
-def to_come(day: Scenario) -> Scenario:
-    """A day without what is over at its beginning: the day itself."""
-    return day
-
-
 def now(moment: Moment, read_c: Floats, past: Felt | None) -> Indoor:
     """Rooms and tanks in the present step."""
     loads = moment.window.thermal_loads

@@ -13,6 +13,11 @@ from vppres.explain.step import Reason, Step
 AHEAD_C = 0.5
 """How far inside its band a temperature is that was brought there for later."""
 
+ACTIONS = {
+    "prepared": "cooled or heated ahead",
+}
+"""Actions that reasons are given for, in words."""
+
 
 def reasons(step: Step) -> Iterator[tuple[str, str, Reason]]:
     """Name of each room or tank that was prepared for an outage, the action, and why."""

@@ -25,6 +25,7 @@ def record(day: Scenario, climate: Climate, t: int, realised: Realised) -> dict[
     loads = day.thermal_loads
     power_kw = realised.taken_kw["thermal_loads"]
     end_c = climate.after_c(t, power_kw)
+    away_c = np.maximum(end_c - loads.t_max_c, loads.t_min_c - end_c)
     return {
         "tier": day.customers.tier[loads.owner(day.customers)],
         "p_kw": power_kw,
@@ -32,14 +33,8 @@ def record(day: Scenario, climate: Climate, t: int, realised: Realised) -> dict[
         "t_end_c": end_c,
         "t_min_c": loads.t_min_c,
         "t_max_c": loads.t_max_c,
-        "outside_band_c": _outside_band(loads.t_min_c, loads.t_max_c, end_c),
+        "outside_band_c": np.where(away_c > MISSED_C, away_c, 0.0),
     }
-
-
-def _outside_band(t_min_c: Floats, t_max_c: Floats, t_c: Floats) -> Floats:
-    """Temperature outside the band, in K."""
-    away_c = np.maximum(t_c - t_max_c, t_min_c - t_c)
-    return np.where(away_c > MISSED_C, away_c, 0.0)
 
 
 def state_of(rows: pd.DataFrame) -> Floats:

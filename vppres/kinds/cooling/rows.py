@@ -18,7 +18,7 @@ import numpy as np
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Floats
 from vppres.kinds.cooling.physics import Rooms
-from vppres.model.beyond_paper.addition import Addition, AdditionDispatch
+from vppres.model.beyond_paper.addition import Addition, AdditionDispatch, Taken
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
 from vppres.model.numerics import NOISE_KW, write
@@ -83,9 +83,9 @@ class ThermalLoadsModel(Addition):
             },
         )
 
-    def parameters(self, site: Site) -> dict[str, cp.Expression]:
-        """A demand at the buses; machines have a power factor of 1."""
-        return {"P_added": self.power @ site.unit_bus["thermal_loads"].T}
+    def taken(self, site: Site) -> dict[str, Taken]:
+        """Power of the machines, which have a power factor of 1."""
+        return {"thermal_loads": (self.power, None)}
 
     def families(self, site: Site, v: Variables, p: Parameters) -> Named:
         """Temperature from step to step, the band, and customers that are off."""

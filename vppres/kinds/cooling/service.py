@@ -11,7 +11,7 @@ from vppres.core.arrays import Flags, Floats
 from vppres.kinds.cooling.data import ThermalLoads
 from vppres.kinds.cooling.physics import Climate
 from vppres.scenario.scenario import Scenario
-from vppres.service.as_told import Plan, Plans, said_of
+from vppres.service.as_told import Plan, said_of
 from vppres.service.of_kind import OfKind, Wrong
 from vppres.service.payloads import OperatorSetpoint
 
@@ -29,11 +29,9 @@ class Thermostats(OfKind):
             words = f"is outside its comfort band of {low_c:g} to {high_c:g} °C"
             yield "setpoint_c", said.setpoint_c, words, "Give a temperature in the band."
 
-    def told_by_plans(self, scenario: Scenario, stored: Plans) -> Scenario:
-        """Rooms and tanks that begin as the first plan says."""
-        loads = scenario.thermal_loads
-        start_c = said_of(stored[0], "indoor_c", loads.id, loads.t_initial_c)
-        return replace(scenario, thermal_loads=replace(loads, t_initial_c=start_c))
+    def begun(self, units: ThermalLoads, state: Floats) -> ThermalLoads:
+        """Rooms and tanks that begin with these temperatures."""
+        return replace(units, t_initial_c=state)
 
     def state(self, scenario: Scenario, t: int, plan: Plan | None, reckoned: Floats) -> Floats:
         """Temperatures that a step was decided on."""

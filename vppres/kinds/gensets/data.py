@@ -38,6 +38,7 @@ class Gensets(KindTable):
     model = "GensetRow"
     about = "A generating set with a tank of fuel."
     limits = (("p_min_kw", "p_max_kw", ""), ("fuel_level_litres", "tank_litres", ""))
+    may_be_infinite = ("ramp_up_kw_per_h", "ramp_down_kw_per_h")
 
     id: Names = field(default_factory=no_items)
     bus: Names = field(default_factory=no_items)
@@ -82,6 +83,15 @@ class Gensets(KindTable):
                 object.__setattr__(self, name, values)
         super().__post_init__()
 
+    def most_taken_kw(self, scenario: Any) -> Floats:
+        """None, (T, G): sets give."""
+        return np.zeros((scenario.grid.n_steps, len(self)))
+
+    def fuelled(self, scenario: Any) -> Flags:
+        """Sets that have fuel for a step, or get it, (G,)."""
+        litres = self.fuel_level_litres + scenario.refuelled_litres.sum(axis=0)
+        return np.asarray(litres >= self.least_litres(scenario.grid.dt_h))
+
     def owner(self, customers: Customers) -> Wholes:
         """Nobody: sets stand alone, (G,)."""
         return np.zeros(len(self), dtype=int)
@@ -98,6 +108,11 @@ class Gensets(KindTable):
     def connected(self, customers: Customers, served: Flags) -> Flags:
         """All of them, of customers that are served or not, (..., G) for (..., C)."""
         return np.ones((*served.shape[:-1], len(self)), dtype=bool)
+
+    @property
+    def s_max_kva(self) -> Floats:
+        """Apparent power of each generator, (G,): all of its power at its power factor."""
+        return np.asarray(np.hypot(self.p_max_kw, self.q_max_kvar))
 
     @property
     def q_max_kvar(self) -> Floats:
@@ -147,10 +162,15 @@ class Refuels(KindTable):
     model = "RefuelRow"
     about = "A delivery of fuel that is known ahead."
     references = (("genset", "gensets", "set"),)
+    names = ""
 
     genset: Names = field(default_factory=no_items)
     time: Names = field(default_factory=no_items)
     litres: Floats = field(default_factory=no_items)
+
+    def to_come(self, now: Any) -> Refuels:
+        """Deliveries that are not in the tanks yet at a time."""
+        return self.rows(np.array([time > now for time in self.time], dtype=bool))
 
     def by_step(self, sets: Gensets, grid: TimeGrid) -> Floats:
         """Fuel that is delivered at the beginning of each step, (T, G).
@@ -198,10 +218,13 @@ KIND = Kind(
     item="genset",
     subject="genset",
     sign="generating set",
+    element=("sgen", "set"),
     gives=True,
+    forms=True,
+    store=(("fuel_end_litres", "tank_litres"),),
 )
 
 
-def told(content: Mapping[str, Any]) -> str:
+def contents(content: Mapping[str, Any]) -> str:
     """Generating sets in words, from the numbers of what a scenario holds."""
     return counted(content["gensets"], "generating set")

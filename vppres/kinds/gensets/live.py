@@ -16,7 +16,7 @@ import pandas as pd
 
 from vppres.core.arrays import Flags, Floats, Names
 from vppres.core.plain import number_or_none
-from vppres.kinds.gensets.data import ROUNDING_H, Gensets, GensetState, Refuels
+from vppres.kinds.gensets.data import ROUNDING_H, Gensets, GensetState
 from vppres.kinds.gensets.physics import SetsAhead
 from vppres.kinds.kind import Moment, UnitsNow
 from vppres.live.range import (
@@ -139,16 +139,6 @@ def read(
     names = ("running", "genset_kw", "fuel_litres", "start_fault", "genset_ordered_kw")
     ids, none = scenario.gensets.id, np.full(len(scenario.gensets), np.nan)
     return scenario, GensetReadings(*(door.values(name, told[name], ids, none) for name in names))
-
-
-def to_come(day: Scenario) -> Scenario:
-    """A day without deliveries that are in the tanks at its beginning."""
-    refuels = day.refuels
-    if not len(refuels):
-        return day
-    later = np.array([time > day.grid.start for time in refuels.time], dtype=bool)
-    kept = Refuels(refuels.genset[later], refuels.time[later], refuels.litres[later])
-    return replace(day, refuels=kept)
 
 
 def now(moment: Moment, told: GensetReadings, past: Ran | None) -> SetsNow:

@@ -5,16 +5,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import InputError
 from vppres.kinds.gensets.data import ROUNDING_H, Gensets, GensetState, steps_of
-from vppres.kinds.kind import UnitsAhead
+from vppres.kinds.kind import EnergyHeld, UnitsAhead
 from vppres.scenario.scenario import Scenario
+
+LARGEST_SHARE = 0.25
+"""Share of the range of powers of a set that its headroom may take up, at either end."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +42,8 @@ class SetsAhead(UnitsAhead):
     headroom_kw : array
         Power that it leaves free then above its plan and below it, with fuel for a step of it.
     """
+
+    switched: ClassVar[bool] = True
 
     can_run: Flags
     rested: Flags
@@ -86,14 +92,114 @@ class SetsAhead(UnitsAhead):
         """Window without sets that have to stay on."""
         return replace(self, must_run=np.zeros_like(self.must_run))
 
-    def forming(self, forms: Flags, headroom_kw: Floats) -> Self:
-        """Window with sets that form the grid, (W, G), and leave power free then, (G,)."""
-        return replace(
+    def forming_steps(self) -> Flags:
+        """Steps in which each forms the grid of an island, (W, G)."""
+        return self.forms
+
+    def able_to_form(self, sets: Gensets) -> Flags:
+        """Sets that are to form islands, (G,)."""
+        return sets.grid_forming
+
+    def formed(
+        self, sets: Gensets, dark: Flags, headroom: float, dt_h: float
+    ) -> tuple[Self, Flags]:
+        """Window with the set that forms dark steps, (W,), as far as it can, and these steps.
+
+        It runs in every step in which it can, and what it forms is lit then; no plan lets an island
+        go dark to save fuel. So who forms the grid is known before the window is solved, and its
+        voltages can be held at one bus in each step.
+
+        Of several the one forms it that can for most steps, then the one that runs, then the
+        largest. Once its fuel ends it runs no more in the window, but for steps that it forms.
+        """
+        able = np.flatnonzero(sets.grid_forming).tolist()
+        if not dark.any() or not able:
+            return self, np.zeros_like(dark)
+        room_kw = headroom_kw(sets, headroom)
+        lit_by = {g: self._lit_by(g, sets, dark, room_kw, dt_h) for g in able}
+
+        def rank(g: int) -> tuple[int, bool, float, int]:
+            return int(lit_by[g].sum()), self.was_on[0, g] > 0.5, float(sets.p_max_kw[g]), -g
+
+        best = max(able, key=rank)
+        lit = lit_by[best]
+        forms, can_run = np.zeros_like(self.forms), self.can_run.copy()
+        forms[:, best] = lit
+        since_lit = np.logical_or.accumulate(lit)
+        can_run[:, best] &= lit | ~np.logical_or.accumulate(dark & ~lit & since_lit)
+        formed = replace(
             self,
+            can_run=can_run,
             must_run=self.must_run | forms,
             forms=forms,
-            headroom_kw=np.where(forms, headroom_kw, 0.0),
+            headroom_kw=np.where(forms, room_kw, 0.0),
         )
+        return formed, lit
+
+    def _lit_by(self, g: int, sets: Gensets, dark: Flags, room_kw: Floats, dt_h: float) -> Flags:
+        """Steps that a set can form at its least power, (W,), if it has nothing else to do.
+
+        It starts where it may, runs while it has fuel, and rests then.
+        """
+        least_kw = sets.p_min_kw + room_kw
+        burnt = float(sets.litres(np.ones(len(sets), dtype=bool), least_kw, dt_h)[g])
+        needed = burnt + dt_h * float(sets.litres_per_kwh[g] * room_kw[g])
+        least_off = int(steps_of(sets.min_off_h[g], dt_h))
+        lit = np.zeros(len(dark), dtype=bool)
+        fuel, on, stopped = 0.0, bool(self.was_on[0, g] > 0.5), -least_off
+        for t in range(len(dark)):
+            fuel = min(fuel + float(self.added_litres[t, g]), float(sets.tank_litres[g]))
+            ready = on or (bool(self.rested[t, g]) and t - stopped >= least_off)
+            if dark[t] and ready and self.can_run[t, g] and fuel >= needed:
+                lit[t] = on = True
+                fuel -= burnt
+            else:
+                stopped = t if on else stopped
+                on = False
+        return lit
+
+    def by_rule(
+        self, sets: Gensets, lacking_kw: float, island: bool, dt_h: float
+    ) -> Sequence[tuple[Floats, Flags]]:
+        """Sets as they are, at what is left of the demand beside PV, at their least power."""
+        share = sets.p_max_kw / sets.p_max_kw.sum()
+        every_kw = (self.was_kw[0], lacking_kw * share, 0.0 * share)
+        return [self.beside(sets, wanted_kw, island, dt_h) for wanted_kw in every_kw]
+
+    def beside(
+        self, sets: Gensets, wanted_kw: Floats, island: bool, dt_h: float
+    ) -> tuple[Floats, Flags]:
+        """Sets that are on or form the grid, and have fuel, near what they are to give."""
+        forms = self.forms[0]
+        litres_per_h = np.minimum(self.added_litres[0], sets.tank_litres) / dt_h
+        by_fuel_kw = (litres_per_h - sets.litres_per_h_idle) / sets.litres_per_kwh
+        most_kw = np.minimum(sets.p_max_kw, by_fuel_kw)
+        fallen_kw = np.where(forms, 0.0, self.was_kw[0] - sets.fall_kw(dt_h))
+        least_kw = np.maximum(sets.p_min_kw, fallen_kw)
+        wanted = (self.was_on[0] > 0.5) | forms
+        in_use = island | ~sets.only_in_outage | self.must_run[0]
+        on = wanted & in_use & self.can_run[0] & (most_kw >= least_kw)
+        return -np.where(on, np.clip(wanted_kw, least_kw, most_kw), 0.0), on
+
+    def store(self, scenario: Scenario, steps: range, eta_discharge: float) -> EnergyHeld:
+        """Fuel, as what a set at its largest power makes of it."""
+        sets, usable = scenario.gensets, self.usable
+        kwh_per_litre = np.where(usable, sets.kwh_per_litre / eta_discharge, 0.0)
+        delivered = scenario.refuelled_litres[steps.start : steps.stop] @ kwh_per_litre
+        delivered[0] = 0.0  # it is in the tank already
+        held = np.minimum(self.added_litres[0], sets.tank_litres)
+        power_kw = float(sets.p_max_kw[usable].sum())
+        return EnergyHeld(kwh_per_litre, power_kw, float(held @ kwh_per_litre), delivered)
+
+    def left_kwh(
+        self, sets: Gensets, taken_kw: Floats, running: Flags, dt_h: float, kwh_each: Floats
+    ) -> float:
+        """Energy in a battery that stands for the fuel that is left; ``kwh_each`` is of a litre."""
+        return float(self.fuel_litres(sets, running, -taken_kw, dt_h)[-1] @ kwh_each)
+
+    def most_left_kwh(self, kwh_each: Floats) -> float:
+        """Most energy that fuel at the end of the window can stand for."""
+        return float(self.added_litres.sum(axis=0) @ kwh_each)
 
     def kept_litres(self, sets: Gensets, dt_h: float) -> Floats:
         """Fuel that is left at least at the end of each step, (W, G)."""
@@ -164,6 +270,10 @@ class SetsAhead(UnitsAhead):
         least_kw = np.where(before_on, before_kw - sets.fall_kw(dt_h), 0.0)
         return np.where(on & ~self.forms, np.maximum(power_kw - most_kw, least_kw - power_kw), 0.0)
 
+    def switched_early(self, sets: Gensets, on: Flags, outage: Flags) -> Flags:
+        """Steps in which a set starts before it may, or runs where it must not, (W, G)."""
+        return (self.starts(on) & ~self.may_start(sets, outage)) | (on & ~self.can_run)
+
     def wrongly_switched(self, sets: Gensets, on: Flags, outage: Flags, dt_h: float) -> Flags:
         """Steps in which a set is on or off against a rule, (W, G)."""
         may_start = self.may_start(sets, outage)
@@ -182,6 +292,12 @@ class SetsAhead(UnitsAhead):
             in_use = outage | ~sets.only_in_outage[g] | young | self.must_run[:, g]
             wrong[:, g] |= on[:, g] & ~in_use
         return wrong
+
+
+def headroom_kw(sets: Gensets, share: float) -> Floats:
+    """Power that each leaves free above and below its plan while it forms the grid, (G,)."""
+    range_kw = sets.p_max_kw - sets.p_min_kw
+    return np.minimum(share * sets.p_max_kw, LARGEST_SHARE * range_kw)
 
 
 def _first(values: Floats, n_steps: int) -> Floats:

@@ -9,6 +9,12 @@ from vppres.day.trajectory import FORMS
 from vppres.explain.recorded import MOVE_KW
 from vppres.explain.step import Reason, Step
 
+ACTIONS = {
+    "ran": "generating set ran",
+    "stopped": "generating set stopped in an outage",
+}
+"""Actions that reasons are given for, in words."""
+
 
 def reasons(step: Step) -> Iterator[tuple[str, str, Reason]]:
     """Name of each set that runs, or that stopped in an outage, the action, and why."""

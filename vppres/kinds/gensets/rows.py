@@ -15,10 +15,11 @@ import cvxpy as cp
 import numpy as np
 
 from vppres.contract.dispatch import Dispatch
+from vppres.contract.stored_value import StoredValue
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.kinds.gensets.data import steps_of
 from vppres.kinds.gensets.physics import SetsAhead
-from vppres.model.beyond_paper.addition import Addition, AdditionDispatch
+from vppres.model.beyond_paper.addition import Addition, AdditionDispatch, Taken
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
 from vppres.model.numerics import write
@@ -119,15 +120,15 @@ class GensetsModel(Addition):
         )
 
     def parameters(self, site: Site) -> dict[str, cp.Expression]:
-        """Power of sets at the buses, from which batteries may charge."""
-        place = site.unit_bus["gensets"].T
-        forming = {} if self.reactive is None else {"Q_added": -self._given_kvar @ place}
+        """Power of sets, from which batteries may charge, and what their fuel stands for."""
         return {
-            **forming,
-            "P_added": -self.power @ place,
             "P_fed_added": cp.sum(self.power, axis=1),
             "E_kept_added": self.stands_for @ self.fuel[-1],
         }
+
+    def taken(self, site: Site) -> dict[str, Taken]:
+        """Power that sets give, and reactive power of those that can form the grid."""
+        return {"gensets": (-self.power, None if self.reactive is None else -self._given_kvar)}
 
     def families(self, site: Site, v: Variables, p: Parameters) -> Named:
         """Switching, powers and fuel, and what a set that forms the grid leaves free."""
@@ -137,20 +138,17 @@ class GensetsModel(Addition):
         """Starts, least times on and off, and the steps in which a set may be on."""
         sets = self.site.gensets
         young = self._recent_starts(sets.min_on_h)
+        # 1 where a set that could form the grid cannot run: its fuel ends its least time on.
+        spent = 0.0 if self.reactive is None else 1.0 - self.can_run
         return {
             "gs_starts": self.on - self._before(self.on, self.was_on) <= self.start,
             "gs_can_start": self.start <= self.can_start,
             "gs_can_run": self.on <= self.can_run,
             "gs_must_run": self.on >= self.must_run,
             "gs_in_use": self.on <= self.can_start + self.must_run + young,
-            "gs_min_on": young <= self.on + self._spent,
+            "gs_min_on": young <= self.on + spent,
             "gs_min_off": self._recent_starts(sets.min_off_h) + self._on_then() <= 1.0,
         }
-
-    @property
-    def _spent(self) -> cp.Expression | float:
-        """1 where a set that could form the grid cannot run: its fuel ends its least time on."""
-        return 0.0 if self.reactive is None else 1.0 - self.can_run
 
     def _powers(self) -> Named:
         """Largest and least power, and ramps; a set may stop from any power."""
@@ -249,9 +247,8 @@ class GensetsModel(Addition):
             write(self.headroom, ahead.headroom_kw)
             write(self.at_once, np.where(ahead.forms, site.gensets.p_max_kw, 0.0))
             write(self.q_most, ahead.q_most_kvar(site.gensets))
-        nothing = np.zeros(len(site.gensets))
-        value = data.stored_value
-        write(self.stands_for, nothing if value is None else value.kwh_per_litre)
+        value = data.stored_value or StoredValue.nothing()
+        write(self.stands_for, value.kwh_each.get("gensets", np.zeros(len(site.gensets))))
 
     @classmethod
     def worth(cls, site: Site, data: WindowData, dispatch: Dispatch) -> dict[str, float]:

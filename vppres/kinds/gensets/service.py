@@ -13,7 +13,7 @@ from vppres.core.arrays import Flags, Floats
 from vppres.kinds.gensets.data import Gensets, GensetState
 from vppres.kinds.gensets.physics import Engines
 from vppres.scenario.scenario import Scenario
-from vppres.service.as_told import Plan, Plans, expected_by
+from vppres.service.as_told import Plan, expected_by
 from vppres.service.of_kind import OfKind, Stored, Wrong
 from vppres.service.payloads import OperatorSetpoint
 from vppres.service.storage.records import DECIDED, Reading, moment, versions
@@ -68,15 +68,11 @@ class Sets(OfKind):
         """Whether it runs."""
         return "ran" if setpoint["running"] else ""
 
-    def told_by_plans(self, scenario: Scenario, stored: Plans) -> Scenario:
-        """Sets that begin as the first plan says."""
-        sets = scenario.gensets
-        told = _told_of_all(scenario, stored[0])
-        if told is None:
-            return scenario
-        litres = np.minimum([one["fuel_litres"] for one in told], sets.tank_litres)
-        hours = np.array([one["hours_before"] for one in told])
-        return replace(scenario, gensets=replace(sets, fuel_level_litres=litres, on_before_h=hours))
+    def begun(self, units: Gensets, state: GensetState) -> Gensets:
+        """Sets that begin with this fuel, and have run, or rested, for so long."""
+        litres = np.clip(state.fuel_litres, 0.0, units.tank_litres)
+        hours = np.where(state.on, state.hours, -state.hours)
+        return replace(units, fuel_level_litres=litres, on_before_h=hours)
 
     def state(
         self, scenario: Scenario, t: int, plan: Plan | None, reckoned: GensetState
@@ -97,15 +93,21 @@ class Sets(OfKind):
         return [name for name, one in expected_by(plan).get("gensets", {}).items() if one["out"]]
 
     def formers(self, scenario: Scenario, plan: Plan | None) -> Iterator[tuple[str, str]]:
-        """Sets that are named; none forms a feeder by phases."""
+        """Sets that are named."""
         sets = scenario.gensets
         told = expected_by(plan).get("gensets", {})
         least_litres = sets.least_litres(scenario.grid.dt_h)
-        for g in np.flatnonzero(sets.grid_forming) if scenario.phases is None else ():
+        for g in np.flatnonzero(sets.grid_forming):
             name = str(sets.id[g])
             litres = told.get(name, {}).get("fuel_litres")
             empty = litres is not None and litres < least_litres[g]
             yield name, "it has no fuel for a step" if empty else ""
+
+    def able_kw(self, scenario: Scenario, recorded: Mapping[str, Any]) -> float:
+        """Largest power of the sets that have fuel for the step."""
+        sets = scenario.gensets
+        fuelled = recorded["fuel_start_litres"] >= sets.least_litres(scenario.grid.dt_h)
+        return float(sets.p_max_kw[fuelled].sum())
 
     def held_kwh(self, scenario: Scenario, plan: Plan | None) -> tuple[float, float]:
         """Energy of full tanks and of what is in them, at full power, of sets that start."""

@@ -15,7 +15,7 @@ import pandas as pd
 
 from vppres.core.arrays import Flags, Floats, Names, Wholes, given_or, no_items
 from vppres.core.errors import Problem
-from vppres.core.text import counted, iso
+from vppres.core.text import counted, iso, named
 from vppres.kinds.kind import Kind, KindTable
 from vppres.scenario.assets import Customers, positions_of, without_customer
 from vppres.scenario.timegrid import TimeGrid
@@ -73,6 +73,10 @@ class Chargers(KindTable):
         """Chargers that discharge vehicles too, (K,)."""
         return np.asarray(self.p_discharge_kw > 0.0)
 
+    def most_taken_kw(self, scenario: Any) -> Floats:
+        """Largest power of each charger that has a vehicle, 0 of others, (T, K)."""
+        return np.where(scenario.session_at >= 0, self.p_charge_kw, 0.0)
+
     def owner(self, customers: Customers) -> Wholes:
         """Position of each charger's customer, 0 for one that stands alone (:attr:`alone`)."""
         return positions_of(self.customer, customers)
@@ -105,6 +109,8 @@ class Sessions(KindTable):
     model = "SessionRow"
     about = "A time in which a vehicle is plugged in at a charger."
     references = (("charger", "ev_chargers", "charger"),)
+    names = "vehicle"
+    may_be_nan = OF_SESSIONS
 
     charger: Names = field(default_factory=no_items)
     vehicle: Names = field(default_factory=no_items)
@@ -164,6 +170,18 @@ class Sessions(KindTable):
         """Energy below which it is not discharged: what it needs, if nothing else is said."""
         said = self.v2g_soc_floor * self.full_kwh
         return np.where(np.isnan(self.v2g_soc_floor), self.needed_kwh, said)
+
+    def remark(self, scenario: Any) -> str:
+        """Vehicles that are plugged in for no whole step of the time grid."""
+        grid = scenario.grid
+        first, after = self.steps(grid)
+        brief = self.vehicle[(after == first) & (first >= 0) & (first < grid.n_steps)]
+        if not len(brief):
+            return ""
+        return (
+            f"Plugged in for no whole step of {grid.step_minutes:g} min, and so not charged: "
+            f"{named(brief, 5)}. Use shorter steps."
+        )
 
     def steps(self, grid: TimeGrid) -> tuple[Wholes, Wholes]:
         """First step of each session and the one after its last, (S,) each, within the grid or not.
@@ -240,10 +258,12 @@ KIND = Kind(
     item="charger",
     subject="vehicle",
     sign="charger",
+    element=("storage", "charger"),
+    takes_less=True,
 )
 
 
-def told(content: Mapping[str, Any]) -> str:
+def contents(content: Mapping[str, Any]) -> str:
     """Chargers and sessions in words, from the numbers of what a scenario holds."""
     sessions = counted(content["ev_sessions"], "session")
     return f"{counted(content['chargers'], 'charger')} with {sessions}"

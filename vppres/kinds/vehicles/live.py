@@ -123,11 +123,6 @@ def now(moment: Moment, read_kwh: Floats, past: PluggedInVehicles | None) -> Veh
     return VehiclesNow(Garage(day, kwh).at(0), float(taken_kw.sum()), off_kw, ())
 
 
-def to_come(day: Scenario) -> Scenario:
-    """A day without what is over at its beginning: the day itself."""
-    return day
-
-
 def read(
     door: Door, scenario: Scenario, told: Mapping[str, Any], past: PluggedInVehicles | None
 ) -> tuple[Scenario, Floats]:
@@ -162,7 +157,8 @@ def read(
         own[name] = [row for row in rows if row is not before]
         if now is not None:
             own[name] = [*_sessions_beside(own[name], now, door.begun), now]
-            held_kwh[k] = seen.soc * now["capacity_kwh"] if _by_soc(now) else np.nan
+            by_soc = np.isnan(now["energy_needed_kwh"])
+            held_kwh[k] = seen.soc * now["capacity_kwh"] if by_soc else np.nan
     told_of = [row for rows in own.values() for row in rows]
     return replace(scenario, sessions=sessions_of(told_of)), held_kwh
 
@@ -243,11 +239,6 @@ def _sessions_beside(rows: Iterable[Row], one: Row, begun: pd.Timestamp) -> list
         elif row["plug_in"] > one["plug_in"] and row["plug_out"] > one["plug_out"]:
             found.append({**row, "plug_in": max(row["plug_in"], one["plug_out"])})
     return found
-
-
-def _by_soc(row: Row) -> bool:
-    """Whether a session is of a vehicle that tells its state of charge."""
-    return bool(np.isnan(row["energy_needed_kwh"]))
 
 
 def rows_of(sessions: Sessions) -> list[dict[str, Any]]:

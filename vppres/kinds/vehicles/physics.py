@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -177,6 +178,19 @@ class Plugged(UnitsAhead):
     def in_the_dark(self, lit: Flags) -> Self:
         """Window with no vehicle plugged in except in the lit steps, (W, 1)."""
         return replace(self, here=self.here & lit, known=self.known & lit)
+
+    def by_rule(
+        self, chargers: Chargers, lacking_kw: float, island: bool, dt_h: float
+    ) -> Sequence[tuple[Floats, Flags]]:
+        """Vehicles charge as fast as they can while there is grid, or take nothing."""
+        room_kw = (self.full_kwh[0] - self.held_kwh[0]) / dt_h / chargers.eta_charge
+        most_kw = np.where(self.here[0], np.clip(room_kw, 0.0, chargers.p_charge_kw), 0.0)
+        nothing = super().by_rule(chargers, lacking_kw, island, dt_h)
+        return nothing if island else [(most_kw, nothing[0][1]), *nothing]
+
+    def here_kw(self, taken_kw: Floats) -> Floats:
+        """Planned powers of the first step; a vehicle that has not come takes none."""
+        return np.where(self.here[0], taken_kw, 0.0)
 
     def most_taken_kw(self, chargers: Chargers) -> Floats:
         """Most that all take together, (W,)."""

@@ -13,6 +13,14 @@ from vppres.explain.step import Reason, Step
 
 Vehicle = dict[str, Any]
 
+ACTIONS = {
+    "expected": "vehicle expected",
+    "charged": "vehicle charged",
+    "given_back": "vehicle discharged",
+    "left_short": "vehicle left short",
+}
+"""Actions that reasons are given for, in words."""
+
 
 def reasons(step: Step) -> Iterator[tuple[str, str, Reason]]:
     """Name of each vehicle that was expected, charged, discharged or left short, and why."""

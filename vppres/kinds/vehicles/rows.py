@@ -19,7 +19,7 @@ import numpy as np
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Floats, Wholes
 from vppres.kinds.vehicles.physics import Plugged
-from vppres.model.beyond_paper.addition import Addition, AdditionDispatch
+from vppres.model.beyond_paper.addition import Addition, AdditionDispatch, Taken
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
 from vppres.model.numerics import NOISE_KW, write
@@ -120,9 +120,9 @@ class Vehicles(Addition):
             return self.charge
         return self.charge - self.discharge @ np.eye(len(self.site.chargers))[self.two_way]
 
-    def parameters(self, site: Site) -> dict[str, cp.Expression]:
-        """A demand at the buses; chargers have a power factor of 1."""
-        return {"P_added": self.drawn @ site.unit_bus["chargers"].T}
+    def taken(self, site: Site) -> dict[str, Taken]:
+        """Power of the chargers, which have a power factor of 1."""
+        return {"chargers": (self.drawn, None)}
 
     def families(self, site: Site, v: Variables, p: Parameters) -> Named:
         """Energy from step to step, limits, and what is needed at departure."""

@@ -29,7 +29,7 @@ class ChargingPoints(OfKind):
 
     kind = "chargers"
     source = "chargers"
-    sign = "charging_positive"
+    direction = "charging_positive"
     states: ClassVar[Mapping[str, float]] = {"plugged": 0.0}
     of_visits = (*CHARGED, "departure")
 

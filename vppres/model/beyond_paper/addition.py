@@ -20,6 +20,9 @@ from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
 
+Taken = tuple[cp.Expression, cp.Expression | None]
+"""Active and reactive power that is taken, (W, n) each; None where no reactive power is."""
+
 
 @dataclass(frozen=True, eq=False)
 class AdditionDispatch:
@@ -87,6 +90,10 @@ class Addition:
 
     def parameters(self, site: Site) -> dict[str, cp.Expression]:
         """Expressions for :class:`vppres.model.variables.Parameters`; those added are summed."""
+        return {}
+
+    def taken(self, site: Site) -> dict[str, Taken]:
+        """Power that ``customers`` take besides, or the units of a kind, by its name."""
         return {}
 
     def families(self, site: Site, v: Variables, p: Parameters) -> Named:

@@ -19,7 +19,7 @@ import scipy.sparse as sp
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.owed import MOST_SHARE, Owed
 from vppres.core.arrays import Wholes
-from vppres.model.beyond_paper.addition import Addition
+from vppres.model.beyond_paper.addition import Addition, Taken
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
 from vppres.model.numerics import write
@@ -111,15 +111,11 @@ class DimmedDemand(Addition):
         """Share that each lacks, less than 0 where it catches up, (W, n)."""
         return self.dimmed - self.caught_up @ self.catching if self.steps else self.dimmed
 
-    def parameters(self, site: Site) -> dict[str, cp.Expression]:
-        """Dimmed power, taken off the demand at the buses, active and reactive."""
-        place = -site.customer_bus[:, self.customer]
-        q_per_p = site.customers.q_per_p[self.customer]
+    def taken(self, site: Site) -> dict[str, Taken]:
+        """Dimmed power, taken off the demand, active and reactive."""
+        place = -sp.csr_array(sp.eye_array(len(site.customers), format="csr")[self.customer])
         less_kw = cp.multiply(self.P_whole, self.missing)
-        return {
-            "P_added": less_kw @ place.T,
-            "Q_added": less_kw @ place.multiply(q_per_p).T,
-        }
+        return {"customers": (less_kw @ place, less_kw @ place.multiply(site.customers.q_per_p))}
 
     def families(self, site: Site, v: Variables, p: Parameters) -> Named:
         """No more than leaves the least share, and nothing of a customer that is off."""

@@ -1,17 +1,17 @@
-"""Active power on each phase of the battery that forms an island, within its rating."""
+"""Power of the assets of a feeder with phases, and of an island's former on each phase."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import cvxpy as cp
 import numpy as np
 
 from vppres.core.arrays import Floats
-from vppres.model.beyond_paper.addition import Addition
-from vppres.model.constraints import Named
+from vppres.model.beyond_paper.addition import Addition, Taken
+from vppres.model.constraints import Named, of_served
 from vppres.model.data import WindowData
 from vppres.model.numerics import ANY_KW, write
 from vppres.model.phases import ISLAND, REACH, phased_model
@@ -26,15 +26,12 @@ class FormerPhases(Addition):
     It follows from the discs of its phases, whose rows are made with those of the network, and a
     relaxation without the network has it instead: there customers would crowd a phase.
 
-    ``by_pv`` and ``by_batteries`` are shares of a kW that the phases carry, ``rest_kw`` what they
-    carry with nothing served and all PV power; ``room_kw`` has what reactive power of PV systems
-    and batteries may take off a phase.
+    ``rest_kw`` is what the phases carry with nothing drawn; ``room_kw`` has what reactive power of
+    PV systems and batteries may take off a phase.
     """
 
     for_network: ClassVar[tuple[str, ...]] = ("former_phase_most", "former_phase_least")
 
-    by_pv: cp.Parameter
-    by_batteries: cp.Parameter
     rest_kw: cp.Parameter
     room_kw: cp.Parameter
 
@@ -49,8 +46,6 @@ class FormerPhases(Addition):
         """Parameters of a window."""
         W = v.u.shape[0]
         return cls(
-            cp.Parameter((len(site.pv), 3), name="former_by_pv"),
-            cp.Parameter((len(site.batteries), 3), name="former_by_batteries"),
             cp.Parameter((W, 3), name="former_rest_kw"),
             cp.Parameter((W, 3), name="former_room_kw"),
         )
@@ -58,34 +53,61 @@ class FormerPhases(Addition):
     def fill(self, site: Site, data: WindowData) -> None:
         """Write a window's data."""
         phased = data.require_phased()
-        _, by_pv, by_batteries = _by_kind(site, reactive=False)
-        _, *kvar = _by_kind(site, reactive=True)
-        ratings = site.pv.s_max_kva, site.batteries.s_max_kva
-        taken = sum(np.abs(each).T @ rating for each, rating in zip(kvar, ratings, strict=True))
-        room_kw = REACH * phased.room_kva[:, None] + taken
-        write(self.by_pv, by_pv)
-        write(self.by_batteries, by_batteries)
-        write(self.rest_kw, phased.former_offset.real - data.pv_kw @ by_pv)
+        kvar = _per_unit(site, reactive=True)[len(site.customers) :]
+        rating = np.zeros(len(kvar))
+        ratings = np.concatenate([site.pv.s_max_kva, site.batteries.s_max_kva])
+        rating[: len(ratings)] = ratings
+        room_kw = REACH * phased.room_kva[:, None] + np.abs(kvar).T @ rating
+        write(self.rest_kw, phased.former_offset.real)
         write(self.room_kw, np.where(data.dark[:, None], room_kw, ANY_KW))
 
     def implied(self, site: Site, v: Variables, p: Parameters) -> Named:
-        """Limits in both directions on the power of customers and batteries less PV power."""
-        kw, kvar = (_by_kind(site, reactive)[0] for reactive in (False, True))
-        drawn = cp.multiply(p.P_load, v.x_served) @ (kw + site.customers.q_per_p[:, None] * kvar)
-        if len(site.pv):
-            drawn = drawn + v.P_curt @ self.by_pv
-        given_kw = self.rest_kw + drawn + (v.P_ch - v.P_dch) @ self.by_batteries
+        """Limits in both directions on the power of assets, and the reactive power of customers."""
+        assert p.by_asset is not None
+        drawn_kw, _ = p.by_asset
+        per_kw = _per_unit(site, reactive=False)
+        customers = slice(len(site.customers))
+        of_kvar = _per_unit(site, reactive=True)[customers]
+        per_kw[customers] += site.customers.q_per_p[:, None] * of_kvar
+        given_kw = self.rest_kw + drawn_kw @ per_kw
         most, least = self.for_network
         return {most: given_kw <= self.room_kw, least: -given_kw <= self.room_kw}
 
 
-def _by_kind(site: Site, reactive: bool) -> list[Floats]:
-    """Active power of the former's phases for each kW or kvar that assets draw, (n, 3) by kind.
+def _per_unit(site: Site, reactive: bool) -> Floats:
+    """Active power of the former's phases for each kW or kvar that an asset draws, (D, 3).
 
-    The kinds are customers, PV systems and batteries; the former itself is the source.
+    The former itself is the source.
     """
     model = phased_model(site)
     slopes = model.slopes[ISLAND]
     per = np.real(slopes.former_q if reactive else slopes.former_p).T.copy()
     per[model.former_device] = 0.0
-    return np.split(per, np.cumsum([len(site.customers), len(site.pv)]))
+    return per
+
+
+def drawn_by_assets(
+    site: Site, v: Variables, p: Parameters, taken: Sequence[Mapping[str, Taken]]
+) -> tuple[cp.Expression, cp.Expression]:
+    """Active and reactive power that each asset of a feeder with phases draws, (W, D) each.
+
+    ``taken`` is what additions take. PV systems draw what they curtail less all that they have.
+    """
+    W = v.x_served.shape[0]
+    tables = {"customers": site.customers, "pv": site.pv, "batteries": site.batteries}
+    drawn: dict[str, list[Any]] = {
+        "customers": [of_served(p.P_load, v), of_served(p.Q_load, v)],
+        "pv": [v.P_curt - p.P_pv, -v.Q_pv],
+        "batteries": [v.P_ch - v.P_dch, -v.Q_batt],
+    }
+    drawn |= {
+        kind: [np.zeros((W, len(each))) for _ in range(2)] for kind, each in site.kinds.items()
+    }
+    for name, each in (item for addition in taken for item in addition.items()):
+        drawn[name] = [
+            known if more is None else known + more
+            for known, more in zip(drawn[name], each, strict=True)
+        ]
+    there = [each for name, each in drawn.items() if len(tables.get(name, "kind"))]
+    kw, kvar = (cp.hstack(parts) for parts in zip(*there, strict=True))
+    return kw, kvar

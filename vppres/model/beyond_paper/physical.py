@@ -10,12 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 from dataclasses import dataclass, fields
+from itertools import chain
 from typing import ClassVar, Self
 
 import cvxpy as cp
 import numpy as np
 
 from vppres.core.arrays import Floats, Wholes
+from vppres.kinds.table import KINDS
 from vppres.model.beyond_paper.addition import Addition
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
@@ -131,11 +133,14 @@ class PhysicalMode(Addition):
 
 
 def holding_buses(site: Site) -> Wholes:
-    """Buses at which something may hold the voltage: the grid, a battery or a generating set.
+    """Buses at which something may hold the voltage: the grid, a battery or a unit of a kind.
 
     cvxpy takes a minute and 6 GB for a product with a parameter of each of 5,000 buses.
     """
-    buses = [site.network.bus_index[bus] for bus in (*site.batteries.bus, *site.gensets.bus)]
+    may_form = (
+        units.buses(site.customers) for kind, units in site.kinds.items() if KINDS[kind].forms
+    )
+    buses = [site.network.bus_index[bus] for bus in chain(site.batteries.bus, *may_form)]
     return np.unique(np.array([0, *buses], dtype=int))
 
 

@@ -14,11 +14,10 @@ from typing import ClassVar, Self
 import cvxpy as cp
 import numpy as np
 
+from vppres.contract.ahead import KindsAhead
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.stored_value import PIECES, StoredValue
 from vppres.core.arrays import Floats
-from vppres.kinds.gensets.physics import SetsAhead
-from vppres.kinds.gensets.rows import running
 from vppres.model.beyond_paper.addition import Addition, AdditionDispatch
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
@@ -30,14 +29,14 @@ KEPT_TOLERANCE = 1e-6
 """Share of the capacity by which the energy that a dispatch keeps for later may be missed."""
 
 
-def left_kwh(site: Site, value: StoredValue, sets: SetsAhead | None, dispatch: Dispatch) -> float:
+def left_kwh(site: Site, value: StoredValue, ahead: KindsAhead, dispatch: Dispatch) -> float:
     """Energy of all batteries and tanks at the end of a dispatch, as the value counts it."""
     held_kwh = float(dispatch.soc[-1] @ site.batteries.energy_kwh)
-    if sets is None:
-        return held_kwh
-    ahead = sets.part(slice(dispatch.n_steps))
-    fuel = ahead.fuel_litres(site.gensets, *running(site, dispatch), site.dt_h)
-    return held_kwh + float(fuel[-1] @ value.kwh_per_litre)
+    for kind, kwh_each in value.kwh_each.items():
+        units, known = site.kinds[kind], ahead.by_kind[kind].part(slice(dispatch.n_steps))
+        plan = (dispatch.taken_by(kind, units), dispatch.running_of(kind, units), site.dt_h)
+        held_kwh += known.left_kwh(units, *plan, kwh_each)
+    return held_kwh
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +105,7 @@ class ValueAtEnd(Addition):
     def worth(cls, site: Site, data: WindowData, dispatch: Dispatch) -> dict[str, float]:
         """Value of the energy at the end: off the cost, and the later service that it buys."""
         value = data.require_value()
-        kept = value.at(left_kwh(site, value, data.ahead.find(SetsAhead), dispatch))
+        kept = value.at(left_kwh(site, value, data.ahead, dispatch))
         return {"f2": -value.gbp_as_cost * kept, "f7": kept if value.as_service else 0.0}
 
     @classmethod
@@ -122,7 +121,7 @@ class ValueAtEnd(Addition):
         """The energies at the end that are worth as much, and what comes off the cost for it."""
         value = data.require_value()
         missed_kwh = KEPT_TOLERANCE * float(site.batteries.energy_kwh.sum())
-        kept_kwh = left_kwh(site, value, data.ahead.find(SetsAhead), dispatch)
+        kept_kwh = left_kwh(site, value, data.ahead, dispatch)
         most_kwh = max(kept_kwh, value.most_kwh(value.at(kept_kwh)))
         gbp = self.worth(site, data, dispatch)["f2"]
         return AdditionDispatch(

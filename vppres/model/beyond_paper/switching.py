@@ -17,7 +17,7 @@ import scipy.sparse as sp
 
 from vppres.contract.switching import RuleSteps, SwitchingData
 from vppres.core.arrays import Floats
-from vppres.model.beyond_paper.addition import Addition
+from vppres.model.beyond_paper.addition import Addition, Taken
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
 from vppres.model.numerics import write
@@ -46,13 +46,13 @@ class ColdDemand:
         return cls(_zero_to_one((W, C), "z_cold"), **named)
 
     def parameters(self, site: Site) -> dict[str, cp.Expression]:
-        """The added demand at the buses, and the added self-consumption of each PV system."""
-        at_bus = site.customer_bus.T
-        return {
-            "P_added": cp.multiply(self.P_cold, self.z) @ at_bus,
-            "Q_added": cp.multiply(self.Q_cold, self.z) @ at_bus,
-            "P_self_added": cp.multiply(self.P_self_cold, self.z[:, site.owner]),
-        }
+        """The added self-consumption of each PV system."""
+        return {"P_self_added": cp.multiply(self.P_self_cold, self.z[:, site.owner])}
+
+    @property
+    def taken(self) -> Taken:
+        """The added demand."""
+        return cp.multiply(self.P_cold, self.z), cp.multiply(self.Q_cold, self.z)
 
     def fill(self, site: Site, data: WindowData) -> None:
         """Write the added demand, and the added self-consumption of PV owners."""
@@ -109,8 +109,12 @@ class SwitchingModel(Addition):
         return cls(site, v.x_served, shape)
 
     def parameters(self, site: Site) -> dict[str, cp.Expression]:
-        """Demand after restorations."""
+        """Self-consumption of the demand after restorations."""
         return {} if self.cold is None else self.cold.parameters(site)
+
+    def taken(self, site: Site) -> dict[str, Taken]:
+        """Demand after restorations."""
+        return {} if self.cold is None else {"customers": self.cold.taken}
 
     def families(self, site: Site, v: Variables, p: Parameters) -> Named:
         """Rows on service and on what follows from it."""

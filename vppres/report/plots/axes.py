@@ -69,7 +69,7 @@ class TimeAxis:
 
 @dataclass(frozen=True, eq=False)
 class Scale:
-    """What lies across a chart that is not over the time of a run.
+    """Horizontal scale of a chart that is not over the time of a run.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ class ScaleAxis:
 
     @property
     def title(self) -> str:
-        """What it is."""
+        """Title of the axis."""
         return self.scale.title
 
 

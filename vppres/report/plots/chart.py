@@ -64,7 +64,7 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """What lies between two values of each step: shaded, or hatched where it has a name."""
+    """Band between two values of each step: shaded, or hatched where it has a name."""
 
     lower: Floats
     upper: Floats
@@ -98,7 +98,7 @@ class Entry:
 
 
 class Panel(Protocol):
-    """What stands in a chart over the time axis."""
+    """Panel of a chart over the time axis."""
 
     @property
     def height(self) -> float:
@@ -106,11 +106,11 @@ class Panel(Protocol):
 
     @property
     def left_px(self) -> float:
-        """What it needs at the left of its frame, in px."""
+        """Width at the left of the frame, in px."""
 
     @property
     def right_px(self) -> float:
-        """What it needs at the right of its frame, in px."""
+        """Width at the right of the frame, in px."""
         return 0.0
 
     @property
@@ -128,11 +128,11 @@ class Panel(Protocol):
         return ()
 
     def readings(self) -> list[dict[str, Any]]:
-        """What a pointer reads: name, color and the value of each step or instant as text."""
+        """Values under a pointer: name, color and the value of each step or instant as text."""
         return []
 
     def rows(self) -> dict[str, Any] | None:
-        """What a pointer reads in a row: ``of`` the run's customers, buses or lines, by number."""
+        """Values under a pointer in a row ``of`` the run's customers, buses or lines, by number."""
         return None
 
 
@@ -168,7 +168,7 @@ class Curves:
 
     @property
     def left_px(self) -> float:
-        """What ticks and the axis' name take."""
+        """Width of ticks and the axis' name."""
         ticks = max((text_px(name) for _, name in self._axis(1.0, 0.0).ticks()), default=0.0)
         return ticks + 14.0 + LINE_PX * len(self.axis.split("\n"))
 
@@ -236,7 +236,7 @@ class Curves:
 
 
 def name_axis(canvas: Canvas, frame: Frame, axis: str) -> None:
-    """What the axis at the left of a panel is, beside its middle."""
+    """Draw the name of a panel's left axis, beside its middle."""
     at = EDGE_PX + 0.5 * LINE_PX * len(axis.split("\n"))
     canvas.text(at, (frame.top + frame.bottom) / 2, axis, anchor="middle", turned=True)
 
@@ -272,7 +272,7 @@ class Chart:
         return TimeAxis(self.across, left, WIDTH_PX - right)
 
     def frames(self) -> list[Frame]:
-        """Where the panels are."""
+        """Frames of the panels."""
         frames = []
         top = TITLE_PX
         for panel in self.panels:
@@ -304,7 +304,7 @@ class Chart:
         return canvas.svg(WIDTH_PX, bottom, self.title)
 
     def data(self) -> dict[str, Any]:
-        """What scripts need for values under the pointer, as JSON can hold it."""
+        """Values under the pointer for the page's script, as JSON can hold them."""
         frames = self.frames()
         return {
             "top": frames[0].top,

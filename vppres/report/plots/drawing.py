@@ -191,7 +191,7 @@ class Canvas:
 
     @contextmanager
     def over_time(self, left: float, right: float, top: float, bottom: float) -> Iterator[None]:
-        """What is drawn within is stretched and moved with the axis, by a page's script."""
+        """Group of marks that a page's script stretches and moves with the axis."""
         x, y, wide, high = map(_n, (left, top - 2, right - left, bottom - top + 6))
         self.parts.append(
             f'<svg class="time" x="{x}" y="{y}" width="{wide}" height="{high}" '
@@ -202,7 +202,7 @@ class Canvas:
 
     @contextmanager
     def group(self, name: str, width: float = 0.0) -> Iterator[None]:
-        """What is drawn within is moved together; its width in px is told to a page's script."""
+        """Group of marks that move together; a page's script reads its width in px."""
         wide = f' data-px="{_n(width)}"' if width else ""
         self.parts.append(f'<g class="{name}"{wide}>')
         yield

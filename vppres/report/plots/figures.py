@@ -26,6 +26,7 @@ from vppres.day.series import (
     stored_energy_kwh,
 )
 from vppres.day.trajectory import Trajectory
+from vppres.kinds.table import KINDS as OF_UNITS
 from vppres.report.plots.chart import (
     Band,
     Chart,
@@ -125,7 +126,7 @@ def _price_panel(run: Trajectory) -> Curves:
 
 
 def import_load_pv(runs: Runs) -> Chart:
-    """Grid import; demand, served demand, available PV power, vehicles, machines and sets."""
+    """Grid import; demand, served demand, available PV power, power of the units of each kind."""
     imports = []
     load = []
     every = styled(runs)
@@ -139,14 +140,16 @@ def import_load_pv(runs: Runs) -> Chart:
     load.append(Curve("PV available", pv_available_kw(first), Style(ORANGE, "6 2 2 2", 1.8)))
     lowest_kw: float | None = 0.0
     for label, run, style in every:
-        for table, words, look in (
-            ("vehicles", "vehicles", style.thin()),
-            ("gensets", "generating sets", Style(style.color, OF_SETS, 1.3)),
-            ("thermal_loads", "cooling and heat", replace(style, dash="4 2 1 2")),
-        ):
-            if table in run.tables:
-                power_kw = run.by_step(table, "p_kw").sum(axis=1)
-                load.append(Curve(f"{label}: {words}", power_kw, look))
+        looks = (
+            style.thin(),
+            replace(style, dash="4 2 1 2"),
+            Style(style.color, OF_SETS, 1.3),
+            replace(style, dash="8 3"),
+        )
+        for kind, look in zip(OF_UNITS.values(), itertools.cycle(looks), strict=False):
+            if kind.table in run.tables:
+                power_kw = run.by_step(kind.table, "p_kw").sum(axis=1)
+                load.append(Curve(f"{label}: {kind.what}", power_kw, look))
                 lowest_kw = None if (power_kw < 0.0).any() else lowest_kw
     unserved = Band(served_kw(first), demand, VERMILLION, "not supplied")
     exports = any(run.scenario.exports for _, run, _ in every)
@@ -215,7 +218,7 @@ def voltages(runs: Runs) -> Chart:
 
 
 def service_by_tier(runs: Runs) -> Chart:
-    """Who was served, step by step: a tile per customer, and the share of each tier."""
+    """Service step by step: a tile per customer, and the share of each tier."""
     named = named_runs(runs)
     panels: list[Panel] = []
     for label, run in named.items():
@@ -438,7 +441,7 @@ def by_phase(run: Trajectory) -> Chart:
 
 
 def source_kva(run: Trajectory, phase: str) -> Floats:
-    """What the grid gives on a phase, or in an island its former, (T,)."""
+    """Power of the grid on a phase, or of the former in an island, (T,)."""
     steps = run.steps
     grid, former = (steps[f"{name}_{phase}_kva"].to_numpy(float) for name in ("import", "former"))
     return np.where(np.isnan(grid), former, grid)
@@ -487,7 +490,7 @@ def _before(believed: Floats, steps: int) -> Floats:
 
 
 def _stored_worth(run: Trajectory) -> Curves:
-    """What one more stored kWh was worth, and what one costs."""
+    """Value of one more stored kWh, and the cost of one."""
     worth = run.steps["stored_value_gbp_per_kwh"].to_numpy(float)
     price = run.steps["price_gbp_per_kwh"].to_numpy(float)
     return Curves(
@@ -515,7 +518,7 @@ def indoor(run: Trajectory) -> Chart:
 
 
 def _temperatures(run: Trajectory, axis: str, t_c: Floats, chosen: Flags) -> Curves:
-    """Those of a kind, with the ends of their comfort band if they have the same."""
+    """Temperatures of a kind, with the ends of the comfort band if all have the same."""
     loads = run.scenario.thermal_loads
     each = [Curve("each", t_c[:, h], ROOM, in_legend=False) for h in np.flatnonzero(chosen)]
     median = Curve("median", np.median(t_c[:, chosen], axis=1), MEDIAN)
@@ -599,8 +602,7 @@ FIGURE_TEXTS = {
     "that forms the island gives on each phase; the phase nearest to its rating; unbalance.",
     "energy_and_price": "Stored energy, net charging power of all batteries and import price.",
     "import_load_pv": "Import at the slack bus (above); demand, supplied demand, available PV "
-    "power, net charging power of vehicles, power of machines that cool or heat and of generating "
-    "sets (below).",
+    "power, and power of the units of each kind, of vehicles net charging power (below).",
     "indoor": "Temperature of each room and tank, their median, and the ends of the comfort band "
     "if all have the same.",
     "voltages": "Lowest bus voltage of each step, and the largest difference between optimisation "

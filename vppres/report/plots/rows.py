@@ -65,12 +65,12 @@ class HeatMap(Panel):
 
     @property
     def left_px(self) -> float:
-        """What the names take."""
+        """Width of the names."""
         return row_names_px(self.names) + 1.6 * FONT_PX
 
     @property
     def right_px(self) -> float:
-        """What the key takes."""
+        """Width of the key."""
         ticks = max(text_px(name) for _, name in self._scale(1.0, 0.0).ticks())
         return 12.0 + KEY_PX + 8.0 + ticks + 1.8 * FONT_PX
 
@@ -132,7 +132,7 @@ class HeatMap(Panel):
 
 
 def row_names_px(names: Sequence[str]) -> float:
-    """What names of rows take at the left."""
+    """Width of the names of rows at the left."""
     widths = (text_px(shortened(name, MOST_LETTERS), ROW_NAME_PX) for name in names)
     return max(widths, default=0.0) + 8.0
 
@@ -218,12 +218,12 @@ class Tiles(Panel):
 
     @property
     def left_px(self) -> float:
-        """What the names take."""
+        """Width of the names."""
         return row_names_px(self.names) + 1.2 * FONT_PX * (1 + self.axis.count("\n"))
 
     @property
     def right_px(self) -> float:
-        """What the names of the tiers take."""
+        """Width of the names of the tiers."""
         return max(map(text_px, self._tier_texts().values())) + 10.0
 
     def _tier_texts(self) -> dict[str, str]:
@@ -250,7 +250,7 @@ class Tiles(Panel):
             canvas.line([(frame.left, below), (frame.right, below)], BLACK)
 
     def _tier_ends(self, frame: Frame) -> dict[str, float]:
-        """Where the rows of each tier end, in px."""
+        """Ends of the rows of each tier, in px."""
         counts = {tier: self.rows_of.tiers.count(tier) for tier in self._tier_texts()}
         ends = frame.top + (frame.bottom - frame.top) * np.cumsum([*counts.values()]) / sum(
             counts.values()
@@ -292,7 +292,7 @@ class Tiles(Panel):
         return {"of": "customers", "each": self.rows_of.customers}
 
     def entries(self) -> Iterable[Entry]:
-        """What the colours mean."""
+        """Meaning of the colours."""
         yield Entry("supplied", fill=SERVED)
         yield Entry("off supply (x)", fill=UNSERVED)
 
@@ -336,7 +336,7 @@ class Strips(Panel):
 
     @property
     def left_px(self) -> float:
-        """What the names take."""
+        """Width of the names."""
         return max(text_px(strip.name) for strip in self.strips) + 8.0
 
     def draw(self, canvas: Canvas, frame: Frame, time: Across) -> None:
@@ -374,7 +374,7 @@ class Strips(Panel):
                     )
 
     def entries(self) -> Iterable[Entry]:
-        """What the colours mean."""
+        """Meaning of the colours."""
         yield Entry("outage", fill=DARK)
         if any(strip.name == BATTERIES for strip in self.strips):
             yield Entry("charging", fill=GREEN, hatch=BLACK)

@@ -1,4 +1,4 @@
-"""What a section of the report is made from, and what it is."""
+"""Section of the report, and the data that it is made from."""
 
 from __future__ import annotations
 

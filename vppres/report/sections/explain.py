@@ -10,6 +10,7 @@ import pandas as pd
 from vppres.day.trajectory import Trajectory
 from vppres.explain.step import DRIVERS
 from vppres.explain.words import figure, money
+from vppres.kinds.table import parts
 from vppres.report.clock import Clock
 from vppres.report.plots.figures import worth_of_energy
 from vppres.report.sections.base import FOLDED_ABOVE, Run, Section, figure_of, section
@@ -46,13 +47,7 @@ ACTIONS = {
     "charge": "battery charged",
     "discharge": "battery discharged",
     "curtail": "PV system curtailed",
-    "expected": "vehicle expected",
-    "charged": "vehicle charged",
-    "given_back": "vehicle discharged",
-    "left_short": "vehicle left short",
-    "prepared": "cooled or heated ahead",
-    "ran": "generating set ran",
-    "stopped": "generating set stopped in an outage",
+    **{name: words for of in parts("reasons").values() for name, words in of.ACTIONS.items()},
 }
 
 

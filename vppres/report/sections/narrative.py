@@ -85,13 +85,13 @@ def episodes(
 
 
 def told(tables: Tables) -> list[str]:
-    """What happened in some steps: service, batteries, and what one more unit was worth."""
+    """Story of some steps: service, batteries, and the value of one more unit."""
     sentences = [_service(tables), _batteries(tables), *_worth(tables)]
     return [sentence for sentence in sentences if sentence]
 
 
 def _service(tables: Tables) -> str:
-    """Who was served, and why others were not."""
+    """Sentence on customers that were served, and reasons of the others."""
     served = tables.customers.groupby("time")["served"].sum()
     total = len(tables.customers) // max(len(served), 1)
     if served.min() == total:
@@ -119,7 +119,7 @@ def _batteries(tables: Tables) -> str:
 
 
 def _worth(tables: Tables) -> list[str]:
-    """What one more unit would have bought, as ranges over the steps."""
+    """Value of one more unit, as ranges over the steps."""
     stored = _range(tables, "stored_energy", "weighted_h")
     sentences = []
     if stored:

@@ -62,7 +62,7 @@ def _row(message: OutageWarning, clock: Clock) -> dict[str, str]:
 
 
 def _end(message: OutageWarning, clock: Clock) -> str:
-    """What a message says of the restoration, as times."""
+    """Restoration times in a message."""
     said = {
         "not before": message.restored_not_before,
         "about": message.restored_likely,

@@ -1,1 +1,1 @@
-"""What is wrong, who acknowledged it, and who is notified."""
+"""Alarms: conditions, acknowledgements and notifications."""

@@ -1,4 +1,4 @@
-"""What is wrong now and needs an operator: a function for each kind of condition."""
+"""Conditions that need an operator now: a function for each kind."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Condition:
 
     @property
     def key(self) -> tuple[str, str]:
-        """What makes two of them the same alarm."""
+        """Identity of the alarm: two conditions with the same key are one alarm."""
         return self.kind, self.subject
 
 
@@ -347,7 +347,7 @@ def _late_batteries(now: Situation) -> list[str]:
 
 
 def _island_margin(now: Situation) -> Iterator[Condition]:
-    """What is stored for an island is nearly used up."""
+    """Alarm that the energy stored for an island is nearly used up."""
     if not now.is_dark:
         return
     b = now.scenario.batteries

@@ -45,7 +45,7 @@ Send = Callable[[dict[str, Any]], None]
 
 @dataclass(frozen=True)
 class Target:
-    """Where notices go; its name, the host, is all that the log says of it."""
+    """Target of notices; the log contains its host alone."""
 
     name: str
     send: Send

@@ -36,7 +36,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class AlarmKind:
-    """What all alarms of a kind have in common.
+    """Kind of alarm: title, severity and advice.
 
     Parameters
     ----------

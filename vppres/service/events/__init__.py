@@ -1,1 +1,1 @@
-"""What is announced: outages, limits and prices, of operators, feeds and OpenADR."""
+"""Events: outages, limits and prices that operators, feeds and OpenADR announce."""

@@ -249,7 +249,7 @@ def warnings_ever(
 def _message(
     name: str, said: payloads.Event | None, now: pd.Timestamp, step: pd.Timedelta
 ) -> OutageWarning | None:
-    """What an event says of an outage; None if it says nothing, or nothing that counts now."""
+    """Notice of an outage in an event; None if there is none that counts now."""
     if isinstance(said, payloads.Restoration):
         of_end: dict[str, Any] = {field: getattr(said, key) for key, field in SAID_OF_END.items()}
         return OutageWarning(now, name, **of_end)

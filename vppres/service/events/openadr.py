@@ -96,7 +96,7 @@ class OpenADREvent(_Part):
 
     @property
     def name(self) -> str:
-        """What our events of it are called by."""
+        """Prefix of the names of our events from this program."""
         name: str = self.id or self.eventName or self.programID
         if len(name) <= LONGEST_NAME:
             return name
@@ -195,7 +195,7 @@ def _body(
 
 
 def _unit(event: OpenADREvent, kind: str, field: str) -> str | None:
-    """What the descriptor of a type says."""
+    """Unit in the descriptor of a type."""
     for one in event.payloadDescriptors or []:
         if one.payloadType == kind:
             found: str | None = getattr(one, field)

@@ -1,4 +1,4 @@
-"""What every request passes before it reaches a route, and what every answer tells a browser."""
+"""Checks that every request passes before its route, and headers of every response."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ GRACE_S = 10
 
 @dataclass(frozen=True)
 class Address:
-    """Where a service listens, and whether itself or a proxy in front does TLS.
+    """Address at which a service listens, with TLS by itself or by a proxy in front.
 
     ``names`` are further ones under which it is called, as a proxy passes them on.
     """

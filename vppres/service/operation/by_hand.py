@@ -1,4 +1,4 @@
-"""What set-points of an operator would lead to: balance and AC power flow, before they hold."""
+"""Check of an operator's set-points before they hold: balance and AC power flow."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class ByHand:
     options: RunOptions
 
     def words(self) -> list[str]:
-        """What would come of them, in sentences.
+        """Consequences in sentences.
 
         Raises
         ------
@@ -64,7 +64,7 @@ class ByHand:
         return [*self._said(record, told)]
 
     def _played(self) -> tuple[StepRecord, list[dict[str, Any]]]:
-        """What the plant makes of the set-points, and these."""
+        """Realised step of the plant under the set-points, and the set-points."""
         now, found = self.now, self.found
         b = now.batteries
         follows = np.array([str(name) not in found.failing for name in b.id], dtype=bool)
@@ -83,7 +83,7 @@ class ByHand:
         return world.obey(0, plan["setpoints"]), plan["setpoints"]
 
     def _said(self, record: StepRecord, told: list[dict[str, Any]]) -> Iterator[str]:
-        """What is worth knowing of it."""
+        """Sentences on the realised step."""
         c, b = self.now.customers, self.now.batteries
         to_be_on = {one["asset"]: one["served"] for one in told if one["kind"] == "customers"}
         on = dict(zip(map(str, c.id), record.customers["served"], strict=True))

@@ -22,7 +22,7 @@ BUCKETS_S = (0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0, 300.0)
 
 
 class Figures(Collector):
-    """What a service is at."""
+    """Figures of a running service."""
 
     def __init__(self, runner: Runner) -> None:
         self.runner = runner
@@ -59,7 +59,7 @@ class Figures(Collector):
         yield _by("build_info", "Version.", "version", {str(vppres.__version__): 1.0})
 
     def _plan(self, plan: Mapping[str, Any]) -> Iterator[Metric]:
-        """What the last plan says."""
+        """Document of the last plan."""
         solve = plan["solve"] or {}
         made = pd.Timestamp(plan["generated_at"]).timestamp()
         yield _figure("plan_generated_timestamp_seconds", "When the last plan was made.", made)
@@ -85,7 +85,7 @@ class Figures(Collector):
 
 
 def _expected(plan: Mapping[str, Any]) -> Iterator[Metric]:
-    """What the last plan expects of its step."""
+    """Values that the last plan expects of its step."""
     expected = plan["expected"]
     limit_kw = expected["grid_limit_kw"]
     limit_w = np.inf if limit_kw is None else W_PER_KW * limit_kw

@@ -105,7 +105,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class Service:
-    """What is served.
+    """Service of one site: its controller, store and clock.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ class Service:
 
     @property
     def profile(self) -> ClockProfile | None:
-        """What is repeated day by day; nothing in a rehearsal."""
+        """Daily profile of the site; None in a rehearsal."""
         return None if self.rehearsal else ClockProfile.of(self.scenario)
 
 
@@ -235,7 +235,7 @@ class Runner:
         return contradiction(zero, now, self.length, self.store, demand_kw) != ""
 
     def asked_again(self, readings: Iterable[Reading]) -> list[str]:
-        """What to send again: that the grid is lost, where it is among these and stands alone."""
+        """Requests to send a reading again: a lost grid that no other reading confirms."""
         if not any(one.quantity == GRID_ON and one.value == 0.0 for one in readings):
             return []
         now = self.clock.now()
@@ -280,7 +280,7 @@ class Runner:
         return [(what, pd.Timestamp(end)) for what, end in ends.items() if end is not None]
 
     def checked(self, asked: Mapping[str, Any]) -> list[str]:
-        """What an operator's set-points would lead to now, by balance and AC power flow.
+        """Consequences of an operator's set-points now, by balance and AC power flow.
 
         Raises
         ------
@@ -380,7 +380,7 @@ class Runner:
 
     @property
     def mode(self) -> dict[str, Any]:
-        """What an operator asked for, as long as it holds."""
+        """Mode that an operator set, as long as it holds."""
         asked, _ = self.store.setting(MODE)
         if asked is None or (
             asked["until"] is not None and pd.Timestamp(asked["until"]) <= self.clock.now()
@@ -399,7 +399,7 @@ class Runner:
         return float(left.total_seconds())
 
     def _step(self, time: pd.Timestamp | None, actor: str | None) -> dict[str, Any]:
-        """The same, in the thread of steps."""
+        """Decide a step, in the thread of steps."""
         now = self.clock.now()
         asked = None if actor is None else Asked(actor, now)
         time = self.begun(now) if time is None else time.tz_convert("UTC")
@@ -415,7 +415,7 @@ class Runner:
         return self._planned(time, asked)
 
     def _anew(self) -> dict[str, Any] | None:
-        """The same of the present step, whose plan is replaced for the rest of it."""
+        """Decide the rest of the present step anew, in place of its plan."""
         self.changes.new.clear()
         why = "; ".join(self.changes.reasons)
         now = self.clock.now()
@@ -529,7 +529,7 @@ class Runner:
         return {**plan, "outage_probability": self._believed(known)}, known
 
     def _known(self, time: pd.Timestamp) -> StepInputs:
-        """What is known at a step, or at the moment from which its rest is decided anew."""
+        """Inputs of a step, or of the moment from which its rest is decided anew."""
         self._feed(time)
         now = None if self._within is None else self._within.at
         return known_at(time, self._controller, self.store, self.rehearsal, now)
@@ -546,7 +546,7 @@ class Runner:
             return None
 
     def _left(self, time: pd.Timestamp, grid: Grid | None) -> Left:
-        """What devices were told last, and whether there is grid: as it was if that is unknown."""
+        """Last set-points of devices and state of the grid, which is as before if it is unknown."""
         told = told_at(self.last, self._moment(time))
         if grid is not None:
             return Left(grid.available, grid.known_by, told)
@@ -587,7 +587,7 @@ class Runner:
         return ordered_plan(time, self.scenario, mode, tables, {}, left)
 
     def _profile_of(self, time: pd.Timestamp) -> Scenario:
-        """What the scenario says of a step."""
+        """Profile of a step in the scenario."""
         if self.profile is not None:
             return self.profile.steps(time, 1)
         row = round((time - self.scenario.grid.start) / self.length)

@@ -82,12 +82,12 @@ class Left:
 
     @property
     def grid(self) -> dict[str, Any]:
-        """What plans say of the grid."""
+        """State of the grid in the words of plans."""
         return {"available": self.available, "known_by": self.known_by}
 
 
 def told_at(plan: Mapping[str, Any] | None, time: pd.Timestamp) -> Told:
-    """What devices were told by the last plan, or do without it once it is over."""
+    """Set-points of the last plan, or the defaults once it is over."""
     last = (plan or {"setpoints": []})["setpoints"]
     return {(one["kind"], one["asset"]): at(one, time) for one in last}
 
@@ -165,7 +165,7 @@ def shed_in(decision: SetPoints) -> dict[str, str]:
 
 
 def tables_of(decision: SetPoints, scenario: Scenario) -> Tables:
-    """What was decided, by kind of device."""
+    """Tables of a decision, by kind of device."""
     return {kind: getattr(decision, kind) for kind in _defaults(scenario)}
 
 
@@ -208,7 +208,7 @@ def ordered(
 
 
 def _asked(one: Mapping[str, Any]) -> dict[str, Any]:
-    """What an operator says of a device, and what follows from it."""
+    """Operator's set-point of a device, and its consequences."""
     said = {name: value for name, value in one.items() if value is not None}
     kind = every().get(one["kind"])
     return said if kind is None else said | kind.asked(said)
@@ -274,7 +274,7 @@ def etag(plan: Mapping[str, Any]) -> str:
 
 
 def _ahead(foreseen: Foreseen, known: StepInputs) -> dict[str, Any]:
-    """What is foreseen of the steps after this one; it is decided anew when they begin."""
+    """Outlook on the steps after this one, which are decided anew when they begin."""
     times = foreseen.import_kw.index[:MOST_AHEAD]
     limits_kw = dict(zip(known.limits_kw.index, known.limits_kw.to_numpy(float), strict=True))
     of_kinds = {f.name: getattr(foreseen, f.name) for f in fields(ForeseenOfKinds)}
@@ -305,7 +305,7 @@ def _table(table: pd.DataFrame) -> dict[str, Any]:
 
 
 def _devices_expected(decision: SetPoints) -> dict[str, Any]:
-    """What is expected of the units of each kind; nothing without any."""
+    """Expected values of the units of each kind; empty without any."""
     found: dict[str, Any] = {}
     for kind, live in parts("live").items():
         rows = getattr(decision, kind)
@@ -364,7 +364,7 @@ def _set_points(
     reason: str,
     reasons: Mapping[tuple[str, str], str] | None = None,
 ) -> list[dict[str, Any]]:
-    """What each device is to do, until when, and what after that: the fields of its default.
+    """Set-point of each device, its end, and the default that follows.
 
     A few devices have ``reasons`` of their own; what is ``refused``, and why, is not said. Without
     tables every device does its default.
@@ -414,19 +414,19 @@ def _kept(kind: str, default: Mapping[str, Any], told: Mapping[Any, Any]) -> dic
 
 
 def _like(default: Mapping[str, Any], row: Mapping[Any, Any]) -> dict[str, Any]:
-    """What a row says of the fields of a default, as far as it does."""
+    """Fields of a row that a default also has."""
     return {field: type(value)(row[field]) for field, value in default.items() if field in row}
 
 
 _SIGNS = {
     "batteries": "charging_positive",
     "pv": "injection_positive",
-    **{name: kind.sign for name, kind in every().items() if kind.sign},
+    **{name: kind.direction for name, kind in every().items() if kind.direction},
 }
 
 
 def _defaults(scenario: Scenario) -> dict[str, dict[str, dict[str, Any]]]:
-    """What devices do without us: batteries and sets rest, PV systems feed, rooms are in band.
+    """Defaults of devices: batteries and sets rest, PV systems feed, rooms are in band.
 
     By kind and identifier; of kinds that are no part of every site only those that there are.
     """
@@ -453,7 +453,7 @@ def _price(measured: Measurement) -> float | None:
 
 
 def _by_phase(decision: SetPoints) -> dict[str, Any]:
-    """What is expected on each phase; nothing without phases, and without power."""
+    """Expected values of each phase; empty without phases and without power."""
     found = decision.by_phase
     if found is None:
         return {}

@@ -1,4 +1,4 @@
-"""What can form the grid of an island now, and why the others cannot."""
+"""Devices that can form the grid of an island now, and reasons of those that cannot."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from vppres.contract.decision import OUT
+from vppres.scenario.formers import named_units
 from vppres.scenario.scenario import Scenario
 from vppres.service.of_kind import every
 
@@ -59,9 +60,9 @@ def _batteries(
     failing: Mapping[str, str],
 ) -> Iterator[FormerState]:
     """Named ones; where nothing is named, one after another stands in for the largest."""
-    b, sets = scenario.batteries, scenario.gensets
+    b = scenario.batteries
     there = scenario.formers
-    if not (b.grid_forming.any() or sets.grid_forming.any()):
+    if not (b.grid_forming.any() or named_units(scenario)):
         complete = np.ones(len(b), dtype=bool)
         if scenario.phases is not None:
             phases = scenario.phases

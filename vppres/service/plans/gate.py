@@ -24,7 +24,7 @@ SOC_SHARE = 1e-3
 def refusals(
     wanted: Mapping[str, pd.DataFrame], scenario: Scenario, soc: Mapping[str, float]
 ) -> dict[tuple[str, str], str]:
-    """What may not be sent, and why.
+    """Set-points that may not be sent, with reasons.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def _batteries(table: pd.DataFrame, scenario: Scenario, soc: Mapping[str, float]
 
 
 def _pv(table: pd.DataFrame, scenario: Scenario, _: Mapping[str, float]) -> Excesses:
-    """What there is to be fed, and the inverter's disc."""
+    """Check of PV power against the sun and the inverter's disc."""
     pv = scenario.pv
     p_kw, q_kvar, available_kw = _numbers(table, "p_kw", "q_kvar", "available_kw")
     return {

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -31,7 +30,7 @@ def ruled(
     lost : mapping
         Customers that cannot be supplied.
     before : mapping of str to DataFrame
-        Set-points of the last step by kind: generating sets keep theirs, chargers charge nothing.
+        Set-points of the last step by kind: units that are started and stopped keep theirs.
     """
     site = Site.of(now)
     b = site.batteries
@@ -48,10 +47,10 @@ def ruled(
         delta_offset(site.network, None),
         np.isfinite(held),
     )
-    sets = before.get("gensets")
-    if sets is not None:
-        on, given_kw = sets["running"].to_numpy(bool), sets["p_kw"].to_numpy(float)
-        state = replace(state, taken_kw={"gensets": -given_kw}, running={"gensets": on})
+    for kind, table in before.items():
+        if "running" in table:
+            on, given_kw = table["running"].to_numpy(bool), table["p_kw"].to_numpy(float)
+            state.taken_kw[kind], state.running[kind] = -given_kw, on
     found = rule_dispatch(state, now.tiers).dispatch
     columns: dict[str, dict[str, Any]] = {
         "batteries": {

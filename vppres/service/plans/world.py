@@ -18,6 +18,7 @@ from vppres.day.options import RunOptions
 from vppres.day.recorder import StepRecord
 from vppres.day.simulate import Day
 from vppres.live.by_phase import GRID, ByPhase
+from vppres.scenario.formers import forming_kinds
 from vppres.scenario.scenario import Scenario
 from vppres.service.as_told import Plan
 from vppres.service.clock import written
@@ -57,7 +58,7 @@ class World:
         )
 
     def readings(self, t: int) -> list[Series]:
-        """What devices measure at the beginning of a step, and of the one before, by source."""
+        """Readings at the beginning of a step and over the one before, by source."""
         site, now = self.scenario, self.scenario.grid.times[t]
         found = [
             *self._each("batteries", "soc", now, site.batteries.id, self.day.state.soc),
@@ -73,7 +74,7 @@ class World:
         return found if t == 0 else [*found, *self._means(site.grid.times[t - 1])]
 
     def _means(self, begun: pd.Timestamp) -> Iterator[Series]:
-        """What devices measure over the last step."""
+        """Means that devices measure over the last step."""
         site, day, record = self.scenario, self.day, self.records[-1]
         if day.battery_kw is not None:
             names = site.batteries.id
@@ -88,6 +89,8 @@ class World:
         if by_phase is not None:
             source = by_phase.source
             teller = "substation" if source == GRID else "batteries"
+            for kind, units in forming_kinds(self.scenario).items():
+                teller = kind if source in units.id else teller
             for phase, kva in by_phase.source_kva.items():
                 yield self._one(teller, "source_kva", begun, source, kva, str(phase))
             for (bus, phase), v_pu in zip(by_phase.nodes.index, by_phase.nodes, strict=True):
@@ -192,8 +195,5 @@ def energy_allowed(scenario: Scenario, record: StepRecord) -> bool:
     from_batteries_kw = np.minimum(b.p_max_kw, held_kwh * b.eta_discharge / scenario.grid.dt_h)
     there_kw = float(record.pv["available_kw"].sum() + from_batteries_kw.sum())
     there_kw += float(scenario.grid_limit_kw[record.t])
-    if sets := record.kinds.get("gensets"):
-        least_litres = scenario.gensets.least_litres(scenario.grid.dt_h)
-        fuelled = sets["fuel_start_litres"] >= least_litres
-        there_kw += float(scenario.gensets.p_max_kw[fuelled].sum())
+    there_kw += sum(every()[kind].able_kw(scenario, row) for kind, row in record.kinds.items())
     return there_kw >= float(record.customers["p_load_kw"][first].sum())

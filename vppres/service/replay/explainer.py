@@ -55,7 +55,7 @@ class Explainer:
             threading.Thread(target=self._beside, args=(plan,), daemon=True).start()
 
     def _beside(self, plan: Mapping[str, Any]) -> None:
-        """What fails here is told to whoever asks."""
+        """Work beside the service; its failure is the answer to the request."""
         with suppress(Denied, StorageError):
             self.of(plan)
 
@@ -142,7 +142,7 @@ def _asked(question: bytes) -> subprocess.CompletedProcess[bytes]:
 
 
 def only(found: Mapping[str, Any], asset: str) -> dict[str, Any]:
-    """What of an explanation is about one device."""
+    """Part of an explanation about one device."""
     prices = [one for one in found["price"] or [] if one["asset"] == asset]
     return {
         **found,

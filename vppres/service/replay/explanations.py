@@ -60,7 +60,7 @@ PROCESSOR_S = 30
 
 
 def question(runner: Runner, plan: Mapping[str, Any]) -> Replay:
-    """What is needed to explain a step that was decided.
+    """Data that the explanation of a decided step needs.
 
     It has the steps before it, itself, and those that its plan looked at, as they were expected.
     """
@@ -162,7 +162,7 @@ def _reason(row: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _prices(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """What one more kWh in each battery would be worth."""
+    """Value of one more kWh in each battery."""
     return [
         {
             "asset": row["item"],
@@ -202,7 +202,7 @@ def blacked_out(plan: Mapping[str, Any], scenario: Scenario) -> dict[str, Any]:
 
 
 def unsolved(plan: Mapping[str, Any], why_no_price: str) -> dict[str, Any]:
-    """What the plan itself says, for want of anything else."""
+    """Explanation from the plan alone, where no window can be solved again."""
     return {
         "phase": None,
         "step": _told(plan.get("reason") or plan["status"], plan["status"]),
@@ -226,7 +226,7 @@ def _told(words: str, status: str) -> dict[str, Any]:
 
 
 def _action(one: Mapping[str, Any]) -> str:
-    """What a set-point asks for, in the words of explanations; empty if nothing."""
+    """Action of a set-point in the words of explanations; empty if there is none."""
     if one["kind"] == "customers":
         if not one["served"]:
             return NOT_SERVED

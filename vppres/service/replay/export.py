@@ -1,4 +1,4 @@
-"""What was, as the run of a scenario: stored plans and readings, replayed on the plant.
+"""Export of the past as the run of a scenario: stored plans and readings, replayed on the plant.
 
 Of every step the set-points that were said, the demand, sun and state of charge that were measured
 (the profile's where nothing was), and whether there was grid. What they led to is the plant's
@@ -231,7 +231,7 @@ def off_minutes(
 
 
 def _on_in(part: StepPart, t: int, replay: Replay, store: Store) -> Flags:
-    """Who was on in a part of a step, (C,)."""
+    """Customers that were on in a part of a step, (C,)."""
     plan = replay.stored[t]
     assert plan is not None
     off = off_in(part, plan, partial(replay.alone, t), replay.options, store)

@@ -1,4 +1,4 @@
-"""What happened within a step that was decided anew: who was off, and from when to when.
+"""Parts of a step that was decided anew: customers that were off, with times.
 
 A plan keeps what was said before it. Between a change of the grid and the plan that knows of it
 stands what devices made of the old set-points: the plant answers that.

@@ -1,1 +1,1 @@
-"""What is asked for over HTTP, a module for each subject."""
+"""Routes of the API, a module for each subject."""

@@ -22,7 +22,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
     def forecast(
         quantity: str, body: payloads.Forecasts, actor: str = guarded("events")
     ) -> dict[str, Any]:
-        """What is expected of ``load_kw`` or ``pv_kw``; older forecasts are kept."""
+        """Store a forecast of ``load_kw`` or ``pv_kw``; older forecasts are kept."""
         if quantity not in ("load_kw", "pv_kw"):
             raise HTTPException(404, "There are forecasts of load_kw and pv_kw.")
         check_forecast(quantity, body.assets, body.start, body.resolution, runner.scenario)

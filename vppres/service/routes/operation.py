@@ -35,7 +35,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
 
     @router.get("/v1/mode")
     def mode(response: Response, _: str = guarded("read")) -> dict[str, Any]:
-        """What the operator asked for, with the ETag that ``If-Match`` takes."""
+        """Mode that the operator set, with the ETag that ``If-Match`` takes."""
         response.headers["ETag"] = f'"{runner.store.setting(MODE)[1]}"'
         return runner.mode
 
@@ -58,7 +58,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
 
     @router.post("/v1/mode/check")
     def check_mode(body: payloads.ModeRequest, _: str = guarded("operator")) -> dict[str, Any]:
-        """What an operator's set-points would lead to now: nothing is changed."""
+        """Check an operator's set-points by balance and AC power flow; nothing is changed."""
         check_setpoints(body.setpoints, runner.scenario)
         return {"found": runner.checked(body.model_dump()) if body.setpoints else []}
 

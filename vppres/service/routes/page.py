@@ -57,7 +57,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
 
     @router.get("/v1/site")
     def what(_: str = guarded("read")) -> dict[str, Any]:
-        """What no step changes: names, limits, ratings, tiers, and the modes that there are."""
+        """Constant data of the site: names, limits, ratings, tiers and modes."""
         return site
 
     @router.get("/v1/overview")

@@ -35,7 +35,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         asset: Annotated[str | None, Query(max_length=payloads.LONGEST_NAME)] = None,
         _: str = guarded("read"),
     ) -> Response:
-        """What devices must do at a time, now if not given; defaults when that is over."""
+        """Set-points of devices at a time, now if not given; defaults once they are over."""
         check_asset(asset, runner.scenario)
         now = runner.clock.now() if time is None else moment_asked(time)
         found = runner.store.last_step(now)
@@ -52,7 +52,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         body: payloads.SetpointStatus,
         actor: str = guarded("telemetry"),
     ) -> dict[str, Any]:
-        """What became of a set-point; a battery that refuses is left out until it is heard."""
+        """Store a set-point's status; a battery that refuses is left out until its next reading."""
         found = _setpoint(identifier)
         if found is None:
             raise HTTPException(404, "There is no such set-point.")

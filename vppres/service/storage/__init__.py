@@ -1,1 +1,1 @@
-"""What is kept of a site, and where: rows, tables and statements of the database."""
+"""Storage of a site: rows, tables and statements of the database."""

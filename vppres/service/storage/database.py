@@ -1,4 +1,4 @@
-"""Where the state of a service is: SQLite in a folder, or PostgreSQL; one process each.
+"""Database of a service's state: SQLite in a folder, or PostgreSQL; one process each.
 
 SQLite runs with WAL and ``synchronous=FULL``: what was committed survives a kill and a loss of
 power. A lock on a file beside it keeps a second process out; it ends with the process that holds

@@ -1,4 +1,4 @@
-"""What is kept of a site, row by row, and its times: whole seconds of UTC."""
+"""Rows of a site's storage; times are whole seconds of UTC."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def moment(stored: int) -> pd.Timestamp:
 
 
 def versions(plan: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """What was said of a step, the earliest first."""
+    """Versions of a step, the earliest first."""
     return [*plan.get("before", []), plan]
 
 
@@ -52,7 +52,7 @@ class Reading:
 
 @dataclass(frozen=True)
 class Written:
-    """What became of a batch of readings."""
+    """Result of storing a batch of readings."""
 
     accepted: int
     duplicates: int
@@ -116,7 +116,7 @@ class AlarmRow:
 
     @property
     def key(self) -> tuple[str, str]:
-        """What makes two of them the same alarm."""
+        """Identity of the alarm: two rows with the same key are one alarm."""
         return self.kind, self.subject
 
 
@@ -130,7 +130,7 @@ class After:
 
 @dataclass(frozen=True)
 class Asked:
-    """Who asked for something, and when."""
+    """Author and time of a request."""
 
     actor: str
     at: pd.Timestamp
@@ -138,7 +138,7 @@ class Asked:
 
 @dataclass(frozen=True)
 class Token:
-    """Who may do what, until when in seconds; of the secret only the hash is kept."""
+    """Token: role, expiry in seconds, and the hash of its secret."""
 
     name: str
     sha256: str

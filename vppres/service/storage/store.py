@@ -1,4 +1,4 @@
-"""What the service knows and has said: one transaction a step, before anything is sent."""
+"""Store of readings, events and plans: one transaction a step, before anything is sent."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ class Store:
 
     @property
     def place(self) -> str:
-        """Where it is, without a password."""
+        """Address of the database, without a password."""
         return self._database.name
 
     def close(self) -> None:
@@ -292,7 +292,7 @@ class Store:
         return [json.loads(text) for (text,) in self._rows(chosen.order_by(STEPS.c.time))]
 
     def _body(self, chosen: Any) -> dict[str, Any] | None:
-        """What was kept as JSON; None if there is no such row."""
+        """Stored JSON of a row; None if there is no such row."""
         return next((json.loads(text) for (text,) in self._rows(chosen)), None)
 
     def outcomes(self) -> dict[str, int]:
@@ -318,7 +318,7 @@ class Store:
             put_measured(db, rows)
 
     def measured(self, since: pd.Timestamp) -> list[Measured]:
-        """What was measured in the steps from a time on."""
+        """Measured values of the steps from a time on."""
         m = MEASURED.c
         chosen = sa.select(MEASURED).where(m.time >= seconds(since)).order_by(m.time)
         return [
@@ -384,7 +384,7 @@ class Store:
         return {row.asset: Lost(row.at, row.reason) for row in self._rows(sa.select(LOST))}
 
     def acks(self, setpoints: Iterable[str]) -> dict[str, dict[str, Any]]:
-        """What was said last of each set-point of which anything was."""
+        """Last status of each set-point that has one."""
         a = ACKS.c
         chosen = sa.select(ACKS).where(a.setpoint.in_(list(setpoints))).order_by(a.number)
         return {
@@ -504,7 +504,7 @@ class Store:
         return list(starmap(Token, self._rows(sa.select(TOKENS).order_by(TOKENS.c.name))))
 
     def audit(self) -> list[tuple[str, str, str]]:
-        """Who did what, in order: actor, action, detail."""
+        """Audit log in order: actor, action, detail."""
         a = AUDIT.c
         chosen = sa.select(a.actor, a.action, a.detail).order_by(a.number)
         return [tuple(row) for row in self._rows(chosen)]
@@ -548,7 +548,7 @@ class Store:
 
 @contextmanager
 def _plain_errors() -> Iterator[None]:
-    """What the database says as an error of ours."""
+    """Translate errors of the database into those of vppres."""
     try:
         yield
     except sa.exc.SQLAlchemyError as error:

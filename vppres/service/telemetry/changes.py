@@ -1,4 +1,4 @@
-"""What has changed since the present step was decided, and so is not in its plan."""
+"""Changes since the present step was decided, which its plan does not contain."""
 
 from __future__ import annotations
 

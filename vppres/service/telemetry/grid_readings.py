@@ -34,7 +34,7 @@ FED_SHARE = 0.1
 def contradiction(
     zero: Reading | None, now: pd.Timestamp, step: pd.Timedelta, store: Store, demand_kw: float
 ) -> str:
-    """What contradicts a reading that the grid is lost; empty if nothing does.
+    """Contradiction of a reading that the grid is lost; empty if there is none.
 
     Another source that sees it at that time or later; an import of that time or later, of more than
     meters are off by; or one that feeds the site while the source says already that the grid is
@@ -61,7 +61,7 @@ def contradiction(
 
 
 def stands_alone(zero: Reading | None, now: pd.Timestamp, step: pd.Timedelta, store: Store) -> str:
-    """What to ask of a reading that the grid is lost and that nothing bears out; empty if not.
+    """Request to confirm a reading that the grid is lost; empty if another reading confirms it.
 
     Neither announced, nor said by another source or twice by the same one, nor followed by an
     import that was measured.

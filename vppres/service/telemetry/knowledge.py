@@ -26,6 +26,7 @@ from vppres.live.measurement import Measurement
 from vppres.live.range import Range
 from vppres.live.ranges import RANGES, ranges_of
 from vppres.outlook.belief import HALF
+from vppres.scenario.formers import forming_kinds
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import written
 from vppres.service.events.announced import (
@@ -93,7 +94,7 @@ class Grid:
 
 @dataclass(frozen=True, eq=False)
 class StepInputs:
-    """What is known at a step, and what to ask for ``again``."""
+    """Inputs of a step, and readings to request ``again``."""
 
     measurement: Measurement
     heard: list[Heard]
@@ -113,6 +114,7 @@ def assets_of(scenario: Scenario) -> dict[str, list[str]]:
     """Assets of each quantity."""
     batteries = [str(name) for name in scenario.batteries.id]
     customers = [str(name) for name in scenario.customers.id]
+    forming = (units.id for units in forming_kinds(scenario).values())
     return {
         "soc": batteries,
         "battery_kw": batteries,
@@ -126,7 +128,7 @@ def assets_of(scenario: Scenario) -> dict[str, list[str]]:
             for kind, names in OF_KINDS.items()
             for name in names
         },
-        "source_kva": [GRID, *batteries],
+        "source_kva": [GRID, *batteries, *(str(unit) for ids in forming for unit in ids)],
         "v_pu": [] if scenario.phases is None else list(scenario.phases.by_bus),
     }
 
@@ -171,7 +173,7 @@ def readings_of(
 def _wrong_series(
     one: Readings, known: list[str], scenario: Scenario, until: pd.Timestamp
 ) -> Problem | None:
-    """What is wrong with all values of a series."""
+    """Errors of a series as a whole."""
     if one.asset not in known:
         cure = did_you_mean(one.asset, known, "Give an asset of the site.")
         return Problem(WHERE, "is not at the site", cure, None, "asset", one.asset)
@@ -185,7 +187,7 @@ def _wrong_series(
 
 
 def _wrong_value(what: str, sent: object, value: float | None, permitted: Range) -> Problem:
-    """What is wrong with a value: it is no number, or none that the quantity can have."""
+    """Error of a value: it is no number, or outside the quantity's range."""
     if value is None or math.isnan(value):
         cure = "Give a number, or null where it is missing."
         return Problem(WHERE, "is not a number", cure, None, what, readable(sent))
@@ -216,7 +218,7 @@ def check_setpoints(asked: Iterable[OperatorSetpoint], scenario: Scenario) -> No
 
 
 def _impossible(one: OperatorSetpoint, devices: Any, i: int) -> Iterator[Wrong]:
-    """What a device cannot do: field, value, what is wrong and what to do."""
+    """Refusal of a value that a device cannot have: field, value, error and cure."""
     if one.kind in OF_KINDS:
         yield from every()[one.kind].impossible(one, devices, i)
     elif one.p_kw is not None:
@@ -235,7 +237,7 @@ def known_at(
     own_days: bool = False,
     now: pd.Timestamp | None = None,
 ) -> StepInputs:
-    """What is known at the beginning of a step.
+    """Inputs at the beginning of a step.
 
     Parameters
     ----------
@@ -252,42 +254,22 @@ def known_at(
     """
     scenario = controller.scenario
     at = time if now is None else now
-    readings = Latest.at(at, scenario, store)
-    window = Window.of(controller, time)
-    events = _events(time, controller, store)
-    load = _Powers.of("load_kw", scenario.customers.id, window, readings, store)
+    readings, window, events, load, (grid, doubt) = _announced_and_read(time, controller, store, at)
     pv = _Powers.of("pv_kw", scenario.pv.id, window, readings, store)
-    grid, doubt = _grid(controller, window, readings, events, at, load, store)
-    zero = readings.last.get((GRID, "grid_on"))
     said = _Said.since(controller.decided, time - window.length, at, store)
     means = _means(store, max(said.decided_at, at - MOST_STEPS * window.length), at)
-    stored = Stored(
-        scenario,
-        time,
-        readings,
-        means,
-        said.decided_at,
-        said.plans,
-        at,
-        store,
-    )
-    batteries = [str(name) for name in scenario.batteries.id]
-    read_kw = means.get("battery_kw", {})
-    moved = {name: read_kw[name] for name in batteries if name in read_kw}
-    soc = readings.newest("soc")
-    out = refusing(soc, store)
-    off = {name for name, value in readings.now("online").items() if value == 0.0}
+    stored = Stored(scenario, time, readings, means, said.decided_at, said.plans, at, store)
+    soc = soc_of(readings.newest("soc"))
     lost = lost_customers(scenario, readings.found, store)
     announced = announced_kw(events, window, own_days)
     measurement = Measurement(
         time,
-        soc=soc_of(soc),
+        soc=soc,
         load_kw=load.table,
         pv_kw=pv.table,
         price_gbp_per_kwh=pd.Series(prices(events, window), window.times),
         grid_limit_kw=pd.Series(grid.limits_kw, window.times),
-        battery_kw=moved or None,
-        online={name: name not in out | off for name in batteries},
+        **_of_batteries(scenario, readings, means.get("battery_kw", {}), store),
         import_kw=means.get("import_kw", {}).get(GRID) if said.by_controller else None,
         connected=dict.fromkeys(lost, False),
         announced_limit_kw=None
@@ -295,30 +277,48 @@ def known_at(
         else pd.Series(announced, window.times).dropna(),
         foretold=load.foretold | pv.foretold,
         now=now,
-        soc_at={name: moment(reading.time) for name, reading in soc.items()},
         ordered_kw=said.ordered_kw,
         **{name: told for kind in every().values() for name, told in kind.told(stored).items()},
     )
     estimated = [*load.estimated, *pv.estimated, *([doubt] if doubt else [])]
     again = ""
     if grid.known_by == "reading" and not grid.available:
+        zero = readings.last.get((GRID, "grid_on"))
         again = stands_alone(zero, at, window.length, store)
-    return StepInputs(measurement, readings.heard, grid, estimated, soc_of(soc), lost, again)
+    return StepInputs(measurement, readings.heard, grid, estimated, soc, lost, again)
+
+
+def _of_batteries(
+    scenario: Scenario, readings: Latest, read_kw: Mapping[str, float], store: Store
+) -> dict[str, Any]:
+    """Power, age of the state of charge, and whether each battery can work."""
+    ids = [str(name) for name in scenario.batteries.id]
+    soc = readings.newest("soc")
+    off = {name for name, value in readings.now("online").items() if value == 0.0}
+    out = refusing(soc, store) | off
+    return {
+        "battery_kw": {name: read_kw[name] for name in ids if name in read_kw} or None,
+        "online": {name: name not in out for name in ids},
+        "soc_at": {name: moment(reading.time) for name, reading in soc.items()},
+    }
 
 
 def grid_at(time: pd.Timestamp, controller: Controller, store: Store, now: pd.Timestamp) -> Grid:
     """Whether there is grid in a step that nobody decides; a moment in it counts."""
-    readings = Latest.at(now, controller.scenario, store)
+    return _announced_and_read(time, controller, store, now)[-1][0]
+
+
+def _announced_and_read(
+    time: pd.Timestamp, controller: Controller, store: Store, at: pd.Timestamp
+) -> tuple[Latest, Window, list[Event], _Powers, tuple[Grid, str]]:
+    """Readings, the window, events that count, the demand, and the grid with doubts about it."""
+    readings = Latest.at(at, controller.scenario, store)
     window = Window.of(controller, time)
-    load = _Powers.of("load_kw", controller.scenario.customers.id, window, readings, store)
-    events = _events(time, controller, store)
-    return _grid(controller, window, readings, events, now, load, store)[0]
-
-
-def _events(time: pd.Timestamp, controller: Controller, store: Store) -> list[Event]:
-    """Events that count."""
     replaced = controller.replaced(time)
-    return [event for name, event in store.events().items() if name not in replaced]
+    events = [event for name, event in store.events().items() if name not in replaced]
+    load = _Powers.of("load_kw", controller.scenario.customers.id, window, readings, store)
+    grid = _grid(controller, window, readings, events, at, load, store)
+    return readings, window, events, load, grid
 
 
 def soc_at(time: pd.Timestamp, scenario: Scenario, store: Store) -> dict[str, float]:
@@ -378,7 +378,7 @@ class Latest:
 
     @classmethod
     def at(cls, time: pd.Timestamp, scenario: Scenario, store: Store) -> Latest:
-        """Those of a time, by clocks that may be a little off."""
+        """Readings of a time, by clocks that may be a little off."""
         step_s = round(scenario.grid.step_minutes * 60)
         found = store.latest(time + pd.Timedelta(seconds=EARLY_SHARE * step_s), INSTANT)
         for kind in every().values():
@@ -469,7 +469,7 @@ class _Said:
     def since(
         cls, decided: pd.Timestamp | None, before: pd.Timestamp, now: pd.Timestamp, store: Store
     ) -> _Said:
-        """What plans said from a step on up to now; from ``before`` on if none was decided."""
+        """Plans from a step on up to now; from ``before`` on if none was decided."""
         plans = store.plans(before if decided is None else decided, now)
         if not plans:
             return cls(before, None, True)

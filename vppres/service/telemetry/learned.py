@@ -1,4 +1,4 @@
-"""What was measured at a site, step by step, as a forecaster learns from it.
+"""Measured series of a site, step by step, for a forecaster.
 
 Each decided step leaves a row in a table of its own. Where there is none yet, as when a forecaster
 is chosen for a service that ran without one, the rows are made of the readings that are kept.
@@ -35,7 +35,7 @@ def measured_in(controller: Controller) -> Measured | None:
 
 
 def learned(store: Store, scenario: Scenario, now: pd.Timestamp) -> History | None:
-    """What was measured up to a time, behind what the site itself brings; None if nothing was.
+    """Measurements up to a time, after the site's own history; None if there are none.
 
     What is made of readings is kept in the store, so that it stays as it is.
     """

@@ -18,7 +18,7 @@ DISCONNECTED = "reported as not connected"
 
 
 def lost_customers(scenario: Scenario, latest: Iterable[Reading], store: Store) -> dict[str, str]:
-    """Who cannot be supplied, and why."""
+    """Customers that cannot be supplied, with reasons."""
     ids = {str(name) for name in scenario.customers.id}
     online = {
         one.asset: one

@@ -1,4 +1,4 @@
-"""What readings say that the present plan does not know.
+"""News: readings that the present plan does not contain.
 
 A device that is back or gone is planned for at once, as the grid is; so is one that is heard for
 the first time, or after a silence for which the plan did without it.
@@ -62,7 +62,7 @@ class News:
         self._missing = set[Key]()
 
     def of(self, readings: Iterable[Reading], until: pd.Timestamp, plan: Plan) -> list[str]:
-        """What is new in readings that are not kept yet; those up to a time count."""
+        """News in readings that are not stored yet; those up to a time count."""
         readings = list(readings)
         told = newest(one for one in readings if moment(one.time) <= until)
         found = [*self._changed(told, until, plan), *self._first(told, plan)]
@@ -98,7 +98,7 @@ class News:
                 yield f"{asset} {quantity} = {one.value:g} ({one.source})"
 
     def _first(self, told: Mapping[Key, Reading], plan: Plan) -> Iterator[str]:
-        """What was never heard, or not for long, or was missing."""
+        """Devices without a reading so far, for long, or in the plan."""
         lost = {(one["asset"], one["quantity"]) for one in plan.get("late", ()) if is_lost(one)}
         for key in told:
             asset, kind = key
@@ -122,7 +122,7 @@ def is_said_lost(plan: Plan) -> bool:
 
 
 def unknown_to(plan: Plan, readings: Iterable[Reading], fed: Callable[[], bool]) -> Iterator[str]:
-    """What readings say against a plan; nothing for which it was made anew.
+    """News in readings against a plan; without those for which it was already made anew.
 
     The grid is lost or back, or a battery or customer that the plan leaves out is heard. A loss
     that the plan knows to be contradicted is none as long as the site is ``fed``.

@@ -37,7 +37,7 @@ def phases_of(scenario: Scenario, quantity: str, asset: str) -> list[str]:
     if phases is None:
         return []
     if quantity == "v_pu":
-        grid, island = labels_by_source(phases, scenario.batteries)
+        grid, island = labels_by_source(scenario)
         return [*dict.fromkeys(phase for bus, phase in (*grid, *island) if bus == asset)]
     if asset == GRID or quantity == "source_kva":
         return list(PHASES)
@@ -45,7 +45,7 @@ def phases_of(scenario: Scenario, quantity: str, asset: str) -> list[str]:
 
 
 def wrong_phase(one: Readings, scenario: Scenario) -> Problem | None:
-    """What is wrong with the phase of readings."""
+    """Error of the phase of readings."""
     needed = one.quantity in ALWAYS
     if one.phase is None and not needed:
         return None
@@ -59,7 +59,7 @@ def wrong_phase(one: Readings, scenario: Scenario) -> Problem | None:
 
 
 def sums(readings: Iterable[Reading], scenario: Scenario) -> Iterator[Reading | Refusal]:
-    """What readings by phase of a batch add up to, and which of them are not complete."""
+    """Sums of readings by phase of a batch, and the readings that are not complete."""
     found: dict[tuple[str, str, str, int, int], dict[str, float | None]] = {}
     for one in readings:
         quantity, _, phase = one.quantity.partition("/")

@@ -37,7 +37,7 @@ class Refusal:
 
     @property
     def words(self) -> str:
-        """What is wrong, in a line."""
+        """Error in a line."""
         one = self.problem
         value = "" if one.value is None else f" = {one.value}"
         return visible(brief(f"{one.field}{value}: {one.message}"))
@@ -50,7 +50,7 @@ class _Standing:
 
 
 class RefusedReadings:
-    """What was refused last, by source, asset and quantity; a good reading takes it back."""
+    """Last refusals by source, asset and quantity; a good reading clears one."""
 
     def __init__(self, step: pd.Timedelta) -> None:
         self.changes = 0
@@ -59,7 +59,7 @@ class RefusedReadings:
         self._turn = threading.Lock()
 
     def note(self, refused: Iterable[Refusal], good: Iterable[Reading], now: pd.Timestamp) -> None:
-        """What was refused of a batch, and what was not."""
+        """Note refused and accepted readings of a batch."""
         with self._turn:
             if self._standing:
                 for one in good:
@@ -77,7 +77,7 @@ class RefusedReadings:
             self.changes += 1
 
     def standing(self, now: pd.Timestamp) -> Iterator[tuple[Refusal, pd.Timestamp]]:
-        """What was refused and is still shown, and when."""
+        """Refusals that are still shown, with times."""
         with self._turn:
             found = [*self._standing.values()]
         return ((one.refusal, one.at) for one in found if now - one.at <= self._lasting)

@@ -1,1 +1,1 @@
-"""Masters without network: the fleet as a whole, by binaries or by counts with cuts."""
+"""Masters without network: the fleet as a whole, step by step and by binaries."""

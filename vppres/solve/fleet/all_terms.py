@@ -58,7 +58,7 @@ def _named(task: WindowTask, name: str) -> str:
 
 
 def not_bounded(task: WindowTask, lumped: bool) -> list[str]:
-    """What the page has, or lacks, that the fleet's relaxation does not know what to do with."""
+    """Families and letters of the page that the fleet's relaxation does not bound."""
     if not task.own:
         return []
     fleet = fleet_of(task.cache, task.data, lumped)

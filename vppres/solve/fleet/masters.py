@@ -1,66 +1,53 @@
-"""The masters of service and cost: by binaries, or by counts in long windows.
+"""The master of service and cost without the network.
 
-``docs/method.md``, *Service by counts* and *Switching rules*.
+``docs/method.md``, *Service step by step* and *Switching rules*.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Protocol
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
 from vppres.core.arrays import Flags, Floats
 from vppres.model.data import WindowData
 from vppres.solve.cache import ModelCache
-from vppres.solve.deadline import Deadline
-from vppres.solve.fleet.counts import Counts
-from vppres.solve.fleet.demand import DemandModel
+from vppres.solve.deadline import Deadline, Stopwatch
+from vppres.solve.fleet.recursion import most_units
 from vppres.solve.fleet.relaxation import (
     FleetProblem,
-    fleet_of,
     fleet_problem,
     weight_grid,
     whole_price,
 )
-from vppres.solve.programs import GAP_SHARE, SOLVED, WHOLE_GAP, search_options
+from vppres.solve.programs import (
+    GAP_SHARE,
+    HALF_UNIT,
+    NODES,
+    SOLVED,
+    WHOLE_GAP,
+    search_options,
+)
 from vppres.solve.result import Outcome, Status
 from vppres.solve.solvers import SolverSpec, run
 from vppres.solve.task import WindowTask
 
-MOST_BINARIES = 600
-"""Customers times steps up to which a window is searched with a binary for each. Beyond, that takes
-a second and more; whole numbers for each weight are fewer, and cuts stand for the fleet."""
+AS_IT_IS = MappingProxyType({"presolve": "off"})
+MANY = 2000
+"""Options beyond so many customers times steps: to compare all columns of few rows takes longer
+than to solve the problem. A search for a cheaper schedule of 96 steps took ten times as long."""
 
 ALIKE = 1e-4
 """Spread of efficiencies up to which the fleet is lumped into one battery first: beyond it, one
 battery of the best efficiencies says too little, and the search begins with every battery."""
 
 
-class Master(Protocol):
-    """Finds supply schedules and bounds of a window in a relaxation without the network.
-
-    ``unit`` is the granularity of the weights. Searches end at the deadline, which the caller may
-    set anew.
-    """
-
-    unit: float
-    deadline: Deadline
-
-    def service(self, gap: float) -> tuple[Outcome, Flags | None]:
-        """Most service in units, within the window's gap in units, and a set that has it."""
-
-    def cost(
-        self, units_min: float, everyone: bool, known_gbp: float, gap_gbp: float
-    ) -> tuple[Outcome, Flags | None]:
-        """Least cost of all sets with so many units; a bound is enough within a known cost's gap.
-
-        With ``everyone`` no customer is left out where the import has no limit.
-        """
-
-
-class Binaries:
-    """The relaxation with a binary for each customer and step.
+class Master:
+    """The relaxation without the network, with a binary for each customer and step.
 
     Parameters
     ----------
@@ -71,9 +58,16 @@ class Binaries:
     spec : SolverSpec
         Solves it.
     deadline : Deadline
-        When service and cost must be done.
+        When service and cost must be done; a caller may set it anew.
     lumped : bool
         Whether the fleet is one battery.
+    stepwise : bool
+        Whether service is first asked of one battery, step by step.
+
+    Attributes
+    ----------
+    unit : float
+        Granularity of the weights.
     """
 
     def __init__(
@@ -83,12 +77,14 @@ class Binaries:
         spec: SolverSpec,
         deadline: Deadline,
         lumped: bool,
+        stepwise: bool,
     ) -> None:
         self.cache = cache
         self.data = data
         self.spec = spec
         self.deadline = deadline
         self.lumped = lumped
+        self.stepwise = stepwise
         self.unit = weight_grid(cache.site.customers.weight * cache.site.dt_h)
         self.best: Flags | None = None
 
@@ -98,9 +94,21 @@ class Binaries:
         return self.unit > 0.0 and whole_price(self.data, self.unit)
 
     def service(self, gap: float) -> tuple[Outcome, Flags | None]:
-        """Most service in units, f3 rounded in favour to a whole number, and a set that has it."""
+        """Most service in units, f3 rounded in favour to a whole number, and a set that has it.
+
+        The set of one battery has it where the fleet carries it without losing a unit of sun; its
+        service is a bound in any case.
+        """
         problem = fleet_problem(self.cache, self.data, self.lumped, integer=True, goal="service")
         problem.write(self.data, all_connected=True, eased=True)
+        most = np.inf
+        if self.stepwise:
+            watch = Stopwatch()
+            most, served = self._of_one_battery
+            if served is not None and self._carries(problem, served, most):
+                self.best = served
+                return Outcome(Status.OPTIMAL, most, most, watch.spent_s, self.spec.name), served
+            problem.write(self.data, all_connected=True, eased=True)
         open_units = GAP_SHARE * gap
         if not self.data.keeps_service:
             open_units = max(WHOLE_GAP, open_units)
@@ -108,22 +116,49 @@ class Binaries:
         outcome = search_for_set(problem, self.data, self.spec, open_units, left_s)
         if not self.data.keeps_service:
             # The objective is whole, so the bound may be rounded down.
-            outcome = replace(outcome, bound=float(np.floor(outcome.bound + SOLVED)))
+            outcome = replace(outcome, bound=min(float(np.floor(outcome.bound + SOLVED)), most))
         self.best = set_of(problem, outcome)
         return outcome, self.best
+
+    @cached_property
+    def _of_one_battery(self) -> tuple[float, Flags | None]:
+        """Most units that one battery carries and a set of so many, if shares of customers say."""
+        site = self.cache.site
+        problem = fleet_problem(self.cache, self.data, self.lumped, integer=False, goal="service")
+        problem.write(self.data, all_connected=True, eased=True)
+        outcome = run(problem, self.spec, 0.0, self.deadline.left_s, more=self._options)
+        if outcome.status != Status.OPTIMAL:
+            return np.inf, None
+        units = np.round(site.customers.weight * site.dt_h / self.unit).astype(np.int64)
+        able = problem.fleet.able(self.data) > 0.5
+        return most_units(site, self.data, able, units, outcome.value)
+
+    @property
+    def _options(self) -> Mapping[str, Any]:
+        """Options of HiGHS for linear problems, and for searches for a cheaper schedule."""
+        return AS_IT_IS if self.data.load_kw.size > MANY else {}
+
+    def _carries(self, problem: FleetProblem, served: Flags, units: float) -> bool:
+        """Whether the fleet carries a set that is worth so many units."""
+        problem.hold(served)
+        outcome = run(problem, self.spec, WHOLE_GAP, self.deadline.left_s)
+        return outcome.status == Status.OPTIMAL and outcome.value > units - HALF_UNIT
 
     def cost(
         self, units_min: float, everyone: bool, known_gbp: float, gap_gbp: float
     ) -> tuple[Outcome, Flags | None]:
         """Least cost of all sets with so many units; the LP relaxation first, which may do."""
         relaxed = self._with_units(units_min, everyone, integer=False)
-        bound = run(relaxed, self.spec, 0.0, self.deadline.left_s)
+        bound = run(relaxed, self.spec, 0.0, self.deadline.left_s, more=self._options)
         near = not np.isfinite(gap_gbp) or bound.bound >= known_gbp - gap_gbp
         if near or bound.status != Status.OPTIMAL:
             return bound, None
         problem = self._with_units(units_min, everyone, integer=True)
         left_s = self.deadline.left_s
-        outcome = search_for_set(problem, self.data, self.spec, gap_gbp, left_s, first=self.best)
+        more = {**self._options, "mip_max_nodes": NODES}
+        outcome = search_for_set(
+            problem, self.data, self.spec, gap_gbp, left_s, first=self.best, more=more
+        )
         if not outcome.status.has_answer:
             return replace(bound, status=Status.TIME_LIMIT), None
         return outcome, set_of(problem, outcome)
@@ -137,7 +172,7 @@ class Binaries:
 
 
 def set_of(problem: FleetProblem, outcome: Outcome) -> Flags | None:
-    """Who is served by the last answer."""
+    """Customers that the last answer serves."""
     return problem.value_of("x_served") > 0.5 if outcome.status.has_answer else None
 
 
@@ -149,32 +184,29 @@ def search_for_set(
     time_s: float,
     scale: float = 1.0,
     first: Flags | None = None,
+    more: Mapping[str, Any] = MappingProxyType({}),
 ) -> Outcome:
     """How a search for a set ended that begins with a known one, where there is any.
 
     ``scale`` is a factor in the problem's objective as in ``run``.
     """
-    more = search_options(problem.fleet.site, data)
-    return run(problem, spec, gap_abs, time_s, scale, more, first)
+    options = {**search_options(problem.fleet.site, data), **more}
+    return run(problem, spec, gap_abs, time_s, scale, options, first)
 
 
 def master_of(task: WindowTask, lumped: bool, deadline: Deadline) -> Master | None:
     """The master of a window, with one equivalent battery or every battery; None without a grid.
 
-    Counts need steps in which every customer is free: switching rules join them. They ask the fleet
-    by a linear problem, which what is switched beyond the paper is not.
+    One battery knows no rules and nothing beyond the paper, and is asked once.
     """
     data = task.data
-    if data.switching is None and not task.own and data.load_kw.size > MOST_BINARIES:
-        model = demand_of(task.cache, data, lumped)
-        return Counts(model, data, deadline) if model.grid else None
-    master = Binaries(task.cache, data, task.spec, deadline, lumped)
+    if lumped not in task.masters:
+        plain = data.switching is None and not task.own and not data.keeps_service
+        stepwise = plain and lumped == fleets_of(data)[0]
+        task.masters[lumped] = Master(task.cache, data, task.spec, deadline, lumped, stepwise)
+    master = task.masters[lumped]
+    master.deadline = deadline
     return master if master.applies else None
-
-
-def demand_of(cache: ModelCache, data: WindowData, lumped: bool) -> DemandModel:
-    """What the fleet can carry in a window of that length and mode."""
-    return cache.problem(DemandModel, fleet=fleet_of(cache, data, lumped))
 
 
 def fleets_of(data: WindowData) -> tuple[bool, ...]:

@@ -1,4 +1,4 @@
-"""What one battery with all energies and powers could carry: no fleet carries more."""
+"""Reach of one battery with all energies and powers: no fleet carries more."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 Of all ways to lose so many units up to a step, the one that leaves most energy is as good as any
 other for all that follows: dynamic programming, where a search by binaries has many steps that are
-nearly alike. ``docs/method.md``, *Service by counts*.
+nearly alike. ``docs/method.md``, *Service step by step*.
 """
 
 from __future__ import annotations
@@ -12,8 +12,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vppres.core.arrays import Floats, Wholes
+from vppres.core.arrays import Flags, Floats, Wholes
+from vppres.model.data import WindowData
+from vppres.model.site import Site
 from vppres.solve.fleet.reach import OneBattery
+from vppres.solve.programs import SOLVED
+
+SPARE_CUSTOMERS = 3
+"""Customers of the largest weight that a schedule may lose beyond what shares of customers lose
+before twice as many are asked for."""
 
 MOST_WORK = 4e8
 """Energies that are looked at: a third of a second."""
@@ -57,7 +64,7 @@ class Losses:
         return found
 
     def _with(self, weight: int, loads: Floats, most_lost: int) -> Losses:
-        """The same with the customers of one more weight."""
+        """Table with the customers of one more weight."""
         count = np.arange(len(loads) + 1)
         saved = np.append(0.0, np.cumsum(np.sort(loads)[::-1]))
         units = np.add.outer(self.units, weight * count).ravel()
@@ -68,6 +75,51 @@ class Losses:
         most = np.maximum.accumulate(saved_kw[order])
         kept = order[np.append(True, most[1:] > most[:-1]) & (units[order] <= most_lost)]
         return Losses(units[kept], saved_kw[kept], left_out[kept])
+
+
+def most_units(
+    site: Site, data: WindowData, able: Flags, units: Wholes, by_shares: float
+) -> tuple[float, Flags | None]:
+    """Most service of one battery in units, which no set exceeds, and a set that has it, (W, C).
+
+    In steps without a limit of import all who can be are supplied. No set is returned where it
+    takes too long to find.
+
+    Parameters
+    ----------
+    site : Site
+        Fixed data.
+    data : WindowData
+        The window, without rules.
+    able : array, shape (W, C)
+        Who can be supplied.
+    units : array of int, shape (C,)
+        Weights in units.
+    by_shares : float
+        Most service of shares of customers in units.
+    """
+    one = OneBattery.of(site, data)
+    everyone = int((able * units).sum())
+    loses = able & np.isfinite(data.grid_limit_kw)[:, None]
+    most_of_step = int((loses * units).sum(axis=1).max())
+    weights = np.unique(units[units > 0])
+    alike = [[np.flatnonzero(each & (units == w)) for w in weights] for each in loses]
+    load_kw = [[data.load_kw[t, of] for of in step] for t, step in enumerate(alike)]
+    fewest = max(int(np.ceil(everyone - by_shares - SOLVED)), 0)
+    spare = SPARE_CUSTOMERS * int(units.max())
+    ways = None
+    while ways is None and not is_too_much(len(able), most_of_step, fewest + spare):
+        losses = [Losses.of(weights.tolist(), loads, fewest + spare) for loads in load_kw]
+        ways = fewest_lost(one, (data.load_kw * able).sum(axis=1), losses, fewest + spare)
+        if ways is None:
+            fewest, spare = fewest + spare + 1, 2 * spare
+    if ways is None:
+        return float(everyone - fewest), None
+    served = able.copy()
+    for t, (step, way) in enumerate(zip(losses, ways, strict=True)):
+        for of, loads, count in zip(alike[t], load_kw[t], step.left_out[way], strict=True):
+            served[t, of[np.argsort(-loads, kind="stable")[:count]]] = False
+    return float((served * units).sum()), served
 
 
 def is_too_much(n_steps: int, units_of_step: int, most_lost: int) -> bool:

@@ -156,7 +156,7 @@ class Fleet:
         return alone and (len(family.shape) > 1 or family.shape[-1] > 1)
 
     def _joined(self, named: dict[str, Family]) -> dict[str, Family]:
-        """The same with what keeps export above zero, and circular charging in other words."""
+        """Rows with those that keep export above zero, and circular charging in other words."""
         if "circular_charging" in named:
             # With the balance it says that no battery discharges into another.
             circle, balance = named["circular_charging"], named["total_active_power_balance"]
@@ -182,7 +182,7 @@ class Fleet:
         return eliminated(self.sheet, rest, names, [named[name] for name in equal])
 
     def limits(self) -> list[Family]:
-        """What no family of the statement says: of curtailment, sums and the first step."""
+        """Limits that no family of the statement has: of curtailment, sums and the first step."""
         found = self.lumping.range_rows()
         if len(self.site.pv):
             found.append(self.sheet.limit_of("curtailment_min", {"all P_curt": -1.0}))

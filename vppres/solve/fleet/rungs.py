@@ -11,10 +11,7 @@ import numpy as np
 
 from vppres.model.numerics import ROUNDING, objective_scale
 from vppres.solve.certificate import cost_gap_gbp
-from vppres.solve.dispatch import (
-    cheapest_with_modes,
-    keep_dispatch,
-)
+from vppres.solve.dispatch import cheapest, keep_dispatch
 from vppres.solve.fleet.masters import Master
 from vppres.solve.forms import Form, window_problem
 from vppres.solve.programs import GAP_SHARE, HALF_UNIT, WHOLE_GAP
@@ -121,5 +118,5 @@ def _search_modes(task: WindowTask, gap: float) -> bool:
         return False
     served = problem.value_of("x_served") > 0.5
     modes = {name: problem.value_of(name) for name in problem.binaries if name != "x_served"}
-    known.keep(cheapest_with_modes(task, served, modes))
+    known.keep(cheapest(task, served, modes=modes))
     return outcome.status == Status.OPTIMAL

@@ -48,7 +48,7 @@ class Chains:
 
     @classmethod
     def of(cls, site: Site) -> Chains:
-        """Those between the buses of batteries, PV systems and the grid, and where paths part."""
+        """Chains between the buses of batteries, PV systems, the grid and branchings."""
         net = site.network
         L, N = net.n_lines, net.n_buses
         fed = np.arange(N) == 0

@@ -105,7 +105,7 @@ class CheapestDispatch:
 
     @property
     def _worth_of_sun(self) -> float:
-        """What a kW of PV power is worth in a dispatch, in GBP: more than any saving by losing it.
+        """Worth of a kW of PV power in a dispatch, in GBP: more than any saving by losing it.
 
         Without it, any dispatch would be the cheapest where nothing has a price.
         """

@@ -15,11 +15,11 @@ from vppres.model.numerics import ROUNDING
 from vppres.solve.certificate import Candidate, cost_gap_gbp
 from vppres.solve.deadline import HALF, Deadline
 from vppres.solve.dispatch import (
-    in_network,
+    carried,
+    dispatch_of,
+    least_reactive_power,
     netted,
-    polished,
-    with_least_reactive,
-    with_tie_breakers,
+    tie_breakers,
 )
 from vppres.solve.fleet.masters import Master, fleets_of, master_of
 from vppres.solve.network.master import NetworkMaster, applies
@@ -43,16 +43,16 @@ def enter_network(task: WindowTask, master: NetworkMaster | None) -> None:
         master = network_master(task)
     found = None
     if master is None or worth_asking_tie_breakers(master, best):
-        found = with_tie_breakers(task, best)
+        found = carried(task, best, tie_breakers)
     if found is None:
         found = decided_anew(task, master or network_master(task), best)
     task.certificate.best = found
 
 
 def _by_phase(task: WindowTask, best: Candidate) -> None:
-    """The same with phases: the set itself first, if need be at a higher cost."""
+    """Decide a window with phases: the set itself first, if need be at a higher cost."""
     known = task.certificate
-    known.best = in_network(task, best.dispatch.served)
+    known.best = dispatch_of(task, best.dispatch.served)
     if not known.certified:
         known.keep(decided_anew(task, network_master(task), best))
 
@@ -116,7 +116,7 @@ def decided_anew(
         found = InNetwork(task, master).decide()
         if found is not None:
             return found
-    return in_network(task, best.dispatch.served)
+    return dispatch_of(task, best.dispatch.served, fleet=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,7 +226,7 @@ class InNetwork:
 
     @cached_property
     def _fleet(self) -> Master | None:
-        """The fleet's master; cuts of its first answer serve the second too."""
+        """The fleet's master, in its share of the time."""
         return fleet_master(self.task, self.task.deadline.part(COST_SHARE))
 
     def _fleet_cost(self, units_min: float) -> Outcome:
@@ -244,8 +244,8 @@ class InNetwork:
         task = self.task
         found = netted(task, *self.master.cheapest(served, task.answer_by()))
         if found is not None and task.is_large and task.data.phased is None:
-            return with_least_reactive(task, found)
-        return found and polished(task, found)
+            return carried(task, found, least_reactive_power)
+        return found and carried(task, found)
 
 
 # Ratings of lines: rows are made where a solution violates them, as those of voltages.

@@ -1,4 +1,4 @@
-"""What each feeder proves by itself: cuts from its own search at the prices of what all share.
+"""Proofs of single feeders: cuts from their own searches at the prices of what all share.
 
 Feeders that leave the slack bus share balances alone, since no line's voltage drop reaches beyond
 the slack bus. ``docs/method.md``, *Service with the network*.
@@ -59,7 +59,7 @@ def feeder_of_rows(rows: sp.csr_array, feeder: Wholes) -> Wholes:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What a feeder's search found.
+    """Result of a feeder's search.
 
     Attributes
     ----------

@@ -17,6 +17,7 @@ from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.data import WindowData
 from vppres.model.formulas import lossless_flows
+from vppres.model.phases import phased_model
 from vppres.model.site import Site
 from vppres.solve.cache import ModelCache
 from vppres.solve.forms import (
@@ -76,7 +77,7 @@ def select_devices(sheet: Sheet) -> Selection:
 
 
 def devices(site: Site, sheet: Sheet) -> Selected:
-    """That selection as a problem."""
+    """Problem of the selection."""
     return Selected(sheet, select_devices)
 
 
@@ -371,11 +372,11 @@ class Injections:
 
 
 class PhasedInjections(Injections):
-    """The same columns and rows, with the limits of a phased window's phases."""
+    """Columns and rows of injections, with the limits of a phased window's phases."""
 
     def __init__(self, cache: ModelCache, data: WindowData) -> None:
         super().__init__(cache, data)
-        draws = Draws.of_problem(self.site, data, self.problem, None)
+        draws = Draws.of(phased_model(self.site), data, self.problem)
         self.limits = PhaseLimits(self.site, data, draws)
 
     @property

@@ -365,11 +365,11 @@ class NetworkMaster:
         return cuts.add(left[x], -worth - float(rest.sum()))
 
     def _in_full(self, linear: ProgramSolution) -> Floats:
-        """Who is served in full by a linear solution."""
+        """Customers that a linear solution serves in full."""
         return np.asarray(np.floor(linear.x[self.model.at("x_served").ravel()] + SOLVED))
 
     def _carried(self, linear: ProgramSolution) -> tuple[Floats, float]:
-        """Who is served in full by a linear solution, and what that is worth in units."""
+        """Customers that a linear solution serves in full, and their worth in units."""
         carried = self._in_full(linear)
         units = float(self.units @ carried)
         rules = self.data.switching

@@ -94,7 +94,7 @@ class NetworkProgram:
         return sum(len(rows.lower) for rows in self.found)
 
     def apart(self) -> NetworkProgram:
-        """The same with limits of its own from here on."""
+        """Copy with limits of its own from here on."""
         other = copy(self)
         other.found = list(self.found)
         other.unfinished = None

@@ -52,7 +52,7 @@ class Rows:
         return Rows(self.matrix[which], self.lower[which], self.upper[which])
 
     def wider(self, size: int) -> Rows:
-        """The same rows of a program with more columns behind."""
+        """Rows of a program with more columns behind."""
         m = self.matrix
         shape = (m.shape[0], size)
         return replace(self, matrix=sp.csr_array((m.data, m.indices, m.indptr), shape=shape))

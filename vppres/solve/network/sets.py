@@ -64,7 +64,7 @@ class SearchState:
 
 
 class ServiceCuts:
-    """What is known of the service of sets that are carried: ``units @ x <= most + gain @ x``."""
+    """Cuts on the service of sets that are carried: ``units @ x <= most + gain @ x``."""
 
     def __init__(self, units: Floats) -> None:
         self.units = units

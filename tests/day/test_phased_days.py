@@ -1,0 +1,162 @@
+"""Days of a feeder with phases on which customers, vehicles, machines and sets have their rules.
+
+A battery of 36 kVA forms the grid of the street's islands: a phase of it has 10.8 kW beside its
+headroom, which each of these days would exceed on one phase.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.support.homes import homes
+from tests.support.phased_feeder import DARK, NONE_KW, OPEN, STREET, phased_day, served, street_day
+from tests.support.sets import gensets
+from tests.support.vans import chargers, plugged_in
+from vppres import RunOptions, run_day
+from vppres.core.arrays import Floats
+from vppres.day.trajectory import Trajectory
+from vppres.scenario.phases import PhaseConnection
+from vppres.scenario.rules import SwitchingRules
+from vppres.scenario.scenario import Scenario
+
+pytest.importorskip("opendssdirect")
+
+PHASE_KW = 10.8
+"""What a phase of the former carries in plans: a third of 36 kVA, less a tenth."""
+
+
+@pytest.fixture(scope="module")
+def street(tmp_path_factory: pytest.TempPathFactory) -> Scenario:
+    file = tmp_path_factory.mktemp("street") / "street.dss"
+    file.write_text(STREET)
+    return phased_day(file)
+
+
+def on_phase_a(street: Scenario, kw: Floats | list[float], limits_kw: list[float]) -> Scenario:
+    """Hours in which the customer of phase a draws this, and the others next to nothing."""
+    load_kw = np.full((len(limits_kw), 4), NONE_KW)
+    load_kw[:, 0] = kw
+    day = street_day(street, load_kw, limits_kw, [0], p_max_kw=34.0)
+    b = day.batteries
+    return replace(day, batteries=replace(b, energy_kwh=np.where(b.grid_forming, 400.0, 0.1)))
+
+
+def connected(day: Scenario, coils: str, **units: Any) -> Scenario:
+    """The day with units of a kind on phases of bus m."""
+    assert day.phases is not None
+    names = [str(name) for each in units.values() for name in each.id]
+    rows = tuple(PhaseConnection(name, "m", coils, 0.4 / np.sqrt(3.0)) for name in names)
+    phases = replace(day.phases, connections=(*day.phases.connections, *rows))
+    return replace(day, phases=phases, **units)
+
+
+def run_of(day: Scenario, **options: Any) -> Trajectory:
+    """The day as it went; no phase of an island's former was beyond its rating."""
+    run = run_day(day, RunOptions(**{"horizon_h": 2.0, "isolate": False} | options))
+    kva = run.steps[["former_a_kva", "former_b_kva", "former_c_kva"]].to_numpy(float)
+    assert np.nanmax(kva, initial=0.0) <= 12.0 + 1e-3
+    assert (run.steps["dark_reason"] == "").all() and not run.steps["shed_kw"].any()
+    assert (run.steps["fallback"] == "none").all()
+    return run
+
+
+def test_a_vehicle_charges_with_what_its_phase_has_left(street: Scenario) -> None:
+    """Of 22 kW a car of phase a gets what the former has beside the customer's 2 kW."""
+    day = on_phase_a(street, [2.0] * 3, [DARK] * 3)
+    day = connected(day, "a", chargers=chargers(customer="ca", bus=None, p_charge_kw=22.0))
+    run = run_of(plugged_in(day, (0.0, 3.0), capacity_kwh=100.0, soc_needed=0.9))
+    assert run.vehicles is not None
+    kw = run.vehicles["p_kw"].to_numpy(float)
+    assert kw == pytest.approx(PHASE_KW - 2.0, abs=0.3)
+    assert served(run)[:, 0].all()
+
+
+def test_a_machine_that_cools_has_what_its_phase_has_left(street: Scenario) -> None:
+    day = on_phase_a(street, [2.0] * 2, [DARK] * 2)
+    hot = homes("ca", p_max_kw=20.0, t_initial_c=40.0, c_kwh_per_c=50.0)
+    run = run_of(connected(day, "a", thermal_loads=hot))
+    assert run.thermal_loads is not None
+    assert run.thermal_loads["p_kw"].to_numpy(float) == pytest.approx(PHASE_KW - 2.0, abs=0.3)
+
+
+@pytest.mark.parametrize("coils", ["a", "b"])
+def test_a_set_supplies_what_is_on_its_own_phase(street: Scenario, coils: str) -> None:
+    """14 kW on phase a are too much for the former, unless a set of that phase gives 5 of them."""
+    day = on_phase_a(street, [14.0] * 2, [DARK] * 2)
+    one = gensets(bus="m", p_max_kw=6.0, p_min_kw=1.0, tank_litres=900.0, fuel_level_litres=900.0)
+    run = run_of(connected(day, coils, gensets=one))
+    assert served(run)[:, 0].tolist() == [int(coils == "a")] * 2
+
+
+def test_a_customer_is_dimmed_to_what_its_phase_carries(street: Scenario) -> None:
+    day = on_phase_a(street, [14.0] * 2, [DARK] * 2)
+    customers = replace(day.customers, share_min=np.where(day.customers.id == "ca", 0.5, 1.0))
+    run = run_of(replace(day, customers=customers))
+    one = run.customers[run.customers["id"] == "ca"]
+    assert one["share"].to_numpy(float) == pytest.approx(PHASE_KW / 14.0, abs=0.03)
+
+
+def test_as_many_parts_of_homes_are_on_as_their_phase_carries(street: Scenario) -> None:
+    day = on_phase_a(street, [16.0] * 2, [DARK] * 2)
+    parts = np.where(day.customers.id == "ca", 4, 1)
+    run = run_of(replace(day, customers=replace(day.customers, shed_steps=parts)))
+    of_a = run.customers[run.customers["id"].str.startswith("ca")]
+    assert of_a.groupby("time")["served"].sum().tolist() == [2, 2]
+
+
+def two_on_phase_a(street: Scenario, hours: int) -> Scenario:
+    """Two alike of 8 kW on phase a, of which the island carries one."""
+    day = on_phase_a(street, [8.0] * hours, [DARK] * hours)
+    load_kw = day.load_kw.copy()
+    load_kw[:, 1] = 8.0
+    assert day.phases is not None
+    rows = [replace(row, coils="a") if row.id == "cb" else row for row in day.phases.connections]
+    moved = [replace(row, bus="m") if row.id == "cb" else row for row in rows]
+    bus = np.where(day.customers.id == "cb", "m", day.customers.bus).astype(object)
+    alike = replace(
+        day.customers, bus=bus, weight=np.full(4, 0.02), tier=np.full(4, "low", dtype=object)
+    )
+    phases = replace(day.phases, connections=tuple(moved))
+    return replace(day, phases=phases, customers=alike, load_kw=load_kw)
+
+
+def test_longest_times_off_change_who_is_on_supply_of_a_phase(street: Scenario) -> None:
+    day = two_on_phase_a(street, 4)
+    limit = np.where(np.isin(day.customers.id, ["ca", "cb"]), 1.0, np.nan)
+    run = run_of(replace(day, customers=replace(day.customers, max_off_h=limit)))
+    on = served(run)[:, :2]
+    assert (on.sum(axis=1) == 1).all() and (on[1:] != on[:-1]).all()
+
+
+def test_those_who_share_supply_take_turns_on_their_phase(street: Scenario) -> None:
+    run = run_of(two_on_phase_a(street, 4), rotation=0.5, turn_h=1.0, horizon_h=0.0)
+    assert served(run)[:, :2].sum(axis=0).min() >= 1
+    alone = run_of(two_on_phase_a(street, 4), horizon_h=0.0)
+    assert served(alone)[:, :2].sum(axis=0).min() == 0
+
+
+@pytest.mark.parametrize(("factor", "hour"), [(1.0, 1), (2.0, 0)])
+def test_a_restored_customer_draws_more_on_its_phase(
+    street: Scenario, factor: float, hour: int
+) -> None:
+    """14 kW are too much, and then 8 kW are not, unless they are twice as much at first."""
+    day = on_phase_a(street, [14.0, 8.0], [DARK] * 2)
+    rules = SwitchingRules(cold_load_factor=factor, cold_load_h=1.0)
+    run = run_of(day, horizon_h=0.0, switching=rules)
+    assert served(run)[:, 0].tolist() == [0, hour]
+
+
+@pytest.mark.parametrize(("limits", "on"), [("soft", 1), ("hard", 0)])
+def test_hard_limits_switch_a_customer_off_for_a_voltage_of_its_phase(
+    street: Scenario, limits: str, on: int
+) -> None:
+    day = on_phase_a(street, [220.0], [OPEN])
+    run = run_of(day, horizon_h=0.0, voltage_limits=limits)
+    assert served(run)[:, 0].tolist() == [on]
+    assert run.nodes is not None
+    lowest = run.nodes["v_model_pu"].min()
+    assert (lowest >= day.network.v_min_pu - 1e-6) == (limits == "hard")

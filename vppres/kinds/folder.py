@@ -1,0 +1,167 @@
+"""Interface of the modules in the folder of a kind, beside ``rows`` and ``service``.
+
+:class:`vppres.model.beyond_paper.addition.Addition` is that of ``ROWS``, and
+:class:`vppres.service.of_kind.OfKind` that of ``SERVICE``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, Protocol
+
+import pandas as pd
+
+from vppres.core.arrays import Flags, Floats
+from vppres.kinds.kind import Followers, Kind, Moment, UnitsAhead, UnitsNow
+
+
+class DataPart(Protocol):
+    """``data``: tables of the scenario, and names.
+
+    Attributes
+    ----------
+    KIND : Kind
+        Its names.
+    """
+
+    KIND: Kind
+
+    def contents(self, content: Mapping[str, Any]) -> str:
+        """How many there are in words, from the counts of a scenario."""
+
+
+class PhysicsPart(Protocol):
+    """``physics``: arithmetic of windows and of the plant.
+
+    Attributes
+    ----------
+    WINDOW : type of UnitsAhead
+        Its ``of(scenario, steps, state, past_days)`` is the window that begins with a state.
+    PLANT : type of Followers
+        It is made of a scenario.
+    """
+
+    WINDOW: type[UnitsAhead]
+    PLANT: Callable[[Any], Followers]
+
+    def check_prices(self, scenario: Any, horizon_h: float, seed: int) -> None:
+        """Refuse prices of energy beside which what is missed counts nothing."""
+
+
+class RecordPart(Protocol):
+    """``record``: a run's table, figures and words."""
+
+    def record(self, day: Any, units: Any, t: int, realised: Any) -> Mapping[str, Any]:
+        """Columns of a step, (n,) each, before the units of the plant go on."""
+
+    def state_of(self, rows: pd.DataFrame) -> Any:
+        """State of the plant's units at the beginning of a step, from its rows."""
+
+    def figures(self, trajectory: Any) -> dict[str, Any]:
+        """Figures of the summary."""
+
+    def cautions(self, trajectory: Any) -> list[str]:
+        """Sentences on what was missed; none if nothing was."""
+
+    def events(self, run: Any) -> Iterator[tuple[int, str]]:
+        """Number of a step, from 1, and what happened in it."""
+
+    def assumption(self, run: Any) -> str:
+        """Assumptions of plans, in a sentence."""
+
+    def energies(self, figures: Mapping[str, Any]) -> list[tuple[str, float]]:
+        """Energies of the first page in kWh, by what they are."""
+
+
+class ReasonsPart(Protocol):
+    """``reasons``: why units did what they did.
+
+    Attributes
+    ----------
+    ACTIONS : mapping
+        Words of each action that reasons are given for.
+    """
+
+    ACTIONS: Mapping[str, str]
+
+    def reasons(self, step: Any) -> Iterator[tuple[str, str, Any]]:
+        """Name of a unit, its action, and the reason."""
+
+
+class LivePart(Protocol):
+    """``live``: readings, estimates and set-points.
+
+    Attributes
+    ----------
+    RANGES : mapping
+        Plausible numbers of each field that a measurement has for the kind.
+    QUANTITIES : tuple of str
+        Those of them that devices send to a service.
+    MEANS : tuple of str
+        Those that are means since the last decision.
+    SETPOINT : str
+        Number of a set-point that an operator gives.
+    NUMBERS : tuple of str
+        Columns of set-points without which a unit cannot follow.
+    FORESEEN : tuple of str
+        Tables of what a plan foresees.
+    SHOWN, FIGURES : tuple of str
+        Readings, and columns of the units' table, that the page of the service shows.
+    PAST : type
+        What a step leaves to the next, written into a controller's state. ``timed`` says whether a
+        step that is decided anew within it goes on from the latest one.
+    """
+
+    RANGES: Mapping[str, Any]
+    QUANTITIES: tuple[str, ...]
+    MEANS: tuple[str, ...]
+    SETPOINT: str
+    NUMBERS: tuple[str, ...]
+    FORESEEN: tuple[str, ...]
+    SHOWN: tuple[str, ...]
+    FIGURES: tuple[str, ...]
+    PAST: type[Any]
+
+    def read(self, door: Any, scenario: Any, told: Mapping[str, Any], past: Any) -> tuple[Any, Any]:
+        """The scenario with what a measurement says of it, and readings for ``now``."""
+
+    def now(self, moment: Moment, read: Any, past: Any) -> UnitsNow:
+        """The units in the step that is decided."""
+
+    def set_points(self, day: Any, t: int, columns: Mapping[str, Any]) -> dict[str, Any]:
+        """Columns of the set-points of a step, (n,) each, from its record."""
+
+    def foreseen(
+        self,
+        window: Any,
+        ahead: UnitsAhead,
+        taken_kw: Floats,
+        running: Flags,
+        times: pd.DatetimeIndex,
+    ) -> dict[str, pd.DataFrame]:
+        """Tables of the plan for the steps after the first one."""
+
+    def own_ranges(self, scenario: Any) -> Iterator[tuple[str, Any, Floats, Callable[..., Any]]]:
+        """A reading, the units, a number of each, and the range that this number makes."""
+
+    def excesses(self, table: pd.DataFrame, scenario: Any) -> dict[str, Any]:
+        """Excess of set-points beyond limits, (n,), by what is said of it; they are not sent."""
+
+    def defaults(self, scenario: Any) -> dict[str, dict[str, Any]]:
+        """Set-points without a plan, by unit."""
+
+    def by_rule(self, now: Any) -> dict[str, Any]:
+        """Set-points of all units in a step whose plan failed."""
+
+    def expected(self, rows: pd.DataFrame) -> dict[str, Any]:
+        """State of units before and after a step, as a stored plan says it."""
+
+
+PARTS: Mapping[str, type[Any]] = {
+    "data": DataPart,
+    "physics": PhysicsPart,
+    "record": RecordPart,
+    "reasons": ReasonsPart,
+    "live": LivePart,
+}
+"""Interface of each module of a folder, by its name."""
