@@ -179,6 +179,7 @@ def test_scenario_names_controller_and_horizon(
     assert [(o.controller, o.horizon_h) for o in options] == [("full-horizon", 3.0), ("mpc", 0.0)]
 
 
+@pytest.mark.daily
 def test_reasons_of_a_day_tell_how_far_they_are(
     tiny_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

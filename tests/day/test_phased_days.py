@@ -124,6 +124,7 @@ def two_on_phase_a(street: Scenario, hours: int) -> Scenario:
     return replace(day, phases=phases, customers=alike, load_kw=load_kw)
 
 
+@pytest.mark.daily
 def test_longest_times_off_change_who_is_on_supply_of_a_phase(street: Scenario) -> None:
     day = two_on_phase_a(street, 4)
     limit = np.where(np.isin(day.customers.id, ["ca", "cb"]), 1.0, np.nan)
@@ -132,6 +133,7 @@ def test_longest_times_off_change_who_is_on_supply_of_a_phase(street: Scenario) 
     assert (on.sum(axis=1) == 1).all() and (on[1:] != on[:-1]).all()
 
 
+@pytest.mark.daily
 def test_those_who_share_supply_take_turns_on_their_phase(street: Scenario) -> None:
     run = run_of(two_on_phase_a(street, 4), rotation=0.5, turn_h=1.0, horizon_h=0.0)
     assert served(run)[:, :2].sum(axis=0).min() >= 1
