@@ -491,6 +491,9 @@ def reconfigure(
     )
 
     feeder = import_network(network, **fields_of(IMPORT_OPTIONS, context.obj))
+    if feeder.phased is not None:
+        phases = "keeps its phases, which a reconfiguration does not model"
+        raise InputError.of(network, phases, "Add --balance for its balanced equivalent.")
     switched = switched_network(feeder.network, feeder.switches, switch or ())
     own = limits_of(feeder.network, None)
     limits = Limits(

@@ -22,8 +22,8 @@ def case16() -> Any:
 
 def case69() -> Any:
     """The 69 buses of Baran and Wu, numbered from 1, with the ties of later studies."""
-    lines = _table("case69").assign(closed=1)
-    return _net("case69", 12.66, 69, (1,), pd.concat([lines, _table("case69_ties")], ignore_index=True))
+    lines = [_table("case69").assign(closed=1), _table("case69_ties")]
+    return _net("case69", 12.66, 69, (1,), pd.concat(lines, ignore_index=True))
 
 
 def _table(name: str) -> pd.DataFrame:
@@ -32,9 +32,7 @@ def _table(name: str) -> pd.DataFrame:
     return pd.read_csv(str(file), comment="#")
 
 
-def _net(
-    name: str, kv: float, n_buses: int, sources: tuple[int, ...], table: pd.DataFrame
-) -> Any:
+def _net(name: str, kv: float, n_buses: int, sources: tuple[int, ...], table: pd.DataFrame) -> Any:
     """The net of a table of lines."""
     import pandapower as pp
 

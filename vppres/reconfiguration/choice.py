@@ -50,7 +50,8 @@ def switched_network(
         ties = ties.rows(_among(tie_names, only))
         can_open = can_open & _among(line_names, only)
     if not len(ties):
-        raise InputError.of("switches", "has no open switch that can be closed", NO_TIE)
+        cure = NO_TIE if not only else "Give an open switch with --switch too."
+        raise InputError.of("switches", "has no open switch that can be closed", cure)
     return SwitchedNetwork(network, ties, can_open)
 
 

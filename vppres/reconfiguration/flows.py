@@ -1,9 +1,10 @@
 """AC power flows of many radial configurations at once.
 
 Each is solved by the fixed point of the backward-forward sweep (Shirmohammadi et al., IEEE
-Transactions on Power Systems 3(2), 1988, DOI 10.1109/59.192932). The sweep goes over the tree of the
-present configuration for all of them, so that it is the same for every column of an array. Currents
-of the loops make those of the open branches zero; the voltages across open branches close the loops.
+Transactions on Power Systems 3(2), 1988, DOI 10.1109/59.192932). The sweep goes over the tree of
+the present configuration for all of them, so that it is the same for every column of an array.
+Currents of the loops make those of the open branches zero; the voltages across open branches close
+the loops.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from vppres.core.arrays import Flags, Floats, Wholes, freeze
-from vppres.scenario.network import BusId, Network
+from vppres.scenario.network import Network
 from vppres.scenario.switches import Switches
 
 
@@ -138,14 +138,6 @@ class SwitchedNetwork:
         found = np.tile(opened, (len(branch), 1))
         found[np.arange(len(branch)), place] = branch
         return found
-
-    def ends_of(self, branch: int) -> tuple[BusId, BusId]:
-        """Buses at both ends of a branch."""
-        net = self.network
-        if branch < net.n_lines:
-            return net.from_bus[branch], net.to_bus[branch]
-        tie = branch - net.n_lines
-        return self.ties.from_bus[tie], self.ties.to_bus[tie]
 
     @cached_property
     def ratios(self) -> Floats:

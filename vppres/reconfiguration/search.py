@@ -2,8 +2,8 @@
 
 If there are few enough radial configurations, the AC power flow of each is solved, and the answer
 is exact. Otherwise branch exchange (Civanlar et al., IEEE Transactions on Power Delivery 3(3),
-1988, DOI 10.1109/61.193906) takes the best exchange of two branches again and again, and starts anew
-from random exchanges of the best configuration (iterated local search).
+1988, DOI 10.1109/61.193906) takes the best exchange of two branches again and again, and starts
+anew from random exchanges of the best configuration (iterated local search).
 """
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ def outcome_words(feeder: SwitchedNetwork, found: LeastLoss) -> Iterator[str]:
     if not kept and found.exact:
         yield "No radial configuration keeps the limits: this one exceeds them least."
     elif not kept:
-        yield "No radial configuration was found that keeps the limits: this one exceeds them least."
+        yield "No radial configuration within the limits was found: this one exceeds them least."
     elif found.exact:
         yield "Exact: no other radial configuration within the limits has lower losses."
     else:

@@ -19,9 +19,7 @@ BREAKER_TYPE = "CB"
 """pandapower's word for a circuit breaker."""
 
 
-def open_switches(
-    net: Any, case: NetCase, ids: Mapping[int, BusId], network: Network
-) -> Switches:
+def open_switches(net: Any, case: NetCase, ids: Mapping[int, BusId], network: Network) -> Switches:
     """Lines and bus switches between two supplied buses that are open or out of service.
 
     Impedances refer to the network's voltage. Charging of an open line is left out, and stays so
