@@ -473,8 +473,8 @@ def reconfigure(
     v_min: cli_reconfigure.VMin = None,
     v_max: cli_reconfigure.VMax = None,
     ratings: cli_reconfigure.Ratings = True,
-    most: cli_reconfigure.Most = cli_reconfigure.MOST_CONFIGURATIONS,
-    attempts: cli_reconfigure.Attempts = cli_reconfigure.ATTEMPTS,
+    most: cli_reconfigure.Most = 1_000_000,
+    attempts: cli_reconfigure.Attempts = 100,
     seed: cli_reconfigure.Seed = 0,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -482,9 +482,9 @@ def reconfigure(
     """Find the radial configuration of a feeder with the least losses within its limits."""
     from vppres.feeders import import_network
     from vppres.feeders.new.low_voltage import limits_of
-    from vppres.reconfiguration import Limits, least_loss
-    from vppres.reconfiguration.choice import switched_network
-    from vppres.reconfiguration.words import (
+    from vppres.feeders.reconfiguration import ConfigurationLimits, least_loss
+    from vppres.feeders.reconfiguration.choice import switched_network
+    from vppres.feeders.reconfiguration.words import (
         count_words,
         outcome_words,
         reconfiguration_record,
@@ -496,7 +496,7 @@ def reconfigure(
         raise InputError.of(network, phases, "Add --balance for its balanced equivalent.")
     switched = switched_network(feeder.network, feeder.switches, switch or ())
     own = limits_of(feeder.network, None)
-    limits = Limits(
+    limits = ConfigurationLimits(
         own.v_min_ac_pu if v_min is None else v_min,
         own.v_max_ac_pu if v_max is None else v_max,
         ratings,

@@ -6,8 +6,6 @@ from typing import Annotated
 
 import typer
 
-from vppres.reconfiguration.search import ATTEMPTS, MOST_CONFIGURATIONS
-
 Switch = Annotated[
     list[str] | None,
     typer.Option(
@@ -39,5 +37,3 @@ Most = Annotated[
 ]
 Attempts = Annotated[int, typer.Option(min=1, help="Starts of the search where there are more.")]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of the search.")]
-
-__all__ = ["ATTEMPTS", "MOST_CONFIGURATIONS"]

@@ -63,5 +63,5 @@ class Switches(Items):
 
     @property
     def open(self) -> Self:
-        """Those that are open."""
+        """Switches that are open."""
         return self.rows(~self.closed)

@@ -14,15 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from vppres.core.arrays import Floats, Wholes
-from vppres.reconfiguration.flows import ConfigurationFlows, Flows
-from vppres.reconfiguration.loops import SwitchedNetwork
+from vppres.feeders.reconfiguration.flows import ConfigurationFlows, Flows
+from vppres.feeders.reconfiguration.loops import SwitchedNetwork
 from vppres.scenario.network import BusId
-
-MOST_CONFIGURATIONS = 1_000_000
-"""Number up to which all configurations are solved."""
-
-ATTEMPTS = 100
-"""Starts of the search that goes on where there are more."""
 
 AT_ONCE = 1024
 """Configurations that are solved together: their arrays stay in the cache of a processor."""
@@ -41,8 +35,8 @@ Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
-class Limits:
-    """Limits of a configuration: voltages in pu, and whether ratings of branches count."""
+class ConfigurationLimits:
+    """ConfigurationLimits of a configuration: voltages in pu, and whether ratings of branches count."""
 
     v_min_pu: float
     v_max_pu: float
@@ -57,7 +51,7 @@ class Limits:
         return np.asarray(np.where(found <= WITHIN, 0.0, found))
 
 
-NO_LIMITS = Limits(0.0, np.inf, ratings=False)
+NO_LIMITS = ConfigurationLimits(0.0, np.inf, ratings=False)
 
 
 @dataclass(frozen=True)
@@ -91,7 +85,7 @@ class Configuration:
 
 @dataclass(frozen=True)
 class LeastLoss:
-    """What a search found.
+    """Result of a search.
 
     Parameters
     ----------
@@ -120,7 +114,7 @@ class LeastLoss:
 class _Best:
     """The best configuration that was seen under some limits."""
 
-    def __init__(self, limits: Limits, present: Wholes) -> None:
+    def __init__(self, limits: ConfigurationLimits, present: Wholes) -> None:
         self.limits = limits
         self._present = present
         self.key = (np.inf, np.inf, np.inf)
@@ -153,10 +147,10 @@ def least_loss(
     feeder: SwitchedNetwork,
     p_kw: Floats,
     q_kvar: Floats,
-    limits: Limits,
+    limits: ConfigurationLimits,
     *,
-    most: int = MOST_CONFIGURATIONS,
-    attempts: int = ATTEMPTS,
+    most: int = 1_000_000,
+    attempts: int = 100,
     seed: int = 0,
     progress: Progress = lambda done, total: None,
 ) -> LeastLoss:
@@ -168,7 +162,7 @@ def least_loss(
         The feeder and the switches that can be moved.
     p_kw, q_kvar : array, shape (N,)
         Net injection of every bus.
-    limits : Limits
+    limits : ConfigurationLimits
         What a configuration must keep.
     most : int, optional
         Number of configurations up to which all are solved.
@@ -248,7 +242,7 @@ class _Search:
             opened = near[self.random.integers(len(near))]
         return opened
 
-    def _descend(self, limits: Limits, opened: Wholes) -> None:
+    def _descend(self, limits: ConfigurationLimits, opened: Wholes) -> None:
         """Take the best exchange until none improves."""
         own = _Best(limits, self.feeder.present)
         own.see(opened[None], self._solve(opened[None]))
@@ -267,7 +261,7 @@ class _Search:
 
 
 def _described(
-    feeder: SwitchedNetwork, rows: Wholes, flows: Flows, limits: Limits
+    feeder: SwitchedNetwork, rows: Wholes, flows: Flows, limits: ConfigurationLimits
 ) -> list[Configuration]:
     """Some configurations with their figures."""
     excess = limits.excess(flows)

@@ -15,7 +15,7 @@ import numpy as np
 
 from vppres.core.arrays import Complexes, Floats, Wholes
 from vppres.core.units import kva_to_a, ohm_to_pu2_per_kw, us_to_kw_at_1_pu
-from vppres.reconfiguration.loops import SwitchedNetwork
+from vppres.feeders.reconfiguration.loops import SwitchedNetwork
 
 TOLERANCE_PU = 1e-9
 """Change of a voltage in a sweep at which a configuration counts as solved."""
@@ -30,7 +30,7 @@ LEAST_PU = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Flows:
-    """What is known of each of T configurations, (T,) each; infinite losses where none was found.
+    """Figures of each of T configurations, (T,) each; infinite losses where no flow was found.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ class ConfigurationFlows:
         return found
 
     def _shunts(self, opened: Wholes) -> Complexes:
-        """What shunts draw at 1 pu, (N, T) or (N, 1) where no configuration changes it."""
+        """Power of shunts at 1 pu, (N, T), or (N, 1) where no configuration changes it."""
         if not self._half.any():
             return self._shunt[:, None]
         shunt = np.repeat(self._shunt[:, None], len(opened), axis=1)

@@ -17,12 +17,12 @@ from vppres.cli.commands import app
 from vppres.core.errors import InputError
 from vppres.feeders import import_network
 from vppres.feeders.feeder import ImportedFeeder
+from vppres.feeders.reconfiguration import ConfigurationLimits, SwitchedNetwork, least_loss
+from vppres.feeders.reconfiguration.choice import branch_names, switched_network
+from vppres.feeders.reconfiguration.flows import ConfigurationFlows
+from vppres.feeders.reconfiguration.search import NO_LIMITS, LeastLoss
+from vppres.feeders.reconfiguration.words import open_names
 from vppres.physics.powerflow import ACPowerFlow
-from vppres.reconfiguration import Limits, SwitchedNetwork, least_loss
-from vppres.reconfiguration.choice import branch_names, switched_network
-from vppres.reconfiguration.flows import ConfigurationFlows
-from vppres.reconfiguration.search import NO_LIMITS, LeastLoss
-from vppres.reconfiguration.words import open_names
 
 PUBLISHED_33 = (6, 8, 13, 31, 36)
 """Open branches of case33bw with the least losses, by pandapower's rows from 0."""
@@ -34,7 +34,9 @@ def switched(name: str, *only: str, **options: str) -> tuple[ImportedFeeder, Swi
     return feeder, switched_network(feeder.network, feeder.switches, only)
 
 
-def found(name: str, limits: Limits = NO_LIMITS, most: int = 10**6, **options: str) -> LeastLoss:
+def found(
+    name: str, limits: ConfigurationLimits = NO_LIMITS, most: int = 10**6, **options: str
+) -> LeastLoss:
     """The configuration of a named feeder with the least losses."""
     feeder, ring = switched(name, **options)
     return least_loss(ring, *feeder.injection, limits, most=most)
@@ -52,7 +54,7 @@ def test_the_least_losses_of_16_buses_with_three_sources() -> None:
 def test_the_least_losses_of_33_buses() -> None:
     """All 50,751; a limit of 0.94 pu rules the least out, and the next has 139.978 kW."""
     feeder, ring = switched("case33bw")
-    best = least_loss(ring, *feeder.injection, Limits(0.94, 1.06))
+    best = least_loss(ring, *feeder.injection, ConfigurationLimits(0.94, 1.06))
     assert (ring.count, best.solved, best.exact) == (50_751, 50_751, True)
     assert best.present.losses_kw == pytest.approx(202.677, abs=1e-3)
     assert best.unlimited.losses_kw == pytest.approx(139.551, abs=1e-3)
@@ -112,7 +114,7 @@ def test_losses_are_those_of_other_power_flows() -> None:
 
 
 def test_limits_that_no_configuration_keeps_are_exceeded_least() -> None:
-    best = found("case16", Limits(0.99, 1.05), slack="all")
+    best = found("case16", ConfigurationLimits(0.99, 1.05), slack="all")
     feeder, ring = switched("case16", slack="all")
     flows = ConfigurationFlows(ring, *feeder.injection)
     voltages = [flows.solve(rows).v_min_pu.max() for rows in ring.configurations(100)]

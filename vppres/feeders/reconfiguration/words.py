@@ -6,9 +6,14 @@ from collections.abc import Iterator
 from typing import Any
 
 from vppres.core.text import named
-from vppres.reconfiguration.choice import branch_names
-from vppres.reconfiguration.loops import SwitchedNetwork
-from vppres.reconfiguration.search import SAME_KW, Configuration, LeastLoss, Limits
+from vppres.feeders.reconfiguration.choice import branch_names
+from vppres.feeders.reconfiguration.loops import SwitchedNetwork
+from vppres.feeders.reconfiguration.search import (
+    SAME_KW,
+    Configuration,
+    ConfigurationLimits,
+    LeastLoss,
+)
 
 EXACT_COUNT = 1e15
 """Number from which on a determinant has no exact digits."""
@@ -50,7 +55,7 @@ def differs(found: LeastLoss) -> bool:
 
 
 def reconfiguration_record(
-    feeder: SwitchedNetwork, found: LeastLoss, limits: Limits
+    feeder: SwitchedNetwork, found: LeastLoss, limits: ConfigurationLimits
 ) -> dict[str, Any]:
     """A result as JSON can hold it."""
     opened, closed = _operations(feeder, found.best)

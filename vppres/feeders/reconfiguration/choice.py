@@ -8,8 +8,8 @@ import numpy as np
 
 from vppres.core.arrays import Flags
 from vppres.core.errors import InputError, Problem
+from vppres.feeders.reconfiguration.loops import SwitchedNetwork
 from vppres.io.messages import did_you_mean
-from vppres.reconfiguration.loops import SwitchedNetwork
 from vppres.scenario.network import Network
 from vppres.scenario.switches import Switches
 
