@@ -36,7 +36,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class ConfigurationLimits:
-    """ConfigurationLimits of a configuration: voltages in pu, and whether ratings of branches count."""
+    """Limits of a configuration: voltages in pu, and whether ratings of branches count."""
 
     v_min_pu: float
     v_max_pu: float
