@@ -417,7 +417,7 @@ def test_cigre_with_its_generators_is_imported_in_silence(
     assert (feeder.network.n_buses, feeder.network.base_kv) == (15, 20.0)
     assert sorted(set(feeder.generators.kind)) == ["PV", "WP"]
     assert feeder.p_load_kw.sum() == pytest.approx(44742.15)
-    assert {"case33bw", "case69", "cigre-mv", "cigre-mv-der"} == set(NAMED)
+    assert {"case16", "case33bw", "case69", "cigre-mv", "cigre-mv-der"} == set(NAMED)
 
 
 def test_pandapower_file_with_tiers_of_its_loads(tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ from rich.table import Table
 from vppres.cli import backtest_options as cli_backtest
 from vppres.cli import feeds_options as cli_feeds
 from vppres.cli import new_options as cli_new
+from vppres.cli import reconfigure_options as cli_reconfigure
 from vppres.cli import serve_options as cli_serve
 from vppres.cli import survival_options as cli_survival
 from vppres.cli import sweep_options as cli_sweep
@@ -31,6 +32,7 @@ from vppres.cli.options import (
     CommandGroup,
     DayCommand,
     Figures,
+    ImportCommand,
     Json,
     LiveCommand,
     NewCommand,
@@ -52,6 +54,7 @@ from vppres.cli.tables import (
     phases_table,
     problem_record,
     recheck_lines,
+    reconfiguration_table,
     remarks_told,
     simulation_lines,
     survival_table,
@@ -457,6 +460,65 @@ def new(
     for note in write_new_scenario(feeder, options, folder):
         typer.echo(f"- {note}")
     typer.echo(f"Written to {folder}")
+
+
+@app.command(
+    cls=ImportCommand,
+    epilog="Example: vppres reconfigure case33bw --v-min 0.93",
+)
+def reconfigure(
+    context: typer.Context,
+    network: cli_new.NetworkName,
+    switch: cli_reconfigure.Switch = None,
+    v_min: cli_reconfigure.VMin = None,
+    v_max: cli_reconfigure.VMax = None,
+    ratings: cli_reconfigure.Ratings = True,
+    most: cli_reconfigure.Most = 1_000_000,
+    attempts: cli_reconfigure.Attempts = 100,
+    seed: cli_reconfigure.Seed = 0,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Find the radial configuration of a feeder with the least losses within its limits."""
+    from vppres.feeders import import_network
+    from vppres.feeders.new.low_voltage import limits_of
+    from vppres.feeders.reconfiguration import ConfigurationLimits, least_loss
+    from vppres.feeders.reconfiguration.choice import switched_network
+    from vppres.feeders.reconfiguration.words import (
+        count_words,
+        outcome_words,
+        reconfiguration_record,
+    )
+
+    feeder = import_network(network, **fields_of(IMPORT_OPTIONS, context.obj))
+    if feeder.phased is not None:
+        phases = "keeps its phases, which a reconfiguration does not model"
+        raise InputError.of(network, phases, "Add --balance for its balanced equivalent.")
+    switched = switched_network(feeder.network, feeder.switches, switch or ())
+    own = limits_of(feeder.network, None)
+    limits = ConfigurationLimits(
+        own.v_min_ac_pu if v_min is None else v_min,
+        own.v_max_ac_pu if v_max is None else v_max,
+        ratings,
+    )
+    if not as_json:
+        typer.echo(f"{feeder.name}: {count_words(switched, most)}")
+    with progress_bar("configurations" if switched.count <= most else "attempts", quiet) as bar:
+        found = least_loss(
+            switched,
+            *feeder.injection,
+            limits,
+            most=most,
+            attempts=attempts,
+            seed=seed,
+            progress=bar,
+        )
+    record = {"feeder": feeder.name, **reconfiguration_record(switched, found, limits)}
+    _show(
+        record if as_json else None,
+        reconfiguration_table(record),
+        *outcome_words(switched, found),
+    )
 
 
 @app.command(

@@ -11,7 +11,7 @@ NetworkName = Annotated[
     str,
     typer.Argument(
         metavar="NETWORK",
-        help="case33bw, case69, cigre-mv, cigre-mv-der, a file (.json of "
+        help="case16, case33bw, case69, cigre-mv, cigre-mv-der, a file (.json of "
         "pandapower, .m or .mat of MATPOWER, .dss of OpenDSS), or a SimBench code.",
     ),
 ]

@@ -281,6 +281,12 @@ class LiveCommand(SafeCommand):
     table = tuple(option for option in DAY_OPTIONS if option.live)
 
 
+class ImportCommand(SafeCommand):
+    """A command with the options of an import."""
+
+    table = IMPORT_OPTIONS
+
+
 class NewCommand(SafeCommand):
     """A command with the options of a new scenario."""
 

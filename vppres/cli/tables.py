@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -241,6 +241,31 @@ def phases_table(summary: Mapping[str, Any]) -> Table:
             "-" if row[key] is None else format(row[key], form) for key, _, form in PHASE_COLUMNS
         ]
         table.add_row(phase, *cells)
+    return table
+
+
+def reconfiguration_table(record: Mapping[str, Any]) -> Table:
+    """Configurations before and after a reconfiguration; without limits too, if these cost."""
+    before, after, free = (record[name] for name in ("before", "after", "without_limits"))
+    shown = {"before": before, "after": after}
+    if free["open"] != after["open"]:
+        shown["without limits"] = free
+    table = Table()
+    table.add_column("")
+    for name in shown:
+        table.add_column(name)
+    rows: dict[str, Callable[[Mapping[str, Any]], str]] = {
+        "losses (kW)": lambda one: f"{one['losses_kw']:,.3f}",
+        "lowest voltage (pu)": lambda one: f"{one['v_min_pu']:.5f} at bus {one['bus_min']}",
+        "within limits": lambda one: "yes" if one["keeps_limits"] else "no",
+        "open": lambda one: ", ".join(one["open"]),
+    }
+    for words, cell in rows.items():
+        cells = [
+            "no power flow found" if one["losses_kw"] is None and words != "open" else cell(one)
+            for one in shown.values()
+        ]
+        table.add_row(words, *map(_plain, cells))
     return table
 
 

@@ -336,12 +336,16 @@ def _case33() -> _Net:
     return _Net(net, _from_one(net))
 
 
-def _case69() -> _Net:
-    """Baran and Wu's 69 buses, numbered from 1 as published."""
-    from vppres.feeders.case69 import case69
+def _published(name: str) -> Callable[[], _Net]:
+    """A published feeder, numbered from 1."""
 
-    net = case69()
-    return _Net(net, {int(bus): int(bus) for bus in net.bus.index})
+    def read() -> _Net:
+        from vppres.feeders import published
+
+        net = getattr(published, name)()
+        return _Net(net, {int(bus): int(bus) for bus in net.bus.index})
+
+    return read
 
 
 def _cigre(with_der: str | bool) -> Callable[[], _Net]:
@@ -360,8 +364,9 @@ def _once(read: Callable[[], _Net]) -> Callable[[], _Net]:
 
 
 NAMED: dict[str, Callable[[], _Net]] = {
+    "case16": _once(_published("case16")),
     "case33bw": _once(_case33),
-    "case69": _once(_case69),
+    "case69": _once(_published("case69")),
     "cigre-mv": _once(_cigre(False)),
     "cigre-mv-der": _once(_cigre("pv_wind")),
 }

@@ -10,7 +10,7 @@ simplified.
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -35,6 +35,7 @@ from vppres.feeders.net.branches import (
 from vppres.feeders.net.elements import NetCase, in_service, label, supplied
 from vppres.feeders.net.grids import one_grid
 from vppres.feeders.net.notes import notes_of, told_left_out
+from vppres.feeders.net.open_lines import open_switches
 from vppres.feeders.net.ratings import rating_mva
 from vppres.feeders.net.taps import told_idle_taps
 from vppres.io.messages import did_you_mean
@@ -139,19 +140,9 @@ def feeder_of(
         causes=tuple(causes_of(net, case)),
         source_flow=PandapowerFlow(net, {ids[row]: bus for bus, row in _last_first(joined)}),
         title=_own_name(net),
-        ties=tuple(_ties(net, joined, ids)),
+        switches=open_switches(net, joined, ids, network),
     )
     return replace(feeder, deviation=deviation_of(net, solved, feeder))
-
-
-def _ties(net: Any, case: NetCase, ids: Mapping[int, BusId]) -> Iterator[str]:
-    """Lines between supplied buses that are open or out of service, by these buses."""
-    switches = net.switch[(net.switch["et"] == "l") & ~net.switch["closed"].astype(bool)]
-    off = ~net.line["in_service"].astype(bool) | net.line.index.isin(switches["element"])
-    for start, end in net.line.loc[off, ["from_bus", "to_bus"]].to_numpy().tolist():
-        first, last = (ids.get(case.bus_at.get(bus, -1)) for bus in (start, end))
-        if first is not None and last is not None and first != last:
-            yield f"{first} to {last}"
 
 
 def _last_first(case: NetCase) -> list[tuple[int, int]]:

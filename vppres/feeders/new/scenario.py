@@ -227,7 +227,9 @@ def write_new_scenario(
         closeness = str(deviation)
     check_deviation(feeder, checked, options.accept_deviation)
     told = [*causes, *feeder.notes, *chosen]
-    source = Source.of(feeder.name, "", told, deviation, feeder.unbalanced, feeder.ties)
+    open_lines = zip(feeder.switches.from_bus, feeder.switches.to_bus, strict=True)
+    ties = [f"{first} to {last}" for first, last in open_lines]
+    source = Source.of(feeder.name, "", told, deviation, feeder.unbalanced, ties)
     scenario = replace(scenario, source=source)
     said = [former_words(scenario), darkness(scenario), closeness]
     # A source that does not converge is asked for its units itself.

@@ -1,0 +1,39 @@
+"""Options of `vppres reconfigure`."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+Switch = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--switch",
+        metavar="NAME",
+        help="A switch or line (7-8) that may move; may be repeated. All may if not given.",
+    ),
+]
+VMin = Annotated[
+    float | None,
+    typer.Option(
+        "--v-min", metavar="PU", min=0.0, help="Lowest voltage; the feeder's limit if not given."
+    ),
+]
+VMax = Annotated[
+    float | None,
+    typer.Option(
+        "--v-max", metavar="PU", min=0.0, help="Highest voltage; the feeder's limit if not given."
+    ),
+]
+Ratings = Annotated[
+    bool, typer.Option("--ratings/--no-ratings", help="Keep currents within ratings.")
+]
+Most = Annotated[
+    int,
+    typer.Option(
+        min=1, help="Number of radial configurations up to which all are solved, which is exact."
+    ),
+]
+Attempts = Annotated[int, typer.Option(min=1, help="Starts of the search where there are more.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of the search.")]

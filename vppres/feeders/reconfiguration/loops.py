@@ -1,0 +1,194 @@
+"""The loops that open switches would close, and the radial configurations that follow from them.
+
+A feeder with K open switches has K independent loops, one for each. Opening K branches gives a
+radial configuration if and only if the rows of these branches in the loop matrix are independent.
+Branches with the same row up to its sign are in series: of them any one can be open.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from vppres.core.arrays import Flags, Floats, Wholes, freeze
+from vppres.scenario.network import Network
+from vppres.scenario.switches import Switches
+
+
+@dataclass(frozen=True, eq=False)
+class SwitchedNetwork:
+    """A radial feeder with the open switches that could be closed.
+
+    Branches are the lines of the network, in its order, and after them the switches: ``L + K``.
+
+    Parameters
+    ----------
+    network : Network
+        The feeder as it is.
+    ties : Switches
+        The K switches that are open and can be closed, each between two buses of the network.
+    can_open : array of bool, shape (L,)
+        Lines that can be opened.
+
+    Examples
+    --------
+    A ring of three lines of which one is open:
+
+    >>> from vppres.scenario.switches import Switches
+    >>> net = Network([1, 1], [2, 3], [1.0, 1.0], [1.0, 1.0], slack_bus=1, base_kv=10.0)
+    >>> tie = Switches(["a"], [2], [3], [False], ["tie"], [True], [""], [1.0], [1.0], [np.inf])
+    >>> ring = SwitchedNetwork(net, tie, np.ones(2, dtype=bool))
+    >>> ring.count, [block.tolist() for block in ring.configurations(10)]
+    (3, [[[0], [1], [2]]])
+    """
+
+    network: Network
+    ties: Switches
+    can_open: Flags
+
+    @property
+    def n_loops(self) -> int:
+        """Number of open switches, K."""
+        return len(self.ties)
+
+    @property
+    def present(self) -> Wholes:
+        """The branches that are open now, (K,)."""
+        return self.network.n_lines + np.arange(self.n_loops)
+
+    @cached_property
+    def ends(self) -> tuple[Wholes, Wholes]:
+        """Positions of the buses at both ends of each switch, (K,) each."""
+        index = self.network.bus_index
+        return (
+            np.array([index[bus] for bus in self.ties.from_bus], dtype=int),
+            np.array([index[bus] for bus in self.ties.to_bus], dtype=int),
+        )
+
+    @cached_property
+    def loops(self) -> Wholes:
+        """Loop matrix, (L + K, K): column k has 1 or -1 for each branch of switch k's loop."""
+        down = self.network.downstream.toarray().astype(int)
+        start, end = self.ends
+        return freeze(np.vstack([down[:, start] - down[:, end], np.eye(self.n_loops, dtype=int)]))
+
+    @cached_property
+    def may_open(self) -> Flags:
+        """Branches that may be open in a configuration, (L + K,)."""
+        own = np.append(self.can_open, np.ones(self.n_loops, dtype=bool))
+        return freeze(own & self.loops.any(axis=1))
+
+    @property
+    def count(self) -> int:
+        """Number of radial configurations, by Kirchhoff's determinant.
+
+        It is that of the loops, whose minors are 0 or ±1 (Cauchy and Binet); from about 1e15 on the
+        last digits are rounded.
+        """
+        rows = self.loops[self.may_open].astype(float)
+        return round(float(np.linalg.det(rows.T @ rows))) if self.n_loops else 1
+
+    @cached_property
+    def _series(self) -> list[tuple[int, Wholes]]:
+        """Groups of branches in series: the loops that they belong to as bits, and the branches."""
+        groups: dict[int, list[int]] = {}
+        for branch in np.flatnonzero(self.may_open):
+            bits = sum(1 << int(loop) for loop in np.flatnonzero(self.loops[branch]))
+            groups.setdefault(bits, []).append(int(branch))
+        return [(bits, np.array(members)) for bits, members in groups.items()]
+
+    def configurations(self, at_once: int) -> Iterator[Wholes]:
+        """All sets of K branches of which the opening leaves a tree, in blocks of shape (T, K).
+
+        Parameters
+        ----------
+        at_once : int
+            Most configurations of a block.
+        """
+        waiting: list[Wholes] = []
+        held = 0
+        for groups in _independent([bits for bits, _ in self._series], self.n_loops):
+            members = [self._series[group][1] for group in groups]
+            total = int(np.prod([len(own) for own in members], dtype=np.int64))
+            for first in range(0, total, at_once):
+                which = np.arange(first, min(first + at_once, total))
+                waiting.append(_products(members, which))
+                held += len(which)
+                if held >= at_once:
+                    yield np.concatenate(waiting)
+                    waiting, held = [], 0
+        if waiting:
+            yield np.concatenate(waiting)
+
+    def neighbours(self, opened: Wholes) -> Wholes:
+        """Configurations that one exchange makes: a switch is closed, another of its loop opened.
+
+        Returns
+        -------
+        array, shape (T, K)
+        """
+        inverse = np.linalg.inv(self.loops[opened].astype(float))
+        joined = np.abs(self.loops @ inverse) > 0.5
+        joined &= self.may_open[:, None]
+        joined[opened] = False
+        branch, place = np.nonzero(joined)
+        found = np.tile(opened, (len(branch), 1))
+        found[np.arange(len(branch)), place] = branch
+        return found
+
+    @cached_property
+    def ratios(self) -> Floats:
+        """Referred voltage at a switch's first end over that at its second, at no load, (K,)."""
+        start, end = self.ends
+        ratio = self.network.bus_ratio
+        return freeze(ratio[end] / ratio[start])
+
+
+def _products(members: list[Wholes], which: Wholes) -> Wholes:
+    """Some of all choices of one branch from each group, (T, K)."""
+    if not members:
+        return np.empty((len(which), 0), dtype=int)
+    places = np.unravel_index(which, [len(own) for own in members])
+    return np.stack([own[at] for own, at in zip(members, places, strict=True)], axis=1)
+
+
+def _independent(rows: list[int], rank: int) -> Iterator[tuple[int, ...]]:
+    """Sets of ``rank`` rows of bits that are independent over the numbers modulo 2.
+
+    The minors of a loop matrix are 0 or ±1, so this is independence as such.
+    """
+    # What the rows from each on still reach: a branch of the search that cannot be completed ends.
+    behind: list[list[int]] = [[]]
+    for row in reversed(rows):
+        behind.append(_with(behind[-1], row))
+    behind.reverse()
+
+    def chosen(first: int, basis: list[int], taken: tuple[int, ...]) -> Iterator[tuple[int, ...]]:
+        if len(taken) == rank:
+            yield taken
+            return
+        for row in range(first, len(rows)):
+            if _rank(basis, behind[row]) < rank:
+                return
+            more = _with(basis, rows[row])
+            if len(more) > len(basis):
+                yield from chosen(row + 1, more, (*taken, row))
+
+    return chosen(0, [], ())
+
+
+def _with(basis: list[int], row: int) -> list[int]:
+    """The basis with a row, unless it depends on it; each element has a highest bit of its own."""
+    for one in basis:
+        row = min(row, row ^ one)
+    return [*basis, row] if row else basis
+
+
+def _rank(basis: list[int], more: list[int]) -> int:
+    """Rank of two bases together."""
+    for row in more:
+        basis = _with(basis, row)
+    return len(basis)
