@@ -21,8 +21,10 @@ from vppres.feeders.reconfiguration import ConfigurationLimits, SwitchedNetwork,
 from vppres.feeders.reconfiguration.choice import branch_names, switched_network
 from vppres.feeders.reconfiguration.flows import ConfigurationFlows
 from vppres.feeders.reconfiguration.search import NO_LIMITS, LeastLoss
-from vppres.feeders.reconfiguration.words import open_names
+from vppres.feeders.reconfiguration.words import open_names, outcome_words
+from vppres.feeders.ties import Ties
 from vppres.physics.powerflow import ACPowerFlow
+from vppres.scenario.network import Network
 
 PUBLISHED_33 = (6, 8, 13, 31, 36)
 """Open branches of case33bw with the least losses, by pandapower's rows from 0."""
@@ -31,7 +33,7 @@ PUBLISHED_33 = (6, 8, 13, 31, 36)
 def switched(name: str, *only: str, **options: str) -> tuple[ImportedFeeder, SwitchedNetwork]:
     """A named feeder with its switches."""
     feeder = import_network(name, **options)
-    return feeder, switched_network(feeder.network, feeder.switches, only)
+    return feeder, switched_network(feeder.network, feeder.ties, only)
 
 
 def found(
@@ -52,10 +54,13 @@ def test_the_least_losses_of_16_buses_with_three_sources() -> None:
 
 @pytest.mark.daily
 def test_the_least_losses_of_33_buses() -> None:
-    """All 50,751; a limit of 0.94 pu rules the least out, and the next has 139.978 kW."""
+    """All 50,751; a limit of 0.94 pu rules the least out, and the next has 139.978 kW.
+
+    6,313 lead so far round that no power flow is found; of 25 of them Newton's method found none.
+    """
     feeder, ring = switched("case33bw")
     best = least_loss(ring, *feeder.injection, ConfigurationLimits(0.94, 1.06))
-    assert (ring.count, best.solved, best.exact) == (50_751, 50_751, True)
+    assert (ring.count, best.solved, best.exact) == (50_751, 44_438, True)
     assert best.present.losses_kw == pytest.approx(202.677, abs=1e-3)
     assert best.unlimited.losses_kw == pytest.approx(139.551, abs=1e-3)
     assert best.unlimited.v_min_pu == pytest.approx(0.93782, abs=1e-5)
@@ -145,6 +150,16 @@ def test_the_command_says_what_to_open_and_close() -> None:
     assert record["after"]["losses_kw"] == pytest.approx(466.127, abs=1e-3)
     assert (record["close"], record["open"]) == (["5-11", "10-14"], ["8-10", "9-11"])
     assert record["after"]["keeps_limits"]
+
+
+def test_configurations_without_a_power_flow_are_counted() -> None:
+    """5 MW at bus 3 of 10 kV cannot come by the tie of 50 ohm: open 1-3 has no power flow."""
+    net = Network([1, 1], [2, 3], [1.0, 1.0], [1.0, 1.0], slack_bus=1, base_kv=10.0)
+    tie = Ties(["t"], [2], [3], [50.0], [1.0], [np.inf])
+    ring = SwitchedNetwork(net, tie, np.ones(2, dtype=bool))
+    best = least_loss(ring, np.array([0.0, 0.0, -5000.0]), np.zeros(3), NO_LIMITS)
+    assert (best.count, best.solved, best.exact) == (3, 2, True)
+    assert "No power flow was found for 1 of them." in outcome_words(ring, best)
 
 
 def test_some_switches_alone_may_move() -> None:

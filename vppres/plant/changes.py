@@ -11,8 +11,7 @@ from vppres.kinds.table import KINDS
 from vppres.plant.plant import Plant, Powers, Realised
 
 TAKE_LESS = tuple(kind for kind in reversed(KINDS) if KINDS[kind].takes_less)
-"""Kinds that take less where an island lacks power, in this order: before batteries and customers.
-"""
+"""Kinds that take less, in this order, before an island's batteries give more."""
 
 CUT_MARGIN_KW = 1e-3
 """Margin of a cut beyond the need, so that the set has something left to settle with."""

@@ -11,15 +11,12 @@ from vppres.core.units import kva_to_a, mw_to_kw
 from vppres.feeders.net.elements import NetCase
 from vppres.feeders.net.names import identifiers
 from vppres.feeders.net.ratings import rating_mva
+from vppres.feeders.ties import Ties
 from vppres.io.schema import MIN_OHM
 from vppres.scenario.network import BusId, Network
-from vppres.scenario.switches import BREAKER, TIE, Switches
-
-BREAKER_TYPE = "CB"
-"""pandapower's word for a circuit breaker."""
 
 
-def open_switches(net: Any, case: NetCase, ids: Mapping[int, BusId], network: Network) -> Switches:
+def ties_of(net: Any, case: NetCase, ids: Mapping[int, BusId], network: Network) -> Ties:
     """Lines and bus switches between two supplied buses that are open or out of service.
 
     Impedances refer to the network's voltage. Charging of an open line is left out, and stays so
@@ -27,36 +24,31 @@ def open_switches(net: Any, case: NetCase, ids: Mapping[int, BusId], network: Ne
     """
     found = [*_lines(net, network), *_bus_switches(net)]
     rows = []
-    for name, buses, kind, r_ohm, x_ohm, i_max_a in found:
+    for name, buses, r_ohm, x_ohm, i_max_a in found:
         start, end = (ids.get(case.bus_at.get(int(bus), -1)) for bus in buses)
         if start is not None and end is not None and start != end:
-            rows.append((name or f"{start}-{end}", start, end, kind, r_ohm, x_ohm, i_max_a))
+            rows.append((name or f"{start}-{end}", start, end, r_ohm, x_ohm, i_max_a))
     if not rows:
-        return Switches.none()
-    names, starts, ends, kinds, r, x, i_max = zip(*rows, strict=True)
-    return Switches(
+        return Ties.none()
+    names, starts, ends, r, x, i_max = zip(*rows, strict=True)
+    return Ties(
         id=np.array(identifiers(names, range(1, len(rows) + 1)), dtype=object),
         from_bus=np.array(starts, dtype=object),
         to_bus=np.array(ends, dtype=object),
-        closed=np.zeros(len(rows), dtype=bool),
-        kind=np.array(kinds, dtype=object),
-        operable=np.ones(len(rows), dtype=bool),
-        locked_reason=np.full(len(rows), "", dtype=object),
         r_ohm=np.maximum(r, MIN_OHM),
         x_ohm=np.array(x),
         i_max_a=np.array(i_max),
     )
 
 
-Found = tuple[str, tuple[Any, Any], str, float, float, float]
-"""Name, buses, kind, impedance in ohm and rating in A."""
+Found = tuple[str, tuple[Any, Any], float, float, float]
+"""Name, buses, impedance in ohm and rating in A."""
 
 
 def _lines(net: Any, network: Network) -> Iterator[Found]:
     """Lines that are out of service, or open at an end."""
     switches = net.switch[(net.switch["et"] == "l") & ~net.switch["closed"].astype(bool)]
     off = ~net.line["in_service"].astype(bool) | net.line.index.isin(switches["element"])
-    breakers = {*switches.loc[switches["type"] == BREAKER_TYPE, "element"]}
     for i, line in net.line[off].iterrows():
         kv = float(net.bus.at[line["from_bus"], "vn_kv"])
         length = float(line["length_km"]) / float(line.get("parallel", 1.0))
@@ -65,7 +57,6 @@ def _lines(net: Any, network: Network) -> Iterator[Found]:
         yield (
             _name(line),
             (line["from_bus"], line["to_bus"]),
-            BREAKER if i in breakers else TIE,
             float(line["r_ohm_per_km"]) * length,
             float(line["x_ohm_per_km"]) * length,
             float(kva_to_a(rating_kva, network.base_kv)),
@@ -76,8 +67,7 @@ def _bus_switches(net: Any) -> Iterator[Found]:
     """Open switches between two buses, which have next to no impedance."""
     between = net.switch[(net.switch["et"] == "b") & ~net.switch["closed"].astype(bool)]
     for _, switch in between.iterrows():
-        kind = BREAKER if switch["type"] == BREAKER_TYPE else TIE
-        yield _name(switch), (switch["bus"], switch["element"]), kind, 0.0, 0.0, np.inf
+        yield _name(switch), (switch["bus"], switch["element"]), 0.0, 0.0, np.inf
 
 
 def _name(element: Any) -> str:

@@ -35,7 +35,7 @@ from vppres.feeders.net.branches import (
 from vppres.feeders.net.elements import NetCase, in_service, label, supplied
 from vppres.feeders.net.grids import one_grid
 from vppres.feeders.net.notes import notes_of, told_left_out
-from vppres.feeders.net.open_lines import open_switches
+from vppres.feeders.net.open_lines import ties_of
 from vppres.feeders.net.ratings import rating_mva
 from vppres.feeders.net.taps import told_idle_taps
 from vppres.io.messages import did_you_mean
@@ -140,7 +140,7 @@ def feeder_of(
         causes=tuple(causes_of(net, case)),
         source_flow=PandapowerFlow(net, {ids[row]: bus for bus, row in _last_first(joined)}),
         title=_own_name(net),
-        switches=open_switches(net, joined, ids, network),
+        ties=ties_of(net, joined, ids, network),
     )
     return replace(feeder, deviation=deviation_of(net, solved, feeder))
 

@@ -227,7 +227,7 @@ def write_new_scenario(
         closeness = str(deviation)
     check_deviation(feeder, checked, options.accept_deviation)
     told = [*causes, *feeder.notes, *chosen]
-    open_lines = zip(feeder.switches.from_bus, feeder.switches.to_bus, strict=True)
+    open_lines = zip(feeder.ties.from_bus, feeder.ties.to_bus, strict=True)
     ties = [f"{first} to {last}" for first, last in open_lines]
     source = Source.of(feeder.name, "", told, deviation, feeder.unbalanced, ties)
     scenario = replace(scenario, source=source)

@@ -9,9 +9,9 @@ import numpy as np
 from vppres.core.arrays import Flags
 from vppres.core.errors import InputError, Problem
 from vppres.feeders.reconfiguration.loops import SwitchedNetwork
+from vppres.feeders.ties import Ties
 from vppres.io.messages import did_you_mean
 from vppres.scenario.network import Network
-from vppres.scenario.switches import Switches
 
 NO_TIE = (
     "Add a line that is normally open: in the network's file one that is out of service or has an "
@@ -19,9 +19,7 @@ NO_TIE = (
 )
 
 
-def switched_network(
-    network: Network, switches: Switches, only: Sequence[str] = ()
-) -> SwitchedNetwork:
+def switched_network(network: Network, ties: Ties, only: Sequence[str] = ()) -> SwitchedNetwork:
     """The feeder with the switches that may move.
 
     All open switches may be closed. All lines may be opened but those with a ratio, as studies of
@@ -31,8 +29,8 @@ def switched_network(
     ----------
     network : Network
         The feeder as it is.
-    switches : Switches
-        Its switches.
+    ties : Ties
+        Its open switches.
     only : sequence of str, optional
         Names of those that may move, if not all: of switches, and of lines as ``7-8``.
 
@@ -41,8 +39,6 @@ def switched_network(
     InputError
         If a name is unknown, or no switch can be closed.
     """
-    ties = switches.open
-    ties = ties.rows(ties.movable)
     can_open = network.ratio == 1.0
     if only:
         tie_names, line_names = _names(network, ties)
@@ -61,7 +57,7 @@ def branch_names(feeder: SwitchedNetwork) -> list[str]:
     return [*lines, *ties]
 
 
-def _names(network: Network, ties: Switches) -> tuple[list[str], list[str]]:
+def _names(network: Network, ties: Ties) -> tuple[list[str], list[str]]:
     """Names of the switches and of the lines."""
     lines = zip(network.from_bus, network.to_bus, strict=True)
     return [str(name) for name in ties.id], [f"{start}-{end}" for start, end in lines]
@@ -80,7 +76,7 @@ def _turned(name: str) -> str:
 
 
 def _check_known(wanted: Sequence[str], known: Sequence[str]) -> None:
-    """Names that are those of no branch."""
+    """Refuse names that are those of no branch."""
     both = {*known, *map(_turned, known)}
     problems = [
         Problem(

@@ -92,7 +92,7 @@ class LeastLoss:
     count : int
         Number of radial configurations.
     solved : int
-        Number of configurations whose power flow was solved, repeated ones included.
+        Number of configurations whose power flow was found, repeated ones included.
     exact : bool
         Whether all of them were: nothing is better than ``best``.
     present : Configuration
@@ -195,15 +195,16 @@ def _solve_all(
     count: int,
     progress: Progress,
 ) -> int:
-    """Solve every configuration; how many there were."""
-    done = 0
+    """Solve every configuration; for how many a power flow was found."""
+    done = solved = 0
     for opened in feeder.configurations(AT_ONCE):
         found = flows.solve(opened)
         for best in bests:
             best.see(opened, found)
         done += len(opened)
+        solved += int(np.isfinite(found.losses_kw).sum())
         progress(done, count)
-    return done
+    return solved
 
 
 class _Search:
@@ -254,7 +255,7 @@ class _Search:
     def _solve(self, opened: Wholes) -> Flows:
         """Solve some configurations, and show them to all that look for the best."""
         found = self.flows.solve(opened)
-        self.solved += len(opened)
+        self.solved += int(np.isfinite(found.losses_kw).sum())
         for best in self.bests:
             best.see(opened, found)
         return found

@@ -47,6 +47,8 @@ def outcome_words(feeder: SwitchedNetwork, found: LeastLoss) -> Iterator[str]:
             f"Best found: the search solved {found.solved:,} configurations, and there may be a "
             "better one."
         )
+    if found.exact and found.solved < found.count:
+        yield f"No power flow was found for {found.count - found.solved:,} of them."
 
 
 def differs(found: LeastLoss) -> bool:
