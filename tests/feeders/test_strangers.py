@@ -684,7 +684,7 @@ BINARIES: dict[str, tuple[str, Callable[[], bytes], str]] = {
 }
 
 
-BY_NIGHT = {"pickle as a matrix", "no mpc", "zeros", "calls", "empty lines", "long text"}
+BY_NIGHT = {"pickle as a matrix", "no mpc", "zeros", "calls", "long text"}
 
 
 @pytest.mark.parametrize(
