@@ -272,8 +272,9 @@ def test_voltages_are_those_of_opendss_on_the_untouched_file(name: str, tmp_path
 THREE = "new load.c bus1=b kv=4.16 kw=300 pf=.9"
 EVEN: dict[str, tuple[str, ...]] = {
     "three windings": (
-        HEAD, f"{THREE_WINDINGS} wdg=2 tap=1.01 %imag=.7 %noloadloss=.2", LINE,
-        "new load.a bus1=b kv=4.16 kw=300 pf=.95", AT_D,
+        f"{THREE_WINDINGS} wdg=2 tap=1.01 %imag=.7 %noloadloss=.2",
+        "new line.m bus1=m bus2=e r1=.3 x1=.4 r0=.6 x0=1.2 length=1",
+        "new load.a bus1=e kv=4.16 kw=300 pf=.95", AT_D,
     ),
     "PV beside another load": (
         THREE,
