@@ -47,14 +47,14 @@ def read_quantiles(
         With every problem of the file.
     """
     table, problems = read_table(Path(path), CHECK_PATH)
-    if table is None:
+    if problems:
         raise InputError(problems)
     levels = {
         name: float(match[1]) / 100.0
         for name in table.names
         if (match := _QUANTILE.fullmatch(name)) and float(match[1]) > 0.0
     }
-    problems += _check_columns(table, levels)
+    problems = _check_columns(table, levels)
     if problems:
         raise InputError(problems)
     ordered = sorted(levels, key=lambda name: levels[name])
