@@ -147,13 +147,13 @@ def explained(asked: Replay) -> dict[str, Any]:
 
 
 def _foreseen(
-    record: StepRecord, plan: Mapping[str, Any] | None, scenario: Scenario
+    record: StepRecord, plan: Mapping[str, Any], scenario: Scenario
 ) -> Iterator[StepRecord]:
     """Steps after the explained one with the customers that its plan means to supply.
 
     What was expected of them otherwise is the scenario's.
     """
-    served = ((plan or {}).get("ahead") or {}).get("served") or {}
+    served = (plan.get("ahead") or {}).get("served") or {}
     customers = record.customers
     for k in range(scenario.grid.n_steps - record.t - 1):
         told = [on for name in scenario.customers.id for on in served.get(str(name), ())[k : k + 1]]
