@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 from numpy.random import Generator
 
-from vppres.contract.switching import SwitchingState
 from vppres.core.arrays import Flags, Floats, Names
+from vppres.kinds.customer.physics import SwitchingState
 from vppres.model.data import WindowData
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network

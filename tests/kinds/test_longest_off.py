@@ -14,11 +14,11 @@ from tests.support.agreement import assert_methods_agree
 from tests.support.builders import HERE, live
 from tests.support.small_windows import DARK, OPEN, full_of, two_buses, window
 from vppres import RunOptions, explain_day, run_day, summarise
-from vppres.contract.switching import SwitchingState
 from vppres.control.planner import levels_of
 from vppres.control.rules import rule_dispatch
 from vppres.control.step_state import StepState
 from vppres.day import priority
+from vppres.kinds.customer.physics import SwitchingState
 from vppres.model.beyond_paper.table import beyond_paper
 from vppres.model.data import WindowData
 from vppres.model.site import Site

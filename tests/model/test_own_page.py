@@ -18,8 +18,8 @@ from tests.support.random_forms import window_of
 from tests.support.sets import gensets
 from tests.support.small_windows import DARK, OPEN, battery, two_buses, window
 from vppres import solve
-from vppres.contract.switching import RuleSteps
 from vppres.core.errors import InputError, ModelError
+from vppres.kinds.customer.physics import RuleSteps
 from vppres.model import problem
 from vppres.model.beyond_paper.addition import Addition
 from vppres.model.beyond_paper.dimmed import DimmedDemand

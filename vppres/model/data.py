@@ -14,10 +14,10 @@ from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
 from vppres.contract.owed import MOST_SHARE, Owed
 from vppres.contract.stored_value import Ending, StoredValue
-from vppres.contract.switching import SwitchingData
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Complexes, Flags, Floats, Wholes
 from vppres.core.errors import ModelError
+from vppres.kinds.customer.physics import SwitchingData
 from vppres.model.formulas import cell_kw, soc_after
 from vppres.model.linearise import Drawn, delta_offset, drawn_by
 from vppres.model.site import Site

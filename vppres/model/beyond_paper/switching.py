@@ -15,8 +15,8 @@ import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 
-from vppres.contract.switching import RuleSteps, SwitchingData
 from vppres.core.arrays import Floats
+from vppres.kinds.customer.physics import RuleSteps, SwitchingData
 from vppres.model.beyond_paper.addition import Addition, Taken
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData

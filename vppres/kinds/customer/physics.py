@@ -293,6 +293,18 @@ class SwitchingState:
             step=self.step + 1,
         )
 
+    def demand_factor(self, served: Flags) -> Floats:
+        """Demand of each customer in the step that begins now as a multiple of the usual one, (C,).
+
+        >>> rules = SwitchingRules(cold_load_factor=1.5)
+        >>> state = SwitchingState.start(rules, 1.0, 1).advance(np.array([False]))
+        >>> state.demand_factor(np.array([True]))
+        array([1.5])
+        """
+        if not self.rules.cold:
+            return np.ones(len(served))
+        return np.asarray(self.window(1).demand_factor(served[np.newaxis])[0])
+
     @property
     def due(self) -> Flags | None:
         """Customers that would be off beyond their longest time now, (C,); None without any."""
