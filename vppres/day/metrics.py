@@ -18,9 +18,9 @@ from vppres.day.kind_tables import kind_figures, kind_words
 from vppres.day.phase_figures import phase_figures
 from vppres.day.reliability import fairness_figures, reliability_figures
 from vppres.day.switching_figures import switching_figures
-from vppres.day.time_off import time_off_figures, time_off_words
 from vppres.day.trajectory import OPTIONS, Trajectory, supplied, time_on
 from vppres.io.digest import scenario_digest
+from vppres.kinds.customer.record import time_off_figures, time_off_words
 from vppres.plant.plant import NOBODY
 from vppres.scenario.remarks import darkness, unknown_phases
 

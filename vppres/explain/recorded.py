@@ -25,8 +25,8 @@ from vppres.day.forecasting import PAPER, DayForecasts, named_forecasts
 from vppres.day.metrics import line_loading
 from vppres.day.outages import GridSeen, OutageView, believed_outages
 from vppres.day.priority import site_of, weighed
-from vppres.day.time_off import off_before_h
 from vppres.day.trajectory import Trajectory
+from vppres.kinds.customer.record import off_before_h
 from vppres.kinds.table import KINDS, parts, units_of
 from vppres.model.beyond_paper.ratings import LineRatings
 from vppres.model.beyond_paper.table import Beyond, beyond_paper

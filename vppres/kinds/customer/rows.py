@@ -15,7 +15,6 @@ import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 
-from vppres.contract.longest_off import LongestOff
 from vppres.model.beyond_paper.addition import Addition
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
@@ -53,7 +52,7 @@ class LongestTimeOff(Addition):
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
         """Customers with a limit and their steps."""
-        limits = longest_off_of(data)
+        limits = data.longest_off
         if limits is None:
             return None
         return tuple(zip(limits.customer.tolist(), limits.steps.tolist(), strict=True))
@@ -83,15 +82,10 @@ class LongestTimeOff(Addition):
 
     def fill(self, site: Site, data: WindowData) -> None:
         """Write the window's limits."""
-        limits = longest_off_of(data)
+        limits = data.longest_off
         assert limits is not None
         write(self.asked, limits.asked.astype(float))
         write(self.price, limits.price)
-
-
-def longest_off_of(data: WindowData) -> LongestOff | None:
-    """The limits of a window, None without any."""
-    return None if data.switching is None else data.switching.longest_off
 
 
 def _band(n_steps: int, width: int) -> sp.csr_array:
