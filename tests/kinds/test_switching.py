@@ -35,12 +35,12 @@ from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.day.trajectory import Trajectory
 from vppres.io import find_scenario, read_scenario
-from vppres.kinds.customer.physics import RuleSteps, SwitchingData, SwitchingState
-from vppres.model.beyond_paper import switching as switching_rules
-from vppres.model.beyond_paper.switching import SwitchingModel
+from vppres.kinds.customer import rows as switching_rules
+from vppres.kinds.customer.data import RuleSteps, SwitchingRules
+from vppres.kinds.customer.physics import SwitchingData, SwitchingState
+from vppres.kinds.customer.rows import SwitchingModel
 from vppres.model.site import Site
 from vppres.model.statement import Statement
-from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 from vppres.solve.ladder import METHODS, WindowSolver
 from vppres.solve.result import WindowSolution

@@ -14,12 +14,12 @@ import numpy as np
 
 from vppres.contract.decision import Decision
 from vppres.core.arrays import Flags, Floats
+from vppres.kinds.customer.data import SwitchingRules
 from vppres.kinds.customer.physics import SwitchingState
 from vppres.kinds.kind import Followers
 from vppres.kinds.table import parts, units_of
 from vppres.physics.places import Places
 from vppres.physics.thermal import Power, ThermalScheme, advance, initial_state
-from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 
 F = TypeVar("F", bound=Followers)

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vppres.core.arrays import Flags, Floats, Wholes
+from vppres.kinds.customer.data import RuleSteps, SwitchingRules
 from vppres.scenario.assets import Customers
-from vppres.scenario.rules import SwitchingRules
 
 UNLIMITED = 1e6
 """Actions left where there is no limit."""
@@ -110,26 +110,6 @@ def due(longest_h: Floats, off_h: Floats, dt_h: float) -> Flags:
     if limits is not None:
         found[limits.customer] = limits.asked[0]
     return found
-
-
-@dataclass(frozen=True)
-class RuleSteps:
-    """Rules that shape a compiled problem, in steps.
-
-    Parameters
-    ----------
-    served, unserved : int
-        Minimum times, at least 1, which is no rule.
-    cold : int
-        Steps of higher demand after a restoration, 0 for none.
-    days : int
-        Days of the window that have a limit of actions of their own; 1 without a limit.
-    """
-
-    served: int = 1
-    unserved: int = 1
-    cold: int = 0
-    days: int = 1
 
 
 @dataclass(frozen=True, eq=False)
