@@ -89,7 +89,7 @@ class Situation:
 
     @property
     def why_dark(self) -> str:
-        """Why nobody is supplied in an island; empty if something forms its grid, or may."""
+        """Why no customer is supplied in an island; empty if something forms its grid, or may."""
         if self.formers is None:
             return ""
         return why_dark(self.plan, self.formers, self.is_dark)
@@ -235,7 +235,7 @@ def _off_with_grid(now: Situation) -> Iterator[Condition]:
     if not plan or now.ahead_s <= 0.0 or now.is_dark or _is_lost(now):
         return
     if not plan.get("grid") and now.grid_on != 1.0:
-        return  # as by hand: nobody knows
+        return  # as by hand: not known
     off = sorted(now.off - set(now.failing))
     if not off:
         return
@@ -250,7 +250,7 @@ def _off_with_grid(now: Situation) -> Iterator[Condition]:
 
 
 def _shed(now: Situation) -> Iterator[Condition]:
-    """Customers whom the plan served and whom its island cannot hold."""
+    """Customers that the plan served and its island cannot hold."""
     shed = [one["asset"] for one in now.plan.get("shed", ())]
     if not shed or now.ahead_s <= 0.0:
         return
@@ -403,7 +403,7 @@ def _setpoint_rejected(now: Situation) -> Iterator[Condition]:
 
 
 def _notices_undelivered(now: Situation) -> Iterator[Condition]:
-    """People are not told of alarms."""
+    """People get no notice of alarms."""
     for name in now.unreached:
         text = f"The last notice of an alarm did not reach {name}."
         yield Condition("notices_undelivered", name, MEDIUM, text)
