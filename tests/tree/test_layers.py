@@ -61,6 +61,7 @@ LAYER_OF_PART = {
     "live_fields": "live",
     "past_days": "scenario",
     "physics": "contract",
+    "plant": "plant",
     "rows": "model",
     "record": "day",
     "reasons": "explain",
