@@ -18,7 +18,6 @@ from vppres.control.guard.guard import GuardedController
 from vppres.control.guard.options import GuardOptions
 from vppres.control.headroom import HeadroomPlanner
 from vppres.control.mpc import MPCController
-from vppres.control.phased import PhasedPlanner
 from vppres.control.planner import Planner
 from vppres.control.rotation import Rotating
 from vppres.core.errors import SolveError, VerificationError
@@ -164,7 +163,6 @@ def _planner(solver: WindowSolver, options: RunOptions) -> Planner | None:
     if options.mode != "physical":
         return None
     assert options.headroom is not None
-    kind = ConvergedPlanner if solver.site.phases is None else PhasedPlanner
     if options.priority == STRICT and options.headroom > 0.0:
-        return HeadroomPlanner(partial(kind, solver), options.headroom)
-    return kind(solver, options.headroom)
+        return HeadroomPlanner(partial(ConvergedPlanner, solver), options.headroom)
+    return ConvergedPlanner(solver, options.headroom)

@@ -48,7 +48,13 @@ def events_of(run: Trajectory) -> list[DayEvent]:
 
 def opening_of(run: Trajectory, summary: Mapping[str, Any]) -> list[str]:
     """The length of the day, and its outage."""
-    return [_day(run), *_outage(run, summary)]
+    clock = Clock.of(run)
+    n_steps = len(run.steps)
+    return [
+        f"{counted(n_steps, 'step')} of {clock.grid.step_minutes:g} min from {clock.at(0)} to "
+        f"{clock.full(clock.grid.end)}.",
+        *_outage(run, summary),
+    ]
 
 
 def _outage_events(run: Trajectory) -> Iterator[tuple[int, str]]:
@@ -99,15 +105,6 @@ def _battery_events(run: Trajectory) -> Iterator[tuple[int, str]]:
         empty = np.flatnonzero(energy[first + 1 : last + 1] <= low + EMPTY_SHARE * (high - low))
         if len(empty) and len(run.scenario.batteries):
             yield first + 1 + int(empty[0]), "Batteries are at their lower limit."
-
-
-def _day(run: Trajectory) -> str:
-    clock = Clock.of(run)
-    n_steps = len(run.steps)
-    return (
-        f"{counted(n_steps, 'step')} of {clock.grid.step_minutes:g} min from {clock.at(0)} to "
-        f"{clock.full(clock.grid.end)}."
-    )
 
 
 def _outage(run: Trajectory, summary: Mapping[str, Any]) -> list[str]:
