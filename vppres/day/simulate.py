@@ -16,7 +16,6 @@ from vppres.contract.dispatch import Dispatch
 from vppres.contract.forecast import ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import OperatingPoint
-from vppres.contract.owed import Owed
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import ModelError, VppresError, function_of
@@ -137,7 +136,6 @@ class Day:
         self.import_kw: float | None = None
         self.served: Flags | None = None
         self.flexible_kw: float | None = None
-        self.owed = Owed.of(scenario.customers, scenario.grid.dt_h)
         self.outages = OutageView.create(scenario, self.options.as_record())
         self.grid_seen = GridSeen()
         self.outage_messages = ""
@@ -160,7 +158,7 @@ class Day:
             import_kw=self.import_kw,
             served=self.served,
             flexible_kw=self.flexible_kw,
-            owed=self.owed,
+            owed=self.plant.owed,
             ahead=self.ahead(steps),
             terminal=Terminal.of(self.options.soc_end, forecast, ends),
             ends=ends,
@@ -238,10 +236,6 @@ class Day:
         self.served = realised.served
         self.flexible_kw = realised.flexible_kw
         self.state = self.plant.advance(t, self.state, realised)
-        if self.owed is not None:
-            self.owed = self.owed.after(
-                realised.load_kw, np.asarray(realised.served * realised.share, dtype=float)
-            )
         return record
 
     def carry_out(self, t: int, decision: Decision) -> Settled:

@@ -15,7 +15,6 @@ import numpy as np
 
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats
-from vppres.model.beyond_paper.export import net_exchange
 from vppres.model.data import WindowData
 from vppres.model.numerics import POLYGON_SIDES, cost_scale, disc_sides
 from vppres.model.terms import evaluate
@@ -363,7 +362,10 @@ def solve_cost(
     if attempt.dispatch is None:
         return attempt
     netted, fits = net_modes(cache.site, data, attempt.dispatch)
-    if fits and net_exchange(data, netted, attempt.both_kw, cache.site.dt_h):
+    stands = data.export is None or data.export.stands_netted(
+        data.price_gbp_per_kwh, netted, attempt.both_kw, cache.site.dt_h
+    )
+    if fits and stands:
         return replace(attempt, dispatch=netted)
     curtailing = float(netted.pv_curtailed_kw.sum()) * cache.site.dt_h > HELD_ABS
     if curtailing and not fits and modes_later:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from vppres.contract.decision import Decision
-from vppres.contract.owed import MOST_SHARE
 from vppres.control.step_state import StepState
 from vppres.core.arrays import Flags, Floats, Names
 from vppres.kinds.table import KINDS
@@ -159,9 +158,8 @@ def misshapen(decision: Decision, site: Site) -> list[str]:
 
 
 def _service(row: _Row, state: StepState) -> str:
-    least = state.site.customers.least_share
-    most = np.where(state.site.customers.recovery_h > 0.0, MOST_SHARE, 1.0)
-    partly = np.maximum(least - row.served, row.served - most)
+    c = state.site.customers
+    partly = np.maximum(c.least_share - row.served, row.served - c.most_share)
     partly = np.minimum(np.abs(row.served), np.maximum(partly, 0.0))
     return "a customer is supplied in part" if partly.max(initial=0.0) > 1e-6 else ""
 
