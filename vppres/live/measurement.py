@@ -146,7 +146,7 @@ class Seen:
     scenario : Scenario
         The scenario with what was expected in its place, and what was measured where that is
         anything.
-    announced_kw : array, shape (T,), or None
+    announced_kw : array, shape (T,)
         Largest import while there is grid, as far as it was announced; NaN elsewhere.
     foretold_load, foretold_pv : array of bool, shape (C,) and (P,)
         Series whose steps ahead are another provider's forecast.
@@ -175,7 +175,7 @@ class Seen:
     online: Flags
     import_kw: float | None
     connected: Flags
-    announced_kw: Floats | None
+    announced_kw: Floats
     foretold_load: Flags
     foretold_pv: Flags
     left_out: tuple[str, ...]
@@ -188,7 +188,6 @@ class Seen:
 
     def window(self, rows: range) -> Seen:
         """Measurements of some steps alone, of which the first is the present one."""
-        announced = self.announced_kw
         scenario = self.scenario.between(rows.start, rows.stop)
         now = scenario.grid.start
         scenario = replace(
@@ -198,7 +197,7 @@ class Seen:
             self,
             t=0,
             scenario=scenario,
-            announced_kw=None if announced is None else announced[rows.start : rows.stop],
+            announced_kw=self.announced_kw[rows.start : rows.stop],
         )
 
     def believed(self, load_kw: Floats, pv_kw: Floats) -> Scenario:
@@ -287,10 +286,8 @@ def _measurement_arrays(
     of_batteries = _of_batteries(door, b, measured)
     import_kw = door.number("import_kw", measured.import_kw)
     connected = door.flags("connected", measured.connected, c.id)
-    announced = None
-    if measured.announced_limit_kw is not None:
-        unknown = np.full(scenario.grid.n_steps, np.nan)
-        announced = door.series("announced_limit_kw", measured.announced_limit_kw, unknown)
+    unknown = np.full(scenario.grid.n_steps, np.nan)
+    announced = door.series("announced_limit_kw", measured.announced_limit_kw, unknown)
     now = door.moment("now", measured.now) or door.begun
     if not door.begun <= now < door.begun + door.grid.step:
         door.problem("now", "lies outside the step", "Give a time within it.", measured.now)

@@ -355,7 +355,7 @@ def _belief(
         "type": "outage_belief",
         "source": "simulation",
         "issued_at": written(message.issued_at),
-        "probability": 1.0 if message.probability is None else message.probability,
+        "probability": message.chance,
         "onset": {
             "start": written(first + begin * step),
             "resolution": resolution,
