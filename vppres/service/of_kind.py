@@ -5,6 +5,7 @@ A unit tells readings, is told set-points, and is replayed as plans knew it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -114,13 +115,12 @@ class OfKind:
 
     def stood(
         self, plan: Plan, one: Reading, before: Reading | None, rejected: Mapping[str, int]
-    ) -> float | None:
-        """The value that stood until a reading, which is news if it has another; None if none.
+    ) -> float:
+        """The value that stood until a reading, which is news if it has another; NaN if none.
 
         ``rejected`` says when units rejected a set-point last.
         """
-        value = None if before is None else before.value
-        return self.states.get(one.quantity) if value is None else value
+        return before.value if before and before.known else self.states.get(one.quantity, math.nan)
 
     def asked(self, said: Mapping[str, Any]) -> dict[str, Any]:
         """Fields of a set-point by what an operator says of a unit."""

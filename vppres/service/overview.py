@@ -11,6 +11,7 @@ from typing import Any, get_args
 import numpy as np
 import pandas as pd
 
+from vppres.core.plain import json_safe
 from vppres.kinds.table import KINDS, parts
 from vppres.live.by_phase import GRID
 from vppres.scenario.phases import PHASES
@@ -282,7 +283,7 @@ class Overview:
         found += self.runner.store.between(begun, now, [stored("source_kva", p) for p in PHASES])
         return {
             f"{one.quantity} {one.asset}": {
-                "value": one.value,
+                "value": json_safe(one.value),
                 "at": written(moment(one.time)),
                 "source": one.source,
             }

@@ -46,10 +46,10 @@ class Sets(OfKind):
 
     def stood(
         self, plan: Plan, one: Reading, before: Reading | None, rejected: Mapping[str, int]
-    ) -> float | None:
+    ) -> float:
         """A start that was rejected since the last reading is a fault."""
         at = rejected.get(one.asset)
-        if at is not None and (before is None or before.time <= at):
+        if at and not (before and before.time > at):
             return 1.0
         return super().stood(plan, one, before, rejected)
 

@@ -71,11 +71,11 @@ class ChargingPoints(OfKind):
 
     def stood(
         self, plan: Plan, one: Reading, before: Reading | None, rejected: Mapping[str, int]
-    ) -> float | None:
+    ) -> float:
         """A vehicle that the plan knows was plugged in; what charging changes is no news."""
-        if before is None or before.value is None:
+        if not (before and before.known):
             here = float(one.asset in expected_by(plan).get("vehicles", {}))
-            return here if one.quantity == "plugged" else None
+            return here if one.quantity == "plugged" else math.nan
         return one.value if one.quantity in CHARGED else before.value
 
     def asked(self, said: Mapping[str, Any]) -> dict[str, Any]:

@@ -81,7 +81,7 @@ class Situation:
     soc: Mapping[str, float]
     is_dark: bool
     failing: Mapping[str, str]
-    grid_on: float | None = None
+    grid_on: float = math.nan
     unreached: Sequence[str] = ()
     read_by: str = ""
     announced: bool = False
@@ -128,7 +128,7 @@ def situation(
     failing = failing_now(scenario, latest, store, plan)
     grid = plan.get("grid")
     read = latest.newest("grid_on").get(GRID)
-    grid_on = None if read is None else read.value
+    grid_on = read.value if read else math.nan
     is_dark = not grid["available"] if grid else grid_on == 0.0
     soc = soc_now(latest, plan, scenario.grid.step, now)
     heard = latest.heard
@@ -144,7 +144,7 @@ def situation(
         is_dark,
         failing,
         grid_on,
-        read_by="" if read is None else read.source,
+        read_by=read.source if read else "",
         announced=announced_at([*store.events().values()], now),
         formers=formers_now(scenario, plan, soc, failing) if physical else None,
     )

@@ -212,7 +212,7 @@ class Runner:
             self._fresh |= told
         if self.last:
             self._compare(told.values(), until)
-            imports = any(one.quantity == IMPORT and one.value for one in readings)
+            imports = any(one.quantity == IMPORT and abs(one.value) > 0.0 for one in readings)
             if imports and is_said_lost(self.last) and self._fed():
                 new.append("import although the grid was said to be lost")
             for words in new:

@@ -11,6 +11,7 @@ from itertools import starmap
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import sqlalchemy as sa
 
@@ -134,7 +135,7 @@ class Store:
         self, readings: Iterable[Reading], now: pd.Timestamp, actor: str | None = None
     ) -> Written:
         """Keep readings; those that are there with the same value count as duplicates."""
-        rows = [vars(reading) for reading in readings]
+        rows = [{**vars(one), "value": one.value if one.known else None} for one in readings]
         if not rows:
             return Written(0, 0)
         with self._changes(routine=True) as db:
@@ -170,7 +171,11 @@ class Store:
         return self._readings(chosen.order_by(t.time, t.source))
 
     def _readings(self, chosen: Any) -> list[Reading]:
-        return list(starmap(Reading, self._rows(chosen)))
+        # NULL is a missing value.
+        return [
+            Reading(asset, quantity, time, source, long, np.nan if value is None else value)
+            for asset, quantity, time, source, long, value in self._rows(chosen)
+        ]
 
     def contacts(self) -> dict[str, int]:
         """When each source was last heard from."""

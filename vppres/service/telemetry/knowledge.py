@@ -151,12 +151,13 @@ def readings_of(
             continue
         permitted = own.get((one.quantity, one.asset), RANGES[one.quantity])
         for step, sent in enumerate(one.values):
-            value = None if sent is None else float_of(sent)
-            if sent is not None and (value is None or not permitted.holds(value)):
+            number = float_of(sent)
+            value = np.nan if number is None else number
+            if not (sent is None or permitted.holds(value)):
                 wrong = _wrong_value(f"{one.quantity} of {one.asset}", sent, value, permitted)
                 refused.append(Refusal(one.source, one.asset, one.quantity, wrong))
                 continue
-            if value is not None and one.quantity == "pv_kw":
+            if one.quantity == "pv_kw":
                 value = max(value, 0.0)
             time = seconds(one.start + step * one.resolution)
             long = int(one.resolution.total_seconds())
@@ -186,9 +187,9 @@ def _wrong_series(
     return wrong
 
 
-def _wrong_value(what: str, sent: object, value: float | None, permitted: Range) -> Problem:
+def _wrong_value(what: str, sent: object, value: float, permitted: Range) -> Problem:
     """Error of a value: it is no number, or outside the quantity's range."""
-    if value is None or math.isnan(value):
+    if math.isnan(value):
         cure = "Give a number, or null where it is missing."
         return Problem(WHERE, "is not a number", cure, None, what, readable(sent))
     return Problem(WHERE, permitted.text(value), permitted.cure, None, what, sent)
@@ -351,7 +352,7 @@ def soc_now(
 
 def soc_of(found: Mapping[str, Reading]) -> dict[str, float]:
     """States of charge by battery."""
-    return {name: float(one.value) for name, one in found.items() if one.value is not None}
+    return {name: float(one.value) for name, one in found.items() if one.known}
 
 
 @dataclass(frozen=True, eq=False)
@@ -385,7 +386,7 @@ class Latest:
         now_s = seconds(time)
         heard = [_heard(reading, now_s, step_s) for reading in found]
         values = {
-            (r.asset, r.quantity): np.nan if r.value is None or h.state != "ok" else r.value
+            (r.asset, r.quantity): r.value if h.state == "ok" else np.nan
             for r, h in zip(found, heard, strict=True)
         }
         last = {
@@ -403,11 +404,7 @@ class Latest:
 
     def newest(self, quantity: str) -> dict[str, Reading]:
         """The last readings of a quantity by asset, however old they are."""
-        return {
-            one.asset: one
-            for one in self.found
-            if one.quantity == quantity and one.value is not None
-        }
+        return {one.asset: one for one in self.found if one.quantity == quantity and one.known}
 
     def lost(self, quantity: str) -> set[str]:
         """Assets that have been silent for too long."""
@@ -585,7 +582,7 @@ def _means(store: Store, begun: pd.Timestamp, now: pd.Timestamp) -> dict[str, di
     values: dict[str, dict[str, list[float]]] = {}
     for reading in store.between(begun - length, now, MEAN):
         middle_s = reading.time + reading.resolution_s / 2
-        if reading.value is not None and seconds(begun) <= middle_s < seconds(now):
+        if reading.known and seconds(begun) <= middle_s < seconds(now):
             of_quantity = values.setdefault(reading.quantity, {})
             of_quantity.setdefault(reading.asset, []).append(reading.value)
     return {

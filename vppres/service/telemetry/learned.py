@@ -70,7 +70,7 @@ class InSteps:
         self._first: dict[tuple[str, str, int], float] = {}
         for reading in store.between(grid.start, grid.end, ("soc", *QUANTITIES)):
             t = (moment(reading.time) - grid.start) // step
-            if reading.value is not None:
+            if reading.known:
                 self._first.setdefault((reading.quantity, reading.asset, t), reading.value)
 
     def laid(self, quantity: str, ids: Names, series: Floats) -> Floats:
