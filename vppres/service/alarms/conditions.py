@@ -18,6 +18,7 @@ from vppres.service.events.announced import announced_at
 from vppres.service.of_kind import every
 from vppres.service.plans.document import points_at, refused_of
 from vppres.service.plans.forming import FormerState, formers_now, why_dark
+from vppres.service.storage.records import seconds
 from vppres.service.storage.store import Store
 from vppres.service.telemetry.changes import GRID_LOST
 from vppres.service.telemetry.knowledge import Heard, Latest, refusing, soc_now
@@ -56,6 +57,11 @@ class Condition:
     text: str
     items: tuple[str, ...] = ()
     due: pd.Timestamp | None = None
+
+    @property
+    def due_at(self) -> int | None:
+        """When it is due, as it is stored."""
+        return seconds(self.due) if self.due else None
 
     @property
     def key(self) -> tuple[str, str]:
@@ -187,7 +193,7 @@ def _no_decision(now: Situation) -> Iterator[Condition]:
         left = "devices keep their last state, and how long the island lasts is not known"
     if not plan or now.ahead_s <= 0.0:
         ends = max((one["valid_until"] for one in plan.get("setpoints", ())), default=None)
-        if ends is not None and now.now < pd.Timestamp(ends):
+        if ends and now.now < pd.Timestamp(ends):
             left = f"set-points hold until {now.clock(ends)}, then {left}"
         text = f"There is no plan for the present step: {left}."
     elif plan["status"] == "failed":

@@ -66,7 +66,7 @@ def parts_of(
 ) -> list[StepPart]:
     """The parts of a step, the earliest first; up to a time within it, if it is not over."""
     begin = pd.Timestamp(plan["start"])
-    end = begin + length if until is None else min(begin + length, max(until, begin))
+    end = min(begin + length, max(until, begin)) if until else begin + length
     said = versions(plan)
     times = [begin, *(min(pd.Timestamp(one["valid_from"]), end) for one in said[1:]), end]
     if len(said) == 1 and said[0].get("grid"):

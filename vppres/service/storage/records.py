@@ -121,6 +121,11 @@ class AlarmRow:
     shelved_by: str = ""
 
     @property
+    def stands(self) -> bool:
+        """Whether it was not cleared."""
+        return not self.cleared_at
+
+    @property
     def key(self) -> tuple[str, str]:
         """Identity of the alarm: two rows with the same key are one alarm."""
         return self.kind, self.subject

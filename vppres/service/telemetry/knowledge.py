@@ -146,7 +146,7 @@ def readings_of(
     refused: list[Refusal] = []
     for one in batch:
         wrong = _wrong_series(one, assets[one.quantity], scenario, until)
-        if wrong is not None:
+        if wrong:
             refused.append(Refusal(one.source, one.asset, one.quantity, wrong))
             continue
         permitted = own.get((one.quantity, one.asset), RANGES[one.quantity])
@@ -180,7 +180,7 @@ def _wrong_series(
         return Problem(WHERE, "is not at the site", cure, None, "asset", one.asset)
     wrong = wrong_phase(one, scenario)
     last = one.start + (len(one.values) - 1) * one.resolution
-    if wrong is None and last >= until:
+    if not wrong and last >= until:
         cure = f"Set the clock of {one.source}; the present step ends at {written(until)}."
         time = written(last)
         return Problem(WHERE, "lies in the future", cure, None, f"time of {one.asset}", time)
@@ -254,7 +254,7 @@ def known_at(
         The moment, where the step is decided anew within it.
     """
     scenario = controller.scenario
-    at = time if now is None else now
+    at = now or time
     readings, window, events, load, (grid, doubt) = _announced_and_read(time, controller, store, at)
     pv = _Powers.of("pv_kw", scenario.pv.id, window, readings, store)
     said = _Said.since(controller.decided, time - window.length, at, store)
@@ -432,7 +432,7 @@ class _Powers:
             return cls(None, {}, [])
         forecast = store.forecast(quantity, window.times[0] + window.length)
         table, cautious = window.expected(quantity, ids, forecast, readings.lost(quantity))
-        foretold = {quantity: [] if forecast is None else list(forecast.assets)}
+        foretold = {quantity: list(forecast.assets) if forecast else []}
         words = [f"{quantity} {name} is {CAUTIOUS[quantity]} of its forecast" for name in cautious]
         read = {k: v for k, v in readings.now(quantity).items() if k not in cautious}
         names = [str(name) for name in ids]
@@ -466,7 +466,7 @@ class _Said:
         cls, decided: pd.Timestamp | None, before: pd.Timestamp, now: pd.Timestamp, store: Store
     ) -> _Said:
         """Plans from a step on up to now; from ``before`` on if none was decided."""
-        plans = store.plans(before if decided is None else decided, now)
+        plans = store.plans(decided or before, now)
         if not plans:
             return cls(before, None, True)
         ordered: list[tuple[pd.Timestamp, dict[str, float]]] = []
@@ -537,7 +537,7 @@ def _grid(
     read = readings.now("grid_on").get(GRID, np.nan)
     last = readings.last.get((GRID, "grid_on"))
     known_by = "profile"
-    if read == 1.0 and last is not None and _begun_since(events, moment(last.time), now):
+    if read == 1.0 and last and _begun_since(events, moment(last.time), now):
         read = np.nan  # it says nothing of an outage that was announced and has begun since
     if doubt:
         read, last = np.nan, None
@@ -549,7 +549,7 @@ def _grid(
         out[0] = read == 0.0
     elif out[0]:
         known_by = "event"
-    elif last is not None and last.value == 0.0 and not announced_at(events, moment(last.time)):
+    elif last and last.value == 0.0 and not announced_at(events, moment(last.time)):
         # Its end was neither announced nor seen.
         known_by = "last reading"
         out[:] = True

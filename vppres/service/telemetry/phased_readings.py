@@ -28,7 +28,7 @@ def stored(quantity: str, phase: str | None) -> str:
     >>> stored("source_kva", "a"), stored("load_kw", None)
     ('source_kva/a', 'load_kw')
     """
-    return quantity if phase is None else f"{quantity}/{phase}"
+    return f"{quantity}/{phase}" if phase else quantity
 
 
 def phases_of(scenario: Scenario, quantity: str, asset: str) -> list[str]:
@@ -47,7 +47,7 @@ def phases_of(scenario: Scenario, quantity: str, asset: str) -> list[str]:
 def wrong_phase(one: Readings, scenario: Scenario) -> Problem | None:
     """Error of the phase of readings."""
     needed = one.quantity in ALWAYS
-    if one.phase is None and not needed:
+    if not (one.phase or needed):
         return None
     allowed = needed or one.quantity in SUMMED
     known = phases_of(scenario, one.quantity, one.asset) if allowed else []
