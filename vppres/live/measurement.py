@@ -159,7 +159,7 @@ class Seen:
     told : tuple of Told
         Set-points of batteries since the last decision, where these differ from it.
     kinds : dict
-        What the units of each kind told.
+        Readings of the units of each kind.
     profile_kw, profile_pv_kw : array, shape (C,) and (P,)
         What the scenario says of demand and PV power in the step.
     """
@@ -345,7 +345,7 @@ def _of_batteries(door: Door, b: Batteries, measured: Measurement) -> dict[str, 
 
 
 def _grid_series(door: Door, scenario: Scenario, measured: Measurement) -> dict[str, Any]:
-    """Prices and limits of the grid as measured, (T,) each; the scenario's where not told."""
+    """Prices and limits of the grid as measured, (T,) each; the scenario's where not given."""
     price = scenario.price_gbp_per_kwh
     limit = scenario.grid_limit_kw
     export_limit = np.broadcast_to(scenario.export_limit_kw, limit.shape)
@@ -355,7 +355,7 @@ def _grid_series(door: Door, scenario: Scenario, measured: Measurement) -> dict[
         "export_limit_kw": (measured.export_limit_kw, export_limit),
         "export_price_gbp_per_kwh": (measured.export_price_gbp_per_kwh, scenario.export_price),
     }
-    return {name: door.series(name, told, known) for name, (told, known) in own.items()}
+    return {name: door.series(name, given, known) for name, (given, known) in own.items()}
 
 
 def _is_named(ids: Names, named: Sequence[str]) -> Flags:

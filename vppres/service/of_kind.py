@@ -98,7 +98,7 @@ class OfKind:
         """The live part of the kind."""
         return parts("live")[self.kind]
 
-    def told(self, stored: Stored) -> dict[str, Any]:
+    def readings(self, stored: Stored) -> dict[str, Any]:
         """Fields of a measurement, None where nothing is told."""
         means = self.live.MEANS
         return {
@@ -171,7 +171,7 @@ class OfKind:
         """Quantity, unit and value of what units measure at the beginning of a step."""
         return iter(())
 
-    def powers(self, t: int, units: Any, told: Mapping[str, Floats], served: Flags) -> Floats:
+    def powers(self, t: int, units: Any, asked: Mapping[str, Floats], served: Flags) -> Floats:
         """Power of each unit of the plant by its set-points, (n,)."""
         raise NotImplementedError
 

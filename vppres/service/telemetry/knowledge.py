@@ -279,7 +279,7 @@ def known_at(
         foretold=load.foretold | pv.foretold,
         now=now,
         ordered_kw=said.ordered_kw,
-        **{name: told for kind in every().values() for name, told in kind.told(stored).items()},
+        **{name: read for kind in every().values() for name, read in kind.readings(stored).items()},
     )
     estimated = [*load.estimated, *pv.estimated, *([doubt] if doubt else [])]
     again = ""
