@@ -19,7 +19,7 @@ from tests.support.asgi import Caller
 from tests.support.long_days import repeated
 from tests.support.tiny_day import tiny_scenario
 from vppres.day.options import RunOptions
-from vppres.scenario.rules import SwitchingRules
+from vppres.kinds.customer.data import SwitchingRules
 from vppres.service.access import Access
 from vppres.service.clock import written
 from vppres.service.http.app import make_app

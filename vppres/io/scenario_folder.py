@@ -36,6 +36,7 @@ from vppres.io.tables import (
     unread,
 )
 from vppres.io.warning_rows import read_warnings
+from vppres.kinds.customer.data import SwitchingRules
 from vppres.kinds.table import SERIES as KIND_SERIES
 from vppres.kinds.table import TABLES as KIND_TABLES
 from vppres.scenario.assets import Batteries, Customers, PVSystems
@@ -44,7 +45,6 @@ from vppres.scenario.history import History
 from vppres.scenario.network import BusId, Network, check_radial
 from vppres.scenario.outage_warnings import OutageStatistics
 from vppres.scenario.phases import Phases
-from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import (
     ControllerDefaults,
     Headroom,

@@ -9,8 +9,8 @@ from typing import Any
 
 import pandas as pd
 
-from vppres.contract.longest_off import ROUNDING
 from vppres.core.text import named
+from vppres.kinds.customer.physics import ROUNDING
 from vppres.live.by_phase import GRID
 from vppres.scenario.scenario import Scenario
 from vppres.service.as_told import expected_by
