@@ -92,7 +92,6 @@ def site_of(runner: Runner) -> dict[str, Any]:
 
 
 def _figures(devices: Any, names: Iterable[str]) -> dict[str, dict[str, float]]:
-    """Some figures of each device."""
     columns = {name: getattr(devices, name).tolist() for name in names}
     return {
         str(device): {name: values[i] for name, values in columns.items()}

@@ -157,7 +157,11 @@ class Runner:
         self.scenario = service.scenario
         self.length = self.scenario.grid.step
         self.profile = profile
-        self.options = _in_time(service.options, self.scenario)
+        most_s = DEADLINE_SHARE * self.scenario.grid.dt_h * 3600.0
+        limits = service.options.limits
+        self.options = replace(
+            service.options, limits=replace(limits, time_s=min(limits.time_s, most_s))
+        )
         self.heard: list[Heard] = []
         self.expected: OrderedDict[str, Measurement] = OrderedDict()
         self.last: dict[str, Any] = store.last_step()
@@ -515,7 +519,9 @@ class Runner:
         """The controller's plan, and on what; by rule on nothing, whatever it is that fails."""
         known: StepInputs | None = None
         try:
-            known = self._known(time)
+            self._feed(time)
+            now = self._within.at if self._within else None
+            known = known_at(time, self._controller, self.store, self.rehearsal, now)
             self.heard = known.heard
             decision = self._controller.step(known.measurement)
             # What was decided on, not what was read: the gate checks this decision.
@@ -529,12 +535,6 @@ class Runner:
             return self._ruled(time, known, error), None
         plan = plan_of(decision, self.scenario, known, refused, self._left(time, known.grid))
         return {**plan, "outage_probability": self._believed(known)}, known
-
-    def _known(self, time: pd.Timestamp) -> StepInputs:
-        """Inputs of a step, or of the moment from which its rest is decided anew."""
-        self._feed(time)
-        now = self._within.at if self._within else None
-        return known_at(time, self._controller, self.store, self.rehearsal, now)
 
     def _grid(self, time: pd.Timestamp) -> Grid | None:
         """Whether there is grid in a step that the controller does not decide; None if unknown."""
@@ -704,10 +704,3 @@ class Runner:
             **dict.fromkeys((*DECIDED, *BY_HAND, FAILED, "off", "missed"), 0),
             **self.store.outcomes(),
         }
-
-
-def _in_time(options: RunOptions, scenario: Scenario) -> RunOptions:
-    """The options with a time limit that leaves most of the step to the devices."""
-    most_s = DEADLINE_SHARE * scenario.grid.dt_h * 3600.0
-    limits = options.limits
-    return replace(options, limits=replace(limits, time_s=min(limits.time_s, most_s)))
