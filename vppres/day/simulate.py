@@ -271,7 +271,6 @@ def _record(
     done: Settled,
     options: RunOptions,
 ) -> StepRecord:
-    """Record of the step."""
     plan, row = decision.dispatch, decision.row
     buses = {"v_model_pu": plan.v_pu[row], "v_ac_pu": done.ac.v_pu}
     lines = {

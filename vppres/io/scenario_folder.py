@@ -291,7 +291,10 @@ def _read_series(
             if table and not (unused and table.frame.empty):
                 problems += check_times(table, grid)
     n_steps = grid.n_steps if grid else 0
-    stacked = {name: _stack(each, n_steps) for name, each in columns.items()}
+    stacked = {
+        name: (np.column_stack(list(each.values())) if each else np.empty((n_steps, 0)))
+        for name, each in columns.items()
+    }
     return stacked | system, problems
 
 
@@ -355,11 +358,6 @@ def _read_system(table: Table) -> tuple[dict[str, Floats], list[Problem]]:
             )
             problems += found
     return values, problems
-
-
-def _stack(columns: dict[str, Floats], n_steps: int) -> Floats:
-    """Columns side by side, shape (T, number of columns)."""
-    return np.column_stack(list(columns.values())) if columns else np.empty((n_steps, 0))
 
 
 def _assemble(

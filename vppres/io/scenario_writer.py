@@ -28,7 +28,7 @@ from vppres.kinds.customer.data import SwitchingRules
 from vppres.kinds.table import KINDS, units_of
 from vppres.scenario.fairness import Fairness, Interruption
 from vppres.scenario.history import History
-from vppres.scenario.network import BUS_DRAWS, LINE_DEFAULTS, Network
+from vppres.scenario.network import BUS_DRAWS, LINE_DEFAULTS
 from vppres.scenario.outage_warnings import OutageStatistics
 from vppres.scenario.scenario import DEFAULT_VOLL_GBP_PER_KWH, ControllerDefaults, Scenario
 from vppres.scenario.source import Source
@@ -182,7 +182,10 @@ def frames_of(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, p
     if all(w == tier_weights[t] for w, t in zip(customers.weight, customers.tier, strict=True)):
         frames["customers"] = frames["customers"].drop(columns="weight")
     if network.has_draws:
-        frames["buses"] = _bus_frame(network)
+        drawing = np.any([getattr(network, name) != 0 for name in BUS_DRAWS], axis=0)
+        columns = {name: getattr(network, name)[drawing] for name in (*BUS_DRAWS, "island")}
+        buses = SimpleNamespace(bus=network.buses[drawing], **columns)
+        frames["buses"] = frame_of(buses, schema.BusRow, columns)
     for kind in map(KINDS.__getitem__, units_of(scenario)):
         for name, table in kind.tables.items():
             rows: Any = getattr(scenario, name)
@@ -218,14 +221,6 @@ def _history_frames(scenario: Scenario, history: History) -> dict[str, pd.DataFr
     return {
         name: _timed_frame(history.times, ids, kw) for name, (ids, kw) in values.items() if kw.size
     }
-
-
-def _bus_frame(network: Network) -> pd.DataFrame:
-    """Power that the buses draw by themselves, without buses and columns of nothing."""
-    drawing = np.any([getattr(network, name) != 0 for name in BUS_DRAWS], axis=0)
-    columns = {name: getattr(network, name)[drawing] for name in (*BUS_DRAWS, "island")}
-    buses = SimpleNamespace(bus=network.buses[drawing], **columns)
-    return frame_of(buses, schema.BusRow, columns)
 
 
 def _timed_frame(times: pd.DatetimeIndex, ids: ArrayLike, values: Floats) -> pd.DataFrame:

@@ -249,10 +249,10 @@ def _of_kinds(
     found = {}
     for kind, columns in step.kinds.items():
         units = getattr(scenario, kind)
-        told = live[kind].set_points(scenario, step.t, columns)
+        own = live[kind].set_points(scenario, step.t, columns)
         places = {"bus": units.buses(scenario.customers)}
         more = now[kind].columns() if kind in now else {}
-        found[kind] = _table(units.id, **{**places, **told, **more})
+        found[kind] = _table(units.id, **{**places, **own, **more})
     return found
 
 

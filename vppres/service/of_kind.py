@@ -5,6 +5,7 @@ A unit sends readings, receives set-points, and is replayed as plans knew it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -97,7 +98,7 @@ class OfKind:
         """The live part of the kind."""
         return parts("live")[self.kind]
 
-    def told(self, stored: Stored) -> dict[str, Any]:
+    def readings(self, stored: Stored) -> dict[str, Any]:
         """Fields of a measurement, None where nothing is read."""
         means = self.live.MEANS
         return {
@@ -114,13 +115,12 @@ class OfKind:
 
     def stood(
         self, plan: Plan, one: Reading, before: Reading | None, rejected: Mapping[str, int]
-    ) -> float | None:
-        """The value that stood until a reading, which is news if it has another; None if none.
+    ) -> float:
+        """The value that stood until a reading, which is news if it has another; NaN if none.
 
         ``rejected`` says when units rejected a set-point last.
         """
-        value = None if before is None else before.value
-        return self.states.get(one.quantity) if value is None else value
+        return before.value if before and before.known else self.states.get(one.quantity, math.nan)
 
     def asked(self, said: Mapping[str, Any]) -> dict[str, Any]:
         """Fields of a set-point by what an operator says of a unit."""
@@ -171,7 +171,7 @@ class OfKind:
         """Quantity, unit and value of what units measure at the beginning of a step."""
         return iter(())
 
-    def powers(self, t: int, units: Any, told: Mapping[str, Floats], served: Flags) -> Floats:
+    def powers(self, t: int, units: Any, asked: Mapping[str, Floats], served: Flags) -> Floats:
         """Power of each unit of the plant by its set-points, (n,)."""
         raise NotImplementedError
 

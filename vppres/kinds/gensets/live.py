@@ -133,12 +133,14 @@ PAST = Ran
 
 
 def read(
-    door: Door, scenario: Scenario, told: Mapping[str, Any], past: Ran | None
+    door: Door, scenario: Scenario, measured: Mapping[str, Any], past: Ran | None
 ) -> tuple[Scenario, GensetReadings]:
     """Readings of sets, and the orders of another sender."""
     names = ("running", "genset_kw", "fuel_litres", "start_fault", "genset_ordered_kw")
     ids, none = scenario.gensets.id, np.full(len(scenario.gensets), np.nan)
-    return scenario, GensetReadings(*(door.values(name, told[name], ids, none) for name in names))
+    return scenario, GensetReadings(
+        *(door.values(name, measured[name], ids, none) for name in names)
+    )
 
 
 def now(moment: Moment, told: GensetReadings, past: Ran | None) -> SetsNow:

@@ -18,6 +18,7 @@ from vppres.service.events.announced import announced_at
 from vppres.service.of_kind import every
 from vppres.service.plans.document import points_at, refused_of
 from vppres.service.plans.forming import FormerState, formers_now, why_dark
+from vppres.service.storage.records import seconds
 from vppres.service.storage.store import Store
 from vppres.service.telemetry.changes import GRID_LOST
 from vppres.service.telemetry.knowledge import Heard, Latest, refusing, soc_now
@@ -58,6 +59,11 @@ class Condition:
     due: pd.Timestamp | None = None
 
     @property
+    def due_at(self) -> int | None:
+        """When it is due, as it is stored."""
+        return seconds(self.due) if self.due else None
+
+    @property
     def key(self) -> tuple[str, str]:
         """Identity of the alarm: two conditions with the same key are one alarm."""
         return self.kind, self.subject
@@ -81,7 +87,7 @@ class Situation:
     soc: Mapping[str, float]
     is_dark: bool
     failing: Mapping[str, str]
-    grid_on: float | None = None
+    grid_on: float = math.nan
     unreached: Sequence[str] = ()
     read_by: str = ""
     announced: bool = False
@@ -128,7 +134,7 @@ def situation(
     failing = failing_now(scenario, latest, store, plan)
     grid = plan.get("grid")
     read = latest.newest("grid_on").get(GRID)
-    grid_on = None if read is None else read.value
+    grid_on = read.value if read else math.nan
     is_dark = not grid["available"] if grid else grid_on == 0.0
     soc = soc_now(latest, plan, scenario.grid.step, now)
     heard = latest.heard
@@ -144,7 +150,7 @@ def situation(
         is_dark,
         failing,
         grid_on,
-        read_by="" if read is None else read.source,
+        read_by=read.source if read else "",
         announced=announced_at([*store.events().values()], now),
         formers=formers_now(scenario, plan, soc, failing) if physical else None,
     )
@@ -187,7 +193,7 @@ def _no_decision(now: Situation) -> Iterator[Condition]:
         left = "devices keep their last state, and how long the island lasts is not known"
     if not plan or now.ahead_s <= 0.0:
         ends = max((one["valid_until"] for one in plan.get("setpoints", ())), default=None)
-        if ends is not None and now.now < pd.Timestamp(ends):
+        if ends and now.now < pd.Timestamp(ends):
             left = f"set-points hold until {now.clock(ends)}, then {left}"
         text = f"There is no plan for the present step: {left}."
     elif plan["status"] == "failed":

@@ -95,7 +95,6 @@ def _wait_for(process: Any, address: Address) -> None:
 
 
 def _free_port() -> int:
-    """A port that is free."""
     with socket.socket() as sock:
         sock.bind((LOOPBACK[0], 0))
         port: int = sock.getsockname()[1]

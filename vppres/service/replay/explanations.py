@@ -229,7 +229,7 @@ def _action(one: Mapping[str, Any]) -> str:
     if one["kind"] == "pv":
         return "curtail" if one["curtailed_kw"] > MOVE_KW else ""
     kind = every().get(one["kind"])
-    return moved(one) if kind is None else kind.action(one)
+    return kind.action(one) if kind else moved(one)
 
 
 def main() -> None:
