@@ -293,18 +293,15 @@ def test_feeders_that_cannot_be_a_scenario(tagged: ImportedFeeder) -> None:
     )
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "12:00",
-        "12:00..",
-        "25:00..26:00",
-        "12:00..2025-07-01T13:00",
-        "a..b",
-        "1:00..2:00..3:00",
-        "NaT..NaT",
-    ],
-)
+@pytest.mark.parametrize("text", [
+    "12:00",
+    "12:00..",
+    "25:00..26:00",
+    "12:00..2025-07-01T13:00",
+    "a..b",
+    "1:00..2:00..3:00",
+    "NaT..NaT",
+])  # fmt: skip
 def test_intervals_that_are_none(text: str) -> None:
     with pytest.raises(InputError) as caught:
         parse_outage(text, START)

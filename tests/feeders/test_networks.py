@@ -121,15 +121,12 @@ def differences(net: Any, feeder: ImportedFeeder) -> tuple[float, float]:
     )
 
 
-@pytest.mark.parametrize(
-    "make",
-    [
-        every_branch,
-        cigre_without_charging,
-        pp_networks.case33bw,
-        pytest.param(pp_networks.create_cigre_network_lv, marks=pytest.mark.nightly),
-    ],
-)
+@pytest.mark.parametrize("make", [
+    every_branch,
+    cigre_without_charging,
+    pp_networks.case33bw,
+    pytest.param(pp_networks.create_cigre_network_lv, marks=pytest.mark.nightly),
+])  # fmt: skip
 def test_power_flow_is_the_source_s(make: Callable[[], Any]) -> None:
     net = solved(make())
     feeder = import_network(net)
@@ -654,34 +651,21 @@ def test_simbench_code_that_does_not_exist() -> None:
         import_network("1-LV-rural9", source="simbench")
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "message"),
-    [
-        ("a.json", "{", "a.json: cannot be read as pandapower JSON ("),
-        (
-            "a.json",
-            '{"a": 1}',
-            "a.json: cannot be read as pandapower JSON ("
-            "'dict' object has no attribute 'version'). Correct the file, or "
-            "choose another format with --from.",
-        ),
-        ("a.m", "function mpc = a\n", "a.m: cannot be read as a MATPOWER case of version 2 ("),
-        ("a.mat", "no", "a.mat: cannot be read as a MATPOWER case of version 2 ("),
-        (
-            "a.m",
-            MATPOWER_CASE + "mpc.bus(:, 3) = scaled(mpc.bus(:, 3));\n",
-            "a.m, row 14: calls 'scaled', which is not evaluated. Load the case in MATPOWER, write "
-            "it with savecase, and import that file.",
-        ),
-        (
-            "a.dss",
-            "new nothing.x",
-            "a.dss, row 1: 'nothing' is not a class of OpenDSS. Correct it, or remove the element.",
-        ),
-        ("a.dss", "new circuit.x\nnew line.y like=z", "a.dss, row 2: OpenDSS refuses the file ("),
-        ("a.dss", "clear", "a.dss: OpenDSS refuses the file ((#301) You must create a new circuit"),
-    ],
-)
+@pytest.mark.parametrize(("name", "text", "message"), [
+    ("a.json", "{", "a.json: cannot be read as pandapower JSON ("),
+    ("a.json", '{"a": 1}', "a.json: cannot be read as pandapower JSON ("
+        "'dict' object has no attribute 'version'). Correct the file, or "
+        "choose another format with --from."),
+    ("a.m", "function mpc = a\n", "a.m: cannot be read as a MATPOWER case of version 2 ("),
+    ("a.mat", "no", "a.mat: cannot be read as a MATPOWER case of version 2 ("),
+    ("a.m", MATPOWER_CASE + "mpc.bus(:, 3) = scaled(mpc.bus(:, 3));\n",
+        "a.m, row 14: calls 'scaled', which is not evaluated. Load the case in MATPOWER, write "
+        "it with savecase, and import that file."),
+    ("a.dss", "new nothing.x",
+        "a.dss, row 1: 'nothing' is not a class of OpenDSS. Correct it, or remove the element."),
+    ("a.dss", "new circuit.x\nnew line.y like=z", "a.dss, row 2: OpenDSS refuses the file ("),
+    ("a.dss", "clear", "a.dss: OpenDSS refuses the file ((#301) You must create a new circuit"),
+])  # fmt: skip
 def test_unreadable_files(name: str, text: str, message: str, tmp_path: Path) -> None:
     (tmp_path / name).write_text(text)
     with pytest.raises(InputError) as caught:
@@ -689,36 +673,23 @@ def test_unreadable_files(name: str, text: str, message: str, tmp_path: Path) ->
     assert str(caught.value).startswith(message)
 
 
-@pytest.mark.parametrize(
-    ("name", "source", "message"),
-    [
-        (
-            "case33bx",
-            None,
-            "network case33bx: is neither a named network nor a file that can be imported. ",
-        ),
-        ("nowhere.dss", None, "network nowhere.dss: there is no such file. Correct the path."),
-        (
-            "case33bw",
-            "cim",
-            "options, from = cim: must be one of pandapower, matpower, opendss, "
-            "simbench. Correct the source.",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("name", "source", "message"), [
+    ("case33bx", None,
+        "network case33bx: is neither a named network nor a file that can be imported. "),
+    ("nowhere.dss", None, "network nowhere.dss: there is no such file. Correct the path."),
+    ("case33bw", "cim", "options, from = cim: must be one of pandapower, matpower, opendss, "
+        "simbench. Correct the source."),
+])  # fmt: skip
 def test_unknown_networks(name: str, source: Any, message: str) -> None:
     with pytest.raises(InputError) as caught:
         import_network(name, source)
     assert str(caught.value).startswith(message)
 
 
-@pytest.mark.parametrize(
-    ("module", "extra", "name", "source"),
-    [
-        ("opendssdirect", "opendss", "mill.dss", None),
-        ("simbench", "simbench", "1-LV-rural1--0-sw", "simbench"),
-    ],
-)
+@pytest.mark.parametrize(("module", "extra", "name", "source"), [
+    ("opendssdirect", "opendss", "mill.dss", None),
+    ("simbench", "simbench", "1-LV-rural1--0-sw", "simbench"),
+])  # fmt: skip
 def test_missing_library(
     module: str, extra: str, name: str, source: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -252,15 +252,11 @@ def controlled(index: pd.Index) -> Any:
     return net
 
 
-@pytest.mark.parametrize(
-    ("as_file", "index"),
-    [
-        pytest.param(False, DAY, marks=pytest.mark.nightly),
-        (True, DAY.tz_localize(None)),
-        (False, pd.RangeIndex(24)),
-    ],
-    ids=["net", "file", "rows"],
-)
+@pytest.mark.parametrize(("as_file", "index"), [
+    pytest.param(False, DAY, marks=pytest.mark.nightly),
+    (True, DAY.tz_localize(None)),
+    (False, pd.RangeIndex(24)),
+], ids=["net", "file", "rows"])  # fmt: skip
 def test_controllers_of_constants(as_file: bool, index: pd.Index, tmp_path: Path) -> None:
     net: Any = controlled(index)
     if as_file:

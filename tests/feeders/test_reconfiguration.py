@@ -127,13 +127,10 @@ def test_limits_that_no_configuration_keeps_are_exceeded_least() -> None:
     assert best.best.v_min_pu == pytest.approx(max(voltages), abs=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("only", "words"),
-    [
-        (("7-99",), "switch = 7-99: is no switch and no line"),
-        (("7-8",), "has no open switch that can be closed. Give an open switch with --switch"),
-    ],
-)
+@pytest.mark.parametrize(("only", "words"), [
+    (("7-99",), "switch = 7-99: is no switch and no line"),
+    (("7-8",), "has no open switch that can be closed. Give an open switch with --switch"),
+])  # fmt: skip
 def test_switches_that_cannot_move_are_named(only: tuple[str, ...], words: str) -> None:
     with pytest.raises(InputError, match=words):
         switched("case33bw", *only)

@@ -659,29 +659,17 @@ BINARIES: dict[str, tuple[str, Callable[[], bytes], str]] = {
     "zeros": ("net.mat", lambda: unpacking_to(200 * 2**20), "cannot be read as"),
     "no mpc": ("net.mat", lambda: mat_file(), "cannot be read as"),
     "long": ("net.mat", lambda: bytes(11 * 2**20), "has more than 10 MB"),
-    "computes": (
-        "net.m",
-        lambda: b"function mpc = c\nmpc.bus = 1;\nmpc.bus(1, 1) = system(7);\n",
-        "net.m, row 3: calls 'system', which is not evaluated",
-    ),
-    "calls": (
-        "net.m",
-        lambda: b"function mpc = c\nsystem('touch canary');\n",
-        "net.m, row 2: has 'system', which is not evaluated",
-    ),
-    "many names": (
-        "net.m",
-        lambda: b"function mpc = c\n" + b"mpc.bus = [\n" * 400_000,
-        "net.m, row 2: has the character '='",
-    ),
-    "blanks": (
-        "net.m",
-        lambda: b"function mpc = c\nx" + b" " * 200_000 + b"y\n",
-        "net.m, row 2: has 'x', which is not evaluated",
-    ),
+    "computes": ("net.m", lambda: b"function mpc = c\nmpc.bus = 1;\nmpc.bus(1, 1) = system(7);\n",
+        "net.m, row 3: calls 'system', which is not evaluated"),
+    "calls": ("net.m", lambda: b"function mpc = c\nsystem('touch canary');\n",
+        "net.m, row 2: has 'system', which is not evaluated"),
+    "many names": ("net.m", lambda: b"function mpc = c\n" + b"mpc.bus = [\n" * 400_000,
+        "net.m, row 2: has the character '='"),
+    "blanks": ("net.m", lambda: b"function mpc = c\nx" + b" " * 200_000 + b"y\n",
+        "net.m, row 2: has 'x', which is not evaluated"),
     "empty lines": ("net.m", lambda: b"\n" * (9 * 2**20), "mpc.baseMVA is missing"),
     "long text": ("net.m", lambda: b"%" * (11 * 2**20), "has more than 10 MB"),
-}
+}  # fmt: skip
 
 
 BY_NIGHT = {"pickle as a matrix", "no mpc", "zeros", "calls", "empty lines", "long text"}

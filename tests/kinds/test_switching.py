@@ -106,16 +106,13 @@ def test_minimum_time_off_keeps_a_customer_off(
 
 
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize(
-    ("rules", "expected"),
-    [
-        (SwitchingRules(), [True, False, True]),
-        (SwitchingRules(min_served_h=2.0), [False, False, True]),
-        (SwitchingRules(stay_restored=True), [False, False, True]),
-        (SwitchingRules(max_actions_per_customer=1), [False, False, True]),
-        (SwitchingRules(max_actions_per_customer=3), [True, False, True]),
-    ],
-)
+@pytest.mark.parametrize(("rules", "expected"), [
+    (SwitchingRules(), [True, False, True]),
+    (SwitchingRules(min_served_h=2.0), [False, False, True]),
+    (SwitchingRules(stay_restored=True), [False, False, True]),
+    (SwitchingRules(max_actions_per_customer=1), [False, False, True]),
+    (SwitchingRules(max_actions_per_customer=3), [True, False, True]),
+])  # fmt: skip
 def test_restored_customer_is_not_dropped_at_once(
     method: str, rules: SwitchingRules, expected: list[bool]
 ) -> None:
@@ -261,19 +258,16 @@ def seen(day: Scenario, state: SwitchingState) -> Observation:
     return Observation(0, forecast, b.soc_initial, b.eta_charge, b.eta_discharge, switching=state)
 
 
-@pytest.mark.parametrize(
-    ("rules", "idle"),
-    [
-        (SwitchingRules(min_served_h=1.0, min_unserved_h=0.3), True),
-        (SwitchingRules(max_actions_per_customer=3), True),
-        (SwitchingRules(max_actions_per_customer=2), False),
-        (SwitchingRules(min_served_h=1.1), False),
-        (SwitchingRules(min_unserved_h=1.1), False),
-        (SwitchingRules(price_per_action=0.01), False),
-        (SwitchingRules(cold_load_factor=1.5), False),
-        (SwitchingRules(stay_restored=True), False),
-    ],
-)
+@pytest.mark.parametrize(("rules", "idle"), [
+    (SwitchingRules(min_served_h=1.0, min_unserved_h=0.3), True),
+    (SwitchingRules(max_actions_per_customer=3), True),
+    (SwitchingRules(max_actions_per_customer=2), False),
+    (SwitchingRules(min_served_h=1.1), False),
+    (SwitchingRules(min_unserved_h=1.1), False),
+    (SwitchingRules(price_per_action=0.01), False),
+    (SwitchingRules(cold_load_factor=1.5), False),
+    (SwitchingRules(stay_restored=True), False),
+])  # fmt: skip
 def test_rules_that_say_nothing_in_a_window_do_not_join_its_steps(
     rules: SwitchingRules, idle: bool
 ) -> None:
@@ -390,13 +384,10 @@ def packaged() -> Scenario:
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize(
-    ("controller", "rules"),
-    [
-        ("mpc", SwitchingRules(min_served_h=2.0, min_unserved_h=2.0)),
-        ("full-horizon", SwitchingRules(min_unserved_h=3.0, stay_restored=True)),
-    ],
-)
+@pytest.mark.parametrize(("controller", "rules"), [
+    ("mpc", SwitchingRules(min_served_h=2.0, min_unserved_h=2.0)),
+    ("full-horizon", SwitchingRules(min_unserved_h=3.0, stay_restored=True)),
+])  # fmt: skip
 def test_real_day_obeys_the_rules(
     packaged: Scenario, nightly: bool, controller: str, rules: SwitchingRules
 ) -> None:

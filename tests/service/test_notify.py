@@ -200,16 +200,13 @@ def test_a_webhook_that_never_ends_its_answer_holds_up_no_other(
     assert caplog.text.count("notice given up for slow") == 2
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "http://[::1",
-        "https://host/a b",
-        "https://host:port/x",
-        "http://h\n/",
-        "https://host/\u00fc",
-    ],
-)
+@pytest.mark.parametrize("text", [
+    "http://[::1",
+    "https://host/a b",
+    "https://host:port/x",
+    "http://h\n/",
+    "https://host/\u00fc",
+])  # fmt: skip
 def test_an_address_that_cannot_be_one_is_refused_at_the_start(text: str) -> None:
     with pytest.raises(InputError, match="is no address of a webhook or for mail"):
         target_of(text)

@@ -196,15 +196,12 @@ def test_battery_beyond_the_weak_line_keeps_everybody_served() -> None:
     assert answer.dispatch.v_pu[0, 1] >= 0.947 - 1e-6
 
 
-@pytest.mark.parametrize(
-    ("method", "solver"),
-    [
-        ("decomposed", "highs"),
-        ("decomposed", "scip"),
-        ("monolithic", "highs"),
-        ("monolithic", "scip"),
-    ],
-)
+@pytest.mark.parametrize(("method", "solver"), [
+    ("decomposed", "highs"),
+    ("decomposed", "scip"),
+    ("monolithic", "highs"),
+    ("monolithic", "scip"),
+])  # fmt: skip
 def test_bound_holds_between_polygon_and_disc(method: str, solver: str) -> None:
     # 99.5 kVA at the middle of a side of the 16-gon: inside the disc of 100 kVA, whose dispatch
     # serves the customer, outside the polygon, which reaches 98.1 kVA there.
