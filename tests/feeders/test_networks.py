@@ -318,50 +318,29 @@ def test_every_cell_that_is_no_number_is_named_at_once() -> None:
     ]
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (
-            lambda net: pp.create_xward(net, 1, 0.1, 0, 0, 0, r_ohm=1, x_ohm=1, vm_pu=1, name="w"),
-            "pandapower net: xward 0 (w) is not supported. Replace it by loads, static generators and "
-            "lines, or take it out of service.",
-        ),
-        (
-            lambda net: net.ext_grid.drop(0, inplace=True),
-            "pandapower net: has no external grid. Add one at the bus of the grid connection.",
-        ),
-        (
-            lambda net: net.line.__setitem__("in_service", False),
-            "pandapower net: has no branch that is in service and supplied. Close a switch or put a line "
-            "into service.",
-        ),
-        (
-            lambda net: net.ext_grid.__setitem__("in_service", False),
-            "pandapower net: has no external grid. Add one at the bus of the grid connection.",
-        ),
-        (
-            lambda net: net.bus.loc.__setitem__((0, "in_service"), False),
-            "pandapower net: ext_grid 0 is at bus 0, which is out of service. Put the bus into service.",
-        ),
-        (
-            lambda net: pp.create_impedance(
-                net, 0, 1, rft_pu=0.1, xft_pu=0.1, rtf_pu=0.2, sn_mva=1.0
-            ),
-            "pandapower net: impedance 0 differs between its two directions. Give it the same impedance "
-            "in both.",
-        ),
-        (
-            lambda net: net.load.__setitem__("bus", 99),
-            "pandapower net, load 0 (mill), bus = 99: is not a bus of the net. Correct it in the "
-            "source, or take the element out of service.",
-        ),
-        (
-            lambda net: net.line.__setitem__("to_bus", 0),
-            "pandapower net: line 0 (feeder) begins and ends at bus 0. Correct its buses, or take it "
-            "out of service.",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("change", "message"), [
+    (lambda net: pp.create_xward(net, 1, 0.1, 0, 0, 0, r_ohm=1, x_ohm=1, vm_pu=1, name="w"),
+        "pandapower net: xward 0 (w) is not supported. Replace it by loads, static generators and "
+        "lines, or take it out of service."),
+    (lambda net: net.ext_grid.drop(0, inplace=True),
+        "pandapower net: has no external grid. Add one at the bus of the grid connection."),
+    (lambda net: net.line.__setitem__("in_service", False),
+        "pandapower net: has no branch that is in service and supplied. Close a switch or put a line "
+        "into service."),
+    (lambda net: net.ext_grid.__setitem__("in_service", False),
+        "pandapower net: has no external grid. Add one at the bus of the grid connection."),
+    (lambda net: net.bus.loc.__setitem__((0, "in_service"), False),
+        "pandapower net: ext_grid 0 is at bus 0, which is out of service. Put the bus into service."),
+    (lambda net: pp.create_impedance(net, 0, 1, rft_pu=0.1, xft_pu=0.1, rtf_pu=0.2, sn_mva=1.0),
+        "pandapower net: impedance 0 differs between its two directions. Give it the same impedance "
+        "in both."),
+    (lambda net: net.load.__setitem__("bus", 99),
+        "pandapower net, load 0 (mill), bus = 99: is not a bus of the net. Correct it in the "
+        "source, or take the element out of service."),
+    (lambda net: net.line.__setitem__("to_bus", 0),
+        "pandapower net: line 0 (feeder) begins and ends at bus 0. Correct its buses, or take it "
+        "out of service."),
+])  # fmt: skip
 def test_refusals_name_the_element(change: Callable[[Any], object], message: str) -> None:
     net = two_buses()
     change(net)

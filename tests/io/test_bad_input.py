@@ -337,27 +337,16 @@ def test_numbers_that_no_equipment_has_are_refused(
     assert found[0].startswith(f"{table}, row 3, {field} = {value}: {message}. Give the ")
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (
-            {"load_kw": np.full((6, 3), 1e308)},
-            "load_kw, row 0, load_kw = 1e+308: must lie between 0 and 1e+06",
-        ),
-        (
-            {"price_gbp_per_kwh": np.full(6, np.nan)},
-            "system, row 0, price_gbp_per_kwh = nan: must lie between -10000 and 10000",
-        ),
-        (
-            {"title": "a\x1b[2J"},
-            "scenario, title = a\\x1b[2J: holds the character U+001B, which cannot be shown",
-        ),
-        (
-            {"customers": replace(tiny_scenario().customers, tier=["critcal", "high", "low"])},
-            "customers, tier = critcal: is not a tier of the scenario (hospital). Did you mean critical?",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("change", "message"), [
+    ({"load_kw": np.full((6, 3), 1e308)},
+        "load_kw, row 0, load_kw = 1e+308: must lie between 0 and 1e+06"),
+    ({"price_gbp_per_kwh": np.full(6, np.nan)},
+        "system, row 0, price_gbp_per_kwh = nan: must lie between -10000 and 10000"),
+    ({"title": "a\x1b[2J"},
+        "scenario, title = a\\x1b[2J: holds the character U+001B, which cannot be shown"),
+    ({"customers": replace(tiny_scenario().customers, tier=["critcal", "high", "low"])},
+        "customers, tier = critcal: is not a tier of the scenario (hospital). Did you mean critical?"),
+])  # fmt: skip
 def test_python_has_the_same_door_as_files(change: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError) as caught:
         check_scenario(replace(tiny_scenario(), **change))
