@@ -132,15 +132,11 @@ def test_ids_are_unique(report: str) -> None:
     assert len(ids) == len({*ids})
 
 
-@pytest.mark.parametrize(
-    "scenario",
-    [
-        without_devices(small_scenario()),
-        small_scenario(outage=False),
-        replace(small_scenario(), title="<script>alert(1)</script> & co"),
-    ],
-    ids=["no devices", "no outage", "hostile title"],
-)
+@pytest.mark.parametrize("scenario", [
+    without_devices(small_scenario()),
+    small_scenario(outage=False),
+    replace(small_scenario(), title="<script>alert(1)</script> & co"),
+], ids=["no devices", "no outage", "hostile title"])  # fmt: skip
 def test_reports_of_unusual_days(scenario) -> None:
     run = small_run(scenario)
     text = render_report(run, summarise(run))
