@@ -136,7 +136,7 @@ def price_window(
     model.price(data, held, priced)
     assert model.data is not None
     model.phase_rows = []
-    outcome = run_within_limits(model.site, model.data, model, None, time_s, model.phase_rows)
+    outcome = run_within_limits(model.site, model.data, model, time_s, model.phase_rows)
     if outcome.status != Status.OPTIMAL:
         return None
     value = model.value_of
