@@ -29,7 +29,7 @@ from vppres.solve.turns import one_at_a_time
 
 @dataclass(frozen=True, eq=False)
 class PhasePrices:
-    """What limits of a phased feeder make of the price of 1 kW or 1 kvar at each of D assets.
+    """Part of limits of a phased feeder in the price of 1 kW or 1 kvar at each of D assets.
 
     Parameters
     ----------
