@@ -417,7 +417,7 @@ def _solve_cost(
 
     left_s = deadline.left_s
     if form.network:
-        outcome = run_within_limits(cache.site, data, problem, served, left_s, solve=ask)
+        outcome = run_within_limits(cache.site, data, problem, left_s, solve=ask)
     else:
         outcome = ask(left_s)
     if not outcome.status.has_answer:
@@ -466,7 +466,7 @@ def polish(
     problem.hold(data, dispatch, f2_max, f3_max)
     problem.hold_own(own.letters, own.value - SERVICE_HELD_REL * (1.0 + abs(own.value)))
     near = near_to(site, data, dispatch)
-    outcome = run_within_limits(site, near, problem, dispatch.served, deadline.left_s)
+    outcome = run_within_limits(site, near, problem, deadline.left_s)
     if outcome.status != Status.OPTIMAL:
         return Attempt(outcome, None)
     better = problem.dispatch(dispatch.served)
