@@ -494,7 +494,7 @@ def reconfigure(
     if feeder.phased is not None:
         phases = "keeps its phases, which a reconfiguration does not model"
         raise InputError.of(network, phases, "Add --balance for its balanced equivalent.")
-    switched = switched_network(feeder.network, feeder.ties, switch or ())
+    switched = switched_network(feeder.network, feeder.switches, switch or ())
     own = limits_of(feeder.network, None)
     limits = ConfigurationLimits(
         own.v_min_ac_pu if v_min is None else v_min,
