@@ -7,24 +7,9 @@ import pandapower as pp
 import pandas as pd
 import pytest
 
+from tests.support.small_nets import ring
 from vppres.feeders import import_network
 from vppres.feeders.feeder import ImportedFeeder
-
-
-def ring() -> pp.pandapowerNet:
-    """A substation at bus 0 and a ring of 1, 2 and 3, open between 2 and 3 at the end of a line."""
-    net = pp.create_empty_network(name="ring")
-    pp.create_buses(net, 4, vn_kv=10.0)
-    pp.create_ext_grid(net, 0)
-    for start, end, name in ((0, 1, "feeder"), (1, 2, "east"), (1, 3, "west"), (2, 3, "link")):
-        pp.create_line_from_parameters(net, start, end, 2.0, 0.2, 0.1, 0.0, 0.3, name=name)
-    for bus in (1, 2, 3):
-        pp.create_load(net, bus, 0.3, 0.1)
-    pp.create_switch(net, 0, 0, "l", True, "CB", name="CB 1")
-    pp.create_switch(net, 1, 1, "l", True, "LBS")
-    pp.create_switch(net, 2, 1, "l", True, "LBS")
-    pp.create_switch(net, 3, 3, "l", False, "LBS", name="normally open")
-    return net
 
 
 def table(feeder: ImportedFeeder) -> pd.DataFrame:

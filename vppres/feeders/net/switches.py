@@ -13,7 +13,7 @@ import pandas as pd
 
 from vppres.core.text import flaw_of_name
 from vppres.core.units import kva_to_a, mw_to_kw
-from vppres.feeders.net.elements import NetCase, in_service
+from vppres.feeders.net.elements import JOINT, NetCase, in_service
 from vppres.feeders.net.names import LONGEST, identifiers
 from vppres.feeders.net.ratings import rating_mva
 from vppres.io.schema import MAX_OHM, MIN_OHM
@@ -219,7 +219,8 @@ def _cutting_off(net: Any, joining: pd.DataFrame) -> Iterator[tuple[Any, tuple[s
         for i, *buses in in_service(net, table)[list(sides)].itertuples(name=None):
             for bus in buses:
                 ends.setdefault(int(bus), []).append((table, i))
-    for i, start, end in zip(joining.index, joining["bus"], joining["element"], strict=True):
+    real = joining[joining["type"] != JOINT]
+    for i, start, end in zip(real.index, real["bus"], real["element"], strict=True):
         for first, other in ((int(start), int(end)), (int(end), int(start))):
             side = _reached(first, near, i)
             branches = [branch for bus in side for branch in ends.get(bus, ())]
