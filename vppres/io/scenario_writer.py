@@ -32,6 +32,7 @@ from vppres.scenario.network import BUS_DRAWS, LINE_DEFAULTS
 from vppres.scenario.outage_warnings import OutageStatistics
 from vppres.scenario.scenario import DEFAULT_VOLL_GBP_PER_KWH, ControllerDefaults, Scenario
 from vppres.scenario.source import Source
+from vppres.scenario.switches import SWITCH_DEFAULTS
 from vppres.scenario.timegrid import UTC, TimeGrid
 
 
@@ -161,7 +162,6 @@ def _source(source: Source) -> dict[str, Any]:
         "kind": source.kind,
         **({"unbalanced": source.unbalanced} if source.unbalanced else {}),
         "notes": list(source.notes),
-        **({"ties": list(source.ties)} if source.ties else {}),
         **({"deviation": deviation} if deviation else {}),
     }
 
@@ -186,6 +186,8 @@ def frames_of(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, p
         columns = {name: getattr(network, name)[drawing] for name in (*BUS_DRAWS, "island")}
         buses = SimpleNamespace(bus=network.buses[drawing], **columns)
         frames["buses"] = frame_of(buses, schema.BusRow, columns)
+    if len(scenario.switches):
+        frames["switches"] = frame_of(scenario.switches, schema.SwitchRow, SWITCH_DEFAULTS)
     for kind in map(KINDS.__getitem__, units_of(scenario)):
         for name, table in kind.tables.items():
             rows: Any = getattr(scenario, name)

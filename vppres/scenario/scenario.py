@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Flags, Floats, Wholes, freeze_arrays
+from vppres.core.errors import InputError
 from vppres.core.notebook import facts_html
 from vppres.kinds.customer.data import SwitchingRules
 from vppres.kinds.fields import OfKinds
@@ -25,6 +26,7 @@ from vppres.scenario.option_table import default_of
 from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
 from vppres.scenario.phases import Phases, check_phases
 from vppres.scenario.source import Source
+from vppres.scenario.switches import Switches, switch_problems
 from vppres.scenario.timegrid import TimeGrid
 
 DEFAULT_VOLL_GBP_PER_KWH = 16.94
@@ -151,6 +153,8 @@ class Scenario(OfKinds):
         What was measured before the first step, for forecasters that learn from it.
     phases : Phases, optional
         The three phases of the feeder; None for a balanced one.
+    switches : Switches
+        Closed switches on lines of the network, and open ones beside them; no run moves any.
     chargers, sessions : Chargers, Sessions
         Chargers of electric vehicles, and when which vehicle is plugged in.
     thermal_loads : ThermalLoads
@@ -187,8 +191,12 @@ class Scenario(OfKinds):
     interruptions: tuple[Interruption, ...] = ()
     history: History | None = None
     phases: Phases | None = None
+    switches: Switches = field(default_factory=Switches.none)
 
     def __post_init__(self) -> None:
+        ends = self.network.from_bus, self.network.to_bus
+        if problems := [*switch_problems(self.switches, *ends)]:
+            raise InputError(problems)
         if self.phases is not None:
             check_phases(self.phases, self)
         freeze_arrays(self)
