@@ -20,6 +20,7 @@ from vppres.core.arrays import Complexes, Flags, Floats, Wholes
 from vppres.core.errors import ModelError
 from vppres.model.formulas import cell_kw, soc_after
 from vppres.model.linearise import Drawn, delta_offset, drawn_by
+from vppres.model.sections import Sections, sections_of
 from vppres.model.site import Site
 from vppres.scenario.assets import SOC_ROUNDING, Batteries
 from vppres.scenario.network import Network
@@ -175,6 +176,8 @@ class WindowData:
         Voltages and former by phase; None for a balanced feeder.
     owed : Owed, optional
         What dimmed customers may catch up from before the window; None for nothing.
+    sections : Sections, optional
+        Parts into which lines that are out cut the feeder; None where none is out.
     unspent : Unspent, optional
         What keeps stored energy while PV power is curtailed; None, the paper, for nothing.
     ahead : KindsAhead, optional
@@ -203,6 +206,7 @@ class WindowData:
     flow_max_kva: Floats | None = None
     phased: PhasedWindow | None = None
     owed: Owed | None = None
+    sections: Sections | None = None
     unspent: Unspent | None = None
     ahead: KindsAhead = field(default_factory=KindsAhead)
 
@@ -212,8 +216,15 @@ class WindowData:
         forecast = observation.window
         n_steps = len(forecast.price_gbp_per_kwh)
         point = observation.operating_point
-        offset = delta_offset(site.network, point, centre)
+        offset = np.tile(delta_offset(site.network, point, centre), (n_steps, 1))
         island = forecast.grid_limit_kw <= 0.0
+        sections = None
+        if forecast.out is not None:
+            sections = sections_of(site, forecast.out, observation.soc, island, False)
+        if point is not None and point.lines_out is not None:
+            # Across a line that was out there is no drop of a line.
+            back = point.lines_out & ~(np.zeros(1, bool) if sections is None else sections.lines)
+            offset = np.where(back | np.isnan(offset), 0.0, offset)
         stores = len(site.batteries) > 0
         rules = observation.rules
         return cls(
@@ -224,17 +235,23 @@ class WindowData:
             soc=observation.soc,
             eta_charge=observation.eta_charge,
             eta_discharge=observation.eta_discharge,
-            delta_pu2=np.tile(offset, (n_steps, 1)),
+            delta_pu2=offset,
             switching=None if rules is None else rules.priced(site.hour_beyond, site.dt_h),
             moves=observation.moves,
             export=forecast.export,
-            drawn=drawn_by(site.network, None if point is None else point.v_pu, island),
+            drawn=drawn_by(
+                site.network,
+                None if point is None else point.v_pu,
+                island,
+                None if sections is None else sections.part,
+            ),
             on_before=observation.served,
             open_ended=observation.open_ended,
             ends=observation.ends and observation.stored_value is None,
             terminal=observation.end if stores else None,
             stored_value=observation.stored_value if stores else None,
             owed=observation.owed,
+            sections=sections,
             ahead=observation.ahead.part(slice(n_steps)),
         )
 
@@ -320,6 +337,7 @@ class WindowData:
             own_u_pu2=None if self.own_u_pu2 is None else self.own_u_pu2[steps],
             flow_max_kva=None if self.flow_max_kva is None else self.flow_max_kva[steps],
             phased=self.phased and self.phased.part(steps),
+            sections=self.sections and self.sections.steps(steps),
             unspent=self.unspent and self.unspent.part(steps),
             ahead=self.ahead.part(steps),
         )
@@ -442,6 +460,12 @@ class WindowData:
         useful = load_kw + site.batteries.p_max_kw.sum() + self.network_kw
         useful = sum(self.ahead.most_taken_kw(site.kinds), start=useful)
         return np.asarray(np.minimum(np.maximum(self.grid_limit_kw, 0.0), useful))
+
+    @property
+    def with_grid(self) -> Flags:
+        """Buses that the grid reaches, (W, N), or steps in which it reaches all, (W, 1)."""
+        connected = ~self.dark[:, None]
+        return connected if self.sections is None else connected & ~self.sections.beyond
 
     @property
     def exporting(self) -> bool:

@@ -193,6 +193,6 @@ def parts_by_bus(network: Network, out: OutOfService) -> Wholes:
     return np.array([Parts(network, lines).of_bus for lines in out.lines])
 
 
-def seen(faults: Iterable[Fault], now: pd.Timestamp, step: pd.Timedelta) -> list[Fault]:
+def known_faults(faults: Iterable[Fault], now: pd.Timestamp, step: pd.Timedelta) -> list[Fault]:
     """Faults that plans of a step know: those known before, and those that have begun."""
     return [fault for fault in faults if fault.known or fault.start < now + step]

@@ -13,6 +13,7 @@ from vppres.model.beyond_paper.dimmed import DimmedDemand
 from vppres.model.beyond_paper.drawn import DrawnByNetwork
 from vppres.model.beyond_paper.export import ExportToGrid
 from vppres.model.beyond_paper.former_phases import FormerPhases
+from vppres.model.beyond_paper.lines_out import LinesOut
 from vppres.model.beyond_paper.longest_off import LongestTimeOff
 from vppres.model.beyond_paper.physical import PhysicalMode
 from vppres.model.beyond_paper.ratings import LineRatings
@@ -33,6 +34,7 @@ OF_WINDOWS: tuple[type[Addition], ...] = (
     HeldAtEnd,
     ValueAtEnd,
     StoredIsKept,
+    LinesOut,
 )
 """Additions for which the stages that were made for the paper's problem have a proof."""
 
