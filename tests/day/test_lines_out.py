@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.support.faulted import faulted_day
 from tests.support.three_phases import three_phases
 from vppres import Controller, RunOptions, run_day
 from vppres.core.errors import InputError
@@ -74,9 +75,20 @@ def test_plans_keep_energy_for_a_fault_that_they_know(tiny: Scenario) -> None:
 
 def test_faults_are_refused_by_name_where_nothing_plans_them(tiny: Scenario) -> None:
     day = with_fault(tiny, line=4)
-    with pytest.raises(InputError, match="mode = physical: plans no faults"):
-        run_day(day, replace(PAPER, mode="physical"))
     with pytest.raises(InputError, match=r"faults\.csv: is not followed live"):
         Controller.of(day, PAPER)
     with pytest.raises(InputError, match=r"faults\.csv: is not stated for feeders with phases"):
         run_day(three_phases(day), replace(PAPER, mode="physical"))
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_plans_of_physical_mode_agree_with_ac_in_each_part(seed: int) -> None:
+    """A former gives nothing beyond its plan, and who is planned is on, but for what is unknown."""
+    day = faulted_day(seed, steps=3)
+    known = replace(day, faults=tuple(replace(fault, known=True) for fault in day.faults))
+    run = run_day(known, replace(PAPER, mode="physical"))
+    assert set(run.steps["fallback"]) == {"none"}
+    assert run.steps["shed_kw"].max() == 0.0
+    assert run.steps["island_mismatch_kw"].abs().max() < 0.1
+    errors = run.steps.loc[run.steps["lines_out"] != "", "v_error_pu"]
+    assert errors.max() < 2e-4

@@ -37,7 +37,7 @@ def check_run(scenario: Scenario, options: RunOptions, grid: TimeGrid) -> None:
     InputError
         With every option, column and kind of asset that has no meaning there, and the cure.
     """
-    problems = [*_faults(scenario, options), *_phased(scenario, options)] or [
+    problems = [*_faults(scenario), *_phased(scenario, options)] or [
         *_cold(scenario, options),
         *_controller(scenario, options, grid),
     ]
@@ -48,15 +48,12 @@ def check_run(scenario: Scenario, options: RunOptions, grid: TimeGrid) -> None:
         physics[kind].check_prices(scenario, options.horizon_h, options.seed)
 
 
-def _faults(scenario: Scenario, options: RunOptions) -> Iterator[Problem]:
+def _faults(scenario: Scenario) -> Iterator[Problem]:
     """Faults of lines and buses, which plans of balanced feeders know."""
     if not scenario.faults:
         return
     if scenario.phases is not None:
         yield Problem("faults.csv", NOT_STATED, f"Remove the file, or {BALANCED}.")
-    elif options.mode != "paper":
-        cure = "Use paper, or remove faults.csv."
-        yield Problem("options", "plans no faults", cure, field="mode", value=options.mode)
 
 
 def _cold(scenario: Scenario, options: RunOptions) -> Iterator[Problem]:

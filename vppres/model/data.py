@@ -14,13 +14,13 @@ from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
 from vppres.contract.owed import MOST_SHARE, Owed
 from vppres.contract.stored_value import Ending, StoredValue
-from vppres.contract.switching import SwitchingData
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Complexes, Flags, Floats, Wholes
 from vppres.core.errors import ModelError
+from vppres.kinds.customer.physics import LongestOff, SwitchingData
 from vppres.model.formulas import cell_kw, soc_after
 from vppres.model.linearise import Drawn, delta_offset, drawn_by
-from vppres.model.sections import Sections, sections_of
+from vppres.model.sections import Sections, at_items, sections_of
 from vppres.model.site import Site
 from vppres.scenario.assets import SOC_ROUNDING, Batteries
 from vppres.scenario.network import Network
@@ -227,7 +227,7 @@ class WindowData:
             offset = np.where(back | np.isnan(offset), 0.0, offset)
         stores = len(site.batteries) > 0
         rules = observation.rules
-        return cls(
+        found = cls(
             load_kw=forecast.load_kw,
             pv_kw=forecast.pv_kw,
             price_gbp_per_kwh=forecast.price_gbp_per_kwh,
@@ -251,8 +251,21 @@ class WindowData:
             terminal=observation.end if stores else None,
             stored_value=observation.stored_value if stores else None,
             owed=observation.owed,
-            sections=sections,
             ahead=observation.ahead.part(slice(n_steps)),
+        )
+        return found if sections is None else found.in_parts(site, sections)
+
+    def in_parts(self, site: Site, sections: Sections) -> WindowData:
+        """The window in a feeder that is cut into parts, with nothing in dead ones."""
+        places = {kind: site.unit_bus[kind] for kind in self.ahead.by_kind}
+        lit = {kind: ~at_items(sections.dead, place) for kind, place in places.items()}
+        off = at_items(sections.dead, site.customer_bus)
+        return replace(
+            self,
+            sections=sections,
+            ahead=self.ahead.in_dead_parts(lit),
+            switching=self.switching and self.switching.in_the_dark(off),
+            drawn=self.drawn and self.drawn.at(~sections.dead),
         )
 
     def with_sound_soc(self, batteries: Batteries) -> WindowData:
@@ -424,6 +437,11 @@ class WindowData:
             return self.loss_kw
         return np.asarray(self.loss_kw + self.drawn.kw.sum(axis=1))
 
+    @property
+    def longest_off(self) -> LongestOff | None:
+        """How long customers may be off at a time, None where that says nothing."""
+        return None if self.switching is None else self.switching.longest_off
+
     def for_service(self, served: Flags) -> WindowData:
         """The window with the demand that a service brings about: higher after a restoration."""
         if self.switching is None or not self.switching.steps.cold:
@@ -460,6 +478,21 @@ class WindowData:
         useful = load_kw + site.batteries.p_max_kw.sum() + self.network_kw
         useful = sum(self.ahead.most_taken_kw(site.kinds), start=useful)
         return np.asarray(np.minimum(np.maximum(self.grid_limit_kw, 0.0), useful))
+
+    @property
+    def in_island(self) -> Flags:
+        """Buses of islands, (W, N), or steps in which all are, (W, 1)."""
+        return ~self.with_grid
+
+    @property
+    def lines_in_island(self) -> Flags:
+        """Lines of islands, (W, L), or steps in which all are, (W, 1)."""
+        return self.in_island if self.sections is None else self.in_island[:, 1:]
+
+    @property
+    def drawing_islands(self) -> Flags:
+        """Steps, (W,), or buses, (W, N), without the shunts that islands have not."""
+        return self.dark if self.sections is None else self.in_island
 
     @property
     def with_grid(self) -> Flags:

@@ -74,6 +74,10 @@ class Drawn:
         """Some of the steps."""
         return Drawn(self.kw[steps], self.kvar[steps])
 
+    def at(self, buses: Flags) -> Drawn:
+        """Power drawn at some buses of each step, (W, N), and nothing at the others."""
+        return Drawn(self.kw * buses, self.kvar * buses)
+
     def where(self, steps: Flags) -> Drawn:
         """Power drawn in some steps, (W,), and nothing in the others."""
         return Drawn(self.kw * steps[:, None], self.kvar * steps[:, None])
@@ -124,8 +128,16 @@ def drawn_by(
 
 
 def drawn_at(network: Network, v_pu: Floats, island: Flags) -> Drawn:
-    """Power that a network draws at each step's voltages, (W, N), with grid and in an island."""
+    """Power that a network draws at each step's voltages, (W, N), with grid and in an island.
+
+    ``island`` has steps, (W,), or the buses of each, (W, N).
+    """
     kw, kvar = network.drawn(v_pu)
-    if network.islanded is not network:
+    if network.islanded is not network and island.ndim == 2:
+        kw, kvar = (
+            np.where(island, *pair)
+            for pair in zip(network.islanded.drawn(v_pu), (kw, kvar), strict=True)
+        )
+    elif network.islanded is not network:
         kw[island], kvar[island] = network.islanded.drawn(v_pu[island])
     return Drawn(kw, kvar)

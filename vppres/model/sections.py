@@ -26,11 +26,17 @@ class Sections:
         Number of the part of each bus; 0 is that with the grid's bus.
     dead : array of bool, shape (W, N)
         Buses of parts that nothing forms, and buses that are out themselves.
+    reference : array of int, shape (W, N)
+        Bus that holds the voltage of each: the grid's, or that of a battery; -1 in dead parts.
+    forms : array of bool, shape (W, B)
+        Batteries that form a part without grid.
     """
 
     lines: Flags
     part: Wholes
     dead: Flags
+    reference: Wholes
+    forms: Flags
 
     def steps(self, steps: slice) -> Sections | None:
         """Some of the steps, None where no line is out in them."""
@@ -77,18 +83,24 @@ def sections_of(
     """
     part = parts_by_bus(site.network, out)
     grid = (part == 0) & ~island[:, None]
-    lit = (part == 0) & ~(island[:, None] & needs_former)
+    reference = np.where((part == 0) & ~(island[:, None] & needs_former), 0, -1)
+    forms = np.zeros((len(part), len(soc)), dtype=bool)
     charged = site.batteries.holds_energy(soc)
     at = _buses(site, "batteries")
     others = [] if needs_former else _buses_of_units(site, named_units(site))
     for t, numbers in enumerate(part):
         charged = charged | grid[t, at]
-        formed = [*numbers[others]]
+        formed = numbers[others]
         for number in np.unique(numbers):
-            if (formers_within(site, numbers[at] == number) & charged).any():
-                formed.append(number)
-        lit[t] |= np.isin(numbers, formed)
-    return Sections(out.lines, part, ~lit | out.buses)
+            inside = numbers == number
+            formers = formers_within(site, inside[at]) & charged
+            if number in formed or formers.any():
+                largest = np.argmax(np.where(formers, site.batteries.s_max_kva, -1.0))
+                held = reference[t, number] == 0
+                reference[t, inside & ~held] = at[largest] if formers.any() else number
+                forms[t] |= formers & ~grid[t, at]
+    dead = (reference < 0) | out.buses
+    return Sections(out.lines, part, dead, np.where(dead, -1, reference), forms)
 
 
 def _buses(site: Site, table: str) -> Wholes:

@@ -36,7 +36,7 @@ class FlowOfPart(ACPowerFlow):
     """
 
     def __init__(self, network: Network, buses: Flags, lines: Flags) -> None:
-        super().__init__(_drawing_inside(network, buses, lines))
+        super().__init__(network.drawing_inside(buses, lines))
         self.buses = buses
         self.lines = lines
 
@@ -44,21 +44,6 @@ class FlowOfPart(ACPowerFlow):
         """Power flow of the injections inside the part."""
         p, q = (np.where(self.buses, np.asarray(each, float), 0.0) for each in (p_kw, q_kvar))
         return super().solve(p, q, reference)
-
-
-def _drawing_inside(network: Network, buses: Flags, lines: Flags) -> Network:
-    """A network whose buses and lines outside a part draw nothing; itself if none does."""
-    if not network.draws:
-        return network
-    return replace(
-        network,
-        b_us=network.b_us * lines,
-        g_us=network.g_us * lines,
-        p_shunt_kw=network.p_shunt_kw * buses,
-        q_shunt_kvar=network.q_shunt_kvar * buses,
-        p_fixed_kw=network.p_fixed_kw * buses,
-        q_fixed_kvar=network.q_fixed_kvar * buses,
-    )
 
 
 @dataclass(frozen=True, eq=False)

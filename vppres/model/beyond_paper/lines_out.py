@@ -105,7 +105,7 @@ class LinesOut(Addition):
         return found
 
     def implied(self, site: Site, v: Variables, p: Parameters) -> Named:
-        """What lines carry, by what is drawn behind them; nothing where they are out."""
+        """Power over lines, by all that is drawn behind them; nothing where they are out."""
         P_inj, P_load = injected_and_drawn(site, v, p)
         behind = sp.csr_array(site.network.downstream[self.lines])
         return {
