@@ -81,6 +81,7 @@ def test_faults_are_refused_by_name_where_nothing_plans_them(tiny: Scenario) -> 
         run_day(three_phases(day), replace(PAPER, mode="physical"))
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("seed", range(30))
 def test_plans_of_physical_mode_agree_with_ac_in_each_part(seed: int) -> None:
     """A former gives nothing beyond its plan, and who is planned is on, but for what is unknown."""

@@ -89,6 +89,11 @@ class Forecast:
         )
 
     @property
+    def in_parts_now(self) -> bool:
+        """Whether lines are out in the first step."""
+        return self.out is not None and bool(self.out.lines[0].any())
+
+    @property
     def export_now_kw(self) -> float:
         """Largest export in the first step, 0 where the connection imports only."""
         return 0.0 if self.export is None else float(self.export.limit_kw[0])
