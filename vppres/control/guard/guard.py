@@ -103,8 +103,8 @@ class GuardedController:
     def _without_unlikely_demands(self, known: StateEstimate) -> StateEstimate:
         """State estimate, with grid without unlikely demands that would cost the first tier.
 
-        What is really taken was carried: readings are of customers that have supply. Where lines are
-        out, the first tier may be off for that.
+        What is really taken was carried: readings are of customers that have supply. Where lines
+        are out, the first tier may be off for that.
         """
         state = self._step_state(known)
         apart = state.island or known.observation.forecast.in_parts_now
