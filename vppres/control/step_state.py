@@ -177,7 +177,7 @@ class StepState:
         """Limits of the voltages that give way to those without control, (N,) each."""
         given = (np.full((1, self.site.network.n_buses), limit) for limit in (lowest, highest))
         low, high = (np.vstack([limit, *self.own_v_pu]) for limit in given)
-        return low.min(axis=0), high.max(axis=0)
+        return np.fmin.reduce(low), np.fmax.reduce(high)
 
     def idle(self) -> StepState:
         """Step state with every battery off."""

@@ -17,6 +17,7 @@ from vppres.core.arrays import Floats, given_or
 from vppres.core.errors import InputError, Problem
 from vppres.core.text import named
 from vppres.io import checks, schema
+from vppres.io.fault_rows import check_faults, faults_of
 from vppres.io.history import Columns as HistoryColumns
 from vppres.io.history import history_of
 from vppres.io.messages import in_order
@@ -65,6 +66,7 @@ MODELS: dict[str, type[BaseModel]] = {
     **{table.key: schema.row_of(table.key) for table in KIND_TABLES.values()},
     "warnings": schema.WarningRow,
     "outages": schema.OutageRow,
+    "faults": schema.FaultRow,
 }
 """Rows of each table, by its key under [files]."""
 
@@ -210,6 +212,8 @@ def _check_across(settings: Settings, tables: Tables, rows: AllRows) -> list[Pro
         if settings.tiers:
             message = f"is not a tier of {SCENARIO_FILE}"
             problems += checks.check_known(table, "tier", settings.tiers, message)
+    if lines and settings.slack_bus and (faults := there.get("faults")):
+        problems += check_faults(faults, rows["faults"], lines, settings.slack_bus)
     for key, column, other, what in _REFERENCES:
         if key in there and other in there:
             known = there[other].column("id").values()
@@ -437,6 +441,7 @@ def _assemble(
         voll_gbp_per_kwh=file.reliability.voll_gbp_per_kwh,
         warnings=tuple(rows["warnings"].values()),
         interruptions=tuple(rows["outages"].values()),
+        faults=faults_of(rows["faults"], read_bus),
         phases=phases,
         switches=_switches(columns["switches"]),
         **of_kinds,

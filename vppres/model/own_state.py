@@ -17,6 +17,7 @@ from vppres.model.beyond_paper.losses import ACPoints, Sweeps
 from vppres.model.beyond_paper.physical import taken_by_network
 from vppres.model.data import PhasedWindow, WindowData
 from vppres.model.formulas import bus_injections, lossless_flows, voltage_drop_pu2
+from vppres.model.sections import at_items
 from vppres.model.site import Site
 
 GIVEN = (0.25, 0.0625, 0.0)
@@ -42,19 +43,19 @@ def giving_way(site: Site, data: WindowData) -> list[WindowData]:
     """
     if data.phased is not None:
         return _phases_giving_way(site, data, data.phased)
-    connected = data.grid_limit_kw > 0.0
+    connected = data.with_grid
     if not site.soft_voltages or not connected.any():
         return [data]
     net = site.network
     own, pv_kw = _own_state(site, data)
     least, most = (net.u_pu2(np.full(net.n_buses, v)) for v in (net.v_min_ac_pu, net.v_max_ac_pu))
-    if (own < least)[connected, 1:].any():
+    if (connected & (own < least))[:, 1:].any():
         found = _ac_points(site, data, pv_kw).converged[:, None]
         own = np.where(found, own, np.clip(own, least, most))
-    own = np.where(connected[:, None], own, np.nan)
+    own = np.where(connected, own, np.nan)
     within_ac = np.clip(own, least, most)
     beyond = (own < net.u_min_pu2) | (own > net.u_max_pu2)
-    beyond_ac = connected[:, None] & (own != within_ac)
+    beyond_ac = connected & (own != within_ac)
     states: list[Floats | None] = [None]
     if beyond[:, 1:].any():
         states.append(within_ac)
@@ -123,6 +124,8 @@ def _from_grid(site: Site, data: WindowData) -> tuple[Floats, Floats, Floats, Fl
     taken = taken_by_network(site, data)
     p_kw -= taken.kw
     q_kvar -= taken.kvar
+    if data.sections is not None:  # what is behind a line that is out has its own balance
+        p_kw, q_kvar = (np.where(data.sections.beyond, 0.0, each) for each in (p_kw, q_kvar))
     flows = lossless_flows(net, p_kw), lossless_flows(net, q_kvar)
     rise = data.delta_pu2 - voltage_drop_pu2(net, *flows)
     u = net.v_slack_pu**2 + rise @ net.downstream
@@ -133,6 +136,8 @@ def _own_state(site: Site, data: WindowData) -> tuple[Floats, Floats]:
     """Squared referred voltages without control, (W, N), and PV power then, (W, P)."""
     net = site.network
     u, imported_kw, own_kw, spare_kw = _from_grid(site, data)
+    if data.sections is not None:
+        spare_kw = np.where(at_items(data.sections.beyond, site.pv_bus), 0.0, spare_kw)
     exported = bus_injections(site, {"pv": spare_kw})
     flows = lossless_flows(net, exported)
     raised = -voltage_drop_pu2(net, flows, np.zeros_like(flows)) @ net.downstream
@@ -147,7 +152,7 @@ def _ac_points(site: Site, data: WindowData, pv_kw: Floats) -> ACPoints:
     load_kw = data.all_cold().load_kw
     p_kw = bus_injections(site, {"pv": pv_kw, "customers": -load_kw})
     q_kvar = bus_injections(site, {"customers": -load_kw * site.customers.q_per_p})
-    return Sweeps(site.network).solve(p_kw, q_kvar)
+    return Sweeps(site.network).solve(p_kw * data.with_grid, q_kvar * data.with_grid)
 
 
 def share_of(room: Floats, wanted: Floats) -> Floats:

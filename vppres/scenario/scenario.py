@@ -19,6 +19,7 @@ from vppres.kinds.fields import OfKinds
 from vppres.kinds.vehicles.data import sessions_by_step
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.fairness import Fairness, Interruption
+from vppres.scenario.faults import Fault, check_places
 from vppres.scenario.formers import forming_batteries
 from vppres.scenario.history import History
 from vppres.scenario.network import Network
@@ -149,6 +150,8 @@ class Scenario(OfKinds):
         Outages without a warning, for the same runs.
     interruptions : tuple of Interruption
         Outages that were before the first step, and who was off supply in them.
+    faults : tuple of Fault
+        Lines and buses that are out of service for a time.
     history : History, optional
         What was measured before the first step, for forecasters that learn from it.
     phases : Phases, optional
@@ -189,6 +192,7 @@ class Scenario(OfKinds):
     warnings: tuple[OutageWarning, ...] = ()
     outage_statistics: OutageStatistics = field(default_factory=OutageStatistics)
     interruptions: tuple[Interruption, ...] = ()
+    faults: tuple[Fault, ...] = ()
     history: History | None = None
     phases: Phases | None = None
     switches: Switches = field(default_factory=Switches.none)
@@ -199,6 +203,7 @@ class Scenario(OfKinds):
             raise InputError(problems)
         if self.phases is not None:
             check_phases(self.phases, self)
+        check_places(self.faults, self.network)
         freeze_arrays(self)
 
     @cached_property
