@@ -210,14 +210,11 @@ def test_doors_upwards_are_few() -> None:
     assert found == DOORS
 
 
-@pytest.mark.parametrize(
-    ("folder", "above"),
-    [
-        ("vppres", ("benchmarks", "experiments", "tests", "docs")),
-        ("benchmarks", ("experiments", "tests", "docs")),
-        ("experiments", ("tests", "docs")),
-    ],
-)
+@pytest.mark.parametrize(("folder", "above"), [
+    ("vppres", ("benchmarks", "experiments", "tests", "docs")),
+    ("benchmarks", ("experiments", "tests", "docs")),
+    ("experiments", ("tests", "docs")),
+])  # fmt: skip
 def test_what_stands_beside_the_package_imports_one_way(
     folder: str, above: tuple[str, ...]
 ) -> None:

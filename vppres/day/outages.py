@@ -7,7 +7,7 @@ The same observation goes to the controller, to the guard around it and to its f
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -63,7 +63,7 @@ class GridSeen:
     @property
     def out(self) -> bool:
         """Whether the present step is one of an outage."""
-        return bool(self.outages) and self.outages[-1].end is None
+        return bool(self.outages) and self.outages[-1].lasts
 
     def after(self, time: pd.Timestamp, limit_kw: float) -> GridSeen:
         """History after another step: its beginning, and its largest import.
@@ -89,13 +89,13 @@ class Beside:
     ----------
     prices_gbp_per_kwh : array, shape (n,)
         Import prices of the steps before.
-    limits_kw : array, shape (T,), or None
+    limits_kw : array, shape (T,) or (0,)
         Largest import of the steps while there is grid, as it was announced; NaN where no message
         announced any, and the one of now is taken to stay.
     """
 
     prices_gbp_per_kwh: Floats
-    limits_kw: Floats | None = None
+    limits_kw: Floats = field(default_factory=lambda: np.empty(0))
 
     @classmethod
     def of(cls, scenario: Scenario, row: int) -> Beside:
@@ -105,10 +105,9 @@ class Beside:
     def import_kw(self, steps: int, now_kw: float) -> Floats:
         """Largest import of the first steps while there is grid, (steps,)."""
         found = np.full(steps, now_kw)
-        if self.limits_kw is None:
-            return found
         said = self.limits_kw[:steps]
-        return np.where(np.isnan(said), found, said)
+        found[: len(said)] = np.where(np.isnan(said), now_kw, said)
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,9 +233,9 @@ class OutageView:
         it is weighed against customers, and strict order holds.
         """
         steps = len(ahead.price_gbp_per_kwh)
-        strict = self.ranked if out else None
-        weight = scenario.customers.weight if strict is None else strict.customers.weight
-        objective = scenario.objective if strict is None else strict.weights
+        weight, objective = scenario.customers.weight, scenario.objective
+        if out and self.ranked:
+            weight, objective = self.ranked.customers.weight, self.ranked.weights
         return Ahead(
             load_kw=ahead.load_kw,
             pv_kw=ahead.pv_kw.sum(axis=1),

@@ -25,7 +25,7 @@ from vppres.scenario.scenario import Scenario
 F = TypeVar("F", bound=Followers)
 
 NOBODY = "nobody"
-"""Word of the record for nobody shed, where a power flow was not found."""
+"""Word of the record for no customer shed, where a power flow was not found."""
 
 CLIP_TOLERANCE_KW = 1e-3
 """Set-points that the plant had to move by more than this are named in the record."""

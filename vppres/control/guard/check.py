@@ -327,7 +327,7 @@ def _voltage(
 ) -> str:
     """Voltages of the plan; those without control are known no better than a linear model is."""
     lowest, highest = limits_pu
-    off_pu = within.v_pu if state.own_v_pu is None else max(within.v_pu, EXACT_PU)
+    off_pu = max(within.v_pu, EXACT_PU) if len(state.own_v_pu) else within.v_pu
     outside = np.maximum(lowest - row.v_pu, row.v_pu - highest)[1:]  # the slack bus is given
     worst = int(np.argmax(outside))
     return f"voltage: {row.v_pu[1:][worst]:.4f} pu" if outside[worst] > off_pu else ""

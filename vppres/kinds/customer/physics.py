@@ -183,10 +183,14 @@ class SwitchingData:
         )
 
     def in_the_dark(self, dark: Flags) -> SwitchingData:
-        """The rules with steps, (W,), in which no customer can be supplied: no duty holds then."""
+        """The rules with steps in which no customer can be supplied: no duty holds then.
+
+        They are those of all, (W,), or of each, (W, C).
+        """
         if not dark.any():
             return self
-        return replace(self.without_duties(), served_max=self.served_max & ~dark[:, None])
+        of_each = dark if dark.ndim == 2 else dark[:, None]
+        return replace(self.without_duties(), served_max=self.served_max & ~of_each)
 
     @property
     def idle(self) -> bool:
