@@ -12,11 +12,11 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.plain import json_safe
+from vppres.kinds.customer.data import limits_h
 from vppres.kinds.table import KINDS, parts
 from vppres.live.by_phase import GRID
 from vppres.scenario.phases import PHASES
 from vppres.scenario.remarks import former_words
-from vppres.service.alarms.conditions import limits_h
 from vppres.service.clock import written
 from vppres.service.events.announced import believes
 from vppres.service.operation.runner import Runner, Service
