@@ -209,28 +209,6 @@ def test_a_step_that_is_not_decided_yet_is_left_to_its_own_plan(live: Running) -
     assert runner.changes.reasons == ()
 
 
-PAST: dict[str, dict[str, Any]] = {
-    "storm": {"type": "outage", "start": "2026-11-21T09:00:00Z", "end": "2026-11-21T12:13:00Z"},
-    "cable": {"type": "import_limit", "start": "2026-11-21T09:00Z", "end": "2026-11-21T10:00Z",
-              "limit_kw": 5.0},
-    "tariff": {"type": "price", "start": "2026-11-21T09:00:00Z", "resolution": "PT1H",
-               "price_gbp_per_kwh": [0.1, 0.2]},
-}  # fmt: skip
-
-
-def test_what_is_wholly_past_is_not_announced(live: Running) -> None:
-    """But an event that is known may be ended so."""
-    http, _, _ = live
-    for name, past in PAST.items():
-        answer = http.put(f"/v1/events/{name}", past)
-        assert answer.status == 422, name
-        assert answer.json()["problems"][0]["message"] == "lies wholly in the past", name
-    assert http.get("/v1/events").json() == {}
-    for name, past in PAST.items():
-        http.put(f"/v1/events/{name}", {"type": "outage", "start": past["start"]})
-        assert http.put(f"/v1/events/{name}", past).status == 200, name
-
-
 @pytest.mark.parametrize(("duration", "over"), [
     ({"family": "discrete", "hours": [1.0, 2.0], "probabilities": [0.5, 0.5]}, True),
     ({"family": "discrete", "hours": [1.0, 5.0], "probabilities": [0.5, 0.5]}, False),
@@ -267,39 +245,6 @@ def test_an_outage_that_ended_within_the_step_is_over_for_the_rest_of_it(
     http.put("/v1/mode", {"mode": "auto"})
     light = runner.anew()
     assert light is not None and light["grid"]["available"]
-
-
-def test_set_points_beyond_a_rating_and_unknown_assets_are_refused(live: Running) -> None:
-    http, _, _ = live
-    manual = {
-        "mode": "manual",
-        "until": "2026-11-21T14:00:00Z",
-        "setpoints": [
-            {"kind": "batteries", "asset": "big", "p_kw": -51.0},
-            {"kind": "batteries", "asset": "small", "p_kw": 30.0, "q_kvar": 20.0},
-            {"kind": "pv", "asset": "roof", "p_kw": 29.0},
-        ],
-    }
-    found = http.put("/v1/mode", manual)
-    assert found.status == 422
-    assert [(one["field"], one["message"]) for one in found.json()["problems"]] == [
-        ("p_kw of big", "is beyond its rating of 50 kW"),
-        ("kVA of small", "is beyond its rating of 35 kVA"),
-    ]
-    assert http.get("/v1/mode").json()["mode"] == "auto"
-    for path in ("/v1/setpoints", "/v1/explanations"):
-        assert http.get(f"{path}?asset=bigg").status == 404
-        assert "Did you mean big?" in http.get(f"{path}?asset=bigg").json()["detail"]
-
-
-def test_an_announced_end_ends_an_outage_that_nobody_reads_any_more(live: Running) -> None:
-    http, clock, _ = live
-    storm = {"type": "outage", "start": "2026-11-21T12:05:00Z", "end": "2026-11-21T13:00:00Z"}
-    http.put("/v1/events/storm", storm)
-    http.post("/v1/telemetry", grid(0.0))
-    # Its reading holds for an hour; after that nobody has seen the outage go on.
-    seen = [decided(http, clock, NOON + hours * pd.Timedelta("1h"))["grid"] for hours in (1, 2)]
-    assert [one["available"] for one in seen] == [False, True]
 
 
 def test_a_device_that_is_back_is_planned_for_at_once(live: Running) -> None:
