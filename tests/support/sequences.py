@@ -1,10 +1,16 @@
 """Sequences of a service as data: the clock, a request, its status and parts of its answer.
 
-A request is a method, a path below ``/v1``, and headers as ``name=value``, where ``{etag}`` is the last
-tag that was answered; ``decide`` sends the state of
-charge of both batteries and asks for the step. A part is found by its path: keys, or in a list the
-asset, the kind or the place of an element, ``*`` for all that have the rest. An expected part is a
-value, or what says whether the part is as it must be.
+A request is a method, a path below ``/v1``, and headers as ``name=value``. In these ``{etag}`` is the
+last tag that was answered, ``{big}`` the last set-point of an asset and ``{old_big}`` the one before. Words stand for
+
+- ``hear``: readings of this moment by quantity and asset,
+- ``decide``: the step, with this state of charge of both batteries,
+- ``anew``: the rest of the step, if there is a reason (else status 204),
+- ``look``: the alarms, after the time that has gone by.
+
+A part is found by its path: keys, or in a list the asset, the kind, the subject or the place of an
+element, ``*`` for all that have the rest. An expected part is a value, or what says whether the part
+is as it must be.
 """
 
 from __future__ import annotations
@@ -15,9 +21,8 @@ from typing import Any
 
 import pandas as pd
 
-from tests.support.asgi import Answer, Caller
-from tests.support.live_service import NOON, heard
-from vppres.service.clock import SetClock
+from tests.support.asgi import Answer
+from tests.support.live_service import NOON, Running, heard, readings
 
 Row = tuple[str, str, Any, int, dict[str, Any]]
 """Time of the day (a day ahead with ``+``), request, body, status, parts of the answer."""
@@ -47,6 +52,11 @@ def has(*words: str) -> Callable[[Any], bool]:
     return holds
 
 
+def one(**fields: Any) -> Callable[[list[dict[str, Any]]], bool]:
+    """A list that has an element with these fields."""
+    return lambda found: any(fields.items() <= each.items() for each in found)
+
+
 def some_not(values: list[bool]) -> bool:
     """Not all of them."""
     return not all(values)
@@ -71,27 +81,65 @@ def _at(value: Any, keys: list[str]) -> Any:
         return [_at(one, rest) for one in value if not rest or rest[0] in one]
     if key.isdecimal():
         return _at(value[int(key)], rest)
-    (one,) = (one for one in value if key in (one.get("asset"), one.get("kind")))
+    (one,) = (one for one in value if key in map(one.get, ("asset", "kind", "subject", "source")))
     return _at(one, rest)
 
 
-def play(http: Caller, clock: SetClock, rows: Sequence[Row]) -> None:
-    """Ask a service row by row, and compare its answers."""
-    tag = ""
-    for row in rows:
-        time, request, body, status, parts = row
-        day, _, hour = time.rpartition("+")
-        clock.set(NOON.normalize() + pd.Timedelta(days=int(day or 0)) + pd.Timedelta(f"{hour}:00"))
+class Player:
+    """A service that is asked row by row."""
+
+    def __init__(self, running: Running) -> None:
+        self.http, self.clock, self.runner = running
+        self.known = {"etag": ""}
+
+    def play(self, rows: Sequence[Row]) -> None:
+        """Ask, and compare the answers."""
+        for row in rows:
+            time, request, body, status, parts = row
+            day, _, hour = time.rpartition("+")
+            hour += ":00" * (hour.count(":") == 1)
+            now = NOON.normalize() + pd.Timedelta(days=int(day or 0)) + pd.Timedelta(hour)
+            answer = self.ask(now, request, body)
+            assert answer.status == status, (row, answer)
+            self.note(answer)
+            for name, expected in parts.items():
+                found = part(answer, name)
+                right = expected(found) if callable(expected) else found == expected
+                assert right, (row, name, found)
+
+    def ask(self, now: pd.Timestamp, request: str, body: Any) -> Answer:
+        """One request at a time."""
+        if request == "look":
+            self.runner.set_clock(now)
+            self.runner.check_alarms()
+            return self.http.get("/v1/alarms")
+        self.clock.set(now)
+        if request == "anew":
+            plan = self.runner.anew()
+            return Answer(200 if plan else 204, {}, json.dumps(plan).encode())
+        if request == "hear":
+            series = [
+                one for quantity, values in body.items() for one in readings(now, quantity, values)
+            ]
+            return self.http.post("/v1/telemetry", {"series": series})
         if request == "decide":
-            assert http.post("/v1/telemetry", heard(clock.now(), body)).status == 200, row
-            request, body = "POST steps", None
+            assert self.http.post("/v1/telemetry", heard(now, body)).status == 200
+            return self.http.post("/v1/steps")
         method, path, *headers = request.split()
-        sent = dict(header.replace("{etag}", tag).split("=", 1) for header in headers)
-        place = path if path.startswith("/") else f"/v1/{path}"
-        answer = http.ask(method, place, body, sent)
-        assert answer.status == status, (row, answer)
-        tag = answer.headers.get("etag", tag)
-        for name, expected in parts.items():
-            found = part(answer, name)
-            right = expected(found) if callable(expected) else found == expected
-            assert right, (row, name, json.dumps(found) if name != "text" else found)
+        for name, value in self.known.items():
+            path = path.replace(f"{{{name}}}", value)
+        sent = dict(
+            header.replace("{etag}", self.known["etag"]).split("=", 1) for header in headers
+        )
+        return self.http.ask(method, path if path[0] == "/" else f"/v1/{path}", body, sent)
+
+    def note(self, answer: Answer) -> None:
+        """Keep what later rows name."""
+        self.known["etag"] = answer.headers.get("etag", self.known["etag"])
+        found = answer.json() if answer.content[:1] == b"{" else {}
+        points = found.get("setpoints")
+        for point in points if isinstance(points, list) else ():
+            name, number = point["asset"], point.get("id")
+            if number and self.known.get(name) != number:
+                self.known["old_" + name] = self.known.get(name, "")
+                self.known[name] = number
