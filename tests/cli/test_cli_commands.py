@@ -156,7 +156,6 @@ def test_valid_scenario_as_json(tiny_folder: Path) -> None:
             "kind": "",
             "notes": [],
             "unbalanced": "",
-            "ties": [],
             "deviation": {"no_load_pu": None, "as_given_pu": None, "worst_hour_pu": None},
         },
         "remarks": [],

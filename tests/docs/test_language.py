@@ -97,7 +97,7 @@ def test_texts_use_the_terms_of_the_field(path: Path) -> None:
     assert everyday_words(path) == []
 
 
-@pytest.mark.nightly
+@pytest.mark.daily
 def test_docstrings_use_the_terms_of_the_field() -> None:
     modules = sorted((ROOT / "vppres").glob("**/*.py"))
     assert [found for module in modules for found in everyday_words(module)] == []

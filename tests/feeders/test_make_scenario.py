@@ -58,14 +58,17 @@ def test_a_restored_customer_stays_on_supply_for_an_hour(
     assert any("stays on supply for at least 1 h" in note for note in notes)
 
 
-def test_normally_open_lines_are_kept_for_the_diagram(
+def test_normally_open_lines_are_switches(
     case33: ImportedFeeder, tagged: ImportedFeeder, tmp_path: Path
 ) -> None:
     write_new_scenario(case33, NewScenarioOptions(), tmp_path / "33")
-    ties = ("21 to 8", "9 to 15", "12 to 22", "18 to 33", "25 to 29")  # of the published feeder
-    assert read_scenario(tmp_path / "33").source.ties == ties
+    found = read_scenario(tmp_path / "33").switches
+    ends = [*zip(found.from_bus, found.to_bus, strict=True)]
+    assert ends == [(21, 8), (9, 15), (12, 22), (18, 33), (25, 29)]  # of the published feeder
+    assert found.r_ohm.tolist() == [2.0, 2.0, 2.0, 0.5, 0.5] == found.x_ohm.tolist()
+    assert set(found.kind) == {"tie"} and not found.closed.any() and found.movable.all()
     write_new_scenario(tagged, NewScenarioOptions(), tmp_path / "mine")
-    assert read_scenario(tmp_path / "mine").source.ties == ()
+    assert not (tmp_path / "mine" / "switches.csv").exists()
 
 
 def test_nothing_is_invented_unasked(case33: ImportedFeeder) -> None:

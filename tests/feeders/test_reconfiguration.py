@@ -22,9 +22,9 @@ from vppres.feeders.reconfiguration.choice import branch_names, switched_network
 from vppres.feeders.reconfiguration.flows import ConfigurationFlows
 from vppres.feeders.reconfiguration.search import NO_LIMITS, LeastLoss
 from vppres.feeders.reconfiguration.words import open_names, outcome_words
-from vppres.feeders.ties import Ties
 from vppres.physics.powerflow import ACPowerFlow
 from vppres.scenario.network import Network
+from vppres.scenario.switches import Switches
 
 PUBLISHED_33 = (6, 8, 13, 31, 36)
 """Open branches of case33bw with the least losses, by pandapower's rows from 0."""
@@ -33,7 +33,7 @@ PUBLISHED_33 = (6, 8, 13, 31, 36)
 def switched(name: str, *only: str, **options: str) -> tuple[ImportedFeeder, SwitchedNetwork]:
     """A named feeder with its switches."""
     feeder = import_network(name, **options)
-    return feeder, switched_network(feeder.network, feeder.ties, only)
+    return feeder, switched_network(feeder.network, feeder.switches, only)
 
 
 def found(
@@ -155,7 +155,7 @@ def test_the_command_says_what_to_open_and_close() -> None:
 def test_configurations_without_a_power_flow_are_counted() -> None:
     """5 MW at bus 3 of 10 kV cannot come by the tie of 50 ohm: open 1-3 has no power flow."""
     net = Network([1, 1], [2, 3], [1.0, 1.0], [1.0, 1.0], slack_bus=1, base_kv=10.0)
-    tie = Ties(["t"], [2], [3], [50.0], [1.0], [np.inf])
+    tie = Switches(["t"], [2], [3], ["tie"], [False], r_ohm=[50.0], x_ohm=[1.0])
     ring = SwitchedNetwork(net, tie, np.ones(2, dtype=bool))
     best = least_loss(ring, np.array([0.0, 0.0, -5000.0]), np.zeros(3), NO_LIMITS)
     assert (best.count, best.solved, best.exact) == (3, 2, True)

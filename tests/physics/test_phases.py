@@ -662,3 +662,18 @@ def test_an_island_whose_answer_fails_holds_capacitors_of_one_phase(
     rating = island.batteries.s_max_kva[island.batteries.grid_forming][0]
     kva = run.steps[[f"former_{phase}_kva" for phase in "abc"]].to_numpy(float)
     assert kva.max() <= rating / 3 + 0.1
+
+
+@pytest.mark.daily
+def test_an_island_whose_capacitors_no_former_holds_is_planned_dark(banked: Scenario) -> None:
+    """The hour before the outage keeps its plan, with no voltage limit widened."""
+    day, b = all_on(banked), banked.batteries
+    assert day.phases is not None
+    larger = tuple(replace(row, q_kvar=6.0 * row.q_kvar) for row in day.phases.shunts)
+    little = np.where(b.grid_forming, 1.0, 0.02)
+    small = replace(b, s_max_kva=little * b.s_max_kva, p_max_kw=little * b.p_max_kw)
+    day = replace(day, phases=replace(day.phases, shunts=larger), batteries=small).between(11, 13)
+    run = run_day(day, RunOptions(horizon_h=1.0, mode="physical", isolate=False))
+    assert run.steps["fallback"].tolist() == ["none", "none"]
+    assert run.steps["status"].tolist() == ["optimal", "blacked_out"]
+    assert run.by_step("customers", "served").any(axis=1).tolist() == [True, False]
