@@ -150,13 +150,10 @@ LARGE = CIRCUIT.replace("kva=300", "kva=2000").replace("kw=90 kvar=30 model=1", 
 """The largest customer and its battery are behind a transformer with a delta."""
 
 
-@pytest.mark.parametrize(
-    ("substation", "low", "former", "unearthed"),
-    [
-        ("delta", "delta", "bd", {"vsource", "sourcebus", "d"}),
-        ("wye", "wye", "be", {"vsource", "sourcebus", "s", "r", "m", "n", "e"}),
-    ],
-)
+@pytest.mark.parametrize(("substation", "low", "former", "unearthed"), [
+    ("delta", "delta", "bd", {"vsource", "sourcebus", "d"}),
+    ("wye", "wye", "be", {"vsource", "sourcebus", "s", "r", "m", "n", "e"}),
+])  # fmt: skip
 def test_an_island_is_formed_by_a_battery_that_earths_its_customers(
     tmp_path: Path, substation: str, low: str, former: str, unearthed: set[str]
 ) -> None:
@@ -283,16 +280,13 @@ def test_loadings_are_currents_over_ratings() -> None:
     assert share["line from s to e, phase a"] == pytest.approx(0.0, abs=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"coils": "a x"}, "phase_connections.csv, row 2, coils"),
-        ({"coils": "a b c", "bus": "n"}, "has no phase a"),
-        ({"bus": "nowhere"}, "is not a bus of phase_buses.csv"),
-        ({"bus": "e", "coils": "a"}, "is at bus e"),
-        ({"id": "stranger"}, "has no row"),
-    ],
-)
+@pytest.mark.parametrize(("change", "message"), [
+    ({"coils": "a x"}, "phase_connections.csv, row 2, coils"),
+    ({"coils": "a b c", "bus": "n"}, "has no phase a"),
+    ({"bus": "nowhere"}, "is not a bus of phase_buses.csv"),
+    ({"bus": "e", "coils": "a"}, "is at bus e"),
+    ({"id": "stranger"}, "has no row"),
+])  # fmt: skip
 def test_connections_that_cannot_be(day: Scenario, change: dict[str, str], message: str) -> None:
     assert day.phases is not None
     first, *rest = day.phases.connections
@@ -300,14 +294,11 @@ def test_connections_that_cannot_be(day: Scenario, change: dict[str, str], messa
         replace(day, phases=replace(day.phases, connections=(replace(first, **change), *rest)))
 
 
-@pytest.mark.parametrize(
-    ("options", "name"),
-    [
-        ({"mode": "paper"}, "mode"),
-        ({"controller": "full-horizon"}, "controller"),
-        ({"method": "monolithic"}, "method"),
-    ],
-)
+@pytest.mark.parametrize(("options", "name"), [
+    ({"mode": "paper"}, "mode"),
+    ({"controller": "full-horizon"}, "controller"),
+    ({"method": "monolithic"}, "method"),
+])  # fmt: skip
 def test_options_that_are_not_stated_are_refused_by_name(
     day: Scenario, options: dict[str, str], name: str
 ) -> None:

@@ -13,7 +13,7 @@ from vppres.contract.decision import Decider, Decision
 from vppres.contract.forecast import ForecastErrors
 from vppres.control.remembered import memory_of, put_back
 from vppres.core.arrays import Flags, Floats
-from vppres.core.errors import SolveError, VppresError
+from vppres.core.errors import InputError, SolveError, VppresError
 from vppres.day.assembly import make_controller
 from vppres.day.options import RunOptions
 from vppres.day.outages import KNOWN, LOOKAHEAD_H, OutageView
@@ -113,6 +113,9 @@ class Controller:
         SolverLostError
             If the solver process does not start.
         """
+        if scenario.faults:
+            message, cure = "is not followed live", "Remove the file."
+            raise InputError.of("faults.csv", message, cure)
         exact = replace(
             (options or RunOptions()).on(scenario), errors=ForecastErrors(), thermal="off"
         )
@@ -265,12 +268,12 @@ class Controller:
         scenario = self.scenario
         step = scenario.grid.step
         then = scenario.grid.start + seen_last * step
-        told = [
+        messages = [
             replace(one, issued_at=min(one.issued_at, then))
             for one in scenario.warnings
             if one.issued_at <= scenario.grid.start + said_last * step
         ]
-        outlook = OutageOutlook(told, scenario.outage_statistics, scenario.grid.dt_h)
+        outlook = OutageOutlook(messages, scenario.outage_statistics, scenario.grid.dt_h)
         n_steps = said_last - seen_last + scenario.grid.steps_in_horizon(LOOKAHEAD_H)
         return outlook.at(then, n_steps, self._past.grid_seen.outages).out_probability
 
@@ -381,14 +384,14 @@ class Controller:
         window, ahead = self._window(seen.t), self._ahead(seen.t)
         known, options = self.scenario, self.options
         present = Present.of(t, seen, known, window, ahead, past, options, self._past_days)
-        told = present.observation(OutageView.create(self.scenario, self._record))
-        decision = _without_disconnected(self._decider.decide(told), seen.connected)
+        known_now = present.observation(OutageView.create(self.scenario, self._record))
+        decision = _without_disconnected(self._decider.decide(known_now), seen.connected)
         words = (*seen.left_out, *present.estimated, decision.estimated)
         estimated = "; ".join(filter(None, words))
         decision = replace(decision, estimated=estimated)
-        day = present.day(decision.seen or told, decision.estimated)
+        day = present.day(decision.seen or known_now, decision.estimated)
         record = day.settle(0, decision)
-        foreseen = Foreseen.of(decision, day.scenario, told)
+        foreseen = Foreseen.of(decision, day.scenario, known_now)
         points = SetPoints.of(day.scenario, record, foreseen, day.plant.switching, present.kinds)
         return points, present.after(day, record)
 

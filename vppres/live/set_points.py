@@ -76,7 +76,7 @@ class SetPoints(SetPointsOfKinds):
         order ``levels`` has how many steps of the window the plan supplies to customers of each
         tier, and how many it could at most; ``inverted`` names a customer off supply whose demand
         lower tiers and charging batteries take now, and when the plan supplies it; ``shorter`` one
-        for whom what they take would do for a part of the step.
+        for which what they take would do for a part of the step.
     feeding : Feeding
         What holds the voltage: the grid, a battery, or nothing.
     foreseen : Foreseen
@@ -249,10 +249,10 @@ def _of_kinds(
     found = {}
     for kind, columns in step.kinds.items():
         units = getattr(scenario, kind)
-        told = live[kind].set_points(scenario, step.t, columns)
+        own = live[kind].set_points(scenario, step.t, columns)
         places = {"bus": units.buses(scenario.customers)}
         more = now[kind].columns() if kind in now else {}
-        found[kind] = _table(units.id, **{**places, **told, **more})
+        found[kind] = _table(units.id, **{**places, **own, **more})
     return found
 
 
