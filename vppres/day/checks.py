@@ -90,7 +90,7 @@ def _controller(scenario: Scenario, options: RunOptions, grid: TimeGrid) -> Iter
 
 def _phased(scenario: Scenario, options: RunOptions) -> Iterator[Problem]:
     """Options that a phased feeder has no plan for, and units that are to form its islands."""
-    if scenario.phases is None:
+    if not scenario.phases:
         return
     for field, value, wrong, cure in (
         ("mode", options.mode, options.mode != "physical", "physical"),

@@ -202,8 +202,7 @@ def frames_of(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, p
         frames["outages"] = outage_frame(scenario.interruptions)
     if scenario.history is not None:
         frames |= _history_frames(scenario, scenario.history)
-    if scenario.phases is not None:
-        frames |= phase_frames(scenario.phases)
+    frames |= phase_frames(scenario.phases)
     return frames
 
 

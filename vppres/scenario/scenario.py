@@ -23,7 +23,7 @@ from vppres.scenario.history import History
 from vppres.scenario.network import Network
 from vppres.scenario.option_table import default_of
 from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
-from vppres.scenario.phases import Phases, check_phases
+from vppres.scenario.phases import BALANCED, Phases, check_phases
 from vppres.scenario.source import Source
 from vppres.scenario.timegrid import TimeGrid
 
@@ -150,7 +150,7 @@ class Scenario(OfKinds):
     history : History, optional
         What was measured before the first step, for forecasters that learn from it.
     phases : Phases, optional
-        The three phases of the feeder; None for a balanced one.
+        The three phases of the feeder; without rows, and false, for a balanced one.
     chargers, sessions : Chargers, Sessions
         Chargers of electric vehicles, and when which vehicle is plugged in.
     thermal_loads : ThermalLoads
@@ -186,10 +186,11 @@ class Scenario(OfKinds):
     outage_statistics: OutageStatistics = field(default_factory=OutageStatistics)
     interruptions: tuple[Interruption, ...] = ()
     history: History | None = None
-    phases: Phases | None = None
+    phases: Phases = BALANCED
 
     def __post_init__(self) -> None:
-        if self.phases is not None:
+        object.__setattr__(self, "phases", self.phases or BALANCED)  # None means the same
+        if self.phases:
             check_phases(self.phases, self)
         freeze_arrays(self)
 

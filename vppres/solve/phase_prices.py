@@ -49,7 +49,7 @@ class PhasePrices:
     @classmethod
     def of(cls, model: ShadowPriceModel) -> PhasePrices | None:
         """Prices of the first step; None for a balanced feeder."""
-        if model.site.phases is None or model.data is None:
+        if not model.site.phases or model.data is None:
             return None
         duals, costs = _by_side(model)
         value = {side: duals[side] * per_unit for side, per_unit in _units(model).items()}
