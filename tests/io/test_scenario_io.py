@@ -29,6 +29,7 @@ from vppres.io.python_door import check_scenario
 from vppres.kinds.customer.data import SwitchingRules
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.fairness import Fairness, Interruption
+from vppres.scenario.faults import Fault
 from vppres.scenario.network import BUS_DRAWS, LINE_DEFAULTS, Network
 from vppres.scenario.scenario import ControllerDefaults, ObjectiveWeights, Scenario
 from vppres.scenario.timegrid import TimeGrid
@@ -315,37 +316,18 @@ def test_an_unwritable_scenario_is_refused_before_anything_is_written(
 # --- digest -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"load_kw": np.full((6, 3), 1.0)},
-        {"name": "other"},
-        {"tiers": ("high", "critical", "low")},
-        {"grid": TimeGrid(pd.Timestamp("2022-07-19T11:00:00Z"), 60.0, 6)},
-        {"grid_limit_kw": np.full(6, np.inf)},
-        {"objective": ObjectiveWeights(lambda_q=1e-16)},
-        {
-            "network": Network(
-                np.array([1, 2, 2]),
-                np.array([2, 3, 4]),
-                np.array([0.3, 0.4, 0.5]),
-                np.array([0.2, 0.3, 0.4]),
-                slack_bus=1,
-                base_kv=11.0,
-                v_min_pu=0.95,
-            )
-        },
-        {
-            "customers": Customers(
-                ["hospital", "shop", "homes"],
-                ["2", "3", "4"],
-                ["critical", "high", "low"],
-                [1.0, 0.1, 0.02],
-                [0.95, 0.9, 0.98],
-            )
-        },
-    ],
-)
+@pytest.mark.parametrize("change", [
+    {"load_kw": np.full((6, 3), 1.0)},
+    {"name": "other"},
+    {"tiers": ("high", "critical", "low")},
+    {"grid": TimeGrid(pd.Timestamp("2022-07-19T11:00:00Z"), 60.0, 6)},
+    {"grid_limit_kw": np.full(6, np.inf)},
+    {"objective": ObjectiveWeights(lambda_q=1e-16)},
+    {"network": Network(np.array([1, 2, 2]), np.array([2, 3, 4]), np.array([0.3, 0.4, 0.5]),
+        np.array([0.2, 0.3, 0.4]), slack_bus=1, base_kv=11.0, v_min_pu=0.95)},
+    {"customers": Customers(["hospital", "shop", "homes"], ["2", "3", "4"],
+        ["critical", "high", "low"], [1.0, 0.1, 0.02], [0.95, 0.9, 0.98])},
+])  # fmt: skip
 def test_digest_sees_every_change(tiny: Scenario, change: dict[str, object]) -> None:
     assert scenario_digest(replace(tiny, **change)) != scenario_digest(tiny)
 
@@ -409,16 +391,13 @@ def test_the_example_of_the_page_is_read(tiny: Scenario, tiny_folder: Path) -> N
     assert_equal(read_scenario(tiny_folder), tiny)
 
 
-@pytest.mark.parametrize(
-    ("model", "frozen"),
-    [
-        (schema.CustomerRow, Customers),
-        (schema.PVRow, PVSystems),
-        (schema.BatteryRow, Batteries),
-        (schema.ObjectiveSection, ObjectiveWeights),
-        (schema.ControllerSection, ControllerDefaults),
-    ],
-)
+@pytest.mark.parametrize(("model", "frozen"), [
+    (schema.CustomerRow, Customers),
+    (schema.PVRow, PVSystems),
+    (schema.BatteryRow, Batteries),
+    (schema.ObjectiveSection, ObjectiveWeights),
+    (schema.ControllerSection, ControllerDefaults),
+])  # fmt: skip
 def test_the_table_has_the_attributes_of_the_data(model: type, frozen: type) -> None:
     assert set(model.model_fields) == {f.name for f in fields(frozen)}
 
@@ -450,3 +429,21 @@ def test_json_schema_states_units_bounds_and_required_keys() -> None:
         "unit": "kW",
     }
     assert definitions["ScenarioFile"]["required"] == ["name", "time", "network", "tiers"]
+
+
+def test_faults_come_back(tiny: Scenario, tmp_path: Path) -> None:
+    noon, hour = pd.Timestamp("2022-07-19T12:00Z"), pd.Timedelta(hours=1)
+    faults = (Fault(noon, noon + hour, line=3, known=False), Fault(noon, noon + 2 * hour, bus=4))
+    scenario = replace(tiny, faults=faults)
+    assert round_trip(scenario, tmp_path / "day").faults == faults
+    assert Scenario.from_tables(scenario.to_tables()).faults == faults
+    digests = [scenario_digest(day) for day in (scenario, replace(tiny, faults=faults[:1]), tiny)]
+    assert len({*digests}) == 3
+
+
+def test_a_fault_of_nothing_is_refused(tiny: Scenario) -> None:
+    noon = pd.Timestamp("2022-07-19T12:00Z")
+    for place in ({}, {"line": 3, "bus": 3}, {"line": 1}, {"bus": 9}):
+        fault = Fault(noon, noon + pd.Timedelta(hours=1), **place)
+        with pytest.raises(InputError, match="is not one bus behind the grid's"):
+            replace(tiny, faults=(fault,))

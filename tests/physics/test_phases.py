@@ -150,13 +150,10 @@ LARGE = CIRCUIT.replace("kva=300", "kva=2000").replace("kw=90 kvar=30 model=1", 
 """The largest customer and its battery are behind a transformer with a delta."""
 
 
-@pytest.mark.parametrize(
-    ("substation", "low", "former", "unearthed"),
-    [
-        ("delta", "delta", "bd", {"vsource", "sourcebus", "d"}),
-        ("wye", "wye", "be", {"vsource", "sourcebus", "s", "r", "m", "n", "e"}),
-    ],
-)
+@pytest.mark.parametrize(("substation", "low", "former", "unearthed"), [
+    ("delta", "delta", "bd", {"vsource", "sourcebus", "d"}),
+    ("wye", "wye", "be", {"vsource", "sourcebus", "s", "r", "m", "n", "e"}),
+])  # fmt: skip
 def test_an_island_is_formed_by_a_battery_that_earths_its_customers(
     tmp_path: Path, substation: str, low: str, former: str, unearthed: set[str]
 ) -> None:
@@ -283,16 +280,13 @@ def test_loadings_are_currents_over_ratings() -> None:
     assert share["line from s to e, phase a"] == pytest.approx(0.0, abs=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"coils": "a x"}, "phase_connections.csv, row 2, coils"),
-        ({"coils": "a b c", "bus": "n"}, "has no phase a"),
-        ({"bus": "nowhere"}, "is not a bus of phase_buses.csv"),
-        ({"bus": "e", "coils": "a"}, "is at bus e"),
-        ({"id": "stranger"}, "has no row"),
-    ],
-)
+@pytest.mark.parametrize(("change", "message"), [
+    ({"coils": "a x"}, "phase_connections.csv, row 2, coils"),
+    ({"coils": "a b c", "bus": "n"}, "has no phase a"),
+    ({"bus": "nowhere"}, "is not a bus of phase_buses.csv"),
+    ({"bus": "e", "coils": "a"}, "is at bus e"),
+    ({"id": "stranger"}, "has no row"),
+])  # fmt: skip
 def test_connections_that_cannot_be(day: Scenario, change: dict[str, str], message: str) -> None:
     assert day.phases
     first, *rest = day.phases.connections
@@ -300,14 +294,11 @@ def test_connections_that_cannot_be(day: Scenario, change: dict[str, str], messa
         replace(day, phases=replace(day.phases, connections=(replace(first, **change), *rest)))
 
 
-@pytest.mark.parametrize(
-    ("options", "name"),
-    [
-        ({"mode": "paper"}, "mode"),
-        ({"controller": "full-horizon"}, "controller"),
-        ({"method": "monolithic"}, "method"),
-    ],
-)
+@pytest.mark.parametrize(("options", "name"), [
+    ({"mode": "paper"}, "mode"),
+    ({"controller": "full-horizon"}, "controller"),
+    ({"method": "monolithic"}, "method"),
+])  # fmt: skip
 def test_options_that_are_not_stated_are_refused_by_name(
     day: Scenario, options: dict[str, str], name: str
 ) -> None:
@@ -671,3 +662,18 @@ def test_an_island_whose_answer_fails_holds_capacitors_of_one_phase(
     rating = island.batteries.s_max_kva[island.batteries.grid_forming][0]
     kva = run.steps[[f"former_{phase}_kva" for phase in "abc"]].to_numpy(float)
     assert kva.max() <= rating / 3 + 0.1
+
+
+@pytest.mark.daily
+def test_an_island_whose_capacitors_no_former_holds_is_planned_dark(banked: Scenario) -> None:
+    """The hour before the outage keeps its plan, with no voltage limit widened."""
+    day, b = all_on(banked), banked.batteries
+    assert day.phases
+    larger = tuple(replace(row, q_kvar=6.0 * row.q_kvar) for row in day.phases.shunts)
+    little = np.where(b.grid_forming, 1.0, 0.02)
+    small = replace(b, s_max_kva=little * b.s_max_kva, p_max_kw=little * b.p_max_kw)
+    day = replace(day, phases=replace(day.phases, shunts=larger), batteries=small).between(11, 13)
+    run = run_day(day, RunOptions(horizon_h=1.0, mode="physical", isolate=False))
+    assert run.steps["fallback"].tolist() == ["none", "none"]
+    assert run.steps["status"].tolist() == ["optimal", "blacked_out"]
+    assert run.by_step("customers", "served").any(axis=1).tolist() == [True, False]

@@ -231,15 +231,12 @@ def test_what_is_wholly_past_is_not_announced(live: Running) -> None:
         assert http.put(f"/v1/events/{name}", past).status == 200, name
 
 
-@pytest.mark.parametrize(
-    ("duration", "over"),
-    [
-        ({"family": "discrete", "hours": [1.0, 2.0], "probabilities": [0.5, 0.5]}, True),
-        ({"family": "discrete", "hours": [1.0, 5.0], "probabilities": [0.5, 0.5]}, False),
-        ({"family": "until", "until": "2026-11-21T11:00:00Z"}, True),
-        ({"family": "lognormal", "median_h": 1.0, "sigma": 1.0, "max_h": None}, False),
-    ],
-)
+@pytest.mark.parametrize(("duration", "over"), [
+    ({"family": "discrete", "hours": [1.0, 2.0], "probabilities": [0.5, 0.5]}, True),
+    ({"family": "discrete", "hours": [1.0, 5.0], "probabilities": [0.5, 0.5]}, False),
+    ({"family": "until", "until": "2026-11-21T11:00:00Z"}, True),
+    ({"family": "lognormal", "median_h": 1.0, "sigma": 1.0, "max_h": None}, False),
+])  # fmt: skip
 def test_a_believed_outage_is_over_when_its_longest_is(
     duration: dict[str, Any], over: bool
 ) -> None:

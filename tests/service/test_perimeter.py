@@ -69,17 +69,14 @@ def test_its_names_have_ports_and_capital_letters(http: Caller, host: str) -> No
     assert http.get("/livez", host=host).status == 200
 
 
-@pytest.mark.parametrize(
-    "origin",
-    [
-        "http://evil.example",
-        "null",
-        "http://[",
-        "file://",
-        "http://localhost:3000",
-        "ftp://localhost",
-    ],
-)
+@pytest.mark.parametrize("origin", [
+    "http://evil.example",
+    "null",
+    "http://[",
+    "file://",
+    "http://localhost:3000",
+    "ftp://localhost",
+])  # fmt: skip
 def test_a_page_of_others_changes_nothing(http: Caller, runner: Runner, origin: str) -> None:
     before = runner.store.changes
     for ask in (lambda: http.put("/v1/events/x", OUTAGE, origin=origin),

@@ -62,19 +62,15 @@ def test_only_who_knows_that_the_outage_ends_keeps_nothing(outages: str, served:
 # Of equal service the earlier one.
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"mode": "physical", "outages": "none", "priority": "strict"},
-        {"mode": "physical", "outages": "known", "priority": "strict"},
-        {"mode": "physical", "outages": "known", "headroom": 0.0},
-        {"mode": "physical", "outages": "none", "priority": "strict", "method": "monolithic"},
-        {"mode": "physical", "outages": "none", "controller": "full-horizon", "headroom": 0.0},
-        {"mode": "paper", "outages": "none"},
-        {"mode": "paper", "outages": "none", "controller": "full-horizon"},
-    ],
-    ids=lambda options: "-".join(str(value) for value in options.values()),
-)
+@pytest.mark.parametrize("options", [
+    {"mode": "physical", "outages": "none", "priority": "strict"},
+    {"mode": "physical", "outages": "known", "priority": "strict"},
+    {"mode": "physical", "outages": "known", "headroom": 0.0},
+    {"mode": "physical", "outages": "none", "priority": "strict", "method": "monolithic"},
+    {"mode": "physical", "outages": "none", "controller": "full-horizon", "headroom": 0.0},
+    {"mode": "paper", "outages": "none"},
+    {"mode": "paper", "outages": "none", "controller": "full-horizon"},
+], ids=lambda options: "-".join(str(value) for value in options.values()))  # fmt: skip
 def test_a_lone_customer_is_not_put_off(options: dict[str, Any]) -> None:
     """6.65 kWh are enough for three of nine dark hours of 2 kW: for the first three."""
     day = hours([DARK] * 9, load_kw=2.0)

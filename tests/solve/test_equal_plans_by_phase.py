@@ -40,14 +40,11 @@ def test_a_lone_customer_of_any_phase_is_not_put_off(
 
 
 @pytest.mark.parametrize("outages", ["known", "none"])
-@pytest.mark.parametrize(
-    ("limits_kw", "sun_kw", "soc"),
-    [
-        ([DARK] * 6, [8.0] * 6, 0.85),
-        ([DARK] * 6, [8.0, 1.0] * 3, 0.6),
-        ([OPEN, *[DARK] * 4, OPEN], [8.0] * 6, 0.85),
-    ],
-)
+@pytest.mark.parametrize(("limits_kw", "sun_kw", "soc"), [
+    ([DARK] * 6, [8.0] * 6, 0.85),
+    ([DARK] * 6, [8.0, 1.0] * 3, 0.6),
+    ([OPEN, *[DARK] * 4, OPEN], [8.0] * 6, 0.85),
+])  # fmt: skip
 def test_nothing_stored_is_spent_beside_curtailed_sun(
     street: Scenario, limits_kw: list[float], sun_kw: list[float], soc: float, outages: str
 ) -> None:

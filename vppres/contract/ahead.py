@@ -76,6 +76,12 @@ class KindsAhead:
         """Window without power except in the lit steps, (W, 1)."""
         return self._each(lambda known: known.in_the_dark(lit))
 
+    def in_dead_parts(self, lit: Mapping[str, Flags]) -> Self:
+        """Window without power except in the lit steps of each unit, (W, n) by kind."""
+        return type(self)(
+            {kind: known.in_the_dark(lit[kind]) for kind, known in self.by_kind.items()}
+        )
+
     def without_duties(self) -> Self:
         """Window without units that have to stay on."""
         return self._each(lambda known: known.without_duties())

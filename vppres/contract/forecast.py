@@ -12,9 +12,10 @@ from typing import Literal
 
 import numpy as np
 
-from vppres.contract.export import Export
 from vppres.core.arrays import Floats, Wholes, freeze_arrays
 from vppres.core.errors import InputError
+from vppres.kinds.export.physics import Export
+from vppres.scenario.faults import OutOfService
 from vppres.scenario.option_table import check_group
 from vppres.scenario.scenario import Scenario
 
@@ -59,6 +60,8 @@ class Forecast:
         Import price, largest import, ambient temperature.
     export : Export, optional
         What the grid takes back, None where the connection imports only.
+    out : OutOfService, optional
+        Lines and buses that are out, as far as it is known; None where nothing is.
     """
 
     load_kw: Floats
@@ -67,6 +70,7 @@ class Forecast:
     grid_limit_kw: Floats
     temperature_c: Floats
     export: Export | None = None
+    out: OutOfService | None = None
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -81,7 +85,13 @@ class Forecast:
             self.grid_limit_kw[steps],
             self.temperature_c[steps],
             self.export and self.export.part(steps),
+            self.out and self.out.part(steps),
         )
+
+    @property
+    def in_parts_now(self) -> bool:
+        """Whether lines are out in the first step."""
+        return self.out is not None and bool(self.out.lines[0].any())
 
     @property
     def export_now_kw(self) -> float:

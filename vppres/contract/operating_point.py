@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from vppres.core.arrays import Floats
+from vppres.core.arrays import Flags, Floats
 
 Centre = Literal["lossless", "literal", "none"]
 
@@ -24,6 +24,8 @@ class OperatingPoint:
         Net injections of all buses but the slack bus's supply.
     island : bool, optional
         Whether the feeder was an island: some shunts are switched off there.
+    lines_out : array of bool, shape (L,), optional
+        Lines that were out; voltages are NaN where nothing held them. None where none was.
     """
 
     v_pu: Floats
@@ -32,3 +34,4 @@ class OperatingPoint:
     p_injection_kw: Floats
     q_injection_kvar: Floats
     island: bool = False
+    lines_out: Flags | None = None

@@ -236,6 +236,8 @@ class ConvergedPlanner:
         """
         site = self.solver.site
         plan = solution.dispatch
+        if data.sections is not None:  # what one part curtails no battery of another could keep
+            return data, solution
         if deadline.passed or not (spent_kw(site, data, plan) > SPENT_KW).any():
             return data, solution
         limited = replace(data, unspent=unspent(site, data, plan, data.network_kw))
@@ -347,9 +349,12 @@ def physics_of(site: Site, data: WindowData, headroom: float, open_kw: float = 0
         step, one = np.nonzero(forms)
         buses = site.kinds[kind].buses(site.customers)[one]
         reference[step] = [site.network.bus_index[bus] for bus in buses]
-    forming = forming_batteries(site)
-    share_kw = np.where(forming, np.minimum(headroom * b.s_max_kva, b.active_max_kw), 0.0)
-    headroom_kw = np.where(island[:, None], share_kw, 0.0)
+    forms = island[:, None] & forming_batteries(site)
+    if data.sections is not None:
+        parted = data.sections.any
+        reference = np.where(parted, np.maximum(data.sections.reference[:, 0], 0), reference)
+        forms = np.where(parted[:, None], data.sections.forms, forms)
+    headroom_kw = np.where(forms, np.minimum(headroom * b.s_max_kva, b.active_max_kw), 0.0)
     zero = np.zeros((W, site.network.n_lines))
     left_kw = np.minimum(headroom_kw, open_kw)
     return Physics(zero, zero, reference, headroom_kw, _reserve(site, data, headroom_kw, left_kw))
@@ -378,7 +383,8 @@ def _reserve(site: Site, data: WindowData, headroom_kw: Floats, left_kw: Floats)
     charge = data.eta_charge * b.active_max_kw * dt_h / b.energy_kwh
     for t in range(data.n_steps):
         if np.isinf(data.grid_limit_kw[t]):
-            reach = np.minimum(reach + charge, usable)
+            alone = False if data.sections is None else data.sections.forms[t]
+            reach = np.where(alone, reach, np.minimum(reach + charge, usable))
         wanted[t] = np.minimum(wanted[t], reach)
         reach = np.where(headroom_kw[t] > 0, wanted[t], reach)
     return wanted
@@ -388,15 +394,18 @@ def dark_steps(site: Site, data: WindowData) -> Flags:
     """Island steps in which no battery can form the grid, (W,).
 
     Without a grid-forming battery that is every one; with empty ones those before the grid is back.
+    Steps in which lines are out have dead parts instead.
     """
     b = site.batteries
     island = data.grid_limit_kw <= 0.0
+    parted = np.zeros_like(island) if data.sections is None else data.sections.any
     formers = forming_batteries(site)
     if not formers.any():
-        return island
+        return island & ~parted
     held_kw = (data.soc - b.soc_min) * b.energy_kwh * data.eta_discharge / site.dt_h
     able = bool((b.holds_energy(data.soc) & (held_kw > _NO_POWER_KW))[formers].any())
-    return np.zeros_like(island) if able else np.logical_and.accumulate(island)
+    empty = np.zeros_like(island) if able else np.logical_and.accumulate(island)
+    return empty & ~parted
 
 
 def without_power(data: WindowData, dark: Flags) -> WindowData:

@@ -7,7 +7,7 @@ points until they are the plan's own.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import ClassVar, Protocol, TypeVar
 
 import numpy as np
@@ -24,6 +24,7 @@ from vppres.model.beyond_paper.losses import (
 )
 from vppres.model.data import WindowData
 from vppres.model.linearise import Drawn, drawn_at
+from vppres.model.sections import Sections, sections_of
 from vppres.model.site import Site
 
 VOLTAGE_TOLERANCE_PU = 1e-4
@@ -87,7 +88,7 @@ class BalancedLinearisation:
     """Linearisation of a balanced feeder: losses of lines and offsets of their voltage drops."""
 
     site: Site
-    _sweeps: dict[tuple[int, bool], Sweeps] = field(default_factory=dict)
+    _sweeps: dict[tuple[int, bool, bytes], Sweeps] = field(default_factory=dict)
 
     passes: ClassVar[int] = DEFAULT_PASSES
     open_kw: ClassVar[float] = 0.0
@@ -98,14 +99,22 @@ class BalancedLinearisation:
         In an island too, for only batteries can supply it there.
         """
         data = WindowData.of(observation, self.site, "none")
+        out = observation.window.out
+        if out is not None:
+            sections = sections_of(self.site, out, data.soc, data.dark, needs_former=True)
+            data = data.in_parts(self.site, sections)
         network = self.site.network
         if not network.draws:
             return replace(data, drawn=None)
         point = observation.operating_point
         v_pu = network.v_slack_pu * network.bus_ratio
-        if point is not None and not np.isnan(point.v_pu).any():
-            v_pu = point.v_pu
-        return replace(data, drawn=drawn_at(network, np.tile(v_pu, (data.n_steps, 1)), data.dark))
+        if point is not None:
+            v_pu = np.where(np.isnan(point.v_pu), v_pu, point.v_pu)
+        everywhere = np.tile(v_pu, (data.n_steps, 1))
+        drawn = drawn_at(network, everywhere, data.drawing_islands)
+        if data.sections is not None:
+            drawn = drawn.at(~data.sections.dead)
+        return replace(data, drawn=drawn)
 
     def at_rest(self, data: WindowData) -> WindowData:
         """The window in plain LinDistFlow, without losses.
@@ -141,14 +150,56 @@ class BalancedLinearisation:
         for bus, island in sorted(
             {*zip(physics.reference.tolist(), data.dark.tolist(), strict=True)}
         ):
-            if (bus, island) not in self._sweeps:
+            if (bus, island, b"") not in self._sweeps:
                 now = network.islanded if island else network
-                self._sweeps[bus, island] = Sweeps(now, bus)
-            part = self._sweeps[bus, island].solve(p, q)
+                self._sweeps[bus, island, b""] = Sweeps(now, bus)
+            part = self._sweeps[bus, island, b""].solve(p, q)
             these = (physics.reference == bus) & (data.dark == island)
             found = part if found is None else found.where(these, part)
         assert found is not None
-        return found
+        if data.sections is None:
+            return found
+        return self._in_parts(data, data.sections, found, p, q)
+
+    def _sweeps_of(self, bus: int, island: bool, buses: Flags, lines: Flags) -> Sweeps:
+        """Sweeps from a bus, where nothing draws but these buses and lines, made once."""
+        network = self.site.network
+        inside = buses.tobytes() + lines.tobytes() if network.draws else b""
+        key = bus, island, inside
+        if key not in self._sweeps:
+            now = network.islanded if island else network
+            self._sweeps[key] = Sweeps(now.drawing_inside(buses, lines) if inside else now, bus)
+        return self._sweeps[key]
+
+    def _in_parts(
+        self, data: WindowData, sections: Sections, points: ACPoints, p_kw: Floats, q_kvar: Floats
+    ) -> ACPoints:
+        """AC points of a window whose steps in which lines are out are solved part by part.
+
+        Nothing outside of a part draws then. Nothing holds a dead part, nor draws in it: its
+        voltages are those before the line that is out.
+        """
+        values = {f.name: np.array(getattr(points, f.name)) for f in fields(points)}
+        for t in np.flatnonzero(sections.any):
+            values["converged"][t] = True
+            for number in np.unique(sections.part[t]):
+                reference = int(sections.reference[t, number])
+                if number and reference < 0:
+                    continue
+                buses = sections.part[t] == number
+                lines = buses[1:] & ~sections.lines[t]
+                island = bool(data.in_island[t, number])
+                sweeps = self._sweeps_of(max(reference, 0), island, buses, lines)
+                found = sweeps.solve(*(np.where(buses, kw[[t]], 0.0) for kw in (p_kw, q_kvar)))
+                for name, value in values.items():
+                    if name == "converged":
+                        value[t] &= found.converged[0]
+                    elif number == 0:
+                        value[t] = getattr(found, name)[0]
+                    else:
+                        inside = buses if name == "v_pu" else lines
+                        value[t, inside] = getattr(found, name)[0, inside]
+        return ACPoints(**values)
 
     def agrees(self, data: WindowData, dispatch: Dispatch, points: ACPoints) -> bool:
         """Whether voltages, losses and what the network draws agree in every step with power."""
@@ -157,12 +208,26 @@ class BalancedLinearisation:
         missing_kw = points.loss_kw.sum(axis=1) - data.loss_kw
         if (missing_kw[lit & data.dark] > SHORT_KW).any():
             return False
+        if data.sections is not None and (self._short_kw(data, points) > SHORT_KW).any():
+            return False
         off_kw = np.abs(missing_kw)[lit].max()
         if data.drawn is not None:
-            found = drawn_at(self.site.network, points.v_pu[lit], data.dark[lit])
+            found = drawn_at(self.site.network, points.v_pu[lit], data.drawing_islands[lit])
+            if data.sections is not None:
+                found = found.at(~data.sections.dead[lit])
             off = [found.kw - data.drawn.kw[lit], found.kvar - data.drawn.kvar[lit]]
             off_kw = off_kw + max(np.abs(each.sum(axis=1)).max() for each in off)
         return bool(off_pu <= VOLTAGE_TOLERANCE_PU and off_kw <= LOSS_TOLERANCE_KW)
+
+    def _short_kw(self, data: WindowData, points: ACPoints) -> Floats:
+        """Losses that the plans of island parts lack, (W, N) by the number of the part."""
+        sections = data.sections
+        assert sections is not None
+        missing_kw = (points.loss_kw - data.require_physics().loss_kw) * data.lines_in_island
+        found = np.zeros(sections.part.shape)
+        steps = np.broadcast_to(np.arange(data.n_steps)[:, None], missing_kw.shape)
+        np.add.at(found, (steps, sections.part[:, 1:]), missing_kw)
+        return found
 
     def closer(
         self, data: WindowData, dispatch: Dispatch, points: ACPoints, passes: int

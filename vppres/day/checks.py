@@ -37,7 +37,7 @@ def check_run(scenario: Scenario, options: RunOptions, grid: TimeGrid) -> None:
     InputError
         With every option, column and kind of asset that has no meaning there, and the cure.
     """
-    problems = [*_phased(scenario, options)] or [
+    problems = [*_faults(scenario), *_phased(scenario, options)] or [
         *_cold(scenario, options),
         *_controller(scenario, options, grid),
     ]
@@ -46,6 +46,14 @@ def check_run(scenario: Scenario, options: RunOptions, grid: TimeGrid) -> None:
     physics = parts("physics")
     for kind in units_of(scenario):
         physics[kind].check_prices(scenario, options.horizon_h, options.seed)
+
+
+def _faults(scenario: Scenario) -> Iterator[Problem]:
+    """Faults of lines and buses, which plans of balanced feeders know."""
+    if not scenario.faults:
+        return
+    if scenario.phases:
+        yield Problem("faults.csv", NOT_STATED, f"Remove the file, or {BALANCED}.")
 
 
 def _cold(scenario: Scenario, options: RunOptions) -> Iterator[Problem]:

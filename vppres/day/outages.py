@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vppres.contract.export import Export
 from vppres.contract.forecast import Forecast
 from vppres.contract.observation import Observation
 from vppres.contract.stored_value import StoredValue
@@ -21,6 +20,7 @@ from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
 from vppres.day.forecasting import DayForecasts
 from vppres.day.priority import site_of
+from vppres.kinds.export.physics import Export
 from vppres.kinds.kind import EnergyHeld
 from vppres.model.site import Site
 from vppres.outlook.belief import OutageBelief
@@ -241,7 +241,7 @@ class OutageView:
             pv_kw=ahead.pv_kw.sum(axis=1),
             price_gbp_per_kwh=ahead.price_gbp_per_kwh,
             import_kw=import_kw,
-            export=Export.believed(scenario, rows, np.full(steps, np.inf)),
+            export=Export.of(scenario, rows, np.full(steps, np.inf)),
             weight=weight,
             lambda_curt=objective.lambda_curt,
             dt_h=scenario.grid.dt_h,
@@ -339,6 +339,6 @@ def _with_probable_outages(
     """An observation with probable outages instead of the true limits behind the present step."""
     limit_kw = np.where(out, 0.0, beside.import_kw(len(window), grid.import_kw))
     limit_kw[0] = seen.forecast.grid_limit_kw[0]
-    export = Export.believed(scenario, slice(window.start, window.stop), limit_kw)
+    export = Export.of(scenario, slice(window.start, window.stop), limit_kw)
     forecast = replace(seen.forecast, grid_limit_kw=limit_kw, export=export)
     return replace(seen, forecast=forecast, ends=False, open_ended=True)

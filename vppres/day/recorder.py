@@ -40,7 +40,10 @@ ITEM_COLUMNS = {
 ROTATED = "rotated_weight"
 """Column of the customers in runs that share supply within tiers: the weights of the plans."""
 
-OPTIONAL = (ROTATED, SHARE, TIME_ON, LOSSES)
+OFF_BY_FAULT = "off_by_fault"
+"""Column of the customers in days with faults: why the part of each is dark."""
+
+OPTIONAL = (ROTATED, SHARE, TIME_ON, LOSSES, OFF_BY_FAULT)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,11 +84,16 @@ class StepRecord:
 def voltage_figures(v_model_pu: Floats, v_ac_pu: Floats) -> dict[str, float]:
     """Extremes of a step's AC voltages, and the largest error of the model at any bus.
 
+    Buses of dark parts have none.
+
     Examples
     --------
     >>> voltage_figures(np.array([1.0, 0.97]), np.array([1.0, 0.99]))["v_error_pu"]
     0.020000000000000018
     """
+    live = np.isfinite(v_ac_pu)
+    if live.any():
+        v_model_pu, v_ac_pu = v_model_pu[live], v_ac_pu[live]
     return {
         "v_min_ac_pu": float(np.min(v_ac_pu)),
         "v_max_ac_pu": float(np.max(v_ac_pu)),

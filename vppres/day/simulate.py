@@ -16,7 +16,6 @@ from vppres.contract.dispatch import Dispatch
 from vppres.contract.forecast import ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import OperatingPoint
-from vppres.contract.owed import Owed
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import ModelError, VppresError, function_of
@@ -28,7 +27,7 @@ from vppres.day.kind_tables import records_of
 from vppres.day.options import PERFECT, RunOptions
 from vppres.day.outages import BELIEF, LIKELY, GridSeen, OutageView
 from vppres.day.own import Own
-from vppres.day.recorder import ROTATED, Recorder, StepRecord, voltage_figures
+from vppres.day.recorder import OFF_BY_FAULT, ROTATED, Recorder, StepRecord, voltage_figures
 from vppres.day.trajectory import SHARE, Trajectory
 from vppres.forecasts.interface import ForecastMethod
 from vppres.io.python_door import check_scenario
@@ -37,7 +36,9 @@ from vppres.physics.feeder import power_flows
 from vppres.physics.powerflow import ACResult
 from vppres.plant.collapse import realise
 from vppres.plant.island import IslandPlant, Settled
+from vppres.plant.parts import PlantInParts
 from vppres.plant.plant import CLIP_TOLERANCE_KW, BatteryState, Plant, Realised
+from vppres.scenario.faults import OutOfService, known_faults
 from vppres.scenario.formers import forming_batteries
 from vppres.scenario.parts import parts_record, split_sheddable
 from vppres.scenario.priority import STRICT
@@ -45,6 +46,9 @@ from vppres.scenario.scenario import Scenario
 from vppres.solve.result import Status
 
 Progress = Callable[[int, int], None]
+
+LINES_OUT = "lines_out"
+"""Column of the steps in days with faults: names of lines and buses that are out."""
 
 
 def run_day(
@@ -131,13 +135,13 @@ class Day:
         )
         self.ac, self.island_ac = power_flows(scenario)
         self.island = IslandPlant(self.plant, self.island_ac)
+        self.in_parts = PlantInParts(self.plant)
         self.recorder = Recorder(scenario)
         self.operating_point: OperatingPoint | None = None
         self.battery_kw: Floats | None = None
         self.import_kw: float | None = None
         self.served: Flags | None = None
         self.flexible_kw: float | None = None
-        self.owed = Owed.of(scenario.customers, scenario.grid.dt_h)
         self.outages = OutageView.create(scenario, self.options.as_record())
         self.grid_seen = GridSeen()
         self.outage_messages = ""
@@ -146,6 +150,8 @@ class Day:
         """Observation of the controller at step ``t``."""
         steps = controller.horizon_steps(t)
         forecast = self.forecaster.at(t, steps)
+        if self.scenario.faults:
+            forecast = replace(forecast, out=self._out_as_known(t, steps))
         s = self.state
         ends = steps.stop == self.scenario.grid.n_steps
         seen = Observation(
@@ -160,7 +166,7 @@ class Day:
             import_kw=self.import_kw,
             served=self.served,
             flexible_kw=self.flexible_kw,
-            owed=self.owed,
+            owed=self.plant.owed,
             ahead=self.ahead(steps),
             terminal=Terminal.of(self.options.soc_end, forecast, ends),
             ends=ends,
@@ -170,6 +176,17 @@ class Day:
         seen = self.outages.told(seen, self.grid_seen, self.scenario, t, self.forecaster)
         self.outage_messages = seen.outage_messages
         return seen if self.faults is None else self.faults.observe(seen)
+
+    def _out_as_known(self, t: int, steps: range) -> OutOfService | None:
+        """Lines and buses that are out in some steps, as it is known in one."""
+        s = self.scenario
+        faults = known_faults(s.faults, s.grid.times[t], s.grid.step)
+        return OutOfService.of(faults, s.network, s.grid, steps)
+
+    def out(self, t: int) -> OutOfService | None:
+        """Lines and buses that are out in a step."""
+        s = self.scenario
+        return OutOfService.of(s.faults, s.network, s.grid, range(t, t + 1))
 
     def ahead(self, steps: range) -> KindsAhead:
         """Flexible power as it is known at the beginning of a window."""
@@ -216,6 +233,9 @@ class Day:
         result = done.ac
         record = _record(self.scenario, t, decision, self.state, done, self.options)
         steps = {**record.steps, **basis_of(self.forecaster, t)}
+        if self.scenario.faults:
+            out = self.out(t)
+            steps[LINES_OUT] = "" if out is None else out.name(self.scenario.network, 0)
         if self.options.outages in (BELIEF, LIKELY):
             steps["outage_messages"] = self.outage_messages
         record = replace(record, steps=steps, kinds=kinds)
@@ -229,6 +249,7 @@ class Day:
                 self.plant.places.at_buses(realised.p_injection_kw),
                 self.plant.places.at_buses(realised.q_injection_kvar),
                 bool(self.scenario.outage[t]),
+                None if (out := self.out(t)) is None else out.lines[0],
             )
         )
         self.battery_kw = realised.charge_kw - realised.discharge_kw
@@ -238,14 +259,16 @@ class Day:
         self.served = realised.served
         self.flexible_kw = realised.flexible_kw
         self.state = self.plant.advance(t, self.state, realised)
-        if self.owed is not None:
-            self.owed = self.owed.after(
-                realised.load_kw, np.asarray(realised.served * realised.share, dtype=float)
-            )
         return record
 
     def carry_out(self, t: int, decision: Decision) -> Settled:
-        """Outcome of a decision; physical mode's islands hold themselves."""
+        """Outcome of a decision; physical mode's islands hold themselves, and so do parts."""
+        out = self.out(t)
+        if out is not None:
+            every = np.ones(len(self.scenario.batteries), dtype=bool)
+            online = every if self.faults is None else self.faults.online(t)
+            held = self._held_by_batteries(t)
+            return self.in_parts.settle(t, decision, self.state, out, held, online)
         if not self._held_by_batteries(t):
             flow = self.island_ac if self.scenario.outage[t] else self.ac
             return realise(self.plant, flow, t, decision, self.state)
@@ -325,6 +348,9 @@ def _of_customers(scenario: Scenario, decision: Decision, done: Settled) -> dict
         columns[ROTATED] = decision.weight
     if scenario.customers.dimmable.any():
         columns[SHARE] = realised.served * realised.share
+    if scenario.faults:
+        nothing = np.full(len(realised.served), "", dtype=object)
+        columns[OFF_BY_FAULT] = nothing if done.off is None else done.off
     return columns
 
 
@@ -438,6 +464,8 @@ def _island_notes(scenario: Scenario, done: Settled) -> dict[str, float | str]:
     """Record of an island's step; the figures are 0 where nothing was cut."""
     net = scenario.network
     v = done.ac.v_pu
+    if np.isfinite(v).any():
+        v = v[np.isfinite(v)]
     within = bool(v.min() >= net.v_min_ac_pu and v.max() <= net.v_max_ac_pu)
     return {
         "dark": float(done.dark),

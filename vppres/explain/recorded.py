@@ -16,7 +16,6 @@ from vppres.contract.decision import batteries_out
 from vppres.contract.forecast import Forecast, ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import OperatingPoint
-from vppres.contract.owed import Owed
 from vppres.contract.terminal import Terminal
 from vppres.control.converged import physics_of
 from vppres.control.phased_window import PhasedLinearisation
@@ -27,6 +26,7 @@ from vppres.day.outages import GridSeen, OutageView, believed_outages
 from vppres.day.priority import site_of, weighed
 from vppres.day.trajectory import Trajectory
 from vppres.kinds.customer.data import SwitchingRules
+from vppres.kinds.customer.physics import Owed
 from vppres.kinds.customer.record import off_before_h
 from vppres.kinds.table import KINDS, parts, units_of
 from vppres.model.beyond_paper.ratings import LineRatings

@@ -78,10 +78,6 @@ ON_THE_WAY = 0.25
 """kVA through a phase of a line by a kW of an asset from which it is on the asset's way: a third of
 what has three phases."""
 
-EXPORT_LIMIT_KW = 1.0
-EXPORT_LIMIT_SHARE = 0.01
-"""How near to its limit an export counts as limited: losses lie between plan and meter."""
-
 
 @dataclass(frozen=True)
 class Reason:
@@ -240,23 +236,6 @@ class Step:
     def dearest_gbp(self) -> float:
         """Dearest import price from the step on: energy that is worth more is for an outage."""
         return float(self.scenario.price_gbp_per_kwh[self.t :].max())
-
-    @property
-    def export_price_gbp_per_kwh(self) -> float:
-        """Price of exported energy."""
-        return float(self.scenario.export_price[self.t])
-
-    @property
-    def export_kw(self) -> float:
-        """Export at the slack bus, 0 while the grid is away."""
-        return 0.0 if self.outage else max(-self.recorded.imported_kw(self.t), 0.0)
-
-    @property
-    def at_export_limit(self) -> bool:
-        """Whether no more than what is exported could be."""
-        most = float(self.scenario.export_max_kw[self.t])
-        near = EXPORT_LIMIT_KW + EXPORT_LIMIT_SHARE * min(most, self.export_kw)
-        return most > 0.0 and self.export_kw > most - near
 
     @property
     def fallback(self) -> str:

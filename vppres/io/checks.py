@@ -105,7 +105,7 @@ def check_any(customers: Table) -> list[Problem]:
     ]
 
 
-def check_buses(table: Table, lines: Table) -> list[Problem]:
+def check_buses(table: Table, lines: Table, field: str = "bus") -> list[Problem]:
     """Assets at buses that no line reaches."""
     read_bus = bus_reader(lines)
     ends = [*lines.column("from_bus").values(), *lines.column("to_bus").values()]
@@ -113,8 +113,8 @@ def check_buses(table: Table, lines: Table) -> list[Problem]:
     suggestions = Suggestions(sorted(map(str, known)), "Correct the bus.")
     message = f"is not a bus of {lines.file}"
     return [
-        table.problem(row, "bus", message, suggestions.cure(text), text)
-        for row, text in table.column("bus").items()
+        table.problem(row, field, message, suggestions.cure(text), text)
+        for row, text in table.column(field).items()
         if known and read_bus(text) not in known
     ]
 

@@ -17,6 +17,7 @@ from vppres.core.arrays import Floats, given_or
 from vppres.core.errors import InputError, Problem
 from vppres.core.text import named
 from vppres.io import checks, schema
+from vppres.io.fault_rows import check_faults, faults_of
 from vppres.io.history import Columns as HistoryColumns
 from vppres.io.history import history_of
 from vppres.io.messages import in_order
@@ -53,16 +54,19 @@ from vppres.scenario.scenario import (
     Scenario,
 )
 from vppres.scenario.source import Source, SourceDeviation
+from vppres.scenario.switches import Switches, switch_problems
 
 MODELS: dict[str, type[BaseModel]] = {
     "lines": schema.LineRow,
     "buses": schema.BusRow,
+    "switches": schema.SwitchRow,
     "customers": schema.CustomerRow,
     "pv": schema.PVRow,
     "batteries": schema.BatteryRow,
     **{table.key: schema.row_of(table.key) for table in KIND_TABLES.values()},
     "warnings": schema.WarningRow,
     "outages": schema.OutageRow,
+    "faults": schema.FaultRow,
 }
 """Rows of each table, by its key under [files]."""
 
@@ -208,6 +212,8 @@ def _check_across(settings: Settings, tables: Tables, rows: AllRows) -> list[Pro
         if settings.tiers:
             message = f"is not a tier of {SCENARIO_FILE}"
             problems += checks.check_known(table, "tier", settings.tiers, message)
+    if lines and settings.slack_bus and (faults := there.get("faults")):
+        problems += check_faults(faults, rows["faults"], lines, settings.slack_bus)
     for key, column, other, what in _REFERENCES:
         if key in there and other in there:
             known = there[other].column("id").values()
@@ -219,6 +225,8 @@ def _check_across(settings: Settings, tables: Tables, rows: AllRows) -> list[Pro
             problems += checks.check_parts(table, rows["customers"])
     if buses := there.get("buses"):
         problems += checks.check_once(buses, "bus", "Give each bus one row.")
+    if lines and (switches := there.get("switches")):
+        problems += _check_switches(switches, rows["switches"], lines)
     if pv := there.get("pv"):
         problems += checks.check_places(pv) + checks.check_one_pv_each(pv)
     if batteries := there.get("batteries"):
@@ -249,6 +257,33 @@ def _check_network(lines: Table, slack_bus: str | None) -> list[Problem]:
         row = None if problem.row is None else int(lines.frame.index[problem.row])
         located.append(replace(problem, where=lines.file, row=row))
     return located
+
+
+def _check_switches(table: Table, rows: dict[int, Any], lines: Table) -> list[Problem]:
+    """Whether the switches fit the lines; only asked if each of both has its ends."""
+    if len(rows) < len(table.frame) or not {"from_bus", "to_bus"} <= set(lines.names):
+        return []
+    read_bus = checks.bus_reader(lines)
+    switches = _switches(columns_of(rows, schema.SwitchRow, read_bus))
+    from_bus, to_bus = (
+        np.array([read_bus(text) for text in lines.column(name).values()], dtype=object)
+        for name in ("from_bus", "to_bus")
+    )
+    if len(from_bus) != len(to_bus):
+        return []
+    numbers = [*rows]
+    return [
+        replace(
+            problem, where=table.file, row=None if problem.row is None else numbers[problem.row]
+        )
+        for problem in switch_problems(switches, from_bus, to_bus)
+    ]
+
+
+def _switches(columns: Columns) -> Switches:
+    """Switches of their columns; what has no limit is infinite."""
+    unlimited = ("i_max_a", "max_operations_per_day")
+    return Switches(**columns | {name: given_or(columns[name], np.inf) for name in unlimited})
 
 
 def _read_series(
@@ -402,12 +437,13 @@ def _assemble(
             tuple(file.source.notes),
             SourceDeviation(**file.source.deviation.model_dump()),
             file.source.unbalanced,
-            tuple(file.source.ties),
         ),
         voll_gbp_per_kwh=file.reliability.voll_gbp_per_kwh,
         warnings=tuple(rows["warnings"].values()),
         interruptions=tuple(rows["outages"].values()),
+        faults=faults_of(rows["faults"], read_bus),
         phases=phases,
+        switches=_switches(columns["switches"]),
         **of_kinds,
         **arrays,
         **{key: kind(**getattr(file, key).model_dump()) for key, kind in _SECTIONS.items()},

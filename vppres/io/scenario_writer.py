@@ -27,11 +27,13 @@ from vppres.io.settings import SCENARIO_FILE, outage_intervals
 from vppres.kinds.customer.data import SwitchingRules
 from vppres.kinds.table import KINDS, units_of
 from vppres.scenario.fairness import Fairness, Interruption
+from vppres.scenario.faults import Fault
 from vppres.scenario.history import History
 from vppres.scenario.network import BUS_DRAWS, LINE_DEFAULTS
 from vppres.scenario.outage_warnings import OutageStatistics
 from vppres.scenario.scenario import DEFAULT_VOLL_GBP_PER_KWH, ControllerDefaults, Scenario
 from vppres.scenario.source import Source
+from vppres.scenario.switches import SWITCH_DEFAULTS
 from vppres.scenario.timegrid import UTC, TimeGrid
 
 
@@ -161,7 +163,6 @@ def _source(source: Source) -> dict[str, Any]:
         "kind": source.kind,
         **({"unbalanced": source.unbalanced} if source.unbalanced else {}),
         "notes": list(source.notes),
-        **({"ties": list(source.ties)} if source.ties else {}),
         **({"deviation": deviation} if deviation else {}),
     }
 
@@ -186,6 +187,8 @@ def frames_of(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, p
         columns = {name: getattr(network, name)[drawing] for name in (*BUS_DRAWS, "island")}
         buses = SimpleNamespace(bus=network.buses[drawing], **columns)
         frames["buses"] = frame_of(buses, schema.BusRow, columns)
+    if len(scenario.switches):
+        frames["switches"] = frame_of(scenario.switches, schema.SwitchRow, SWITCH_DEFAULTS)
     for kind in map(KINDS.__getitem__, units_of(scenario)):
         for name, table in kind.tables.items():
             rows: Any = getattr(scenario, name)
@@ -200,6 +203,8 @@ def frames_of(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, p
         frames["warnings"] = frame_of(scenario.warnings, schema.WarningRow, unsaid)
     if scenario.interruptions:
         frames["outages"] = outage_frame(scenario.interruptions)
+    if scenario.faults:
+        frames["faults"] = _fault_frame(scenario.faults)
     if scenario.history is not None:
         frames |= _history_frames(scenario, scenario.history)
     frames |= phase_frames(scenario.phases)
@@ -209,6 +214,14 @@ def frames_of(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, p
 def outage_frame(interruptions: Sequence[Interruption]) -> pd.DataFrame:
     """Outages that were as rows of ``outages.csv``."""
     return frame_of(tuple(interruptions), schema.OutageRow)
+
+
+def _fault_frame(faults: Sequence[Fault]) -> pd.DataFrame:
+    """Faults as rows of ``faults.csv``; a column of numbers with empty cells would have points."""
+    frame = frame_of(tuple(faults), schema.FaultRow, ("known",))
+    for name in frame.columns.intersection(["line", "bus"]):
+        frame[name] = ["" if bus is None else str(bus) for bus in frame[name]]
+    return frame
 
 
 def _history_frames(scenario: Scenario, history: History) -> dict[str, pd.DataFrame]:

@@ -75,7 +75,7 @@ class SetPoints(SetPointsOfKinds):
         order ``levels`` has how many steps of the window the plan supplies to customers of each
         tier, and how many it could at most; ``inverted`` names a customer off supply whose demand
         lower tiers and charging batteries take now, and when the plan supplies it; ``shorter`` one
-        for whom what they take would do for a part of the step.
+        for which what they take would do for a part of the step.
     feeding : Feeding
         What holds the voltage: the grid, a battery, or nothing.
     foreseen : Foreseen

@@ -109,14 +109,22 @@ def active_balance(site: Site, v: Variables, p: Parameters) -> Named:
 
     The grid supplies the slack bus, which the paper leaves unsaid.
     """
+    P_inj, P_load = injected_and_drawn(site, v, p)
+    P_grid = at_slack_bus(site, v.P_grid)
+    inflow = v.P_flow @ site.network.incidence.T
+    return {"active_power_balance": P_inj + P_grid + inflow == P_load}
+
+
+def injected_and_drawn(
+    site: Site, v: Variables, p: Parameters
+) -> tuple[cp.Expression, cp.Expression]:
+    """Injection (9) and load (10) of every bus, (W, N) each."""
     P_inj = at_buses(site.pv_bus, v.P_exp) - v.P_batt @ site.battery_bus.T
     P_served = of_served(p.P_load, v)
     P_load = at_buses(site.customer_bus, P_served) - at_buses(site.pv_bus, v.P_self)
     if p.P_added is not None:
         P_load = P_load + p.P_added
-    P_grid = at_slack_bus(site, v.P_grid)
-    inflow = v.P_flow @ site.network.incidence.T
-    return {"active_power_balance": P_inj + P_grid + inflow == P_load}
+    return P_inj, P_load
 
 
 def reactive_balance(site: Site, v: Variables, p: Parameters) -> Named:

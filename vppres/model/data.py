@@ -8,18 +8,18 @@ from typing import Any
 import numpy as np
 
 from vppres.contract.ahead import KindsAhead
-from vppres.contract.export import Export
 from vppres.contract.moves import Moves
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
-from vppres.contract.owed import MOST_SHARE, Owed
 from vppres.contract.stored_value import Ending, StoredValue
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Complexes, Flags, Floats, Wholes
 from vppres.core.errors import ModelError
-from vppres.kinds.customer.physics import LongestOff, SwitchingData
+from vppres.kinds.customer.physics import LongestOff, Owed, SwitchingData
+from vppres.kinds.export.physics import Export
 from vppres.model.formulas import cell_kw, soc_after
 from vppres.model.linearise import Drawn, delta_offset, drawn_by
+from vppres.model.sections import Sections, at_items, sections_of
 from vppres.model.site import Site
 from vppres.scenario.assets import SOC_ROUNDING, Batteries
 from vppres.scenario.network import Network
@@ -175,6 +175,8 @@ class WindowData:
         Voltages and former by phase; None for a balanced feeder.
     owed : Owed, optional
         What dimmed customers may catch up from before the window; None for nothing.
+    sections : Sections, optional
+        Parts into which lines that are out cut the feeder; None where none is out.
     unspent : Unspent, optional
         What keeps stored energy while PV power is curtailed; None, the paper, for nothing.
     ahead : KindsAhead, optional
@@ -203,6 +205,7 @@ class WindowData:
     flow_max_kva: Floats | None = None
     phased: PhasedWindow | None = None
     owed: Owed | None = None
+    sections: Sections | None = None
     unspent: Unspent | None = None
     ahead: KindsAhead = field(default_factory=KindsAhead)
 
@@ -212,11 +215,18 @@ class WindowData:
         forecast = observation.window
         n_steps = len(forecast.price_gbp_per_kwh)
         point = observation.operating_point
-        offset = delta_offset(site.network, point, centre)
+        offset = np.tile(delta_offset(site.network, point, centre), (n_steps, 1))
         island = forecast.grid_limit_kw <= 0.0
+        sections = None
+        if forecast.out is not None:
+            sections = sections_of(site, forecast.out, observation.soc, island, False)
+        if point is not None and point.lines_out is not None:
+            # Across a line that was out there is no drop of a line.
+            back = point.lines_out & ~(np.zeros(1, bool) if sections is None else sections.lines)
+            offset = np.where(back | np.isnan(offset), 0.0, offset)
         stores = len(site.batteries) > 0
         rules = observation.rules
-        return cls(
+        found = cls(
             load_kw=forecast.load_kw,
             pv_kw=forecast.pv_kw,
             price_gbp_per_kwh=forecast.price_gbp_per_kwh,
@@ -224,11 +234,16 @@ class WindowData:
             soc=observation.soc,
             eta_charge=observation.eta_charge,
             eta_discharge=observation.eta_discharge,
-            delta_pu2=np.tile(offset, (n_steps, 1)),
+            delta_pu2=offset,
             switching=None if rules is None else rules.priced(site.hour_beyond, site.dt_h),
             moves=observation.moves,
             export=forecast.export,
-            drawn=drawn_by(site.network, None if point is None else point.v_pu, island),
+            drawn=drawn_by(
+                site.network,
+                None if point is None else point.v_pu,
+                island,
+                None if sections is None else sections.part,
+            ),
             on_before=observation.served,
             open_ended=observation.open_ended,
             ends=observation.ends and observation.stored_value is None,
@@ -236,6 +251,20 @@ class WindowData:
             stored_value=observation.stored_value if stores else None,
             owed=observation.owed,
             ahead=observation.ahead.part(slice(n_steps)),
+        )
+        return found if sections is None else found.in_parts(site, sections)
+
+    def in_parts(self, site: Site, sections: Sections) -> WindowData:
+        """The window in a feeder that is cut into parts, with nothing in dead ones."""
+        places = {kind: site.unit_bus[kind] for kind in self.ahead.by_kind}
+        lit = {kind: ~at_items(sections.dead, place) for kind, place in places.items()}
+        off = at_items(sections.dead, site.customer_bus)
+        return replace(
+            self,
+            sections=sections,
+            ahead=self.ahead.in_dead_parts(lit),
+            switching=self.switching and self.switching.in_the_dark(off),
+            drawn=self.drawn and self.drawn.at(~sections.dead),
         )
 
     def with_sound_soc(self, batteries: Batteries) -> WindowData:
@@ -320,6 +349,7 @@ class WindowData:
             own_u_pu2=None if self.own_u_pu2 is None else self.own_u_pu2[steps],
             flow_max_kva=None if self.flow_max_kva is None else self.flow_max_kva[steps],
             phased=self.phased and self.phased.part(steps),
+            sections=self.sections and self.sections.steps(steps),
             unspent=self.unspent and self.unspent.part(steps),
             ahead=self.ahead.part(steps),
         )
@@ -430,8 +460,7 @@ class WindowData:
 
     def most_load_kw(self, site: Site) -> Floats:
         """Largest demand of each customer, just restored or catching up, (W, C)."""
-        most_share = np.where(site.customers.recovery_h > 0.0, MOST_SHARE, 1.0)
-        return np.asarray(self.all_cold().load_kw * most_share)
+        return np.asarray(self.all_cold().load_kw * site.customers.most_share)
 
     def self_limit_kw(self, site: Site) -> Floats:
         """Self-consumption of each PV system if its owner is served, shape (W, P)."""
@@ -449,17 +478,32 @@ class WindowData:
         return np.asarray(np.minimum(np.maximum(self.grid_limit_kw, 0.0), useful))
 
     @property
-    def exporting(self) -> bool:
-        """Whether export is part of the window's problem."""
-        return self.export is not None
+    def in_island(self) -> Flags:
+        """Buses of islands, (W, N), or steps in which all are, (W, 1)."""
+        return ~self.with_grid
+
+    @property
+    def lines_in_island(self) -> Flags:
+        """Lines of islands, (W, L), or steps in which all are, (W, 1)."""
+        return self.in_island if self.sections is None else self.in_island[:, 1:]
+
+    @property
+    def drawing_islands(self) -> Flags:
+        """Steps, (W,), or buses, (W, N), without the shunts that islands have not."""
+        return self.dark if self.sections is None else self.in_island
+
+    @property
+    def with_grid(self) -> Flags:
+        """Buses that the grid reaches, (W, N), or steps in which it reaches all, (W, 1)."""
+        connected = ~self.dark[:, None]
+        return connected if self.sections is None else connected & ~self.sections.beyond
 
     @property
     def both_ways_earn(self) -> bool:
         """Whether importing and exporting at once would earn in a step with grid."""
-        if self.export is None:
-            return False
-        open_ = (self.grid_limit_kw > 0.0) & (self.export.limit_kw > 0.0)
-        return bool((open_ & (self.export.price_gbp_per_kwh > self.price_gbp_per_kwh)).any())
+        return self.export is not None and self.export.earns_both_ways(
+            self.price_gbp_per_kwh, self.grid_limit_kw
+        )
 
     def export_max_kw(self, site: Site) -> Floats:
         """Largest export that there can ever be, or the limit where that is smaller, (W,).

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vppres.contract.operating_point import Centre, OperatingPoint
-from vppres.core.arrays import Flags, Floats
+from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.formulas import lossless_flows, voltage_offset_pu2
 from vppres.scenario.network import Network
 
@@ -74,16 +74,23 @@ class Drawn:
         """Some of the steps."""
         return Drawn(self.kw[steps], self.kvar[steps])
 
+    def at(self, buses: Flags) -> Drawn:
+        """Power drawn at some buses of each step, (W, N), and nothing at the others."""
+        return Drawn(self.kw * buses, self.kvar * buses)
+
     def where(self, steps: Flags) -> Drawn:
         """Power drawn in some steps, (W,), and nothing in the others."""
         return Drawn(self.kw * steps[:, None], self.kvar * steps[:, None])
 
 
-def drawn_by(network: Network, v_pu: Floats | None, island: Flags) -> Drawn | None:
+def drawn_by(
+    network: Network, v_pu: Floats | None, island: Flags, part: Wholes | None = None
+) -> Drawn | None:
     """Power that a network draws in the steps of a window, None if it never draws anything.
 
     An island of the paper's mode is lossless: as with losses, the slack bus supplies what the
-    network draws, so that the sum over the buses is zero.
+    network draws, so that the sum over the buses is zero. Behind a line that is out the first bus
+    does so.
 
     Parameters
     ----------
@@ -93,6 +100,8 @@ def drawn_by(network: Network, v_pu: Floats | None, island: Flags) -> Drawn | No
         Voltages of the last AC point; without one those at no load.
     island : array of bool, shape (W,)
         Steps without grid.
+    part : array of int, shape (W, N), optional
+        Number of the part of each bus, which is its first bus; one part if not given.
 
     Examples
     --------
@@ -104,17 +113,31 @@ def drawn_by(network: Network, v_pu: Floats | None, island: Flags) -> Drawn | No
     if not network.draws:
         return None
     at_no_load = network.v_slack_pu * network.bus_ratio
-    found = drawn_at(
-        network, np.tile(at_no_load if v_pu is None else v_pu, (len(island), 1)), island
-    )
+    if v_pu is not None:
+        at_no_load = np.where(np.isnan(v_pu), at_no_load, v_pu)
+    found = drawn_at(network, np.tile(at_no_load, (len(island), 1)), island)
     for values in (found.kw, found.kvar):
-        values[island, 0] -= values[island].sum(axis=1)
+        if part is None:
+            values[island, 0] -= values[island].sum(axis=1)
+            continue
+        for t, numbers in enumerate(part):
+            sums = np.bincount(numbers, values[t], network.n_buses)
+            sums[0] *= island[t]
+            values[t] -= sums
     return found
 
 
 def drawn_at(network: Network, v_pu: Floats, island: Flags) -> Drawn:
-    """Power that a network draws at each step's voltages, (W, N), with grid and in an island."""
+    """Power that a network draws at each step's voltages, (W, N), with grid and in an island.
+
+    ``island`` has steps, (W,), or the buses of each, (W, N).
+    """
     kw, kvar = network.drawn(v_pu)
-    if network.islanded is not network:
+    if network.islanded is not network and island.ndim == 2:
+        kw, kvar = (
+            np.where(island, *pair)
+            for pair in zip(network.islanded.drawn(v_pu), (kw, kvar), strict=True)
+        )
+    elif network.islanded is not network:
         kw[island], kvar[island] = network.islanded.drawn(v_pu[island])
     return Drawn(kw, kvar)

@@ -188,6 +188,11 @@ class Statement:
         return NETWORK.union(self.named("of_network"))
 
     @property
+    def apart(self) -> bool:
+        """Whether rows tell one PV system or battery from another."""
+        return any(addition.apart for addition in self.additions)
+
+    @property
     def own_letters(self) -> frozenset[str]:
         """Letters that your own families and term use."""
         parts = [self.terms[name] if name == "own" else self.families[name] for name in self.own]

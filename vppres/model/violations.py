@@ -19,6 +19,7 @@ from vppres.model.beyond_paper.physical import taken_by_network
 from vppres.model.data import WindowData
 from vppres.model.formulas import lossless_flows, voltage_drop_pu2
 from vppres.model.phases import phased_model
+from vppres.model.sections import at_items
 from vppres.model.site import Site
 from vppres.scenario.assets import SOC_ROUNDING
 
@@ -63,6 +64,7 @@ def excesses(site: Site, data: WindowData, dispatch: Dispatch) -> Excess:
         _balances,
         _voltages,
         _ratings,
+        _lines_out,
         _phases,
         _kinds,
     )
@@ -232,6 +234,32 @@ def _ratings(site: Site, data: WindowData, d: Dispatch) -> Excess:
         return {}
     over_kva = np.hypot(*_flows(site, data, d)) - data.flow_max_kva
     return {"line rating": _most(power_tolerance_kw(site, data), over_kva)}
+
+
+def _lines_out(site: Site, data: WindowData, d: Dispatch) -> Excess:
+    """Flows over lines that are out, and what dead parts serve, give or take."""
+    sections = data.sections
+    if sections is None:
+        return {}
+    tolerance = power_tolerance_kw(site, data)
+    dead = {
+        name: at_items(sections.dead, place)
+        for name, place in (
+            ("customers", site.customer_bus),
+            ("pv", site.pv_bus),
+            ("batteries", site.battery_bus),
+        )
+    }
+    flows = np.hypot(d.p_flow_kw, d.q_flow_kvar)
+    return {
+        "lines that are out": _most(tolerance, flows[sections.lines]),
+        "dead parts": _most(
+            tolerance,
+            (d.pv_self_kw + d.pv_export_kw)[dead["pv"]],
+            (d.charge_kw + d.discharge_kw)[dead["batteries"]],
+        ),
+        "service of dead parts": 2.0 * float(d.served[dead["customers"]].sum()),
+    }
 
 
 def _phases(site: Site, data: WindowData, d: Dispatch) -> Excess:

@@ -14,15 +14,16 @@ its part of the rating, the same is done for what is on that phase first
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vppres.core.arrays import Flags, Floats
+from vppres.core.arrays import Flags, Floats, Names
 from vppres.core.errors import VerificationError
 from vppres.kinds.gensets.physics import Engines
 from vppres.physics.feeder import PowerFlow
+from vppres.physics.places import Places
 from vppres.physics.powerflow import ACResult, NoSolutionError, NotFoundError
 from vppres.plant.changes import (
     CUT_MARGIN_KW,
@@ -74,6 +75,8 @@ class Settled:
         What the generating set gave so that forms the grid.
     former : str
         The device that was the source; empty where none was, and with grid.
+    off : array of str, shape (C,), or None
+        Why the part of each customer is dark, where lines are out; empty if it is not.
     shed : array of bool, shape (C,)
         Who was to be served and was cut off.
     dark_reason : str
@@ -91,11 +94,29 @@ class Settled:
     ac_failed: str = ""
     by_set_kw: float = 0.0
     former: str = ""
+    off: Names | None = None
 
     @property
     def dark(self) -> bool:
         """Whether no device formed the grid."""
         return self.dark_reason != ""
+
+
+@dataclass(frozen=True, eq=False)
+class PartOfPlant:
+    """Buses and devices of a part of the feeder; (n,) of each kind of unit."""
+
+    buses: Flags
+    customers: Flags
+    pv: Flags
+    batteries: Flags
+    units: Mapping[str, Flags]
+
+    @classmethod
+    def of(cls, places: Places, buses: Flags) -> PartOfPlant:
+        """Devices of a balanced feeder at these buses, (N,)."""
+        units = {kind: buses[at] for kind, at in places.units.items()}
+        return cls(buses, buses[places.customers], buses[places.pv], buses[places.batteries], units)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,11 +143,19 @@ class IslandPlant:
         The actual day.
     flow : PowerFlow
         Power flow of its feeder.
+    inside : PartOfPlant, optional
+        Devices of the island, where it is a part of the feeder; all if not given.
+    where : str, optional
+        Which part it is, in words.
     """
 
-    def __init__(self, plant: Plant, flow: PowerFlow) -> None:
+    def __init__(
+        self, plant: Plant, flow: PowerFlow, inside: PartOfPlant | None = None, where: str = ""
+    ) -> None:
         self.plant = plant
         self.flow = flow
+        self.inside = inside
+        self.where = where
         self.formers = forming_batteries(plant.scenario)
         self._on = OnPhases.of(plant, flow)
         self.tolerance_kw = max(BALANCE_TOLERANCE_KW, flow.tolerance_kva)
@@ -149,7 +178,7 @@ class IslandPlant:
             if not settled.dark:
                 return settled
             dark = dark or settled
-        return dark or self._dark(t, planned, state, self._why_dark())
+        return dark or self.dark(t, planned, state, self._why_dark())
 
     def _possible_formers(self, t: int, planned: Realised, state: BatteryState) -> Iterator[Former]:
         """Devices able to form the grid: batteries first, then one generating set after another."""
@@ -160,11 +189,13 @@ class IslandPlant:
             yield FormingBatteries(self.plant, state, able)
         if "gensets" in planned.running:
             for one in self.plant.of(Engines).able_to_form(t, planned.running["gensets"]):
-                yield FormingSet(self.plant, t, one)
+                if self.inside is None or self.inside.units["gensets"][one]:
+                    yield FormingSet(self.plant, t, one)
 
     def _why_dark(self) -> str:
         """Why nothing forms the grid."""
-        if self.plant.scenario.gensets.grid_forming.any():
+        sets = self.plant.scenario.gensets.grid_forming
+        if (sets if self.inside is None else sets & self.inside.units.get("gensets", sets)).any():
             return NO_SET
         return NO_ENERGY if self.formers.any() else NO_FORMER
 
@@ -177,6 +208,8 @@ class IslandPlant:
         one phase may overload another, and then the step without that help is the other choice.
         """
         others = ~former.batteries
+        if self.inside is not None:
+            others = others & self.inside.batteries
         helped = self._held(t, planned, state, former, others)
         if self._on.n_phases == 1 or not (helped.dark or helped.shed.any()):
             return helped
@@ -201,11 +234,11 @@ class IslandPlant:
             try:
                 found = self._balance(t, powers, state, former)
             except NoSolutionError:
-                return self._dark(t, planned, state, NO_SOLUTION)
+                return self.dark(t, planned, state, NO_SOLUTION)
             except VerificationError:
                 break
             if not found.not_found and found.ac.v_pu.min() < COLLAPSE_PU:
-                return self._dark(t, planned, state, COLLAPSE)
+                return self.dark(t, planned, state, COLLAPSE)
             if abs(found.left_kw) <= self.tolerance_kw and found.excess_kva <= 0.0:
                 realised = self.plant.realise(t, found.powers, state, planned.clipped_kw)
                 gave = set_points.battery_kw - found.powers.battery_kw
@@ -223,7 +256,7 @@ class IslandPlant:
                 break
             powers = cut
         reason = NO_BALANCE if former.batteries.any() else SET_NO_BALANCE
-        return self._dark(t, planned, state, reason)
+        return self.dark(t, planned, state, reason)
 
     def _balance(self, t: int, powers: Powers, state: BatteryState, former: Former) -> Balance:
         """Solve, let the former take up what the source gave, until the source gives nothing."""
@@ -345,7 +378,7 @@ class IslandPlant:
             pv_export_kw=powers.pv_export_kw + powers.pv_self_kw - own,
         )
 
-    def _dark(self, t: int, planned: Realised, state: BatteryState, reason: str) -> Settled:
+    def dark(self, t: int, planned: Realised, state: BatteryState, reason: str) -> Settled:
         """No customer is supplied, nothing generates, nothing flows."""
         pv = np.zeros(len(planned.pv_self_kw))
         batteries = np.zeros(len(planned.charge_kw))
@@ -359,6 +392,7 @@ class IslandPlant:
             batteries,
         )
         realised = self.plant.realise(t, off, state)
+        reason = f"{reason} {self.where}".rstrip()
         return Settled(realised, self.flow.dead(), batteries, planned.served, reason)
 
 

@@ -45,6 +45,20 @@ def forming_batteries(site: Any) -> Flags:
     return np.asarray(batteries.formers)
 
 
+def formers_within(site: Any, inside: Flags) -> Flags:
+    """Batteries that form the grid of a part of a balanced feeder, (B,), by those that it has.
+
+    If none of the feeder is named, it is the largest of the part.
+    """
+    batteries = site.batteries
+    formers = forming_batteries(site)
+    if batteries.grid_forming.any() or not formers.any():
+        return np.asarray(formers & inside)
+    able = inside & (batteries.active_max_kw > 0.0)
+    largest = np.argmax(np.where(able, batteries.s_max_kva, -1.0))
+    return np.asarray(able & (np.arange(len(able)) == largest))
+
+
 def island_former(site: Any) -> str | None:
     """Name of the device that holds an island: the largest battery that forms it, else unit."""
     battery = largest_forming_battery(site)

@@ -298,6 +298,13 @@ class Network:
             q_shunt_kvar=np.where(off, 0.0, self.q_shunt_kvar),
         )
 
+    def drawing_inside(self, buses: Flags, lines: Flags) -> Network:
+        """The network whose other buses and lines draw nothing; itself if none does."""
+        if not self.draws:
+            return self
+        at_buses = {name: getattr(self, name) * buses for name in BUS_DRAWS}
+        return replace(self, b_us=self.b_us * lines, g_us=self.g_us * lines, **at_buses)
+
     @cached_property
     def bus_ratio(self) -> Floats:
         """Voltage of each bus in pu over its voltage referred to the slack bus, shape (N,)."""

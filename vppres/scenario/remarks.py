@@ -9,6 +9,7 @@ import numpy as np
 
 from vppres.core.text import counted, named
 from vppres.kinds.customer import data as customer
+from vppres.kinds.export import data as export
 from vppres.kinds.table import KINDS, TABLES
 from vppres.scenario.capacitors import too_large, too_large_by_phase
 from vppres.scenario.earthing import floating
@@ -215,38 +216,6 @@ def _unearthed(scenario: Scenario) -> str:
     )
 
 
-def export_words(scenario: Scenario) -> str:
-    """Description of the connection's export limit.
-
-    >>> from vppres.io.find import load_scenario
-    >>> export_words(load_scenario("uk-heatwave-2022"))
-    'imports only'
-    """
-    if not scenario.exports:
-        return "imports only"
-    limits = scenario.export_max_kw[~scenario.outage]
-    least = float(limits.min())
-    most = float(limits.max())
-    if np.isinf(least):
-        return "exports without limit"
-    if least == most:
-        return f"exports up to {most:g} kW"
-    return f"exports up to {least:g} to {most:g} kW"
-
-
-def dear_export(scenario: Scenario) -> str:
-    """In how many steps export earns more than import costs; empty where it never does."""
-    dear = (scenario.export_max_kw > 0.0) & (scenario.export_price > scenario.price_gbp_per_kwh)
-    if not dear.any():
-        return ""
-    return (
-        f"In {int(dear.sum())} of {scenario.grid.n_steps} steps export earns more than import "
-        "costs. "
-        "No plan does both in the same step, but batteries will buy to sell: check "
-        "export_price_gbp_per_kwh, also for its sign, if that is not meant."
-    )
-
-
 def rising_weights(scenario: Scenario) -> str:
     """Which tier outweighs customers of one that is named before it; empty if none does."""
     customers = scenario.customers
@@ -299,7 +268,7 @@ def remarks(scenario: Scenario, mode: str | None = None) -> list[str]:
         darkness(scenario, mode),
         former_words(scenario, mode),
         held_capacitors(scenario),
-        dear_export(scenario),
+        export.remark(scenario),
         rising_weights(scenario),
         customer.remark(scenario),
         *(getattr(scenario, name).remark(scenario) for name in TABLES),

@@ -1,6 +1,6 @@
 """Protocol of a kind of flexible power in the service, which the kind's ``service`` implements.
 
-A unit tells readings, is told set-points, and is replayed as plans knew it.
+A unit sends readings, receives set-points, and is replayed as plans knew it.
 """
 
 from __future__ import annotations
@@ -82,9 +82,9 @@ class OfKind:
     direction : {"", "charging_positive", "injection_positive"}
         Which way a set-point's ``p_kw`` counts; empty if it has none.
     states : dict
-        Quantities by which a unit is there or can work, and what stands until they are told.
+        Quantities by which a unit is there or can work, and what stands until they are read.
     of_visits : tuple of str
-        Quantities that are told anew of every unit that comes.
+        Quantities that are read anew of every unit that comes.
     """
 
     kind: str
@@ -99,7 +99,7 @@ class OfKind:
         return parts("live")[self.kind]
 
     def readings(self, stored: Stored) -> dict[str, Any]:
-        """Fields of a measurement, None where nothing is told."""
+        """Fields of a measurement, None where nothing is read."""
         means = self.live.MEANS
         return {
             name: dict(

@@ -40,7 +40,7 @@ ROUNDING = 1e-6
 """Minutes that are none."""
 
 DARK = "blacked out: "
-"""How the reason begins of a customer in an island that is dark."""
+"""How the reason begins of a customer in an island that is blacked out."""
 
 NOT_TOLD = ("setpoints", "ahead", "before")
 
@@ -186,7 +186,7 @@ class Overview:
     def _told(self, plan: Mapping[str, Any], now: pd.Timestamp, dark: str) -> dict[str, Any]:
         """Valid part of the last plan, without the customers that are on.
 
-        Where an island is ``dark``, whatever was ordered, nobody is.
+        Where an island is ``dark``, whatever was ordered, no customer is.
         """
         points = points_at(plan, now)
         if dark:

@@ -115,7 +115,7 @@ OF_SITE = (
     "online",
     "grid_on",
 )
-"""What is told of every site."""
+"""Facts of every site."""
 
 if TYPE_CHECKING:
     Quantity = str

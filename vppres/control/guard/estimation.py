@@ -141,10 +141,13 @@ class Estimator:
     def _should_have_followed(self, seen: Observation) -> bool:
         """Whether batteries were to follow their set-points in the last step.
 
-        Where nothing flowed, protection stopped them; those that hold an island share its mismatch.
+        Where nothing flowed, protection stopped them; those that hold an island, or a part behind
+        a line that is out, share its mismatch.
         """
-        island = self._last is not None and self._last.forecast.grid_limit_kw[0] <= 0.0
-        return not (feeder_off(seen) or (self.physical and island))
+        before = None if self._last is None else self._last.forecast
+        island = before is not None and before.grid_limit_kw[0] <= 0.0
+        in_parts = before is not None and before.in_parts_now
+        return not (feeder_off(seen) or (self.physical and island) or in_parts)
 
     def _estimate_soc(self, seen: Observation) -> None:
         """The state of charge: the newest reading, and what was stored since.

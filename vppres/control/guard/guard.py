@@ -95,7 +95,7 @@ class GuardedController:
         self.known = known = self._without_unlikely_demands(self._estimator.known(observation))
         state = self._step_state(known)
         decision = self._checked_decision(known, state)
-        if self.options.protect_critical:
+        if self.options.protect_critical and not known.observation.forecast.in_parts_now:
             decision = self._critical.first(decision, known, state)
         self._estimator.commanded(decision)
         return replace(decision, estimated=known.estimated, seen=known.observation)
@@ -103,10 +103,12 @@ class GuardedController:
     def _without_unlikely_demands(self, known: StateEstimate) -> StateEstimate:
         """State estimate, with grid without unlikely demands that would cost the first tier.
 
-        What is really taken was carried: readings are of customers that have supply.
+        What is really taken was carried: readings are of customers that have supply. Where lines
+        are out, the first tier may be off for that.
         """
         state = self._step_state(known)
-        if state.island or not self._estimator.series.unproven.any():
+        apart = state.island or known.observation.forecast.in_parts_now
+        if apart or not self._estimator.series.unproven.any():
             return known
         return known if self._critical.possible(known, state) else self._estimator.proven(known)
 

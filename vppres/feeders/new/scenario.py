@@ -135,6 +135,7 @@ def _built(feeder: ImportedFeeder, options: NewScenarioOptions) -> tuple[Scenari
         priority=Priority(STRICT),
         switching=SwitchingRules(min_served_h=LEAST_SERVED_H),
         phases=phases,
+        switches=feeder.switches,
     )
     notes = (*assets.notes, *switched, *series.notes, *_told_constants(series), TOLD_SERVED)
     return scenario, [*notes, *_told_limits(network, options)]
@@ -227,9 +228,7 @@ def write_new_scenario(
         closeness = str(deviation)
     check_deviation(feeder, checked, options.accept_deviation)
     told = [*causes, *feeder.notes, *chosen]
-    open_lines = zip(feeder.ties.from_bus, feeder.ties.to_bus, strict=True)
-    ties = [f"{first} to {last}" for first, last in open_lines]
-    source = Source.of(feeder.name, "", told, deviation, feeder.unbalanced, ties)
+    source = Source.of(feeder.name, "", told, deviation, feeder.unbalanced)
     scenario = replace(scenario, source=source)
     said = [former_words(scenario), darkness(scenario), closeness]
     # A source that does not converge is asked for its units itself.

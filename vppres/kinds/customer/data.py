@@ -6,8 +6,25 @@ from dataclasses import asdict, dataclass
 from math import ceil
 from typing import Any
 
+import numpy as np
+
+from vppres.core.arrays import Floats, Wholes
 from vppres.core.text import named
 from vppres.scenario.option_table import check_group
+
+MOST_SHARE = 2.0
+"""Share of its demand that a customer can take at most: as much again as it lacked before."""
+
+ROUNDING = 1e-9
+"""Share of a step by which a limit may miss a whole number of steps."""
+
+NAMES_SHOWN = 5
+"""Customers named in one sentence."""
+
+
+def steps_within(hours: Floats, dt_h: float) -> Wholes:
+    """Whole steps that times have room for."""
+    return np.floor(hours / dt_h + ROUNDING).astype(int)
 
 
 @dataclass(frozen=True)
@@ -96,10 +113,6 @@ class RuleSteps:
     unserved: int = 1
     cold: int = 0
     days: int = 1
-
-
-NAMES_SHOWN = 5
-"""Customers named in one sentence."""
 
 
 def remark(scenario: Any) -> str:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vppres.core.arrays import Flags, Floats, Wholes
-from vppres.kinds.customer.data import RuleSteps, SwitchingRules
+from vppres.kinds.customer.data import RuleSteps, SwitchingRules, steps_within
 from vppres.scenario.assets import Customers
 
 UNLIMITED = 1e6
@@ -18,10 +18,6 @@ UNLIMITED = 1e6
 
 DAY_H = 24.0
 """The limit of actions holds for every 24 h from the first step on, whatever clocks say."""
-
-
-ROUNDING = 1e-9
-"""Share of a step by which a limit may miss a whole number of steps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +65,7 @@ class LongestOff:
         array([False,  True,  True])
         """
         customer = np.flatnonzero(np.isfinite(longest_h))
-        steps = np.floor(longest_h[customer] / dt_h + ROUNDING).astype(int)
+        steps = steps_within(longest_h[customer], dt_h)
         before = np.round(off_h[customer] / dt_h).astype(int)
         asked = before + np.arange(n_steps)[:, None] >= steps
         if not asked.any():
@@ -199,10 +195,14 @@ class SwitchingData:
         )
 
     def in_the_dark(self, dark: Flags) -> SwitchingData:
-        """The rules with steps, (W,), in which no customer can be supplied: no duty holds then."""
+        """The rules with steps in which no customer can be supplied: no duty holds then.
+
+        They are those of all, (W,), or of each, (W, C).
+        """
         if not dark.any():
             return self
-        return replace(self.without_duties(), served_max=self.served_max & ~dark[:, None])
+        of_each = dark if dark.ndim == 2 else dark[:, None]
+        return replace(self.without_duties(), served_max=self.served_max & ~of_each)
 
     @property
     def idle(self) -> bool:
@@ -437,6 +437,55 @@ class SwitchingState:
         if np.isinf(hours):
             return np.where(np.isfinite(self.since_h), np.inf, 0.0)
         return np.ceil((hours - self.since_h) / self.dt_h - 1e-9)
+
+
+@dataclass(frozen=True, eq=False)
+class Owed:
+    """Demand that dimmed customers lack, by the steps in which it may still be caught up.
+
+    Parameters
+    ----------
+    kw : array, shape (K, C)
+        Demand of a step; that of row k may be caught up in the next k + 1 steps.
+    steps : array of int, shape (C,)
+        Steps in which each may catch up, 0 for a customer that does not.
+    """
+
+    kw: Floats
+    steps: Wholes
+
+    @classmethod
+    def of(cls, customers: Customers, dt_h: float) -> Owed | None:
+        """Nothing is owed yet; None if no customer catches up."""
+        steps = customers.recovery_steps(dt_h)
+        if not steps.any():
+            return None
+        return cls(np.zeros((steps.max(), len(customers))), steps)
+
+    def after(self, load_kw: Floats, share: Floats) -> Owed:
+        """Owed demand after a step of this demand, of which each was given a share, (C,) each.
+
+        The oldest is caught up first. Of a customer that is off, nothing is caught up later.
+
+        >>> owed = Owed(np.zeros((2, 1)), np.array([2]))
+        >>> owed = owed.after(np.array([10.0]), np.array([0.4]))
+        >>> owed.kw.ravel().tolist()
+        [0.0, 6.0]
+        >>> owed.after(np.array([10.0]), np.array([1.5])).kw.ravel().tolist()
+        [1.0, 0.0]
+        """
+        paid_kw = load_kw * np.maximum(share - 1.0, 0.0)
+        before_kw = np.cumsum(self.kw, axis=0) - self.kw
+        left_kw = self.kw - np.clip(paid_kw - before_kw, 0.0, self.kw)
+        aged = np.vstack([left_kw[1:], np.zeros_like(left_kw[:1])])
+        more_kw = np.where(share > 0.0, load_kw * np.maximum(1.0 - share, 0.0), 0.0)
+        newest = np.arange(len(aged))[:, None] == self.steps - 1
+        return Owed(aged + newest * more_kw, self.steps)
+
+    def valid(self, n_steps: int) -> Floats:
+        """Demand that may still be caught up at the beginning of each step of a window, (W, C)."""
+        rows = np.vstack([self.kw, np.zeros((n_steps, self.kw.shape[1]))])
+        return np.cumsum(rows[::-1], axis=0)[::-1][:n_steps]
 
 
 def _acted_within(actions: Flags, steps: int) -> Flags:

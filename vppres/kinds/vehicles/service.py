@@ -36,7 +36,7 @@ class ChargingPoints(OfKind):
     def readings(self, stored: Stored) -> dict[str, Any]:
         """Readings of chargers about their vehicles, by quantity.
 
-        The controller knows what was told before the step that it decided last. What came since
+        The controller knows the readings before the step that it decided last. What came since
         counts however short it holds: a vehicle is plugged in once. One that left during its
         session is not back until its charger says so.
         """

@@ -46,6 +46,8 @@ class Addition:
         Families of the paper that it states anew, or that do not hold with it.
     draws : bool
         Whether it takes power at the buses whatever is decided.
+    apart : bool
+        Whether its rows tell one PV system or battery from another: no relaxation lumps them then.
     rules : bool
         Whether all of its families limit service alone: a known service meets them or does not.
     directions : tuple of str
@@ -67,6 +69,7 @@ class Addition:
 
     replaces: ClassVar[tuple[str, ...]] = ()
     draws: ClassVar[bool] = False
+    apart: ClassVar[bool] = False
     rules: ClassVar[bool] = False
     directions: ClassVar[tuple[str, ...]] = ()
     of_network: ClassVar[tuple[str, ...]] = ()

@@ -10,7 +10,7 @@ from typing import Any
 import pandas as pd
 
 from vppres.core.text import named
-from vppres.kinds.customer.physics import ROUNDING
+from vppres.kinds.customer.data import ROUNDING
 from vppres.live.by_phase import GRID
 from vppres.scenario.scenario import Scenario
 from vppres.service.as_told import expected_by
@@ -95,7 +95,7 @@ class Situation:
 
     @property
     def why_dark(self) -> str:
-        """Why nobody is supplied in an island; empty if something forms its grid, or may."""
+        """Why no customer is supplied in an island; empty if something forms its grid, or may."""
         if self.formers is None:
             return ""
         return why_dark(self.plan, self.formers, self.is_dark)
@@ -241,7 +241,7 @@ def _off_with_grid(now: Situation) -> Iterator[Condition]:
     if not plan or now.ahead_s <= 0.0 or now.is_dark or _is_lost(now):
         return
     if not plan.get("grid") and now.grid_on != 1.0:
-        return  # as by hand: nobody knows
+        return  # as by hand: not known
     off = sorted(now.off - set(now.failing))
     if not off:
         return
@@ -256,7 +256,7 @@ def _off_with_grid(now: Situation) -> Iterator[Condition]:
 
 
 def _shed(now: Situation) -> Iterator[Condition]:
-    """Customers whom the plan served and whom its island cannot hold."""
+    """Customers that the plan served and its island cannot hold."""
     shed = [one["asset"] for one in now.plan.get("shed", ())]
     if not shed or now.ahead_s <= 0.0:
         return
@@ -409,7 +409,7 @@ def _setpoint_rejected(now: Situation) -> Iterator[Condition]:
 
 
 def _notices_undelivered(now: Situation) -> Iterator[Condition]:
-    """People are not told of alarms."""
+    """People get no notice of alarms."""
     for name in now.unreached:
         text = f"The last notice of an alarm did not reach {name}."
         yield Condition("notices_undelivered", name, MEDIUM, text)

@@ -55,7 +55,7 @@ def started(service: Service, folder: Path, port: int | None = None) -> Iterator
         If it does not answer.
     """
     address = Address(port=_free_port() if port is None else port)
-    with address.listening():  # what cannot listen is told here, before another service answers
+    with address.listening():  # what cannot listen fails here, before another service answers
         pass
     process = multiprocessing.get_context("spawn").Process(
         target=_serve, args=(service, folder, address), name="vppres-service"

@@ -421,7 +421,7 @@ class Runner:
         return self._planned(time, asked)
 
     def _anew(self) -> dict[str, Any] | None:
-        """Decide the rest of the present step anew, in place of its plan."""
+        """Decide the rest of the present step anew, instead of its plan."""
         self.changes.new.clear()
         why = "; ".join(self.changes.reasons)
         now = self.clock.now()
@@ -620,7 +620,7 @@ class Runner:
         while missed < time:
             reason, left = "the service did not run", self._left(missed, None)
             plan = defaults_of(missed, self.scenario, "missed", reason, left)
-            del plan["grid"]  # nobody looked
+            del plan["grid"]  # not looked at
             self._kept(missed, plan)
             missed += self.length
 

@@ -64,7 +64,7 @@ Told = Mapping[tuple[str, str], Mapping[str, Any]]  # set-points by kind and ide
 
 @dataclass(frozen=True)
 class Left:
-    """How devices are left where no plan comes: whether there is grid, and what they were told.
+    """How devices are left where no plan comes: whether there is grid, and their last set-points.
 
     Parameters
     ----------
@@ -407,7 +407,7 @@ def _id(begin: str, kind: str, name: str) -> str:
 
 
 def _kept(kind: str, default: Mapping[str, Any], told: Mapping[Any, Any]) -> dict[str, Any]:
-    """The default of a device in an island: what it was told last, so that nothing is switched.
+    """The default of a device in an island: its last set-point, so that nothing is switched.
 
     A PV system that was not curtailed goes on feeding what it has.
     """

@@ -82,10 +82,10 @@ def _batteries(
 
 
 def why_dark(plan: Mapping[str, Any], formers: Sequence[FormerState], island: bool) -> str:
-    """Why nobody is supplied in an island now; empty if something forms its grid, or may.
+    """Why no customer is supplied in an island now; empty if something forms its grid, or may.
 
-    A plan says so of itself. Where nobody decided, and where devices failed since, it follows from
-    the ``formers``.
+    A plan says so of itself. Where nothing was decided, and where devices failed since, it follows
+    from the ``formers``.
     """
     if not plan or not island:
         return ""

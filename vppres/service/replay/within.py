@@ -141,7 +141,7 @@ def off_in(
     island = replace(now, grid=grid, grid_limit_kw=np.zeros(1), batteries=rests)
     world = World(island, options)
     world.begin_as(plan, 0)
-    world.day.island.formers = now.formers & follows  # nobody told others to form it
+    world.day.island.formers = now.formers & follows  # no other was set to form it
     told = [
         {**one, "valid_from": written(part.begin)}
         for one in part.setpoints

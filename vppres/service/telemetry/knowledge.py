@@ -305,7 +305,7 @@ def _of_batteries(
 
 
 def grid_at(time: pd.Timestamp, controller: Controller, store: Store, now: pd.Timestamp) -> Grid:
-    """Whether there is grid in a step that nobody decides; a moment in it counts."""
+    """Whether there is grid in a step without a decision; a moment in it counts."""
     return _announced_and_read(time, controller, store, now)[-1][0]
 
 

@@ -27,7 +27,7 @@ STATES = ("online", *(name for kind in every().values() for name in kind.states)
 """What devices say of whether they are there and can work."""
 
 OF_VISITS = tuple(name for kind in every().values() for name in kind.of_visits)
-"""What is told anew of every unit that comes."""
+"""Readings of every unit that comes, anew."""
 
 AGAINST_PLANS = (GRID_ON, "soc", "online")
 """What can contradict a plan."""

@@ -201,7 +201,8 @@ def master_of(task: WindowTask, lumped: bool, deadline: Deadline) -> Master | No
     """
     data = task.data
     if lumped not in task.masters:
-        plain = data.switching is None and not task.own and not data.keeps_service
+        plain = data.switching is None and data.sections is None
+        plain = plain and not task.own and not data.keeps_service
         stepwise = plain and lumped == fleets_of(data)[0]
         task.masters[lumped] = Master(task.cache, data, task.spec, deadline, lumped, stepwise)
     master = task.masters[lumped]
@@ -212,11 +213,11 @@ def master_of(task: WindowTask, lumped: bool, deadline: Deadline) -> Master | No
 def fleets_of(data: WindowData) -> tuple[bool, ...]:
     """Whether batteries are lumped, in the order of trial; a fleet of none is one fleet.
 
-    Phases tell batteries apart: as one they could give their power to any.
+    Phases tell batteries apart, and so do parts: as one they could give their power to any.
     """
     if len(data.soc) == 0:
         return (True,)
-    if data.phased is not None:
+    if data.phased is not None or data.sections is not None:
         return (False,)
     alike = _spread(data.eta_charge) + _spread(data.eta_discharge) < ALIKE
     return (True, False) if alike else (False,)

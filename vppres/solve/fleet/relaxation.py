@@ -22,6 +22,7 @@ from vppres.core.arrays import Flags, Floats
 from vppres.model.data import WindowData
 from vppres.model.formulas import charge_to_kw, discharge_to_kw
 from vppres.model.numerics import ROUNDING, SAME, cost_scale, objective_scale
+from vppres.model.sections import at_items
 from vppres.model.site import Site
 from vppres.scenario.assets import NO_POWER_KW
 from vppres.solve.cache import ModelCache
@@ -71,7 +72,7 @@ class Fleet:
         self.left_out = sheet.statement.network_letters | {"Q_grid"}
         self.grid = weight_grid(site.customers.weight * site.dt_h)
         b = site.batteries
-        pv = np.ones(len(site.pv))
+        pv = np.ones(0 if sheet.statement.apart else len(site.pv))
         letters = {name: pv for name in ("P_self", "P_exp", "P_curt") if len(pv)}
         if lumped and len(b):
             letters |= {"P_ch": np.ones(len(b)), "P_dch": np.ones(len(b)), "SoC": b.energy_kwh}
@@ -164,7 +165,8 @@ class Fleet:
             letters = tuple(dict.fromkeys((*balance.letters, *circle.letters)))
             named["circular_charging"] = replace(circle, rows=rows, letters=letters)
         if len(self.site.pv):
-            named["curtailment_max"] = self.sheet.limit_of("curtailment_max", {"all P_exp": -1.0})
+            exports = {self.name_of("P_exp"): -1.0}
+            named["curtailment_max"] = self.sheet.limit_of("curtailment_max", exports)
         return named
 
     def put_in(
@@ -185,7 +187,8 @@ class Fleet:
         """Limits that no family of the statement has: of curtailment, sums and the first step."""
         found = self.lumping.range_rows()
         if len(self.site.pv):
-            found.append(self.sheet.limit_of("curtailment_min", {"all P_curt": -1.0}))
+            curtailed = {self.name_of("P_curt"): -1.0}
+            found.append(self.sheet.limit_of("curtailment_min", curtailed))
         if self.groups:
             found += self._first_step()
         return found
@@ -252,8 +255,9 @@ class Fleet:
             each = np.atleast_1d(b.energy_kwh @ missed_soc) if self.lumped else missed_soc
             missed = np.tile(each, (data.n_steps, 1))
             limits |= {"battery_soc_min": missed, "battery_reserve": missed}
-        lost = np.maximum(data.pv_kw - self.site.pv.s_max_kva, 0.0).sum(axis=1)
-        limits["curtailment_min"] = -lost
+        lost = np.maximum(data.pv_kw - self.site.pv.s_max_kva, 0.0)
+        lumped = "P_curt" in self.lumping.names
+        limits["curtailment_min"] = -(lost.sum(axis=1) if lumped else lost)
         return limits, np.concatenate([values, self.lumping.written(values), ratios])
 
     def able(self, data: WindowData) -> Floats:
@@ -323,6 +327,8 @@ class FleetProblem(Selected):
             unlimited[:, None] if data.switching is None else data.switching.connected(unlimited)
         )
         able = fleet.able(data)
+        if data.sections is not None:
+            connected = connected & ~at_items(data.sections.beyond, fleet.site.customer_bus)
         self.limits = {
             **limits,
             "service_max": able,

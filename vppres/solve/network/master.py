@@ -50,10 +50,10 @@ def applies(site: Site, data: WindowData) -> bool:
     """Whether a window has this form: weights and the price of switching on a grid.
 
     Service is counted in whole units here, so none of it may be later service. With rules all sets
-    come from the search with binaries.
+    come from the search with binaries. Reactive power stays within no part of a feeder here.
     """
     unit = weight_grid(site.customers.weight * site.dt_h)
-    if unit == 0.0 or data.keeps_service:
+    if unit == 0.0 or data.keeps_service or data.sections is not None:
         return False
     if data.switching is None:
         return True

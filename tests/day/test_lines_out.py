@@ -1,0 +1,95 @@
+"""Days in which lines are out: what is known of it when, who is off, and what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tests.support.faulted import faulted_day
+from tests.support.three_phases import three_phases
+from vppres import Controller, RunOptions, run_day
+from vppres.core.errors import InputError
+from vppres.io import read_scenario, write_scenario
+from vppres.scenario.faults import Fault
+from vppres.scenario.scenario import Scenario
+
+PAPER = RunOptions(mode="paper", horizon_h=3.0, isolate=False)
+NOON, HOUR = pd.Timestamp("2022-07-19T12:00Z"), pd.Timedelta(hours=1)
+
+
+def with_fault(day: Scenario, **place: object) -> Scenario:
+    """The day without its outage, with a fault from 12:00 to 14:00."""
+    limit_kw = [float("inf")] * day.grid.n_steps
+    fault = Fault(NOON, NOON + 2 * HOUR, **place)
+    return replace(day, grid_limit_kw=limit_kw, faults=(fault,))
+
+
+def test_a_part_without_a_former_is_dark_by_name(tiny: Scenario, tmp_path: Path) -> None:
+    named = replace(tiny.batteries, grid_forming=[True, False])
+    write_scenario(with_fault(replace(tiny, batteries=named), line=4), tmp_path / "day")
+    run = run_day(read_scenario(tmp_path / "day"), PAPER)
+    homes = run.customers[run.customers["id"] == "homes"]
+    assert homes["served"].tolist() == [True, True, False, False, True, True]
+    reason = "no battery forms the grid behind line 2-4, which is out"
+    assert homes["off_by_fault"].tolist() == ["", "", reason, reason, "", ""]
+    others = run.customers[run.customers["id"] != "homes"]
+    assert others["served"].all()
+    assert not (others["off_by_fault"] != "").any()
+    assert run.steps["lines_out"].tolist() == ["", "", "line 2-4", "line 2-4", "", ""]
+    assert (run.steps["status"] == "optimal").all()
+
+
+def test_a_part_with_a_former_is_an_island(tiny: Scenario) -> None:
+    named = replace(tiny.batteries, grid_forming=[True] * 2, soc_initial=[0.8] * 2)
+    run = run_day(with_fault(replace(tiny, batteries=named), line=2), PAPER)
+    during = run.steps["lines_out"] == "line 1-2"
+    assert during.sum() == 2
+    assert (run.steps.loc[during, "p_grid_kw"].abs() < 1e-6).all()
+    assert run.customers["served"].mean() > 0.5
+    assert (run.customers["off_by_fault"] == "").all()
+
+
+def test_a_bus_that_is_out_is_off_though_it_has_a_battery(tiny: Scenario) -> None:
+    named = replace(tiny.batteries, grid_forming=[True] * 2, soc_initial=[0.8] * 2)
+    run = run_day(with_fault(replace(tiny, batteries=named), bus=4), PAPER)
+    homes = run.customers[run.customers["id"] == "homes"]
+    assert homes["off_by_fault"].tolist() == ["", "", "bus 4 is out", "bus 4 is out", "", ""]
+    assert not homes["served"].iloc[2:4].any()
+
+
+def test_plans_keep_energy_for_a_fault_that_they_know(tiny: Scenario) -> None:
+    named = replace(tiny.batteries, grid_forming=[True] * 2)
+    flat = np.full(tiny.grid.n_steps, 0.3)  # energy is bought ahead for nothing else
+    day = with_fault(replace(tiny, batteries=named, price_gbp_per_kwh=flat), line=2)
+    known = run_day(day, PAPER)
+    unknown = run_day(replace(day, faults=(replace(day.faults[0], known=False),)), PAPER)
+    held = [run.by_step("batteries", "soc_start")[2].sum() for run in (known, unknown)]
+    assert held[0] > held[1] + 0.05
+    served = [run.customers["served"].sum() for run in (known, unknown)]
+    assert served[0] > served[1]
+
+
+def test_faults_are_refused_by_name_where_nothing_plans_them(tiny: Scenario) -> None:
+    day = with_fault(tiny, line=4)
+    with pytest.raises(InputError, match=r"faults\.csv: is not followed live"):
+        Controller.of(day, PAPER)
+    with pytest.raises(InputError, match=r"faults\.csv: is not stated for feeders with phases"):
+        run_day(three_phases(day), replace(PAPER, mode="physical"))
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("seed", range(30))
+def test_plans_of_physical_mode_agree_with_ac_in_each_part(seed: int) -> None:
+    """A former gives nothing beyond its plan, and who is planned is on, but for what is unknown."""
+    day = faulted_day(seed, steps=3)
+    known = replace(day, faults=tuple(replace(fault, known=True) for fault in day.faults))
+    run = run_day(known, replace(PAPER, mode="physical"))
+    assert set(run.steps["fallback"]) == {"none"}
+    assert run.steps["shed_kw"].max() == 0.0
+    assert run.steps["island_mismatch_kw"].abs().max() < 0.1
+    errors = run.steps.loc[run.steps["lines_out"] != "", "v_error_pu"]
+    assert errors.max() < 2e-4

@@ -1,0 +1,133 @@
+"""Lines that are out carry nothing, and parts of the feeder that nothing forms are off.
+
+That alone gives each part its own balance: balances stand at all buses, and flows inside a part
+cancel in their sum. A relaxation without flows has the sum of all that is drawn behind a line
+instead, which is what the line would carry: 0 where it is out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import cvxpy as cp
+import numpy as np
+import scipy.sparse as sp
+
+from vppres.core.arrays import Flags, Wholes
+from vppres.model.beyond_paper.addition import Addition
+from vppres.model.constraints import Named, injected_and_drawn
+from vppres.model.data import WindowData
+from vppres.model.numerics import write
+from vppres.model.sections import at_items
+from vppres.model.site import Site
+from vppres.model.variables import Parameters, Variables
+
+
+@dataclass(frozen=True, eq=False)
+class LinesOut(Addition):
+    """Lines that are out in some step of a window, and what may be dead in some.
+
+    Parameters
+    ----------
+    lines : array of int, shape (K,)
+        The lines.
+    out : cvxpy.Parameter, shape (W, K)
+        1 where a line is out.
+    P_over : cvxpy.Variable, shape (W, K)
+        What a line would carry: all that is drawn behind it.
+    customers, pv, batteries : array of int
+        Items at buses that are dead in some step.
+    lit : dict
+        1 in steps in which each of these is not dead, (W, n) by name.
+    """
+
+    apart: ClassVar[bool] = True
+    for_network: ClassVar[tuple[str, ...]] = ("drawn_behind_line", "nothing_over_line")
+
+    lines: Wholes
+    out: cp.Parameter
+    P_over: cp.Variable
+    items: dict[str, Wholes]
+    lit: dict[str, cp.Parameter]
+
+    @classmethod
+    def shape(cls, site: Site, data: WindowData) -> Hashable | None:
+        """Lines that are out in some step, and buses that are dead in some."""
+        if data.sections is None:
+            return None
+        out, dead = data.sections.lines.any(axis=0), data.sections.dead.any(axis=0)
+        return tuple(np.flatnonzero(out).tolist()), tuple(np.flatnonzero(dead).tolist())
+
+    @classmethod
+    def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
+        """Letters and parameters of a window."""
+        assert isinstance(shape, tuple)
+        W = v.u.shape[0]
+        lines, buses = (np.array(each, dtype=int) for each in shape)
+        dead = np.isin(np.arange(site.network.n_buses), buses)
+        items = {name: np.flatnonzero(at_items(dead[None], place)) for name, place in _places(site)}
+        items = {name: which for name, which in items.items() if len(which)}
+        size = (W, len(lines))
+        return cls(
+            lines,
+            cp.Parameter(size, name="out", nonneg=True),
+            cp.Variable(size, name="P_over"),
+            items,
+            {
+                name: cp.Parameter((W, len(which)), name=f"lit_{name}", nonneg=True)
+                for name, which in items.items()
+            },
+        )
+
+    def families(self, site: Site, v: Variables, p: Parameters) -> Named:
+        """No flow over lines that are out; nothing served, given or taken in dead parts."""
+        found: Named = {
+            "no_active_flow": cp.multiply(self.out, v.P_flow[:, self.lines]) == 0.0,
+            "no_reactive_flow": cp.multiply(self.out, v.Q_flow[:, self.lines]) == 0.0,
+        }
+        most_kw = {"pv": site.pv.s_max_kva, "batteries": site.batteries.active_max_kw}
+        letters = {
+            "customers": {"no_service_in_the_dark": v.x_served},
+            "pv": {"no_export_in_the_dark": v.P_exp},
+            "batteries": {
+                "no_charge_in_the_dark": v.P_ch,
+                "no_discharge_in_the_dark": v.P_dch,
+            },
+        }
+        for name, which in self.items.items():
+            lit: cp.Expression = self.lit[name]
+            if name in most_kw:
+                lit = cp.multiply(lit, np.broadcast_to(most_kw[name][which], lit.shape))
+            for family, letter in letters[name].items():
+                found[family] = letter[:, which] <= lit
+        return found
+
+    def implied(self, site: Site, v: Variables, p: Parameters) -> Named:
+        """Power over lines, by all that is drawn behind them; nothing where they are out."""
+        P_inj, P_load = injected_and_drawn(site, v, p)
+        behind = sp.csr_array(site.network.downstream[self.lines])
+        return {
+            "drawn_behind_line": self.P_over == (P_load - P_inj) @ behind.T,
+            "nothing_over_line": cp.multiply(self.out, self.P_over) == 0.0,
+        }
+
+    def fill(self, site: Site, data: WindowData) -> None:
+        """Write a window's parts."""
+        sections = data.sections
+        assert sections is not None
+        write(self.out, sections.lines[:, self.lines].astype(float))
+        for name, place in _places(site):
+            if name in self.items:
+                dead: Flags = at_items(sections.dead, place)[:, self.items[name]]
+                write(self.lit[name], 1.0 - dead)
+
+
+def _places(site: Site) -> list[tuple[str, sp.csr_array]]:
+    """Buses of customers, PV systems and batteries."""
+    return [
+        ("customers", site.customer_bus),
+        ("pv", site.pv_bus),
+        ("batteries", site.battery_bus),
+    ]

@@ -1,0 +1,119 @@
+"""Parts of a feeder in the steps of a window: each has a balance of its own, or is dead."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+
+import numpy as np
+import scipy.sparse as sp
+
+from vppres.core.arrays import Flags, Floats, Wholes
+from vppres.model.site import Site
+from vppres.scenario.faults import OutOfService, parts_by_bus
+from vppres.scenario.formers import formers_within, named_units
+
+
+@dataclass(frozen=True, eq=False)
+class Sections:
+    """Parts of a feeder in W steps.
+
+    Parameters
+    ----------
+    lines : array of bool, shape (W, L)
+        Lines that are out: they carry nothing.
+    part : array of int, shape (W, N)
+        Number of the part of each bus; 0 is that with the grid's bus.
+    dead : array of bool, shape (W, N)
+        Buses of parts that nothing forms, and buses that are out themselves.
+    reference : array of int, shape (W, N)
+        Bus that holds the voltage of each: the grid's, or that of a battery; -1 in dead parts.
+    forms : array of bool, shape (W, B)
+        Batteries that form a part without grid.
+    """
+
+    lines: Flags
+    part: Wholes
+    dead: Flags
+    reference: Wholes
+    forms: Flags
+
+    def steps(self, steps: slice) -> Sections | None:
+        """Some of the steps, None where no line is out in them."""
+        found = Sections(*(getattr(self, f.name)[steps] for f in fields(self)))
+        return found if found.lines.any() else None
+
+    @property
+    def any(self) -> Flags:
+        """Steps in which a line is out, (W,)."""
+        return np.asarray(self.lines.any(axis=1))
+
+    @property
+    def beyond(self) -> Flags:
+        """Buses behind a line that is out, (W, N)."""
+        return np.asarray(self.part != 0)
+
+
+def at_items(flags: Flags, place: sp.csr_array) -> Flags:
+    """Flags of buses, (W, N), as those of the items that are placed on them, (W, n)."""
+    return np.asarray((place.T @ flags.T.astype(float)).T > 0.0)
+
+
+def sections_of(
+    site: Site, out: OutOfService, soc: Floats, island: Flags, needs_former: bool
+) -> Sections:
+    """Parts of the steps of a window, and which of them nothing forms.
+
+    A battery forms a part if it holds energy at first, or has been with the grid before in the
+    window.
+
+    Parameters
+    ----------
+    site : Site
+        Fixed data.
+    out : OutOfService
+        Lines and buses that are out.
+    soc : array, shape (B,)
+        State of charge at first.
+    island : array of bool, shape (W,)
+        Steps without grid.
+    needs_former : bool
+        Whether the part with the grid's bus needs a former in these steps too, and only batteries
+        are planned to be one, as in physical mode.
+    """
+    part = parts_by_bus(site.network, out)
+    grid = (part == 0) & ~island[:, None]
+    reference = np.where((part == 0) & ~(island[:, None] & needs_former), 0, -1)
+    forms = np.zeros((len(part), len(soc)), dtype=bool)
+    charged = site.batteries.holds_energy(soc)
+    at = _buses(site, "batteries")
+    others = [] if needs_former else _buses_of_units(site, named_units(site))
+    for t, numbers in enumerate(part):
+        charged = charged | grid[t, at]
+        formed = numbers[others]
+        for number in np.unique(numbers):
+            inside = numbers == number
+            formers = formers_within(site, inside[at]) & charged
+            if number in formed or formers.any():
+                largest = np.argmax(np.where(formers, site.batteries.s_max_kva, -1.0))
+                held = reference[t, number] == 0
+                reference[t, inside & ~held] = at[largest] if formers.any() else number
+                forms[t] |= formers & ~grid[t, at]
+    dead = (reference < 0) | out.buses
+    return Sections(out.lines, part, dead, np.where(dead, -1, reference), forms)
+
+
+def _buses(site: Site, table: str) -> Wholes:
+    """Positions of the buses of a table's items."""
+    index = site.network.bus_index
+    return np.array([index[bus] for bus in getattr(site, table).bus], dtype=int)
+
+
+def _buses_of_units(site: Site, named: Mapping[str, Flags]) -> list[int]:
+    """Positions of the buses of units that are to form islands."""
+    index = site.network.bus_index
+    return [
+        index[bus]
+        for kind, flags in named.items()
+        for bus in getattr(site, kind).buses(site.customers)[flags]
+    ]

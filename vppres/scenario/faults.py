@@ -1,0 +1,198 @@
+"""Faults of lines and buses, and the parts into which they cut a feeder.
+
+A line that is out carries nothing. What is behind it is a *part* of the feeder of its own, without
+the grid.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import pandas as pd
+
+from vppres.core.arrays import Flags, Wholes
+from vppres.core.errors import InputError, Problem
+from vppres.scenario.network import BusId, Network
+from vppres.scenario.timegrid import TimeGrid
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A line or a bus that is out of service, ``end`` not included.
+
+    Parameters
+    ----------
+    start, end : pandas.Timestamp
+        From when until when. A step that it reaches into is one without the line.
+    line : int or str, optional
+        The bus that the line feeds.
+    bus : int or str, optional
+        A bus that is out itself, with all of its lines.
+    known : bool
+        Whether plans see it before it begins. Once it has begun they know its end in any case.
+    """
+
+    start: pd.Timestamp
+    end: pd.Timestamp
+    line: BusId | None = None
+    bus: BusId | None = None
+    known: bool = True
+
+    def __post_init__(self) -> None:
+        if not self.start < self.end:
+            message, cure = "does not come after start", "Give the time at which it is repaired."
+            raise InputError.of("faults", message, cure, field="end", value=self.end)
+
+    def at(self, network: Network) -> int:
+        """Position of its bus: the line of that bus, or the bus itself, is out."""
+        bus = self.bus if self.line is None else self.line
+        assert bus is not None  # a scenario has no other faults
+        return network.bus_index[bus]
+
+    def name(self, network: Network) -> str:
+        """The line, or the bus, in words."""
+        if self.line is None:
+            return f"bus {self.bus}"
+        return line_name(network, self.at(network) - 1)
+
+
+def line_name(network: Network, line: int) -> str:
+    """A line by its ends, that towards the grid first.
+
+    >>> line_name(Network([2], [1], [0.1], [0.1], slack_bus=1, base_kv=11.0), 0)
+    'line 1-2'
+    """
+    return f"line {network.from_bus[line]}-{network.to_bus[line]}"
+
+
+def check_places(faults: Iterable[Fault], network: Network) -> None:
+    """Refuse faults that name no line and no bus of a network, or both.
+
+    Raises
+    ------
+    InputError
+        With all of them.
+    """
+    behind_grid = set(network.buses[1:].tolist())
+    cure = "Give the bus that the line feeds, or the bus that is out itself, but not the grid's."
+    problems = [
+        Problem("faults", "is not one bus behind the grid's", cure, row=i, field="line or bus")
+        for i, fault in enumerate(faults)
+        if (fault.line is None) == (fault.bus is None)
+        or (fault.bus if fault.line is None else fault.line) not in behind_grid
+    ]
+    if problems:
+        raise InputError(problems)
+
+
+@dataclass(frozen=True, eq=False)
+class OutOfService:
+    """Lines and buses that are out in W steps.
+
+    Parameters
+    ----------
+    lines : array of bool, shape (W, L)
+        Lines that carry nothing.
+    buses : array of bool, shape (W, N)
+        Buses at which nothing can be supplied.
+    """
+
+    lines: Flags
+    buses: Flags
+
+    @classmethod
+    def of(
+        cls, faults: Iterable[Fault], network: Network, grid: TimeGrid, steps: range
+    ) -> OutOfService | None:
+        """Lines and buses that some faults take out in the steps, None where there is none.
+
+        Examples
+        --------
+        >>> net = Network([1, 2], [2, 3], [0.1, 0.1], [0.1, 0.1], slack_bus=1, base_kv=11.0)
+        >>> noon = pd.Timestamp("2025-07-01T12:00Z")
+        >>> hours = TimeGrid(noon, 60.0, 3)
+        >>> fault = Fault(noon, noon + pd.Timedelta(hours=1), bus=2)
+        >>> OutOfService.of([fault], net, hours, range(3)).lines.astype(int).tolist()
+        [[1, 1], [0, 0], [0, 0]]
+        """
+        begins = grid.times[steps.start : steps.stop]
+        lines = np.zeros((len(begins), network.n_lines), dtype=bool)
+        buses = np.zeros((len(begins), network.n_buses), dtype=bool)
+        for fault in faults:
+            during = np.asarray((begins < fault.end) & (begins + grid.step > fault.start))
+            at = fault.at(network)
+            lines[during, at - 1] = True
+            if fault.line is None:
+                lines |= during[:, None] & (network.parent == at)
+                buses[during, at] = True
+        return cls(lines, buses) if lines.any() else None
+
+    def part(self, steps: slice) -> OutOfService | None:
+        """Some of the steps, None where nothing is out in them."""
+        lines = self.lines[steps]
+        return OutOfService(lines, self.buses[steps]) if lines.any() else None
+
+    def name(self, network: Network, step: int) -> str:
+        """Names of lines and buses that are out in a step."""
+        at = np.flatnonzero(self.buses[step])
+        of_buses = np.isin(network.parent, at) | np.isin(np.arange(network.n_lines) + 1, at)
+        lines = np.flatnonzero(self.lines[step] & ~of_buses)
+        words = [f"bus {network.buses[bus]}" for bus in at]
+        return " and ".join([*words, *(line_name(network, line) for line in lines.tolist())])
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """Parts of a feeder in one step, each behind a line that is out; part 0 has the grid's bus.
+
+    Parameters
+    ----------
+    network : Network
+        The feeder.
+    out : array of bool, shape (L,)
+        Lines that are out.
+
+    Examples
+    --------
+    >>> net = Network([1, 2, 2], [2, 3, 4], [0.1] * 3, [0.1] * 3, slack_bus=1, base_kv=11.0)
+    >>> Parts(net, np.array([False, False, True])).of_bus.tolist()
+    [0, 0, 0, 3]
+    """
+
+    network: Network
+    out: Flags
+
+    @cached_property
+    def of_bus(self) -> Wholes:
+        """Number of the part of each bus, (N,): the position of its first bus."""
+        number = np.arange(self.network.n_buses)
+        for line, above in enumerate(self.network.parent):
+            if not self.out[line]:
+                number[line + 1] = number[above]
+        return number
+
+    @property
+    def numbers(self) -> list[int]:
+        """Numbers of the parts, that with the grid's bus first."""
+        return [0, *(np.flatnonzero(self.out) + 1).tolist()]
+
+    def lines(self, part: int) -> Flags:
+        """Lines inside a part, (L,)."""
+        return np.asarray((self.of_bus[1:] == part) & ~self.out)
+
+    def behind(self, part: int) -> str:
+        """The line that is out between a part and the grid, in words."""
+        return line_name(self.network, part - 1)
+
+
+def parts_by_bus(network: Network, out: OutOfService) -> Wholes:
+    """Number of the part of each bus in each step, (W, N)."""
+    return np.array([Parts(network, lines).of_bus for lines in out.lines])
+
+
+def known_faults(faults: Iterable[Fault], now: pd.Timestamp, step: pd.Timedelta) -> list[Fault]:
+    """Faults that plans of a step know: those known before, and those that have begun."""
+    return [fault for fault in faults if fault.known or fault.start < now + step]
