@@ -102,10 +102,9 @@ def _figures(devices: Any, names: Iterable[str]) -> dict[str, dict[str, float]]:
 def _phases_of(runner: Runner) -> dict[str, str] | None:
     """On which phases devices are; None for a feeder without phases."""
     phases = runner.scenario.phases
-    if phases is None:
-        return None
     kinds = (getattr(runner.scenario, kind) for kind in ("customers", "pv", "batteries"))
-    return {str(name): phases.connection(str(name)).coils for kind in kinds for name in kind.id}
+    names = (str(name) for kind in kinds for name in kind.id)
+    return {name: phases.connection(name).coils for name in names} if phases else None
 
 
 def _orders(points: Iterable[Mapping[str, Any]], kind: str) -> dict[str, Any]:

@@ -389,7 +389,7 @@ def _set_points(
                     "id": _id(begin, kind, name),
                     "asset": name,
                     "kind": kind,
-                    **({} if phases is None else {"phases": phases.connection(name).coils}),
+                    **({"phases": phases.connection(name).coils} if phases else {}),
                     **(default if by_default else _like(default, row)),
                     **({"sign": _SIGNS[kind]} if kind in _SIGNS else {}),
                     "valid_from": begin,
