@@ -78,7 +78,7 @@ def _units(model: ShadowPriceModel) -> dict[int, Floats | float]:
         LOW: PER_PU2 * 2.0 * net.v_min_pu * 1e-3,
         HIGH: PER_PU2 * 2.0 * net.v_max_pu * 1e-3,
         OF_FORMER: 1.0 / max(room_kva, NO_POWER_KW),
-        OF_RATING: 1.0 / phased_model(model.site).loadings.kva,
+        OF_RATING: 1.0 / phased_model(model.site).rated_kva,
     }
 
 
@@ -86,7 +86,7 @@ def _by_side(model: ShadowPriceModel) -> tuple[dict[int, Floats], dict[int, Floa
     """Duals of the first step by side, added up by place; and by place, kW or kvar, and asset."""
     phased = phased_model(model.site)
     n_buses = model.site.feeder.n_buses
-    n_rated = len(phased.loadings.kva)
+    n_rated = len(phased.rated_kva)
     sizes = {LOW: n_buses, HIGH: n_buses, OF_FORMER: len(PHASES), OF_RATING: n_rated}
     assets = len(phased.flows[GRID].assets)
     duals = {side: np.zeros(size) for side, size in sizes.items()}
