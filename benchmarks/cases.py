@@ -116,7 +116,7 @@ def physical_window(seed: int, stressed: bool) -> Window:
     lit = without_power(case.data, dark_steps(site, case.data))
     start = lossless(lit, physics_of(site, lit, HEADROOM))
     planner = ConvergedPlanner(WindowSolver(site))
-    points = planner.ac_points(start, planner.solver.solve(start).dispatch)
+    points = planner.linearisation.points(start, planner.solver.solve(start).dispatch)
     return Window(case.scenario, linearised(start, site.network, points))
 
 

@@ -25,7 +25,7 @@ from numpy.random import Generator
 from benchmarks.pages import put_table
 from benchmarks.random_feeders import WEIGHT, random_network, random_scenario
 from experiments.studies.phases import DAYS, LIMIT_S, loop, of_day, say, scenario_of
-from vppres.control.phased import PhasedPlanner
+from vppres.control.converged import ConvergedPlanner
 from vppres.core.arrays import Floats
 from vppres.core.errors import SolveError
 from vppres.day.assembly import make_controller
@@ -188,7 +188,7 @@ def decided(scenario: Scenario) -> Decided:
     solver = WindowSolver(site, limits=options.limits)
     day = Day(scenario, options)
     seen = day.observe(make_controller(scenario, options), 0)
-    _, _, data = PhasedPlanner(solver).begun(seen)
+    _, _, data = ConvergedPlanner(solver).begun(seen)
     return Decided(site, data, solver.solve(data))
 
 
@@ -357,7 +357,7 @@ def windows(file: Path, time_s: float) -> str:
         day, controller = Day(scenario, options), make_controller(scenario, options)
         solver = WindowSolver(site, limits=options.limits)
         for hour in WINDOW_HOURS:
-            _, _, data = PhasedPlanner(solver).begun(day.observe(controller, hour))
+            _, _, data = ConvergedPlanner(solver).begun(day.observe(controller, hour))
             dark = int(data.dark.sum())
             own.append(Own.of(solver, data))
             whole = f" | {_as_a_whole(solver, data, own[-1], time_s)}" if time_s else ""

@@ -24,8 +24,7 @@ import numpy as np
 from benchmarks.pages import put_table
 from vppres.contract.decision import Decider, Decision
 from vppres.contract.observation import Observation
-from vppres.control.phased import PhasedPlanner
-from vppres.control.phased_window import PhasedLinearisation
+from vppres.control.converged import ConvergedPlanner
 from vppres.core.errors import VerificationError, VppresError
 from vppres.day.assembly import make_controller
 from vppres.day.metrics import resilience
@@ -231,21 +230,19 @@ class Timed:
 
 def _watching(off_pu: list[float]) -> AbstractContextManager[Any]:
     """Keep how far first candidates are off AC in their first step, in pu, before any pass."""
-    plain = PhasedPlanner.converge
+    plain = ConvergedPlanner.converge
 
     def converge(
-        self: PhasedPlanner, data: WindowData, solution: WindowSolution, deadline: Deadline
+        self: ConvergedPlanner, data: WindowData, solution: WindowSolution, deadline: Deadline
     ) -> tuple[WindowData, WindowData, WindowSolution]:
-        first = data.part(slice(0, 1))
-        p, q = self.model.drawn(data.for_service(solution.dispatch.served), solution.dispatch)
-        lit = lit_steps(first)
-        points = self.model.points(first, p[:1], q[:1], lit)
+        at, plan = self.linearisation, solution.dispatch
+        points, lit = at.points(data, plan), lit_steps(data)
         if lit[0] and points.converged[0]:
-            planned = PhasedLinearisation(self.model).v_pu(first, p[:1], q[:1])
-            off_pu.append(float(np.abs(planned - np.sqrt(points.u_pu2)).max()))
+            planned = at.finished(data, plan).v_node_pu
+            off_pu.append(float(np.abs(planned - np.sqrt(points.u_pu2))[0].max()))
         return plain(self, data, solution, deadline)
 
-    return patch.object(PhasedPlanner, "converge", converge)
+    return patch.object(ConvergedPlanner, "converge", converge)
 
 
 class Watched(Day):

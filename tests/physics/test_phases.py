@@ -19,7 +19,7 @@ from tests.support.sets import gensets
 from tests.support.vans import chargers, plugged_in
 from vppres.contract.decision import Decision, SolveInfo
 from vppres.contract.observation import Observation
-from vppres.control.phased import PhasedPlanner
+from vppres.control.converged import ConvergedPlanner
 from vppres.control.phased_rule import served_by_phase
 from vppres.control.rules import rule_dispatch, service_order
 from vppres.control.step_state import StepState
@@ -37,7 +37,7 @@ from vppres.feeders.dss.phases import flow_of_source
 from vppres.io import read_scenario
 from vppres.io.digest import scenario_digest
 from vppres.io.scenario_writer import write_scenario
-from vppres.model.phases import PhasedModel, Slopes
+from vppres.model.phases import PhasedModel, Slopes, phased_model
 from vppres.model.site import Site
 from vppres.physics.phased_loading import Loadings
 from vppres.physics.phased_sources import (
@@ -611,15 +611,15 @@ def test_few_of_the_limits_that_bind_everywhere_are_rows_from_the_start(tmp_path
     options = RunOptions(horizon_h=1.0).on(two)
     observation = Day(two, options).observe(make_controller(two, options), 0)
     site = Site.of(two)
-    planner = PhasedPlanner(WindowSolver(site))
+    planner, model = ConvergedPlanner(WindowSolver(site)), phased_model(site)
     data = planner.begun(observation)[2]
     plan = planner.solver.solve(data).dispatch
     phased = data.require_phased()
-    there = phased.u_offset + planner.model.linear(data, *planner.model.drawn(data, plan))[0]
+    there = phased.u_offset + model.linear(data, *model.drawn(data, plan))[0]
     data = replace(data, phased=replace(phased, u_min=there))
     bound = near_to(site, data, plan).require_phased().bound.sum(axis=2)
     assert (bound[:, 0] >= 3 * MOST_BINDING).all()
-    assert (bound[:, 0] <= len(planner.model.by_phase) * MOST_BINDING).all()
+    assert (bound[:, 0] <= len(model.by_phase) * MOST_BINDING).all()
 
 
 def test_phases_are_part_of_the_digest(day: Scenario) -> None:

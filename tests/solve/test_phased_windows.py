@@ -22,7 +22,7 @@ from tests.support.sets import random_sets
 from tests.support.vans import with_random_vehicles
 from tests.support.whole_statement import whole_problem
 from vppres.contract.decision import Decision
-from vppres.control.phased import PhasedPlanner
+from vppres.control.converged import ConvergedPlanner
 from vppres.day.assembly import make_controller
 from vppres.day.options import RunOptions
 from vppres.day.priority import site_of
@@ -128,10 +128,10 @@ def test_ratings_that_cannot_be_kept_give_way_no_further_than_need_be(tmp_path: 
     assert 1.0 < kept < 1.6 and unlimited > 2.5
 
 
-def first_window(day: Scenario, headroom: float) -> tuple[PhasedPlanner, WindowData]:
+def first_window(day: Scenario, headroom: float) -> tuple[ConvergedPlanner, WindowData]:
     """The first window of a day with so much headroom, as it is solved first."""
     options = RunOptions(horizon_h=0.0).on(day)
-    planner = PhasedPlanner(WindowSolver(site_of(day, options.as_record())), headroom)
+    planner = ConvergedPlanner(WindowSolver(site_of(day, options.as_record())), headroom)
     seen = Day(day, options).observe(make_controller(day, options), 0)
     return planner, planner.begun(seen)[2]
 
@@ -151,7 +151,8 @@ def test_the_fleet_knows_what_active_power_each_phase_of_the_former_carries(tmp_
     """Reactive power of customers is known with them, that of batteries and PV widens the room."""
     (tmp_path / "small.dss").write_text(CIRCUIT)
     planner, data = first_window(phased_day(tmp_path / "small.dss").between(13, 14), headroom=0.1)
-    site, model = planner.solver.site, planner.model
+    site = planner.solver.site
+    model = phased_model(site)
     statement = Statement(site, 1, beyond_paper(site, data))
     statement.write(data)
     rng = np.random.default_rng(44)
@@ -205,16 +206,15 @@ def test_a_plan_without_headroom_leaves_a_phase_what_passes_may_be_off_by(tmp_pa
     full = replace(day.batteries, soc_initial=day.batteries.soc_max)
     island = replace(day, batteries=full).between(13, 14)
     planner, data = first_window(island, headroom=0.0)
-    phased, model = data.require_phased(), planner.model
+    phased = data.require_phased()
     rating = island.batteries.s_max_kva[island.batteries.grid_forming][0] / 3.0
     assert phased.room_kva == pytest.approx(0.999 * rating)
-    idle = model.nothing(1)
-    points = model.points(data, idle, idle, lit_steps(data))
+    at, plan = planner.linearisation, planner.solver.solve(data).dispatch
+    points = at.points(data, plan)
     for share, agrees in ((0.9995, True), (1.0005, False)):
         kva = np.full((1, 3), share * rating, dtype=complex)
         given = replace(points, source_kva=kva)
-        there = planner._linearisation.at(data, idle, idle, given, lit_steps(data))
-        assert planner._linearisation.agree(there, idle, idle, given, lit_steps(there)) is agrees
+        assert at.agrees(at.closer(data, plan, given, passes=1), plan, given) is agrees
 
 
 def test_limits_that_give_way_to_those_of_ac_leave_what_passes_may_be_off_by(
@@ -236,11 +236,11 @@ def test_voltages_of_a_plan_are_those_of_the_window_that_was_solved(tmp_path: Pa
     (tmp_path / "small.dss").write_text(CIRCUIT)
     day = phased_day(tmp_path / "small.dss").between(8, 9)
     options = RunOptions(horizon_h=0.0).on(day)
-    planner = PhasedPlanner(WindowSolver(site_of(day, options.as_record())), passes=1)
+    planner = ConvergedPlanner(WindowSolver(site_of(day, options.as_record())), passes=1)
     seen = Day(day, options).observe(make_controller(day, options), 0)
     plan = planner.plan(seen).dispatch
     data = planner.begun(seen)[2]
-    points = planner.ac_points(data, plan)
+    points = planner.linearisation.points(data, plan)
     assert plan.v_node_pu is not None
     off_pu = np.abs(plan.v_node_pu - np.sqrt(points.u_pu2)).max()
     assert 1e-6 < off_pu < 1e-2

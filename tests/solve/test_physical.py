@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
+from benchmarks.cases import physical_window
 from benchmarks.hard_days import hard_day, hard_window
 from benchmarks.random_feeders import Window, random_scenario, random_window
 from experiments.studies.islands import claims_of, imbalance_kw, random_day
@@ -20,16 +21,16 @@ from tests.support.small_windows import CHECKER_TOLERANCE, window
 from vppres.contract.forecast import Forecaster, ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.control.converged import (
-    DEFAULT_PASSES,
     FIRST_SHARE,
-    LOSS_TOLERANCE_KW,
     SOC_NUDGE,
-    VOLTAGE_TOLERANCE_PU,
     ConvergedPlanner,
-    agree,
     dark_steps,
     physics_of,
-    without_power,
+)
+from vppres.control.linearisation import (
+    DEFAULT_PASSES,
+    LOSS_TOLERANCE_KW,
+    VOLTAGE_TOLERANCE_PU,
 )
 from vppres.core.errors import InputError, ModelError, NumericalError
 from vppres.day.metrics import cautions, resilience, summarise
@@ -99,17 +100,6 @@ def test_linear_voltages_meet_the_point_they_are_linearised_at(tiny: Scenario) -
 
 
 # Windows.
-
-
-def physical_window(seed: int, stressed: bool) -> Window:
-    """A random window with headroom, and losses as at the AC points of its lossless answer."""
-    case = random_window(seed, stressed)
-    site = Site.of(case.scenario)
-    lit = without_power(case.data, dark_steps(site, case.data))
-    start = lossless(lit, physics_of(site, lit, 0.1))
-    planner = ConvergedPlanner(WindowSolver(site))
-    points = planner.ac_points(start, planner.solver.solve(start).dispatch)
-    return Window(case.scenario, linearised(start, site.network, points))
 
 
 @cache
@@ -331,12 +321,12 @@ def test_agreement_is_of_every_step(tiny: Scenario) -> None:
     points = Sweeps(tiny.network).solve(*injections(site, start, dispatch))
     exact = linearised(start, tiny.network, points)
     met = replace(dispatch, v_pu=points.v_pu)
-    assert agree(exact, met, points, tiny.network)
+    assert planner.agrees(exact, met, points)
     one_off = met.v_pu.copy()
     one_off[2, 3] += 2 * VOLTAGE_TOLERANCE_PU
-    assert not agree(exact, replace(met, v_pu=one_off), points, tiny.network)
+    assert not planner.agrees(exact, replace(met, v_pu=one_off), points)
     none = replace(points, converged=np.zeros(3, dtype=bool))
-    assert not agree(exact, met, none, tiny.network)
+    assert not planner.agrees(exact, met, none)
 
 
 def test_an_outage_that_finds_the_former_empty_is_blacked_out_from_its_first_step() -> None:
@@ -459,7 +449,7 @@ def test_batteries_that_lose_sun_in_turns_keep_them_until_ac_agrees(stored: floa
     site = planner.solver.site
     whole = WindowData.of(seen, site, "none")
     data = lossless(whole, physics_of(site, whole, planner.headroom))
-    points = planner.ac_points(data, plan.dispatch)
+    points = planner.linearisation.points(data, plan.dispatch)
     off_kw = points.loss_kw.sum(axis=1) - plan.loss_kw
     assert np.abs(off_kw).max() <= LOSS_TOLERANCE_KW
 

@@ -9,46 +9,30 @@ The set is decided anew only where the losses leave it no dispatch.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from dataclasses import replace
 from math import inf
-from typing import Any, ClassVar, Generic, Protocol, TypeVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from vppres.contract.dispatch import Dispatch
 from vppres.contract.observation import Observation
 from vppres.control.last_window import NO_ROW, LastWindow, kinds_of
+from vppres.control.linearisation import BalancedLinearisation, Linearisation, Points
+from vppres.control.phased_window import PhasedLinearisation
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import InfeasibleError, LimitError, NumericalError
-from vppres.model.beyond_paper.losses import (
-    ACPoints,
-    Sweeps,
-    injections,
-    linearised,
-    lit_steps,
-    lossless,
-)
+from vppres.model.beyond_paper.losses import lit_steps
 from vppres.model.beyond_paper.unspent import SPENT_KW, spent_kw, unspent
 from vppres.model.data import Physics, WindowData
-from vppres.model.linearise import Drawn, drawn_at
+from vppres.model.phases import phased_model
 from vppres.model.site import Site
 from vppres.model.terms import evaluate
 from vppres.scenario.formers import forming_batteries, largest_forming_battery
-from vppres.scenario.network import Network
 from vppres.solve.deadline import Deadline
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.result import SolveLimits, Status, WindowSolution
 
-VOLTAGE_TOLERANCE_PU = 1e-4
-LOSS_TOLERANCE_KW = 1.0
-
-SHORT_KW = 1e-6
-"""Losses that an island's plan may lack: its former may have no more, and then a customer is shed
-for it."""
-
-DEFAULT_PASSES = 4
 DEFAULT_HEADROOM = 0.1
 LARGEST_RESERVE = 0.5
 """Share of a battery's usable energy that its reserve may take up."""
@@ -63,52 +47,81 @@ _NO_POWER_KW = 1e-6
 _MAX_DECISIONS = 3
 
 
-class Points(Protocol):
-    """AC points of a window: whether there is one of each step."""
-
-    @property
-    def converged(self) -> Flags:
-        """Steps whose power flow has a solution, (W,)."""
-
-
-P = TypeVar("P", bound=Points)
+def linearisation_of(site: Site) -> Linearisation[Any]:
+    """The linearisation of a site's windows."""
+    if site.phases is None:
+        return BalancedLinearisation(site)
+    return PhasedLinearisation(phased_model(site))
 
 
-class PassesPlanner(ABC, Generic[P]):
-    """Planner that solves a window and the passes after it.
+class ConvergedPlanner:
+    """Plans windows that AC agrees with.
 
     Parameters
     ----------
     solver : WindowSolver
         Solves the windows.
-    headroom : float
+    headroom : float, optional
         Share of a grid-forming battery's inverter rating that a plan leaves free in an island.
-    passes : int
-        Largest number of solves and AC power flows of a window.
+    passes : int, optional
+        Largest number of solves and AC power flows of a window, that of its linearisation if not
+        given; 0 plans in the linearisation at rest.
     """
 
-    def __init__(self, solver: WindowSolver, headroom: float, passes: int) -> None:
+    REMEMBERED: ClassVar[dict[str, Any]] = {"_last": LastWindow | None}
+
+    def __init__(
+        self, solver: WindowSolver, headroom: float = DEFAULT_HEADROOM, passes: int | None = None
+    ) -> None:
         self.solver = solver
         self.headroom = headroom
-        self.passes = passes
+        self.linearisation = linearisation_of(solver.site)
+        self.passes = self.linearisation.passes if passes is None else passes
+        self._last: LastWindow | None = None
 
-    @abstractmethod
     def plan(
         self, observation: Observation, n_steps: int | None = None, within_s: float = inf
     ) -> WindowSolution:
-        """Solution of the observed window, or of its first steps."""
+        """Solution of the observed window, or of its first steps.
 
-    @abstractmethod
-    def ac_points(self, data: WindowData, dispatch: Dispatch) -> P:
-        """AC points of a candidate."""
+        It may take no more than ``within_s`` seconds, or its limit where that is less.
 
-    @abstractmethod
-    def agrees(self, data: WindowData, dispatch: Dispatch, points: P) -> bool:
-        """Whether a candidate's window is what AC says."""
+        Raises
+        ------
+        SolveError
+            If no dispatch was found, not even at rest.
+        """
+        whole, dark, start = self.begun(observation, n_steps)
+        if self.passes == 0:
+            return self._finished(whole, dark, start, self.solver.solve(start))
+        deadline = Deadline(min(self.solver.limits.time_s, within_s))
+        first = deadline.part(FIRST_SHARE)
+        t0 = observation.t0
+        try:
+            data, solution = self.decide(self._started_where_last(t0, start), start, first)
+        except InfeasibleError:
+            beyond = self._beyond_batteries(start, first) | self._steps_beyond_set(
+                whole, dark, first
+            )
+            if not beyond.any():
+                raise
+            dark = dark | beyond
+            start = self._at_rest(whole, dark)
+            data, solution = self.decide(start, start, first)
+        data, reached, solution = self.converge(data, solution, deadline)
+        known = self.linearisation.known(reached, solution.dispatch)
+        self._last = LastWindow(t0, kinds_of(reached), known)
+        return self._finished(whole, dark, data, solution)
 
-    @abstractmethod
-    def closer(self, data: WindowData, dispatch: Dispatch, points: P, passes: int) -> WindowData:
-        """The window linearised at a candidate's AC points, after so many passes."""
+    def begun(
+        self, observation: Observation, n_steps: int | None = None
+    ) -> tuple[WindowData, Flags, WindowData]:
+        """The observed window, its steps without power, and the window that is solved first."""
+        whole = self.linearisation.observed(observation)
+        whole = whole if n_steps is None else whole.first(n_steps)
+        site = self.solver.site
+        whole, dark = whole.formed(site, dark_steps(site, whole), self.headroom)
+        return whole, dark, self._at_rest(whole, dark)
 
     def nudged(self, data: WindowData) -> WindowData:
         """The window with states of charge that miss no need by rounding."""
@@ -143,9 +156,9 @@ class PassesPlanner(ABC, Generic[P]):
         decided = solution
         decisions = 1
         passes = 1
-        points = self.ac_points(data, solution.dispatch)
+        points = self.linearisation.points(data, solution.dispatch)
         while passes < self.passes and not self.agrees(data, solution.dispatch, points):
-            closer = self.closer(data, solution.dispatch, points, passes)
+            closer = self.linearisation.closer(data, solution.dispatch, points, passes)
             if data.unspent is not None:
                 plan = solution.dispatch
                 limits = unspent(self.solver.site, closer, plan, data.network_kw)
@@ -163,8 +176,8 @@ class PassesPlanner(ABC, Generic[P]):
             data = closer
             solution = again
             passes = passes + 1
-            points = self.ac_points(data, solution.dispatch)
-        reached = self.closer(data, solution.dispatch, points, passes)
+            points = self.linearisation.points(data, solution.dispatch)
+        reached = self.linearisation.closer(data, solution.dispatch, points, passes)
         carried = bool(points.converged[lit_steps(data)].all())
         converged = replace(
             decided,
@@ -177,6 +190,13 @@ class PassesPlanner(ABC, Generic[P]):
             solver_s=solution.solver_s,
         )
         return data, reached, converged
+
+    def agrees(self, data: WindowData, dispatch: Dispatch, points: Points) -> bool:
+        """Whether AC carries a candidate in every step with power, as its window says."""
+        lit = lit_steps(data)
+        if not points.converged[lit].all():
+            return False
+        return not lit.any() or self.linearisation.agrees(data, dispatch, points)
 
     def again(
         self,
@@ -235,90 +255,6 @@ class PassesPlanner(ABC, Generic[P]):
         )
         return limited, kept
 
-
-def _charging_beside_pv(data: WindowData, plan: Dispatch) -> Dispatch:
-    """A plan whose batteries' turns are to charge wherever they may give nothing."""
-    assert data.unspent is not None
-    nothing = data.unspent.discharge_kw <= 0.0
-    return replace(
-        plan,
-        charge_kw=np.where(nothing, np.maximum(plan.charge_kw, _NO_POWER_KW), plan.charge_kw),
-        discharge_kw=np.where(nothing, 0.0, plan.discharge_kw),
-    )
-
-
-class ConvergedPlanner(PassesPlanner[ACPoints]):
-    """Plans windows that AC agrees with.
-
-    Parameters
-    ----------
-    solver : WindowSolver
-        Solves the windows.
-    headroom : float, optional
-        Share of a grid-forming battery's inverter rating that a plan leaves free in an island.
-    passes : int, optional
-        Largest number of solves and AC power flows of a window; 0 plans without losses in plain
-        LinDistFlow.
-    """
-
-    REMEMBERED: ClassVar[dict[str, Any]] = {"_last": LastWindow | None}
-
-    def __init__(
-        self, solver: WindowSolver, headroom: float = DEFAULT_HEADROOM, passes: int = DEFAULT_PASSES
-    ) -> None:
-        super().__init__(solver, headroom, passes)
-        self._last: LastWindow | None = None
-        self._sweeps: dict[tuple[int, bool], Sweeps] = {}
-
-    def plan(
-        self, observation: Observation, n_steps: int | None = None, within_s: float = inf
-    ) -> WindowSolution:
-        """Solution of the observed window, or of its first steps.
-
-        It may take no more than ``within_s`` seconds, or its limit where that is less.
-
-        Raises
-        ------
-        SolveError
-            If no dispatch was found, not even without losses.
-        """
-        site = self.solver.site
-        t0 = observation.t0
-        whole = WindowData.of(observation, site, "none")
-        whole = whole if n_steps is None else whole.first(n_steps)
-        whole = replace(whole, drawn=self._drawn_everywhere(observation, whole.dark))
-        whole, dark = whole.formed(site, dark_steps(site, whole), self.headroom)
-        start = self._without_losses(whole, dark)
-        if self.passes == 0:
-            return self._in_the_dark(whole, dark, self.solver.solve(start))
-        deadline = Deadline(min(self.solver.limits.time_s, within_s))
-        first = deadline.part(FIRST_SHARE)
-        try:
-            data, solution = self.decide(self._started_where_last(t0, start), start, first)
-        except InfeasibleError:
-            beyond = self._beyond_batteries(start, first) | self._steps_beyond_set(
-                whole, dark, first
-            )
-            if not beyond.any():
-                raise
-            dark = dark | beyond
-            start = self._without_losses(whole, dark)
-            data, solution = self.decide(start, start, first)
-        _, reached, solution = self.converge(data, solution, deadline)
-        self._last = LastWindow(t0, kinds_of(reached), _linearisation_rows(reached))
-        return self._in_the_dark(whole, dark, solution)
-
-    def _drawn_everywhere(self, observation: Observation, island: Flags) -> Drawn | None:
-        """Power that the network draws, in an island too: only batteries can supply it there."""
-        network = self.solver.site.network
-        if not network.draws:
-            return None
-        point = observation.operating_point
-        v_pu = network.v_slack_pu * network.bus_ratio
-        if point is not None and not np.isnan(point.v_pu).any():
-            v_pu = point.v_pu
-        return drawn_at(network, np.tile(v_pu, (len(island), 1)), island)
-
     def _beyond_batteries(self, start: WindowData, deadline: Deadline) -> Flags:
         """Island steps that no supply schedule has a dispatch for: for capacitors, for example."""
         beyond = np.zeros(start.n_steps, dtype=bool)
@@ -346,117 +282,52 @@ class ConvergedPlanner(PassesPlanner[ACPoints]):
             tried = (held + missed) // 2
             later = np.isin(np.arange(whole.n_steps), formed[tried:])
             try:
-                self.solver.solve(self._without_losses(whole, dark | later), deadline.left_s)
+                self.solver.solve(self._at_rest(whole, dark | later), deadline.left_s)
                 held = tried
             except (InfeasibleError, NumericalError, LimitError):
                 missed = tried
         beyond[formed[held:]] = True
         return beyond
 
-    def _without_losses(self, whole: WindowData, dark: Flags) -> WindowData:
-        """The window with its dark steps, in plain LinDistFlow."""
+    def _at_rest(self, whole: WindowData, dark: Flags) -> WindowData:
+        """The window with its dark steps, in the linearisation that is known without a plan."""
         lit = without_power(whole, dark)
-        return self._at_rest(lossless(lit, physics_of(self.solver.site, lit, self.headroom)))
-
-    def _in_the_dark(
-        self, whole: WindowData, dark: Flags, solution: WindowSolution
-    ) -> WindowSolution:
-        """The solution with what the dark steps lose, called optimal if it is then still."""
-        return in_the_dark(self.solver.site, whole, dark, solution, self.solver.limits)
-
-    def agrees(self, data: WindowData, dispatch: Dispatch, points: ACPoints) -> bool:
-        """Whether voltages, losses and what the network draws agree with AC."""
-        return agree(data, dispatch, points, self.solver.site.network)
-
-    def closer(
-        self, data: WindowData, dispatch: Dispatch, points: ACPoints, passes: int
-    ) -> WindowData:
-        """The window linearised at AC points."""
-        return linearised(data, self.solver.site.network, points)
-
-    def ac_points(self, data: WindowData, dispatch: Dispatch) -> ACPoints:
-        """AC points of a candidate, in an island with its reference at the battery's bus."""
-        physics = data.require_physics()
-        network = self.solver.site.network
-        p, q = injections(self.solver.site, data.for_service(dispatch.served), dispatch)
-        found = None
-        for bus, island in sorted(
-            {*zip(physics.reference.tolist(), data.dark.tolist(), strict=True)}
-        ):
-            if (bus, island) not in self._sweeps:
-                now = network.islanded if island else network
-                self._sweeps[bus, island] = Sweeps(now, bus)
-            part = self._sweeps[bus, island].solve(p, q)
-            these = (physics.reference == bus) & (data.dark == island)
-            found = part if found is None else found.where(these, part)
-        assert found is not None
-        return found
+        physics = physics_of(self.solver.site, lit, self.headroom, self.linearisation.open_kw)
+        return self.linearisation.at_rest(replace(lit, physics=physics))
 
     def _started_where_last(self, t0: int, start: WindowData) -> WindowData:
         """The window at what its steps, or others like them, were linearised at before."""
         if self._last is None:
             return start
         rows = self._last.rows_for(t0, start)
-        known = (rows != NO_ROW)[:, None]
-        before = (values[rows] for values in self._last.rows)
-        return _linearised_at(
-            start,
-            [
-                np.where(known, *pair)
-                for pair in zip(before, _linearisation_rows(start), strict=True)
-            ],
-        )
+        before = tuple(values[rows] for values in self._last.rows)
+        return self.linearisation.at_known(start, before, rows != NO_ROW)
 
-    def _at_rest(self, data: WindowData) -> WindowData:
-        """The window with the slack bus's voltage everywhere in outage steps, ratios or not."""
-        net = self.solver.site.network
-        if not net.has_ratios:
-            return data
-        u_pu2 = net.u_pu2(np.full(net.n_buses, net.v_slack_pu))
-        flat = u_pu2[1:] - u_pu2[net.parent]
-        return replace(data, delta_pu2=np.where(lit_steps(data)[:, None], data.delta_pu2, flat))
+    def _finished(
+        self, whole: WindowData, dark: Flags, data: WindowData, solution: WindowSolution
+    ) -> WindowSolution:
+        """A window's solution with its voltages, and what its dark steps lose.
+
+        It is called optimal if it is then still.
+        """
+        plan = self.linearisation.finished(data, solution.dispatch)
+        site, limits = self.solver.site, self.solver.limits
+        return in_the_dark(site, whole, dark, replace(solution, dispatch=plan), limits)
 
 
-def _linearisation_rows(data: WindowData) -> tuple[Floats, ...]:
-    """Linearisation of each step: offset and losses of each line, and the draw of each bus."""
-    physics = data.require_physics()
-    drawn = () if data.drawn is None else (data.drawn.kw, data.drawn.kvar)
-    return data.delta_pu2, physics.loss_kw, physics.loss_kvar, *drawn
-
-
-def _linearised_at(data: WindowData, rows: Sequence[Floats]) -> WindowData:
-    """The window with other such rows."""
-    offset_pu2, loss_kw, loss_kvar, *drawn = rows
-    physics = replace(data.require_physics(), loss_kw=loss_kw, loss_kvar=loss_kvar)
+def _charging_beside_pv(data: WindowData, plan: Dispatch) -> Dispatch:
+    """A plan whose batteries' turns are to charge wherever they may give nothing."""
+    assert data.unspent is not None
+    nothing = data.unspent.discharge_kw <= 0.0
     return replace(
-        data, delta_pu2=offset_pu2, physics=physics, drawn=Drawn(*drawn) if drawn else None
+        plan,
+        charge_kw=np.where(nothing, np.maximum(plan.charge_kw, _NO_POWER_KW), plan.charge_kw),
+        discharge_kw=np.where(nothing, 0.0, plan.discharge_kw),
     )
 
 
 def _with_stage(attempt: str, solution: WindowSolution) -> WindowSolution:
     return replace(solution, stages=(attempt, *solution.stages))
-
-
-def agree(data: WindowData, dispatch: Dispatch, points: ACPoints, network: Network) -> bool:
-    """Whether voltages, losses and what the network draws agree in every step with power.
-
-    A step without an AC point never agrees: nothing carries its plan.
-    """
-    lit = lit_steps(data)
-    if not lit.any():
-        return True
-    if not points.converged[lit].all():
-        return False
-    off_pu = np.abs(dispatch.v_pu - points.v_pu)[lit].max()
-    missing_kw = points.loss_kw.sum(axis=1) - data.loss_kw
-    if (missing_kw[lit & data.dark] > SHORT_KW).any():
-        return False
-    off_kw = np.abs(missing_kw)[lit].max()
-    if data.drawn is not None:
-        found = drawn_at(network, points.v_pu[lit], data.dark[lit])
-        off = [found.kw - data.drawn.kw[lit], found.kvar - data.drawn.kvar[lit]]
-        off_kw = off_kw + max(np.abs(each.sum(axis=1)).max() for each in off)
-    return bool(off_pu <= VOLTAGE_TOLERANCE_PU and off_kw <= LOSS_TOLERANCE_KW)
 
 
 def physics_of(site: Site, data: WindowData, headroom: float, open_kw: float = 0.0) -> Physics:
@@ -520,7 +391,7 @@ def dark_steps(site: Site, data: WindowData) -> Flags:
     """
     b = site.batteries
     island = data.grid_limit_kw <= 0.0
-    formers = forming_batteries(site) if site.phases is None else site.phases.formers(b)
+    formers = forming_batteries(site)
     if not formers.any():
         return island
     held_kw = (data.soc - b.soc_min) * b.energy_kwh * data.eta_discharge / site.dt_h

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any, ClassVar
 
 from vppres.contract.observation import Observation
-from vppres.control.converged import PassesPlanner
+from vppres.control.converged import ConvergedPlanner
 from vppres.control.remembered import PART
 from vppres.core.errors import InfeasibleError, NumericalError, SolveError
 from vppres.solve.deadline import Deadline
@@ -31,7 +31,7 @@ class HeadroomPlanner:
 
     REMEMBERED: ClassVar[dict[str, Any]] = {"kept": PART, "released": PART}
 
-    def __init__(self, planner_of: Callable[[float], PassesPlanner[Any]], headroom: float) -> None:
+    def __init__(self, planner_of: Callable[[float], ConvergedPlanner], headroom: float) -> None:
         self.kept = planner_of(headroom)
         self.released = planner_of(0.0)
 

@@ -6,10 +6,13 @@ Limits give way to what the feeder has without control, so that a window always 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
-from vppres.control.converged import LOSS_TOLERANCE_KW, VOLTAGE_TOLERANCE_PU
+from vppres.contract.dispatch import Dispatch
+from vppres.contract.observation import Observation
+from vppres.control.linearisation import DEFAULT_PASSES, LOSS_TOLERANCE_KW, VOLTAGE_TOLERANCE_PU
 from vppres.core.arrays import Complexes, Flags, Floats
 from vppres.model.beyond_paper.losses import lit_steps
 from vppres.model.data import PhasedWindow, WindowData
@@ -17,14 +20,29 @@ from vppres.model.linearise import Drawn
 from vppres.model.own_state import COLLAPSED_PU2, giving_way, share_of
 from vppres.model.phases import PhasedModel, PhasedPoints
 from vppres.model.ratings import KEPT_SHARE, loading_of_phases
+from vppres.physics.phased_sources import farthest
 from vppres.solve.phases import binding
+
+FIRST_DAMPED = 3
+"""Pass after which a window moves only halfway to the AC points: two candidates whose reactive
+power differs may follow each other for ever otherwise."""
 
 
 @dataclass(frozen=True, eq=False)
 class PhasedLinearisation:
-    """Linearisation of a phased site's windows, and its comparison with AC."""
+    """Linearisation of a phased site's windows, and its comparison with AC.
+
+    The former's phases settle later than its voltages, so that a window has twice the passes.
+    """
 
     model: PhasedModel
+
+    passes: ClassVar[int] = 2 * DEFAULT_PASSES
+    open_kw: ClassVar[float] = LOSS_TOLERANCE_KW
+
+    def observed(self, observation: Observation) -> WindowData:
+        """The observed window; what its network draws is that of its AC points."""
+        return WindowData.of(observation, self.model.site, "none")
 
     def at_rest(self, data: WindowData) -> WindowData:
         """The window at the AC points with all customers supplied that can be: its first guess."""
@@ -71,6 +89,37 @@ class PhasedLinearisation:
         p, q = self.model.powers(data.dark, data.load_kw, pv, (idle, idle))
         with_grid = ~data.dark[:, None]
         return p * with_grid, q * with_grid
+
+    def known(self, data: WindowData, dispatch: Dispatch) -> tuple[Floats, Floats]:
+        """Power of assets in a plan."""
+        return self.model.drawn(data.for_service(dispatch.served), dispatch)
+
+    def at_known(self, data: WindowData, rows: tuple[Floats, ...], steps: Flags) -> WindowData:
+        """The window at what assets drew in some steps.
+
+        A plan at rest has no losses, and its first set may be one too many.
+        """
+        p, q = rows
+        points = self.model.points(data, p, q, steps)
+        return self.at(data, p, q, points, steps & points.converged)
+
+    def points(self, data: WindowData, dispatch: Dispatch) -> PhasedPoints:
+        """AC points of a candidate, step by step."""
+        return self.model.points(data, *self.known(data, dispatch), lit_steps(data))
+
+    def closer(
+        self, data: WindowData, dispatch: Dispatch, points: PhasedPoints, passes: int
+    ) -> WindowData:
+        """The window linearised at a candidate's AC points, or halfway there."""
+        steps = lit_steps(data) & points.converged
+        share = 1.0 if passes < FIRST_DAMPED else 0.5
+        return self.at(data, *self.known(data, dispatch), points, steps, share)
+
+    def finished(self, data: WindowData, dispatch: Dispatch) -> Dispatch:
+        """The plan with its voltages by phase, and of each bus that farthest from 1 pu."""
+        v_pu = self.v_pu(data, *self.known(data, dispatch))
+        at_buses = farthest(v_pu, self.model.at_bus, self.model.site.network.n_buses)
+        return replace(dispatch, v_pu=at_buses, v_node_pu=v_pu)
 
     def at(
         self,
@@ -127,19 +176,15 @@ class PhasedLinearisation:
         u = data.require_phased().u_offset + self.model.linear(data, p, q)[0]
         return np.sqrt(np.maximum(u, 0.0))
 
-    def agree(
-        self, data: WindowData, p: Floats, q: Floats, points: PhasedPoints, lit: Flags
-    ) -> bool:
+    def agrees(self, data: WindowData, dispatch: Dispatch, points: PhasedPoints) -> bool:
         """Whether voltages, former and what the network draws agree in every step with power.
 
         No current that a plan keeps within its rating may be beyond it, nor a phase of the former.
         """
-        if not lit.any():
-            return True
-        if not points.converged[lit].all():
-            return False
+        lit = lit_steps(data)
         phased, drawn = data.require_phased(), data.drawn
         assert drawn is not None
+        p, q = self.known(data, dispatch)
         off_pu = np.abs(self.v_pu(data, p, q) - np.sqrt(points.u_pu2))[lit].max()
         off_kw = np.abs(points.network_kw - drawn.kw.sum(axis=1))[lit].max()
         former: Complexes = phased.former_offset + self.model.linear(data, p, q)[1]

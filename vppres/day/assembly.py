@@ -18,7 +18,6 @@ from vppres.control.guard.guard import GuardedController
 from vppres.control.guard.options import GuardOptions
 from vppres.control.headroom import HeadroomPlanner
 from vppres.control.mpc import MPCController
-from vppres.control.phased import PhasedPlanner
 from vppres.control.planner import Planner
 from vppres.control.rotation import Rotating
 from vppres.core.errors import SolveError, VerificationError
@@ -27,10 +26,10 @@ from vppres.day.faults import FaultInjector, FaultySolver, SolverKilledError
 from vppres.day.options import RULES, RunOptions
 from vppres.day.own import ByStepWeights, Own
 from vppres.day.priority import site_of, weighed
+from vppres.kinds.customer.data import SwitchingRules
 from vppres.model.site import Site
 from vppres.scenario.fairness import Fairness, hours_off
 from vppres.scenario.priority import STRICT
-from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
 from vppres.solve.isolated import IsolatedSolver
@@ -164,7 +163,6 @@ def _planner(solver: WindowSolver, options: RunOptions) -> Planner | None:
     if options.mode != "physical":
         return None
     assert options.headroom is not None
-    kind = ConvergedPlanner if solver.site.phases is None else PhasedPlanner
     if options.priority == STRICT and options.headroom > 0.0:
-        return HeadroomPlanner(partial(kind, solver), options.headroom)
-    return kind(solver, options.headroom)
+        return HeadroomPlanner(partial(ConvergedPlanner, solver), options.headroom)
+    return ConvergedPlanner(solver, options.headroom)
