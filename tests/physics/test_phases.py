@@ -13,7 +13,7 @@ import pytest
 from experiments.studies.phases import admittances_apart
 from tests.support.command_line import call
 from tests.support.homes import homes
-from tests.support.phased_feeder import CIRCUIT, phased_day
+from tests.support.phased_feeder import CIRCUIT, REGULATED, phased_day
 from tests.support.set_points import asked
 from tests.support.sets import gensets
 from tests.support.vans import chargers, plugged_in
@@ -677,3 +677,33 @@ def test_an_island_whose_capacitors_no_former_holds_is_planned_dark(banked: Scen
     assert run.steps["fallback"].tolist() == ["none", "none"]
     assert run.steps["status"].tolist() == ["optimal", "blacked_out"]
     assert run.by_step("customers", "served").any(axis=1).tolist() == [True, False]
+
+
+@pytest.mark.daily
+def test_an_island_serves_what_lies_behind_regulators(tmp_path: Path) -> None:
+    """They are at nominal taps there, in OpenDSS too: no voltage leaves its limits."""
+    file = tmp_path / "long.dss"
+    file.write_text(REGULATED)
+    day = phased_day(file)
+    assert day.phases
+    units = day.phases.transformers
+    assert max(unit.to_tap for unit in units) > 1.08 and {unit.island_tap for unit in units} == {
+        1.0
+    }
+    b = day.batteries
+    near = b.id == "bnear"
+    batteries = replace(
+        b,
+        grid_forming=near,
+        s_max_kva=np.where(near, 2000.0, b.s_max_kva),
+        p_max_kw=np.where(near, 1800.0, b.p_max_kw),
+        energy_kwh=np.where(near, 4000.0, b.energy_kwh),
+        soc_initial=np.where(near, b.soc_max, b.soc_min),
+    )
+    island = replace(day, batteries=batteries, pv_kw=0.0 * day.pv_kw).between(18, 20)
+    island = replace(island, grid_limit_kw=np.zeros(2))
+    run = run_day(island, RunOptions(horizon_h=2.0, isolate=False))
+    assert run.nodes is not None
+    assert run.nodes["v_ac_pu"].between(day.network.v_min_ac_pu, day.network.v_max_ac_pu).all()
+    assert (run.customers.groupby("time")["served"].sum() >= 4).all()
+    assert recheck_run(run, file).voltages["difference_pu"].abs().max() < 1e-6

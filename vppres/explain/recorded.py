@@ -226,12 +226,12 @@ class Recorded:
         """Currents of a phased feeder in a step as shares of their ratings, (k,)."""
         model = phased_model(self.site)
         island = bool(self.scenario.outage[t])
-        nothing = np.zeros(len(model.loadings.names), dtype=complex)
+        nothing = np.zeros(len(model.rated), dtype=complex)
         if not np.isfinite(self.v_ac_pu[t]).all():
             return nothing
         (p,), (q,) = self.drawn(t)
         found = model.solved(island, p, q)
-        return nothing if found is None else model.loadings.currents(found.v)
+        return nothing if found is None else model.loadings[int(island)].currents(found.v)
 
     def drawn(self, t: int) -> tuple[Floats, Floats]:
         """Power of a phased feeder's assets in a step, (1, D) each, the former's own left out."""

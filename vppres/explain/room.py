@@ -76,7 +76,7 @@ def overloaded_line(step: Step, customer: int) -> int | None:
 def _overloaded_current(step: Step, customer: int) -> int | None:
     """Current of a phased feeder that a customer's demand would overload most, None if none."""
     model = phased_model(step.site)
-    if step.dark or not model.loadings.names:
+    if step.dark or not model.rated:
         return None
     slopes = model.slopes[ISLAND if step.outage else GRID]
     kw, kvar = _demand(step, customer)

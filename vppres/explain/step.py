@@ -341,7 +341,7 @@ class Step:
         at = buses_of(self.site) == bus
         slopes = model.slopes[ISLAND if self.outage and model.former is not None else GRID]
         each = np.eye(len(at))[at]
-        through = np.abs(slopes.currents(each, np.zeros_like(each))) * model.loadings.kva
+        through = np.abs(slopes.currents(each, np.zeros_like(each))) * model.rated_kva
         return np.asarray(through.max(axis=0, initial=0.0) > ON_THE_WAY)
 
     def scarce_for(self, customer: int) -> Binding:

@@ -153,7 +153,11 @@ def phase_frames(phases: Phases) -> dict[str, pd.DataFrame]:
         "phase_shunts": [asdict(row) for row in phases.shunts],
         "phase_connections": [asdict(row) for row in phases.connections],
     }
-    return {name: pd.DataFrame(rows) for name, rows in tables.items() if rows}
+    frames = {name: pd.DataFrame(rows) for name, rows in tables.items() if rows}
+    units = frames.get("phase_transformers")
+    if units is not None and units["island_tap"].isna().all():
+        del units["island_tap"]
+    return frames
 
 
 def _line_row(line: PhaseLine) -> dict[str, Any]:

@@ -162,13 +162,13 @@ class PhasedModel:
     """A site's three phases, with the grid as source and with its former.
 
     ``flows`` and ``slopes`` are those of the grid and, if there is a former, of the island.
-    ``loadings`` are of the currents that plans limit.
+    ``loadings`` are of the currents that plans limit, for each source.
     """
 
     site: Site
     flows: tuple[PhasedFlow, ...]
     former: int | None
-    loadings: Loadings
+    loadings: tuple[Loadings, ...]
 
     @classmethod
     def of(cls, site: Site) -> PhasedModel:
@@ -181,13 +181,23 @@ class PhasedModel:
         flows = [flow_of_grid(phases, names, net.v_slack_pu)]
         if former is not None:
             flows.append(flow_of_former(phases, names, str(site.batteries.id[former]), *limits))
-        loadings = Loadings.of(phases) if site.rated else Loadings.none(phases)
-        return cls(site, tuple(flows), former, loadings)
+        of = Loadings.of if site.rated else Loadings.none
+        return cls(site, tuple(flows), former, tuple(of(flow.phases) for flow in flows))
 
     @cached_property
     def slopes(self) -> tuple[Slopes, ...]:
         """Slopes of each source."""
-        return tuple(Slopes(flow, self.loadings) for flow in self.flows)
+        return tuple(map(Slopes, self.flows, self.loadings))
+
+    @property
+    def rated(self) -> tuple[str, ...]:
+        """Names of the currents that plans limit."""
+        return self.loadings[GRID].names
+
+    @property
+    def rated_kva(self) -> Floats:
+        """Power that each of them carries at its rating, (k,)."""
+        return self.loadings[GRID].kva
 
     @cached_property
     def former_device(self) -> int | None:
@@ -274,7 +284,7 @@ class PhasedModel:
         W, m = data.n_steps, self.n_measured
         u = np.ones((W, m))
         kva: Complexes = np.zeros((W, 3), dtype=complex)
-        currents: Complexes = np.zeros((W, len(self.loadings.names)), dtype=complex)
+        currents: Complexes = np.zeros((W, len(self.rated)), dtype=complex)
         network = np.zeros((W, 2))
         converged = np.ones(W, dtype=bool)
         for t in np.flatnonzero(lit):
@@ -287,7 +297,7 @@ class PhasedModel:
             if found is not None:
                 u[t] = self.flows[source].v_pu(found.v) ** 2
                 kva[t] = found.source_kva
-                currents[t] = self.loadings.currents(found.v)
+                currents[t] = self.loadings[source].currents(found.v)
                 network[t] = beyond(found, p_kw[t], q_kvar[t])
         return PhasedPoints(u, kva, currents, network[:, 0], network[:, 1], converged)
 
@@ -311,7 +321,7 @@ class PhasedModel:
 
     def currents(self, data: WindowData, p_kw: Floats, q_kvar: Floats) -> Complexes:
         """Change of the rated currents by powers, as shares of the rating, (W, k)."""
-        found: Complexes = np.zeros((data.n_steps, len(self.loadings.names)), dtype=complex)
+        found: Complexes = np.zeros((data.n_steps, len(self.rated)), dtype=complex)
         for source, steps in ((GRID, ~data.dark), (ISLAND, data.dark)):
             if source < len(self.flows) and steps.any():
                 found[steps] = self.slopes[source].currents(p_kw[steps], q_kvar[steps])

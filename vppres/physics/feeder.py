@@ -13,6 +13,7 @@ from vppres.physics.phased_sources import (
     assets_of,
     farthest,
     flow_of_former,
+    flow_of_grid,
     labels_by_source,
     measured_at,
 )
@@ -35,20 +36,17 @@ class FlowByPhase:
         Its network as a tree of buses, and its devices.
     phases : Phases
         Its phases.
-    island : bool
-        Whether the grid as its source is a stand-in for what forms an island.
     """
 
-    def __init__(self, scenario: Scenario, phases: Phases, island: bool = False) -> None:
+    def __init__(self, scenario: Scenario, phases: Phases) -> None:
         self._scenario = scenario
         self._phases = phases
-        self._island = island
         self._network = scenario.network
         self._assets = assets_of(scenario)
         self._sources: dict[int, PhasedFlow] = {}
         self._places = Places.of(scenario)
         self._at_bus = measured_at(phases, self._network)
-        self._loadings = Loadings.of(phases)
+        self._loadings: dict[int, Loadings] = {}
 
     @property
     def tolerance_kva(self) -> float:
@@ -82,7 +80,10 @@ class FlowByPhase:
         p, q = -np.asarray(p_kw, float), -np.asarray(q_kvar, float)
         own = -complex(p[reference], q[reference])
         p[reference] = q[reference] = 0.0
-        return self._read(flow, flow.solve(p[1:], q[1:]), p, q, own)
+        if reference not in self._loadings:
+            self._loadings[reference] = Loadings.of(flow.phases)
+        found = flow.solve(p[1:], q[1:])
+        return self._read(flow, self._loadings[reference], found, p, q, own)
 
     def dead(self) -> ACResult:
         """The result without any source: NaN, and no flow."""
@@ -107,21 +108,25 @@ class FlowByPhase:
                     phases, self._assets, self._assets[reference - 1], net.v_min_pu, net.v_max_pu
                 )
                 if reference
-                else PhasedFlow(
-                    phases, self._assets, phases.buses[0].bus, net.v_slack_pu, self._island
-                )
+                else flow_of_grid(phases, self._assets, net.v_slack_pu)
             )
         return self._sources[reference]
 
     def _read(
-        self, flow: PhasedFlow, found: PhasedResult, p: Floats, q: Floats, own: complex
+        self,
+        flow: PhasedFlow,
+        loadings: Loadings,
+        found: PhasedResult,
+        p: Floats,
+        q: Floats,
+        own: complex,
     ) -> ACResult:
         """Voltages by bus, flows of the tree without losses, and what the source gives."""
         net = self._network
         v_node = flow.v_pu(found.v)
         p_flow, q_flow = (net.downstream @ self._places.at_buses(power) for power in (p, q))
         total = found.source_kva.sum()
-        loading = self._loadings.at(found.v)
+        loading = loadings.at(found.v)
         fullest = int(loading.argmax()) if len(loading) else None
         return ACResult(
             v_pu=farthest(v_node, self._at_bus, net.n_buses),
@@ -138,7 +143,7 @@ class FlowByPhase:
             phases=PHASES,
             unbalance=float(flow.unbalance(found.v).max(initial=0.0)),
             loading=np.nan if fullest is None else float(loading[fullest]),
-            loading_at="" if fullest is None else self._loadings.names[fullest],
+            loading_at="" if fullest is None else loadings.names[fullest],
         )
 
 
@@ -147,14 +152,14 @@ PowerFlow = ACPowerFlow | FlowByPhase
 
 
 def power_flows(scenario: Scenario) -> tuple[PowerFlow, PowerFlow]:
-    """The flow of a scenario's feeder with grid, and without the shunts that open in islands.
+    """The flow of a scenario's feeder with grid, and with what islands have of it.
 
-    It is the same one where none opens.
+    It is the same one where no shunt opens in islands and no tap is another there.
     """
     net, phases = scenario.network, scenario.phases
     if phases:
         by_phase = FlowByPhase(scenario, phases)
-        opens = any(shunt.island == "no" for shunt in phases.shunts)
-        return by_phase, FlowByPhase(scenario, phases, island=True) if opens else by_phase
+        islanded = phases.islanded
+        return by_phase, by_phase if islanded is phases else FlowByPhase(scenario, islanded)
     balanced = ACPowerFlow(net)
     return balanced, balanced if net.islanded is net else ACPowerFlow(net.islanded)

@@ -20,6 +20,10 @@ from vppres.scenario.formers import island_former
 from vppres.scenario.network import Network
 from vppres.scenario.phases import Phases
 
+HELD = 0.75
+"""Where the voltage of an island's former is between the lowest and the highest that keep the
+limits at no load: demand lowers it by more than PV power raises it."""
+
 
 def assets_of(site: Any) -> list[str]:
     """Names of all assets of a scenario or site."""
@@ -99,13 +103,15 @@ def flow_of_former(
     v_min_pu: float,
     v_max_pu: float,
 ) -> PhasedFlow:
-    """The flow with a device as source, at the voltage from which no load is within limits.
+    """The flow with a device as source, at the voltage that an operator chooses for an island.
 
-    It holds the middle of what keeps all voltages within their limits at no load.
+    It is in the upper part of those that keep all voltages within their limits at no load, as
+    demand lowers them; where none does, in the middle.
     """
     bus = phases.connection(former).bus
-    phases = in_island(phases, former)
-    probe = PhasedFlow(phases, assets, bus, 1.0, island=True)
+    phases = in_island(phases.islanded, former)
+    probe = PhasedFlow(phases, assets, bus, 1.0)
     at_rest = probe.v_pu(probe.no_load_v)
-    held = (v_min_pu / at_rest.min() + v_max_pu / at_rest.max()) / 2.0
-    return PhasedFlow(phases, assets, bus, float(held), island=True)
+    least, most = v_min_pu / at_rest.min(), v_max_pu / at_rest.max()
+    share = HELD if least < most else 0.5
+    return PhasedFlow(phases, assets, bus, float(least + share * (most - least)))

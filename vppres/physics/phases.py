@@ -21,7 +21,7 @@ from scipy.sparse.linalg import splu
 from vppres.core.arrays import Complexes, Floats, Wholes
 from vppres.core.units import V_PER_KV, VA_PER_KVA, W_PER_KW
 from vppres.physics.powerflow import NoSolutionError
-from vppres.scenario.phases import Phases, PhaseShunt, PhaseTransformer, coils_of
+from vppres.scenario.phases import Phases, PhaseTransformer, coils_of
 
 TOLERANCE_PU = 1e-10
 """Largest change of a coil's voltage in the last round, as a share of its rated voltage."""
@@ -82,8 +82,8 @@ def n_coils(places: Iterable[tuple[str, str]]) -> Wholes:
     return np.array([len(words.split()) for _, words in places], dtype=int)
 
 
-def admittances(phases: Phases, island: bool = False) -> Any:
-    """Nodal admittances in siemens, without sources and assets; in an island less some shunts.
+def admittances(phases: Phases) -> Any:
+    """Nodal admittances in siemens, without sources and assets.
 
     Examples
     --------
@@ -95,9 +95,7 @@ def admittances(phases: Phases, island: bool = False) -> Any:
     >>> complex(admittances(one)[0, 0])
     0.1j
     """
-    shunts = [each for each in phases.shunts if not island or each.island != "no"]
-    y = _of_lines(phases) + _of_transformers(phases) + _of_shunts(phases, shunts)
-    return sp.csc_array(y)
+    return sp.csc_array(_of_lines(phases) + _of_transformers(phases) + _of_shunts(phases))
 
 
 def _of_lines(phases: Phases) -> Any:
@@ -181,8 +179,9 @@ def _of_transformers(phases: Phases) -> Any:
     return y
 
 
-def _of_shunts(phases: Phases, shunts: Sequence[PhaseShunt]) -> Any:
+def _of_shunts(phases: Phases) -> Any:
     """Admittances of shunts, whose power is that of all their coils."""
+    shunts = phases.shunts
     places = [(shunt.bus, shunt.coils) for shunt in shunts]
     counts = n_coils(places)
     powers = [(s.p_kw - 1j * s.q_kvar) * W_PER_KW / (s.kv * V_PER_KV) ** 2 for s in shunts]
@@ -229,20 +228,16 @@ class PhasedFlow:
         The source's bus.
     v_pu : float
         Its voltage.
-    island : bool
-        Whether shunts that open in islands are off.
     """
 
-    def __init__(
-        self, phases: Phases, assets: Sequence[str], bus: str, v_pu: float, island: bool = False
-    ) -> None:
+    def __init__(self, phases: Phases, assets: Sequence[str], bus: str, v_pu: float) -> None:
         self.phases = phases
         self.assets = list(assets)
         nodes = phases.nodes
         self.held: Wholes = np.array([nodes.index((bus, phase)) for phase in range(3)])
         self.free: Wholes = np.delete(np.arange(len(nodes)), self.held)
         self.v_held = v_pu * V_PER_KV * phases.by_bus[bus].kv / np.sqrt(3) * ANGLES
-        self.y = admittances(phases, island)
+        self.y = admittances(phases)
         self._factors: Any = splu(self.y[self.free][:, self.free].tocsc())
         rows = [phases.connection(name) for name in self.assets]
         places = [(row.bus, row.coils) for row in rows]

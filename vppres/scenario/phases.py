@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -111,7 +111,8 @@ class PhaseTransformer:
 
     ``from_kv`` and ``to_kv`` are across a coil, ``kva`` is that of one pair; taps are ratios of
     turns. ``ppm`` millionths of the rating go to ground, half at each end of a coil, so that
-    windings that nothing else grounds have a voltage.
+    windings that nothing else grounds have a voltage. ``island_tap`` is ``to_tap`` in an island;
+    None if it is the same there.
     """
 
     id: str
@@ -127,6 +128,7 @@ class PhaseTransformer:
     from_tap: float = 1.0
     to_tap: float = 1.0
     ppm: float = 1.0
+    island_tap: float | None = None
 
 
 @dataclass(frozen=True)
@@ -221,6 +223,18 @@ class Phases:
     def node_index(self) -> dict[tuple[str, int], int]:
         """Place of each node."""
         return {node: i for i, node in enumerate(self.nodes)}
+
+    @cached_property
+    def islanded(self) -> Phases:
+        """The tables of an island: less the shunts that open there, with the taps of islands."""
+        shunts = tuple(each for each in self.shunts if each.island != "no")
+        units = tuple(
+            unit if unit.island_tap is None else replace(unit, to_tap=unit.island_tap)
+            for unit in self.transformers
+        )
+        if (shunts, units) == (self.shunts, self.transformers):
+            return self
+        return replace(self, shunts=shunts, transformers=units)
 
     @cached_property
     def by_bus(self) -> dict[str, PhaseBus]:

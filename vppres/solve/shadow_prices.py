@@ -248,7 +248,7 @@ def _of_phases(model: ShadowPriceModel) -> dict[str, Any]:
     return {
         "voltage_floor": duals[LOW] * _per_milli_pu(PER_PU2, net.v_min_pu),
         "voltage_ceiling": duals[HIGH] * _per_milli_pu(PER_PU2, net.v_max_pu),
-        "line_rating": duals[OF_RATING] * (1.0 / phased_model(model.site).loadings.kva),
+        "line_rating": duals[OF_RATING] * (1.0 / phased_model(model.site).rated_kva),
         "former_phase": duals[OF_FORMER] * (1.0 / max(room_kva, NO_POWER_KW)),
         "line_active": np.zeros(net.n_buses),
         "line_reactive": np.zeros(net.n_buses),
@@ -270,7 +270,7 @@ def _by_side(model: ShadowPriceModel) -> tuple[dict[int, Floats], dict[int, Floa
     """Duals of the first step by side, added up by place; and by place, kW or kvar, and asset."""
     phased = phased_model(model.site)
     n_buses = model.site.feeder.n_buses
-    n_rated = len(phased.loadings.kva)
+    n_rated = len(phased.rated_kva)
     sizes = {LOW: n_buses, HIGH: n_buses, OF_FORMER: len(PHASES), OF_RATING: n_rated}
     assets = len(phased.flows[GRID].assets)
     duals = {side: np.zeros(size) for side, size in sizes.items()}

@@ -21,6 +21,7 @@ EXPONENTS = {1: (0.0, 0.0), 2: (2.0, 2.0), 3: (0.0, 2.0), 5: (1.0, 1.0)}
 
 ADMITTANCE = 2  # option of 'set loadmodel': all loads are impedances
 CONSTANT_IMPEDANCE = 2
+SECOND = 2  # winding whose taps a regulator moves
 US_PER_S = 1e6
 V_PER_KV = 1000.0
 SAME = 1e-9
@@ -305,6 +306,8 @@ def _transformer(name: str, engine: Any, matrices: _Matrices) -> dict[str, Any]:
         x_pct = float(dss.Transformers.Xhl())
         ppm = engine.number(f"{element}.ppm_antifloat")
         rows = [_row(name, own[0], own[1], phases, own[0].r_pct + own[1].r_pct, x_pct, ppm)]
+        if engine.regulated().get(name) == SECOND:
+            rows[0]["island_tap"] = 1.0
     else:
         star, at = engine.elements().STARS[name]
         middle = engine.elements().Star(star, engine._stars()[star] / np.sqrt(3))

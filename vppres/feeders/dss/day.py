@@ -30,8 +30,9 @@ def answer(job: dict[str, Any]) -> dict[str, Any]:
     ``load`` of the circuit, or a new one at ``bus`` with ``phases`` from 1, ``delta``, ``kv`` and
     ``exponents``, or of constant power on all phases of its bus; and ``steps``, each with ``p_kw``
     and ``q_kvar`` that the assets draw and, in an island, the volts to ground that ``held_v`` has
-    at ``island_bus``. Capacitors at the buses of ``open`` are off there. With ``constant_power``
-    the circuit's loads keep their power at any voltage.
+    at ``island_bus``. Capacitors at the buses of ``open`` are off there, and ``taps``
+    of second windings are those with the grid and there. With ``constant_power`` the circuit's
+    loads keep their power at any voltage.
     """
     # Loaded by child.py: a package is not known there.
     engine: Any = sys.modules["dss/engine"]
@@ -138,6 +139,8 @@ def _set(job: dict[str, Any], step: dict[str, Any], names: list[str], island: bo
         dss.Circuit.SetActiveElement(f"capacitor.{name}")
         if dss.CktElement.BusNames()[0].partition(".")[0].lower() in job["open"]:
             dss.Text.Command(f"capacitor.{name}.enabled={'no' if held else 'yes'}")
+    for name, taps in job.get("taps", {}).items():
+        dss.Text.Command(f"edit transformer.{name} wdg=2 tap={taps[held]:.17g}")
     for name, p_kw, q_kvar in zip(names, step["p_kw"], step["q_kvar"], strict=True):
         dss.Loads.Name(name)
         dss.Loads.kW(p_kw)

@@ -852,8 +852,8 @@ def _notes(solved: bool) -> Iterator[str]:
     held = [_set_point(name) for name in list(_of("regcontrol"))]
     if held:
         yield (
-            "Regulators are controlled in the source, and stay at the taps of its solution: "
-            f"{', '.join(held)}."
+            "Regulators are controlled in the source, and stay at the taps of its solution, "
+            f"by phase in islands at nominal ones: {', '.join(held)}."
         )
     yield from _notes_on_legs()
     yield from _notes_on_controls(solved)
@@ -902,6 +902,16 @@ def _notes_on_controls(solved: bool) -> Iterator[str]:
                 "OpenDSS finds no solution. What storage in wye draws at rest may be why: it may "
                 "find one with '%idlingkw=0'."
             )
+
+
+@cache
+def regulated() -> dict[str, int]:
+    """Transformers with a regulator, and the winding whose taps it moves."""
+    found = {}
+    for name in _of("regcontrol"):
+        dss.RegControls.Name(name)
+        found[dss.RegControls.Transformer().lower()] = int(dss.RegControls.TapWinding())
+    return found
 
 
 def _set_point(name: str) -> str:

@@ -47,6 +47,11 @@ def recheck_phased(run: Tables, phases: Phases, source: Path, former: str | None
         "steps": _steps(run, phases, assets, former),
         "island_bus": None if former is None else phases.connection(former).bus,
         "open": [row.bus for row in phases.shunts if row.island == "no"],
+        "taps": {
+            unit.id: (unit.to_tap, unit.island_tap)
+            for unit in phases.transformers
+            if unit.island_tap is not None
+        },
     }
     found = solved_steps(job, source)
     voltages = _voltages(run, phases, found, former)
@@ -160,7 +165,7 @@ def _cause(voltages: pd.DataFrame) -> str:
 
 
 def _notes(former: str | None) -> tuple[str, ...]:
-    stays = "Regulators stay as in the scenario; loads and generation of the script are off."
+    stays = "Regulators are as in the scenario; loads and generation of the script are off."
     if former is None:
         return (stays,)
     return stays, f"In islands a source stands at {former}, at the voltage that it holds."
