@@ -259,7 +259,8 @@ def as_in_version_3(state: dict[str, Any]) -> dict[str, Any]:
             moment["past"][name] = kinds.get(kind)
             if name != "sets":
                 del moment["past"][name]["taken_kw"]
-        moment["past"] |= {"flexible_kw": 0.0, "flexible_off_kw": 0.0}
+        cold_load = {"served": [True], "steps_left": [0]}  # the switching state says it too
+        moment["past"] |= {"flexible_kw": 0.0, "flexible_off_kw": 0.0, "cold_load": cold_load}
     text = json.dumps(old, sort_keys=True, allow_nan=False, separators=(",", ":"))
     return {**old, "digest": hashlib.sha256(text.encode()).hexdigest()}
 

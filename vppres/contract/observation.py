@@ -11,6 +11,7 @@ from vppres.contract.operating_point import OperatingPoint
 from vppres.contract.stored_value import StoredValue
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats, Wholes
+from vppres.kinds.customer.data import SwitchingRules
 from vppres.kinds.customer.physics import Owed, SwitchingData, SwitchingState
 
 
@@ -164,9 +165,12 @@ class Observation:
 
         Steps that only such rules would join are solved one by one.
         """
-        n_steps = len(self.window.price_gbp_per_kwh)
-        rules = None if self.switching is None else self.switching.window(n_steps)
+        state = self.switching
+        if self.kept_on is not None:  # duties alone: how long a step is says nothing
+            state = state or SwitchingState.start(SwitchingRules(), 1.0, self.kept_on.shape[1])
+        if state is None:
+            return None
+        rules = state.window(len(self.window.price_gbp_per_kwh))
         if self.kept_on is not None:
-            rules = rules or SwitchingData.without_rules(n_steps, self.kept_on.shape[1])
             rules = rules.keeping(self.kept_on)
-        return None if rules is None or rules.idle else rules
+        return None if rules.idle else rules

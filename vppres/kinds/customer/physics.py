@@ -134,22 +134,6 @@ class SwitchingData:
     day: Wholes
     longest_off: LongestOff | None = None
 
-    @classmethod
-    def without_rules(cls, n_steps: int, n_customers: int) -> SwitchingData:
-        """A window without rules, for duties alone."""
-        shape = (n_steps, n_customers)
-        return cls(
-            RuleSteps(),
-            served_before=np.ones(n_customers, dtype=bool),
-            served_min=np.zeros(shape, dtype=bool),
-            served_max=np.ones(shape, dtype=bool),
-            actions_left=np.full((1, n_customers), UNLIMITED),
-            price_per_action=0.0,
-            cold_factor=1.0,
-            cold_before=np.zeros(shape, dtype=bool),
-            day=np.zeros(n_steps, dtype=np.int64),
-        )
-
     def keeping(self, served: Flags) -> SwitchingData:
         """The rules where some customers, (n, C), must be served in the first n steps too."""
         kept = self.served_min.copy()
