@@ -184,7 +184,7 @@ def test_single_phases_are_kept_with_the_voltages_of_pandapower(clock: int) -> N
     assert coils["0"] == "a b c" and coils["0pa"] == "a" and coils["1pbc"] == "bc"
     options = NewScenarioOptions(pv="sized", add_batteries=True)
     day = new_scenario(feeder, options)
-    assert day.phases is not None
+    assert day.phases
     assert len(day.customers) == 5
 
 

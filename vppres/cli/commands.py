@@ -245,7 +245,7 @@ def validate(
 
 def _cross_check(day: Scenario) -> CrossCheck | PhasedCheck:
     """The scenario's AC power flow against pandapower's, which is loaded for it; else by phase."""
-    if day.phases is not None:
+    if day.phases:
         from vppres.feeders.phased_check import phased_check
 
         return phased_check(day, day.phases)

@@ -202,7 +202,7 @@ class Recorder:
 
     def _nodes(self) -> pd.DataFrame | None:
         """Voltages by phase; None for a balanced feeder."""
-        if self._scenario.phases is None:
+        if not self._scenario.phases:
             return None
         found = [record.nodes for record in self._records]
         return pd.DataFrame(

@@ -28,7 +28,7 @@ from vppres.day.options import PERFECT, RunOptions
 from vppres.day.outages import BELIEF, LIKELY, GridSeen, OutageView
 from vppres.day.own import Own
 from vppres.day.recorder import OFF_BY_FAULT, ROTATED, Recorder, StepRecord, voltage_figures
-from vppres.day.trajectory import SHARE, Trajectory
+from vppres.day.trajectory import LINES_OUT, SHARE, Trajectory
 from vppres.forecasts.interface import ForecastMethod
 from vppres.io.python_door import check_scenario
 from vppres.model.site import Site
@@ -46,9 +46,6 @@ from vppres.scenario.scenario import Scenario
 from vppres.solve.result import Status
 
 Progress = Callable[[int, int], None]
-
-LINES_OUT = "lines_out"
-"""Column of the steps in days with faults: names of lines and buses that are out."""
 
 
 def run_day(

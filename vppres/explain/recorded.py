@@ -204,7 +204,7 @@ class Recorded:
             load_kw=np.vstack([self.load_kw[t], data.load_kw[1:]]),
             soc=np.where(self.left_out(t), empty, self.soc_start[t]),
         )
-        if self.site.phases is not None:
+        if self.site.phases:
             return self._by_phase(t, seen)
         seen = with_own_state(self.site, seen)
         return with_ratings(self.site, seen) if self.site.rated else seen

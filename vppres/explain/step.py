@@ -315,7 +315,7 @@ class Step:
 
         Of a phased feeder that of each phase of a line with a rating, (k,).
         """
-        if self.site.phases is not None:
+        if self.site.phases:
             return np.abs(self.recorded.currents(self.t))
         return np.asarray(np.nan_to_num(self.recorded.loading[self.t]))
 
@@ -325,7 +325,7 @@ class Step:
         None if no line on the way is at its rating.
         """
         net = self.scenario.network
-        if self.site.phases is None:
+        if not self.site.phases:
             on_way = net.downstream[:, [net.bus_index[bus]]].toarray().ravel() > 0.0
         else:
             on_way = self._phases_towards(bus)

@@ -45,7 +45,7 @@ from vppres.scenario.fairness import Fairness
 from vppres.scenario.history import History
 from vppres.scenario.network import BusId, Network, check_radial
 from vppres.scenario.outage_warnings import OutageStatistics
-from vppres.scenario.phases import Phases
+from vppres.scenario.phases import BALANCED, Phases
 from vppres.scenario.scenario import (
     ControllerDefaults,
     Headroom,
@@ -134,7 +134,7 @@ def read_scenario(folder: str | Path) -> Scenario:
     problems += series_problems + history_problems
     lines = tables["lines"]
     read_bus = checks.bus_reader(lines) if lines else str
-    phases: Phases | None = None
+    phases = BALANCED
     if lines:
         phases, phase_problems = read_phases(folder, read_bus)
         problems += phase_problems
@@ -400,7 +400,7 @@ def _assemble(
     rows: AllRows,
     series: dict[str, Floats],
     read_bus: Callable[[str], BusId],
-    phases: Phases | None,
+    phases: Phases,
 ) -> Scenario:
     """The scenario, from files in which no problem was found."""
     file = settings.file

@@ -207,8 +207,7 @@ def frames_of(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, p
         frames["faults"] = _fault_frame(scenario.faults)
     if scenario.history is not None:
         frames |= _history_frames(scenario, scenario.history)
-    if scenario.phases is not None:
-        frames |= phase_frames(scenario.phases)
+    frames |= phase_frames(scenario.phases)
     return frames
 
 

@@ -263,7 +263,7 @@ def _info(run: Trajectory) -> list[str]:
 
 def _phases(run: Trajectory, step: pd.Series[Any]) -> str:
     """Source power on each phase of a phased feeder, in words."""
-    if run.scenario.phases is None:
+    if not run.scenario.phases:
         return ""
     name = "former" if step["outage"] else "import"
     kva = [step[f"{name}_{phase}_kva"] for phase in PHASES]

@@ -140,7 +140,7 @@ def held_capacitors(scenario: Scenario) -> str:
         return ""
     size, table = f"the {formers_kva:,.0f} kVA of its grid-forming batteries", "buses.csv"
     off = too_large(network, formers_kva)
-    if scenario.phases is not None:
+    if scenario.phases:
         size, table = f"a third of {size} on one phase", "buses.csv and phase_shunts.csv"
         off = too_large_by_phase(network, scenario.phases, formers_kva)
     buses = network.buses[off]
@@ -204,7 +204,7 @@ def former_words(scenario: Scenario, mode: str | None = None, always: bool = Fal
 def _unearthed(scenario: Scenario) -> str:
     """Warning that customers in an island have no earthed source; empty if they have one."""
     former = island_former(scenario)
-    if scenario.phases is None or former is None:
+    if not scenario.phases or former is None:
         return ""
     names = floating(scenario.phases, former, [str(name) for name in scenario.customers.id])
     if not names:

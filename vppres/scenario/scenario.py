@@ -25,7 +25,7 @@ from vppres.scenario.history import History
 from vppres.scenario.network import Network
 from vppres.scenario.option_table import default_of
 from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
-from vppres.scenario.phases import Phases, check_phases
+from vppres.scenario.phases import BALANCED, Phases, check_phases
 from vppres.scenario.source import Source
 from vppres.scenario.switches import Switches, switch_problems
 from vppres.scenario.timegrid import TimeGrid
@@ -155,7 +155,7 @@ class Scenario(OfKinds):
     history : History, optional
         What was measured before the first step, for forecasters that learn from it.
     phases : Phases, optional
-        The three phases of the feeder; None for a balanced one.
+        The three phases of the feeder; without rows, and false, for a balanced one.
     switches : Switches
         Closed switches on lines of the network, and open ones beside them; no run moves any.
     chargers, sessions : Chargers, Sessions
@@ -194,14 +194,15 @@ class Scenario(OfKinds):
     interruptions: tuple[Interruption, ...] = ()
     faults: tuple[Fault, ...] = ()
     history: History | None = None
-    phases: Phases | None = None
+    phases: Phases = BALANCED
     switches: Switches = field(default_factory=Switches.none)
 
     def __post_init__(self) -> None:
         ends = self.network.from_bus, self.network.to_bus
         if problems := [*switch_problems(self.switches, *ends)]:
             raise InputError(problems)
-        if self.phases is not None:
+        object.__setattr__(self, "phases", self.phases or BALANCED)  # None means the same
+        if self.phases:
             check_phases(self.phases, self)
         check_places(self.faults, self.network)
         freeze_arrays(self)

@@ -12,11 +12,11 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.plain import json_safe
+from vppres.kinds.customer.data import limits_h
 from vppres.kinds.table import KINDS, parts
 from vppres.live.by_phase import GRID
 from vppres.scenario.phases import PHASES
 from vppres.scenario.remarks import former_words
-from vppres.service.alarms.conditions import limits_h
 from vppres.service.clock import written
 from vppres.service.events.announced import believes
 from vppres.service.operation.runner import Runner, Service
@@ -102,10 +102,9 @@ def _figures(devices: Any, names: Iterable[str]) -> dict[str, dict[str, float]]:
 def _phases_of(runner: Runner) -> dict[str, str] | None:
     """On which phases devices are; None for a feeder without phases."""
     phases = runner.scenario.phases
-    if phases is None:
-        return None
     kinds = (getattr(runner.scenario, kind) for kind in ("customers", "pv", "batteries"))
-    return {str(name): phases.connection(str(name)).coils for kind in kinds for name in kind.id}
+    names = (str(name) for kind in kinds for name in kind.id)
+    return {name: phases.connection(name).coils for name in names} if phases else None
 
 
 def _orders(points: Iterable[Mapping[str, Any]], kind: str) -> dict[str, Any]:

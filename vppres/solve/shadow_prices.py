@@ -185,7 +185,7 @@ def _prices(model: ShadowPriceModel) -> ShadowPrices:
     dual = model.dual
     # A demand on the right of the balance costs what an injection gains.
     active = -dual("active_power_balance")[0]
-    of_network = _of_lines if site.phases is None else _of_phases
+    of_network = _of_phases if site.phases else _of_lines
     rho_dt = -model.factors["f2"] * model.statement.p.rho_dt.value[0]
     return ShadowPrices(
         stored_energy=dual("battery_soc_start") / energy_kwh,

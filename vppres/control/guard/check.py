@@ -136,7 +136,7 @@ def misshapen(decision: Decision, site: Site) -> list[str]:
         **dict.fromkeys(("served", "share"), len(site.customers)),
         "v_pu": site.network.n_buses,
         **{kind: len(units) for kind, units in site.kinds.items()},
-        "v_node_pu": 0 if site.phases is None else len(site.phases.measured),
+        "v_node_pu": len(site.phases.measured),
         **dict.fromkeys(("p_flow_kw", "q_flow_kvar"), site.network.n_lines),
         **dict.fromkeys(("charge_kw", "discharge_kw", "batt_q_kvar", "soc"), len(site.batteries)),
         **dict.fromkeys(
@@ -252,7 +252,7 @@ def _balance(row: _Row, state: StepState, within: Tolerances) -> str:
     given = float((state.pv_kw - curtailed).sum() + row.discharge_kw.sum())
     losses_kw = given_kw = 0.0
     if within.losses:
-        drawn_kw = _losses_kw if state.site.phases is None else _phased_network_kw
+        drawn_kw = _phased_network_kw if state.site.phases else _losses_kw
         found_kw = drawn_kw(row, curtailed, state)
         losses_kw = max(found_kw, 0.0) + max(abs(found_kw), within.loss_kw)
         given_kw = 2.0 * max(-found_kw, 0.0)  # loads of a phase that draw less at low voltage

@@ -41,7 +41,7 @@ from vppres.kinds.customer.data import SwitchingRules
 from vppres.scenario.assets import PV, TIER_WEIGHTS, Batteries, PVSystems
 from vppres.scenario.capacitors import too_large, too_large_by_phase
 from vppres.scenario.network import Network
-from vppres.scenario.phases import Phases
+from vppres.scenario.phases import BALANCED, Phases
 from vppres.scenario.priority import STRICT
 from vppres.scenario.remarks import darkness, doubtful_units, former_words
 from vppres.scenario.scenario import ControllerDefaults, Priority, Scenario
@@ -100,13 +100,13 @@ def _built(feeder: ImportedFeeder, options: NewScenarioOptions) -> tuple[Scenari
     grid = options.grid
     assets = new_assets(feeder, options)
     series = _series(feeder, options, assets, grid)
-    phases, batteries = None, assets.batteries
+    phases, batteries = BALANCED, assets.batteries
     if feeder.phased is not None:
         own = (assets.customers, assets.pv, batteries)
         phases = connected(feeder.phased, feeder.name, *own)
         batteries = with_former(phases, assets.customers, batteries)
     network, switched = _for_islands(_network(feeder, options), batteries, phases)
-    if phases is not None:
+    if phases:
         phases = shunts_in_islands(phases, network)
         # A loading that is stated would be that of three equal phases, and so would a fixed power.
         none = np.zeros(network.n_buses)
@@ -142,7 +142,7 @@ def _built(feeder: ImportedFeeder, options: NewScenarioOptions) -> tuple[Scenari
 
 
 def _for_islands(
-    network: Network, batteries: Batteries, phases: Phases | None
+    network: Network, batteries: Batteries, phases: Phases
 ) -> tuple[Network, list[str]]:
     """The network without the capacitors in islands that no battery can hold there, and which."""
     forming = batteries.formers
@@ -151,7 +151,7 @@ def _for_islands(
     rating_kva = float(batteries.s_max_kva[forming].sum())
     words = f"the {rating_kva:,.0f} kVA"
     off = too_large(network, rating_kva)
-    if phases is not None:
+    if phases:
         words = f"a third of the {rating_kva:,.0f} kVA on one phase"
         off = too_large_by_phase(network, phases, rating_kva)
     if not off.any():

@@ -89,7 +89,7 @@ def feeder_of_scenario(
         if value:
             cure = "Leave it out: a scenario is read as it is."
             raise InputError.of("options", "is for a network alone", cure, field=option)
-    if day.phases is not None:
+    if day.phases:
         cure = "Make a balanced scenario of its source with vppres new --balance."
         raise InputError.of(day.name, KEEPS_PHASES, cure)
     step = step_of(day, None if at is None else option_time(at, day.grid.zone))

@@ -22,7 +22,7 @@ NAMES_SHOWN = 5
 """Customers named in one sentence."""
 
 
-def steps_within(hours: Floats, dt_h: float) -> Wholes:
+def steps_within(hours: Floats | float, dt_h: float) -> Wholes:
     """Whole steps that times have room for."""
     return np.floor(hours / dt_h + ROUNDING).astype(int)
 
@@ -113,6 +113,13 @@ class RuleSteps:
     unserved: int = 1
     cold: int = 0
     days: int = 1
+
+
+def limits_h(scenario: Any) -> dict[str, float]:
+    """How long customers may be off at a time in h, of those that have a limit."""
+    c = scenario.customers
+    pairs = zip(c.id, c.longest_off_h, strict=True)
+    return {str(name): float(hours) for name, hours in pairs if np.isfinite(hours)}
 
 
 def remark(scenario: Any) -> str:

@@ -46,20 +46,8 @@ class LongestOff:
     def of(cls, longest_h: Floats, off_h: Floats, dt_h: float, n_steps: int) -> LongestOff | None:
         """The limits of the window that begins now, without prices; None if none says anything.
 
-        Parameters
-        ----------
-        longest_h : array, shape (C,)
-            How long each may be off at a time in h, infinite for any time.
-        off_h : array, shape (C,)
-            How long each has been off, 0 if it was served in the step before.
-        dt_h : float
-            Length of a step in h.
-        n_steps : int
-            Steps of the window.
-
-        Examples
-        --------
-        Off for one hour of two: the second step is the first beyond the limit.
+        ``longest_h`` is how long each may be off at a time, infinite for any time, ``off_h`` how
+        long each has been, (C,) each. Off for one hour of two, the second step is the first beyond.
 
         >>> LongestOff.of(np.array([2.0, np.inf]), np.array([1.0, 0.0]), 1.0, 3).asked[:, 0]
         array([False,  True,  True])
@@ -222,13 +210,9 @@ class SwitchingData:
         """
         steps = self.steps
         free = steps.served == steps.unserved == 1 and not self.served_min.any()
-        unlimited = self.served_max.all() and self.actions_suffice
+        enough = (self.actions_left >= self.in_day.sum(axis=1)[:, None]).all()
+        unlimited = self.served_max.all() and enough
         return bool(free and unlimited and steps.cold == 0 and self.price_per_action == 0.0)
-
-    @property
-    def actions_suffice(self) -> bool:
-        """Whether every customer has as many actions left in each day as it has steps."""
-        return bool((self.actions_left >= self.in_day.sum(axis=1)[:, None]).all())
 
     @property
     def in_day(self) -> Flags:

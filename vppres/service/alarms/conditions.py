@@ -10,7 +10,7 @@ from typing import Any
 import pandas as pd
 
 from vppres.core.text import named
-from vppres.kinds.customer.data import ROUNDING
+from vppres.kinds.customer.data import limits_h, steps_within
 from vppres.live.by_phase import GRID
 from vppres.scenario.scenario import Scenario
 from vppres.service.as_told import expected_by
@@ -309,13 +309,6 @@ def _critical_off(now: Situation) -> Iterator[Condition]:
             return
 
 
-def limits_h(scenario: Scenario) -> dict[str, float]:
-    """How long customers may be off at a time in h, of those that have a limit."""
-    c = scenario.customers
-    pairs = zip(c.id, c.longest_off_h, strict=True)
-    return {str(name): float(hours) for name, hours in pairs if math.isfinite(hours)}
-
-
 def _longest_off(now: Situation) -> Iterator[Condition]:
     """Customers are off for longer than they may be, or will be if the next step leaves them off.
 
@@ -334,11 +327,11 @@ def _longest_off(now: Situation) -> Iterator[Condition]:
         if name not in now.off:
             continue
         words = f"{name} is off, for {off_h:g} h by {until}"
-        left_h = limit_h[name] - off_h
-        if left_h < -ROUNDING * dt_h:
+        left = steps_within(limit_h[name] - off_h, dt_h)
+        if left < 0:
             words = f"{words}, longer than its {limit_h[name]:g} h."
             yield Condition("longest_off", name, HIGH, words)
-        elif left_h < (1.0 - ROUNDING) * dt_h and name not in back:
+        elif left == 0 and name not in back:
             words = f"{words}, of {limit_h[name]:g} h, and not planned to be on in the next one."
             yield Condition("longest_off", name, MEDIUM, words)
 

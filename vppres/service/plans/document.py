@@ -15,6 +15,7 @@ import pandas as pd
 
 from vppres.core.plain import number_or_none
 from vppres.day.recorder import ROTATED
+from vppres.kinds.customer.data import limits_h
 from vppres.kinds.live_fields import ForeseenOfKinds
 from vppres.kinds.table import parts
 from vppres.live.foreseen import Foreseen
@@ -317,8 +318,7 @@ def _off_h(decision: SetPoints, scenario: Scenario) -> dict[str, float]:
     """How long customers with a longest time off are off by the end of the step, if they are."""
     if "off_h" not in decision.customers:
         return {}
-    limited = np.isfinite(scenario.customers.longest_off_h)
-    off_h = decision.customers["off_h"][limited]
+    off_h = decision.customers["off_h"].loc[[*limits_h(scenario)]]
     return {str(name): float(hours) for name, hours in off_h.items() if hours > 0.0}
 
 
@@ -389,7 +389,7 @@ def _set_points(
                     "id": _id(begin, kind, name),
                     "asset": name,
                     "kind": kind,
-                    **({} if phases is None else {"phases": phases.connection(name).coils}),
+                    **({"phases": phases.connection(name).coils} if phases else {}),
                     **(default if by_default else _like(default, row)),
                     **({"sign": _SIGNS[kind]} if kind in _SIGNS else {}),
                     "valid_from": begin,

@@ -129,7 +129,7 @@ def assets_of(scenario: Scenario) -> dict[str, list[str]]:
             for name in names
         },
         "source_kva": [GRID, *batteries, *(str(unit) for ids in forming for unit in ids)],
-        "v_pu": [] if scenario.phases is None else list(scenario.phases.by_bus),
+        "v_pu": list(scenario.phases.by_bus),
     }
 
 

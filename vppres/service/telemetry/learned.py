@@ -96,7 +96,7 @@ def _read(
 
 
 def _row(time: pd.Timestamp, load_kw: Floats, pv_kw: Floats) -> Measured:
-    """What was measured in a step, as it is stored."""
+    """Row of what was measured in a step."""
     return Measured(seconds(time), json_safe(load_kw.tolist()), json_safe(pv_kw.tolist()))
 
 

@@ -34,7 +34,7 @@ def stored(quantity: str, phase: str | None) -> str:
 def phases_of(scenario: Scenario, quantity: str, asset: str) -> list[str]:
     """Phases that a quantity of an asset has; none of a feeder without phases."""
     phases = scenario.phases
-    if phases is None:
+    if not phases:
         return []
     if quantity == "v_pu":
         grid, island = labels_by_source(scenario)
