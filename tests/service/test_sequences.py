@@ -320,6 +320,7 @@ SEQUENCES: dict[str, list[Row]] = {
         ("12:13", "GET plan", None, 200, {"asked_again": [ALONE], "grid.available": False}),
         ("12:13:10", "POST telemetry", substation(("12:13", "import_kw", 0.0), ("12:13:10", "grid_on", 0.0)), 200,
             {"": lambda answer: "asked_again" not in answer}),
+        ("12:13:10", "anew", None, 204, {}),
         ("12:13:10", "GET plan", None, 200, {"grid.available": False}),
     ],
     "a lost grid that another source has seen is not asked again": [

@@ -85,6 +85,7 @@ def _row(alike: list[Attribute]) -> str:
     """One attribute as a row, or attributes of one kind with what they have in common."""
     first = alike[0]
     names = ", ".join(f"`{attribute.name}`" for attribute in alike)
+    names = NAMES_OF_MANY.get(_alike(first), names) if len(alike) > 1 else names
     default, meaning = first.default, first.meaning
     if len(alike) > 1:
         kind = _alike(first)
@@ -95,6 +96,8 @@ def _row(alike: list[Attribute]) -> str:
 
 
 WORDS_OF_MANY = {"file": "files of tables and series", "table": "the tables below"}
+NAMES_OF_MANY = {"file": "each table or series"}
+"""Names that stand elsewhere on the page."""
 
 
 def _alike(attribute: Attribute) -> str:

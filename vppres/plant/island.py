@@ -76,7 +76,7 @@ class Settled:
     former : str
         The device that was the source; empty where none was, and with grid.
     off : array of str, shape (C,), or None
-        Why the part of each customer is dark, where lines are out; empty if it is not.
+        Why the part of each customer is blacked out if lines are out; empty otherwise.
     shed : array of bool, shape (C,)
         Who was to be served and was cut off.
     dark_reason : str

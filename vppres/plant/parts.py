@@ -1,7 +1,7 @@
 """A step in which lines are out: each part of the feeder settles by itself.
 
 A part is the whole plant in which nothing outside of it is served, gives or takes. The part with
-the grid goes on as with grid, each other one is an island that its own former holds, or is dark.
+the grid goes on as with grid, each other one is an island of its own former, or blacked out.
 """
 
 from __future__ import annotations
