@@ -173,9 +173,9 @@ class FaultInjector:
         """Fault of the solve that is about to begin, None if there is none."""
         self._calls += 1
         outage = self.plan.solver.get(self.step)
-        if outage is None or (self._calls > 1 and not outage.every_call):
-            return None
-        return outage.kind
+        if outage and (self._calls == 1 or outage.every_call):
+            return outage.kind
+        return None
 
     def observe(self, true: Observation) -> Observation:
         """Observation with the faults of its step."""
@@ -251,7 +251,7 @@ class FaultySolver(WindowSolver):
         fault = self._injector.solver_fault()
         _raise_fault(fault)
         solution = self._solver.solve(data, within_s)
-        return solution if fault is None else _garbled_solution(solution, fault, self.site)
+        return _garbled_solution(solution, fault, self.site) if fault else solution
 
     def solve_served(
         self,
@@ -265,9 +265,7 @@ class FaultySolver(WindowSolver):
         fault = self._injector.solver_fault()
         _raise_fault(fault)
         solution = self._solver.solve_served(data, served, before, keeps_turns, within_s)
-        if fault is None or solution is None:
-            return solution
-        return _garbled_solution(solution, fault, self.site)
+        return _garbled_solution(solution, fault, self.site) if fault and solution else solution
 
     def least_slack(self, data: WindowData) -> float:
         """Least slack of the voltage limits; no fault befalls it."""

@@ -181,7 +181,7 @@ class OutageView:
         """
         if self.kind == KNOWN:
             return seen
-        beside = Beside.of(scenario, row) if beside is None else beside
+        beside = beside or Beside.of(scenario, row)
         window = range(row, row + len(seen.forecast.price_gbp_per_kwh))
         if self.kind == "none":
             out = np.full(len(window), grid.out)

@@ -27,13 +27,14 @@ def phase_figures(trajectory: Trajectory) -> dict[str, float | int | str | None]
     held = share.notna().any()
     at = int(share.argmax()) if held else 0
     unbalance, loading = steps["unbalance_max"], steps["loading_max"]
-    fullest = int(loading.argmax()) if loading.notna().any() else None
+    loaded = loading.notna().any()
+    fullest = int(loading.argmax()) if loaded else 0
     return {
         "node_steps": len(v_pu),
         "node_steps_outside_ac": int(((v_pu < net.v_min_ac_pu) | (v_pu > net.v_max_ac_pu)).sum()),
         "unbalance_max": float(unbalance.max()) if unbalance.notna().any() else None,
-        "loading_max": None if fullest is None else float(loading.iloc[fullest]),
-        "loading_at": None if fullest is None else str(steps["loading_at"].iloc[fullest]),
+        "loading_max": float(loading.iloc[fullest]) if loaded else None,
+        "loading_at": str(steps["loading_at"].iloc[fullest]) if loaded else None,
         "former_phase_rating_kva": None
         if former is None
         else float(rating_kva.iloc[at]) / len(PHASES),

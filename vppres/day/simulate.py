@@ -101,7 +101,7 @@ def run_day(
     check_scenario(scenario)
     check_parts(scenario)
     divided = split_sheddable(scenario)
-    injector = None if faults is None else FaultInjector(faults, divided)
+    injector = FaultInjector(faults, divided) if faults else None
     decider = make_controller(divided, options, injector, own=own)
     run = Day(divided, options, injector, forecaster).run(decider, progress, steps)
     return replace(run, options={**run.options, **parts_record(scenario), **own.record()})
@@ -123,7 +123,7 @@ class Day:
         self.plant = Plant(scenario, options.thermal, options.switching)
         self.state = self.plant.initial_state()
         errors = ForecastErrors() if options.controller == PERFECT else options.errors
-        if faults is not None:
+        if faults:
             errors = faults.plan.forecast_errors(errors)
         self.forecaster: DayForecasts = (
             forecasts_of(scenario, self.options, errors)
@@ -172,7 +172,7 @@ class Day:
         self.grid_seen = self.grid_seen.after(now, float(self.scenario.grid_limit_kw[t]))
         seen = self.outages.told(seen, self.grid_seen, self.scenario, t, self.forecaster)
         self.outage_messages = seen.outage_messages
-        return seen if self.faults is None else self.faults.observe(seen)
+        return self.faults.observe(seen) if self.faults else seen
 
     def _out_as_known(self, t: int, steps: range) -> OutOfService | None:
         """Lines and buses that are out in some steps, as it is known in one."""
@@ -201,7 +201,7 @@ class Day:
         n_steps = self.scenario.grid.n_steps if steps is None else steps
         for t in range(n_steps):
             self.step(controller, t)
-            if progress is not None:
+            if progress:
                 progress(t + 1, n_steps)
         plan: Dispatch | None = getattr(controller, "plan", None)
         return self.recorder.finish(self.options.as_record(), _promised(plan, self.scenario))
@@ -218,7 +218,7 @@ class Day:
     def play(self, controller: Decider, t: int) -> StepRecord:
         """One step without its record's place in the run: what was decided and what came of it."""
         decision = controller.decide(self.observe(controller, t))
-        if self.faults is not None:
+        if self.faults:
             decision = self.faults.actuate(t, decision)
         return self.settle(t, decision)
 
@@ -269,7 +269,7 @@ class Day:
         if not self._held_by_batteries(t):
             flow = self.island_ac if self.scenario.outage[t] else self.ac
             return realise(self.plant, flow, t, decision, self.state)
-        if self.faults is not None:
+        if self.faults:
             self.island.formers = self.faults.online(t) & forming_batteries(self.scenario)
         return self.island.settle(t, self.plant.apply(t, decision, self.state), self.state)
 

@@ -97,11 +97,15 @@ def _names(row: int, column: int) -> tuple[str, str, str]:
     return f"r_{pair}_ohm", f"x_{pair}_ohm", f"b_{pair}_us"
 
 
+def _own_phases(row: Any) -> list[int]:
+    return [i for i in range(3) if getattr(row, _names(i, i)[0]) is not None]
+
+
 def _line(row: Any) -> PhaseLine:
     """A line of its triangles; what is empty between phases that it has is 0."""
     z: Complexes = np.full((3, 3), np.nan, dtype=complex)
     b: Floats = np.full((3, 3), np.nan)
-    own = [i for i in range(3) if getattr(row, _names(i, i)[0]) is not None]
+    own = _own_phases(row)
     for i, j in TRIANGLE:
         if i in own and j in own:
             r, x, charging = (getattr(row, name) or 0.0 for name in _names(i, j))
@@ -115,7 +119,7 @@ def _lines_wrong(table: Table, rows: dict[int, Any]) -> list[Problem]:
     """Faults of each line: lacking entries of phases, or else an impedance without currents."""
     problems = []
     for place, row in rows.items():
-        own = [i for i in range(3) if getattr(row, _names(i, i)[0]) is not None]
+        own = _own_phases(row)
         problems += _lacking(table, place, row, own) or _without_current(table, place, row, own)
     return problems
 

@@ -19,9 +19,7 @@ def parsed_times(texts: pd.Series[str]) -> tuple[pd.Series[pd.Timestamp], Flags,
     """Times in UTC, which of the texts are none, and which have an offset."""
     times = pd.to_datetime(texts, utc=True, format="ISO8601", errors="coerce")
     unreadable = (times.isna() | ~texts.str[:4].str.isdigit().astype(bool)).to_numpy(bool)
-    has_offset = np.fromiter(
-        (_OFFSET.search(text[:_LONGEST_TIME]) is not None for text in texts), bool
-    )
+    has_offset = np.fromiter((bool(_OFFSET.search(text[:_LONGEST_TIME])) for text in texts), bool)
     return times, unreadable, has_offset
 
 

@@ -347,8 +347,7 @@ class Controller:
         seen = see(self.scenario, observation, guard, earliest, self._kinds_before)
         latest = memory_of(self._decider, self._given)
         start = (latest, self._past)
-        again = self._before_again(seen.t)
-        if again is not None:
+        if again := self._before_again(seen.t):
             start = again
             if seen.elapsed_h:
                 start = (latest, start[1].within_step(self._past))
@@ -372,7 +371,7 @@ class Controller:
     def _kinds_before(self, row: int) -> dict[str, Any]:
         """Units of each kind as they were known before a step."""
         again = self._before_again(row)
-        return (self._past if again is None else again[1]).kinds
+        return (again[1] if again else self._past).kinds
 
     def _recall(self, memory: dict[str, Any]) -> None:
         """Let the decider stand where a memory of it was made."""

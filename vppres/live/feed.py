@@ -95,7 +95,7 @@ class Feed:
     def moments(self) -> list[pd.Timestamp]:
         """The times of the demand, those with an offset."""
         moments = [moment_of(time) for time in self.load_kw.index]
-        return [one for one in moments if one is not None and one.tzinfo is not None]
+        return [one for one in moments if one and one.tzinfo]
 
     @property
     def first(self) -> pd.Timestamp | None:

@@ -132,8 +132,7 @@ class SetPoints(SetPointsOfKinds):
         kinds : mapping, optional
             Units as the step found them, by kind.
         """
-        limited = after is not None and after.longest_off_h is not None
-        off_h = {"off_h": after.off_h} if after is not None and limited else {}
+        off_h = {"off_h": after.off_h} if after and after.longest_off_h is not None else {}
         return cls(
             time=scenario.grid.times[step.t],
             customers=_customers(scenario, {**step.customers, **off_h}),

@@ -35,12 +35,12 @@ def option_words(options: Mapping[str, Any]) -> list[OptionWords]:
     for name, value in flattened(options).items():
         words = value_words(value)
         option = known.get(name)
-        default = words if option is None else value_words(option.default)
+        default = value_words(option.default) if option else words
         rows.append(
             OptionWords(
                 name.replace("_", " ").replace(".", ", "),
                 words,
-                "" if option is None else _meaning(option),
+                _meaning(option) if option else "",
                 "" if words == default else default,
             )
         )

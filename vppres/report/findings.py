@@ -116,14 +116,14 @@ def _import(run: Trajectory) -> Iterator[str]:
 def _island(run: Trajectory) -> Iterator[str]:
     """Power that the AC check draws from the slack bus during an outage."""
     island = island_figures(run)
-    drawn = island["island_import_max_kw"]
-    surplus = island["island_export_max_kw"]
-    if drawn is not None and drawn > ISLAND_TOLERANCE_KW:
+    drawn = island["island_import_max_kw"] or 0.0
+    surplus = island["island_export_max_kw"] or 0.0
+    if drawn > ISLAND_TOLERANCE_KW:
         yield (
             f"During the outage the AC power flow draws up to {drawn:,.1f} kW from the slack bus: "
             "losses and mismatch that no battery covers."
         )
-    if surplus is not None and surplus > ISLAND_TOLERANCE_KW:
+    if surplus > ISLAND_TOLERANCE_KW:
         yield (
             f"During the outage generation exceeded demand and losses by up to {surplus:,.1f} kW."
         )

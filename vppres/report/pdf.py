@@ -45,7 +45,7 @@ _QUIET = (
 def find_browser() -> str:
     """Path of a browser that can print."""
     found = next(filter(None, map(shutil.which, BROWSERS)), None)
-    if found is None:
+    if not found:
         raise InputError.of(
             "report",
             "there is no browser that could print the PDF",

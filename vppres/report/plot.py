@@ -431,7 +431,7 @@ def scenario(site: Scenario, ax: Sequence[Axes] | None = None) -> Sequence[Axes]
     grid = site.grid
     edges = pd.date_range(grid.start, periods=grid.n_steps + 1, freq=grid.step)
     times = np.asarray(edges.to_pydatetime())
-    for tier, style in zip(site.tiers, _tier_styles(), strict=False):
+    for tier, style in zip(site.tiers, cycle(TIER_STYLES), strict=False):
         of_tier = site.customers.tier == tier
         if of_tier.any():
             demand = site.load_kw[:, of_tier].sum(axis=1)
@@ -594,7 +594,7 @@ def _service(run: Trajectory, ax: Axes) -> None:
     """Share of each tier's customers that is supplied."""
     _axes(ax)
     shares = service_by_tier(run)
-    for tier, style in zip(shares.columns, _tier_styles(), strict=False):
+    for tier, style in zip(shares.columns, cycle(TIER_STYLES), strict=False):
         values = _held(100.0 * shares[tier].to_numpy(float))
         ax.step(edges_of(run), values, where="post", label=str(tier), **line_of(style))
     ax.set_ylabel("Customers\nsupplied (%)")
@@ -612,11 +612,6 @@ def _voltage_colours(run: Trajectory, t: int, ax: Axes) -> list[str]:
     if OUT_OF_LIMITS in classes:
         ax.scatter([], [], s=46, c=VERMILLION, edgecolors=BLACK, label="voltage outside its limits")
     return [VERMILLION if c == OUT_OF_LIMITS else known[c] for c in classes]
-
-
-def _tier_styles() -> Iterator[Style]:
-    """Styles of the tiers, again from the first where there are many."""
-    return cycle(TIER_STYLES)
 
 
 def _name_bus(ax: Axes, name: str, place: tuple[float, float]) -> None:
@@ -685,7 +680,7 @@ def _devices(site: Scenario, off: Flags, marks: _Marks) -> None:
         return np.array([site.network.bus_index[name] for name in buses], dtype=int)
 
     c = site.customers
-    for tier, mark, style in zip(site.tiers, _TIER_MARKS, _tier_styles(), strict=False):
+    for tier, mark, style in zip(site.tiers, _TIER_MARKS, cycle(TIER_STYLES), strict=False):
         of_tier = c.tier == tier
         if of_tier.any():
             buses, is_off = at(c.bus[of_tier]), off[of_tier]

@@ -71,7 +71,7 @@ def write_run(
         write_scenario(trajectory.scenario, aside / "scenario")
         _write(aside / SUMMARY_FILE, json.dumps(summary, indent=2, allow_nan=False) + "\n")
         failure = _illustrate(trajectory, summary, aside, kinds) if figures else None
-    if failure is not None:
+    if failure:
         raise _without_report(folder, failure) from failure
     return summary
 
@@ -116,7 +116,7 @@ def render_report(trajectory: Trajectory, summary: Mapping[str, Any]) -> str:
             "summary": summary,
             "mode": trajectory.options.get("mode", ""),
             "clock_note": Clock.of(trajectory).note,
-            "sections": [section for section in made if section is not None],
+            "sections": [*filter(None, made)],
         },
     )
 

@@ -59,9 +59,9 @@ class Plan:
         learning = pd.Timedelta(days=min(LEARNING_DAYS, FEWEST_DAYS + history.n_days / 4.0))
         horizon = pd.Timedelta(hours=self.horizon_h)
         earliest = (history.start + learning).ceil(history.step)
-        first = max(earliest, self.first) if self.first is not None else earliest
+        first = max(earliest, self.first or earliest)
         last = history.end - horizon
-        last = min(last, self.last) if self.last is not None else last
+        last = min(last, self.last or last)
         row = history.row_of(first)
         every = max(round(self.every_h / history.dt_h), 1)
         rows = range(row, history.row_of(last) + 1, every)
@@ -258,7 +258,7 @@ def backtest(
         found = {words: one.forecast(history, issued_at, steps) for words, one in tried.items()}
         collected.append(scores_of_issue(history, found, history.row_of(issued_at)))
         bases.append(str(found[FORECAST].basis))
-        if progress is not None:
+        if progress:
             progress(done, len(issues))
     scores = {key: np.array([one[key] for one in collected]) for key in collected[0]}
     return Backtest(history, plan, name, issues, scores, bases, found[FORECAST])

@@ -378,13 +378,12 @@ def _tried(
     done, total = 0, len(onsets) * len(variants)
     for variant in variants:
         for job in _jobs(variant, tried, onsets, lengths, folder):
-            known = _kept(folder, job.key)
-            if known is None:
-                jobs.append(job)
-            else:
+            if known := _kept(folder, job.key):
                 found[variant.name] += known
                 done += len(job.starts)
-    if progress is not None:
+            else:
+                jobs.append(job)
+    if progress:
         progress(done, total)
     with closing(map_unordered(run_job, jobs, where)) as outcomes:
         for outcome in outcomes:
@@ -394,7 +393,7 @@ def _tried(
             atomic_write_text(folder / PIECES / f"{outcome.job.key}.json", text)
             found[outcome.job.variant] += outcome.result
             done += len(outcome.job.starts)
-            if progress is not None:
+            if progress:
                 progress(done, total)
     ordered = {
         name: sorted(each, key=lambda one: (one.onset, one.steps)) for name, each in found.items()
@@ -546,9 +545,9 @@ def _charge(variant: Variant, tried: Tried, folder: Path, base: str) -> Floats:
     return np.array(json.loads(file.read_text(encoding="utf-8")), dtype=float)
 
 
-def _kept(folder: Path, key: str) -> list[OutageOutcome] | None:
-    """Outcomes of a job in an earlier run; None if it was not there."""
+def _kept(folder: Path, key: str) -> list[OutageOutcome]:
+    """Outcomes of a job in an earlier run; none if it was not there."""
     file = folder / PIECES / f"{key}.json"
     if not file.is_file():
-        return None
+        return []
     return [OutageOutcome(**one) for one in json.loads(file.read_text(encoding="utf-8"))]

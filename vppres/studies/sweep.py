@@ -85,7 +85,7 @@ def run_cases(
             aside / RUN_MARK,
             json.dumps(outcome_records(outcomes), indent=2, allow_nan=False) + "\n",
         )
-        if finish is not None:
+        if finish:
             finish(outcomes, aside)
     return outcomes
 
@@ -161,6 +161,6 @@ def _outcomes(
                 found[position] = SweepRow(case.value, case.folder, None, outcome.reason)
             else:
                 found[position] = outcome.result
-            if progress is not None:
+            if progress:
                 progress(len(found), len(cases))
     return [found[position] for position in range(len(cases))]

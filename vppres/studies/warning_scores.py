@@ -152,7 +152,7 @@ class WarningScores:
         for pair in self.pairs:
             said = pair.warning
             low, middle, high = said.duration_p10_h, said.duration_p50_h, said.duration_p90_h
-            if low is None or middle is None or high is None or np.isnan(pair.length_h):
+            if not (low and middle and high) or np.isnan(pair.length_h):
                 continue
             end = high if pair.length_h > middle else low
             spread = abs(np.log(end / middle)) / Z90
