@@ -9,6 +9,7 @@ import numpy as np
 
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.core.text import named
+from vppres.day.recorder import LINES_OUT
 from vppres.day.trajectory import Trajectory
 from vppres.kinds.table import KINDS, units_of
 from vppres.scenario.formers import forming_batteries
@@ -55,7 +56,8 @@ def inversions(run: Trajectory) -> list[Inversion]:
 
     It is reckoned for the batteries as one, without the network: had lower tiers been off supply
     from the step on, what they took and what was left in the batteries would have sufficed until
-    the end of the outage, in every step, within the power of the batteries.
+    the end of the outage, in every step, within the power of the batteries. Steps in which lines
+    are out are none of it: there power goes no further than its part of the feeder.
     """
     return [one for one in _could_have_been_on(run) if len(one.lower)]
 
@@ -65,6 +67,8 @@ def _could_have_been_on(run: Trajectory) -> list[Inversion]:
     found: list[Inversion] = []
     fleet = _Fleet.of(run)
     out = run.steps["outage"].to_numpy(bool)
+    if LINES_OUT in run.steps:
+        out = out & (run.steps[LINES_OUT] == "").to_numpy(bool)
     last = len(out)
     for t in range(len(out) - 1, -1, -1):
         if not out[t]:

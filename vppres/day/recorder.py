@@ -43,6 +43,9 @@ ROTATED = "rotated_weight"
 OFF_BY_FAULT = "off_by_fault"
 """Column of the customers in days with faults: why the part of each is dark."""
 
+LINES_OUT = "lines_out"
+"""Column of the steps in days with faults: names of lines and buses that are out."""
+
 OPTIONAL = (ROTATED, SHARE, TIME_ON, LOSSES, OFF_BY_FAULT)
 
 
