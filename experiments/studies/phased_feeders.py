@@ -428,7 +428,7 @@ def main() -> int:
         return 0
     for seed in range(given.first, given.first + given.long):
         scenario = long_feeder(seed)
-        assert scenario.phases is not None
+        assert scenario.phases
         nodes = 3 * len(scenario.phases.buses)
         say(f"| long {seed}, {nodes} nodes | {loop(scenario, balanced=False)} |")
     if given.long:

@@ -39,6 +39,7 @@ from vppres.feeders.sources import import_network
 from vppres.io import read_scenario
 from vppres.model.beyond_paper.losses import lit_steps
 from vppres.model.data import WindowData
+from vppres.scenario.phases import BALANCED
 from vppres.scenario.scenario import REPORT, Scenario
 from vppres.solve.deadline import Deadline
 from vppres.solve.result import SolveLimits, WindowSolution
@@ -184,7 +185,7 @@ def _equipped(scenario: Scenario) -> Scenario:
     """The scenario with few batteries, and a former of a size that can hold an island."""
     b = scenario.batteries
     phases = scenario.phases
-    assert phases is not None
+    assert phases
     rating = FORMER_SHARE * scenario.load_kw.max(axis=0).sum()
     others = np.flatnonzero(~b.grid_forming)
     spread = np.linspace(0, len(others) - 1, BATTERIES - 1).round().astype(int)
@@ -261,7 +262,7 @@ class Watched(Day):
     def settle(self, t: int, decision: Decision) -> StepRecord:
         """One step, with the former's phases at the set-points of the plan before it."""
         self.planned.append(np.asarray(decision.dispatch.served[decision.row]))
-        if self.scenario.outage[t] and self.scenario.phases is not None:
+        if self.scenario.outage[t] and self.scenario.phases:
             planned = self.plant.apply(t, decision, self.state)
             former = int(np.argmax(self.scenario.batteries.grid_forming))
             injections = planned.p_injection_kw, planned.q_injection_kvar
@@ -275,7 +276,7 @@ class Watched(Day):
 
 def loop(scenario: Scenario, balanced: bool) -> str:
     """A closed loop on the feeder with its phases."""
-    known = replace(scenario, phases=None) if balanced else scenario
+    known = replace(scenario, phases=BALANCED) if balanced else scenario
     options = RunOptions(limits=SolveLimits(time_s=LIMIT_S), ratings=REPORT).on(scenario)
     day = Watched(scenario, options)
     first_pu: list[float] = []

@@ -142,7 +142,7 @@ def days(folder: Path, only: str, seeds: int) -> Iterator[Day]:
         for seed in range(seeds):
             day = random_day(feeder, seed)
             for rule in RULES:
-                if rule == "hard" and day.phases is not None:
+                if rule == "hard" and day.phases:
                     continue  # of a phased feeder only soft limits are stated
                 found = ran(candidate.label, day, seed, rule)
                 typer.echo(" ".join(map(str, asdict(found).values())))

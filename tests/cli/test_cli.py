@@ -202,17 +202,14 @@ def caught_options(monkeypatch: pytest.MonkeyPatch) -> list[simulate.RunOptions]
     return caught
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["run"], "Missing argument"),
-        (["run", "x", "--gap", "nan"], "nan is not a positive number."),
-        (["run", "x", "--time-limit", "0"], "0.0 is not a positive number."),
-        (["sweep", "x", "--param", "seed", "--jobs", "0"], "greater than or equal to 1"),
-        (["run", "x", "--thermal", "hot"], "'hot' is not one of 'off', 'exact', 'euler'"),
-        (["walk"], "No such command 'walk'."),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "message"), [
+    (["run"], "Missing argument"),
+    (["run", "x", "--gap", "nan"], "nan is not a positive number."),
+    (["run", "x", "--time-limit", "0"], "0.0 is not a positive number."),
+    (["sweep", "x", "--param", "seed", "--jobs", "0"], "greater than or equal to 1"),
+    (["run", "x", "--thermal", "hot"], "'hot' is not one of 'off', 'exact', 'euler'"),
+    (["walk"], "No such command 'walk'."),
+])  # fmt: skip
 def test_bad_usage(arguments: list[str], message: str) -> None:
     result = call(*arguments)
     assert (result.exit_code, result.stdout) == (2, "")

@@ -156,7 +156,6 @@ def test_valid_scenario_as_json(tiny_folder: Path) -> None:
             "kind": "",
             "notes": [],
             "unbalanced": "",
-            "ties": [],
             "deviation": {"no_load_pu": None, "as_given_pu": None, "worst_hour_pu": None},
         },
         "remarks": [],
@@ -303,30 +302,15 @@ def test_report_keeps_recorded_figures_and_adds_missing_ones(
     assert OUTWARD.findall(re.sub(r"<script>.*?</script>", "", text, flags=re.DOTALL)) == []
 
 
-@pytest.mark.parametrize(
-    ("spoiled", "message"),
-    [
-        (
-            lambda run: shutil.rmtree(run),
-            "there is no such folder. Give a folder written by a run.",
-        ),
-        (lambda run: (run / "pv.parquet").unlink(), "has no pv.parquet. Give a folder written by"),
-        (
-            lambda run: (run / "summary.json").unlink(),
-            "has no summary.json. Give a folder written by",
-        ),
-        (
-            lambda run: (run / "summary.json").write_text("{"),
-            "summary.json: is not valid JSON (Expec",
-        ),
-        (
-            lambda run: (run / "summary.json").write_text("[]"),
-            "summary.json: is not a table of fig",
-        ),
-        (lambda run: (run / "options.json").write_text("{"), "cannot be read (Expecting property"),
-        (lambda run: (run / "pv.parquet").write_text("id"), "cannot be read ("),
-    ],
-)
+@pytest.mark.parametrize(("spoiled", "message"), [
+    (lambda run: shutil.rmtree(run), "there is no such folder. Give a folder written by a run."),
+    (lambda run: (run / "pv.parquet").unlink(), "has no pv.parquet. Give a folder written by"),
+    (lambda run: (run / "summary.json").unlink(), "has no summary.json. Give a folder written by"),
+    (lambda run: (run / "summary.json").write_text("{"), "summary.json: is not valid JSON (Expec"),
+    (lambda run: (run / "summary.json").write_text("[]"), "summary.json: is not a table of fig"),
+    (lambda run: (run / "options.json").write_text("{"), "cannot be read (Expecting property"),
+    (lambda run: (run / "pv.parquet").write_text("id"), "cannot be read ("),
+])  # fmt: skip
 def test_broken_run_folder(two_runs: list[Path], spoiled: Any, message: str) -> None:
     spoiled(two_runs[0])
     result = call("report", two_runs[0])
@@ -414,26 +398,17 @@ def test_runs_of_one_name_are_labelled_by_their_paths(two_runs: list[Path], tmp_
     ]
 
 
-@pytest.mark.parametrize(
-    ("choose", "message"),
-    [
-        (lambda a, b: [a], "compare: needs two runs or more. Give another run folder.\n"),
-        (lambda a, b: [a, b, a], "{a}: is given more than once. Give each run folder once.\n"),
-        (
-            lambda a, b: [a, b, b.parent / "more" / ".." / "more"],
-            "{b}: is given more than once. Give each run folder once.\n",
-        ),
-        (
-            lambda a, b: [a, b, "c", "d", "e", "f"],
-            "compare: can tell 5 runs apart in a figure, and was "
-            "given 6. Leave some out, or compare them in parts.\n",
-        ),
-        (
-            lambda a, b: [a, b / "x"],
-            "{b}/x: there is no such folder. Give a folder written by a run.\n",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("choose", "message"), [
+    (lambda a, b: [a], "compare: needs two runs or more. Give another run folder.\n"),
+    (lambda a, b: [a, b, a], "{a}: is given more than once. Give each run folder once.\n"),
+    (lambda a, b: [a, b, b.parent / "more" / ".." / "more"],
+        "{b}: is given more than once. Give each run folder once.\n"),
+    (lambda a, b: [a, b, "c", "d", "e", "f"],
+        "compare: can tell 5 runs apart in a figure, and was "
+        "given 6. Leave some out, or compare them in parts.\n"),
+    (lambda a, b: [a, b / "x"],
+        "{b}/x: there is no such folder. Give a folder written by a run.\n"),
+])  # fmt: skip
 def test_runs_that_cannot_be_compared(two_runs: list[Path], choose: Any, message: str) -> None:
     result = call("compare", *choose(*two_runs))
     assert (result.exit_code, result.stdout) == (2, "")
@@ -633,14 +608,11 @@ def test_figure_names_words_on_its_axis() -> None:
 # Completion
 
 
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        ("vppres run uk", "uk-heatwave-2022"),
-        ("vppres val", "validate"),
-        ("vppres sweep x --ran", "--range"),
-    ],
-)
+@pytest.mark.parametrize(("words", "expected"), [
+    ("vppres run uk", "uk-heatwave-2022"),
+    ("vppres val", "validate"),
+    ("vppres sweep x --ran", "--range"),
+])  # fmt: skip
 def test_shell_completion(words: str, expected: str) -> None:
     asked = {"_VPPRES_COMPLETE": "complete_bash", "COMP_WORDS": words}
     asked["COMP_CWORD"] = str(len(words.split()) - 1)

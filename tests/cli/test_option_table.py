@@ -55,16 +55,13 @@ def test_constants_of_other_rooms_are_those_of_the_table() -> None:
     assert CHOICES["pv_check"] == get_args(PVCheck)
 
 
-@pytest.mark.parametrize(
-    ("section", "frozen"),
-    [
-        ("controller", ControllerDefaults),
-        ("switching", SwitchingRules),
-        ("priority", Priority),
-        ("headroom", Headroom),
-        ("fairness", Fairness),
-    ],
-)
+@pytest.mark.parametrize(("section", "frozen"), [
+    ("controller", ControllerDefaults),
+    ("switching", SwitchingRules),
+    ("priority", Priority),
+    ("headroom", Headroom),
+    ("fairness", Fairness),
+])  # fmt: skip
 def test_sections_hold_what_a_scenario_carries(section: str, frozen: type) -> None:
     assert list(section_options(section)) == [f.name for f in fields(frozen)]
 
@@ -119,21 +116,13 @@ def test_scenario_may_name_every_controller_of_the_command_line(kind: str, tmp_p
     assert (options.controller, options.horizon_h) == (kind, 2.0)
 
 
-@pytest.mark.parametrize(
-    ("changes", "text"),
-    [
-        (
-            {"thermal": "hot"},
-            "options, thermal = hot: is not known. Use one of: off, exact, euler.",
-        ),
-        ({"seed": -1}, "options, seed = -1: must not be negative. Give a whole number from zero."),
-        (
-            {"forecast_file": "mine.csv"},
-            "options, forecast_file = mine.csv: is not read by the forecaster paper. Add --forecaster "
-            "file.",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("changes", "text"), [
+    ({"thermal": "hot"}, "options, thermal = hot: is not known. Use one of: off, exact, euler."),
+    ({"seed": -1}, "options, seed = -1: must not be negative. Give a whole number from zero."),
+    ({"forecast_file": "mine.csv"},
+        "options, forecast_file = mine.csv: is not read by the forecaster paper. Add --forecaster "
+        "file."),
+])  # fmt: skip
 def test_run_options_check_what_the_table_says(changes: dict[str, Any], text: str) -> None:
     with pytest.raises(InputError) as error:
         RunOptions(**changes)

@@ -161,14 +161,11 @@ def test_plan_that_passes_is_followed(tiny: Scenario) -> None:
     assert followed.dispatch is controller.plan and followed.row == 4
 
 
-@pytest.mark.parametrize(
-    ("change", "reason"),
-    [
-        ({"battery_kw": [-40.0, -27.0]}, "grid import: 8.0 kW above what the grid gives"),
-        ({"battery_kw": [-48.0, -29.0]}, "grid import: 2.0 kW surplus that cannot be exported"),
-        ({"batt_q_kvar": [37.0, 0.0]}, "battery inverter: big by 0.605 kVA"),
-    ],
-)
+@pytest.mark.parametrize(("change", "reason"), [
+    ({"battery_kw": [-40.0, -27.0]}, "grid import: 8.0 kW above what the grid gives"),
+    ({"battery_kw": [-48.0, -29.0]}, "grid import: 2.0 kW surplus that cannot be exported"),
+    ({"batt_q_kvar": [37.0, 0.0]}, "battery inverter: big by 0.605 kVA"),
+])  # fmt: skip
 def test_correction_names_the_check_and_the_worst_item(
     tiny: Scenario, change: dict[str, list[float]], reason: str
 ) -> None:
@@ -231,29 +228,16 @@ def test_plan_that_passes_leaves_the_island_balanced(tiny: Scenario) -> None:
 # Options.
 
 
-@pytest.mark.parametrize(
-    ("options", "text"),
-    [
-        (
-            {"controller": "pid"},
-            "options, controller = pid: is not known. Use one of: mpc, "
-            "full-horizon, perfect, idle, reserve.",
-        ),
-        (
-            {"pv_check": "lax"},
-            "options, pv_check = lax: is not known. Use one of: absorbing, literal.",
-        ),
-        (
-            {"centre": "flat"},
-            "options, centre = flat: is not known. Use one of: lossless, literal, none.",
-        ),
-        ({"horizon_h": -1.0}, "options, horizon_h = -1.0: must be zero or positive. Give hours."),
-        (
-            {"horizon_h": float("nan")},
-            "options, horizon_h = nan: must be zero or positive. Give hours.",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("options", "text"), [
+    ({"controller": "pid"}, "options, controller = pid: is not known. Use one of: mpc, "
+        "full-horizon, perfect, idle, reserve."),
+    ({"pv_check": "lax"}, "options, pv_check = lax: is not known. Use one of: absorbing, literal."),
+    ({"centre": "flat"},
+        "options, centre = flat: is not known. Use one of: lossless, literal, none."),
+    ({"horizon_h": -1.0}, "options, horizon_h = -1.0: must be zero or positive. Give hours."),
+    ({"horizon_h": float("nan")},
+        "options, horizon_h = nan: must be zero or positive. Give hours."),
+])  # fmt: skip
 def test_unknown_options_are_named(options: dict[str, str], text: str) -> None:
     with pytest.raises(InputError) as error:
         RunOptions(**options)

@@ -185,27 +185,21 @@ def test_sound_decision_passes(tiny: Scenario) -> None:
     assert violations(done, step(tiny, 0)) == []
 
 
-@pytest.mark.parametrize(
-    ("t", "change", "text"),
-    [
-        (0, {"served": np.full((1, 3), 0.5)}, "a customer is supplied in part"),
-        (0, {"served": np.ones((1, 2), bool)}, "served has shape (1, 2)"),
-        (0, {"charge_kw": np.full((1, 2), np.nan)}, "charge_kw is not finite"),
-        (0, {"charge_kw": np.array([[51.0, 0.0]])}, "battery power: big by 1 kVA"),
-        (0, {"charge_kw": np.array([[-5.0, 0.0]])}, "battery power: big by 5 kVA"),
-        (0, {"batt_q_kvar": np.array([[0.0, 36.0]])}, "battery power: small by 1 kVA"),
-        (
-            0,
-            {"charge_kw": np.array([[30.0, 0.0]]), "discharge_kw": np.array([[30.0, 0.0]])},
-            "battery power: big by 30 kVA",
-        ),
-        (0, {"pv_curtailed_kw": np.array([[-3.0, 0.0]])}, "pv: roof by 3 kVA"),
-        (0, {"pv_q_kvar": np.array([[0.0, -35.0]])}, "pv: field by 5 kVA"),
-        (0, {"v_pu": np.array([[1.0, 0.9, 1.0, 1.0]])}, "voltage: 0.9000 pu"),
-        (3, {}, "balance: 108.5 kW short"),
-        (3, {"served": np.zeros((1, 3), bool)}, "balance: 47.5 kW surplus"),
-    ],
-)
+@pytest.mark.parametrize(("t", "change", "text"), [
+    (0, {"served": np.full((1, 3), 0.5)}, "a customer is supplied in part"),
+    (0, {"served": np.ones((1, 2), bool)}, "served has shape (1, 2)"),
+    (0, {"charge_kw": np.full((1, 2), np.nan)}, "charge_kw is not finite"),
+    (0, {"charge_kw": np.array([[51.0, 0.0]])}, "battery power: big by 1 kVA"),
+    (0, {"charge_kw": np.array([[-5.0, 0.0]])}, "battery power: big by 5 kVA"),
+    (0, {"batt_q_kvar": np.array([[0.0, 36.0]])}, "battery power: small by 1 kVA"),
+    (0, {"charge_kw": np.array([[30.0, 0.0]]), "discharge_kw": np.array([[30.0, 0.0]])},
+        "battery power: big by 30 kVA"),
+    (0, {"pv_curtailed_kw": np.array([[-3.0, 0.0]])}, "pv: roof by 3 kVA"),
+    (0, {"pv_q_kvar": np.array([[0.0, -35.0]])}, "pv: field by 5 kVA"),
+    (0, {"v_pu": np.array([[1.0, 0.9, 1.0, 1.0]])}, "voltage: 0.9000 pu"),
+    (3, {}, "balance: 108.5 kW short"),
+    (3, {"served": np.zeros((1, 3), bool)}, "balance: 47.5 kW surplus"),
+])  # fmt: skip
 def test_unsound_decision_is_refused(
     tiny: Scenario, t: int, change: dict[str, Floats], text: str
 ) -> None:
@@ -352,13 +346,10 @@ def with_slack(scenario: Scenario, v_slack_pu: float) -> Scenario:
 
 
 @pytest.mark.daily
-@pytest.mark.parametrize(
-    ("v_slack_pu", "limits"),
-    [
-        (0.92, "0.920 .. 1.077"),
-        pytest.param(0.945, "0.940 .. 1.060", marks=pytest.mark.nightly),
-    ],
-)
+@pytest.mark.parametrize(("v_slack_pu", "limits"), [
+    (0.92, "0.920 .. 1.077"),
+    pytest.param(0.945, "0.940 .. 1.060", marks=pytest.mark.nightly),
+])  # fmt: skip
 def test_voltage_limits_give_by_as_little_as_possible(v_slack_pu: float, limits: str) -> None:
     scenario = with_slack(small_scenario(), v_slack_pu).between(0, 2)
     day = played(scenario, guarded(scenario, {}, horizon_h=0.0))

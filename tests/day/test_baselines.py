@@ -102,19 +102,11 @@ def test_perfect_information_is_the_best(tiny: Scenario) -> None:
     assert max(other["resilience"] for other in others) <= best["resilience"] + 1e-9
 
 
-@pytest.mark.parametrize(
-    ("rule", "text"),
-    [
-        (
-            {"soc": 1.2},
-            "options, reserve.soc = 1.2: must lie between 0 and 1. Give a share, for example 0.8.",
-        ),
-        (
-            {"notice_h": -1.0},
-            "options, reserve.notice_h = -1.0: must be zero or positive. Give hours.",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("rule", "text"), [
+    ({"soc": 1.2},
+        "options, reserve.soc = 1.2: must lie between 0 and 1. Give a share, for example 0.8."),
+    ({"notice_h": -1.0}, "options, reserve.notice_h = -1.0: must be zero or positive. Give hours."),
+])  # fmt: skip
 def test_wrong_reserve_is_named(rule: dict[str, float], text: str) -> None:
     with pytest.raises(InputError) as error:
         ReserveRule(**rule)

@@ -70,18 +70,12 @@ def test_fault_of_an_item_that_is_not_there_is_named(tiny: Scenario) -> None:
 # One fault at a time: the day goes on, and the record says what was done.
 
 
-@pytest.mark.parametrize(
-    ("kind", "every_call"),
-    [
-        *((kind, True) for kind in SOLVER_FAULTS),
-        ("infeasible", False),
-        *(
-            pytest.param(k, False, marks=pytest.mark.nightly)
-            for k in SOLVER_FAULTS
-            if k != "infeasible"
-        ),
-    ],
-)
+@pytest.mark.parametrize(("kind", "every_call"), [
+    *((kind, True) for kind in SOLVER_FAULTS),
+    ("infeasible", False),
+    *(pytest.param(k, False, marks=pytest.mark.nightly) for k in SOLVER_FAULTS
+        if k != "infeasible"),
+])  # fmt: skip
 def test_solver_fault_is_named_and_the_next_step_is_as_planned(
     tiny: Scenario, kind: str, every_call: bool
 ) -> None:
@@ -100,20 +94,13 @@ def test_solver_fault_is_named_and_the_next_step_is_as_planned(
     assert steps["fallback_reason"][0] == ""
 
 
-@pytest.mark.parametrize(
-    ("controller", "kind"),
-    [
-        ("mpc", "killed"),
-        ("mpc", "infeasible"),
-        *(
-            pytest.param(*case, marks=pytest.mark.nightly)
-            for case in [
-                *(("mpc", kind) for kind in SOLVER_FAULTS if kind not in ("killed", "infeasible")),
-                ("full-horizon", "infeasible"),
-            ]
-        ),
-    ],
-)
+@pytest.mark.parametrize(("controller", "kind"), [
+    ("mpc", "killed"),
+    ("mpc", "infeasible"),
+    *(pytest.param(*case, marks=pytest.mark.nightly) for case in [
+        *(("mpc", kind) for kind in SOLVER_FAULTS if kind not in ("killed", "infeasible")),
+        ("full-horizon", "infeasible")]),
+])  # fmt: skip
 def test_solver_that_never_works_leaves_the_rule(
     tiny: Scenario, controller: str, kind: str
 ) -> None:

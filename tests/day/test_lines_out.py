@@ -13,6 +13,7 @@ from tests.support.faulted import faulted_day
 from tests.support.three_phases import three_phases
 from vppres import Controller, RunOptions, run_day
 from vppres.core.errors import InputError
+from vppres.day.inversions import inversions
 from vppres.day.metrics import cautions
 from vppres.explain.day import explain_day
 from vppres.io import read_scenario, write_scenario
@@ -54,6 +55,16 @@ def test_a_part_with_a_former_is_an_island(tiny: Scenario) -> None:
     assert (run.steps.loc[during, "p_grid_kw"].abs() < 1e-6).all()
     assert run.customers["served"].mean() > 0.5
     assert (run.customers["off_by_fault"] == "").all()
+
+
+def test_a_lower_tier_elsewhere_is_no_inversion(tiny: Scenario) -> None:
+    stores = replace(tiny.batteries, grid_forming=[True, False], soc_initial=[0.8] * 2)
+    times = tiny.grid.times
+    fault = Fault(times[0], times[-1] + HOUR, line=3)
+    run = run_day(replace(tiny, batteries=stores, faults=(fault,)), PAPER)
+    served = run.by_step("customers", "served")[tiny.outage]
+    assert not served[:, 1].any() and served[:, 2].any()  # the shop behind the line, and homes
+    assert inversions(run) == []
 
 
 def test_a_bus_that_is_out_is_off_though_it_has_a_battery(tiny: Scenario) -> None:

@@ -156,16 +156,13 @@ class Incomplete:
         return LoadAndPV(issued_at, history.step_minutes, history.load_kw, history.pv_kw)
 
 
-@pytest.mark.parametrize(
-    ("part", "words"),
-    [
-        ({"controller": Incomplete()}, "controller = .*Give the class"),
-        ({"controller": Incomplete}, "controller = .*lacks the method decide"),
-        ({"forecaster": Incomplete}, "forecaster = .*Give an object"),
-        ({"forecaster": Incomplete()}, r"load_kw = \(\d, 3\): must have the shape \(paths, 1, 3\)"),
-        ({"forecaster": object()}, "forecaster = .*must have a method forecast"),
-    ],
-)
+@pytest.mark.parametrize(("part", "words"), [
+    ({"controller": Incomplete()}, "controller = .*Give the class"),
+    ({"controller": Incomplete}, "controller = .*lacks the method decide"),
+    ({"forecaster": Incomplete}, "forecaster = .*Give an object"),
+    ({"forecaster": Incomplete()}, r"load_kw = \(\d, 3\): must have the shape \(paths, 1, 3\)"),
+    ({"forecaster": object()}, "forecaster = .*must have a method forecast"),
+])  # fmt: skip
 def test_what_is_no_controller_or_forecaster_is_refused(
     tiny: Scenario, part: dict[str, Any], words: str
 ) -> None:

@@ -47,7 +47,7 @@ def on_phase_a(street: Scenario, kw: Floats | list[float], limits_kw: list[float
 
 def connected(day: Scenario, coils: str, **units: Any) -> Scenario:
     """The day with units of a kind on phases of bus m."""
-    assert day.phases is not None
+    assert day.phases
     names = [str(name) for each in units.values() for name in each.id]
     rows = tuple(PhaseConnection(name, "m", coils, 0.4 / np.sqrt(3.0)) for name in names)
     phases = replace(day.phases, connections=(*day.phases.connections, *rows))
@@ -113,7 +113,7 @@ def two_on_phase_a(street: Scenario, hours: int) -> Scenario:
     day = on_phase_a(street, [8.0] * hours, [DARK] * hours)
     load_kw = day.load_kw.copy()
     load_kw[:, 1] = 8.0
-    assert day.phases is not None
+    assert day.phases
     rows = [replace(row, coils="a") if row.id == "cb" else row for row in day.phases.connections]
     moved = [replace(row, bus="m") if row.id == "cb" else row for row in rows]
     bus = np.where(day.customers.id == "cb", "m", day.customers.bus).astype(object)

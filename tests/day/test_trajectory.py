@@ -31,17 +31,15 @@ CONTRACT = {
     "steps": (
         "time outage price_gbp_per_kwh p_grid_kw q_grid_kvar losses_kw v_min_ac_pu v_max_ac_pu "
         "v_error_pu objective bound gap status solve_s corrected correction_reason fallback "
-        "fallback_reason estimated ac_failed phase"
-    ),
+        "fallback_reason estimated ac_failed phase"),
     "customers": "time id bus tier weight p_load_kw q_load_kvar served shed",
     "pv": "time id customer bus available_kw self_kw export_kw curtailed_kw q_kvar",
     "batteries": (
         "time id bus charge_kw discharge_kw q_kvar soc_start soc_end eta_charge eta_discharge "
-        "temperature_c mismatch_kw"
-    ),
+        "temperature_c mismatch_kw"),
     "buses": "time bus v_model_pu v_ac_pu",
     "lines": "time from_bus to_bus p_model_kw q_model_kvar p_ac_kw q_ac_kvar",
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -146,15 +144,11 @@ def write(run: Trajectory, folder: Path) -> None:
     write_scenario(run.scenario, folder / "scenario")
 
 
-@pytest.mark.parametrize(
-    "run",
-    [
-        small_run(planned={"served": SERVED, "energy_kwh": [15.0] * 5}),
-        small_run(without_devices(small_scenario())),
-        day_run(day_scenario()),
-    ],
-    ids=["planned", "no devices", "day"],
-)
+@pytest.mark.parametrize("run", [
+    small_run(planned={"served": SERVED, "energy_kwh": [15.0] * 5}),
+    small_run(without_devices(small_scenario())),
+    day_run(day_scenario()),
+], ids=["planned", "no devices", "day"])  # fmt: skip
 def test_a_run_comes_back_from_its_folder(run, tmp_path):
     write(run, tmp_path)
     back = read_run(tmp_path)

@@ -11,7 +11,6 @@ import pandas as pd
 import pytest
 
 from experiments.studies.faults import drawn_faults
-from vppres.contract.export import Export
 from vppres.core.errors import InputError
 from vppres.day.options import RunOptions
 from vppres.day.outages import believed_outages
@@ -20,6 +19,7 @@ from vppres.day.simulate import run_day
 from vppres.day.trajectory import Trajectory
 from vppres.explain.day import explain_day
 from vppres.explain.recorded import Recorded
+from vppres.kinds.export.physics import Export
 from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
 from vppres.report.plots.figures import figure_names, outage_belief
@@ -269,10 +269,10 @@ def test_a_scenario_may_ask_for_it(tiny: Scenario) -> None:
 
 def test_export_is_believed_like_import(tiny: Scenario) -> None:
     day = replace(tiny, export_limit_kw=np.array(10.0))
-    told = Export.believed(day, slice(2, 5), np.array([np.inf, 0.0, np.inf]))
+    told = Export.of(day, slice(2, 5), np.array([np.inf, 0.0, np.inf]))
     assert told is not None
     assert told.limit_kw.tolist() == [10.0, 0.0, 10.0]
-    assert Export.believed(tiny, slice(0, 1), np.array([np.inf])) is None
+    assert Export.of(tiny, slice(0, 1), np.array([np.inf])) is None
 
 
 @pytest.mark.parametrize("kind", ["belief", "likely", "none"])

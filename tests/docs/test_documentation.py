@@ -121,13 +121,9 @@ def write_file(example: Example) -> None:
 
 
 SYBIL = Sybil(
-    [
-        PythonCodeBlockParser(),
-        CodeBlockParser("console", run_commands),
-        CodeBlockParser("sh", run_commands),
-        files,
-    ]
-)
+    [PythonCodeBlockParser(), CodeBlockParser("console", run_commands),
+        CodeBlockParser("sh", run_commands), files],
+)  # fmt: skip
 
 
 RUN = [page for page in PAGES if any(SYBIL.parse(page).examples())]

@@ -97,28 +97,26 @@ def test_texts_use_the_terms_of_the_field(path: Path) -> None:
     assert everyday_words(path) == []
 
 
-@pytest.mark.nightly
+@pytest.mark.daily
 def test_docstrings_use_the_terms_of_the_field() -> None:
     modules = sorted((ROOT / "vppres").glob("**/*.py"))
     assert [found for module in modules for found in everyday_words(module)] == []
 
 
-def test_a_banned_word_is_found_in_a_docstring(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("name", "text", "found"), [
+    ("page.py", 'nobody = 1  # whoever\n"""Of ``everyone`` and\nnobody.\n"""\n', [
+        "page.py:1: 'whoever': customers that ...",
+        "page.py:3: 'nobody': no customer, a customer, all customers"]),
+    ("page.md", "Three\ncustomers who are off, `in store`.\n", [
+        "page.md:2: 'customers who': customers that ..."]),
+])  # fmt: skip
+def test_a_banned_word_is_found(
+    name: str, text: str, found: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """In a page, and in comments and docstrings of a module."""
     monkeypatch.setattr(f"{__name__}.ROOT", tmp_path)
-    page = tmp_path / "page.py"
-    page.write_text(
-        'nobody = 1  # whoever\n"""Of ``everyone`` and\nnobody.\n"""\n', encoding="utf-8"
-    )
-    assert [found.split(": ")[1] for found in everyday_words(page)] == ["'whoever'", "'nobody'"]
-
-
-def test_a_banned_word_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(f"{__name__}.ROOT", tmp_path)
-    page = tmp_path / "page.md"
-    page.write_text("Three\ncustomers who are off, `in store`.\n", encoding="utf-8")
-    assert everyday_words(page) == ["page.md:2: 'customers who': customers that ..."]
+    (tmp_path / name).write_text(text, encoding="utf-8")
+    assert everyday_words(tmp_path / name) == found
 
 
 def test_the_glossary_is_short_sorted_and_linked() -> None:

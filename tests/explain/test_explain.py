@@ -473,25 +473,14 @@ def test_surplus_is_curtailed_and_stored_for_what_it_is(tiny: Scenario) -> None:
     assert set(reasons.loc[reasons["action"] == "curtail", "driver"]) == {"surplus"}
 
 
-@pytest.mark.parametrize(
-    ("limits", "binding", "constraint"),
-    [
-        ({"energy_kwh": 40.0}, "energy", "energy_floor"),
-        ({"energy_kwh": 100.0, "r_ohm": 3.0}, "voltage", "voltage_floor"),
-        pytest.param(
-            {"energy_kwh": 100.0, "power_kw": 35.0},
-            "power",
-            "battery_discharging",
-            marks=pytest.mark.nightly,
-        ),
-        pytest.param(
-            {"energy_kwh": 100.0, "inverter_kva": 35.0},
-            "inverter",
-            "battery_inverter",
-            marks=pytest.mark.nightly,
-        ),
-    ],
-)
+@pytest.mark.parametrize(("limits", "binding", "constraint"), [
+    ({"energy_kwh": 40.0}, "energy", "energy_floor"),
+    ({"energy_kwh": 100.0, "r_ohm": 3.0}, "voltage", "voltage_floor"),
+    pytest.param({"energy_kwh": 100.0, "power_kw": 35.0}, "power", "battery_discharging",
+        marks=pytest.mark.nightly),
+    pytest.param({"energy_kwh": 100.0, "inverter_kva": 35.0}, "inverter", "battery_inverter",
+        marks=pytest.mark.nightly),
+])  # fmt: skip
 def test_what_is_scarce_in_an_island_is_named(
     limits: dict[str, float], binding: str, constraint: str
 ) -> None:
@@ -568,15 +557,12 @@ def test_a_partial_grid_limit_is_named() -> None:
     assert grid["weighted_h"].tolist() == pytest.approx([0.01, 0.01], rel=1e-4)
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        RunOptions(horizon_h=2.0, errors=vppres.ForecastErrors(0.2, 0.1, -0.2, 0.1), seed=3),
-        RunOptions("full-horizon", 2.0, errors=vppres.ForecastErrors(0.2, 0.1, -0.2, 0.1), seed=3),
-        pytest.param(RunOptions("full-horizon", horizon_h=2.0), marks=pytest.mark.nightly),
-        pytest.param(RunOptions(horizon_h=0.0), marks=pytest.mark.nightly),
-    ],
-)
+@pytest.mark.parametrize("options", [
+    RunOptions(horizon_h=2.0, errors=vppres.ForecastErrors(0.2, 0.1, -0.2, 0.1), seed=3),
+    RunOptions("full-horizon", 2.0, errors=vppres.ForecastErrors(0.2, 0.1, -0.2, 0.1), seed=3),
+    pytest.param(RunOptions("full-horizon", horizon_h=2.0), marks=pytest.mark.nightly),
+    pytest.param(RunOptions(horizon_h=0.0), marks=pytest.mark.nightly),
+])  # fmt: skip
 def test_every_controller_is_explained_in_full(options: RunOptions) -> None:
     reasons, _ = tables(explain_day(run_day(tiny_scenario(), options)))
     assert reason_figures(reasons)["explained_share"] in (1.0, None)

@@ -81,35 +81,20 @@ def test_clock_times_of_the_short_day() -> None:
     assert (times[1] - times[0]) == pd.Timedelta("1h")
 
 
-@pytest.mark.parametrize(
-    ("texts", "zone", "message"),
-    [
-        (
-            ["2025-07-01T00:00", "2025-07-01T01:00"],
-            None,
-            "a.csv, time = 2025-07-01T00:00: has no time zone. Write the offset behind every time, "
-            "or give --time-zone, for example Europe/London.",
-        ),
-        (
-            ["2025-03-30T00:00", "2025-03-30T01:00", "2025-03-30T01:30", "2025-03-30T02:00"],
-            LONDON,
-            "a.csv, row 3, time = 2025-03-30 01:00:00: is a time that the clocks of Europe/London "
-            "skip, and 1 more. Write the times with their offset, or give the zone that they are in.",
-        ),
-        (
-            ["2025-10-26T00:00", "2025-10-26T01:00", "2025-10-26T02:00"],
-            LONDON,
-            "a.csv, row 3, time = 2025-10-26 01:00:00: is a time that the clocks of Europe/London "
-            "show twice, and it is there once. Write the times with their offset, or give both hours.",
-        ),
-        (
-            ["2025-07-01T00:00Z", "noon", "1/7/25", "2025-07-01T03:00Z", "2025-07-01T04:00Z"],
-            None,
-            "a.csv, row 3, time = noon: is not an ISO 8601 time, and 1 more. Write it like "
-            "2022-07-19T12:00:00Z.",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("texts", "zone", "message"), [
+    (["2025-07-01T00:00", "2025-07-01T01:00"], None,
+        "a.csv, time = 2025-07-01T00:00: has no time zone. Write the offset behind every time, "
+        "or give --time-zone, for example Europe/London."),
+    (["2025-03-30T00:00", "2025-03-30T01:00", "2025-03-30T01:30", "2025-03-30T02:00"], LONDON,
+        "a.csv, row 3, time = 2025-03-30 01:00:00: is a time that the clocks of Europe/London "
+        "skip, and 1 more. Write the times with their offset, or give the zone that they are in."),
+    (["2025-10-26T00:00", "2025-10-26T01:00", "2025-10-26T02:00"], LONDON,
+        "a.csv, row 3, time = 2025-10-26 01:00:00: is a time that the clocks of Europe/London "
+        "show twice, and it is there once. Write the times with their offset, or give both hours."),
+    (["2025-07-01T00:00Z", "noon", "1/7/25", "2025-07-01T03:00Z", "2025-07-01T04:00Z"], None,
+        "a.csv, row 3, time = noon: is not an ISO 8601 time, and 1 more. Write it like "
+        "2022-07-19T12:00:00Z."),
+])  # fmt: skip
 def test_times_that_cannot_be_read(texts: list[str], zone: str | None, message: str) -> None:
     times, problems = in_utc(pd.Index(texts), zone, "a.csv")
     assert (len(times), [str(p) for p in problems]) == (0, [message])
@@ -175,30 +160,19 @@ def test_lines_reach_beyond_the_days_that_are_chosen() -> None:
     assert found.values.tolist() == [1.0, 2.0, 3.0, 4.0]
 
 
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        (
-            series([1.0, np.nan, np.nan, 4.0]),
-            "a.csv, x: has a gap of 120 min at 2025-01-01T01:00:00Z, and 60 min are filled at most. "
-            "Complete the series, choose other days, or allow longer gaps with --max-gap.",
-        ),
-        (
-            series([1.0, 2.0]),
-            "a.csv, x: covers 2025-01-01T00:00:00Z to 2025-01-01T02:00:00Z, and the scenario is "
-            "2025-01-01T00:00:00Z to 2025-01-01T03:00:00Z. Choose days that it covers with --date or "
-            "--start, and --days.",
-        ),
-        (
-            series([1.0, 2.0, 3.0]).iloc[[0, 2, 1]],
-            "a.csv, x = 2025-01-01T01:00:00Z: has times that are out of order. Sort the rows by time.",
-        ),
-        (
-            series([1.0, 2.0, 3.0]).iloc[[0, 1, 1, 2]],
-            "a.csv, x = 2025-01-01T01:00:00Z: has a time twice. Remove one of the two rows.",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("given", "message"), [
+    (series([1.0, np.nan, np.nan, 4.0]),
+        "a.csv, x: has a gap of 120 min at 2025-01-01T01:00:00Z, and 60 min are filled at most. "
+        "Complete the series, choose other days, or allow longer gaps with --max-gap."),
+    (series([1.0, 2.0]),
+        "a.csv, x: covers 2025-01-01T00:00:00Z to 2025-01-01T02:00:00Z, and the scenario is "
+        "2025-01-01T00:00:00Z to 2025-01-01T03:00:00Z. Choose days that it covers with --date or "
+        "--start, and --days."),
+    (series([1.0, 2.0, 3.0]).iloc[[0, 2, 1]],
+        "a.csv, x = 2025-01-01T01:00:00Z: has times that are out of order. Sort the rows by time."),
+    (series([1.0, 2.0, 3.0]).iloc[[0, 1, 1, 2]],
+        "a.csv, x = 2025-01-01T01:00:00Z: has a time twice. Remove one of the two rows."),
+])  # fmt: skip
 def test_series_that_are_refused(given: pd.Series, message: str) -> None:
     assert str(on_grid(given, GRID, 60.0, "a.csv", "x")) == message
 

@@ -58,14 +58,17 @@ def test_a_restored_customer_stays_on_supply_for_an_hour(
     assert any("stays on supply for at least 1 h" in note for note in notes)
 
 
-def test_normally_open_lines_are_kept_for_the_diagram(
+def test_normally_open_lines_are_switches(
     case33: ImportedFeeder, tagged: ImportedFeeder, tmp_path: Path
 ) -> None:
     write_new_scenario(case33, NewScenarioOptions(), tmp_path / "33")
-    ties = ("21 to 8", "9 to 15", "12 to 22", "18 to 33", "25 to 29")  # of the published feeder
-    assert read_scenario(tmp_path / "33").source.ties == ties
+    found = read_scenario(tmp_path / "33").switches
+    ends = [*zip(found.from_bus, found.to_bus, strict=True)]
+    assert ends == [(21, 8), (9, 15), (12, 22), (18, 33), (25, 29)]  # of the published feeder
+    assert found.r_ohm.tolist() == [2.0, 2.0, 2.0, 0.5, 0.5] == found.x_ohm.tolist()
+    assert set(found.kind) == {"tie"} and not found.closed.any() and found.movable.all()
     write_new_scenario(tagged, NewScenarioOptions(), tmp_path / "mine")
-    assert read_scenario(tmp_path / "mine").source.ties == ()
+    assert not (tmp_path / "mine" / "switches.csv").exists()
 
 
 def test_nothing_is_invented_unasked(case33: ImportedFeeder) -> None:
@@ -194,67 +197,40 @@ def test_tiers_and_odd_loads_of_the_source(tagged: ImportedFeeder) -> None:
     assert fixed in notes
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (
-            {"step_minutes": 7.0},
-            "options, step_minutes = 7.0: must be at least 1 and divide a day. "
-            "Give a step that divides the day, for example 60, 30 or 15.",
-        ),
-        (
-            {"step_minutes": 0.0},
-            "options, step_minutes = 0.0: must be at least 1 and divide a day. "
-            "Give a step that divides the day, for example 60, 30 or 15.",
-        ),
-        ({"days": 0}, "options, days = 0: must lie between 1 and 366. Give the number of days."),
-        (
-            {"draw_tiers": True, "tier_shares": (0.5, 0.5, 0.5)},
-            "options, tier_shares = (0.5, 0.5, 0.5): must be shares that add up to 1. Give critical, high "
-            "and low, for example 0.2 0.3 0.5.",
-        ),
-        (
-            {"pv": "sized", "pv_share_of_peak": 0.0},
-            "options, pv_share_of_peak = 0.0: must lie between 0 and 10. Give "
-            "kW of PV per kW of peak load, for example 0.5.",
-        ),
-        (
-            {"add_batteries": True, "battery_kwh_per_peak_kw": -1.0},
-            "options, battery_kwh_per_peak_kw = -1.0: must lie between 0 and 100. Give kWh per kW of peak "
-            "load, for example 0.625.",
-        ),
-        (
-            {"battery_kwh_per_peak_kw": 0.5},
-            "options, battery_kwh_per_peak_kw = 0.5: is given, and nothing is drawn or added that it "
-            "could size. Add --add-batteries, or leave it out.",
-        ),
-        ({"seed": -1}, "options, seed = -1: must be at least 0. Give another seed."),
-        (
-            {"v_slack_pu": 1.2},
-            "case33bw, v_slack_pu = 1.2: must lie between 0.947 and 1.053, the "
-            "limits of the voltages. Give another one with --v-slack, or correct the "
-            "source.",
-        ),
-        (
-            {"outages": (parse_outage("18:00..12:00", START),)},
-            "options, outage = 2025-07-01T18:00:00+00:00..2025-07-01T12:00:00+00:00: must end after it "
-            "begins. The scenario is 2025-07-01T00:00:00+00:00 to 2025-07-02T00:00:00+00:00 in steps of "
-            "60 min.",
-        ),
-        (
-            {"outages": (parse_outage("2025-07-03T12:00Z..2025-07-03T13:00Z", START),)},
-            "options, outage = 2025-07-03T12:00:00+00:00..2025-07-03T13:00:00+00:00: lies outside the "
-            "scenario. The scenario is 2025-07-01T00:00:00+00:00 to 2025-07-02T00:00:00+00:00 in steps of "
-            "60 min.",
-        ),
-        (
-            {"step_minutes": 480.0},
-            "options, outage = 2025-07-01T12:00:00+00:00..2025-07-01T18:00:00+00:00: begins or ends "
-            "inside a step. The scenario is 2025-07-01T00:00:00+00:00 to 2025-07-02T00:00:00+00:00 in "
-            "steps of 480 min.",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("change", "message"), [
+    ({"step_minutes": 7.0}, "options, step_minutes = 7.0: must be at least 1 and divide a day. "
+        "Give a step that divides the day, for example 60, 30 or 15."),
+    ({"step_minutes": 0.0}, "options, step_minutes = 0.0: must be at least 1 and divide a day. "
+        "Give a step that divides the day, for example 60, 30 or 15."),
+    ({"days": 0}, "options, days = 0: must lie between 1 and 366. Give the number of days."),
+    ({"draw_tiers": True, "tier_shares": (0.5, 0.5, 0.5)},
+        "options, tier_shares = (0.5, 0.5, 0.5): must be shares that add up to 1. Give critical, high "
+        "and low, for example 0.2 0.3 0.5."),
+    ({"pv": "sized", "pv_share_of_peak": 0.0},
+        "options, pv_share_of_peak = 0.0: must lie between 0 and 10. Give "
+        "kW of PV per kW of peak load, for example 0.5."),
+    ({"add_batteries": True, "battery_kwh_per_peak_kw": -1.0},
+        "options, battery_kwh_per_peak_kw = -1.0: must lie between 0 and 100. Give kWh per kW of peak "
+        "load, for example 0.625."),
+    ({"battery_kwh_per_peak_kw": 0.5},
+        "options, battery_kwh_per_peak_kw = 0.5: is given, and nothing is drawn or added that it "
+        "could size. Add --add-batteries, or leave it out."),
+    ({"seed": -1}, "options, seed = -1: must be at least 0. Give another seed."),
+    ({"v_slack_pu": 1.2}, "case33bw, v_slack_pu = 1.2: must lie between 0.947 and 1.053, the "
+        "limits of the voltages. Give another one with --v-slack, or correct the source."),
+    ({"outages": (parse_outage("18:00..12:00", START),)},
+        "options, outage = 2025-07-01T18:00:00+00:00..2025-07-01T12:00:00+00:00: must end after it "
+        "begins. The scenario is 2025-07-01T00:00:00+00:00 to 2025-07-02T00:00:00+00:00 in steps of "
+        "60 min."),
+    ({"outages": (parse_outage("2025-07-03T12:00Z..2025-07-03T13:00Z", START),)},
+        "options, outage = 2025-07-03T12:00:00+00:00..2025-07-03T13:00:00+00:00: lies outside the "
+        "scenario. The scenario is 2025-07-01T00:00:00+00:00 to 2025-07-02T00:00:00+00:00 in steps of "
+        "60 min."),
+    ({"step_minutes": 480.0},
+        "options, outage = 2025-07-01T12:00:00+00:00..2025-07-01T18:00:00+00:00: begins or ends "
+        "inside a step. The scenario is 2025-07-01T00:00:00+00:00 to 2025-07-02T00:00:00+00:00 in "
+        "steps of 480 min."),
+])  # fmt: skip
 def test_options_out_of_range(case33: ImportedFeeder, change: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError) as caught:
         new_scenario(case33, NewScenarioOptions(**change))
@@ -293,18 +269,15 @@ def test_feeders_that_cannot_be_a_scenario(tagged: ImportedFeeder) -> None:
     )
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "12:00",
-        "12:00..",
-        "25:00..26:00",
-        "12:00..2025-07-01T13:00",
-        "a..b",
-        "1:00..2:00..3:00",
-        "NaT..NaT",
-    ],
-)
+@pytest.mark.parametrize("text", [
+    "12:00",
+    "12:00..",
+    "25:00..26:00",
+    "12:00..2025-07-01T13:00",
+    "a..b",
+    "1:00..2:00..3:00",
+    "NaT..NaT",
+])  # fmt: skip
 def test_intervals_that_are_none(text: str) -> None:
     with pytest.raises(InputError) as caught:
         parse_outage(text, START)

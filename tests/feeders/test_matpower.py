@@ -175,11 +175,8 @@ REFUSED = [
     ("y = [];\nx = mpc.bus(1, y);", 15, "has the index y, which is no whole number from 1 to 13"),
     ("x = mpc.bus(1, 1:14);", 14, "has the index 14, which is no whole number from 1 to 13"),
     ("x = mpc.bus(1.5, 1);", 14, "calls 'mpc.bus', which is not evaluated"),
-    (
-        "x = mpc.bus + mpc.gen;",
-        14,
-        "combines 2 by 13 and 1 by 10 numbers: columns are only changed by one number",
-    ),
+    ("x = mpc.bus + mpc.gen;", 14,
+        "combines 2 by 13 and 1 by 10 numbers: columns are only changed by one number"),
     ("x = mpc.bus(:, 1) .* mpc.gen;", 14, "combines 2 by 1 and 1 by 10 numbers"),
     ("x = [] + mpc.bus;", 14, "has an expression that is not evaluated"),
     ("x = [];\ny = x + mpc.bus;", 15, "combines 0 by 0 and 2 by 13 numbers"),
@@ -200,7 +197,7 @@ REFUSED = [
     ("x = 1" + " + 1" * 5000 + ";", 14, "has too long an expression"),
     ("x = '0';\ny = x;", 15, "has 'x', which is no number that is known here"),
     ("x = 1;\n" * 2000, 1006, "has more than 1000 statements"),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("more", "row", "message"), REFUSED)
@@ -223,21 +220,18 @@ def test_every_refused_statement_is_named() -> None:
     assert lines == [2, 4, 7]
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("mpc.baseMVA = 10;", "", "(mpc.baseMVA is missing)"),
-        ("mpc.baseMVA = 10;", "mpc.baseMVA = 0;", "has no positive number as mpc.baseMVA"),
-        ("\t2\t1\t30", "\t1\t1\t30", "row 2 of mpc.bus has the number of another bus"),
-        ("\t1\t2\t1.21", "\t1\t7\t1.21", "row 1 of mpc.branch has an unknown T_BUS"),
-        ("\t1\t2\t1.21", "\t1\t2\tNaN", "row 1 of mpc.branch has no number in a column of"),
-        ("mpc.gen = [1", "mpc.gen = [5", "row 1 of mpc.gen is at a bus that is not in mpc.bus"),
-        ("mpc.gen = [1 0 0 10 -10 1 100 1 10 0]", "mpc.gen = [1 0]", "mpc.gen has 2 columns"),
-        ("function mpc", "function [baseMVA, bus]", "is a case of version 1"),
-        ("\t2\t1\t30", "\t1e300\t1\t30", "row 2 of mpc.bus has no whole number up to"),
-        ("\t2\t1\t30", "\t2\t1e300\t30", "row 2 of mpc.bus has no BUS_TYPE from 1 to 4"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "message"), [
+    ("mpc.baseMVA = 10;", "", "(mpc.baseMVA is missing)"),
+    ("mpc.baseMVA = 10;", "mpc.baseMVA = 0;", "has no positive number as mpc.baseMVA"),
+    ("\t2\t1\t30", "\t1\t1\t30", "row 2 of mpc.bus has the number of another bus"),
+    ("\t1\t2\t1.21", "\t1\t7\t1.21", "row 1 of mpc.branch has an unknown T_BUS"),
+    ("\t1\t2\t1.21", "\t1\t2\tNaN", "row 1 of mpc.branch has no number in a column of"),
+    ("mpc.gen = [1", "mpc.gen = [5", "row 1 of mpc.gen is at a bus that is not in mpc.bus"),
+    ("mpc.gen = [1 0 0 10 -10 1 100 1 10 0]", "mpc.gen = [1 0]", "mpc.gen has 2 columns"),
+    ("function mpc", "function [baseMVA, bus]", "is a case of version 1"),
+    ("\t2\t1\t30", "\t1e300\t1\t30", "row 2 of mpc.bus has no whole number up to"),
+    ("\t2\t1\t30", "\t2\t1e300\t30", "row 2 of mpc.bus has no BUS_TYPE from 1 to 4"),
+])  # fmt: skip
 def test_tables_that_are_no_case(old: str, new: str, message: str, tmp_path: Path) -> None:
     file = tmp_path / "pair.m"
     file.write_text(IN_KW_AND_OHM.replace(old, new))
@@ -250,31 +244,23 @@ def test_tables_that_are_no_case(old: str, new: str, message: str, tmp_path: Pat
 # at the higher and at the lower side, a phase shift, charging, shunts, parallel lines, a loop, a
 # branch and a generator out of service, and negative demand.
 WHOLE = {
-    "bus": [
-        [10, 3, 0.1, 0.05, 0, 0, 1, 1, 0, 33, 1, 1.1, 0.9],
+    "bus": [[10, 3, 0.1, 0.05, 0, 0, 1, 1, 0, 33, 1, 1.1, 0.9],
         [20, 1, 0.9, 0.3, 0.02, 0.4, 1, 1, 0, 11, 1, 1.1, 0.9],
         [30, 2, 0.5, 0.2, 0, 0, 1, 1, 0, 11, 1, 1.1, 0.9],
         [40, 1, -0.3, 0.1, 0, 0, 1, 1, 0, 11, 1, 1.1, 0.9],
         [50, 1, 0.6, 0.2, 0, 0, 1, 1, 0, 33, 1, 1.1, 0.9],
-        [60, 4, 0.6, 0.2, 0, 0, 1, 1, 0, 33, 1, 1.1, 0.9],
-    ],
-    "gen": [
-        [10, 0, 0, 10, -10, 1.03, 100, 1, 10, 0],
-        [10, 0.1, 0.1, 10, -10, 1.02, 100, 1, 10, 0],
-        [30, 0.4, 0, 10, -10, 1.01, 100, 1, 10, 0],
-        [40, 0.2, 0.1, 10, -10, 1.05, 100, 1, 10, 0],
-        [40, 9.9, 0.1, 10, -10, 1.05, 100, 0, 10, 0],
-    ],
-    "branch": [
-        [10, 20, 0.01, 0.06, 0, 0, 0, 0, 1.025, 30, 1, -360, 360],
+        [60, 4, 0.6, 0.2, 0, 0, 1, 1, 0, 33, 1, 1.1, 0.9]],
+    "gen": [[10, 0, 0, 10, -10, 1.03, 100, 1, 10, 0], [10, 0.1, 0.1, 10, -10, 1.02, 100, 1, 10, 0],
+        [30, 0.4, 0, 10, -10, 1.01, 100, 1, 10, 0], [40, 0.2, 0.1, 10, -10, 1.05, 100, 1, 10, 0],
+        [40, 9.9, 0.1, 10, -10, 1.05, 100, 0, 10, 0]],
+    "branch": [[10, 20, 0.01, 0.06, 0, 0, 0, 0, 1.025, 30, 1, -360, 360],
         [20, 30, 0.03, 0.04, 0.02, 5, 0, 0, 0, 0, 1, -360, 360],
         [20, 30, 0.06, 0.05, 0.01, 0, 0, 0, 0, 0, 1, -360, 360],
         [30, 40, 0.05, 0.05, 0, 0, 0, 0, 1, 0, 1, -360, 360],
         [20, 40, 0.05, 0.05, 0, 0, 0, 0, 0, 0, 1, -360, 360],
         [10, 40, 0.05, 0.05, 0, 0, 0, 0, 0, 0, 0, -360, 360],
-        [40, 50, 0.02, 0.08, 0.02, 0, 0, 0, 0.97, 0, 1, -360, 360],
-    ],
-}
+        [40, 50, 0.02, 0.08, 0.02, 0, 0, 0, 0.97, 0, 1, -360, 360]],
+}  # fmt: skip
 
 
 def test_every_element_has_its_power_flow() -> None:

@@ -121,15 +121,12 @@ def differences(net: Any, feeder: ImportedFeeder) -> tuple[float, float]:
     )
 
 
-@pytest.mark.parametrize(
-    "make",
-    [
-        every_branch,
-        cigre_without_charging,
-        pp_networks.case33bw,
-        pytest.param(pp_networks.create_cigre_network_lv, marks=pytest.mark.nightly),
-    ],
-)
+@pytest.mark.parametrize("make", [
+    every_branch,
+    cigre_without_charging,
+    pp_networks.case33bw,
+    pytest.param(pp_networks.create_cigre_network_lv, marks=pytest.mark.nightly),
+])  # fmt: skip
 def test_power_flow_is_the_source_s(make: Callable[[], Any]) -> None:
     net = solved(make())
     feeder = import_network(net)
@@ -321,50 +318,29 @@ def test_every_cell_that_is_no_number_is_named_at_once() -> None:
     ]
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (
-            lambda net: pp.create_xward(net, 1, 0.1, 0, 0, 0, r_ohm=1, x_ohm=1, vm_pu=1, name="w"),
-            "pandapower net: xward 0 (w) is not supported. Replace it by loads, static generators and "
-            "lines, or take it out of service.",
-        ),
-        (
-            lambda net: net.ext_grid.drop(0, inplace=True),
-            "pandapower net: has no external grid. Add one at the bus of the grid connection.",
-        ),
-        (
-            lambda net: net.line.__setitem__("in_service", False),
-            "pandapower net: has no branch that is in service and supplied. Close a switch or put a line "
-            "into service.",
-        ),
-        (
-            lambda net: net.ext_grid.__setitem__("in_service", False),
-            "pandapower net: has no external grid. Add one at the bus of the grid connection.",
-        ),
-        (
-            lambda net: net.bus.loc.__setitem__((0, "in_service"), False),
-            "pandapower net: ext_grid 0 is at bus 0, which is out of service. Put the bus into service.",
-        ),
-        (
-            lambda net: pp.create_impedance(
-                net, 0, 1, rft_pu=0.1, xft_pu=0.1, rtf_pu=0.2, sn_mva=1.0
-            ),
-            "pandapower net: impedance 0 differs between its two directions. Give it the same impedance "
-            "in both.",
-        ),
-        (
-            lambda net: net.load.__setitem__("bus", 99),
-            "pandapower net, load 0 (mill), bus = 99: is not a bus of the net. Correct it in the "
-            "source, or take the element out of service.",
-        ),
-        (
-            lambda net: net.line.__setitem__("to_bus", 0),
-            "pandapower net: line 0 (feeder) begins and ends at bus 0. Correct its buses, or take it "
-            "out of service.",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("change", "message"), [
+    (lambda net: pp.create_xward(net, 1, 0.1, 0, 0, 0, r_ohm=1, x_ohm=1, vm_pu=1, name="w"),
+        "pandapower net: xward 0 (w) is not supported. Replace it by loads, static generators and "
+        "lines, or take it out of service."),
+    (lambda net: net.ext_grid.drop(0, inplace=True),
+        "pandapower net: has no external grid. Add one at the bus of the grid connection."),
+    (lambda net: net.line.__setitem__("in_service", False),
+        "pandapower net: has no branch that is in service and supplied. Close a switch or put a line "
+        "into service."),
+    (lambda net: net.ext_grid.__setitem__("in_service", False),
+        "pandapower net: has no external grid. Add one at the bus of the grid connection."),
+    (lambda net: net.bus.loc.__setitem__((0, "in_service"), False),
+        "pandapower net: ext_grid 0 is at bus 0, which is out of service. Put the bus into service."),
+    (lambda net: pp.create_impedance(net, 0, 1, rft_pu=0.1, xft_pu=0.1, rtf_pu=0.2, sn_mva=1.0),
+        "pandapower net: impedance 0 differs between its two directions. Give it the same impedance "
+        "in both."),
+    (lambda net: net.load.__setitem__("bus", 99),
+        "pandapower net, load 0 (mill), bus = 99: is not a bus of the net. Correct it in the "
+        "source, or take the element out of service."),
+    (lambda net: net.line.__setitem__("to_bus", 0),
+        "pandapower net: line 0 (feeder) begins and ends at bus 0. Correct its buses, or take it "
+        "out of service."),
+])  # fmt: skip
 def test_refusals_name_the_element(change: Callable[[Any], object], message: str) -> None:
     net = two_buses()
     change(net)
@@ -654,34 +630,21 @@ def test_simbench_code_that_does_not_exist() -> None:
         import_network("1-LV-rural9", source="simbench")
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "message"),
-    [
-        ("a.json", "{", "a.json: cannot be read as pandapower JSON ("),
-        (
-            "a.json",
-            '{"a": 1}',
-            "a.json: cannot be read as pandapower JSON ("
-            "'dict' object has no attribute 'version'). Correct the file, or "
-            "choose another format with --from.",
-        ),
-        ("a.m", "function mpc = a\n", "a.m: cannot be read as a MATPOWER case of version 2 ("),
-        ("a.mat", "no", "a.mat: cannot be read as a MATPOWER case of version 2 ("),
-        (
-            "a.m",
-            MATPOWER_CASE + "mpc.bus(:, 3) = scaled(mpc.bus(:, 3));\n",
-            "a.m, row 14: calls 'scaled', which is not evaluated. Load the case in MATPOWER, write "
-            "it with savecase, and import that file.",
-        ),
-        (
-            "a.dss",
-            "new nothing.x",
-            "a.dss, row 1: 'nothing' is not a class of OpenDSS. Correct it, or remove the element.",
-        ),
-        ("a.dss", "new circuit.x\nnew line.y like=z", "a.dss, row 2: OpenDSS refuses the file ("),
-        ("a.dss", "clear", "a.dss: OpenDSS refuses the file ((#301) You must create a new circuit"),
-    ],
-)
+@pytest.mark.parametrize(("name", "text", "message"), [
+    ("a.json", "{", "a.json: cannot be read as pandapower JSON ("),
+    ("a.json", '{"a": 1}', "a.json: cannot be read as pandapower JSON ("
+        "'dict' object has no attribute 'version'). Correct the file, or "
+        "choose another format with --from."),
+    ("a.m", "function mpc = a\n", "a.m: cannot be read as a MATPOWER case of version 2 ("),
+    ("a.mat", "no", "a.mat: cannot be read as a MATPOWER case of version 2 ("),
+    ("a.m", MATPOWER_CASE + "mpc.bus(:, 3) = scaled(mpc.bus(:, 3));\n",
+        "a.m, row 14: calls 'scaled', which is not evaluated. Load the case in MATPOWER, write "
+        "it with savecase, and import that file."),
+    ("a.dss", "new nothing.x",
+        "a.dss, row 1: 'nothing' is not a class of OpenDSS. Correct it, or remove the element."),
+    ("a.dss", "new circuit.x\nnew line.y like=z", "a.dss, row 2: OpenDSS refuses the file ("),
+    ("a.dss", "clear", "a.dss: OpenDSS refuses the file ((#301) You must create a new circuit"),
+])  # fmt: skip
 def test_unreadable_files(name: str, text: str, message: str, tmp_path: Path) -> None:
     (tmp_path / name).write_text(text)
     with pytest.raises(InputError) as caught:
@@ -689,36 +652,23 @@ def test_unreadable_files(name: str, text: str, message: str, tmp_path: Path) ->
     assert str(caught.value).startswith(message)
 
 
-@pytest.mark.parametrize(
-    ("name", "source", "message"),
-    [
-        (
-            "case33bx",
-            None,
-            "network case33bx: is neither a named network nor a file that can be imported. ",
-        ),
-        ("nowhere.dss", None, "network nowhere.dss: there is no such file. Correct the path."),
-        (
-            "case33bw",
-            "cim",
-            "options, from = cim: must be one of pandapower, matpower, opendss, "
-            "simbench. Correct the source.",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("name", "source", "message"), [
+    ("case33bx", None,
+        "network case33bx: is neither a named network nor a file that can be imported. "),
+    ("nowhere.dss", None, "network nowhere.dss: there is no such file. Correct the path."),
+    ("case33bw", "cim", "options, from = cim: must be one of pandapower, matpower, opendss, "
+        "simbench. Correct the source."),
+])  # fmt: skip
 def test_unknown_networks(name: str, source: Any, message: str) -> None:
     with pytest.raises(InputError) as caught:
         import_network(name, source)
     assert str(caught.value).startswith(message)
 
 
-@pytest.mark.parametrize(
-    ("module", "extra", "name", "source"),
-    [
-        ("opendssdirect", "opendss", "mill.dss", None),
-        ("simbench", "simbench", "1-LV-rural1--0-sw", "simbench"),
-    ],
-)
+@pytest.mark.parametrize(("module", "extra", "name", "source"), [
+    ("opendssdirect", "opendss", "mill.dss", None),
+    ("simbench", "simbench", "1-LV-rural1--0-sw", "simbench"),
+])  # fmt: skip
 def test_missing_library(
     module: str, extra: str, name: str, source: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

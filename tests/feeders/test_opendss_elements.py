@@ -392,7 +392,7 @@ def test_batteries_of_a_script_are_batteries_with_their_phases(tmp_path: Path) -
     assert own.eta_charge.tolist() == pytest.approx([0.92, 0.9])
     assert own.eta_discharge.tolist() == pytest.approx([0.94, 0.9])
     assert own.grid_forming.tolist() == [True, False]
-    assert scenario.phases is not None
+    assert scenario.phases
     assert [scenario.phases.connection(each).coils for each in own.id] == ["a b c", "b"]
 
 

@@ -45,22 +45,18 @@ def storage(**values: float) -> Any:
 
 BATTERIES: list[tuple[dict[str, float], dict[str, float]]] = [
     # energy and power given: soc limits from the least energy, start from the percentage
-    (
-        {"p_mw": 0.0, "max_e_mwh": 0.4, "min_e_mwh": 0.04, "sn_mva": 0.1, "soc_percent": 50.0},
-        {"energy_kwh": 400, "p_max_kw": 100, "s_max_kva": 100, "soc_min": 0.1, "soc_initial": 0.5},
-    ),
+    ({"p_mw": 0.0, "max_e_mwh": 0.4, "min_e_mwh": 0.04, "sn_mva": 0.1, "soc_percent": 50.0},
+        {"energy_kwh": 400, "p_max_kw": 100, "s_max_kva": 100, "soc_min": 0.1, "soc_initial": 0.5}),
     # no energy: two hours of the power; a start that is unknown is the lowest
     ({"p_mw": 0.05}, {"energy_kwh": 100, "p_max_kw": 50, "s_max_kva": 50, "soc_initial": 0.0}),
     # no power: emptied in two hours
     ({"max_e_mwh": 0.3}, {"energy_kwh": 300, "p_max_kw": 150, "s_max_kva": 150}),
     # the smaller limit of both directions, within the inverter's rating
-    (
-        {"max_e_mwh": 0.3, "max_p_mw": 0.2, "min_p_mw": -0.1, "sn_mva": 0.08},
-        {"energy_kwh": 300, "p_max_kw": 80, "s_max_kva": 80},
-    ),
+    ({"max_e_mwh": 0.3, "max_p_mw": 0.2, "min_p_mw": -0.1, "sn_mva": 0.08},
+        {"energy_kwh": 300, "p_max_kw": 80, "s_max_kva": 80}),
     # a limit of 0 in one direction says nothing (SimBench)
     ({"max_e_mwh": 0.3, "max_p_mw": 0.0, "min_p_mw": -0.1}, {"p_max_kw": 100}),
-]
+]  # fmt: skip
 
 
 def test_batteries_of_the_source() -> None:
@@ -154,17 +150,14 @@ def genset(bus: int, word: str, name: str, **more: Any) -> Any:
     return create
 
 
-@pytest.mark.parametrize(
-    ("word", "name", "more", "forms"),
-    [
-        ("Diesel", "Hospital standby generator", {}, True),
-        ("", "Standby set", {}, True),
-        ("backup", "", {}, True),
-        ("Diesel", "Peak lopper", {"grid_forming": False}, False),
-        ("CHP", "Boiler house", {}, False),
-        ("CHP", "Boiler house", {"grid_forming": True}, True),
-    ],
-)
+@pytest.mark.parametrize(("word", "name", "more", "forms"), [
+    ("Diesel", "Hospital standby generator", {}, True),
+    ("", "Standby set", {}, True),
+    ("backup", "", {}, True),
+    ("Diesel", "Peak lopper", {"grid_forming": False}, False),
+    ("CHP", "Boiler house", {}, False),
+    ("CHP", "Boiler house", {"grid_forming": True}, True),
+])  # fmt: skip
 def test_standby_sets_form_the_grid_unless_the_source_says_otherwise(
     word: str, name: str, more: dict[str, bool], forms: bool
 ) -> None:
@@ -191,15 +184,12 @@ def test_a_standby_set_supplies_the_island_of_a_battery_that_is_empty(tmp_path: 
     assert (run.customers.groupby("time")["served"].sum() >= 1).all()
 
 
-@pytest.mark.parametrize(
-    ("added", "words"),
-    [
-        ([], NO_FORMER),
-        ([storage(max_e_mwh=0.3, max_p_mw=0.2, sn_mva=0.2)], ONE_FORMER),
-        ([genset(3, "Diesel", "Standby")], ONE_FORMER),
-        ([genset(3, "Diesel", "Standby"), genset(2, "Diesel", "Other")], ""),
-    ],
-)
+@pytest.mark.parametrize(("added", "words"), [
+    ([], NO_FORMER),
+    ([storage(max_e_mwh=0.3, max_p_mw=0.2, sn_mva=0.2)], ONE_FORMER),
+    ([genset(3, "Diesel", "Standby")], ONE_FORMER),
+    ([genset(3, "Diesel", "Standby"), genset(2, "Diesel", "Other")], ""),
+])  # fmt: skip
 def test_a_site_with_one_former_or_none_is_told_so(
     added: list[Any], words: str, tmp_path: Path
 ) -> None:

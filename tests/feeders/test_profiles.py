@@ -147,40 +147,25 @@ def test_series_of_batteries_are_named(feeder: ImportedFeeder, tmp_path: Path) -
     )
 
 
-@pytest.mark.parametrize(
-    ("columns", "message"),
-    [
-        (
-            {"bakery": RISING},
-            "a.csv: does not say the unit of bakery. End the column's or the file's name in _kw, _mw "
-            "or _pu, or give --profile-unit.",
-        ),
-        (
-            {"bakry_kw": RISING},
-            "a.csv, column = bakry_kw: is neither an asset of the scenario nor an element of the network. Did "
-            "you mean bakery?",
-        ),
-        (
-            {"bakery_kw": -RISING},
-            "a.csv, customer = c1: falls to -23 kW at 2025-07-01T23:00:00Z. Demand and generation count from 0: give "
-            "generation as a system of its own.",
-        ),
-        (
-            {"roof_mw": RISING},
-            "a.csv, system = pv2: reaches 2.3e+04 kW at 2025-07-01T23:00:00Z, and its largest power is 40 kW. Correct the "
-            "unit of the series, or the power in the network.",
-        ),
-        (
-            {"bakery_kw": ["much", *RISING[1:]]},
-            "a.csv, row 2, bakery_kw = much: is not a number. Correct it, or leave it empty: a gap is "
-            "filled, and the notes say so.",
-        ),
-        (
-            {"bakery_kw": RISING, "load 0_kw": RISING},
-            "a.csv, column = load 0_kw: has a series already. Keep one series for each element.",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("columns", "message"), [
+    ({"bakery": RISING},
+        "a.csv: does not say the unit of bakery. End the column's or the file's name in _kw, _mw "
+        "or _pu, or give --profile-unit."),
+    ({"bakry_kw": RISING},
+        "a.csv, column = bakry_kw: is neither an asset of the scenario nor an element of the network. Did "
+        "you mean bakery?"),
+    ({"bakery_kw": -RISING},
+        "a.csv, customer = c1: falls to -23 kW at 2025-07-01T23:00:00Z. Demand and generation count from 0: give "
+        "generation as a system of its own."),
+    ({"roof_mw": RISING},
+        "a.csv, system = pv2: reaches 2.3e+04 kW at 2025-07-01T23:00:00Z, and its largest power is 40 kW. Correct the "
+        "unit of the series, or the power in the network."),
+    ({"bakery_kw": ["much", *RISING[1:]]},
+        "a.csv, row 2, bakery_kw = much: is not a number. Correct it, or leave it empty: a gap is "
+        "filled, and the notes say so."),
+    ({"bakery_kw": RISING, "load 0_kw": RISING},
+        "a.csv, column = load 0_kw: has a series already. Keep one series for each element."),
+])  # fmt: skip
 def test_refusals(
     feeder: ImportedFeeder, tmp_path: Path, columns: dict[str, Any], message: str
 ) -> None:
@@ -252,15 +237,11 @@ def controlled(index: pd.Index) -> Any:
     return net
 
 
-@pytest.mark.parametrize(
-    ("as_file", "index"),
-    [
-        pytest.param(False, DAY, marks=pytest.mark.nightly),
-        (True, DAY.tz_localize(None)),
-        (False, pd.RangeIndex(24)),
-    ],
-    ids=["net", "file", "rows"],
-)
+@pytest.mark.parametrize(("as_file", "index"), [
+    pytest.param(False, DAY, marks=pytest.mark.nightly),
+    (True, DAY.tz_localize(None)),
+    (False, pd.RangeIndex(24)),
+], ids=["net", "file", "rows"])  # fmt: skip
 def test_controllers_of_constants(as_file: bool, index: pd.Index, tmp_path: Path) -> None:
     net: Any = controlled(index)
     if as_file:

@@ -193,33 +193,18 @@ def test_a_tier_in_python_moves_its_weight() -> None:
         tiny.replace("customers", "house", tier="low")
 
 
-@pytest.mark.parametrize(
-    ("factors", "words"),
-    [
-        ({}, []),
-        (
-            {"load_kw": 1000.0},
-            [
-                "load_kw.csv, homes: the median customer's largest demand is 55,000 kW at 11 kV. Is the "
-                "file in W? Its numbers are kW."
-            ],
-        ),
-        (
-            {"energy_kwh": 0.001},
-            [
-                "batteries.csv, big (and 1 more): energy_kwh = 0.1 holds p_max_kw = 50 for 0.002 h. Is "
-                "the energy in MWh, or the power in W?"
-            ],
-        ),
-        (
-            {"p_max_kw": 0.001},
-            [
-                "batteries.csv, big (and 1 more): energy_kwh = 100 holds p_max_kw = 0.05 for 2,000 h. Is "
-                "the energy in Wh, or the power in MW?"
-            ],
-        ),
-    ],
-)
+@pytest.mark.parametrize(("factors", "words"), [
+    ({}, []),
+    ({"load_kw": 1000.0}, [
+        "load_kw.csv, homes: the median customer's largest demand is 55,000 kW at 11 kV. Is the "
+        "file in W? Its numbers are kW."]),
+    ({"energy_kwh": 0.001}, [
+        "batteries.csv, big (and 1 more): energy_kwh = 0.1 holds p_max_kw = 50 for 0.002 h. Is "
+        "the energy in MWh, or the power in W?"]),
+    ({"p_max_kw": 0.001}, [
+        "batteries.csv, big (and 1 more): energy_kwh = 100 holds p_max_kw = 0.05 for 2,000 h. Is "
+        "the energy in Wh, or the power in MW?"]),
+])  # fmt: skip
 def test_sizes_that_suggest_another_unit_are_remarked(
     factors: dict[str, float], words: list[str]
 ) -> None:

@@ -12,6 +12,7 @@ import sys
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -41,30 +42,16 @@ set voltagebases=[11]
 
 # What a process does, seen by the interpreter itself: it cannot be looked past.
 
+NEVER = {"os.system", "os.exec", "os.posix_spawn", "ctypes.dlopen", "socket.connect", "webbrowser.open",
+         "pickle.find_class"}  # fmt: skip
+OF_INTEREST = NEVER | {"import", "open", "subprocess.Popen", "os.fork", "os.remove", "os.rename", "os.mkdir",
+                       "os.symlink", "exec", "compile"}  # fmt: skip
 WATCHED: list[tuple[str, str]] = []
 WATCHING: list[bool] = []
 
 
 def _watch(event: str, arguments: tuple[Any, ...]) -> None:
-    if WATCHING and event in (
-        "import",
-        "open",
-        "subprocess.Popen",
-        "os.system",
-        "os.exec",
-        "os.posix_spawn",
-        "os.fork",
-        "ctypes.dlopen",
-        "os.remove",
-        "os.rename",
-        "os.mkdir",
-        "os.symlink",
-        "socket.connect",
-        "webbrowser.open",
-        "pickle.find_class",
-        "exec",
-        "compile",
-    ):
+    if WATCHING and event in OF_INTEREST:
         WATCHED.append((event, " ".join(str(argument) for argument in arguments)))
 
 
@@ -135,15 +122,7 @@ def harmless(file: Path) -> Iterator[None]:
         assert "the-secret" not in arguments, (event, arguments)
         if event == "subprocess.Popen":
             assert str(Path(confined.__file__).with_name("child.py")) in arguments
-        assert event not in (
-            "os.system",
-            "os.exec",
-            "os.posix_spawn",
-            "ctypes.dlopen",
-            "socket.connect",
-            "webbrowser.open",
-            "pickle.find_class",
-        )
+        assert event not in NEVER
 
 
 def master(house: Path, *lines: str) -> Path:
@@ -333,133 +312,69 @@ def test_every_property_of_the_engine_that_names_code_or_a_file_is_known() -> No
                 assert allowed, (kind, name)
 
 
-def many_levels(house: Path) -> Path:
-    for level in range(40):
-        (house / f"f{level}.dss").write_text(f"redirect f{level + 1}.dss\n")
-    return master(house, "redirect f0.dss")
+@dataclass(frozen=True)
+class Link:
+    """A link to another place, from the stranger's folder."""
+
+    to: str
 
 
-def circle(house: Path) -> Path:
-    (house / "b.dss").write_text("redirect c.dss\n")
-    (house / "c.dss").write_text("redirect b.dss\n")
-    return master(house, "redirect b.dss")
+Beside = dict[str, str | bytes | Link | None]
+"""Files beside the master; without content a folder."""
+SECRET, ZERO, PIPE = Link("../secret.txt"), Link("/dev/zero"), Link("a pipe")
+LEVELS: Beside = {f"f{level}.dss": f"redirect f{level + 1}.dss\n" for level in range(40)}
+SHAPE = "new loadshape.s npts=9"
+# What lies beside the master, the master's last lines, and the reason.
+FILES: dict[str, tuple[Beside, list[str], str]] = {
+    "levels": (LEVELS, ["redirect f0.dss"], "files are read 10 deep"),
+    "circle": ({"b.dss": "redirect c.dss\n", "c.dss": "redirect b.dss\n"}, ["redirect b.dss"],
+        "which is read already"),
+    "link out": ({"link.txt": SECRET}, ["redirect link.txt"], OUT),
+    "link circle": ({"one.dss": Link("two.dss"), "two.dss": Link("one.dss")}, ["redirect one.dss"],
+        OUT),
+    "pipe": ({"pipe.dss": PIPE}, ["redirect pipe.dss"], "there is no such file"),
+    "link to a series": ({"link.csv": SECRET}, [f"{SHAPE} csvfile=link.csv"], NO_FILE),
+    "link to a folder": ({"sub": Link("..")}, ["redirect sub/secret.txt"], OUT),
+    "out of a folder": ({"sub": None, "sub/b.dss": "redirect ../../secret.txt\n"},
+        ["compile sub/b.dss", "redirect ../../secret.txt"], OUT),
+    "pipe of a series": ({"pipe.csv": PIPE}, [f"{SHAPE} mult=(file=pipe.csv)"], NO_FILE),
+    "words as a series": ({"words.csv": "1,2\ncanary,3\n"}, [f"{SHAPE} csvfile=words.csv"],
+        "holds no columns of numbers"),
+    "device": ({"zero.dss": ZERO}, ["redirect zero.dss"], OUT),
+    "device of a series": ({"zero.bin": ZERO}, [f"{SHAPE} sngfile=zero.bin"], NO_FILE),
+    "folder as a series": ({"sub.csv": None}, [f"{SHAPE} mult=(file=sub.csv)"], NO_FILE),
+    "half a number": ({"half.bin": b"12345"}, [f"{SHAPE} dblfile=half.bin"],
+        "holds no numbers of 8 bytes"),
+    "no numbers": ({"nan.bin": b"\xff" * 32}, ["new loadshape.s npts=4 mult=(dblfile=nan.bin)"],
+        "holds no numbers of 8 bytes"),
+    "windings": ({}, ["new transformer.q windings=100000000", "calcv"], "mill.dss: "),
+    "long file": ({}, ["! " + "x" * (33 * 2**20)], "has more than 32 MB"),
+    "long line": ({}, ["new load.e bus1=a zipv=[" + "1 " * 2_000_000 + "x]"],
+        "has more than 1000000 characters"),
+    "many lines": ({}, ["allocateloads"] * 200_000, "more lines like these"),
+    # OpenDSS 0.14 does not survive it.
+    "phases": ({}, ["new line.e bus1=a bus2=b phases=30000 r1=1 x1=1", "calcv"], "mill.dss: "),
+}  # fmt: skip
 
 
-def link_out(house: Path) -> Path:
-    (house / "link.txt").symlink_to(house.parent / "secret.txt")
-    return master(house, "redirect link.txt")
-
-
-def link_circle(house: Path) -> Path:
-    (house / "one.dss").symlink_to(house / "two.dss")
-    (house / "two.dss").symlink_to(house / "one.dss")
-    return master(house, "redirect one.dss")
-
-
-def pipe(house: Path) -> Path:
-    os.mkfifo(house / "pipe.dss")
-    return master(house, "redirect pipe.dss")
-
-
-def long_file(house: Path) -> Path:
-    return master(house, "! " + "x" * (33 * 2**20))
-
-
-def long_line(house: Path) -> Path:
-    return master(house, "new load.e bus1=a zipv=[" + "1 " * 2_000_000 + "x]")
-
-
-def many_lines(house: Path) -> Path:
-    return master(house, *["allocateloads"] * 200_000)
-
-
-def link_to_a_series(house: Path) -> Path:
-    (house / "link.csv").symlink_to(house.parent / "secret.txt")
-    return master(house, "new loadshape.s npts=9 csvfile=link.csv")
-
-
-def link_to_a_folder(house: Path) -> Path:
-    (house / "sub").symlink_to(house.parent)
-    return master(house, "redirect sub/secret.txt")
-
-
-def out_of_a_folder(house: Path) -> Path:
-    (house / "sub").mkdir()
-    (house / "sub" / "b.dss").write_text("redirect ../../secret.txt\n")
-    return master(house, "compile sub/b.dss", "redirect ../../secret.txt")
-
-
-def pipe_of_a_series(house: Path) -> Path:
-    os.mkfifo(house / "pipe.csv")
-    return master(house, "new loadshape.s npts=9 mult=(file=pipe.csv)")
-
-
-def words_as_a_series(house: Path) -> Path:
-    (house / "words.csv").write_text("1,2\ncanary,3\n")
-    return master(house, "new loadshape.s npts=9 csvfile=words.csv")
-
-
-def too_many_phases(house: Path) -> Path:
-    return master(house, "new line.e bus1=a bus2=b phases=30000 r1=1 x1=1", "calcv")
-
-
-def device(house: Path) -> Path:
-    (house / "zero.dss").symlink_to("/dev/zero")
-    return master(house, "redirect zero.dss")
-
-
-def device_of_a_series(house: Path) -> Path:
-    (house / "zero.bin").symlink_to("/dev/zero")
-    return master(house, "new loadshape.s npts=9 sngfile=zero.bin")
-
-
-def folder_as_a_series(house: Path) -> Path:
-    (house / "sub.csv").mkdir()
-    return master(house, "new loadshape.s npts=9 mult=(file=sub.csv)")
-
-
-def half_a_number(house: Path) -> Path:
-    (house / "half.bin").write_bytes(b"12345")
-    return master(house, "new loadshape.s npts=9 dblfile=half.bin")
-
-
-def no_numbers(house: Path) -> Path:
-    (house / "nan.bin").write_bytes(b"\xff" * 32)
-    return master(house, "new loadshape.s npts=4 mult=(dblfile=nan.bin)")
-
-
-def windings(house: Path) -> Path:
-    return master(house, "new transformer.q windings=100000000", "calcv")
-
-
-FILES: dict[str, tuple[Callable[[Path], Path], str]] = {
-    "levels": (many_levels, "files are read 10 deep"),
-    "circle": (circle, "which is read already"),
-    "link out": (link_out, OUT),
-    "link circle": (link_circle, OUT),
-    "pipe": (pipe, "there is no such file"),
-    "link to a series": (link_to_a_series, NO_FILE),
-    "link to a folder": (link_to_a_folder, OUT),
-    "out of a folder": (out_of_a_folder, OUT),
-    "pipe of a series": (pipe_of_a_series, NO_FILE),
-    "words as a series": (words_as_a_series, "holds no columns of numbers"),
-    "device": (device, OUT),
-    "device of a series": (device_of_a_series, NO_FILE),
-    "folder as a series": (folder_as_a_series, NO_FILE),
-    "half a number": (half_a_number, "holds no numbers of 8 bytes"),
-    "no numbers": (no_numbers, "holds no numbers of 8 bytes"),
-    "windings": (windings, "mill.dss: "),
-    "long file": (long_file, "has more than 32 MB"),
-    "long line": (long_line, "has more than 1000000 characters"),
-    "many lines": (many_lines, "more lines like these"),
-    "phases": (too_many_phases, "mill.dss: "),  # OpenDSS 0.14 does not survive it
-}
+def put(file: Path, content: str | bytes | Link | None) -> None:
+    """Put a file, a folder, a link or a pipe in its place."""
+    if content is None:
+        file.mkdir()
+    elif content is PIPE:
+        os.mkfifo(file)
+    elif isinstance(content, Link):
+        file.symlink_to(file.parent / content.to)
+    else:
+        file.write_bytes(content.encode() if isinstance(content, str) else content)
 
 
 @pytest.mark.parametrize("name", FILES)
 def test_hostile_files_of_opendss(name: str, house: Path) -> None:
-    make, reason = FILES[name]
-    assert reason in refused(make(house))
+    beside, lines, reason = FILES[name]
+    for file, content in beside.items():
+        put(house / file, content)
+    assert reason in refused(master(house, *lines))
 
 
 # kind 10 and more: pandapower's JSON
@@ -659,29 +574,17 @@ BINARIES: dict[str, tuple[str, Callable[[], bytes], str]] = {
     "zeros": ("net.mat", lambda: unpacking_to(200 * 2**20), "cannot be read as"),
     "no mpc": ("net.mat", lambda: mat_file(), "cannot be read as"),
     "long": ("net.mat", lambda: bytes(11 * 2**20), "has more than 10 MB"),
-    "computes": (
-        "net.m",
-        lambda: b"function mpc = c\nmpc.bus = 1;\nmpc.bus(1, 1) = system(7);\n",
-        "net.m, row 3: calls 'system', which is not evaluated",
-    ),
-    "calls": (
-        "net.m",
-        lambda: b"function mpc = c\nsystem('touch canary');\n",
-        "net.m, row 2: has 'system', which is not evaluated",
-    ),
-    "many names": (
-        "net.m",
-        lambda: b"function mpc = c\n" + b"mpc.bus = [\n" * 400_000,
-        "net.m, row 2: has the character '='",
-    ),
-    "blanks": (
-        "net.m",
-        lambda: b"function mpc = c\nx" + b" " * 200_000 + b"y\n",
-        "net.m, row 2: has 'x', which is not evaluated",
-    ),
+    "computes": ("net.m", lambda: b"function mpc = c\nmpc.bus = 1;\nmpc.bus(1, 1) = system(7);\n",
+        "net.m, row 3: calls 'system', which is not evaluated"),
+    "calls": ("net.m", lambda: b"function mpc = c\nsystem('touch canary');\n",
+        "net.m, row 2: has 'system', which is not evaluated"),
+    "many names": ("net.m", lambda: b"function mpc = c\n" + b"mpc.bus = [\n" * 400_000,
+        "net.m, row 2: has the character '='"),
+    "blanks": ("net.m", lambda: b"function mpc = c\nx" + b" " * 200_000 + b"y\n",
+        "net.m, row 2: has 'x', which is not evaluated"),
     "empty lines": ("net.m", lambda: b"\n" * 2**20, "mpc.baseMVA is missing"),
     "long text": ("net.m", lambda: b"%" * (11 * 2**20), "has more than 10 MB"),
-}
+}  # fmt: skip
 
 
 BY_NIGHT = {"pickle as a matrix", "no mpc", "zeros", "calls", "long text"}

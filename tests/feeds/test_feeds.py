@@ -155,16 +155,13 @@ def test_garbled_answers_are_refused_or_read(name: str, data: st.DataObject) -> 
                 incident.event(name, ELEVEN)
 
 
-@pytest.mark.parametrize(
-    ("content", "words"),
-    [
-        (b"", "is no JSON"),
-        (b'{"total_count": 3}', "has no list of incidents"),
-        (b"[1, 2]", "has no row that can be read"),
-        (b'[{"incidentreference": "A", "estimatedrestorationdate": "soon"}]', "no row that can"),
-        (b"[" * 100_000, "is no JSON"),
-    ],
-)
+@pytest.mark.parametrize(("content", "words"), [
+    (b"", "is no JSON"),
+    (b'{"total_count": 3}', "has no list of incidents"),
+    (b"[1, 2]", "has no row that can be read"),
+    (b'[{"incidentreference": "A", "estimatedrestorationdate": "soon"}]', "no row that can"),
+    (b"[" * 100_000, "is no JSON"),
+])  # fmt: skip
 def test_what_is_wrong_with_an_answer_is_said(content: bytes, words: str) -> None:
     with pytest.raises(InputError, match=words):
         FEEDS["ukpn"].read(content)

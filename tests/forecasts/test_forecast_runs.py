@@ -145,23 +145,16 @@ def test_a_history_may_have_gaps(tmp_path: Path) -> None:
     assert history.pv_kw.shape == (6, 0)
 
 
-@pytest.mark.parametrize(
-    ("rows", "message"),
-    [
-        (
-            "2022-01-01T00:00Z,1\n2022-01-01T00:00Z,2",
-            "load_kw.csv, row 3, time = 2022-01-01T00:00:00Z: is given twice. Remove one",
-        ),
-        ("2022-01-01T00:00Z,-1", "load_kw.csv, row 2, a = -1: must be at least 0"),
-        ("2022-01-01T00:00Z,cold", "load_kw.csv, row 2, a = cold: is not a number"),
-        ("2022-01-01T00:00,1", "load_kw.csv, row 2, time = 2022-01-01T00:00: has no time zone"),
-        (
-            "2022-01-01T00:00Z,1\n2022-01-01T01:00Z,1\n2022-01-01T02:00Z,1\n2022-01-01T02:20Z,1",
-            "row 5, time = 2022-01-01T02:20:00Z: is not the beginning of a step. Give steps of 60 min",
-        ),
-        ("", "load_kw.csv: has no row"),
-    ],
-)
+@pytest.mark.parametrize(("rows", "message"), [
+    ("2022-01-01T00:00Z,1\n2022-01-01T00:00Z,2",
+        "load_kw.csv, row 3, time = 2022-01-01T00:00:00Z: is given twice. Remove one"),
+    ("2022-01-01T00:00Z,-1", "load_kw.csv, row 2, a = -1: must be at least 0"),
+    ("2022-01-01T00:00Z,cold", "load_kw.csv, row 2, a = cold: is not a number"),
+    ("2022-01-01T00:00,1", "load_kw.csv, row 2, time = 2022-01-01T00:00: has no time zone"),
+    ("2022-01-01T00:00Z,1\n2022-01-01T01:00Z,1\n2022-01-01T02:00Z,1\n2022-01-01T02:20Z,1",
+        "row 5, time = 2022-01-01T02:20:00Z: is not the beginning of a step. Give steps of 60 min"),
+    ("", "load_kw.csv: has no row"),
+])  # fmt: skip
 def test_mistakes_in_a_history_are_named(tmp_path: Path, rows: str, message: str) -> None:
     with pytest.raises(InputError) as error:
         read_history(history_file(tmp_path / "h", f"time,a\n{rows}\n"))
@@ -205,15 +198,12 @@ def test_forecasts_of_ones_own_are_used_as_soon_as_they_are_out(
     assert run_day(tiny, mine).steps["forecast_basis"].iloc[0] == "model"
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        (QUANTILES.replace("roof", "rof"), "row 3, series = rof: is neither load nor pv nor"),
-        (QUANTILES.replace("5,6,7", "5,9,7"), "row 3, quantiles: falls from a lower quantile"),
-        (QUANTILES.replace("q10,q50,q90", "a,b,c"), "has no column of a quantile"),
-        (QUANTILES.replace("T10:00Z,2022", "T10:00,2022"), "issued_at = 2022-07-19T10:00: has no"),
-    ],
-)
+@pytest.mark.parametrize(("text", "message"), [
+    (QUANTILES.replace("roof", "rof"), "row 3, series = rof: is neither load nor pv nor"),
+    (QUANTILES.replace("5,6,7", "5,9,7"), "row 3, quantiles: falls from a lower quantile"),
+    (QUANTILES.replace("q10,q50,q90", "a,b,c"), "has no column of a quantile"),
+    (QUANTILES.replace("T10:00Z,2022", "T10:00,2022"), "issued_at = 2022-07-19T10:00: has no"),
+])  # fmt: skip
 def test_mistakes_in_forecasts_are_named(
     tiny: Scenario, tmp_path: Path, text: str, message: str
 ) -> None:

@@ -145,17 +145,14 @@ def test_a_clear_sky_is_followed_and_a_cloud_goes_on() -> None:
     np.testing.assert_allclose(found[:, 0], expected, rtol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("hours", "basis", "paths"),
-    [
-        (0, "nothing", 1),
-        (5, "recent values", 1),
-        (24, "past days", 1),
-        (7 * 24, "past days", 7),
-        (10 * 24, "model", 9),
-        (100 * 24, "model", 42),
-    ],
-)
+@pytest.mark.parametrize(("hours", "basis", "paths"), [
+    (0, "nothing", 1),
+    (5, "recent values", 1),
+    (24, "past days", 1),
+    (7 * 24, "past days", 7),
+    (10 * 24, "model", 9),
+    (100 * 24, "model", 42),
+])  # fmt: skip
 def test_less_history_is_a_lesser_forecast(hours: int, basis: str, paths: int) -> None:
     history = homes(101).rows(0, hours)
     found = Seasonal().forecast(history, history.end, 24)

@@ -317,23 +317,13 @@ def test_a_page_on_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    ("failure", "error", "words"),
-    [
-        (
-            OSError(errno.ENOSPC, "no space"),
-            StorageError,
-            "the disk is full, or a quota is reached: figures and report were not written. "
-            "Free some space: {folder} holds the run; make its report with vppres report {folder}.",
-        ),
-        (
-            ValueError("$"),
-            ReportError,
-            "figures and report could not be made (ValueError: $). "
-            "{folder} holds the run; make its report with vppres report {folder}.",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("failure", "error", "words"), [
+    (OSError(errno.ENOSPC, "no space"), StorageError,
+        "the disk is full, or a quota is reached: figures and report were not written. "
+        "Free some space: {folder} holds the run; make its report with vppres report {folder}."),
+    (ValueError("$"), ReportError, "figures and report could not be made (ValueError: $). "
+        "{folder} holds the run; make its report with vppres report {folder}."),
+])  # fmt: skip
 def test_a_day_is_kept_where_its_report_cannot_be_made(
     tiny: Scenario,
     tmp_path: Path,

@@ -94,32 +94,18 @@ MISSING = "the file is missing"
 WRONG_BYTE = "row 2: is not UTF-8 text (byte 0xe9). Save the file with UTF-8 encoding."
 
 
-@pytest.mark.parametrize(
-    ("file", "content", "message"),
-    [
-        *(
-            (f"{name}.csv", None, f"{name}.csv: {MISSING}. {FILE_CURE}")
-            for name in ("lines", "customers", "load_kw", "pv_kw", "system")
-        ),
-        (
-            "pv.csv",
-            None,
-            f"pv.csv: {MISSING}, and pv_kw.csv has series of roof, field. {FILE_CURE}",
-        ),
-        (
-            "scenario.toml",
-            None,
-            f"scenario.toml: {MISSING}. A scenario folder needs it: see the page on the scenario "
-            "format.",
-        ),
-        ("lines.csv", b"", "lines.csv: is empty. Write a header row with column names."),
-        ("pv_kw.csv", b"time,roof,field\n", f"pv_kw.csv: has no row. {GRID_CURE}"),
-        *(
-            (name, b"name,caf\xc3\xa9\nx,caf\xe9\n", f"{name}, {WRONG_BYTE}")
-            for name in ("lines.csv", "scenario.toml")
-        ),
-    ],
-)
+@pytest.mark.parametrize(("file", "content", "message"), [
+    *((f"{name}.csv", None, f"{name}.csv: {MISSING}. {FILE_CURE}")
+        for name in ("lines", "customers", "load_kw", "pv_kw", "system")),
+    ("pv.csv", None, f"pv.csv: {MISSING}, and pv_kw.csv has series of roof, field. {FILE_CURE}"),
+    ("scenario.toml", None,
+        f"scenario.toml: {MISSING}. A scenario folder needs it: see the page on the scenario "
+        "format."),
+    ("lines.csv", b"", "lines.csv: is empty. Write a header row with column names."),
+    ("pv_kw.csv", b"time,roof,field\n", f"pv_kw.csv: has no row. {GRID_CURE}"),
+    *((name, b"name,caf\xc3\xa9\nx,caf\xe9\n", f"{name}, {WRONG_BYTE}")
+        for name in ("lines.csv", "scenario.toml")),
+])  # fmt: skip
 def test_whole_files(tiny_folder: Path, file: str, content: bytes | None, message: str) -> None:
     if content is None:
         (tiny_folder / file).unlink()
@@ -329,20 +315,17 @@ def test_a_small_parquet_file_with_very_many_rows_is_refused_unread(tiny_folder:
 # --- numbers that no equipment has --------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("table", "field", "value", "message"),
-    [
-        ("batteries.csv", "energy_kwh", "1e308", "must be at most 1e+06"),
-        ("batteries.csv", "eta_charge", "1e-300", "must be at least 0.01"),
-        ("lines.csv", "r_ohm", "1e15", "must be at most 10000"),
-        ("lines.csv", "r_ohm", "1e-300", "must be at least 1e-07"),
-        ("customers.csv", "weight", "1e308", "must be at most 1e+06"),
-        ("customers.csv", "share_min", "1.25", "must be at most 1"),
-        ("pv.csv", "p_max_kw", "1e308", "must be at most 1e+06"),
-        ("load_kw.csv", "shop", "1e308", "must be at most 1e+06"),
-        ("system.csv", "price_gbp_per_kwh", "-1e308", "must be at least -10000"),
-    ],
-)
+@pytest.mark.parametrize(("table", "field", "value", "message"), [
+    ("batteries.csv", "energy_kwh", "1e308", "must be at most 1e+06"),
+    ("batteries.csv", "eta_charge", "1e-300", "must be at least 0.01"),
+    ("lines.csv", "r_ohm", "1e15", "must be at most 10000"),
+    ("lines.csv", "r_ohm", "1e-300", "must be at least 1e-07"),
+    ("customers.csv", "weight", "1e308", "must be at most 1e+06"),
+    ("customers.csv", "share_min", "1.25", "must be at most 1"),
+    ("pv.csv", "p_max_kw", "1e308", "must be at most 1e+06"),
+    ("load_kw.csv", "shop", "1e308", "must be at most 1e+06"),
+    ("system.csv", "price_gbp_per_kwh", "-1e308", "must be at least -10000"),
+])  # fmt: skip
 def test_numbers_that_no_equipment_has_are_refused(
     tiny_folder: Path, table: str, field: str, value: str, message: str
 ) -> None:
@@ -354,27 +337,16 @@ def test_numbers_that_no_equipment_has_are_refused(
     assert found[0].startswith(f"{table}, row 3, {field} = {value}: {message}. Give the ")
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (
-            {"load_kw": np.full((6, 3), 1e308)},
-            "load_kw, row 0, load_kw = 1e+308: must lie between 0 and 1e+06",
-        ),
-        (
-            {"price_gbp_per_kwh": np.full(6, np.nan)},
-            "system, row 0, price_gbp_per_kwh = nan: must lie between -10000 and 10000",
-        ),
-        (
-            {"title": "a\x1b[2J"},
-            "scenario, title = a\\x1b[2J: holds the character U+001B, which cannot be shown",
-        ),
-        (
-            {"customers": replace(tiny_scenario().customers, tier=["critcal", "high", "low"])},
-            "customers, tier = critcal: is not a tier of the scenario (hospital). Did you mean critical?",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("change", "message"), [
+    ({"load_kw": np.full((6, 3), 1e308)},
+        "load_kw, row 0, load_kw = 1e+308: must lie between 0 and 1e+06"),
+    ({"price_gbp_per_kwh": np.full(6, np.nan)},
+        "system, row 0, price_gbp_per_kwh = nan: must lie between -10000 and 10000"),
+    ({"title": "a\x1b[2J"},
+        "scenario, title = a\\x1b[2J: holds the character U+001B, which cannot be shown"),
+    ({"customers": replace(tiny_scenario().customers, tier=["critcal", "high", "low"])},
+        "customers, tier = critcal: is not a tier of the scenario (hospital). Did you mean critical?"),
+])  # fmt: skip
 def test_python_has_the_same_door_as_files(change: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError) as caught:
         check_scenario(replace(tiny_scenario(), **change))
@@ -407,37 +379,19 @@ def test_a_state_of_charge_outside_its_limits_is_refused_by_name(soc: float) -> 
 # --- names ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [
-        (
-            '"a\x1b[2J"',
-            "id = a\\x1b[2J: holds the character U+001B, which cannot be shown. "
-            "Write it with characters that can be seen.",
-        ),
-        (
-            '"a\nb"',
-            "id = a\\nb: holds the character U+000A, which cannot be shown. "
-            "Write it with characters that can be seen.",
-        ),
-        (
-            "a\x00",
-            "id = a\\x00: holds the character U+0000, which cannot be shown. "
-            "Write it with characters that can be seen.",
-        ),
-        (
-            "\u202eabc",
-            "id = \\u202eabc: holds the character U+202E, which cannot be shown. "
-            "Write it with characters that can be seen.",
-        ),
-        (
-            "=1+1",
-            "id = =1+1: begins with '='. Begin it with another character: spreadsheets take such "
-            "a cell for a formula.",
-        ),
-        ("x" * 101, f"id = {'x' * 60}...: is longer than 100 characters. Shorten it."),
-    ],
-)
+@pytest.mark.parametrize(("name", "message"), [
+    ('"a\x1b[2J"', "id = a\\x1b[2J: holds the character U+001B, which cannot be shown. "
+        "Write it with characters that can be seen."),
+    ('"a\nb"', "id = a\\nb: holds the character U+000A, which cannot be shown. "
+        "Write it with characters that can be seen."),
+    ("a\x00", "id = a\\x00: holds the character U+0000, which cannot be shown. "
+        "Write it with characters that can be seen."),
+    ("\u202eabc", "id = \\u202eabc: holds the character U+202E, which cannot be shown. "
+        "Write it with characters that can be seen."),
+    ("=1+1", "id = =1+1: begins with '='. Begin it with another character: spreadsheets take such "
+        "a cell for a formula."),
+    ("x" * 101, f"id = {'x' * 60}...: is longer than 100 characters. Shorten it."),
+])  # fmt: skip
 def test_names_that_cannot_be_shown_are_refused(tiny_folder: Path, name: str, message: str) -> None:
     edit(tiny_folder, "batteries.csv", "small,", f"{name},")
     assert messages(tiny_folder) == [f"batteries.csv, row {3 + name.count(chr(10))}, {message}"]
@@ -522,14 +476,11 @@ def test_what_is_read_of_mutated_folders_runs_to_the_end(tiny_folder: Path, nigh
 
 
 @pytest.mark.parametrize("file", ["lines.csv", "scenario.toml"])
-@pytest.mark.parametrize(
-    ("kind", "words"),
-    [
-        ("folder", "is a folder, not a file"),
-        ("pipe", "is a pipe or a device, not a file"),
-        ("link", "leads out of the scenario folder, and is not read"),
-    ],
-)
+@pytest.mark.parametrize(("kind", "words"), [
+    ("folder", "is a folder, not a file"),
+    ("pipe", "is a pipe or a device, not a file"),
+    ("link", "leads out of the scenario folder, and is not read"),
+])  # fmt: skip
 def test_what_is_no_file_of_the_folder_is_named(
     tiny_folder: Path, tmp_path_factory: pytest.TempPathFactory, file: str, kind: str, words: str
 ) -> None:

@@ -316,37 +316,18 @@ def test_an_unwritable_scenario_is_refused_before_anything_is_written(
 # --- digest -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"load_kw": np.full((6, 3), 1.0)},
-        {"name": "other"},
-        {"tiers": ("high", "critical", "low")},
-        {"grid": TimeGrid(pd.Timestamp("2022-07-19T11:00:00Z"), 60.0, 6)},
-        {"grid_limit_kw": np.full(6, np.inf)},
-        {"objective": ObjectiveWeights(lambda_q=1e-16)},
-        {
-            "network": Network(
-                np.array([1, 2, 2]),
-                np.array([2, 3, 4]),
-                np.array([0.3, 0.4, 0.5]),
-                np.array([0.2, 0.3, 0.4]),
-                slack_bus=1,
-                base_kv=11.0,
-                v_min_pu=0.95,
-            )
-        },
-        {
-            "customers": Customers(
-                ["hospital", "shop", "homes"],
-                ["2", "3", "4"],
-                ["critical", "high", "low"],
-                [1.0, 0.1, 0.02],
-                [0.95, 0.9, 0.98],
-            )
-        },
-    ],
-)
+@pytest.mark.parametrize("change", [
+    {"load_kw": np.full((6, 3), 1.0)},
+    {"name": "other"},
+    {"tiers": ("high", "critical", "low")},
+    {"grid": TimeGrid(pd.Timestamp("2022-07-19T11:00:00Z"), 60.0, 6)},
+    {"grid_limit_kw": np.full(6, np.inf)},
+    {"objective": ObjectiveWeights(lambda_q=1e-16)},
+    {"network": Network(np.array([1, 2, 2]), np.array([2, 3, 4]), np.array([0.3, 0.4, 0.5]),
+        np.array([0.2, 0.3, 0.4]), slack_bus=1, base_kv=11.0, v_min_pu=0.95)},
+    {"customers": Customers(["hospital", "shop", "homes"], ["2", "3", "4"],
+        ["critical", "high", "low"], [1.0, 0.1, 0.02], [0.95, 0.9, 0.98])},
+])  # fmt: skip
 def test_digest_sees_every_change(tiny: Scenario, change: dict[str, object]) -> None:
     assert scenario_digest(replace(tiny, **change)) != scenario_digest(tiny)
 
@@ -410,16 +391,13 @@ def test_the_example_of_the_page_is_read(tiny: Scenario, tiny_folder: Path) -> N
     assert_equal(read_scenario(tiny_folder), tiny)
 
 
-@pytest.mark.parametrize(
-    ("model", "frozen"),
-    [
-        (schema.CustomerRow, Customers),
-        (schema.PVRow, PVSystems),
-        (schema.BatteryRow, Batteries),
-        (schema.ObjectiveSection, ObjectiveWeights),
-        (schema.ControllerSection, ControllerDefaults),
-    ],
-)
+@pytest.mark.parametrize(("model", "frozen"), [
+    (schema.CustomerRow, Customers),
+    (schema.PVRow, PVSystems),
+    (schema.BatteryRow, Batteries),
+    (schema.ObjectiveSection, ObjectiveWeights),
+    (schema.ControllerSection, ControllerDefaults),
+])  # fmt: skip
 def test_the_table_has_the_attributes_of_the_data(model: type, frozen: type) -> None:
     assert set(model.model_fields) == {f.name for f in fields(frozen)}
 

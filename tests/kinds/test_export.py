@@ -24,7 +24,6 @@ from tests.support.small_windows import (
     window,
     with_pv,
 )
-from vppres.contract.export import Export
 from vppres.contract.forecast import ForecastErrors
 from vppres.control.converged import physics_of
 from vppres.core.errors import InputError
@@ -34,18 +33,20 @@ from vppres.day.simulate import run_day
 from vppres.explain.day import explain_day
 from vppres.io import find_scenario, read_scenario, scenario_digest, write_scenario
 from vppres.kinds.customer.physics import SwitchingState
+from vppres.kinds.export import data as words_of
+from vppres.kinds.export.physics import Export
+from vppres.kinds.export.plant import LIMIT_TOLERANCE_KW
+from vppres.kinds.export.rows import ExportToGrid
 from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
-from vppres.model.beyond_paper.export import ExportToGrid
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.model.statement import Statement
 from vppres.physics.powerflow import ACPowerFlow
 from vppres.plant.collapse import realise
-from vppres.plant.exporting import LIMIT_TOLERANCE_KW
 from vppres.plant.plant import Plant
 from vppres.report.plots.figures import import_load_pv
-from vppres.scenario.remarks import export_words, remarks
+from vppres.scenario.remarks import remarks
 from vppres.scenario.scenario import ObjectiveWeights, Scenario
 from vppres.solve.ladder import METHODS, WindowSolver
 from vppres.solve.result import WindowSolution
@@ -303,7 +304,7 @@ def test_every_controller_keeps_the_limit_at_the_meter(
     assert exported.max() <= 60.0 + LIMIT_TOLERANCE_KW
     assert exported[~out].min() > 55.0  # there is sun for it in every connected step
     assert (steps["fallback"] == "none").all()
-    assert not steps["corrected"].any()
+    assert not steps["correction_reason"].str.contains("grid").any()
     curtailed = run.pv["curtailed_kw"].to_numpy().reshape(len(steps), -1).sum(axis=1)
     charged = (run.batteries["charge_kw"] - run.batteries["discharge_kw"]).to_numpy()
     left = (
@@ -341,7 +342,7 @@ def test_the_report_and_the_reasons_name_the_limit(tiny: Scenario) -> None:
 
 def test_a_dear_export_is_said() -> None:
     day = exporting(two_buses([[10.0]] * 2, [1.0], [OPEN] * 2, [0.3, -0.1]), 50.0)
-    assert export_words(day) == "exports up to 50 kW"
+    assert words_of.words(day) == "exports up to 50 kW"
     (words,) = remarks(day)
     assert words.startswith(
         "In 1 of 2 steps export earns more than import costs. No plan does both"

@@ -71,23 +71,11 @@ def island(load_kw: list[float], sets: Gensets, steps_h: float = 1.0) -> Scenari
 
 
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize(
-    ("sets", "cost"),
-    [
-        (plants(20.0, 70.0, p_max_kw=[10e3, 1e3], p_min_kw=[3e3, 100.0]), 356_000.0),
-        (
-            plants(
-                20.0,
-                70.0,
-                p_max_kw=[10e3, 1e3],
-                p_min_kw=[1e3, 0.0],
-                start_cost_gbp=[3000.0, 1000.0],
-                on_before_h=[-9.0, 9.0],
-            ),
-            359_000.0,
-        ),
-    ],
-)
+@pytest.mark.parametrize(("sets", "cost"), [
+    (plants(20.0, 70.0, p_max_kw=[10e3, 1e3], p_min_kw=[3e3, 100.0]), 356_000.0),
+    (plants(20.0, 70.0, p_max_kw=[10e3, 1e3], p_min_kw=[1e3, 0.0], start_cost_gbp=[3000.0, 1000.0],
+        on_before_h=[-9.0, 9.0]), 359_000.0),
+])  # fmt: skip
 def test_unit_commitment_costs_what_is_published(method: str, sets: Gensets, cost: float) -> None:
     """Coal, coal, coal, gas."""
     answer = solved(island([4000.0, 6000.0, 5000.0, 800.0], sets), method)

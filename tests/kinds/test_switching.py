@@ -92,57 +92,38 @@ NEVER = float("inf")
 # Hand-solved windows.
 
 
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize(
-    ("hours", "expected"), [(0.0, [True, False, True]), (2.0, [True, False, False])]
-)
-def test_minimum_time_off_keeps_a_customer_off(
-    method: str, hours: float, expected: list[bool]
-) -> None:
-    # 21 kWh: the dear hour in the middle (100 kW) is left out, the third hour only if it may be.
-    day = island([[10.0], [100.0], [10.0]], [1.0], 21.0)
-    answer = solved(day, state_of(SwitchingRules(min_unserved_h=hours), [True], [NEVER]), method)
-    assert answer.dispatch.served[:, 0].tolist() == expected
+ONE_ACTION = SwitchingRules(max_actions_per_customer=1)
+ON, OFF = ([True], [NEVER], [0]), ([False], [5.0], [0])
 
 
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize(
-    ("rules", "expected"),
-    [
-        (SwitchingRules(), [True, False, True]),
-        (SwitchingRules(min_served_h=2.0), [False, False, True]),
-        (SwitchingRules(stay_restored=True), [False, False, True]),
-        (SwitchingRules(max_actions_per_customer=1), [False, False, True]),
-        (SwitchingRules(max_actions_per_customer=3), [True, False, True]),
-    ],
-)
-def test_restored_customer_is_not_dropped_at_once(
-    method: str, rules: SwitchingRules, expected: list[bool]
+@pytest.mark.parametrize(("last_kw", "rules", "before", "step", "expected"), [
+    # The third hour is supplied only if the customer may be on again.
+    (10.0, SwitchingRules(), ON, 0, [True, False, True]),
+    (10.0, SwitchingRules(min_unserved_h=2.0), ON, 0, [True, False, False]),
+    # Who may not be dropped in the middle is restored in the last hour only.
+    (9.0, SwitchingRules(), OFF, 0, [True, False, True]),
+    (9.0, SwitchingRules(min_served_h=2.0), OFF, 0, [False, False, True]),
+    (9.0, SwitchingRules(stay_restored=True), OFF, 0, [False, False, True]),
+    (9.0, ONE_ACTION, OFF, 0, [False, False, True]),
+    (9.0, SwitchingRules(max_actions_per_customer=3), OFF, 0, [True, False, True]),
+    # The limit holds for each day of a window.
+    (9.0, ONE_ACTION, ON, 0, [True, False, False]),  # one day: off is all that is left
+    (9.0, ONE_ACTION, ON, 22, [True, False, True]),  # midnight before the last hour
+    (9.0, ONE_ACTION, ([False], [NEVER], [1]), 22, [False, False, True]),  # today's is spent
+    (9.0, ONE_ACTION, ON, 23, [True, False, False]),  # midnight before the middle: one day for both
+])  # fmt: skip
+def test_rules_say_who_is_on_of_three_hours(
+    method: str,
+    last_kw: float,
+    rules: SwitchingRules,
+    before: tuple[list[bool], list[float], list[int]],
+    step: int,
+    expected: list[bool],
 ) -> None:
-    # Off before the window. There is energy for the first and the last hour, but not for the
-    # middle: who may not be dropped in the middle is restored in the last hour only.
-    day = island([[10.0], [100.0], [9.0]], [1.0], 21.0)
-    answer = solved(day, state_of(rules, [False], [5.0], [0]), method)
-    assert answer.dispatch.served[:, 0].tolist() == expected
-
-
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize(
-    ("step", "spent", "expected"),
-    [
-        (0, 0, [True, False, False]),  # one day: off is all that is left
-        (22, 0, [True, False, True]),  # midnight before the last hour: off today, on tomorrow
-        (22, 1, [False, False, True]),  # all of today is spent, and everybody was off
-        (23, 0, [True, False, False]),  # midnight before the middle: both fall into one day
-    ],
-)
-def test_limit_of_actions_holds_for_each_day_of_a_window(
-    method: str, step: int, spent: int, expected: list[bool]
-) -> None:
-    day = island([[10.0], [100.0], [9.0]], [1.0], 21.0)
-    rules = SwitchingRules(max_actions_per_customer=1)
-    state = replace(state_of(rules, [spent == 0], [NEVER], [spent]), step=step)
-    answer = solved(day, state, method)
+    """21 kWh carry the first and the last hour, but not the one of 100 kW in the middle."""
+    day = island([[10.0], [100.0], [last_kw]], [1.0], 21.0)
+    answer = solved(day, replace(state_of(rules, *before), step=step), method)
     assert answer.dispatch.served[:, 0].tolist() == expected
 
 
@@ -261,19 +242,16 @@ def seen(day: Scenario, state: SwitchingState) -> Observation:
     return Observation(0, forecast, b.soc_initial, b.eta_charge, b.eta_discharge, switching=state)
 
 
-@pytest.mark.parametrize(
-    ("rules", "idle"),
-    [
-        (SwitchingRules(min_served_h=1.0, min_unserved_h=0.3), True),
-        (SwitchingRules(max_actions_per_customer=3), True),
-        (SwitchingRules(max_actions_per_customer=2), False),
-        (SwitchingRules(min_served_h=1.1), False),
-        (SwitchingRules(min_unserved_h=1.1), False),
-        (SwitchingRules(price_per_action=0.01), False),
-        (SwitchingRules(cold_load_factor=1.5), False),
-        (SwitchingRules(stay_restored=True), False),
-    ],
-)
+@pytest.mark.parametrize(("rules", "idle"), [
+    (SwitchingRules(min_served_h=1.0, min_unserved_h=0.3), True),
+    (SwitchingRules(max_actions_per_customer=3), True),
+    (SwitchingRules(max_actions_per_customer=2), False),
+    (SwitchingRules(min_served_h=1.1), False),
+    (SwitchingRules(min_unserved_h=1.1), False),
+    (SwitchingRules(price_per_action=0.01), False),
+    (SwitchingRules(cold_load_factor=1.5), False),
+    (SwitchingRules(stay_restored=True), False),
+])  # fmt: skip
 def test_rules_that_say_nothing_in_a_window_do_not_join_its_steps(
     rules: SwitchingRules, idle: bool
 ) -> None:
@@ -395,13 +373,10 @@ def packaged() -> Scenario:
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize(
-    ("controller", "rules"),
-    [
-        ("mpc", SwitchingRules(min_served_h=2.0, min_unserved_h=2.0)),
-        ("full-horizon", SwitchingRules(min_unserved_h=3.0, stay_restored=True)),
-    ],
-)
+@pytest.mark.parametrize(("controller", "rules"), [
+    ("mpc", SwitchingRules(min_served_h=2.0, min_unserved_h=2.0)),
+    ("full-horizon", SwitchingRules(min_unserved_h=3.0, stay_restored=True)),
+])  # fmt: skip
 def test_real_day_obeys_the_rules(
     packaged: Scenario, nightly: bool, controller: str, rules: SwitchingRules
 ) -> None:

@@ -234,23 +234,14 @@ def test_a_service_says_the_limit_of_a_charger(tiny: Scenario, tmp_path: Path) -
 
 SAID: dict[str, list[dict[str, float]]] = {
     # Of each hour: whether it is plugged in, what it needs, and in how many hours of the first it leaves.
-    "departure passed": [{"plugged": 1, "need": 20, "leaves": 1}]
-    + [{"plugged": 1, "leaves": 1}] * 3,
+    "departure passed": [{"plugged": 1, "need": 20, "leaves": 1}] + [{"plugged": 1, "leaves": 1}] * 3,
     "departure never said": [{"plugged": 1, "need": 20}] + [{"plugged": 1}] * 3,
     "said once": [{"plugged": 1, "need": 20, "leaves": 4}, {}, {}, {}],
     "need said once": [{"plugged": 1, "need": 20, "leaves": 4}] + [{"plugged": 1}] * 3,
-    "departure moved": [{"plugged": 1, "need": 20, "leaves": 4}, {"leaves": 2}]
-    + [{"plugged": 1}] * 2,
-    "departure put off": [
-        {"plugged": 1, "need": 20, "leaves": 1},
-        {"plugged": 1, "leaves": 4},
-        {},
-        {},
-    ],
-    "need said again": [
-        {"plugged": 1, "need": need, "leaves": 1} for need in (20, 13.192, 6.384, 0.0)
-    ],
-}
+    "departure moved": [{"plugged": 1, "need": 20, "leaves": 4}, {"leaves": 2}] + [{"plugged": 1}] * 2,
+    "departure put off": [{"plugged": 1, "need": 20, "leaves": 1}, {"plugged": 1, "leaves": 4}, {}, {}],
+    "need said again": [{"plugged": 1, "need": need, "leaves": 1} for need in (20, 13.192, 6.384, 0.0)],
+}  # fmt: skip
 
 
 QUANTITIES = {"plugged": "plugged", "need": "energy_needed_kwh", "leaves": "departure"}

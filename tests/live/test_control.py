@@ -393,16 +393,13 @@ def test_time_may_be_text_and_never_goes_back(tiny: Scenario) -> None:
     ]
 
 
-@pytest.mark.parametrize(
-    ("given", "text"),
-    [
-        ({"gap_rel": 0.0}, "gap_rel = 0.0"),
-        ({"gap_abs": float("nan")}, "gap_abs = nan"),
-        ({"time_s": float("inf")}, "time_s = inf"),
-        ({"time_s": "long"}, "time_s = long"),
-        ({"time_s": True}, "time_s = True"),
-    ],
-)
+@pytest.mark.parametrize(("given", "text"), [
+    ({"gap_rel": 0.0}, "gap_rel = 0.0"),
+    ({"gap_abs": float("nan")}, "gap_abs = nan"),
+    ({"time_s": float("inf")}, "time_s = inf"),
+    ({"time_s": "long"}, "time_s = long"),
+    ({"time_s": True}, "time_s = True"),
+])  # fmt: skip
 def test_limits_of_a_solve_are_checked(given: dict[str, Any], text: str) -> None:
     with pytest.raises(
         InputError, match=f"^options, limits.{text}: must be positive. Give a number above 0.$"

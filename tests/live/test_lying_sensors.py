@@ -28,16 +28,13 @@ def told(street: Place, *named: str) -> list[Lie]:
     return [one for one in lies_of(street.site) if str(one) in named]
 
 
-@pytest.mark.parametrize(
-    "named",
-    [
-        ("grid_on of grid: lost",),
-        ("grid_on of grid: lost once",),
-        ("load_kw of H1: nine times",),
-        ("load_kw of all: nine times", "import_kw of grid: in W"),
-        ("load_kw of H1: in W", "import_kw of grid: in W"),
-    ],
-)
+@pytest.mark.parametrize("named", [
+    ("grid_on of grid: lost",),
+    ("grid_on of grid: lost once",),
+    ("load_kw of H1: nine times",),
+    ("load_kw of all: nine times", "import_kw of grid: in W"),
+    ("load_kw of H1: in W", "import_kw of grid: in W"),
+])  # fmt: skip
 def test_nobody_of_the_first_tier_is_off_for_a_lie(street: Place, named: tuple[str, ...]) -> None:
     lies = told(street, *named)
     assert len(lies) == len(named)

@@ -45,14 +45,11 @@ def played(controller: Controller, pieces: list[Scenario], ahead: int) -> Iterat
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize(
-    ("options", "piece"),
-    [
-        ({"horizon_h": 3.0}, 5),
-        pytest.param({"horizon_h": 2.0, "mode": "physical"}, 12, marks=pytest.mark.nightly),
-        ({"controller": "reserve"}, 9),
-    ],
-)
+@pytest.mark.parametrize(("options", "piece"), [
+    ({"horizon_h": 3.0}, 5),
+    pytest.param({"horizon_h": 2.0, "mode": "physical"}, 12, marks=pytest.mark.nightly),
+    ({"controller": "reserve"}, 9),
+])  # fmt: skip
 def test_fed_in_pieces_it_decides_as_one_that_knew_everything(
     tiny: Scenario, options: dict[str, Any], piece: int
 ) -> None:
@@ -170,19 +167,16 @@ def wrong(feed: Feed, name: str) -> Feed | Scenario | None:
     return None
 
 
-@pytest.mark.parametrize(
-    ("name", "text"),
-    [
-        ("gap", "feed, load_kw = 2025-07-02 01:00:00+00:00: leaves a gap: what is known ends at"),
-        ("hole", "feed, load_kw = 2025-07-02 02:00:00+00:00: has no value for a step."),
-        ("column", "feed, load_kw = home: is not in the scenario. Did you mean homes?"),
-        ("left out", "feed, pv_kw of roof: is missing. Give every identifier a column."),
-        ("negative", "feed, load_kw of hospital = -"),
-        ("naive", "feed, load_kw: has no row with a time and a time zone."),
-        ("half", "feed, price_gbp_per_kwh = 2025-07-02 00:30:00+00:00: is not the beginning"),
-        ("nothing", "feed, more = NoneType: is neither a Scenario nor a Feed"),
-    ],
-)
+@pytest.mark.parametrize(("name", "text"), [
+    ("gap", "feed, load_kw = 2025-07-02 01:00:00+00:00: leaves a gap: what is known ends at"),
+    ("hole", "feed, load_kw = 2025-07-02 02:00:00+00:00: has no value for a step."),
+    ("column", "feed, load_kw = home: is not in the scenario. Did you mean homes?"),
+    ("left out", "feed, pv_kw of roof: is missing. Give every identifier a column."),
+    ("negative", "feed, load_kw of hospital = -"),
+    ("naive", "feed, load_kw: has no row with a time and a time zone."),
+    ("half", "feed, price_gbp_per_kwh = 2025-07-02 00:30:00+00:00: is not the beginning"),
+    ("nothing", "feed, more = NoneType: is neither a Scenario nor a Feed"),
+])  # fmt: skip
 def test_what_does_not_fit_is_refused_by_name_and_changes_nothing(
     tiny: Scenario, name: str, text: str
 ) -> None:

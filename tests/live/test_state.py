@@ -78,21 +78,15 @@ def played(day: Scenario, options: RunOptions, relay: bool) -> Iterator[SetPoint
 
 
 @pytest.mark.daily
-@pytest.mark.parametrize(
-    "options",
-    [
-        RunOptions(horizon_h=1.0, switching=RULES, protect_critical=True),
-        pytest.param(
-            RunOptions(horizon_h=1.0, mode="physical", switching=COLD, soc_end=0.5),
-            marks=pytest.mark.nightly,
-        ),
-        pytest.param(RunOptions(horizon_h=1.0, forecaster="seasonal"), marks=pytest.mark.nightly),
-        pytest.param(RunOptions("full-horizon", mode="physical"), marks=pytest.mark.nightly),
-        pytest.param(RunOptions("reserve"), marks=pytest.mark.nightly),
-        RunOptions(outages="belief"),
-    ],
-    ids=["rules", "physical", "seasonal", "full", "reserve", "belief"],
-)
+@pytest.mark.parametrize("options", [
+    RunOptions(horizon_h=1.0, switching=RULES, protect_critical=True),
+    pytest.param(RunOptions(horizon_h=1.0, mode="physical", switching=COLD, soc_end=0.5),
+        marks=pytest.mark.nightly),
+    pytest.param(RunOptions(horizon_h=1.0, forecaster="seasonal"), marks=pytest.mark.nightly),
+    pytest.param(RunOptions("full-horizon", mode="physical"), marks=pytest.mark.nightly),
+    pytest.param(RunOptions("reserve"), marks=pytest.mark.nightly),
+    RunOptions(outages="belief"),
+], ids=["rules", "physical", "seasonal", "full", "reserve", "belief"])  # fmt: skip
 def test_a_relay_of_controllers_decides_as_one(tiny: Scenario, options: RunOptions) -> None:
     """Every step by a controller that knows of the ones before only what a file held."""
     day = stormy(tiny, 10 if options.controller == "mpc" else 8)
@@ -228,15 +222,12 @@ def test_what_was_fed_and_forgotten_goes_along(tiny: Scenario) -> None:
     )
 
 
-@pytest.mark.parametrize(
-    ("change", "text"),
-    [
-        ({"version": 99}, "state, version = 99: has another layout than this version's, 4. Go on"),
-        ({"kind": "a poem"}, "state: is not the state of a controller."),
-        ({"site": "0" * 64}, "state: is damaged: it is not as it was written."),
-        (None, "state: is not the state of a controller."),
-    ],
-)
+@pytest.mark.parametrize(("change", "text"), [
+    ({"version": 99}, "state, version = 99: has another layout than this version's, 4. Go on"),
+    ({"kind": "a poem"}, "state: is not the state of a controller."),
+    ({"site": "0" * 64}, "state: is damaged: it is not as it was written."),
+    (None, "state: is not the state of a controller."),
+])  # fmt: skip
 def test_what_is_no_state_is_refused(tiny: Scenario, change: Any, text: str) -> None:
     options = RunOptions(horizon_h=0.0, isolate=False)
     state = Controller.of(tiny, options).state()

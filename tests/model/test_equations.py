@@ -73,10 +73,8 @@ MISSED = {
     "battery_discharge_mode": [[0, 4 - 20], [12 - 40, 1]],
     # 0.5 h; 100 and 50 kWh; efficiencies 0.9 and 0.8, 0.5 and 0.8
     "battery_soc_start": [0.5 - 0.45, 0.4 - 0.35],
-    "battery_soc_dynamics": [
-        [0.6 - 0.5 - 0.005 * 0.9 * 10, 0.3 - 0.4 + 0.01 * 4 / 0.8],
-        [0.2 - 0.6 + 0.005 * 12 / 0.5, 0.7 - 0.3 - 0.01 * (0.8 * 6 - 1 / 0.8)],
-    ],
+    "battery_soc_dynamics": [[0.6 - 0.5 - 0.005 * 0.9 * 10, 0.3 - 0.4 + 0.01 * 4 / 0.8],
+        [0.2 - 0.6 + 0.005 * 12 / 0.5, 0.7 - 0.3 - 0.01 * (0.8 * 6 - 1 / 0.8)]],
     "battery_soc_min": [[0.1 - 0.6, 0.2 - 0.3], [0.1 - 0.2, 0.2 - 0.7]],
     "battery_soc_max": [[0.6 - 0.9, 0.3 - 0.8], [0.2 - 0.9, 0.7 - 0.8]],
     # (10, 24), (4, 3), (12, 5), (5, 12) have the lengths 26, 5, 13, 13
@@ -89,34 +87,25 @@ MISSED = {
     # (20, 21), (5, 12), (28, 21), (9, 12) have the lengths 29, 13, 35, 15
     "pv_inverter_capacity": [[29 - 105, 13 - 60], [35 - 105, 15 - 60]],
     # export - battery + inflow - outflow - (demand - self-consumption), import at the first bus
-    "active_power_balance": [
-        [5 - 20, 2 - 10 + 20 - 15 - (40 - 3), 13 + 4 + 15 - (0 - 7)],
-        [8 + 25, 4 + 12 - 25 - 30 - (80 - 5), 17 - 5 + 30 - (90 - 11)],
-    ],
+    "active_power_balance": [[5 - 20, 2 - 10 + 20 - 15 - (40 - 3), 13 + 4 + 15 - (0 - 7)],
+        [8 + 25, 4 + 12 - 25 - 30 - (80 - 5), 17 - 5 + 30 - (90 - 11)]],
     # PV + battery + inflow - outflow - demand: 0.75 and 4/3 kvar for each kW
-    "reactive_power_balance": [
-        [-6 - 12, -12 + 24 + 12 + 9 - 30, 21 - 3 - 9 - 0],
-        [9 - 8, 12 + 5 + 8 - 6 - 60, -21 + 12 + 6 - 120],
-    ],
+    "reactive_power_balance": [[-6 - 12, -12 + 24 + 12 + 9 - 30, 21 - 3 - 9 - 0],
+        [9 - 8, 12 + 5 + 8 - 6 - 60, -21 + 12 + 6 - 120]],
     # no grid, then 100 kW; reactive power up to demand and ratings: 60 + 120 + 75 + 165 kvar
     "grid_active_limit": [5 - 0, 8 - 100],
     "grid_reactive_max": [-6 - 0, 9 - 420],
     "grid_reactive_min": [-0 + 6, -420 - 9],
     "voltage_min": [[0.81 - 0.98, 0.81 - 0.95], [0.81 - 0.99, 0.81 - 1.01]],
     "voltage_max": [[0.98 - 1.21, 0.95 - 1.21], [0.99 - 1.21, 1.01 - 1.21]],
-    "voltage_slack": [1.05 - 1.0816, 1.02 - 1.0816],  # 1.04 pu
+    "voltage_slack": [1.05 - 1.0816, 1.02 - 1.0816],
+    # 1.04 pu
     # u_j - u_i + 2 (r P + x Q) - offset
-    "delta_lindistflow": [
-        [
-            0.98 - 1.05 + 0.002 * (0.1 * 20 + 0.2 * 12) - 0.001,
-            0.95 - 0.98 + 0.002 * (0.3 * 15 - 0.4 * 9) - 0.002,
-        ],
-        [
-            0.99 - 1.02 + 0.002 * (-0.1 * 25 + 0.2 * 8) - 0.003,
-            1.01 - 0.99 + 0.002 * (0.3 * 30 + 0.4 * 6) - 0.004,
-        ],
-    ],
-}
+    "delta_lindistflow": [[0.98 - 1.05 + 0.002 * (0.1 * 20 + 0.2 * 12) - 0.001,
+        0.95 - 0.98 + 0.002 * (0.3 * 15 - 0.4 * 9) - 0.002], [
+        0.99 - 1.02 + 0.002 * (-0.1 * 25 + 0.2 * 8) - 0.003,
+        1.01 - 0.99 + 0.002 * (0.3 * 30 + 0.4 * 6) - 0.004]],
+}  # fmt: skip
 """Left-hand side less right-hand side of each equation, of each inequality what is above zero where
 it is violated."""
 EQUALITIES = {
@@ -291,20 +280,13 @@ def test_signs_of_the_variables_are_the_papers(paper: PaperProblem) -> None:
     }
 
 
-@pytest.mark.parametrize(
-    ("centre", "expected"),
-    [
-        (
-            "lossless",
-            [0.81 - 1.0 + 0.002 * (0.1 * 20 + 0.2 * 3), 0.64 - 0.81 + 0.002 * (0.3 * 15 - 0.4 * 9)],
-        ),
-        (
-            "literal",
-            [0.81 - 1.0 + 0.002 * (0.1 * 22 + 0.2 * 5), 0.64 - 0.81 + 0.002 * (0.3 * 16 - 0.4 * 8)],
-        ),
-        ("none", [0.0, 0.0]),
-    ],
-)
+@pytest.mark.parametrize(("centre", "expected"), [
+    ("lossless",
+        [0.81 - 1.0 + 0.002 * (0.1 * 20 + 0.2 * 3), 0.64 - 0.81 + 0.002 * (0.3 * 15 - 0.4 * 9)]),
+    ("literal",
+        [0.81 - 1.0 + 0.002 * (0.1 * 22 + 0.2 * 5), 0.64 - 0.81 + 0.002 * (0.3 * 16 - 0.4 * 8)]),
+    ("none", [0.0, 0.0]),
+])  # fmt: skip
 def test_offset_of_the_last_ac_point(site: Site, centre: Any, expected: list[float]) -> None:
     # Buses 2 and 3 take 5 and 15 kW, and 12 and -9 kvar: 20 and 15 kW flow without losses.
     point = OperatingPoint(

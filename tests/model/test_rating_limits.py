@@ -99,16 +99,13 @@ def test_ratings_give_way_by_a_share_of_what_is_beyond_them() -> None:
         assert given == pytest.approx(np.array([[4.995 + share * (32.0 - 4.995), 99.9]]), rel=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("outages", "priority", "sets"),
-    [
-        ("known", "weights", True),
-        ("known", "strict", True),
-        ("belief", "weights", False),
-        ("belief", "strict", False),
-        ("belief", "strict", True),
-    ],
-)
+@pytest.mark.parametrize(("outages", "priority", "sets"), [
+    ("known", "weights", True),
+    ("known", "strict", True),
+    ("belief", "weights", False),
+    ("belief", "strict", False),
+    ("belief", "strict", True),
+])  # fmt: skip
 def test_ratings_limit_plans_by_belief_and_with_generating_sets(
     outages: str, priority: str, sets: bool
 ) -> None:

@@ -66,21 +66,17 @@ def test_digest_is_the_same_in_another_process() -> None:
     assert printed.strip() == Job().digest()
 
 
-@pytest.mark.parametrize(
-    "changed",
-    [
-        Job(day=Day(seed=1)),
-        Job(day=Day(critical_share=0.34)),
-        Job(day=Day(price="A")),
-        Job(day=Day(outage_steps=7)),
-        Job(day=Day(zone_pairing=(0, 1, 2, 3))),
-        Job(options=RunOptions(horizon_h=4.0)),
-        Job(options=RunOptions(seed=1)),
-        Job(options=RunOptions(errors=ForecastErrors(pv_bias=0.1))),
-        Job(options=RunOptions(thermal="exact")),
-    ],
-    ids=lambda job: job.text(),
-)
+@pytest.mark.parametrize("changed", [
+    Job(day=Day(seed=1)),
+    Job(day=Day(critical_share=0.34)),
+    Job(day=Day(price="A")),
+    Job(day=Day(outage_steps=7)),
+    Job(day=Day(zone_pairing=(0, 1, 2, 3))),
+    Job(options=RunOptions(horizon_h=4.0)),
+    Job(options=RunOptions(seed=1)),
+    Job(options=RunOptions(errors=ForecastErrors(pv_bias=0.1))),
+    Job(options=RunOptions(thermal="exact")),
+], ids=lambda job: job.text())  # fmt: skip
 def test_digest_tells_inputs_apart(changed: Job) -> None:
     assert changed.digest() != Job().digest()
 
@@ -178,17 +174,14 @@ def test_every_number_of_the_paper_has_a_statement() -> None:
     assert numbers == set(range(1, 25))
 
 
-@pytest.mark.parametrize(
-    ("ours", "difference", "holds"),
-    [
-        (0.91, 0.0, True),
-        (0.90, 0.0, True),
-        (0.89, -0.01, True),
-        (0.93, 0.01, True),
-        (0.889, -0.011, False),
-        (0.931, 0.011, False),
-    ],
-)
+@pytest.mark.parametrize(("ours", "difference", "holds"), [
+    (0.91, 0.0, True),
+    (0.90, 0.0, True),
+    (0.89, -0.01, True),
+    (0.93, 0.01, True),
+    (0.889, -0.011, False),
+    (0.931, 0.011, False),
+])  # fmt: skip
 def test_difference_is_the_distance_to_the_range(
     ours: float, difference: float, holds: bool
 ) -> None:

@@ -402,16 +402,13 @@ def test_presets_say_where_they_come_from() -> None:
     assert own.probability == 0.4
 
 
-@pytest.mark.parametrize(
-    ("told", "message"),
-    [
-        ({"onset_likely": 0, "onset_earliest": 1}, "comes before"),
-        ({"onset_latest": 1}, "onset_likely.*is missing"),
-        ({"probability": 1.2}, "must lie between 0 and 1"),
-        ({"duration_p50_h": 0.0}, "must be above 0"),
-        ({"duration_p50_h": 3.0, "duration_p90_h": 2.0}, "is below duration_p50_h"),
-    ],
-)
+@pytest.mark.parametrize(("told", "message"), [
+    ({"onset_likely": 0, "onset_earliest": 1}, "comes before"),
+    ({"onset_latest": 1}, "onset_likely.*is missing"),
+    ({"probability": 1.2}, "must lie between 0 and 1"),
+    ({"duration_p50_h": 0.0}, "must be above 0"),
+    ({"duration_p50_h": 3.0, "duration_p90_h": 2.0}, "is below duration_p50_h"),
+])  # fmt: skip
 def test_contradictions_are_refused(told: dict[str, float], message: str) -> None:
     with pytest.raises(InputError, match=message):
         warned(-5, **told)

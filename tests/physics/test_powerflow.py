@@ -91,14 +91,11 @@ def two_bus(v_slack_pu: float = 1.0) -> ACPowerFlow:
     )
 
 
-@pytest.mark.parametrize(
-    ("case", "load_kw", "load_kvar", "losses_kw", "v_min_pu"),
-    [
-        pytest.param(case33, 3715.0, 2300.0, 202.677, 0.91309, id="33 buses"),
-        pytest.param(reconfigured, 3715.0, 2300.0, 139.551, 0.93782, id="33 reconfigured"),
-        pytest.param(case69, 3802.1, 2694.7, 224.99, 0.90919, id="69 buses"),
-    ],
-)
+@pytest.mark.parametrize(("case", "load_kw", "load_kvar", "losses_kw", "v_min_pu"), [
+    pytest.param(case33, 3715.0, 2300.0, 202.677, 0.91309, id="33 buses"),
+    pytest.param(reconfigured, 3715.0, 2300.0, 139.551, 0.93782, id="33 reconfigured"),
+    pytest.param(case69, 3802.1, 2694.7, 224.99, 0.90919, id="69 buses"),
+])  # fmt: skip
 def test_published_feeders(
     case: Callable[[], Case], load_kw: float, load_kvar: float, losses_kw: float, v_min_pu: float
 ) -> None:
@@ -200,14 +197,11 @@ def _opendss(network: Network, p_kw: Floats, q_kvar: Floats) -> tuple[Floats, fl
     return np.array([by_name[bus] for bus in network.buses]), dss.Circuit.Losses()[0] / 1e3
 
 
-@pytest.mark.parametrize(
-    "case",
-    [
-        pytest.param(case33, id="33 buses"),
-        pytest.param(reconfigured, id="33 reconfigured"),
-        pytest.param(case69, id="69 buses"),
-    ],
-)
+@pytest.mark.parametrize("case", [
+    pytest.param(case33, id="33 buses"),
+    pytest.param(reconfigured, id="33 reconfigured"),
+    pytest.param(case69, id="69 buses"),
+])  # fmt: skip
 @pytest.mark.parametrize(
     ("lowest", "highest"), [(1.0, 1.0), (0.5, 0.5), (1.2, 1.2), (-1.5, 1.5), (-1.2, -0.8)]
 )
@@ -257,15 +251,12 @@ def with_shunts() -> Case:
     return replace(network, q_shunt_kvar=shunts_kvar), p_kw, q_kvar
 
 
-@pytest.mark.parametrize(
-    ("case", "reference"),
-    [
-        (case33, 0),
-        (with_shunts, 20),
-        pytest.param(case33, 20, marks=pytest.mark.nightly),
-        pytest.param(with_shunts, 0, marks=pytest.mark.nightly),
-    ],
-)
+@pytest.mark.parametrize(("case", "reference"), [
+    (case33, 0),
+    (with_shunts, 20),
+    pytest.param(case33, 20, marks=pytest.mark.nightly),
+    pytest.param(with_shunts, 0, marks=pytest.mark.nightly),
+])  # fmt: skip
 def test_answers_are_pandapower_s_to_the_last_bit(case: Callable[[], Case], reference: int) -> None:
     network, p_kw, q_kvar = case()
     flow = ACPowerFlow(network)
@@ -325,17 +316,14 @@ def with_transformers(n_buses: int, seed: int) -> Network:
     )
 
 
-@pytest.mark.parametrize(
-    "make_network",
-    [
-        pytest.param(lambda: reconfigured()[0], id="33 reconfigured"),
-        pytest.param(lambda: with_shunts()[0], id="69 with shunts"),
-        pytest.param(lambda: with_transformers(12, 0), id="12 with transformers"),
-        pytest.param(lambda: with_transformers(150, 1), id="150 with transformers"),
-        pytest.param(lambda: load_scenario("uk-heatwave-2022").network, id="packaged, 33 buses"),
-        pytest.param(lambda: load_scenario("two-outages-cigre-mv").network, id="packaged, CIGRE"),
-    ],
-)
+@pytest.mark.parametrize("make_network", [
+    pytest.param(lambda: reconfigured()[0], id="33 reconfigured"),
+    pytest.param(lambda: with_shunts()[0], id="69 with shunts"),
+    pytest.param(lambda: with_transformers(12, 0), id="12 with transformers"),
+    pytest.param(lambda: with_transformers(150, 1), id="150 with transformers"),
+    pytest.param(lambda: load_scenario("uk-heatwave-2022").network, id="packaged, 33 buses"),
+    pytest.param(lambda: load_scenario("two-outages-cigre-mv").network, id="packaged, CIGRE"),
+])  # fmt: skip
 def test_admittances_are_pandapower_s_to_the_last_bit(
     make_network: Callable[[], Network],
 ) -> None:
@@ -523,21 +511,13 @@ def test_results_are_read_only() -> None:
         result.v_pu[0] = 0.0
 
 
-@pytest.mark.parametrize(
-    ("p_kw", "message"),
-    [
-        (
-            [0.0, -1.0, -1.0],
-            "power flow, p_kw = (3,): has the wrong shape. Give one injection for each "
-            "of the 2 buses.",
-        ),
-        (
-            [0.0, np.nan],
-            "power flow, p_kw = nan: is not a finite number. Correct the load, PV or "
-            "battery power at bus end.",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("p_kw", "message"), [
+    ([0.0, -1.0, -1.0],
+        "power flow, p_kw = (3,): has the wrong shape. Give one injection for each "
+        "of the 2 buses."),
+    ([0.0, np.nan], "power flow, p_kw = nan: is not a finite number. Correct the load, PV or "
+        "battery power at bus end."),
+])  # fmt: skip
 def test_wrong_injections_are_named(p_kw: list[float], message: str) -> None:
     with pytest.raises(InputError) as caught:
         two_bus().solve(p_kw, [0.0, 0.0])

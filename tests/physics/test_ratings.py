@@ -55,14 +55,11 @@ def test_ratings_follow_their_lines_when_these_are_sorted() -> None:
     assert net.i_max_a.tolist() == [20.0, 30.0]
 
 
-@pytest.mark.parametrize(
-    ("i_max_a", "message"),
-    [
-        ([10.0, 0.0, 1.0], "lines, row 1, i_max_a = 0.0: must be positive"),
-        ([10.0, np.nan, 1.0], "must be positive. Give the thermal rating in A"),
-        ([10.0], "must have one value for each of the 3 lines"),
-    ],
-)
+@pytest.mark.parametrize(("i_max_a", "message"), [
+    ([10.0, 0.0, 1.0], "lines, row 1, i_max_a = 0.0: must be positive"),
+    ([10.0, np.nan, 1.0], "must be positive. Give the thermal rating in A"),
+    ([10.0], "must have one value for each of the 3 lines"),
+])  # fmt: skip
 def test_a_wrong_rating_is_refused(i_max_a: list[float], message: str) -> None:
     with pytest.raises(InputError) as caught:
         Network(
@@ -108,13 +105,10 @@ def test_a_dead_line_carries_no_current() -> None:
     assert (metrics.line_current_a(run) == 0.0).all()
 
 
-@pytest.mark.parametrize(
-    "source",
-    [
-        networks.create_cigre_network_mv,
-        pytest.param(networks.simple_mv_open_ring_net, marks=pytest.mark.nightly),
-    ],
-)
+@pytest.mark.parametrize("source", [
+    networks.create_cigre_network_mv,
+    pytest.param(networks.simple_mv_open_ring_net, marks=pytest.mark.nightly),
+])  # fmt: skip
 def test_loading_is_pandapower_s(source: Callable[[], Any]) -> None:
     """Line by line; charging, which the feeder leaves out, is taken from the source too."""
     net = source()

@@ -106,14 +106,11 @@ def injections(net: Network) -> tuple[np.ndarray, np.ndarray]:
     return p, q
 
 
-@pytest.mark.parametrize(
-    ("turned", "slack"),
-    [
-        (False, "d"),
-        (True, "a"),
-        *(pytest.param(*case, marks=pytest.mark.nightly) for case in [(False, "a"), (True, "d")]),
-    ],
-)
+@pytest.mark.parametrize(("turned", "slack"), [
+    (False, "d"),
+    (True, "a"),
+    *(pytest.param(*case, marks=pytest.mark.nightly) for case in [(False, "a"), (True, "d")]),
+])  # fmt: skip
 def test_the_power_flow_is_that_of_pandapower(turned: bool, slack: str) -> None:
     net = tapped(turned)
     source = source_net(slack)
@@ -168,15 +165,12 @@ def test_a_network_without_ratios_has_the_arithmetic_it_had() -> None:
     assert (net.referred_r_ohm == net.r_ohm).all()
 
 
-@pytest.mark.parametrize(
-    ("wrong", "words"),
-    [
-        ({"ratio": [0.0]}, "row 0, ratio = 0.0: must be positive"),
-        ({"ratio": [1.0, 1.0]}, "one value for each of the 1 lines"),
-        ({"drawing_bus": [2], "p_fixed_kw": [1.0, 2.0]}, "for each of the 1 buses"),
-        ({"drawing_bus": [7], "p_fixed_kw": [1.0]}, "bus = 7: is not a bus of the network"),
-    ],
-)
+@pytest.mark.parametrize(("wrong", "words"), [
+    ({"ratio": [0.0]}, "row 0, ratio = 0.0: must be positive"),
+    ({"ratio": [1.0, 1.0]}, "one value for each of the 1 lines"),
+    ({"drawing_bus": [2], "p_fixed_kw": [1.0, 2.0]}, "for each of the 1 buses"),
+    ({"drawing_bus": [7], "p_fixed_kw": [1.0]}, "bus = 7: is not a bus of the network"),
+])  # fmt: skip
 def test_what_no_network_has_is_named(wrong: dict[str, list[float]], words: str) -> None:
     with pytest.raises(InputError, match=words):
         Network([1], [2], [0.1], [0.1], slack_bus=1, base_kv=11.0, **wrong)

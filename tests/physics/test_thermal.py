@@ -57,16 +57,13 @@ def power(charge_kw: float, discharge_kw: float, n: int = 1) -> Power:
 # Resistance and heat
 
 
-@pytest.mark.parametrize(
-    ("t_cell_c", "expected_ohm"),
-    [
-        (25.0, 0.0035),
-        (15.0, 0.0035 * 1.03),
-        (125.0, 0.0035 * 0.7),
-        (25.0 + 1 / 0.003, 0.0),
-        (1000.0, 0.0),
-    ],
-)
+@pytest.mark.parametrize(("t_cell_c", "expected_ohm"), [
+    (25.0, 0.0035),
+    (15.0, 0.0035 * 1.03),
+    (125.0, 0.0035 * 0.7),
+    (25.0 + 1 / 0.003, 0.0),
+    (1000.0, 0.0),
+])  # fmt: skip
 def test_resistance_falls_with_temperature_down_to_zero(
     t_cell_c: float, expected_ohm: float
 ) -> None:
@@ -191,15 +188,12 @@ def test_off_keeps_nominal_efficiencies_and_the_temperature() -> None:
     assert [v.tolist() for v in after] == [[5.0], [0.95], [0.9]]
 
 
-@pytest.mark.parametrize(
-    ("scheme", "step", "joule_unit"),
-    [
-        ("exact", step_exact, "w"),
-        ("euler", step_euler, "w"),
-        ("exact-joule-kw", step_exact, "kw"),
-        ("euler-joule-kw", step_euler, "kw"),
-    ],
-)
+@pytest.mark.parametrize(("scheme", "step", "joule_unit"), [
+    ("exact", step_exact, "w"),
+    ("euler", step_euler, "w"),
+    ("exact-joule-kw", step_exact, "kw"),
+    ("euler-joule-kw", step_euler, "kw"),
+])  # fmt: skip
 def test_advance_heats_with_the_old_state_and_rates_the_new_temperature(
     scheme: ThermalScheme, step: Step, joule_unit: str
 ) -> None:

@@ -184,7 +184,7 @@ def test_a_set_that_follows_stops_where_it_feeds_a_phase_back(tiny: Scenario) ->
     load_kw = tiny.load_kw * np.array([0.1, 0.1, 0.4])
     day = replace(tiny, gensets=sets, load_kw=load_kw, batteries=former_alone(tiny))
     day = on_phases(day)
-    assert day.phases is not None
+    assert day.phases
     rows = tuple(
         replace(row, coils="a") if row.id == "g0" else row for row in day.phases.connections
     )

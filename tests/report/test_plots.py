@@ -215,14 +215,10 @@ def test_line_loading_is_in_per_cent_where_lines_have_ratings():
 # Files.
 
 
-@pytest.mark.parametrize(
-    ("run", "kinds"),
-    [
-        (small_run(bare(small_scenario())), ("png", "svg")),
-        (small_run(small_scenario(outage=False)), ("svg",)),
-    ],
-    ids=["no devices", "no outage"],
-)
+@pytest.mark.parametrize(("run", "kinds"), [
+    (small_run(bare(small_scenario())), ("png", "svg")),
+    (small_run(small_scenario(outage=False)), ("svg",)),
+], ids=["no devices", "no outage"])  # fmt: skip
 def test_figures_of_days_without_devices_or_outage(run, kinds, tmp_path):
     files = save_figures(run, tmp_path, kinds)
     assert [file.name for file in files] == [

@@ -32,6 +32,7 @@ from vppres.report.key_figures import key_figures
 from vppres.report.one_line import (
     LEAN,
     LETTER_PX,
+    SwitchMark,
     drawing,
     step_states,
     voltage_edges,
@@ -41,7 +42,7 @@ from vppres.report.plots.figures import FIGURES, RUN_FIGURES, save_figures
 from vppres.report.run_folder import render_report, write_run
 from vppres.report.sections import SECTIONS
 from vppres.scenario.network import Network
-from vppres.scenario.source import Source
+from vppres.scenario.switches import Switches
 
 
 @pytest.fixture(scope="module")
@@ -132,15 +133,11 @@ def test_ids_are_unique(report: str) -> None:
     assert len(ids) == len({*ids})
 
 
-@pytest.mark.parametrize(
-    "scenario",
-    [
-        without_devices(small_scenario()),
-        small_scenario(outage=False),
-        replace(small_scenario(), title="<script>alert(1)</script> & co"),
-    ],
-    ids=["no devices", "no outage", "hostile title"],
-)
+@pytest.mark.parametrize("scenario", [
+    without_devices(small_scenario()),
+    small_scenario(outage=False),
+    replace(small_scenario(), title="<script>alert(1)</script> & co"),
+], ids=["no devices", "no outage", "hostile title"])  # fmt: skip
 def test_reports_of_unusual_days(scenario) -> None:
     run = small_run(scenario)
     text = render_report(run, summarise(run))
@@ -424,12 +421,23 @@ def test_a_small_feeder_is_spread_and_its_symbols_are_not_enlarged() -> None:
     assert offsets[0] & offsets[1]
 
 
-def test_normally_open_lines_are_drawn_where_both_buses_are_known() -> None:
+def test_switches_are_drawn_open_or_closed() -> None:
     run = small_run()
-    tied = replace(run.scenario, source=Source("x", ties=("2 to 4", "2 to 9", "nothing")))
-    drawn = drawing(replace(run, scenario=tied))
+    switches = Switches(
+        ["T", "S"], [4, 2], [3, 1], ["tie", "breaker"], [False, True],
+        locked=["", "repair"], r_ohm=[1.0, np.nan], x_ohm=[1.0, np.nan],
+    )  # fmt: skip
+    run = replace(run, scenario=replace(run.scenario, switches=switches))
+    drawn = drawing(run)
     at = {bus.name: (bus.x, bus.y) for bus in drawn.buses}
-    assert drawn.ties == ((*at["2"], *at["4"]),)
+    assert drawn.switches == (
+        SwitchMark("T: tie, open", False, (*at["3"], *at["4"])),
+        SwitchMark("S: breaker, closed, locked: repair", True, (*at["1"], *at["2"])),
+    )
+    page = render_report(run, summarise(run))
+    assert page.count('<g class="tie"><title>T: tie, open</title>') == 1
+    assert page.count('<g class="switch"><title>S: breaker, closed, locked: repair</title>') == 1
+    assert "open switch" in page and "closed switch" in page
 
 
 def test_figures_of_one_run_alone_are_left_out_for_several(tmp_path: Path) -> None:

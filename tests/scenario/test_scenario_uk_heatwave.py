@@ -195,15 +195,12 @@ def test_pv_stays_near_the_public_shape() -> None:
     assert (pv_kw[public == 0.0] == 0.0).all()
 
 
-@pytest.mark.parametrize(
-    ("name", "bound_hours"),
-    [
-        ("load", [17, 18, 19, 20]),
-        ("pv", [11, 12, 18, 19]),
-        ("A", [1, 2, 6, 7, 18, 23]),
-        ("B", [1, 2, 6, 7, 10, 11, 18, 23]),
-    ],
-)
+@pytest.mark.parametrize(("name", "bound_hours"), [
+    ("load", [17, 18, 19, 20]),
+    ("pv", [11, 12, 18, 19]),
+    ("A", [1, 2, 6, 7, 18, 23]),
+    ("B", [1, 2, 6, 7, 10, 11, 18, 23]),
+])  # fmt: skip
 def test_hours_without_a_margin_keep_the_public_shape(name: str, bound_hours: list[int]) -> None:
     """Optimality of the least-squares problem: all free hours are scaled by one factor."""
     load_kw, pv_kw = series.load_and_pv_kw()

@@ -173,37 +173,6 @@ def test_alarms_last_over_a_restart(store: Store) -> None:
 # What raises them in a service.
 
 
-def test_a_calm_service_has_none(live: Running) -> None:
-    http, clock, runner = live
-    for hour in range(3):
-        decided(http, clock, NOON + hour * HOUR)
-        later(runner, 59)
-    assert listed(http) == []
-
-
-def test_nobody_decides(live: Running) -> None:
-    http, clock, runner = live
-    decided(http, clock, NOON)
-    http.post("/v1/telemetry", {"series": readings(NOON, "grid_on", {"grid": 0.0})})
-    runner.check_alarms()
-    assert listed(http) == [("grid_lost", "high", "raised")]
-    later(runner, 2)  # it should have been decided anew by now
-    found = http.get("/v1/alarms").json()["alarms"][0]
-    assert found["text"].startswith("The plan does not know yet: grid lost at")
-    runner.anew()
-    assert ("no_decision", "high", "cleared") in listed(http)
-    later(runner, 61)
-    later(runner, 1)
-
-    left = "devices keep their last state, and how long the island lasts is not known."
-    without = "There is no plan for the present step:"
-    assert texts(http)["no_decision"] == f"{without} set-points hold until 13:06, then {left}"
-    later(runner, 5)
-    assert texts(http)["no_decision"] == f"{without} {left}"
-    assert ("no_decision", "high", "raised") in listed(http)
-    assert 'vppres_alarms{kind="no_decision"} 1.0' in http.get("/metrics").content.decode()
-
-
 @pytest.mark.parametrize(
     ("hours", "priority"), [(1, "high"), (2, "medium"), (6, "medium"), (7, "")]
 )
@@ -253,106 +222,10 @@ def test_a_longest_time_off_that_ends(tiny: Scenario, tmp_path: Path) -> None:
     assert shown[0]["hospital"] == (None, None)
 
 
-def test_an_island_with_little_left(live: Running) -> None:
-    http, clock, runner = live
-    http.put("/v1/events/storm", DARK)
-    decided(http, clock, NOON, soc=0.2)
-    later(runner, 2)
-    assert ("island_margin", "medium", "raised") in listed(http)
-
-
-def test_what_is_left_of_an_island_is_estimated_where_the_reading_is_late(live: Running) -> None:
-    """Full when it was read last, and nearly empty by the set-points since."""
-    http, clock, runner = live
-    http.put("/v1/events/storm", DARK)
-    plan = decided(http, clock, NOON, soc=0.34)
-    assert 0.15 < max(plan["expected"]["soc"].values()) < 0.22
-    later(runner, 59)
-    assert "island_margin" not in {kind for kind, *_ in listed(http)}
-    later(runner, 1)
-    assert ("island_margin", "medium", "raised") in listed(http)
-
-
-def test_readings_are_not_late_before_they_can_have_come(live: Running) -> None:
-    """At the end of a step that was decided on fresh readings, and after one without any."""
-    http, clock, runner = live
-    http.put("/v1/events/storm", DARK)
-    decided(http, clock, NOON, soc=0.151)
-    off = "hospital of the first tier off supply"
-
-    def said() -> str:
-        alarms = {one["kind"]: one["text"] for one in http.get("/v1/alarms").json()["alarms"]}
-        return str(alarms["critical_off"])
-
-    later(runner, 60)
-    assert said() == f"{off}."
-    no_sun = readings(NOON + HOUR, "pv_kw", {"roof": 0.0, "field": 0.0})
-    http.post("/v1/telemetry", {"series": no_sun})
-    http.post("/v1/steps")
-    assert said() == f"{off}, and the state of charge of big, small is late."
-
-
-def test_an_alarm_whose_condition_is_gone_says_so(live: Running) -> None:
-    http, clock, runner = live
-    http.put("/v1/events/storm", DARK)
-    decided(http, clock, NOON, soc=0.151)
-
-    def gone() -> str | None:
-        (one,) = (a for a in http.get("/v1/alarms").json()["alarms"] if a["kind"] == "critical_off")
-        return one["gone_since"]
-
-    assert gone() is None
-    clock.set(NOON + 5 * MINUTE)
-    http.delete("/v1/events/storm")
-    assert runner.anew() is not None
-    assert gone() == written(NOON + 5 * MINUTE)
-    later(runner, 5)
-    assert gone() == written(NOON + 5 * MINUTE)
-
-
-def test_a_contradiction_ends_with_the_reading(live: Running) -> None:
-    """Although the plan that ignored it still holds."""
-    http, clock, runner = live
-    flow = {**readings(NOON, "import_kw", {"grid": 80.0})[0], "resolution": "PT30S"}
-    lost = readings(NOON, "grid_on", {"grid": 0.0})
-    clock.set(NOON + MINUTE)
-    http.post("/v1/telemetry", {"series": [*lost, flow]})
-    http.post("/v1/steps")
-    assert ("grid_contradicted", "high", "raised") in listed(http)
-    later(runner, 1)
-    http.post("/v1/telemetry", {"series": readings(clock.now(), "grid_on", {"grid": 1.0})})
-    later(runner, 1)
-    later(runner, 5)
-    assert ("grid_contradicted", "high", "cleared") in listed(http)
-
-
 def texts(http: Caller) -> dict[str, str]:
     """The text of each alarm whose condition holds, by kind."""
     alarms = http.get("/v1/alarms").json()["alarms"]
     return {a["kind"]: a["text"] for a in alarms if not (a["cleared_at"] or a["gone_since"])}
-
-
-def test_a_grid_that_is_lost_is_an_alarm_until_it_is_back(live: Running) -> None:
-    http, clock, runner = live
-    decided(http, clock, NOON, soc=0.85)
-
-    def read(on: float, minutes: float) -> dict[str, str]:
-        clock.set(NOON + minutes * MINUTE)
-        http.post("/v1/telemetry", {"series": readings(clock.now(), "grid_on", {"grid": on})})
-        runner.anew()
-        runner.check_alarms()
-        return texts(http)
-
-    lost = "The grid is lost, by scada. No outage is announced for now."
-    assert read(0.0, 10)["grid_lost"] == lost
-    assert ("grid_lost", "high", "raised") in listed(http)
-    http.put("/v1/mode", {"mode": "off"})
-    assert read(0.0, 12)["grid_lost"] == lost  # no plan says whether there is grid
-    http.put("/v1/mode", {"mode": "auto"})
-    http.put("/v1/events/storm", {"type": "outage", "start": written(NOON), "end": None})
-    assert read(0.0, 14)["grid_lost"] == "The grid is lost, by scada, as announced."
-    assert ("grid_lost", "medium", "raised") in listed(http)
-    assert "grid_lost" not in read(1.0, 20)
 
 
 def test_customers_off_with_grid_are_an_alarm(live: Running) -> None:
@@ -416,39 +289,6 @@ def test_fallbacks_that_last(live: Running, monkeypatch: pytest.MonkeyPatch) -> 
     later(runner, 1)
     (found,) = http.get("/v1/alarms").json()["alarms"]
     assert found["text"] == "Steps are decided by a fallback (previous plan): time limit."
-
-
-def test_sources_that_are_silent(live: Running) -> None:
-    http, clock, runner = live
-    later(runner, 0)
-    later(runner, 6)
-    texts = [one["text"] for one in http.get("/v1/alarms").json()["alarms"]]
-    assert "No source has sent a reading." in texts
-    decided(http, clock, NOON + HOUR)
-    for _ in range(5):
-        later(runner, 60)
-    (found,) = (a for a in http.get("/v1/alarms").json()["alarms"] if a["subject"] == "scada")
-    assert found["text"] == "No data from scada: soc of big, soc of small."
-
-
-def test_devices_that_reject(live: Running) -> None:
-    http, clock, runner = live
-    plan = decided(http, clock, NOON)
-    clock.set(NOON + MINUTE)
-    for asset in ("big", "hospital"):
-        (point,) = (one for one in plan["setpoints"] if one["asset"] == asset)
-        http.post(f"/v1/setpoints/{point['id']}/status", {"status": "rejected", "reason": "fuse"})
-    runner.check_alarms()
-    found = http.get("/v1/alarms").json()["alarms"]
-    assert {(a["subject"], a["priority"], a["text"]) for a in found} == {
-        ("big", "medium", "big did not follow its set-point: its device rejected it."),
-        ("hospital", "high", "hospital did not follow its set-point: rejected: fuse."),
-    }
-    clock.set(NOON + 2 * MINUTE)
-    http.post("/v1/telemetry", {"series": readings(clock.now(), "soc", {"big": 0.5})})
-    runner.check_alarms()
-    states = {a["subject"]: a["state"] for a in http.get("/v1/alarms").json()["alarms"]}
-    assert (states["hospital"], states["big"]) == ("raised", "cleared")
 
 
 # Over HTTP.

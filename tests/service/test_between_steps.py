@@ -102,34 +102,6 @@ def test_what_was_stored_in_the_step_counts_when_it_is_decided_anew(live: Runnin
     assert any(one.startswith(f"soc big {left:.4f} ") for one in silent["estimated"])
 
 
-def test_events_modes_and_refusals_are_planned_for_at_once(live: Running) -> None:
-    http, clock, runner = live
-
-    def anew() -> dict[str, Any]:
-        clock.set(clock.now() + pd.Timedelta("1min"))
-        found = runner.anew()
-        assert found is not None
-        return found
-
-    http.put("/v1/events/storm", {"type": "outage", "start": "2026-11-21T12:10:00Z"})
-    dark = anew()
-    assert dark["anew"] == "event storm" and not dark["grid"]["available"]
-    point = said(dark, "batteries")["big"]
-    http.post(f"/v1/setpoints/{point['id']}/status", {"status": "rejected"})
-    without = anew()
-    assert without["anew"] == "big rejected" and "battery big is out" in without["estimated"]
-    http.put("/v1/mode", {"mode": "off", "reason": "work"})
-    assert anew()["status"] == "off"
-    http.put("/v1/mode", {"mode": "auto"})
-    http.delete("/v1/events/storm")
-    light = anew()
-    assert light["anew"] == "mode auto; event storm withdrawn"
-    assert all(one["served"] for one in said(light, "customers").values())
-    assert http.get("/v1/status").json()["steps"]["ok"] == 1
-    http.put("/v1/events/note", {"type": "alert", "start": "2026-11-21T12:10:00Z", "text": "!"})
-    assert runner.anew() is None
-
-
 def test_a_service_that_comes_back_within_a_step_sees_what_it_missed(
     tiny: Scenario, tmp_path: Path
 ) -> None:
@@ -209,37 +181,12 @@ def test_a_step_that_is_not_decided_yet_is_left_to_its_own_plan(live: Running) -
     assert runner.changes.reasons == ()
 
 
-PAST: dict[str, dict[str, Any]] = {
-    "storm": {"type": "outage", "start": "2026-11-21T09:00:00Z", "end": "2026-11-21T12:13:00Z"},
-    "cable": {"type": "import_limit", "start": "2026-11-21T09:00Z", "end": "2026-11-21T10:00Z",
-              "limit_kw": 5.0},
-    "tariff": {"type": "price", "start": "2026-11-21T09:00:00Z", "resolution": "PT1H",
-               "price_gbp_per_kwh": [0.1, 0.2]},
-}  # fmt: skip
-
-
-def test_what_is_wholly_past_is_not_announced(live: Running) -> None:
-    """But an event that is known may be ended so."""
-    http, _, _ = live
-    for name, past in PAST.items():
-        answer = http.put(f"/v1/events/{name}", past)
-        assert answer.status == 422, name
-        assert answer.json()["problems"][0]["message"] == "lies wholly in the past", name
-    assert http.get("/v1/events").json() == {}
-    for name, past in PAST.items():
-        http.put(f"/v1/events/{name}", {"type": "outage", "start": past["start"]})
-        assert http.put(f"/v1/events/{name}", past).status == 200, name
-
-
-@pytest.mark.parametrize(
-    ("duration", "over"),
-    [
-        ({"family": "discrete", "hours": [1.0, 2.0], "probabilities": [0.5, 0.5]}, True),
-        ({"family": "discrete", "hours": [1.0, 5.0], "probabilities": [0.5, 0.5]}, False),
-        ({"family": "until", "until": "2026-11-21T11:00:00Z"}, True),
-        ({"family": "lognormal", "median_h": 1.0, "sigma": 1.0, "max_h": None}, False),
-    ],
-)
+@pytest.mark.parametrize(("duration", "over"), [
+    ({"family": "discrete", "hours": [1.0, 2.0], "probabilities": [0.5, 0.5]}, True),
+    ({"family": "discrete", "hours": [1.0, 5.0], "probabilities": [0.5, 0.5]}, False),
+    ({"family": "until", "until": "2026-11-21T11:00:00Z"}, True),
+    ({"family": "lognormal", "median_h": 1.0, "sigma": 1.0, "max_h": None}, False),
+])  # fmt: skip
 def test_a_believed_outage_is_over_when_its_longest_is(
     duration: dict[str, Any], over: bool
 ) -> None:
@@ -272,82 +219,6 @@ def test_an_outage_that_ended_within_the_step_is_over_for_the_rest_of_it(
     assert light is not None and light["grid"]["available"]
 
 
-def test_set_points_beyond_a_rating_and_unknown_assets_are_refused(live: Running) -> None:
-    http, _, _ = live
-    manual = {
-        "mode": "manual",
-        "until": "2026-11-21T14:00:00Z",
-        "setpoints": [
-            {"kind": "batteries", "asset": "big", "p_kw": -51.0},
-            {"kind": "batteries", "asset": "small", "p_kw": 30.0, "q_kvar": 20.0},
-            {"kind": "pv", "asset": "roof", "p_kw": 29.0},
-        ],
-    }
-    found = http.put("/v1/mode", manual)
-    assert found.status == 422
-    assert [(one["field"], one["message"]) for one in found.json()["problems"]] == [
-        ("p_kw of big", "is beyond its rating of 50 kW"),
-        ("kVA of small", "is beyond its rating of 35 kVA"),
-    ]
-    assert http.get("/v1/mode").json()["mode"] == "auto"
-    for path in ("/v1/setpoints", "/v1/explanations"):
-        assert http.get(f"{path}?asset=bigg").status == 404
-        assert "Did you mean big?" in http.get(f"{path}?asset=bigg").json()["detail"]
-
-
-def test_an_announced_end_ends_an_outage_that_nobody_reads_any_more(live: Running) -> None:
-    http, clock, _ = live
-    storm = {"type": "outage", "start": "2026-11-21T12:05:00Z", "end": "2026-11-21T13:00:00Z"}
-    http.put("/v1/events/storm", storm)
-    http.post("/v1/telemetry", grid(0.0))
-    # Its reading holds for an hour; after that nobody has seen the outage go on.
-    seen = [decided(http, clock, NOON + hours * pd.Timedelta("1h"))["grid"] for hours in (1, 2)]
-    assert [one["available"] for one in seen] == [False, True]
-
-
-def test_a_device_that_is_back_is_planned_for_at_once(live: Running) -> None:
-    http, clock, runner = live
-
-    def anew(why: str) -> dict[str, Any]:
-        clock.set(clock.now() + pd.Timedelta("1min"))
-        found = runner.anew()
-        assert found is not None and found["anew"] == why
-        return found
-
-    def said_of(quantity: str, asset: str, value: float) -> None:
-        sent = {"series": readings(clock.now(), quantity, {asset: value})}
-        assert http.post("/v1/telemetry", sent).status == 200
-
-    http.put("/v1/events/storm", {"type": "outage", "start": "2026-11-21T12:10:00Z"})
-    point = said(anew("event storm"), "batteries")["big"]
-    status = f"/v1/setpoints/{point['id']}/status"
-    http.post(status, {"status": "rejected"})
-    assert "battery big is out" in anew("big rejected")["estimated"]
-    http.post(status, {"status": "accepted"})
-    assert "battery big is out" not in anew("big accepted")["estimated"]
-    point = said(runner.last, "batteries")["big"]
-    http.post(f"/v1/setpoints/{point['id']}/status", {"status": "aborted"})
-    assert "battery big is out" in anew("big aborted")["estimated"]
-    said_of("soc", "big", 0.8)
-    assert "battery big is out" not in anew("battery big is heard")["estimated"]
-    said_of("soc", "big", 0.8)
-    assert runner.anew() is None
-    said_of("online", "big", 0.0)
-    assert "battery big is out" in anew("big online = 0 (scada)")["estimated"]
-    said_of("online", "big", 0.0)
-    assert runner.anew() is None
-    said_of("online", "big", 1.0)
-    assert (
-        "battery big is out"
-        not in anew("battery big is heard; big online = 1 (scada)")["estimated"]
-    )
-    said_of("online", "hospital", 0.0)
-    assert not said(anew("hospital online = 0 (scada)"), "customers")["hospital"]["served"]
-    said_of("online", "hospital", 1.0)
-    back = anew("customer hospital is heard; hospital online = 1 (scada)")
-    assert said(back, "customers")["hospital"]["served"]
-
-
 def test_a_first_reading_is_planned_for_when_it_comes(tiny: Scenario, tmp_path: Path) -> None:
     with running(tiny, tmp_path) as (http, clock, runner):
         first = runner.step()
@@ -377,25 +248,6 @@ def available(http: Any) -> bool:
     return found
 
 
-def test_a_lost_grid_that_stands_alone_is_planned_for_and_asked_again(live: Running) -> None:
-    """What comes within seconds bears it out, or takes it back."""
-    http, clock, runner = live
-    answer = http.post("/v1/telemetry", of_the_substation(("0s", "grid_on", 0.0))).json()
-    alone = (
-        "grid_on = 0 of scada at 2026-11-21T12:13:00Z stands alone: send grid_on again within "
-        "10 s, and import_kw since then"
-    )
-    assert answer["asked_again"] == [alone]
-    runner.anew()
-    assert not available(http)
-    assert http.get("/v1/plan").json()["asked_again"] == [alone]
-    clock.set(LATER + pd.Timedelta("10s"))
-    said = of_the_substation(("0s", "import_kw", 0.0), ("10s", "grid_on", 0.0))
-    assert "asked_again" not in http.post("/v1/telemetry", said).json()
-    runner.anew()
-    assert not available(http)
-
-
 @pytest.mark.parametrize("stuck", [True, False])
 def test_an_import_since_the_grid_was_said_to_be_lost_takes_it_back(
     live: Running, stuck: bool
@@ -421,13 +273,3 @@ def test_an_import_since_the_grid_was_said_to_be_lost_takes_it_back(
     http.post("/v1/telemetry", of_the_substation(*told))
     runner.anew()
     assert not available(http)
-
-
-def test_a_lost_grid_that_was_announced_or_seen_by_another_is_not_asked_again(
-    live: Running,
-) -> None:
-    http, _, _ = live
-    told = of_the_substation(("0s", "grid_on", 0.0))
-    other = {**told["series"][0], "source": "watch"}
-    answer = http.post("/v1/telemetry", {"series": [*told["series"], other]}).json()
-    assert answer == {"accepted": 2, "duplicates": 0, "refused": []}

@@ -51,20 +51,12 @@ def test_the_corpus_is_the_same_for_a_seed_and_has_all_kinds() -> None:
     assert len({one.method for one in first}) > 6 and len({one.body for one in first}) > 60
 
 
-@pytest.mark.parametrize(
-    ("status", "headers", "body", "found"),
-    [
-        (500, {}, b"{}", "answers 500"),
-        (200, {}, b"Traceback (most recent call last)", "shows its insides"),
-        (422, {}, b"{}", "422 is no problem+json"),
-        (
-            422,
-            {"content-type": "application/problem+json"},
-            b'{"detail": ""}',
-            "422 without a reason",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("status", "headers", "body", "found"), [
+    (500, {}, b"{}", "answers 500"),
+    (200, {}, b"Traceback (most recent call last)", "shows its insides"),
+    (422, {}, b"{}", "422 is no problem+json"),
+    (422, {"content-type": "application/problem+json"}, b'{"detail": ""}', "422 without a reason"),
+])  # fmt: skip
 def test_what_must_not_be_is_found(
     status: int, headers: dict[str, str], body: bytes, found: str
 ) -> None:

@@ -163,7 +163,7 @@ def test_it_is_made_once_for_all_who_ask(runner: Runner, monkeypatch: pytest.Mon
     really = overview._now
     monkeypatch.setattr(overview, "_now", lambda: made.append(1) or really())
     assert overview.text() == overview.text() and len(made) == 1
-    runner.store.put_events({"storm": None}, NOON, "test")
+    runner.store.put_events({"storm": {}}, NOON, "test")
     assert b"storm" not in overview.text() and len(made) == 2
 
 

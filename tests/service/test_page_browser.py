@@ -188,15 +188,12 @@ def test_a_button_that_is_pressed_while_news_come_does_what_it_says(calm: Watche
 CONTRAST = (Path(__file__).parents[1] / "support" / "contrast.js").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize(
-    ("size", "scheme"),
-    [
-        (DESKTOP, "light"),
-        (PHONE, "dark"),
-        pytest.param(DESKTOP, "dark", marks=pytest.mark.nightly),
-        pytest.param(PHONE, "light", marks=pytest.mark.nightly),
-    ],
-)
+@pytest.mark.parametrize(("size", "scheme"), [
+    (DESKTOP, "light"),
+    (PHONE, "dark"),
+    pytest.param(DESKTOP, "dark", marks=pytest.mark.nightly),
+    pytest.param(PHONE, "light", marks=pytest.mark.nightly),
+])  # fmt: skip
 def test_all_text_stands_out_and_everything_has_a_name(
     browser: Any, watched: tuple[Runner, str], size: dict[str, int], scheme: str
 ) -> None:

@@ -11,6 +11,7 @@ import urllib.request
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from math import nan
 from pathlib import Path
 from typing import Any
 
@@ -68,17 +69,14 @@ def test_its_names_have_ports_and_capital_letters(http: Caller, host: str) -> No
     assert http.get("/livez", host=host).status == 200
 
 
-@pytest.mark.parametrize(
-    "origin",
-    [
-        "http://evil.example",
-        "null",
-        "http://[",
-        "file://",
-        "http://localhost:3000",
-        "ftp://localhost",
-    ],
-)
+@pytest.mark.parametrize("origin", [
+    "http://evil.example",
+    "null",
+    "http://[",
+    "file://",
+    "http://localhost:3000",
+    "ftp://localhost",
+])  # fmt: skip
 def test_a_page_of_others_changes_nothing(http: Caller, runner: Runner, origin: str) -> None:
     before = runner.store.changes
     for ask in (lambda: http.put("/v1/events/x", OUTAGE, origin=origin),
@@ -205,19 +203,19 @@ def test_everything_that_changes_something_is_written_down_for_good(
 
 
 def test_a_batch_is_written_at_once_and_counted_by_reading(runner: Runner) -> None:
-    def kept(*values: float | None) -> tuple[int, int]:
+    def kept(*values: float) -> tuple[int, int]:
         rows = [
             Reading("big", "online", seconds(NOON) + i, "plc", 60, v) for i, v in enumerate(values)
         ]
         found = runner.store.write_readings(rows, NOON)
         return found.accepted, found.duplicates
 
-    assert kept(1.0, 0.0, None) == (3, 0)
-    assert kept(1.0, 1.0, None) == (1, 2)
-    assert kept(None, 1.0, 0.0) == (2, 1)
+    assert kept(1.0, 0.0, nan) == (3, 0)
+    assert kept(1.0, 1.0, nan) == (1, 2)
+    assert kept(nan, 1.0, 0.0) == (2, 1)
     assert kept() == (0, 0)
     found = runner.store.between(NOON, NOON + pd.Timedelta("1min"), ["online"])
-    assert [one.value for one in found] == [None, 1.0, 0.0]
+    assert not found[0].known and [one.value for one in found[1:]] == [1.0, 0.0]
 
 
 def test_batches_that_are_too_large_are_refused(http: Caller) -> None:

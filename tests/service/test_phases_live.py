@@ -164,17 +164,14 @@ def test_a_meter_in_watts_puts_nobody_off_with_grid(
         came = {"battery_kw": dict(found.batteries["p_kw"]), "import_kw": found.import_kw}
 
 
-@pytest.mark.parametrize(
-    ("sent", "words"),
-    [
-        ([("ca", "load_kw", "b")], "is no phase of it"),
-        ([("ba", "soc", "a")], "Leave the phase out."),
-        ([("m", "v_pu", None)], "is no phase of it"),
-        ([("ce", "load_kw", "a"), ("ce", "load_kw", "b")], "lacks phase c"),
-        ([("ce", "load_kw", "a"), ("ce", "load_kw", "b"), ("ce", "load_kw", "c")], ""),
-        ([("d", "v_pu", "ab"), ("be", "source_kva", "c")], ""),
-    ],
-)
+@pytest.mark.parametrize(("sent", "words"), [
+    ([("ca", "load_kw", "b")], "is no phase of it"),
+    ([("ba", "soc", "a")], "Leave the phase out."),
+    ([("m", "v_pu", None)], "is no phase of it"),
+    ([("ce", "load_kw", "a"), ("ce", "load_kw", "b")], "lacks phase c"),
+    ([("ce", "load_kw", "a"), ("ce", "load_kw", "b"), ("ce", "load_kw", "c")], ""),
+    ([("d", "v_pu", "ab"), ("be", "source_kva", "c")], ""),
+])  # fmt: skip
 def test_phases_of_readings(evening: Scenario, sent: Any, words: str) -> None:
     batch = [reading(*one) for one in sent]
     good, problems = readings_of(batch, evening, evening.grid.end)

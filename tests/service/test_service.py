@@ -159,73 +159,6 @@ def test_set_points_end_and_leave_the_default(live: Live) -> None:
     assert http.get("/v1/setpoints?at=noon").json()["problems"][0]["message"].startswith("is not a")
 
 
-def test_health_and_metrics_say_whether_there_is_a_plan(live: Live) -> None:
-    http, clock = live
-    assert http.get("/livez").status == 200
-    assert http.get("/v1/plan").json() == {"status": "none"}
-    assert (http.get("/readyz").status, http.get("/readyz").json()["checks"]["plan"]) == (
-        503,
-        False,
-    )
-    decided(http, clock, NOON)
-    assert http.get("/readyz").status == 200
-    answer = http.get("/v1/plan")
-    tag = answer.headers["etag"]
-    assert http.get("/v1/plan", if_none_match=tag).status == 304
-    clock.set(NOON + pd.Timedelta("90min"))
-    stale = http.get("/v1/plan", if_none_match=tag)
-    assert (stale.status, stale.json()["status"]) == (200, "stale")
-    assert http.get("/readyz").status == 503
-    text = http.get("/metrics").content.decode()
-    assert 'vppres_steps_total{outcome="ok"} 1.0' in text
-    assert 'vppres_telemetry_age_seconds{source="scada"} 5400.0' in text
-    assert "vppres_plan_ahead_seconds -1800.0" in text
-    assert "vppres_step_duration_seconds_count 1.0" in text
-
-
-def test_an_outage_is_an_event_that_begins_may_end_and_may_be_withdrawn(live: Live) -> None:
-    http, clock = live
-    outage = {"type": "outage", "start": "2026-11-21T14:20:00+01:00"}
-    made = http.put("/v1/events/storm", outage)
-    assert (made.status, made.headers["etag"]) == (201, '"1"')
-    known = http.get("/v1/events").json()
-    assert known == {"storm": {"version": 1, "source": "operator", "end": None, "type": "outage",
-                               "start": "2026-11-21T13:20:00Z"}}  # fmt: skip
-    charged = decided(http, clock, NOON, soc=0.2)
-    assert said(charged, "batteries")["big"]["p_kw"] > 40.0  # the outage begins in an hour
-    dark = decided(http, clock, NOON + pd.Timedelta("1h"), soc=0.2)
-    assert not all(one["served"] for one in said(dark, "customers").values())
-    assert dark["expected"]["import_kw"] < 5.0
-    ended = http.put("/v1/events/storm", {**outage, "end": "2026-11-21T14:00:00Z"}, if_match='"1"')
-    assert (ended.status, ended.json()["version"]) == (200, 2)
-    assert http.put("/v1/events/storm", outage, if_match='"1"').status == 412
-    light = decided(http, clock, NOON + pd.Timedelta("2h"), soc=0.2)
-    assert all(one["served"] for one in said(light, "customers").values())
-    assert http.delete("/v1/events/storm").json() == {"version": 3}
-    assert http.delete("/v1/events/storm").status == 404
-    assert http.get("/v1/events").json() == {}
-
-
-def test_limits_prices_and_forecasts_reach_the_plan(live: Live) -> None:
-    http, clock = live
-    cheap = {"type": "price", "start": "2026-11-21T12:00:00Z", "resolution": "PT1H",
-             "price_gbp_per_kwh": [0.01, 5.0, 5.0]}  # fmt: skip
-    assert http.put("/v1/events/tariff", cheap).status == 201
-    limit = {"type": "import_limit", "start": "2026-11-21T12:00:00Z", "limit_kw": 180.0}
-    assert http.put("/v1/events/cable", limit).status == 201
-    quantiles = {"p10": [70.0, 80.0], "p50": [75.0, 90.0], "p90": [80.0, 100.0]}
-    body = {"issued_at": "2026-11-21T11:00:00Z", "start": "2026-11-21T13:00:00Z",
-            "resolution": "PT1H", "assets": {"shop": quantiles}}  # fmt: skip
-    assert http.put("/v1/forecasts/load_kw", body).status == 200
-    plan = decided(http, clock, NOON, soc=0.2)
-    assert plan["expected"]["import_kw"] == pytest.approx(180.0, abs=3.0)  # as much as it may
-    crossing = {**body, "assets": {"shop": {**quantiles, "p90": [80.0, 1.0]}}}
-    assert "cross" in http.put("/v1/forecasts/load_kw", crossing).json()["detail"]
-    unknown = {**body, "assets": {"shp": quantiles}, "resolution": "PT30M"}
-    problems = http.put("/v1/forecasts/load_kw", unknown).json()["problems"]
-    assert [p["cure"] for p in problems] == ["Did you mean shop?", "Steps last 60 min."]
-
-
 def test_blind_late_and_lost_are_told_apart(live: Live) -> None:
     http, clock = live
     # Of the small battery nobody has ever heard: it is left out.
@@ -250,38 +183,6 @@ def test_blind_late_and_lost_are_told_apart(live: Live) -> None:
     assert http.get("/v1/status").json()["sources"] == {"scada": "2026-11-21T12:00:00Z"}
     # It comes back by itself.
     assert decided(http, clock, NOON + pd.Timedelta("5h"))["late"][0]["asset"] == "shop"
-
-
-def test_telemetry_is_kept_once_and_refused_by_name(live: Live) -> None:
-    http, _ = live
-    assert http.post("/v1/telemetry", heard(NOON)).json() == {
-        "accepted": 2, "duplicates": 0, "refused": [],
-    }  # fmt: skip
-    again = http.post("/v1/telemetry", heard(NOON)).json()
-    assert (again["accepted"], again["duplicates"]) == (0, 2)
-    mixed = heard(NOON)["series"] + readings(NOON, "soc", {"bigg": 0.5, "small": 1.5})
-    refused = http.post("/v1/telemetry", {"series": mixed}).json()["refused"]
-    assert [(p["field"], p["cure"]) for p in refused] == [
-        ("asset", "Did you mean big?"),
-        ("soc of small", "Give a share, for example 0.5."),
-    ]
-    tomorrow = http.post("/v1/telemetry", heard(NOON + pd.Timedelta("1D")))
-    assert (tomorrow.status, tomorrow.json()["problems"][0]["message"]) == (
-        422, "lies in the future",
-    )  # fmt: skip
-
-
-def test_off_gives_defaults_until_it_is_over(live: Live) -> None:
-    http, clock = live
-    off = {"mode": "off", "until": "2026-11-21T13:30:00Z", "reason": "work on the line"}
-    assert http.put("/v1/mode", off).json()["mode"] == "off"
-    plan = decided(http, clock, NOON)
-    assert plan["status"] == "off" and plan["solve"] is None
-    assert {one["p_kw"] for one in said(plan, "batteries").values()} == {0.0}
-    assert all(one["served"] for one in said(plan, "customers").values())
-    assert said(plan, "batteries")["big"]["reason"] == "default: work on the line"
-    assert decided(http, clock, NOON + pd.Timedelta("1h"))["status"] == "off"
-    assert decided(http, clock, NOON + pd.Timedelta("2h"))["status"] == "ok"
 
 
 def test_the_gate_lets_nothing_pass_that_a_device_cannot_do(tiny: Scenario) -> None:

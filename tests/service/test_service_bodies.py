@@ -168,32 +168,20 @@ def test_a_body_of_mistakes_costs_little(
     assert used_s < 2.0
 
 
-@pytest.mark.parametrize(
-    ("body", "said"),
-    [
-        ({"type": "outagee"}, "body.type = outagee: is not known. Did you mean outage?"),
-        ({"start": BEGIN}, f"body.type: is missing. {SEE}"),
-        ({"type": "outage"}, f"body.outage.start: is missing. {SEE}"),
-        (
-            {"type": "outage", "start": BEGIN, "ende": BEGIN},
-            f"body.outage.ende = {BEGIN}: is not a known field. {SEE}",
-        ),
-        (
-            {"type": "import_limit", "start": BEGIN, "limit_kw": "many"},
-            f"body.import_limit.limit_kw = many: must be a valid number. {SEE}",
-        ),
-        (
-            {"type": "import_limit", "start": BEGIN, "limit_kw": -3},
-            f"body.import_limit.limit_kw = -3: must be greater than or equal to 0. {SEE}",
-        ),
-        (
-            {"type": "outage", "start": "noon"},
-            "body.outage.start = noon: is not a time. "
-            "Write ISO 8601, for example 2026-07-19T12:00:00Z.",
-        ),
-        ([], f"body: must be an object with fields. {SEE}"),
-    ],
-)
+@pytest.mark.parametrize(("body", "said"), [
+    ({"type": "outagee"}, "body.type = outagee: is not known. Did you mean outage?"),
+    ({"start": BEGIN}, f"body.type: is missing. {SEE}"),
+    ({"type": "outage"}, f"body.outage.start: is missing. {SEE}"),
+    ({"type": "outage", "start": BEGIN, "ende": BEGIN},
+        f"body.outage.ende = {BEGIN}: is not a known field. {SEE}"),
+    ({"type": "import_limit", "start": BEGIN, "limit_kw": "many"},
+        f"body.import_limit.limit_kw = many: must be a valid number. {SEE}"),
+    ({"type": "import_limit", "start": BEGIN, "limit_kw": -3},
+        f"body.import_limit.limit_kw = -3: must be greater than or equal to 0. {SEE}"),
+    ({"type": "outage", "start": "noon"}, "body.outage.start = noon: is not a time. "
+        "Write ISO 8601, for example 2026-07-19T12:00:00Z."),
+    ([], f"body: must be an object with fields. {SEE}"),
+])  # fmt: skip
 def test_a_mistake_has_place_value_and_fix(body: Any, said: str, http: Caller) -> None:
     answer = http.put("/v1/events/storm", body)
     assert (answer.status, answer.json()["detail"]) == (422, f"request, {said}")

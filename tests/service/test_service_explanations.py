@@ -44,15 +44,12 @@ from vppres.service.replay.export import exported
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize(
-    ("outages", "rotation"),
-    [
-        ("known", 0.0),
-        ("known", 0.5),
-        pytest.param("belief", 0.0, marks=pytest.mark.nightly),
-        pytest.param("belief", 0.5, marks=pytest.mark.nightly),
-    ],
-)
+@pytest.mark.parametrize(("outages", "rotation"), [
+    ("known", 0.0),
+    ("known", 0.5),
+    pytest.param("belief", 0.0, marks=pytest.mark.nightly),
+    pytest.param("belief", 0.5, marks=pytest.mark.nightly),
+])  # fmt: skip
 def test_every_step_is_explained_as_the_run_is(
     tiny: Scenario, tmp_path: Path, outages: Literal["known", "belief"], rotation: float
 ) -> None:

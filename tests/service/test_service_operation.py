@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 from urllib.parse import quote, unquote
 
 import numpy as np
@@ -106,44 +105,6 @@ def test_set_points_are_held_until_the_end_of_hold(live: Live) -> None:
     assert said(held, "batteries")["big"]["reason"] == "a look at it"
     assert decided(http, clock, NOON + 2 * HOUR)["status"] == "ok"
     assert http.get("/v1/status").json()["steps"]["hold"] == 1
-
-
-def test_what_is_held_still_passes_the_gate(live: Live) -> None:
-    """The battery that was charged is full by now."""
-    http, clock = live
-    http.put("/v1/events/storm", {"type": "outage", "start": "2026-11-21T13:00:00Z"})
-    assert said(decided(http, clock, NOON, soc=0.3), "batteries")["big"]["p_kw"] > 20.0
-    http.put("/v1/mode", {"mode": "hold", "until": "2026-11-21T18:00:00Z"})
-    big = said(decided(http, clock, NOON + HOUR, soc=0.84), "batteries")["big"]
-    assert (big["p_kw"], big["reason"]) == (0.0, "default: energy above its upper limit")
-
-
-def test_an_operator_orders_some_and_the_others_stay(live: Live) -> None:
-    http, clock = live
-    first = decided(http, clock, NOON)
-    manual: dict[str, Any] = {
-        "mode": "manual",
-        "until": "2026-11-21T13:30:00Z",
-        "setpoints": [
-            {"kind": "batteries", "asset": "big", "p_kw": -12.5},
-            {"kind": "batteries", "asset": "small", "p_kw": 30.0},
-            {"kind": "customers", "asset": "shop", "served": False},
-        ],
-    }
-    assert http.put("/v1/mode", {**manual, "setpoints": []}).status == 422
-    for wrong in ({"kind": "customers", "asset": "shop", "p_kw": 5.0},
-                  {"kind": "batteries", "asset": "big", "p_kw": 1.0, "served": True}):  # fmt: skip
-        assert http.put("/v1/mode", {**manual, "setpoints": [wrong]}).status == 422
-    unknown = {**manual, "setpoints": [{"kind": "batteries", "asset": "bigg", "p_kw": 1.0}]}
-    assert http.put("/v1/mode", unknown).json()["problems"][0]["cure"] == "Did you mean big?"
-    assert http.put("/v1/mode", manual).status == 200
-    plan = decided(http, clock, NOON + HOUR)
-    assert plan["status"] == "manual"
-    assert said(plan, "batteries")["big"]["p_kw"] == -12.5
-    assert said(plan, "batteries")["small"]["reason"] == "default: energy above its upper limit"
-    assert said(plan, "customers")["shop"]["served"] is False
-    assert said(plan, "customers")["homes"]["served"] == said(first, "customers")["homes"]["served"]
-    assert decided(http, clock, NOON + 2 * HOUR)["status"] == "ok"
 
 
 def test_a_step_that_nobody_waits_for_is_a_job(live: Live) -> None:

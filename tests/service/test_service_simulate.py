@@ -195,7 +195,7 @@ def warned_storm(tiny: Scenario) -> Scenario:
 def test_warnings_are_announced_as_they_are_issued(tiny: Scenario, tmp_path: Path) -> None:
     """What the service believes at each step is what the scenario's own messages say."""
     day = warned_storm(tiny)
-    issued = [(at, name, body is None) for at, name, body in warned(day)]
+    issued = [(at, name, not body) for at, name, body in warned(day)]
     assert [(name, gone) for _, name, gone in issued] == [
         ("warned-1", False), ("warned-2", False), ("warned-2", True), ("warned-1", False),
     ]  # fmt: skip

@@ -64,26 +64,16 @@ def test_a_meter_in_watts_is_refused_by_name_and_the_island_is_held(
 
 
 IMPOSSIBLE: tuple[tuple[dict[str, Any], set[str]], ...] = (
-    (
-        {"battery_kw": {"big": 40e3}, "soc": {"big": 50.0}, "import_kw": 1e9},
-        {
-            "battery_kw of big = 40000 is beyond the inverter's rating of 60 kVA",
-            "soc of big = 50 must lie between 0 and 1",
-            "import_kw = 1e+09 is more than any feeder has: check the unit",
-        },
-    ),
-    (
-        {
-            "load_kw": {"shop": 1e300, "homes": np.inf},
-            "pv_kw": pd.DataFrame({"roof": [2e4]}, ["2022-07-19T11:00Z"]),
-        },
-        {
-            "load_kw of shop = 1e+300 is more than any feeder has: check the unit",
-            "load_kw of homes = inf must be a number not below 0",
-            "pv_kw of roof = 20000 is beyond the system's rating of 30 kW",
-        },
-    ),
-)
+    ({"battery_kw": {"big": 40e3}, "soc": {"big": 50.0}, "import_kw": 1e9}, {
+        "battery_kw of big = 40000 is beyond the inverter's rating of 60 kVA",
+        "soc of big = 50 must lie between 0 and 1",
+        "import_kw = 1e+09 is more than any feeder has: check the unit"}),
+    ({"load_kw": {"shop": 1e300, "homes": np.inf},
+        "pv_kw": pd.DataFrame({"roof": [2e4]}, ["2022-07-19T11:00Z"])}, {
+        "load_kw of shop = 1e+300 is more than any feeder has: check the unit",
+        "load_kw of homes = inf must be a number not below 0",
+        "pv_kw of roof = 20000 is beyond the system's rating of 30 kW"}),
+)  # fmt: skip
 
 
 def test_a_controller_leaves_out_what_no_device_can_have(tiny: Scenario) -> None:
@@ -138,14 +128,10 @@ NUMBERS = st.one_of(
     st.floats(allow_nan=False, allow_infinity=False),
 )
 READINGS = st.sampled_from(sorted(ASSETS)).flatmap(
-    lambda quantity: st.tuples(
-        st.just(quantity),
-        st.sampled_from(ASSETS[quantity]),
-        st.sampled_from(["PT1M", "PT15M", "PT1H", "PT9999H"]),
-        st.integers(-180, 70),
-        st.lists(NUMBERS, min_size=1, max_size=3),
-    )
-)
+    lambda quantity: st.tuples(st.just(quantity), st.sampled_from(ASSETS[quantity]),
+        st.sampled_from(["PT1M", "PT15M", "PT1H", "PT9999H"]), st.integers(-180, 70),
+        st.lists(NUMBERS, min_size=1, max_size=3)),
+)  # fmt: skip
 
 
 @pytest.mark.daily
@@ -386,18 +372,15 @@ def test_a_demand_that_the_import_confirms_is_believed(tiny: Scenario) -> None:
     assert said_of_it == [True, False, False]
 
 
-@pytest.mark.parametrize(
-    ("others", "available"),
-    [
-        ([], False),
-        ([("watch", "grid_on", NOON, 1.0)], True),
-        ([("watch", "grid_on", NOON - HOUR, 1.0)], False),
-        ([("meter", "import_kw", NOON, 80.0)], True),
-        ([("meter", "import_kw", NOON, -3.0)], True),
-        ([("meter", "import_kw", NOON, 2.5)], False),
-        ([("meter", "import_kw", NOON - HOUR, 80.0)], False),
-    ],
-)
+@pytest.mark.parametrize(("others", "available"), [
+    ([], False),
+    ([("watch", "grid_on", NOON, 1.0)], True),
+    ([("watch", "grid_on", NOON - HOUR, 1.0)], False),
+    ([("meter", "import_kw", NOON, 80.0)], True),
+    ([("meter", "import_kw", NOON, -3.0)], True),
+    ([("meter", "import_kw", NOON, 2.5)], False),
+    ([("meter", "import_kw", NOON - HOUR, 80.0)], False),
+])  # fmt: skip
 def test_a_lost_grid_is_believed_unless_something_contradicts_it(
     live: Live, others: list[Any], available: bool
 ) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support.phased_feeder import NONE_KW, STREET, phased_day, served, street_day
 from tests.support.sets import gensets
 from tests.support.small_windows import DARK, OPEN, battery, two_buses, window, with_pv
 from tests.support.vans import chargers, plugged_in
@@ -15,6 +16,14 @@ from vppres import RunOptions, Trajectory, run_day
 from vppres.model.site import Site
 from vppres.scenario.scenario import Scenario
 from vppres.solve.ladder import WindowSolver
+
+
+@pytest.fixture(scope="module")
+def street(tmp_path_factory: pytest.TempPathFactory) -> Scenario:
+    pytest.importorskip("opendssdirect")
+    file = tmp_path_factory.mktemp("street") / "street.dss"
+    file.write_text(STREET)
+    return phased_day(file)
 
 
 def hours(limits_kw: list[float], load_kw: float = 3.0) -> Scenario:
@@ -62,19 +71,15 @@ def test_only_who_knows_that_the_outage_ends_keeps_nothing(outages: str, served:
 # Of equal service the earlier one.
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"mode": "physical", "outages": "none", "priority": "strict"},
-        {"mode": "physical", "outages": "known", "priority": "strict"},
-        {"mode": "physical", "outages": "known", "headroom": 0.0},
-        {"mode": "physical", "outages": "none", "priority": "strict", "method": "monolithic"},
-        {"mode": "physical", "outages": "none", "controller": "full-horizon", "headroom": 0.0},
-        {"mode": "paper", "outages": "none"},
-        {"mode": "paper", "outages": "none", "controller": "full-horizon"},
-    ],
-    ids=lambda options: "-".join(str(value) for value in options.values()),
-)
+@pytest.mark.parametrize("options", [
+    {"mode": "physical", "outages": "none", "priority": "strict"},
+    {"mode": "physical", "outages": "known", "priority": "strict"},
+    {"mode": "physical", "outages": "known", "headroom": 0.0},
+    {"mode": "physical", "outages": "none", "priority": "strict", "method": "monolithic"},
+    {"mode": "physical", "outages": "none", "controller": "full-horizon", "headroom": 0.0},
+    {"mode": "paper", "outages": "none"},
+    {"mode": "paper", "outages": "none", "controller": "full-horizon"},
+], ids=lambda options: "-".join(str(value) for value in options.values()))  # fmt: skip
 def test_a_lone_customer_is_not_put_off(options: dict[str, Any]) -> None:
     """6.65 kWh are enough for three of nine dark hours of 2 kW: for the first three."""
     day = hours([DARK] * 9, load_kw=2.0)
@@ -82,6 +87,24 @@ def test_a_lone_customer_is_not_put_off(options: dict[str, Any]) -> None:
     day = replace(alone, tiers=("critical",), batteries=day.batteries)
     run = run_day(day, RunOptions(horizon_h=5, **options))
     assert run.customers["served"].tolist() == [1] * 3 + [0] * 6
+
+
+@pytest.mark.parametrize("who", range(4))
+@pytest.mark.parametrize(
+    ("outages", "priority"), [("none", "strict"), ("known", "strict"), ("none", "weights")]
+)
+def test_a_lone_customer_of_any_phase_is_not_put_off(
+    street: Scenario, who: int, outages: str, priority: str
+) -> None:
+    """6.65 kWh are enough for three of nine dark hours of 2 kW: for the first three."""
+    load_kw = np.full((9, 4), NONE_KW)
+    load_kw[:, who] = 2.0
+    day = street_day(street, load_kw, [DARK] * 9, [who])
+    headroom = {"headroom": 0.0} if priority == "weights" else {}
+    options = RunOptions(
+        horizon_h=5, mode="physical", outages=outages, priority=priority, **headroom
+    )
+    assert served(run_day(day, options))[:, who].tolist() == [1] * 3 + [0] * 6
 
 
 @pytest.mark.parametrize("kind", ["set", "vehicle"])
@@ -122,6 +145,19 @@ def test_of_equal_customers_the_one_that_is_on_stays_on(on: int, method: str) ->
     assert found.dispatch.served[0, on]
 
 
+@pytest.mark.parametrize("priority", ["strict", "weights"])
+def test_of_equal_customers_on_different_phases_the_same_one_stays_on(
+    street: Scenario, priority: str
+) -> None:
+    """4 kW are enough for one of two customers of 3 kW, on different phases."""
+    load_kw = np.tile([1.5, 1.5, NONE_KW, NONE_KW], (4, 1))
+    day = street_day(street, load_kw, [OPEN, DARK, DARK, DARK], [0, 1], p_max_kw=2.0)
+    options = RunOptions(horizon_h=1, mode="physical", outages="none", priority=priority)
+    on = served(run_day(day, replace(options, headroom=0.0)))[1:, :2]
+    assert on.sum(axis=1).tolist() == [1, 1, 1]
+    assert (on == on[0]).all()
+
+
 # Nothing stored is spent beside curtailed sun.
 
 
@@ -158,3 +194,20 @@ def test_nothing_stored_is_spent_beside_curtailed_sun(
     assert spent_kw(run) <= 2e-3
     assert run.customers["served"].all()
     assert (run.steps["status"] == "optimal").all()
+
+
+@pytest.mark.parametrize("outages", ["known", "none"])
+@pytest.mark.parametrize(("limits_kw", "sun_kw", "soc"), [
+    ([DARK] * 6, [8.0] * 6, 0.85),
+    ([DARK] * 6, [8.0, 1.0] * 3, 0.6),
+    ([OPEN, *[DARK] * 4, OPEN], [8.0] * 6, 0.85),
+])  # fmt: skip
+def test_nothing_stored_is_spent_beside_curtailed_sun_of_phases(
+    street: Scenario, limits_kw: list[float], sun_kw: list[float], soc: float, outages: str
+) -> None:
+    """The former gives a few watts of losses."""
+    day = street_day(street, np.full((6, 4), 0.5), limits_kw, [0], soc=soc, sun_kw=sun_kw)
+    run = run_day(day, RunOptions(horizon_h=4, mode="physical", outages=outages))
+    assert run.pv.groupby("time")["curtailed_kw"].sum().max() > 1.0
+    assert spent_kw(run) <= 5e-3
+    assert served(run).all()

@@ -10,7 +10,9 @@ import scipy.sparse as sp
 
 from tests.support.injections import columns_of
 from tests.support.small_windows import window
+from vppres.contract.dispatch import Dispatch
 from vppres.io import find_scenario, read_scenario
+from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import Scenario
@@ -102,6 +104,20 @@ def test_cuts_leave_every_set_that_is_carried(
     assert (outcome.value, outcome.bound) == (usual.value, usual.bound)
 
 
+def cheapest_of_large(
+    site: Site, data: WindowData, monkeypatch: pytest.MonkeyPatch
+) -> tuple[NetworkMaster, Dispatch]:
+    """The cheapest dispatch of the best schedule, as of a large window."""
+    _, served = NetworkMaster(ModelCache(site), data, Deadline(TIME_S)).service(Deadline(TIME_S))
+    assert served is not None
+    monkeypatch.setattr("vppres.solve.sizes.LARGE", 0)
+    master = NetworkMaster(ModelCache(site), data, Deadline(TIME_S))
+    outcome, dispatch = master.cheapest(served, Deadline(TIME_S))
+    assert outcome.status == Status.OPTIMAL
+    assert dispatch is not None
+    return master, dispatch
+
+
 def test_batteries_go_one_way_where_they_cannot_store_what_they_waste(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -110,13 +126,7 @@ def test_batteries_go_one_way_where_they_cannot_store_what_they_waste(
     site = Site.of(day)
     data = window(day, slice(12, 14), 0.35)
     data = replace(data, soc=site.batteries.soc_max, pv_kw=20.0 * data.pv_kw)
-    _, served = NetworkMaster(ModelCache(site), data, Deadline(TIME_S)).service(Deadline(TIME_S))
-    assert served is not None
-    monkeypatch.setattr("vppres.solve.sizes.LARGE", 0)
-    master = NetworkMaster(ModelCache(site), data, Deadline(TIME_S))
-    outcome, dispatch = master.cheapest(served, Deadline(TIME_S))
-    assert outcome.status == Status.OPTIMAL
-    assert dispatch is not None
+    _, dispatch = cheapest_of_large(site, data, monkeypatch)
     assert net_modes(site, data, dispatch)[1]
     assert dispatch.pv_curtailed_kw.sum() > 0.0
 
@@ -125,15 +135,8 @@ def test_what_exceeds_the_discs_is_moved(monkeypatch: pytest.MonkeyPatch) -> Non
     """Two batteries beyond their discs, in directions that cancel."""
     day = three_feeders()
     site = Site.of(day)
-    data = window(day, slice(18, 20), 0.6)
-    _, served = NetworkMaster(ModelCache(site), data, Deadline(TIME_S)).service(Deadline(TIME_S))
-    assert served is not None
-    monkeypatch.setattr("vppres.solve.sizes.LARGE", 0)
-    master = NetworkMaster(ModelCache(site), data, Deadline(TIME_S))
+    master, dispatch = cheapest_of_large(site, window(day, slice(18, 20), 0.6), monkeypatch)
     columns = master.model.at("Q_batt")
-    outcome, dispatch = master.cheapest(served, Deadline(TIME_S))
-    assert outcome.status == Status.OPTIMAL
-    assert dispatch is not None
     x = columns_of(master.model, dispatch)
     x[columns[:, 0]] += 2.0 * site.batteries.s_max_kva[0]
     x[columns[:, 1]] -= 2.0 * site.batteries.s_max_kva[0]

@@ -17,8 +17,8 @@ from vppres.scenario.scenario import Scenario
 from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import Deadline
 from vppres.solve.ladder import WindowSolver
+from vppres.solve.network.buses import Reactance
 from vppres.solve.network.master import NetworkMaster
-from vppres.solve.network.reactance import Reactance
 from vppres.solve.result import Status, WindowSolution
 
 TIME_S = 20.0

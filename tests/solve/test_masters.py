@@ -190,14 +190,14 @@ def test_voltages_follow_from_injections(seed: int) -> None:
     d = WindowSolver(site).solve(case.data).dispatch
     model = Injections(ModelCache(site), case.data)
     x = columns_of(model, d)
-    assert np.sqrt(model.u_pu2(x)) == pytest.approx(d.v_pu, abs=1e-6)
+    assert np.sqrt(model.buses.u_pu2(x)) == pytest.approx(d.v_pu, abs=1e-6)
     rows = model.program.rows @ x
     scale = max(1.0, float(case.data.load_kw.sum()))
     assert (rows >= model.program.lower - 1e-5 * scale).all()
     assert (rows <= model.program.upper + 1e-5 * scale).all()
     assert (x >= model.program.x_lower - 1e-5).all()
     assert (x <= model.program.x_upper + 1e-5).all()
-    assert not model.voltage_rows(x, 1e-5)
+    assert not model.limits.exceeded(x, 1e-5)
     assert not model.disc_rows(x, 1e-5)
     back = model.dispatch(x, d.served)
     for name in ("pv_export_kw", "soc", "p_grid_kw", "v_pu", "p_flow_kw", "q_flow_kvar"):

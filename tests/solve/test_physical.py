@@ -510,17 +510,11 @@ def test_all_decisions_of_a_window_share_its_time(
 # Options and files.
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"mode": "real"}, "options, mode = real: is not known. Use one of: paper, physical."),
-        (
-            {"headroom": 1.0},
-            "options, headroom = 1.0: must be a share from 0 to below 1. Give a share "
-            "of the inverter's rating, for example 0.1.",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("options", "message"), [
+    ({"mode": "real"}, "options, mode = real: is not known. Use one of: paper, physical."),
+    ({"headroom": 1.0}, "options, headroom = 1.0: must be a share from 0 to below 1. Give a share "
+        "of the inverter's rating, for example 0.1."),
+])  # fmt: skip
 def test_options_that_make_no_sense(options: dict[str, object], message: str) -> None:
     with pytest.raises(InputError) as error:
         RunOptions(**options)

@@ -173,16 +173,13 @@ def test_inversions_are_told_with_names_and_power() -> None:
     assert not inversions(run_day(day, RunOptions(priority="strict")))
 
 
-@pytest.mark.parametrize(
-    ("homes_kw", "left_kwh", "room_kw", "inverted"),
-    [
-        (60.0, 0.0, 0.0, True),
-        (50.0, 0.0, 70.0, False),
-        (50.0, 10.0, 70.0, True),
-        (50.0, 10.0, 9.0, False),
-        (0.0, 60.0, 70.0, False),
-    ],
-)
+@pytest.mark.parametrize(("homes_kw", "left_kwh", "room_kw", "inverted"), [
+    (60.0, 0.0, 0.0, True),
+    (50.0, 0.0, 70.0, False),
+    (50.0, 10.0, 70.0, True),
+    (50.0, 10.0, 9.0, False),
+    (0.0, 60.0, 70.0, False),
+])  # fmt: skip
 def test_an_inversion_needs_energy_and_power(
     homes_kw: float, left_kwh: float, room_kw: float, inverted: bool
 ) -> None:
@@ -218,19 +215,11 @@ def test_energy_that_was_left_is_not_blamed_on_lower_tiers() -> None:
     ]
 
 
-@pytest.mark.parametrize(
-    ("rule", "told"),
-    [
-        (
-            "weights",
-            {
-                "inverted": "c0 (critical, 60.0 kW) is off supply, while c1, c2, c3 of lower "
-                "tiers have 60.0 kW; the plan does not supply it in the next step either"
-            },
-        ),
-        ("strict", {"levels": "critical 2/2, low 0/0"}),
-    ],
-)
+@pytest.mark.parametrize(("rule", "told"), [
+    ("weights", {"inverted": "c0 (critical, 60.0 kW) is off supply, while c1, c2, c3 of lower "
+        "tiers have 60.0 kW; the plan does not supply it in the next step either"}),
+    ("strict", {"levels": "critical 2/2, low 0/0"}),
+])  # fmt: skip
 def test_live_controllers_tell_order_and_levels(rule: str, told: dict[str, str]) -> None:
     day = hospital_and_homes()
     controller = Controller.of(day, RunOptions(priority=rule, isolate=False))

@@ -11,7 +11,6 @@ import pytest
 from benchmarks.random_feeders import random_window
 from tests.support.agreement import assert_certified
 from tests.support.small_windows import DARK, OPEN, battery, two_buses, window
-from vppres.contract.export import Export
 from vppres.contract.forecast import Forecast
 from vppres.contract.terminal import Terminal
 from vppres.control.converged import physics_of
@@ -22,6 +21,7 @@ from vppres.day.trajectory import Trajectory
 from vppres.explain.day import explain_day
 from vppres.io import read_scenario, write_scenario
 from vppres.io.digest import scenario_digest
+from vppres.kinds.export.physics import Export
 from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
 from vppres.model.beyond_paper.losses import lossless

@@ -196,15 +196,12 @@ def test_battery_beyond_the_weak_line_keeps_everybody_served() -> None:
     assert answer.dispatch.v_pu[0, 1] >= 0.947 - 1e-6
 
 
-@pytest.mark.parametrize(
-    ("method", "solver"),
-    [
-        ("decomposed", "highs"),
-        ("decomposed", "scip"),
-        ("monolithic", "highs"),
-        ("monolithic", "scip"),
-    ],
-)
+@pytest.mark.parametrize(("method", "solver"), [
+    ("decomposed", "highs"),
+    ("decomposed", "scip"),
+    ("monolithic", "highs"),
+    ("monolithic", "scip"),
+])  # fmt: skip
 def test_bound_holds_between_polygon_and_disc(method: str, solver: str) -> None:
     # 99.5 kVA at the middle of a side of the 16-gon: inside the disc of 100 kVA, whose dispatch
     # serves the customer, outside the polygon, which reaches 98.1 kVA there.
@@ -264,33 +261,25 @@ def test_compiled_problems_are_kept() -> None:
 # Statuses.
 
 
-def test_unknown_method_is_named() -> None:
-    day = two_buses([[1.0]], [1.0], [OPEN])
-    with pytest.raises(InputError) as error:
-        WindowSolver(Site.of(day), method="magic")
-    assert str(error.value) == (
-        "options, method = magic: is not a known method. Use one of: decomposed, monolithic."
-    )
-
-
-def test_unknown_solver_is_named_with_those_that_work() -> None:
-    day = two_buses([[1.0]], [1.0], [OPEN])
-    with pytest.raises(InputError) as error:
-        WindowSolver(Site.of(day), solver="gluroby")
-    text = str(error.value)
-    assert text.startswith(
-        "options, solver = gluroby: is not a known solver (highs, scip). Installed here: "
-    )
-    assert "highs" in text.rsplit(":", 1)[1] and "scip" in text.rsplit(":", 1)[1]
-
-
-def test_solver_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(solvers, "_installed", lambda: frozenset([cp.HIGHS]))
-    with pytest.raises(InputError) as error:
-        WindowSolver(Site.of(two_buses([[1.0]], [1.0], [OPEN])), solver="scip")
-    assert str(error.value) == (
-        "options, solver = scip: is not installed. Install it, or use one of: highs."
-    )
+@pytest.mark.parametrize(("asked", "installed", "message"), [
+    ({"method": "magic"}, None,
+        r"method = magic: is not a known method\. Use one of: decomposed, monolithic\.$"),
+    ({"solver": "gluroby"}, None,
+        r"solver = gluroby: is not a known solver \(highs, scip\)\. Installed here: .*highs.*scip"),
+    ({"solver": "scip"}, [cp.HIGHS],
+        r"solver = scip: is not installed\. Install it, or use one of: highs\.$"),
+])  # fmt: skip
+def test_unknown_method_is_named(
+    asked: dict[str, str],
+    installed: list[str] | None,
+    message: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """So are solvers, with those that work."""
+    if installed is not None:
+        monkeypatch.setattr(solvers, "_installed", lambda: frozenset(installed))
+    with pytest.raises(InputError, match=f"^options, {message}"):
+        WindowSolver(Site.of(two_buses([[1.0]], [1.0], [OPEN])), **asked)
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -160,24 +160,15 @@ MEMORY = r"SolverLostError: The solver's process ran out of memory, 1\.0 GB\."
 
 
 @pytest.mark.daily
-@pytest.mark.parametrize(
-    ("factory", "words"),
-    [
-        pytest.param(failing.Sleeping, LATE, marks=pytest.mark.nightly),
-        pytest.param(failing.Blocking, LATE, marks=pytest.mark.nightly),
-        (
-            failing.Crashing,
-            r"SolverLostError: The solver's process died of signal 11 \(SIGSEGV\)\.",
-        ),
-        pytest.param(failing.Hungry, MEMORY, marks=pytest.mark.nightly),
-        pytest.param(failing.HungryInC, MEMORY, marks=pytest.mark.nightly),
-        pytest.param(
-            failing.Leaving,
-            r"SolverLostError: The solver's process ended with status 3\.",
-            marks=pytest.mark.nightly,
-        ),
-    ],
-)
+@pytest.mark.parametrize(("factory", "words"), [
+    pytest.param(failing.Sleeping, LATE, marks=pytest.mark.nightly),
+    pytest.param(failing.Blocking, LATE, marks=pytest.mark.nightly),
+    (failing.Crashing, r"SolverLostError: The solver's process died of signal 11 \(SIGSEGV\)\."),
+    pytest.param(failing.Hungry, MEMORY, marks=pytest.mark.nightly),
+    pytest.param(failing.HungryInC, MEMORY, marks=pytest.mark.nightly),
+    pytest.param(failing.Leaving, r"SolverLostError: The solver's process ended with status 3\.",
+        marks=pytest.mark.nightly),
+])  # fmt: skip
 def test_every_end_has_a_named_fallback_soon(
     tiny: Scenario, workers: Workers, factory: Callable[..., WindowSolver], words: str
 ) -> None:

@@ -137,17 +137,12 @@ def test_files_of_warnings_and_outages(tmp_path: Path) -> None:
     assert scores.summary()["duration_pit"] == pytest.approx([0.9])
 
 
-@pytest.mark.parametrize(
-    ("rows", "words"),
-    [
-        ("2022-07-19T12:00Z,2022-07-19T11:00Z\n", "outages.csv, row 2, end"),
-        ("noon,2022-07-19T11:00Z\n", "outages.csv, row 2, start"),
-        (
-            "2022-07-19T12:00Z,2022-07-19T15:00Z\n2022-07-19T14:00Z,2022-07-19T16:00Z\n",
-            "outages.csv, row 3, start",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("rows", "words"), [
+    ("2022-07-19T12:00Z,2022-07-19T11:00Z\n", "outages.csv, row 2, end"),
+    ("noon,2022-07-19T11:00Z\n", "outages.csv, row 2, start"),
+    ("2022-07-19T12:00Z,2022-07-19T15:00Z\n2022-07-19T14:00Z,2022-07-19T16:00Z\n",
+        "outages.csv, row 3, start"),
+])  # fmt: skip
 def test_outages_that_cannot_be(tmp_path: Path, rows: str, words: str) -> None:
     warnings, outages = tmp_path / "warnings.csv", tmp_path / "outages.csv"
     warnings.write_text("issued_at,onset_likely\n2022-07-19T06:00Z,2022-07-19T12:00Z\n")

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.random_feeders import Window, random_window
-from vppres.contract.export import Export
+from vppres.kinds.export.physics import Export
 
 
 def exporting_window(seed: int, stressed: bool = False) -> Window:

@@ -65,27 +65,16 @@ OF_SUN = _some("in W", "nine times", "wrong sign", "zero", "stuck", "drifting", 
                "late") | {"at its rating": always(30.0)}  # fmt: skip
 OF_MEANS = _some("in W", "nine times", "wrong sign", "zero", "stuck", "noisy", "missing", "late")
 OTHERS: dict[str, dict[str, Told]] = {
-    "soc": {
-        "empty": always(0.0),
-        "full": always(1.0),
-        "in percent": times(100.0),
+    "soc": {"empty": always(0.0), "full": always(1.0), "in percent": times(100.0),
         "upside down": lambda true, since: 1.0 - true[-1],
-        **_some("stuck", "drifting", "noisy", "missing", "late"),
-    },
+        **_some("stuck", "drifting", "noisy", "missing", "late")},
     "battery_kw": OF_MEANS,
     "import_kw": OF_MEANS,
-    "grid_on": {
-        "lost once": lambda true, since: 0.0 if len(true) == since + 1 else true[-1],
-        "lost": always(0.0),
-        "there": always(1.0),
-        "missing": always(None),
-    },
+    "grid_on": {"lost once": lambda true, since: 0.0 if len(true) == since + 1 else true[-1],
+        "lost": always(0.0), "there": always(1.0), "missing": always(None)},
     "online": {"gone": always(0.0)},
-    "indoor_c": {
-        "fahrenheit": lambda true, since: 1.8 * true[-1] + 32.0,
-        "zero": always(0.0),
-        "stuck": POWERS["stuck"],
-    },
+    "indoor_c": {"fahrenheit": lambda true, since: 1.8 * true[-1] + 32.0, "zero": always(0.0),
+        "stuck": POWERS["stuck"]},
     "plugged": {"gone": always(0.0), "there": always(1.0)},
     "ev_soc": {"in percent": times(100.0), "empty": always(0.0)},
     "energy_needed_kwh": {"in Wh": times(1000.0)},
@@ -94,7 +83,7 @@ OTHERS: dict[str, dict[str, Told]] = {
     "genset_kw": {"in W": times(1000.0)},
     "fuel_litres": {"empty": always(0.0), "in ml": times(1000.0)},
     "start_fault": {"failed": always(1.0)},
-}
+}  # fmt: skip
 
 
 @dataclass(frozen=True)

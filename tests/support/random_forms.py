@@ -13,10 +13,10 @@ import numpy as np
 from numpy.random import Generator
 
 from benchmarks.random_feeders import Window, random_state, random_window
-from vppres.contract.export import Export
 from vppres.contract.stored_value import PIECES, StoredValue
 from vppres.contract.terminal import Terminal
 from vppres.control.converged import physics_of
+from vppres.kinds.export.physics import Export
 from vppres.model.data import WindowData
 from vppres.model.linearise import Drawn
 from vppres.model.site import Site

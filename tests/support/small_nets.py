@@ -44,3 +44,25 @@ def empty_tables_are_copied() -> None:
         return tables
 
     net.create_dataframes = staticmethod(create_dataframes)
+
+
+def ring() -> pp.pandapowerNet:
+    """The net of :func:`_ring`, to be changed as one likes."""
+    return deepcopy(_ring())
+
+
+@cache
+def _ring() -> pp.pandapowerNet:
+    """A substation at bus 0 and a ring of 1, 2 and 3, open between 2 and 3 at the end of a line."""
+    net = pp.create_empty_network(name="ring")
+    pp.create_buses(net, 4, vn_kv=10.0)
+    pp.create_ext_grid(net, 0)
+    for start, end, name in ((0, 1, "feeder"), (1, 2, "east"), (1, 3, "west"), (2, 3, "link")):
+        pp.create_line_from_parameters(net, start, end, 2.0, 0.2, 0.1, 0.0, 0.3, name=name)
+    for bus in (1, 2, 3):
+        pp.create_load(net, bus, 0.3, 0.1)
+    pp.create_switch(net, 0, 0, "l", True, "CB", name="CB 1")
+    pp.create_switch(net, 1, 1, "l", True, "LBS")
+    pp.create_switch(net, 2, 1, "l", True, "LBS")
+    pp.create_switch(net, 3, 3, "l", False, "LBS", name="normally open")
+    return net

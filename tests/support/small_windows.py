@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.usual_battery import USUAL_BATTERY
-from vppres.contract.export import Export
 from vppres.control.step_state import StepState
+from vppres.kinds.export.physics import Export
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.scenario.assets import Batteries, Customers, PVSystems

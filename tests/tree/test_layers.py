@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from vppres.kinds.table import FOLDERS, parts
+
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "vppres"
 LIBRARY_HOMES = {
@@ -59,6 +61,7 @@ LAYER_OF_PART = {
     "live_fields": "live",
     "past_days": "scenario",
     "physics": "contract",
+    "plant": "plant",
     "rows": "model",
     "record": "day",
     "reasons": "explain",
@@ -207,14 +210,11 @@ def test_doors_upwards_are_few() -> None:
     assert found == DOORS
 
 
-@pytest.mark.parametrize(
-    ("folder", "above"),
-    [
-        ("vppres", ("benchmarks", "experiments", "tests", "docs")),
-        ("benchmarks", ("experiments", "tests", "docs")),
-        ("experiments", ("tests", "docs")),
-    ],
-)
+@pytest.mark.parametrize(("folder", "above"), [
+    ("vppres", ("benchmarks", "experiments", "tests", "docs")),
+    ("benchmarks", ("experiments", "tests", "docs")),
+    ("experiments", ("tests", "docs")),
+])  # fmt: skip
 def test_what_stands_beside_the_package_imports_one_way(
     folder: str, above: tuple[str, ...]
 ) -> None:
@@ -227,6 +227,22 @@ def test_what_stands_beside_the_package_imports_one_way(
 def test_plant_and_control_meet_only_at_the_contract() -> None:
     assert rooms_entered("plant").isdisjoint({"control", "solve", "model"})
     assert rooms_entered("control").isdisjoint({"plant"})
+
+
+ROWS = [module for module in FILES if re.fullmatch(r"kinds\.\w+\.rows", module)]
+
+
+@pytest.mark.parametrize("module", ROWS)
+def test_rows_of_a_kind_take_from_its_physics_no_more_than_the_window(module: str) -> None:
+    """An error of the arithmetic must not hide in rows that repeat it."""
+    found = {name for name in imports(module) if ".physics." in name}
+    folder = module.split(".")[1]
+    windows = {
+        f"vppres.kinds.{folder}.physics.{data.WINDOW.__name__}"
+        for kind, data in parts("physics").items()
+        if FOLDERS[kind] == folder
+    }
+    assert found <= windows
 
 
 def loaded_by(statement: str) -> set[str]:

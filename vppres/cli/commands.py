@@ -245,7 +245,7 @@ def validate(
 
 def _cross_check(day: Scenario) -> CrossCheck | PhasedCheck:
     """The scenario's AC power flow against pandapower's, which is loaded for it; else by phase."""
-    if day.phases is not None:
+    if day.phases:
         from vppres.feeders.phased_check import phased_check
 
         return phased_check(day, day.phases)
@@ -466,15 +466,18 @@ def new(
 
 @app.command(
     cls=ImportCommand,
-    epilog="Example: vppres reconfigure case33bw --v-min 0.93",
+    epilog="Example: vppres reconfigure ./my-feeder --at 2025-07-01T18:00Z --out ./reconfigured",
 )
 def reconfigure(
     context: typer.Context,
-    network: cli_new.NetworkName,
+    network: cli_reconfigure.Source,
     switch: cli_reconfigure.Switch = None,
     v_min: cli_reconfigure.VMin = None,
     v_max: cli_reconfigure.VMax = None,
     ratings: cli_reconfigure.Ratings = True,
+    at: cli_reconfigure.At = None,
+    any_line: cli_reconfigure.AnyLine = False,
+    out: cli_reconfigure.Out = None,
     most: cli_reconfigure.Most = 1_000_000,
     attempts: cli_reconfigure.Attempts = 100,
     seed: cli_reconfigure.Seed = 0,
@@ -482,44 +485,61 @@ def reconfigure(
     quiet: Quiet = False,
 ) -> None:
     """Find the radial configuration of a feeder with the least losses within its limits."""
-    from vppres.feeders import import_network
-    from vppres.feeders.new.low_voltage import limits_of
     from vppres.feeders.reconfiguration import ConfigurationLimits, least_loss
     from vppres.feeders.reconfiguration.choice import switched_network
+    from vppres.feeders.reconfiguration.folder import with_configuration
+    from vppres.feeders.reconfiguration.sources import feeder_of_network, feeder_of_scenario
     from vppres.feeders.reconfiguration.words import (
         count_words,
         outcome_words,
         reconfiguration_record,
     )
+    from vppres.io.atomic import check_target
+    from vppres.io.find import is_scenario, load_scenario
+    from vppres.io.scenario_writer import write_scenario
 
-    feeder = import_network(network, **fields_of(IMPORT_OPTIONS, context.obj))
-    if feeder.phased is not None:
-        phases = "keeps its phases, which a reconfiguration does not model"
-        raise InputError.of(network, phases, "Add --balance for its balanced equivalent.")
-    switched = switched_network(feeder.network, feeder.ties, switch or ())
-    own = limits_of(feeder.network, None)
+    importing = fields_of(IMPORT_OPTIONS, context.obj)
+    if out is not None:
+        check_target(out)  # before the work, not after it
+    if is_scenario(network):
+        day = load_scenario(network)
+        source = feeder_of_scenario(day, at, importing)
+    else:
+        day, any_line = None, True
+        source = feeder_of_network(network, importing, {"at": at, "out": out})
+    switched = switched_network(source.network, source.switches, switch or (), any_line)
     limits = ConfigurationLimits(
-        own.v_min_ac_pu if v_min is None else v_min,
-        own.v_max_ac_pu if v_max is None else v_max,
+        source.limits_pu[0] if v_min is None else v_min,
+        source.limits_pu[1] if v_max is None else v_max,
         ratings,
     )
     if not as_json:
-        typer.echo(f"{feeder.name}: {count_words(switched, most)}")
+        for words in filter(None, (source.words, f"{source.name}: {count_words(switched, most)}")):
+            typer.echo(words)
     with progress_bar("configurations" if switched.count <= most else "attempts", quiet) as bar:
         found = least_loss(
             switched,
-            *feeder.injection,
+            *source.injection,
             limits,
             most=most,
             attempts=attempts,
             seed=seed,
             progress=bar,
         )
-    record = {"feeder": feeder.name, **reconfiguration_record(switched, found, limits)}
+    record = {
+        "feeder": source.name,
+        **source.record,
+        **reconfiguration_record(switched, found, limits),
+    }
+    written = []
+    if out is not None and day is not None:
+        write_scenario(with_configuration(day, switched, found.best), out)
+        record["folder"], written = str(out), [f"Written to {out}"]
     _show(
         record if as_json else None,
         reconfiguration_table(record),
         *outcome_words(switched, found),
+        *written,
     )
 
 

@@ -23,7 +23,7 @@ LINE_S = 60.0
 
 @contextmanager
 def progress_bar(words: str, quiet: bool) -> Iterator[Callable[[int, int], None]]:
-    """A progress bar on stderr, which is told what is done, and of how many.
+    """A progress bar on stderr, of the units done, of how many.
 
     Where that is no terminal, a line is written once a minute.
     """

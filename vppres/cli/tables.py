@@ -40,9 +40,10 @@ FIGURES = (
 
 def content_of(day: Scenario) -> dict[str, Any]:
     """Contents of a sound scenario, in numbers."""
+    from vppres.kinds.export import data as export
     from vppres.kinds.table import KINDS
     from vppres.physics.uncontrolled import without_control
-    from vppres.scenario.remarks import export_words, remarks, source_words, unknown_phases
+    from vppres.scenario.remarks import remarks, source_words, unknown_phases
 
     return {
         "name": day.name,
@@ -57,7 +58,7 @@ def content_of(day: Scenario) -> dict[str, Any]:
         "steps": day.grid.n_steps,
         "step_minutes": float(day.grid.step_minutes),
         "outage_steps": int(day.outage.sum()),
-        "export": export_words(day),
+        "export": export.words(day),
         "mode": day.controller.mode,
         "source": asdict(day.source),
         "remarks": [

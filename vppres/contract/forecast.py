@@ -12,9 +12,9 @@ from typing import Literal
 
 import numpy as np
 
-from vppres.contract.export import Export
 from vppres.core.arrays import Floats, Wholes, freeze_arrays
 from vppres.core.errors import InputError
+from vppres.kinds.export.physics import Export
 from vppres.scenario.faults import OutOfService
 from vppres.scenario.option_table import check_group
 from vppres.scenario.scenario import Scenario

@@ -8,11 +8,10 @@ from vppres.contract.ahead import KindsAhead
 from vppres.contract.forecast import Forecast
 from vppres.contract.moves import Moves
 from vppres.contract.operating_point import OperatingPoint
-from vppres.contract.owed import Owed
 from vppres.contract.stored_value import StoredValue
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats, Wholes
-from vppres.kinds.customer.physics import SwitchingData, SwitchingState
+from vppres.kinds.customer.physics import Owed, SwitchingData, SwitchingState
 
 
 @dataclass(frozen=True, eq=False)

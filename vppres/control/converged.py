@@ -49,7 +49,7 @@ _MAX_DECISIONS = 3
 
 def linearisation_of(site: Site) -> Linearisation[Any]:
     """The linearisation of a site's windows."""
-    if site.phases is None:
+    if not site.phases:
         return BalancedLinearisation(site)
     return PhasedLinearisation(phased_model(site))
 

@@ -180,7 +180,6 @@ def _taken_kvar(
     It is what the feeder gives the former on that phase beyond its rating, and a little more.
     """
     phases = state.site.phases
-    assert phases is not None
     rating_kva = _rating_kva(state, model, found)
     beyond = np.abs(found.source_kva) > rating_kva + TOLERANCE_KVA
     least_kvar = np.sqrt(np.maximum((AIM * rating_kva) ** 2 - found.source_kva.real**2, 0.0))
@@ -198,7 +197,6 @@ def _behind_meters(state: StepState, served: Flags, own: Floats, model: PhasedMo
     """Power that batteries but the former give to what is served on their own coils, (2, B)."""
     site = state.site
     phases = site.phases
-    assert phases is not None
     load_kw = state.load_kw * served
     own_kw = np.bincount(site.owner, own, len(load_kw))
     kw = np.stack([load_kw - own_kw, load_kw * site.customers.q_per_p], axis=1)

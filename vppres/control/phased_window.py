@@ -45,8 +45,15 @@ class PhasedLinearisation:
         return WindowData.of(observation, self.model.site, "none")
 
     def at_rest(self, data: WindowData) -> WindowData:
-        """The window at the AC points with all customers supplied that can be: its first guess."""
+        """The window at the AC points with all customers supplied that can be: its first guess.
+
+        In a step without power nothing holds a voltage, and capacitors burden no former.
+        """
+        nothing = np.zeros((data.n_steps, self.model.site.network.n_buses))
+        data = replace(data, drawn=Drawn(nothing, nothing))
+        lit = lit_steps(data)
         u, former, currents = self.model.at_no_load(data.dark)
+        former[data.dark & ~lit] = currents[data.dark & ~lit] = 0.0
         rated_kva = self.model.site.batteries.s_max_kva
         kept = np.maximum(data.require_physics().headroom_kw, KEPT_SHARE * rated_kva)
         room = self.model.rating_kva(kept)
@@ -56,10 +63,8 @@ class PhasedLinearisation:
         phased = PhasedWindow(
             u, former, -any_u, any_u, room, none, 0.0 * former, currents, any_current
         )
-        nothing = np.zeros((data.n_steps, self.model.site.network.n_buses))
-        data = replace(data, phased=phased, drawn=Drawn(nothing, nothing))
+        data = replace(data, phased=phased)
         p, q = self._without_control(data)
-        lit = lit_steps(data)
         points = self.model.points(data, p, q, lit)
         return self.at(data, p, q, points, lit & points.converged)
 

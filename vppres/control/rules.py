@@ -82,7 +82,7 @@ def rule_dispatch(
     battery_kw : array, shape (B,), optional
         Wanted charging power, negative to discharge; given up where service needs it.
     """
-    if state.island and state.site.phases is not None:
+    if state.island and state.site.phases:
         return Carried(served_by_phase(state, service_order(state, tiers)), 0.0, 0.0)
     wanted = np.zeros(len(state.site.batteries)) if battery_kw is None else battery_kw
     customers = state.site.customers

@@ -22,7 +22,7 @@ from vppres.model.formulas import (
     squared_voltages,
 )
 from vppres.model.linearise import Drawn
-from vppres.model.own_state import with_own_state
+from vppres.model.own_state import voltages_without_control, with_own_state
 from vppres.model.site import Site
 
 
@@ -48,8 +48,9 @@ class StepState:
         Largest export, 0 in an outage and where the connection imports only.
     drawn : Drawn, optional
         What the network itself draws, one step; None where it draws nothing.
-    own_v_pu : array, shape (N,), optional
-        Voltages that the feeder has without control, where limits give way to them.
+    own_v_pu : array, shape (k, N), optional
+        Voltages that the feeder has without control, where limits give way to them; none if not
+        given.
     due : array of bool, shape (C,), optional
         Customers whose longest time off has ended; None where none has one.
     ahead : KindsAhead, optional
@@ -71,7 +72,7 @@ class StepState:
     online: Flags
     export_limit_kw: float = 0.0
     drawn: Drawn | None = None
-    own_v_pu: Floats | None = None
+    own_v_pu: Floats = field(default_factory=lambda: np.empty((0, 1)))
     due: Flags | None = None
     ahead: KindsAhead = field(default_factory=KindsAhead)
     dark: bool = False
@@ -86,7 +87,7 @@ class StepState:
         everyone = np.ones((1, len(site.customers)), dtype=bool)
         # Demand is higher for those who would be restored now.
         now = with_own_state(site, WindowData.of(seen, site, centre).first(1))
-        own = None if now.own_u_pu2 is None else site.network.v_pu(now.own_u_pu2[0])
+        own_v_pu = voltages_without_control(site, now)
         now = now.for_service(everyone)
         return cls(
             site,
@@ -100,7 +101,7 @@ class StepState:
             np.ones(len(site.batteries), dtype=bool) if online is None else online,
             seen.forecast.export_now_kw,
             now.drawn,
-            own,
+            own_v_pu,
             None if seen.switching is None else seen.switching.due,
             now.ahead,
         )
@@ -174,11 +175,9 @@ class StepState:
 
     def v_limits_pu(self, lowest: float, highest: float) -> tuple[Floats, Floats]:
         """Limits of the voltages that give way to those without control, (N,) each."""
-        shape = self.site.network.n_buses
-        low, high = np.full(shape, lowest), np.full(shape, highest)
-        if self.own_v_pu is None:
-            return low, high
-        return np.minimum(low, self.own_v_pu), np.maximum(high, self.own_v_pu)
+        given = (np.full((1, self.site.network.n_buses), limit) for limit in (lowest, highest))
+        low, high = (np.vstack([limit, *self.own_v_pu]) for limit in given)
+        return np.fmin.reduce(low), np.fmax.reduce(high)
 
     def idle(self) -> StepState:
         """Step state with every battery off."""

@@ -52,7 +52,7 @@ def _faults(scenario: Scenario) -> Iterator[Problem]:
     """Faults of lines and buses, which plans of balanced feeders know."""
     if not scenario.faults:
         return
-    if scenario.phases is not None:
+    if scenario.phases:
         yield Problem("faults.csv", NOT_STATED, f"Remove the file, or {BALANCED}.")
 
 
@@ -98,7 +98,7 @@ def _controller(scenario: Scenario, options: RunOptions, grid: TimeGrid) -> Iter
 
 def _phased(scenario: Scenario, options: RunOptions) -> Iterator[Problem]:
     """Options that a phased feeder has no plan for, and units that are to form its islands."""
-    if scenario.phases is None:
+    if not scenario.phases:
         return
     for field, value, wrong, cure in (
         ("mode", options.mode, options.mode != "physical", "physical"),

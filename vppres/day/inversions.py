@@ -9,8 +9,7 @@ import numpy as np
 
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.core.text import named
-from vppres.day.recorder import LINES_OUT
-from vppres.day.trajectory import Trajectory
+from vppres.day.trajectory import LINES_OUT, Trajectory
 from vppres.kinds.table import KINDS, units_of
 from vppres.scenario.formers import forming_batteries
 from vppres.scenario.priority import STRICT
@@ -56,8 +55,8 @@ def inversions(run: Trajectory) -> list[Inversion]:
 
     It is reckoned for the batteries as one, without the network: had lower tiers been off supply
     from the step on, what they took and what was left in the batteries would have sufficed until
-    the end of the outage, in every step, within the power of the batteries. Steps in which lines
-    are out are none of it: there power goes no further than its part of the feeder.
+    the end of the outage, in every step, within the power of the batteries. Where a line is out
+    until then nothing is said: no energy reaches across it.
     """
     return [one for one in _could_have_been_on(run) if len(one.lower)]
 
@@ -67,14 +66,13 @@ def _could_have_been_on(run: Trajectory) -> list[Inversion]:
     found: list[Inversion] = []
     fleet = _Fleet.of(run)
     out = run.steps["outage"].to_numpy(bool)
-    if LINES_OUT in run.steps:
-        out = out & (run.steps[LINES_OUT] == "").to_numpy(bool)
+    cut = run.steps[LINES_OUT].ne("") if LINES_OUT in run.steps else np.zeros(len(out))
     last = len(out)
     for t in range(len(out) - 1, -1, -1):
         if not out[t]:
             last = t
-            continue
-        found += _in_step(run, fleet, t, last)
+        elif not cut[t:last].any():
+            found += _in_step(run, fleet, t, last)
     return found[::-1]
 
 

@@ -7,13 +7,12 @@ The same observation goes to the controller, to the guard around it and to its f
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from vppres.contract.export import Export
 from vppres.contract.forecast import Forecast
 from vppres.contract.observation import Observation
 from vppres.contract.stored_value import StoredValue
@@ -21,6 +20,7 @@ from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
 from vppres.day.forecasting import DayForecasts
 from vppres.day.priority import site_of
+from vppres.kinds.export.physics import Export
 from vppres.kinds.kind import EnergyHeld
 from vppres.model.site import Site
 from vppres.outlook.belief import OutageBelief
@@ -63,7 +63,7 @@ class GridSeen:
     @property
     def out(self) -> bool:
         """Whether the present step is one of an outage."""
-        return bool(self.outages) and self.outages[-1].end is None
+        return bool(self.outages) and self.outages[-1].lasts
 
     def after(self, time: pd.Timestamp, limit_kw: float) -> GridSeen:
         """History after another step: its beginning, and its largest import.
@@ -89,13 +89,13 @@ class Beside:
     ----------
     prices_gbp_per_kwh : array, shape (n,)
         Import prices of the steps before.
-    limits_kw : array, shape (T,), or None
+    limits_kw : array, shape (T,) or (0,)
         Largest import of the steps while there is grid, as it was announced; NaN where no message
         announced any, and the one of now is taken to stay.
     """
 
     prices_gbp_per_kwh: Floats
-    limits_kw: Floats | None = None
+    limits_kw: Floats = field(default_factory=lambda: np.empty(0))
 
     @classmethod
     def of(cls, scenario: Scenario, row: int) -> Beside:
@@ -105,10 +105,9 @@ class Beside:
     def import_kw(self, steps: int, now_kw: float) -> Floats:
         """Largest import of the first steps while there is grid, (steps,)."""
         found = np.full(steps, now_kw)
-        if self.limits_kw is None:
-            return found
         said = self.limits_kw[:steps]
-        return np.where(np.isnan(said), found, said)
+        found[: len(said)] = np.where(np.isnan(said), now_kw, said)
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,15 +233,15 @@ class OutageView:
         it is weighed against customers, and strict order holds.
         """
         steps = len(ahead.price_gbp_per_kwh)
-        strict = self.ranked if out else None
-        weight = scenario.customers.weight if strict is None else strict.customers.weight
-        objective = scenario.objective if strict is None else strict.weights
+        weight, objective = scenario.customers.weight, scenario.objective
+        if out and self.ranked:
+            weight, objective = self.ranked.customers.weight, self.ranked.weights
         return Ahead(
             load_kw=ahead.load_kw,
             pv_kw=ahead.pv_kw.sum(axis=1),
             price_gbp_per_kwh=ahead.price_gbp_per_kwh,
             import_kw=import_kw,
-            export=Export.believed(scenario, rows, np.full(steps, np.inf)),
+            export=Export.of(scenario, rows, np.full(steps, np.inf)),
             weight=weight,
             lambda_curt=objective.lambda_curt,
             dt_h=scenario.grid.dt_h,
@@ -340,6 +339,6 @@ def _with_probable_outages(
     """An observation with probable outages instead of the true limits behind the present step."""
     limit_kw = np.where(out, 0.0, beside.import_kw(len(window), grid.import_kw))
     limit_kw[0] = seen.forecast.grid_limit_kw[0]
-    export = Export.believed(scenario, slice(window.start, window.stop), limit_kw)
+    export = Export.of(scenario, slice(window.start, window.stop), limit_kw)
     forecast = replace(seen.forecast, grid_limit_kw=limit_kw, export=export)
     return replace(seen, forecast=forecast, ends=False, open_ended=True)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 def phase_figures(trajectory: Trajectory) -> dict[str, float | int | str | None]:
     """Keys of ``summary.json`` that only phased feeders have; nothing for others."""
     nodes, phases = trajectory.nodes, trajectory.scenario.phases
-    if nodes is None or phases is None:
+    if nodes is None or not phases:
         return {}
     net, steps = trajectory.scenario.network, trajectory.steps
     v_pu = nodes["v_ac_pu"].dropna()

@@ -43,9 +43,6 @@ ROTATED = "rotated_weight"
 OFF_BY_FAULT = "off_by_fault"
 """Column of the customers in days with faults: why the part of each is dark."""
 
-LINES_OUT = "lines_out"
-"""Column of the steps in days with faults: names of lines and buses that are out."""
-
 OPTIONAL = (ROTATED, SHARE, TIME_ON, LOSSES, OFF_BY_FAULT)
 
 
@@ -205,7 +202,7 @@ class Recorder:
 
     def _nodes(self) -> pd.DataFrame | None:
         """Voltages by phase; None for a balanced feeder."""
-        if self._scenario.phases is None:
+        if not self._scenario.phases:
             return None
         found = [record.nodes for record in self._records]
         return pd.DataFrame(

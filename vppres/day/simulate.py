@@ -16,7 +16,6 @@ from vppres.contract.dispatch import Dispatch
 from vppres.contract.forecast import ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import OperatingPoint
-from vppres.contract.owed import Owed
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import ModelError, VppresError, function_of
@@ -28,15 +27,8 @@ from vppres.day.kind_tables import records_of
 from vppres.day.options import PERFECT, RunOptions
 from vppres.day.outages import BELIEF, LIKELY, GridSeen, OutageView
 from vppres.day.own import Own
-from vppres.day.recorder import (
-    LINES_OUT,
-    OFF_BY_FAULT,
-    ROTATED,
-    Recorder,
-    StepRecord,
-    voltage_figures,
-)
-from vppres.day.trajectory import SHARE, Trajectory
+from vppres.day.recorder import OFF_BY_FAULT, ROTATED, Recorder, StepRecord, voltage_figures
+from vppres.day.trajectory import LINES_OUT, SHARE, Trajectory
 from vppres.forecasts.interface import ForecastMethod
 from vppres.io.python_door import check_scenario
 from vppres.model.site import Site
@@ -146,7 +138,6 @@ class Day:
         self.import_kw: float | None = None
         self.served: Flags | None = None
         self.flexible_kw: float | None = None
-        self.owed = Owed.of(scenario.customers, scenario.grid.dt_h)
         self.outages = OutageView.create(scenario, self.options.as_record())
         self.grid_seen = GridSeen()
         self.outage_messages = ""
@@ -171,7 +162,7 @@ class Day:
             import_kw=self.import_kw,
             served=self.served,
             flexible_kw=self.flexible_kw,
-            owed=self.owed,
+            owed=self.plant.owed,
             ahead=self.ahead(steps),
             terminal=Terminal.of(self.options.soc_end, forecast, ends),
             ends=ends,
@@ -254,10 +245,6 @@ class Day:
         self.served = realised.served
         self.flexible_kw = realised.flexible_kw
         self.state = self.plant.advance(t, self.state, realised)
-        if self.owed is not None:
-            self.owed = self.owed.after(
-                realised.load_kw, np.asarray(realised.served * realised.share, dtype=float)
-            )
         return record
 
     def carry_out(self, t: int, decision: Decision) -> Settled:
@@ -299,7 +286,6 @@ def _record(
     done: Settled,
     options: RunOptions,
 ) -> StepRecord:
-    """Record of the step."""
     plan, row = decision.dispatch, decision.row
     buses = {"v_model_pu": plan.v_pu[row], "v_ac_pu": done.ac.v_pu}
     lines = {

@@ -163,7 +163,7 @@ def _families(step: Step) -> list[tuple[str, str, Floats]]:
     buses = net.buses
     ends = zip(net.from_bus, net.to_bus, strict=True)
     lines = np.array([f"{above} to {below}" for above, below in ends], dtype=object)
-    if site.phases is not None:
+    if site.phases:
         lines = np.array(phased_model(site).loadings.names, dtype=object)
     b = site.batteries.id
     pv = site.pv.id

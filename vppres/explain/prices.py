@@ -170,7 +170,7 @@ def _as_more_gains(
     """
     told = answer.prices.stored_energy.copy()
     solved = np.zeros(len(told), dtype=bool)
-    # What is told of a battery is never less than what it gains, so the most is one that is solved.
+    # A battery's price is never less than what it gains, so the most is one that is solved.
     while (told > WORTH).any() and not solved[best := int(np.argmax(told))]:
         more = richer(np.where(np.arange(len(told)) == best, MORE_KWH / energy_kwh, 0.0))
         if more is None:

@@ -29,6 +29,7 @@ from vppres.explain.words import (
     stored_worth_gbp,
     too_little,
 )
+from vppres.kinds.export import reasons as export
 
 OFF_PRICE = 0.02
 """Share by which the price of power at a bus must differ from the slack bus's before a voltage
@@ -338,16 +339,15 @@ def _move_with_grid(step: Step, battery: int, verb: str) -> Reason:
         return Reason(
             "surplus",
             limit,
-            f"Charges: {step.site.pv.word} exceeds demand, and {_export_words(step)}.",
+            f"Charges: {step.site.pv.word} exceeds demand, and {export.surplus_words(step)}.",
         )
     worth = step.later_worth_gbp
     if worth is None:
         worth = stored_worth_gbp(step, battery)
     saves = "" if worth is None else f"; a stored kWh is worth {money(worth)} later"
     at_price = f"at {money(step.price_gbp_per_kwh)}/kWh"
-    if not charges and step.export_kw > MOVE_KW:
-        earned = f"{money(step.export_price_gbp_per_kwh)}/kWh"
-        return Reason("price", limit, f"Discharges: exports earn {earned}{saves}.")
+    if not charges and (earned := export.earned(step)):
+        return Reason("price", limit, f"Discharges: {earned}{saves}.")
     if charges and step.later_worth_gbp is not None and step.later_worth_gbp > step.dearest_gbp:
         words = f"Charges for a possible outage {at_price}{saves}."
         return Reason("preparation", limit, words)
@@ -422,27 +422,15 @@ def why_curtailed(step: Step, system: int) -> Reason:
     if line is not None:
         words = f"Curtailed: {line_words(step, line)} is at its limit."
         return Reason("rating", "rating", words)
-    if step.at_export_limit:
-        most = figure(float(step.scenario.export_max_kw[step.t]))
-        return Reason("grid", "grid", f"Curtailed: export is at its limit of {most} kW.")
+    if limited := export.at_limit(step):
+        return limited
     full = len(step.site.batteries) > 0 and bool(
         (step.recorded.soc_end[step.t] >= step.site.batteries.soc_max - 1e-3).all()
     )
     where: Binding = "energy" if full else "power"
     rest = "the batteries are full" if full else "the batteries cannot charge more in this step"
-    return Reason(
-        "surplus",
-        where,
-        f"Curtailed: {pv.word} exceeds the supplied demand, {rest}, and {_export_words(step)}.",
-    )
-
-
-def _export_words(step: Step) -> str:
-    """Export of a surplus, in words."""
-    if step.export_kw > MOVE_KW:
-        return f"only {figure(step.export_kw)} kW is exported"
-    could = step.scenario.export_max_kw[step.t] > 0.0
-    return f"nothing {'is' if could else 'can be'} exported"
+    why = f"{pv.word} exceeds the supplied demand, {rest}, and {export.surplus_words(step)}"
+    return Reason("surplus", where, f"Curtailed: {why}.")
 
 
 def overruled(step: Step, what: str) -> Reason | None:

@@ -16,7 +16,6 @@ from vppres.contract.decision import batteries_out
 from vppres.contract.forecast import Forecast, ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import OperatingPoint
-from vppres.contract.owed import Owed
 from vppres.contract.terminal import Terminal
 from vppres.control.converged import physics_of
 from vppres.control.phased_window import PhasedLinearisation
@@ -28,6 +27,7 @@ from vppres.day.priority import site_of, weighed
 from vppres.day.recorder import OFF_BY_FAULT
 from vppres.day.trajectory import Trajectory
 from vppres.kinds.customer.data import SwitchingRules
+from vppres.kinds.customer.physics import Owed
 from vppres.kinds.customer.record import off_before_h
 from vppres.kinds.table import KINDS, parts, units_of
 from vppres.model.beyond_paper.lines_out import LinesOut
@@ -228,7 +228,7 @@ class Recorded:
             load_kw=np.vstack([self.load_kw[t], data.load_kw[1:]]),
             soc=np.where(self.left_out(t), empty, self.soc_start[t]),
         )
-        if self.site.phases is not None:
+        if self.site.phases:
             return self._by_phase(t, seen)
         seen = with_own_state(self.site, seen)
         return with_ratings(self.site, seen) if self.site.rated else seen

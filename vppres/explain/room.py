@@ -63,7 +63,7 @@ def overloaded_line(step: Step, customer: int) -> int | None:
 
     Of a phased feeder a phase of it.
     """
-    if step.site.phases is not None:
+    if step.site.phases:
         return _overloaded_current(step, customer)
     most_kva = step.levels.window.flow_max_kva
     if most_kva is None:

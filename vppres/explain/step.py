@@ -80,10 +80,6 @@ ON_THE_WAY = 0.25
 """kVA through a phase of a line by a kW of an asset from which it is on the asset's way: a third of
 what has three phases."""
 
-EXPORT_LIMIT_KW = 1.0
-EXPORT_LIMIT_SHARE = 0.01
-"""How near to its limit an export counts as limited: losses lie between plan and meter."""
-
 
 @dataclass(frozen=True)
 class Reason:
@@ -244,23 +240,6 @@ class Step:
         return float(self.scenario.price_gbp_per_kwh[self.t :].max())
 
     @property
-    def export_price_gbp_per_kwh(self) -> float:
-        """Price of exported energy."""
-        return float(self.scenario.export_price[self.t])
-
-    @property
-    def export_kw(self) -> float:
-        """Export at the slack bus, 0 while the grid is away."""
-        return 0.0 if self.outage else max(-self.recorded.imported_kw(self.t), 0.0)
-
-    @property
-    def at_export_limit(self) -> bool:
-        """Whether no more than what is exported could be."""
-        most = float(self.scenario.export_max_kw[self.t])
-        near = EXPORT_LIMIT_KW + EXPORT_LIMIT_SHARE * min(most, self.export_kw)
-        return most > 0.0 and self.export_kw > most - near
-
-    @property
     def fallback(self) -> str:
         """Which fallback decided the step and why, empty if none did."""
         name = self.recorded.note(self.t, "fallback")
@@ -338,7 +317,7 @@ class Step:
 
         Of a phased feeder that of each phase of a line with a rating, (k,).
         """
-        if self.site.phases is not None:
+        if self.site.phases:
             return np.abs(self.recorded.currents(self.t))
         return np.asarray(np.nan_to_num(self.recorded.loading[self.t]))
 
@@ -348,7 +327,7 @@ class Step:
         None if no line on the way is at its rating.
         """
         net = self.scenario.network
-        if self.site.phases is None:
+        if not self.site.phases:
             on_way = net.downstream[:, [net.bus_index[bus]]].toarray().ravel() > 0.0
         else:
             on_way = self._phases_towards(bus)

@@ -130,7 +130,7 @@ def line_words(step: Step, line: int) -> str:
 
 def line_name(step: Step, line: int) -> str:
     """A line or transformer with the buses at its ends, of a phased feeder with its phase."""
-    if step.site.phases is not None:
+    if step.site.phases:
         return f"the {phased_model(step.site).loadings.names[line]}"
     net = step.scenario.network
     kind = "line" if net.ratio[line] == 1.0 else "transformer"

@@ -11,11 +11,11 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Floats, Items, Names, freeze_arrays, no_items
-from vppres.feeders.ties import Ties
 from vppres.scenario.assets import TIER_WEIGHTS
 from vppres.scenario.network import BusId, Network
 from vppres.scenario.phases import PhaseConnection, Phases
 from vppres.scenario.source import SourceDeviation
+from vppres.scenario.switches import Switches
 
 
 def highest_tier(tiers: Iterable[str]) -> str:
@@ -226,8 +226,8 @@ class ImportedFeeder:
         AC power flow of the source for other powers.
     unbalanced : str
         What of the source is not balanced and was spread over three phases; empty if nothing.
-    ties : Ties
-        Lines that are normally open; the network has none of them.
+    switches : Switches
+        Closed switches on its lines, and open ones beside them.
     named : bool
         Whether customers are the loads, and they, generators and batteries keep their names.
     phased : PhasedSource, optional
@@ -251,7 +251,7 @@ class ImportedFeeder:
     causes: tuple[str, ...] = ()
     source_flow: SourceFlow | None = None
     unbalanced: str = ""
-    ties: Ties = field(default_factory=Ties.none)
+    switches: Switches = field(default_factory=Switches.none)
     named: bool = False
     phased: PhasedSource | None = None
     title: str = ""

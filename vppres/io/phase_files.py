@@ -16,7 +16,9 @@ from vppres.io import schema
 from vppres.io.tables import Table, leads_out, no_table, read_rows, read_table, unread
 from vppres.scenario.network import BusId
 from vppres.scenario.phases import (
+    BALANCED,
     PHASES,
+    SOURCE_LACKS,
     TRIANGLE,
     PhaseBus,
     PhaseConnection,
@@ -45,13 +47,11 @@ LARGEST_CONDITION = 1e12
 BUSES_FIRST = "Give all tables of a phased feeder, or remove them all for a balanced one."
 
 
-def read_phases(
-    folder: Path, read_bus: Callable[[str], BusId]
-) -> tuple[Phases | None, list[Problem]]:
-    """The phases of a folder, None for a balanced one, and what is wrong with their tables."""
+def read_phases(folder: Path, read_bus: Callable[[str], BusId]) -> tuple[Phases, list[Problem]]:
+    """The phases of a folder, none for a balanced one, and what is wrong with their tables."""
     present = [name for name in MODELS if (folder / _file(name)).exists()]
     if not present:
-        return None, []
+        return BALANCED, []
     rows: dict[str, dict[int, Any]] = {}
     problems: list[Problem] = []
     for name, model in MODELS.items():
@@ -65,11 +65,11 @@ def read_phases(
         problems += found + wrong
         problems += _lines_wrong(table, rows[name]) if name == "lines" else []
     if problems:
-        return None, problems
+        return BALANCED, problems
     try:
         return _phases(rows, read_bus), []
     except InputError as error:
-        return None, [each for each in error.problems if isinstance(each, Problem)]
+        return BALANCED, [each for each in error.problems if isinstance(each, Problem)]
 
 
 def _file(name: str) -> str:
@@ -78,14 +78,17 @@ def _file(name: str) -> str:
 
 def _phases(rows: dict[str, dict[int, Any]], read_bus: Callable[[str], BusId]) -> Phases:
     buses = [{**row.model_dump(), "at": read_bus(row.at)} for row in rows["buses"].values()]
-    return Phases(
+    found = Phases(
         tuple(PhaseBus(**row) for row in buses),
         tuple(_line(row) for row in rows["lines"].values()),
         tuple(PhaseTransformer(**row.model_dump()) for row in rows["transformers"].values()),
         tuple(PhaseShunt(**row.model_dump()) for row in rows["shunts"].values()),
         tuple(PhaseConnection(**row.model_dump()) for row in rows["connections"].values()),
-        rows={name: tuple(found) for name, found in rows.items()},
+        rows={name: tuple(each) for name, each in rows.items()},
     )
+    if not found:
+        raise InputError([found.wrong("buses", 0, "phases", "", SOURCE_LACKS)])
+    return found
 
 
 def _names(row: int, column: int) -> tuple[str, str, str]:

@@ -45,7 +45,7 @@ from vppres.scenario.fairness import Fairness
 from vppres.scenario.history import History
 from vppres.scenario.network import BusId, Network, check_radial
 from vppres.scenario.outage_warnings import OutageStatistics
-from vppres.scenario.phases import Phases
+from vppres.scenario.phases import BALANCED, Phases
 from vppres.scenario.scenario import (
     ControllerDefaults,
     Headroom,
@@ -54,10 +54,12 @@ from vppres.scenario.scenario import (
     Scenario,
 )
 from vppres.scenario.source import Source, SourceDeviation
+from vppres.scenario.switches import Switches, switch_problems
 
 MODELS: dict[str, type[BaseModel]] = {
     "lines": schema.LineRow,
     "buses": schema.BusRow,
+    "switches": schema.SwitchRow,
     "customers": schema.CustomerRow,
     "pv": schema.PVRow,
     "batteries": schema.BatteryRow,
@@ -132,7 +134,7 @@ def read_scenario(folder: str | Path) -> Scenario:
     problems += series_problems + history_problems
     lines = tables["lines"]
     read_bus = checks.bus_reader(lines) if lines else str
-    phases: Phases | None = None
+    phases = BALANCED
     if lines:
         phases, phase_problems = read_phases(folder, read_bus)
         problems += phase_problems
@@ -223,6 +225,8 @@ def _check_across(settings: Settings, tables: Tables, rows: AllRows) -> list[Pro
             problems += checks.check_parts(table, rows["customers"])
     if buses := there.get("buses"):
         problems += checks.check_once(buses, "bus", "Give each bus one row.")
+    if lines and (switches := there.get("switches")):
+        problems += _check_switches(switches, rows["switches"], lines)
     if pv := there.get("pv"):
         problems += checks.check_places(pv) + checks.check_one_pv_each(pv)
     if batteries := there.get("batteries"):
@@ -253,6 +257,33 @@ def _check_network(lines: Table, slack_bus: str | None) -> list[Problem]:
         row = None if problem.row is None else int(lines.frame.index[problem.row])
         located.append(replace(problem, where=lines.file, row=row))
     return located
+
+
+def _check_switches(table: Table, rows: dict[int, Any], lines: Table) -> list[Problem]:
+    """Whether the switches fit the lines; only asked if each of both has its ends."""
+    if len(rows) < len(table.frame) or not {"from_bus", "to_bus"} <= set(lines.names):
+        return []
+    read_bus = checks.bus_reader(lines)
+    switches = _switches(columns_of(rows, schema.SwitchRow, read_bus))
+    from_bus, to_bus = (
+        np.array([read_bus(text) for text in lines.column(name).values()], dtype=object)
+        for name in ("from_bus", "to_bus")
+    )
+    if len(from_bus) != len(to_bus):
+        return []
+    numbers = [*rows]
+    return [
+        replace(
+            problem, where=table.file, row=None if problem.row is None else numbers[problem.row]
+        )
+        for problem in switch_problems(switches, from_bus, to_bus)
+    ]
+
+
+def _switches(columns: Columns) -> Switches:
+    """Switches of their columns; what has no limit is infinite."""
+    unlimited = ("i_max_a", "max_operations_per_day")
+    return Switches(**columns | {name: given_or(columns[name], np.inf) for name in unlimited})
 
 
 def _read_series(
@@ -295,7 +326,10 @@ def _read_series(
             if table and not (unused and table.frame.empty):
                 problems += check_times(table, grid)
     n_steps = grid.n_steps if grid else 0
-    stacked = {name: _stack(each, n_steps) for name, each in columns.items()}
+    stacked = {
+        name: (np.column_stack(list(each.values())) if each else np.empty((n_steps, 0)))
+        for name, each in columns.items()
+    }
     return stacked | system, problems
 
 
@@ -361,17 +395,12 @@ def _read_system(table: Table) -> tuple[dict[str, Floats], list[Problem]]:
     return values, problems
 
 
-def _stack(columns: dict[str, Floats], n_steps: int) -> Floats:
-    """Columns side by side, shape (T, number of columns)."""
-    return np.column_stack(list(columns.values())) if columns else np.empty((n_steps, 0))
-
-
 def _assemble(
     settings: Settings,
     rows: AllRows,
     series: dict[str, Floats],
     read_bus: Callable[[str], BusId],
-    phases: Phases | None,
+    phases: Phases,
 ) -> Scenario:
     """The scenario, from files in which no problem was found."""
     file = settings.file
@@ -408,13 +437,13 @@ def _assemble(
             tuple(file.source.notes),
             SourceDeviation(**file.source.deviation.model_dump()),
             file.source.unbalanced,
-            tuple(file.source.ties),
         ),
         voll_gbp_per_kwh=file.reliability.voll_gbp_per_kwh,
         warnings=tuple(rows["warnings"].values()),
         interruptions=tuple(rows["outages"].values()),
         faults=faults_of(rows["faults"], read_bus),
         phases=phases,
+        switches=_switches(columns["switches"]),
         **of_kinds,
         **arrays,
         **{key: kind(**getattr(file, key).model_dump()) for key, kind in _SECTIONS.items()},

@@ -29,10 +29,11 @@ from vppres.kinds.table import KINDS, units_of
 from vppres.scenario.fairness import Fairness, Interruption
 from vppres.scenario.faults import Fault
 from vppres.scenario.history import History
-from vppres.scenario.network import BUS_DRAWS, LINE_DEFAULTS, Network
+from vppres.scenario.network import BUS_DRAWS, LINE_DEFAULTS
 from vppres.scenario.outage_warnings import OutageStatistics
 from vppres.scenario.scenario import DEFAULT_VOLL_GBP_PER_KWH, ControllerDefaults, Scenario
 from vppres.scenario.source import Source
+from vppres.scenario.switches import SWITCH_DEFAULTS
 from vppres.scenario.timegrid import UTC, TimeGrid
 
 
@@ -162,7 +163,6 @@ def _source(source: Source) -> dict[str, Any]:
         "kind": source.kind,
         **({"unbalanced": source.unbalanced} if source.unbalanced else {}),
         "notes": list(source.notes),
-        **({"ties": list(source.ties)} if source.ties else {}),
         **({"deviation": deviation} if deviation else {}),
     }
 
@@ -183,7 +183,12 @@ def frames_of(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, p
     if all(w == tier_weights[t] for w, t in zip(customers.weight, customers.tier, strict=True)):
         frames["customers"] = frames["customers"].drop(columns="weight")
     if network.has_draws:
-        frames["buses"] = _bus_frame(network)
+        drawing = np.any([getattr(network, name) != 0 for name in BUS_DRAWS], axis=0)
+        columns = {name: getattr(network, name)[drawing] for name in (*BUS_DRAWS, "island")}
+        buses = SimpleNamespace(bus=network.buses[drawing], **columns)
+        frames["buses"] = frame_of(buses, schema.BusRow, columns)
+    if len(scenario.switches):
+        frames["switches"] = frame_of(scenario.switches, schema.SwitchRow, SWITCH_DEFAULTS)
     for kind in map(KINDS.__getitem__, units_of(scenario)):
         for name, table in kind.tables.items():
             rows: Any = getattr(scenario, name)
@@ -202,8 +207,7 @@ def frames_of(scenario: Scenario, tier_weights: dict[str, float]) -> dict[str, p
         frames["faults"] = _fault_frame(scenario.faults)
     if scenario.history is not None:
         frames |= _history_frames(scenario, scenario.history)
-    if scenario.phases is not None:
-        frames |= phase_frames(scenario.phases)
+    frames |= phase_frames(scenario.phases)
     return frames
 
 
@@ -229,14 +233,6 @@ def _history_frames(scenario: Scenario, history: History) -> dict[str, pd.DataFr
     return {
         name: _timed_frame(history.times, ids, kw) for name, (ids, kw) in values.items() if kw.size
     }
-
-
-def _bus_frame(network: Network) -> pd.DataFrame:
-    """Power that the buses draw by themselves, without buses and columns of nothing."""
-    drawing = np.any([getattr(network, name) != 0 for name in BUS_DRAWS], axis=0)
-    columns = {name: getattr(network, name)[drawing] for name in (*BUS_DRAWS, "island")}
-    buses = SimpleNamespace(bus=network.buses[drawing], **columns)
-    return frame_of(buses, schema.BusRow, columns)
 
 
 def _timed_frame(times: pd.DatetimeIndex, ids: ArrayLike, values: Floats) -> pd.DataFrame:

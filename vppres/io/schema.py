@@ -30,6 +30,7 @@ from vppres.scenario.option_table import Option, section_options
 from vppres.scenario.outage_warnings import STATISTICS_PRESETS, WARNING_PRESETS
 from vppres.scenario.scenario import DEFAULT_VOLL_GBP_PER_KWH, ObjectiveWeights
 from vppres.scenario.source import MAX_NOTE_LENGTH, MAX_NOTES, MAX_SOURCE_LENGTH
+from vppres.scenario.switches import KINDS as SWITCH_KINDS
 from vppres.scenario.timegrid import is_zone
 
 MAX_GRID_DAYS = 366
@@ -178,6 +179,7 @@ _TYPES: dict[str, Any] = {
     ],
     "yes or no": YES_OR_NO,
     "voltage kind": Literal["ground", "lines"],
+    "switch kind": Literal[SWITCH_KINDS],
     "warning preset": Literal[WARNING_PRESETS],
     "statistics preset": Literal[STATISTICS_PRESETS],
 }
@@ -308,6 +310,7 @@ ControllerSection = _model("[controller]")
 FilesSection = _model("[files]")
 LineRow = _model("lines.csv")
 BusRow = _model("buses.csv")
+SwitchRow = _model("switches.csv")
 CustomerRow = _model("customers.csv")
 PVRow = _model("pv.csv")
 BatteryRow = _model("batteries.csv")

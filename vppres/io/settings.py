@@ -152,7 +152,7 @@ def _read_toml(path: Path) -> tuple[dict[str, Any], list[Problem]]:
     if problems:
         return {}, problems
     try:
-        return tomllib.loads(text), []
+        document = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         found = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
         line = int(found[1]) if found else text.count("\n") + 1
@@ -160,6 +160,9 @@ def _read_toml(path: Path) -> tuple[dict[str, Any], list[Problem]]:
         return {}, [
             Problem(path.name, f"is not valid TOML: {reason}", "Correct this line.", row=line)
         ]
+    if isinstance(source := document.get("source"), dict):
+        source.pop("ties", None)  # of folders before switches.csv
+    return document, []
 
 
 def _sound(document: dict[str, Any], name: str, model: type[M]) -> M | None:

@@ -349,7 +349,7 @@ class UnitsNow:
     state : Any
         The estimate of their state, as the plant has it.
     taken_kw, taken_off_kw : float
-        Power that all took since the last decision, as metered or else as they were told, and by
+        Power that all took since the last decision, as metered or else as set, and by
         how much that may be off.
     estimated : tuple of str
         Readings that are missing or frozen, and units that are out, in words.

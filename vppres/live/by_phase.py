@@ -64,7 +64,7 @@ class ByPhase:
     @classmethod
     def of(cls, scenario: Scenario, step: StepRecord) -> ByPhase | None:
         """Power flow of a step that was decided; None without phases, and without power."""
-        if scenario.phases is None or np.isnan(step.nodes["v_ac_pu"]).any():
+        if not scenario.phases or np.isnan(step.nodes["v_ac_pu"]).any():
             return None
         labels = [step.nodes["bus"], step.nodes["phase"]]
         index = pd.MultiIndex.from_arrays(labels, names=["bus", "phase"])
@@ -92,7 +92,6 @@ class ByPhase:
 def _nearest(scenario: Scenario, nodes: pd.Series[float]) -> Nearest:
     """The voltage that is nearest a limit; the grid's own bus has none."""
     net, phases = scenario.network, scenario.phases
-    assert phases is not None
     middle = (net.v_max_ac_pu + net.v_min_ac_pu) / 2.0
     half = (net.v_max_ac_pu - net.v_min_ac_pu) / 2.0
     shares = (nodes - middle).abs() / half

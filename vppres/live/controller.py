@@ -268,12 +268,12 @@ class Controller:
         scenario = self.scenario
         step = scenario.grid.step
         then = scenario.grid.start + seen_last * step
-        told = [
+        messages = [
             replace(one, issued_at=min(one.issued_at, then))
             for one in scenario.warnings
             if one.issued_at <= scenario.grid.start + said_last * step
         ]
-        outlook = OutageOutlook(told, scenario.outage_statistics, scenario.grid.dt_h)
+        outlook = OutageOutlook(messages, scenario.outage_statistics, scenario.grid.dt_h)
         n_steps = said_last - seen_last + scenario.grid.steps_in_horizon(LOOKAHEAD_H)
         return outlook.at(then, n_steps, self._past.grid_seen.outages).out_probability
 
@@ -384,14 +384,14 @@ class Controller:
         window, ahead = self._window(seen.t), self._ahead(seen.t)
         known, options = self.scenario, self.options
         present = Present.of(t, seen, known, window, ahead, past, options, self._past_days)
-        told = present.observation(OutageView.create(self.scenario, self._record))
-        decision = _without_disconnected(self._decider.decide(told), seen.connected)
+        known_now = present.observation(OutageView.create(self.scenario, self._record))
+        decision = _without_disconnected(self._decider.decide(known_now), seen.connected)
         words = (*seen.left_out, *present.estimated, decision.estimated)
         estimated = "; ".join(filter(None, words))
         decision = replace(decision, estimated=estimated)
-        day = present.day(decision.seen or told, decision.estimated)
+        day = present.day(decision.seen or known_now, decision.estimated)
         record = day.settle(0, decision)
-        foreseen = Foreseen.of(decision, day.scenario, told)
+        foreseen = Foreseen.of(decision, day.scenario, known_now)
         points = SetPoints.of(day.scenario, record, foreseen, day.plant.switching, present.kinds)
         return points, present.after(day, record)
 

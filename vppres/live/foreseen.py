@@ -40,7 +40,7 @@ class Foreseen(ForeseenOfKinds):
     import_kw: pd.Series[float]
 
     @classmethod
-    def of(cls, decision: Decision, window: Scenario, told: Observation) -> Foreseen:
+    def of(cls, decision: Decision, window: Scenario, known: Observation) -> Foreseen:
         """The rows of a decision's plan after its own; none where an answer is for one step."""
         plan = decision.dispatch
         rows = slice(decision.row + 1, plan.n_steps)
@@ -51,20 +51,20 @@ class Foreseen(ForeseenOfKinds):
             pd.DataFrame(plan.served[rows], times, [str(name) for name in window.customers.id]),
             pd.DataFrame(plan.soc[ends], times, [str(name) for name in window.batteries.id]),
             pd.Series(plan.p_grid_kw[rows], times),
-            **_of_kinds(decision, window, told, times),
+            **_of_kinds(decision, window, known, times),
         )
 
 
 def _of_kinds(
-    decision: Decision, window: Scenario, told: Observation, times: pd.DatetimeIndex
+    decision: Decision, window: Scenario, known: Observation, times: pd.DatetimeIndex
 ) -> dict[str, pd.DataFrame]:
     """Planned course of each kind, of as many steps as the plan has."""
     found: dict[str, pd.DataFrame] = {}
     live, plan = parts("live"), decision.dispatch
-    for kind, known in told.ahead.by_kind.items():
+    for kind, of in known.ahead.by_kind.items():
         units = getattr(window, kind)
         taken_kw = plan.taken_by(kind, units)[decision.row :]
         running = plan.running_of(kind, units)[decision.row :]
-        ahead = known.part(slice(len(taken_kw)))
+        ahead = of.part(slice(len(taken_kw)))
         found |= live[kind].foreseen(window, ahead, taken_kw, running, times[: len(taken_kw) - 1])
     return found

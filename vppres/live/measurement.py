@@ -146,7 +146,7 @@ class Seen:
     scenario : Scenario
         The scenario with what was expected in its place, and what was measured where that is
         anything.
-    announced_kw : array, shape (T,), or None
+    announced_kw : array, shape (T,)
         Largest import while there is grid, as far as it was announced; NaN elsewhere.
     foretold_load, foretold_pv : array of bool, shape (C,) and (P,)
         Series whose steps ahead are another provider's forecast.
@@ -159,7 +159,7 @@ class Seen:
     told : tuple of Told
         Set-points of batteries since the last decision, where these differ from it.
     kinds : dict
-        What the units of each kind told.
+        Readings of the units of each kind.
     profile_kw, profile_pv_kw : array, shape (C,) and (P,)
         What the scenario says of demand and PV power in the step.
     """
@@ -175,7 +175,7 @@ class Seen:
     online: Flags
     import_kw: float | None
     connected: Flags
-    announced_kw: Floats | None
+    announced_kw: Floats
     foretold_load: Flags
     foretold_pv: Flags
     left_out: tuple[str, ...]
@@ -188,7 +188,6 @@ class Seen:
 
     def window(self, rows: range) -> Seen:
         """Measurements of some steps alone, of which the first is the present one."""
-        announced = self.announced_kw
         scenario = self.scenario.between(rows.start, rows.stop)
         now = scenario.grid.start
         scenario = replace(
@@ -198,7 +197,7 @@ class Seen:
             self,
             t=0,
             scenario=scenario,
-            announced_kw=None if announced is None else announced[rows.start : rows.stop],
+            announced_kw=self.announced_kw[rows.start : rows.stop],
         )
 
     def believed(self, load_kw: Floats, pv_kw: Floats) -> Scenario:
@@ -287,10 +286,8 @@ def _measurement_arrays(
     of_batteries = _of_batteries(door, b, measured)
     import_kw = door.number("import_kw", measured.import_kw)
     connected = door.flags("connected", measured.connected, c.id)
-    announced = None
-    if measured.announced_limit_kw is not None:
-        unknown = np.full(scenario.grid.n_steps, np.nan)
-        announced = door.series("announced_limit_kw", measured.announced_limit_kw, unknown)
+    unknown = np.full(scenario.grid.n_steps, np.nan)
+    announced = door.series("announced_limit_kw", measured.announced_limit_kw, unknown)
     now = door.moment("now", measured.now) or door.begun
     if not door.begun <= now < door.begun + door.grid.step:
         door.problem("now", "lies outside the step", "Give a time within it.", measured.now)
@@ -348,7 +345,7 @@ def _of_batteries(door: Door, b: Batteries, measured: Measurement) -> dict[str, 
 
 
 def _grid_series(door: Door, scenario: Scenario, measured: Measurement) -> dict[str, Any]:
-    """Prices and limits of the grid as measured, (T,) each; the scenario's where not told."""
+    """Prices and limits of the grid as measured, (T,) each; the scenario's where not given."""
     price = scenario.price_gbp_per_kwh
     limit = scenario.grid_limit_kw
     export_limit = np.broadcast_to(scenario.export_limit_kw, limit.shape)
@@ -358,7 +355,7 @@ def _grid_series(door: Door, scenario: Scenario, measured: Measurement) -> dict[
         "export_limit_kw": (measured.export_limit_kw, export_limit),
         "export_price_gbp_per_kwh": (measured.export_price_gbp_per_kwh, scenario.export_price),
     }
-    return {name: door.series(name, told, known) for name, (told, known) in own.items()}
+    return {name: door.series(name, given, known) for name, (given, known) in own.items()}
 
 
 def _is_named(ids: Names, named: Sequence[str]) -> Flags:

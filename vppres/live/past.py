@@ -10,14 +10,13 @@ import numpy as np
 import pandas as pd
 
 from vppres.contract.operating_point import OperatingPoint
-from vppres.contract.owed import Owed
 from vppres.core.arrays import Complexes, Flags, Floats
 from vppres.core.plain import Given, from_plain, to_plain
 from vppres.day.forecasting import PAPER, history_before
 from vppres.day.options import RunOptions
 from vppres.day.outages import GridSeen
 from vppres.day.simulate import Day
-from vppres.kinds.customer.physics import SwitchingState
+from vppres.kinds.customer.physics import Owed, SwitchingState
 from vppres.kinds.table import parts
 from vppres.scenario.history import History
 from vppres.scenario.scenario import Scenario
@@ -51,7 +50,7 @@ class Past:
         """Before the first step: all customers have been supplied for long."""
         day = Day(scenario, options)
         history = None if options.forecaster == PAPER else history_before(scenario)
-        return cls(-1, None, day.plant.switching, None, history, {}, owed=day.owed)
+        return cls(-1, None, day.plant.switching, None, history, {}, owed=day.plant.owed)
 
     def with_measured(self, start: pd.Timestamp, load_kw: Floats, pv_kw: Floats) -> History | None:
         """The history with a step, (C,) and (P,); None where no forecaster learns from it."""

@@ -159,7 +159,7 @@ class Present:
         day.state = BatteryState(known.soc, known.eta_charge, known.eta_discharge, t_ref_c)
         day.outage_messages = known.outage_messages
         day.plant.switching = self.switching
-        day.owed = self.past.owed_at(self.t)
+        day.plant.owed = self.past.owed_at(self.t)
         day.ac.go_on_from(self.past.voltages)
         day.plant.begin_with(self._states())
         return day
@@ -174,7 +174,7 @@ class Present:
             history=self._extended_history(day.scenario),
             voltages=day.ac.found,
             grid_seen=self.grid_seen,
-            owed=day.owed,
+            owed=day.plant.owed,
             kinds={
                 kind: now.after(day.scenario, day.plant.state_of(kind), record.kinds[kind])
                 for kind, now in self.kinds.items()

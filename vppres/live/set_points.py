@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Names
 from vppres.core.notebook import facts_html
 from vppres.day.inversions import lower_tiers_now
 from vppres.day.recorder import ROTATED, StepRecord
@@ -76,7 +75,7 @@ class SetPoints(SetPointsOfKinds):
         order ``levels`` has how many steps of the window the plan supplies to customers of each
         tier, and how many it could at most; ``inverted`` names a customer off supply whose demand
         lower tiers and charging batteries take now, and when the plan supplies it; ``shorter`` one
-        for whom what they take would do for a part of the step.
+        for which what they take would do for a part of the step.
     feeding : Feeding
         What holds the voltage: the grid, a battery, or nothing.
     foreseen : Foreseen
@@ -205,7 +204,7 @@ def _customers(scenario: Scenario, columns: Mapping[str, Any]) -> pd.DataFrame:
     return _table(
         customers.id,
         bus=customers.bus,
-        **_phases(scenario, customers.id),
+        **scenario.phases.column(customers.id),
         tier=customers.tier,
         load_kw=columns["p_load_kw"],
         load_kvar=columns["q_load_kvar"],
@@ -220,7 +219,7 @@ def _batteries(scenario: Scenario, columns: Mapping[str, Any]) -> pd.DataFrame:
     return _table(
         scenario.batteries.id,
         bus=scenario.batteries.bus,
-        **_phases(scenario, scenario.batteries.id),
+        **scenario.phases.column(scenario.batteries.id),
         p_kw=columns["charge_kw"] - columns["discharge_kw"],
         q_kvar=columns["q_kvar"],
         soc=columns["soc_start"],
@@ -233,7 +232,7 @@ def _pv(scenario: Scenario, columns: Mapping[str, Any]) -> pd.DataFrame:
     return _table(
         scenario.pv.id,
         bus=scenario.pv.buses(scenario.customers),
-        **_phases(scenario, scenario.pv.id),
+        **scenario.phases.column(scenario.pv.id),
         available_kw=columns["available_kw"],
         p_kw=columns["self_kw"] + columns["export_kw"],
         curtailed_kw=columns["curtailed_kw"],
@@ -249,17 +248,11 @@ def _of_kinds(
     found = {}
     for kind, columns in step.kinds.items():
         units = getattr(scenario, kind)
-        told = live[kind].set_points(scenario, step.t, columns)
+        own = live[kind].set_points(scenario, step.t, columns)
         places = {"bus": units.buses(scenario.customers)}
         more = now[kind].columns() if kind in now else {}
-        found[kind] = _table(units.id, **{**places, **told, **more})
+        found[kind] = _table(units.id, **{**places, **own, **more})
     return found
-
-
-def _phases(scenario: Scenario, ids: Names) -> dict[str, Any]:
-    """Phases on which assets are; nothing without phases."""
-    phases = scenario.phases
-    return {} if phases is None else {"phases": [phases.connection(str(i)).coils for i in ids]}
 
 
 def _solve(step: StepRecord) -> dict[str, Any]:

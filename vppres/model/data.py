@@ -8,16 +8,15 @@ from typing import Any
 import numpy as np
 
 from vppres.contract.ahead import KindsAhead
-from vppres.contract.export import Export
 from vppres.contract.moves import Moves
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
-from vppres.contract.owed import MOST_SHARE, Owed
 from vppres.contract.stored_value import Ending, StoredValue
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Complexes, Flags, Floats, Wholes
 from vppres.core.errors import ModelError
-from vppres.kinds.customer.physics import LongestOff, SwitchingData
+from vppres.kinds.customer.physics import LongestOff, Owed, SwitchingData
+from vppres.kinds.export.physics import Export
 from vppres.model.formulas import cell_kw, soc_after
 from vppres.model.linearise import Drawn, delta_offset, drawn_by
 from vppres.model.sections import Sections, at_items, sections_of
@@ -461,8 +460,7 @@ class WindowData:
 
     def most_load_kw(self, site: Site) -> Floats:
         """Largest demand of each customer, just restored or catching up, (W, C)."""
-        most_share = np.where(site.customers.recovery_h > 0.0, MOST_SHARE, 1.0)
-        return np.asarray(self.all_cold().load_kw * most_share)
+        return np.asarray(self.all_cold().load_kw * site.customers.most_share)
 
     def self_limit_kw(self, site: Site) -> Floats:
         """Self-consumption of each PV system if its owner is served, shape (W, P)."""
@@ -501,17 +499,11 @@ class WindowData:
         return connected if self.sections is None else connected & ~self.sections.beyond
 
     @property
-    def exporting(self) -> bool:
-        """Whether export is part of the window's problem."""
-        return self.export is not None
-
-    @property
     def both_ways_earn(self) -> bool:
         """Whether importing and exporting at once would earn in a step with grid."""
-        if self.export is None:
-            return False
-        open_ = (self.grid_limit_kw > 0.0) & (self.export.limit_kw > 0.0)
-        return bool((open_ & (self.export.price_gbp_per_kwh > self.price_gbp_per_kwh)).any())
+        return self.export is not None and self.export.earns_both_ways(
+            self.price_gbp_per_kwh, self.grid_limit_kw
+        )
 
     def export_max_kw(self, site: Site) -> Floats:
         """Largest export that there can ever be, or the limit where that is smaller, (W,).

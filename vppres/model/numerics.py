@@ -41,7 +41,7 @@ def disc_sides(site: Site, n_steps: int) -> int:
     whole sets: what the former's phases leave may need all that inverters can give.
     """
     small = site.network.n_buses * n_steps <= LARGEST_WITH_CONES
-    return 0 if small or site.phases is not None else POLYGON_SIDES
+    return 0 if small or site.phases else POLYGON_SIDES
 
 
 def cost_scale(site: Site) -> float:

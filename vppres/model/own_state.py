@@ -2,7 +2,8 @@
 
 All customers are supplied, batteries are idle, and PV power is exported as far as the connection
 takes it and the highest voltage allows. A limit is never tighter than the voltages of that state,
-so with grid no customer is switched off for a voltage that the feeder has by itself.
+so with grid no customer is switched off for a voltage that the feeder has by itself. Where its
+demand is beyond what its lines carry, the feeder has no such state, and the AC limits stand.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from vppres.core.arrays import Floats
+from vppres.model.beyond_paper.losses import ACPoints, Sweeps
 from vppres.model.beyond_paper.physical import taken_by_network
 from vppres.model.data import PhasedWindow, WindowData
 from vppres.model.formulas import bus_injections, lossless_flows, voltage_drop_pu2
@@ -37,7 +39,7 @@ def giving_way(site: Site, data: WindowData) -> list[WindowData]:
     First those of plans; then, where the feeder without control is beyond them, those of the AC
     voltages; then the voltages without control themselves. They are those of the window's own
     linearisation, so that this state is one of the last window's dispatches. In an island nothing
-    gives way.
+    gives way, and where the feeder without control has no power flow nothing but plans' limits do.
     """
     if data.phased is not None:
         return _phases_giving_way(site, data, data.phased)
@@ -45,9 +47,12 @@ def giving_way(site: Site, data: WindowData) -> list[WindowData]:
     if not site.soft_voltages or not connected.any():
         return [data]
     net = site.network
-    own = np.maximum(_own_u_pu2(site, data), COLLAPSED_PU2 * net.v_slack_pu**2)
-    own = np.where(connected, own, np.nan)
+    own, pv_kw = _own_state(site, data)
     least, most = (net.u_pu2(np.full(net.n_buses, v)) for v in (net.v_min_ac_pu, net.v_max_ac_pu))
+    if (connected & (own < least))[:, 1:].any():
+        found = _ac_points(site, data, pv_kw).converged[:, None]
+        own = np.where(found, own, np.clip(own, least, most))
+    own = np.where(connected, own, np.nan)
     within_ac = np.clip(own, least, most)
     beyond = (own < net.u_min_pu2) | (own > net.u_max_pu2)
     beyond_ac = connected & (own != within_ac)
@@ -89,13 +94,26 @@ def with_own_state(site: Site, data: WindowData) -> WindowData:
     return giving_way(site, data)[-1]
 
 
+def voltages_without_control(site: Site, data: WindowData) -> Floats:
+    """Voltages to which the limits of the first step give way, in a linear model and by AC, (2, N).
+
+    None, (0, N), where the limits stand.
+    """
+    net = site.network
+    if data.own_u_pu2 is None:
+        return np.empty((0, net.n_buses))
+    linear = net.v_pu(data.own_u_pu2[0])
+    points = _ac_points(site, data, _own_state(site, data)[1])
+    return np.stack([linear, np.where(points.converged[0], points.v_pu[0], linear)])
+
+
 def u_without_sun_pu2(site: Site, data: WindowData) -> Floats:
     """Squared referred voltages with all customers and PV power behind the meters, (W, N)."""
     return _from_grid(site, data)[0]
 
 
-def _from_grid(site: Site, data: WindowData) -> tuple[Floats, Floats, Floats]:
-    """Voltages without exports, (W, N), import then in kW, (W,), and PV power left, (W, P)."""
+def _from_grid(site: Site, data: WindowData) -> tuple[Floats, Floats, Floats, Floats]:
+    """Voltages without exports, (W, N), import then in kW, (W,), PV power used and left, (W, P)."""
     net = site.network
     load_kw = data.all_cold().load_kw
     load_kvar = load_kw * site.customers.q_per_p
@@ -111,13 +129,13 @@ def _from_grid(site: Site, data: WindowData) -> tuple[Floats, Floats, Floats]:
     flows = lossless_flows(net, p_kw), lossless_flows(net, q_kvar)
     rise = data.delta_pu2 - voltage_drop_pu2(net, *flows)
     u = net.v_slack_pu**2 + rise @ net.downstream
-    return np.asarray(u), -p_kw.sum(axis=1), usable_kw - own_kw
+    return np.asarray(u), -p_kw.sum(axis=1), own_kw, usable_kw - own_kw
 
 
-def _own_u_pu2(site: Site, data: WindowData) -> Floats:
-    """Squared referred voltages without control, (W, N)."""
+def _own_state(site: Site, data: WindowData) -> tuple[Floats, Floats]:
+    """Squared referred voltages without control, (W, N), and PV power then, (W, P)."""
     net = site.network
-    u, imported_kw, spare_kw = _from_grid(site, data)
+    u, imported_kw, own_kw, spare_kw = _from_grid(site, data)
     if data.sections is not None:
         spare_kw = np.where(at_items(data.sections.beyond, site.pv_bus), 0.0, spare_kw)
     exported = bus_injections(site, {"pv": spare_kw})
@@ -125,7 +143,16 @@ def _own_u_pu2(site: Site, data: WindowData) -> Floats:
     raised = -voltage_drop_pu2(net, flows, np.zeros_like(flows)) @ net.downstream
     taken = share_of(data.export_max_kw(site) + imported_kw, spare_kw.sum(axis=1))
     allowed = share_of(net.u_max_pu2 - u, raised).min(axis=1)
-    return np.asarray(u + np.minimum(taken, allowed)[:, None] * raised)
+    share = np.minimum(taken, allowed)[:, None]
+    return np.asarray(u + share * raised), own_kw + share * spare_kw
+
+
+def _ac_points(site: Site, data: WindowData, pv_kw: Floats) -> ACPoints:
+    """Power flows of the feeder without control, with its PV power, (W, P)."""
+    load_kw = data.all_cold().load_kw
+    p_kw = bus_injections(site, {"pv": pv_kw, "customers": -load_kw})
+    q_kvar = bus_injections(site, {"customers": -load_kw * site.customers.q_per_p})
+    return Sweeps(site.network).solve(p_kw * data.with_grid, q_kvar * data.with_grid)
 
 
 def share_of(room: Floats, wanted: Floats) -> Floats:

@@ -174,7 +174,6 @@ class PhasedModel:
     def of(cls, site: Site) -> PhasedModel:
         """The model of a site that has phases."""
         phases = site.phases
-        assert phases is not None
         former = former_of(phases, site.batteries)
         names = assets_of(site)
         net = site.feeder

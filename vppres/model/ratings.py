@@ -44,15 +44,11 @@ def with_ratings_given(site: Site, data: WindowData, to: Dispatch, share: float)
     Only currents of which the dispatch has too much give way, each in its own steps.
     """
     limited = with_ratings(site, data)
+    size, most = _flows(site, limited, to)
+    given = most + share * np.maximum(size - most, 0.0)
     if limited.phased is not None:
-        drawn = phased_model(site).drawn(data.for_service(to.served), to)
-        most = limited.phased.current_max
-        beyond = loading_of_phases(site, data, *drawn) - most
-        given = most + share * np.maximum(beyond, 0.0)
         return replace(limited, phased=replace(limited.phased, current_max=given))
-    most_kva = limit_kva(limited)
-    beyond = np.hypot(to.p_flow_kw, to.q_flow_kvar) - most_kva
-    return replace(limited, flow_max_kva=most_kva + share * np.maximum(beyond, 0.0))
+    return replace(limited, flow_max_kva=given)
 
 
 def overloaded(site: Site, data: WindowData, dispatch: Dispatch, by: float = 0.0) -> Flags:
@@ -60,11 +56,16 @@ def overloaded(site: Site, data: WindowData, dispatch: Dispatch, by: float = 0.0
 
     Of a phased feeder, currents of the phases of its lines and of its transformers, (W, k).
     """
-    if data.phased is not None:
-        drawn = phased_model(site).drawn(data.for_service(dispatch.served), dispatch)
-        return loading_of_phases(site, data, *drawn) > data.phased.current_max * (1.0 + by)
-    size = np.hypot(dispatch.p_flow_kw, dispatch.q_flow_kvar)
-    return np.asarray(size > limit_kva(data) * (1.0 + by))
+    size, most = _flows(site, data, dispatch)
+    return np.asarray(size > most * (1.0 + by))
+
+
+def _flows(site: Site, data: WindowData, dispatch: Dispatch) -> tuple[Floats, Floats | float]:
+    """Flows of lines in kVA and what the window allows; with phases currents as shares."""
+    if data.phased is None:
+        return np.hypot(dispatch.p_flow_kw, dispatch.q_flow_kvar), limit_kva(data)
+    drawn = phased_model(site).drawn(data.for_service(dispatch.served), dispatch)
+    return loading_of_phases(site, data, *drawn), data.phased.current_max
 
 
 def loading_of_phases(site: Site, data: WindowData, p_kw: Floats, q_kvar: Floats) -> Floats:

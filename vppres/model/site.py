@@ -15,7 +15,7 @@ from vppres.kinds.kind import Units
 from vppres.kinds.table import KINDS, units_of
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
-from vppres.scenario.phases import Phases
+from vppres.scenario.phases import BALANCED, Phases
 from vppres.scenario.priority import Ranks
 from vppres.scenario.scenario import ObjectiveWeights, Scenario
 
@@ -73,14 +73,14 @@ class Site(OfKinds):
     ranks: Ranks | None = None
     soft_voltages: bool = False
     rated: bool = False
-    phases: Phases | None = None
+    phases: Phases = BALANCED
     limits_of: Network | None = None
 
     @classmethod
     def of(cls, scenario: Scenario) -> Site:
         """Site of a scenario."""
-        if scenario.phases is not None:
-            balanced = cls.of(replace(scenario, phases=None))
+        if scenario.phases:
+            balanced = cls.of(replace(scenario, phases=BALANCED))
             tree = as_tree(scenario.network)
             return replace(
                 balanced, network=tree, phases=scenario.phases, limits_of=scenario.network
@@ -148,7 +148,7 @@ class Site(OfKinds):
         more: list[Any] = [] if self.ranks is None else [self.ranks]
         more += self.kinds.values()
         rules = " soft" * self.soft_voltages + " rated" * self.rated
-        if self.phases is not None:
+        if self.phases:
             rules += f" {self.phases.key} {content_key(self.feeder)}"
         return f"{self.dt_h}{rules} " + content_key(
             self.weights, self.network, self.customers, self.pv, anyhow, *more

@@ -127,7 +127,7 @@ class Statement:
                 both = name.endswith("_added") and name in values
                 values[name] = values[name] + value if both else value
         p = replace(p, **values)
-        if self.site.phases is None:
+        if not self.site.phases:
             return p
         taken = [addition.taken(self.site) for addition in self.additions]
         return replace(p, by_asset=drawn_by_assets(self.site, v, p, taken))

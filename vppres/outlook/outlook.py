@@ -31,6 +31,16 @@ class SeenOutage:
     start: pd.Timestamp
     end: pd.Timestamp | None = None
 
+    @property
+    def lasts(self) -> bool:
+        """Whether it is not over."""
+        return self.end is None
+
+    @property
+    def hours(self) -> float:
+        """Its length in h, NaN while it lasts."""
+        return (self.end - self.start) / HOUR if self.end else np.nan
+
 
 @dataclass(frozen=True)
 class Announced:
@@ -104,7 +114,7 @@ class Announced:
         it was known.
         """
         most = max(self.latest - self.earliest, HOUR, step)
-        known = seen.end is None or seen.end > self.first_issued
+        known = not seen.end or seen.end > self.first_issued
         return known and self.off(seen) <= most
 
     def is_cause_of(self, other: Announced, seen: Sequence[SeenOutage], step: pd.Timedelta) -> bool:
@@ -178,9 +188,9 @@ class OutageOutlook:
         seen : sequence of SeenOutage
             Outages so far, in their order; the last one lasts if the present step is one of it.
         """
-        lasting = seen[-1] if seen and seen[-1].end is None else None
+        lasting = _lasting_of(seen)
         step = pd.Timedelta(hours=self.step_h)
-        elapsed = 0 if lasting is None else round((now - lasting.start) / step)
+        elapsed = round((now - lasting.start) / step) if lasting else 0
         announced = self.expected(now, seen)
         # The present outage may be longer than all that lies ahead.
         length = min(elapsed + n_steps + 1, LONGEST_STEPS)
@@ -190,7 +200,7 @@ class OutageOutlook:
         onset = [self._onset_probability(one, now, n_steps) for one in waited_for]
         kinds = [self._length(one, one.likely, length) for one in waited_for]
         kind = 0
-        if lasting is not None:
+        if lasting:
             # The present one comes first: those behind it are still waited for.
             kind = 1
             present = self._lasting(explained[-1], lasting, now, length)
@@ -204,7 +214,7 @@ class OutageOutlook:
             np.array(onset).reshape(len(onset), n_steps),
             np.array(kinds),
             hazard=float(-np.expm1(-self._rates.hazard_per_h * self.step_h)),
-            out=lasting is not None,
+            out=bool(lasting),
             kind=kind,
             elapsed=min(elapsed, length - 1),
             words="; ".join(words),
@@ -230,7 +240,7 @@ class OutageOutlook:
         seen : sequence of SeenOutage
             Outages so far, in their order.
         """
-        lasting = seen[-1] if seen and seen[-1].end is None else None
+        lasting = _lasting_of(seen)
         step = pd.Timedelta(hours=self.step_h)
         messages = self._messages(now)
         named = {
@@ -252,7 +262,7 @@ class OutageOutlook:
             joined = [one for name in reversed(names) for one in messages[name]]
             joined.sort(key=lambda one: one.issued_at)
             one = announced_by(joined, lasting)
-            assert one is not None  # no all-clear is among them
+            assert one  # no all-clear is among them
             found.append(replace(one, dropped=tuple(names[1:])))
         return sorted(found, key=lambda one: one.likely)
 
@@ -298,7 +308,7 @@ class OutageOutlook:
     def _onset_probability(self, one: Announced, now: pd.Timestamp, n_steps: int) -> Floats:
         """Probability that it begins at each step, given that it has not so far."""
         begun = self._begun_probability(one, now, n_steps)
-        p = 1.0 if one.message.probability is None else one.message.probability
+        p = one.message.chance
         left = 1.0 - p * begun[1]
         onset = np.zeros(n_steps)
         # What should have begun by now has not.
@@ -309,7 +319,7 @@ class OutageOutlook:
     def _begun_probability(self, one: Announced, now: pd.Timestamp, n_steps: int) -> Floats:
         """Probability that it begins before each step if it comes, (T + 1,)."""
         steps = np.arange(n_steps + 1)
-        if one.shares is not None:
+        if one.shares:
             # A step is out if the outage touches it.
             return one.shares.begun(steps * self.step_h + (now - one.shares.start) / HOUR)
         hours = [(time - now) / HOUR for time in (one.earliest, one.likely, one.latest)]
@@ -325,7 +335,9 @@ class OutageOutlook:
         duration = self._unannounced(length)
         not_before = seen.start
         words = ""
-        if known is not None:
+        notices: tuple[OutageWarning, ...] = ()
+        if known:
+            notices = known.notices
             not_before = known.not_before or seen.start
             least = min(max(elapsed, round((not_before - seen.start) / step)), length - 1)
             said = self._length(known, seen.start, length)
@@ -338,8 +350,8 @@ class OutageOutlook:
         ends_h = self.step_h * np.arange(1.0, length + 1.0)
         told = [
             ((one.issued_at - seen.start) / HOUR, (one.restored_by - seen.start) / HOUR)
-            for one in (() if known is None else known.notices)
-            if one.restored_by is not None and one.restored_by > seen.start
+            for one in notices
+            if one.restored_by and one.restored_by > seen.start
         ]
         now_h = self.step_h * elapsed
         likely = self._rates.notices.likelihood(ends_h, now_h, told, self.step_h)
@@ -348,14 +360,12 @@ class OutageOutlook:
     def _length(self, one: Announced, begun: pd.Timestamp, length: int) -> Floats:
         """Lengths of an outage that began at a time, as messages say it, else the statistics."""
         message = one.message
-        if message.restored_likely is not None:
+        if message.restored_likely:
             least_h = 0.5 * self.step_h
             hours = max((message.restored_likely - begun) / HOUR, least_h)
             message = replace(message, restored_likely=None, duration_p50_h=hours)
-        alone = message.duration_p10_h is None and message.duration_p90_h is None
-        spoken = message.duration_p50_h is not None and message.length is None
-        if one.estimate and spoken and alone:
-            assert message.duration_p50_h is not None
+        spread = message.duration_p10_h or message.duration_p90_h or message.length
+        if one.estimate and message.duration_p50_h and not spread:
             low, middle, high = (message.duration_p50_h * each for each in self._rates.estimate)
             message = replace(
                 message, duration_p10_h=low, duration_p50_h=middle, duration_p90_h=high
@@ -366,21 +376,17 @@ class OutageOutlook:
 
 def length_of(message: OutageWarning, step_h: float, length: int) -> Floats | None:
     """Probability of each number of steps that a message says it lasts; None if it says nothing."""
-    if message.length is not None:
+    if message.length:
         return durations.of_length(message.length, step_h, length)
-    median_h = message.duration_p50_h
-    if median_h is None:
+    low_h, median_h, high_h = message.duration_p10_h, message.duration_p50_h, message.duration_p90_h
+    if not median_h:
         return None
-    low_h = message.duration_p10_h
-    high_h = message.duration_p90_h
-    if low_h is None and high_h is None:
+    if not (low_h or high_h):
         return durations.known(median_h, step_h, length)
     # One side alone speaks for both.
-    low_h = median_h**2 / high_h if low_h is None and high_h is not None else low_h
-    high_h = median_h**2 / low_h if high_h is None and low_h is not None else high_h
-    assert low_h is not None
-    assert high_h is not None
-    return durations.between_quantiles(low_h, median_h, high_h, step_h, length)
+    below_h = low_h or median_h**2 / (high_h or median_h)
+    above_h = high_h or median_h**2 / (low_h or median_h)
+    return durations.between_quantiles(below_h, median_h, above_h, step_h, length)
 
 
 def said_so_far(
@@ -402,7 +408,7 @@ def said_so_far(
         the all-clear, or where none says when it begins.
     """
     found = announced_by([completed(one) for one in messages], None)
-    if found is None:
+    if not found:
         return None
     step_h = (times[1] - times[0]) / HOUR
     outlook = OutageOutlook(messages, OutageStatistics("none"), step_h)
@@ -413,17 +419,22 @@ def seen_outages(times: pd.DatetimeIndex, out: Sequence[bool]) -> list[SeenOutag
     """Outages among the steps so far, of which the last is the present one.
 
     >>> hours = pd.date_range("2022-07-19T12:00Z", periods=3, freq="h")
-    >>> [one.end is None for one in seen_outages(hours, [True, False, True])]
+    >>> [one.lasts for one in seen_outages(hours, [True, False, True])]
     [False, True]
     """
     found: list[SeenOutage] = []
     for time, dark in zip(times, out, strict=False):
-        lasts = bool(found) and found[-1].end is None
+        lasts = bool(found) and found[-1].lasts
         if dark and not lasts:
             found.append(SeenOutage(time))
         elif lasts and not dark:
             found[-1] = replace(found[-1], end=time)
     return found
+
+
+def _lasting_of(seen: Sequence[SeenOutage]) -> SeenOutage | None:
+    """The present outage: the last one that was seen, if it is not over."""
+    return seen[-1] if seen and seen[-1].lasts else None
 
 
 def announced_by(
@@ -445,10 +456,10 @@ def announced_by(
     if last.all_clear:
         return None
     since = max((i for i, m in enumerate(messages) if m.all_clear), default=-1) + 1
-    timed = [m for m in messages[since:] if m.onset_likely is not None]
+    timed = [m for m in messages[since:] if m.onset_likely]
     lengths = [m for m in messages[since:] if m.says_length]
     said = lengths[-1] if lengths else None
-    if said is not None and not last.says_length:
+    if said and not last.says_length:
         last = replace(
             last,
             duration_p10_h=said.duration_p10_h,
@@ -457,16 +468,16 @@ def announced_by(
             restored_likely=said.restored_likely,
             length=said.length,
         )
-    not_before = [m for m in messages[since:] if m.restored_not_before is not None]
-    stands = bool(not_before) and (said is None or not_before[-1].issued_at >= said.issued_at)
+    not_before = [m for m in messages[since:] if m.restored_not_before]
+    stands = bool(not_before) and (not said or not_before[-1].issued_at >= said.issued_at)
     if timed:
         onset = timed[-1]
-    elif lasting is not None and last.issued_at >= lasting.start - HOUR:
+    elif lasting and last.issued_at >= lasting.start - HOUR:
         onset = replace(last, onset_likely=lasting.start)
     else:
         return None
     likely = onset.onset_likely
-    assert likely is not None
+    assert likely
     return Announced(
         message=last,
         first_issued=messages[since].issued_at,
@@ -474,10 +485,9 @@ def announced_by(
         likely=likely,
         latest=onset.onset_latest or likely,
         shares=onset.onset,
-        estimate=said is not None
-        and (said.onset_likely is None or said.issued_at >= said.onset_likely),
+        estimate=any(not m.onset_likely or m.issued_at >= m.onset_likely for m in lengths[-1:]),
         not_before=not_before[-1].restored_not_before if stands else None,
-        notices=tuple(m for m in messages[since:] if m.restored_by is not None),
+        notices=tuple(m for m in messages[since:] if m.restored_by),
     )
 
 

@@ -204,16 +204,12 @@ HOURS_PER_YEAR = 8760.0
 def completed(warning: OutageWarning) -> OutageWarning:
     """A warning with what its preset says where it says nothing itself."""
     preset = WARNINGS.get(warning.preset)
-    if preset is None or warning.all_clear:
+    if not preset or warning.all_clear:
         return warning
     found = warning
     if found.probability is None:
         found = replace(found, probability=preset.probability)
-    if (
-        found.onset_likely is not None
-        and found.onset_earliest is None
-        and found.onset_latest is None
-    ):
+    if found.onset_likely and not (found.onset_earliest or found.onset_latest):
         spread = pd.Timedelta(hours=preset.onset_spread_h)
         found = replace(
             found,

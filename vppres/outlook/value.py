@@ -16,9 +16,9 @@ from math import ceil, floor
 
 import numpy as np
 
-from vppres.contract.export import Export
 from vppres.contract.stored_value import PIECES, StoredValue
 from vppres.core.arrays import Floats
+from vppres.kinds.export.physics import Export
 from vppres.outlook.belief import OutageBelief
 
 MOST_CELLS = 240

@@ -152,7 +152,7 @@ def power_flows(scenario: Scenario) -> tuple[PowerFlow, PowerFlow]:
     It is the same one where none opens.
     """
     net, phases = scenario.network, scenario.phases
-    if phases is not None:
+    if phases:
         by_phase = FlowByPhase(scenario, phases)
         opens = any(shunt.island == "no" for shunt in phases.shunts)
         return by_phase, FlowByPhase(scenario, phases, island=True) if opens else by_phase

@@ -53,7 +53,7 @@ class Places:
         at = [np.array([index[bus] for bus in buses], dtype=int) for buses in named]
         n_buses = site.network.n_buses
         bus = np.arange(n_buses)
-        if site.phases is not None:
+        if site.phases:
             bus = np.concatenate([[0], *at])
             ends = np.cumsum([1, *map(len, at)])
             at = [np.arange(end - len(each), end) for each, end in zip(at, ends[1:], strict=True)]

@@ -15,9 +15,9 @@ import numpy as np
 from vppres.contract.decision import Decision
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import VerificationError
+from vppres.kinds.export.plant import within_export_limit
 from vppres.physics.feeder import PowerFlow
 from vppres.physics.powerflow import ACResult, NoSolutionError, NotFoundError
-from vppres.plant.exporting import within_export_limit
 from vppres.plant.island import Settled
 from vppres.plant.plant import NOBODY, BatteryState, Plant, Realised
 from vppres.scenario.scenario import Scenario

@@ -15,7 +15,7 @@ import numpy as np
 from vppres.contract.decision import Decision
 from vppres.core.arrays import Flags, Floats
 from vppres.kinds.customer.data import SwitchingRules
-from vppres.kinds.customer.physics import SwitchingState
+from vppres.kinds.customer.physics import Owed, SwitchingState
 from vppres.kinds.kind import Followers
 from vppres.kinds.table import parts, units_of
 from vppres.physics.places import Places
@@ -25,7 +25,7 @@ from vppres.scenario.scenario import Scenario
 F = TypeVar("F", bound=Followers)
 
 NOBODY = "nobody"
-"""Word of the record for nobody shed, where a power flow was not found."""
+"""Word of the record for no customer shed, where a power flow was not found."""
 
 CLIP_TOLERANCE_KW = 1e-3
 """Set-points that the plant had to move by more than this are named in the record."""
@@ -129,6 +129,7 @@ class Plant:
         self.switching = SwitchingState.of(
             rules or SwitchingRules(), scenario.customers, scenario.grid.dt_h
         )
+        self.owed = Owed.of(scenario.customers, scenario.grid.dt_h)
         self.places = Places.of(scenario)
         self._every: dict[str, Followers] = {
             kind: part.PLANT(scenario) for kind, part in parts("physics").items()
@@ -166,6 +167,10 @@ class Plant:
         """State before the step after ``t``."""
         if self.switching is not None:
             self.switching = self.switching.advance(realised.served)
+        if self.owed is not None:
+            self.owed = self.owed.after(
+                realised.load_kw, np.asarray(realised.served * realised.share, dtype=float)
+            )
         for kind, units in self.units.items():
             units.advance(t, realised.taken_kw[kind], realised.running[kind])
         power = Power(realised.charge_kw, realised.discharge_kw)

@@ -111,7 +111,7 @@ class OnPhases:
         return self._without(powers, former, slice(None))
 
     def _without(self, powers: Powers, former: Former, phases: int | slice) -> Powers | None:
-        """Powers without what others give on some phases; None if nobody gives there."""
+        """Powers without what others give on some phases; None if no device gives there."""
         pv, batteries = (
             np.atleast_2d(flags[phases]).any(axis=0) for flags in (self.pv, self.batteries)
         )

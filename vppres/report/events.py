@@ -11,9 +11,8 @@ import numpy as np
 
 from vppres.core.text import counted, named
 from vppres.day.kind_tables import kind_events
-from vppres.day.recorder import LINES_OUT
 from vppres.day.series import energy_limits_kwh, outage_spans, stored_energy_kwh
-from vppres.day.trajectory import Trajectory
+from vppres.day.trajectory import LINES_OUT, Trajectory
 from vppres.kinds.customer import record as customer
 from vppres.report.clock import Clock
 from vppres.report.key_figures import number

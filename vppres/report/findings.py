@@ -76,7 +76,7 @@ def _voltages(run: Trajectory) -> Iterator[str]:
 
 def _loadings(run: Trajectory) -> Iterator[str]:
     """Lines above their rating, by phase if there are phases."""
-    if run.scenario.phases is not None:
+    if run.scenario.phases:
         yield from _phases_loaded(run)
         return
     loading = np.nan_to_num(line_loading(run))

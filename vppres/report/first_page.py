@@ -161,7 +161,7 @@ def energy_rows(run: Trajectory, summary: Mapping[str, Any]) -> list[tuple[str, 
 
 def limit_rows(run: Trajectory) -> list[LimitRow]:
     """Lowest and highest voltage, and the line nearest to its rating."""
-    lines = _line_rows if run.scenario.phases is None else _phase_rows
+    lines = _phase_rows if run.scenario.phases else _line_rows
     return [*_voltage_rows(run), *lines(run)]
 
 

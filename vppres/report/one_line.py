@@ -6,7 +6,7 @@ so that the whole day is a few strings per step.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,8 +20,9 @@ from vppres.kinds.table import KINDS
 from vppres.report.clock import Clock
 from vppres.report.plots.drawing import CIVIDIS, coloured, shortened
 from vppres.report.tree_layout import tree_layout
-from vppres.scenario.network import Network
+from vppres.scenario.network import BusId
 from vppres.scenario.phases import PHASES
+from vppres.scenario.switches import Switches
 
 MARGIN_PX, TOP_PX, GRID_PX = 24, 20, 42
 WIDTH_PX, COLUMN_PX = 1000, (52, 172)
@@ -66,6 +67,15 @@ class BusMark:
 
 
 @dataclass(frozen=True)
+class SwitchMark:
+    """A switch in the drawing: what it is, and the places of its two buses."""
+
+    words: str
+    closed: bool
+    ends: tuple[int, int, int, int]
+
+
+@dataclass(frozen=True)
 class Drawing:
     """Everything that no step changes; names lean where they would reach the next one."""
 
@@ -73,7 +83,7 @@ class Drawing:
     height: int
     buses: tuple[BusMark, ...]
     lines: tuple[tuple[int, int, int, int], ...]
-    ties: tuple[tuple[int, int, int, int], ...]
+    switches: tuple[SwitchMark, ...]
     leaning: bool
 
 
@@ -115,22 +125,27 @@ def drawing(run: Trajectory) -> Drawing:
         for i in range(net.n_buses)
     )
     ends = zip(net.parent, range(1, net.n_buses), strict=True)
-    lines, ties_at = (
-        tuple((int(x[a]), int(y[a]), int(x[b]), int(y[b])) for a, b in pairs)
-        for pairs in (ends, tie_ends(net, day.source.ties))
+    lines = tuple((int(x[a]), int(y[a]), int(x[b]), int(y[b])) for a, b in ends)
+    switches = tuple(
+        SwitchMark(words, closed, (int(x[a]), int(y[a]), int(x[b]), int(y[b])))
+        for words, closed, a, b in _told_switches(day.switches, net.bus_index)
     )
     beside = name_px if leaning else max(name_px / 2, MARGIN_PX)
     width = int(x.max() + beside + MARGIN_PX)
     height = int(MARGIN_PX + row_px.sum())
-    return Drawing(width, height, buses, lines, ties_at, leaning)
+    return Drawing(width, height, buses, lines, switches, leaning)
 
 
-def tie_ends(network: Network, ties: Iterable[str]) -> Iterator[tuple[int, int]]:
-    """Positions of the buses that normally open lines join; what names no two buses is left out."""
-    known = {str(bus): i for bus, i in network.bus_index.items()}
-    for first, _, last in (tie.partition(" to ") for tie in ties):
-        if first in known and last in known:
-            yield known[first], known[last]
+def _told_switches(
+    switches: Switches, at: Mapping[BusId, int]
+) -> Iterator[tuple[str, bool, int, int]]:
+    """Kind and state of each switch in words, whether it is closed, and its buses."""
+    for i, name in enumerate(switches.id):
+        state = "closed" if switches.closed[i] else "open"
+        locked = f", locked: {switches.locked[i]}" if switches.locked[i] else ""
+        first, last = sorted((at[switches.from_bus[i]], at[switches.to_bus[i]]))
+        words = f"{name}: {switches.kind[i]}, {state}{locked}"
+        yield words, bool(switches.closed[i]), first, last
 
 
 def voltage_edges(run: Trajectory) -> Floats:
@@ -248,7 +263,7 @@ def _info(run: Trajectory) -> list[str]:
 
 def _phases(run: Trajectory, step: pd.Series[Any]) -> str:
     """Source power on each phase of a phased feeder, in words."""
-    if run.scenario.phases is None:
+    if not run.scenario.phases:
         return ""
     name = "former" if step["outage"] else "import"
     kva = [step[f"{name}_{phase}_kva"] for phase in PHASES]

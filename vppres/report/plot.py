@@ -1,7 +1,7 @@
 """Pictures of runs and scenarios with matplotlib, for notebooks and papers: ``vppres.plot``.
 
 Each takes a run, or several by label or in a row, and the Axes to draw into; it makes a figure of
-its own without. What is given back is the Axes, to be changed further. Curves are told apart by
+its own without. What is given back is the Axes, to be changed further. Curves differ by
 colour, dashes and width, and areas by hatches, so that a grey print shows the same.
 """
 

@@ -32,7 +32,7 @@ def recheck_run(run: Trajectory, source: Path) -> Recheck:
     mode = str(run.options.get("mode", "paper"))
     network = run.scenario.network
     phases = run.scenario.phases
-    if phases is not None:
+    if phases:
         from vppres.feeders.dss.phased_recheck import recheck_phased
 
         return recheck_phased(run.tables, phases, source, island_former(run.scenario))

@@ -12,6 +12,7 @@ import numpy as np
 
 from vppres.core.arrays import Flags, Floats, Items, Names, Wholes, freeze, no_items
 from vppres.core.errors import InputError, Problem
+from vppres.kinds.customer.data import MOST_SHARE, steps_within
 
 # Telemetry in single precision or with six digits: further outside, a limit or a reading is wrong.
 SOC_ROUNDING = 1e-6
@@ -117,6 +118,15 @@ class Customers(Items):
     def recovery_h(self) -> Floats:
         """Hours in which each catches up what it was not given, 0 if it does not, (C,)."""
         return np.nan_to_num(self.recover_h) if len(self.recover_h) else np.zeros(len(self))
+
+    def recovery_steps(self, dt_h: float) -> Wholes:
+        """Whole steps in which each catches up, 0 if it does not, (C,)."""
+        return steps_within(self.recovery_h, dt_h)
+
+    @property
+    def most_share(self) -> Floats:
+        """Largest share of its demand that each can take, (C,)."""
+        return np.where(self.recovery_h > 0.0, MOST_SHARE, 1.0)
 
     @property
     def longest_off_h(self) -> Floats:

@@ -40,7 +40,7 @@ def forming_batteries(site: Any) -> Flags:
     batteries = site.batteries
     if named_units(site) and not batteries.grid_forming.any():
         return np.zeros(len(batteries), dtype=bool)
-    if site.phases is not None:
+    if site.phases:
         return np.asarray(site.phases.formers(batteries))
     return np.asarray(batteries.formers)
 

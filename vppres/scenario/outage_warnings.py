@@ -163,6 +163,11 @@ class OutageWarning:
         return self.probability == 0.0
 
     @property
+    def chance(self) -> float:
+        """Probability that it comes, which is certain where none is given."""
+        return 1.0 if self.probability is None else self.probability
+
+    @property
     def says_length(self) -> bool:
         """Whether it says how long the outage lasts."""
         return self.duration_p50_h is not None or self.restored_likely is not None

@@ -7,7 +7,7 @@ are numbers in ``lines.csv``.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -26,6 +26,9 @@ from vppres.scenario.network import BusId, Network
 PHASES = "abc"
 GROUND, LINES = "ground", "lines"
 """Voltages that a bus's limits hold for: phases against ground, or phases against each other."""
+
+SOURCE_LACKS = "must be a b c for the source's bus"
+"""What is wrong with a table of buses that lacks the source, or phases of it."""
 
 TRIANGLE = tuple((row, column) for row in range(3) for column in range(row + 1))
 """Entries of a symmetric matrix of three phases that a table gives."""
@@ -162,7 +165,7 @@ class PhaseConnection:
 
 @dataclass(frozen=True, eq=False)
 class Phases:
-    """The three phases of a feeder.
+    """The three phases of a feeder; without any row, and false, those of a balanced one.
 
     Parameters
     ----------
@@ -175,8 +178,8 @@ class Phases:
         If a row names a bus or phase that there is not, or the source does not reach a phase.
     """
 
-    buses: tuple[PhaseBus, ...]
-    lines: tuple[PhaseLine, ...]
+    buses: tuple[PhaseBus, ...] = ()
+    lines: tuple[PhaseLine, ...] = ()
     transformers: tuple[PhaseTransformer, ...] = ()
     shunts: tuple[PhaseShunt, ...] = ()
     connections: tuple[PhaseConnection, ...] = ()
@@ -184,9 +187,13 @@ class Phases:
     """Lines of the files by table, for messages; positions if not given."""
 
     def __post_init__(self) -> None:
-        problems = self._wrong()
+        problems = self._wrong() if self else []
         if problems:
             raise InputError(problems)
+
+    def __bool__(self) -> bool:
+        tables = (self.buses, self.lines, self.transformers, self.shunts, self.connections)
+        return any(tables)
 
     def __repr__(self) -> str:
         lines = [
@@ -235,6 +242,10 @@ class Phases:
         known = self._connections
         return known[asset] if asset in known else known[asset.rpartition("/")[0]]
 
+    def column(self, assets: Iterable[Any]) -> dict[str, Any]:
+        """Coils of assets as a column of a table; none of a balanced feeder."""
+        return {"phases": [self.connection(str(name)).coils for name in assets]} if self else {}
+
     def formers(self, batteries: Batteries) -> Flags:
         """Batteries that can form an island, (B,): those chosen to that have all three phases."""
         complete = [self.connection(str(name)).three_coils for name in batteries.id]
@@ -273,9 +284,7 @@ class Phases:
                 problems.append(self.wrong("buses", i, "bus", row.bus, "is there twice"))
             known[row.bus] = {PHASES.index(word) for word in words}
         if not problems and (not self.buses or len(known[self.buses[0].bus]) < 3):
-            problems.append(
-                self.wrong("buses", 0, "phases", "", "must be a b c for the source's bus")
-            )
+            problems.append(self.wrong("buses", 0, "phases", "", SOURCE_LACKS))
         return problems, known
 
     def _transformer_wrong(
@@ -338,6 +347,10 @@ class Phases:
             field=name,
             value=value,
         )
+
+
+BALANCED = Phases()
+"""The phases of a balanced feeder."""
 
 
 def check_phases(phases: Phases, scenario: Any) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from vppres.core.text import counted, named
 from vppres.kinds.customer import data as customer
+from vppres.kinds.export import data as export
 from vppres.kinds.table import KINDS, TABLES
 from vppres.scenario.capacitors import too_large, too_large_by_phase
 from vppres.scenario.earthing import floating
@@ -139,7 +140,7 @@ def held_capacitors(scenario: Scenario) -> str:
         return ""
     size, table = f"the {formers_kva:,.0f} kVA of its grid-forming batteries", "buses.csv"
     off = too_large(network, formers_kva)
-    if scenario.phases is not None:
+    if scenario.phases:
         size, table = f"a third of {size} on one phase", "buses.csv and phase_shunts.csv"
         off = too_large_by_phase(network, scenario.phases, formers_kva)
     buses = network.buses[off]
@@ -203,7 +204,7 @@ def former_words(scenario: Scenario, mode: str | None = None, always: bool = Fal
 def _unearthed(scenario: Scenario) -> str:
     """Warning that customers in an island have no earthed source; empty if they have one."""
     former = island_former(scenario)
-    if scenario.phases is None or former is None:
+    if not scenario.phases or former is None:
         return ""
     names = floating(scenario.phases, former, [str(name) for name in scenario.customers.id])
     if not names:
@@ -212,38 +213,6 @@ def _unearthed(scenario: Scenario) -> str:
         f" With {former} as source nothing earths the buses of {named(names, NAMES_SHOWN)}, whose "
         "coils are to ground: nothing holds their voltages there, and no plan is sure. Mark a "
         "battery or generating set whose coils or transformer earth them as grid_forming."
-    )
-
-
-def export_words(scenario: Scenario) -> str:
-    """Description of the connection's export limit.
-
-    >>> from vppres.io.find import load_scenario
-    >>> export_words(load_scenario("uk-heatwave-2022"))
-    'imports only'
-    """
-    if not scenario.exports:
-        return "imports only"
-    limits = scenario.export_max_kw[~scenario.outage]
-    least = float(limits.min())
-    most = float(limits.max())
-    if np.isinf(least):
-        return "exports without limit"
-    if least == most:
-        return f"exports up to {most:g} kW"
-    return f"exports up to {least:g} to {most:g} kW"
-
-
-def dear_export(scenario: Scenario) -> str:
-    """In how many steps export earns more than import costs; empty where it never does."""
-    dear = (scenario.export_max_kw > 0.0) & (scenario.export_price > scenario.price_gbp_per_kwh)
-    if not dear.any():
-        return ""
-    return (
-        f"In {int(dear.sum())} of {scenario.grid.n_steps} steps export earns more than import "
-        "costs. "
-        "No plan does both in the same step, but batteries will buy to sell: check "
-        "export_price_gbp_per_kwh, also for its sign, if that is not meant."
     )
 
 
@@ -299,7 +268,7 @@ def remarks(scenario: Scenario, mode: str | None = None) -> list[str]:
         darkness(scenario, mode),
         former_words(scenario, mode),
         held_capacitors(scenario),
-        dear_export(scenario),
+        export.remark(scenario),
         rising_weights(scenario),
         customer.remark(scenario),
         *(getattr(scenario, name).remark(scenario) for name in TABLES),

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from vppres.core.arrays import Flags, Floats, Wholes, freeze_arrays
+from vppres.core.errors import InputError
 from vppres.core.notebook import facts_html
 from vppres.kinds.customer.data import SwitchingRules
 from vppres.kinds.fields import OfKinds
@@ -24,8 +25,9 @@ from vppres.scenario.history import History
 from vppres.scenario.network import Network
 from vppres.scenario.option_table import default_of
 from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
-from vppres.scenario.phases import Phases, check_phases
+from vppres.scenario.phases import BALANCED, Phases, check_phases
 from vppres.scenario.source import Source
+from vppres.scenario.switches import Switches, switch_problems
 from vppres.scenario.timegrid import TimeGrid
 
 DEFAULT_VOLL_GBP_PER_KWH = 16.94
@@ -153,7 +155,9 @@ class Scenario(OfKinds):
     history : History, optional
         What was measured before the first step, for forecasters that learn from it.
     phases : Phases, optional
-        The three phases of the feeder; None for a balanced one.
+        The three phases of the feeder; without rows, and false, for a balanced one.
+    switches : Switches
+        Closed switches on lines of the network, and open ones beside them; no run moves any.
     chargers, sessions : Chargers, Sessions
         Chargers of electric vehicles, and when which vehicle is plugged in.
     thermal_loads : ThermalLoads
@@ -190,10 +194,15 @@ class Scenario(OfKinds):
     interruptions: tuple[Interruption, ...] = ()
     faults: tuple[Fault, ...] = ()
     history: History | None = None
-    phases: Phases | None = None
+    phases: Phases = BALANCED
+    switches: Switches = field(default_factory=Switches.none)
 
     def __post_init__(self) -> None:
-        if self.phases is not None:
+        ends = self.network.from_bus, self.network.to_bus
+        if problems := [*switch_problems(self.switches, *ends)]:
+            raise InputError(problems)
+        object.__setattr__(self, "phases", self.phases or BALANCED)  # None means the same
+        if self.phases:
             check_phases(self.phases, self)
         check_places(self.faults, self.network)
         freeze_arrays(self)

@@ -86,8 +86,6 @@ class Source:
         How far its voltages are from the source's.
     unbalanced : str
         What of the source is not balanced, and is spread over three phases here; empty if nothing.
-    ties : tuple of str
-        Lines that are normally open, as ``BUS to BUS``; the network has none of them.
 
     Examples
     --------
@@ -100,7 +98,6 @@ class Source:
     notes: tuple[str, ...] = ()
     deviation: SourceDeviation = SourceDeviation()
     unbalanced: str = ""
-    ties: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "notes", tuple(self.notes))
@@ -113,7 +110,6 @@ class Source:
         notes: Iterable[str] = (),
         deviation: SourceDeviation | None = None,
         unbalanced: str = "",
-        ties: Iterable[str] = (),
     ) -> Source:
         """A source whose words come from files of others: made such that a scenario may hold them.
 
@@ -126,7 +122,6 @@ class Source:
             tuple(_fitting_notes(notes)),
             deviation or SourceDeviation(),
             _fitting(unbalanced, MAX_SOURCE_LENGTH),
-            tuple(_fitting_notes(ties)),
         )
 
     def __bool__(self) -> bool:

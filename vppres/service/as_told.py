@@ -24,5 +24,5 @@ def said_of(
     """State on which a step was decided, by unit; as reckoned where its plan does not give it."""
     told = expected_by(plan).get(what, {})
     values = [told.get(str(name)) for name in ids]
-    found = [one[field] if field is not None and one is not None else one for one in values]
-    return np.where([one is None for one in found], reckoned, np.array(found, dtype=float))
+    found = np.array([one[field] if field and one else one for one in values], dtype=float)
+    return np.where(np.isnan(found), reckoned, found)

@@ -1,10 +1,11 @@
 """Protocol of a kind of flexible power in the service, which the kind's ``service`` implements.
 
-A unit tells readings, is told set-points, and is replayed as plans knew it.
+A unit sends readings, receives set-points, and is replayed as plans knew it.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -81,9 +82,9 @@ class OfKind:
     direction : {"", "charging_positive", "injection_positive"}
         Which way a set-point's ``p_kw`` counts; empty if it has none.
     states : dict
-        Quantities by which a unit is there or can work, and what stands until they are told.
+        Quantities by which a unit is there or can work, and what stands until they are read.
     of_visits : tuple of str
-        Quantities that are told anew of every unit that comes.
+        Quantities that are read anew of every unit that comes.
     """
 
     kind: str
@@ -97,8 +98,8 @@ class OfKind:
         """The live part of the kind."""
         return parts("live")[self.kind]
 
-    def told(self, stored: Stored) -> dict[str, Any]:
-        """Fields of a measurement, None where nothing is told."""
+    def readings(self, stored: Stored) -> dict[str, Any]:
+        """Fields of a measurement, None where nothing is read."""
         means = self.live.MEANS
         return {
             name: dict(
@@ -114,13 +115,12 @@ class OfKind:
 
     def stood(
         self, plan: Plan, one: Reading, before: Reading | None, rejected: Mapping[str, int]
-    ) -> float | None:
-        """The value that stood until a reading, which is news if it has another; None if none.
+    ) -> float:
+        """The value that stood until a reading, which is news if it has another; NaN if none.
 
         ``rejected`` says when units rejected a set-point last.
         """
-        value = None if before is None else before.value
-        return self.states.get(one.quantity) if value is None else value
+        return before.value if before and before.known else self.states.get(one.quantity, math.nan)
 
     def asked(self, said: Mapping[str, Any]) -> dict[str, Any]:
         """Fields of a set-point by what an operator says of a unit."""
@@ -171,7 +171,7 @@ class OfKind:
         """Quantity, unit and value of what units measure at the beginning of a step."""
         return iter(())
 
-    def powers(self, t: int, units: Any, told: Mapping[str, Floats], served: Flags) -> Floats:
+    def powers(self, t: int, units: Any, asked: Mapping[str, Floats], served: Flags) -> Floats:
         """Power of each unit of the plant by its set-points, (n,)."""
         raise NotImplementedError
 

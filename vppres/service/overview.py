@@ -11,11 +11,12 @@ from typing import Any, get_args
 import numpy as np
 import pandas as pd
 
+from vppres.core.plain import json_safe
+from vppres.kinds.customer.data import limits_h
 from vppres.kinds.table import KINDS, parts
 from vppres.live.by_phase import GRID
 from vppres.scenario.phases import PHASES
 from vppres.scenario.remarks import former_words
-from vppres.service.alarms.conditions import limits_h
 from vppres.service.clock import written
 from vppres.service.events.announced import believes
 from vppres.service.operation.runner import Runner, Service
@@ -39,7 +40,7 @@ ROUNDING = 1e-6
 """Minutes that are none."""
 
 DARK = "blacked out: "
-"""How the reason begins of a customer in an island that is dark."""
+"""How the reason begins of a customer in an island that is blacked out."""
 
 NOT_TOLD = ("setpoints", "ahead", "before")
 
@@ -91,7 +92,6 @@ def site_of(runner: Runner) -> dict[str, Any]:
 
 
 def _figures(devices: Any, names: Iterable[str]) -> dict[str, dict[str, float]]:
-    """Some figures of each device."""
     columns = {name: getattr(devices, name).tolist() for name in names}
     return {
         str(device): {name: values[i] for name, values in columns.items()}
@@ -102,10 +102,9 @@ def _figures(devices: Any, names: Iterable[str]) -> dict[str, dict[str, float]]:
 def _phases_of(runner: Runner) -> dict[str, str] | None:
     """On which phases devices are; None for a feeder without phases."""
     phases = runner.scenario.phases
-    if phases is None:
-        return None
     kinds = (getattr(runner.scenario, kind) for kind in ("customers", "pv", "batteries"))
-    return {str(name): phases.connection(str(name)).coils for kind in kinds for name in kind.id}
+    names = (str(name) for kind in kinds for name in kind.id)
+    return {name: phases.connection(name).coils for name in names} if phases else None
 
 
 def _orders(points: Iterable[Mapping[str, Any]], kind: str) -> dict[str, Any]:
@@ -134,19 +133,18 @@ class Overview:
         self._longest_off_h = limits_h(runner.scenario)
         self._turn = threading.Lock()
         self._past: dict[str, dict[str, Any]] = {}
-        self._made: tuple[Any, bytes] | None = None
+        self._made: tuple[Any, bytes] = (None, b"")
 
     def fresh(self) -> bytes | None:
         """Stored answer, if it still holds or is just being made anew."""
-        if self._made is None:
-            return None
-        return self._made[1] if self._made[0] == self._key() or self._turn.locked() else None
+        key, content = self._made
+        return content if content and (key == self._key() or self._turn.locked()) else None
 
     def text(self) -> bytes:
         """The overview as JSON; the same for a second, if there are only readings that are new."""
         with self._turn:
             key = self._key()
-            if self._made is None or self._made[0] != key:
+            if self._made[0] != key:
                 content = json.dumps(self._now(), allow_nan=False, separators=(",", ":"))
                 self._made = (key, content.encode())
             return self._made[1]
@@ -188,12 +186,12 @@ class Overview:
     def _told(self, plan: Mapping[str, Any], now: pd.Timestamp, dark: str) -> dict[str, Any]:
         """Valid part of the last plan, without the customers that are on.
 
-        Where an island is ``dark``, whatever was ordered, nobody is.
+        Where an island is ``dark``, whatever was ordered, no customer is.
         """
         points = points_at(plan, now)
         if dark:
             points = [_in_the_dark(one, dark) for one in points]
-        ahead = plan.get("ahead")
+        ahead = plan.get("ahead") or {}
         return {
             **{key: value for key, value in plan.items() if key not in NOT_TOLD},
             "unaware_of": list(self.runner.changes.reasons),
@@ -207,13 +205,13 @@ class Overview:
                 for one in points
                 if one.get("served") and one.get("share", 1.0) < 1.0
             },
-            "ahead": None if ahead is None else {**ahead, "served": self._shares(ahead)},
+            "ahead": {**ahead, "served": self._shares(ahead)} if ahead else None,
         }
 
     def _off(
         self,
         points: Iterable[Mapping[str, Any]],
-        ahead: Mapping[str, Any] | None,
+        ahead: Mapping[str, Any],
         off_h: Mapping[str, float],
     ) -> list[dict[str, Any]]:
         """Customers that are off: reason, share of the longest time off, next planned supply."""
@@ -221,14 +219,14 @@ class Overview:
         for one in points:
             if one["kind"] != "customers" or one["served"]:
                 continue
-            served = [] if ahead is None else ahead["served"].get(one["asset"], [])
-            back = next((t for t, on in enumerate(served) if on), None)
+            served = ahead["served"].get(one["asset"], ()) if ahead else ()
+            back = (time for time, on in zip(ahead.get("times", ()), served, strict=False) if on)
             found.append(
                 {
                     "asset": one["asset"],
                     "tier": self._tiers.get(one["asset"]),
                     "reason": one["reason"],
-                    "until": None if ahead is None or back is None else ahead["times"][back],
+                    "until": next(back, None),
                     "off_h": off_h.get(one["asset"]),
                     "longest_off_h": self._longest_off_h.get(one["asset"]),
                 }
@@ -282,7 +280,7 @@ class Overview:
         found += self.runner.store.between(begun, now, [stored("source_kva", p) for p in PHASES])
         return {
             f"{one.quantity} {one.asset}": {
-                "value": one.value,
+                "value": json_safe(one.value),
                 "at": written(moment(one.time)),
                 "source": one.source,
             }

@@ -115,7 +115,7 @@ OF_SITE = (
     "online",
     "grid_on",
 )
-"""What is told of every site."""
+"""Facts of every site."""
 
 if TYPE_CHECKING:
     Quantity = str
@@ -217,7 +217,7 @@ class Interval(Body):
 
     @model_validator(mode="after")
     def _in_order(self) -> Interval:
-        if self.end is not None and self.end <= self.start:
+        if self.end and self.end <= self.start:
             raise ValueError("ends before it begins. Give a later end, or none")
         return self
 
@@ -316,7 +316,7 @@ class Restoration(Body):
     @property
     def times(self) -> list[pd.Timestamp]:
         """Times that are given, in the order that they must have."""
-        return [one for one in (self.not_before, self.likely, self.by) if one is not None]
+        return [one for one in (self.not_before, self.likely, self.by) if one]
 
     @model_validator(mode="after")
     def _says_something(self) -> Restoration:
@@ -384,7 +384,7 @@ class Quantiles(Body):
 
     @model_validator(mode="after")
     def _do_not_cross(self) -> Quantiles:
-        ordered = [row for row in (self.p10, self.p50, self.p90) if row is not None]
+        ordered = [row for row in (self.p10, self.p50, self.p90) if row]
         if any(len(row) != len(self.p50) for row in ordered):
             raise ValueError("has quantiles of different lengths. Give one value for each step")
         for lower, upper in pairwise(ordered):
@@ -471,7 +471,7 @@ class ModeRequest(Body):
 
     @model_validator(mode="after")
     def _ends(self) -> ModeRequest:
-        if self.mode in ("hold", "manual") and self.until is None:
+        if self.mode in ("hold", "manual") and not self.until:
             raise ValueError("must have an end. Give until")
         if (self.mode == "manual") != bool(self.setpoints):
             raise ValueError("and set-points do not belong together. Give set-points for manual")

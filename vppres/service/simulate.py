@@ -37,11 +37,11 @@ Progress = Callable[[int, int], None]
 
 
 class Announcement(NamedTuple):
-    """When, of which event, and what; None takes it back."""
+    """When, of which event, and what; nothing takes it back."""
 
     time: pd.Timestamp
     event: str
-    body: dict[str, Any] | None
+    body: dict[str, Any]
 
 
 MOST_ONSETS = 1_000
@@ -173,10 +173,10 @@ class Tally:
         """An answer to a step."""
         self.statuses[plan["status"]] += 1
         self.answers_s.append(seconds)
-        solver_s = 0.0 if plan["solve"] is None else plan["solve"]["seconds"] or 0.0
+        solver_s = (plan["solve"] or {}).get("seconds") or 0.0
         self.overheads_s.append(seconds - solver_s)
         self.estimated += len(plan["estimated"])
-        if plan["solve"] is not None:
+        if plan["solve"]:
             self.gate += sum(one["reason"].startswith("default: ") for one in plan["setpoints"])
 
     def summary(self) -> dict[str, Any]:
@@ -229,7 +229,7 @@ class Player:
             off = int(critical_off(scenario, record).sum())
             self.tally.off += off
             self.tally.off_needlessly += off if energy_allowed(scenario, record) else 0
-            if progress is not None:
+            if progress:
                 progress(t + 1, scenario.grid.n_steps)
         return self.tally
 
@@ -252,10 +252,10 @@ class Player:
         due = [one for one in self._announcements if one.time <= now]
         self._announcements = [one for one in self._announcements if one.time > now]
         for _, name, body in due:
-            if body is None:
-                self.client.wanted("DELETE", f"/v1/events/{name}")
-            else:
+            if body:
                 self.client.wanted("PUT", f"/v1/events/{name}", body)
+            else:
+                self.client.wanted("DELETE", f"/v1/events/{name}")
 
     def _real_s(self, t: int) -> float:
         """When a step begins, in real time since the beginning."""
@@ -314,7 +314,7 @@ def simulate(
         def look(done: int, total: int) -> None:
             if done % max(total // LOOKS, 1) == 0:
                 sizes.append({"step": done, **own.size()})
-            if progress is not None:
+            if progress:
                 progress(done, total)
 
         return {**player.play(look).summary(), "size": sizes}
@@ -332,16 +332,15 @@ def warned(scenario: Scenario) -> Iterator[Announcement]:
         name = f"warned-{list(so_far).index(one.outage) + 1}"
         # It may have been due before it was said.
         first = grid.begun(one.issued_at - LOOKAHEAD_H * HOUR)
-        crew = _of_crew(one)
-        if crew is not None:
+        if crew := _of_crew(one):
             yield Announcement(one.issued_at, f"{name}-crew", crew)
         said = said_so_far(messages, pd.date_range(first, periods=MOST_ONSETS, freq=step))
-        if said is not None and said[1].any():
+        if said and said[1].any():
             standing.add(name)
             yield Announcement(one.issued_at, name, _belief(*said, first, step))
         elif name in standing:
             standing.remove(name)
-            yield Announcement(one.issued_at, name, None)
+            yield Announcement(one.issued_at, name, {})
 
 
 def _belief(
@@ -355,7 +354,7 @@ def _belief(
         "type": "outage_belief",
         "source": "simulation",
         "issued_at": written(message.issued_at),
-        "probability": 1.0 if message.probability is None else message.probability,
+        "probability": message.chance,
         "onset": {
             "start": written(first + begin * step),
             "resolution": resolution,
@@ -374,11 +373,11 @@ def _belief(
     return {**body, "duration": {"family": "discrete", "hours": hours, "probabilities": shares}}
 
 
-def _of_crew(message: OutageWarning) -> dict[str, Any] | None:
-    """End of the outage in a warning, as an event of the service; None if it names none."""
+def _of_crew(message: OutageWarning) -> dict[str, Any]:
+    """End of the outage in a warning, as an event of the service; empty if it names none."""
     said = {key: getattr(message, field) for key, field in SAID_OF_END.items()}
-    times = {key: written(time) for key, time in said.items() if time is not None}
-    return {"type": "restoration", "source": "simulation", **times} if times else None
+    times = {key: written(time) for key, time in said.items() if time}
+    return {"type": "restoration", "source": "simulation", **times} if times else {}
 
 
 def announcements(scenario: Scenario, notice_h: float) -> Iterator[Announcement]:

@@ -39,10 +39,9 @@ class Window:
         series = {name: values[inside] for name, values in scenario.series.items()}
         return cls(times, scenario.grid.step, series)
 
-    def touched(self, start: pd.Timestamp, end: pd.Timestamp | None) -> Flags:
-        """Which steps an interval touches, (W,); one without end never ends."""
-        touched = np.asarray(self.times + self.length > start)
-        return touched if end is None else touched & np.asarray(self.times < end)
+    def touched(self, start: pd.Timestamp, end: pd.Timestamp) -> Flags:
+        """Which steps an interval touches, (W,)."""
+        return np.asarray((self.times + self.length > start) & (self.times < end))
 
     def lay(self, series: Floats, body: Prices | Forecasts, values: list[float]) -> None:
         """Put those values of a body in a series' place that begin with a step of the window."""
@@ -76,13 +75,13 @@ class Window:
         columns = {str(name): column for column, name in enumerate(ids)}
         silent = set(lost)
         cautious = list[str]()
-        if forecast is None:
+        if not forecast:
             return table, cautious
         for name, quantiles in forecast.assets.items():
             if name not in columns:
                 continue
             careful = getattr(quantiles, CAUTIOUS[quantity]) if name in silent else None
-            if careful is not None:
+            if careful:
                 cautious.append(name)
             self.lay(table[:, columns[name]], forecast, careful or quantiles.p50)
         return table, cautious
@@ -128,8 +127,8 @@ def _beyond_ratings(
     own = ranges_of(of)
     for name, quantiles in assets.items():
         permitted = own.get((quantity, name))
-        most_kw = max(max(row) for row in (quantiles.p50, quantiles.p90) if row is not None)
-        if permitted is not None and not permitted.holds(most_kw):
+        most_kw = max(max(row) for row in (quantiles.p50, quantiles.p90) if row)
+        if permitted and not permitted.holds(most_kw):
             field = f"{quantity} of {name}"
             yield Problem(
                 "forecast", permitted.text(most_kw), permitted.cure, field=field, value=most_kw

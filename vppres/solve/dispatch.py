@@ -15,7 +15,6 @@ import numpy as np
 
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats
-from vppres.model.beyond_paper.export import net_exchange
 from vppres.model.data import WindowData
 from vppres.model.numerics import POLYGON_SIDES, cost_scale, disc_sides
 from vppres.model.terms import evaluate
@@ -365,7 +364,10 @@ def solve_cost(
     if attempt.dispatch is None:
         return attempt
     netted, fits = net_modes(cache.site, data, attempt.dispatch)
-    if fits and net_exchange(data, netted, attempt.both_kw, cache.site.dt_h):
+    stands = data.export is None or data.export.stands_netted(
+        data.price_gbp_per_kwh, netted, attempt.both_kw, cache.site.dt_h
+    )
+    if fits and stands:
         return replace(attempt, dispatch=netted)
     curtailing = float(netted.pv_curtailed_kw.sum()) * cache.site.dt_h > HELD_ABS
     if curtailing and not fits and modes_later:
@@ -417,7 +419,7 @@ def _solve_cost(
 
     left_s = deadline.left_s
     if form.network:
-        outcome = run_within_limits(cache.site, data, problem, served, left_s, solve=ask)
+        outcome = run_within_limits(cache.site, data, problem, left_s, solve=ask)
     else:
         outcome = ask(left_s)
     if not outcome.status.has_answer:
@@ -466,7 +468,7 @@ def polish(
     problem.hold(data, dispatch, f2_max, f3_max)
     problem.hold_own(own.letters, own.value - SERVICE_HELD_REL * (1.0 + abs(own.value)))
     near = near_to(site, data, dispatch)
-    outcome = run_within_limits(site, near, problem, dispatch.served, deadline.left_s)
+    outcome = run_within_limits(site, near, problem, deadline.left_s)
     if outcome.status != Status.OPTIMAL:
         return Attempt(outcome, None)
     better = problem.dispatch(dispatch.served)

@@ -65,7 +65,7 @@ class Form:
 
     @property
     def polygon(self) -> Polygon | None:
-        """Polygon in place of the inverters' discs, None for the discs themselves."""
+        """Polygon instead of the inverters' discs, None for the discs themselves."""
         if not self.polygon_sides:
             return None
         shape = Polygon.around if self.outer else Polygon.inscribed

@@ -13,15 +13,14 @@ from typing import Protocol
 
 import numpy as np
 
-from vppres.core.arrays import Flags, Floats
+from vppres.core.arrays import Floats
 from vppres.model.beyond_paper.ratings import FAMILY
 from vppres.model.data import WindowData
-from vppres.model.phases import phased_model
 from vppres.model.ratings import limit_kva
 from vppres.model.site import Site
 from vppres.solve.deadline import Deadline
 from vppres.solve.network.rows import Rows
-from vppres.solve.phases import Draws, PhaseLimits
+from vppres.solve.phases import PhaseLimits
 from vppres.solve.result import Outcome, Status
 from vppres.solve.selection import Selected
 from vppres.solve.solvers import run_conic
@@ -71,15 +70,13 @@ class FlowLimits:
         return [Rows.of(columns, tangents, -1.0, np.inf, len(x))]
 
 
-def limits_of(
-    site: Site, data: WindowData, problem: Selected, served: Flags | None
-) -> Limits | None:
-    """Limits that a problem does not state; ``served`` where service is held.
+def limits_of(site: Site, data: WindowData, problem: Selected) -> Limits | None:
+    """Limits that a problem does not state.
 
     None where the window has none, and where the problem has no network.
     """
     if data.phased is not None:
-        return PhaseLimits(site, data, Draws.of(phased_model(site), data, problem))
+        return PhaseLimits(site, data, problem)
     stated = FAMILY in problem.statement.families or "P_flow" not in problem.first
     return None if data.flow_max_kva is None or stated else FlowLimits(site, data, problem)
 
@@ -88,7 +85,6 @@ def run_within_limits(
     site: Site,
     data: WindowData,
     problem: Selected,
-    served: Flags | None,
     time_s: float,
     rows: list[Rows] | None = None,
     solve: Callable[[float], Outcome] | None = None,
@@ -105,7 +101,7 @@ def run_within_limits(
         return solve(time_s)
     deadline = Deadline(time_s)
     problem.compile()
-    limits = limits_of(site, data, problem, served)
+    limits = limits_of(site, data, problem)
     if limits is None:
         return solve(deadline.left_s)
     rows = [] if rows is None else rows
@@ -113,7 +109,7 @@ def run_within_limits(
     while True:
         problem.added = None
         if rows:
-            joined = Rows.joined([*rows])
+            joined = Rows.joined(rows)
             problem.added = joined.matrix, joined.lower
         outcome = solve(deadline.left_s)
         new = limits.exceeded(problem.x) if outcome.status == Status.OPTIMAL else []

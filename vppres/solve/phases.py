@@ -25,7 +25,7 @@ from vppres.model.statement import DRAWN
 from vppres.model.violations import VOLTAGE_TOLERANCE_PU2
 from vppres.scenario.assets import NO_POWER_KW
 from vppres.solve.deadline import HALF
-from vppres.solve.network.rows import PER_PU2, Rows
+from vppres.solve.network.rows import PER_PU2, ColumnPowers, Rows
 from vppres.solve.selection import Selected
 
 LOW, HIGH = 0, 1
@@ -63,42 +63,6 @@ Factors = Callable[[Wholes], tuple[Any, Any]]
 
 
 @dataclass(frozen=True, eq=False)
-class Draws:
-    """Power of assets as a function of a problem's columns: ``by_kw @ x`` and a known part.
-
-    ``by_kw`` and ``by_kvar`` are (W * D, n), one step after the other; ``kw`` and ``kvar`` (W, D).
-    """
-
-    by_kw: sp.csr_array
-    by_kvar: sp.csr_array
-    kw: Floats
-    kvar: Floats
-
-    @classmethod
-    def of(cls, model: PhasedModel, data: WindowData, problem: Selected) -> Draws:
-        """Draws of a selection of the statement; the former's power as a source is none."""
-        W = data.n_steps
-        shown = np.ones((W, len(model.flows[GRID].assets)))
-        if model.former_device is not None:
-            shown[data.dark, model.former_device] = 0.0
-        by_step = np.arange(shown.size).reshape(shown.shape, order="F").ravel()
-        mask = sp.diags_array(shown.ravel())
-        found = []
-        for name in DRAWN:
-            rows, known = problem.numbers_of(name)
-            found.append(
-                (sp.csr_array(mask @ rows[by_step]), shown * known[by_step].reshape(W, -1))
-            )
-        (by_kw, kw), (by_kvar, kvar) = found
-        return cls(by_kw, by_kvar, kw, kvar)
-
-    def at(self, x: Floats) -> tuple[Floats, Floats]:
-        """Power of assets in a solution, (W, D) each."""
-        kw = self.kw + (self.by_kw @ x).reshape(self.kw.shape)
-        return kw, self.kvar + (self.by_kvar @ x).reshape(self.kvar.shape)
-
-
-@dataclass(frozen=True, eq=False)
 class PhaseRows(Rows):
     """Rows of limits of phases, with what they limit.
 
@@ -123,14 +87,14 @@ class PhaseLimits:
         Fixed data.
     data : WindowData
         The window, with phases.
-    draws : Draws
-        What assets draw by a problem's columns.
+    problem : Selected
+        A selection of the statement, whose columns the rows are on.
     """
 
-    def __init__(self, site: Site, data: WindowData, draws: Draws) -> None:
+    def __init__(self, site: Site, data: WindowData, problem: Selected) -> None:
         self.model = phased_model(site)
         self.data = data
-        self.draws = draws
+        self.drawn = drawn_by_assets(self.model, data, problem)
         self.phased = data.require_phased()
         self.limited = self.model.limited & lit_steps(data)[:, None]
         self.source = np.where(data.dark, len(self.model.flows) - 1, GRID)
@@ -143,7 +107,7 @@ class PhaseLimits:
 
     def exceeded(self, x: Floats, over: float = OVER) -> list[PhaseRows]:
         """Rows of limits that a solution exceeds by more than so many pu², or such a share."""
-        drawn = self.draws.at(x)
+        drawn = self.drawn.at(x)
         u, former = self.model.linear(self.data, *drawn)
         u = self.phased.u_offset + u
         sides = ((LOW, self.phased.u_min - u), (HIGH, u - self.phased.u_max))
@@ -167,7 +131,7 @@ class PhaseLimits:
 
     def _at(self, steps: Wholes, places: Wholes, slopes: Sequence[Factors]) -> tuple[Any, Any]:
         """Factors of some places in some steps, with the step's source, (R, D) each."""
-        found = [np.zeros((len(steps), self.draws.kw.shape[1]), dtype=complex) for _ in range(2)]
+        found = [np.zeros((len(steps), self.drawn.kw.shape[1]), dtype=complex) for _ in range(2)]
         for source, of_places in enumerate(slopes):
             there = self.source[steps] == source
             if there.any():
@@ -242,23 +206,30 @@ class PhaseLimits:
         side: int,
     ) -> list[PhaseRows]:
         """Rows ``by_p @ p + by_q @ q >= least`` of what assets draw in some steps, (R, D) each."""
-        count = by_p.shape[1]
-        columns = steps[:, None] * count + np.arange(count)
-        rows = np.broadcast_to(np.arange(len(steps))[:, None], columns.shape)
-        draws = self.draws
-        shape = (len(steps), draws.kw.size)
-        of_p, of_q = (
-            sp.csr_array((each.ravel(), (rows.ravel(), columns.ravel())), shape=shape)
-            for each in (by_p, by_q)
-        )
-        matrix = sp.csr_array(of_p @ draws.by_kw + of_q @ draws.by_kvar)
-        least = least - of_p @ draws.kw.ravel() - of_q @ draws.kvar.ravel()
+        matrix, kw, kvar = self.drawn.sums(steps, by_p, by_q)
+        least = least - kw - kvar
         most = np.full(len(steps), np.inf)
         return [
             PhaseRows(
                 matrix, least, most, steps=steps, places=places, side=side, by_p=by_p, by_q=by_q
             )
         ]
+
+
+def drawn_by_assets(model: PhasedModel, data: WindowData, problem: Selected) -> ColumnPowers:
+    """Power that assets draw by a problem's columns; the former's power as a source is none."""
+    W = data.n_steps
+    shown = np.ones((W, len(model.flows[GRID].assets)))
+    if model.former_device is not None:
+        shown[data.dark, model.former_device] = 0.0
+    by_step = np.arange(shown.size).reshape(shown.shape, order="F").ravel()
+    mask = sp.diags_array(shown.ravel())
+    found = (problem.numbers_of(name) for name in DRAWN)
+    (by_kw, kw), (by_kvar, kvar) = (
+        (sp.csr_array(mask @ rows[by_step]), shown * known[by_step].reshape(W, -1))
+        for rows, known in found
+    )
+    return ColumnPowers(by_kw, by_kvar, kw, kvar)
 
 
 def _farthest(model: PhasedModel, limited: Flags, beyond: Floats, over: float, most: int) -> Flags:

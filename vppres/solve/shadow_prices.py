@@ -8,6 +8,7 @@ stored energy, which count over the whole window.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -15,11 +16,37 @@ from vppres.core.arrays import Floats
 from vppres.model.beyond_paper.ratings import FAMILY, rated_lines
 from vppres.model.data import WindowData
 from vppres.model.numerics import ROUNDING
+from vppres.model.phases import GRID, phased_model
+from vppres.scenario.assets import NO_POWER_KW
+from vppres.scenario.phases import PHASES
 from vppres.solve.limits import run_within_limits
-from vppres.solve.phase_prices import PhasePrices
+from vppres.solve.network.rows import PER_PU2
+from vppres.solve.phases import HIGH, LOW, OF_FORMER, OF_RATING, PhaseRows
 from vppres.solve.result import Status
 from vppres.solve.shadow_price_model import FixedDecisions, PricedTerms, ShadowPriceModel
 from vppres.solve.turns import one_at_a_time
+
+
+@dataclass(frozen=True, eq=False)
+class PhasePrices:
+    """Part of limits of a phased feeder in the price of 1 kW or 1 kvar at each of D assets.
+
+    Parameters
+    ----------
+    active, reactive : array, shape (3, D)
+        Phases of the former.
+    rated_active, rated_reactive : array, shape (k, D)
+        Ratings of lines and coils.
+    by_voltage, by_voltage_kvar : array, shape (D,)
+        Limits of voltages.
+    """
+
+    active: Floats
+    reactive: Floats
+    rated_active: Floats
+    rated_reactive: Floats
+    by_voltage: Floats
+    by_voltage_kvar: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,9 +66,11 @@ class ShadowPrices:
     battery_inverter, pv_inverter : array, shape (B,) and (P,)
         For 1 kVA more of the inverter.
     voltage_floor, voltage_ceiling : array, shape (N,)
-        For a limit that lies 0.001 pu further out, at each bus.
+        For a limit that lies 0.001 pu further out, at each bus, with phases at all its nodes.
     line_rating : array, shape (L,)
         For 1 kVA more through each line; of a phased feeder through each phase of one, (k,).
+    former_phase : array, shape (3,)
+        For 1 kVA more on each phase of the former; none of a balanced feeder.
     line_active, line_reactive : array, shape (N,)
         What ratings of lines make of the price of 1 kW or 1 kvar at each bus.
     grid : float
@@ -65,6 +94,7 @@ class ShadowPrices:
     voltage_floor: Floats
     voltage_ceiling: Floats
     line_rating: Floats
+    former_phase: Floats
     line_active: Floats
     line_reactive: Floats
     grid: float
@@ -72,11 +102,6 @@ class ShadowPrices:
     reactive: Floats
     service: Floats
     phases: PhasePrices | None = None
-
-    @property
-    def former_phase(self) -> Floats:
-        """For 1 kVA more on each phase of the former, (3,); none of a balanced feeder."""
-        return np.zeros(0) if self.phases is None else self.phases.former
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +161,7 @@ def price_window(
     model.price(data, held, priced)
     assert model.data is not None
     model.phase_rows = []
-    outcome = run_within_limits(model.site, model.data, model, None, time_s, model.phase_rows)
+    outcome = run_within_limits(model.site, model.data, model, time_s, model.phase_rows)
     if outcome.status != Status.OPTIMAL:
         return None
     value = model.value_of
@@ -155,14 +180,12 @@ def price_window(
 def _prices(model: ShadowPriceModel) -> ShadowPrices:
     """The duals in the record's units; the signs are those of a gain."""
     site = model.site
-    net = site.network
     energy_kwh = site.batteries.energy_kwh
     mode = model.value_of("delta")[0]
     dual = model.dual
     # A demand on the right of the balance costs what an injection gains.
     active = -dual("active_power_balance")[0]
-    line_rating, *at_buses = _of_lines(model)
-    phases = PhasePrices.of(model)
+    of_network = _of_phases if site.phases else _of_lines
     rho_dt = -model.factors["f2"] * model.statement.p.rho_dt.value[0]
     return ShadowPrices(
         stored_energy=dual("battery_soc_start") / energy_kwh,
@@ -173,33 +196,29 @@ def _prices(model: ShadowPriceModel) -> ShadowPrices:
         battery_discharging=dual("battery_discharge_rated")[0] * (1.0 - mode),
         battery_inverter=_of_discs(model, "battery_inverter_capacity"),
         pv_inverter=_of_discs(model, "pv_inverter_capacity"),
-        voltage_floor=_per_milli_pu(dual("voltage_min")[0], net.v_min_pu, net.bus_ratio)
-        if phases is None
-        else phases.floor,
-        voltage_ceiling=_per_milli_pu(dual("voltage_max")[0], net.v_max_pu, net.bus_ratio)
-        if phases is None
-        else phases.ceiling,
-        line_rating=line_rating if phases is None else phases.rating,
-        line_active=at_buses[0],
-        line_reactive=at_buses[1],
         # In an outage the limit meets the bound of 0 from the other side, and its own dual is not
         # unique; what an injection at the slack bus gains is.
         grid=max(float(active[0] - rho_dt), 0.0),
         active=active,
         reactive=-dual("reactive_power_balance")[0],
         service=(dual("service_max") - dual("service_min"))[0],
-        phases=phases,
+        **of_network(model),
     )
 
 
-def _per_milli_pu(per_pu2: Floats, limit_pu: float, ratio: Floats) -> Floats:
-    """From a squared limit at the buses behind the slack bus to 0.001 pu at all buses."""
-    return np.concatenate([[0.0], per_pu2 * 2.0 * limit_pu * 1e-3 / ratio[1:] ** 2])
+def _per_milli_pu(per_pu2: Floats | float, limit_pu: float) -> Any:
+    """From a squared limit to one 0.001 pu further out."""
+    return per_pu2 * 2.0 * limit_pu * 1e-3
 
 
-def _of_lines(model: ShadowPriceModel) -> tuple[Floats, Floats, Floats]:
-    """Value of one more kVA through each line, and what of it a kW and a kvar at each bus has."""
+def _of_lines(model: ShadowPriceModel) -> dict[str, Floats]:
+    """Prices of a balanced network: its voltages, and of the slack bus none, and its lines."""
     net = model.site.network
+    per_pu = [
+        _per_milli_pu(model.dual(name)[0], limit) / net.bus_ratio[1:] ** 2
+        for name, limit in (("voltage_min", net.v_min_pu), ("voltage_max", net.v_max_pu))
+    ]
+    floor, ceiling = (np.concatenate([[0.0], each]) for each in per_pu)
     rating = np.zeros(net.n_lines)
     if FAMILY in model.rows_of:
         of_rated = model.dual(FAMILY)[0].reshape(-1, model.n_steps)[:, 0]
@@ -208,7 +227,33 @@ def _of_lines(model: ShadowPriceModel) -> tuple[Floats, Floats, Floats]:
     # No rating limits a flow without direction.
     direction = flow / np.maximum(np.hypot(*flow), ROUNDING)
     active, reactive = (rating * direction) @ net.downstream
-    return rating, active, reactive
+    return {
+        "voltage_floor": floor,
+        "voltage_ceiling": ceiling,
+        "line_rating": rating,
+        "former_phase": np.zeros(0),
+        "line_active": active,
+        "line_reactive": reactive,
+    }
+
+
+def _of_phases(model: ShadowPriceModel) -> dict[str, Any]:
+    """Prices of a network with phases, whose rows are in squares and shares."""
+    assert model.data is not None
+    net = model.site.feeder
+    room_kva = float(model.data.require_phased().room_kva[0])
+    duals, costs = _by_side(model)
+    of_former, of_rating = (costs[side].swapaxes(0, 1) for side in (OF_FORMER, OF_RATING))
+    by_voltage = costs[LOW].sum(axis=0) + costs[HIGH].sum(axis=0)
+    return {
+        "voltage_floor": duals[LOW] * _per_milli_pu(PER_PU2, net.v_min_pu),
+        "voltage_ceiling": duals[HIGH] * _per_milli_pu(PER_PU2, net.v_max_pu),
+        "line_rating": duals[OF_RATING] * (1.0 / phased_model(model.site).loadings.kva),
+        "former_phase": duals[OF_FORMER] * (1.0 / max(room_kva, NO_POWER_KW)),
+        "line_active": np.zeros(net.n_buses),
+        "line_reactive": np.zeros(net.n_buses),
+        "phases": PhasePrices(*of_former, *of_rating, *by_voltage),
+    }
 
 
 def _of_discs(model: ShadowPriceModel, name: str) -> Floats:
@@ -219,3 +264,25 @@ def _of_discs(model: ShadowPriceModel, name: str) -> Floats:
         return np.asarray(dual[0].reshape(-1, W)[:, 0])
     per_side = dual.reshape(model.sides, W, -1)
     return np.asarray(per_side[:, 0].sum(axis=0) * np.cos(np.pi / model.sides))
+
+
+def _by_side(model: ShadowPriceModel) -> tuple[dict[int, Floats], dict[int, Floats]]:
+    """Duals of the first step by side, added up by place; and by place, kW or kvar, and asset."""
+    phased = phased_model(model.site)
+    n_buses = model.site.feeder.n_buses
+    n_rated = len(phased.loadings.kva)
+    sizes = {LOW: n_buses, HIGH: n_buses, OF_FORMER: len(PHASES), OF_RATING: n_rated}
+    assets = len(phased.flows[GRID].assets)
+    duals = {side: np.zeros(size) for side, size in sizes.items()}
+    costs = {side: np.zeros((size, 2, assets)) for side, size in sizes.items()}
+    found = [rows for rows in model.phase_rows if isinstance(rows, PhaseRows)]
+    first = len(model.duals) - sum(len(rows.steps) for rows in found)
+    for rows in found:
+        dual = np.maximum(model.duals[first : first + len(rows.steps)], 0.0)
+        first += len(rows.steps)
+        dual = np.where(rows.steps == 0, dual, 0.0)
+        places = phased.at_bus[rows.places] if rows.side in (LOW, HIGH) else rows.places
+        np.add.at(duals[rows.side], places, dual)
+        by_asset = -np.stack([rows.by_p, rows.by_q], axis=1) * dual[:, None, None]
+        np.add.at(costs[rows.side], places, by_asset)
+    return duals, costs

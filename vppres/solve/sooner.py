@@ -28,7 +28,7 @@ from vppres.solve.solvers import compiled_in_time
 from vppres.solve.task import WindowTask
 
 STAYS = 0.5
-"""What all customers who stay on count together, in units of service that come a step sooner."""
+"""What all customers that stay on count together, in units of service that come a step sooner."""
 
 
 class Sooner(FleetProblem):

@@ -73,7 +73,7 @@ class TieBreakers(Selected):
         self.curtailing = curtailing
         self.moves = moves and len(site.batteries) > 0
         paper = not (sheet.statement.own or sheet.statement.changed)
-        self.in_chains = site.phases is not None and paper
+        self.in_chains = bool(site.phases) and paper
 
     def _selected(self, sheet: Sheet) -> Selection:
         """All families, scaled, with the limits that are written with a window."""

@@ -37,7 +37,7 @@ def without_binaries(task: WindowTask) -> None:
     problem = window_problem(task.cache, task.data, form, conic=True)
     problem.fill(task.data)
     ask = partial(run_conic, problem, scale=objective_scale(task.site))
-    outcome = run_within_limits(task.site, task.data, problem, None, deadline.left_s, solve=ask)
+    outcome = run_within_limits(task.site, task.data, problem, deadline.left_s, solve=ask)
     known.note("relaxed", outcome)
     if outcome.status == Status.OPTIMAL:
         known.bound_by(outcome.value + SOLVED * (1.0 + abs(outcome.value)))
@@ -75,7 +75,7 @@ def _solve(task: WindowTask, name: str, form: Form, gap: float) -> bool:
     scale = objective_scale(task.site)
     search = partial(run, problem, task.spec, gap, scale=scale)
     left_s = task.deadline.left_s
-    outcome = run_within_limits(task.site, task.data, problem, None, left_s, solve=search)
+    outcome = run_within_limits(task.site, task.data, problem, left_s, solve=search)
     if form.polygon_sides > 0 and not form.outer:
         # Inner polygons take capacity away: what they leave proves nothing.
         known.note(name, outcome)

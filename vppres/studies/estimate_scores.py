@@ -55,26 +55,25 @@ class EstimateScores:
         estimates: list[dict[str, float]] = []
         notices: list[dict[str, Any]] = []
         hours = 0.0
-        for number, came in enumerate(one for one in outages if one.end is not None):
-            assert came.end is not None
-            length_h = (came.end - came.start) / HOUR
-            told = [one for one in messages if came.start <= one.issued_at < came.end]
-            said = [(one.issued_at, _said_h(one, came.start)) for one in told]
+        over = ((one.start, one.end, one.hours) for one in outages if one.end)
+        for number, (start, end, length_h) in enumerate(over):
+            told = [one for one in messages if start <= one.issued_at < end]
+            said = [(one.issued_at, _said_h(one, start)) for one in told]
             estimates += [
                 {
                     "outage": number,
-                    "after_h": (at - came.start) / HOUR,
+                    "after_h": (at - start) / HOUR,
                     "said_h": said_h,
                     "ratio": length_h / said_h,
                 }
                 for at, said_h in said
-                if said_h is not None and said_h > 0.0
+                if said_h and said_h > 0.0
             ]
-            ends = [(one.issued_at, one.restored_by) for one in told if one.restored_by is not None]
+            ends = [(one.issued_at, one.restored_by) for one in told if one.restored_by]
             if ends:
-                right = [at for at, by in ends if came.end <= by]
+                right = [at for at, by in ends if end <= by]
                 last = right[0] if right else ends[-1][0]
-                lead_h = (came.end - last) / HOUR
+                lead_h = (end - last) / HOUR
                 vain = len(ends) - len(right)
                 notices.append({"right": bool(right), "lead_h": lead_h, "vain": vain})
                 hours += length_h
@@ -134,6 +133,6 @@ def _figures(estimates: pd.DataFrame) -> dict[str, float]:
 
 def _said_h(message: OutageWarning, start: pd.Timestamp) -> float | None:
     """The length that a message expects of an outage, None if it says none."""
-    if message.restored_likely is not None:
+    if message.restored_likely:
         return float((message.restored_likely - start) / HOUR)
     return message.duration_p50_h

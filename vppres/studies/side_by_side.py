@@ -243,7 +243,7 @@ def _client(where: Where) -> Iterator[Any]:
         if "://" not in scheduler and not Path(scheduler).is_file():
             raise FileNotFoundError("there is no such file")
         client = _within_patience(lambda: Client(**place, timeout=PATIENCE_S, set_as_default=False))
-    # Who listens there may be anybody, and a file may hold anything.
+    # Any program may listen there, and a file may hold anything.
     except Exception as error:
         raise InputError(
             _problem(
@@ -276,7 +276,7 @@ def _local_client(workers: int) -> Iterator[Any]:
 
 
 def _within_patience(connect: Callable[[], C]) -> C:
-    """A connection, in the time for it: Dask asks for ever whoever does not speak its language."""
+    """A connection, in the time for it: Dask waits for ever for what is not its scheduler."""
     found: list[C] = []
     failed: list[Exception] = []
 

@@ -493,7 +493,6 @@ def _drawn(possible: Wholes, tried: Tried) -> list[int]:
 def _jobs(
     variant: Variant, tried: Tried, onsets: Sequence[int], lengths: tuple[int, ...], folder: Path
 ) -> Iterator[Job]:
-    """Jobs of a variant, some onsets each."""
     lead, reach = _lead(variant, tried), _reach(variant, max(lengths))
     settings = {
         "site": scenario_digest(variant.site),

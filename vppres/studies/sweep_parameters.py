@@ -176,7 +176,6 @@ def _checked(day: Scenario) -> Scenario:
 
 
 def _read(kind: type, text: str) -> Value | None:
-    """A value of a kind, None if the text is not one."""
     if kind is str:
         return text or None
     try:

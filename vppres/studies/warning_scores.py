@@ -40,9 +40,7 @@ class WarnedOutage:
     @property
     def length_h(self) -> float:
         """Length of the outage, NaN where none came or it lasts."""
-        if self.came is None or self.came.end is None:
-            return float("nan")
-        return (self.came.end - self.came.start) / pd.Timedelta(hours=1)
+        return self.came.hours if self.came else float("nan")
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +84,7 @@ class WarningScores:
         for messages in (one for group in named.values() for one in _of_one(group, left, step)):
             came = _came_of(messages, left, step)
             last = _last_before(messages, came)
-            if last is not None:
+            if last:
                 pairs.append(WarnedOutage(last, came))
             elif not all(message.all_clear for message in messages):
                 late += 1
@@ -111,7 +109,7 @@ class WarningScores:
     @property
     def n_came(self) -> int:
         """Announced outages that came."""
-        return sum(pair.came is not None for pair in self.pairs)
+        return sum(bool(pair.came) for pair in self.pairs)
 
     @cached_property
     def reliability(self) -> pd.DataFrame:
@@ -193,7 +191,7 @@ class WarningScores:
         """Probabilities, and 1 where an outage came."""
         given = [pair for pair in self.pairs if pair.warning.probability is not None]
         said = np.array([pair.warning.probability for pair in given], dtype=float)
-        return said, np.array([pair.came is not None for pair in given], dtype=float)
+        return said, np.array([bool(pair.came) for pair in given], dtype=float)
 
 
 def _of_one(
@@ -203,9 +201,9 @@ def _of_one(
     group: list[OutageWarning] = []
     for message in messages:
         known = announced_before(group, message.issued_at)
-        if known is not None:
+        if known:
             came = _came_of(group, outages, step)
-            over = known.latest if came is None or came.end is None else came.end
+            over = came.end if came and came.end else known.latest
             if message.issued_at > over:
                 yield group
                 group = []
@@ -223,7 +221,7 @@ def _came_of(
     """
     for outage in outages:
         known = announced_before(messages, outage.start)
-        if known is not None and known.explains(outage, step):
+        if known and known.explains(outage, step):
             return outage
     return None
 
@@ -239,24 +237,24 @@ def _last_before(
 ) -> OutageWarning | None:
     """The last message before the outage began, or before it could no longer begin."""
     announced = announced_before(messages, messages[-1].issued_at)
-    if announced is None:
+    if not announced:
         return None  # an all-clear of nothing
-    until = announced.latest if came is None else came.start
+    until = came.start if came else announced.latest
     before = [one for one in messages if one.issued_at <= until]
     if not before:
         return None
     last = announced_by([one for one in before if not one.all_clear])
-    return before[-1] if last is None or before[-1].all_clear else last.message
+    return last.message if last and not before[-1].all_clear else before[-1]
 
 
 def warnings_scored(
     history: str, warnings: Path | None = None, outages: Path | None = None
 ) -> WarningScores | None:
     """Scores of the files that are given, or of a scenario's own messages; None without any."""
-    if warnings is not None and outages is not None:
+    if warnings and outages:
         return WarningScores.of_files(warnings, outages)
-    if warnings is not None or outages is not None:
-        missing, there = ("outages", "warnings") if outages is None else ("warnings", "outages")
+    if warnings or outages:
+        missing, there = ("outages", "warnings") if warnings else ("warnings", "outages")
         cure = f"Give --{missing} FILE beside --{there}: one is scored against the other."
         raise InputError.of("options", "is missing", cure, field=missing)
     if not is_scenario(history):

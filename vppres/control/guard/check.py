@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from vppres.contract.decision import Decision
-from vppres.contract.owed import MOST_SHARE
 from vppres.control.step_state import StepState
 from vppres.core.arrays import Flags, Floats, Names
 from vppres.kinds.table import KINDS
@@ -137,7 +136,7 @@ def misshapen(decision: Decision, site: Site) -> list[str]:
         **dict.fromkeys(("served", "share"), len(site.customers)),
         "v_pu": site.network.n_buses,
         **{kind: len(units) for kind, units in site.kinds.items()},
-        "v_node_pu": 0 if site.phases is None else len(site.phases.measured),
+        "v_node_pu": len(site.phases.measured),
         **dict.fromkeys(("p_flow_kw", "q_flow_kvar"), site.network.n_lines),
         **dict.fromkeys(("charge_kw", "discharge_kw", "batt_q_kvar", "soc"), len(site.batteries)),
         **dict.fromkeys(
@@ -159,9 +158,8 @@ def misshapen(decision: Decision, site: Site) -> list[str]:
 
 
 def _service(row: _Row, state: StepState) -> str:
-    least = state.site.customers.least_share
-    most = np.where(state.site.customers.recovery_h > 0.0, MOST_SHARE, 1.0)
-    partly = np.maximum(least - row.served, row.served - most)
+    c = state.site.customers
+    partly = np.maximum(c.least_share - row.served, row.served - c.most_share)
     partly = np.minimum(np.abs(row.served), np.maximum(partly, 0.0))
     return "a customer is supplied in part" if partly.max(initial=0.0) > 1e-6 else ""
 
@@ -254,7 +252,7 @@ def _balance(row: _Row, state: StepState, within: Tolerances) -> str:
     given = float((state.pv_kw - curtailed).sum() + row.discharge_kw.sum())
     losses_kw = given_kw = 0.0
     if within.losses:
-        drawn_kw = _losses_kw if state.site.phases is None else _phased_network_kw
+        drawn_kw = _phased_network_kw if state.site.phases else _losses_kw
         found_kw = drawn_kw(row, curtailed, state)
         losses_kw = max(found_kw, 0.0) + max(abs(found_kw), within.loss_kw)
         given_kw = 2.0 * max(-found_kw, 0.0)  # loads of a phase that draw less at low voltage
@@ -329,7 +327,7 @@ def _voltage(
 ) -> str:
     """Voltages of the plan; those without control are known no better than a linear model is."""
     lowest, highest = limits_pu
-    off_pu = within.v_pu if state.own_v_pu is None else max(within.v_pu, EXACT_PU)
+    off_pu = max(within.v_pu, EXACT_PU) if len(state.own_v_pu) else within.v_pu
     outside = np.maximum(lowest - row.v_pu, row.v_pu - highest)[1:]  # the slack bus is given
     worst = int(np.argmax(outside))
     return f"voltage: {row.v_pu[1:][worst]:.4f} pu" if outside[worst] > off_pu else ""

@@ -239,7 +239,7 @@ class GuardedController:
         )
         if carried is None or carried.shortage:
             return None
-        phased = state.island and self.site.phases is not None
+        phased = state.island and bool(self.site.phases)
         if phased and not carried_by_phase(state, carried.dispatch):
             return None
         dimmed = None if plan.share is None else (served * share)[np.newaxis]

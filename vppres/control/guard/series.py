@@ -5,7 +5,7 @@ of, all that was forecast or read before is in another unit or a spike: it is re
 import that is measured over a step says that it was right. One that the lines to the customer
 could not carry is never right, and an import that the connection could not pass says nothing.
 
-A demand that is twice, or half of, what was expected is believed, unless the import of the step
+A demand that is twice, or half of, what was expected counts, unless the import of the step
 before contradicts the meters: then it is the one without which least of the mismatch is left, or
 all of them, and what was expected stands in until the import agrees with the meter again.
 """
@@ -341,7 +341,7 @@ def _most_import_kw(
 ) -> float:
     """The most import of a step that is one: what the connection passes, and no more than far.
 
-    A demand that was believed counts as expected.
+    A demand that was accepted counts as expected.
     """
     limit_kw = float(seen.forecast.grid_limit_kw[0])
     demand_kw = float(np.fmax(expected.load_kw, usable.load_kw).sum())

@@ -111,7 +111,7 @@ class OpenDSSFlow:
     Its loads keep their phases, so that only their sum can follow the powers of a feeder. Buses
     with anything else have the power of the feeder.
 
-    ``job`` has the checked commands that build the circuit, ``found`` what the engine told of it.
+    ``job`` has the checked commands that build the circuit, ``found`` what the engine answered.
     """
 
     def __init__(

@@ -174,7 +174,7 @@ class Commands:
             yield f"{column}=[{_row(values)}]"
 
     def _numbers_of(self, text: str) -> str:
-        """Numbers in place of ``file=name, column=2, header=yes`` in an array."""
+        """Numbers instead of ``file=name, column=2, header=yes`` in an array."""
         parts = dict(
             (key.strip().lower(), value.strip())
             for key, _, value in (each.partition("=") for each in re.split(r"[,\s]+(?=\w+=)", text))

@@ -61,7 +61,6 @@ def worst_hour_by_phase(feeder: ImportedFeeder, scenario: Scenario) -> float | N
     """
     source, phases, flow = feeder.phased, scenario.phases, feeder.source_flow
     assert source is not None
-    assert phases is not None
     if not isinstance(flow, OpenDSSFlow):
         return None
     names = assets_of(scenario)

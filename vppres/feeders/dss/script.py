@@ -152,7 +152,7 @@ def read_script(master: Path) -> Script:
     """Take a script apart, and everything that it redirects to, in its folder and below.
 
     A file one level above may hold line codes and other data sheets. Every line that cannot be read
-    is told, by file, row and cure.
+    is named, by file, row and cure.
     """
     reader = _Reader(master.resolve().parent)
     reader.read(master.name, master.resolve(), library=False)

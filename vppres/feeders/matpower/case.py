@@ -200,7 +200,7 @@ def _add_powers(net: Any, bus: Floats, numbers: Wholes) -> None:
 
 
 def _words_for(fuels: Sequence[str], count: int) -> list[str]:
-    """The word for each generator's kind; none where fuels are not told of each."""
+    """The word for each generator's kind; none where not every fuel is given."""
     if len(fuels) != count:
         return [""] * count
     words = [fuel.strip().lower() for fuel in fuels]
@@ -233,7 +233,7 @@ def _add_generators(
     holds = np.isin(np.arange(len(on)), first)
     # Where several hold one bus, the last has the say.
     v_pu = dict(zip(at.tolist(), _of(on, "VG").tolist(), strict=True))
-    # What a generator can give is told of those with a fuel; others are as large as what they give.
+    # Those with a fuel state the most that they can give; others are as large as what they give.
     told = (word != "") & (gen.shape[1] >= ALL["PMIN"])
     most_mw, least_mw = (
         np.where(told, _of(on, limit), np.nan) if told.any() else np.full(len(on), np.nan)

@@ -9,6 +9,9 @@ import pandas as pd
 
 from vppres.core.arrays import Complexes, Floats
 
+JOINT = "joint"
+"""Type of switches that stand for something else: no one can open them."""
+
 TIER_COLUMNS = ("tier", "priority")
 """Columns of loads that may name their tiers, in any case of letters; the first that is there."""
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from vppres.core.errors import InputError, Problem
 from vppres.core.text import named
-from vppres.feeders.net.elements import in_service, label
+from vppres.feeders.net.elements import JOINT, in_service, label
 from vppres.scenario.network import BusId
 
 ALL = "all"
@@ -120,7 +120,7 @@ def _keep(net: Any, chosen: list[_Grid], several: list[_Grid]) -> Iterator[str]:
     elsewhere = [grid for grid in others if grid.bus != first.bus]
     if len(chosen) > 1:
         for grid in elsewhere:
-            pp.create_switch(net, first.bus, grid.bus, et="b", closed=True)
+            pp.create_switch(net, first.bus, grid.bus, et="b", closed=True, type=JOINT)
             net.gen.loc[[grid.index] if grid.table == "gen" else [], "in_service"] = False
         yield (
             f"{len(chosen)} external grids hold the same voltage and are joined to one grid "

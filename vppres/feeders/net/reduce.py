@@ -35,8 +35,8 @@ from vppres.feeders.net.branches import (
 from vppres.feeders.net.elements import NetCase, in_service, label, supplied
 from vppres.feeders.net.grids import one_grid
 from vppres.feeders.net.notes import notes_of, told_left_out
-from vppres.feeders.net.open_lines import ties_of
 from vppres.feeders.net.ratings import rating_mva
+from vppres.feeders.net.switches import switches_of, told_open_transformers
 from vppres.feeders.net.taps import told_idle_taps
 from vppres.io.messages import did_you_mean
 from vppres.io.schema import MIN_OHM, MIN_POWER_FACTOR
@@ -134,13 +134,14 @@ def feeder_of(
             *left_out,
             *notes_of(net, case, stubs, closed, condensers),
             *told_idle_taps(net, solved),
+            *told_open_transformers(net, joined),
             *storage_notes,
         ),
         left_out=left_out,
         causes=tuple(causes_of(net, case)),
         source_flow=PandapowerFlow(net, {ids[row]: bus for bus, row in _last_first(joined)}),
         title=_own_name(net),
-        ties=ties_of(net, joined, ids, network),
+        switches=switches_of(net, joined, ids, network),
     )
     return replace(feeder, deviation=deviation_of(net, solved, feeder))
 

@@ -15,7 +15,7 @@ import pandas as pd
 from vppres.core.text import named
 from vppres.core.units import kw_to_mw, mw_to_kw, us_to_kw_at_1_pu
 from vppres.feeders.net.balance import PHASES
-from vppres.feeders.net.elements import in_service, label
+from vppres.feeders.net.elements import JOINT, in_service, label
 
 NS_TO_US = 1e-3
 """Capacitances are in nF; times an angular frequency they are nS."""
@@ -101,7 +101,7 @@ def _without_impedance(net: Any) -> Iterator[str]:
         net.line.loc[i, "in_service"] = False
         start, end = int(row["from_bus"]), int(row["to_bus"])
         if i not in opened:
-            pp.create_switch(net, start, end, et="b", closed=True)
+            pp.create_switch(net, start, end, et="b", closed=True, type=JOINT)
         kv, size = float(net.bus.at[start, "vn_kv"]), float(row["length_km"] * row["parallel"])
         b_us = NS_TO_US * 2 * np.pi * float(net.f_hz) * float(row["c_nf_per_km"]) * size
         g_us = np.nan_to_num(float(row.get("g_us_per_km", 0.0))) * size

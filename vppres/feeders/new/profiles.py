@@ -297,7 +297,7 @@ def _systems(
 
 
 def _invented(names: list[str], count: int, what: str) -> str:
-    """Sentence on profiles in place of series that were not given."""
+    """Sentence on profiles instead of series that were not given."""
     of = "all of them" if len(names) == count else named(names)
     rule = " (wind: no power; kinds other than PV: the largest)" if what != "Load" else ""
     return f"Invented: {what} without a series follows one bundled summer day{rule}: {of}."

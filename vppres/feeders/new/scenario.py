@@ -41,7 +41,7 @@ from vppres.kinds.customer.data import SwitchingRules
 from vppres.scenario.assets import PV, TIER_WEIGHTS, Batteries, PVSystems
 from vppres.scenario.capacitors import too_large, too_large_by_phase
 from vppres.scenario.network import Network
-from vppres.scenario.phases import Phases
+from vppres.scenario.phases import BALANCED, Phases
 from vppres.scenario.priority import STRICT
 from vppres.scenario.remarks import darkness, doubtful_units, former_words
 from vppres.scenario.scenario import ControllerDefaults, Priority, Scenario
@@ -100,13 +100,13 @@ def _built(feeder: ImportedFeeder, options: NewScenarioOptions) -> tuple[Scenari
     grid = options.grid
     assets = new_assets(feeder, options)
     series = _series(feeder, options, assets, grid)
-    phases, batteries = None, assets.batteries
+    phases, batteries = BALANCED, assets.batteries
     if feeder.phased is not None:
         own = (assets.customers, assets.pv, batteries)
         phases = connected(feeder.phased, feeder.name, *own)
         batteries = with_former(phases, assets.customers, batteries)
     network, switched = _for_islands(_network(feeder, options), batteries, phases)
-    if phases is not None:
+    if phases:
         phases = shunts_in_islands(phases, network)
         # A loading that is stated would be that of three equal phases, and so would a fixed power.
         none = np.zeros(network.n_buses)
@@ -135,13 +135,14 @@ def _built(feeder: ImportedFeeder, options: NewScenarioOptions) -> tuple[Scenari
         priority=Priority(STRICT),
         switching=SwitchingRules(min_served_h=LEAST_SERVED_H),
         phases=phases,
+        switches=feeder.switches,
     )
     notes = (*assets.notes, *switched, *series.notes, *_told_constants(series), TOLD_SERVED)
     return scenario, [*notes, *_told_limits(network, options)]
 
 
 def _for_islands(
-    network: Network, batteries: Batteries, phases: Phases | None
+    network: Network, batteries: Batteries, phases: Phases
 ) -> tuple[Network, list[str]]:
     """The network without the capacitors in islands that no battery can hold there, and which."""
     forming = batteries.formers
@@ -150,7 +151,7 @@ def _for_islands(
     rating_kva = float(batteries.s_max_kva[forming].sum())
     words = f"the {rating_kva:,.0f} kVA"
     off = too_large(network, rating_kva)
-    if phases is not None:
+    if phases:
         words = f"a third of the {rating_kva:,.0f} kVA on one phase"
         off = too_large_by_phase(network, phases, rating_kva)
     if not off.any():
@@ -227,9 +228,7 @@ def write_new_scenario(
         closeness = str(deviation)
     check_deviation(feeder, checked, options.accept_deviation)
     told = [*causes, *feeder.notes, *chosen]
-    open_lines = zip(feeder.ties.from_bus, feeder.ties.to_bus, strict=True)
-    ties = [f"{first} to {last}" for first, last in open_lines]
-    source = Source.of(feeder.name, "", told, deviation, feeder.unbalanced, ties)
+    source = Source.of(feeder.name, "", told, deviation, feeder.unbalanced)
     scenario = replace(scenario, source=source)
     said = [former_words(scenario), darkness(scenario), closeness]
     # A source that does not converge is asked for its units itself.

@@ -6,61 +6,83 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from vppres.core.arrays import Flags
+from vppres.core.arrays import Flags, Wholes
 from vppres.core.errors import InputError, Problem
 from vppres.feeders.reconfiguration.loops import SwitchedNetwork
-from vppres.feeders.ties import Ties
 from vppres.io.messages import did_you_mean
 from vppres.scenario.network import Network
+from vppres.scenario.switches import Switches
 
 NO_TIE = (
     "Add a line that is normally open: in the network's file one that is out of service or has an "
-    "open switch."
+    "open switch, in a scenario's folder a row of switches.csv."
 )
 
 
-def switched_network(network: Network, ties: Ties, only: Sequence[str] = ()) -> SwitchedNetwork:
+def switched_network(
+    network: Network, switches: Switches, only: Sequence[str] = (), any_line: bool = True
+) -> SwitchedNetwork:
     """The feeder with the switches that may move.
 
-    All open switches may be closed. All lines may be opened but those with a ratio, as studies of
-    reconfiguration have it.
+    Switches that are not operable, or are locked, stay as they are. Lines with a ratio are not
+    opened.
 
     Parameters
     ----------
     network : Network
         The feeder as it is.
-    ties : Ties
-        Its open switches.
+    switches : Switches
+        Its switches.
     only : sequence of str, optional
         Names of those that may move, if not all: of switches, and of lines as ``7-8``.
+    any_line : bool, optional
+        Whether lines without a switch may be opened too, as studies of reconfiguration have it.
 
     Raises
     ------
     InputError
         If a name is unknown, or no switch can be closed.
     """
-    can_open = network.ratio == 1.0
+    standing = switch_at(network, switches)
+    movable = np.append(switches.movable, any_line)  # the last is that of lines without a switch
+    can_open = (network.ratio == 1.0) & movable[standing]
+    ties = switches.rows(~switches.closed & switches.movable)
     if only:
-        tie_names, line_names = _names(network, ties)
-        _check_known(only, [*tie_names, *line_names])
-        ties = ties.rows(_among(tie_names, only))
-        can_open = can_open & _among(line_names, only)
+        names, ends = _line_names(network, switches), _ends(network)
+        _check_known(only, [*map(str, switches.id), *names, *ends])
+        ties = ties.rows(_among([str(name) for name in ties.id], only))
+        can_open = can_open & (_among(names, only) | _among(ends, only))
     if not len(ties):
         cure = NO_TIE if not only else "Give an open switch with --switch too."
         raise InputError.of("switches", "has no open switch that can be closed", cure)
-    return SwitchedNetwork(network, ties, can_open)
+    return SwitchedNetwork(network, ties, can_open, tuple(_line_names(network, switches)))
+
+
+def switch_at(network: Network, switches: Switches) -> Wholes:
+    """Position of the switch that stands on each line, (L,); -1 where none does."""
+    at = {
+        frozenset((switches.from_bus[i], switches.to_bus[i])): int(i)
+        for i in np.flatnonzero(switches.closed)
+    }
+    ends = zip(network.from_bus, network.to_bus, strict=True)
+    return np.array([at.get(frozenset(pair), -1) for pair in ends], dtype=int)
 
 
 def branch_names(feeder: SwitchedNetwork) -> list[str]:
-    """Names of the branches: lines by their buses, and switches by their own."""
-    ties, lines = _names(feeder.network, feeder.ties)
-    return [*lines, *ties]
+    """Names of the branches: by their switches, and of lines without one by their buses."""
+    return [*feeder.line_names, *map(str, feeder.ties.id)]
 
 
-def _names(network: Network, ties: Ties) -> tuple[list[str], list[str]]:
-    """Names of the switches and of the lines."""
-    lines = zip(network.from_bus, network.to_bus, strict=True)
-    return [str(name) for name in ties.id], [f"{start}-{end}" for start, end in lines]
+def _line_names(network: Network, switches: Switches) -> list[str]:
+    """Names of the lines: those of their switches, or their buses."""
+    standing = zip(switch_at(network, switches), _ends(network), strict=True)
+    return [ends if i < 0 else str(switches.id[i]) for i, ends in standing]
+
+
+def _ends(network: Network) -> list[str]:
+    """Buses of each line, as a name."""
+    ends = zip(network.from_bus, network.to_bus, strict=True)
+    return [f"{start}-{end}" for start, end in ends]
 
 
 def _among(names: Sequence[str], wanted: Sequence[str]) -> Flags:

@@ -14,8 +14,8 @@ from functools import cached_property
 import numpy as np
 
 from vppres.core.arrays import Flags, Floats, Wholes, freeze
-from vppres.feeders.ties import Ties
 from vppres.scenario.network import Network
+from vppres.scenario.switches import Switches
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,26 +28,28 @@ class SwitchedNetwork:
     ----------
     network : Network
         The feeder as it is.
-    ties : Ties
+    ties : Switches
         The K switches that are open and can be closed, each between two buses of the network.
     can_open : array of bool, shape (L,)
         Lines that can be opened.
+    line_names : tuple of str
+        Names of the lines.
 
     Examples
     --------
     A ring of three lines of which one is open:
 
-    >>> from vppres.feeders.ties import Ties
     >>> net = Network([1, 1], [2, 3], [1.0, 1.0], [1.0, 1.0], slack_bus=1, base_kv=10.0)
-    >>> tie = Ties(["a"], [2], [3], [1.0], [1.0], [np.inf])
+    >>> tie = Switches(["a"], [2], [3], ["tie"], [False], r_ohm=[1.0], x_ohm=[1.0])
     >>> ring = SwitchedNetwork(net, tie, np.ones(2, dtype=bool))
     >>> ring.count, [block.tolist() for block in ring.configurations(10)]
     (3, [[[0], [1], [2]]])
     """
 
     network: Network
-    ties: Ties
+    ties: Switches
     can_open: Flags
+    line_names: tuple[str, ...] = ()
 
     @property
     def n_loops(self) -> int:

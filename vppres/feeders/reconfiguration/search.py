@@ -19,7 +19,7 @@ from vppres.feeders.reconfiguration.loops import SwitchedNetwork
 from vppres.scenario.network import BusId
 
 AT_ONCE = 1024
-"""Configurations that are solved together: their arrays stay in the cache of a processor."""
+"""Configurations that are solved together: their arrays stay in the processor's cache."""
 
 EXCHANGES = (2, 5)
 """Least and most random exchanges before a new start."""

@@ -130,12 +130,12 @@ PAST = Felt
 
 
 def read(
-    door: Door, scenario: Scenario, told: Mapping[str, Any], past: Felt | None
+    door: Door, scenario: Scenario, measured: Mapping[str, Any], past: Felt | None
 ) -> tuple[Scenario, Floats]:
     """Temperatures that thermometers tell, NaN where there is none, (H,)."""
     loads = scenario.thermal_loads
     return scenario, door.values(
-        "indoor_c", told["indoor_c"], loads.id, np.full(len(loads), np.nan)
+        "indoor_c", measured["indoor_c"], loads.id, np.full(len(loads), np.nan)
     )
 
 

@@ -44,10 +44,10 @@ class Thermostats(OfKind):
         for name, t_c in zip(scenario.thermal_loads.id, units.state, strict=True):
             yield "indoor_c", str(name), float(t_c)
 
-    def powers(self, t: int, units: Climate, told: Mapping[str, Floats], served: Flags) -> Floats:
+    def powers(self, t: int, units: Climate, asked: Mapping[str, Floats], served: Flags) -> Floats:
         """Power of machines at these set temperatures."""
         held_c = units.scenario.thermal_loads.held_c
-        asked_c = told["setpoint_c"]
+        asked_c = asked["setpoint_c"]
         return units.thermostat_kw(t, np.where(np.isnan(asked_c), held_c, asked_c), served)
 
 

@@ -6,8 +6,25 @@ from dataclasses import asdict, dataclass
 from math import ceil
 from typing import Any
 
+import numpy as np
+
+from vppres.core.arrays import Floats, Wholes
 from vppres.core.text import named
 from vppres.scenario.option_table import check_group
+
+MOST_SHARE = 2.0
+"""Share of its demand that a customer can take at most: as much again as it lacked before."""
+
+ROUNDING = 1e-9
+"""Share of a step by which a limit may miss a whole number of steps."""
+
+NAMES_SHOWN = 5
+"""Customers named in one sentence."""
+
+
+def steps_within(hours: Floats | float, dt_h: float) -> Wholes:
+    """Whole steps that times have room for."""
+    return np.floor(hours / dt_h + ROUNDING).astype(int)
 
 
 @dataclass(frozen=True)
@@ -98,8 +115,11 @@ class RuleSteps:
     days: int = 1
 
 
-NAMES_SHOWN = 5
-"""Customers named in one sentence."""
+def limits_h(scenario: Any) -> dict[str, float]:
+    """How long customers may be off at a time in h, of those that have a limit."""
+    c = scenario.customers
+    pairs = zip(c.id, c.longest_off_h, strict=True)
+    return {str(name): float(hours) for name, hours in pairs if np.isfinite(hours)}
 
 
 def remark(scenario: Any) -> str:

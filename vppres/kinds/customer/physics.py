@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vppres.core.arrays import Flags, Floats, Wholes
-from vppres.kinds.customer.data import RuleSteps, SwitchingRules
+from vppres.kinds.customer.data import RuleSteps, SwitchingRules, steps_within
 from vppres.scenario.assets import Customers
 
 UNLIMITED = 1e6
@@ -18,10 +18,6 @@ UNLIMITED = 1e6
 
 DAY_H = 24.0
 """The limit of actions holds for every 24 h from the first step on, whatever clocks say."""
-
-
-ROUNDING = 1e-9
-"""Share of a step by which a limit may miss a whole number of steps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,26 +46,14 @@ class LongestOff:
     def of(cls, longest_h: Floats, off_h: Floats, dt_h: float, n_steps: int) -> LongestOff | None:
         """The limits of the window that begins now, without prices; None if none says anything.
 
-        Parameters
-        ----------
-        longest_h : array, shape (C,)
-            How long each may be off at a time in h, infinite for any time.
-        off_h : array, shape (C,)
-            How long each has been off, 0 if it was served in the step before.
-        dt_h : float
-            Length of a step in h.
-        n_steps : int
-            Steps of the window.
-
-        Examples
-        --------
-        Off for one hour of two: the second step is the first beyond the limit.
+        ``longest_h`` is how long each may be off at a time, infinite for any time, ``off_h`` how
+        long each has been, (C,) each. Off for one hour of two, the second step is the first beyond.
 
         >>> LongestOff.of(np.array([2.0, np.inf]), np.array([1.0, 0.0]), 1.0, 3).asked[:, 0]
         array([False,  True,  True])
         """
         customer = np.flatnonzero(np.isfinite(longest_h))
-        steps = np.floor(longest_h[customer] / dt_h + ROUNDING).astype(int)
+        steps = steps_within(longest_h[customer], dt_h)
         before = np.round(off_h[customer] / dt_h).astype(int)
         asked = before + np.arange(n_steps)[:, None] >= steps
         if not asked.any():
@@ -226,13 +210,9 @@ class SwitchingData:
         """
         steps = self.steps
         free = steps.served == steps.unserved == 1 and not self.served_min.any()
-        unlimited = self.served_max.all() and self.actions_suffice
+        enough = (self.actions_left >= self.in_day.sum(axis=1)[:, None]).all()
+        unlimited = self.served_max.all() and enough
         return bool(free and unlimited and steps.cold == 0 and self.price_per_action == 0.0)
-
-    @property
-    def actions_suffice(self) -> bool:
-        """Whether every customer has as many actions left in each day as it has steps."""
-        return bool((self.actions_left >= self.in_day.sum(axis=1)[:, None]).all())
 
     @property
     def in_day(self) -> Flags:
@@ -441,6 +421,55 @@ class SwitchingState:
         if np.isinf(hours):
             return np.where(np.isfinite(self.since_h), np.inf, 0.0)
         return np.ceil((hours - self.since_h) / self.dt_h - 1e-9)
+
+
+@dataclass(frozen=True, eq=False)
+class Owed:
+    """Demand that dimmed customers lack, by the steps in which it may still be caught up.
+
+    Parameters
+    ----------
+    kw : array, shape (K, C)
+        Demand of a step; that of row k may be caught up in the next k + 1 steps.
+    steps : array of int, shape (C,)
+        Steps in which each may catch up, 0 for a customer that does not.
+    """
+
+    kw: Floats
+    steps: Wholes
+
+    @classmethod
+    def of(cls, customers: Customers, dt_h: float) -> Owed | None:
+        """Nothing is owed yet; None if no customer catches up."""
+        steps = customers.recovery_steps(dt_h)
+        if not steps.any():
+            return None
+        return cls(np.zeros((steps.max(), len(customers))), steps)
+
+    def after(self, load_kw: Floats, share: Floats) -> Owed:
+        """Owed demand after a step of this demand, of which each was given a share, (C,) each.
+
+        The oldest is caught up first. Of a customer that is off, nothing is caught up later.
+
+        >>> owed = Owed(np.zeros((2, 1)), np.array([2]))
+        >>> owed = owed.after(np.array([10.0]), np.array([0.4]))
+        >>> owed.kw.ravel().tolist()
+        [0.0, 6.0]
+        >>> owed.after(np.array([10.0]), np.array([1.5])).kw.ravel().tolist()
+        [1.0, 0.0]
+        """
+        paid_kw = load_kw * np.maximum(share - 1.0, 0.0)
+        before_kw = np.cumsum(self.kw, axis=0) - self.kw
+        left_kw = self.kw - np.clip(paid_kw - before_kw, 0.0, self.kw)
+        aged = np.vstack([left_kw[1:], np.zeros_like(left_kw[:1])])
+        more_kw = np.where(share > 0.0, load_kw * np.maximum(1.0 - share, 0.0), 0.0)
+        newest = np.arange(len(aged))[:, None] == self.steps - 1
+        return Owed(aged + newest * more_kw, self.steps)
+
+    def valid(self, n_steps: int) -> Floats:
+        """Demand that may still be caught up at the beginning of each step of a window, (W, C)."""
+        rows = np.vstack([self.kw, np.zeros((n_steps, self.kw.shape[1]))])
+        return np.cumsum(rows[::-1], axis=0)[::-1][:n_steps]
 
 
 def _acted_within(actions: Flags, steps: int) -> Flags:

@@ -93,7 +93,7 @@ class Gensets(KindTable):
         return np.asarray(litres >= self.least_litres(scenario.grid.dt_h))
 
     def owner(self, customers: Customers) -> Wholes:
-        """Nobody: sets stand alone, (G,)."""
+        """No owner: sets stand alone, (G,)."""
         return np.zeros(len(self), dtype=int)
 
     def buses(self, customers: Customers) -> Names:

@@ -133,16 +133,18 @@ PAST = Ran
 
 
 def read(
-    door: Door, scenario: Scenario, told: Mapping[str, Any], past: Ran | None
+    door: Door, scenario: Scenario, measured: Mapping[str, Any], past: Ran | None
 ) -> tuple[Scenario, GensetReadings]:
     """Readings of sets, and the orders of another sender."""
     names = ("running", "genset_kw", "fuel_litres", "start_fault", "genset_ordered_kw")
     ids, none = scenario.gensets.id, np.full(len(scenario.gensets), np.nan)
-    return scenario, GensetReadings(*(door.values(name, told[name], ids, none) for name in names))
+    return scenario, GensetReadings(
+        *(door.values(name, measured[name], ids, none) for name in names)
+    )
 
 
 def now(moment: Moment, told: GensetReadings, past: Ran | None) -> SetsNow:
-    """Sets at the moment, with what was delivered since they were told how to run."""
+    """Sets at the moment, with what was delivered since their last set-points."""
     known = moment.known
     sets, dt_h, at_h = known.gensets, known.grid.dt_h, moment.at_h
     past = past or Ran.before_the_day(sets, at_h)
@@ -157,7 +159,7 @@ class SetsNow(UnitsNow):
     """Sets at the beginning of a step, (G,) each.
 
     Fuel of the state is the reading, or the least that may be left. ``known`` is what is known of
-    them before they are told how to run from now on; its fuel is the least that may be left since
+    them before their next set-points; its fuel is the least that may be left since
     the gauge moved.
     """
 
@@ -218,7 +220,7 @@ class SetsNow(UnitsNow):
         return {"out": self.out}
 
     def after(self, day: Scenario, state: GensetState, columns: Mapping[str, Any]) -> Ran:
-        """The sets as they are told to run from now on."""
+        """The sets with their set-points from now on."""
         return replace(self.known, on=columns["running"], power_kw=columns["p_kw"])
 
 
@@ -405,7 +407,7 @@ def defaults(scenario: Scenario) -> dict[str, dict[str, Any]]:
 
 
 def by_rule(now: Scenario) -> dict[str, Any]:
-    """Sets go on as they were told."""
+    """Sets go on with their last set-points."""
     return {}
 
 

@@ -26,7 +26,7 @@ class Sets(OfKind):
     source = "gensets"
     states: ClassVar[Mapping[str, float]] = {"start_fault": 0.0}
 
-    def told(self, stored: Stored) -> dict[str, Any]:
+    def readings(self, stored: Stored) -> dict[str, Any]:
         """Readings of sets, and the orders of other senders than the controller.
 
         Whether one runs counts if it was read since its set-point. A fault counts however old
@@ -38,7 +38,7 @@ class Sets(OfKind):
         since = {name for name, one in runs.items() if moment(one.time) > stored.decided_at}
         running = {name: float(runs) for name, (runs, _) in by_others.items()}
         running |= {k: v for k, v in stored.readings.holding("running").items() if k in since}
-        return super().told(stored) | {
+        return super().readings(stored) | {
             "running": running or None,
             "genset_ordered_kw": {name: kw for name, (_, kw) in by_others.items()} or None,
             "start_fault": _faults(stored) or None,
@@ -46,10 +46,10 @@ class Sets(OfKind):
 
     def stood(
         self, plan: Plan, one: Reading, before: Reading | None, rejected: Mapping[str, int]
-    ) -> float | None:
+    ) -> float:
         """A start that was rejected since the last reading is a fault."""
         at = rejected.get(one.asset)
-        if at is not None and (before is None or before.time <= at):
+        if at and not (before and before.time > at):
             return 1.0
         return super().stood(plan, one, before, rejected)
 
@@ -129,9 +129,9 @@ class Sets(OfKind):
             yield "fuel_litres", name, float(litres[g])
             yield "start_fault", name, 0.0
 
-    def powers(self, t: int, units: Engines, told: Mapping[str, Floats], served: Flags) -> Floats:
+    def powers(self, t: int, units: Engines, asked: Mapping[str, Floats], served: Flags) -> Floats:
         """Set-points of sets, negative as power that is given."""
-        return -np.nan_to_num(told["p_kw"])
+        return -np.nan_to_num(asked["p_kw"])
 
 
 def _told_of_all(scenario: Scenario, plan: Plan) -> list[Mapping[str, Any]] | None:

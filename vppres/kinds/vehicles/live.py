@@ -124,7 +124,7 @@ def now(moment: Moment, read_kwh: Floats, past: PluggedInVehicles | None) -> Veh
 
 
 def read(
-    door: Door, scenario: Scenario, told: Mapping[str, Any], past: PluggedInVehicles | None
+    door: Door, scenario: Scenario, measured: Mapping[str, Any], past: PluggedInVehicles | None
 ) -> tuple[Scenario, Floats]:
     """The scenario with sessions as they are measured, and energies that were read, (K,).
 
@@ -137,9 +137,9 @@ def read(
     chargers = scenario.chargers
     none = np.full(len(chargers), np.nan)
     plugged, soc, needed_kwh = (
-        door.values(name, told[name], chargers.id, none) for name in QUANTITIES[:3]
+        door.values(name, measured[name], chargers.id, none) for name in QUANTITIES[:3]
     )
-    departure = door.moments("departure", told["departure"], chargers.id)
+    departure = door.moments("departure", measured["departure"], chargers.id)
     held_kwh = none.copy()
     if door.problems or not len(chargers):
         return scenario, held_kwh

@@ -1,4 +1,4 @@
-"""Sessions of vehicles that nobody announces, drawn for the days of a run from days before it."""
+"""Sessions of vehicles that are not announced, drawn for the days of a run from days before it."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class PastDays:
         return cls(sessions.rows(over), begun[over], days, seed) if len(days) else None
 
     def drawn_for(self, day: int) -> int:
-        """The past day that a day is expected to be like: the same for a seed, whoever asks."""
+        """The past day that a day is expected to be like: the same for a seed."""
         rng = np.random.default_rng([self.seed, day])
         return int(self.days[rng.integers(len(self.days))])
 

@@ -33,10 +33,10 @@ class ChargingPoints(OfKind):
     states: ClassVar[Mapping[str, float]] = {"plugged": 0.0}
     of_visits = (*CHARGED, "departure")
 
-    def told(self, stored: Stored) -> dict[str, Any]:
+    def readings(self, stored: Stored) -> dict[str, Any]:
         """Readings of chargers about their vehicles, by quantity.
 
-        The controller knows what was told before the step that it decided last. What came since
+        The controller knows the readings before the step that it decided last. What came since
         counts however short it holds: a vehicle is plugged in once. One that left during its
         session is not back until its charger says so.
         """
@@ -71,11 +71,11 @@ class ChargingPoints(OfKind):
 
     def stood(
         self, plan: Plan, one: Reading, before: Reading | None, rejected: Mapping[str, int]
-    ) -> float | None:
+    ) -> float:
         """A vehicle that the plan knows was plugged in; what charging changes is no news."""
-        if before is None or before.value is None:
+        if not (before and before.known):
             here = float(one.asset in expected_by(plan).get("vehicles", {}))
-            return here if one.quantity == "plugged" else None
+            return here if one.quantity == "plugged" else math.nan
         return one.value if one.quantity in CHARGED else before.value
 
     def asked(self, said: Mapping[str, Any]) -> dict[str, Any]:
@@ -117,9 +117,9 @@ class ChargingPoints(OfKind):
             else:
                 yield "ev_soc", name, held_kwh[k] / sessions.full_kwh[s]
 
-    def powers(self, t: int, units: Garage, told: Mapping[str, Floats], served: Flags) -> Floats:
+    def powers(self, t: int, units: Garage, asked: Mapping[str, Floats], served: Flags) -> Floats:
         """Set-points of chargers."""
-        return np.nan_to_num(told["p_kw"])
+        return np.nan_to_num(asked["p_kw"])
 
 
 def _sessions(scenario: Scenario, stored: Plans) -> Sessions:

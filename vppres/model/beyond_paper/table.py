@@ -7,12 +7,11 @@ from contextlib import contextmanager
 from functools import cache
 from itertools import chain
 
-from vppres.kinds.customer.rows import LongestTimeOff, SwitchingModel
+from vppres.kinds.customer.rows import DimmedDemand, LongestTimeOff, SwitchingModel
+from vppres.kinds.export.rows import ExportToGrid
 from vppres.kinds.table import parts
 from vppres.model.beyond_paper.addition import Addition
-from vppres.model.beyond_paper.dimmed import DimmedDemand
 from vppres.model.beyond_paper.drawn import DrawnByNetwork
-from vppres.model.beyond_paper.export import ExportToGrid
 from vppres.model.beyond_paper.former_phases import FormerPhases
 from vppres.model.beyond_paper.lines_out import LinesOut
 from vppres.model.beyond_paper.physical import PhysicalMode

@@ -1,6 +1,6 @@
 """Colours, SVG elements with texts from others made harmless in them, and pixels.
 
-Colours and lines are told apart by colour-blind eyes, and in a grey print.
+Colours and lines differ for colour-blind eyes, and in a grey print.
 """
 
 from __future__ import annotations

@@ -584,7 +584,7 @@ RUN_FIGURES: dict[str, Callable[[Trajectory], Chart]] = {
 
 # Figures of one run that has what they show.
 SOME_FIGURES: dict[str, tuple[Callable[[Trajectory], bool], Callable[[Trajectory], Chart]]] = {
-    "by_phase": (lambda run: run.scenario.phases is not None, by_phase),
+    "by_phase": (lambda run: bool(run.scenario.phases), by_phase),
     "outage_belief": (has_beliefs, outage_belief),
     "indoor": (lambda run: run.thermal_loads is not None, indoor),
 }

@@ -18,7 +18,7 @@ LINES_SHOWN = 10
 
 def network_section(run: Run) -> Section:
     """Voltages, loadings and the lines that came closest to their rating."""
-    phased = run.trajectory.scenario.phases is not None
+    phased = bool(run.trajectory.scenario.phases)
     return section(
         "network",
         "Voltages and line loading",

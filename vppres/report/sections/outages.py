@@ -50,7 +50,7 @@ def _row(message: OutageWarning, clock: Clock) -> dict[str, str]:
     """A message in the words of the table."""
     onsets = (message.onset_earliest, message.onset_likely, message.onset_latest)
     lengths = (message.duration_p10_h, message.duration_p50_h, message.duration_p90_h)
-    chance = 1.0 if message.probability is None else message.probability
+    chance = message.chance
     return {
         "time": clock.words(message.issued_at),
         "about": " ".join(word for word in (message.outage, message.preset) if word),

@@ -10,7 +10,7 @@ from typing import Any
 import pandas as pd
 
 from vppres.core.text import named
-from vppres.kinds.customer.physics import ROUNDING
+from vppres.kinds.customer.data import limits_h, steps_within
 from vppres.live.by_phase import GRID
 from vppres.scenario.scenario import Scenario
 from vppres.service.as_told import expected_by
@@ -18,6 +18,7 @@ from vppres.service.events.announced import announced_at
 from vppres.service.of_kind import every
 from vppres.service.plans.document import points_at, refused_of
 from vppres.service.plans.forming import FormerState, formers_now, why_dark
+from vppres.service.storage.records import seconds
 from vppres.service.storage.store import Store
 from vppres.service.telemetry.changes import GRID_LOST
 from vppres.service.telemetry.knowledge import Heard, Latest, refusing, soc_now
@@ -58,6 +59,11 @@ class Condition:
     due: pd.Timestamp | None = None
 
     @property
+    def due_at(self) -> int | None:
+        """When it is due, as it is stored."""
+        return seconds(self.due) if self.due else None
+
+    @property
     def key(self) -> tuple[str, str]:
         """Identity of the alarm: two conditions with the same key are one alarm."""
         return self.kind, self.subject
@@ -81,7 +87,7 @@ class Situation:
     soc: Mapping[str, float]
     is_dark: bool
     failing: Mapping[str, str]
-    grid_on: float | None = None
+    grid_on: float = math.nan
     unreached: Sequence[str] = ()
     read_by: str = ""
     announced: bool = False
@@ -89,7 +95,7 @@ class Situation:
 
     @property
     def why_dark(self) -> str:
-        """Why nobody is supplied in an island; empty if something forms its grid, or may."""
+        """Why no customer is supplied in an island; empty if something forms its grid, or may."""
         if self.formers is None:
             return ""
         return why_dark(self.plan, self.formers, self.is_dark)
@@ -128,7 +134,7 @@ def situation(
     failing = failing_now(scenario, latest, store, plan)
     grid = plan.get("grid")
     read = latest.newest("grid_on").get(GRID)
-    grid_on = None if read is None else read.value
+    grid_on = read.value if read else math.nan
     is_dark = not grid["available"] if grid else grid_on == 0.0
     soc = soc_now(latest, plan, scenario.grid.step, now)
     heard = latest.heard
@@ -144,7 +150,7 @@ def situation(
         is_dark,
         failing,
         grid_on,
-        read_by="" if read is None else read.source,
+        read_by=read.source if read else "",
         announced=announced_at([*store.events().values()], now),
         formers=formers_now(scenario, plan, soc, failing) if physical else None,
     )
@@ -187,7 +193,7 @@ def _no_decision(now: Situation) -> Iterator[Condition]:
         left = "devices keep their last state, and how long the island lasts is not known"
     if not plan or now.ahead_s <= 0.0:
         ends = max((one["valid_until"] for one in plan.get("setpoints", ())), default=None)
-        if ends is not None and now.now < pd.Timestamp(ends):
+        if ends and now.now < pd.Timestamp(ends):
             left = f"set-points hold until {now.clock(ends)}, then {left}"
         text = f"There is no plan for the present step: {left}."
     elif plan["status"] == "failed":
@@ -235,7 +241,7 @@ def _off_with_grid(now: Situation) -> Iterator[Condition]:
     if not plan or now.ahead_s <= 0.0 or now.is_dark or _is_lost(now):
         return
     if not plan.get("grid") and now.grid_on != 1.0:
-        return  # as by hand: nobody knows
+        return  # as by hand: not known
     off = sorted(now.off - set(now.failing))
     if not off:
         return
@@ -250,7 +256,7 @@ def _off_with_grid(now: Situation) -> Iterator[Condition]:
 
 
 def _shed(now: Situation) -> Iterator[Condition]:
-    """Customers whom the plan served and whom its island cannot hold."""
+    """Customers that the plan served and its island cannot hold."""
     shed = [one["asset"] for one in now.plan.get("shed", ())]
     if not shed or now.ahead_s <= 0.0:
         return
@@ -303,13 +309,6 @@ def _critical_off(now: Situation) -> Iterator[Condition]:
             return
 
 
-def limits_h(scenario: Scenario) -> dict[str, float]:
-    """How long customers may be off at a time in h, of those that have a limit."""
-    c = scenario.customers
-    pairs = zip(c.id, c.longest_off_h, strict=True)
-    return {str(name): float(hours) for name, hours in pairs if math.isfinite(hours)}
-
-
 def _longest_off(now: Situation) -> Iterator[Condition]:
     """Customers are off for longer than they may be, or will be if the next step leaves them off.
 
@@ -328,11 +327,11 @@ def _longest_off(now: Situation) -> Iterator[Condition]:
         if name not in now.off:
             continue
         words = f"{name} is off, for {off_h:g} h by {until}"
-        left_h = limit_h[name] - off_h
-        if left_h < -ROUNDING * dt_h:
+        left = steps_within(limit_h[name] - off_h, dt_h)
+        if left < 0:
             words = f"{words}, longer than its {limit_h[name]:g} h."
             yield Condition("longest_off", name, HIGH, words)
-        elif left_h < (1.0 - ROUNDING) * dt_h and name not in back:
+        elif left == 0 and name not in back:
             words = f"{words}, of {limit_h[name]:g} h, and not planned to be on in the next one."
             yield Condition("longest_off", name, MEDIUM, words)
 
@@ -403,7 +402,7 @@ def _setpoint_rejected(now: Situation) -> Iterator[Condition]:
 
 
 def _notices_undelivered(now: Situation) -> Iterator[Condition]:
-    """People are not told of alarms."""
+    """People get no notice of alarms."""
     for name in now.unreached:
         text = f"The last notice of an alarm did not reach {name}."
         yield Condition("notices_undelivered", name, MEDIUM, text)

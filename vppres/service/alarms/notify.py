@@ -205,7 +205,7 @@ class _Courier:
 
 
 class _NoRedirect(urllib.request.HTTPRedirectHandler):
-    """A redirect is no delivery: the notice would be posted to nobody, as a GET."""
+    """A redirect is no delivery: the notice would be lost in a GET."""
 
     def redirect_request(self, *_: Any) -> None:
         return None

@@ -142,8 +142,8 @@ class Alarms:
             if new or changed or over:
                 kept = self.store.write_alarms([*new, *changed, *over])
                 rows = {**before, **{row.key: row for row in kept}}
-                self._standing = {k: row for k, row in rows.items() if row.cleared_at is None}
-                loud = [row for row in kept if row.cleared_at is None]
+                self._standing = {k: row for k, row in rows.items() if row.stands}
+                loud = [row for row in kept if row.stands]
                 worse = [row for row in loud if _is_worse(before.get(row.key), row)]
                 self._notify(RAISED, worse, now)
                 self._notify(CLEARED, over, now)
@@ -160,7 +160,7 @@ class Alarms:
         self, number: int, until: pd.Timestamp | None, actor: str, reason: str, now: pd.Timestamp
     ) -> dict[str, Any]:
         """Let an alarm send no notification up to a time; without a time it notifies again."""
-        if until is None:
+        if not until:
             values: dict[str, Any] = {"shelved_until": None, "shelved_by": ""}
             return self._change(number, values, now, actor, "alarm unshelved", reason)
         values = {"shelved_until": seconds(until), "shelved_by": actor}
@@ -172,17 +172,14 @@ class Alarms:
 
         With ``since`` also all that were cleared from then on.
         """
-        found = [
-            self._told_of(row, now)
-            for row in self.store.alarms(now - SHOWN if since is None else since)
-        ]
-        shown = [one for one in found if since is not None or one["state"] != "closed"]
+        found = [self._told_of(row, now) for row in self.store.alarms(since or now - SHOWN)]
+        shown = [one for one in found if since or one["state"] != "closed"]
         return sorted(shown, key=_order)
 
     def _told_of(self, row: AlarmRow, now: pd.Timestamp) -> dict[str, Any]:
         """An alarm as answers have it, and since when its condition is gone if it still stands."""
         gone = self._gone.get(row.key)
-        return {**told(row, now), "gone_since": None if gone is None else written(gone)}
+        return {**told(row, now), "gone_since": written(gone) if gone else None}
 
     def _change(
         self,
@@ -195,7 +192,7 @@ class Alarms:
     ) -> dict[str, Any]:
         with self._turn:
             row = self.store.change_alarm(number, values, now, actor, action, reason)
-            if row.key in self._standing and row.cleared_at is None:
+            if row.key in self._standing and row.stands:
                 self._standing[row.key] = row
             return self._told_of(row, now)
 
@@ -213,20 +210,20 @@ class Alarms:
             priority=condition.priority,
             text=condition.text,
             items=condition.items,
-            due_at=None if condition.due is None else seconds(condition.due),
+            due_at=condition.due_at,
             raised_at=seconds(now),
         )
         last = self.store.last_alarm(*condition.key)
-        if last is None or (last.shelved_until or 0) <= seconds(now):
-            return new
-        return replace(new, shelved_until=last.shelved_until, shelved_by=last.shelved_by)
+        if last and (last.shelved_until or 0) > seconds(now):
+            return replace(new, shelved_until=last.shelved_until, shelved_by=last.shelved_by)
+        return new
 
     def _forgotten(self, now: pd.Timestamp) -> list[AlarmRow]:
         """Alarms without an acknowledgement for long since their last notification."""
         return [
             row
             for row in self._standing.values()
-            if row.acknowledged_at is None
+            if not row.acknowledged_at
             and now - self._told.setdefault(row.number, moment(row.raised_at)) >= REMINDER
         ]
 
@@ -263,11 +260,11 @@ def told(row: AlarmRow, now: pd.Timestamp) -> dict[str, Any]:
 
 def state_of(row: AlarmRow, now: pd.Timestamp) -> str:
     """How an alarm stands; what was cleared and not acknowledged is not closed yet."""
-    if row.cleared_at is not None:
-        return "cleared" if row.acknowledged_at is None else "closed"
+    if not row.stands:
+        return "closed" if row.acknowledged_at else "cleared"
     if (row.shelved_until or 0) > seconds(now):
         return "shelved"
-    return "raised" if row.acknowledged_at is None else "acknowledged"
+    return "acknowledged" if row.acknowledged_at else "raised"
 
 
 def _updated(row: AlarmRow, condition: Condition) -> AlarmRow:
@@ -277,14 +274,14 @@ def _updated(row: AlarmRow, condition: Condition) -> AlarmRow:
         priority=condition.priority,
         text=condition.text,
         items=(*row.items, *sorted(set(condition.items) - set(row.items))),
-        due_at=None if condition.due is None else seconds(condition.due),
+        due_at=condition.due_at,
     )
     return replace(now, acknowledged_at=None, acknowledged_by="") if _is_worse(row, now) else now
 
 
 def _is_worse(before: AlarmRow | None, row: AlarmRow) -> bool:
     """Whether an alarm is new, more urgent, or about more than before."""
-    if before is None:
+    if not before:
         return True
     more_urgent = PRIORITIES.index(row.priority) < PRIORITIES.index(before.priority)
     return more_urgent or len(row.items) > len(before.items)
@@ -295,4 +292,4 @@ def _order(alarm: Mapping[str, Any]) -> tuple[int, int, int]:
 
 
 def _time(stored: int | None) -> str | None:
-    return None if stored is None else written(moment(stored))
+    return written(moment(stored)) if stored else None

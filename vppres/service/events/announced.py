@@ -23,9 +23,12 @@ from vppres.service import payloads
 from vppres.service.storage.records import Event, moment
 from vppres.service.window import Window
 
-Interval = tuple[pd.Timestamp, pd.Timestamp | None]  # without an end it is not known
+Interval = tuple[pd.Timestamp, pd.Timestamp]
 
 HOUR = pd.Timedelta(hours=1)
+
+OPEN = pd.Timestamp("2260-01-01T00:00Z")
+"""End of what has no known end: behind all times that there are."""
 
 SAID_OF_END = {
     "not_before": "restored_not_before",
@@ -73,7 +76,7 @@ def _limited(found: Floats, events: Iterable[Event], window: Window) -> Floats:
     """Limits with those of events below them."""
     for event in events:
         if isinstance(event.said, payloads.ImportLimit):
-            touched = window.touched(event.said.start, event.said.end)
+            touched = window.touched(event.said.start, event.said.end or OPEN)
             found = np.where(touched, np.fmin(found, event.said.limit_kw), found)
     return np.array(found)
 
@@ -88,19 +91,18 @@ def outages(events: Iterable[Event], window: Window) -> Flags:
 
 def announced_at(events: Iterable[Event], time: pd.Timestamp) -> bool:
     """Whether a certain outage was announced for a time."""
-    return any(start <= time and (end is None or time < end) for start, end in _certain(events))
+    return any(start <= time < end for start, end in _certain(events))
 
 
 def _certain(events: Iterable[Event]) -> Iterator[Interval]:
     """Beginnings and ends of outages that are certain."""
     found = (certain_interval(event.said) for event in events)
-    return (interval for interval in found if interval is not None)
+    return (interval for interval in found if interval)
 
 
 def is_over(said: payloads.Event, now: pd.Timestamp) -> bool:
     """Whether an event has ended, as it says itself."""
-    end = _last_end(said)
-    return end is not None and end <= now
+    return _last_end(said) <= now
 
 
 def check_not_over(said: payloads.Event, now: pd.Timestamp) -> None:
@@ -112,7 +114,7 @@ def check_not_over(said: payloads.Event, now: pd.Timestamp) -> None:
         If it is over.
     """
     end = _last_end(said)
-    if end is not None and end <= now:
+    if end <= now:
         raise InputError.of(
             "event",
             "lies wholly in the past",
@@ -139,28 +141,27 @@ def check_new(
     raise past[0]
 
 
-def _last_end(said: payloads.Event) -> pd.Timestamp | None:
-    """When an event is over at the latest; None if nothing says so."""
+def _last_end(said: payloads.Event) -> pd.Timestamp:
+    """When an event is over at the latest."""
     if isinstance(said, payloads.Interval):
-        return said.end
+        return said.end or OPEN
     if isinstance(said, payloads.Restoration):
         return said.times[-1]
     if isinstance(said, payloads.Prices):
         return said.start + len(said.price_gbp_per_kwh) * said.resolution
     if isinstance(said.duration, payloads.Until):
         return said.duration.until
-    interval = certain_interval(said)
-    if interval is not None:
+    if interval := certain_interval(said):
         return interval[1]
     longest = _distribution(said.duration)
-    most_h = np.inf if longest is None else max(longest.hours, default=longest.max_h)
-    return _shares(said.onset).end + most_h * HOUR if np.isfinite(most_h) else None
+    most_h = max(longest.hours, default=longest.max_h) if longest else np.inf
+    return _shares(said.onset).end + most_h * HOUR if np.isfinite(most_h) else OPEN
 
 
 def certain_interval(said: payloads.Event | None) -> Interval | None:
     """Beginning and end of an outage that leaves nothing to chance; None if this one does."""
     if isinstance(said, payloads.Outage):
-        return said.start, said.end
+        return said.start, said.end or OPEN
     if not isinstance(said, payloads.Belief) or said.probability < 1.0:
         return None
     if len(_possible(said.onset.probabilities)) > 1:
@@ -189,7 +190,7 @@ def check_belief(said: payloads.Event, options: RunOptions) -> None:
     """
     if not isinstance(said, payloads.Belief | payloads.Restoration):
         return
-    if not believes(options) and certain_interval(said) is None:
+    if not (believes(options) or certain_interval(said)):
         raise InputError.of(
             "event",
             f"is uncertain, and the service takes outages for {options.outages}",
@@ -200,7 +201,7 @@ def check_belief(said: payloads.Event, options: RunOptions) -> None:
     if isinstance(said, payloads.Restoration):
         return
     length = _distribution(said.duration)
-    if length is not None and not all(0.0 < h < np.inf for h in _quantiles_h(length).values()):
+    if length and not all(0.0 < h < np.inf for h in _quantiles_h(length).values()):
         name = "sigma" if length.family == "lognormal" else "shape"
         raise InputError.of(
             "event",
@@ -216,7 +217,7 @@ def warnings(events: Mapping[str, Event], now: pd.Timestamp, step: pd.Timedelta)
     found = []
     for name, event in events.items():
         message = _message(name, event.said, now, step)
-        if message is None:
+        if not message:
             continue
         # Since when it is known, and what is said now; of a crew what it said last.
         crew = isinstance(event.said, payloads.Restoration)
@@ -236,12 +237,12 @@ def warnings_ever(
         spoken = False
         for event in each:
             issued = moment(event.made_at)
-            if event.said is None:
-                message = OutageWarning(issued, name, probability=0.0) if spoken else None
-            else:
+            if event.said:
                 message = _message(name, event.said, _step_of(issued, start, step), step)
-            spoken = message is not None and event.said is not None
-            if message is not None:
+            else:
+                message = OutageWarning(issued, name, probability=0.0) if spoken else None
+            spoken = bool(message and event.said)
+            if message:
                 found.append(replace(message, issued_at=issued))
     return sorted(found, key=lambda one: one.issued_at)
 
@@ -254,16 +255,17 @@ def _message(
         of_end: dict[str, Any] = {field: getattr(said, key) for key, field in SAID_OF_END.items()}
         return OutageWarning(now, name, **of_end)
     interval = certain_interval(said)
-    if interval is None:
+    if not interval:
         return _uncertain(name, said, now, step) if isinstance(said, payloads.Belief) else None
     start, end = interval
     # One that was seen is explained by what was said of it, when it is over too.
-    if end is not None and end + LOOKAHEAD_H * HOUR <= now:
+    if end + LOOKAHEAD_H * HOUR <= now:
         return None
     begun = _step_of(start, now, step)
-    lasts_h = None if end is None else (now - (now - end) // step * step - begun) / HOUR
-    names = ("duration_p10_h", "duration_p50_h", "duration_p90_h")
-    lasts = dict.fromkeys(names, lasts_h)
+    lasts: dict[str, Any] = {}
+    if end < OPEN:
+        names = ("duration_p10_h", "duration_p50_h", "duration_p90_h")
+        lasts = dict.fromkeys(names, (now - (now - end) // step * step - begun) / HOUR)
     return OutageWarning(now, name, onset_likely=begun, probability=1.0, **lasts)
 
 
@@ -291,7 +293,7 @@ def _uncertain(
         probability=said.probability,
         length=length,
         **times,
-        **(_alone(said.duration) if length is None else _quantiles_h(length)),
+        **(_quantiles_h(length) if length else _alone(said.duration)),
     )
 
 
@@ -317,7 +319,7 @@ def _distribution(said: payloads.Length | None) -> OutageLength | None:
         return OutageLength(said.family, hours=tuple(said.hours), probability=shares)
     if isinstance(said, payloads.Weibull):
         return OutageLength(said.family, said.scale_h, said.shape, max_h=said.max_h or np.inf)
-    if isinstance(said, payloads.Lognormal) and said.sigma is not None:
+    if isinstance(said, payloads.Lognormal) and said.sigma:
         return OutageLength(said.family, said.median_h, said.sigma, max_h=said.max_h or np.inf)
     return None
 

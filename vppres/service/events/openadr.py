@@ -116,15 +116,15 @@ def events_of(event: OpenADREvent, believes: bool) -> tuple[dict[str, Any], list
     """
     found: dict[str, Any] = {}
     periods = [event.intervalPeriod, *(part.intervalPeriod for part in event.intervals)]
-    drawn = any(period is not None and period.randomised for period in periods)
+    drawn = any(period and period.randomised for period in periods)
     ignored = {RANDOMISED} if drawn else set()
     for number, (start, length, part) in enumerate(_intervals(event)):
         for payload in part.payloads:
             body = _body(payload, start, length, event, believes)
-            if body is None:
-                ignored.add(payload.type)
-            else:
+            if body:
                 found[f"{event.name}.{number}.{payload.type}"] = _checked(body)
+            else:
+                ignored.add(payload.type)
     if len(found) > payloads.MOST_VALUES:
         cure = f"Send {payloads.MOST_VALUES} payloads at most."
         raise _wrong("intervals", "have too many payloads", cure, str(len(found)))
@@ -160,8 +160,8 @@ def _body(
     length: pd.Timedelta,
     event: OpenADREvent,
     believes: bool,
-) -> dict[str, Any] | None:
-    """Our event of a payload; None if it means nothing here."""
+) -> dict[str, Any]:
+    """Our event of a payload; empty if it means nothing here."""
     span = {"source": SOURCE, "start": written(start), "end": written(start + length)}
     seconds = f"PT{round(length.total_seconds())}S"
     if payload.type == "ALERT_POSSIBLE_OUTAGE" and believes:
@@ -177,7 +177,7 @@ def _body(
         return {"type": "alert", **span, "text": f"{payload.type} {words}".strip()[:500]}
     if payload.type == "IMPORT_CAPACITY_LIMIT":
         factor = POWER_KW.get((_unit(event, payload.type, "units") or "KW").upper())
-        if factor is None:
+        if not factor:
             raise _wrong("units", "is no unit of power that is known", "Give KW, W or MW.")
         return {"type": "import_limit", **span, "limit_kw": factor * _number(payload)}
     if payload.type == "PRICE":
@@ -191,7 +191,7 @@ def _body(
             "resolution": seconds,
             "price_gbp_per_kwh": [_number(payload)],
         }
-    return None
+    return {}
 
 
 def _unit(event: OpenADREvent, kind: str, field: str) -> str | None:

@@ -46,7 +46,7 @@ class Address:
     @property
     def encrypts(self) -> bool:
         """Whether it does TLS itself."""
-        return self.certificate is not None
+        return bool(self.certificate)
 
     @property
     def url(self) -> str:
@@ -99,10 +99,10 @@ class Address:
                 field="host",
                 value=self.host,
             )
-        if (self.certificate is None) != (self.key is None):
+        if bool(self.certificate) != bool(self.key):
             given, missing = ("certificate", "key") if self.encrypts else ("key", "certificate")
             raise InputError.of("options", f"needs --{missing}", "Give both files.", field=given)
-        if self.certificate is not None and self.key is not None:
+        if self.certificate and self.key:
             try:
                 ssl.create_default_context().load_cert_chain(
                     self.certificate, self.key, _no_password
@@ -127,7 +127,7 @@ def opened(
     service: Service, folder: Path | str, clock: TimeSource | None = None
 ) -> Iterator[Runner]:
     """A runner with its store, a folder or a PostgreSQL address, closed in the end."""
-    if clock is None:
+    if not clock:
         played = service.rehearsal or service.paced
         clock = SetClock(service.scenario.grid.start) if played else SystemClock()
     profile = service.profile  # a site without a whole day leaves no state behind
@@ -211,12 +211,12 @@ def serve(
         )
         told(f"Serving {service.scenario.name} at {address.url}, state in {runner.store.place}.")
         loop = None if runner.rehearsal else Loop(runner)
-        if loop is not None:
+        if loop:
             loop.start()
         try:
             uvicorn.Server(config).run([sock])
         except KeyboardInterrupt:  # it has ended by then
             pass
         finally:
-            if loop is not None:
+            if loop:
                 loop.end()

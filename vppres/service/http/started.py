@@ -55,7 +55,7 @@ def started(service: Service, folder: Path, port: int | None = None) -> Iterator
         If it does not answer.
     """
     address = Address(port=_free_port() if port is None else port)
-    with address.listening():  # what cannot listen is told here, before another service answers
+    with address.listening():  # what cannot listen fails here, before another service answers
         pass
     process = multiprocessing.get_context("spawn").Process(
         target=_serve, args=(service, folder, address), name="vppres-service"
@@ -95,7 +95,6 @@ def _wait_for(process: Any, address: Address) -> None:
 
 
 def _free_port() -> int:
-    """A port that is free."""
     with socket.socket() as sock:
         sock.bind((LOOPBACK[0], 0))
         port: int = sock.getsockname()[1]

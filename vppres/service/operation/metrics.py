@@ -70,7 +70,7 @@ class Figures(Collector):
         yield _figure("default_set_points", "Set-points that are a default.", refused)
         if solve.get("relative_gap") is not None:
             yield _figure("solve_gap_ratio", "Gap of the last solve.", solve["relative_gap"])
-        if plan["expected"] is not None:
+        if plan["expected"]:
             yield from _expected(plan)
 
     def _on(self, plan: Mapping[str, Any]) -> dict[str, float]:

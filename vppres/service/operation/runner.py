@@ -157,7 +157,11 @@ class Runner:
         self.scenario = service.scenario
         self.length = self.scenario.grid.step
         self.profile = profile
-        self.options = _in_time(service.options, self.scenario)
+        most_s = DEADLINE_SHARE * self.scenario.grid.dt_h * 3600.0
+        limits = service.options.limits
+        self.options = replace(
+            service.options, limits=replace(limits, time_s=min(limits.time_s, most_s))
+        )
         self.heard: list[Heard] = []
         self.expected: OrderedDict[str, Measurement] = OrderedDict()
         self.last: dict[str, Any] = store.last_step()
@@ -212,7 +216,7 @@ class Runner:
             self._fresh |= told
         if self.last:
             self._compare(told.values(), until)
-            imports = any(one.quantity == IMPORT and one.value for one in readings)
+            imports = any(one.quantity == IMPORT and abs(one.value) > 0.0 for one in readings)
             if imports and is_said_lost(self.last) and self._fed():
                 new.append("import although the grid was said to be lost")
             for words in new:
@@ -275,9 +279,9 @@ class Runner:
         """When the mode and events end, of those that have an end."""
         asked, _ = self.store.setting(MODE)
         ends = {f"event {name}": one.body.get("end") for name, one in self.store.events().items()}
-        if asked is not None:
+        if asked:
             ends[f"mode {asked['mode']}"] = asked["until"]
-        return [(what, pd.Timestamp(end)) for what, end in ends.items() if end is not None]
+        return [(what, pd.Timestamp(end)) for what, end in ends.items() if end]
 
     def checked(self, asked: Mapping[str, Any]) -> list[str]:
         """Consequences of an operator's set-points now, by balance and AC power flow.
@@ -324,7 +328,7 @@ class Runner:
 
     def begin(self, time: pd.Timestamp | None = None, actor: str | None = None) -> str:
         """Let a step be decided, and do not wait; the name of the job, that of its step."""
-        time = self.begun(self.clock.now()) if time is None else time.tz_convert("UTC")
+        time = self.step_of(time)
         name = written(time)
         if name not in self._jobs or self._jobs[name].done():
             self._jobs[name] = self._thread.submit(self._step, time, actor)
@@ -335,7 +339,7 @@ class Runner:
     def job(self, name: str) -> dict[str, Any] | None:
         """How a step that was asked for stands, with its plan; None if it was not."""
         future = self._jobs.get(name)
-        if future is not None and not future.done():
+        if future and not future.done():
             return {"id": name, "status": "started" if future.running() else "queued"}
         try:
             plan = self.store.step(pd.Timestamp(name))
@@ -343,7 +347,7 @@ class Runner:
             plan = {}
         if plan:
             return {"id": name, "status": "finished", "plan": plan}
-        if future is None:
+        if not future:
             return None
         return {"id": name, "status": "failed", "reason": str(future.exception()).splitlines()[0]}
 
@@ -360,14 +364,14 @@ class Runner:
             problem = ("is the machine's", "Start the service with --paced or --rehearse.")
         elif time < self.clock.now():
             problem = ("does not go back", f"It is {written(self.clock.now())}.")
-        if problem is not None:
+        if problem:
             raise InputError.of("clock", *problem, field="now", value=written(time))
         self._thread.submit(self._set_clock, time).result()
 
     def _set_clock(self, time: pd.Timestamp) -> None:
         assert isinstance(self.clock, SetClock)
         self.clock.set(time)
-        if self._state is None:  # nothing was decided yet: it begins here
+        if not self._state:  # nothing was decided yet: it begins here
             self._controller = self._restored()
         self.note_ends()
         if self.changes.reasons:  # a plan of the same moment could not be told from the one before
@@ -378,13 +382,15 @@ class Runner:
         """Beginning of the step that covers a time."""
         return self.scenario.grid.begun(time).tz_convert("UTC")
 
+    def step_of(self, time: pd.Timestamp | None) -> pd.Timestamp:
+        """Beginning of the step that is asked for, the present one if none is."""
+        return time.tz_convert("UTC") if time else self.begun(self.clock.now())
+
     @property
     def mode(self) -> dict[str, Any]:
         """Mode that an operator set, as long as it holds."""
         asked, _ = self.store.setting(MODE)
-        if asked is None or (
-            asked["until"] is not None and pd.Timestamp(asked["until"]) <= self.clock.now()
-        ):
+        if not asked or (asked["until"] and pd.Timestamp(asked["until"]) <= self.clock.now()):
             return {"mode": "auto", "until": None, "reason": "", "setpoints": []}
         found: dict[str, Any] = asked
         return found
@@ -401,8 +407,8 @@ class Runner:
     def _step(self, time: pd.Timestamp | None, actor: str | None) -> dict[str, Any]:
         """Decide a step, in the thread of steps."""
         now = self.clock.now()
-        asked = None if actor is None else Asked(actor, now)
-        time = self.begun(now) if time is None else time.tz_convert("UTC")
+        asked = Asked(actor, now) if actor else None
+        time = time.tz_convert("UTC") if time else self.begun(now)
         if self._made_later(self.last, now):
             self._come_back(now)
         stored = self.store.step(time)
@@ -415,7 +421,7 @@ class Runner:
         return self._planned(time, asked)
 
     def _anew(self) -> dict[str, Any] | None:
-        """Decide the rest of the present step anew, in place of its plan."""
+        """Decide the rest of the present step anew, instead of its plan."""
         self.changes.new.clear()
         why = "; ".join(self.changes.reasons)
         now = self.clock.now()
@@ -470,9 +476,9 @@ class Runner:
         Where the controller decided on what is ``known`` its state is stored too.
         """
         plan = {**plan, "generated_at": written(self.clock.now())}
-        if self._within is not None:
+        if self._within:
             plan = made_anew(plan, self._within.at, self._within.why, self._within.before)
-        if known is None:
+        if not known:
             self.store.write_step(time, plan, asked=asked)
             return plan
         after = After(self._controller.saved(), measured_in(self._controller))
@@ -506,14 +512,16 @@ class Runner:
             )
         elif not self.rehearsal and time != self.begun(now):
             problem = ("is not the present step", f"That one began at {written(self.begun(now))}.")
-        if problem is not None:
+        if problem:
             raise InputError.of("step", *problem, field="time", value=written(time))
 
     def _decided(self, time: pd.Timestamp) -> tuple[dict[str, Any], StepInputs | None]:
         """The controller's plan, and on what; by rule on nothing, whatever it is that fails."""
         known: StepInputs | None = None
         try:
-            known = self._known(time)
+            self._feed(time)
+            now = self._within.at if self._within else None
+            known = known_at(time, self._controller, self.store, self.rehearsal, now)
             self.heard = known.heard
             decision = self._controller.step(known.measurement)
             # What was decided on, not what was read: the gate checks this decision.
@@ -527,12 +535,6 @@ class Runner:
             return self._ruled(time, known, error), None
         plan = plan_of(decision, self.scenario, known, refused, self._left(time, known.grid))
         return {**plan, "outage_probability": self._believed(known)}, known
-
-    def _known(self, time: pd.Timestamp) -> StepInputs:
-        """Inputs of a step, or of the moment from which its rest is decided anew."""
-        self._feed(time)
-        now = None if self._within is None else self._within.at
-        return known_at(time, self._controller, self.store, self.rehearsal, now)
 
     def _grid(self, time: pd.Timestamp) -> Grid | None:
         """Whether there is grid in a step that the controller does not decide; None if unknown."""
@@ -548,14 +550,14 @@ class Runner:
     def _left(self, time: pd.Timestamp, grid: Grid | None) -> Left:
         """Last set-points of devices and state of the grid, which is as before if it is unknown."""
         told = told_at(self.last, self._moment(time))
-        if grid is not None:
+        if grid:
             return Left(grid.available, grid.known_by, told)
         before = self.last.get("grid") or {"available": True}
         return Left(before["available"], LAST_PLAN, told)
 
     def _moment(self, time: pd.Timestamp) -> pd.Timestamp:
         """From when on a plan of a step holds."""
-        return time if self._within is None else self._within.at
+        return self._within.at if self._within else time
 
     def _log_odd(self, plan: dict[str, Any]) -> None:
         """A line for what is odd, when it begins; readings that are only missing are late.
@@ -574,10 +576,9 @@ class Runner:
     ) -> dict[str, Any]:
         """The plan of a rule that needs no solver, for a step in which everything else failed."""
         now = self._profile_of(time)
-        left = self._left(time, None if known is None else known.grid)
-        if known is None:
-            soc, lost = soc_at(time, self.scenario, self.store), dict[str, str]()
-        else:
+        left = self._left(time, known.grid if known else None)
+        soc, lost = soc_at(time, self.scenario, self.store), dict[str, str]()
+        if known:
             soc, lost = known.soc, known.lost
         if not left.available:
             now = replace(now, grid_limit_kw=np.zeros(1))
@@ -588,7 +589,7 @@ class Runner:
 
     def _profile_of(self, time: pd.Timestamp) -> Scenario:
         """Profile of a step in the scenario."""
-        if self.profile is not None:
+        if self.profile:
             return self.profile.steps(time, 1)
         row = round((time - self.scenario.grid.start) / self.length)
         return self.scenario.between(row, row + 1)
@@ -619,7 +620,7 @@ class Runner:
         while missed < time:
             reason, left = "the service did not run", self._left(missed, None)
             plan = defaults_of(missed, self.scenario, "missed", reason, left)
-            del plan["grid"]  # nobody looked
+            del plan["grid"]  # not looked at
             self._kept(missed, plan)
             missed += self.length
 
@@ -643,16 +644,16 @@ class Runner:
     def _restored(self) -> Controller:
         """The controller where the last stored state left it."""
         known = self.scenario
-        if self.profile is not None:
+        if self.profile:
             known = self.profile.steps(self.begun(self.clock.now()), self.n_ahead)
-        state = None if self._state is None else json.loads(self._state)
+        state = json.loads(self._state) if self._state else None
         history = None
         if self.options.forecaster in FORECASTERS:
             history = learned(self.store, self.scenario, self.begun(self.clock.now()))
         return Controller.of(known, self.options, state=state, history=history)
 
-    def _last_state(self) -> str | None:
-        """The last state that is whole; None where nothing was decided yet."""
+    def _last_state(self) -> str:
+        """The last state that is whole; empty where nothing was decided yet."""
         states = self.store.states()
         for text in states:
             try:
@@ -663,11 +664,11 @@ class Runner:
         if states:
             cure = "Put a copy of the database in its place, or remove it."
             raise InputError.of(self.store.place, "has no whole state of the controller", cure)
-        return None
+        return ""
 
     def _feed(self, time: pd.Timestamp) -> None:
         """Let the controller know the steps up to the horizon's end and one more, and messages."""
-        if self.profile is not None:
+        if self.profile:
             end = self._controller.scenario.grid.end
             missing = round((time - end) / self.length) + self.n_ahead
             if missing > 0:
@@ -703,10 +704,3 @@ class Runner:
             **dict.fromkeys((*DECIDED, *BY_HAND, FAILED, "off", "missed"), 0),
             **self.store.outcomes(),
         }
-
-
-def _in_time(options: RunOptions, scenario: Scenario) -> RunOptions:
-    """The options with a time limit that leaves most of the step to the devices."""
-    most_s = DEADLINE_SHARE * scenario.grid.dt_h * 3600.0
-    limits = options.limits
-    return replace(options, limits=replace(limits, time_s=min(limits.time_s, most_s)))

@@ -1,1 +1,1 @@
-"""Plans: how a decision is told, checked and carried out by devices."""
+"""Plans: how a decision is written, checked and carried out by devices."""

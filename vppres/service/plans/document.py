@@ -15,6 +15,7 @@ import pandas as pd
 
 from vppres.core.plain import number_or_none
 from vppres.day.recorder import ROTATED
+from vppres.kinds.customer.data import limits_h
 from vppres.kinds.live_fields import ForeseenOfKinds
 from vppres.kinds.table import parts
 from vppres.live.foreseen import Foreseen
@@ -64,7 +65,7 @@ Told = Mapping[tuple[str, str], Mapping[str, Any]]  # set-points by kind and ide
 
 @dataclass(frozen=True)
 class Left:
-    """How devices are left where no plan comes: whether there is grid, and what they were told.
+    """How devices are left where no plan comes: whether there is grid, and their last set-points.
 
     Parameters
     ----------
@@ -181,7 +182,7 @@ def defaults_of(
         "estimated": [],
         "late": [],
         "lost": [],
-        "setpoints": _set_points(time, scenario, left, None, {}, reason),
+        "setpoints": _set_points(time, scenario, left, {}, {}, reason),
         "expected": None,
         "ahead": None,
     }
@@ -209,7 +210,7 @@ def _asked(one: Mapping[str, Any]) -> dict[str, Any]:
     """Operator's set-point of a device, and its consequences."""
     said = {name: value for name, value in one.items() if value is not None}
     kind = every().get(one["kind"])
-    return said if kind is None else said | kind.asked(said)
+    return said | kind.asked(said) if kind else said
 
 
 def ordered_plan(
@@ -317,8 +318,7 @@ def _off_h(decision: SetPoints, scenario: Scenario) -> dict[str, float]:
     """How long customers with a longest time off are off by the end of the step, if they are."""
     if "off_h" not in decision.customers:
         return {}
-    limited = np.isfinite(scenario.customers.longest_off_h)
-    off_h = decision.customers["off_h"][limited]
+    off_h = decision.customers["off_h"].loc[[*limits_h(scenario)]]
     return {str(name): float(hours) for name, hours in off_h.items() if hours > 0.0}
 
 
@@ -359,7 +359,7 @@ def _set_points(
     time: pd.Timestamp,
     scenario: Scenario,
     left: Left,
-    tables: Tables | None,
+    tables: Tables,
     refused: Mapping[tuple[str, str], str],
     reason: str,
     reasons: Mapping[tuple[str, str], str] | None = None,
@@ -375,25 +375,27 @@ def _set_points(
     for kind, defaults in _defaults(scenario).items():
         rows = tables[kind].to_dict(orient="index") if tables and kind in tables else {}
         for name, default in defaults.items():
-            stopped = reason if tables is None else refused.get((kind, name))
-            row: Mapping[Any, Any] = rows[name] if stopped is None else {}
-            if stopped is not None and not (kind == "batteries" and tables is not None):
+            by_default = not tables or (kind, name) in refused
+            row: Mapping[Any, Any] = {} if by_default else rows[name]
+            if by_default and not (kind == "batteries" and tables):
                 row = left.told.get((kind, name), {})
             if not left.available:
                 default = _kept(kind, default, row)
             why = (reasons or {}).get((kind, name), reason)
+            if by_default:
+                why = f"{DEFAULT}{refused.get((kind, name), reason)}"
             points.append(
                 {
                     "id": _id(begin, kind, name),
                     "asset": name,
                     "kind": kind,
-                    **({} if phases is None else {"phases": phases.connection(name).coils}),
-                    **(default if stopped is not None else _like(default, row)),
+                    **({"phases": phases.connection(name).coils} if phases else {}),
+                    **(default if by_default else _like(default, row)),
                     **({"sign": _SIGNS[kind]} if kind in _SIGNS else {}),
                     "valid_from": begin,
                     "valid_until": end,
                     "default": default,
-                    "reason": why if stopped is None else f"{DEFAULT}{stopped}",
+                    "reason": why,
                 }
             )
     return points
@@ -405,7 +407,7 @@ def _id(begin: str, kind: str, name: str) -> str:
 
 
 def _kept(kind: str, default: Mapping[str, Any], told: Mapping[Any, Any]) -> dict[str, Any]:
-    """The default of a device in an island: what it was told last, so that nothing is switched.
+    """The default of a device in an island: its last set-point, so that nothing is switched.
 
     A PV system that was not curtailed goes on feeding what it has.
     """
@@ -455,7 +457,7 @@ def _price(measured: Measurement) -> float | None:
 def _by_phase(decision: SetPoints) -> dict[str, Any]:
     """Expected values of each phase; empty without phases and without power."""
     found = decision.by_phase
-    if found is None:
+    if not found:
         return {}
     return {
         "phases": {
@@ -472,7 +474,7 @@ def _by_phase(decision: SetPoints) -> dict[str, Any]:
 def _extremes(decision: SetPoints) -> dict[str, Any]:
     """Lowest and highest voltage of any bus, or node of a phased feeder; no bus in a blackout."""
     low = high = decision.buses["v_ac_pu"]
-    if decision.by_phase is not None:
+    if decision.by_phase:
         at_bus = decision.by_phase.nodes.groupby(level="bus")
         low, high = at_bus.min(), at_bus.max()
     return {

@@ -64,9 +64,9 @@ def _batteries(
     there = scenario.formers
     if not (b.grid_forming.any() or named_units(scenario)):
         complete = np.ones(len(b), dtype=bool)
-        if scenario.phases is not None:
-            phases = scenario.phases
-            complete = np.array([phases.connection(str(one)).three_coils for one in b.id])
+        if scenario.phases:
+            at = scenario.phases.connection
+            complete = np.array([at(str(one)).three_coils for one in b.id])
         there = complete & (b.active_max_kw > 0.0)
     said = plan.get("estimated", ())
     held = np.array([soc.get(str(name), np.inf) for name in b.id], dtype=float)
@@ -82,10 +82,10 @@ def _batteries(
 
 
 def why_dark(plan: Mapping[str, Any], formers: Sequence[FormerState], island: bool) -> str:
-    """Why nobody is supplied in an island now; empty if something forms its grid, or may.
+    """Why no customer is supplied in an island now; empty if something forms its grid, or may.
 
-    A plan says so of itself. Where nobody decided, and where devices failed since, it follows from
-    the ``formers``.
+    A plan says so of itself. Where nothing was decided, and where devices failed since, it follows
+    from the ``formers``.
     """
     if not plan or not island:
         return ""

@@ -74,7 +74,7 @@ def _batteries(table: pd.DataFrame, scenario: Scenario, soc: Mapping[str, float]
 
 
 def _pv(table: pd.DataFrame, scenario: Scenario, _: Mapping[str, float]) -> Excesses:
-    """Check of PV power against the sun and the inverter's disc."""
+    """Check of PV power against what is available and the inverter's disc."""
     pv = scenario.pv
     p_kw, q_kvar, available_kw = _numbers(table, "p_kw", "q_kvar", "available_kw")
     return {

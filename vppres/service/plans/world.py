@@ -85,8 +85,7 @@ class World:
             for quantity in of.live.MEANS:
                 ids = getattr(site, kind).id
                 yield from self._each(of.source, quantity, begun, ids, record.kinds[kind]["p_kw"])
-        by_phase = ByPhase.of(site, record)
-        if by_phase is not None:
+        if by_phase := ByPhase.of(site, record):
             source = by_phase.source
             teller = "substation" if source == GRID else "batteries"
             for kind, units in forming_kinds(self.scenario).items():
@@ -103,7 +102,7 @@ class World:
         for asset, value in zip(ids, values, strict=True):
             summed = quantity in SUMMED
             phases = phases_of(self.scenario, quantity, str(asset)) if summed else []
-            for phase in phases or (None,):
+            for phase in phases or ("",):
                 yield self._one(source, quantity, time, asset, value / max(len(phases), 1), phase)
 
     def _one(
@@ -113,14 +112,14 @@ class World:
         time: pd.Timestamp,
         asset: Any,
         value: Any,
-        phase: str | None = None,
+        phase: str = "",
     ) -> Series:
         """One reading, for a step."""
         return {
             "source": source,
             "asset": str(asset),
             "quantity": quantity,
-            **({} if phase is None else {"phase": phase}),
+            **({"phase": phase} if phase else {}),
             "start": written(time),
             "resolution": f"PT{round(self.scenario.grid.step_minutes * 60)}S",
             "values": [float(value)],

@@ -69,7 +69,7 @@ class Explainer:
         """
         name = plan["id"]
         found = self._made.get(name)
-        if found is not None:
+        if found:
             return found
         if not self._turn.acquire(blocking=False):
             raise Denied(429, "A step is being explained. Ask again.", WAIT_S)

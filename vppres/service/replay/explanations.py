@@ -169,7 +169,7 @@ def _reason(row: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def blacked_out(plan: Mapping[str, Any], scenario: Scenario) -> dict[str, Any]:
-    """Of an island that was dark: no price explains it, and no other problem does."""
+    """Of an island that was blacked out: no price explains it, and no other problem does."""
     held = {name: soc for name, soc in expected_by(plan)["soc_start"].items() if soc is not None}
     formers = formers_now(scenario, plan, held, {})
     words = why_dark(plan, formers, island=True)
@@ -229,7 +229,7 @@ def _action(one: Mapping[str, Any]) -> str:
     if one["kind"] == "pv":
         return "curtail" if one["curtailed_kw"] > MOVE_KW else ""
     kind = every().get(one["kind"])
-    return moved(one) if kind is None else kind.action(one)
+    return kind.action(one) if kind else moved(one)
 
 
 def main() -> None:

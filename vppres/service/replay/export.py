@@ -264,8 +264,8 @@ def _announced(scenario: Scenario, stored: Sequence[Plan], store: Store) -> tupl
 def _known_by(versions: Sequence[Sequence[Event]], time: Any) -> list[Event]:
     """Of each event what was said last by a time, those left out that were withdrawn."""
     at = seconds(pd.Timestamp(time))
-    last = [next((one for one in reversed(each) if one.made_at <= at), None) for each in versions]
-    return [one for one in last if one is not None and one.body]
+    said = ([one for one in each if one.made_at <= at][-1:] for each in versions)
+    return [one for (one,) in filter(None, said) if one.body]
 
 
 def _weighed(record: StepRecord, scenario: Scenario, plan: Plan) -> StepRecord:

@@ -66,7 +66,7 @@ def parts_of(
 ) -> list[StepPart]:
     """The parts of a step, the earliest first; up to a time within it, if it is not over."""
     begin = pd.Timestamp(plan["start"])
-    end = begin + length if until is None else min(begin + length, max(until, begin))
+    end = min(begin + length, max(until, begin)) if until else begin + length
     said = versions(plan)
     times = [begin, *(min(pd.Timestamp(one["valid_from"]), end) for one in said[1:]), end]
     if len(said) == 1 and said[0].get("grid"):
@@ -74,21 +74,22 @@ def parts_of(
         foreseen = not island or said[0]["status"] in DECIDED
         return [StepPart(begin, end, said[0]["setpoints"], island, foreseen)]
     read = [*store.latest(begin, (GRID_ON,)), *store.between(begin, end, (GRID_ON,))]
-    read = [one for one in read if one.value is not None]
+    read = [one for one in read if one.known]
     found = []
     for k, one in enumerate(said):
-        later = next((each["grid"] for each in said[k + 1 :] if each.get("grid")), None)
+        later: Mapping[str, Any] = next(
+            (each["grid"] for each in said[k + 1 :] if each.get("grid")), {}
+        )
         for since, till, island in _spans(one, later, times[k], times[k + 1], read):
-            known = one.get("grid")
-            lost = known is not None and not known["available"]
-            foreseen = not island or (lost and one["status"] in DECIDED)
+            known = one.get("grid") or {"available": True}
+            foreseen = not island or (not known["available"] and one["status"] in DECIDED)
             found.append(StepPart(since, till, one["setpoints"], island, foreseen))
     return [one for one in found if one.end > one.begin] or found[-1:]
 
 
 def _spans(
     said: Mapping[str, Any],
-    later: Mapping[str, Any] | None,
+    later: Mapping[str, Any],
     begin: pd.Timestamp,
     end: pd.Timestamp,
     read: list[Reading],
@@ -98,16 +99,14 @@ def _spans(
     A plan says whether there is grid. That it was lost or came back meanwhile counts from its
     reading on if a ``later`` plan agrees, or if there is none.
     """
-    known = said.get("grid")
-    if known is None:
+    changes = [one for one in read if begin < moment(one.time) < end]
+    if known := said.get("grid"):
+        island = not known["available"]
+        if later and later["available"] == known["available"]:
+            changes = []
+    else:
         before = [one for one in read if moment(one.time) <= begin]
         island = bool(before) and before[-1].value == 0.0
-        changes = [one for one in read if begin < moment(one.time) < end]
-    else:
-        island = not known["available"]
-        changes = [one for one in read if begin < moment(one.time) < end]
-        if later is not None and later["available"] == known["available"]:
-            changes = []
     for one in changes:
         if (one.value == 0.0) != island:
             yield begin, moment(one.time), island
@@ -142,7 +141,7 @@ def off_in(
     island = replace(now, grid=grid, grid_limit_kw=np.zeros(1), batteries=rests)
     world = World(island, options)
     world.begin_as(plan, 0)
-    world.day.island.formers = now.formers & follows  # nobody told others to form it
+    world.day.island.formers = now.formers & follows  # no other was set to form it
     told = [
         {**one, "valid_from": written(part.begin)}
         for one in part.setpoints

@@ -35,7 +35,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         number: Number, body: payloads.Remark | None = None, actor: str = guarded("operator")
     ) -> dict[str, Any]:
         """Note that an operator has seen an alarm; it stays until its condition is gone."""
-        reason = "" if body is None else body.reason
+        reason = body.reason if body else ""
         return runner.alarms.acknowledge(number, actor, reason, runner.clock.now())
 
     @router.put("/v1/alarms/{number}/shelf")

@@ -75,7 +75,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
             raise HTTPException(404, "There is no such event.")
         now = runner.clock.now()
         version = _version(if_match)
-        put = runner.store.put_events({identifier: None}, now, actor, version)[identifier]
+        put = runner.store.put_events({identifier: {}}, now, actor, version)[identifier]
         runner.changes.note(f"event {identifier} withdrawn")
         return {"version": put.version}
 
@@ -100,7 +100,8 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
             check_belief(one, runner.options)
         now = runner.clock.now()
         check_new(said, runner.store.events(), now)
-        bodies = {**dict.fromkeys(replaced), **{key: one.model_dump() for key, one in said.items()}}
+        bodies: dict[str, dict[str, Any]] = {name: {} for name in replaced}
+        bodies |= {key: one.model_dump() for key, one in said.items()}
         put = runner.store.put_events(bodies, now, actor, version)
         if not all(isinstance(one, payloads.Alert) for one in said.values()):
             runner.changes.note(f"event {name}")

@@ -38,8 +38,8 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         ``Prefer: respond-async`` gets the job instead of the plan. With an ``Idempotency-Key`` a
         request for the present step that is sent again later still means the same step.
         """
-        time = None if body is None else body.time
-        if idempotency_key is not None:
+        time = body.time if body else None
+        if idempotency_key:
             time = _step_of(idempotency_key, time)
         if RESPOND_ASYNC in (prefer or ""):
             name = runner.begin(time, actor)
@@ -48,9 +48,9 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         return JSONResponse(runner.step(time, actor))
 
     def _step_of(key: str, time: pd.Timestamp | None) -> pd.Timestamp:
-        wanted = runner.begun(runner.clock.now()) if time is None else time.tz_convert("UTC")
+        wanted = runner.step_of(time)
         found = runner.store.step_of_key(key, wanted)
-        if time is not None and found != wanted:
+        if time and found != wanted:
             raise HTTPException(422, f"The Idempotency-Key was used for {written(found)}.")
         return found
 
@@ -58,7 +58,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
     def job(name: payloads.Name, _: str = guarded("read")) -> dict[str, Any]:
         """A step that was asked for: queued, started, finished with its plan, or failed."""
         found = runner.job(name)
-        if found is None:
+        if not found:
             raise HTTPException(404, "There is no such job.")
         return found
 
@@ -87,7 +87,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         """Why each device does what it does in a step, the last one if no time is given."""
         check_asset(asset, runner.scenario)
         found = explainer.of(_kept(time))
-        return _unless_known(found if asset is None else only(found, asset), if_none_match)
+        return _unless_known(only(found, asset) if asset is not None else found, if_none_match)
 
     def _kept(time: str | None) -> dict[str, Any]:
         """The stored plan of a step."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -40,14 +41,19 @@ def versions(plan: Mapping[str, Any]) -> list[Mapping[str, Any]]:
 
 @dataclass(frozen=True)
 class Reading:
-    """One reading; ``value`` is None where it is known to be missing."""
+    """One reading; ``value`` is NaN where it is known to be missing."""
 
     asset: str
     quantity: str
     time: int
     source: str
     resolution_s: int
-    value: float | None
+    value: float
+
+    @property
+    def known(self) -> bool:
+        """Whether it has a value."""
+        return not math.isnan(self.value)
 
 
 @dataclass(frozen=True)
@@ -113,6 +119,11 @@ class AlarmRow:
     cleared_at: int | None = None
     shelved_until: int | None = None
     shelved_by: str = ""
+
+    @property
+    def stands(self) -> bool:
+        """Whether it was not cleared."""
+        return not self.cleared_at
 
     @property
     def key(self) -> tuple[str, str]:

@@ -59,7 +59,7 @@ def put(db: sa.Connection, table: sa.Table, **row: Any) -> None:
 def put_event(
     db: sa.Connection,
     identifier: str,
-    body: Mapping[str, Any] | None,
+    body: Mapping[str, Any],
     now: pd.Timestamp,
     replacing: int | None,
 ) -> Event:
@@ -72,16 +72,16 @@ def put_event(
     """
     newest = sa.select(EVENTS).where(EVENTS.c.id == identifier).order_by(EVENTS.c.version.desc())
     before = db.execute(newest.limit(1)).first()
-    holds = before is not None and before.body is not None
-    if replacing is not None and (before is None or not holds or before.version != replacing):
+    holds = before and before.body
+    if replacing is not None and not (before and holds and before.version == replacing):
         raise ChangedError(f"The event has another version than {replacing}.")
-    if body is None and not holds:
+    if not (body or holds):
         raise ChangedError("The event was withdrawn before.")
-    version = 1 if before is None else before.version + 1
+    version = before.version + 1 if before else 1
     at = seconds(now)
-    text = None if body is None else as_text(body)
+    text = as_text(body) if body else None
     db.execute(EVENTS.insert().values(id=identifier, version=version, made_at=at, body=text))
-    return Event(version, dict(body or {}), at, at, new=not holds)
+    return Event(version, dict(body), at, at, new=not holds)
 
 
 def as_text(body: Mapping[str, Any]) -> str:

@@ -11,6 +11,7 @@ from itertools import starmap
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import sqlalchemy as sa
 
@@ -96,7 +97,7 @@ class Store:
         self._takes = not reading
         self._tried_at = -TRIED_S
         self.changes = 0  # a reader of what is stored looks again when it has grown
-        self._events_known: tuple[int, dict[str, list[Event]]] | None = None
+        self._events_known: tuple[int, dict[str, list[Event]]] = (-1, {})
         self._event_changes = 0
         if not reading:
             with _plain_errors():
@@ -134,7 +135,7 @@ class Store:
         self, readings: Iterable[Reading], now: pd.Timestamp, actor: str | None = None
     ) -> Written:
         """Keep readings; those that are there with the same value count as duplicates."""
-        rows = [vars(reading) for reading in readings]
+        rows = [{**vars(one), "value": one.value if one.known else None} for one in readings]
         if not rows:
             return Written(0, 0)
         with self._changes(routine=True) as db:
@@ -145,7 +146,7 @@ class Store:
                 put(db, HEARD_OF, asset=asset, quantity=quantity)
             for source in {row["source"] for row in rows}:
                 put(db, CONTACTS, source=source, last_contact=seconds(now))
-            if actor is not None:
+            if actor:
                 note(db, now, actor, "telemetry", f"{accepted} of {len(rows)} readings")
         self._items |= new
         return Written(accepted, len(rows) - accepted)
@@ -170,7 +171,11 @@ class Store:
         return self._readings(chosen.order_by(t.time, t.source))
 
     def _readings(self, chosen: Any) -> list[Reading]:
-        return list(starmap(Reading, self._rows(chosen)))
+        # NULL is a missing value.
+        return [
+            Reading(asset, quantity, time, source, long, np.nan if value is None else value)
+            for asset, quantity, time, source, long, value in self._rows(chosen)
+        ]
 
     def contacts(self) -> dict[str, int]:
         """When each source was last heard from."""
@@ -180,7 +185,7 @@ class Store:
 
     def put_events(
         self,
-        bodies: Mapping[str, dict[str, Any] | None],
+        bodies: Mapping[str, dict[str, Any]],
         now: pd.Timestamp,
         actor: str,
         replacing: int | None = None,
@@ -199,8 +204,8 @@ class Store:
                 name: put_event(db, name, body, now, replacing) for name, body in bodies.items()
             }
             for name, body in bodies.items():
-                action = "event withdrawn" if body is None else "event"
-                note(db, now, actor, action, f"{name} {'' if body is None else as_text(body)}")
+                action = "event" if body else "event withdrawn"
+                note(db, now, actor, action, f"{name} {as_text(body) if body else ''}")
         self._event_changes += 1
         return found
 
@@ -213,7 +218,7 @@ class Store:
         """All versions of every event that are kept, in their order; without body if withdrawn."""
         # Nothing else writes here, so that what was read holds until an event changes.
         seen = self._event_changes
-        if self._events_known is None or self._events_known[0] != seen or self._reading:
+        if self._events_known[0] != seen or self._reading:
             self._events_known = seen, self._events_stored()
         return self._events_known[1]
 
@@ -263,14 +268,14 @@ class Store:
             if was is not None:  # decided anew: a step counts once
                 count_steps(db, was, -1)
             count_steps(db, plan["status"], 1)
-            if after is not None:
+            if after:
                 put(db, STATES, time=at, state=after.state)
                 newest = sa.select(STATES.c.time).order_by(STATES.c.time.desc())
                 kept = newest.limit(STATES_KEPT).scalar_subquery()
                 db.execute(STATES.delete().where(STATES.c.time.not_in(kept)))
-                if after.measured is not None:
+                if after.measured:
                     put_measured(db, [after.measured])
-            if asked is not None:
+            if asked:
                 note(db, asked.at, asked.actor, "step", f"{plan['id']} {plan['status']}")
 
     def step(self, time: pd.Timestamp) -> dict[str, Any]:
@@ -280,14 +285,14 @@ class Store:
     def last_step(self, until: pd.Timestamp | None = None) -> dict[str, Any]:
         """The plan of the last step, or of the last one up to a time; empty if there is none."""
         chosen = sa.select(STEPS.c.plan).order_by(STEPS.c.time.desc()).limit(1)
-        if until is not None:
+        if until:
             chosen = chosen.where(STEPS.c.time <= seconds(until))
         return self._body(chosen)
 
     def plans(self, since: pd.Timestamp, until: pd.Timestamp | None = None) -> list[dict[str, Any]]:
         """The plans of the steps that begin from a time on, and before another one."""
         chosen = sa.select(STEPS.c.plan).where(STEPS.c.time >= seconds(since))
-        if until is not None:
+        if until:
             chosen = chosen.where(STEPS.c.time < seconds(until))
         return [json.loads(text) for (text,) in self._rows(chosen.order_by(STEPS.c.time))]
 
@@ -373,7 +378,7 @@ class Store:
                 .limit(1)
             )
             before = db.execute(last).first()
-            if before is None or before._asdict() != dict(said):
+            if not before or before._asdict() != dict(said):
                 row = {"setpoint": setpoint["id"], "at": seconds(now), "actor": actor, **values}
                 db.execute(ACKS.insert().values(**row, **said))
                 if setpoint.get("served"):  # customers that were to be on
@@ -432,7 +437,7 @@ class Store:
         with self._changes() as db:
             db.execute(ALARMS.update().where(a.number == number).values(**values))
             row = db.execute(sa.select(ALARMS).where(a.number == number)).first()
-            if row is None:
+            if not row:
                 raise UnknownError("There is no such alarm.")
             note(db, now, actor, action, f"{number} {row.kind} {row.subject} {reason}".strip())
         return alarm_of(row)
@@ -480,10 +485,10 @@ class Store:
         return tag_of(text)
 
     def setting(self, key: str) -> tuple[Any, str]:
-        """A setting, None if there is none, and its tag."""
+        """A setting, empty if there is none, and its tag."""
         chosen = sa.select(META.c.value).where(META.c.key == f"setting.{key}")
         text = next((row.value for row in self._rows(chosen)), None)
-        return (None if text is None else json.loads(text)), tag_of(text)
+        return (json.loads(text) if text else {}), tag_of(text)
 
     def add_token(self, token: Token, now: pd.Timestamp) -> None:
         """Add a token, instead of the one that had the name."""

@@ -41,7 +41,7 @@ def contradiction(
     lost, the last one and while the next is not overdue. To count on a grid that is lost is the
     worse mistake.
     """
-    if zero is None or zero.value != 0.0:
+    if not zero or zero.value != 0.0:
         return ""
     end = now + EARLY_SHARE * step
     told = CONTRADICTED.format(zero.source)
@@ -52,7 +52,7 @@ def contradiction(
     if not imports:
         return ""
     last = imports[-1]
-    kw, off_kw = abs(last.value or 0.0), tolerance_kw(demand_kw)
+    kw, off_kw = abs(last.value), tolerance_kw(demand_kw)
     if last.time < zero.time:
         off_kw = max(off_kw, FED_SHARE * demand_kw)
         if seconds(now) > last.time + DUE * last.resolution_s:
@@ -66,7 +66,7 @@ def stands_alone(zero: Reading | None, now: pd.Timestamp, step: pd.Timedelta, st
     Neither announced, nor said by another source or twice by the same one, nor followed by an
     import that was measured.
     """
-    if zero is None or zero.value != 0.0 or began(zero, step, store) < moment(zero.time):
+    if not zero or zero.value != 0.0 or began(zero, step, store) < moment(zero.time):
         return ""
     end = now + EARLY_SHARE * step
     others = store.between(moment(zero.time) - EARLY_SHARE * step, end, (GRID_ON,))
@@ -86,9 +86,7 @@ def imports_since(begin: pd.Timestamp, end: pd.Timestamp, store: Store) -> list[
     return [
         one
         for one in found
-        if one.asset == GRID
-        and one.value is not None
-        and one.time + one.resolution_s <= seconds(end)
+        if one.asset == GRID and one.known and one.time + one.resolution_s <= seconds(end)
     ]
 
 
@@ -98,7 +96,7 @@ def began(zero: Reading, step: pd.Timedelta, store: Store) -> pd.Timestamp:
     said = [
         one
         for one in store.between(latest - BACK_STEPS * step, latest, (GRID_ON,))
-        if one.source == zero.source and one.value is not None
+        if one.source == zero.source and one.known
     ]
     since = zero
     for one in reversed(said):

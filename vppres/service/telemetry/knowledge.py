@@ -129,7 +129,7 @@ def assets_of(scenario: Scenario) -> dict[str, list[str]]:
             for name in names
         },
         "source_kva": [GRID, *batteries, *(str(unit) for ids in forming for unit in ids)],
-        "v_pu": [] if scenario.phases is None else list(scenario.phases.by_bus),
+        "v_pu": list(scenario.phases.by_bus),
     }
 
 
@@ -146,17 +146,18 @@ def readings_of(
     refused: list[Refusal] = []
     for one in batch:
         wrong = _wrong_series(one, assets[one.quantity], scenario, until)
-        if wrong is not None:
+        if wrong:
             refused.append(Refusal(one.source, one.asset, one.quantity, wrong))
             continue
         permitted = own.get((one.quantity, one.asset), RANGES[one.quantity])
         for step, sent in enumerate(one.values):
-            value = None if sent is None else float_of(sent)
-            if sent is not None and (value is None or not permitted.holds(value)):
+            number = float_of(sent)
+            value = np.nan if number is None else number
+            if not (sent is None or permitted.holds(value)):
                 wrong = _wrong_value(f"{one.quantity} of {one.asset}", sent, value, permitted)
                 refused.append(Refusal(one.source, one.asset, one.quantity, wrong))
                 continue
-            if value is not None and one.quantity == "pv_kw":
+            if one.quantity == "pv_kw":
                 value = max(value, 0.0)
             time = seconds(one.start + step * one.resolution)
             long = int(one.resolution.total_seconds())
@@ -179,16 +180,16 @@ def _wrong_series(
         return Problem(WHERE, "is not at the site", cure, None, "asset", one.asset)
     wrong = wrong_phase(one, scenario)
     last = one.start + (len(one.values) - 1) * one.resolution
-    if wrong is None and last >= until:
+    if not wrong and last >= until:
         cure = f"Set the clock of {one.source}; the present step ends at {written(until)}."
         time = written(last)
         return Problem(WHERE, "lies in the future", cure, None, f"time of {one.asset}", time)
     return wrong
 
 
-def _wrong_value(what: str, sent: object, value: float | None, permitted: Range) -> Problem:
+def _wrong_value(what: str, sent: object, value: float, permitted: Range) -> Problem:
     """Error of a value: it is no number, or outside the quantity's range."""
-    if value is None or math.isnan(value):
+    if math.isnan(value):
         cure = "Give a number, or null where it is missing."
         return Problem(WHERE, "is not a number", cure, None, what, readable(sent))
     return Problem(WHERE, permitted.text(value), permitted.cure, None, what, sent)
@@ -253,7 +254,7 @@ def known_at(
         The moment, where the step is decided anew within it.
     """
     scenario = controller.scenario
-    at = time if now is None else now
+    at = now or time
     readings, window, events, load, (grid, doubt) = _announced_and_read(time, controller, store, at)
     pv = _Powers.of("pv_kw", scenario.pv.id, window, readings, store)
     said = _Said.since(controller.decided, time - window.length, at, store)
@@ -278,7 +279,7 @@ def known_at(
         foretold=load.foretold | pv.foretold,
         now=now,
         ordered_kw=said.ordered_kw,
-        **{name: told for kind in every().values() for name, told in kind.told(stored).items()},
+        **{name: read for kind in every().values() for name, read in kind.readings(stored).items()},
     )
     estimated = [*load.estimated, *pv.estimated, *([doubt] if doubt else [])]
     again = ""
@@ -304,7 +305,7 @@ def _of_batteries(
 
 
 def grid_at(time: pd.Timestamp, controller: Controller, store: Store, now: pd.Timestamp) -> Grid:
-    """Whether there is grid in a step that nobody decides; a moment in it counts."""
+    """Whether there is grid in a step without a decision; a moment in it counts."""
     return _announced_and_read(time, controller, store, now)[-1][0]
 
 
@@ -351,7 +352,7 @@ def soc_now(
 
 def soc_of(found: Mapping[str, Reading]) -> dict[str, float]:
     """States of charge by battery."""
-    return {name: float(one.value) for name, one in found.items() if one.value is not None}
+    return {name: float(one.value) for name, one in found.items() if one.known}
 
 
 @dataclass(frozen=True, eq=False)
@@ -385,7 +386,7 @@ class Latest:
         now_s = seconds(time)
         heard = [_heard(reading, now_s, step_s) for reading in found]
         values = {
-            (r.asset, r.quantity): np.nan if r.value is None or h.state != "ok" else r.value
+            (r.asset, r.quantity): r.value if h.state == "ok" else np.nan
             for r, h in zip(found, heard, strict=True)
         }
         last = {
@@ -403,11 +404,7 @@ class Latest:
 
     def newest(self, quantity: str) -> dict[str, Reading]:
         """The last readings of a quantity by asset, however old they are."""
-        return {
-            one.asset: one
-            for one in self.found
-            if one.quantity == quantity and one.value is not None
-        }
+        return {one.asset: one for one in self.found if one.quantity == quantity and one.known}
 
     def lost(self, quantity: str) -> set[str]:
         """Assets that have been silent for too long."""
@@ -435,7 +432,7 @@ class _Powers:
             return cls(None, {}, [])
         forecast = store.forecast(quantity, window.times[0] + window.length)
         table, cautious = window.expected(quantity, ids, forecast, readings.lost(quantity))
-        foretold = {quantity: [] if forecast is None else list(forecast.assets)}
+        foretold = {quantity: list(forecast.assets) if forecast else []}
         words = [f"{quantity} {name} is {CAUTIOUS[quantity]} of its forecast" for name in cautious]
         read = {k: v for k, v in readings.now(quantity).items() if k not in cautious}
         names = [str(name) for name in ids]
@@ -469,7 +466,7 @@ class _Said:
         cls, decided: pd.Timestamp | None, before: pd.Timestamp, now: pd.Timestamp, store: Store
     ) -> _Said:
         """Plans from a step on up to now; from ``before`` on if none was decided."""
-        plans = store.plans(before if decided is None else decided, now)
+        plans = store.plans(decided or before, now)
         if not plans:
             return cls(before, None, True)
         ordered: list[tuple[pd.Timestamp, dict[str, float]]] = []
@@ -540,7 +537,7 @@ def _grid(
     read = readings.now("grid_on").get(GRID, np.nan)
     last = readings.last.get((GRID, "grid_on"))
     known_by = "profile"
-    if read == 1.0 and last is not None and _begun_since(events, moment(last.time), now):
+    if read == 1.0 and last and _begun_since(events, moment(last.time), now):
         read = np.nan  # it says nothing of an outage that was announced and has begun since
     if doubt:
         read, last = np.nan, None
@@ -552,7 +549,7 @@ def _grid(
         out[0] = read == 0.0
     elif out[0]:
         known_by = "event"
-    elif last is not None and last.value == 0.0 and not announced_at(events, moment(last.time)):
+    elif last and last.value == 0.0 and not announced_at(events, moment(last.time)):
         # Its end was neither announced nor seen.
         known_by = "last reading"
         out[:] = True
@@ -585,7 +582,7 @@ def _means(store: Store, begun: pd.Timestamp, now: pd.Timestamp) -> dict[str, di
     values: dict[str, dict[str, list[float]]] = {}
     for reading in store.between(begun - length, now, MEAN):
         middle_s = reading.time + reading.resolution_s / 2
-        if reading.value is not None and seconds(begun) <= middle_s < seconds(now):
+        if reading.known and seconds(begun) <= middle_s < seconds(now):
             of_quantity = values.setdefault(reading.quantity, {})
             of_quantity.setdefault(reading.asset, []).append(reading.value)
     return {

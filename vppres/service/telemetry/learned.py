@@ -27,11 +27,7 @@ QUANTITIES = ("load_kw", "pv_kw")
 def measured_in(controller: Controller) -> Measured | None:
     """The row of the step that was decided last; None where no forecaster learns from it."""
     last = controller.measured
-    if last is None:
-        return None
-    return Measured(
-        seconds(last.start), json_safe(last.load_kw[0].tolist()), json_safe(last.pv_kw[0].tolist())
-    )
+    return _row(last.start, last.load_kw[0], last.pv_kw[0]) if last else None
 
 
 def learned(store: Store, scenario: Scenario, now: pd.Timestamp) -> History | None:
@@ -46,7 +42,7 @@ def learned(store: Store, scenario: Scenario, now: pd.Timestamp) -> History | No
         rows = _read(store, scenario, since, now + scenario.grid.step)
         store.put_measured(rows)
     before = scenario.history
-    if before is not None:
+    if before:
         before = before.in_steps_of(scenario.grid.step_minutes)
     if not rows:
         return before
@@ -57,7 +53,7 @@ def learned(store: Store, scenario: Scenario, now: pd.Timestamp) -> History | No
     load_kw = _laid(places, [row.load_kw for row in rows], n_steps)
     pv_kw = _laid(places, [row.pv_kw for row in rows], n_steps)
     grid = scenario.grid
-    if before is None or before.end < since:
+    if not before or before.end < since:
         return History(start, grid.step_minutes, load_kw, pv_kw, zone=grid.zone)
     return before.followed_by(start, load_kw, pv_kw).last_days(REMEMBERED_DAYS)
 
@@ -70,7 +66,7 @@ class InSteps:
         self._first: dict[tuple[str, str, int], float] = {}
         for reading in store.between(grid.start, grid.end, ("soc", *QUANTITIES)):
             t = (moment(reading.time) - grid.start) // step
-            if reading.value is not None:
+            if reading.known:
                 self._first.setdefault((reading.quantity, reading.asset, t), reading.value)
 
     def laid(self, quantity: str, ids: Names, series: Floats) -> Floats:
@@ -96,12 +92,12 @@ def _read(
         for quantity, ids in zip(QUANTITIES, (scenario.customers.id, scenario.pv.id), strict=True)
     )
     known = np.isfinite(np.hstack([load_kw, pv_kw])).any(axis=1)
-    return [
-        Measured(
-            seconds(grid.times[t]), json_safe(load_kw[t].tolist()), json_safe(pv_kw[t].tolist())
-        )
-        for t in np.flatnonzero(known).tolist()
-    ]
+    return [_row(grid.times[t], load_kw[t], pv_kw[t]) for t in np.flatnonzero(known).tolist()]
+
+
+def _row(time: pd.Timestamp, load_kw: Floats, pv_kw: Floats) -> Measured:
+    """Row of what was measured in a step."""
+    return Measured(seconds(time), json_safe(load_kw.tolist()), json_safe(pv_kw.tolist()))
 
 
 def _laid(places: list[int], rows: list[list[float | None]], n_steps: int) -> Floats:

@@ -23,12 +23,12 @@ def lost_customers(scenario: Scenario, latest: Iterable[Reading], store: Store) 
     online = {
         one.asset: one
         for one in latest
-        if one.quantity == ONLINE and one.asset in ids and one.value is not None
+        if one.quantity == ONLINE and one.asset in ids and one.known
     }
     found = {name: DISCONNECTED for name, one in online.items() if one.value == 0.0}
     for name, lost in store.lost().items():
         back = online.get(name)
-        later = back is not None and back.value != 0.0 and back.time > lost.at
+        later = back and back.value != 0.0 and back.time > lost.at
         if name in ids and not later:
             found.setdefault(name, lost.reason)
     return found

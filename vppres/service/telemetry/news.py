@@ -27,7 +27,7 @@ STATES = ("online", *(name for kind in every().values() for name in kind.states)
 """What devices say of whether they are there and can work."""
 
 OF_VISITS = tuple(name for kind in every().values() for name in kind.of_visits)
-"""What is told anew of every unit that comes."""
+"""Readings of every unit that comes, anew."""
 
 AGAINST_PLANS = (GRID_ON, "soc", "online")
 """What can contradict a plan."""
@@ -41,10 +41,9 @@ def newest(readings: Iterable[Reading]) -> dict[Key, Reading]:
     found: dict[Key, Reading] = {}
     for one in readings:
         key = one.asset, one.quantity
-        if one.value is not None and one.quantity in INSTANT:
-            before = found.get(key)
-            if before is None or before.time <= one.time:
-                found[key] = one
+        latest = one.time >= found.get(key, one).time
+        if latest and one.known and one.quantity in INSTANT:
+            found[key] = one
     return found
 
 
@@ -67,8 +66,8 @@ class News:
         told = newest(one for one in readings if moment(one.time) <= until)
         found = [*self._changed(told, until, plan), *self._first(told, plan)]
         self._missing -= set(told)
-        last = {(one.asset, one.quantity): one.value for one in readings}
-        self._missing |= {key for key, value in last.items() if value is None}
+        last = {(one.asset, one.quantity): one for one in readings}
+        self._missing |= {key for key, one in last.items() if not one.known}
         return found
 
     def _changed(
@@ -86,11 +85,10 @@ class News:
         rejected = {kind: self.store.refusing(kind) for kind in of_kinds}
         for (asset, quantity), one in told.items():
             was = before.get((asset, quantity))
-            if quantity not in quantities or (was is not None and was.time > one.time):
+            if quantity not in quantities or (was and was.time > one.time):
                 continue
-            value: float | None
             if quantity == "online":
-                value = 1.0 if was is None or was.value is None else was.value
+                value = was.value if was and was.known else 1.0
             else:
                 of = KIND_OF[quantity]
                 value = of.stood(plan, one, was, rejected[of.kind])
@@ -128,17 +126,17 @@ def unknown_to(plan: Plan, readings: Iterable[Reading], fed: Callable[[], bool])
     that the plan knows to be contradicted is none as long as the site is ``fed``.
     """
     grid = plan.get("grid")
-    for one in readings if grid is not None else ():
+    for one in readings if grid else ():
         words = ""
-        heard = one.value is not None if one.quantity == "soc" else one.value == 1.0
+        heard = one.known if one.quantity == "soc" else one.value == 1.0
         if one.quantity in ("soc", "online") and heard:
             out = OUT.format(one.asset) in plan.get("estimated", ())
             lost = any(one.asset == other["asset"] for other in plan.get("lost", ()))
             words = f"battery {one.asset} is heard" if out else ""
             words = f"customer {one.asset} is heard" if lost else words
-        elif one.quantity == GRID_ON and one.value is not None:
+        elif grid and one.quantity == GRID_ON and one.known:
             change = "grid back" if one.value else GRID_LOST
-            differs = grid is not None and (one.value == 1.0) != grid["available"]
+            differs = (one.value == 1.0) != grid["available"]
             doubt = CONTRADICTED.format(one.source)
             doubted = any(doubt in said for said in plan.get("estimated", ()))
             differs = differs and not (doubted and fed())

@@ -28,13 +28,13 @@ def stored(quantity: str, phase: str | None) -> str:
     >>> stored("source_kva", "a"), stored("load_kw", None)
     ('source_kva/a', 'load_kw')
     """
-    return quantity if phase is None else f"{quantity}/{phase}"
+    return f"{quantity}/{phase}" if phase else quantity
 
 
 def phases_of(scenario: Scenario, quantity: str, asset: str) -> list[str]:
     """Phases that a quantity of an asset has; none of a feeder without phases."""
     phases = scenario.phases
-    if phases is None:
+    if not phases:
         return []
     if quantity == "v_pu":
         grid, island = labels_by_source(scenario)
@@ -47,7 +47,7 @@ def phases_of(scenario: Scenario, quantity: str, asset: str) -> list[str]:
 def wrong_phase(one: Readings, scenario: Scenario) -> Problem | None:
     """Error of the phase of readings."""
     needed = one.quantity in ALWAYS
-    if one.phase is None and not needed:
+    if not (one.phase or needed):
         return None
     allowed = needed or one.quantity in SUMMED
     known = phases_of(scenario, one.quantity, one.asset) if allowed else []
@@ -60,7 +60,7 @@ def wrong_phase(one: Readings, scenario: Scenario) -> Problem | None:
 
 def sums(readings: Iterable[Reading], scenario: Scenario) -> Iterator[Reading | Refusal]:
     """Sums of readings by phase of a batch, and the readings that are not complete."""
-    found: dict[tuple[str, str, str, int, int], dict[str, float | None]] = {}
+    found: dict[tuple[str, str, str, int, int], dict[str, float]] = {}
     for one in readings:
         quantity, _, phase = one.quantity.partition("/")
         if phase and quantity in SUMMED:
@@ -74,6 +74,4 @@ def sums(readings: Iterable[Reading], scenario: Scenario) -> Iterator[Reading | 
             wrong = Problem(WHERE, message, cure, None, f"{quantity} of {asset}")
             yield Refusal(source, asset, quantity, wrong)
             continue
-        known = [value for value in values.values() if value is not None]
-        total = sum(known) if len(known) == len(values) else None
-        yield Reading(asset, quantity, time, source, long, total)
+        yield Reading(asset, quantity, time, source, long, sum(values.values()))

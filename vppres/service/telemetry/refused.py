@@ -69,7 +69,7 @@ class RefusedReadings:
             for refusal in refused:
                 key = refusal.source, refusal.asset, refusal.quantity
                 before = self._standing.pop(key, None)
-                if before is None or before.refusal.problem.message != refusal.problem.message:
+                if not before or before.refusal.problem.message != refusal.problem.message:
                     log.warning("reading of %s refused: %s", refusal.source, refusal.problem)
                 self._standing[key] = _Standing(refusal, now)
             while len(self._standing) > MOST_SHOWN:

@@ -16,8 +16,6 @@ import scipy.sparse as sp
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.data import WindowData
-from vppres.model.formulas import lossless_flows
-from vppres.model.phases import phased_model
 from vppres.model.site import Site
 from vppres.solve.cache import ModelCache
 from vppres.solve.forms import (
@@ -30,10 +28,10 @@ from vppres.solve.forms import (
     total_balance,
 )
 from vppres.solve.lumping import eliminated
-from vppres.solve.network.reactance import Reactance
-from vppres.solve.network.rows import PER_PU2, Rows
-from vppres.solve.phases import Draws, PhaseLimits
-from vppres.solve.programs import SOLVED, Program, with_limits_of_columns
+from vppres.solve.network.buses import Buses, Reactance
+from vppres.solve.network.rows import ColumnPowers, Rows
+from vppres.solve.phases import PhaseLimits
+from vppres.solve.programs import Program, with_limits_of_columns
 from vppres.solve.selection import Selected, Selection, Sheet
 
 SOLVER_KVA = 5e-7
@@ -113,7 +111,13 @@ class Injections:
         named = self.problem.rows_of
         shape = data.n_steps, self.site.network.n_buses
         by_step = np.arange(np.prod(shape)).reshape(shape, order="F").ravel()
-        self.balances = [every.part(named[name]).part(by_step) for name in BALANCES]
+        p, q = (every.part(named[name]).part(by_step) for name in BALANCES)
+        injected = ColumnPowers(
+            p.matrix, q.matrix, -p.upper.reshape(shape), -q.upper.reshape(shape)
+        )
+        self.buses = Buses(self.reactance, data, injected)
+        phased = data.phased is not None
+        self.limits = PhaseLimits(self.site, data, self.problem) if phased else self.buses
         self.discs = Rows.joined([every.part(named[name]) for name in DISCS])
         inside = np.ones(len(numbers.limit), dtype=bool)
         for name in (*BALANCES, *DISCS):
@@ -130,9 +134,6 @@ class Injections:
         self.program, kept = with_limits_of_columns(program)
         inside[inside] = kept
         self._place = np.where(inside, np.cumsum(inside) - 1, -1)
-        self.reference: Wholes = np.zeros(data.n_steps, dtype=np.int64)
-        if data.physics is not None:
-            self.reference = data.physics.reference
 
     def _limits(self) -> tuple[Floats, Floats]:
         """Limits of the columns: the page's, and what no column exceeds in a dispatch.
@@ -211,94 +212,7 @@ class Injections:
         columns = [self.at("P_grid")[open_], self.at("Q_grid")[open_], later]
         return np.concatenate(columns), np.concatenate([*grid, energy])
 
-    # What follows from the columns.
-
-    def _injected(self, x: Floats) -> tuple[Floats, Floats]:
-        """Active and reactive injections of a solution, less what the network takes, (W, N)."""
-        shape = self.data.n_steps, self.site.network.n_buses
-        p, q = ((rows.matrix @ x - rows.upper).reshape(shape) for rows in self.balances)
-        return p, q
-
-    def _sums_of_injections(
-        self, steps: Wholes, per_kw: Floats, per_kvar: Floats
-    ) -> tuple[sp.csr_array, Floats]:
-        """Sums of what buses are given in some steps, with factors (R, N), as rows less limits."""
-        count, N = per_kw.shape
-        places = np.repeat(np.arange(count), N), (steps[:, None] * N + np.arange(N)).ravel()
-        matrix = sp.csr_array((count, self.size))
-        limit = np.zeros(count)
-        for factors, rows in zip((per_kw, per_kvar), self.balances, strict=True):
-            R = sp.csr_array((factors.ravel(), places), shape=(count, len(rows.upper)))
-            R.eliminate_zeros()
-            matrix = matrix + R @ rows.matrix
-            limit = limit + R @ rows.upper
-        return sp.csr_array(matrix), limit
-
-    def u_pu2(self, x: Floats) -> Floats:
-        """Squared referred voltages of a solution, (W, N)."""
-        return self._referred(self.reactance.raised(self._empty_u, *self._injected(x)))
-
-    def _referred(self, u: Floats) -> Floats:
-        """Squared voltages (W, N) as they are where another bus than the grid's holds them."""
-        if self.data.physics is None:
-            return u
-        net = self.site.network
-        held = self.reference
-        held_pu2 = net.u_pu2(net.held_pu)[held]
-        return np.asarray(u + (held_pu2 - u[np.arange(len(u)), held])[:, None])
-
-    @cached_property
-    def _empty_u(self) -> Floats:
-        """Squared voltages without any injection, (W, N)."""
-        rise = self.reactance.along(self.data.delta_pu2)
-        return np.asarray(self.site.network.v_slack_pu**2 + rise)
-
-    @property
-    def near(self) -> list[Rows]:
-        """Limits of the network that are stated from the start."""
-        return []
-
-    # Rows of what a solution violates.
-
-    def voltage_rows(self, x: Floats, tolerance_pu2: float) -> list[Rows]:
-        """Rows of the violated voltage limits: where no neighbour is further out."""
-        net = self.site.network
-        u = self.u_pu2(x)
-        limits = self.data.u_limits_pu2(net)
-        empty = self._referred(self._empty_u)
-        found = []
-        for sign, limit in zip((1.0, -1.0), limits, strict=True):
-            beyond = sign * (limit - u)
-            beyond[self.reference == 0, 0] = -np.inf
-            around = np.full_like(beyond, -np.inf)
-            around[:, 1:] = beyond[:, net.parent]
-            np.maximum.at(around.T, net.parent, beyond[:, 1:].T)
-            t, bus = np.nonzero((beyond > tolerance_pu2) & (beyond >= around))
-            if not len(t):
-                continue
-            per = self.reactance.rows(bus, self.reference[t])
-            matrix, taken = self._sums_of_injections(t, *per)
-            scale = PER_PU2 * sign
-            least = scale * ((limit - empty)[t, bus] + taken)
-            found.append(Rows(sp.csr_array(scale * matrix), least, np.full(len(t), np.inf)))
-        return found
-
-    def flow_rows(self, x: Floats) -> list[Rows]:
-        """Tangents of the lines' flows that exceed their limits, as shares of these."""
-        most = self.data.flow_max_kva
-        if most is None:
-            return []
-        net = self.site.network
-        p, q = (lossless_flows(net, each) for each in self._injected(x))
-        size = np.hypot(p, q)
-        t, line = np.nonzero(size > most * (1.0 + SOLVED))
-        if not len(t):
-            return []
-        fed = -net.downstream[line].toarray()
-        share = most[t, line] * size[t, line]
-        cos, sin = (each[t, line] / share for each in (p, q))
-        matrix, taken = self._sums_of_injections(t, cos[:, None] * fed, sin[:, None] * fed)
-        return [Rows(matrix, np.full(len(t), -np.inf), 1.0 + taken)]
+    # Discs of inverters.
 
     def _in_discs(self, x: Floats) -> tuple[Floats, Floats, Floats]:
         """Radius, active and reactive power of each inverter, those of a step together."""
@@ -338,8 +252,7 @@ class Injections:
             return None
         found = x.copy()
         found[places] = q + moved * room / np.where(total > 0.0, total, 1.0)
-        carried = not self.voltage_rows(found, tolerance_pu2) and not self.flow_rows(found)
-        return found if carried else None
+        return None if self.limits.exceeded(found, tolerance_pu2) else found
 
     # What a solution says.
 
@@ -353,9 +266,8 @@ class Injections:
 
         The window must know the demand of the set: it is one without rules.
         """
-        net = self.site.network
         data = self.data
-        p, q = self._injected(x)
+        p_flow, q_flow = self.buses.flows(x)
         own_kw = data.self_limit_kw(self.site) * served[:, self.site.owner]
         self.problem.put(x)
         sun_kw = data.pv_kw - own_kw - self.problem.value_of("P_curt")
@@ -363,27 +275,9 @@ class Injections:
             {
                 "P_self": own_kw,
                 "P_exp": np.maximum(sun_kw, 0.0),
-                "u": self.u_pu2(x),
-                "P_flow": lossless_flows(net, p),
-                "Q_flow": lossless_flows(net, q),
+                "u": self.buses.u_pu2(x),
+                "P_flow": p_flow,
+                "Q_flow": q_flow,
             }
         )
         return self.problem.dispatch(served)
-
-
-class PhasedInjections(Injections):
-    """Columns and rows of injections, with the limits of a phased window's phases."""
-
-    def __init__(self, cache: ModelCache, data: WindowData) -> None:
-        super().__init__(cache, data)
-        draws = Draws.of(phased_model(self.site), data, self.problem)
-        self.limits = PhaseLimits(self.site, data, draws)
-
-    @property
-    def near(self) -> list[Rows]:
-        """Rows of limits that the last candidate nearly reached."""
-        return [*self.limits.near]
-
-    def voltage_rows(self, x: Floats, tolerance_pu2: float) -> list[Rows]:
-        """Rows of the voltages and of the former's phases that exceed their limits."""
-        return [*self.limits.exceeded(x, tolerance_pu2)]

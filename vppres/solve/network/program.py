@@ -6,7 +6,7 @@ violates them, so every solution on the way is one of a relaxation.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.model.data import WindowData
 from vppres.solve.cache import ModelCache
 from vppres.solve.deadline import Deadline
-from vppres.solve.network.injections import Injections, PhasedInjections
+from vppres.solve.network.injections import Injections
 from vppres.solve.network.rows import Rows, add, limited
 from vppres.solve.programs import SOLVED, Program, ProgramSolution
 from vppres.solve.result import Status
@@ -58,14 +58,13 @@ class NetworkProgram:
     """
 
     def __init__(self, cache: ModelCache, data: WindowData) -> None:
-        injections = Injections if data.phased is None else PhasedInjections
-        self.model = injections(cache, data)
+        self.model = Injections(cache, data)
         self.found: list[Rows] = []
         self.unfinished: Floats | None = None
         self.is_large = is_large(cache.site, data.n_steps)
         program = self.model.program
         self.program = self._in_parts(program) if self.is_large else program
-        if near := self.model.near:
+        if near := self.model.limits.near:
             self.found.append(self._limits(near))
 
     def _in_parts(self, program: Program) -> Program:
@@ -100,7 +99,7 @@ class NetworkProgram:
         other.unfinished = None
         return other
 
-    def _limits(self, found: list[Rows]) -> Rows:
+    def _limits(self, found: Sequence[Rows]) -> Rows:
         """Rows on the model's columns as rows on the program's."""
         rows = Rows.joined(found)
         if not self.is_large:
@@ -170,8 +169,7 @@ class NetworkProgram:
             before = answer.value
             x = self.columns(answer)
             violated = [
-                *self.model.voltage_rows(x, SOLVED),
-                *self.model.flow_rows(x),
+                *self.model.limits.exceeded(x, SOLVED),
                 *self.model.disc_rows(x, over),
             ]
             if not violated:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import highspy
@@ -58,13 +59,50 @@ class Rows:
         return replace(self, matrix=sp.csr_array((m.data, m.indices, m.indptr), shape=shape))
 
     @classmethod
-    def joined(cls, parts: list[Rows]) -> Rows:
+    def joined(cls, parts: Sequence[Rows]) -> Rows:
         """All rows of several."""
         return cls(
             sp.csr_array(sp.vstack([part.matrix for part in parts])),
             np.concatenate([part.lower for part in parts]),
             np.concatenate([part.upper for part in parts]),
         )
+
+
+@dataclass(frozen=True, eq=False)
+class ColumnPowers:
+    """ColumnPowers at K places in each step by a problem's columns: ``by_kw @ x`` and a known part.
+
+    Places are buses, which are given power, or assets of a phased feeder, which draw it.
+    ``by_kw`` and ``by_kvar`` are (W * K, n), one step after the other; ``kw`` and ``kvar`` (W, K).
+    """
+
+    by_kw: sp.csr_array
+    by_kvar: sp.csr_array
+    kw: Floats
+    kvar: Floats
+
+    def at(self, x: Floats) -> tuple[Floats, Floats]:
+        """ColumnPowers in a solution, (W, K) each."""
+        kw = self.kw + (self.by_kw @ x).reshape(self.kw.shape)
+        return kw, self.kvar + (self.by_kvar @ x).reshape(self.kvar.shape)
+
+    def sums(
+        self, steps: Wholes, per_kw: Floats, per_kvar: Floats
+    ) -> tuple[sp.csr_array, Floats, Floats]:
+        """Sums of powers in some steps with factors (R, K): rows, and what kW and kvar are known.
+
+        A sum is ``rows @ x`` and both of these.
+        """
+        count, K = per_kw.shape
+        places = np.repeat(np.arange(count), K), (steps[:, None] * K + np.arange(K)).ravel()
+        by_kw, by_kvar = (
+            sp.csr_array((factors.ravel(), places), shape=(count, self.kw.size))
+            for factors in (per_kw, per_kvar)
+        )
+        for each in (by_kw, by_kvar):
+            each.eliminate_zeros()
+        rows = sp.csr_array(by_kw @ self.by_kw + by_kvar @ self.by_kvar)
+        return rows, by_kw @ self.kw.ravel(), by_kvar @ self.kvar.ravel()
 
 
 def limited(program: Program, rows: list[Rows]) -> Program:

@@ -27,18 +27,7 @@ def within_export_limit(
 ) -> tuple[Realised, ACResult]:
     """A connected step with no more export than its limit, and its power flow.
 
-    Parameters
-    ----------
-    plant : Plant
-        The actual day.
-    flow : PowerFlow
-        Power flow of its feeder.
-    t : int
-        Step.
-    realised : Realised
-        Set-points as far as the devices can follow them.
-    state : BatteryState
-        State at the beginning of the step.
+    It begins with set-points as far as the devices can follow them, and the batteries' state then.
 
     Raises
     ------
@@ -54,15 +43,14 @@ def within_export_limit(
         excess_kw = -ac.p_slack_kw - limit_kw
         if excess_kw <= LIMIT_TOLERANCE_KW:
             break
-        held = _held_back(plant, powers_of(realised), excess_kw)
-        moved = float(
-            np.abs(held.battery_kw - realised.charge_kw + realised.discharge_kw).max(initial=0.0)
-        )
-        for kind, taken_kw in realised.taken_kw.items():
-            moved = max(moved, float(np.abs(held.taken_kw[kind] - taken_kw).max(initial=0.0)))
-        moved = max(
-            moved, float((held.pv_curtailed_kw - realised.pv_curtailed_kw).max(initial=0.0))
-        )
+        powers = powers_of(realised)
+        held = _held_back(plant, powers, excess_kw)
+        changes = [
+            held.battery_kw - powers.battery_kw,
+            held.pv_curtailed_kw - powers.pv_curtailed_kw,
+            *(held.taken_kw[kind] - taken_kw for kind, taken_kw in powers.taken_kw.items()),
+        ]
+        moved = max(float(np.abs(each).max(initial=0.0)) for each in changes)
         if moved == 0.0:
             break  # nothing is left that the limiter could take
         realised = plant.realise(t, held, state, max(realised.clipped_kw, moved))

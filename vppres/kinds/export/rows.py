@@ -24,12 +24,6 @@ from vppres.model.numerics import LEFT_KW, write
 from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
 
-CIRCLE_KW = 1e-4
-"""By how much charging may exceed import and PV export after import and export were netted."""
-
-EXPLOITED_GBP = 1e-5
-"""Earnings of exchange in both directions above which it counts as exploited."""
-
 
 @dataclass(frozen=True, eq=False)
 class ExportToGrid(Addition):
@@ -59,7 +53,7 @@ class ExportToGrid(Addition):
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
         """No more than whether the connection exports."""
-        return data.exporting or None
+        return data.export is not None or None
 
     @classmethod
     def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
@@ -128,26 +122,3 @@ class ExportToGrid(Addition):
         """Export of the last solve."""
         value = np.asarray(self.P_out.value, dtype=float)
         return np.where(value < LEFT_KW, 0.0, value)
-
-
-def net_exchange(data: WindowData, dispatch: Dispatch, both_kw: Floats, dt_h: float) -> bool:
-    """Whether a dispatch stands once import and export of the same step are netted.
-
-    Parameters
-    ----------
-    data : WindowData
-        The window.
-    dispatch : Dispatch
-        Netted.
-    both_kw : array, shape (W,)
-        What was imported and exported at the same time.
-    dt_h : float
-        Length of a step in h.
-    """
-    if data.export is None:
-        return True
-    margin = np.maximum(data.export.price_gbp_per_kwh - data.price_gbp_per_kwh, 0.0)
-    fed = np.maximum(dispatch.p_grid_kw, 0.0) + dispatch.pv_export_kw.sum(axis=1)
-    circle = dispatch.charge_kw.sum(axis=1) - fed
-    exploited = float(margin @ both_kw) * dt_h
-    return exploited <= EXPLOITED_GBP and bool((circle <= CIRCLE_KW).all())

@@ -1,0 +1,185 @@
+"""``vppres reconfigure`` on a scenario's folder: its switches, its loads, and what is written."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from tests.support.small_nets import ring
+from tests.support.three_phases import three_phases
+from vppres.cli.commands import app
+from vppres.feeders import import_network
+from vppres.feeders.new.options import NewScenarioOptions
+from vppres.feeders.new.scenario import new_scenario, write_new_scenario
+from vppres.feeders.reconfiguration.folder import injection_at, step_of
+from vppres.io import read_scenario, write_scenario
+from vppres.physics.powerflow import ACPowerFlow
+from vppres.scenario.scenario import Scenario
+from vppres.scenario.switches import Switches
+
+
+def reconfigured(*words: str | Path) -> dict[str, Any]:
+    """Record of the command."""
+    shown = CliRunner().invoke(app, ["reconfigure", *map(str, words), "--quiet", "--json"])
+    assert shown.exit_code == 0, shown.output
+    found: dict[str, Any] = json.loads(shown.output)
+    return found
+
+
+def everywhere(day: Scenario) -> Switches:
+    """The switches of a scenario, and a closed one on each line that has none."""
+    net, own = day.network, day.switches
+    standing = (
+        {frozenset(ends) for ends in zip(own.from_bus, own.to_bus, strict=True)}
+        if own.closed.any()
+        else set()
+    )
+    lines = [
+        (start, end)
+        for start, end in zip(net.from_bus, net.to_bus, strict=True)
+        if frozenset((start, end)) not in standing
+    ]
+    more = Switches(
+        [f"S{end}" for _, end in lines],
+        *(np.array(side, dtype=object) for side in zip(*lines, strict=True)),
+        ["sectionaliser"] * len(lines),
+        [True] * len(lines),
+    )
+    columns = {
+        f.name: np.concatenate([getattr(own, f.name), getattr(more, f.name)]) for f in fields(own)
+    }
+    return Switches(**columns)
+
+
+def published(tmp_path: Path, name: str, **options: Any) -> dict[str, Any]:
+    """Reconfiguration of a published system, from a folder with a switch on every line."""
+    day = new_scenario(import_network(name, **options))
+    write_scenario(replace(day, switches=everywhere(day)), tmp_path / name)
+    return reconfigured(tmp_path / name, "--v-min", "0.1", "--no-ratings")
+
+
+def test_16_buses_from_a_folder(tmp_path: Path) -> None:
+    found = published(tmp_path, "case16", slack="all")
+    assert found["configurations"] == 190 and found["exact"]
+    assert found["before"]["losses_kw"] == pytest.approx(511.436, abs=1e-3)
+    assert found["after"]["losses_kw"] == pytest.approx(466.127, abs=1e-3)
+    assert (found["close"], found["open"]) == (["5-11", "10-14"], ["S10", "S11"])
+
+
+@pytest.mark.daily
+def test_33_buses_from_a_folder(tmp_path: Path) -> None:
+    found = published(tmp_path, "case33bw")
+    assert found["configurations"] == 50_751 and found["exact"]
+    assert found["before"]["losses_kw"] == pytest.approx(202.677, abs=1e-3)
+    assert found["after"]["losses_kw"] == pytest.approx(139.551, abs=1e-3)
+
+
+@pytest.mark.nightly
+def test_69_buses_from_a_folder(tmp_path: Path) -> None:
+    found = published(tmp_path, "case69")
+    assert found["configurations"] == 407_924 and found["exact"]
+    assert found["before"]["losses_kw"] == pytest.approx(224.992, abs=1e-3)
+    assert found["after"]["losses_kw"] == pytest.approx(98.605, abs=1e-3)
+
+
+@pytest.mark.daily
+def test_the_folder_that_is_written_has_the_configuration_found(tmp_path: Path) -> None:
+    """Its own power flow has the losses that were told, and it has nothing more to move."""
+    folder, out = tmp_path / "16", tmp_path / "out"
+    write_new_scenario(import_network("case16", slack="all"), NewScenarioOptions(), folder)
+    found = reconfigured(folder, "--any-line", "--out", out)
+    assert found["folder"] == str(out)
+    assert found["after"]["losses_kw"] == pytest.approx(466.127, abs=1e-3)
+    before, after = read_scenario(folder), read_scenario(out)
+    flow = ACPowerFlow(after.network).solve(*injection_at(after, step_of(after, None)))
+    assert flow.losses_kw == pytest.approx(found["after"]["losses_kw"], abs=1e-5)
+    switches = after.switches
+    state = dict(zip(switches.id, switches.closed.tolist(), strict=True))
+    assert state == {"5-11": True, "10-14": True, "7-16": False, "8-10": False, "9-11": False}
+    line = before.network.to_bus.tolist().index(10)
+    opened = switches.id.tolist().index("8-10")
+    for name in ("r_ohm", "x_ohm", "i_max_a"):
+        assert getattr(switches, name)[opened] == getattr(before.network, name)[line]
+    again = reconfigured(out, "--any-line", "--out", tmp_path / "again")
+    assert (again["open"], again["close"], again["configurations"]) == ([], [], 190)
+    for name in ("from_bus", "to_bus", "r_ohm", "x_ohm", "i_max_a", "b_us"):
+        once, twice = (
+            getattr(read_scenario(each).network, name) for each in (out, tmp_path / "again")
+        )
+        np.testing.assert_array_equal(once, twice)
+    assert after.source.deviation.largest_pu is None and after.source.name == "case16"
+
+
+@pytest.mark.daily
+def test_only_operable_switches_that_are_not_locked_move(tmp_path: Path) -> None:
+    """Of the ring's three lines two have a switch; each that cannot move leaves one tree less."""
+    day = new_scenario(import_network(ring()))
+    names = day.switches.id.tolist()
+    assert names == ["link", "feeder", "east"]
+
+    def count(**columns: list[Any]) -> int:
+        folder = tmp_path / str(len([*tmp_path.iterdir()]))
+        write_scenario(replace(day, switches=replace(day.switches, **columns)), folder)
+        return int(reconfigured(folder)["configurations"])
+
+    assert count() == 2  # open is the link, or the east; no switch is on the west
+    assert count(operable=[True, True, False]) == 1
+    assert count(locked=["", "", "repair"]) == 1
+
+
+@pytest.mark.parametrize("columns", [{"operable": [False, True, True]}, {"locked": ["x", "", ""]}])
+def test_without_a_tie_that_can_close_nothing_is_to_be_found(
+    columns: dict[str, list[Any]], tmp_path: Path
+) -> None:
+    day = new_scenario(import_network(ring()))
+    write_scenario(replace(day, switches=replace(day.switches, **columns)), tmp_path / "ring")
+    shown = CliRunner().invoke(app, ["reconfigure", str(tmp_path / "ring")])
+    assert shown.exit_code == 2
+    assert "has no open switch that can be closed" in shown.output
+
+
+def test_the_loads_are_those_of_a_step(tmp_path: Path, tiny: Scenario) -> None:
+    """By day the PV power counts too; the largest demand is chosen if no time is given."""
+    tie = Switches(["T", "S3"], [3, 2], [4, 3], ["tie", "sectionaliser"], [False, True],
+                   r_ohm=[0.5, np.nan], x_ohm=[0.4, np.nan])  # fmt: skip
+    day = replace(tiny, switches=tie)
+    write_scenario(day, tmp_path / "tiny")
+    found = reconfigured(tmp_path / "tiny", "--at", "2022-07-19T12:30Z")
+    p_kw = np.array([0.0, -64.0 + 30.0, -42.0, -47.0 + 20.0])
+    np.testing.assert_allclose(injection_at(day, 2)[0], p_kw)
+    losses = ACPowerFlow(day.network).solve(*injection_at(day, 2)).losses_kw
+    assert found["before"]["losses_kw"] == pytest.approx(losses, abs=1e-6)
+    assert found["at"] == "2022-07-19T12:00:00Z"
+    assert reconfigured(tmp_path / "tiny")["at"] == "2022-07-19T14:00:00Z"
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["case16", "--at", "12:00"], "at = 12:00: is for a scenario alone."),
+        (["case16", "--out", "x"], "out = x: is for a scenario alone."),
+        (["FOLDER", "--slack", "all"], "slack: is for a network alone."),
+        (["FOLDER", "--at", "2021-01-01"], "lies outside the scenario's day."),
+        (["FOLDER", "--out", "FOLDER"], "Choose another folder"),
+    ],
+)
+def test_options_that_do_not_fit_are_refused(
+    words: list[str], message: str, tiny_folder: Path
+) -> None:
+    words = [str(tiny_folder) if word == "FOLDER" else word for word in words]
+    shown = CliRunner().invoke(app, ["reconfigure", *words])
+    assert shown.exit_code == 2
+    assert message in " ".join(shown.output.split())
+
+
+def test_a_scenario_with_phases_is_refused(tiny: Scenario, tmp_path: Path) -> None:
+    write_scenario(three_phases(tiny), tmp_path / "phased")
+    shown = CliRunner().invoke(app, ["reconfigure", str(tmp_path / "phased")])
+    assert shown.exit_code == 2
+    assert "keeps its phases" in shown.output

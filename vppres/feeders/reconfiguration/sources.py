@@ -1,0 +1,106 @@
+"""Feeders to be reconfigured: of a network by its own loads, or of a scenario at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from vppres.core.arrays import Floats
+from vppres.core.errors import InputError
+from vppres.core.text import iso
+from vppres.feeders.new.low_voltage import limits_of
+from vppres.feeders.reconfiguration.folder import injection_at, step_of
+from vppres.feeders.sources import import_network
+from vppres.io.times import option_time
+from vppres.scenario.network import Network
+from vppres.scenario.scenario import Scenario
+from vppres.scenario.switches import Switches
+
+KEEPS_PHASES = "keeps its phases, which a reconfiguration does not model"
+
+
+@dataclass(frozen=True, eq=False)
+class Reconfigurable:
+    """A feeder with its switches, its loads and its limits.
+
+    Parameters
+    ----------
+    name : str
+        Name of the network or scenario.
+    network : Network
+        The feeder as it is.
+    switches : Switches
+        Its switches.
+    injection : tuple of array
+        Net injection of every bus in kW and kvar.
+    limits_pu : tuple of float
+        Lowest and highest voltage.
+    words : str
+        Sentence on the loads; empty for those of a network.
+    record : mapping
+        The same for machines.
+    """
+
+    name: str
+    network: Network
+    switches: Switches
+    injection: tuple[Floats, Floats]
+    limits_pu: tuple[float, float]
+    words: str = ""
+    record: Mapping[str, Any] = field(default_factory=dict)
+
+
+def feeder_of_network(
+    name: str, importing: Mapping[str, Any], of_scenarios: Mapping[str, object]
+) -> Reconfigurable:
+    """The feeder of a network; ``of_scenarios`` are options that it has no use for.
+
+    Raises
+    ------
+    InputError
+        If it keeps its phases, or an option is for scenarios alone.
+    """
+    for option, value in of_scenarios.items():
+        if value is not None:
+            cure = "Make a scenario of the network with vppres new, and give its folder."
+            raise InputError.of(
+                "options", "is for a scenario alone", cure, field=option, value=str(value)
+            )
+    feeder = import_network(name, **importing)
+    if feeder.phased is not None:
+        raise InputError.of(name, KEEPS_PHASES, "Add --balance for its balanced equivalent.")
+    own = limits_of(feeder.network, None)
+    limits = own.v_min_ac_pu, own.v_max_ac_pu
+    return Reconfigurable(feeder.name, feeder.network, feeder.switches, feeder.injection, limits)
+
+
+def feeder_of_scenario(
+    day: Scenario, at: str | None, importing: Mapping[str, Any]
+) -> Reconfigurable:
+    """The feeder of a scenario with the loads of a step; ``importing`` are options of an import.
+
+    Raises
+    ------
+    InputError
+        If it has phases, the time lies outside its day, or an option is for networks alone.
+    """
+    for option, value in importing.items():
+        if value:
+            cure = "Leave it out: a scenario is read as it is."
+            raise InputError.of("options", "is for a network alone", cure, field=option)
+    if day.phases:
+        cure = "Make a balanced scenario of its source with vppres new --balance."
+        raise InputError.of(day.name, KEEPS_PHASES, cure)
+    step = step_of(day, None if at is None else option_time(at, day.grid.zone))
+    net, time = day.network, iso(day.grid.times[step])
+    chosen = "" if at is not None else ", the step of the largest demand"
+    return Reconfigurable(
+        day.name,
+        net,
+        day.switches,
+        injection_at(day, step),
+        (net.v_min_ac_pu, net.v_max_ac_pu),
+        f"All customers and PV power of {time}{chosen}; batteries and other assets rest.",
+        {"at": time},
+    )

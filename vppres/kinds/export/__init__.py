@@ -1,0 +1,1 @@
+"""Connection to the grid where it takes power back: limit, price, limiter."""
