@@ -14,7 +14,10 @@ from tests.support.three_phases import three_phases
 from vppres import Controller, RunOptions, run_day
 from vppres.core.errors import InputError
 from vppres.day.inversions import inversions
+from vppres.day.metrics import cautions
+from vppres.explain.day import explain_day
 from vppres.io import read_scenario, write_scenario
+from vppres.report.events import events_of
 from vppres.scenario.faults import Fault
 from vppres.scenario.scenario import Scenario
 
@@ -104,3 +107,30 @@ def test_plans_of_physical_mode_agree_with_ac_in_each_part(seed: int) -> None:
     assert run.steps["island_mismatch_kw"].abs().max() < 0.1
     errors = run.steps.loc[run.steps["lines_out"] != "", "v_error_pu"]
     assert errors.max() < 2e-4
+
+
+def test_words_name_the_fault(tiny: Scenario) -> None:
+    named = replace(tiny.batteries, grid_forming=[True, False])
+    run = explain_day(run_day(with_fault(replace(tiny, batteries=named), line=4), PAPER))
+    told = run.explanations
+    assert told is not None
+    off = told[told["action"] == "not_served"]
+    assert set(off["driver"]) == {"fault"}
+    reason = "no battery forms the grid behind line 2-4, which is out"
+    assert set(off["words"]) == {f"Not supplied: {reason}."}
+    assert f"Off by a fault, 2 customer hours: {reason}." in cautions(run)
+    events = [(event.t, event.words) for event in events_of(run)]
+    assert (2, "Line 2-4 out of service.") in events
+    assert (4, "Line 2-4 in service again.") in events
+
+
+def test_a_part_that_has_too_little_is_named(tiny: Scenario) -> None:
+    """Battery and PV power of the homes carry less than their demand."""
+    named = replace(tiny.batteries, grid_forming=[True] * 2, p_max_kw=[50.0, 5.0])
+    run = explain_day(run_day(with_fault(replace(tiny, batteries=named), line=4), PAPER))
+    told = run.explanations
+    assert told is not None
+    off = told[told["action"] == "not_served"]
+    assert set(off["driver"]) == {"fault"}
+    words = "the part behind line 2-4, which is out, has too little power or energy"
+    assert set(off["words"]) == {f"Not supplied: {words}."}

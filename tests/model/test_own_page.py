@@ -24,6 +24,7 @@ from vppres.kinds.customer.rows import DimmedDemand, LongestTimeOff, SwitchingMo
 from vppres.model import problem
 from vppres.model.beyond_paper.addition import Addition
 from vppres.model.beyond_paper.former_phases import FormerPhases
+from vppres.model.beyond_paper.lines_out import LinesOut
 from vppres.model.beyond_paper.table import additions, beyond_paper, own_parts
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData
@@ -272,6 +273,7 @@ SHAPES = {
     SwitchingModel: RuleSteps(2, 2, 2),
     LongestTimeOff: ((0, 1),),
     DimmedDemand: (2, 0),
+    LinesOut: ((0,), (1,)),
 }
 """What problems are compiled for, of additions that have more than one shape."""
 

@@ -16,6 +16,7 @@ from vppres.core.units import kva_to_a
 from vppres.day.inversions import headroom_words, inversion_words
 from vppres.day.kind_tables import kind_figures, kind_words
 from vppres.day.phase_figures import phase_figures
+from vppres.day.recorder import OFF_BY_FAULT
 from vppres.day.reliability import fairness_figures, reliability_figures
 from vppres.day.trajectory import OPTIONS, Trajectory, supplied, time_on
 from vppres.io.digest import scenario_digest
@@ -91,6 +92,7 @@ def cautions(trajectory: Trajectory) -> list[str]:
     off = off_with_grid(trajectory)
     return [
         *blackouts(trajectory),
+        *fault_words(trajectory),
         *([off] if off else []),
         *customer.cautions(trajectory),
         *kind_words(trajectory),
@@ -113,6 +115,19 @@ def blackouts(trajectory: Trajectory) -> list[str]:
     if len(promised):
         words.append(f"The plan had promised supply in {counted(len(promised), 'step')} of them.")
     return words
+
+
+def fault_words(trajectory: Trajectory) -> list[str]:
+    """Customers off for a fault, by what it says of each, the most customer hours first."""
+    if OFF_BY_FAULT not in trajectory.customers:
+        return []
+    reasons = trajectory.customers[OFF_BY_FAULT]
+    counts = reasons[reasons != ""].value_counts()
+    dt_h = trajectory.scenario.grid.dt_h
+    return [
+        f"Off by a fault, {count * dt_h:g} customer hours: {reason}."
+        for reason, count in counts.items()
+    ]
 
 
 def off_with_grid(trajectory: Trajectory) -> str:

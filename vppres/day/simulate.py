@@ -38,7 +38,6 @@ from vppres.plant.collapse import realise
 from vppres.plant.island import IslandPlant, Settled
 from vppres.plant.parts import PlantInParts
 from vppres.plant.plant import CLIP_TOLERANCE_KW, BatteryState, Plant, Realised
-from vppres.scenario.faults import OutOfService, known_faults
 from vppres.scenario.formers import forming_batteries
 from vppres.scenario.parts import parts_record, split_sheddable
 from vppres.scenario.priority import STRICT
@@ -148,7 +147,7 @@ class Day:
         steps = controller.horizon_steps(t)
         forecast = self.forecaster.at(t, steps)
         if self.scenario.faults:
-            forecast = replace(forecast, out=self._out_as_known(t, steps))
+            forecast = replace(forecast, out=self.scenario.out_of_service(steps, known_at=t))
         s = self.state
         ends = steps.stop == self.scenario.grid.n_steps
         seen = Observation(
@@ -173,17 +172,6 @@ class Day:
         seen = self.outages.told(seen, self.grid_seen, self.scenario, t, self.forecaster)
         self.outage_messages = seen.outage_messages
         return self.faults.observe(seen) if self.faults else seen
-
-    def _out_as_known(self, t: int, steps: range) -> OutOfService | None:
-        """Lines and buses that are out in some steps, as it is known in one."""
-        s = self.scenario
-        faults = known_faults(s.faults, s.grid.times[t], s.grid.step)
-        return OutOfService.of(faults, s.network, s.grid, steps)
-
-    def out(self, t: int) -> OutOfService | None:
-        """Lines and buses that are out in a step."""
-        s = self.scenario
-        return OutOfService.of(s.faults, s.network, s.grid, range(t, t + 1))
 
     def ahead(self, steps: range) -> KindsAhead:
         """Flexible power as it is known at the beginning of a window."""
@@ -231,11 +219,12 @@ class Day:
         record = _record(self.scenario, t, decision, self.state, done, self.options)
         steps = {**record.steps, **basis_of(self.forecaster, t)}
         if self.scenario.faults:
-            out = self.out(t)
+            out = self.scenario.out_of_service(range(t, t + 1))
             steps[LINES_OUT] = "" if out is None else out.name(self.scenario.network, 0)
         if self.options.outages in (BELIEF, LIKELY):
             steps["outage_messages"] = self.outage_messages
         record = replace(record, steps=steps, kinds=kinds)
+        out = self.scenario.out_of_service(range(t, t + 1))
         self.operating_point = (
             None
             if done.dark
@@ -246,7 +235,7 @@ class Day:
                 self.plant.places.at_buses(realised.p_injection_kw),
                 self.plant.places.at_buses(realised.q_injection_kvar),
                 bool(self.scenario.outage[t]),
-                None if (out := self.out(t)) is None else out.lines[0],
+                None if out is None else out.lines[0],
             )
         )
         self.battery_kw = realised.charge_kw - realised.discharge_kw
@@ -260,7 +249,7 @@ class Day:
 
     def carry_out(self, t: int, decision: Decision) -> Settled:
         """Outcome of a decision; physical mode's islands hold themselves, and so do parts."""
-        out = self.out(t)
+        out = self.scenario.out_of_service(range(t, t + 1))
         if out is not None:
             every = np.ones(len(self.scenario.batteries), dtype=bool)
             online = every if self.faults is None else self.faults.online(t)

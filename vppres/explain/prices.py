@@ -11,6 +11,7 @@ import numpy as np
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import ModelError
 from vppres.explain.recorded import Recorded
+from vppres.model.beyond_paper.table import Beyond
 from vppres.model.data import WindowData
 from vppres.solve.shadow_price_model import FixedDecisions, PricedTerms, ShadowPriceModel
 from vppres.solve.shadow_prices import PricedWindow, price_window
@@ -79,13 +80,18 @@ class StepPrices:
 def day_prices(
     recorded: Sequence[Recorded], progress: Callable[[int, int], None] | None = None
 ) -> list[StepPrices]:
-    """Shadow prices of every step of a run; one problem is compiled for all that share a record."""
-    models: dict[int, ShadowPriceModel] = {}
+    """Shadow prices of every step of a run.
+
+    A problem is compiled for all steps that share a record and the lines that are out.
+    """
+    models: dict[tuple[int, Beyond], ShadowPriceModel] = {}
     found = []
     for t, one in enumerate(recorded):
-        if id(one) not in models:
-            models[id(one)] = ShadowPriceModel(one.site, one.n_seen, one.beyond)
-        found.append(step_prices(one, models[id(one)], t))
+        beyond = one.beyond_at(t)
+        key = id(one), beyond
+        if key not in models:
+            models[key] = ShadowPriceModel(one.site, one.n_seen, beyond)
+        found.append(step_prices(one, models[key], t))
         if progress is not None:
             progress(t + 1, len(recorded))
     return found

@@ -51,6 +51,9 @@ def why_not_served(step: Step, customer: int) -> Reason:
     said = overruled(step, "Not supplied")
     if said is not None:
         return said
+    fault = step.recorded.off_by_fault[step.t][customer]
+    if fault:
+        return Reason("fault", "", f"Not supplied: {fault}.")
     if step.recorded.shed[step.t][customer]:
         why = (
             step.recorded.note(step.t, "ac_failed")
@@ -64,6 +67,12 @@ def why_not_served(step: Step, customer: int) -> Reason:
             "Not supplied: its own PV inverter is too small for the PV power that its "
             "demand would use.",
         )
+    line = step.recorded.behind(step.t, _bus_of(step, customer))
+    if line:
+        words = (
+            f"Not supplied: the part behind {line}, which is out, has too little power or energy."
+        )
+        return Reason("fault", "", words)
     if step.service is None:
         return _from_the_record(step, customer)
     gain = float(step.service.service[customer])

@@ -24,11 +24,13 @@ from vppres.day.forecasting import PAPER, DayForecasts, named_forecasts
 from vppres.day.metrics import line_loading
 from vppres.day.outages import GridSeen, OutageView, believed_outages
 from vppres.day.priority import site_of, weighed
+from vppres.day.recorder import OFF_BY_FAULT
 from vppres.day.trajectory import Trajectory
 from vppres.kinds.customer.data import SwitchingRules
 from vppres.kinds.customer.physics import Owed
 from vppres.kinds.customer.record import off_before_h
 from vppres.kinds.table import KINDS, parts, units_of
+from vppres.model.beyond_paper.lines_out import LinesOut
 from vppres.model.beyond_paper.ratings import LineRatings
 from vppres.model.beyond_paper.table import Beyond, beyond_paper
 from vppres.model.data import WindowData
@@ -36,6 +38,8 @@ from vppres.model.formulas import bus_injections
 from vppres.model.own_state import with_own_state
 from vppres.model.phases import phased_model
 from vppres.model.ratings import with_ratings
+from vppres.scenario.faults import Parts
+from vppres.scenario.network import BusId
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.shadow_price_model import FixedDecisions
 
@@ -76,6 +80,9 @@ class Recorded:
         self.share = trajectory.supplied
         self.shed = trajectory.by_step("customers", "shed")
         self.load_kw = trajectory.by_step("customers", "p_load_kw")
+        self.off_by_fault = np.full(self.served.shape, "", dtype=object)
+        if OFF_BY_FAULT in trajectory.customers:
+            self.off_by_fault = trajectory.by_step("customers", OFF_BY_FAULT)
         self.charge_kw = trajectory.by_step("batteries", "charge_kw")
         self.discharge_kw = trajectory.by_step("batteries", "discharge_kw")
         self.batt_q_kvar = trajectory.by_step("batteries", "q_kvar")
@@ -178,11 +185,28 @@ class Recorded:
         there = {name: shape for t in (0, last) for name, shape in self._beyond_of(t)}
         return tuple(there.items())
 
+    def beyond_at(self, t: int) -> Beyond:
+        """Additions of the window at step ``t``: those of all, and the lines that are out in it."""
+        if not self.scenario.faults:
+            return self.beyond
+        of_all = tuple(each for each in self.beyond if each[0] is not LinesOut)
+        shape = LinesOut.shape(self.site, self.seen(t))
+        return of_all if shape is None else (*of_all, (LinesOut, shape))
+
     def _beyond_of(self, t: int) -> Beyond:
         seen = self.seen(t)
         ratings = LineRatings.shape(self.site, seen)
         rated = () if ratings is None else ((LineRatings, ratings),)
         return (*beyond_paper(self.site, seen), *rated)
+
+    def behind(self, t: int, bus: BusId) -> str:
+        """The line that is out between a bus and the grid in a step, in words; empty for none."""
+        out = self.scenario.out_of_service(range(t, t + 1))
+        if out is None:
+            return ""
+        parts = Parts(self.scenario.network, out.lines[0])
+        number = int(parts.of_bus[self.scenario.network.bus_index[bus]])
+        return parts.behind(number) if number else ""
 
     def left_out(self, t: int) -> Flags:
         """Batteries that could not be used in a step, shape (B,)."""
@@ -302,6 +326,8 @@ class Recorded:
     def _forecast(self, t: int, steps: range) -> Forecast:
         """Forecast of a window; its first step is the actual one."""
         now = self._forecaster.at(t, steps)
+        if self.scenario.faults:
+            now = replace(now, out=self.scenario.out_of_service(steps, known_at=t))
         if self.options["controller"] not in (FULL_HORIZON, PERFECT):
             return now
         planned = self._forecaster.at(0, steps)
@@ -312,6 +338,7 @@ class Recorded:
             now.grid_limit_kw,
             now.temperature_c,
             now.export,
+            now.out,
         )
 
     def _observation_at(self, t: int, steps: range) -> Observation:
@@ -355,8 +382,9 @@ class Recorded:
 
     def _operating_point(self, t: int) -> OperatingPoint | None:
         """The AC solution of a step, None before the first and after a blackout."""
-        if t < 0 or not np.isfinite(self.v_ac_pu[t]).all():
+        if t < 0 or not np.isfinite(self.v_ac_pu[t]).any():
             return None
+        out = self.scenario.out_of_service(range(t, t + 1))
         p_kw, q_kvar = (bus_injections(self.site, each) for each in self._given(t))
         return OperatingPoint(
             self.v_ac_pu[t],
@@ -365,6 +393,7 @@ class Recorded:
             p_kw,
             q_kvar,
             bool(self.scenario.outage[t]),
+            None if out is None else out.lines[0],
         )
 
     def _given(self, t: int) -> tuple[dict[str, Floats], dict[str, Floats]]:

@@ -42,6 +42,7 @@ Driver = (
         "rule",
         "fallback",
         "dark",
+        "fault",
         "unexplained",
     ]
 )
@@ -68,6 +69,7 @@ DRIVERS: dict[str, str] = {
     "rule": "controller rule",
     "fallback": "fallback",
     "dark": "blacked-out island",
+    "fault": "fault of a line or bus",
     "unexplained": "not explained",
 }
 """Drivers of actions, and their names in the report."""

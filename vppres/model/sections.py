@@ -43,6 +43,11 @@ class Sections:
         found = Sections(*(getattr(self, f.name)[steps] for f in fields(self)))
         return found if found.lines.any() else None
 
+    def followed_by_one(self, n_steps: int) -> Sections:
+        """Append steps in which the feeder is one part with the grid."""
+        values = (getattr(self, f.name) for f in fields(self))
+        return Sections(*(np.pad(v, [(0, n_steps), (0, 0)]) for v in values))
+
     @property
     def any(self) -> Flags:
         """Steps in which a line is out, (W,)."""

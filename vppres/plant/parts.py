@@ -122,8 +122,8 @@ class PlantInParts:
             return SettledPart(inside, lines, realise(self.plant, flow, t, own, state))
         flow = self._flow(buses, lines, island=True)
         bus_out = np.flatnonzero(buses & buses_out)
-        own_line = "" if number == 0 or len(bus_out) else parts.behind(number)
-        where = own_line and f"behind {own_line}, which is out"
+        where = f"behind {parts.behind(number)}, which is out" if number else "at the grid's bus"
+        where = "" if len(bus_out) else where
         island = IslandPlant(self.plant, flow, inside, where)
         island.formers = formers_within(self.plant.scenario, inside.batteries) & online
         planned = self.plant.apply(t, own, state)

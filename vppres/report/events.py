@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import numpy as np
 from vppres.core.text import counted, named
 from vppres.day.kind_tables import kind_events
 from vppres.day.series import energy_limits_kwh, outage_spans, stored_energy_kwh
-from vppres.day.trajectory import Trajectory
+from vppres.day.trajectory import LINES_OUT, Trajectory
 from vppres.kinds.customer import record as customer
 from vppres.report.clock import Clock
 from vppres.report.key_figures import number
@@ -34,6 +35,7 @@ def events_of(run: Trajectory) -> list[DayEvent]:
     found = sorted(
         [
             *_outage_events(run),
+            *_fault_events(run),
             *_service_events(run),
             *_within_events(run),
             *customer.events(run),
@@ -64,6 +66,20 @@ def _outage_events(run: Trajectory) -> Iterator[tuple[int, str]]:
         yield first, f"Outage begins{held}."
         left = f", {energy[last]:,.0f} kWh stored" if len(run.batteries) else ""
         yield last, f"Outage ends{left}."
+
+
+def _fault_events(run: Trajectory) -> Iterator[tuple[int, str]]:
+    """Lines and buses that went out of service, and came back."""
+    if LINES_OUT not in run.steps:
+        return
+    out = [each.split(" and ") if each else [] for each in run.steps[LINES_OUT]]
+    for t, (before, now) in enumerate(pairwise([[], *out, []])):
+        for names, words in (
+            ([n for n in now if n not in before], "out of service"),
+            ([n for n in before if n not in now], "in service again"),
+        ):
+            if names and t < len(out):
+                yield t, f"{named(names, NAMES_SHOWN).capitalize()} {words}."
 
 
 def _service_events(run: Trajectory) -> Iterator[tuple[int, str]]:

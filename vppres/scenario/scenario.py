@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from importlib import import_module
@@ -19,7 +19,7 @@ from vppres.kinds.fields import OfKinds
 from vppres.kinds.vehicles.data import sessions_by_step
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.fairness import Fairness, Interruption
-from vppres.scenario.faults import Fault, check_places
+from vppres.scenario.faults import Fault, OutOfService, check_places, known_faults
 from vppres.scenario.formers import forming_batteries
 from vppres.scenario.history import History
 from vppres.scenario.network import Network
@@ -234,6 +234,17 @@ class Scenario(OfKinds):
         Outages do not matter, so that the steps of a long outage are of the same kind as the rest.
         """
         return bool((self.export_limit_kw > 0.0).any())
+
+    def out_of_service(self, steps: range, known_at: int | None = None) -> OutOfService | None:
+        """Lines and buses that are out in some steps, None where there is none.
+
+        ``known_at`` is the step in which it is known, with what is known then; with all if not
+        given.
+        """
+        faults: Iterable[Fault] = self.faults
+        if known_at is not None:
+            faults = known_faults(faults, self.grid.times[known_at], self.grid.step)
+        return OutOfService.of(faults, self.network, self.grid, steps)
 
     @cached_property
     def load_kvar(self) -> Floats:
