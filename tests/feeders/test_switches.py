@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pandapower as pp
 import pandas as pd
 import pytest
 
 from tests.support.small_nets import ring
+from vppres.day.options import RunOptions
+from vppres.day.simulate import run_day
 from vppres.feeders import import_network
 from vppres.feeders.feeder import ImportedFeeder
+from vppres.feeders.new.scenario import new_scenario
 
 
 def table(feeder: ImportedFeeder) -> pd.DataFrame:
@@ -47,7 +52,7 @@ def test_bus_switches_stand_on_the_line_that_they_cut_off() -> None:
     pp.create_switch(net, 1, bays[1], "b", True, "CB", name="bay 5")
     pp.create_switch(net, 3, bays[2], "b", False, "LBS", name="bay 6")
     found = table(import_network(net))
-    assert found.loc["east", ["from_bus", "to_bus", "kind", "closed"]].tolist() == [
+    assert found.loc["bay 4", ["from_bus", "to_bus", "kind", "closed"]].tolist() == [
         1, 2, "breaker", True,
     ]  # fmt: skip
     assert found.loc["bay 6", ["from_bus", "to_bus", "kind", "closed"]].tolist() == [
@@ -101,3 +106,76 @@ def test_a_switch_of_one_of_two_parallel_lines_is_none_of_both() -> None:
     net = ring()
     pp.create_line_from_parameters(net, 1, 2, 2.0, 0.2, 0.1, 0.0, 0.3, name="beside")
     assert "east" not in table(import_network(net)).index
+
+
+CIRCUIT = """clear
+new circuit.ring basekv=12.47 pu=1 mvasc3=2000 mvasc1=2100
+new line.l1 bus1=sourcebus bus2=a r1=0.3 x1=0.4 r0=0.6 x0=1.2 c1=0 c0=0 length=1
+new line.s1 bus1=a bus2=as switch=yes r1=1e-5 x1=0 r0=1e-5 x0=0 c1=0 c0=0 length=0.001
+new line.l2 bus1=as bus2=b r1=0.2 x1=0.3 r0=0.6 x0=1.2 c1=0 c0=0 length=1
+new line.s2 bus1=a bus2=c switch=yes r1=0.1 x1=0.2 r0=0.1 x0=0.2 c1=0 c0=0 length=1
+new line.tie bus1=b bus2=c r1=0.5 x1=0.6 r0=0.5 x0=0.6 c1=0 c0=0 length=2 normamps=200
+new line.n1 bus1=c bus2=b r1=0.7 x1=0.8 r0=0.7 x0=0.8 c1=0 c0=0 length=1
+new load.a bus1=a phases=3 kv=12.47 kw=100 kvar=30
+new load.b bus1=b phases=3 kv=12.47 kw=100 kvar=30
+new load.c bus1=c phases=3 kv=12.47 kw=100 kvar=30
+new swtcontrol.n1 switchedobj=line.n1 switchedterm=1 normal=open state=open lock=yes
+open line.tie 1
+set voltagebases=[12.47]
+calcvoltagebases
+solve
+"""
+
+
+def test_switches_of_opendss_have_the_impedance_of_their_lines(tmp_path: Path) -> None:
+    """Those of next to no impedance stand on the line behind them; a control may lock one."""
+    (tmp_path / "ring.dss").write_text(CIRCUIT, encoding="utf-8")
+    feeder = import_network(tmp_path / "ring.dss")
+    found = table(feeder)
+    assert {*found.index} == {"tie", "n1", "s1", "s2"}
+    assert found["closed"].to_dict() == {"tie": False, "n1": False, "s1": True, "s2": True}
+    assert found.loc["tie", ["r_ohm", "x_ohm", "i_max_a"]].tolist() == pytest.approx(
+        [1.0, 1.2, 200]
+    )
+    assert found.loc["n1", ["r_ohm", "x_ohm"]].tolist() == pytest.approx([0.7, 0.8])
+    assert found.loc["s2", ["from_bus", "to_bus"]].tolist() == ["a", "c"]
+    assert {*found.loc["s1", ["from_bus", "to_bus"]]} == {"a", "b"}
+    locked = dict(zip(feeder.switches.id, feeder.switches.locked, strict=True))
+    assert locked == {"tie": "", "n1": "locked in the source", "s1": "", "s2": ""}
+
+
+CASE = """function mpc = ring
+mpc.version = '2';
+mpc.baseMVA = 1;
+mpc.bus = [
+1 3 0 0 0 0 1 1 0 10 1 1.1 0.9;
+2 1 0.1 0.05 0 0 1 1 0 10 1 1.1 0.9;
+3 1 0.1 0.05 0 0 1 1 0 10 1 1.1 0.9;
+];
+mpc.gen = [1 0 0 9 -9 1 1 1 9 0];
+mpc.branch = [
+1 2 0.01 0.02 0 0 0 0 0 0 1 -360 360;
+1 3 0.01 0.02 0 0 0 0 0 0 1 -360 360;
+2 3 0.03 0.04 0 2 0 0 0 0 0 -360 360;
+];
+"""
+
+
+def test_rows_of_status_0_are_ties(tmp_path: Path) -> None:
+    (tmp_path / "ring.m").write_text(CASE, encoding="utf-8")
+    found = table(import_network(tmp_path / "ring.m"))
+    assert found.index.tolist() == ["2-3"]
+    assert found.loc["2-3", ["r_ohm", "x_ohm", "i_max_a"]].tolist() == pytest.approx(
+        [3.0, 4.0, 2000 / np.sqrt(3) / 10]
+    )
+
+
+def test_a_step_that_is_put_back_moves_no_switch() -> None:
+    """The source's switches and branches are as they were."""
+    net = ring()
+    feeder = import_network(net)
+    run = run_day(new_scenario(feeder), RunOptions(controller="idle"), steps=1)
+    run.apply_to(net, feeder, run.steps["time"].iloc[0])
+    before = ring()
+    pd.testing.assert_frame_equal(net.switch, before.switch)
+    pd.testing.assert_frame_equal(net.line, before.line)

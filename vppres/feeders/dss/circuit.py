@@ -24,6 +24,7 @@ from vppres.feeders.feeder import ImportedFeeder, Profile
 from vppres.feeders.net.balance import PHASES, PhasePowers
 from vppres.feeders.net.elements import label
 from vppres.feeders.net.ratings import NO_LIMIT_KA
+from vppres.feeders.net.switches import LOCKED
 from vppres.feeders.strangers.confined import confined
 from vppres.scenario.network import BusId
 
@@ -261,6 +262,7 @@ def _build(found: dict[str, Any]) -> tuple[Any, dict[int, BusId]]:
     pp.create_buses(net, len(names), vn_kv=[bus["kv"] for bus in found["buses"]], name=names)
     at = {name: i for i, name in enumerate(names)}
     _add_lines(net, found["lines"], at)
+    _add_switches(net, found["lines"])
     transformers = [*_banks(found["transformers"])]
     for transformer in transformers:
         _add_transformer(net, transformer, at)
@@ -332,6 +334,17 @@ def _add_lines(net: Any, lines: list[dict[str, Any]], at: dict[str, int]) -> Non
         name=[line["name"] for line in lines],
         in_service=[line["closed"] for line in lines],
     )
+
+
+def _add_switches(net: Any, lines: list[dict[str, Any]]) -> None:
+    """Switches on the lines that are one; those that a control locks say so."""
+    import pandapower as pp
+
+    found = [(i, line) for i, line in enumerate(lines) if line["switch"]]
+    for i, line in found:
+        start = int(net.line.at[i, "from_bus"])
+        pp.create_switch(net, start, i, "l", closed=line["closed"], type="LBS", name=line["name"])
+    net.switch[LOCKED] = ["locked in the source" if line["locked"] else "" for _, line in found]
 
 
 def _of_three(n_phases: int) -> float:

@@ -462,6 +462,7 @@ def _branches() -> tuple[Table, Table]:
     """Lines, reactors and capacitors between two buses, and what is at one bus only."""
     branches: Table = []
     shunts: Table = []
+    switches = _switches()
     for kind in ("line", "reactor", "capacitor"):
         for name in _of(kind):
             own = name if kind == "line" else f"{kind}.{name}"
@@ -472,13 +473,14 @@ def _branches() -> tuple[Table, Table]:
             if len(buses) == 2:
                 port = elements().TwoPort(nodes, y)
                 if port.phases:
-                    branches.append(_branch(own, kind, port, amps))
+                    told = {"switch": own in switches, "locked": switches.get(own, False)}
+                    branches.append({**_branch(own, kind, port, amps), **told})
                     continue
             if kind == "line" and len(set(ends)) == 2:  # open, but there
                 branches.append(
                     {"name": own, "element": f"{kind}.{name}", "start": ends[0], "end": ends[1],
-                     "closed": False, "amps": amps, "phases": 1, "carried_kva": 0.0,
-                     "z": [[1.0], [0.0]], "b": [0.0]}
+                     "closed": False, "amps": amps, **_own_impedance(name), "carried_kva": 0.0,
+                     "switch": True, "locked": switches.get(own, False)}
                 )  # fmt: skip
             for bus in buses:
                 at = [i for i, node in enumerate(nodes) if node[0] == bus]
@@ -486,6 +488,35 @@ def _branches() -> tuple[Table, Table]:
                 power = elements().power_at_nominal(ends_here, y[np.ix_(at, at)], _base_kv(bus))
                 shunts.append({"name": own, "bus": bus, "p_kw": power.real, "q_kvar": power.imag})
     return branches, shunts
+
+
+def _switches() -> dict[str, bool]:
+    """Lines that are switches, or have a control of one, and whether this is locked."""
+    found = {
+        name: False for name in _of("line") if dss.Lines.Name(name) is None and dss.Lines.IsSwitch()
+    }
+    for name in _of("swtcontrol"):
+        dss.SwtControls.Name(name)
+        kind, _, line = dss.SwtControls.SwitchedObj().lower().partition(".")
+        if kind == "line":
+            found[line] = bool(dss.SwtControls.IsLocked())
+    return found
+
+
+def _own_impedance(line: str) -> dict[str, Any]:
+    """Phases of an open line, with its series impedance as if it were closed; it charges nothing.
+
+    Its own admittances are those of no line.
+    """
+    element = dss.CktElement.Name()
+    dss.Lines.Name(line)
+    n, length = dss.Lines.Phases(), dss.Lines.Length()
+    z = [
+        (np.asarray(matrix, dtype=float) * length).tolist()
+        for matrix in (dss.Lines.RMatrix(), dss.Lines.XMatrix())
+    ]
+    dss.Circuit.SetActiveElement(element)
+    return {"phases": n, "z": z, "b": [0.0] * n**2}
 
 
 def _branch(name: str, kind: str, port: Any, amps: float | None) -> dict[str, Any]:

@@ -181,61 +181,90 @@ def _on_lines(net: Any, joined: NetCase) -> Iterator[_Found]:
     once = {
         pair for pair, count in pd.Series(pairs, dtype=object).value_counts().items() if count == 1
     }
-    standing: dict[int, list[Any]] = {}
-    for i, element in _closed(net):
+    standing: dict[int, list[tuple[Any, bool]]] = {}
+    for i, element, apart in _closed(net, joined):
         line = row_of.get(element)
         if line is not None and pairs[line] in once:
-            standing.setdefault(line, []).append(i)
+            standing.setdefault(line, []).append((i, apart))
     for line, switches in sorted(standing.items()):
         branch = branches.iloc[line]
-        own = net.switch.loc[switches]
-        table = net[branch["table"]]
-        name = _name(table.loc[branch["element"]]) or _one_name(own)
+        own = net.switch.loc[[i for i, _ in switches]]
+        names = [_name(net[branch["table"]].loc[branch["element"]]), _one_name(own)]
+        if len(switches) == 1 and switches[0][1]:
+            names.reverse()  # the switch is an element of its own
+        name = next(filter(None, names), "")
         yield _Found(name, (int(branch["from"]), int(branch["to"])), *_told(own))
 
 
-def _closed(net: Any) -> Iterator[tuple[Any, tuple[str, Any]]]:
-    """Closed switches, and the branch that each cuts off alone."""
+def _closed(net: Any, joined: NetCase) -> Iterator[tuple[Any, tuple[str, Any], bool]]:
+    """Closed switches, the branch that each cuts off alone, and whether they lie beside it."""
     closed = net.switch[net.switch["closed"].astype(bool)]
     for i, switch in closed.iterrows():
         if switch["et"] in TABLE_OF:
-            yield i, (TABLE_OF[switch["et"]], switch["element"])
+            yield i, (TABLE_OF[switch["et"]], switch["element"]), False
         elif switch["et"] == "b" and float(switch["z_ohm"]) > 0.0:
-            yield i, ("switch", i)
-    joining = closed[(closed["et"] == "b") & ~(closed["z_ohm"] > 0.0)]
-    yield from _cutting_off(net, joining)
+            yield i, ("switch", i), False
+    for i, branch in _cutting_off(net, [*_joints(net, closed, joined)]):
+        yield i, branch, True
 
 
-def _cutting_off(net: Any, joining: pd.DataFrame) -> Iterator[tuple[Any, tuple[str, Any]]]:
+class _Joint(NamedTuple):
+    """A closed switch, or a line of next to no impedance, that makes one bus of two."""
+
+    switch: Any | None
+    line: Any | None
+    start: int
+    end: int
+
+
+def _joints(net: Any, closed: pd.DataFrame, joined: NetCase) -> Iterator[_Joint]:
+    """Switches and lines between buses that are one in the network."""
+    for i, switch in closed[(closed["et"] == "b") & ~(closed["z_ohm"] > 0.0)].iterrows():
+        real = i if switch["type"] != JOINT else None
+        yield _Joint(real, None, int(switch["bus"]), int(switch["element"]))
+    on_line = closed[closed["et"] == "l"].drop_duplicates("element")
+    switch_on = dict(zip(on_line["element"], on_line.index, strict=True))
+    lines = in_service(net, "line")
+    for i, *ends in lines[[*ENDS["line"]]].itertuples(name=None):
+        start, end = map(int, ends)
+        row = joined.bus_at.get(start)
+        if row is not None and row == joined.bus_at.get(end):
+            yield _Joint(switch_on.get(i), i, start, end)
+
+
+def _cutting_off(net: Any, joints: list[_Joint]) -> Iterator[tuple[Any, tuple[str, Any]]]:
     """Switches within one bus of the network, of which one side is the end of one branch alone."""
-    near: dict[int, list[tuple[Any, int]]] = {}
-    for i, start, end in zip(joining.index, joining["bus"], joining["element"], strict=True):
-        near.setdefault(int(start), []).append((i, int(end)))
-        near.setdefault(int(end), []).append((i, int(start)))
+    near: dict[int, list[tuple[_Joint, int]]] = {}
+    for joint in joints:
+        near.setdefault(joint.start, []).append((joint, joint.end))
+        near.setdefault(joint.end, []).append((joint, joint.start))
     owned = {int(bus) for table in ASSETS if table in net for bus in in_service(net, table)["bus"]}
+    inside = {("line", joint.line) for joint in joints}
     ends: dict[int, list[tuple[str, Any]]] = {}
-    tables = {**ENDS, "trafo3w": ("hv_bus", "mv_bus", "lv_bus")}
-    for table, sides in tables.items():
+    for table, sides in {**ENDS, "trafo3w": ("hv_bus", "mv_bus", "lv_bus")}.items():
         for i, *buses in in_service(net, table)[list(sides)].itertuples(name=None):
-            for bus in buses:
+            for bus in buses if (table, i) not in inside else ():
                 ends.setdefault(int(bus), []).append((table, i))
-    real = joining[joining["type"] != JOINT]
-    for i, start, end in zip(real.index, real["bus"], real["element"], strict=True):
-        for first, other in ((int(start), int(end)), (int(end), int(start))):
-            side = _reached(first, near, i)
+    for joint in joints:
+        for first, other in ((joint.start, joint.end), (joint.end, joint.start)):
+            if joint.switch is None:
+                continue
+            side = _reached(first, near, joint)
             branches = [branch for bus in side for branch in ends.get(bus, ())]
             alone = len(branches) == 1 and branches[0][0] in ENDS and not side & owned
             if other not in side and alone:
-                yield i, branches[0]
+                yield joint.switch, branches[0]
                 break
 
 
-def _reached(bus: int, near: Mapping[int, Iterable[tuple[Any, int]]], without: Any) -> set[int]:
+def _reached(
+    bus: int, near: Mapping[int, Iterable[tuple[_Joint, int]]], without: _Joint
+) -> set[int]:
     """Buses that are joined to one without a switch."""
     found, ahead = {bus}, [bus]
     while ahead:
-        for i, other in near.get(ahead.pop(), ()):
-            if i != without and other not in found:
+        for joint, other in near.get(ahead.pop(), ()):
+            if joint is not without and other not in found:
                 found.add(other)
                 ahead.append(other)
     return found
