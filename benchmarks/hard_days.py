@@ -17,15 +17,15 @@ from benchmarks.random_feeders import random_rules
 from benchmarks.usual_battery import USUAL_BATTERY
 from vppres.contract.forecast import Forecaster, ForecastErrors
 from vppres.contract.observation import Observation
-from vppres.contract.switching import SwitchingState
 from vppres.control.converged import dark_steps, physics_of, without_power
 from vppres.core.arrays import Flags, Floats, Names, Wholes
+from vppres.kinds.customer.data import SwitchingRules
+from vppres.kinds.customer.physics import SwitchingState
 from vppres.model.beyond_paper.losses import lossless
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
-from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import HARD, REPORT, ControllerDefaults, Scenario
 from vppres.scenario.timegrid import TimeGrid
 

@@ -9,12 +9,12 @@ import numpy as np
 import pandas as pd
 from numpy.random import Generator
 
-from vppres.contract.switching import SwitchingState
 from vppres.core.arrays import Flags, Floats, Names
+from vppres.kinds.customer.data import SwitchingRules
+from vppres.kinds.customer.physics import SwitchingState
 from vppres.model.data import WindowData
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.network import Network
-from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import HARD, REPORT, ControllerDefaults, Scenario
 from vppres.scenario.timegrid import TimeGrid
 

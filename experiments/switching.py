@@ -17,8 +17,8 @@ from experiments.rows import Row
 from experiments.runner import Results
 from vppres.contract.forecast import ForecastErrors
 from vppres.day.options import RunOptions
+from vppres.kinds.customer.data import SwitchingRules
 from vppres.report.plots.drawing import GREEN, GREY
-from vppres.scenario.rules import SwitchingRules
 
 LABEL = "not in the paper"
 TITLE = "Switching rules"

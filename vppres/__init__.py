@@ -25,7 +25,7 @@ _HOME_OF = {
     "RunOptions": "vppres.day.options",
     "Scenario": "vppres.scenario.scenario",
     "SetPoints": "vppres.live.set_points",
-    "SwitchingRules": "vppres.scenario.rules",
+    "SwitchingRules": "vppres.kinds.customer.data",
     "Trajectory": "vppres.day.trajectory",
     "VppresError": "vppres.core.errors",
     "explain_day": "vppres.explain.day",

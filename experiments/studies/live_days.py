@@ -115,7 +115,6 @@ class _Judged(Player):
     def _step(self, t: int) -> None:
         super()._step(t)
         plan = self.judge.runner.last
-        assert plan is not None
         self.judge.look(plan)
 
 

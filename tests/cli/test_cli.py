@@ -21,6 +21,7 @@ from vppres.cli import commands as cli
 from vppres.cli import progress
 from vppres.cli.progress import progress_bar
 from vppres.day import simulate
+from vppres.scenario.option_table import IMPORT_OPTIONS
 
 NOT_OF_A_RUN = (
     "distributed", "fastapi", "matplotlib", "networkx", "opendssdirect", "pandapower", "resvg_py",
@@ -381,10 +382,17 @@ OF_RUN_ALONE = {
 }
 
 
+# What these share with `new`, to which the page refers.
+IMPORT = {f"--{option.name}" for option in IMPORT_OPTIONS}
+OF_NEW = {"reconfigure": IMPORT}
+
+
 @pytest.mark.parametrize("command", sorted(set(COMMANDS) - set(OF_RUN_ALONE)))
 def test_documentation_lists_every_option(command: str) -> None:
-    own = [name for name in option_names(command) if name not in OF_ALL]
+    known = OF_ALL | OF_NEW.get(command, set())
+    own = [name for name in option_names(command) if name not in known]
     assert documented_options(command) == own
+    assert set(documented_options("new")) >= IMPORT
 
 
 @pytest.mark.parametrize("command", sorted(OF_RUN_ALONE))

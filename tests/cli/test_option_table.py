@@ -20,10 +20,10 @@ from vppres.core.errors import InputError
 from vppres.day import options as day_options
 from vppres.day.options import RunOptions
 from vppres.io import read_scenario, schema, write_scenario
+from vppres.kinds.customer.data import SwitchingRules
 from vppres.model.numerics import POLYGON_SIDES
 from vppres.scenario.fairness import Fairness
 from vppres.scenario.option_table import OPTIONS, Option, section_options
-from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import ControllerDefaults, Headroom, Priority
 from vppres.studies import sweep_parameters
 

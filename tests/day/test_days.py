@@ -19,8 +19,8 @@ from vppres.day.options import RunOptions
 from vppres.day.recorder import Recorder
 from vppres.day.simulate import run_day
 from vppres.day.trajectory import Trajectory
+from vppres.kinds.customer.data import SwitchingRules
 from vppres.report.run_folder import DAYS_FILE, write_run
-from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 
 

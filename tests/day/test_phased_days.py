@@ -20,8 +20,8 @@ from vppres import RunOptions, run_day
 from vppres.core.arrays import Floats
 from vppres.day.faults import FaultPlan, SolverOutage
 from vppres.day.trajectory import Trajectory
+from vppres.kinds.customer.data import SwitchingRules
 from vppres.scenario.phases import PhaseConnection
-from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 
 pytest.importorskip("opendssdirect")

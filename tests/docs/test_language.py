@@ -22,6 +22,7 @@ TEXTS = [
     *sorted((ROOT / "vppres" / "service" / "page").glob("*.html")),
 ]
 MOST_TERMS = 40
+MOST_WORDS = 45_000
 
 # Everyday words for technical things, each with what to write.
 BANNED = {
@@ -125,3 +126,9 @@ def test_the_glossary_is_short_sorted_and_linked() -> None:
     assert len(terms) <= MOST_TERMS
     assert terms == sorted(terms, key=str.lower)
     assert "{doc}`glossary`" in (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
+
+
+def test_the_pages_are_short_enough_to_be_read() -> None:
+    pages = [path.read_text(encoding="utf-8") for path in (ROOT / "docs").glob("**/*.md")]
+    # Bars of tables are no words.
+    assert len("\n".join(pages).replace("|", "").split()) <= MOST_WORDS

@@ -26,10 +26,10 @@ from vppres.io import (
 )
 from vppres.io.editor import json_schema
 from vppres.io.python_door import check_scenario
+from vppres.kinds.customer.data import SwitchingRules
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.fairness import Fairness, Interruption
 from vppres.scenario.network import BUS_DRAWS, LINE_DEFAULTS, Network
-from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import ControllerDefaults, ObjectiveWeights, Scenario
 from vppres.scenario.timegrid import TimeGrid
 

@@ -28,11 +28,11 @@ from vppres.contract.decision import Decision
 from vppres.control.guard.check import violations
 from vppres.day.metrics import service_by_customer
 from vppres.io.digest import scenario_digest
+from vppres.kinds.customer.data import SwitchingRules
 from vppres.model.site import Site
 from vppres.plant.plant import Plant
 from vppres.report.run_folder import render_report
 from vppres.scenario.priority import Ranks
-from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock, written
 from vppres.service.operation.runner import Service

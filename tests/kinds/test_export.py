@@ -26,7 +26,6 @@ from tests.support.small_windows import (
 )
 from vppres.contract.export import Export
 from vppres.contract.forecast import ForecastErrors
-from vppres.contract.switching import SwitchingState
 from vppres.control.converged import physics_of
 from vppres.core.errors import InputError
 from vppres.day.metrics import summarise
@@ -34,6 +33,7 @@ from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.explain.day import explain_day
 from vppres.io import find_scenario, read_scenario, scenario_digest, write_scenario
+from vppres.kinds.customer.physics import SwitchingState
 from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
 from vppres.model.beyond_paper.export import ExportToGrid

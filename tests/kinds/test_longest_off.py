@@ -14,18 +14,18 @@ from tests.support.agreement import assert_methods_agree
 from tests.support.builders import HERE, live
 from tests.support.small_windows import DARK, OPEN, full_of, two_buses, window
 from vppres import RunOptions, explain_day, run_day, summarise
-from vppres.contract.switching import SwitchingState
 from vppres.control.planner import levels_of
 from vppres.control.rules import rule_dispatch
 from vppres.control.step_state import StepState
 from vppres.day import priority
+from vppres.kinds.customer.data import SwitchingRules
+from vppres.kinds.customer.physics import SwitchingState
 from vppres.model.beyond_paper.table import beyond_paper
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.report.run_folder import render_report
 from vppres.scenario.priority import Ranks
 from vppres.scenario.remarks import remarks
-from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 from vppres.solve.apart import better
 from vppres.solve.ladder import METHODS, WindowSolver

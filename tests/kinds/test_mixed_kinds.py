@@ -27,15 +27,15 @@ from vppres import (
     run_day,
 )
 from vppres.contract.ahead import KindsAhead
-from vppres.contract.switching import SwitchingState
 from vppres.feeders.closeness import extreme_steps
 from vppres.feeders.cross_check import cross_check
+from vppres.kinds.customer.data import SwitchingRules
+from vppres.kinds.customer.physics import SwitchingState
 from vppres.kinds.vehicles.physics import Plugged
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.model.violations import broken
 from vppres.report.plots.figures import import_load_pv, indoor
-from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 
 OFTEN = 0.7

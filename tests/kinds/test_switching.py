@@ -6,6 +6,7 @@ import itertools
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from math import ceil
 from pathlib import Path
 
 import cvxpy as cp
@@ -27,7 +28,6 @@ from tests.support.small_windows import (
 from vppres.contract.forecast import Forecast, ForecastErrors
 from vppres.contract.moves import Moves
 from vppres.contract.observation import Observation
-from vppres.contract.switching import RuleSteps, SwitchingData, SwitchingState
 from vppres.control.planner import OnePass, plan_with_rules
 from vppres.core.errors import InfeasibleError, InputError
 from vppres.day.metrics import summarise
@@ -35,12 +35,12 @@ from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
 from vppres.day.trajectory import Trajectory
 from vppres.io import find_scenario, read_scenario
-from vppres.model.beyond_paper import switching as switching_rules
-from vppres.model.beyond_paper.switching import SwitchingModel
+from vppres.kinds.customer import rows as switching_rules
+from vppres.kinds.customer.data import RuleSteps, SwitchingRules
+from vppres.kinds.customer.physics import SwitchingData, SwitchingState
+from vppres.kinds.customer.rows import SwitchingModel
 from vppres.model.site import Site
 from vppres.model.statement import Statement
-from vppres.physics.cold_load import ColdLoad
-from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 from vppres.solve.ladder import METHODS, WindowSolver
 from vppres.solve.result import WindowSolution
@@ -356,16 +356,21 @@ def test_rules_are_judged_as_the_checker_judges_them(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_plant_and_model_know_the_same_cold_load(seed: int) -> None:
+def test_cold_load_lasts_for_its_steps_after_each_restoration(seed: int) -> None:
     rng = np.random.default_rng(seed)
     rules = SwitchingRules(cold_load_factor=1.5, cold_load_h=float(rng.uniform(0.0, 2.0)))
-    state, plant = SwitchingState.start(rules, 0.5, 6), ColdLoad(rules, 0.5, 6)
+    lasts = max(ceil(rules.cold_load_h / 0.5), 1)
     ahead = rng.random((12, 6)) < 0.7
+    factors = np.ones((12, 6))
+    for c, on in enumerate(ahead.T):
+        for first in np.flatnonzero(np.diff(np.concatenate([[True], on]).astype(int)) == 1):
+            still_on = np.cumprod(on[first : first + lasts]).sum()
+            factors[first : first + still_on, c] = 1.5
+    state = SwitchingState.start(rules, 0.5, 6)
     for t, served in enumerate(ahead):
-        model = state.window(12 - t).demand_factor(ahead[t:])
-        assert model[0].tolist() == plant.factors(served).tolist()
+        assert state.demand_factor(served).tolist() == factors[t].tolist()
+        assert state.window(12 - t).demand_factor(ahead[t:]).tolist() == factors[t:].tolist()
         state = state.advance(served)
-        plant.advance(served)
 
 
 # Real days.

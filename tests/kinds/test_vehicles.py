@@ -395,7 +395,7 @@ def test_a_replay_of_stored_plans_keeps_past_days() -> None:
     day = history(two_buses([[1.0]] * 6, [1.0], [OPEN] * 6))
     told = {"vehicle": "car9", "leaves": written(day.grid.times[2])}
     plan = {"expected": {"vehicles": {"k0": {**told, "energy_kwh": 5.0, "needed_kwh": 9.0}}}}
-    replayed = told_by_plans(day, [plan, *[None] * 5])
+    replayed = told_by_plans(day, [plan, *[{}] * 5])
     assert "car9" in replayed.sessions.vehicle
     kept, past = PastDays.of(replayed, 0), PastDays.of(day, 0)
     assert kept is not None and past is not None

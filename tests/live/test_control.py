@@ -22,7 +22,7 @@ from vppres.control.mpc import MPCController
 from vppres.core.errors import LimitError, SolveError, VerificationError
 from vppres.day.assembly import make_controller
 from vppres.day.simulate import Day
-from vppres.scenario.rules import SwitchingRules
+from vppres.kinds.customer.data import SwitchingRules
 from vppres.solve.result import SolveLimits, WindowSolution
 
 SOC = {"big": 0.5, "small": 0.5}

@@ -15,11 +15,11 @@ from tests.support.long_days import repeated
 from tests.support.same_steps import same
 from vppres.core.errors import InputError
 from vppres.day.options import RunOptions
+from vppres.kinds.customer.data import SwitchingRules
 from vppres.live.controller import Controller
 from vppres.live.feed import Feed
 from vppres.live.measurement import Measurement
 from vppres.live.set_points import SetPoints
-from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 
 HOUR = pd.Timedelta("1h")

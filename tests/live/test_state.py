@@ -24,13 +24,13 @@ from vppres.core.errors import InputError
 from vppres.core.plain import from_plain, to_plain
 from vppres.day.options import RunOptions
 from vppres.io.find import load_scenario
+from vppres.kinds.customer.data import SwitchingRules
 from vppres.live.controller import Controller
 from vppres.live.feed import Feed
 from vppres.live.measurement import Measurement
 from vppres.live.set_points import SetPoints
 from vppres.scenario.history import History
 from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
-from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 
 RULES = SwitchingRules(

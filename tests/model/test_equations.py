@@ -23,8 +23,8 @@ from vppres.contract.dispatch import Dispatch
 from vppres.contract.operating_point import OperatingPoint
 from vppres.control.guard.partial_fleet import site_with
 from vppres.core.arrays import Floats
+from vppres.kinds.customer.rows import ColdDemand
 from vppres.model import formulas, objective
-from vppres.model.beyond_paper.switching import ColdDemand
 from vppres.model.beyond_paper.table import beyond_paper
 from vppres.model.constraints import Named
 from vppres.model.data import Physics, WindowData

@@ -18,14 +18,13 @@ from tests.support.random_forms import window_of
 from tests.support.sets import gensets
 from tests.support.small_windows import DARK, OPEN, battery, two_buses, window
 from vppres import solve
-from vppres.contract.switching import RuleSteps
 from vppres.core.errors import InputError, ModelError
+from vppres.kinds.customer.data import RuleSteps
+from vppres.kinds.customer.rows import LongestTimeOff, SwitchingModel
 from vppres.model import problem
 from vppres.model.beyond_paper.addition import Addition
 from vppres.model.beyond_paper.dimmed import DimmedDemand
 from vppres.model.beyond_paper.former_phases import FormerPhases
-from vppres.model.beyond_paper.longest_off import LongestTimeOff
-from vppres.model.beyond_paper.switching import SwitchingModel
 from vppres.model.beyond_paper.table import additions, beyond_paper, own_parts
 from vppres.model.constraints import Named
 from vppres.model.data import WindowData

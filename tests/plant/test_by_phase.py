@@ -16,13 +16,13 @@ from tests.support.three_phases import three_phases
 from tests.support.vans import chargers, plugged_in, with_random_vehicles
 from vppres.contract.decision import Decision
 from vppres.kinds.cooling.physics import Climate
+from vppres.kinds.customer.data import SwitchingRules
 from vppres.kinds.table import KINDS, units_of
 from vppres.physics.feeder import power_flows
 from vppres.plant.collapse import realise
 from vppres.plant.island import IslandPlant, Settled
 from vppres.plant.plant import BatteryState, Plant
 from vppres.scenario.assets import Batteries
-from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 
 CONNECTED, DARK = 0, 3

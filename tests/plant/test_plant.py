@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 from benchmarks.random_feeders import random_scenario
 from tests.support.set_points import decision, state
 from vppres.contract.decision import Decision
+from vppres.kinds.customer.data import SwitchingRules
 from vppres.plant.plant import Plant, Powers, Realised
-from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 
 

@@ -407,7 +407,7 @@ def test_one_former_that_is_left_is_an_alarm(tiny: Scenario, tmp_path: Path) -> 
 def test_fallbacks_that_last(live: Running, monkeypatch: pytest.MonkeyPatch) -> None:
     http, clock, runner = live
     decided(http, clock, NOON)
-    assert runner.last is not None
+    assert runner.last
     runner.last = {**runner.last, "status": "fallback"}
     runner.last["solve"] = {"fallback": "previous_plan", "fallback_reason": "time limit"}
     runner.check_alarms()

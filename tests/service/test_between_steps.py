@@ -154,7 +154,7 @@ def test_the_loop_answers_a_lost_grid_within_seconds(live: Running) -> None:
         machine.sleep(0.2)
         http.post("/v1/telemetry", grid(0.0))
         begin = machine.monotonic()
-        while runner.last is None or "anew" not in runner.last:
+        while not runner.last or "anew" not in runner.last:
             assert machine.monotonic() < begin + 30.0
             machine.sleep(0.02)
         assert runner.changes.reasons == ()

@@ -53,7 +53,7 @@ def begun(tiny: Scenario, tmp_path: Path) -> Iterator[tuple[Any, SetClock, Runne
 
 def planned_with(runner: Runner, quantity: str, asset: str) -> Any:
     """What the last plan took a quantity for."""
-    assert runner.last is not None
+    assert runner.last
     measured = getattr(
         runner.expected[runner.last["id"]], {"online": "connected"}.get(quantity, quantity), None
     )

@@ -124,7 +124,7 @@ def test_readings_go_in_and_set_points_come_out(tmp_path: Path, broker: int) -> 
         told = {
             t.rpartition("/")[2]: json.loads(v) for t, v in device.told.items() if "points" in t
         }
-        assert runner.last is not None
+        assert runner.last
         for one in runner.last["setpoints"]:
             assert told[one["asset"]]["id"] == one["id"] and told[one["asset"]]["active"]
         device.client.publish("vppres/telemetry/grid/grid_on", "0", qos=1)
@@ -169,7 +169,7 @@ def test_the_broker_forgets_a_set_point_that_has_ended(tmp_path: Path, broker: i
         bridge.broker.connect("127.0.0.1", broker)
         bridge.broker.loop_start()
         within(10, bridge.broker.is_connected)
-        assert isinstance(runner.clock, SetClock) and runner.last is not None
+        assert isinstance(runner.clock, SetClock) and runner.last
         ends = pd.Timestamp(runner.last["setpoints"][0]["valid_until"])
         runner.clock.set(ends - pd.Timedelta("2s"))
         bridge.turn()

@@ -390,7 +390,7 @@ def test_an_outage_and_what_goes_wrong_in_it(
 
     monkeypatch.setattr(explainer, "_asked", explained_here)
     decide(runner, NIGHT + 2 * HOUR, soc=0.17)
-    assert runner.last is not None
+    assert runner.last
     off = [one["asset"] for one in runner.last["setpoints"] if one.get("served") is False]
     runner.last["solve"]["shorter"] = "shop waits while homes have 5.0 kW, enough for 7 of 60 min"
     with listening(make_app(runner, Access())) as address:

@@ -312,7 +312,7 @@ def test_a_higher_tier_that_waits_for_a_lower_one_is_on_the_page(
 ) -> None:
     with running(tiny, tmp_path / "state") as (http, clock, runner):
         decided(http, clock, NOON, soc=0.85)
-        assert runner.last is not None
+        assert runner.last
         runner.last["solve"]["inverted"] = "hospital is off supply, while homes have 50.0 kW"
         found = told(http, tmp_path)["attention"]
     words = "A lower tier is on while a higher one waits: hospital is off supply, while homes have 50.0 kW."

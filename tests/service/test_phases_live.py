@@ -114,7 +114,7 @@ def test_a_service_hears_and_orders_by_phase(
     with opened(Service(day, OPTIONS), tmp_path, SetClock(start)) as runner:
         site = site_of(runner)
         plan = runner.store.step(start)
-        assert plan is not None
+        assert plan
         told = {one["asset"]: one["phases"] for one in plan["setpoints"]}
         assert told == site["phases"] and told["ba"] == "a"
         check_expected(plan, evening, player.world.records[0].steps)

@@ -413,7 +413,7 @@ def test_the_loop_decides_the_present_step_and_waits_for_the_next(
     clock = SetClock(NOON + pd.Timedelta("10min"))
     with opened(Service(site(tiny), HERE), tmp_path, clock) as runner:
         assert Loop(runner)._once() == 50 * 60.0
-        assert runner.last is not None and runner.last["start"] == written(NOON)
+        assert runner.last and runner.last["start"] == written(NOON)
 
 
 @pytest.mark.nightly

@@ -124,7 +124,7 @@ def test_a_stop_of_days_is_missed_and_one_of_weeks_a_clock(tiny: Scenario, tmp_p
         assert decided(runner, http)["status"] == "ok"
         assert runner.outcomes["missed"] == 71
         # Nor is anything too old of a sudden.
-        assert runner.store.step(NOON) is not None
+        assert runner.store.step(NOON)
 
 
 def test_a_state_that_is_cut_gives_way_to_the_one_before(

@@ -76,7 +76,7 @@ def test_every_step_is_explained_as_the_run_is(
     with opened(Service(day, options, rehearsal=True), tmp_path) as runner:
         for time in day.grid.times:
             plan = runner.store.step(time)
-            assert plan is not None
+            assert plan
             found = explained(question(runner, plan))
             rows = run.explanations[run.explanations["time"] == time]
             assert found["step"]["words"] == rows.iloc[0]["words"], time
@@ -122,7 +122,7 @@ def test_a_plan_of_the_second_half_of_a_step_is_explained_as_it_is(
         clock.set(lost)
         http.post("/v1/telemetry", {"series": readings(lost, "grid_on", {"grid": 0.0})})
         plan = runner.anew()
-        assert plan is not None
+        assert plan
         found = explained(question(runner, plan))
         service = Service(site(tiny), HERE)
         run = exported(service, runner.store, NOON, NOON + pd.Timedelta("1h"))
@@ -208,7 +208,7 @@ def test_a_plan_that_leaves_a_customer_off_is_explained_before_anybody_asks(
         monkeypatch.setattr(explainer, "_asked", None)  # who asks now starts nothing
         while (answer := http.get("/v1/explanations")).status == 429:  # it is being made
             machine.sleep(0.02)
-        assert runner.last is not None
+        assert runner.last
         found = answer.json()
     off = {one["asset"] for one in runner.last["setpoints"] if one.get("served") is False}
     told = {one["asset"]: one["words"] for one in found["reasons"] if one["asset"] in off}

@@ -18,12 +18,12 @@ from tests.support.small_windows import (
     window,
     with_pv,
 )
-from vppres.contract.switching import SwitchingState
 from vppres.core.errors import InfeasibleError
 from vppres.io import find_scenario, read_scenario
+from vppres.kinds.customer.data import SwitchingRules
+from vppres.kinds.customer.physics import SwitchingState
 from vppres.model.data import WindowData
 from vppres.model.site import Site
-from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 from vppres.solve.apart import falls_apart, solve_apart
 from vppres.solve.cache import shared_cache

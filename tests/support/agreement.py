@@ -8,8 +8,8 @@ import pytest
 
 from tests.support.dispatch_check import check_dispatch
 from tests.support.small_windows import CHECKER_TOLERANCE
-from vppres.contract.switching import SwitchingState
 from vppres.core.errors import InfeasibleError
+from vppres.kinds.customer.physics import SwitchingState
 from vppres.model.data import WindowData
 from vppres.model.site import Site
 from vppres.model.violations import broken

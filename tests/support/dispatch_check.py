@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from vppres.contract.dispatch import Dispatch
-from vppres.contract.switching import SwitchingState
 from vppres.core.arrays import Floats
+from vppres.kinds.customer.physics import SwitchingState
 from vppres.model.data import WindowData
 from vppres.scenario.scenario import Scenario
 

@@ -19,7 +19,7 @@ from tests.support.asgi import Caller
 from tests.support.long_days import repeated
 from tests.support.tiny_day import tiny_scenario
 from vppres.day.options import RunOptions
-from vppres.scenario.rules import SwitchingRules
+from vppres.kinds.customer.data import SwitchingRules
 from vppres.service.access import Access
 from vppres.service.clock import written
 from vppres.service.http.app import make_app
@@ -41,7 +41,7 @@ def telemetry(runner: Runner, t: int) -> dict[str, Any]:
     """Readings of devices before a step: they did as the step before had planned."""
     now = runner.scenario.grid.times[t]
     last = runner.store.step(now - runner.length)
-    soc = {"big": 0.4, "small": 0.5} if last is None else last["expected"]["soc"]
+    soc = {"big": 0.4, "small": 0.5} if not last else last["expected"]["soc"]
     reading = {"source": "devices", "quantity": "soc", "start": written(now), "resolution": "PT1H"}
     return {"series": [{**reading, "asset": a, "values": [v]} for a, v in soc.items()]}
 
@@ -52,7 +52,7 @@ def play(folder: Path, n_steps: int, done: int) -> None:
         http = Caller(make_app(runner, Access()))
         times = list(runner.scenario.grid.times)
         last = runner.last
-        first = 0 if last is None else [written(time) for time in times].index(last["start"]) + 1
+        first = 0 if not last else [written(time) for time in times].index(last["start"]) + 1
         for t in range(first, n_steps):
             heard = http.post("/v1/telemetry", telemetry(runner, t))
             if heard.status == 200:
@@ -97,7 +97,7 @@ def findings(folder: Path, n_steps: int, kills: int, seed: int) -> dict[str, Any
     with opened(service, folder / "killed") as one, opened(service, folder / "alone") as other:
         pairs = [(one.store.step(time), other.store.step(time)) for time in times]
         kept = {r.time for r in one.store.between(times[0], times[-1] + one.length, ["soc"])}
-    plans = {plan["start"]: told(plan) for plan, _ in pairs if plan is not None}
+    plans = {plan["start"]: told(plan) for plan, _ in pairs if plan}
     heard = [int(line.split()[1]) for line in answers if line.startswith("heard")]
     said = [json.loads(line) for line in answers if not line.startswith("heard")]
     return {
@@ -106,7 +106,7 @@ def findings(folder: Path, n_steps: int, kills: int, seed: int) -> dict[str, Any
         "different": [
             str(time)
             for time, (plan, alone) in zip(times, pairs, strict=True)
-            if plan is None or alone is None or told(plan) != told(alone)
+            if not plan or not alone or told(plan) != told(alone)
         ],
         "lost_readings": [at for at in heard if at not in kept],
         "lost_plans": [plan["start"] for plan in said if plans[plan["start"]] != plan],

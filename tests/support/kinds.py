@@ -15,8 +15,8 @@ from tests.support.small_windows import DARK, OPEN, battery, full_of, two_buses,
 from tests.support.vans import chargers, plugged_in, with_random_vehicles
 from vppres import RunOptions
 from vppres.core.arrays import Floats
+from vppres.kinds.customer.data import SwitchingRules
 from vppres.kinds.gensets.data import Refuels
-from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 
 

@@ -70,9 +70,14 @@ def attribute_table_markdown() -> str:
     return "\n\n".join(_table_markdown(title, model) for title, model in TABLES.items()) + "\n"
 
 
+STEP_TIME = "beginning of the step, ISO 8601 with time zone"
+"""The column of every series, which the page explains once, under *Rules*."""
+
+
 def _table_markdown(title: str, model: type[BaseModel]) -> str:
     head = "| name | values | default | meaning |\n|---|---|---|---|"
-    rows = [_row(list(alike)) for _, alike in groupby(attributes(model), _alike)]
+    shown = [attribute for attribute in attributes(model) if attribute.meaning != STEP_TIME]
+    rows = [_row(list(alike)) for _, alike in groupby(shown, _alike)]
     return "\n".join([f"### {title}", "", f"{model.__doc__}", "", head, *rows])
 
 

@@ -11,7 +11,6 @@ import json
 import signal
 import sys
 import threading
-from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
@@ -70,7 +69,6 @@ if TYPE_CHECKING:
     from vppres.feeders.phased_check import PhasedCheck
     from vppres.feeds.follow import Follower
     from vppres.scenario.scenario import Scenario
-    from vppres.studies.sweep import SweepRow
 
 RESULTS = Path("results")
 MOST_DRAWN = 4_500
@@ -387,7 +385,11 @@ def sweep(
         sweep_table(parameter.name, outcomes),
         f"Written to {out}",
     )
-    _report_failures(parameter.name, outcomes)
+    failed = [outcome for outcome in outcomes if outcome.error is not None]
+    for outcome in failed:
+        typer.echo(f"{parameter.name} = {outcome.value}: {outcome.error}", err=True)
+    if failed:
+        raise typer.Exit(1)
 
 
 @app.command(
@@ -839,12 +841,3 @@ def _show(record: object, *shown: Table | str) -> None:
             Console().print(each)
         else:
             typer.echo(each)
-
-
-def _report_failures(name: str, outcomes: Sequence[SweepRow]) -> None:
-    """Say on stderr which runs failed and end with status 1, if any did."""
-    failed = [outcome for outcome in outcomes if outcome.error is not None]
-    for outcome in failed:
-        typer.echo(f"{name} = {outcome.value}: {outcome.error}", err=True)
-    if failed:
-        raise typer.Exit(1)

@@ -10,9 +10,9 @@ from vppres.contract.moves import Moves
 from vppres.contract.operating_point import OperatingPoint
 from vppres.contract.owed import Owed
 from vppres.contract.stored_value import StoredValue
-from vppres.contract.switching import SwitchingData, SwitchingState
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats, Wholes
+from vppres.kinds.customer.physics import SwitchingData, SwitchingState
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vppres.contract.longest_off import ROUNDING
 from vppres.core.arrays import Floats, Wholes
+from vppres.kinds.customer.physics import ROUNDING
 from vppres.scenario.assets import Customers
 
 MOST_SHARE = 2.0

@@ -26,10 +26,10 @@ from vppres.day.faults import FaultInjector, FaultySolver, SolverKilledError
 from vppres.day.options import RULES, RunOptions
 from vppres.day.own import ByStepWeights, Own
 from vppres.day.priority import site_of, weighed
+from vppres.kinds.customer.data import SwitchingRules
 from vppres.model.site import Site
 from vppres.scenario.fairness import Fairness, hours_off
 from vppres.scenario.priority import STRICT
-from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
 from vppres.solve.isolated import IsolatedSolver

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 
 from vppres.core.arrays import Floats, Wholes
 from vppres.day.series import demand_kw, per_step, pv_available_kw, served_kw, stored_energy_kwh
-from vppres.day.switching_figures import switched
 from vppres.day.trajectory import Trajectory
+from vppres.kinds.customer.record import switched
 
 
 def daily_figures(run: Trajectory, zone: str | None = None) -> pd.DataFrame:

@@ -85,19 +85,16 @@ def named_forecasts(
     if name == PAPER:
         return PaperForecaster(scenario, errors, seed)
     if name == FILE:
-        return MeasuredForecasts(scenario, _given_quantiles(scenario, file))
-    return MeasuredForecasts(scenario, FORECASTERS[name])
-
-
-def _given_quantiles(scenario: Scenario, file: str | None) -> ForecastMethod:
-    """Your own forecasts; of the present step's issue they are the forecast of the next."""
-    if file is None:
-        cure = "Give the file: --forecast-file FILE."
-        raise InputError.of(
-            "options", "needs a file of quantiles", cure, field="forecaster", value=FILE
+        if file is None:
+            cure = "Give the file: --forecast-file FILE."
+            raise InputError.of(
+                "options", "needs a file of quantiles", cure, field="forecaster", value=FILE
+            )
+        step = scenario.grid.step
+        return MeasuredForecasts(
+            scenario, read_quantiles(file, scenario.customers.id, scenario.pv.id, lag=step)
         )
-    step = scenario.grid.step
-    return read_quantiles(file, scenario.customers.id, scenario.pv.id, lag=step)
+    return MeasuredForecasts(scenario, FORECASTERS[name])
 
 
 class MeasuredForecasts:

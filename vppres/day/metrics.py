@@ -17,10 +17,9 @@ from vppres.day.inversions import headroom_words, inversion_words
 from vppres.day.kind_tables import kind_figures, kind_words
 from vppres.day.phase_figures import phase_figures
 from vppres.day.reliability import fairness_figures, reliability_figures
-from vppres.day.switching_figures import switching_figures
-from vppres.day.time_off import time_off_figures, time_off_words
 from vppres.day.trajectory import OPTIONS, Trajectory, supplied, time_on
 from vppres.io.digest import scenario_digest
+from vppres.kinds.customer import record as customer
 from vppres.plant.plant import NOBODY
 from vppres.scenario.remarks import darkness, unknown_phases
 
@@ -63,8 +62,7 @@ def summarise(trajectory: Trajectory) -> dict[str, Any]:
         **island_figures(trajectory),
         **phase_figures(trajectory),
         "import_above_limit_max_kw": import_above_limit_max_kw(trajectory),
-        **switching_figures(trajectory),
-        **time_off_figures(trajectory),
+        **customer.figures(trajectory),
         **kind_figures(trajectory),
         "corrections": int(trajectory.steps["corrected"].sum()),
         **operation_figures(trajectory),
@@ -94,7 +92,7 @@ def cautions(trajectory: Trajectory) -> list[str]:
     return [
         *blackouts(trajectory),
         *([off] if off else []),
-        *time_off_words(trajectory),
+        *customer.cautions(trajectory),
         *kind_words(trajectory),
         *unknown_phases(trajectory.scenario),
         *inversion_words(trajectory),

@@ -12,9 +12,9 @@ from vppres.contract.operating_point import Centre
 from vppres.control.baselines import ReserveRule
 from vppres.control.full_horizon import PVCheck
 from vppres.core.errors import InputError, Problem
+from vppres.kinds.customer.data import SwitchingRules
 from vppres.physics.thermal import ThermalScheme
 from vppres.scenario.option_table import OPTIONS, default_of
-from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 from vppres.solve.result import SolveLimits
 

@@ -122,7 +122,12 @@ class Recorder:
         if step.t != len(self._records):
             raise ValueError(f"step {step.t} recorded, expected step {len(self._records)}")
         self._check_shapes(step)
-        self._records.append(_without_window(step))
+        # Copies: a row would keep the arrays of its whole window.
+        tables: dict[str, Any] = {
+            name: {column: np.array(values) for column, values in getattr(step, name).items()}
+            for name in (*ITEM_COLUMNS, "nodes")
+        }
+        self._records.append(replace(step, **tables))
 
     def finish(
         self, options: Mapping[str, Any], planned: Mapping[str, Any] | None = None
@@ -228,15 +233,6 @@ class Recorder:
                 **changing,
             }
         )
-
-
-def _without_window(step: StepRecord) -> StepRecord:
-    """The record without what its arrays are parts of: a row would keep its whole window."""
-    tables: dict[str, Any] = {
-        name: {column: np.array(values) for column, values in getattr(step, name).items()}
-        for name in (*ITEM_COLUMNS, "nodes")
-    }
-    return replace(step, **tables)
 
 
 def _identifiers(scenario: Scenario) -> dict[str, dict[str, NDArray[Any]]]:

@@ -17,7 +17,6 @@ from vppres.contract.forecast import ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import OperatingPoint
 from vppres.contract.owed import Owed
-from vppres.contract.switching import SwitchingState
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import ModelError, VppresError, function_of
@@ -121,9 +120,6 @@ class Day:
         self.options = options.on(scenario)
         self.faults = faults
         self.plant = Plant(scenario, options.thermal, options.switching)
-        self.switching = SwitchingState.of(
-            options.switching, scenario.customers, scenario.grid.dt_h
-        )
         self.state = self.plant.initial_state()
         errors = ForecastErrors() if options.controller == PERFECT else options.errors
         if faults is not None:
@@ -159,7 +155,7 @@ class Day:
             s.eta_charge,
             s.eta_discharge,
             self.operating_point,
-            self.switching,
+            self.plant.switching,
             battery_kw=self.battery_kw,
             import_kw=self.import_kw,
             served=self.served,
@@ -242,8 +238,6 @@ class Day:
         self.served = realised.served
         self.flexible_kw = realised.flexible_kw
         self.state = self.plant.advance(t, self.state, realised)
-        if self.switching is not None:
-            self.switching = self.switching.advance(realised.served)
         if self.owed is not None:
             self.owed = self.owed.after(
                 realised.load_kw, np.asarray(realised.served * realised.share, dtype=float)

@@ -11,13 +11,13 @@ import pandas as pd
 from vppres.core.arrays import Floats
 from vppres.day.recorder import ROTATED
 from vppres.day.simulate import Progress
-from vppres.day.trajectory import WHOLE_SHARE, Trajectory
-from vppres.explain.dimmed import why_caught_up, why_dimmed
+from vppres.day.trajectory import Trajectory
 from vppres.explain.prices import WORTH, WORTH_GBP, day_prices, step_prices
-from vppres.explain.reasons import why_battery_moved, why_curtailed, why_not_served, why_restored
+from vppres.explain.reasons import why_battery_moved, why_curtailed
 from vppres.explain.recorded import MOVE_KW, Recorded
 from vppres.explain.step import Reason, Step
 from vppres.explain.summary import why_step
+from vppres.kinds.customer import reasons as customer
 from vppres.kinds.table import KINDS, parts
 from vppres.model.phases import phased_model
 from vppres.scenario.phases import PHASES
@@ -104,22 +104,7 @@ def _actions(step: Step) -> list[Row]:
     site = step.site
     t = step.t
     rows = [_row("step", "", step.phase, why_step(step))]
-    rows += [
-        _row("customer", site.customers.id[c], "not_served", why_not_served(step, c))
-        for c in np.flatnonzero(~step.served).tolist()
-    ]
-    rows += [
-        _row("customer", site.customers.id[c], "dimmed", why_dimmed(step, c))
-        for c in np.flatnonzero(step.served & (step.share < WHOLE_SHARE)).tolist()
-    ]
-    rows += [
-        _row("customer", site.customers.id[c], "caught_up", why_caught_up(step, c))
-        for c in np.flatnonzero(step.share > 2.0 - WHOLE_SHARE).tolist()
-    ]
-    rows += [
-        _row("customer", site.customers.id[c], "restored", why_restored(step, c))
-        for c in np.flatnonzero(step.ended & step.served).tolist()
-    ]
+    rows += [_row("customer", *each) for each in customer.reasons(step)]
     rows += [
         _row(
             "battery",

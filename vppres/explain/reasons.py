@@ -5,8 +5,6 @@ The order of the questions is that of the definitions in docs/explanations.md.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from vppres.core.text import named
@@ -47,34 +45,7 @@ UNEXPLAINED = Reason(
 )
 
 
-def why_restored(step: Step, customer: int) -> Reason:
-    """Why a customer is on supply again whose longest time off has ended."""
-    local = step.scenario.grid.local(step.scenario.grid.times[step.t])
-    return Reason(
-        "longest_off", "", f"On at {local:%H:%M}: {_longest_off_words(step, customer)} ends."
-    )
-
-
-def _longest_off_words(step: Step, customer: int) -> str:
-    """How long a customer may be off at a time, in words."""
-    c = step.site.customers
-    limit_h = c.longest_off_h[customer]
-    only_backup = len(c.own_backup_h) and c.own_backup_h[customer] == limit_h
-    return f"its {'backup' if only_backup else 'longest time off'} of {limit_h:g} h"
-
-
 def why_not_served(step: Step, customer: int) -> Reason:
-    """Why a customer was off supply in a step, and how far beyond its longest time off."""
-    reason = _why_off(step, customer)
-    if not step.ended[customer]:
-        return reason
-    off_h = step.recorded.off_before_h[step.t][customer] + step.site.dt_h
-    beyond_h = off_h - step.site.customers.longest_off_h[customer]
-    limit = _longest_off_words(step, customer)
-    return replace(reason, words=f"{reason.words} It is {figure(beyond_h)} h beyond {limit}.")
-
-
-def _why_off(step: Step, customer: int) -> Reason:
     """Why a customer was off supply in a step."""
     said = overruled(step, "Not supplied")
     if said is not None:

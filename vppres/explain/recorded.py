@@ -25,8 +25,9 @@ from vppres.day.forecasting import PAPER, DayForecasts, named_forecasts
 from vppres.day.metrics import line_loading
 from vppres.day.outages import GridSeen, OutageView, believed_outages
 from vppres.day.priority import site_of, weighed
-from vppres.day.time_off import off_before_h
 from vppres.day.trajectory import Trajectory
+from vppres.kinds.customer.data import SwitchingRules
+from vppres.kinds.customer.record import off_before_h
 from vppres.kinds.table import KINDS, parts, units_of
 from vppres.model.beyond_paper.ratings import LineRatings
 from vppres.model.beyond_paper.table import Beyond, beyond_paper
@@ -35,7 +36,6 @@ from vppres.model.formulas import bus_injections
 from vppres.model.own_state import with_own_state
 from vppres.model.phases import GRID, phased_model
 from vppres.model.ratings import with_ratings
-from vppres.scenario.rules import SwitchingRules
 from vppres.solve.ladder import WindowSolver
 from vppres.solve.shadow_price_model import FixedDecisions
 

@@ -9,13 +9,13 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from vppres.contract.longest_off import due
 from vppres.control.converged import physics_of
 from vppres.core.arrays import Flags, Floats
 from vppres.day.metrics import AT_RATING
 from vppres.day.phases import Phase
 from vppres.explain.prices import WORTH, StepPrices
 from vppres.explain.recorded import LimitsReached, Recorded
+from vppres.kinds.customer.physics import due
 from vppres.model.phases import GRID, phased_model
 from vppres.physics.phased_sources import buses_of
 from vppres.scenario.formers import bus_of_former, forming_batteries, largest_forming_battery

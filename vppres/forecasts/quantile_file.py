@@ -47,14 +47,14 @@ def read_quantiles(
         With every problem of the file.
     """
     table, problems = read_table(Path(path), CHECK_PATH)
-    if table is None:
+    if problems:
         raise InputError(problems)
     levels = {
         name: float(match[1]) / 100.0
         for name in table.names
         if (match := _QUANTILE.fullmatch(name)) and float(match[1]) > 0.0
     }
-    problems += _check_columns(table, levels)
+    problems = _check_columns(table, levels)
     if problems:
         raise InputError(problems)
     ordered = sorted(levels, key=lambda name: levels[name])
@@ -68,7 +68,9 @@ def read_quantiles(
     issued = pd.Series(_FIRST, index=table.frame.index)
     problems += found
     if ISSUED in table.names:
-        issued, found = read_times(_as_times(table))
+        issued, found = read_times(
+            Table(table.file, table.frame[[ISSUED]].rename(columns={ISSUED: TIME}))
+        )
         problems += [Problem(p.where, p.message, p.cure, p.row, ISSUED, p.value) for p in found]
     series = table.texts(SERIES).to_numpy(dtype=object)
     problems += _check_rows(table, series, values, [*TOTALS, *customers, *pv])
@@ -84,11 +86,6 @@ def read_quantiles(
         pv,
         lag or pd.Timedelta(0),
     )
-
-
-def _as_times(table: Table) -> Table:
-    """The column of issues as that of times."""
-    return Table(table.file, table.frame[[ISSUED]].rename(columns={ISSUED: TIME}))
 
 
 def _check_columns(table: Table, levels: dict[str, float]) -> list[Problem]:

@@ -52,7 +52,10 @@ def atomic_folder(target: str | Path) -> Iterator[Path]:
             raise InputError(_unwritable(given, error)) from error
         try:
             yield new
-            _settle_tree(new)
+            for path in sorted(new.rglob("*")):
+                if not path.is_symlink():
+                    _settle(path)
+            _settle(new)
             _replace_folder(target, hidden)
             _settle(target.parent)
         except OSError as error:
@@ -243,14 +246,6 @@ def _replace_folder(target: Path, hidden: Path) -> None:
         if not target.exists():
             os.rename(hidden / _OLD, target)
         raise
-
-
-def _settle_tree(folder: Path) -> None:
-    """Bring a folder and all that is in it onto the disk."""
-    for path in sorted(folder.rglob("*")):
-        if not path.is_symlink():
-            _settle(path)
-    _settle(folder)
 
 
 def _settle(path: Path) -> None:

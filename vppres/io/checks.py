@@ -189,9 +189,9 @@ def check_pv_series(series: Table, name: str, values: Floats, p_max_kw: float) -
     return series.problems(over, name, message, cure)
 
 
-def check_one_export_limit(file: schema.TomlSection | None, system: Table | None) -> list[Problem]:
+def check_one_export_limit(file: schema.TomlSection | None, system: Table) -> list[Problem]:
     """Whether the export has its limit in one place only."""
-    if file is None or file.network.export_limit_kw is None or system is None:
+    if not file or file.network.export_limit_kw is None:
         return []
     if "export_limit_kw" not in system.names:
         return []

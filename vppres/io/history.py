@@ -16,7 +16,7 @@ from vppres.core.text import iso
 from vppres.io import schema
 from vppres.io.messages import few
 from vppres.io.series import TIME, read_times, read_values
-from vppres.io.tables import Table, check_columns, read_table
+from vppres.io.tables import Table, check_columns, read_table, unread
 from vppres.io.times import usual_step
 from vppres.scenario.history import History
 from vppres.scenario.timegrid import UTC
@@ -61,11 +61,11 @@ def read_history(path: str | Path, columns: Columns | None = None, zone: str = U
     path = Path(path)
     load_file, pv_file = _files(path)
     load, problems = read_table(load_file)
-    pv: Table | None = None
-    if pv_file is not None:
+    pv = unread(PV_NAMES[-1])
+    if pv_file:
         pv, found = read_table(pv_file)
         problems += found
-    if load is None or problems:
+    if problems:
         raise InputError(problems)
     history, problems = history_of(load, pv, columns or Columns(), zone)
     if history is None:
@@ -100,7 +100,7 @@ def _first(folder: Path, names: Sequence[str]) -> Path | None:
 
 
 def history_of(
-    load: Table | None, pv: Table | None, columns: Columns, zone: str
+    load: Table, pv: Table, columns: Columns, zone: str
 ) -> tuple[History | None, list[Problem]]:
     """A history from tables as they were read, and what is wrong with them.
 
@@ -116,7 +116,7 @@ def history_of(
     problems = [problem for series in given for problem in series.problems]
     timed = [series for series in given if len(series.times)]
     if not problems and not timed:
-        files = [table for table in (load, pv) if table is not None]
+        files = [table for table in (load, pv) if table]
         problems = [Problem(t.file, "has no row", "Add what was measured.") for t in files]
     if problems or not timed:
         return None, problems
@@ -136,21 +136,19 @@ def history_of(
 class _Series:
     """One table of measured values, (n, items), at times in UTC."""
 
-    table: Table | None
+    table: Table
     times: pd.DatetimeIndex
     lines: pd.Index
     values: Floats
     problems: list[Problem]
 
     @classmethod
-    def read(
-        cls, table: Table | None, ids: Sequence[str] | Names | None, field: FieldInfo
-    ) -> _Series:
+    def read(cls, table: Table, ids: Sequence[str] | Names | None, field: FieldInfo) -> _Series:
         """Times and values of a table; no rows where there is none."""
         none = pd.DatetimeIndex([], tz=UTC)
-        if table is None:
+        if not table:
             n_items = 0 if ids is None else len(ids)
-            return cls(None, none, pd.Index([]), np.empty((0, n_items)), [])
+            return cls(table, none, pd.Index([]), np.empty((0, n_items)), [])
         known = [name for name in table.names if name != TIME] if ids is None else list(ids)
         problems = check_columns(
             table, [TIME, *known], [TIME], {TIME: "Give the beginning of each step."}
@@ -174,11 +172,11 @@ class _Series:
 
     def at(self, rows: Wholes, message: str, cure: str) -> list[Problem]:
         """Problems of some of the times."""
-        return few(rows, lambda i: self._problem(i, message, cure))
-
-    def _problem(self, i: int, message: str, cure: str) -> Problem:
-        assert self.table is not None  # it has times
-        return self.table.problem(int(self.lines[i]), TIME, message, cure, iso(self.times[i]))
+        lines, times = self.lines, self.times
+        return few(
+            rows,
+            lambda i: self.table.problem(int(lines[i]), TIME, message, cure, iso(times[i])),
+        )
 
     def off_grid(self, start: pd.Timestamp, step: pd.Timedelta) -> list[Problem]:
         """Times that are no multiple of the step after the start."""

@@ -27,15 +27,13 @@ def read_outage_log(file: str | Path) -> list[Interval]:
     return sorted((one.start, one.end) for one in rows.values() if not one.customer)
 
 
-def read_interruptions(table: Table | None) -> tuple[dict[int, Interruption], list[Problem]]:
+def read_interruptions(table: Table) -> tuple[dict[int, Interruption], list[Problem]]:
     """The sound rows of a table by line, and all its problems."""
     rows, problems = read_rows(table, schema.OutageRow)
     found = {
         line: Interruption(pd.Timestamp(row.start), pd.Timestamp(row.end), row.customer)
         for line, row in rows.items()
     }
-    if table is None:
-        return found, problems
     of_each: dict[str, list[tuple[int, Interval]]] = {}
     for line, one in sorted(found.items(), key=lambda item: (item[1].start, item[1].end)):
         of_each.setdefault(one.customer, []).append((line, (one.start, one.end)))

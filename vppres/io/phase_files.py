@@ -13,7 +13,7 @@ import pandas as pd
 from vppres.core.arrays import Complexes, Floats
 from vppres.core.errors import InputError, Problem
 from vppres.io import schema
-from vppres.io.tables import Table, leads_out, no_table, read_rows, read_table
+from vppres.io.tables import Table, leads_out, no_table, read_rows, read_table, unread
 from vppres.scenario.network import BusId
 from vppres.scenario.phases import (
     PHASES,
@@ -59,7 +59,8 @@ def read_phases(
             rows[name] = read_rows(no_table(_file(name), model), model)[0]
             continue
         found = leads_out(folder, _file(name))
-        table, found = (None, found) if found else read_table(folder / _file(name), BUSES_FIRST)
+        path = folder / _file(name)
+        table, found = (unread(path.name), found) if found else read_table(path, BUSES_FIRST)
         rows[name], wrong = read_rows(table, model)
         problems += found + wrong
         problems += _lines_wrong(table, rows[name]) if name == "lines" else []
@@ -107,11 +108,10 @@ def _line(row: Any) -> PhaseLine:
     return PhaseLine(row.from_bus, row.to_bus, z, b, i_max_a)
 
 
-def _lines_wrong(table: Table | None, rows: dict[int, Any]) -> list[Problem]:
+def _lines_wrong(table: Table, rows: dict[int, Any]) -> list[Problem]:
     """Faults of each line: lacking entries of phases, or else an impedance without currents."""
     problems = []
     for place, row in rows.items():
-        assert table is not None  # it has rows
         own = [i for i in range(3) if getattr(row, _names(i, i)[0]) is not None]
         problems += _lacking(table, place, row, own) or _without_current(table, place, row, own)
     return problems

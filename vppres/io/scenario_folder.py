@@ -33,8 +33,10 @@ from vppres.io.tables import (
     no_table,
     read_rows,
     read_table,
+    unread,
 )
 from vppres.io.warning_rows import read_warnings
+from vppres.kinds.customer.data import SwitchingRules
 from vppres.kinds.table import SERIES as KIND_SERIES
 from vppres.kinds.table import TABLES as KIND_TABLES
 from vppres.scenario.assets import Batteries, Customers, PVSystems
@@ -43,7 +45,6 @@ from vppres.scenario.history import History
 from vppres.scenario.network import BusId, Network, check_radial
 from vppres.scenario.outage_warnings import OutageStatistics
 from vppres.scenario.phases import Phases
-from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import (
     ControllerDefaults,
     Headroom,
@@ -76,8 +77,8 @@ _SERIES_OF = {
 
 _HISTORY = ("history_load_kw", "history_pv_kw")
 
-Tables = dict[str, Table | None]
-"""The files of a folder by their keys; None stands for a file that is missing or broken."""
+Tables = dict[str, Table]
+"""The files of a folder by their keys; one that is missing or broken counts as false."""
 
 AllRows = dict[str, dict[int, Any]]
 """The sound rows of each table, by line of the file."""
@@ -147,22 +148,22 @@ def _read_files(folder: Path, settings: Settings) -> tuple[Tables, list[Problem]
     problems: list[Problem] = []
     for key, file in names.items():
         of = tables.get(_SERIES_OF.get(key, ""))
-        needed = of is None or not of.frame.empty if key in _SERIES_OF else key in _NEEDED
+        needed = not of or not of.frame.empty if key in _SERIES_OF else key in _NEEDED
         if not (needed or key in settings.files.model_fields_set or (folder / file).exists()):
             absent = no_table(file, MODELS.get(key, schema.PVSeries))
-            tables[key] = None if key in _HISTORY else absent
+            tables[key] = unread(file) if key in _HISTORY else absent
             continue
         found = leads_out(folder, file)
-        tables[key], found = (None, found) if found else read_table(folder / file)
+        tables[key], found = (unread(file), found) if found else read_table(folder / file)
         problems += found
     problems += _misspelt_files(folder, {SCENARIO_FILE, *names.values(), *PHASE_FILES})
     series = tables["pv_kw"]
-    if series is not None and tables["pv"] is not None and not (folder / names["pv"]).exists():
+    if series and tables["pv"] and not (folder / names["pv"]).exists():
         systems = [name for name in series.names if name != TIME]
         if systems:
             message = f"the file is missing, and {series.file} has series of {named(systems)}"
             problems.append(Problem(names["pv"], message, NAME_ANOTHER))
-            tables["pv"] = None
+            tables["pv"] = unread(names["pv"])
     return tables, problems
 
 
@@ -181,7 +182,7 @@ def _misspelt_files(folder: Path, known: set[str]) -> list[Problem]:
 
 def _read_all_rows(tables: Tables) -> tuple[AllRows, list[Problem]]:
     """The sound rows of each table by line of the file, and the problems of the others."""
-    readers: dict[str, Callable[[Table | None], tuple[dict[int, Any], list[Problem]]]] = {
+    readers: dict[str, Callable[[Table], tuple[dict[int, Any], list[Problem]]]] = {
         "warnings": read_warnings,
         "outages": read_interruptions,
     }
@@ -196,7 +197,7 @@ def _read_all_rows(tables: Tables) -> tuple[AllRows, list[Problem]]:
 
 def _check_across(settings: Settings, tables: Tables, rows: AllRows) -> list[Problem]:
     """Every check that needs more than one row or more than one file."""
-    there = {key: table for key, table in tables.items() if table is not None}
+    there = {key: table for key, table in tables.items() if table}
     lines = there.get("lines")
     problems = _check_network(lines, settings.slack_bus) if lines else []
     for key, table in there.items():
@@ -286,7 +287,7 @@ def _read_series(
     if grid:
         for name in (*columns, "system"):
             table, of = tables[name], tables.get(_SERIES_OF.get(name, ""))
-            unused = of is not None and of.frame.empty
+            unused = of and of.frame.empty
             if table and not (unused and table.frame.empty):
                 problems += check_times(table, grid)
     n_steps = grid.n_steps if grid else 0
@@ -300,7 +301,7 @@ def _read_history(
     """Measurements before the first step, if there are any, and their problems."""
     grid = settings.grid
     load, pv = (tables[key] for key in _HISTORY)
-    if grid is None or (load is None and pv is None):
+    if not (grid and (load or pv)):
         return None, []
     columns = HistoryColumns(
         *([row.id for row in rows[key].values()] for key in ("customers", "pv"))
@@ -310,12 +311,12 @@ def _read_history(
 
 
 def _read_columns(
-    table: Table | None, items: Table | None, field: FieldInfo, cure: str
+    table: Table, items: Table, field: FieldInfo, cure: str
 ) -> tuple[dict[str, Floats], list[Problem]]:
     """One column of numbers per item, in the order of the items' table."""
-    if table is None:
+    if not table:
         return {}, []
-    known = [*items.column("id").values()] if items and "id" in items.names else table.names
+    known = [*items.column("id").values()] if "id" in items.names else table.names
     if len({*known}) < len(known):
         known = table.names  # an identifier that was meant to be another is one mistake, not two
     ids = [name for name in dict.fromkeys(known) if name != TIME]
@@ -332,11 +333,11 @@ def _read_columns(
     return columns, problems
 
 
-def _read_system(table: Table | None) -> tuple[dict[str, Floats], list[Problem]]:
+def _read_system(table: Table) -> tuple[dict[str, Floats], list[Problem]]:
     """Prices, temperature and limits; an absent limit is infinite, an absent export worthless."""
     model = schema.SystemSeries.model_fields
     values = {name: np.empty(0) for name in model if name != TIME}
-    if table is None:
+    if not table:
         return values, []
     problems = check_columns(
         table,

@@ -24,12 +24,12 @@ from vppres.io.phase_files import phase_frames
 from vppres.io.rows import frame_of
 from vppres.io.series import TIME
 from vppres.io.settings import SCENARIO_FILE, outage_intervals
+from vppres.kinds.customer.data import SwitchingRules
 from vppres.kinds.table import KINDS, units_of
 from vppres.scenario.fairness import Fairness, Interruption
 from vppres.scenario.history import History
 from vppres.scenario.network import BUS_DRAWS, LINE_DEFAULTS, Network
 from vppres.scenario.outage_warnings import OutageStatistics
-from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import DEFAULT_VOLL_GBP_PER_KWH, ControllerDefaults, Scenario
 from vppres.scenario.source import Source
 from vppres.scenario.timegrid import UTC, TimeGrid

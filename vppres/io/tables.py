@@ -43,10 +43,16 @@ class Table:
         File name inside the folder.
     frame : pandas.DataFrame
         Cells; the index is the line in the file (the header is line 1).
+    is_read : bool, optional
+        False of a file that is missing or broken, which counts as a table without columns.
     """
 
     file: str
     frame: pd.DataFrame
+    is_read: bool = True
+
+    def __bool__(self) -> bool:
+        return self.is_read
 
     def texts(self, name: str) -> pd.Series[str]:
         """The cells of a column as stripped text; a missing cell is empty."""
@@ -100,20 +106,22 @@ def no_table(file: str, model: type[BaseModel]) -> Table:
     return Table(file, pd.DataFrame(columns=required))
 
 
-def read_table(
-    path: Path, cure_if_missing: str = NAME_ANOTHER
-) -> tuple[Table | None, list[Problem]]:
+def unread(file: str) -> Table:
+    """The table of a file that is missing or broken."""
+    return Table(file, pd.DataFrame(), is_read=False)
+
+
+def read_table(path: Path, cure_if_missing: str = NAME_ANOTHER) -> tuple[Table, list[Problem]]:
     """A table, or the problems that keep the file from being one."""
     if not path.is_file():
-        return None, [no_file(path, cure_if_missing)]
-    table, problems = _read_parquet(path) if path.suffix == ".parquet" else _read_csv(path)
-    if table is not None:
-        problems = [
-            Problem(path.name, f"the name of column {i} {flaw[0]}", flaw[1], row=1)
-            for i, name in enumerate(table.names, start=1)
-            if (flaw := flaw_of_name(name, schema.MAX_NAME_LENGTH))
-        ]
-    return (None, problems) if problems else (table, [])
+        return unread(path.name), [no_file(path, cure_if_missing)]
+    frame, problems = _read_parquet(path) if path.suffix == ".parquet" else _read_csv(path)
+    problems += [
+        Problem(path.name, f"the name of column {i} {flaw[0]}", flaw[1], row=1)
+        for i, name in enumerate(map(str, frame.columns), start=1)
+        if (flaw := flaw_of_name(name, schema.MAX_NAME_LENGTH))
+    ]
+    return unread(path.name) if problems else Table(path.name, frame), problems
 
 
 def no_file(path: Path, cure_if_missing: str) -> Problem:
@@ -159,9 +167,9 @@ def read_text(path: Path, most_bytes: int = MAX_FILE_BYTES) -> tuple[str, list[P
         ]
 
 
-def read_rows(table: Table | None, model: type[R]) -> tuple[dict[int, R], list[Problem]]:
+def read_rows(table: Table, model: type[R]) -> tuple[dict[int, R], list[Problem]]:
     """The sound rows of a table by line, and the problems of the others."""
-    if table is None:
+    if not table:
         return {}, []
     if len(table.frame) > schema.MAX_ITEMS:
         return {}, [
@@ -211,10 +219,10 @@ def check_columns(
     )
 
 
-def _read_csv(path: Path) -> tuple[Table | None, list[Problem]]:
+def _read_csv(path: Path) -> tuple[pd.DataFrame, list[Problem]]:
     text, problems = read_text(path)
     if problems:
-        return None, problems
+        return pd.DataFrame(), problems
     reader = csv.reader(StringIO(text, newline=""), strict=True)
     lines = []
     rows = []
@@ -226,9 +234,9 @@ def _read_csv(path: Path) -> tuple[Table | None, list[Problem]]:
                 rows.append([cell.strip() for cell in cells])
                 n_cells += len(cells)
                 if _beyond(len(rows), len(cells), n_cells):
-                    return None, [_too_many(path.name)]
+                    return pd.DataFrame(), [_too_many(path.name)]
     except csv.Error as error:
-        return None, [
+        return pd.DataFrame(), [
             Problem(
                 path.name,
                 f"is not valid CSV ({error})",
@@ -237,15 +245,14 @@ def _read_csv(path: Path) -> tuple[Table | None, list[Problem]]:
             )
         ]
     if not rows:
-        return None, [Problem(path.name, "is empty", "Write a header row with column names.")]
+        problem = Problem(path.name, "is empty", "Write a header row with column names.")
+        return pd.DataFrame(), [problem]
     problems = _check_header(path.name, rows[0])
     if not _has_semicolons(rows[0]):
         problems += _check_ragged(path.name, rows, lines)
     if problems:
-        return None, problems
-    return Table(
-        path.name, pd.DataFrame(rows[1:], index=lines[1:], columns=rows[0], dtype=object)
-    ), []
+        return pd.DataFrame(), problems
+    return pd.DataFrame(rows[1:], index=lines[1:], columns=rows[0], dtype=object), []
 
 
 def _has_semicolons(header: list[str]) -> bool:
@@ -290,7 +297,7 @@ def _check_ragged(file: str, rows: list[list[str]], lines: list[int]) -> list[Pr
     )
 
 
-def _read_parquet(path: Path) -> tuple[Table | None, list[Problem]]:
+def _read_parquet(path: Path) -> tuple[pd.DataFrame, list[Problem]]:
     import pyarrow.parquet as pq  # slow to load, and most folders have none
 
     try:
@@ -299,20 +306,20 @@ def _read_parquet(path: Path) -> tuple[Table | None, list[Problem]]:
         if path.stat().st_size > MAX_FILE_BYTES or _beyond(
             sizes.num_rows, sizes.num_columns, sizes.num_rows * sizes.num_columns
         ):
-            return None, [_too_many(path.name)]
+            return pd.DataFrame(), [_too_many(path.name)]
         content = pq.read_table(path)
         nested = [field.name for field in content.schema if pa.types.is_nested(field.type)]
         # What pandas noted in the file is of its author's hand, and not needed.
         frame = content.to_pandas(ignore_metadata=True)
     except (pa.ArrowException, OSError, ValueError) as error:
-        return None, [
+        return pd.DataFrame(), [
             Problem(
                 path.name,
                 f"is not a readable Parquet file ({shown(error)})",
                 "Write the file again.",
             )
         ]
-    frame = frame.loc[:, [_NAMELESS.fullmatch(name) is None for name in frame.columns]]
+    frame = frame.loc[:, [not _NAMELESS.fullmatch(name) for name in frame.columns]]
     frame.columns = pd.Index([name.strip() for name in frame.columns])
     problems = _check_header(path.name, list(frame.columns)) + few(
         range(len(nested)),
@@ -322,7 +329,7 @@ def _read_parquet(path: Path) -> tuple[Table | None, list[Problem]]:
     )
     # Rows are counted as in a CSV file, whose header is line 1.
     frame.index = pd.RangeIndex(2, len(frame) + 2)
-    return (None, problems) if problems else (Table(path.name, frame), [])
+    return (pd.DataFrame() if problems else frame), problems
 
 
 def _too_large(file: str, size: str) -> Problem:

@@ -15,19 +15,17 @@ from vppres.io.tables import Table, read_rows
 from vppres.scenario.outage_warnings import OutageWarning
 
 
-def read_warnings(table: Table | None) -> tuple[dict[int, OutageWarning], list[Problem]]:
+def read_warnings(table: Table) -> tuple[dict[int, OutageWarning], list[Problem]]:
     """The sound messages of a table by line, and all problems of the others."""
     rows, problems = read_rows(table, schema.WarningRow)
     found: dict[int, OutageWarning] = {}
     wrong: list[Problem] = []
     for line, row in rows.items():
-        assert table is not None  # it has rows
         try:
             found[line] = OutageWarning(**dict(row))
         except InputError as error:
             wrong += _located(error, table, line)
-    if table is not None:
-        wrong += _beside(table, rows, problems)
+    wrong += _beside(table, rows, problems)
     return found, problems + few(range(len(wrong)), lambda i: wrong[i])
 
 

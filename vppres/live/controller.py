@@ -389,7 +389,7 @@ class Controller:
         day = present.day(decision.seen or told, decision.estimated)
         record = day.settle(0, decision)
         foreseen = Foreseen.of(decision, day.scenario, told)
-        points = SetPoints.of(day.scenario, record, foreseen, day.switching, present.kinds)
+        points = SetPoints.of(day.scenario, record, foreseen, day.plant.switching, present.kinds)
         return points, present.after(day, record)
 
 

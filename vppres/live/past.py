@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Any, get_type_hints
@@ -12,16 +11,14 @@ import pandas as pd
 
 from vppres.contract.operating_point import OperatingPoint
 from vppres.contract.owed import Owed
-from vppres.contract.switching import SwitchingState
-from vppres.control.remembered import memory_of, put_back
 from vppres.core.arrays import Complexes, Flags, Floats
 from vppres.core.plain import Given, from_plain, to_plain
 from vppres.day.forecasting import PAPER, history_before
 from vppres.day.options import RunOptions
 from vppres.day.outages import GridSeen
 from vppres.day.simulate import Day
+from vppres.kinds.customer.physics import SwitchingState
 from vppres.kinds.table import parts
-from vppres.physics.cold_load import ColdLoad
 from vppres.scenario.history import History
 from vppres.scenario.scenario import Scenario
 
@@ -42,7 +39,6 @@ class Past:
     t: int
     operating_point: OperatingPoint | None
     switching: SwitchingState | None
-    cold_load: ColdLoad
     served: Flags | None
     history: History | None
     voltages: dict[int, Complexes]
@@ -55,7 +51,7 @@ class Past:
         """Before the first step: all customers have been supplied for long."""
         day = Day(scenario, options)
         history = None if options.forecaster == PAPER else history_before(scenario)
-        return cls(-1, None, day.switching, day.plant.cold_load, None, history, {}, owed=day.owed)
+        return cls(-1, None, day.plant.switching, None, history, {}, owed=day.owed)
 
     def with_measured(self, start: pd.Timestamp, load_kw: Floats, pv_kw: Floats) -> History | None:
         """The history with a step, (C,) and (P,); None where no forecaster learns from it."""
@@ -81,21 +77,19 @@ class Past:
         timed = {kind: one for kind, one in latest.kinds.items() if live[kind].PAST.timed}
         return replace(self, kinds=self.kinds | timed)
 
-    def held_until(self, t: int) -> tuple[SwitchingState | None, ColdLoad]:
-        """Switching state and cold load at a step, set-points held over those in between."""
+    def switching_at(self, t: int) -> SwitchingState | None:
+        """Switching state at a step, set-points held over those in between."""
         switching = self.switching
-        cold_load = copy(self.cold_load)  # a step that fails must not have advanced it
         if self.served is not None:
             for _ in range(self.t + 1, t):
-                switching = None if switching is None else switching.advance(self.served)
-                cold_load.advance(self.served)
-        return switching, cold_load
+                switching = switching and switching.advance(self.served)
+        return switching
 
     def as_plain(self, given: Given) -> dict[str, Any]:
         """State as JSON can hold it, but for the history, which a state holds once."""
         plain = {name: to_plain(getattr(self, name), given) for name in _types()}
         kinds = {kind: to_plain(one, given) for kind, one in self.kinds.items()}
-        return plain | {"kinds": kinds, "cold_load": memory_of(self.cold_load, given)}
+        return plain | {"kinds": kinds}
 
     def read(self, plain: Any, history: History | None, given: Given, where: str) -> Past:
         """Another past of the same site, from what JSON holds of it and its history.
@@ -106,8 +100,6 @@ class Past:
             If it is none.
         """
         found = from_plain(dict, plain, where)
-        cold_load = copy(self.cold_load)
-        put_back(cold_load, found.get("cold_load"), given, f"{where}.cold_load")
         values = {
             name: from_plain(of_type, found.get(name), f"{where}.{name}", given)
             for name, of_type in _types().items()
@@ -117,12 +109,11 @@ class Past:
             kind: from_plain(live[kind].PAST, one, f"{where}.{kind}", given)
             for kind, one in from_plain(dict, found.get("kinds"), f"{where}.kinds").items()
         }
-        return Past(cold_load=cold_load, history=history, kinds=kinds, **values)
+        return Past(history=history, kinds=kinds, **values)
 
 
 @cache
 def _types() -> dict[str, Any]:
     """Types of what is written as it is, by field."""
     types = get_type_hints(Past)
-    apart = ("kinds", "cold_load", "history")
-    return {name: each for name, each in types.items() if name not in apart}
+    return {name: each for name, each in types.items() if name not in ("kinds", "history")}

@@ -11,7 +11,6 @@ from vppres.contract.ahead import KindsAhead
 from vppres.contract.decision import batteries_out
 from vppres.contract.forecast import Forecast, ForecastErrors
 from vppres.contract.observation import Observation
-from vppres.contract.switching import SwitchingState
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Floats
 from vppres.day.forecasting import DayForecasts, forecasts_of
@@ -19,12 +18,12 @@ from vppres.day.options import RunOptions
 from vppres.day.outages import Beside, GridSeen, OutageView
 from vppres.day.recorder import StepRecord
 from vppres.day.simulate import Day
+from vppres.kinds.customer.physics import SwitchingState
 from vppres.kinds.kind import Moment, UnitsNow
 from vppres.kinds.table import parts, units_of
 from vppres.live.foretold import GivenFirst
 from vppres.live.measurement import Seen
 from vppres.live.past import Past
-from vppres.physics.cold_load import ColdLoad
 from vppres.plant.plant import BatteryState
 from vppres.scenario.history import History
 from vppres.scenario.scenario import Scenario
@@ -36,7 +35,7 @@ class Present:
 
     ``t`` counts from the controller's first step. The steps of the window are in ``seen``, itself
     the first; the decision may rest on all that are ``ahead``. ``ends``: what is known ends with
-    the window. Duties, cold load and the units of each kind are those of its beginning.
+    the window. Duties and the units of each kind are those of its beginning.
     """
 
     t: int
@@ -46,7 +45,6 @@ class Present:
     ends: bool
     past: Past
     switching: SwitchingState | None
-    cold_load: ColdLoad
     kinds: dict[str, UnitsNow]
     grid_seen: GridSeen
     options: RunOptions
@@ -69,7 +67,6 @@ class Present:
         Rows of the ``window`` are forecast, the decision may rest on those ``ahead`` in any way.
         """
         beyond, seen = everything.window(ahead), everything.window(window)
-        switching, cold_load = past.held_until(t)
         now = seen.scenario
         row, at_h = everything.t, t * now.grid.dt_h + seen.elapsed_h
         moment = Moment(known, row, range(row - (t - past.t - 1), row), past.served, at_h, now)
@@ -81,8 +78,7 @@ class Present:
             beside=Beside(known.price_gbp_per_kwh[: everything.t], beyond.announced_kw),
             ends=window.stop == known.grid.n_steps,
             past=past,
-            switching=switching,
-            cold_load=cold_load,
+            switching=past.switching_at(t),
             kinds={
                 kind: live[kind].now(moment, seen.kinds[kind], past.kinds.get(kind))
                 for kind in units_of(now)
@@ -147,8 +143,8 @@ class Present:
     def day(self, known: Observation, estimated: str = "") -> Day:
         """A day that stands at the step, what the controller took for true being true.
 
-        Its first step carries out the decision. It owns the step's cold load and advances it.
-        Batteries that the decision ``estimated`` to be out have no power: they form no grid.
+        Its first step carries out the decision. Batteries that the decision ``estimated`` to be out
+        have no power: they form no grid.
         """
         scenario = self.seen.believed(known.forecast.load_kw[0], known.forecast.pv_kw[0])
         batteries = scenario.batteries
@@ -162,10 +158,9 @@ class Present:
         t_ref_c = scenario.batteries.t_ref_c
         day.state = BatteryState(known.soc, known.eta_charge, known.eta_discharge, t_ref_c)
         day.outage_messages = known.outage_messages
-        day.switching = self.switching
+        day.plant.switching = self.switching
         day.owed = self.past.owed_at(self.t)
         day.ac.go_on_from(self.past.voltages)
-        day.plant.cold_load = self.cold_load
         day.plant.begin_with(self._states())
         return day
 
@@ -174,8 +169,7 @@ class Present:
         return Past(
             t=self.t,
             operating_point=day.operating_point,
-            switching=day.switching,
-            cold_load=day.plant.cold_load,
+            switching=day.plant.switching,
             served=record.customers["served"],
             history=self._extended_history(day.scenario),
             voltages=day.ac.found,

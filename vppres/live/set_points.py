@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vppres.contract.switching import SwitchingState
 from vppres.core.arrays import Names
 from vppres.core.notebook import facts_html
 from vppres.day.inversions import lower_tiers_now
 from vppres.day.recorder import ROTATED, StepRecord
 from vppres.day.trajectory import FORMS, SHARE, Feeder, supplied
 from vppres.feeders.actuate import Feeding
+from vppres.kinds.customer.physics import SwitchingState
 from vppres.kinds.fields import SetPointsOfKinds
 from vppres.kinds.kind import UnitsNow
 from vppres.kinds.table import KINDS, parts

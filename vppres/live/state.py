@@ -21,12 +21,12 @@ from vppres.core.arrays import Floats
 from vppres.core.errors import InputError
 from vppres.core.plain import Given, from_plain, to_plain
 from vppres.day.options import RunOptions
+from vppres.kinds.customer.data import SwitchingRules
 from vppres.kinds.table import SERIES as OF_KINDS
 from vppres.live.past import Past
 from vppres.model.site import Site
 from vppres.scenario.history import History
 from vppres.scenario.outage_warnings import OutageWarning
-from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 
 KIND = "vppres controller state"

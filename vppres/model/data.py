@@ -14,10 +14,10 @@ from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
 from vppres.contract.owed import MOST_SHARE, Owed
 from vppres.contract.stored_value import Ending, StoredValue
-from vppres.contract.switching import SwitchingData
 from vppres.contract.terminal import Terminal
 from vppres.core.arrays import Complexes, Flags, Floats, Wholes
 from vppres.core.errors import ModelError
+from vppres.kinds.customer.physics import LongestOff, SwitchingData
 from vppres.model.formulas import cell_kw, soc_after
 from vppres.model.linearise import Drawn, delta_offset, drawn_by
 from vppres.model.site import Site
@@ -405,6 +405,11 @@ class WindowData:
         if self.drawn is None:
             return self.loss_kw
         return np.asarray(self.loss_kw + self.drawn.kw.sum(axis=1))
+
+    @property
+    def longest_off(self) -> LongestOff | None:
+        """How long customers may be off at a time, None where that says nothing."""
+        return None if self.switching is None else self.switching.longest_off
 
     def for_service(self, served: Flags) -> WindowData:
         """The window with the demand that a service brings about: higher after a restoration."""

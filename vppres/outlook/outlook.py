@@ -355,15 +355,13 @@ class OutageOutlook:
         alone = message.duration_p10_h is None and message.duration_p90_h is None
         spoken = message.duration_p50_h is not None and message.length is None
         if one.estimate and spoken and alone:
-            message = self._with_spread(message)
+            assert message.duration_p50_h is not None
+            low, middle, high = (message.duration_p50_h * each for each in self._rates.estimate)
+            message = replace(
+                message, duration_p10_h=low, duration_p50_h=middle, duration_p90_h=high
+            )
         found = length_of(message, self.step_h, length)
         return self._unannounced(length) if found is None else found
-
-    def _with_spread(self, message: OutageWarning) -> OutageWarning:
-        """A lone estimate with the spread that estimates have here."""
-        assert message.duration_p50_h is not None
-        low, middle, high = (message.duration_p50_h * each for each in self._rates.estimate)
-        return replace(message, duration_p10_h=low, duration_p50_h=middle, duration_p90_h=high)
 
 
 def length_of(message: OutageWarning, step_h: float, length: int) -> Floats | None:

@@ -14,12 +14,12 @@ import numpy as np
 
 from vppres.contract.decision import Decision
 from vppres.core.arrays import Flags, Floats
+from vppres.kinds.customer.data import SwitchingRules
+from vppres.kinds.customer.physics import SwitchingState
 from vppres.kinds.kind import Followers
 from vppres.kinds.table import parts, units_of
-from vppres.physics.cold_load import ColdLoad
 from vppres.physics.places import Places
 from vppres.physics.thermal import Power, ThermalScheme, advance, initial_state
-from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import Scenario
 
 F = TypeVar("F", bound=Followers)
@@ -126,8 +126,8 @@ class Plant:
     ) -> None:
         self.scenario = scenario
         self.thermal = thermal
-        self.cold_load = ColdLoad(
-            rules or SwitchingRules(), scenario.grid.dt_h, len(scenario.customers)
+        self.switching = SwitchingState.of(
+            rules or SwitchingRules(), scenario.customers, scenario.grid.dt_h
         )
         self.places = Places.of(scenario)
         self._every: dict[str, Followers] = {
@@ -164,7 +164,8 @@ class Plant:
 
     def advance(self, t: int, state: BatteryState, realised: Realised) -> BatteryState:
         """State before the step after ``t``."""
-        self.cold_load.advance(realised.served)
+        if self.switching is not None:
+            self.switching = self.switching.advance(realised.served)
         for kind, units in self.units.items():
             units.advance(t, realised.taken_kw[kind], realised.running[kind])
         power = Power(realised.charge_kw, realised.discharge_kw)
@@ -221,7 +222,8 @@ class Plant:
 
     def load_kw(self, t: int, served: Flags) -> Floats:
         """Demand of each customer in step ``t``, (C,): higher for those who were just restored."""
-        return np.asarray(self.scenario.load_kw[t] * self.cold_load.factors(served))
+        cold = 1.0 if self.switching is None else self.switching.demand_factor(served)
+        return np.asarray(self.scenario.load_kw[t] * cold)
 
     def realise(
         self, t: int, powers: Powers, state: BatteryState, clipped_kw: float = 0.0

@@ -11,6 +11,7 @@ import numpy as np
 from vppres.core.plain import flattened
 from vppres.day.options import RULES
 from vppres.day.trajectory import Trajectory
+from vppres.kinds.customer import record as customer
 from vppres.kinds.table import parts, units_of
 from vppres.scenario.option_table import OPTIONS, Option
 from vppres.scenario.priority import STRICT
@@ -76,18 +77,7 @@ def simplifications(run: Trajectory) -> list[str]:
     ]
     if len(day.tiers) > 1:
         sentences.append(_order(options))
-    limited = int(np.isfinite(day.customers.longest_off_h).sum())
-    if limited:
-        sentences.append(
-            f"Longest times off ({limited} of {len(day.customers)} customers) are kept where they "
-            "can be, and broken by the least where not."
-        )
-    dimmable = int(day.customers.dimmable.sum())
-    if dimmable:
-        sentences.append(
-            f"{dimmable} of {len(day.customers)} customers may be dimmed: of one that is, service "
-            "counts in proportion to what it gets."
-        )
+    sentences += customer.assumptions(run)
     records = parts("record")
     sentences += [records[kind].assumption(run) for kind in units_of(day)]
     if options.get("thermal") == "off":

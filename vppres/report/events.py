@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from vppres.core.arrays import spans_of
 from vppres.core.text import counted, named
 from vppres.day.kind_tables import kind_events
 from vppres.day.series import energy_limits_kwh, outage_spans, stored_energy_kwh
-from vppres.day.switching_figures import switched
-from vppres.day.trajectory import WHOLE_SHARE, Trajectory, taken
+from vppres.day.trajectory import Trajectory
+from vppres.kinds.customer import record as customer
 from vppres.report.clock import Clock
 from vppres.report.key_figures import number
 
@@ -37,7 +36,7 @@ def events_of(run: Trajectory) -> list[DayEvent]:
             *_outage_events(run),
             *_service_events(run),
             *_within_events(run),
-            *_dimmed_events(run),
+            *customer.events(run),
             *_battery_events(run),
             *kind_events(run),
         ],
@@ -49,7 +48,13 @@ def events_of(run: Trajectory) -> list[DayEvent]:
 
 def opening_of(run: Trajectory, summary: Mapping[str, Any]) -> list[str]:
     """The length of the day, and its outage."""
-    return [_day(run), *_outage(run, summary)]
+    clock = Clock.of(run)
+    n_steps = len(run.steps)
+    return [
+        f"{counted(n_steps, 'step')} of {clock.grid.step_minutes:g} min from {clock.at(0)} to "
+        f"{clock.full(clock.grid.end)}.",
+        *_outage(run, summary),
+    ]
 
 
 def _outage_events(run: Trajectory) -> Iterator[tuple[int, str]]:
@@ -64,7 +69,7 @@ def _outage_events(run: Trajectory) -> Iterator[tuple[int, str]]:
 def _service_events(run: Trajectory) -> Iterator[tuple[int, str]]:
     """Customers that lost supply and were restored, relative to the step before."""
     c = run.scenario.customers
-    served, changes = run.by_step("customers", "served"), switched(run)
+    served, changes = run.by_step("customers", "served"), customer.switched(run)
     for t in range(len(served)):
         for changed, words in (
             (changes[t] & ~served[t], "off supply"),
@@ -92,16 +97,6 @@ def _within_events(run: Trajectory) -> Iterator[tuple[int, str]]:
         yield t, f"{words}: {named(names, NAMES_SHOWN)}."
 
 
-def _dimmed_events(run: Trajectory) -> Iterator[tuple[int, str]]:
-    """When customers begin and end to get a part of their demand."""
-    share = taken(run.customers).to_numpy(float).reshape(len(run.steps), -1)
-    dimmed = (share > 0.0) & (share < WHOLE_SHARE)
-    for c in np.flatnonzero(dimmed.any(axis=0)):
-        for first, last in spans_of(dimmed[:, c]):
-            least = share[first:last, c].min()
-            yield first, f"{run.scenario.customers.id[c]} dimmed, to {least:.0%} at the least."
-
-
 def _battery_events(run: Trajectory) -> Iterator[tuple[int, str]]:
     """When the batteries reach the end of their usable energy in an outage."""
     energy = stored_energy_kwh(run)
@@ -110,15 +105,6 @@ def _battery_events(run: Trajectory) -> Iterator[tuple[int, str]]:
         empty = np.flatnonzero(energy[first + 1 : last + 1] <= low + EMPTY_SHARE * (high - low))
         if len(empty) and len(run.scenario.batteries):
             yield first + 1 + int(empty[0]), "Batteries are at their lower limit."
-
-
-def _day(run: Trajectory) -> str:
-    clock = Clock.of(run)
-    n_steps = len(run.steps)
-    return (
-        f"{counted(n_steps, 'step')} of {clock.grid.step_minutes:g} min from {clock.at(0)} to "
-        f"{clock.full(clock.grid.end)}."
-    )
 
 
 def _outage(run: Trajectory, summary: Mapping[str, Any]) -> list[str]:

@@ -9,8 +9,8 @@ import pandas as pd
 
 from vppres.core.text import named
 from vppres.day.series import off_kw
-from vppres.day.switching_figures import switched
 from vppres.day.trajectory import Trajectory
+from vppres.kinds.customer.record import switched
 from vppres.report.clock import Clock
 
 ORDER_FILE = "operating_order.csv"

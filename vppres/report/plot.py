@@ -489,7 +489,7 @@ def _named(runs: Runs) -> dict[str, Record]:
     else:
         named = {}
         for run in _each(runs):
-            label = _label(run)
+            label = label_of(run) if isinstance(run, Trajectory) else str(run.summary["controller"])
             copies = sum(name == label or name.startswith(f"{label} (") for name in named)
             named[f"{label} ({copies + 1})" if copies else label] = _record(run)
     if not 1 <= len(named) <= len(RUN_STYLES):
@@ -501,11 +501,6 @@ def _named(runs: Runs) -> dict[str, Record]:
             value=len(named),
         )
     return named
-
-
-def _label(run: Run) -> str:
-    """A run's controller, with its horizon."""
-    return label_of(run) if isinstance(run, Trajectory) else str(run.summary["controller"])
 
 
 def _axes(ax: Axes | None, size: tuple[float, float] = (8.0, 4.2)) -> Axes:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vppres.core.text import counted, named
+from vppres.kinds.customer import data as customer
 from vppres.kinds.table import KINDS, TABLES
 from vppres.scenario.capacitors import too_large, too_large_by_phase
 from vppres.scenario.earthing import floating
@@ -265,20 +266,6 @@ def rising_weights(scenario: Scenario) -> str:
     return ""
 
 
-def short_times_off(scenario: Scenario) -> str:
-    """Which customers may be off for less than a step, and so not at all; empty if none."""
-    limit_h = scenario.customers.longest_off_h
-    short = (limit_h > 0.0) & (limit_h < scenario.grid.dt_h)
-    if not short.any():
-        return ""
-    names = named(scenario.customers.id[short], NAMES_SHOWN)
-    return (
-        f"The longest time off of {names} is shorter than a step of "
-        f"{scenario.grid.dt_h:g} h: plans keep such a customer on in every step. Use shorter "
-        "steps, or longer times."
-    )
-
-
 def source_words(scenario: Scenario) -> list[str]:
     """Description of a scenario's source, its exactness and the place of the import's notes.
 
@@ -314,7 +301,7 @@ def remarks(scenario: Scenario, mode: str | None = None) -> list[str]:
         held_capacitors(scenario),
         dear_export(scenario),
         rising_weights(scenario),
-        short_times_off(scenario),
+        customer.remark(scenario),
         *(getattr(scenario, name).remark(scenario) for name in TABLES),
     ]
     return [*filter(None, said)]

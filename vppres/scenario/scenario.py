@@ -13,6 +13,7 @@ import pandas as pd
 
 from vppres.core.arrays import Flags, Floats, Wholes, freeze_arrays
 from vppres.core.notebook import facts_html
+from vppres.kinds.customer.data import SwitchingRules
 from vppres.kinds.fields import OfKinds
 from vppres.kinds.vehicles.data import sessions_by_step
 from vppres.scenario.assets import Batteries, Customers, PVSystems
@@ -23,7 +24,6 @@ from vppres.scenario.network import Network
 from vppres.scenario.option_table import default_of
 from vppres.scenario.outage_warnings import OutageStatistics, OutageWarning
 from vppres.scenario.phases import Phases, check_phases
-from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.source import Source
 from vppres.scenario.timegrid import TimeGrid
 

@@ -10,16 +10,16 @@ import numpy as np
 from vppres.core.arrays import Floats, Names
 
 Plan = Mapping[str, Any]
-Plans = Sequence[Plan | None]  # by step, None for a step without
+Plans = Sequence[Plan]  # by step, empty for a step without
 
 
-def expected_by(plan: Plan | None) -> Mapping[str, Any]:
+def expected_by(plan: Plan) -> Mapping[str, Any]:
     """Values that a plan expects of its step; empty for a plan that the controller did not make."""
-    return (plan or {}).get("expected") or {}
+    return plan.get("expected") or {}
 
 
 def said_of(
-    plan: Plan | None, what: str, ids: Names, reckoned: Floats, field: str | None = None
+    plan: Plan, what: str, ids: Names, reckoned: Floats, field: str | None = None
 ) -> Floats:
     """State on which a step was decided, by unit; as reckoned where its plan does not give it."""
     told = expected_by(plan).get(what, {})

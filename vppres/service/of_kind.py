@@ -147,15 +147,15 @@ class OfKind:
         """Units that begin a day with a state."""
         return units
 
-    def state(self, scenario: Scenario, t: int, plan: Plan | None, reckoned: Any) -> Any:
+    def state(self, scenario: Scenario, t: int, plan: Plan, reckoned: Any) -> Any:
         """State that a step was decided on; as reckoned where its plan says nothing."""
         return reckoned
 
-    def out(self, plan: Plan | None) -> list[str]:
+    def out(self, plan: Plan) -> list[str]:
         """Units that a plan does without, since they do not start."""
         return []
 
-    def formers(self, scenario: Scenario, plan: Plan | None) -> Iterator[tuple[str, str]]:
+    def formers(self, scenario: Scenario, plan: Plan) -> Iterator[tuple[str, str]]:
         """Units that can form the grid of an island, and why one cannot now."""
         return iter(())
 
@@ -163,7 +163,7 @@ class OfKind:
         """Power that units could give in a recorded step."""
         return 0.0
 
-    def held_kwh(self, scenario: Scenario, plan: Plan | None) -> tuple[float, float]:
+    def held_kwh(self, scenario: Scenario, plan: Plan) -> tuple[float, float]:
         """Electric energy of full stores, and of what is in them, of units that can give it."""
         return 0.0, 0.0
 

@@ -173,7 +173,7 @@ class Overview:
         return {
             "now": written(now.floor("s")),
             "mode": runner.mode,
-            "ahead_s": None if plan is None else runner.ahead_s,
+            "ahead_s": runner.ahead_s if plan else None,
             "steps": runner.outcomes,
             "alarms": runner.alarms.listed(now),
             "events": {name: event.body for name, event in runner.store.events().items()},
@@ -181,7 +181,7 @@ class Overview:
             "measured": self._measured(latest.found, now),
             "soc": found.soc,
             "formers": [vars(one) for one in found.formers or ()],
-            "plan": None if plan is None else self._told(plan, now, found.why_dark),
+            "plan": self._told(plan, now, found.why_dark) if plan else None,
             "past": self._recent(now),
         }
 
@@ -294,7 +294,7 @@ class Overview:
         length = self.runner.length
         n_steps = min(MOST_PAST, math.ceil(pd.Timedelta(hours=PAST_H) / length))
         last = self.runner.last
-        if last is None:
+        if not last:
             return []
         begin = pd.Timestamp(last["start"]) - (n_steps - 1) * length
         times = [written(begin + t * length) for t in range(n_steps)]

@@ -222,7 +222,8 @@ class Player:
             if self._present(begin) > t:
                 self.tally.statuses["missed"] += 1
             else:
-                self._wait_until(begin, t)
+                if self.how.speed:
+                    machine.sleep(max(begin + self._real_s(t) - machine.monotonic(), 0.0))
                 self._step(t)
             record = self.world.obey(t, self._told)
             off = int(critical_off(scenario, record).sum())
@@ -265,10 +266,6 @@ class Player:
         if not self.how.speed:
             return 0
         return int((machine.monotonic() - begin) / self._real_s(1))
-
-    def _wait_until(self, begin: float, t: int) -> None:
-        if self.how.speed:
-            machine.sleep(max(begin + self._real_s(t) - machine.monotonic(), 0.0))
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,6 @@ from functools import partial
 from vppres.contract.dispatch import Dispatch
 from vppres.core.arrays import Flags
 from vppres.core.errors import InputError, SolveError
-from vppres.model.beyond_paper.longest_off import longest_off_of
 from vppres.model.data import WindowData
 from vppres.model.numerics import POLYGON_SIDES
 from vppres.model.own_state import GIVEN, giving_way, with_own_state
@@ -214,7 +213,7 @@ class WindowSolver:
                 return task.solution()
         if self.method != "decomposed" or own_of(self.cache, data):
             return self._solve(data, limits)
-        if longest_off_of(data) is not None:
+        if data.longest_off is not None:
             return solve_with_limits(data, limits, self._decided, self._solve)
         if falls_apart(self.site, data):
             return solve_apart(data, limits, self._solve)

@@ -99,20 +99,15 @@ def backtest_findings(result: Backtest, warned: WarningScores | None = None) -> 
             f"{WORDS[result.quantities[-1]]}, energy of 24 h: the 80 % interval held "
             f"{_percent(day['held_80%'].iloc[0])}."
         )
-    sentences += _drift_findings(result)
-    return sentences if warned is None else [*sentences, *_warned_findings(warned)]
-
-
-def _drift_findings(result: Backtest) -> list[str]:
-    """Quantities whose spread has left the band in the last days."""
     band = _band(result)
-    return [
+    sentences += [
         f"{WORDS[row['quantity']]}: in the last 30 days the 80 % interval held "
         f"{_percent(row['held_80%_recent'])}, outside of {_percent(0.8 - band)} to "
         f"{_percent(min(0.8 + band, 1.0))}: the spread no longer fits."
         for row in result.drift().to_dict("records")
         if abs(row["held_80%_recent"] - 0.8) > band
     ]
+    return sentences if warned is None else [*sentences, *_warned_findings(warned)]
 
 
 def _warned_findings(warned: WarningScores) -> list[str]:

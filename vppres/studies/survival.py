@@ -390,7 +390,8 @@ def _tried(
         for outcome in outcomes:
             if isinstance(outcome, FailedJob):
                 raise SolveError(f"{outcome.job.variant}: {outcome.reason} Run again to try it.")
-            _keep(folder, outcome.job.key, outcome.result)
+            text = json.dumps([asdict(one) for one in outcome.result])
+            atomic_write_text(folder / PIECES / f"{outcome.job.key}.json", text)
             found[outcome.job.variant] += outcome.result
             done += len(outcome.job.starts)
             if progress is not None:
@@ -552,8 +553,3 @@ def _kept(folder: Path, key: str) -> list[OutageOutcome] | None:
     if not file.is_file():
         return None
     return [OutageOutcome(**one) for one in json.loads(file.read_text(encoding="utf-8"))]
-
-
-def _keep(folder: Path, key: str, outcomes: Sequence[OutageOutcome]) -> None:
-    text = json.dumps([asdict(one) for one in outcomes])
-    atomic_write_text(folder / PIECES / f"{key}.json", text)

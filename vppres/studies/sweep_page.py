@@ -61,7 +61,7 @@ def write_sweep_page(
 
 def sweep_figure(parameter: str, outcomes: Sequence[SweepRow], tiers: Sequence[str]) -> Chart:
     """Key figures over the parameter, one panel each; failed runs leave a gap."""
-    ordered = _by_value(outcomes)
+    ordered = sorted(outcomes, key=lambda o: 0.0 if isinstance(o.value, str) else o.value)
     table = outcome_table(ordered)
     scale = _scale(parameter, [outcome.value for outcome in ordered])
     joined = not scale.names
@@ -79,11 +79,6 @@ def sweep_figure(parameter: str, outcomes: Sequence[SweepRow], tiers: Sequence[s
         Curves(words, [curve(words, column, Style(BLUE))], PANEL_PX) for column, words in _PANELS
     ]
     return Chart(FIGURE_NAME, f"Key figures over {parameter}", scale, panels)
-
-
-def _by_value(outcomes: Sequence[SweepRow]) -> list[SweepRow]:
-    """Numbers in their order, so that a line runs from left to right; words as given."""
-    return sorted(outcomes, key=lambda o: 0.0 if isinstance(o.value, str) else o.value)
 
 
 def _scale(parameter: str, values: Sequence[Value]) -> Scale:

@@ -118,7 +118,7 @@ def words_of(text: str, field: str) -> tuple[str, ...]:
     text = _TEXT_OR_COMMENT.sub(
         lambda found: "" if found[0][0] in "%#" else found[0], _without_block_comments(text)
     )
-    cells = re.findall(rf"^\s*\w+\.{field}\s*=\s*\{{([^{{}}]*)\}}", text, re.MULTILINE)
+    cells = re.findall(rf"^[ \t]*\w+\.{field}\s*=\s*\{{([^{{}}]*)\}}", text, re.MULTILINE)
     return tuple(found[0][1:-1] for found in _TEXT_OR_COMMENT.finditer(cells[-1] if cells else ""))
 
 

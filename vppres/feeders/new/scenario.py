@@ -37,13 +37,13 @@ from vppres.io import atomic_folder
 from vppres.io.editor import add_editor_schema
 from vppres.io.messages import did_you_mean
 from vppres.io.scenario_writer import fill_scenario_folder
+from vppres.kinds.customer.data import SwitchingRules
 from vppres.scenario.assets import PV, TIER_WEIGHTS, Batteries, PVSystems
 from vppres.scenario.capacitors import too_large, too_large_by_phase
 from vppres.scenario.network import Network
 from vppres.scenario.phases import Phases
 from vppres.scenario.priority import STRICT
 from vppres.scenario.remarks import darkness, doubtful_units, former_words
-from vppres.scenario.rules import SwitchingRules
 from vppres.scenario.scenario import ControllerDefaults, Priority, Scenario
 from vppres.scenario.source import Source, SourceDeviation
 from vppres.scenario.timegrid import TimeGrid

@@ -45,11 +45,10 @@ def read_profiles(path: str | Path, reading: FileDefaults) -> list[Profile]:
     for file in _files(path):
         table, found = read_table(file)
         problems += found
-        if table is None:
-            continue
-        read, found = _read(table, reading)
-        profiles += read
-        problems += found
+        if table:
+            read, found = _read(table, reading)
+            profiles += read
+            problems += found
     if problems:
         raise InputError(problems)
     return profiles

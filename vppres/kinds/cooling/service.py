@@ -33,7 +33,7 @@ class Thermostats(OfKind):
         """Rooms and tanks that begin with these temperatures."""
         return replace(units, t_initial_c=state)
 
-    def state(self, scenario: Scenario, t: int, plan: Plan | None, reckoned: Floats) -> Floats:
+    def state(self, scenario: Scenario, t: int, plan: Plan, reckoned: Floats) -> Floats:
         """Temperatures that a step was decided on."""
         return said_of(plan, "indoor_c", scenario.thermal_loads.id, reckoned)
 

@@ -74,9 +74,7 @@ class Sets(OfKind):
         hours = np.where(state.on, state.hours, -state.hours)
         return replace(units, fuel_level_litres=litres, on_before_h=hours)
 
-    def state(
-        self, scenario: Scenario, t: int, plan: Plan | None, reckoned: GensetState
-    ) -> GensetState:
+    def state(self, scenario: Scenario, t: int, plan: Plan, reckoned: GensetState) -> GensetState:
         """Sets that a step was decided on; plans count what is delivered at its beginning."""
         told = _told_of_all(scenario, plan)
         if told is None:
@@ -88,11 +86,11 @@ class Sets(OfKind):
         before = litres - scenario.refuelled_litres[t]
         return GensetState(hours > 0.0, np.abs(hours), power_kw, before)
 
-    def out(self, plan: Plan | None) -> list[str]:
+    def out(self, plan: Plan) -> list[str]:
         """Sets that a plan does without."""
         return [name for name, one in expected_by(plan).get("gensets", {}).items() if one["out"]]
 
-    def formers(self, scenario: Scenario, plan: Plan | None) -> Iterator[tuple[str, str]]:
+    def formers(self, scenario: Scenario, plan: Plan) -> Iterator[tuple[str, str]]:
         """Sets that are named."""
         sets = scenario.gensets
         told = expected_by(plan).get("gensets", {})
@@ -109,7 +107,7 @@ class Sets(OfKind):
         fuelled = recorded["fuel_start_litres"] >= sets.least_litres(scenario.grid.dt_h)
         return float(sets.p_max_kw[fuelled].sum())
 
-    def held_kwh(self, scenario: Scenario, plan: Plan | None) -> tuple[float, float]:
+    def held_kwh(self, scenario: Scenario, plan: Plan) -> tuple[float, float]:
         """Energy of full tanks and of what is in them, at full power, of sets that start."""
         sets = scenario.gensets
         told = expected_by(plan).get("gensets", {})
@@ -136,7 +134,7 @@ class Sets(OfKind):
         return -np.nan_to_num(told["p_kw"])
 
 
-def _told_of_all(scenario: Scenario, plan: Plan | None) -> list[Mapping[str, Any]] | None:
+def _told_of_all(scenario: Scenario, plan: Plan) -> list[Mapping[str, Any]] | None:
     """Values of a plan for each set; None unless it has them for all."""
     told = expected_by(plan).get("gensets", {})
     names = [str(name) for name in scenario.gensets.id]

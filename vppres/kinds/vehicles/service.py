@@ -42,7 +42,7 @@ class ChargingPoints(OfKind):
         """
         before = stored.store.last_step(stored.time - pd.Timedelta("1s"))
         known = stored.time - stored.scenario.grid.step
-        if before is not None:
+        if before:
             known = pd.Timestamp(before.get("valid_from", before["start"]))
         told: dict[str, Any] = {}
         for name in QUANTITIES:
@@ -97,7 +97,7 @@ class ChargingPoints(OfKind):
             return scenario
         return replace(scenario, sessions=_sessions(scenario, stored))
 
-    def state(self, scenario: Scenario, t: int, plan: Plan | None, reckoned: Floats) -> Floats:
+    def state(self, scenario: Scenario, t: int, plan: Plan, reckoned: Floats) -> Floats:
         """Energy of the vehicles that a step was decided on."""
         return said_of(plan, "vehicles", scenario.chargers.id, reckoned, "energy_kwh")
 
@@ -125,7 +125,7 @@ class ChargingPoints(OfKind):
 def _sessions(scenario: Scenario, stored: Plans) -> Sessions:
     """Sessions of past days, stays that plans tell of, and the scenario's sessions after them."""
     own = rows_of(scenario.sessions)
-    told = max(t for t, plan in enumerate(stored) if plan is not None) + 1
+    told = max(t for t, plan in enumerate(stored) if plan) + 1
     end = scenario.grid.start + told * scenario.grid.step
     past = [row for row in own if row["plug_out"] <= scenario.grid.start]
     return sessions_of(

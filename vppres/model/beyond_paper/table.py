@@ -7,17 +7,16 @@ from contextlib import contextmanager
 from functools import cache
 from itertools import chain
 
+from vppres.kinds.customer.rows import LongestTimeOff, SwitchingModel
 from vppres.kinds.table import parts
 from vppres.model.beyond_paper.addition import Addition
 from vppres.model.beyond_paper.dimmed import DimmedDemand
 from vppres.model.beyond_paper.drawn import DrawnByNetwork
 from vppres.model.beyond_paper.export import ExportToGrid
 from vppres.model.beyond_paper.former_phases import FormerPhases
-from vppres.model.beyond_paper.longest_off import LongestTimeOff
 from vppres.model.beyond_paper.physical import PhysicalMode
 from vppres.model.beyond_paper.ratings import LineRatings
 from vppres.model.beyond_paper.stored_value import ValueAtEnd
-from vppres.model.beyond_paper.switching import SwitchingModel
 from vppres.model.beyond_paper.terminal import HeldAtEnd
 from vppres.model.beyond_paper.unspent import StoredIsKept
 from vppres.model.data import WindowData

@@ -290,7 +290,8 @@ class Chart:
                 self._draw_time(canvas, frame, panel.shaded)
                 panel.draw(canvas, frame, self.time)
                 if not panel.shaded:
-                    self._bracket_outages(canvas, frame)
+                    for place in (edge for outage in self.time.outages for edge in outage):
+                        canvas.line([(place, frame.top), (place, frame.bottom)], BLACK, 1.4, "6 3")
             panel.name(canvas, frame, self.time)
         apart = -np.inf
         for begin, end in self.time.outages:
@@ -327,10 +328,6 @@ class Chart:
         with canvas.group("ticks"):
             for place, _ in self.time.ticks():
                 canvas.line([(place, frame.top), (place, frame.bottom)], RULE_COLOUR, 0.6)
-
-    def _bracket_outages(self, canvas: Canvas, frame: Frame) -> None:
-        for place in (edge for outage in self.time.outages for edge in outage):
-            canvas.line([(place, frame.top), (place, frame.bottom)], BLACK, 1.4, "6 3")
 
     def _name_times(self, canvas: Canvas, bottom: float) -> float:
         """Times below the last panel; where they end."""

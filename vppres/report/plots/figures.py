@@ -357,7 +357,8 @@ def feeder_maps(run: Trajectory) -> Chart:
     net = run.scenario.network
     rated = net.has_ratings
     v = run.by_step("buses", "v_ac_pu")
-    order = _along_the_feeder(run)
+    layout = tree_layout(run.scenario.network)
+    order = np.lexsort((layout.column, layout.row))  # neighbours stay together
     lines = order[order > 0] - 1  # by the bus that each feeds
     return Chart(
         "feeder_maps",
@@ -384,12 +385,6 @@ def feeder_maps(run: Trajectory) -> Chart:
             ),
         ],
     )
-
-
-def _along_the_feeder(run: Trajectory) -> Wholes:
-    """Buses as they stand in the one-line diagram, row by row: neighbours stay together."""
-    layout = tree_layout(run.scenario.network)
-    return np.lexsort((layout.column, layout.row))
 
 
 def by_phase(run: Trajectory) -> Chart:
@@ -477,7 +472,18 @@ def outage_belief(run: Trajectory) -> Chart:
     fan = Band(np.fmin.reduce(values), np.fmax.reduce(values), BLUE)
     panels = [Curves("Probability of an outage", curves, 220.0, low=0.0, high=1.02, bands=[fan])]
     if "stored_value_gbp_per_kwh" in run.steps:
-        panels.append(_stored_worth(run))
+        worth = run.steps["stored_value_gbp_per_kwh"].to_numpy(float)
+        price = run.steps["price_gbp_per_kwh"].to_numpy(float)
+        panels.append(
+            Curves(
+                "GBP per kWh",
+                [
+                    Curve("worth of one more stored kWh", worth, Style(VERMILLION, "", 2.0)),
+                    Curve("import price", price, Style(BLACK, "2 3", 1.3)),
+                ],
+                130.0,
+            )
+        )
     return Chart("outage_belief", "Outage forecasts; grey: actual outages", run, panels)
 
 
@@ -487,20 +493,6 @@ def _before(believed: Floats, steps: int) -> Floats:
     if steps < len(believed):
         found[steps:] = np.diagonal(believed, steps)
     return found
-
-
-def _stored_worth(run: Trajectory) -> Curves:
-    """Value of one more stored kWh, and the cost of one."""
-    worth = run.steps["stored_value_gbp_per_kwh"].to_numpy(float)
-    price = run.steps["price_gbp_per_kwh"].to_numpy(float)
-    return Curves(
-        "GBP per kWh",
-        [
-            Curve("worth of one more stored kWh", worth, Style(VERMILLION, "", 2.0)),
-            Curve("import price", price, Style(BLACK, "2 3", 1.3)),
-        ],
-        130.0,
-    )
 
 
 ROOM = Style(BLUE, "", 0.6)

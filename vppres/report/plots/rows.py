@@ -98,20 +98,18 @@ class HeatMap(Panel):
         draw_row_names(canvas, frame, self.names)
         name_axis(canvas, frame, self.axis)
         with canvas.group("right"):
-            self._draw_key(canvas, frame)
-
-    def _draw_key(self, canvas: Canvas, frame: Frame) -> None:
-        """The colours beside their values."""
-        left = frame.right + 12.0
-        height = frame.bottom - frame.top
-        column = blend(self.colours, np.linspace(1.0, 0.0, KEY_COLOURS)[:, None])
-        canvas.image(left, frame.top, KEY_PX, height, column)
-        canvas.box(left, frame.top, KEY_PX, height, "none", GREY)
-        for place, name in self._scale(frame.bottom, frame.top).ticks():
-            canvas.line([(left + KEY_PX, place), (left + KEY_PX + 3, place)], GREY)
-            canvas.text(left + KEY_PX + 6, place, name)
-        at = frame.right + self.right_px - 0.9 * FONT_PX
-        canvas.text(at, (frame.top + frame.bottom) / 2, self.scale, anchor="middle", turned=True)
+            left = frame.right + 12.0
+            height = frame.bottom - frame.top
+            column = blend(self.colours, np.linspace(1.0, 0.0, KEY_COLOURS)[:, None])
+            canvas.image(left, frame.top, KEY_PX, height, column)
+            canvas.box(left, frame.top, KEY_PX, height, "none", GREY)
+            for place, name in self._scale(frame.bottom, frame.top).ticks():
+                canvas.line([(left + KEY_PX, place), (left + KEY_PX + 3, place)], GREY)
+                canvas.text(left + KEY_PX + 6, place, name)
+            at = frame.right + self.right_px - 0.9 * FONT_PX
+            canvas.text(
+                at, (frame.top + frame.bottom) / 2, self.scale, anchor="middle", turned=True
+            )
 
     def readings(self) -> list[dict[str, Any]]:
         """Least and largest value of each step."""

@@ -10,6 +10,7 @@ import pandas as pd
 from vppres.day.trajectory import Trajectory
 from vppres.explain.step import DRIVERS
 from vppres.explain.words import figure, money
+from vppres.kinds.customer import reasons as customer
 from vppres.kinds.table import parts
 from vppres.report.clock import Clock
 from vppres.report.plots.figures import worth_of_energy
@@ -40,10 +41,7 @@ LIMITS = {
     "grid": "grid limit",
 }
 ACTIONS = {
-    "not_served": "customer not served",
-    "dimmed": "customer dimmed",
-    "caught_up": "customer caught up",
-    "restored": "customer restored in time",
+    **customer.ACTIONS,
     "charge": "battery charged",
     "discharge": "battery discharged",
     "curtail": "PV system curtailed",

@@ -27,7 +27,8 @@ def feeder_section(run: Run) -> Section:
     """The diagram in the worst outage step, with a choice of the others."""
     day = run.trajectory.scenario
     drawn, states = drawing(run.trajectory), step_states(run.trajectory)
-    voltages = _voltage_words(run.trajectory)
+    edges = voltage_edges(run.trajectory)
+    voltages = [f"{low:.4g}{EN_DASH}{high:.4g}" for low, high in pairwise(edges)]
     customers = [
         f"{name} ({tier})" for name, tier in zip(day.customers.id, day.customers.tier, strict=True)
     ]
@@ -69,12 +70,6 @@ def _ratings(run: Trajectory) -> list[float | None]:
         round(rating, 1) if np.isfinite(rating) else None
         for rating in run.scenario.network.i_max_a.tolist()
     ]
-
-
-def _voltage_words(run: Trajectory) -> list[str]:
-    """Range of each voltage class."""
-    edges = voltage_edges(run)
-    return [f"{low:.4g}{EN_DASH}{high:.4g}" for low, high in pairwise(edges)]
 
 
 def _loading_words(run: Trajectory) -> list[str]:

@@ -9,8 +9,8 @@ from typing import Any
 
 import pandas as pd
 
-from vppres.contract.longest_off import ROUNDING
 from vppres.core.text import named
+from vppres.kinds.customer.physics import ROUNDING
 from vppres.live.by_phase import GRID
 from vppres.scenario.scenario import Scenario
 from vppres.service.as_told import expected_by
@@ -67,13 +67,14 @@ class Condition:
 class Situation:
     """How a site is, with its last plan, how long that still holds, and what it misses.
 
-    Whether there is grid was ``read_by`` a source last; an outage of now may be ``announced``.
+    The plan is empty before the first. Whether there is grid was ``read_by`` a source last; an
+    outage of now may be ``announced``.
     ``formers`` can form the grid of an island; None in paper mode, whose islands need none.
     """
 
     now: pd.Timestamp
     scenario: Scenario
-    plan: Mapping[str, Any] | None
+    plan: Mapping[str, Any]
     ahead_s: float
     unaware_of: Sequence[str]
     heard: Sequence[Heard]
@@ -98,7 +99,7 @@ class Situation:
         """Customers without supply: all of a dark island, whatever was ordered."""
         if self.why_dark:
             return {str(name) for name in self.scenario.customers.id}
-        points = [] if self.plan is None else points_at(self.plan, self.now)
+        points = points_at(self.plan, self.now)
         return {one["asset"] for one in points if one.get("served") is False}
 
     def clock(self, time: str | pd.Timestamp) -> str:
@@ -117,7 +118,7 @@ def situation(
     now: pd.Timestamp,
     scenario: Scenario,
     store: Store,
-    plan: Mapping[str, Any] | None,
+    plan: Mapping[str, Any],
     ahead_s: float,
     unaware_of: Sequence[str] = (),
     mode: str | None = None,
@@ -125,7 +126,7 @@ def situation(
     """How a site is by what is stored; ``mode`` is that of its islands, if not the scenario's."""
     latest = Latest.at(now, scenario, store)
     failing = failing_now(scenario, latest, store, plan)
-    grid = (plan or {}).get("grid")
+    grid = plan.get("grid")
     read = latest.newest("grid_on").get(GRID)
     grid_on = None if read is None else read.value
     is_dark = not grid["available"] if grid else grid_on == 0.0
@@ -150,7 +151,7 @@ def situation(
 
 
 def failing_now(
-    scenario: Scenario, latest: Latest, store: Store, plan: Mapping[str, Any] | None
+    scenario: Scenario, latest: Latest, store: Store, plan: Mapping[str, Any]
 ) -> dict[str, str]:
     """Devices that do not follow their set-points, and why."""
     batteries = dict.fromkeys(refusing(latest.newest("soc"), store), "its device rejected it")
@@ -180,12 +181,12 @@ def _no_decision(now: Situation) -> Iterator[Condition]:
     """There is no plan for now, or none that knows what has changed."""
     plan = now.plan
     text = ""
-    grid = (plan or {}).get("grid") or {"available": True}
+    grid = plan.get("grid") or {"available": True}
     left = "devices use default set-points"
     if not grid["available"]:
         left = "devices keep their last state, and how long the island lasts is not known"
-    if plan is None or now.ahead_s <= 0.0:
-        ends = max((one["valid_until"] for one in (plan or {}).get("setpoints", ())), default=None)
+    if not plan or now.ahead_s <= 0.0:
+        ends = max((one["valid_until"] for one in plan.get("setpoints", ())), default=None)
         if ends is not None and now.now < pd.Timestamp(ends):
             left = f"set-points hold until {now.clock(ends)}, then {left}"
         text = f"There is no plan for the present step: {left}."
@@ -201,7 +202,7 @@ def _no_decision(now: Situation) -> Iterator[Condition]:
 
 def _grid_contradicted(now: Situation) -> Iterator[Condition]:
     """The plan ignores a reading that the grid is lost, and that is still the last one."""
-    for words in (now.plan or {}).get("estimated", ()):
+    for words in now.plan.get("estimated", ()):
         if words.startswith("grid_on ") and now.grid_on == 0.0:
             yield Condition("grid_contradicted", "", HIGH, f"The plan ignores a reading: {words}.")
 
@@ -210,8 +211,8 @@ def _is_lost(now: Situation) -> bool:
     """Whether the grid is lost by a reading that counts."""
     if now.grid_on != 0.0 or any(_grid_contradicted(now)):
         return False
-    grid = (now.plan or {}).get("grid")
-    if grid is None or not grid["available"]:
+    grid = now.plan.get("grid")
+    if not grid or not grid["available"]:
         return True
     return any(words.startswith(GRID_LOST) for words in now.unaware_of)
 
@@ -231,7 +232,7 @@ def _grid_lost(now: Situation) -> Iterator[Condition]:
 def _off_with_grid(now: Situation) -> Iterator[Condition]:
     """Customers are off although there is grid, and they could be switched on."""
     plan = now.plan
-    if plan is None or now.ahead_s <= 0.0 or now.is_dark or _is_lost(now):
+    if not plan or now.ahead_s <= 0.0 or now.is_dark or _is_lost(now):
         return
     if not plan.get("grid") and now.grid_on != 1.0:
         return  # as by hand: nobody knows
@@ -250,10 +251,9 @@ def _off_with_grid(now: Situation) -> Iterator[Condition]:
 
 def _shed(now: Situation) -> Iterator[Condition]:
     """Customers whom the plan served and whom its island cannot hold."""
-    shed = [one["asset"] for one in (now.plan or {}).get("shed", ())]
+    shed = [one["asset"] for one in now.plan.get("shed", ())]
     if not shed or now.ahead_s <= 0.0:
         return
-    assert now.plan is not None
     (why, *_) = [one["reason"] for one in now.plan["shed"]]
     priority = HIGH if now.critical.intersection(shed) else MEDIUM
     them = "it" if len(shed) == 1 else "them"
@@ -265,7 +265,7 @@ def _one_former_left(now: Situation) -> Iterator[Condition]:
     """Of the devices that can form the grid of an island one is left, or none."""
     able = [one.asset for one in now.formers or () if not one.why_not]
     missing = [one for one in now.formers or () if one.why_not]
-    if now.plan is None or not missing or len(able) > 1:
+    if not now.plan or not missing or len(able) > 1:
         return
     others = named([f"{one.asset} ({one.why_not})" for one in missing], NAMES_SHOWN)
     priority = HIGH if now.is_dark else MEDIUM
@@ -278,7 +278,7 @@ def _one_former_left(now: Situation) -> Iterator[Condition]:
 
 def _critical_off(now: Situation) -> Iterator[Condition]:
     """Customers of the first tier are off, or will be; and whether that rests on old readings."""
-    if now.plan is None:
+    if not now.plan:
         return
     able = now.critical - set(now.failing)
     off = sorted(now.off & able)
@@ -316,7 +316,7 @@ def _longest_off(now: Situation) -> Iterator[Condition]:
     One that the plan restores in the next step needs no operator.
     """
     plan = now.plan
-    if plan is None:
+    if not plan:
         return
     limit_h = limits_h(now.scenario)
     dt_h = now.scenario.grid.dt_h
@@ -368,7 +368,7 @@ def _island_margin(now: Situation) -> Iterator[Condition]:
 
 def _fallback(now: Situation) -> Iterator[Condition]:
     """Fallbacks decide."""
-    if now.plan is not None and now.plan["status"] == "fallback" and now.ahead_s > 0.0:
+    if now.plan.get("status") == "fallback" and now.ahead_s > 0.0:
         solve = now.plan["solve"]
         kind = str(solve["fallback"]).replace("_", " ")
         words = f"Steps are decided by a fallback ({kind}): {solve['fallback_reason']}."
@@ -394,7 +394,7 @@ def _setpoint_rejected(now: Situation) -> Iterator[Condition]:
     found = {
         name: f"{name} did not follow its set-point: {why}." for name, why in now.failing.items()
     }
-    if now.plan is not None and now.ahead_s > 0.0:
+    if now.ahead_s > 0.0:
         for one in refused_of(now.plan):
             words = f"The last check rejected the set-point of {one['asset']}: {one['reason']}."
             found.setdefault(one["asset"], f"{words} The default was sent.")

@@ -134,7 +134,11 @@ class Alarms:
             new = [self._row(one, now) for key, one in present.items() if self._is_due(key, now)]
             still = [_updated(row, present[key]) for key, row in before.items() if key in present]
             changed = [row for row in still if row != before[row.key]]
-            over = [replace(before[key], cleared_at=seconds(now)) for key in self._over(now)]
+            over = [
+                replace(before[key], cleared_at=seconds(now))
+                for key, since in self._gone.items()
+                if now - since >= pd.Timedelta(minutes=KINDS[key[0]].gone_min)
+            ]
             if new or changed or over:
                 kept = self.store.write_alarms([*new, *changed, *over])
                 rows = {**before, **{row.key: row for row in kept}}
@@ -199,14 +203,6 @@ class Alarms:
         """Whether a condition that is no alarm yet has lasted for its delay."""
         delay = pd.Timedelta(minutes=KINDS[key[0]].delay_min)
         return key not in self._standing and now - self._since[key] >= delay
-
-    def _over(self, now: pd.Timestamp) -> list[tuple[str, str]]:
-        """Alarms whose condition has been gone for long enough."""
-        return [
-            key
-            for key, since in self._gone.items()
-            if now - since >= pd.Timedelta(minutes=KINDS[key[0]].gone_min)
-        ]
 
     def _row(self, condition: Condition, now: pd.Timestamp) -> AlarmRow:
         """A new alarm; one that was shelved when it came last stays so."""

@@ -261,7 +261,7 @@ def _message(
     if end is not None and end + LOOKAHEAD_H * HOUR <= now:
         return None
     begun = _step_of(start, now, step)
-    lasts_h = None if end is None else (_step_end(end, now, step) - begun) / HOUR
+    lasts_h = None if end is None else (now - (now - end) // step * step - begun) / HOUR
     names = ("duration_p10_h", "duration_p50_h", "duration_p90_h")
     lasts = dict.fromkeys(names, lasts_h)
     return OutageWarning(now, name, onset_likely=begun, probability=1.0, **lasts)
@@ -349,11 +349,6 @@ def _shares(onset: payloads.Onset) -> OnsetShares:
 def _step_of(time: pd.Timestamp, now: pd.Timestamp, step: pd.Timedelta) -> pd.Timestamp:
     """Beginning of the step that covers a time, where one begins now."""
     return now + ((time - now) // step) * step
-
-
-def _step_end(time: pd.Timestamp, now: pd.Timestamp, step: pd.Timedelta) -> pd.Timestamp:
-    """End of the last step before a time, where a step begins now."""
-    return now - ((now - time) // step) * step
 
 
 def _possible(probabilities: list[float]) -> list[int]:

@@ -54,7 +54,7 @@ class Figures(Collector):
         alarms = {kind: standing[kind] for kind in KINDS}
         yield _by("alarms", "Alarms that stand.", "kind", alarms)
         yield _by("telemetry_age_seconds", "Time since the last contact.", "source", ages_s)
-        if runner.last is not None:
+        if runner.last:
             yield from self._plan(runner.last)
         yield _by("build_info", "Version.", "version", {str(vppres.__version__): 1.0})
 

@@ -160,7 +160,7 @@ class Runner:
         self.options = _in_time(service.options, self.scenario)
         self.heard: list[Heard] = []
         self.expected: OrderedDict[str, Measurement] = OrderedDict()
-        self.last: dict[str, Any] | None = store.last_step()
+        self.last: dict[str, Any] = store.last_step()
         self.on_step: Callable[[float], None] = lambda _: None
         self.on_plan: Callable[[], None] = lambda: None
         self._jobs: OrderedDict[str, Future[dict[str, Any]]] = OrderedDict()
@@ -172,7 +172,7 @@ class Runner:
         self.alarms = Alarms(store)
         self._within: Within | None = None
         self._odd = set[str]()
-        if isinstance(clock, SetClock) and self.last is not None:
+        if isinstance(clock, SetClock) and self.last:
             clock.set(max(clock.now(), pd.Timestamp(self.last["start"])))
         self._state = self._last_state()
         if self._made_later(self.last, clock.now()):
@@ -210,7 +210,7 @@ class Runner:
         told = newest(readings)
         with self._hearing:
             self._fresh |= told
-        if self.last is not None:
+        if self.last:
             self._compare(told.values(), until)
             imports = any(one.quantity == IMPORT and one.value for one in readings)
             if imports and is_said_lost(self.last) and self._fed():
@@ -224,7 +224,7 @@ class Runner:
         said = [one for one in told if one.quantity in AGAINST_PLANS]
         kinds = {one.quantity for one in said}
         last = self.store.latest(until, kinds) if kinds else []
-        for words in unknown_to(self.last or {}, (one for one in last if one in said), self._fed):
+        for words in unknown_to(self.last, (one for one in last if one in said), self._fed):
             self.changes.note(words)
 
     def _fed(self) -> bool:
@@ -244,7 +244,7 @@ class Runner:
 
     def look(self) -> None:
         """Note what has changed while the service did not run."""
-        if self.last is None:
+        if not self.last:
             return
         until = self.clock.now() + EARLY_SHARE * self.length
         latest = self.store.latest(until, INSTANT)
@@ -258,7 +258,7 @@ class Runner:
 
     def note_ends(self) -> None:
         """Note what has ended since the plan of the present step was made."""
-        if self.last is None or self.rehearsal:
+        if not self.last or self.rehearsal:
             return
         since, now = pd.Timestamp(self.last["generated_at"]), self.clock.now()
         for what, end in self._ends():
@@ -340,8 +340,8 @@ class Runner:
         try:
             plan = self.store.step(pd.Timestamp(name))
         except ValueError:
-            plan = None
-        if plan is not None:
+            plan = {}
+        if plan:
             return {"id": name, "status": "finished", "plan": plan}
         if future is None:
             return None
@@ -392,7 +392,7 @@ class Runner:
     @property
     def ahead_s(self) -> float:
         """How long the last plan still holds, in s; negative when it is over, or not yet there."""
-        if self.last is None:
+        if not self.last:
             return -float("inf")
         start, now = pd.Timestamp(self.last["start"]), self.clock.now()
         left = start + self.length - now if start <= now else now - start
@@ -406,7 +406,7 @@ class Runner:
         if self._made_later(self.last, now):
             self._come_back(now)
         stored = self.store.step(time)
-        if stored is not None:
+        if stored:
             return stored
         self._check(time, now)
         if self.rehearsal and isinstance(self.clock, SetClock):
@@ -422,7 +422,7 @@ class Runner:
         before = self.last
         time = self.begun(now)
         # Where the step is not decided yet its own plan will know; a rehearsal stands still.
-        if not why or self.rehearsal or before is None or before["start"] != written(time):
+        if not why or self.rehearsal or before.get("start") != written(time):
             return None
         if now <= pd.Timestamp(before["valid_from"]):
             return None
@@ -496,7 +496,7 @@ class Runner:
                 "is not the beginning of a step",
                 f"One begins at {written(self.begun(time))}.",
             )
-        elif self.last is not None and time < pd.Timestamp(self.last["start"]):
+        elif self.last and time < pd.Timestamp(self.last["start"]):
             problem = ("is over, and was not decided", f"The last step is {self.last['start']}.")
         elif self.rehearsal and not self.scenario.grid.start <= time < self.scenario.grid.end:
             problem = (
@@ -550,7 +550,7 @@ class Runner:
         told = told_at(self.last, self._moment(time))
         if grid is not None:
             return Left(grid.available, grid.known_by, told)
-        before = (self.last or {}).get("grid") or {"available": True}
+        before = self.last.get("grid") or {"available": True}
         return Left(before["available"], LAST_PLAN, told)
 
     def _moment(self, time: pd.Timestamp) -> pd.Timestamp:
@@ -595,7 +595,7 @@ class Runner:
 
     def _forget(self, time: pd.Timestamp) -> None:
         """Once a day drop what is too old."""
-        begun = time if self.last is None else pd.Timestamp(self.last["start"])
+        begun = pd.Timestamp(self.last.get("start", time))
         if begun.normalize() != time.normalize() and time - begun <= LONGEST_GAP:
             with suppress(StorageError):  # the step is kept; tomorrow is another day
                 self.store.forget(time - self.keeps, time - pd.Timedelta(days=REMEMBERED_DAYS))
@@ -609,7 +609,7 @@ class Runner:
 
     def _bridge_gap(self, time: pd.Timestamp) -> None:
         """Write down the steps since the last one as missed; they are not decided any more."""
-        if self.last is None:
+        if not self.last:
             return
         missed = pd.Timestamp(self.last["start"]) + self.length
         if time - missed > LONGEST_GAP:
@@ -623,9 +623,9 @@ class Runner:
             self._kept(missed, plan)
             missed += self.length
 
-    def _made_later(self, plan: dict[str, Any] | None, now: pd.Timestamp) -> bool:
+    def _made_later(self, plan: dict[str, Any], now: pd.Timestamp) -> bool:
         """Whether a plan was made later than now, by a clock that has been set back since."""
-        if plan is None or isinstance(self.clock, SetClock):  # that one never goes back
+        if not plan or isinstance(self.clock, SetClock):  # that one never goes back
             return False
         return bool(pd.Timestamp(plan["generated_at"]) > now + EARLY_SHARE * self.length)
 

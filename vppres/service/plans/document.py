@@ -86,10 +86,9 @@ class Left:
         return {"available": self.available, "known_by": self.known_by}
 
 
-def told_at(plan: Mapping[str, Any] | None, time: pd.Timestamp) -> Told:
+def told_at(plan: Mapping[str, Any], time: pd.Timestamp) -> Told:
     """Set-points of the last plan, or the defaults once it is over."""
-    last = (plan or {"setpoints": []})["setpoints"]
-    return {(one["kind"], one["asset"]): at(one, time) for one in last}
+    return {(one["kind"], one["asset"]): at(one, time) for one in plan.get("setpoints", ())}
 
 
 def plan_of(
@@ -189,11 +188,10 @@ def defaults_of(
 
 
 def ordered(
-    scenario: Scenario, before: Mapping[str, Any] | None, asked: Iterable[Mapping[str, Any]]
+    scenario: Scenario, before: Mapping[str, Any], asked: Iterable[Mapping[str, Any]]
 ) -> Tables:
     """The last plan's set-points, the operator's over them, defaults where there are none."""
-    last = (before or {"setpoints": []})["setpoints"]
-    told = {(one["kind"], one["asset"]): one for one in last}
+    told = {(one["kind"], one["asset"]): one for one in before.get("setpoints", ())}
     over = {(one["kind"], one["asset"]): _asked(one) for one in asked}
     tables = {}
     for kind, defaults in _defaults(scenario).items():
@@ -250,7 +248,9 @@ def made_anew(
 
 
 def points_at(plan: Mapping[str, Any], time: pd.Timestamp) -> list[dict[str, Any]]:
-    """Set-points of a step as they hold at a time."""
+    """Set-points of a step as they hold at a time; none without a plan."""
+    if not plan:
+        return []
     said = versions(plan)
     begun = [one for one in said if pd.Timestamp(one.get("valid_from", plan["start"])) <= time]
     return [at(one, time) for one in (begun or said[:1])[-1]["setpoints"]]
@@ -258,7 +258,7 @@ def points_at(plan: Mapping[str, Any], time: pd.Timestamp) -> list[dict[str, Any
 
 def refused_of(plan: Mapping[str, Any]) -> list[dict[str, str]]:
     """Set-points of a plan that the last check did not let pass, and why."""
-    if plan["status"] not in CHECKED:
+    if plan.get("status") not in CHECKED:
         return []
     return [
         {"asset": one["asset"], "reason": one["reason"].removeprefix(DEFAULT)}

@@ -28,7 +28,7 @@ class FormerState:
 
 def formers_now(
     scenario: Scenario,
-    plan: Mapping[str, Any] | None,
+    plan: Mapping[str, Any],
     soc: Mapping[str, float],
     failing: Mapping[str, str],
 ) -> list[FormerState]:
@@ -38,8 +38,8 @@ def formers_now(
     ----------
     scenario : Scenario
         The site.
-    plan : mapping or None
-        The last plan: what it does without.
+    plan : mapping
+        The last plan, empty before the first: what it does without.
     soc : mapping
         States of charge as far as they are known.
     failing : mapping
@@ -55,7 +55,7 @@ def formers_now(
 
 def _batteries(
     scenario: Scenario,
-    plan: Mapping[str, Any] | None,
+    plan: Mapping[str, Any],
     soc: Mapping[str, float],
     failing: Mapping[str, str],
 ) -> Iterator[FormerState]:
@@ -68,7 +68,7 @@ def _batteries(
             phases = scenario.phases
             complete = np.array([phases.connection(str(one)).three_coils for one in b.id])
         there = complete & (b.active_max_kw > 0.0)
-    said = (plan or {}).get("estimated", ())
+    said = plan.get("estimated", ())
     held = np.array([soc.get(str(name), np.inf) for name in b.id], dtype=float)
     empty = ~b.holds_energy(held)
     for i in np.flatnonzero(there):
@@ -81,13 +81,13 @@ def _batteries(
         yield FormerState(name, "batteries", why)
 
 
-def why_dark(plan: Mapping[str, Any] | None, formers: Sequence[FormerState], island: bool) -> str:
+def why_dark(plan: Mapping[str, Any], formers: Sequence[FormerState], island: bool) -> str:
     """Why nobody is supplied in an island now; empty if something forms its grid, or may.
 
     A plan says so of itself. Where nobody decided, and where devices failed since, it follows from
     the ``formers``.
     """
-    if plan is None or not island:
+    if not plan or not island:
         return ""
     said = (plan.get("solve") or {}).get("dark_reason") or ""
     decided = plan.get("solve") is not None

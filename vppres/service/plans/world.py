@@ -47,7 +47,7 @@ class World:
         of_kinds = every()
         self._kinds = {kind: of_kinds[kind] for kind in self.day.plant.units}
 
-    def begin_as(self, plan: Plan | None, t: int) -> None:
+    def begin_as(self, plan: Plan, t: int) -> None:
         """Begin a step with the units of each kind as a plan knew them."""
         plant = self.day.plant
         plant.begin_with(

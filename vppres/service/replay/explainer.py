@@ -48,7 +48,7 @@ class Explainer:
     def begin(self) -> None:
         """Explain the last plan beside the steps, once, if it leaves a customer off."""
         plan = self.runner.last
-        if plan is None or plan["id"] == self._begun:
+        if not plan or plan["id"] == self._begun:
             return
         self._begun = plan["id"]
         if any(one.get("served") is False for one in plan["setpoints"]):

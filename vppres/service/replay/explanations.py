@@ -12,7 +12,7 @@ import os
 import pickle
 import resource
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -121,7 +121,14 @@ def explained(asked: Replay) -> dict[str, Any]:
     trajectory = recorder.finish(asked.options.as_record())
     explanations, shadow_prices = explain_step(trajectory, len(asked.stored) - 1)
     step, *actions = explanations
-    prices = _prices(shadow_prices)
+    prices = [
+        {
+            "asset": row["item"],
+            **{name: json_safe(float(row[name])) for name in ("weighted_h", "gbp")},
+        }
+        for row in shadow_prices
+        if row["constraint"] == "stored_energy"
+    ]
     return {
         "phase": step["phase"],
         "step": _reason(step),
@@ -140,13 +147,13 @@ def explained(asked: Replay) -> dict[str, Any]:
 
 
 def _foreseen(
-    record: StepRecord, plan: Mapping[str, Any] | None, scenario: Scenario
+    record: StepRecord, plan: Mapping[str, Any], scenario: Scenario
 ) -> Iterator[StepRecord]:
     """Steps after the explained one with the customers that its plan means to supply.
 
     What was expected of them otherwise is the scenario's.
     """
-    served = ((plan or {}).get("ahead") or {}).get("served") or {}
+    served = (plan.get("ahead") or {}).get("served") or {}
     customers = record.customers
     for k in range(scenario.grid.n_steps - record.t - 1):
         told = [on for name in scenario.customers.id for on in served.get(str(name), ())[k : k + 1]]
@@ -159,18 +166,6 @@ def _foreseen(
 
 def _reason(row: Mapping[str, Any]) -> dict[str, Any]:
     return {name: row[name] for name in ("driver", "binding", "words")}
-
-
-def _prices(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Value of one more kWh in each battery."""
-    return [
-        {
-            "asset": row["item"],
-            **{name: json_safe(float(row[name])) for name in ("weighted_h", "gbp")},
-        }
-        for row in rows
-        if row["constraint"] == "stored_energy"
-    ]
 
 
 def blacked_out(plan: Mapping[str, Any], scenario: Scenario) -> dict[str, Any]:

@@ -120,8 +120,8 @@ class Replay:
         The steps as they were measured and announced; without grid where plans say so.
     options : RunOptions
         How they were decided.
-    stored : list of dict or None
-        Their plans, None for a step without; none of steps that were not replayed yet.
+    stored : list of dict
+        Their plans, empty for a step without; none of steps that were not replayed yet.
     parts : list of list of StepPart
         Parts of each step; none of a step without a plan.
     soc : array, shape (T, B)
@@ -130,7 +130,7 @@ class Replay:
 
     scenario: Scenario
     options: RunOptions
-    stored: list[Plan | None]
+    stored: list[Plan]
     parts: list[list[StepPart]]
     soc: Floats
 
@@ -140,10 +140,10 @@ class Replay:
     ) -> Replay:
         """The steps of a scenario, with what is stored of them."""
         by_start = {plan["start"]: plan for plan in plans}
-        stored = [by_start.get(written(time)) for time in scenario.grid.times]
+        stored = [by_start.get(written(time), {}) for time in scenario.grid.times]
         measured = InSteps(store, scenario.grid)
         step = scenario.grid.step
-        parts = [[] if plan is None else parts_of(plan, step, store) for plan in stored]
+        parts = [parts_of(plan, step, store) if plan else [] for plan in stored]
         dark = [bool(each) and each[-1].island for each in parts]
         price, limit_kw = _announced(scenario, stored, store)
         b, pv = scenario.batteries, scenario.pv
@@ -176,7 +176,7 @@ class Replay:
             held = np.where(read, np.clip(self.soc[t], b.soc_min, b.soc_max), day.state.soc)
             day.state = replace(day.state, soc=held)
             world.begin_as(plan, t)
-            if plan is not None:
+            if plan:
                 told = [{**one, "valid_from": plan["start"]} for one in plan["setpoints"]]
             record = _noted(world.obey(t, told), plan)
             yield _weighed(record, scenario, plan) if shared else record
@@ -232,15 +232,11 @@ def off_minutes(
 
 def _on_in(part: StepPart, t: int, replay: Replay, store: Store) -> Flags:
     """Customers that were on in a part of a step, (C,)."""
-    plan = replay.stored[t]
-    assert plan is not None
-    off = off_in(part, plan, partial(replay.alone, t), replay.options, store)
+    off = off_in(part, replay.stored[t], partial(replay.alone, t), replay.options, store)
     return np.array([str(name) not in off for name in replay.scenario.customers.id], dtype=bool)
 
 
-def _announced(
-    scenario: Scenario, stored: Sequence[Plan | None], store: Store
-) -> tuple[Floats, Floats]:
+def _announced(scenario: Scenario, stored: Sequence[Plan], store: Store) -> tuple[Floats, Floats]:
     """Import price and limit of each step, (T,), as they were known when it was decided.
 
     They are what its plan says; without one, what events said by then.
@@ -259,7 +255,7 @@ def _announced(
             row = slice(t, t + 1)
             series = {name: values[row] for name, values in scenario.series.items()}
             alone = Window(scenario.grid.times[row], step, series)
-            said = _known_by(versions, time if plan is None else plan["generated_at"])
+            said = _known_by(versions, plan.get("generated_at", time))
             price[t] = prices(said, alone)[0]
             limit_kw[t] = limits_kw(said, alone)[0]
     return price, limit_kw
@@ -272,16 +268,16 @@ def _known_by(versions: Sequence[Sequence[Event]], time: Any) -> list[Event]:
     return [one for one in last if one is not None and one.body]
 
 
-def _weighed(record: StepRecord, scenario: Scenario, plan: Plan | None) -> StepRecord:
+def _weighed(record: StepRecord, scenario: Scenario, plan: Plan) -> StepRecord:
     """A step with the weights of its plan; a step without a plan has those of the site."""
-    rotated = ((plan or {}).get("solve") or {}).get(ROTATED) or {}
+    rotated = (plan.get("solve") or {}).get(ROTATED) or {}
     c = scenario.customers
     own = dict(zip(map(str, c.id), c.weight, strict=True))
     weight = np.array([rotated.get(name, own[name]) for name in own], dtype=float)
     return replace(record, customers={**record.customers, ROTATED: weight})
 
 
-def _noted(record: StepRecord, plan: Plan | None) -> StepRecord:
+def _noted(record: StepRecord, plan: Plan) -> StepRecord:
     """A step with what its plan says of how it was found."""
     # No model's answer is stored: that of the AC power flow stands in its place.
     buses = {**record.buses, "v_model_pu": record.buses["v_ac_pu"]}
@@ -290,9 +286,8 @@ def _noted(record: StepRecord, plan: Plan | None) -> StepRecord:
         "p_model_kw": record.lines["p_ac_kw"],
         "q_model_kvar": record.lines["q_ac_kvar"],
     }
-    found = {"status": "missed" if plan is None else plan["status"], "v_error_pu": 0.0}
-    if plan is not None and plan["solve"] is not None:
-        solve = plan["solve"]
+    found = {"status": plan.get("status", "missed"), "v_error_pu": 0.0}
+    if solve := plan.get("solve"):
         values = {name: solve[stored] for name, stored in OF_SOLVE.items()}
         found |= {
             name: ("" if name.endswith("reason") else np.nan) if value is None else value

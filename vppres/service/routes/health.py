@@ -25,11 +25,11 @@ def routes(runner: Runner) -> APIRouter:
         checks = {
             "database": runner.store.ready(),
             "plan": runner.ahead_s > 0.0,
-            "decided": runner.last is not None and runner.last["status"] != "failed",
+            "decided": runner.last.get("status", "failed") != "failed",
             "notices": runner.notifier is None or runner.notifier.alive(),
         }
         ready = all(checks.values())
-        ahead = runner.ahead_s if runner.last is not None else None
+        ahead = runner.ahead_s if runner.last else None
         body = {"ready": ready, "checks": checks, "plan_ahead_s": ahead}
         return JSONResponse(body, 200 if ready else 503)
 

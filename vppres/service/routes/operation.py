@@ -26,7 +26,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
             "site": runner.scenario.name,
             "mode": runner.mode,
             "rehearsal": runner.rehearsal,
-            "step": None if last is None else {"start": last["start"], "status": last["status"]},
+            "step": {"start": last["start"], "status": last["status"]} if last else None,
             "steps": runner.outcomes,
             "sources": last_heard(runner.store),
             "alarms": runner.alarms.listed(runner.clock.now()),

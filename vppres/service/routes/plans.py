@@ -70,7 +70,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
     ) -> Any:
         """The last plan; ``stale`` when it is over, ``none`` before the first."""
         found = runner.last
-        if found is None:
+        if not found:
             return {"status": "none"}
         shown = found if runner.ahead_s > 0.0 else {**found, "status": "stale"}
         unknown = runner.changes.reasons
@@ -94,7 +94,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         plan = runner.last
         if time is not None:
             plan = runner.store.step(runner.begun(moment_asked(time).tz_convert("UTC")))
-        if plan is None:
+        if not plan:
             raise HTTPException(404, "No step of that time is kept.")
         return plan
 

@@ -38,8 +38,7 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
         """Set-points of devices at a time, now if not given; defaults once they are over."""
         check_asset(asset, runner.scenario)
         now = runner.clock.now() if time is None else moment_asked(time)
-        found = runner.store.last_step(now)
-        every = [] if found is None else points_at(found, now)
+        every = points_at(runner.store.last_step(now), now)
         chosen = [one for one in every if asset in (None, one["asset"])]
         said = runner.store.acks(one["id"] for one in chosen)
         chosen = [{**one, "status": said.get(one["id"], NEW)["status"]} for one in chosen]
@@ -72,8 +71,8 @@ def routes(runner: Runner, guarded: Guard) -> APIRouter:
             time = payloads.read_moment(identifier.partition("/")[0])
         except ValueError:
             return None
-        plan = runner.store.step(runner.begun(time)) or {"setpoints": []}
-        said = [one for version in versions(plan) for one in version["setpoints"]]
+        plan = runner.store.step(runner.begun(time))
+        said = [one for version in versions(plan) for one in version.get("setpoints", ())]
         return next((o for o in said if identifier in (o["id"], unquote(o["id"]))), None)
 
     return router

@@ -51,7 +51,8 @@ def last_readings(until: int, quantities: Iterable[str]) -> Any:
 
 def put(db: sa.Connection, table: sa.Table, **row: Any) -> None:
     """Insert a row, or replace the one with its key."""
-    db.execute(table.delete().where(_where(table, row)))
+    key = (column == row[column.name] for column in table.primary_key.columns)
+    db.execute(table.delete().where(*key))
     db.execute(table.insert().values(**row))
 
 
@@ -147,11 +148,6 @@ def upserting(db: sa.Connection, table: sa.Table, value: str) -> Any:
         set_={name: insert.excluded[name] for name in rest},
         where=table.c[value].is_distinct_from(insert.excluded[value]),
     )
-
-
-def _where(table: sa.Table, row: dict[str, Any]) -> Any:
-    """The row's key."""
-    return sa.and_(*(column == row[column.name] for column in table.primary_key.columns))
 
 
 def note(db: sa.Connection, now: pd.Timestamp, actor: str, action: str, detail: str) -> None:

@@ -243,7 +243,7 @@ class Store:
         f = FORECASTS.c
         issued = sa.select(f.body).where(f.quantity == quantity, f.issued_at <= seconds(now))
         body = self._body(issued.order_by(f.issued_at.desc()).limit(1))
-        return None if body is None else Forecasts.model_validate(body)
+        return Forecasts.model_validate(body) if body else None
 
     # Steps
 
@@ -273,12 +273,12 @@ class Store:
             if asked is not None:
                 note(db, asked.at, asked.actor, "step", f"{plan['id']} {plan['status']}")
 
-    def step(self, time: pd.Timestamp) -> dict[str, Any] | None:
-        """The plan of a step, None if it is none of ours."""
+    def step(self, time: pd.Timestamp) -> dict[str, Any]:
+        """The plan of a step, empty if it is none of ours."""
         return self._body(sa.select(STEPS.c.plan).where(STEPS.c.time == seconds(time)))
 
-    def last_step(self, until: pd.Timestamp | None = None) -> dict[str, Any] | None:
-        """The plan of the last step, or of the last one up to a time."""
+    def last_step(self, until: pd.Timestamp | None = None) -> dict[str, Any]:
+        """The plan of the last step, or of the last one up to a time; empty if there is none."""
         chosen = sa.select(STEPS.c.plan).order_by(STEPS.c.time.desc()).limit(1)
         if until is not None:
             chosen = chosen.where(STEPS.c.time <= seconds(until))
@@ -291,9 +291,9 @@ class Store:
             chosen = chosen.where(STEPS.c.time < seconds(until))
         return [json.loads(text) for (text,) in self._rows(chosen.order_by(STEPS.c.time))]
 
-    def _body(self, chosen: Any) -> dict[str, Any] | None:
-        """Stored JSON of a row; None if there is no such row."""
-        return next((json.loads(text) for (text,) in self._rows(chosen)), None)
+    def _body(self, chosen: Any) -> dict[str, Any]:
+        """Stored JSON of a row; empty if there is no such row."""
+        return next((json.loads(text) for (text,) in self._rows(chosen)), {})
 
     def outcomes(self) -> dict[str, int]:
         """How many steps there were of each outcome, those included that are forgotten."""

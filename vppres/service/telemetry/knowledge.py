@@ -327,7 +327,7 @@ def soc_at(time: pd.Timestamp, scenario: Scenario, store: Store) -> dict[str, fl
 
 
 def soc_now(
-    latest: Latest, plan: Mapping[str, Any] | None, step: pd.Timedelta, now: pd.Timestamp
+    latest: Latest, plan: Mapping[str, Any], step: pd.Timedelta, now: pd.Timestamp
 ) -> dict[str, float]:
     """States of charge at a moment: readings that hold, else the newest and the set-points since.
 
@@ -335,8 +335,7 @@ def soc_now(
     """
     newest = latest.newest("soc")
     found = soc_of(newest)
-    expected = (plan or {}).get("expected")
-    if plan is not None and expected:
+    if expected := plan.get("expected"):
         begin = pd.Timestamp(plan.get("valid_from", plan["start"]))
         end = pd.Timestamp(plan["start"]) + step
         for name, start in expected.get("soc_start", {}).items():

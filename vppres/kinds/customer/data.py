@@ -1,10 +1,12 @@
-"""Rules on switching customers off and on; all of them off by default, which is the paper."""
+"""Rules on customers; all of them off by default, which is the paper."""
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from math import ceil
+from typing import Any
 
+from vppres.core.text import named
 from vppres.scenario.option_table import check_group
 
 
@@ -74,3 +76,41 @@ class SwitchingRules:
     def steps(hours: float, dt_h: float) -> int:
         """Whole steps that a time takes, rounded up."""
         return max(ceil(hours / dt_h - 1e-9), 0)
+
+
+@dataclass(frozen=True)
+class RuleSteps:
+    """Rules that shape a compiled problem, in steps.
+
+    Parameters
+    ----------
+    served, unserved : int
+        Minimum times, at least 1, which is no rule.
+    cold : int
+        Steps of higher demand after a restoration, 0 for none.
+    days : int
+        Days of the window that have a limit of actions of their own; 1 without a limit.
+    """
+
+    served: int = 1
+    unserved: int = 1
+    cold: int = 0
+    days: int = 1
+
+
+NAMES_SHOWN = 5
+"""Customers named in one sentence."""
+
+
+def remark(scenario: Any) -> str:
+    """Which customers may be off for less than a step, and so not at all; empty if none."""
+    limit_h = scenario.customers.longest_off_h
+    short = (limit_h > 0.0) & (limit_h < scenario.grid.dt_h)
+    if not short.any():
+        return ""
+    names = named(scenario.customers.id[short], NAMES_SHOWN)
+    return (
+        f"The longest time off of {names} is shorter than a step of "
+        f"{scenario.grid.dt_h:g} h: plans keep such a customer on in every step. Use shorter "
+        "steps, or longer times."
+    )

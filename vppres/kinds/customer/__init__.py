@@ -1,0 +1,1 @@
+"""Customers: switching rules, longest times off, cold load, shares of a demand."""
