@@ -20,6 +20,8 @@ from vppres import RunOptions, run_day
 from vppres.core.arrays import Floats
 from vppres.day.faults import FaultPlan, SolverOutage
 from vppres.day.trajectory import Trajectory
+from vppres.explain.day import explain_day
+from vppres.explain.recorded import Recorded
 from vppres.kinds.customer.data import SwitchingRules
 from vppres.scenario.phases import PhaseConnection
 from vppres.scenario.scenario import Scenario
@@ -245,3 +247,31 @@ def test_hard_limits_switch_a_customer_off_for_a_voltage_of_its_phase(
     assert run.nodes is not None
     lowest = run.nodes["v_model_pu"].min()
     assert (lowest >= day.network.v_min_pu - 1e-6) == (limits == "hard")
+
+
+@pytest.mark.daily
+def test_explanations_begin_at_the_power_of_every_device(street: Scenario) -> None:
+    """The former's phases as they are reckoned from a record are those of the plant.
+
+    A vehicle charges, a set follows, a customer is dimmed, and then a set forms the island.
+    """
+    day = on_phase_a(street, [14.0, 18.0], [DARK] * 2)
+    customers = replace(day.customers, share_min=np.where(day.customers.id == "ca", 0.5, 1.0))
+    fuel = {"tank_litres": 90.0, "fuel_level_litres": 90.0}
+    following = gensets(bus="m", p_max_kw=4.0, p_min_kw=1.0, **fuel)
+    cars = chargers(customer="ca", bus=None, p_charge_kw=3.0)
+    day = connected(replace(day, customers=customers), "a", gensets=following, chargers=cars)
+    day = plugged_in(day, (0.0, 2.0), capacity_kwh=100.0, soc_needed=0.9)
+    forming = no_battery_forms(on_phase_a(street, [8.0, 13.0], [DARK] * 2))
+    forming = replace(forming, load_kw=forming.load_kw + np.array([0.0, 5.0, 0.0, 0.0]))
+    for each in (day, connected(forming, "a b c", gensets=gensets(**FORMING))):
+        run = run_day(each, RunOptions(horizon_h=0.0, isolate=False))
+        recorded = Recorded(run)
+        kva = run.steps[["former_a_kva", "former_b_kva", "former_c_kva"]].to_numpy(float)
+        for t in range(2):
+            assert np.abs(recorded.former_kva(t)) == pytest.approx(kva[t], abs=1e-3)
+            window = recorded.seen(t).require_phased()
+            assert np.abs(window.former_kva[0]) == pytest.approx(kva[t], abs=1e-3)
+    words = explain_day(run).explanations
+    assert words is not None
+    assert "one more kVA on phase a of g0 would add" in " ".join(words["words"])
