@@ -283,10 +283,11 @@ def phase_rows(
     found: list[cp.Constraint] = []
     for t in np.flatnonzero(lit_steps(data)):
         island = bool(data.dark[t])
-        slopes = model.slopes[int(island)]
+        source = model.sources(data)[t]
+        slopes = model.slopes[source]
         draws = np.ones(p.shape[1])
         if island:
-            draws[model.former_device] = 0.0
+            draws[model.devices[source]] = 0.0
         p_t, q_t = cp.multiply(p[t], draws), cp.multiply(q[t], draws)
         by_p, by_q = slopes.of_voltages(np.arange(len(slopes.u_0)))
         u = phased.u_offset[t] + by_p @ p_t + by_q @ q_t

@@ -18,7 +18,10 @@ from tests.support.sets import gensets
 from tests.support.vans import chargers, plugged_in
 from vppres import RunOptions, run_day
 from vppres.core.arrays import Floats
+from vppres.day.faults import FaultPlan, SolverOutage
 from vppres.day.trajectory import Trajectory
+from vppres.explain.day import explain_day
+from vppres.explain.recorded import Recorded
 from vppres.kinds.customer.data import SwitchingRules
 from vppres.scenario.phases import PhaseConnection
 from vppres.scenario.scenario import Scenario
@@ -34,6 +37,13 @@ def street(tmp_path_factory: pytest.TempPathFactory) -> Scenario:
     file = tmp_path_factory.mktemp("street") / "street.dss"
     file.write_text(STREET)
     return phased_day(file)
+
+
+FORMING = {
+    "bus": "m", "p_max_kw": 28.8, "p_min_kw": 1.0, "power_factor": 0.8, "grid_forming": True,
+    "tank_litres": 900.0, "fuel_level_litres": 900.0,
+}  # fmt: skip
+"""A set with a rating of 36 kVA that forms islands."""
 
 
 def on_phase_a(street: Scenario, kw: Floats | list[float], limits_kw: list[float]) -> Scenario:
@@ -90,6 +100,81 @@ def test_a_set_supplies_what_is_on_its_own_phase(street: Scenario, coils: str) -
     one = gensets(bus="m", p_max_kw=6.0, p_min_kw=1.0, tank_litres=900.0, fuel_level_litres=900.0)
     run = run_of(connected(day, coils, gensets=one))
     assert served(run)[:, 0].tolist() == [int(coils == "a")] * 2
+
+
+def no_battery_forms(day: Scenario) -> Scenario:
+    """The day with batteries that are small and form nothing."""
+    b = day.batteries
+    none = np.zeros(len(b), dtype=bool)
+    return replace(day, batteries=replace(b, grid_forming=none, energy_kwh=np.full(len(b), 0.1)))
+
+
+@pytest.mark.parametrize(("kw", "on"), [(8.0, 1), (14.0, 0)])
+def test_a_set_alone_forms_an_island_and_gives_each_phase_what_it_lacks(
+    street: Scenario, kw: float, on: int
+) -> None:
+    """A phase of the set carries 12 kVA, less its headroom; what it gives at least goes to phase b."""
+    day = no_battery_forms(on_phase_a(street, [kw] * 2, [DARK] * 2))
+    day = replace(day, load_kw=day.load_kw + np.array([0.0, 5.0, 0.0, 0.0]))
+    run = run_of(connected(day, "a b c", gensets=gensets(**FORMING)))
+    assert (run.steps["former"] == "g0").all()
+    assert served(run)[:, 0].tolist() == [on] * 2
+    assert run.steps["former_a_kva"].to_numpy(float) == pytest.approx(kw * on, abs=0.3)
+    assert run.nodes is not None
+    assert run.nodes["v_model_pu"].to_numpy() == pytest.approx(
+        run.nodes["v_ac_pu"].to_numpy(), abs=1e-4
+    )
+
+
+def test_a_set_forms_the_island_while_the_battery_is_empty(street: Scenario) -> None:
+    """The battery, which comes first, forms the second outage: the grid has charged it before."""
+    day = on_phase_a(street, [9.0] * 4, [DARK, DARK, OPEN, DARK])
+    empty = replace(day.batteries, soc_initial=day.batteries.soc_min)
+    day = connected(replace(day, batteries=empty), "a b c", gensets=gensets(**FORMING))
+    run = run_of(day, horizon_h=3.0)
+    assert run.steps["former"].tolist() == ["g0", "g0", "", "bd"]
+    assert served(run)[:, 0].all()
+    assert run.gensets is not None
+    assert run.gensets["running"].tolist() == [True, True, False, False]
+
+
+@pytest.mark.parametrize(("kw", "on"), [(8.0, 1), (13.0, 0)])
+def test_a_set_that_forms_gives_each_phase_what_it_lacks_without_a_solver_too(
+    street: Scenario, kw: float, on: int
+) -> None:
+    day = no_battery_forms(on_phase_a(street, [kw], [DARK]))
+    day = replace(day, load_kw=day.load_kw + np.array([0.0, 5.0, 0.0, 0.0]))
+    day = connected(day, "a b c", gensets=gensets(**FORMING))
+    run = failed(day)
+    assert (run.steps["former"][0], run.steps["dark_reason"][0]) == ("g0", "")
+    assert served(run)[0, :2].tolist() == [on, 1]
+    assert run.steps["shed_kw"].tolist() == [0.0] and run.gensets is not None
+    given_kw = run.steps[["former_a_kva", "former_b_kva", "former_c_kva"]].to_numpy(float).sum()
+    assert run.gensets["p_kw"].tolist() == pytest.approx([given_kw], abs=0.2)
+
+
+@pytest.mark.parametrize(("soc", "on"), [(0.5, 1), (0.85, 0)])
+def test_what_a_set_gives_at_least_charges_a_battery_without_a_solver(
+    street: Scenario, soc: float, on: int
+) -> None:
+    """Of the 9 kW of the set a customer takes 4; a full battery has no room for the others."""
+    day = on_phase_a(street, [4.0], [DARK])
+    b = day.batteries
+    resting = replace(b, grid_forming=np.zeros(4, dtype=bool), soc_initial=np.full(4, soc))
+    sets = gensets(**FORMING | {"p_min_kw": 9.0})
+    run = failed(connected(replace(day, batteries=resting), "a b c", gensets=sets))
+    assert served(run)[0, 0] == on
+    assert (run.steps["former"][0] == "g0") == bool(on)
+    assert run.gensets is not None
+    assert run.gensets["p_kw"].tolist() == pytest.approx([9.2 * on], abs=0.3)
+
+
+def failed(day: Scenario) -> Trajectory:
+    """The day whose first answer fails."""
+    options = RunOptions(horizon_h=0.0, isolate=False)
+    run = run_day(day, options, faults=FaultPlan({0: SolverOutage("killed")}))
+    assert run.steps["fallback"][0] == "rule"
+    return run
 
 
 def test_a_customer_is_dimmed_to_what_its_phase_carries(street: Scenario) -> None:
@@ -162,3 +247,31 @@ def test_hard_limits_switch_a_customer_off_for_a_voltage_of_its_phase(
     assert run.nodes is not None
     lowest = run.nodes["v_model_pu"].min()
     assert (lowest >= day.network.v_min_pu - 1e-6) == (limits == "hard")
+
+
+@pytest.mark.daily
+def test_explanations_begin_at_the_power_of_every_device(street: Scenario) -> None:
+    """The former's phases as they are reckoned from a record are those of the plant.
+
+    A vehicle charges, a set follows, a customer is dimmed, and then a set forms the island.
+    """
+    day = on_phase_a(street, [14.0, 18.0], [DARK] * 2)
+    customers = replace(day.customers, share_min=np.where(day.customers.id == "ca", 0.5, 1.0))
+    fuel = {"tank_litres": 90.0, "fuel_level_litres": 90.0}
+    following = gensets(bus="m", p_max_kw=4.0, p_min_kw=1.0, **fuel)
+    cars = chargers(customer="ca", bus=None, p_charge_kw=3.0)
+    day = connected(replace(day, customers=customers), "a", gensets=following, chargers=cars)
+    day = plugged_in(day, (0.0, 2.0), capacity_kwh=100.0, soc_needed=0.9)
+    forming = no_battery_forms(on_phase_a(street, [8.0, 13.0], [DARK] * 2))
+    forming = replace(forming, load_kw=forming.load_kw + np.array([0.0, 5.0, 0.0, 0.0]))
+    for each in (day, connected(forming, "a b c", gensets=gensets(**FORMING))):
+        run = run_day(each, RunOptions(horizon_h=0.0, isolate=False))
+        recorded = Recorded(run)
+        kva = run.steps[["former_a_kva", "former_b_kva", "former_c_kva"]].to_numpy(float)
+        for t in range(2):
+            assert np.abs(recorded.former_kva(t)) == pytest.approx(kva[t], abs=1e-3)
+            window = recorded.seen(t).require_phased()
+            assert np.abs(window.former_kva[0]) == pytest.approx(kva[t], abs=1e-3)
+    words = explain_day(run).explanations
+    assert words is not None
+    assert "one more kVA on phase a of g0 would add" in " ".join(words["words"])

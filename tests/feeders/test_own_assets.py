@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 
 from tests.support.live_service import client
+from tests.support.phased_feeder import STREET, phased_day
 from tests.support.small_nets import buses_in_a_row
 from vppres.day.options import RunOptions
 from vppres.day.simulate import run_day
@@ -244,3 +245,22 @@ def test_heat_pumps_are_named_with_their_size() -> None:
     )
     assert any(note.startswith("Charging points of 11 kW") for note in feeder.notes)
     assert feeder.p_load_kw.sum() == pytest.approx(318.0)
+
+
+@pytest.mark.daily
+def test_sets_of_a_feeder_with_phases_keep_their_phases(tmp_path: Path) -> None:
+    """One of three phases forms islands, one of a single phase follows; PV is on its owner's."""
+    pytest.importorskip("opendssdirect")
+    sets = (
+        "new generator.diesel1 bus1=m phases=3 kv=0.4 kw=20 pf=0.9\n"
+        "new generator.standby2 bus1=n.2 phases=1 kv=0.2309 kw=5\n"
+    )
+    (tmp_path / "street.dss").write_text(STREET.replace("set volt", f"{sets}set volt"))
+    day = phased_day(tmp_path / "street.dss")
+    assert day.phases is not None
+    assert day.gensets.id.tolist() == ["gensetm", "gensetn"]
+    assert day.gensets.grid_forming.tolist() == [True, False]
+    coils = {row.id: row.coils for row in day.phases.connections}
+    assert (coils["gensetm"], coils["gensetn"]) == ("a b c", "b")
+    assert all(coils[f"pv{name[1:]}"] == coils[name] for name in day.pv.customer)
+    assert day.batteries.id[day.batteries.grid_forming].tolist() == ["bd"]

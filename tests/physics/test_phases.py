@@ -306,19 +306,6 @@ def test_options_that_are_not_stated_are_refused_by_name(
         make_controller(day, RunOptions().having(options))
 
 
-def test_a_set_that_is_to_form_an_island_with_phases_is_refused(day: Scenario) -> None:
-    assert day.phases
-    one = PhaseConnection("g0", "m", "a b c", 4.16 / np.sqrt(3.0))
-    phases = replace(day.phases, connections=(*day.phases.connections, one))
-    forming = replace(day, phases=phases, gensets=gensets(bus="m", grid_forming=True))
-    with pytest.raises(InputError) as refused:
-        make_controller(forming, RunOptions())
-    assert str(refused.value) == (
-        "gensets.csv, grid_forming of g0 = yes: is not stated for feeders with phases. "
-        "Use no, or remove the folder's phase_*.csv for its balanced equivalent."
-    )
-
-
 @pytest.mark.nightly
 def test_validate_shows_the_power_flow_by_phase(circuit: Path, day: Scenario) -> None:
     result = call("validate", circuit.parent / "small", "--power-flow", "--json")
@@ -569,20 +556,20 @@ def test_the_rule_needs_few_power_flows_and_serves_what_it_would_one_by_one(
     options = RunOptions(horizon_h=0.0).on(island)
     observation = Day(island, options).observe(make_controller(island, options), 0)
     state = StepState.of(Site.of(island), observation, "lossless")
-    order = service_order(state, list(island.tiers)).tolist()
+    order = service_order(state, list(island.tiers))
     kept: list[int] = []
     for customer in order:
-        tried = served_by_phase(state, [*kept, customer]).served[0]
+        tried = served_by_phase(state, np.array([*kept, customer])).dispatch.served[0]
         kept += [customer] if tried[[*kept, customer]].all() else []
-    flows: list[bool] = []
+    flows: list[int] = []
     solved = PhasedModel.solved
 
-    def counted(model: PhasedModel, island: bool, *drawn: Any) -> PhasedResult | None:
-        flows.append(island)
-        return solved(model, island, *drawn)
+    def counted(model: PhasedModel, source: int, *drawn: Any) -> PhasedResult | None:
+        flows.append(source)
+        return solved(model, source, *drawn)
 
     monkeypatch.setattr(PhasedModel, "solved", counted)
-    served = served_by_phase(state, order).served[0]
+    served = served_by_phase(state, order).dispatch.served[0]
     assert np.flatnonzero(served).tolist() == sorted(kept)
     assert served.all() == (share == 10.0)
     assert share < 10.0 or len(flows) < len(order)

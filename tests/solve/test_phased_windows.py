@@ -18,7 +18,7 @@ from experiments.studies.phased_feeders import (
 )
 from tests.support.homes import homes
 from tests.support.phased_feeder import CIRCUIT, phased_day
-from tests.support.sets import random_sets
+from tests.support.sets import gensets, random_sets
 from tests.support.vans import with_random_vehicles
 from tests.support.whole_statement import whole_problem
 from vppres.contract.decision import Decision
@@ -163,7 +163,7 @@ def test_the_fleet_knows_what_active_power_each_phase_of_the_former_carries(tmp_
     statement.put({name: value.astype(float) for name, value in letters.items()})
     pv, batteries = data.pv_kw - curtailed, discharged - charged
     drawn = model.powers(
-        data.dark, data.load_kw * served, (pv, 0.0 * pv), (batteries, 0.0 * batteries)
+        model.sources(data), data.load_kw * served, (pv, 0.0 * pv), (batteries, 0.0 * batteries)
     )
     given_kw = (data.require_phased().former_offset + model.linear(data, *drawn)[1]).real
     slopes = np.abs(model.slopes[1].former_q.real[:, len(site.customers) :])
@@ -246,11 +246,30 @@ def test_voltages_of_a_plan_are_those_of_the_window_that_was_solved(tmp_path: Pa
     assert 1e-6 < off_pu < 1e-2
 
 
-@pytest.mark.parametrize("seed", [1, 3])
-def test_a_balanced_feeder_stated_in_phases_has_the_balanced_plan(seed: int) -> None:
+def formed_by_a_set(day: Scenario) -> Scenario:
+    """The day with a set that forms its islands, of half the peak demand, and no battery that does.
+
+    It has fuel for days.
+    """
+    peak_kw, b = float(day.load_kw.sum(axis=1).max()), day.batteries
+    fuel = {"tank_litres": 50.0 * peak_kw, "fuel_level_litres": 50.0 * peak_kw}
+    kw = {"p_max_kw": 0.5 * peak_kw, "p_min_kw": 0.05 * peak_kw, "power_factor": 0.8}
+    one = gensets(bus=day.customers.bus[0], grid_forming=True, **kw, **fuel)
+    none = np.zeros(len(b), dtype=bool)
+    return replace(day, gensets=one, batteries=replace(b, grid_forming=none))
+
+
+@pytest.mark.parametrize(
+    ("seed", "former"), [(1, "battery"), (3, "battery"), (0, "set"), (5, "set")]
+)
+def test_a_balanced_feeder_stated_in_phases_has_the_balanced_plan(seed: int, former: str) -> None:
     balanced = with_a_former(random_scenario(seed))
+    balanced = formed_by_a_set(balanced) if former == "set" else balanced
     plan = first_plan(balanced).dispatch
     found = first_plan(in_phases(balanced)).dispatch
     assert (found.served == plan.served).all()
+    for kind, taken_kw in plan.taken_kw.items():
+        assert taken_kw.min() < -100.0
+        np.testing.assert_allclose(found.taken_kw[kind], taken_kw, atol=1.0)
     np.testing.assert_allclose(found.p_grid_kw, plan.p_grid_kw, atol=0.5)
     np.testing.assert_allclose(found.v_pu, plan.v_pu, atol=1e-4)

@@ -13,7 +13,8 @@ import numpy as np
 from vppres.contract.decision import Decision, SolveInfo
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
-from vppres.control.rules import Carried, rule_dispatch
+from vppres.control.carried import Carried
+from vppres.control.rules import rule_dispatch
 from vppres.control.step_state import StepState
 from vppres.core.arrays import Floats
 from vppres.model.formulas import charge_to_kw

@@ -13,7 +13,8 @@ import numpy as np
 
 from vppres.contract.decision import Decision, SolveInfo
 from vppres.contract.dispatch import Dispatch
-from vppres.control.rules import POWER_TOLERANCE_KW, Carried, carry, rule_dispatch
+from vppres.control.carried import POWER_TOLERANCE_KW, Carried
+from vppres.control.rules import carry, rule_dispatch
 from vppres.control.step_state import StepState
 
 

@@ -10,10 +10,9 @@ import numpy as np
 from vppres.core.arrays import Floats, Wholes
 from vppres.model.beyond_paper.losses import lit_steps
 from vppres.model.data import WindowData
-from vppres.model.phases import GRID, ISLAND
 
-NO_POWER = -1
-"""Source of a step without power, beside the sources of the others."""
+NO_POWER, GRID, ISLAND = -1, 0, 1
+"""Kinds of steps: without power, with the grid as source, and in an island."""
 
 NO_ROW = -1
 """Instead of a row, if there is none."""

@@ -1,34 +1,35 @@
 """The rule in an island of a phased feeder: a customer is served if every phase carries it.
 
 Customers' batteries supply what is on their own coils, PV systems what is behind their meters, and
-the battery that forms the island the rest of each phase. Where capacitors give a phase more
-reactive power than its third of the former takes, batteries on that phase alone take it. So no
-set-point burdens a phase that it does not relieve, and a power flow by phase says of every set
-whether it is carried.
+the battery or generating set that forms the island the rest of each phase. Where capacitors give a
+phase more reactive power than its third of the former takes, batteries on that phase alone take it,
+and what a set gives at least and nobody takes charges batteries. So no set-point burdens a phase
+that it does not relieve, and a power flow by phase says of every set whether it is carried.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from vppres.contract.dispatch import Dispatch
-from vppres.control.step_state import StepState, network_state, one_step
-from vppres.core.arrays import Flags, Floats
-from vppres.model.formulas import bus_injections, cell_kw, soc_after
-from vppres.model.phases import ISLAND, PhasedModel, phased_model
+from vppres.control.carried import Carried, dispatch_of, in_proportion, with_more
+from vppres.control.step_state import StepState
+from vppres.core.arrays import Flags, Floats, Wholes
+from vppres.model.phases import PhasedModel, phased_model
 from vppres.physics.phases import NoPhasedSolutionError, PhasedResult
-from vppres.scenario.phases import PHASES
+from vppres.scenario.formers import largest_forming_battery
+from vppres.scenario.phases import PHASES, PhaseConnection
 
 MOST_FLOWS = 4
-"""Power flows in which batteries take what is beyond a phase of the former, for one schedule."""
+"""Power flows in which batteries take what is beyond a phase of the former, or what its set gives
+at least, for one schedule."""
 
 AIM = 0.95
 """Share of its rating that is left of the power of a phase that was beyond it."""
-
-ISLANDED: Flags = np.array(True)
 
 TOLERANCE_KVA = 1e-3
 """By how much a phase of the former may be beyond its rating: a watt, as in the power flow."""
@@ -38,216 +39,232 @@ REST_PU = 1e-3
 other phases and magnetising currents move it by."""
 
 
-def served_by_phase(state: StepState, order: Iterable[int]) -> Dispatch:
+def served_by_phase(state: StepState, order: Wholes) -> Carried:
     """Customers in an order, each if all phases carry it beside those before.
 
     Parameters
     ----------
     state : StepState
         A step without grid, of a site with phases.
-    order : iterable of int
+    order : array of int, shape (C,)
         Positions of customers, the most important first.
     """
-    served = np.zeros(len(state.site.customers), dtype=bool)
-    nothing = np.zeros((2, len(state.site.batteries)))
-    best = _carried(state, served, nothing[1])
-    if best is None:
-        return _dispatch(state, served, nothing)
+    nobody = np.zeros(len(state.site.customers), dtype=bool)
+    former = Former.of(state)
+    best = None if former is None else former.carried(nobody, None)
+    if former is None or best is None:
+        pv, battery = (np.zeros(len(each)) for each in (state.site.pv, state.site.batteries))
+        return Carried(
+            dispatch_of(state, nobody, (pv, pv, pv), battery, battery, 0.0, {}), 0.0, 0.0
+        )
     # Customers that are carried together are carried one by one: most of them take no flow each.
-    blocks = [np.array(list(order), dtype=int)]
-    while blocks:
-        block = blocks.pop()
-        tried = served.copy()
-        tried[block] = True
-        found = _carried(state, tried, best.taken_kvar, best)
-        if found is not None:
-            served, best = tried, found
-        elif len(block) > 1:
-            first, second = np.array_split(block, 2)
-            blocks += [second, first]
-    return _dispatch(state, served, best.given)
-
-
-@dataclass(frozen=True, eq=False)
-class _Carried:
-    """Power of batteries, (2, B): active and reactive, and what they took for the feeder, (B,).
-
-    ``drawn_kw`` (D,) is what assets draw, ``source_kw`` (3,) what the former's phases give.
-    """
-
-    given: Floats
-    taken_kvar: Floats
-    drawn_kw: Floats
-    source_kw: Floats
+    return former.dispatch(with_more(nobody, best, [order], former.carried))
 
 
 def carried_by_phase(state: StepState, dispatch: Dispatch) -> bool:
     """Whether a power flow by phase carries a dispatch of one step, its former's own part apart."""
-    model = phased_model(state.site)
-    load_kw = state.load_kw * dispatch.supplied[0]
-    pv = (dispatch.pv_self_kw[0] + dispatch.pv_export_kw[0], dispatch.pv_q_kvar[0])
-    batteries = (dispatch.discharge_kw[0] - dispatch.charge_kw[0], dispatch.batt_q_kvar[0])
-    taken_kw = {kind: kw[0] for kind, kw in dispatch.taken_kw.items()}
-    drawn = model.powers(ISLANDED, load_kw, pv, batteries, taken_kw)
-    found = _flow(state, model, *drawn)
-    return found is not None and _fits(state, model, found)
-
-
-def _flow(
-    state: StepState, model: PhasedModel, p_kw: Floats, q_kvar: Floats
-) -> PhasedResult | None:
-    """The power flow of what assets draw, None without a former, or without a solution."""
-    if model.former is None or not state.online[model.former]:
-        return None
-    try:
-        return model.solved(True, p_kw, q_kvar)
-    except NoPhasedSolutionError:
-        return None
-
-
-def _rating_kva(state: StepState, model: PhasedModel, found: PhasedResult) -> float:
-    """Rating of each phase of the former."""
-    return float(state.site.batteries.s_max_kva[model.former]) / len(found.source_kva)
-
-
-def _fits(state: StepState, model: PhasedModel, found: PhasedResult) -> bool:
-    """Whether the former and all voltages allow a power flow."""
-    former = model.former
-    net = state.site.feeder
-    given_kw = float(found.source_kva.sum().real)
-    rating_kva = _rating_kva(state, model, found)
-    v_pu = model.flows[ISLAND].v_pu(found.v)[model.limited]
-    # Limits give way to the voltages at rest, as those of plans do.
-    at_rest_pu = np.sqrt(model.slopes[ISLAND].u_0)[model.limited]
-    return bool(
-        -state.charge_max_kw[former] <= given_kw <= state.discharge_max_kw[former]
-        and np.abs(found.source_kva).max() <= rating_kva + TOLERANCE_KVA
-        and (v_pu >= np.minimum(net.v_min_ac_pu, at_rest_pu) - REST_PU).all()
-        and (v_pu <= np.maximum(net.v_max_ac_pu, at_rest_pu) + REST_PU).all()
+    former = Former.of(state)
+    if former is None:
+        return False
+    drawn = former.model.powers(
+        former.source,
+        state.load_kw * dispatch.supplied[0],
+        (dispatch.pv_self_kw[0] + dispatch.pv_export_kw[0], dispatch.pv_q_kvar[0]),
+        (dispatch.discharge_kw[0] - dispatch.charge_kw[0], dispatch.batt_q_kvar[0]),
+        {kind: kw[0] for kind, kw in dispatch.taken_kw.items()},
+        {kind: kvar[0] for kind, kvar in dispatch.given_kvar.items()},
     )
+    found = former.flow(*drawn)
+    return found is not None and former.fits(found) and former.surplus_kw(found) == 0.0
 
 
-def _carried(
-    state: StepState, served: Flags, taken_kvar: Floats, before: _Carried | None = None
-) -> _Carried | None:
-    """Power of batteries for a supply schedule, None if a phase does not carry it.
+@dataclass(frozen=True, eq=False)
+class Former:
+    """Device that holds an island in a step: a battery, or a unit of a kind.
 
-    What they took before for the feeder is where the search for what they take begins. No power
-    flow is needed where half of what is drawn more than before is beyond the former already.
+    ``source`` is its number among the sources of the model; its powers are those of all phases.
     """
-    site = state.site
-    model = phased_model(site)
-    own = state.own_kw(served)
-    behind = _behind_meters(state, served, own, model)
-    load_kw = state.load_kw * served
-    lowest_kvar = -np.sqrt(np.maximum(site.batteries.s_max_kva**2 - behind[0] ** 2, 0.0))
-    found: PhasedResult | None = None
-    for _ in range(MOST_FLOWS):
-        given = np.array([behind[0], np.maximum(behind[1] - taken_kvar, lowest_kvar)])
-        batteries = given[0], given[1]
-        drawn = model.powers(ISLANDED, load_kw, (own, 0.0 * own), batteries, state.taken_kw)
-        if before is not None and _far_beyond(state, model, before, drawn[0]):
+
+    state: StepState
+    model: PhasedModel
+    source: int
+    least_kw: float
+    most_kw: float
+    most_kvar: float
+    battery: int | None = None
+
+    @classmethod
+    def of(cls, state: StepState) -> Former | None:
+        """The device that forms the island of a step; None if none can."""
+        model = phased_model(state.site)
+        source = int(model.sources_of(np.array(state.island), state.formers))
+        for kind, forms in state.formers.items():
+            units, known = state.site.kinds[kind], state.ahead.by_kind[kind]
+            taken_kw, on = zip(
+                *(
+                    known.beside(units, np.where(forms, kw, 0.0), state.island, state.site.dt_h)
+                    for kw in (0.0, units.largest_kw)
+                ),
+                strict=True,
+            )
+            least_kw, most_kw = (-float(kw[forms].sum()) for kw in taken_kw)
+            most_kvar = float(known.q_most_kvar(units)[0][forms].sum())
+            runs = bool((on[0] & forms).any())
+            return cls(state, model, source, least_kw, most_kw, most_kvar) if runs else None
+        battery = largest_forming_battery(state.site)
+        if battery is None or not state.online[battery]:
             return None
-        found = _flow(state, model, *drawn)
-        if found is None:
+        least_kw = -float(state.charge_max_kw[battery])
+        most_kw = float(state.discharge_max_kw[battery])
+        most_kvar = float(state.site.batteries.s_max_kva[battery])
+        return cls(state, model, source, least_kw, most_kw, most_kvar, battery)
+
+    @cached_property
+    def phase_kva(self) -> float:
+        """Rating of each of its phases."""
+        return float(self.model.ratings_kva(np.array(self.source))) / len(PHASES)
+
+    @cached_property
+    def others(self) -> Flags:
+        """Batteries beside it that can be used, (B,)."""
+        former = np.arange(len(self.state.online)) == self.battery
+        return np.asarray(self.state.online & ~former)
+
+    def flow(self, p_kw: Floats, q_kvar: Floats) -> PhasedResult | None:
+        """The power flow of what assets draw, None without a solution."""
+        try:
+            return self.model.solved(self.source, p_kw, q_kvar)
+        except NoPhasedSolutionError:
             return None
-        more_kvar = _taken_kvar(state, model, found, given[1] - lowest_kvar)
-        if not more_kvar.any():
-            break
-        taken_kvar = behind[1] - given[1] + more_kvar
-    if found is None or not _fits(state, model, found):
-        return None
-    total = found.source_kva.sum()
-    given[:, model.former] = total.real, total.imag
-    return _Carried(given, taken_kvar, drawn[0], found.source_kva.real)
+
+    def surplus_kw(self, found: PhasedResult) -> float:
+        """Power that it gives at least and a power flow does not take."""
+        return max(self.least_kw - float(found.source_kva.sum().real), 0.0)
+
+    def fits(self, found: PhasedResult) -> bool:
+        """Whether it and all voltages allow a power flow."""
+        net = self.state.site.feeder
+        total = found.source_kva.sum()
+        v_pu = self.model.flows[self.source].v_pu(found.v)[self.model.limited]
+        # Limits give way to the voltages at rest, as those of plans do.
+        at_rest_pu = np.sqrt(self.model.slopes[self.source].u_0)[self.model.limited]
+        return bool(
+            total.real <= self.most_kw
+            and abs(total.imag) <= self.most_kvar
+            and np.abs(found.source_kva).max() <= self.phase_kva + TOLERANCE_KVA
+            and (v_pu >= np.minimum(net.v_min_ac_pu, at_rest_pu) - REST_PU).all()
+            and (v_pu <= np.maximum(net.v_max_ac_pu, at_rest_pu) + REST_PU).all()
+        )
+
+    def carried(self, served: Flags, before: Schedule | None) -> Schedule | None:
+        """A supply schedule with power of batteries, None if a phase does not carry it.
+
+        What batteries took before for the feeder is where the search for what they take begins. No
+        power flow is needed where half of what is drawn more than before is beyond it already.
+        """
+        state, batteries = self.state, self.state.site.batteries
+        own = state.own_kw(served)
+        given_kw, wanted_kvar = self._behind_meters(served, own)
+        taken_kvar = np.zeros(len(batteries)) if before is None else before.taken_kvar
+        found: PhasedResult | None = None
+        for _ in range(MOST_FLOWS):
+            most_kvar = np.sqrt(np.maximum(batteries.s_max_kva**2 - given_kw**2, 0.0))
+            given_kvar = np.clip(wanted_kvar - taken_kvar, -most_kvar, most_kvar)
+            load_kw, pv, given = state.load_kw * served, (own, 0.0 * own), (given_kw, given_kvar)
+            drawn = self.model.powers(self.source, load_kw, pv, given, state.taken_kw)
+            if before is not None and self._far_beyond(before, drawn[0]):
+                return None
+            found = self.flow(*drawn)
+            if found is None:
+                return None
+            more_kvar = self._taken_kvar(found, given_kvar + most_kvar)
+            room_kw = np.where(self.others, state.charge_max_kw + given_kw, 0.0)
+            more_kw = in_proportion(self.surplus_kw(found) / AIM, room_kw)
+            if not (more_kvar.any() or more_kw.any()):
+                break
+            taken_kvar = wanted_kvar - given_kvar + more_kvar
+            given_kw = given_kw - more_kw
+        if found is None or not self.fits(found):
+            return None
+        return Schedule(served, own, given, taken_kvar, drawn[0], found)
+
+    def _far_beyond(self, before: Schedule, drawn_kw: Floats) -> bool:
+        """Whether half of what is drawn more than before is beyond its active power."""
+        more_kw = self.model.slopes[self.source].former_p.real @ (drawn_kw - before.drawn_kw)
+        half_kw = before.found.source_kva.real + 0.5 * more_kw
+        most_kw = self.phase_kva + TOLERANCE_KVA
+        return bool(half_kw.sum() > self.most_kw or half_kw.max() > most_kw)
+
+    def _taken_kvar(self, found: PhasedResult, room_kvar: Floats) -> Floats:
+        """Reactive power that batteries on one phase take of it, as they have room, (B,).
+
+        It is what the feeder gives it on that phase beyond its rating, and a little more.
+        """
+        beyond = np.abs(found.source_kva) > self.phase_kva + TOLERANCE_KVA
+        least = np.sqrt(np.maximum((AIM * self.phase_kva) ** 2 - found.source_kva.real**2, 0.0))
+        surplus_kvar = np.where(beyond, -found.source_kva.imag - least, 0.0)
+        coils = np.array([row.coils for row in self._connections(self.state.site.batteries)])
+        taken = np.zeros(len(coils))
+        for phase, kvar in zip(PHASES, surplus_kvar, strict=True):
+            taken += in_proportion(kvar, np.where((coils == phase) & self.others, room_kvar, 0.0))
+        return taken
+
+    def _behind_meters(self, served: Flags, own: Floats) -> Floats:
+        """Power that other batteries give to what is served on their own coils, (2, B)."""
+        state, site = self.state, self.state.site
+        load_kw = state.load_kw * served
+        own_kw = np.bincount(site.owner, own, len(load_kw))
+        kw = np.stack([load_kw - own_kw, load_kw * site.customers.q_per_p], axis=1)
+        rows = self._connections(site.batteries)
+        left = {(row.bus, row.coils): np.zeros(2) for row in rows}
+        for at, power in zip(self._connections(site.customers), kw, strict=True):
+            if (at.bus, at.coils) in left:
+                left[at.bus, at.coils] = left[at.bus, at.coils] + power
+        given = np.zeros((2, len(rows)))
+        for b in np.flatnonzero(self.others):
+            row, s_max_kva = rows[b], float(site.batteries.s_max_kva[b])
+            need = left[row.bus, row.coils]
+            active_kw = min(max(float(need[0]), 0.0), float(state.discharge_max_kw[b]))
+            room = np.sqrt(max(s_max_kva**2 - active_kw**2, 0.0))
+            given[:, b] = active_kw, np.clip(need[1], -room, room)
+            left[row.bus, row.coils] = need - given[:, b]
+        return given
+
+    def _connections(self, table: Any) -> list[PhaseConnection]:
+        """Phases of the items of a table."""
+        phases = self.state.site.phases
+        assert phases is not None
+        return [phases.connection(str(name)) for name in table.id]
+
+    def dispatch(self, schedule: Schedule) -> Carried:
+        """The dispatch of a schedule, with what it gives itself."""
+        state, total = self.state, schedule.found.source_kva.sum()
+        kw = float(np.clip(total.real, self.least_kw, self.most_kw))
+        given = np.array(schedule.given)
+        kvar = {}
+        if self.battery is not None:
+            given[:, self.battery] = kw, total.imag
+        for kind, forms in state.formers.items():
+            taken_kw = np.where(forms, -kw, state.taken_kw[kind])
+            state = replace(state, taken_kw=state.taken_kw | {kind: taken_kw})
+            kvar[kind] = np.where(forms, total.imag, 0.0)
+        own = schedule.own
+        pv = own, 0.0 * own, 0.0 * own
+        dispatch = dispatch_of(state, schedule.served, pv, -given[0], given[1], 0.0, kvar)
+        return Carried(dispatch, 0.0, 0.0, self.surplus_kw(schedule.found))
 
 
-def _far_beyond(state: StepState, model: PhasedModel, before: _Carried, drawn_kw: Floats) -> bool:
-    """Whether half of what is drawn more than before is beyond the former's active power."""
-    assert model.former is not None
-    more_kw = model.slopes[ISLAND].former_p.real @ (drawn_kw - before.drawn_kw)
-    half_kw = before.source_kw + 0.5 * more_kw
-    rating_kva = float(state.site.batteries.s_max_kva[model.former]) / len(half_kw)
-    most_kw = float(state.discharge_max_kw[model.former])
-    return bool(half_kw.sum() > most_kw or half_kw.max() > rating_kva + TOLERANCE_KVA)
+@dataclass(frozen=True, eq=False)
+class Schedule:
+    """A supply schedule that is carried, with its power flow.
 
-
-def _taken_kvar(
-    state: StepState, model: PhasedModel, found: PhasedResult, room_kvar: Floats
-) -> Floats:
-    """Reactive power that batteries on one phase take of it, as they have room, (B,).
-
-    It is what the feeder gives the former on that phase beyond its rating, and a little more.
+    Own use of PV systems (P,), power of batteries (B,) twice, what they take for the feeder (B,),
+    and what assets draw (D,).
     """
-    phases = state.site.phases
-    rating_kva = _rating_kva(state, model, found)
-    beyond = np.abs(found.source_kva) > rating_kva + TOLERANCE_KVA
-    least_kvar = np.sqrt(np.maximum((AIM * rating_kva) ** 2 - found.source_kva.real**2, 0.0))
-    surplus_kvar = np.where(beyond, -found.source_kva.imag - least_kvar, 0.0)
-    coils = np.array([phases.connection(str(name)).coils for name in state.site.batteries.id])
-    taken = np.zeros(len(coils))
-    for phase, kvar in zip(PHASES, surplus_kvar, strict=True):
-        own = np.where((coils == phase) & state.online, room_kvar, 0.0)
-        if kvar > 0.0 and own.sum() > 0.0:
-            taken += own * min(kvar / own.sum(), 1.0)
-    return taken
 
-
-def _behind_meters(state: StepState, served: Flags, own: Floats, model: PhasedModel) -> Floats:
-    """Power that batteries but the former give to what is served on their own coils, (2, B)."""
-    site = state.site
-    phases = site.phases
-    load_kw = state.load_kw * served
-    own_kw = np.bincount(site.owner, own, len(load_kw))
-    kw = np.stack([load_kw - own_kw, load_kw * site.customers.q_per_p], axis=1)
-    rows = [phases.connection(str(name)) for name in site.batteries.id]
-    left = {(row.bus, row.coils): np.zeros(2) for row in rows}
-    for c, name in enumerate(site.customers.id):
-        at = phases.connection(str(name))
-        if (at.bus, at.coils) in left:
-            left[at.bus, at.coils] = left[at.bus, at.coils] + kw[c]
-    given = np.zeros((2, len(site.batteries)))
-    for b, row in enumerate(rows):
-        need = left[row.bus, row.coils]
-        if b == model.former or not state.online[b]:
-            continue
-        most_kw = float(state.discharge_max_kw[b])
-        active_kw = min(max(float(need[0]), 0.0), most_kw)
-        room = np.sqrt(max(float(site.batteries.s_max_kva[b]) ** 2 - active_kw**2, 0.0))
-        given[:, b] = active_kw, np.clip(need[1], -room, room)
-        left[row.bus, row.coils] = need - given[:, b]
-    return given
-
-
-def _dispatch(state: StepState, served: Flags, given: Floats) -> Dispatch:
-    """A dispatch of powers that batteries give, (2, B): active and reactive."""
-    site = state.site
-    own = state.own_kw(served)
-    load_kw = state.load_kw * served
-    given_kw = {"pv": own, "batteries": given[0], "customers": -load_kw}
-    p = bus_injections(site, given_kw | {kind: -kw for kind, kw in state.taken_kw.items()})
-    kvar = load_kw * site.customers.q_per_p
-    q = bus_injections(site, {"batteries": given[1], "customers": -kvar})
-    p_flow, q_flow, v_pu = network_state(state, p, q)
-    charge, discharge = np.maximum(-given[0], 0.0), np.maximum(given[0], 0.0)
-    stored_kw = cell_kw(charge, discharge, state.eta_charge, state.eta_discharge)
-    dispatch = one_step(
-        served=served,
-        pv_self_kw=own,
-        pv_export_kw=0.0 * own,
-        pv_curtailed_kw=state.pv_kw - own,
-        pv_q_kvar=0.0 * own,
-        charge_kw=charge,
-        discharge_kw=discharge,
-        batt_q_kvar=given[1],
-        p_grid_kw=0.0,
-        q_grid_kvar=0.0,
-        v_pu=v_pu,
-        p_flow_kw=p_flow,
-        q_flow_kvar=q_flow,
-        soc=np.vstack([state.soc, soc_after(state.soc, stored_kw, site.batteries, site.dt_h)]),
-    )
-    for kind, kw in state.taken_kw.items():
-        on = state.running.get(kind)
-        dispatch = dispatch.acting(kind, kw[np.newaxis], None if on is None else on[np.newaxis])
-    return dispatch
+    served: Flags
+    own: Floats
+    given: tuple[Floats, Floats]
+    taken_kvar: Floats
+    drawn_kw: Floats
+    found: PhasedResult

@@ -52,11 +52,11 @@ class PhasedLinearisation:
         nothing = np.zeros((data.n_steps, self.model.site.network.n_buses))
         data = replace(data, drawn=Drawn(nothing, nothing))
         lit = lit_steps(data)
-        u, former, currents = self.model.at_no_load(data.dark)
+        u, former, currents = self.model.at_no_load(data)
         former[data.dark & ~lit] = currents[data.dark & ~lit] = 0.0
-        rated_kva = self.model.site.batteries.s_max_kva
-        kept = np.maximum(data.require_physics().headroom_kw, KEPT_SHARE * rated_kva)
-        room = self.model.rating_kva(kept)
+        rated_kva = self.model.ratings_kva(self.model.sources(data))
+        kept_kva = np.maximum(self.model.headroom_kva(data), KEPT_SHARE * rated_kva)
+        room = self.model.phase_kva(data, kept_kva)
         any_u = np.full_like(u, np.inf)
         none = np.zeros((data.n_steps, 2, u.shape[1]), dtype=bool)
         any_current = np.full(currents.shape, np.inf)
@@ -91,7 +91,7 @@ class PhasedLinearisation:
         """Power of assets with all customers and so much PV power; nothing in an island."""
         idle = np.zeros((data.n_steps, len(self.model.site.batteries)))
         pv = (pv_kw, np.zeros_like(pv_kw))
-        p, q = self.model.powers(data.dark, data.load_kw, pv, (idle, idle))
+        p, q = self.model.powers(self.model.sources(data), data.load_kw, pv, (idle, idle))
         with_grid = ~data.dark[:, None]
         return p * with_grid, q * with_grid
 
@@ -197,8 +197,7 @@ class PhasedLinearisation:
         over = (held & (np.abs(points.currents) > 1.0))[lit]
         island = lit & data.dark
         off_kva = np.abs(former - points.source_kva)[island].max(initial=0.0)
-        rating_kva = self.model.rating_kva(np.zeros_like(data.require_physics().headroom_kw))
-        over_kva = np.abs(points.source_kva)[island] > rating_kva[island, None]
+        over_kva = np.abs(points.source_kva)[island] > self.model.phase_kva(data)[island, None]
         return bool(
             off_pu <= VOLTAGE_TOLERANCE_PU
             and off_kw <= LOSS_TOLERANCE_KW

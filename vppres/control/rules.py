@@ -1,71 +1,35 @@
 """Dispatch of one step by rule, without a solver: the answer that is always there.
 
 Who is served is decided by tier, then by weight per kW, which counts a longest time off that has
-ended. PV power comes first, then import, then the
-batteries; a surplus is exported as far as the grid takes it, then stored, then curtailed. Active
-balance, ratings and state of charge always hold. The first tier is not let go for reactive power or
-voltages: what they lack is said instead, and no customer is added that would make it worse. In an
-island of a phased feeder a customer is added only if each phase carries it: the whole island would
-go dark otherwise.
+ended. PV power comes first, then import, then the batteries; a surplus is exported as far as the
+grid takes it, then stored, then curtailed. Active balance, ratings and state of charge always hold.
+The first tier is not let go for reactive power or voltages: what they lack is said instead, and no
+customer is added that would make it worse. In an island of a phased feeder a customer is added only
+if each phase carries it: the whole island would go dark otherwise.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from vppres.contract.dispatch import Dispatch
+from vppres.control.carried import (
+    POWER_TOLERANCE_KW,
+    Carried,
+    dispatch_of,
+    in_proportion,
+    with_more,
+)
 from vppres.control.phased_rule import served_by_phase
-from vppres.control.step_state import StepState, network_state, one_step
+from vppres.control.step_state import StepState
 from vppres.core.arrays import Flags, Floats, Wholes
-from vppres.model.formulas import bus_injections, cell_kw, soc_after
 from vppres.solve.fleet.relaxation import weight_grid
 
-POWER_TOLERANCE_KW = 1e-6
 ROUNDING_KW = 1e-9
-VOLTAGE_TOLERANCE_PU = 1e-6
 SEARCH_NODES = 20_000
 """Limit of the search for the best first tier; equal weights need as many nodes as customers."""
-
-
-@dataclass(frozen=True, eq=False)
-class Carried:
-    """A dispatch of one step and what it leaves open.
-
-    Parameters
-    ----------
-    dispatch : Dispatch
-        One row.
-    reactive_short_kvar : float
-        Reactive power that no device can supply.
-    voltage_excess_pu : float
-        How far the worst bus lies outside the limits of the AC voltages.
-    surplus_kw : float
-        What generating sets give and no customer takes.
-    """
-
-    dispatch: Dispatch
-    reactive_short_kvar: float
-    voltage_excess_pu: float
-    surplus_kw: float = 0.0
-
-    @property
-    def shortage(self) -> str:
-        """Shortage that is left, in words; empty if nothing is."""
-        words = []
-        if self.reactive_short_kvar > POWER_TOLERANCE_KW:
-            words.append(f"{self.reactive_short_kvar:.1f} kvar short")
-        if self.voltage_excess_pu > VOLTAGE_TOLERANCE_PU:
-            words.append(f"voltage {self.voltage_excess_pu:.4f} pu outside the AC limits")
-        return ", ".join(words)
-
-    def no_worse_than(self, other: Carried) -> bool:
-        """Whether neither reactive power nor voltage is further off than in another dispatch."""
-        return self.reactive_short_kvar <= max(
-            other.reactive_short_kvar, POWER_TOLERANCE_KW
-        ) and self.voltage_excess_pu <= max(other.voltage_excess_pu, VOLTAGE_TOLERANCE_PU)
 
 
 def rule_dispatch(
@@ -82,8 +46,9 @@ def rule_dispatch(
     battery_kw : array, shape (B,), optional
         Wanted charging power, negative to discharge; given up where service needs it.
     """
+    order = service_order(state, tiers)
     if state.island and state.site.phases:
-        return Carried(served_by_phase(state, service_order(state, tiers)), 0.0, 0.0)
+        return served_by_phase(state, order)
     wanted = np.zeros(len(state.site.batteries)) if battery_kw is None else battery_kw
     customers = state.site.customers
     first = customers.tier == tiers[0]
@@ -96,15 +61,13 @@ def rule_dispatch(
     served[first] = best_subset(state.worth[first], state.load_kw[first], state.capacity_kw)
     best = carry(state, served, wanted)
     assert best is not None  # the subset fits the capacity, and no customer at all always does
-    for c in service_order(state, tiers):
-        if not served[c] and not first[c]:
-            tried = served.copy()
-            tried[c] = True
-            found = carry(state, tried, wanted)
-            if found is not None and found.no_worse_than(best):
-                served = tried
-                best = found
-    return best
+
+    def no_worse(tried: Flags, before: Carried) -> Carried | None:
+        found = carry(state, tried, wanted)
+        return found if found is not None and found.no_worse_than(before) else None
+
+    others = [np.array([c]) for c in order if not served[c] and not first[c]]
+    return with_more(served, best, others, no_worse)
 
 
 def service_order(state: StepState, tiers: Sequence[str]) -> Wholes:
@@ -181,7 +144,7 @@ def carry(state: StepState, served: Flags, battery_kw: Floats) -> Carried | None
     battery, left_kw = _closing_power_kw(state, wanted, need_kw)
     if left_kw > POWER_TOLERANCE_KW:
         return None
-    curtailed = _in_proportion(max(-left_kw, 0.0), state.usable_pv_kw - own)
+    curtailed = in_proportion(max(-left_kw, 0.0), state.usable_pv_kw - own)
     export = state.usable_pv_kw - own - curtailed
     grid_kw = need_kw + float(battery.sum() + curtailed.sum())
     exported_kw = min(max(-grid_kw, 0.0), state.export_limit_kw)
@@ -200,21 +163,15 @@ def _closing_power_kw(state: StepState, wanted_kw: Floats, need_kw: float) -> tu
     battery = wanted_kw
     short_kw = need_kw + float(battery.sum()) - state.grid_limit_kw
     for lowest in (np.minimum(battery, 0.0), -state.discharge_max_kw):
-        step = _in_proportion(max(short_kw, 0.0), battery - lowest)
+        step = in_proportion(max(short_kw, 0.0), battery - lowest)
         battery = battery - step
         short_kw = short_kw - float(step.sum())
     surplus_kw = -(need_kw + float(battery.sum())) - state.export_limit_kw
     for highest in (np.maximum(battery, 0.0), state.charge_max_kw):
-        step = _in_proportion(max(surplus_kw, 0.0), highest - battery)
+        step = in_proportion(max(surplus_kw, 0.0), highest - battery)
         battery = battery + step
         surplus_kw = surplus_kw - float(step.sum())
     return battery, short_kw if short_kw > 0 else -max(surplus_kw, 0.0)
-
-
-def _in_proportion(total: float, room: Floats) -> Floats:
-    """A total, or as much of it as there is room for, in proportion to the room."""
-    space = float(room.sum())
-    return room * min(total / space, 1.0) if space > 0 and total > 0 else np.zeros_like(room)
 
 
 def _without_circle(battery_kw: Floats, demand_kw: float) -> Floats:
@@ -225,8 +182,8 @@ def _without_circle(battery_kw: Floats, demand_kw: float) -> Floats:
     excess_kw = max(float(discharge.sum()) - max(demand_kw, 0.0), 0.0)
     return (
         charge
-        - _in_proportion(excess_kw, charge)
-        - (discharge - _in_proportion(excess_kw, discharge))
+        - in_proportion(excess_kw, charge)
+        - (discharge - in_proportion(excess_kw, discharge))
     )
 
 
@@ -247,38 +204,12 @@ def _with_network(
         most_kvar = state.ahead.by_kind[kind].q_most_kvar(site.kinds[kind])[0]
         given_kvar[kind] = np.clip(missing_kvar, -most_kvar, most_kvar)
         short_kvar -= float(np.abs(given_kvar[kind]).sum())
-    load_kw = state.load_kw * served
-    given = {"pv": own + export, "batteries": -battery_kw, "customers": -load_kw}
-    p = bus_injections(site, given | {kind: -kw for kind, kw in state.taken_kw.items()})
-    of_devices = {"pv": pv_q, "batteries": batt_q, "customers": -load_kvar}
-    q = bus_injections(site, of_devices | given_kvar)
-    p_flow, q_flow, v_pu = network_state(state, p, q)
-    charge = np.maximum(battery_kw, 0.0)
-    discharge = np.maximum(-battery_kw, 0.0)
-    stored_kw = cell_kw(charge, discharge, state.eta_charge, state.eta_discharge)
-    net = site.network
+    pv = own, export, pv_q
+    dispatch = dispatch_of(state, served, pv, battery_kw, batt_q, grid_kw, given_kvar)
+    net = state.site.network
     lowest, highest = state.v_limits_pu(net.v_min_ac_pu, net.v_max_ac_pu)
+    v_pu = dispatch.v_pu[0]
     outside = np.maximum(v_pu - highest, lowest - v_pu)[1:]
-    dispatch = one_step(
-        served=served,
-        pv_self_kw=own,
-        pv_export_kw=export,
-        pv_curtailed_kw=state.pv_kw - own - export,
-        pv_q_kvar=pv_q,
-        charge_kw=charge,
-        discharge_kw=discharge,
-        batt_q_kvar=batt_q,
-        p_grid_kw=grid_kw,
-        q_grid_kvar=0.0 if state.island else float(state.drawn_kvar.sum() - q.sum()),
-        v_pu=v_pu,
-        p_flow_kw=p_flow,
-        q_flow_kvar=q_flow,
-        soc=np.vstack([state.soc, soc_after(state.soc, stored_kw, site.batteries, site.dt_h)]),
-        given_kvar={kind: kvar[np.newaxis] for kind, kvar in given_kvar.items()},
-    )
-    for kind, kw in state.taken_kw.items():
-        on = state.running.get(kind)
-        dispatch = dispatch.acting(kind, kw[np.newaxis], None if on is None else on[np.newaxis])
     return Carried(dispatch, max(short_kvar, 0.0), max(float(outside.max()), 0.0))
 
 
@@ -308,7 +239,7 @@ def _reactive(
     if state.island:
         missing = float(demand.sum() - q.sum())
         missing = 0.0 if -POWER_TOLERANCE_KW < missing < 0.0 else missing
-        more = _in_proportion(abs(missing), room - np.copysign(q, q * missing))
+        more = in_proportion(abs(missing), room - np.copysign(q, q * missing))
         q = q + np.copysign(more, missing)
         left_kvar = float(np.copysign(abs(missing) - float(more.sum()), missing))
     return q[:n_pv], q[n_pv:], left_kvar

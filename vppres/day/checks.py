@@ -10,7 +10,6 @@ from vppres.core.errors import InputError, Problem
 from vppres.day.options import PERFECT, RunOptions
 from vppres.day.outages import BELIEF, KNOWN
 from vppres.kinds.table import KINDS, parts, units_of
-from vppres.scenario.formers import named_units
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.timegrid import TimeGrid
 
@@ -97,7 +96,7 @@ def _controller(scenario: Scenario, options: RunOptions, grid: TimeGrid) -> Iter
 
 
 def _phased(scenario: Scenario, options: RunOptions) -> Iterator[Problem]:
-    """Options that a phased feeder has no plan for, and units that are to form its islands."""
+    """Options that a phased feeder has no plan for."""
     if not scenario.phases:
         return
     for field, value, wrong, cure in (
@@ -108,11 +107,6 @@ def _phased(scenario: Scenario, options: RunOptions) -> Iterator[Problem]:
         if wrong:
             cure = f"Use {cure}, or {BALANCED}."
             yield Problem("options", NOT_STATED, cure, field=field, value=value)
-    for kind, forms in named_units(scenario).items():
-        for name in getattr(scenario, kind).id[forms]:
-            cure = f"Use no, or {BALANCED}."
-            field = f"grid_forming of {name}"
-            yield Problem(KINDS[kind].file, NOT_STATED, cure, field=field, value="yes")
 
 
 def check_parts(scenario: Scenario) -> None:

@@ -30,6 +30,7 @@ from vppres.explain.words import (
     too_little,
 )
 from vppres.kinds.export import reasons as export
+from vppres.model.phases import phased_model
 
 OFF_PRICE = 0.02
 """Share by which the price of power at a bus must differ from the slack bus's before a voltage
@@ -314,9 +315,12 @@ def _discharge_in_island(step: Step, battery: int) -> Reason:
 def _relieved_phase(step: Step, battery: int) -> int | None:
     """The former's phase that a battery's discharge is worth most on; None if it is none."""
     phases = None if step.service is None else step.service.phases
-    if phases is None or battery == step.site.batteries.largest_former:
+    if phases is None:
         return None
-    cost = phases.active[:, _asset_index(step, battery)]
+    asset = _asset_index(step, battery)
+    if asset == phased_model(step.site).devices[step.recorded.source(step.t)]:
+        return None
+    cost = phases.active[:, asset]
     return int(np.argmax(cost)) if cost.max() > WORTH else None
 
 

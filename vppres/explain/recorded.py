@@ -17,7 +17,7 @@ from vppres.contract.forecast import Forecast, ForecastErrors
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import OperatingPoint
 from vppres.contract.terminal import Terminal
-from vppres.control.converged import physics_of
+from vppres.control.converged import dark_steps, physics_of
 from vppres.control.phased_window import PhasedLinearisation
 from vppres.core.arrays import Complexes, Flags, Floats
 from vppres.day.forecasting import PAPER, DayForecasts, named_forecasts
@@ -36,7 +36,7 @@ from vppres.model.beyond_paper.table import Beyond, beyond_paper
 from vppres.model.data import WindowData
 from vppres.model.formulas import bus_injections
 from vppres.model.own_state import with_own_state
-from vppres.model.phases import phased_model
+from vppres.model.phases import GRID, phased_model
 from vppres.model.ratings import with_ratings
 from vppres.scenario.faults import Parts
 from vppres.scenario.network import BusId
@@ -239,40 +239,48 @@ class Recorded:
         assert self.trajectory.nodes is not None
         return self.trajectory.by_step("nodes", "v_ac_pu")
 
+    def source(self, t: int) -> int:
+        """Source of a step of a phased feeder: the grid, or what formed its island."""
+        island = np.array(self.scenario.outage[t])
+        return int(phased_model(self.site).sources_of(island, self.trajectory.forms(t)))
+
     def former_kva(self, t: int) -> Complexes:
         """Complex power of the former on each phase in a step of an island, (3,)."""
         (p,), (q,) = self.drawn(t)
-        found = phased_model(self.site).solved(True, p, q)
+        found = phased_model(self.site).solved(self.source(t), p, q)
         assert found is not None
         return found.source_kva
 
     def currents(self, t: int) -> Complexes:
         """Currents of a phased feeder in a step as shares of their ratings, (k,)."""
         model = phased_model(self.site)
-        island = bool(self.scenario.outage[t])
         nothing = np.zeros(len(model.rated), dtype=complex)
         if not np.isfinite(self.v_ac_pu[t]).all():
             return nothing
         (p,), (q,) = self.drawn(t)
-        found = model.solved(island, p, q)
-        return nothing if found is None else model.loadings[int(island)].currents(found.v)
+        source = self.source(t)
+        found = model.solved(source, p, q)
+        return nothing if found is None else model.loadings[source].currents(found.v)
 
     def drawn(self, t: int) -> tuple[Floats, Floats]:
         """Power of a phased feeder's assets in a step, (1, D) each, the former's own left out."""
         order = ("customers", "pv", "batteries", *self.site.kinds)
         p, q = (-np.concatenate([each[name] for name in order])[None, :] for each in self._given(t))
-        former = phased_model(self.site).former_device
-        if former is not None and self.scenario.outage[t]:
-            p[0, former] = q[0, former] = 0.0
+        source = self.source(t)
+        if source > GRID:
+            device = phased_model(self.site).devices[source]
+            p[0, device] = q[0, device] = 0.0
         return p, q
 
     def _by_phase(self, t: int, seen: WindowData) -> WindowData:
         """A window of a phased feeder, its first step linearised at what was recorded."""
-        physics = physics_of(self.site, seen, float(self.options["headroom"]))
+        headroom = float(self.options["headroom"])
+        seen, _ = seen.formed(self.site, dark_steps(self.site, seen), headroom)
+        physics = physics_of(self.site, seen, headroom)
         at = PhasedLinearisation(phased_model(self.site))
         data = at.at_rest(replace(seen, physics=physics))
         p, q = (np.pad(one, [(0, data.n_steps - 1), (0, 0)]) for one in self.drawn(t))
-        first = np.arange(data.n_steps) == 0
+        first = (np.arange(data.n_steps) == 0) & (at.model.sources(data) == self.source(t))
         first &= np.isfinite(self.v_ac_pu[t]).all()
         points = at.model.points(data, p, q, first)
         found = at.at(data, p, q, points, first & points.converged)
@@ -410,7 +418,7 @@ class Recorded:
             "pv": run.by_step("pv", "q_kvar")[t],
             "customers": -q_load_kvar * self.share[t],
             "batteries": self.batt_q_kvar[t],
-            **{kind: np.zeros(len(units)) for kind, units in self.site.kinds.items()},
+            **{kind: self._given_kvar(kind)[t] for kind in self.site.kinds},
         }
         return active, reactive
 
@@ -418,6 +426,14 @@ class Recorded:
         """Power of each unit of a kind, negative where it took, (T, n)."""
         power_kw = self.of_kind(kind, "p_kw")
         return power_kw if KINDS[kind].gives else -power_kw
+
+    def _given_kvar(self, kind: str) -> Floats:
+        """Reactive power of each unit of a kind, (T, n): none where no unit forms islands."""
+        return (
+            self.of_kind(kind, "q_kvar")
+            if "q_kvar" in self.trajectory.tables[KINDS[kind].table]
+            else 0.0 * self._given_kw(kind)
+        )
 
 
 @dataclass(frozen=True, eq=False)

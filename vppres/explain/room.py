@@ -13,7 +13,7 @@ from vppres.explain.prices import WORTH
 from vppres.explain.step import Binding, Scarce, Step
 from vppres.model.data import PhasedWindow
 from vppres.model.formulas import lossless_flows, voltage_drop_pu2
-from vppres.model.phases import GRID, ISLAND, Slopes, phased_model
+from vppres.model.phases import Slopes, phased_model
 
 
 def limits_in_full(step: Step, customer: int, binding: Binding) -> list[Scarce]:
@@ -78,7 +78,7 @@ def _overloaded_current(step: Step, customer: int) -> int | None:
     model = phased_model(step.site)
     if step.dark or not model.rated:
         return None
-    slopes = model.slopes[ISLAND if step.outage else GRID]
+    slopes = model.slopes[step.recorded.source(step.t)]
     kw, kvar = _demand(step, customer)
     now = step.recorded.currents(step.t)
     more = now + slopes.currents(*_alone(slopes, customer, kw, kvar))[0]
@@ -97,7 +97,7 @@ def overloaded_phase(step: Step, customer: int) -> int | None:
     if phased is None or not step.outage or step.dark:
         return None
     model = phased_model(step.site)
-    slopes = model.slopes[ISLAND]
+    slopes = model.slopes[step.recorded.source(step.t)]
     kw, kvar = _demand(step, customer)
     now = step.recorded.former_kva(step.t)
     more = now + slopes.former_p[:, customer] * kw + slopes.former_q[:, customer] * kvar
@@ -147,7 +147,7 @@ def _under_voltage(step: Step, customer: int) -> bool:
 def _node_under_voltage(step: Step, phased: PhasedWindow, customer: int) -> bool:
     """Whether a node of a phased feeder would fall below its least voltage."""
     model = phased_model(step.site)
-    slopes = model.slopes[ISLAND if step.outage else GRID]
+    slopes = model.slopes[step.recorded.source(step.t)]
     kw, kvar = _demand(step, customer)
     change = slopes.changes(*_alone(slopes, customer, kw, kvar))[0][0]
     after = step.recorded.v_node_pu[step.t] ** 2 + change

@@ -16,7 +16,7 @@ from vppres.day.phases import Phase
 from vppres.explain.prices import WORTH, StepPrices
 from vppres.explain.recorded import LimitsReached, Recorded
 from vppres.kinds.customer.physics import due
-from vppres.model.phases import GRID, ISLAND, phased_model
+from vppres.model.phases import GRID, phased_model
 from vppres.physics.phased_sources import buses_of
 from vppres.scenario.formers import bus_of_former, forming_batteries, largest_forming_battery
 from vppres.scenario.network import BusId
@@ -341,7 +341,7 @@ class Step:
         """Currents of a phased feeder that carry most of what an asset of a bus draws, (k,)."""
         model = phased_model(self.site)
         at = buses_of(self.site) == bus
-        slopes = model.slopes[ISLAND if self.outage and model.former is not None else GRID]
+        slopes = model.slopes[max(self.recorded.source(self.t), GRID)]
         each = np.eye(len(at))[at]
         through = np.abs(slopes.currents(each, np.zeros_like(each))) * model.rated_kva
         return np.asarray(through.max(axis=0, initial=0.0) > ON_THE_WAY)

@@ -12,7 +12,7 @@ from vppres.core.units import h_to_minutes
 from vppres.explain.prices import WHOLE, WORTH, WORTH_GBP
 from vppres.explain.step import Binding, Step
 from vppres.kinds.table import KINDS
-from vppres.model.phases import phased_model
+from vppres.model.phases import GRID, phased_model
 from vppres.scenario.phases import PHASES
 from vppres.scenario.priority import Ranks
 
@@ -138,9 +138,9 @@ def line_name(step: Step, line: int) -> str:
 
 
 def phase_name(step: Step, phase: int) -> str:
-    """A phase of the battery that holds the island."""
-    former = step.site.batteries.largest_former
-    name = "the grid-forming battery" if former is None else step.site.batteries.id[former]
+    """A phase of the device that holds the island."""
+    source = step.recorded.source(step.t)
+    name = phased_model(step.site).formers[source - 1] if source > GRID else "the grid"
     return f"phase {PHASES[phase]} of {name}"
 
 

@@ -211,6 +211,10 @@ class UnitsAhead(ByStep):
         """
         return self, np.zeros_like(dark)
 
+    def kept_kw(self) -> Floats:
+        """Power that each leaves free above and below its plan where it forms the grid, (W, n)."""
+        return np.zeros(self._arrays()[0].shape)
+
     def able_to_form(self, units: Any) -> Flags:
         """Units that form an island if nothing else does and they run, (n,)."""
         return np.asarray(self.forming_steps()[0])

@@ -1,6 +1,6 @@
 """How voltages and a former's power by phase follow set-points, in three phases.
 
-For each source, the grid or a battery that holds an island, the squared voltage of a node and the
+For each source, the grid or a device that holds an island, the squared voltage of a node and the
 power of each of the source's phases are linear in the powers that assets draw, around no load:
 ``u = offset + Mp p + Mq q``. The slopes stay as they are; the offsets are those of an AC point.
 """
@@ -8,7 +8,7 @@ power of each of the source's phases are linear in the powers that assets draw, 
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
@@ -27,13 +27,14 @@ from vppres.physics.phased_sources import (
     assets_of,
     flow_of_former,
     flow_of_grid,
-    former_of,
     measured_at,
 )
 from vppres.physics.phases import NoPhasedSolutionError, PhasedFlow, PhasedResult
+from vppres.scenario.formers import former_kva, island_formers, largest_forming_battery
+from vppres.scenario.phases import PHASES
 
-GRID, ISLAND = 0, 1
-"""Source that holds the voltage in a step."""
+GRID, NOTHING_FORMS = 0, -1
+"""Sources of a step beside the formers of islands, of which the first is 1."""
 
 SIDES = 32
 """Sides of the polygon inside a phase's disc: it takes 0.5% of the rating away."""
@@ -159,30 +160,30 @@ class PhasedPoints:
 
 @dataclass(frozen=True, eq=False)
 class PhasedModel:
-    """A site's three phases, with the grid as source and with its former.
+    """A site's three phases, with the grid as source and with each former of its islands.
 
-    ``flows`` and ``slopes`` are those of the grid and, if there is a former, of the island.
-    ``loadings`` are of the currents that plans limit, for each source.
+    ``flows`` and ``slopes`` are those of the grid, then of the ``formers``: the battery that forms
+    islands, then units of kinds. ``loadings`` are of the currents that plans limit,
+    for each source.
     """
 
     site: Site
     flows: tuple[PhasedFlow, ...]
-    former: int | None
+    formers: tuple[str, ...]
     loadings: tuple[Loadings, ...]
 
     @classmethod
     def of(cls, site: Site) -> PhasedModel:
         """The model of a site that has phases."""
         phases = site.phases
-        former = former_of(phases, site.batteries)
+        formers = tuple(island_formers(site))
         names = assets_of(site)
         net = site.feeder
         limits = (net.v_min_pu, net.v_max_pu)
-        flows = [flow_of_grid(phases, names, net.v_slack_pu)]
-        if former is not None:
-            flows.append(flow_of_former(phases, names, str(site.batteries.id[former]), *limits))
+        grid = flow_of_grid(phases, names, net.v_slack_pu)
+        flows = (grid, *(flow_of_former(phases, names, former, *limits) for former in formers))
         of = Loadings.of if site.rated else Loadings.none
-        return cls(site, tuple(flows), former, tuple(of(flow.phases) for flow in flows))
+        return cls(site, flows, formers, tuple(of(flow.phases) for flow in flows))
 
     @cached_property
     def slopes(self) -> tuple[Slopes, ...]:
@@ -200,11 +201,49 @@ class PhasedModel:
         return self.loadings[GRID].kva
 
     @cached_property
-    def former_device(self) -> int | None:
-        """Place of the former among the assets."""
-        if self.former is None:
-            return None
-        return len(self.site.customers) + len(self.site.pv) + self.former
+    def devices(self) -> Wholes:
+        """Place of each source among the assets; that of the grid is none of them, -1."""
+        names = assets_of(self.site)
+        return np.array([-1, *map(names.index, self.formers)], dtype=int)
+
+    @cached_property
+    def _ratings_kva(self) -> Floats:
+        """Rating of each source, of the grid and of nothing none."""
+        return np.array([0.0, *(former_kva(self.site, name) for name in self.formers), 0.0])
+
+    def sources(self, data: WindowData) -> Wholes:
+        """Source of each step of a window, (W,)."""
+        return self.sources_of(data.dark, data.ahead.formers())
+
+    def sources_of(self, island: Flags, forms: Mapping[str, Flags]) -> Wholes:
+        """Sources of steps, (...,), with units of kinds that form islands, (..., n).
+
+        Where none does it is the first of the formers.
+        """
+        first = 1 if self.formers else NOTHING_FORMS
+        source = np.where(island, first, GRID)
+        for kind, flags in forms.items():
+            for unit in np.flatnonzero(flags.any(axis=tuple(range(flags.ndim - 1)))):
+                name = str(self.site.kinds[kind].id[unit])
+                there = flags[..., unit] & island
+                source = np.where(there, 1 + self.formers.index(name), source)
+        return source
+
+    def ratings_kva(self, sources: Wholes) -> Floats:
+        """Rating of the source of each step, (...,)."""
+        return np.asarray(self._ratings_kva[sources])
+
+    def headroom_kva(self, data: WindowData) -> Floats:
+        """Power that a plan leaves free of the former of each step, (W,)."""
+        sources = self.sources(data)
+        nothing = np.zeros(data.n_steps)
+        of_units = (known.kept_kw().sum(axis=1) for known in data.ahead.by_kind.values())
+        kept = sum(of_units, start=nothing)
+        battery = largest_forming_battery(self.site)
+        if battery is None:
+            return kept
+        of_battery = data.require_physics().headroom_kw[:, battery]
+        return np.asarray(np.where(sources == 1, of_battery, kept))
 
     @property
     def n_measured(self) -> int:
@@ -238,7 +277,7 @@ class PhasedModel:
     def drawn(self, data: WindowData, dispatch: Dispatch) -> tuple[Floats, Floats]:
         """Power of each asset in each step, (W, D) each, its former's own power left out."""
         return self.powers(
-            data.dark,
+            self.sources(data),
             load_kw=data.load_kw * dispatch.supplied,
             pv=(dispatch.pv_self_kw + dispatch.pv_export_kw, dispatch.pv_q_kvar),
             batteries=(dispatch.discharge_kw - dispatch.charge_kw, dispatch.batt_q_kvar),
@@ -248,14 +287,14 @@ class PhasedModel:
 
     def powers(
         self,
-        island: Flags,
+        source: Wholes | int,
         load_kw: Floats,
         pv: tuple[Floats, Floats],
         batteries: tuple[Floats, Floats],
         taken_kw: Mapping[str, Floats] = NOTHING,
         given_kvar: Mapping[str, Floats] = NOTHING,
     ) -> tuple[Floats, Floats]:
-        """Power of each asset, (..., D) each, nothing by the former where it is the source.
+        """Power of each asset, (..., D) each, nothing by what is the source, (...,).
 
         Demand is drawn; ``pv`` and ``batteries`` are the kW and kvar that they give. Of the units
         of a kind it is what they take in kW and give in kvar, nothing where it is not said.
@@ -269,15 +308,14 @@ class PhasedModel:
         given = [given_kvar.get(kind, none) for kind, none in nothing.items()]
         p = np.concatenate([load_kw, -pv[0], -batteries[0], *taken], axis=-1)
         q = np.concatenate([q_kvar, -pv[1], -batteries[1], *(-each for each in given)], axis=-1)
-        if self.former_device is not None:
-            p[..., self.former_device] *= ~island
-            q[..., self.former_device] *= ~island
+        for place, device in enumerate(self.devices[1:], start=1):
+            p[..., device] = np.where(source == place, 0.0, p[..., device])
+            q[..., device] = np.where(source == place, 0.0, q[..., device])
         return p, q
 
-    def solved(self, island: bool, p_kw: Floats, q_kvar: Floats) -> PhasedResult | None:
+    def solved(self, source: int, p_kw: Floats, q_kvar: Floats) -> PhasedResult | None:
         """The flow of one step; None for an island that nothing holds."""
-        source = ISLAND if island else GRID
-        return self.flows[source].solve(p_kw, q_kvar) if source < len(self.flows) else None
+        return None if source == NOTHING_FORMS else self.flows[source].solve(p_kw, q_kvar)
 
     def points(self, data: WindowData, p_kw: Floats, q_kvar: Floats, lit: Flags) -> PhasedPoints:
         """AC points of powers that assets draw, step by step; those that are not lit rest."""
@@ -287,10 +325,11 @@ class PhasedModel:
         currents: Complexes = np.zeros((W, len(self.rated)), dtype=complex)
         network = np.zeros((W, 2))
         converged = np.ones(W, dtype=bool)
+        sources = self.sources(data)
         for t in np.flatnonzero(lit):
+            source = int(sources[t])
             try:
-                source = ISLAND if data.dark[t] else GRID
-                found = self.solved(bool(data.dark[t]), p_kw[t], q_kvar[t])
+                found = self.solved(source, p_kw[t], q_kvar[t])
             except NoPhasedSolutionError:
                 converged[t] = False
                 continue
@@ -313,36 +352,39 @@ class PhasedModel:
         W = data.n_steps
         u = np.zeros((W, self.n_measured))
         former: Complexes = np.zeros((W, 3), dtype=complex)
-        for source, steps in ((GRID, ~data.dark), (ISLAND, data.dark)):
-            if source < len(self.flows) and steps.any():
-                changed = self.slopes[source].changes(p_kw[steps], q_kvar[steps])
-                u[steps], former[steps] = changed
+        for slopes, steps in self._by_source(data):
+            u[steps], former[steps] = slopes.changes(p_kw[steps], q_kvar[steps])
         return u, former
 
     def currents(self, data: WindowData, p_kw: Floats, q_kvar: Floats) -> Complexes:
         """Change of the rated currents by powers, as shares of the rating, (W, k)."""
         found: Complexes = np.zeros((data.n_steps, len(self.rated)), dtype=complex)
-        for source, steps in ((GRID, ~data.dark), (ISLAND, data.dark)):
-            if source < len(self.flows) and steps.any():
-                found[steps] = self.slopes[source].currents(p_kw[steps], q_kvar[steps])
+        for slopes, steps in self._by_source(data):
+            found[steps] = slopes.currents(p_kw[steps], q_kvar[steps])
         return found
 
-    def at_no_load(self, dark: Flags) -> tuple[Floats, Complexes, Complexes]:
+    def _by_source(self, data: WindowData) -> Iterator[tuple[Slopes, Flags]]:
+        """Slopes of each source that there is, and its steps, (W,)."""
+        sources = self.sources(data)
+        for source, slopes in enumerate(self.slopes):
+            if (sources == source).any():
+                yield slopes, sources == source
+
+    def at_no_load(self, data: WindowData) -> tuple[Floats, Complexes, Complexes]:
         """Offsets at no load, (W, m), (W, 3) and (W, k)."""
-        u = np.tile(self.slopes[GRID].u_0, (len(dark), 1))
-        former = np.zeros((len(dark), 3), dtype=complex)
-        currents = np.tile(self.slopes[GRID].current_0, (len(dark), 1))
-        if len(self.flows) > ISLAND:
-            u[dark] = self.slopes[ISLAND].u_0
-            former[dark] = self.slopes[ISLAND].former_0
-            currents[dark] = self.slopes[ISLAND].current_0
+        W = data.n_steps
+        u = np.tile(self.slopes[GRID].u_0, (W, 1))
+        former = np.zeros((W, 3), dtype=complex)
+        currents = np.tile(self.slopes[GRID].current_0, (W, 1))
+        for slopes, steps in self._by_source(data):
+            u[steps], currents[steps] = slopes.u_0, slopes.current_0
+            former[steps] = np.where(data.dark[steps, None], slopes.former_0, 0.0)
         return u, former, currents
 
-    def rating_kva(self, kept: Floats) -> Floats:
+    def phase_kva(self, data: WindowData, kept_kva: Floats | float = 0.0) -> Floats:
         """Rating of each phase of the former in each step, (W,), less what is kept free."""
-        if self.former is None:
-            return np.zeros(len(kept))
-        return np.asarray((self.site.batteries.s_max_kva[self.former] - kept[:, self.former]) / 3.0)
+        rating_kva = self.ratings_kva(self.sources(data))
+        return np.asarray((rating_kva - kept_kva) / len(PHASES))
 
 
 def beyond(found: PhasedResult, p_kw: Floats, q_kvar: Floats) -> tuple[float, float]:

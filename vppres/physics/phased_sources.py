@@ -14,7 +14,6 @@ import numpy as np
 from vppres.core.arrays import Floats, Names, Wholes
 from vppres.kinds.table import units_of
 from vppres.physics.phases import PhasedFlow
-from vppres.scenario.assets import Batteries
 from vppres.scenario.earthing import in_island
 from vppres.scenario.formers import island_former
 from vppres.scenario.network import Network
@@ -81,14 +80,6 @@ def drawn_uncontrolled(
     idle = np.zeros(n_assets - len(load_kw) - len(pv_kw))
     p_kw = np.concatenate([load_kw, -pv_kw, idle])
     return p_kw, np.concatenate([load_kvar, np.zeros_like(pv_kw), idle])
-
-
-def former_of(phases: Phases, batteries: Batteries) -> int | None:
-    """The battery that holds an island: the largest of those that form it; None without any."""
-    able = phases.formers(batteries)
-    if not able.any():
-        return None
-    return int(np.argmax(np.where(able, batteries.s_max_kva, -1.0)))
 
 
 def flow_of_grid(phases: Phases, assets: Sequence[str], v_pu: float) -> PhasedFlow:

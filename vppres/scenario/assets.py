@@ -356,10 +356,3 @@ class Batteries(Items):
         largest = np.zeros(len(self), dtype=bool)
         largest[np.argmax(np.where(able, self.s_max_kva, 0.0))] = True
         return largest
-
-    @property
-    def largest_former(self) -> int | None:
-        """Position of the one with the largest inverter of those; None without any."""
-        if not self.formers.any():
-            return None
-        return int(np.argmax(np.where(self.formers, self.s_max_kva, -1.0)))

@@ -59,15 +59,20 @@ def formers_within(site: Any, inside: Flags) -> Flags:
     return np.asarray(able & (np.arange(len(able)) == largest))
 
 
-def island_former(site: Any) -> str | None:
-    """Name of the device that holds an island: the largest battery that forms it, else unit."""
+def island_formers(site: Any) -> list[str]:
+    """Names of devices that hold islands: the largest battery that forms them, then units."""
     battery = largest_forming_battery(site)
-    if battery is not None:
-        return str(site.batteries.id[battery])
+    found = [] if battery is None else [str(site.batteries.id[battery])]
     for kind, named in named_units(site).items():
         units = getattr(site, kind)
-        return str(units.id[np.argmax(np.where(named, units.largest_kw, -1.0))])
-    return None
+        order = np.argsort(-units.largest_kw, kind="stable")
+        found += [str(units.id[i]) for i in order if named[i]]
+    return found
+
+
+def island_former(site: Any) -> str | None:
+    """Name of the device that holds an island: the largest battery that forms it, else unit."""
+    return next(iter(island_formers(site)), None)
 
 
 def former_kva(site: Any, name: str) -> float:

@@ -97,7 +97,7 @@ class PhaseLimits:
         self.drawn = drawn_by_assets(self.model, data, problem)
         self.phased = data.require_phased()
         self.limited = self.model.limited & lit_steps(data)[:, None]
-        self.source = np.where(data.dark, len(self.model.flows) - 1, GRID)
+        self.source = np.maximum(self.model.sources(data), GRID)
 
     @property
     def near(self) -> list[PhaseRows]:
@@ -141,7 +141,7 @@ class PhaseLimits:
 
     def _former(self, kva: Complexes, over: float) -> list[PhaseRows]:
         """Rows of each phase of the former that is beyond its polygon."""
-        if self.model.former is None or not self.data.dark.any():
+        if not (self.model.formers and self.data.dark.any()):
             return []
         room = np.maximum(self.phased.room_kva, NO_POWER_KW)
         room = np.where(self.data.dark, room, np.inf)[:, None]
@@ -220,8 +220,8 @@ def drawn_by_assets(model: PhasedModel, data: WindowData, problem: Selected) -> 
     """Power that assets draw by a problem's columns; the former's power as a source is none."""
     W = data.n_steps
     shown = np.ones((W, len(model.flows[GRID].assets)))
-    if model.former_device is not None:
-        shown[data.dark, model.former_device] = 0.0
+    for source, device in enumerate(model.devices[1:], start=1):
+        shown[model.sources(data) == source, device] = 0.0
     by_step = np.arange(shown.size).reshape(shown.shape, order="F").ravel()
     mask = sp.diags_array(shown.ravel())
     found = (problem.numbers_of(name) for name in DRAWN)
@@ -255,10 +255,13 @@ def near_to(site: Site, data: WindowData, dispatch: Dispatch) -> WindowData:
     These are rows of its next problem from the start.
     """
     phased = data.phased
-    if phased is None or np.isnan(dispatch.batt_q_kvar).any():
+    if phased is None:
         return data
     model = phased_model(site)
-    u, former = model.linear(data, *model.drawn(data, dispatch))
+    drawn = model.drawn(data, dispatch)
+    if np.isnan(drawn).any():
+        return data
+    u, former = model.linear(data, *drawn)
     u = phased.u_offset + u
     room = np.abs(u - phased.u_min), np.abs(phased.u_max - u)
     limited = model.limited & lit_steps(data)[:, None]

@@ -273,15 +273,16 @@ def _balance(row: _Row, state: StepState, within: Tolerances) -> str:
 def _phased_network_kw(row: _Row, curtailed_kw: Floats, state: StepState) -> float:
     """Power that a phased feeder draws beyond its assets, in kW; 0 without a solution."""
     model = phased_model(state.site)
+    source = model.sources_of(np.array(state.island), state.formers)
     p_kw, q_kvar = model.powers(
-        np.array(state.island),
+        source,
         load_kw=state.load_kw * row.served,
         pv=(state.pv_kw - curtailed_kw, row.pv_q_kvar),
         batteries=(row.discharge_kw - row.charge_kw, row.batt_q_kvar),
         taken_kw=row.taken_kw,
     )
     try:
-        found = model.solved(state.island, p_kw, q_kvar)
+        found = model.solved(int(source), p_kw, q_kvar)
     except NoPhasedSolutionError:
         return 0.0
     return 0.0 if found is None else beyond(found, p_kw, q_kvar)[0]

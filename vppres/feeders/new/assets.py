@@ -15,7 +15,7 @@ from vppres.core.text import named
 from vppres.feeders.feeder import ImportedFeeder
 from vppres.feeders.net.names import identifiers, name_in
 from vppres.feeders.new.connections import battery_of, loads_of
-from vppres.feeders.new.gensets import NewSets, taken
+from vppres.feeders.new.gensets import NewSets, sets_of, taken
 from vppres.feeders.new.kinds import PV, burns_fuel, kind_of
 from vppres.feeders.new.options import (
     BATTERY_KWH_PER_PEAK_KW,
@@ -62,6 +62,8 @@ class NewAssets:
         Position of the customer that each load of the source is; -1 for a part of one, or none.
     notes : tuple of str
         What was chosen, drawn or left out, in sentences.
+    set_labels : dict
+        Labels of the source by the sets that are made of its generators.
     """
 
     customers: Customers
@@ -73,6 +75,7 @@ class NewAssets:
     of_generator: Wholes
     of_load: Wholes
     notes: tuple[str, ...]
+    set_labels: dict[str, str]
 
 
 def new_assets(feeder: ImportedFeeder, options: NewScenarioOptions) -> NewAssets:
@@ -95,7 +98,9 @@ def new_assets(feeder: ImportedFeeder, options: NewScenarioOptions) -> NewAssets
         pv = _joined(sized, _systems(grouped, customers, {*sized.customer}))
     else:
         pv = _systems(grouped, customers, set())
-    sets = _own_sets(table[taken(table, feeder.phased is not None)], feeder.named)
+    engines = sets_of(table, feeder.phased)
+    sets = _own_sets(engines, feeder.named)
+    set_labels = dict(zip(map(str, sets.sets.id), map(str, engines["id"]), strict=True))
     own = _own_batteries(feeder)
     added = _added_batteries(customers, peak_kw, options, set(own.id), feeder.named)
     notes = [
@@ -108,13 +113,13 @@ def new_assets(feeder: ImportedFeeder, options: NewScenarioOptions) -> NewAssets
     ]
     of_generator = _positions(table, kept, grouped, before)
     batteries = _joined(own, added)
-    if sets.sets.grid_forming.any():
+    if sets.sets.grid_forming.any() and feeder.phased is None:
         # Where a set is named, a battery that comes first has to be named too.
         batteries = replace(batteries, grid_forming=batteries.formers)
         notes += _told_former(batteries)
     of_load = connections.attrs["of_load"]
     tables = (customers, pv, batteries, sets.sets)
-    return NewAssets(*tables, tiers, peak_kw, of_generator, of_load, tuple(notes))
+    return NewAssets(*tables, tiers, peak_kw, of_generator, of_load, tuple(notes), set_labels)
 
 
 def written(values: Floats) -> Floats:
@@ -459,7 +464,7 @@ def _told_generators(
             + "."
         )
     table = generator_table(feeder)
-    yield from _told_fuelled(table, taken(table, feeder.phased is not None))
+    yield from _told_fuelled(table, taken(table, feeder.phased))
     yield from _told_replaced(table, options)
     larger = table["counterpart"] & (table["p_max_kw"] > table["s_kva"] * (1 + 1e-9))
     if larger.any():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ import pandas as pd
 
 from vppres.core.errors import InputError
 from vppres.feeders.feeder import PhasedLoad, PhasedSource
+from vppres.feeders.net.names import name_in
 from vppres.scenario.assets import Batteries, Customers, PVSystems
 from vppres.scenario.earthing import floating
 from vppres.scenario.network import Network
@@ -45,18 +47,36 @@ def loads_of(source: PhasedSource, count: int) -> pd.DataFrame:
     return found
 
 
+def generator_in(source: PhasedSource, label: str) -> PhaseConnection | None:
+    """Connection of a generator of a source by its label there; None where it has no single one."""
+    rows = {
+        load.connection.id: load.connection
+        for load in source.loads
+        if load.kind not in (LOAD, STORAGE)
+    }
+    element = label.partition(" (")[0].replace(" ", "")
+    return rows.get(name_in(label)) or rows.get(element)
+
+
 def connected(
-    source: PhasedSource, name: str, customers: Customers, pv: PVSystems, batteries: Batteries
+    source: PhasedSource,
+    name: str,
+    customers: Customers,
+    pv: PVSystems,
+    batteries: Batteries,
+    sets: Mapping[str, str],
 ) -> Phases:
     """The phases of a source with the connections of a scenario's assets.
 
     A customer is connected as its load, and so are PV system and battery behind its meter, at
     constant power; a battery with three phases has a coil to ground on each where there is ground.
+    ``sets`` are labels of the source by the sets that are made of its generators.
     """
+    engines = {name: generator_in(source, label) for name, label in sets.items()}
     loads = {customer_of(load.connection.id): load for load in source.loads if load.kind == LOAD}
     rows = [replace(loads[str(each)].connection, id=str(each)) for each in customers.id]
     for system, owner, bus in zip(pv.id, pv.customer, pv.buses(customers), strict=True):
-        own = _generators(source, bus)
+        own = [each for each in _generators(source, bus) if each.connection not in engines.values()]
         if own:
             if len({(load.connection.coils, load.connection.bus) for load in own}) > 1:
                 raise InputError.of(
@@ -75,6 +95,7 @@ def connected(
         if load.kind == STORAGE
     }
     rows += [_of_battery(source.phases, at_customer[str(each)], each) for each in batteries.id]
+    rows += [_constant(row, name) for name, row in engines.items() if row is not None]
     return replace(source.phases, connections=tuple(rows))
 
 

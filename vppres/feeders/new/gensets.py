@@ -14,6 +14,8 @@ import pandas as pd
 
 from vppres.core.arrays import Flags
 from vppres.core.text import named
+from vppres.feeders.feeder import PhasedSource
+from vppres.feeders.new.connections import generator_in
 from vppres.feeders.new.kinds import GENSET, runs_on_a_tank
 from vppres.io import schema
 from vppres.kinds.gensets.data import Gensets
@@ -30,13 +32,25 @@ TANK_H = 8.0
 """Hours that a full tank lasts at full power."""
 
 
-def taken(table: pd.DataFrame, phased: bool) -> pd.Series[bool]:
+def taken(table: pd.DataFrame, source: PhasedSource | None) -> pd.Series[bool]:
     """Which generators of the source become sets: those with an engine and a power.
 
-    Feeders with phases have none.
+    A source with phases has one connection of each.
     """
     sized = table["kind"].map(runs_on_a_tank).astype(bool) & (table["p_max_kw"] >= schema.MIN_KW)
-    return sized & (not phased)
+    if source is None:
+        return sized
+    return sized & table["id"].map(lambda label: generator_in(source, str(label)) is not None)
+
+
+def sets_of(table: pd.DataFrame, source: PhasedSource | None) -> pd.DataFrame:
+    """Rows of the generators that become sets; one that lacks a phase forms no island."""
+    rows = table[taken(table, source)]
+    if source is None:
+        return rows
+    found = [generator_in(source, str(label)) for label in rows["id"]]
+    whole = np.array([row is not None and row.three_coils for row in found], dtype=bool)
+    return rows.assign(grid_forming=rows["grid_forming"].where(whole, other=False))
 
 
 @dataclass(frozen=True, eq=False)

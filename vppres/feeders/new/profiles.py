@@ -185,7 +185,7 @@ class _Sorter:
                 target = _Target("customer", int(assets.of_load[i]), target.rating_kw)
             self._add_element(str(name), target)
         table = generator_table(feeder)
-        sets = taken(table, feeder.phased is not None)
+        sets = taken(table, feeder.phased)
         parts = Counter(assets.of_generator)
         for i, (name, p_max_kw) in enumerate(zip(table["id"], table["p_max_kw"], strict=True)):
             position = int(assets.of_generator[i])

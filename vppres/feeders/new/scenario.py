@@ -102,7 +102,7 @@ def _built(feeder: ImportedFeeder, options: NewScenarioOptions) -> tuple[Scenari
     series = _series(feeder, options, assets, grid)
     phases, batteries = BALANCED, assets.batteries
     if feeder.phased is not None:
-        own = (assets.customers, assets.pv, batteries)
+        own = (assets.customers, assets.pv, batteries, assets.set_labels)
         phases = connected(feeder.phased, feeder.name, *own)
         batteries = with_former(phases, assets.customers, batteries)
     network, switched = _for_islands(_network(feeder, options), batteries, phases)

@@ -96,6 +96,10 @@ class SetsAhead(UnitsAhead):
         """Steps in which each forms the grid of an island, (W, G)."""
         return self.forms
 
+    def kept_kw(self) -> Floats:
+        """Headroom of the set that forms the grid, (W, G)."""
+        return self.headroom_kw
+
     def able_to_form(self, sets: Gensets) -> Flags:
         """Sets that are to form islands, (G,)."""
         return sets.grid_forming

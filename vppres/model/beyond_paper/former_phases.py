@@ -14,14 +14,14 @@ from vppres.model.beyond_paper.addition import Addition, Taken
 from vppres.model.constraints import Named, of_served
 from vppres.model.data import WindowData
 from vppres.model.numerics import ANY_KW, write
-from vppres.model.phases import ISLAND, REACH, phased_model
+from vppres.model.phases import REACH, phased_model
 from vppres.model.site import Site
 from vppres.model.variables import Parameters, Variables
 
 
 @dataclass(frozen=True, eq=False)
 class FormerPhases(Addition):
-    """Active power of an island's former within its rating on each phase, (W, 3).
+    """Active power of each former within its rating on each phase, (W, 3) one after another.
 
     It follows from the discs of its phases, whose rows are made with those of the network, and a
     relaxation without the network has it instead: there customers would crowd a phase.
@@ -32,57 +32,67 @@ class FormerPhases(Addition):
 
     for_network: ClassVar[tuple[str, ...]] = ("former_phase_most", "former_phase_least")
 
+    formers: range
     rest_kw: cp.Parameter
     room_kw: cp.Parameter
 
     @classmethod
     def shape(cls, site: Site, data: WindowData) -> Hashable | None:
-        """No more than whether a battery forms an island of phases in some step."""
-        formed = data.phased is not None and phased_model(site).former is not None
-        return bool(formed and data.dark.any()) or None
+        """How many devices may form an island of phases, None if there is no such step."""
+        formed = data.phased is not None and data.dark.any()
+        return len(phased_model(site).formers) or None if formed else None
 
     @classmethod
     def create(cls, site: Site, v: Variables, shape: Hashable) -> Self:
         """Parameters of a window."""
-        W = v.u.shape[0]
+        assert isinstance(shape, int)
+        size = (v.u.shape[0] * shape, 3)
         return cls(
-            cp.Parameter((W, 3), name="former_rest_kw"),
-            cp.Parameter((W, 3), name="former_room_kw"),
+            range(1, 1 + shape),
+            cp.Parameter(size, name="former_rest_kw"),
+            cp.Parameter(size, name="former_room_kw"),
         )
 
     def fill(self, site: Site, data: WindowData) -> None:
         """Write a window's data."""
         phased = data.require_phased()
-        kvar = _per_unit(site, reactive=True)[len(site.customers) :]
-        rating = np.zeros(len(kvar))
         ratings = np.concatenate([site.pv.s_max_kva, site.batteries.s_max_kva])
-        rating[: len(ratings)] = ratings
-        room_kw = REACH * phased.room_kva[:, None] + np.abs(kvar).T @ rating
-        write(self.rest_kw, phased.former_offset.real)
-        write(self.room_kw, np.where(data.dark[:, None], room_kw, ANY_KW))
+        sources = phased_model(site).sources(data)
+        rooms = []
+        for former in self.formers:
+            kvar = _per_unit(site, former, reactive=True)[len(site.customers) :]
+            rating = np.zeros(len(kvar))
+            rating[: len(ratings)] = ratings
+            room_kw = REACH * phased.room_kva[:, None] + np.abs(kvar).T @ rating
+            rooms.append(np.where((sources == former)[:, None], room_kw, ANY_KW))
+        write(self.rest_kw, np.tile(phased.former_offset.real, (len(self.formers), 1)))
+        write(self.room_kw, np.vstack(rooms))
 
     def implied(self, site: Site, v: Variables, p: Parameters) -> Named:
         """Limits in both directions on the power of assets, and the reactive power of customers."""
         assert p.by_asset is not None
         drawn_kw, _ = p.by_asset
-        per_kw = _per_unit(site, reactive=False)
         customers = slice(len(site.customers))
-        of_kvar = _per_unit(site, reactive=True)[customers]
-        per_kw[customers] += site.customers.q_per_p[:, None] * of_kvar
-        given_kw = self.rest_kw + drawn_kw @ per_kw
+        given = []
+        for former in self.formers:
+            per_kw = _per_unit(site, former, reactive=False)
+            of_kvar = _per_unit(site, former, reactive=True)[customers]
+            per_kw[customers] += site.customers.q_per_p[:, None] * of_kvar
+            given.append(drawn_kw @ per_kw)
+        given_kw = self.rest_kw + cp.vstack(given)
         most, least = self.for_network
         return {most: given_kw <= self.room_kw, least: -given_kw <= self.room_kw}
 
 
-def _per_unit(site: Site, reactive: bool) -> Floats:
-    """Active power of the former's phases for each kW or kvar that an asset draws, (D, 3).
+def _per_unit(site: Site, former: int, reactive: bool) -> Floats:
+    """Active power of a former's phases for each kW or kvar that an asset draws, (D, 3).
 
     The former itself is the source.
     """
     model = phased_model(site)
-    slopes = model.slopes[ISLAND]
+    slopes = model.slopes[former]
     per = np.real(slopes.former_q if reactive else slopes.former_p).T.copy()
-    per[model.former_device] = 0.0
+    per[model.devices[former]] = 0.0
     return per
 
 

@@ -1,0 +1,148 @@
+"""A dispatch of one step as it follows from the powers of devices, and what it leaves open."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+
+from vppres.contract.dispatch import Dispatch
+from vppres.control.step_state import StepState, network_state, one_step
+from vppres.core.arrays import Flags, Floats, Wholes
+from vppres.model.formulas import bus_injections, cell_kw, soc_after
+
+POWER_TOLERANCE_KW = 1e-6
+VOLTAGE_TOLERANCE_PU = 1e-6
+
+S = TypeVar("S")
+
+
+@dataclass(frozen=True, eq=False)
+class Carried:
+    """A dispatch of one step and what it leaves open.
+
+    Parameters
+    ----------
+    dispatch : Dispatch
+        One row.
+    reactive_short_kvar : float
+        Reactive power that no device can supply.
+    voltage_excess_pu : float
+        How far the worst bus lies outside the limits of the AC voltages.
+    surplus_kw : float
+        What generating sets give and no customer takes.
+    """
+
+    dispatch: Dispatch
+    reactive_short_kvar: float
+    voltage_excess_pu: float
+    surplus_kw: float = 0.0
+
+    @property
+    def shortage(self) -> str:
+        """Shortage that is left, in words; empty if nothing is."""
+        words = []
+        if self.reactive_short_kvar > POWER_TOLERANCE_KW:
+            words.append(f"{self.reactive_short_kvar:.1f} kvar short")
+        if self.voltage_excess_pu > VOLTAGE_TOLERANCE_PU:
+            words.append(f"voltage {self.voltage_excess_pu:.4f} pu outside the AC limits")
+        return ", ".join(words)
+
+    def no_worse_than(self, other: Carried) -> bool:
+        """Whether neither reactive power nor voltage is further off than in another dispatch."""
+        return self.reactive_short_kvar <= max(
+            other.reactive_short_kvar, POWER_TOLERANCE_KW
+        ) and self.voltage_excess_pu <= max(other.voltage_excess_pu, VOLTAGE_TOLERANCE_PU)
+
+
+def with_more(
+    served: Flags,
+    best: S,
+    blocks: Iterable[Wholes],
+    carried: Callable[[Flags, S], S | None],
+) -> S:
+    """A schedule with as many more customers as are carried, block by block, as their order has it.
+
+    ``best`` is the schedule of those that are served, ``carried`` says if others are beside it.
+    A block that is not carried is tried in halves.
+    """
+    left = [*blocks][::-1]
+    while left:
+        block = left.pop()
+        tried = served.copy()
+        tried[block] = True
+        found = carried(tried, best)
+        if found is not None:
+            served, best = tried, found
+        elif len(block) > 1:
+            left += np.array_split(block, 2)[::-1]
+    return best
+
+
+def in_proportion(total: float, room: Floats) -> Floats:
+    """A total, or as much of it as there is room for, in proportion to the room."""
+    space = float(room.sum())
+    return room * min(total / space, 1.0) if space > 0 and total > 0 else np.zeros_like(room)
+
+
+def dispatch_of(
+    state: StepState,
+    served: Flags,
+    pv: tuple[Floats, Floats, Floats],
+    battery_kw: Floats,
+    battery_kvar: Floats,
+    grid_kw: float,
+    given_kvar: Mapping[str, Floats],
+) -> Dispatch:
+    """One step in which customers are supplied, (C,), with its flows, voltages and storage.
+
+    Parameters
+    ----------
+    state : StepState
+        The step, with the powers of kinds.
+    served : array of bool, shape (C,)
+        Who is supplied.
+    pv : tuple of array, shape (P,)
+        Own use, export, and reactive power of PV systems.
+    battery_kw, battery_kvar : array, shape (B,)
+        Charging power, negative to discharge, and reactive power that batteries give.
+    grid_kw : float
+        Import, negative to export.
+    given_kvar : mapping
+        Reactive power that units give by kind, (n,).
+    """
+    site = state.site
+    own, export, pv_kvar = pv
+    load_kw = state.load_kw * served
+    load_kvar = load_kw * site.customers.q_per_p
+    given = {"pv": own + export, "batteries": -battery_kw, "customers": -load_kw}
+    p = bus_injections(site, given | {kind: -kw for kind, kw in state.taken_kw.items()})
+    of_devices = {"pv": pv_kvar, "batteries": battery_kvar, "customers": -load_kvar}
+    q = bus_injections(site, of_devices | dict(given_kvar))
+    p_flow, q_flow, v_pu = network_state(state, p, q)
+    charge = np.maximum(battery_kw, 0.0)
+    discharge = np.maximum(-battery_kw, 0.0)
+    stored_kw = cell_kw(charge, discharge, state.eta_charge, state.eta_discharge)
+    dispatch = one_step(
+        served=served,
+        pv_self_kw=own,
+        pv_export_kw=export,
+        pv_curtailed_kw=state.pv_kw - own - export,
+        pv_q_kvar=pv_kvar,
+        charge_kw=charge,
+        discharge_kw=discharge,
+        batt_q_kvar=battery_kvar,
+        p_grid_kw=grid_kw,
+        q_grid_kvar=0.0 if state.island else float(state.drawn_kvar.sum() - q.sum()),
+        v_pu=v_pu,
+        p_flow_kw=p_flow,
+        q_flow_kvar=q_flow,
+        soc=np.vstack([state.soc, soc_after(state.soc, stored_kw, site.batteries, site.dt_h)]),
+        given_kvar={kind: kvar[np.newaxis] for kind, kvar in given_kvar.items()},
+    )
+    for kind, kw in state.taken_kw.items():
+        on = state.running.get(kind)
+        dispatch = dispatch.acting(kind, kw[np.newaxis], None if on is None else on[np.newaxis])
+    return dispatch
