@@ -103,7 +103,7 @@ def flows(day: Scenario) -> tuple[PhasedFlow, PhasedFlow]:
     former = island_former(day)
     assert former is not None
     grid = flow_of_grid(day.phases, names, day.network.v_slack_pu)
-    island = flow_of_former(day.phases, names, former, 0.947, 1.053)
+    island = flow_of_former(day.phases, names, former, day.network.v_slack_pu, 0.947, 1.053)
     return grid, island
 
 

@@ -233,7 +233,6 @@ class Former:
     def _connections(self, table: Any) -> list[PhaseConnection]:
         """Phases of the items of a table."""
         phases = self.state.site.phases
-        assert phases is not None
         return [phases.connection(str(name)) for name in table.id]
 
     def dispatch(self, schedule: Schedule) -> Carried:

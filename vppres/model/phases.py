@@ -179,9 +179,9 @@ class PhasedModel:
         formers = tuple(island_formers(site))
         names = assets_of(site)
         net = site.feeder
-        limits = (net.v_min_pu, net.v_max_pu)
+        voltages = (net.v_slack_pu, net.v_min_pu, net.v_max_pu)
         grid = flow_of_grid(phases, names, net.v_slack_pu)
-        flows = (grid, *(flow_of_former(phases, names, former, *limits) for former in formers))
+        flows = (grid, *(flow_of_former(phases, names, former, *voltages) for former in formers))
         of = Loadings.of if site.rated else Loadings.none
         return cls(site, flows, formers, tuple(of(flow.phases) for flow in flows))
 

@@ -102,13 +102,12 @@ class FlowByPhase:
     def _source(self, reference: int) -> PhasedFlow:
         """The flow whose source is the device at a place, or the grid."""
         if reference not in self._sources:
-            net, phases = self._network, self._phases
+            net, phases, assets = self._network, self._phases, self._assets
+            voltages = net.v_slack_pu, net.v_min_pu, net.v_max_pu
             self._sources[reference] = (
-                flow_of_former(
-                    phases, self._assets, self._assets[reference - 1], net.v_min_pu, net.v_max_pu
-                )
+                flow_of_former(phases, assets, assets[reference - 1], *voltages)
                 if reference
-                else flow_of_grid(phases, self._assets, net.v_slack_pu)
+                else flow_of_grid(phases, assets, net.v_slack_pu)
             )
         return self._sources[reference]
 

@@ -20,8 +20,8 @@ from vppres.scenario.network import Network
 from vppres.scenario.phases import Phases
 
 HELD = 0.75
-"""Where the voltage of an island's former is between the lowest and the highest that keep the
-limits at no load: demand lowers it by more than PV power raises it."""
+"""Where the voltage of an island's former is at most between the lowest and the highest that keep
+the limits at no load: demand lowers it by more than PV power raises it."""
 
 
 def assets_of(site: Any) -> list[str]:
@@ -91,18 +91,20 @@ def flow_of_former(
     phases: Phases,
     assets: Sequence[str],
     former: str,
+    v_slack_pu: float,
     v_min_pu: float,
     v_max_pu: float,
 ) -> PhasedFlow:
     """The flow with a device as source, at the voltage that an operator chooses for an island.
 
-    It is in the upper part of those that keep all voltages within their limits at no load, as
-    demand lowers them; where none does, in the middle.
+    It is the grid's, within the upper part of those that keep all voltages within their limits at
+    no load, as demand lowers them; where none does, it is in the middle.
     """
     bus = phases.connection(former).bus
     phases = in_island(phases.islanded, former)
     probe = PhasedFlow(phases, assets, bus, 1.0)
     at_rest = probe.v_pu(probe.no_load_v)
     least, most = v_min_pu / at_rest.min(), v_max_pu / at_rest.max()
-    share = HELD if least < most else 0.5
-    return PhasedFlow(phases, assets, bus, float(least + share * (most - least)))
+    middle, upper = (least + share * (most - least) for share in (0.5, HELD))
+    held = np.clip(v_slack_pu, middle, upper) if least < most else middle
+    return PhasedFlow(phases, assets, bus, float(held))
