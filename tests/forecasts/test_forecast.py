@@ -143,8 +143,8 @@ def test_errors_do_not_reach_the_scenario(tiny: Scenario) -> None:
     forecast = Forecaster(tiny, RANDOM, seed=3).at(0, DAY)
     np.testing.assert_array_equal(tiny.load_kw, before)
     for f in fields(Forecast):
-        if f.name == "export":
-            assert forecast.export is None  # imports only
+        if f.name in ("export", "out"):
+            assert getattr(forecast, f.name) is None  # imports only, and no line is out
             continue
         with pytest.raises(ValueError, match="read-only"):
             getattr(forecast, f.name)[0] = 1.0
