@@ -3,8 +3,8 @@
 Customers' batteries supply what is on their own coils, PV systems what is behind their meters, and
 the battery or generating set that forms the island the rest of each phase. Where capacitors give a
 phase more reactive power than its third of the former takes, batteries on that phase alone take it,
-and what a set gives at least and nobody takes charges batteries. So no set-point burdens a phase
-that it does not relieve, and a power flow by phase says of every set whether it is carried.
+and what a set gives at least and no customer takes charges batteries. So no set-point burdens a
+phase that it does not relieve, and a power flow by phase says of every set whether it is carried.
 """
 
 from __future__ import annotations
