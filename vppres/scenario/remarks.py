@@ -14,6 +14,7 @@ from vppres.kinds.table import KINDS, TABLES
 from vppres.scenario.capacitors import too_large, too_large_by_phase
 from vppres.scenario.earthing import floating
 from vppres.scenario.formers import forming_batteries, island_former, named_units
+from vppres.scenario.line_heat import hot_lines
 from vppres.scenario.network import LOW_VOLTAGE_KV
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ BATTERY_H = (0.1, 200.0)
 
 
 def doubtful_units(scenario: Scenario) -> list[str]:
-    """Demand and batteries of a size that suggests another unit, in sentences.
+    """Demand, lines and batteries of a size that suggests another unit, in sentences.
 
     Examples
     --------
@@ -44,7 +45,7 @@ def doubtful_units(scenario: Scenario) -> list[str]:
     load_kw.csv, c18: the median customer's largest demand is 0.098552 kW at 12.66 kV. Is the file \
 in MW? Its numbers are kW.
     """
-    said = [_doubtful_demand(scenario)]
+    said = [_doubtful_demand(scenario) or hot_lines(scenario)]
     b = scenario.batteries
     hours = np.divide(b.energy_kwh, b.p_max_kw, out=np.ones(len(b)), where=b.p_max_kw > 0.0)
     least_h, most_h = BATTERY_H
