@@ -33,7 +33,7 @@ def heat_w_per_m(scenario: Scenario) -> float:
     --------
     >>> from vppres.io.find import load_scenario
     >>> round(heat_w_per_m(load_scenario("uk-heatwave-2022")), 1)
-    2.0
+    2.8
     """
     net = scenario.network
     step = int(scenario.load_kw.sum(axis=1).argmax())
@@ -50,7 +50,7 @@ def heat_w_per_m(scenario: Scenario) -> float:
 
 def hot_lines(scenario: Scenario) -> str:
     """Sentence on impedances or a voltage that fit no conductor; empty if they do."""
-    if scenario.phases is not None:
+    if scenario.phases:
         return ""  # the lines of its phases are others
     found = heat_w_per_m(scenario)
     if found <= MOST_W_PER_M:
