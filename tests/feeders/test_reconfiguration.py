@@ -45,7 +45,8 @@ def found(
 
 
 @pytest.mark.parametrize(("name", "options", "count", "present_kw", "best_kw", "v_min_pu"), [
-    ("case16", {"slack": "all"}, 190, 511.436, 466.127, 0.97158),  # three sources
+    # Three sources.
+    pytest.param("case16", {"slack": "all"}, 190, 511.436, 466.127, 0.97158, marks=pytest.mark.daily),
     pytest.param("case69", {}, 407_924, 224.992, 98.605, 0.94947, marks=pytest.mark.nightly),
 ])  # fmt: skip
 def test_the_least_losses_are_those_published(
