@@ -118,7 +118,7 @@ def test_words_name_the_fault(tiny: Scenario) -> None:
     assert set(off["driver"]) == {"fault"}
     reason = "no battery forms the grid behind line 2-4, which is out"
     assert set(off["words"]) == {f"Not supplied: {reason}."}
-    assert f"Off by a fault, 2 customer hours: {reason}." in cautions(run)
+    assert f"Blacked out for 2 customer hours: {reason}." in cautions(run)
     events = [(event.t, event.words) for event in events_of(run)]
     assert (2, "Line 2-4 out of service.") in events
     assert (4, "Line 2-4 in service again.") in events

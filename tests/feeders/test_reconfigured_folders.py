@@ -13,13 +13,18 @@ from typer.testing import CliRunner
 
 from tests.support.small_nets import ring
 from tests.support.three_phases import three_phases
+from tests.support.tiny_day import tiny_scenario
 from vppres.cli.commands import app
 from vppres.feeders import import_network
 from vppres.feeders.new.options import NewScenarioOptions
 from vppres.feeders.new.scenario import new_scenario, write_new_scenario
-from vppres.feeders.reconfiguration.folder import injection_at, step_of
+from vppres.feeders.reconfiguration.choice import switched_network
+from vppres.feeders.reconfiguration.folder import injection_at, step_of, with_configuration
+from vppres.feeders.reconfiguration.search import NO_LIMITS, least_loss
 from vppres.io import read_scenario, write_scenario
 from vppres.physics.powerflow import ACPowerFlow
+from vppres.scenario.faults import Fault
+from vppres.scenario.network import Network
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.switches import Switches
 
@@ -114,6 +119,26 @@ def test_the_folder_that_is_written_has_the_configuration_found(tmp_path: Path) 
         )
         np.testing.assert_array_equal(once, twice)
     assert after.source.deviation.largest_pu is None and after.source.name == "case16"
+
+
+def test_faults_stay_with_their_lines(tmp_path: Path) -> None:
+    """Of lines 1-2-3-4 and a tie 4-1, 2-3 opens: 3-4 is fed from its other end."""
+    net = Network([1, 2, 3], [2, 3, 4], [1.0] * 3, [1.0] * 3, slack_bus=1, base_kv=10.0)
+    day = tiny_scenario()
+    tie = Switches(["t"], [4], [1], ["tie"], [False], r_ohm=[1.0], x_ohm=[1.0])
+    times = day.grid.times
+    faults = (
+        *(Fault(times[2], times[4], line=bus, known=False) for bus in (2, 3, 4)),
+        Fault(times[2], times[4], bus=3),
+    )
+    day = replace(day, network=net, switches=tie, faults=faults)
+    feeder = switched_network(net, tie, (), True)
+    best = replace(least_loss(feeder, *injection_at(day, 0), NO_LIMITS).best, opened=(1,))
+    changed = with_configuration(day, feeder, best)
+    lines = zip(changed.network.from_bus, changed.network.to_bus, strict=True)
+    ends = {frozenset(pair) for pair in lines}
+    assert ends == {frozenset(pair) for pair in ((1, 2), (3, 4), (4, 1))}
+    assert changed.faults == (faults[0], replace(faults[2], line=3), faults[3])
 
 
 @pytest.mark.daily

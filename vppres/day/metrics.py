@@ -118,14 +118,14 @@ def blackouts(trajectory: Trajectory) -> list[str]:
 
 
 def fault_words(trajectory: Trajectory) -> list[str]:
-    """Customers off for a fault, by what it says of each, the most customer hours first."""
+    """Customers in blacked-out parts of a feeder with a fault, by reason, the most hours first."""
     if OFF_BY_FAULT not in trajectory.customers:
         return []
     reasons = trajectory.customers[OFF_BY_FAULT]
     counts = reasons[reasons != ""].value_counts()
     dt_h = trajectory.scenario.grid.dt_h
     return [
-        f"Off by a fault, {count * dt_h:g} customer hours: {reason}."
+        f"Blacked out for {count * dt_h:g} customer hours: {reason}."
         for reason, count in counts.items()
     ]
 

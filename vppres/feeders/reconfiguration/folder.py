@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Floats
+from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import InputError
 from vppres.core.text import iso
 from vppres.feeders.reconfiguration.choice import switch_at
 from vppres.feeders.reconfiguration.loops import SwitchedNetwork
 from vppres.feeders.reconfiguration.search import Configuration
+from vppres.scenario.faults import Fault
 from vppres.scenario.network import LINE_DEFAULTS, Network
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.source import SourceDeviation
@@ -60,7 +62,8 @@ def with_configuration(
 ) -> Scenario:
     """Scenario with the switches of a configuration: its lines, and its table of switches.
 
-    A line that is opened without having a switch gets one. The differences from the source's power
+    A line that is opened without having a switch gets one. Faults stay with their lines, which may
+    feed their other ends now; an open line has no fault. The differences from the source's power
     flow are those of another configuration, and are left out.
     """
     network = scenario.network
@@ -75,12 +78,27 @@ def with_configuration(
         for name in LINE_DEFAULTS
         if name not in own
     }
+    changed = replace(network, **own)
     return replace(
         scenario,
-        network=replace(network, **own),
+        network=changed,
+        faults=tuple(_faults_of(scenario, changed, kept)),
         switches=_moved(network, scenario.switches, ~kept, ties),
         source=replace(scenario.source, deviation=SourceDeviation()),
     )
+
+
+def _faults_of(scenario: Scenario, changed: Network, kept: Flags) -> Iterator[Fault]:
+    """Faults of lines that are kept, each by the bus that its line feeds in the changed network."""
+    old = scenario.network
+    ends = zip(changed.from_bus, changed.to_bus, strict=True)
+    fed = {frozenset(pair): pair[1] for pair in ends}
+    for fault in scenario.faults:
+        line = fault.at(old) - 1
+        if fault.line is None:
+            yield fault
+        elif kept[line]:
+            yield replace(fault, line=fed[frozenset((old.from_bus[line], old.to_bus[line]))])
 
 
 def _moved(network: Network, switches: Switches, opened: Any, closed: Switches) -> Switches:
