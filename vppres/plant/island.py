@@ -49,6 +49,9 @@ only where the power flow itself is less exact (``tolerance_kva`` of a power flo
 COLLAPSE_PU = 0.7
 """A voltage below which motors stall and inverters trip: the island blacks out."""
 
+LITTLE_KW = 2.0 * CUT_MARGIN_KW
+"""Mismatch that an island without room for the margin of a cut may keep: two watts."""
+
 _MAX_SHARINGS = 50
 NO_FORMER = "no battery forms the grid"
 NO_ENERGY = "no grid-forming battery has energy left"
@@ -230,6 +233,7 @@ class IslandPlant:
         # Every round sheds, stops or curtails something, so this is more than can be needed.
         devices = len(planned.served) + len(planned.pv_self_kw)
         devices += sum(len(taken_kw) for taken_kw in planned.taken_kw.values())
+        near: Balance | None = None
         for _ in range(2 * devices + 20):
             try:
                 found = self._balance(t, powers, state, former)
@@ -240,23 +244,35 @@ class IslandPlant:
             if not found.not_found and found.ac.v_pu.min() < COLLAPSE_PU:
                 return self.dark(t, planned, state, COLLAPSE)
             if abs(found.left_kw) <= self.tolerance_kw and found.excess_kva <= 0.0:
-                realised = self.plant.realise(t, found.powers, state, planned.clipped_kw)
-                gave = set_points.battery_kw - found.powers.battery_kw
-                return Settled(
-                    realised,
-                    found.ac,
-                    np.where(former.batteries, gave, 0.0),
-                    planned.served & ~realised.served,
-                    ac_failed=found.not_found,
-                    by_set_kw=_given_beyond_kw(set_points, found.powers),
-                    former=former.name,
-                )
+                return self._settled(t, planned, state, set_points, found)
+            if abs(found.left_kw) <= LITTLE_KW and found.excess_kva <= 0.0:
+                near = found
             cut = self._protective_action(t, powers, found, state, helpers)
             if cut is None:
                 break
             powers = cut
+        # A former without room for the margin of a cut has too much and too little by turns.
+        if near is not None:
+            return self._settled(t, planned, state, set_points, near)
         reason = NO_BALANCE if former.batteries.any() else SET_NO_BALANCE
         return self.dark(t, planned, state, reason)
+
+    def _settled(
+        self, t: int, planned: Realised, state: BatteryState, set_points: Powers, found: Balance
+    ) -> Settled:
+        """The step with a balance that its former carries."""
+        former = found.former
+        realised = self.plant.realise(t, found.powers, state, planned.clipped_kw)
+        gave = set_points.battery_kw - found.powers.battery_kw
+        return Settled(
+            realised,
+            found.ac,
+            np.where(former.batteries, gave, 0.0),
+            planned.served & ~realised.served,
+            ac_failed=found.not_found,
+            by_set_kw=_given_beyond_kw(set_points, found.powers),
+            former=former.name,
+        )
 
     def _balance(self, t: int, powers: Powers, state: BatteryState, former: Former) -> Balance:
         """Solve, let the former take up what the source gave, until the source gives nothing."""
@@ -312,8 +328,13 @@ class IslandPlant:
     def _protective_action(
         self, t: int, powers: Powers, found: Balance, state: BatteryState, helpers: Flags
     ) -> Powers | None:
-        """One more protective action, None if there is none left."""
+        """One more protective action, None if there is none left.
+
+        Reactive power beyond the former's rating sheds customers; what others give or take in its
+        place would not relieve it. It leaves the former no room to balance what is very little.
+        """
         need_kw = max(found.left_kw, found.excess_kva) + CUT_MARGIN_KW
+        lack_kw = found.left_kw + CUT_MARGIN_KW
         if self._on.n_phases > 1 and abs(found.left_kw) <= self.tolerance_kw:
             relieved = None
             if found.former.excess_kva(found.powers) <= 0.0:
@@ -324,22 +345,26 @@ class IslandPlant:
                 or self._shed(t, powers, need_kw, found.ac)
                 or self._on.without_any(powers, found.former)
             )
+        if found.excess_kva > 0.0 and abs(found.left_kw) <= LITTLE_KW:
+            shed = self._shed(t, powers, need_kw, found.ac)
+            if shed is not None:
+                return shed
         others = ~found.former.batteries
         if found.left_kw >= -self.tolerance_kw:
             for kind in TAKE_LESS if found.left_kw > self.tolerance_kw else ():
                 taken_kw = powers.taken_kw.get(kind, np.zeros(0))
                 taking_kw = np.maximum(taken_kw, 0.0)
                 if taking_kw.sum() > 0:
-                    off_kw = part_of(taking_kw, need_kw)
+                    off_kw = part_of(taking_kw, lack_kw)
                     less = taking_less(self.plant, t, powers, kind, off_kw)
                     if less is not None:
                         return less
             charging = np.where(others, np.maximum(powers.battery_kw, 0.0), 0.0)
             if found.left_kw > self.tolerance_kw and charging.sum() > 0:
-                return replace(powers, battery_kw=powers.battery_kw - part_of(charging, need_kw))
+                return replace(powers, battery_kw=powers.battery_kw - part_of(charging, lack_kw))
             room_kw = self._room_kw(powers, state, helpers, found.ac)
             if found.left_kw > self.tolerance_kw and room_kw.sum() > self.tolerance_kw:
-                return replace(powers, battery_kw=powers.battery_kw - part_of(room_kw, need_kw))
+                return replace(powers, battery_kw=powers.battery_kw - part_of(room_kw, lack_kw))
             return self._shed(t, powers, need_kw, found.ac)
         surplus_kw = -found.left_kw + CUT_MARGIN_KW
         for kind, spare_kw in spare(self.plant, powers).items():
