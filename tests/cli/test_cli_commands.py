@@ -149,6 +149,7 @@ def test_valid_scenario_as_json(tiny_folder: Path) -> None:
         "steps": 6,
         "step_minutes": 60.0,
         "outage_steps": 2,
+        "faults": 0,
         "export": "imports only",
         "mode": "paper",
         "source": {

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.support.live_service import NOON, readings, said, serving, site
-from vppres.control import converged
+from vppres.control import linearisation
 from vppres.day.options import RunOptions
 from vppres.live.controller import Controller
 from vppres.live.measurement import Measurement
@@ -71,7 +71,7 @@ def test_what_is_shed_against_the_plan_is_said(
     tiny: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As status, alarm and reason; here the plan may lack the losses."""
-    monkeypatch.setattr(converged, "SHORT_KW", np.inf)
+    monkeypatch.setattr(linearisation, "SHORT_KW", np.inf)
     monkeypatch.setattr(losses, "LOSS_MARGIN", 0.0)
     options = RunOptions(horizon_h=0.0, isolate=False, mode="physical", priority="strict")
     clock = SetClock(NOON)

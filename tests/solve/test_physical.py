@@ -359,8 +359,8 @@ def test_an_island_with_a_capacitor_is_held_or_planned_dark(tiny: Scenario, shar
     assert steps.loc[steps["dark"] > 0, "shed_kw"].tolist() == [0.0] * int(steps["dark"].sum())
     assert ((steps["status"] == "blacked_out") == (steps["dark"] > 0)).all()
     assert any("blacked out in" in words for words in cautions(run)) == (share > 1.0)
-    # The first point knows the capacitor: model and AC agree at once.
-    assert (steps["passes"] == 1).all()
+    # Points know the capacitor: model and AC agree at once, but for losses before the first one.
+    assert (steps["passes"].iloc[1:] == 1).all()
 
 
 @pytest.mark.nightly

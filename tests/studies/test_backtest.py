@@ -106,7 +106,7 @@ def test_page_and_tables(tmp_path: Path) -> None:
     summary = write_backtest(result, tmp_path / "out", "Noise")
     page = (tmp_path / "out" / "backtest.html").read_text()
     assert "<h1>Noise</h1>" in page
-    assert page.count("<svg") == 3 * 3
+    assert page.count("<figure") == 3 * 3
     assert 'src="http' not in page
     for words in backtest_findings(result):
         assert words in page

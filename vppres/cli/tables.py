@@ -58,6 +58,7 @@ def content_of(day: Scenario) -> dict[str, Any]:
         "steps": day.grid.n_steps,
         "step_minutes": float(day.grid.step_minutes),
         "outage_steps": int(day.outage.sum()),
+        "faults": len(day.faults),
         "export": export.words(day),
         "mode": day.controller.mode,
         "source": asdict(day.source),
@@ -103,11 +104,16 @@ def validation_text(
 
     kinds = [counted(content["batteries"], "battery", "batteries")]
     kinds += [data.contents(content) for kind, data in parts("data").items() if content[kind]]
+    faults = (
+        f", {counted(content['faults'], 'fault')} of lines or buses" if content["faults"] else ""
+    )
     holds = (
         "{folder} is valid: {buses} buses, {customers} customers, {generators}, "
         f"{', '.join(kinds)}, "
         "{steps} steps of {step_minutes:g} min, {outage_steps} of "
-        "them without grid; {export}; islands in {mode} mode."
+        "them without grid"
+        f"{faults}"
+        "; {export}; islands in {mode} mode."
     ).format_map({**content, "folder": folder})
     return "\n".join([holds, *(f"- {remark}" for remark in content["remarks"])])
 

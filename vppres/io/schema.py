@@ -353,6 +353,11 @@ def cure(field: FieldInfo) -> str:
 
     >>> cure(PVRow.model_fields["p_max_kw"])
     'Give the largest active power in kW.'
+    >>> cure(SwitchRow.model_fields["operable"])
+    'Give yes or no: whether it can be moved.'
     """
     meaning = (field.description or "").partition(" (no such key")[0]
+    if meaning.startswith("whether"):
+        values = "true or false" if field.annotation is bool else "yes or no"
+        return f"Give {values}: {meaning}."
     return f"Give the {meaning}{f' in {unit(field)}' if unit(field) else ''}."

@@ -186,6 +186,8 @@ def former_words(scenario: Scenario, mode: str | None = None, always: bool = Fal
     if not names and not forming:
         return NO_FORMER if always else ""  # of the outages of a scenario, :func:`darkness` says it
     alone = f" {ONE_FORMER}" if len(names) + len(forming) == 1 else ""
+    if scenario.faults and not (b.grid_forming.any() or forming):
+        alone = " Behind a line that is out it is the one with the largest inverter there."
     if not names:
         fuelled = f"{named(forming, NAMES_SHOWN)}, as long as it has fuel"
         return f"The island is formed by {fuelled}.{alone}{_unearthed(scenario)}"
