@@ -237,10 +237,11 @@ def _watching(off_pu: list[float]) -> AbstractContextManager[Any]:
         self: ConvergedPlanner, data: WindowData, solution: WindowSolution, deadline: Deadline
     ) -> tuple[WindowData, WindowData, WindowSolution]:
         at, plan = self.linearisation, solution.dispatch
-        points, lit = at.points(data, plan), lit_steps(data)
-        if lit[0] and points.converged[0]:
-            planned = at.finished(data, plan).v_node_pu
-            off_pu.append(float(np.abs(planned - np.sqrt(points.u_pu2))[0].max()))
+        if data.phased is not None and lit_steps(data)[0]:
+            points = at.points(data, plan)
+            if points.converged[0]:
+                planned = at.finished(data, plan).v_node_pu
+                off_pu.append(float(np.abs(planned - np.sqrt(points.u_pu2))[0].max()))
         return plain(self, data, solution, deadline)
 
     return patch.object(ConvergedPlanner, "converge", converge)
