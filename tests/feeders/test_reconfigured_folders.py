@@ -13,7 +13,6 @@ from typer.testing import CliRunner
 
 from tests.support.small_nets import ring
 from tests.support.three_phases import three_phases
-from tests.support.tiny_day import tiny_scenario
 from vppres.cli.commands import app
 from vppres.feeders import import_network
 from vppres.feeders.new.options import NewScenarioOptions
@@ -77,20 +76,17 @@ def test_16_buses_from_a_folder(tmp_path: Path) -> None:
     assert (found["close"], found["open"]) == (["5-11", "10-14"], ["S10", "S11"])
 
 
-@pytest.mark.daily
-def test_33_buses_from_a_folder(tmp_path: Path) -> None:
-    found = published(tmp_path, "case33bw")
-    assert found["configurations"] == 50_751 and found["exact"]
-    assert found["before"]["losses_kw"] == pytest.approx(202.677, abs=1e-3)
-    assert found["after"]["losses_kw"] == pytest.approx(139.551, abs=1e-3)
-
-
-@pytest.mark.nightly
-def test_69_buses_from_a_folder(tmp_path: Path) -> None:
-    found = published(tmp_path, "case69")
-    assert found["configurations"] == 407_924 and found["exact"]
-    assert found["before"]["losses_kw"] == pytest.approx(224.992, abs=1e-3)
-    assert found["after"]["losses_kw"] == pytest.approx(98.605, abs=1e-3)
+@pytest.mark.parametrize(("name", "count", "before_kw", "after_kw"), [
+    pytest.param("case33bw", 50_751, 202.677, 139.551, marks=pytest.mark.daily),
+    pytest.param("case69", 407_924, 224.992, 98.605, marks=pytest.mark.nightly),
+])  # fmt: skip
+def test_published_buses_from_a_folder(
+    name: str, count: int, before_kw: float, after_kw: float, tmp_path: Path
+) -> None:
+    found = published(tmp_path, name)
+    assert found["configurations"] == count and found["exact"]
+    assert found["before"]["losses_kw"] == pytest.approx(before_kw, abs=1e-3)
+    assert found["after"]["losses_kw"] == pytest.approx(after_kw, abs=1e-3)
 
 
 @pytest.mark.daily
@@ -121,17 +117,16 @@ def test_the_folder_that_is_written_has_the_configuration_found(tmp_path: Path) 
     assert after.source.deviation.largest_pu is None and after.source.name == "case16"
 
 
-def test_faults_stay_with_their_lines(tmp_path: Path) -> None:
+def test_faults_stay_with_their_lines(tiny: Scenario) -> None:
     """Of lines 1-2-3-4 and a tie 4-1, 2-3 opens: 3-4 is fed from its other end."""
     net = Network([1, 2, 3], [2, 3, 4], [1.0] * 3, [1.0] * 3, slack_bus=1, base_kv=10.0)
-    day = tiny_scenario()
     tie = Switches(["t"], [4], [1], ["tie"], [False], r_ohm=[1.0], x_ohm=[1.0])
-    times = day.grid.times
+    times = tiny.grid.times
     faults = (
         *(Fault(times[2], times[4], line=bus, known=False) for bus in (2, 3, 4)),
         Fault(times[2], times[4], bus=3),
     )
-    day = replace(day, network=net, switches=tie, faults=faults)
+    day = replace(tiny, network=net, switches=tie, faults=faults)
     feeder = switched_network(net, tie, (), True)
     best = replace(least_loss(feeder, *injection_at(day, 0), NO_LIMITS).best, opened=(1,))
     changed = with_configuration(day, feeder, best)

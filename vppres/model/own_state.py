@@ -39,7 +39,7 @@ def giving_way(site: Site, data: WindowData) -> list[WindowData]:
     First those of plans; then, where the feeder without control is beyond them, those of the AC
     voltages; then the voltages without control themselves. They are those of the window's own
     linearisation, so that this state is one of the last window's dispatches. In an island nothing
-    gives way, and where the feeder without control has no power flow nothing but plans' limits do.
+    gives way, and where the feeder without control has no power flow the AC limits stand.
     """
     if data.phased is not None:
         return _phases_giving_way(site, data, data.phased)

@@ -121,18 +121,17 @@ class PlantInParts:
             flow = self._flow(buses, lines, bool(self.plant.scenario.outage[t]))
             return SettledPart(inside, lines, realise(self.plant, flow, t, own, state))
         flow = self._flow(buses, lines, island=True)
-        bus_out = np.flatnonzero(buses & buses_out)
+        planned = self.plant.apply(t, own, state)
+        bus_out = self.network.buses[buses & buses_out]
+        if len(bus_out):
+            done = IslandPlant(self.plant, flow, inside).dark(
+                t, planned, state, f"bus {bus_out[0]} is out"
+            )
+            return SettledPart(inside, lines, done)
         where = f"behind {parts.behind(number)}, which is out" if number else "at the grid's bus"
-        where = "" if len(bus_out) else where
         island = IslandPlant(self.plant, flow, inside, where)
         island.formers = formers_within(self.plant.scenario, inside.batteries) & online
-        planned = self.plant.apply(t, own, state)
-        if len(bus_out):
-            bus = self.network.buses[bus_out[0]]
-            done = island.dark(t, planned, state, f"bus {bus} is out")
-        else:
-            done = island.settle(t, planned, state)
-        return SettledPart(inside, lines, done)
+        return SettledPart(inside, lines, island.settle(t, planned, state))
 
     def _of_part(self, t: int, decision: Decision, inside: PartOfPlant) -> Any:
         """The decision's dispatch without what is outside of a part."""

@@ -121,7 +121,9 @@ def _open_branches(net: Any, base_kv: float) -> Iterator[_Found]:
             start, end = (int(row[side]) for side in ENDS[table])
             rating_a = float(kva_to_a(float(mw_to_kw(rating_mva(net, table, i))), base_kv))
             own = _of(net, table, i)
-            yield _Found(_name(row) or _one_name(own), (start, end), *_told(own), z_ohm, rating_a)
+            yield _Found(
+                _name(row) or _one_name(own), (start, end), *_breaker_and_lock(own), z_ohm, rating_a
+            )
 
 
 def _off(net: Any, table: str) -> pd.Series[bool]:
@@ -165,7 +167,9 @@ def _open_bus_switches(net: Any) -> Iterator[_Found]:
     between = net.switch[(net.switch["et"] == "b") & ~net.switch["closed"].astype(bool)]
     for i, switch in between.iterrows():
         buses = int(switch["bus"]), int(switch["element"])
-        yield _Found(_name(switch), buses, *_told(between.loc[[i]]), complex(MIN_OHM, 0.0))
+        yield _Found(
+            _name(switch), buses, *_breaker_and_lock(between.loc[[i]]), complex(MIN_OHM, 0.0)
+        )
 
 
 def _on_lines(net: Any, joined: NetCase) -> Iterator[_Found]:
@@ -193,7 +197,7 @@ def _on_lines(net: Any, joined: NetCase) -> Iterator[_Found]:
         if len(switches) == 1 and switches[0][1]:
             names.reverse()  # the switch is an element of its own
         name = next(filter(None, names), "")
-        yield _Found(name, (int(branch["from"]), int(branch["to"])), *_told(own))
+        yield _Found(name, (int(branch["from"]), int(branch["to"])), *_breaker_and_lock(own))
 
 
 def _closed(net: Any, joined: NetCase) -> Iterator[tuple[Any, tuple[str, Any], bool]]:
@@ -278,7 +282,7 @@ def _of(net: Any, table: str, element: Any) -> pd.DataFrame:
     return own
 
 
-def _told(switches: pd.DataFrame) -> tuple[bool, str]:
+def _breaker_and_lock(switches: pd.DataFrame) -> tuple[bool, str]:
     """Whether switches of one line are a circuit breaker, and why they are locked, if they are."""
     reasons = [text for text in switches.get(LOCKED, ()) if isinstance(text, str) and text]
     return bool((switches["type"] == "CB").any()), next(iter(reasons), "")
