@@ -113,19 +113,22 @@ def test_windows_with_all_kinds_equal_the_whole_problem_with_all_rows(seed: int)
 
 @pytest.mark.nightly
 def test_ratings_that_cannot_be_kept_give_way_no_further_than_need_be(tmp_path: Path) -> None:
-    """A capacitor's current is beyond the rating of its line, whoever is served."""
+    """A capacitor's current is beyond the rating of its line, whoever is served.
+
+    Three tenths of what the plan without ratings has beyond them leave no dispatch, four tenths do.
+    """
     file = tmp_path / "small.dss"
     large = CIRCUIT.replace("kvar=150", "kvar=900")
     file.write_text(large.replace("length=0.6 units=km", "length=0.6 units=km normamps=40"))
     day = phased_day(file)
     site, data, found = decided(day.between(8, 10))
-    free = WindowSolver(site, limits=SolveLimits())._decided(data, SolveLimits())
-    kept, unlimited = (
-        loading_of_phases(site, data, *phased_model(site).drawn(data, each.dispatch)).max()
-        for each in (found, free)
+    unrated = WindowSolver(site, limits=SolveLimits())._decided(data, SolveLimits())
+    kept, free = (
+        loading_of_phases(site, data, *phased_model(site).drawn(data, each.dispatch)).max() - 1.0
+        for each in (found, unrated)
     )
     assert found.status == "optimal"
-    assert 1.0 < kept < 1.6 and unlimited > 2.5
+    assert 0.3 * free < kept < 0.51 * free
 
 
 def first_window(day: Scenario, headroom: float) -> tuple[ConvergedPlanner, WindowData]:
