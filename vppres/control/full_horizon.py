@@ -15,8 +15,8 @@ from vppres.contract.terminal import Terminal
 from vppres.control.planner import OnePass, Planner, plan_with_rules, solve_info
 from vppres.control.remembered import PART
 from vppres.core.arrays import Floats, Names
+from vppres.kinds.batteries.physics import BatteriesAhead, power_beyond_kw
 from vppres.model.data import WindowData
-from vppres.model.formulas import cell_kw, soc_after
 from vppres.model.site import Site
 from vppres.scenario.timegrid import TimeGrid
 from vppres.solve.ladder import WindowSolver
@@ -185,14 +185,12 @@ class FullHorizonController:
 
 def _check_battery(site: Site, actual: _Actual) -> str:
     """Battery dispatch feasibility: inverter disc, and SoC with the actual efficiencies."""
-    o = actual.observation
     b = site.batteries
-    power = actual.battery_kw
-    apparent = np.hypot(power, actual.plan.batt_q_kvar[actual.t])
-    disc = _worst("battery inverter", b.id, apparent - b.s_max_kva, POWER_TOLERANCE_KW, "kVA")
-    stored_kw = cell_kw(np.maximum(power, 0), np.maximum(-power, 0), o.eta_charge, o.eta_discharge)
-    soc = soc_after(o.soc, stored_kw, b, site.dt_h)
-    outside = np.maximum(soc - b.soc_max, b.soc_min - soc)
+    t, plan = actual.t, actual.plan
+    beyond = power_beyond_kw(b, plan.charge_kw[t], plan.discharge_kw[t], plan.batt_q_kvar[t])
+    disc = _worst("battery inverter", b.id, beyond["inverter"], POWER_TOLERANCE_KW, "kVA")
+    known = BatteriesAhead.of(b, actual.observation, site.dt_h)
+    outside = np.maximum(*known.soc_beyond(known.after(actual.battery_kw)))
     return disc or _worst("battery energy", b.id, outside, SOC_TOLERANCE, "of capacity")
 
 
