@@ -15,8 +15,8 @@ from vppres.contract.terminal import Terminal
 from vppres.control.planner import OnePass, Planner, plan_with_rules, solve_info
 from vppres.control.remembered import PART
 from vppres.core.arrays import Floats, Names
+from vppres.kinds.batteries.physics import BatteriesAhead, power_beyond_kw
 from vppres.model.data import WindowData
-from vppres.model.formulas import cell_kw, charge_to_kw, discharge_to_kw, soc_after
 from vppres.model.site import Site
 from vppres.scenario.timegrid import TimeGrid
 from vppres.solve.ladder import WindowSolver
@@ -149,14 +149,13 @@ class FullHorizonController:
         ahead.
         """
         assert self.plan is not None
-        b, dt_h = self.solver.site.batteries, self.solver.site.dt_h
-        o = observation
+        site = self.solver.site
+        b = site.batteries
+        now = BatteriesAhead.of(b, observation, site.dt_h)
         charge_kw, discharge_kw = self.plan.charge_kw.copy(), self.plan.discharge_kw.copy()
         net_kw = charge_kw[row] - discharge_kw[row]
-        until_full = charge_to_kw(b.soc_max, o.soc, o.eta_charge, b, dt_h)
-        until_empty = discharge_to_kw(b.soc_min, o.soc, o.eta_discharge, b, dt_h)
-        charge_kw[row] = np.clip(net_kw, 0.0, until_full)
-        discharge_kw[row] = np.clip(-net_kw, 0.0, until_empty)
+        charge_kw[row] = np.clip(net_kw, 0.0, now.charge_to_kw(b.soc_max))
+        discharge_kw[row] = np.clip(-net_kw, 0.0, now.discharge_to_kw(b.soc_min))
         return replace(self.plan, charge_kw=charge_kw, discharge_kw=discharge_kw)
 
     def _solve_step_alone(self, observation: Observation, reason: str) -> Decision:
@@ -209,14 +208,12 @@ class FullHorizonController:
 
 def _check_battery(site: Site, actual: _Actual) -> str:
     """Battery dispatch feasibility: inverter disc, and SoC with the actual efficiencies."""
-    o = actual.observation
     b = site.batteries
-    power = actual.battery_kw
-    apparent = np.hypot(power, actual.plan.batt_q_kvar[actual.t])
-    disc = _worst("battery inverter", b.id, apparent - b.s_max_kva, POWER_TOLERANCE_KW, "kVA")
-    stored_kw = cell_kw(np.maximum(power, 0), np.maximum(-power, 0), o.eta_charge, o.eta_discharge)
-    soc = soc_after(o.soc, stored_kw, b, site.dt_h)
-    outside = np.maximum(soc - b.soc_max, b.soc_min - soc)
+    t, plan = actual.t, actual.plan
+    beyond = power_beyond_kw(b, plan.charge_kw[t], plan.discharge_kw[t], plan.batt_q_kvar[t])
+    disc = _worst("battery inverter", b.id, beyond["inverter"], POWER_TOLERANCE_KW, "kVA")
+    known = BatteriesAhead.of(b, actual.observation, site.dt_h)
+    outside = np.maximum(*known.soc_beyond(known.after(actual.battery_kw)))
     return disc or _worst("battery energy", b.id, outside, SOC_TOLERANCE, "of capacity")
 
 
