@@ -218,7 +218,7 @@ class Day:
         steps = {**record.steps, **basis_of(self.forecaster, t)}
         if self.scenario.faults:
             out = self.scenario.out_of_service(range(t, t + 1))
-            steps[LINES_OUT] = out.name(self.scenario.network, 0)
+            steps[LINES_OUT] = " and ".join(out.names(self.scenario.network, 0))
         if self.options.outages in (BELIEF, LIKELY):
             steps["outage_messages"] = self.outage_messages
         record = replace(record, steps=steps, kinds=kinds)

@@ -136,13 +136,13 @@ class OutOfService:
         """Some of the steps."""
         return OutOfService(self.lines[steps], self.buses[steps])
 
-    def name(self, network: Network, step: int) -> str:
-        """Names of lines and buses that are out in a step, empty for none."""
+    def names(self, network: Network, step: int) -> list[str]:
+        """Lines and buses that are out in a step, in words."""
         at = np.flatnonzero(self.buses[step])
         of_buses = np.isin(network.parent, at) | np.isin(np.arange(network.n_lines) + 1, at)
         lines = np.flatnonzero(self.lines[step] & ~of_buses)
         words = [f"bus {network.buses[bus]}" for bus in at]
-        return " and ".join([*words, *(line_name(network, line) for line in lines.tolist())])
+        return [*words, *(line_name(network, line) for line in lines.tolist())]
 
 
 def parts_by_bus(network: Network, lines: Flags) -> Wholes:
