@@ -51,6 +51,12 @@ class LineFault:
         assert bus is not None  # a scenario has no other faults
         return network.bus_index[bus]
 
+    def lines(self, network: Network) -> Flags:
+        """Lines that it takes out of service, (L,)."""
+        at = self.at(network)
+        leaving = (network.parent == at) & (self.line is None)
+        return np.asarray((np.arange(network.n_lines) == at - 1) | leaving)
+
     def name(self, network: Network) -> str:
         """The line, or the bus, in words."""
         if self.line is None:
@@ -125,11 +131,9 @@ class OutOfService:
         buses = np.zeros((len(begins), network.n_buses), dtype=bool)
         for fault in faults:
             during = np.asarray((begins < fault.end) & (begins + grid.step > fault.start))
-            at = fault.at(network)
-            lines[during, at - 1] = True
+            lines |= during[:, None] & fault.lines(network)
             if fault.line is None:
-                lines |= during[:, None] & (network.parent == at)
-                buses[during, at] = True
+                buses[during, fault.at(network)] = True
         return cls(lines, buses)
 
     def part(self, steps: slice) -> OutOfService:
