@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 
 from tests.support.asgi import Caller
+from tests.support.faulted import faulted_day
 from tests.support.live_service import (
     HERE,
     NOON,
@@ -21,10 +22,13 @@ from tests.support.live_service import (
     said,
     site,
 )
+from tests.support.played_service import played
+from vppres import RunOptions, run_day
 from vppres.scenario.faults import LineFault
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock
 from vppres.service.operation.runner import Service
+from vppres.service.simulate import Play
 
 SOON = NOON + pd.Timedelta("10min")
 HOUR = pd.Timedelta("1h")
@@ -148,3 +152,19 @@ def test_faults_of_the_folder_are_known(one_former: Scenario, tmp_path: Path) ->
         assert plan["ahead"]["served"]["homes"] == [False, True]
         assert [one["out"] for one in plan["faults"]] == [False]
         assert set(off(decided(http, clock, NOON + HOUR))) == {"homes"}
+
+
+@pytest.mark.daily
+@pytest.mark.parametrize("seed", range(20))
+def test_a_simulated_day_is_played_by_reports(seed: int, tmp_path: Path) -> None:
+    """The service knows the day, but of faults only what is reported to it."""
+    day = faulted_day(seed)
+    options = RunOptions(mode="paper", horizon_h=3.0, isolate=False)
+    run = run_day(day, options)
+    service = Service(replace(day, faults=()), options, rehearsal=True)
+    player = played(service, day, tmp_path, Play())
+    assert player.tally.statuses == {"ok": day.grid.n_steps}
+    for t, record in enumerate(player.world.records):
+        assert record.customers["served"].tolist() == run.by_step("customers", "served")[t].tolist()
+        why = run.by_step("customers", "off_by_fault")[t].tolist()
+        assert record.customers["off_by_fault"].tolist() == why
