@@ -82,13 +82,17 @@ def check_places(faults: Iterable[LineFault], network: Network) -> None:
         With all of them.
     """
     behind_grid = set(network.buses[1:].tolist())
-    cure = "Give the bus that the line feeds, or the bus that is out itself, but not the grid's."
-    problems = [
-        Problem("faults", "is not one bus behind the grid's", cure, row=i, field="line or bus")
-        for i, fault in enumerate(faults)
-        if (fault.line is None) == (fault.bus is None)
-        or (fault.bus if fault.line is None else fault.line) not in behind_grid
-    ]
+    cure = "Give the bus that the line feeds, or the bus that is out itself."
+    problems = []
+    for row, fault in enumerate(faults):
+        given = {name: bus for name in ("line", "bus") if (bus := getattr(fault, name)) is not None}
+        if len(given) != 1:
+            problems.append(Problem("faults", "names not one place", cure, row=row))
+            continue
+        [(field, bus)] = given.items()
+        if bus not in behind_grid:
+            message = "is not a bus behind the grid's"
+            problems.append(Problem("faults", message, cure, row, field, bus))
     if problems:
         raise InputError(problems)
 
