@@ -89,10 +89,11 @@ def test_plans_keep_energy_for_a_fault_that_they_know(tiny: Scenario) -> None:
 
 def test_faults_are_refused_by_name_where_nothing_plans_them(tiny: Scenario) -> None:
     day = with_fault(tiny, line=4)
-    with pytest.raises(InputError, match=r"faults\.csv: is not followed live"):
-        Controller.of(day, PAPER)
+    phased = replace(PAPER, mode="physical")
     with pytest.raises(InputError, match=r"faults\.csv: is not stated for feeders with phases"):
-        run_day(three_phases(day), replace(PAPER, mode="physical"))
+        Controller.of(three_phases(day), phased)
+    with pytest.raises(InputError, match=r"faults\.csv: is not stated for feeders with phases"):
+        run_day(three_phases(day), phased)
 
 
 @pytest.mark.nightly

@@ -51,6 +51,12 @@ class LineFault:
         assert bus is not None  # a scenario has no other faults
         return network.bus_index[bus]
 
+    def lines(self, network: Network) -> Flags:
+        """Lines that it takes out of service, (L,)."""
+        at = self.at(network)
+        leaving = (network.parent == at) & (self.line is None)
+        return np.asarray((np.arange(network.n_lines) == at - 1) | leaving)
+
     def name(self, network: Network) -> str:
         """The line, or the bus, in words."""
         if self.line is None:
@@ -76,13 +82,17 @@ def check_places(faults: Iterable[LineFault], network: Network) -> None:
         With all of them.
     """
     behind_grid = set(network.buses[1:].tolist())
-    cure = "Give the bus that the line feeds, or the bus that is out itself, but not the grid's."
-    problems = [
-        Problem("faults", "is not one bus behind the grid's", cure, row=i, field="line or bus")
-        for i, fault in enumerate(faults)
-        if (fault.line is None) == (fault.bus is None)
-        or (fault.bus if fault.line is None else fault.line) not in behind_grid
-    ]
+    cure = "Give the bus that the line feeds, or the bus that is out itself."
+    problems = []
+    for row, fault in enumerate(faults):
+        given = {name: bus for name in ("line", "bus") if (bus := getattr(fault, name)) is not None}
+        if len(given) != 1:
+            problems.append(Problem("faults", "names not one place", cure, row=row))
+            continue
+        [(field, bus)] = given.items()
+        if bus not in behind_grid:
+            message = "is not a bus behind the grid's"
+            problems.append(Problem("faults", message, cure, row, field, bus))
     if problems:
         raise InputError(problems)
 
@@ -125,11 +135,9 @@ class OutOfService:
         buses = np.zeros((len(begins), network.n_buses), dtype=bool)
         for fault in faults:
             during = np.asarray((begins < fault.end) & (begins + grid.step > fault.start))
-            at = fault.at(network)
-            lines[during, at - 1] = True
+            lines |= during[:, None] & fault.lines(network)
             if fault.line is None:
-                lines |= during[:, None] & (network.parent == at)
-                buses[during, at] = True
+                buses[during, fault.at(network)] = True
         return cls(lines, buses)
 
     def part(self, steps: slice) -> OutOfService:
