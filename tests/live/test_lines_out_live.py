@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -11,7 +12,9 @@ import pytest
 from tests.support.faulted import faulted_day
 from tests.support.three_phases import three_phases
 from vppres import Controller, Measurement, RunOptions, run_day
+from vppres.core.errors import InputError
 from vppres.live.set_points import SetPoints
+from vppres.scenario.faults import LineFault
 from vppres.scenario.scenario import Scenario
 
 PAPER = RunOptions(mode="paper", horizon_h=3.0, isolate=False)
