@@ -85,6 +85,14 @@ def test_windows_equal_a_plain_statement_of_the_whole_problem(seed: int) -> None
     assert found.bound >= inside - 1e-6
 
 
+@pytest.mark.parametrize("seed", [10, 58])
+def test_sun_on_a_phase_of_the_former_needs_no_search_of_the_whole_problem(seed: int) -> None:
+    """Without the network too, each phase has its own PV power."""
+    found = decided(random_phased(seed))[2]
+    assert found.status == "optimal"
+    assert not [stage for stage in found.stages if stage.startswith("full")]
+
+
 def with_kinds(seed: int) -> Scenario:
     """The random day on an unbalanced feeder with vehicles, sets, rooms and dimmed customers."""
     day = with_random_vehicles(with_a_former(random_scenario(seed)), seed)

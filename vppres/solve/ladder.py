@@ -367,7 +367,7 @@ def worth_everyone(task: WindowTask) -> bool:
     if task.minds_service:
         return False
     data = task.data
-    if (data.grid_limit_kw > 0.0).all() and data.sections is None:
+    if (data.grid_limit_kw > 0.0).all() and data.parts.whole:
         return True
     return data.switching is None and everyone_in_reach(task.site, data)
 
