@@ -448,5 +448,5 @@ def test_a_fault_of_nothing_is_refused(tiny: Scenario) -> None:
     noon = pd.Timestamp("2022-07-19T12:00Z")
     for place in ({}, {"line": 3, "bus": 3}, {"line": 1}, {"bus": 9}):
         fault = LineFault(noon, noon + pd.Timedelta(hours=1), **place)
-        with pytest.raises(InputError, match="is not a bus behind the grid's|names not one place"):
+        with pytest.raises(InputError, match=r"is not a bus behind the grid's|names not one place"):
             replace(tiny, faults=(fault,))
