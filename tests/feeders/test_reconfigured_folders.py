@@ -185,7 +185,7 @@ def test_the_order_of_operations_names_the_customers_that_wait(
 def test_without_an_order_of_operations_the_reason_is_told(tiny: Scenario, tmp_path: Path) -> None:
     """A fault at bus 4: nothing is closed onto it."""
     times = tiny.grid.times
-    day = replace(row_of_three(tiny), faults=(Fault(times[0], times[4], bus=4),))
+    day = replace(row_of_three(tiny), faults=(LineFault(times[0], times[4], bus=4),))
     order = order_of(day, tmp_path / "fault")
     assert order["operations"] is None and order["least_margin"] is None
     assert order["reason"] == "t cannot be closed: its line, or a bus of it, has a fault."

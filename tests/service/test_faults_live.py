@@ -23,7 +23,7 @@ from tests.support.live_service import (
     site,
 )
 from tests.support.played_service import played
-from vppres import RunOptions, run_day
+from vppres import Controller, RunOptions, run_day
 from vppres.scenario.faults import LineFault
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock
@@ -131,6 +131,16 @@ def test_what_is_not_there_is_refused_once(
     assert str(answer.json()).count(words) == 1
     assert http.get("/v1/events").json() == {}
     assert runner.anew() is None
+
+
+def test_a_step_by_rule_knows_the_parts(live: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+    http, clock, _ = live
+    http.put("/v1/events/feeder-b", FAULT)
+    monkeypatch.setattr(Controller, "step", lambda *_: 1 / 0)
+    plan = decided(http, clock, NOON + HOUR)
+    assert plan["status"] == "failed"
+    assert set(off(plan)) == {"homes"}
+    assert [one["name"] for one in plan["faults"]] == ["line 2-4"]
 
 
 def test_a_fault_is_known_after_a_restart(one_former: Scenario, tmp_path: Path) -> None:

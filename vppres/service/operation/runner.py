@@ -588,7 +588,8 @@ class Runner:
             now = replace(now, grid_limit_kw=np.zeros(1))
         words = str(error).splitlines()[:1] or [type(error).__name__]
         mode = {"mode": FAILED, "reason": f"by rule: {words[0]}"}
-        tables = ruled(now, soc, lost, ordered(self.scenario, self.last, []))
+        physical = self.options.mode == "physical"
+        tables = ruled(now, soc, lost, ordered(self.scenario, self.last, []), physical)
         return ordered_plan(time, self.scenario, mode, tables, {}, left)
 
     def _profile_of(self, time: pd.Timestamp) -> Scenario:
