@@ -129,11 +129,11 @@ def feeder_of_scenario(
         (net.v_min_ac_pu, net.v_max_ac_pu),
         f"All customers and PV power of {time}{chosen}; batteries and other assets rest.",
         {"at": time},
-        _of_the_day(day, step),
+        of_the_day(day, step),
     )
 
 
-def _of_the_day(day: Scenario, step: int) -> dict[str, Any]:
+def of_the_day(day: Scenario, step: int) -> dict[str, Any]:
     """Faults and cold load of a step, and the customers of each bus."""
     net, customers = day.network, day.customers
     found: dict[str, Any] = {"customers": {}}
