@@ -51,6 +51,37 @@ class SolveInfo:
 
 
 @dataclass(frozen=True, eq=False)
+class Switched:
+    """The configuration of a step in which switches may move, and why it is this one.
+
+    Parameters
+    ----------
+    closed : array of bool, shape (E,)
+        Lines and ties that are closed.
+    moved : str
+        Operations of the step, in words.
+    ahead : str
+        Operations that the plan counts on, but that wait.
+    gain : float
+        What they are worth over the window, in weighted customer hours, beyond their price.
+    partitions, bounded, planned : int
+        Ways in which the switches can cut the feeder, how many of them were bounded, and how many
+        configurations were planned beside the present one.
+    why : str
+        Why nothing moves; empty where something does.
+    """
+
+    closed: Flags
+    moved: str = ""
+    ahead: str = ""
+    gain: float = 0.0
+    partitions: int = 0
+    bounded: int = 0
+    planned: int = 0
+    why: str = ""
+
+
+@dataclass(frozen=True, eq=False)
 class Decision:
     """Set-points of one step: row ``row`` of a dispatch.
 
@@ -76,6 +107,8 @@ class Decision:
         The customers' weights, where they are not the site's.
     seen : Observation, optional
         What was taken for true, where that is not what was read.
+    switched : Switched, optional
+        The configuration, in whose order buses and lines stand; None where no switch moves.
     """
 
     dispatch: Dispatch
@@ -88,6 +121,7 @@ class Decision:
     estimated: str = ""
     weight: Floats | None = None
     seen: Observation | None = None
+    switched: Switched | None = None
 
 
 class Decider(Protocol):

@@ -116,6 +116,9 @@ class Controller:
         if scenario.faults:
             message, cure = "is not followed live", "Remove the file."
             raise InputError.of("faults.csv", message, cure)
+        if options is not None and options.move_switches:
+            message, cure = "is not for live controllers", "Leave it out."
+            raise InputError.of("options", message, cure, field="move_switches")
         exact = replace(
             (options or RunOptions()).on(scenario), errors=ForecastErrors(), thermal="off"
         )

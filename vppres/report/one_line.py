@@ -212,13 +212,15 @@ def step_states(run: Trajectory) -> dict[str, Any]:
         "served": _digits(served.astype(int)),
         "kw": run.by_step("customers", "p_load_kw").round(1).tolist(),
         "v": [[round(1e4 * pu) if pu > 0 else None for pu in row] for row in v.tolist()],
-        "amps": line_current_a(run).round(1).tolist(),
+        "amps": line_current_a(run)[:, : run.scenario.network.n_lines].round(1).tolist(),
         "soc": np.rint(100.0 * soc).astype(int).tolist(),
     }
 
 
 def loading_classes(run: Trajectory) -> Wholes:
     """Class of each line's loading, shape (T, L): the number of edges that it has reached.
+
+    Ties are not drawn.
 
     Without any ratings the current is taken as a share of the largest of the run.
     """
@@ -228,7 +230,7 @@ def loading_classes(run: Trajectory) -> Wholes:
         current = line_current_a(run)
         # The largest current itself stays below the class of overloads.
         loading = 0.999 * current / max(float(current.max()), 1e-9)
-    return np.digitize(loading, LOADING_EDGES)
+    return np.digitize(loading[:, : run.scenario.network.n_lines], LOADING_EDGES)
 
 
 def voltage_classes(run: Trajectory, v: Floats) -> Wholes:

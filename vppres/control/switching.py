@@ -1,0 +1,450 @@
+"""A controller that also decides which switches to move, with a controller for each configuration.
+
+Each configuration is held over the window. Without network what it serves follows from its parts
+alone, so each way of cutting the feeder is bounded once, and only what may serve more is planned.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from vppres.contract.decision import Decider, Decision, Switched
+from vppres.contract.observation import Observation
+from vppres.contract.operating_point import Centre
+from vppres.control.candidates import Candidates, Reached, out_of_branches
+from vppres.control.guard.check import PAPER, Tolerances, violations
+from vppres.control.remembered import memory_of, put_back
+from vppres.control.step_state import StepState, network_state
+from vppres.core.arrays import Flags, Floats, Wholes
+from vppres.core.errors import SolveError
+from vppres.core.plain import Given
+from vppres.model.data import WindowData
+from vppres.model.formulas import bus_injections, curtailed_kw
+from vppres.model.site import Site
+from vppres.scenario.configuration import Branches, Configured, in_configuration
+from vppres.scenario.faults import Parts
+from vppres.scenario.scenario import Scenario
+from vppres.solve.deadline import Deadline
+from vppres.solve.ladder import WindowSolver
+from vppres.solve.result import LEAST_OBJECTIVE, SolveLimits, Status
+
+WHOLE = 1.0 - 1e-6
+"""Share of its demand that counts as all of it."""
+
+DAY_H = 24.0
+
+NO_SWITCH = "no switch would serve more"
+NOT_FOUND = "no switch that serves more was found"
+EVERYONE = "all customers are served"
+
+
+@dataclass(frozen=True, eq=False)
+class ControllerIn:
+    """The day in a configuration, and who decides and bounds there.
+
+    Parameters
+    ----------
+    closed : array of bool, shape (E,)
+        Branches that are closed.
+    day : Configured
+        The scenario.
+    decider : Decider
+        Its controller.
+    site : Site
+        What is planned for.
+    solver : WindowSolver or None
+        What bounds its windows; None where plans have other weights.
+    """
+
+    closed: Flags
+    day: Configured
+    decider: Decider
+    site: Site
+    solver: WindowSolver | None
+
+
+@dataclass(frozen=True, eq=False)
+class Planned:
+    """A configuration's decision, and what the plan is worth less its operations."""
+
+    candidate: Reached
+    decision: Decision
+    score: float
+    memory: dict[str, Any] = field(default_factory=dict)
+
+
+class Switching:
+    """Decides on switches, then as the controller of the configuration.
+
+    Parameters
+    ----------
+    branches : Branches
+        Lines and ties of the day.
+    controller_of : callable
+        Makes the controller of the day in a configuration.
+    site_of : callable
+        Makes the site that it plans for.
+    solver_of : callable or None
+        Makes the solver of bounds of a site; None where plans have other weights than it.
+    given : callable
+        What is known of a site without a memory of its controller.
+    centre : {"lossless", "literal", "none"}
+        Linearisation centre of the voltages.
+    limits : SolveLimits
+        Gap and time of a step.
+    within : Tolerances, optional
+        What a decision may be off by.
+    """
+
+    def __init__(
+        self,
+        branches: Branches,
+        controller_of: Callable[[Scenario], Decider],
+        site_of: Callable[[Scenario], Site],
+        solver_of: Callable[[Site], WindowSolver] | None,
+        given: Callable[[Site], Given],
+        centre: Centre,
+        limits: SolveLimits,
+        within: Tolerances = PAPER,
+    ) -> None:
+        self.branches = branches
+        self.closed = branches.closed
+        self.centre = centre
+        self.limits = limits
+        self.within = within
+        self._controller_of = controller_of
+        self._site_of = site_of
+        self._solver_of = solver_of
+        self._given = given
+        self._known: dict[bytes, ControllerIn] = {}
+        self._operations: list[tuple[int, Flags]] = []
+
+    def horizon_steps(self, t0: int) -> range:
+        """Steps of its controllers' windows."""
+        return self._in(self.closed).decider.horizon_steps(t0)
+
+    def decide(self, observation: Observation) -> Decision:
+        """The decision in the configuration that is best, and the operations that it takes."""
+        here = self._in(self.closed)
+        before = self._memory(here)
+        stay = here.decider.decide(self._seen(here, observation))
+        search = self._searched(observation, here, stay, before)
+        found, switched = search.best, search.record
+        if found is search.stay:
+            return replace(search.certified(), switched=switched)
+        words = self.branches.moves(self.closed, found.candidate.closed)
+        switched = replace(switched, gain=found.score - search.stay.score)
+        waiting = self._waiting(here, observation, search)
+        if waiting is not None:
+            self._remember(here, found.memory)
+            return replace(waiting, switched=replace(switched, ahead=words))
+        self._operations.append((observation.t0, found.candidate.closed != self.closed))
+        self.closed = found.candidate.closed
+        self._remember(self._in(self.closed), found.memory)
+        switched = replace(switched, closed=self.closed, moved=words)
+        return replace(search.certified(), switched=switched)
+
+    # Configurations.
+
+    def _in(self, closed: Flags) -> ControllerIn:
+        """A configuration, made once."""
+        key = closed.tobytes()
+        if key not in self._known:
+            day = in_configuration(self.branches, closed)
+            site = self._site_of(day.scenario)
+            solver = None if self._solver_of is None else self._solver_of(site)
+            decider = self._controller_of(day.scenario)
+            self._known[key] = ControllerIn(closed, day, decider, site, solver)
+        return self._known[key]
+
+    def _seen(self, part: ControllerIn, observation: Observation) -> Observation:
+        """Observation with the lines and voltages of a configuration."""
+        t0, forecast = observation.t0, observation.forecast
+        steps = range(t0, t0 + len(forecast.price_gbp_per_kwh))
+        out = part.day.scenario.out_of_service(steps, known_at=t0)
+        forecast = replace(forecast, out=out)
+        point = observation.operating_point
+        if not np.array_equal(part.closed, self.closed):
+            point = None
+        return replace(observation, forecast=forecast, operating_point=point)
+
+    def _memory(self, part: ControllerIn) -> dict[str, Any]:
+        return memory_of(part.decider, self._given(part.site))
+
+    def _remember(self, part: ControllerIn, memory: dict[str, Any]) -> None:
+        """Let a controller go on from another configuration, but for what is of its lines."""
+        put_back(part.decider, without_lines(memory), self._given(part.site), "controller")
+
+    # The choice.
+
+    def _searched(
+        self,
+        observation: Observation,
+        here: ControllerIn,
+        stay: Decision,
+        before: dict[str, Any],
+    ) -> Search:
+        """The search for a configuration that is worth more than the present one."""
+        forecast = observation.forecast
+        out = out_of_branches(forecast.out, self.branches.ends, len(forecast.price_gbp_per_kwh))
+        reach = Candidates(
+            self.branches.ends,
+            self.closed,
+            self.branches.movable(~self.closed, forecast.out) & self._allowed(observation.t0),
+            self.branches.of_moves("operation_cost"),
+            out,
+            self.branches.scenario.network.n_buses,
+        )
+        present = planned_of(reach.of(self.closed), stay, {})
+        search = Search(self, observation, present, before, self.limits)
+        everyone = bool((stay.dispatch.supplied >= WHOLE).all())
+        if stay.fallback == "none" and everyone:
+            return search.ended(EVERYONE)
+        whole = replace(observation, forecast=replace(forecast, out=None))
+        if search.beaten(self.bound(here, whole, search.deadline.left_s)):
+            return search.ended(NO_SWITCH)
+        ways = [each for each in reach.found() if self._may_be_joined(observation, each)]
+        return search.run(ways, reach.all_tried)
+
+    def planned_in(
+        self, observation: Observation, candidate: Reached, before: dict[str, Any]
+    ) -> Planned | None:
+        """The plan in a configuration, None if it has none."""
+        part = self._in(candidate.closed)
+        self._remember(part, before)
+        try:
+            decision = part.decider.decide(self._seen(part, observation))
+        except SolveError:
+            return None
+        return planned_of(candidate, decision, self._memory(part))
+
+    def bound(self, part: ControllerIn, observation: Observation, within_s: float) -> float:
+        """Most that a plan of what is observed can be worth there, infinite if it is not known."""
+        if part.solver is None:
+            return np.inf
+        data = WindowData.of(observation, part.site, self.centre)
+        return part.solver.fleet_bound(data, within_s)
+
+    def bound_in(self, observation: Observation, candidate: Reached, within_s: float) -> float:
+        """Most that a plan in a configuration can be worth, less its operations."""
+        part = self._in(candidate.closed)
+        return self.bound(part, self._seen(part, observation), within_s) - candidate.price
+
+    def _allowed(self, t0: int) -> Flags:
+        """Branches that have operations of 24 hours left."""
+        per_day = DAY_H / self.branches.scenario.grid.dt_h
+        recent = [moved for t, moved in self._operations if t > t0 - per_day]
+        done = np.sum(recent, axis=0) if recent else np.zeros(len(self.branches))
+        return np.asarray(done + 1 <= self.branches.of_moves("max_operations_per_day"))
+
+    def _may_be_joined(self, observation: Observation, candidate: Reached) -> bool:
+        """Whether no two live parts are joined but by a switch that can compare both sides."""
+        live = self._sources_before(observation)
+        kept = np.flatnonzero(candidate.closed & self.closed)
+        closing = np.flatnonzero(candidate.closed & ~self.closed)
+        check = self.branches.of_moves("sync_check").astype(bool)
+        block = np.arange(len(live))
+        for branch in [*kept, *closing[np.argsort(check[closing], kind="stable")]]:
+            one, other = block[self.branches.ends[branch]]
+            joined = live[one] >= 0 and live[other] >= 0 and live[one] != live[other]
+            if joined and branch in closing and not check[branch]:
+                return False
+            live[one] = max(live[one], live[other])
+            block[block == other] = one
+        return True
+
+    def _sources_before(self, observation: Observation) -> Wholes:
+        """Number of the live part in which each bus was in the step before, -1 in a dead one."""
+        point = observation.operating_point
+        n_buses = self.branches.scenario.network.n_buses
+        if point is None:
+            return np.full(n_buses, -1 if observation.t0 else 0)
+        day = self._in(self.closed).day
+        out = point.lines_out
+        net = day.scenario.network
+        parts = Parts(net, np.zeros(net.n_lines, dtype=bool) if out is None else out)
+        live = np.where(np.isfinite(point.v_pu), parts.of_bus, -1)
+        return np.asarray(day.at_buses(live)).copy()
+
+    def _waiting(
+        self, here: ControllerIn, observation: Observation, search: Search
+    ) -> Decision | None:
+        """The first step of the best plan in the present configuration; None if it must move.
+
+        It need not if the parts of the step are the same, and lines and voltages carry it.
+        """
+        found, present = search.best, search.stay
+        if (found.candidate.parts[0] != present.candidate.parts[0]).any():
+            return None
+        decision = search.certified()
+        state = StepState.of(here.site, self._seen(here, observation), self.centre)
+        plan, row, site = decision.dispatch, decision.row, here.site
+        served_kw = state.load_kw * plan.supplied[row]
+        curtailed = curtailed_kw(site, plan.pv_curtailed_kw[row], state.pv_kw, served_kw)
+        p_kw = {
+            "pv": state.pv_kw - curtailed,
+            "batteries": plan.discharge_kw[row] - plan.charge_kw[row],
+            "customers": -served_kw,
+            **{kind: -plan.taken_by(kind, units)[row] for kind, units in site.kinds.items()},
+        }
+        q_kvar = {
+            "pv": plan.pv_q_kvar[row],
+            "batteries": plan.batt_q_kvar[row],
+            "customers": -served_kw * site.customers.q_per_p,
+            **{kind: kvar[row] for kind, kvar in plan.given_kvar.items()},
+        }
+        given = (bus_injections(site, each) for each in (p_kw, q_kvar))
+        p_flow_kw, q_flow_kvar, v_pu = network_state(state, *given)
+        decision = replace(
+            decision,
+            dispatch=replace(
+                plan,
+                p_flow_kw=with_row(plan.p_flow_kw, row, p_flow_kw),
+                q_flow_kvar=with_row(plan.q_flow_kvar, row, q_flow_kvar),
+                v_pu=with_row(plan.v_pu, row, v_pu),
+            ),
+        )
+        return None if violations(decision, state, self.within) else decision
+
+
+class Search:
+    """The best configuration of a step, and what is proven of all others.
+
+    Parameters
+    ----------
+    of : Switching
+        Plans and bounds.
+    observation : Observation
+        What is known.
+    stay : Planned
+        The plan in the present configuration.
+    before : dict
+        Memory of its controller before the step.
+    limits : SolveLimits
+        Gap and time.
+    """
+
+    def __init__(
+        self,
+        of: Switching,
+        observation: Observation,
+        stay: Planned,
+        before: dict[str, Any],
+        limits: SolveLimits,
+    ) -> None:
+        self.stay = self.best = stay
+        self.record = Switched(of.closed)
+        self.bound = stay.decision.info.bound
+        self.deadline = Deadline(limits.time_s)
+        self._of = of
+        self._observation = observation
+        self._before = before
+        self._limits = limits
+        self._passed: list[Reached] = []
+
+    @property
+    def _gap(self) -> float:
+        return self._limits.gap_at(self.best.score) if np.isfinite(self.best.score) else 0.0
+
+    def beaten(self, bound: float) -> bool:
+        """Whether a bound allows nothing better than the best plan."""
+        return bound <= self.best.score + self._gap
+
+    def ended(self, why: str) -> Search:
+        """The search with the reason for which nothing moves."""
+        self.record = replace(self.record, why=why)
+        return self
+
+    def run(self, ways: list[Reached], all_tried: bool) -> Search:
+        """Bound each way of cutting the feeder, and plan what may be worth more."""
+        groups: dict[bytes, list[Reached]] = {}
+        for way in ways:
+            groups.setdefault(way.parts.tobytes(), []).append(way)
+        bounded, complete = 0, all_tried
+        for group in groups.values():
+            if self.deadline.passed:
+                complete = False
+                break
+            bounded += 1
+            complete &= self._tried(group)
+        why = "" if self.best is not self.stay else NO_SWITCH if complete else NOT_FOUND
+        self.record = replace(self.record, partitions=len(groups), bounded=bounded, why=why)
+        if not complete:
+            self.bound = np.inf
+        return self
+
+    def _tried(self, group: list[Reached]) -> bool:
+        """Whether no configuration of a group, which cut the feeder alike, is left unknown."""
+        if any(group[0].cuts(other) for other in self._passed):
+            return True
+        bound = self._of.bound_in(self._observation, group[0], self.deadline.left_s)
+        price = min(each.price for each in group)
+        bound += group[0].price - price
+        if self.beaten(bound):
+            self._passed.append(group[0])
+            self.bound = max(self.bound, bound)
+            return True
+        for way in group:
+            if self.deadline.passed:
+                return False
+            planned = self._of.planned_in(self._observation, way, self._before)
+            self.record = replace(self.record, planned=self.record.planned + 1)
+            if planned is not None and planned.score > self.best.score + self._gap:
+                self.best = planned
+            if self.beaten(bound):
+                break
+        self.bound = max(self.bound, bound)
+        return True
+
+    def certified(self) -> Decision:
+        """The best decision, with a bound over all configurations."""
+        decision, price = self.best.decision, self.best.candidate.price
+        info = decision.info
+        bound = max(info.bound, self.bound + price)
+        if bound <= info.bound or not np.isfinite(info.objective):
+            return decision
+        gap = max(bound - info.objective, 0.0)
+        status = info.status
+        if status == Status.OPTIMAL and not self._limits.met(bound, info.objective):
+            status = str(Status.TIME_LIMIT if self.deadline.passed else Status.GAP_OPEN)
+        share = gap / max(abs(info.objective), LEAST_OBJECTIVE) if np.isfinite(gap) else np.inf
+        return replace(
+            decision, info=replace(info, bound=bound, gap_abs=gap, gap=share, status=status)
+        )
+
+
+def with_row(values: Floats, row: int, changed: Floats) -> Floats:
+    """Values with another row."""
+    found = np.array(values)
+    found[row] = changed
+    return found
+
+
+def planned_of(candidate: Reached, decision: Decision, memory: dict[str, Any]) -> Planned:
+    """A decision with its worth; a fallback proves none."""
+    objective = decision.info.objective
+    sound = decision.fallback == "none" and np.isfinite(objective)
+    score = objective - candidate.price if sound else -np.inf
+    return Planned(candidate, decision, score, memory)
+
+
+def without_lines(memory: Any, of_planner: bool = False) -> Any:
+    """A controller's memory without what its planner knows of lines and voltages.
+
+    >>> without_lines({"_last": 1, "planner": {"kept": {"_last": 2}}})
+    {'_last': 1, 'planner': {'kept': {'_last': None}}}
+    """
+    if isinstance(memory, list):
+        return [without_lines(each, of_planner) for each in memory]
+    if not isinstance(memory, dict):
+        return memory
+    return {
+        name: None
+        if of_planner and name == "_last"
+        else without_lines(value, of_planner or name == "planner")
+        for name, value in memory.items()
+    }
