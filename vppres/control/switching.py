@@ -76,6 +76,12 @@ class Planned:
     score: float
     memory: dict[str, Any] = field(default_factory=dict)
 
+    @property
+    def bound(self) -> float:
+        """Most that a plan there can be worth, less its operations; infinite if it is not known."""
+        known = np.isfinite(self.score)
+        return self.decision.info.bound - self.candidate.price if known else np.inf
+
 
 class Switching:
     """Decides on switches, then as the controller of the configuration.
@@ -98,7 +104,16 @@ class Switching:
         Gap and time of a step.
     within : Tolerances, optional
         What a decision may be off by.
+
+    Attributes
+    ----------
+    closed : array of bool, shape (E,)
+        The present configuration.
+    last : Search
+        The search of the last step.
     """
+
+    last: Search
 
     def __init__(
         self,
@@ -132,7 +147,7 @@ class Switching:
         here = self._in(self.closed)
         before = self._memory(here)
         stay = here.decider.decide(self._seen(here, observation))
-        search = self._searched(observation, here, stay, before)
+        self.last = search = self._searched(observation, here, stay, before)
         found, switched = search.best, search.record
         if found is search.stay:
             return replace(search.certified(), switched=switched)
@@ -388,15 +403,20 @@ class Search:
             self._passed.append(group[0])
             self.bound = max(self.bound, bound)
             return True
+        of_trees = -np.inf
         for way in group:
             if self.deadline.passed:
                 return False
             planned = self._of.planned_in(self._observation, way, self._before)
             self.record = replace(self.record, planned=self.record.planned + 1)
-            if planned is not None and planned.score > self.best.score + self._gap:
-                self.best = planned
+            if planned is not None:
+                of_trees = max(of_trees, planned.bound)
+                if planned.score > self.best.score + self._gap:
+                    self.best = planned
             if self.beaten(bound):
                 break
+        else:  # losses and voltages of the trees allow less than their parts
+            bound = min(bound, of_trees)
         self.bound = max(self.bound, bound)
         return True
 
