@@ -13,6 +13,7 @@ from vppres import Controller, InputError, RunOptions, run_day
 from vppres.explain.day import explain_day
 from vppres.io import read_scenario, write_scenario
 from vppres.io.find import load_scenario
+from vppres.report.events import events_of
 from vppres.scenario.faults import Fault
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.switches import Switches
@@ -86,12 +87,32 @@ def test_an_operation_pays_its_price_and_a_day_has_so_many(tiny: Scenario) -> No
         assert not run.customers["served"].all()
 
 
-def test_words_of_a_step_are_those_of_its_configuration(tiny: Scenario) -> None:
-    stores = replace(tiny.batteries, grid_forming=[True, False], soc_initial=[0.5, 0.5])
+def test_words_say_what_an_operation_serves(tiny: Scenario) -> None:
+    stores = replace(tiny.batteries, grid_forming=[True, False])
     day = with_fault(replace(tiny, batteries=stores), ties((3, 4)), line=4)
-    told = explain_day(run_day(day, MOVING)).explanations
+    run = explain_day(run_day(day, MOVING))
+    words = "closing 3-4 serves 1 customer until 14:00"
+    assert run.steps["switching_why"].iloc[2] == words
+    assert "2-4" in run.steps["switching_order"].iloc[2]
+    sentence = f"Closed 3-4, opened 2-4: {words}."
+    assert (2, sentence) in [(event.t, event.words) for event in events_of(run)]
+    told = run.explanations
     assert told is not None
-    assert len(told) > 0
+    of_steps = told[told["item"] == "step"]["words"].tolist()
+    assert of_steps[2].endswith(sentence)
+    assert "Planned ahead: closed 3-4, opened 2-4" in of_steps[1]
+
+
+def test_words_say_that_no_switch_would_serve_more(tiny: Scenario) -> None:
+    """In the outage at the day's end nothing lies behind a tie that has more."""
+    run = explain_day(run_day(replace(tiny, switches=ties((3, 4))), MOVING))
+    off = ~run.by_step("customers", "served").all(axis=1)
+    assert off.any()
+    assert set(run.steps["switching_why"][off]) == {"no switch would serve more"}
+    told = run.explanations
+    assert told is not None
+    of_steps = told[told["item"] == "step"]["words"][off.tolist()]
+    assert of_steps.str.contains("No switch would serve more.").all()
 
 
 def test_options_that_move_no_switches_are_refused(tiny: Scenario) -> None:

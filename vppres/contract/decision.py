@@ -60,22 +60,25 @@ class Switched:
         Lines and ties that are closed.
     moved : str
         Operations of the step, in words.
+    order : tuple of str
+        The operations one after another, each with what it does and the least margin after it.
     ahead : str
         Operations that the plan counts on, but that wait.
     gain : float
         What they are worth over the window, in weighted customer hours, beyond their price.
-    partitions, bounded, planned : int
-        Ways in which the switches can cut the feeder, how many of them were bounded, and how many
-        configurations were planned beside the present one.
+    configurations, bounded, planned : int
+        Configurations in reach, how many ways of cutting the feeder were bounded for all of them,
+        and how many were planned.
     why : str
-        Why nothing moves; empty where something does.
+        Why switches move, and what it serves, or why none does.
     """
 
     closed: Flags
     moved: str = ""
+    order: tuple[str, ...] = ()
     ahead: str = ""
     gain: float = 0.0
-    partitions: int = 0
+    configurations: int = 0
     bounded: int = 0
     planned: int = 0
     why: str = ""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -22,11 +23,20 @@ from vppres.control.step_state import StepState, network_state
 from vppres.core.arrays import Flags, Floats, Wholes
 from vppres.core.errors import SolveError
 from vppres.core.plain import Given
+from vppres.core.text import counted, named
+from vppres.feeders.reconfiguration.search import ConfigurationLimits
+from vppres.feeders.reconfiguration.sequence import (
+    Formers,
+    SwitchedFeeder,
+    SwitchingOrder,
+    safe_order,
+)
 from vppres.model.data import WindowData
 from vppres.model.formulas import bus_injections, curtailed_kw
 from vppres.model.site import Site
-from vppres.scenario.configuration import Branches, Configured, in_configuration
-from vppres.scenario.faults import Parts
+from vppres.scenario.configuration import Branches, Configured, blocks_of, in_configuration
+from vppres.scenario.faults import OutOfService
+from vppres.scenario.network import BusId
 from vppres.scenario.scenario import Scenario
 from vppres.solve.deadline import Deadline
 from vppres.solve.ladder import WindowSolver
@@ -37,9 +47,12 @@ WHOLE = 1.0 - 1e-6
 
 DAY_H = 24.0
 
+MOST_KEPT = 64
+"""Configurations whose controllers are kept; each may hold compiled problems."""
+
 NO_SWITCH = "no switch would serve more"
 NOT_FOUND = "no switch that serves more was found"
-EVERYONE = "all customers are served"
+ALL_SERVED = "all customers are served"
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +88,8 @@ class Planned:
     decision: Decision
     score: float
     memory: dict[str, Any] = field(default_factory=dict)
+    waits: bool = False
+    order: tuple[str, ...] = ()
 
     @property
     def bound(self) -> float:
@@ -131,6 +146,7 @@ class Switching:
         self.centre = centre
         self.limits = limits
         self.within = within
+        self.physical = within.losses
         self._controller_of = controller_of
         self._site_of = site_of
         self._solver_of = solver_of
@@ -152,16 +168,18 @@ class Switching:
         if found is search.stay:
             return replace(search.certified(), switched=switched)
         words = self.branches.moves(self.closed, found.candidate.closed)
-        switched = replace(switched, gain=found.score - search.stay.score)
-        waiting = self._waiting(here, observation, search)
-        if waiting is not None:
+        gain = found.score - search.stay.score
+        switched = replace(switched, gain=gain, why=self._gain_words(observation.t0, search))
+        decision = search.certified()
+        if found.waits:
             self._remember(here, found.memory)
-            return replace(waiting, switched=replace(switched, ahead=words))
+            decision = self._with_lines_of(here, observation, decision)
+            return replace(decision, switched=replace(switched, ahead=words))
         self._operations.append((observation.t0, found.candidate.closed != self.closed))
         self.closed = found.candidate.closed
         self._remember(self._in(self.closed), found.memory)
-        switched = replace(switched, closed=self.closed, moved=words)
-        return replace(search.certified(), switched=switched)
+        switched = replace(switched, closed=self.closed, moved=words, order=found.order)
+        return replace(decision, switched=switched)
 
     # Configurations.
 
@@ -169,6 +187,9 @@ class Switching:
         """A configuration, made once."""
         key = closed.tobytes()
         if key not in self._known:
+            if len(self._known) >= MOST_KEPT:
+                kept = self.closed.tobytes()
+                self._known = {kept: self._known[kept]}
             day = in_configuration(self.branches, closed)
             site = self._site_of(day.scenario)
             solver = None if self._solver_of is None else self._solver_of(site)
@@ -214,16 +235,20 @@ class Switching:
             out,
             self.branches.scenario.network.n_buses,
         )
-        present = planned_of(reach.of(self.closed), stay, {})
+        present = planned_of(Reached(reach, self.closed), stay, {})
         search = Search(self, observation, present, before, self.limits)
         everyone = bool((stay.dispatch.supplied >= WHOLE).all())
         if stay.fallback == "none" and everyone:
-            return search.ended(EVERYONE)
+            return search.ended(ALL_SERVED)
         whole = replace(observation, forecast=replace(forecast, out=None))
-        if search.beaten(self.bound(here, whole, search.deadline.left_s)):
+        if search.beaten(bound := self.bound(here, whole, search.deadline.left_s)):
             return search.ended(NO_SWITCH)
-        ways = [each for each in reach.found() if self._may_be_joined(observation, each)]
-        return search.run(ways, reach.all_tried)
+        joins_all = present.candidate.n_parts == reach.n_joined
+        if forecast.out is not None and joins_all:
+            bound = self.bound(here, self._seen(here, observation), search.deadline.left_s)
+        if forecast.out is None or joins_all:
+            search.know(present.candidate, bound)
+        return search.run(reach)
 
     def planned_in(
         self, observation: Observation, candidate: Reached, before: dict[str, Any]
@@ -245,9 +270,9 @@ class Switching:
         return part.solver.fleet_bound(data, within_s)
 
     def bound_in(self, observation: Observation, candidate: Reached, within_s: float) -> float:
-        """Most that a plan in a configuration can be worth, less its operations."""
+        """Most that a plan in a configuration can be worth."""
         part = self._in(candidate.closed)
-        return self.bound(part, self._seen(part, observation), within_s) - candidate.price
+        return self.bound(part, self._seen(part, observation), within_s)
 
     def _allowed(self, t0: int) -> Flags:
         """Branches that have operations of 24 hours left."""
@@ -256,9 +281,9 @@ class Switching:
         done = np.sum(recent, axis=0) if recent else np.zeros(len(self.branches))
         return np.asarray(done + 1 <= self.branches.of_moves("max_operations_per_day"))
 
-    def _may_be_joined(self, observation: Observation, candidate: Reached) -> bool:
+    def may_be_joined(self, candidate: Reached, sources: Wholes) -> bool:
         """Whether no two live parts are joined but by a switch that can compare both sides."""
-        live = self._sources_before(observation)
+        live = sources.copy()
         kept = np.flatnonzero(candidate.closed & self.closed)
         closing = np.flatnonzero(candidate.closed & ~self.closed)
         check = self.branches.of_moves("sync_check").astype(bool)
@@ -272,32 +297,123 @@ class Switching:
             block[block == other] = one
         return True
 
-    def _sources_before(self, observation: Observation) -> Wholes:
+    def sources_before(self, observation: Observation) -> Wholes:
         """Number of the live part in which each bus was in the step before, -1 in a dead one."""
         point = observation.operating_point
         n_buses = self.branches.scenario.network.n_buses
+        if point is None and observation.t0:
+            return np.full(n_buses, -1)
+        out = out_of_branches(self._out_before(observation.t0), self.branches.ends, 1)[0]
+        parts = blocks_of(self.branches.ends, self.closed & ~out, n_buses)
+        assert parts is not None  # a configuration has no loop
         if point is None:
-            return np.full(n_buses, -1 if observation.t0 else 0)
-        day = self._in(self.closed).day
-        out = point.lines_out
-        net = day.scenario.network
-        parts = Parts(net, np.zeros(net.n_lines, dtype=bool) if out is None else out)
-        live = np.where(np.isfinite(point.v_pu), parts.of_bus, -1)
-        return np.asarray(day.at_buses(live)).copy()
+            return parts
+        v_pu = self._in(self.closed).day.at_buses(point.v_pu)
+        return np.where(np.isfinite(v_pu), parts, -1)
 
-    def _waiting(
-        self, here: ControllerIn, observation: Observation, search: Search
-    ) -> Decision | None:
-        """The first step of the best plan in the present configuration; None if it must move.
+    def _out_before(self, t0: int) -> OutOfService | None:
+        """Lines and buses that were out in the step before, in the order of the day."""
+        day = self.branches.scenario
+        earlier = replace(day.grid, start=day.grid.start - day.grid.step)
+        return OutOfService.of(day.faults, day.network, earlier, range(t0, t0 + 1))
 
-        It need not if the parts of the step are the same, and lines and voltages carry it.
+    def _gain_words(self, t0: int, search: Search) -> str:
+        """Customers that the operations serve, and until when; or their worth."""
+        closed, grid = search.best.candidate.closed, self.branches.scenario.grid
+        closing, opening = closed & ~self.closed, self.closed & ~closed
+        verb, which = ("closing", closing) if closing.any() else ("opening", opening)
+        what = f"{verb} {named([self.branches.names[i] for i in np.flatnonzero(which)])}"
+        plans = (each.decision.dispatch.supplied for each in (search.best, search.stay))
+        more = np.greater(*plans) if search.best.decision.fallback == "none" else np.zeros((1, 1))
+        if not more.any():
+            gain = search.best.score - search.stay.score
+            return f"{what} is worth {gain:.3g} weighted customer hours"
+        end = grid.start + (t0 + int(np.flatnonzero(more.any(axis=1))[-1]) + 1) * grid.step
+        served = counted(int(more.any(axis=0).sum()), "customer")
+        return f"{what} serves {served} until {grid.local(end):%H:%M}"
+
+    # Operations now, or later.
+
+    def carried(self, observation: Observation, found: Planned, stay: Planned) -> Planned | None:
+        """The plan with the order of its operations, or with the word that they wait; None if not.
+
+        They wait where the parts of the first step are those of the present configuration, and its
+        lines and voltages carry the step.
         """
-        found, present = search.best, search.stay
-        if (found.candidate.parts[0] != present.candidate.parts[0]).any():
+        here = self._in(self.closed)
+        if np.array_equal(found.candidate.parts[0], stay.candidate.parts[0]):
+            decision = self._with_lines_of(here, observation, found.decision)
+            state = StepState.of(here.site, self._seen(here, observation), self.centre)
+            if not violations(decision, state, self.within):
+                return replace(found, waits=True)
+        order = self._order(observation, found)
+        if order.operations is None:
             return None
-        decision = search.certified()
-        state = StepState.of(here.site, self._seen(here, observation), self.centre)
-        plan, row, site = decision.dispatch, decision.row, here.site
+        return replace(found, order=tuple(one.sentence for one in order.operations))
+
+    def _order(self, observation: Observation, found: Planned) -> SwitchingOrder:
+        """Order of operations, from the state in which the last step has left the feeder.
+
+        A fault that begins now comes after them.
+        """
+        t0, day = observation.t0, self.branches.scenario
+        part = self._in(found.candidate.closed)
+        given = self._injections(part, observation, found.decision)
+        p_kw, q_kvar = (part.day.at_buses(each) for each in given)
+        before = self._out_before(t0)
+        n_lines, n_buses = day.network.n_lines, day.network.n_buses
+        faulted, bus_out = np.zeros(len(self.branches), bool), np.zeros(n_buses, bool)
+        now = observation.forecast.out
+        if before is not None and now is not None:
+            faulted[:n_lines] = before.lines[0] & now.lines[0]
+            bus_out = before.buses[0] & now.buses[0]
+        dark = t0 > 0 and observation.operating_point is None
+        net = day.network
+        feeder = SwitchedFeeder(
+            net,
+            day.switches,
+            p_kw,
+            q_kvar,
+            ConfigurationLimits(net.v_min_ac_pu, net.v_max_ac_pu, part.site.rated),
+            grid=not dark and (not self.physical or observation.forecast.grid_limit_kw[0] > 0.0),
+            formers=Formers.none() if dark else self._formers(observation, found.decision),
+            faulted=faulted,
+            bus_out=bus_out,
+            movable=self.branches.movable(~self.closed, now),
+            customers=self._customers,
+        )
+        return safe_order(feeder, self.closed, found.candidate.closed)
+
+    @cached_property
+    def _customers(self) -> dict[BusId, list[str]]:
+        """Names of the customers of each bus."""
+        customers = self.branches.scenario.customers
+        found: dict[BusId, list[str]] = {}
+        for bus, name in zip(customers.bus, customers.id, strict=True):
+            found.setdefault(bus, []).append(str(name))
+        return found
+
+    def _formers(self, observation: Observation, decision: Decision) -> Formers:
+        """Batteries that can hold an island, with their set-points."""
+        day, plan, row = self.branches.scenario, decision.dispatch, decision.row
+        b = day.batteries
+        able = np.flatnonzero(day.formers & b.holds_energy(observation.soc))
+        return Formers(
+            b.id[able],
+            b.bus[able],
+            b.s_max_kva[able],
+            -b.active_max_kw[able],
+            b.active_max_kw[able],
+            (plan.discharge_kw[row] - plan.charge_kw[row])[able],
+            plan.batt_q_kvar[row][able],
+        )
+
+    def _injections(
+        self, part: ControllerIn, observation: Observation, decision: Decision
+    ) -> tuple[Floats, Floats]:
+        """Injections of the buses in a decision's step in kW and kvar, in a configuration."""
+        state = StepState.of(part.site, self._seen(part, observation), self.centre)
+        plan, row, site = decision.dispatch, decision.row, part.site
         served_kw = state.load_kw * plan.supplied[row]
         curtailed = curtailed_kw(site, plan.pv_curtailed_kw[row], state.pv_kw, served_kw)
         p_kw = {
@@ -312,9 +428,17 @@ class Switching:
             "customers": -served_kw * site.customers.q_per_p,
             **{kind: kvar[row] for kind, kvar in plan.given_kvar.items()},
         }
-        given = (bus_injections(site, each) for each in (p_kw, q_kvar))
+        return bus_injections(site, p_kw), bus_injections(site, q_kvar)
+
+    def _with_lines_of(
+        self, part: ControllerIn, observation: Observation, decision: Decision
+    ) -> Decision:
+        """A decision with the flows and voltages that its step has in another configuration."""
+        state = StepState.of(part.site, self._seen(part, observation), self.centre)
+        given = self._injections(part, observation, decision)
         p_flow_kw, q_flow_kvar, v_pu = network_state(state, *given)
-        decision = replace(
+        plan, row = decision.dispatch, decision.row
+        return replace(
             decision,
             dispatch=replace(
                 plan,
@@ -323,7 +447,6 @@ class Switching:
                 v_pu=with_row(plan.v_pu, row, v_pu),
             ),
         )
-        return None if violations(decision, state, self.within) else decision
 
 
 class Search:
@@ -359,7 +482,8 @@ class Search:
         self._observation = observation
         self._before = before
         self._limits = limits
-        self._passed: list[Reached] = []
+        self._sources = of.sources_before(observation)
+        self._known: list[tuple[Wholes, float]] = []
 
     @property
     def _gap(self) -> float:
@@ -374,67 +498,83 @@ class Search:
         self.record = replace(self.record, why=why)
         return self
 
-    def run(self, ways: list[Reached], all_tried: bool) -> Search:
+    def know(self, candidate: Reached, bound: float) -> None:
+        """Remember a bound without network of all that cut the feeder as a configuration does."""
+        self._known.append((candidate.parts, bound))
+
+    def run(self, reach: Candidates) -> Search:
         """Bound each way of cutting the feeder, and plan what may be worth more."""
-        groups: dict[bytes, list[Reached]] = {}
-        for way in ways:
-            groups.setdefault(way.parts.tobytes(), []).append(way)
-        bounded, complete = 0, all_tried
-        for group in groups.values():
+        complete = reach.all_tried
+        for group in reach.groups():
             if self.deadline.passed:
                 complete = False
                 break
-            bounded += 1
             complete &= self._tried(group)
+            if self._nothing_joined_is_better(reach):
+                break
         why = "" if self.best is not self.stay else NO_SWITCH if complete else NOT_FOUND
-        self.record = replace(self.record, partitions=len(groups), bounded=bounded, why=why)
+        self.record = replace(self.record, configurations=len(reach.found), why=why)
         if not complete:
             self.bound = np.inf
         return self
 
+    def _nothing_joined_is_better(self, reach: Candidates) -> bool:
+        """Whether a plan for all that switches could join is worth no more than the best."""
+        return any(
+            self.beaten(bound) and np.array_equal(parts, reach.joined)
+            for parts, bound in self._known
+        )
+
     def _tried(self, group: list[Reached]) -> bool:
         """Whether no configuration of a group, which cut the feeder alike, is left unknown."""
-        if any(group[0].cuts(other) for other in self._passed):
-            return True
-        bound = self._of.bound_in(self._observation, group[0], self.deadline.left_s)
         price = min(each.price for each in group)
-        bound += group[0].price - price
-        if self.beaten(bound):
-            self._passed.append(group[0])
-            self.bound = max(self.bound, bound)
-            return True
+        bound = min((most for parts, most in self._known if group[0].within(parts)), default=np.inf)
+        if not self.beaten(bound - price):
+            part = group[0]
+            bound = min(bound, self._of.bound_in(self._observation, part, self.deadline.left_s))
+            self.know(part, bound)
+            self.record = replace(self.record, bounded=self.record.bounded + 1)
         of_trees = -np.inf
         for way in group:
+            if self.beaten(bound - price):
+                break
+            if not self._of.may_be_joined(way, self._sources):
+                continue
             if self.deadline.passed:
                 return False
             planned = self._of.planned_in(self._observation, way, self._before)
             self.record = replace(self.record, planned=self.record.planned + 1)
             if planned is not None:
                 of_trees = max(of_trees, planned.bound)
-                if planned.score > self.best.score + self._gap:
-                    self.best = planned
-            if self.beaten(bound):
-                break
+                self._take(planned)
         else:  # losses and voltages of the trees allow less than their parts
-            bound = min(bound, of_trees)
-        self.bound = max(self.bound, bound)
+            self.bound = max(self.bound, min(bound - price, of_trees))
+            return True
+        self.bound = max(self.bound, bound - price)
         return True
 
+    def _take(self, planned: Planned) -> None:
+        """Take a plan for the best, if it is and its operations have an order."""
+        if planned.score > self.best.score + self._gap:
+            found = self._of.carried(self._observation, planned, self.stay)
+            self.best = found or self.best
+
     def certified(self) -> Decision:
-        """The best decision, with a bound over all configurations."""
+        """The best decision, with a bound over all configurations, and the time of the search."""
         decision, price = self.best.decision, self.best.candidate.price
         info = decision.info
+        if self.record.why != ALL_SERVED:
+            solve_s = self.stay.decision.info.solve_s + self.deadline.spent_s
+            info = replace(info, solve_s=solve_s)
         bound = max(info.bound, self.bound + price)
-        if bound <= info.bound or not np.isfinite(info.objective):
-            return decision
-        gap = max(bound - info.objective, 0.0)
-        status = info.status
-        if status == Status.OPTIMAL and not self._limits.met(bound, info.objective):
-            status = str(Status.TIME_LIMIT if self.deadline.passed else Status.GAP_OPEN)
-        share = gap / max(abs(info.objective), LEAST_OBJECTIVE) if np.isfinite(gap) else np.inf
-        return replace(
-            decision, info=replace(info, bound=bound, gap_abs=gap, gap=share, status=status)
-        )
+        if bound > info.bound and np.isfinite(info.objective):
+            gap = max(bound - info.objective, 0.0)
+            share = gap / max(abs(info.objective), LEAST_OBJECTIVE) if np.isfinite(gap) else np.inf
+            status = info.status
+            if status == Status.OPTIMAL and not self._limits.met(bound, info.objective):
+                status = str(Status.TIME_LIMIT if self.deadline.passed else Status.GAP_OPEN)
+            info = replace(info, bound=bound, gap_abs=gap, gap=share, status=status)
+        return replace(decision, info=info)
 
 
 def with_row(values: Floats, row: int, changed: Floats) -> Floats:

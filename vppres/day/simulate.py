@@ -28,7 +28,15 @@ from vppres.day.options import PERFECT, RunOptions
 from vppres.day.outages import BELIEF, LIKELY, GridSeen, OutageView
 from vppres.day.own import Own
 from vppres.day.recorder import OFF_BY_FAULT, ROTATED, Recorder, StepRecord, voltage_figures
-from vppres.day.trajectory import LINES_OUT, SHARE, SWITCHED, SWITCHES_OPEN, Trajectory
+from vppres.day.trajectory import (
+    LINES_OUT,
+    SHARE,
+    SWITCHED,
+    SWITCHES_OPEN,
+    SWITCHING_AHEAD,
+    SWITCHING_WHY,
+    Trajectory,
+)
 from vppres.forecasts.interface import ForecastMethod
 from vppres.io.python_door import check_scenario
 from vppres.model.site import Site
@@ -309,11 +317,12 @@ class Day:
         arriving = {"p_ac_kw": ac.p_to_kw, "q_ac_kvar": ac.q_to_kvar}
         of_switches = {
             SWITCHED: switched.moved,
+            "switching_order": ". ".join(switched.order),
             SWITCHES_OPEN: branches.open_names(switched.closed),
-            "switching_ahead": switched.ahead,
+            SWITCHING_AHEAD: switched.ahead,
             "switching_gain": switched.gain,
-            "switching_why": switched.why,
-            "partitions": switched.partitions,
+            SWITCHING_WHY: switched.why,
+            "configurations": switched.configurations,
             "partitions_bounded": switched.bounded,
             "configurations_planned": switched.planned,
         }
