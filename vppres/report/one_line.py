@@ -243,13 +243,15 @@ def step_states(run: Trajectory) -> dict[str, Any]:
         "served": _digits(served.astype(int)),
         "kw": run.by_step("customers", "p_load_kw").round(1).tolist(),
         "v": [[round(1e4 * pu) if pu > 0 else None for pu in row] for row in v.tolist()],
-        "amps": line_current_a(run).round(1).tolist(),
+        "amps": line_current_a(run)[:, : run.scenario.network.n_lines].round(1).tolist(),
         "soc": np.rint(100.0 * soc).astype(int).tolist(),
     }
 
 
 def loading_classes(run: Trajectory) -> Wholes:
     """Class of each line's loading, shape (T, L): the number of edges that it has reached.
+
+    Ties are not drawn.
 
     Without any ratings the current is taken as a share of the largest of the run. Lines that are
     out of service have a class of their own.
@@ -262,7 +264,8 @@ def loading_classes(run: Trajectory) -> Wholes:
         loading = 0.999 * current / max(float(current.max()), 1e-9)
     day = run.scenario
     out = day.out_of_service(range(day.grid.n_steps)).lines
-    return np.where(out, OUT_OF_SERVICE, np.digitize(loading, LOADING_EDGES))
+    classes = np.digitize(loading[:, : day.network.n_lines], LOADING_EDGES)
+    return np.where(out, OUT_OF_SERVICE, classes)
 
 
 def voltage_classes(run: Trajectory, v: Floats) -> Wholes:
