@@ -145,7 +145,7 @@ class OutOfService:
         return OutOfService(self.lines[steps], self.buses[steps])
 
     def repaired(self) -> OutOfService:
-        """The same steps with nothing out."""
+        """Steps in which nothing is out, as many as these."""
         return OutOfService(np.zeros_like(self.lines), np.zeros_like(self.buses))
 
     def names(self, network: Network, step: int) -> list[str]:
