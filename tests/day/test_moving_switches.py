@@ -14,7 +14,7 @@ from vppres.explain.day import explain_day
 from vppres.io import read_scenario, write_scenario
 from vppres.io.find import load_scenario
 from vppres.report.events import events_of
-from vppres.scenario.faults import Fault
+from vppres.scenario.faults import LineFault
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.switches import Switches
 
@@ -35,7 +35,7 @@ def ties(*pairs: tuple[int, int], ohm: float = 0.5, **columns: object) -> Switch
 def with_fault(day: Scenario, switches: Switches, **fault: object) -> Scenario:
     """The day without its outage, with a fault from 12:00 to 14:00 and its switches."""
     limit_kw = [np.inf] * day.grid.n_steps
-    found = Fault(NOON, NOON + 2 * HOUR, **fault)
+    found = LineFault(NOON, NOON + 2 * HOUR, **fault)
     return replace(day, grid_limit_kw=limit_kw, faults=(found,), switches=switches)
 
 
@@ -70,7 +70,7 @@ def test_two_live_parts_are_joined_only_by_a_switch_that_compares_them(tiny: Sce
     """The homes are an island from the first step on, and their battery lasts for an hour."""
     able = {"p_max_kw": [50.0, 50.0], "s_max_kva": [60.0, 60.0], "soc_initial": [0.5, 0.85]}
     stores = replace(tiny.batteries, grid_forming=[True] * 2, **able)
-    alone = Fault(tiny.grid.start, tiny.grid.end, line=4)
+    alone = LineFault(tiny.grid.start, tiny.grid.end, line=4)
     for check in (False, True):
         day = with_fault(replace(tiny, batteries=stores), ties((3, 4), sync_check=[check]), line=4)
         run = run_day(replace(day, faults=(alone,)), replace(MOVING, horizon_h=0.0), steps=2)
@@ -127,7 +127,7 @@ def test_options_that_move_no_switches_are_refused(tiny: Scenario) -> None:
 def test_the_packaged_day_with_a_fault_at_noon(tmp_path: Path) -> None:
     day = load_scenario("uk-heatwave-2022")
     five = ((8, 21), (9, 15), (12, 22), (18, 33), (25, 29))
-    fault = Fault(NOON, NOON + 6 * HOUR, line=7)
+    fault = LineFault(NOON, NOON + 6 * HOUR, line=7)
     limit_kw = np.full(day.grid.n_steps, np.inf)
     day = replace(day, switches=ties(*five, ohm=1.0), faults=(fault,))
     write_scenario(replace(day, grid_limit_kw=limit_kw), tmp_path / "day")

@@ -170,10 +170,8 @@ class Reached:
         return bool(np.array_equal(joined, parts))
 
 
-def out_of_branches(out: OutOfService | None, ends: Wholes, steps: int) -> Flags:
+def out_of_branches(out: OutOfService, ends: Wholes) -> Flags:
     """Branches that faults take out, (W, E), of lines and buses in the order of the day."""
-    found = np.zeros((steps, len(ends)), dtype=bool)
-    if out is not None:
-        found[:, : out.lines.shape[1]] = out.lines
-        found |= out.buses[:, ends].any(axis=2)
+    found: Flags = np.asarray(out.buses[:, ends].any(axis=2))
+    found[:, : out.lines.shape[1]] |= out.lines
     return found

@@ -226,7 +226,7 @@ class Switching:
     ) -> Search:
         """The search for a configuration that is worth more than the present one."""
         forecast = observation.forecast
-        out = out_of_branches(forecast.out, self.branches.ends, len(forecast.price_gbp_per_kwh))
+        out = out_of_branches(forecast.out, self.branches.ends)
         reach = Candidates(
             self.branches.ends,
             self.closed,
@@ -240,13 +240,15 @@ class Switching:
         everyone = bool((stay.dispatch.supplied >= WHOLE).all())
         if stay.fallback == "none" and everyone:
             return search.ended(ALL_SERVED)
-        whole = replace(observation, forecast=replace(forecast, out=None))
+        faulted = forecast.out.lines.any()
+        none = OutOfService(0 * forecast.out.lines > 0, 0 * forecast.out.buses > 0)
+        whole = replace(observation, forecast=replace(forecast, out=none))
         if search.beaten(bound := self.bound(here, whole, search.deadline.left_s)):
             return search.ended(NO_SWITCH)
         joins_all = present.candidate.n_parts == reach.n_joined
-        if forecast.out is not None and joins_all:
+        if faulted and joins_all:
             bound = self.bound(here, self._seen(here, observation), search.deadline.left_s)
-        if forecast.out is None or joins_all:
+        if joins_all or not faulted:
             search.know(present.candidate, bound)
         return search.run(reach)
 
@@ -303,7 +305,7 @@ class Switching:
         n_buses = self.branches.scenario.network.n_buses
         if point is None and observation.t0:
             return np.full(n_buses, -1)
-        out = out_of_branches(self._out_before(observation.t0), self.branches.ends, 1)[0]
+        out = out_of_branches(self._out_before(observation.t0), self.branches.ends)[0]
         parts = blocks_of(self.branches.ends, self.closed & ~out, n_buses)
         assert parts is not None  # a configuration has no loop
         if point is None:
@@ -311,7 +313,7 @@ class Switching:
         v_pu = self._in(self.closed).day.at_buses(point.v_pu)
         return np.where(np.isfinite(v_pu), parts, -1)
 
-    def _out_before(self, t0: int) -> OutOfService | None:
+    def _out_before(self, t0: int) -> OutOfService:
         """Lines and buses that were out in the step before, in the order of the day."""
         day = self.branches.scenario
         earlier = replace(day.grid, start=day.grid.start - day.grid.step)
@@ -361,12 +363,9 @@ class Switching:
         given = self._injections(part, observation, found.decision)
         p_kw, q_kvar = (part.day.at_buses(each) for each in given)
         before = self._out_before(t0)
-        n_lines, n_buses = day.network.n_lines, day.network.n_buses
-        faulted, bus_out = np.zeros(len(self.branches), bool), np.zeros(n_buses, bool)
         now = observation.forecast.out
-        if before is not None and now is not None:
-            faulted[:n_lines] = before.lines[0] & now.lines[0]
-            bus_out = before.buses[0] & now.buses[0]
+        faulted = np.zeros(len(self.branches), dtype=bool)
+        faulted[: day.network.n_lines] = before.lines[0] & now.lines[0]
         dark = t0 > 0 and observation.operating_point is None
         net = day.network
         feeder = SwitchedFeeder(
@@ -378,7 +377,7 @@ class Switching:
             grid=not dark and (not self.physical or observation.forecast.grid_limit_kw[0] > 0.0),
             formers=Formers.none() if dark else self._formers(observation, found.decision),
             faulted=faulted,
-            bus_out=bus_out,
+            bus_out=before.buses[0] & now.buses[0],
             movable=self.branches.movable(~self.closed, now),
             customers=self._customers,
         )

@@ -16,7 +16,7 @@ import numpy as np
 
 from vppres.core.arrays import Flags, Floats, Names, Wholes, freeze
 from vppres.core.text import named
-from vppres.scenario.faults import Fault, OutOfService
+from vppres.scenario.faults import LineFault, OutOfService
 from vppres.scenario.network import LINE_DEFAULTS, Network
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.switches import OF_THE_LINE, Switches
@@ -112,7 +112,7 @@ class Branches:
         pairs = zip(self.switch, self.from_bus, self.to_bus, strict=True)
         return tuple(f"{a}-{b}" if i < 0 else str(ids[i]) for i, a, b in pairs)
 
-    def movable(self, open_now: Flags, out: OutOfService | None) -> Flags:
+    def movable(self, open_now: Flags, out: OutOfService) -> Flags:
         """Branches that may change their state in a window.
 
         Those with a switch that is operable and not locked. A line that a fault takes out in the
@@ -122,14 +122,13 @@ class Branches:
         ----------
         open_now : array of bool, shape (E,)
             Branches that are open at its beginning.
-        out : OutOfService, optional
+        out : OutOfService
             Lines and buses that are out in the window, in the scenario's own order.
         """
         switches, net = self.scenario.switches, self.scenario.network
         able = np.append(switches.movable, False)[self.switch]
         opened = np.zeros(len(self), dtype=bool)
-        if out is not None:
-            opened[: net.n_lines] = out.lines.any(axis=0)
+        opened[: net.n_lines] = out.lines.any(axis=0)
         opened |= open_now & self.closed
         unlocked = np.append(switches.locked == "", True)[self.switch]
         ratio = np.append(net.ratio != 1.0, np.zeros(len(self._ties), dtype=bool))
@@ -275,7 +274,9 @@ def _tree(ends: Wholes, closed: Flags, n_buses: int) -> Wholes:
     return np.flatnonzero(chosen)
 
 
-def _faults_of(branches: Branches, closed: Flags, tree: Network, lines: Wholes) -> Iterator[Fault]:
+def _faults_of(
+    branches: Branches, closed: Flags, tree: Network, lines: Wholes
+) -> Iterator[LineFault]:
     """Faults of closed lines and of buses, and open branches of the tree as lines that are out."""
     day = branches.scenario
     for fault in day.faults:
@@ -287,4 +288,4 @@ def _faults_of(branches: Branches, closed: Flags, tree: Network, lines: Wholes) 
             yield replace(fault, line=tree.to_bus[lines[line]])
     grid = day.grid
     for branch in np.flatnonzero(~closed & (lines >= 0)):
-        yield Fault(grid.start, grid.end, line=tree.to_bus[lines[branch]])
+        yield LineFault(grid.start, grid.end, line=tree.to_bus[lines[branch]])
