@@ -68,9 +68,7 @@ def test_no_loop_and_no_two_live_parts_joined(seed: int, mode: str) -> None:
         before, after = closed[t - 1], closed[t]
         out = in_configuration(branches, before).scenario.out_of_service(range(t - 1, t))
         at = in_configuration(branches, before)
-        carrying = before.copy()
-        if out is not None:
-            carrying &= ~np.where(at.lines >= 0, out.lines[0][at.lines], True)
+        carrying = before & ~np.where(at.lines >= 0, out.lines[0][at.lines], True)
         source = blocks_of(branches.ends, carrying, day.network.n_buses)
         assert source is not None
         live = np.isfinite(v_pu[t - 1])

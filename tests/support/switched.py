@@ -88,8 +88,7 @@ def best_by_trying(day: Scenario, options: RunOptions, seen: Observation) -> tup
         site = site_of(at, options.as_record())
         data = WindowData.of(replace(seen, forecast=forecast), site, options.centre)
         moved = closed != branches.closed
-        if out is not None:
-            moved[: day.network.n_lines] &= ~out.lines[0]
+        moved[: day.network.n_lines] &= ~out.lines[0]
         price = float(branches.of_moves("operation_cost")[moved].sum())
         try:
             found = WindowSolver(site, "monolithic", limits=SHARP).solve(data)
