@@ -22,7 +22,7 @@ from vppres.feeders.reconfiguration.folder import injection_at, step_of, with_co
 from vppres.feeders.reconfiguration.search import NO_LIMITS, least_loss
 from vppres.io import read_scenario, write_scenario
 from vppres.physics.powerflow import ACPowerFlow
-from vppres.scenario.faults import Fault
+from vppres.scenario.faults import LineFault
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.switches import Switches
@@ -123,8 +123,8 @@ def test_faults_stay_with_their_lines(tiny: Scenario) -> None:
     tie = Switches(["t"], [4], [1], ["tie"], [False], r_ohm=[1.0], x_ohm=[1.0])
     times = tiny.grid.times
     faults = (
-        *(Fault(times[2], times[4], line=bus, known=False) for bus in (2, 3, 4)),
-        Fault(times[2], times[4], bus=3),
+        *(LineFault(times[2], times[4], line=bus, known=False) for bus in (2, 3, 4)),
+        LineFault(times[2], times[4], bus=3),
     )
     day = replace(tiny, network=net, switches=tie, faults=faults)
     feeder = switched_network(net, tie, (), True)
@@ -185,7 +185,7 @@ def test_the_order_of_operations_names_the_customers_that_wait(
 def test_without_an_order_of_operations_the_reason_is_told(tiny: Scenario, tmp_path: Path) -> None:
     """A fault at bus 4: nothing is closed onto it."""
     times = tiny.grid.times
-    day = replace(row_of_three(tiny), faults=(Fault(times[0], times[4], bus=4),))
+    day = replace(row_of_three(tiny), faults=(LineFault(times[0], times[4], bus=4),))
     order = order_of(day, tmp_path / "fault")
     assert order["operations"] is None and order["least_margin"] is None
     assert order["reason"] == "t cannot be closed: its line, or a bus of it, has a fault."
@@ -193,6 +193,21 @@ def test_without_an_order_of_operations_the_reason_is_told(tiny: Scenario, tmp_p
         app, ["reconfigure", str(tmp_path / "fault"), "--at", "2022-07-19T12:00Z", "--quiet"]
     )
     assert f"There is no order of operations. {order['reason']}" in shown.output
+
+
+def test_a_battery_that_holds_an_island_behind_a_fault_is_not_joined_by_a_tie(
+    tiny: Scenario, tmp_path: Path
+) -> None:
+    """Behind 2-3 the small battery at bus 4 holds 3 and 4; empty, it does not."""
+    times = tiny.grid.times
+    day = replace(row_of_three(tiny), faults=(LineFault(times[0], times[4], line=3),))
+    order = order_of(day, tmp_path / "live")
+    assert order["operations"] is None
+    assert "close t (joins two live parts, and has no sync_check)" in order["reason"]
+    empty = replace(day.batteries, soc_initial=day.batteries.soc_min)
+    order = order_of(replace(day, batteries=empty), tmp_path / "dark")
+    told = [one["sentence"] for one in order["operations"]]
+    assert any("close t: it supplies customer" in words for words in told)
 
 
 @pytest.mark.daily
