@@ -195,6 +195,21 @@ def test_without_an_order_of_operations_the_reason_is_told(tiny: Scenario, tmp_p
     assert f"There is no order of operations. {order['reason']}" in shown.output
 
 
+def test_a_battery_that_holds_an_island_behind_a_fault_is_not_joined_by_a_tie(
+    tiny: Scenario, tmp_path: Path
+) -> None:
+    """Behind 2-3 the small battery at bus 4 holds 3 and 4; empty, it does not."""
+    times = tiny.grid.times
+    day = replace(row_of_three(tiny), faults=(LineFault(times[0], times[4], line=3),))
+    order = order_of(day, tmp_path / "live")
+    assert order["operations"] is None
+    assert "close t (joins two live parts, and has no sync_check)" in order["reason"]
+    empty = replace(day.batteries, soc_initial=day.batteries.soc_min)
+    order = order_of(replace(day, batteries=empty), tmp_path / "dark")
+    told = [one["sentence"] for one in order["operations"]]
+    assert any("close t: it supplies customer" in words for words in told)
+
+
 @pytest.mark.daily
 def test_only_operable_switches_that_are_not_locked_move(tmp_path: Path) -> None:
     """Of the ring's three lines two have a switch; each that cannot move leaves one tree less."""

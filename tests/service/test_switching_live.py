@@ -18,6 +18,8 @@ from tests.support.three_phases import three_phases
 from vppres.service.clock import SetClock, written
 from vppres.service.operation.runner import Service
 
+HOUR = pd.Timedelta(hours=1)
+
 
 @pytest.fixture
 def live(tmp_path: Path) -> Iterator[Live]:
@@ -78,6 +80,22 @@ def test_an_operation_that_is_not_seen_in_time_stops_the_order(live: Live) -> No
     assert confirm(http, "s").status == 422
     assert want(http, t=True, s=False).json()["status"] == "confirm"
     assert http.delete("/v1/switching").json()["status"] == "none"
+
+
+def test_a_tie_supplies_what_is_behind_a_reported_fault(live: Live) -> None:
+    """Line 2-3 is out by an event: it is not closed again, and the tie supplies the shop."""
+    http, clock = live
+    read(http, clock, t=0, s=1)
+    fault = {"type": "fault", "line": "3", "start": written(NOON), "end": written(NOON + 2 * HOUR)}
+    assert http.put("/v1/events/digger", fault).status == 201
+    told = want(http, t=True, s=False).json()
+    assert any(
+        words.startswith("close t: it supplies customer shop") for words in told["operations"]
+    )
+    read(http, clock, t=1, s=0)
+    back = want(http, t=False, s=True)
+    assert back.status == 422
+    assert "s cannot be closed: its line, or a bus of it, has a fault." in back.content.decode()
 
 
 def test_states_that_cannot_be_reached_are_refused_with_the_reason(tmp_path: Path) -> None:

@@ -15,10 +15,16 @@ from vppres.feeders.new.low_voltage import limits_of
 from vppres.feeders.reconfiguration.folder import injection_at, step_of
 from vppres.feeders.reconfiguration.loops import SwitchedNetwork
 from vppres.feeders.reconfiguration.search import Configuration, ConfigurationLimits
-from vppres.feeders.reconfiguration.sequence import SwitchedFeeder, SwitchingOrder, safe_order
+from vppres.feeders.reconfiguration.sequence import (
+    Formers,
+    SwitchedFeeder,
+    SwitchingOrder,
+    safe_order,
+)
 from vppres.feeders.sources import import_network
 from vppres.io.times import option_time
 from vppres.scenario.faults import OutOfService
+from vppres.scenario.formers import forming_batteries, named_units
 from vppres.scenario.network import Network
 from vppres.scenario.scenario import Scenario
 from vppres.scenario.switches import Switches
@@ -133,10 +139,10 @@ def feeder_of_scenario(
     )
 
 
-def of_the_day(day: Scenario, step: int) -> dict[str, Any]:
-    """Faults and cold load of a step, and the customers of each bus."""
+def of_the_day(day: Scenario, step: int, soc: Floats | None = None) -> dict[str, Any]:
+    """Faults and cold load of a step, devices that can hold islands, customers of each bus."""
     net, customers = day.network, day.customers
-    found: dict[str, Any] = {"customers": {}}
+    found: dict[str, Any] = {"customers": {}, "formers": _at_rest(day, soc)}
     for name, bus in zip(customers.id, customers.bus, strict=True):
         found["customers"].setdefault(bus, []).append(str(name))
     if day.switching.cold:
@@ -149,3 +155,23 @@ def of_the_day(day: Scenario, step: int) -> dict[str, Any]:
         found["faulted"] = np.append(out.lines[0], ties)
         found["bus_out"] = out.buses[0]
     return found
+
+
+def _at_rest(day: Scenario, soc: Floats | None) -> Formers:
+    """Devices that can hold an island, and rest; batteries do with any energy.
+
+    Where none is named, it is the largest battery of a part: each is one that can.
+    """
+    b = day.batteries
+    named = forming_batteries(day)
+    anyone = named.any() and not b.grid_forming.any()
+    able = np.where(anyone, b.active_max_kw > 0.0, named)
+    able &= b.holds_energy(b.soc_initial if soc is None else soc)
+    tables = [(b.id[able], b.bus[able], b.s_max_kva[able])]
+    for kind, which in named_units(day).items():
+        units = getattr(day, kind)
+        buses = np.asarray(units.buses(day.customers), dtype=object)
+        tables.append((units.id[which], buses[which], units.s_max_kva[which]))
+    names, buses, ratings = (np.concatenate(column) for column in zip(*tables, strict=True))
+    none = np.zeros(len(names))
+    return Formers(names, buses, ratings, -ratings, ratings, none, none)

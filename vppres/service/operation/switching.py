@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vppres.core.arrays import Flags
+from vppres.core.arrays import Flags, Floats
 from vppres.core.errors import InputError, Problem
 from vppres.feeders.reconfiguration.folder import injection_at
 from vppres.feeders.reconfiguration.search import ConfigurationLimits
@@ -51,6 +51,8 @@ class Switchgear:
         One step of the site, with its measured loads.
     read : mapping
         States by switch, by its last reading.
+    soc : array, shape (B,)
+        States of charge.
     asked : mapping
         The setting: ``closed`` by switch, and the operation that is ``issued``; may be empty.
     carried_out : bool
@@ -63,6 +65,7 @@ class Switchgear:
 
     step: Scenario
     read: Mapping[str, bool]
+    soc: Floats
     asked: Mapping[str, Any]
     carried_out: bool
     has_grid: bool
@@ -72,7 +75,7 @@ class Switchgear:
     def _feeder(self) -> SwitchedFeeder:
         net = self.step.network
         limits = ConfigurationLimits(net.v_min_ac_pu, net.v_max_ac_pu)
-        given = of_the_day(self.step, 0)
+        given = of_the_day(self.step, 0, self.soc)
         injection = injection_at(self.step, 0)
         return SwitchedFeeder(net, self.step.switches, *injection, limits, **given)
 
