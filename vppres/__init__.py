@@ -18,6 +18,7 @@ _HOME_OF = {
     "ForecastErrors": "vppres.contract.forecast",
     "InputError": "vppres.core.errors",
     "Feed": "vppres.live.feed",
+    "LineFault": "vppres.scenario.faults",
     "Measurement": "vppres.live.measurement",
     "NewScenarioOptions": "vppres.feeders.new.options",
     "OutageStatistics": "vppres.scenario.outage_warnings",

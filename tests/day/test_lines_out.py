@@ -154,3 +154,13 @@ def test_fallbacks_keep_the_balance_of_each_part(seed: int, known: bool) -> None
     assert run.steps["island_mismatch_kw"][out].abs().max() < 1.0
     off = run.customers[run.customers["off_by_fault"] != ""]
     assert not off["served"].any()
+
+
+@pytest.mark.parametrize("kind", ["idle", "reserve"])
+def test_baselines_know_the_parts(tiny: Scenario, kind: str) -> None:
+    named = replace(tiny.batteries, grid_forming=[True, False])
+    day = with_fault(replace(tiny, batteries=named), line=4)
+    run = run_day(day, replace(PAPER, controller=kind))
+    assert set(run.steps["fallback"]) == {"none"}
+    homes = run.customers[run.customers["id"] == "homes"]
+    assert homes["served"].tolist() == [True, True, False, False, True, True]

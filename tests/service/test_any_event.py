@@ -103,6 +103,10 @@ def dark(plan: Plan) -> bool:
     return not plan["grid"]["available"]
 
 
+def line_out(plan: Plan) -> bool:
+    return any(one["out"] for one in plan.get("faults", ()))
+
+
 BY_HAND = [{"kind": "batteries", "asset": "big", "p_kw": 1.0}]
 CHANGES: dict[str, tuple[Act, Act, Callable[[Plan], bool]]] = {
     "a battery": (reading("online", "big", 0.0), reading("online", "big", 1.0), out("big")),
@@ -135,6 +139,8 @@ CHANGES: dict[str, tuple[Act, Act, Callable[[Plan], bool]]] = {
     ),
     "an outage": (event(type="outage"), withdrawn, dark),
     "an outage that ends": (ending(type="outage"), passing, dark),
+    "a fault": (event(type="fault", line="4"), withdrawn, line_out),
+    "a fault that ends": (ending(type="fault", bus="4"), passing, line_out),
     "a limit": (
         event(type="import_limit", limit_kw=5.0),
         withdrawn,

@@ -28,6 +28,7 @@ from vppres.scenario.faults import LineFault
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import SetClock
 from vppres.service.operation.runner import Service
+from vppres.service.replay.export import export
 from vppres.service.simulate import Play
 
 SOON = NOON + pd.Timedelta("10min")
@@ -197,3 +198,24 @@ def test_a_simulated_day_is_played_by_reports(seed: int, tmp_path: Path) -> None
         assert record.customers["served"].tolist() == run.by_step("customers", "served")[t].tolist()
         why = run.by_step("customers", "off_by_fault")[t].tolist()
         assert record.customers["off_by_fault"].tolist() == why
+
+
+def test_it_is_explained_and_exported(one_former: Scenario, tmp_path: Path) -> None:
+    """The export knows each fault as the plans knew it, to its end or repair."""
+    clock = SetClock(NOON)
+    service = Service(site(one_former), HERE)
+    with client(service, tmp_path, clock) as http:
+        http.put("/v1/events/feeder-b", {**FAULT, "start": "2026-11-21T12:00:00Z", "end": None})
+        decided(http, clock, NOON)
+        found = http.get("/v1/explanations?asset=homes").json()["reasons"]
+        (reason,) = [one for one in found if one["kind"] == "customers"]
+        assert (reason["driver"], reason["words"]) == ("fault", f"Not supplied: {BEHIND}.")
+        decided(http, clock, NOON + HOUR)
+        http.put("/v1/events/feeder-b", {**FAULT, "end": "2026-11-21T14:00:00Z"})
+        plan = decided(http, clock, NOON + 2 * HOUR)
+        assert "faults" not in plan
+    run = export(service, tmp_path, "2026-11-21T12:00Z", "2026-11-21T15:00Z")
+    assert run.steps["lines_out"].tolist() == ["line 2-4", "line 2-4", ""]
+    homes = run.customers[run.customers["id"] == "homes"]
+    assert homes["off_by_fault"].tolist() == [BEHIND, BEHIND, ""]
+    assert homes["served"].tolist() == [False, False, True]

@@ -333,7 +333,7 @@ def test_a_fault_is_named_with_its_end(tiny: Scenario, tmp_path: Path) -> None:
         runner.anew()
         page = told(http, tmp_path)
     out = "Line 2-4 is out of service, end unknown."
-    work = "Bus 3 will be, from 16:00, out of service until 17:00."
+    work = "Bus 3 will be out of service from 16:00 to 17:00."
     level, words, after = page["verdict"]
     assert (level, words) == (
         "warning",

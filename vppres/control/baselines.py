@@ -13,8 +13,8 @@ import numpy as np
 from vppres.contract.decision import Decision, SolveInfo
 from vppres.contract.observation import Observation
 from vppres.contract.operating_point import Centre
+from vppres.control.by_part import rule_by_part
 from vppres.control.carried import Carried
-from vppres.control.rules import rule_dispatch
 from vppres.control.step_state import StepState
 from vppres.core.arrays import Floats
 from vppres.model.site import Site
@@ -47,7 +47,7 @@ class IdleController:
     def decide(self, observation: Observation) -> Decision:
         """Serve what the grid and PV power carry."""
         state = StepState.of(self.site, observation, self.centre).idle()
-        return _decision(rule_dispatch(state, self.tiers), "idle")
+        return _decision(rule_by_part(state, self.tiers), "idle")
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ class ReserveController:
         state = StepState.of(self.site, observation, self.centre)
         announced = bool((observation.forecast.grid_limit_kw <= 0.0).any())
         charge_kw = self._missing_kw(state) if announced and not state.island else None
-        return _decision(rule_dispatch(state, self.tiers, charge_kw), "reserve")
+        return _decision(rule_by_part(state, self.tiers, charge_kw), "reserve")
 
     def _missing_kw(self, state: StepState) -> Floats:
         """Charging power that would reach the level within the step, (B,)."""

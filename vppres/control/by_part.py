@@ -6,16 +6,16 @@ the grid's bus, islands that something forms, and dead ones in which nothing is 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from vppres.control.carried import Carried, dispatch_of
-from vppres.control.rules import carry
+from vppres.control.rules import carry, rule_dispatch
 from vppres.control.step_state import StepState
-from vppres.core.arrays import Flags
+from vppres.core.arrays import Flags, Floats
 from vppres.model.linearise import Drawn
 from vppres.model.parts import at_items
 
@@ -106,6 +106,15 @@ def by_part(state: StepState, rule: Rule) -> Carried | None:
         return found[0]
     answers = [answer for answer in found if answer is not None]
     return _joined(state, parts, answers) if len(answers) == len(parts) else None
+
+
+def rule_by_part(
+    state: StepState, tiers: Sequence[str], battery_kw: Floats | None = None
+) -> Carried:
+    """The dispatch by rule of each part; parameters are those of :func:`rule_dispatch`."""
+    found = by_part(state, lambda part: rule_dispatch(part.state, tiers, battery_kw))
+    assert found is not None  # a rule always has an answer
+    return found
 
 
 def no_supply(state: StepState) -> Carried:

@@ -252,11 +252,10 @@ class Controller:
         --------
         >>> import pandas as pd
         >>> import vppres
-        >>> from vppres.scenario.faults import LineFault
         >>> day = vppres.load_scenario("uk-heatwave-2022")
         >>> controller = Controller.of(day)
         >>> noon = pd.Timestamp("2022-07-19T12:00Z")
-        >>> controller.report(LineFault(noon, noon + pd.Timedelta(hours=6), line=7))
+        >>> controller.report(vppres.LineFault(noon, noon + pd.Timedelta(hours=6), line=7))
         >>> [fault.name(day.network) for fault in controller.scenario.faults]
         ['line 6-7']
         """

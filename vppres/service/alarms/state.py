@@ -68,7 +68,7 @@ KINDS = {
         0.0, 0.0, "Look at the reason. If the mode or a limit of import is yours, change it."
     ),
     "line_out": AlarmKind(
-        0.0, 0.0, "Record it as an event when the expected end changes, and when it is repaired."
+        0.0, 0.0, "Put its event again when the expected end changes, and when it is repaired."
     ),
     "one_former_left": AlarmKind(
         0.0,

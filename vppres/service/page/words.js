@@ -196,7 +196,9 @@ function next(view, at) {
 // Lines and buses that are out of service now, or will be; empty for none.
 function outOfService(view, at) {
   const faults = (view.overview.plan?.faults ?? []).filter((one) => !one.end || new Date(one.end) > view.now);
-  return faults.map((one) => `${capital(one.name)} ${one.out ? "is" : `will be, from ${at(one.start)},`} out of service${one.end ? ` until ${at(one.end)}` : ", end unknown"}.`).join(" ");
+  const ends = (one, word) => (one.end ? ` ${word} ${at(one.end)}` : ", end unknown");
+  return faults.map((one) => (one.out ? `${capital(one.name)} is out of service${ends(one, "until")}.`
+    : `${capital(one.name)} will be out of service from ${at(one.start)}${ends(one, "to")}.`)).join(" ");
 }
 
 function comes(view, at) {

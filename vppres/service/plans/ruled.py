@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from vppres.control.by_part import by_part
-from vppres.control.rules import rule_dispatch
+from vppres.control.by_part import rule_by_part
 from vppres.control.step_state import StepState
 from vppres.kinds.table import parts
 from vppres.model.linearise import delta_offset
@@ -61,9 +60,7 @@ def ruled(
         if "running" in table:
             on, given_kw = table["running"].to_numpy(bool), table["p_kw"].to_numpy(float)
             state.taken_kw[kind], state.running[kind] = -given_kw, on
-    carried = by_part(state, lambda part: rule_dispatch(part.state, now.tiers))
-    assert carried is not None  # a rule always has an answer
-    found = carried.dispatch
+    found = rule_by_part(state, now.tiers).dispatch
     columns: dict[str, dict[str, Any]] = {
         "batteries": {
             "p_kw": (found.charge_kw - found.discharge_kw)[0],
