@@ -237,6 +237,13 @@ def test_a_restored_customer_draws_more_on_its_phase(
     assert served(run)[:, 0].tolist() == [0, hour]
 
 
+def test_a_restored_customer_is_on_with_the_voltage_that_it_brings_about(street: Scenario) -> None:
+    """With grid nobody is off for a voltage that the feeder has without control."""
+    day = on_phase_a(street, [14.0, 120.0], [DARK, OPEN])
+    run = run_of(day, horizon_h=0.0, switching=SwitchingRules(cold_load_factor=2.0))
+    assert served(run)[:, 0].tolist() == [0, 1]
+
+
 @pytest.mark.parametrize(("limits", "on"), [("soft", 1), ("hard", 0)])
 def test_hard_limits_switch_a_customer_off_for_a_voltage_of_its_phase(
     street: Scenario, limits: str, on: int

@@ -20,6 +20,7 @@ from vppres.kinds.cooling.physics import Climate
 from vppres.kinds.customer.data import SwitchingRules
 from vppres.kinds.table import KINDS, units_of
 from vppres.physics.feeder import power_flows
+from vppres.plant.changes import CUT_MARGIN_KW
 from vppres.plant.collapse import realise
 from vppres.plant.island import IslandPlant, Settled
 from vppres.plant.plant import BatteryState, Plant
@@ -43,21 +44,21 @@ def played(day: Scenario, plan: Decision, before: BatteryState, t: int, plant: P
     return IslandPlant(plant, island).settle(t, plant.apply(t, plan, before), before)
 
 
-def alike(one: Settled, other: Settled) -> None:
+def alike(one: Settled, other: Settled, within: float = 1e-6) -> None:
     """Powers, states, voltages and losses of two steps are equal."""
     assert (one.dark_reason, one.former) == (other.dark_reason, other.former)
     assert (one.shed == other.shed).all()
     for name in POWERS:
         found, expected = getattr(one.realised, name), getattr(other.realised, name)
-        assert found == pytest.approx(expected, abs=1e-6)
+        assert found == pytest.approx(expected, abs=within)
     for kind, taken_kw in one.realised.taken_kw.items():
-        assert taken_kw == pytest.approx(other.realised.taken_kw[kind], abs=1e-6)
+        assert taken_kw == pytest.approx(other.realised.taken_kw[kind], abs=within)
         assert (one.realised.running[kind] == other.realised.running[kind]).all()
-    assert one.mismatch_kw == pytest.approx(other.mismatch_kw, abs=1e-6)
-    assert one.by_set_kw == pytest.approx(other.by_set_kw, abs=1e-6)
+    assert one.mismatch_kw == pytest.approx(other.mismatch_kw, abs=within)
+    assert one.by_set_kw == pytest.approx(other.by_set_kw, abs=within)
     for name in ("v_pu", "losses_kw", "p_slack_kw", "q_slack_kvar"):
         found, expected = getattr(one.ac, name), getattr(other.ac, name)
-        assert found == pytest.approx(expected, rel=1e-6, abs=1e-6, nan_ok=True)
+        assert found == pytest.approx(expected, rel=1e-6, abs=within, nan_ok=True)
 
 
 def outcomes(seed: int) -> Iterator[tuple[Settled, Settled]]:
@@ -96,6 +97,13 @@ def outcomes(seed: int) -> Iterator[tuple[Settled, Settled]]:
 def test_three_equal_phases_are_the_balanced_feeder(seed: int) -> None:
     for by_phase, balanced in outcomes(seed):
         alike(by_phase, balanced)
+
+
+@pytest.mark.parametrize("seed", [18, 50, 86, 131, 136])
+def test_three_equal_phases_are_the_balanced_feeder_by_the_margin_of_a_cut(seed: int) -> None:
+    """A flow by phase may miss a watt, and another round of cuts begins at as much."""
+    for by_phase, balanced in outcomes(seed):
+        alike(by_phase, balanced, within=2.0 * CUT_MARGIN_KW)
 
 
 def test_a_former_that_reactive_power_leaves_no_room_holds_its_island() -> None:

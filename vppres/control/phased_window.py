@@ -17,7 +17,7 @@ from vppres.core.arrays import Complexes, Flags, Floats
 from vppres.model.beyond_paper.losses import lit_steps
 from vppres.model.data import PhasedWindow, WindowData
 from vppres.model.linearise import Drawn
-from vppres.model.own_state import COLLAPSED_PU2, giving_way, share_of
+from vppres.model.own_state import COLLAPSED_PU2, giving_way, share_exported, sun_used_and_left
 from vppres.model.phases import PhasedModel, PhasedPoints
 from vppres.model.ratings import KEPT_SHARE, loading_of_phases
 from vppres.physics.phased_sources import farthest
@@ -74,24 +74,23 @@ class PhasedLinearisation:
         Batteries are idle. PV power is used behind its meter, and beyond that exported as far as
         the connection takes it and the highest voltage allows.
         """
-        site = self.model.site
-        usable = np.minimum(data.pv_kw, site.pv.s_max_kva)
-        own = np.minimum(site.behind_meter(data.load_kw), usable)
-        spare = usable - own
-        used, all_sun = self._with_sun(data, own), self._with_sun(data, usable)
-        u = data.require_phased().u_offset + self.model.linear(data, *used)[0]
-        raised = data.require_phased().u_offset + self.model.linear(data, *all_sun)[0] - u
+        site, load_kw = self.model.site, data.all_cold().load_kw
+        own, spare = sun_used_and_left(site, data)
+        u, with_all = (
+            data.require_phased().u_offset + self.model.linear(data, *self._with_sun(data, kw))[0]
+            for kw in (own, own + spare)
+        )
         room = np.where(self.model.limited, site.feeder.v_max_pu**2 - u, np.inf)
-        most = data.export_max_kw(site) + np.maximum(data.load_kw.sum(axis=1) - own.sum(axis=1), 0)
-        taken = share_of(most, spare.sum(axis=1))
-        allowed = share_of(room, raised).min(axis=1)
-        return self._with_sun(data, own + np.minimum(taken, allowed)[:, None] * spare)
+        imported_kw = load_kw.sum(axis=1) - own.sum(axis=1) + data.network_kw
+        share = share_exported(site, data, imported_kw, spare, with_all - u, room)
+        return self._with_sun(data, own + share * spare)
 
     def _with_sun(self, data: WindowData, pv_kw: Floats) -> tuple[Floats, Floats]:
         """Power of assets with all customers and so much PV power; nothing in an island."""
         idle = np.zeros((data.n_steps, len(self.model.site.batteries)))
         pv = (pv_kw, np.zeros_like(pv_kw))
-        p, q = self.model.powers(self.model.sources(data), data.load_kw, pv, (idle, idle))
+        load_kw = data.all_cold().load_kw
+        p, q = self.model.powers(self.model.sources(data), load_kw, pv, (idle, idle))
         with_grid = ~data.dark[:, None]
         return p * with_grid, q * with_grid
 

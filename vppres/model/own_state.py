@@ -117,8 +117,7 @@ def _from_grid(site: Site, data: WindowData) -> tuple[Floats, Floats, Floats, Fl
     net = site.network
     load_kw = data.all_cold().load_kw
     load_kvar = load_kw * site.customers.q_per_p
-    usable_kw = np.minimum(data.pv_kw, site.pv.s_max_kva)
-    own_kw = np.minimum(site.behind_meter(load_kw), usable_kw)
+    own_kw, spare_kw = sun_used_and_left(site, data)
     p_kw = bus_injections(site, {"pv": own_kw, "customers": -load_kw})
     q_kvar = bus_injections(site, {"customers": -load_kvar})
     taken = taken_by_network(site, data)
@@ -129,7 +128,7 @@ def _from_grid(site: Site, data: WindowData) -> tuple[Floats, Floats, Floats, Fl
     flows = lossless_flows(net, p_kw), lossless_flows(net, q_kvar)
     rise = data.delta_pu2 - voltage_drop_pu2(net, *flows)
     u = net.v_slack_pu**2 + rise @ net.downstream
-    return np.asarray(u), -p_kw.sum(axis=1), own_kw, usable_kw - own_kw
+    return np.asarray(u), -p_kw.sum(axis=1), own_kw, spare_kw
 
 
 def _own_state(site: Site, data: WindowData) -> tuple[Floats, Floats]:
@@ -140,10 +139,33 @@ def _own_state(site: Site, data: WindowData) -> tuple[Floats, Floats]:
     exported = bus_injections(site, {"pv": spare_kw})
     flows = lossless_flows(net, exported)
     raised = -voltage_drop_pu2(net, flows, np.zeros_like(flows)) @ net.downstream
-    taken = share_of(data.export_max_kw(site) + imported_kw, spare_kw.sum(axis=1))
-    allowed = share_of(net.u_max_pu2 - u, raised).min(axis=1)
-    share = np.minimum(taken, allowed)[:, None]
+    share = share_exported(site, data, imported_kw, spare_kw, raised, net.u_max_pu2 - u)
     return np.asarray(u + share * raised), own_kw + share * spare_kw
+
+
+def sun_used_and_left(site: Site, data: WindowData) -> tuple[Floats, Floats]:
+    """PV power behind the meters of customers who are all supplied, and the rest, (W, P) each."""
+    usable_kw = np.minimum(data.pv_kw, site.pv.s_max_kva)
+    own_kw = np.minimum(site.behind_meter(data.all_cold().load_kw), usable_kw)
+    return own_kw, usable_kw - own_kw
+
+
+def share_exported(
+    site: Site,
+    data: WindowData,
+    imported_kw: Floats,
+    spare_kw: Floats,
+    raised_pu2: Floats,
+    room_pu2: Floats,
+) -> Floats:
+    """Share of the rest of PV power that is exported without control, (W, 1).
+
+    What the connection takes, with an import (W,) that it replaces, and what the squared voltages
+    that it raises, (W, .), have room for.
+    """
+    taken = _share_of(data.export_max_kw(site) + imported_kw, spare_kw.sum(axis=1))
+    allowed = _share_of(room_pu2, raised_pu2).min(axis=1)
+    return np.asarray(np.minimum(taken, allowed)[:, None])
 
 
 def _ac_points(site: Site, data: WindowData, pv_kw: Floats) -> ACPoints:
@@ -154,7 +176,7 @@ def _ac_points(site: Site, data: WindowData, pv_kw: Floats) -> ACPoints:
     return Sweeps(site.network).solve(p_kw * data.with_grid, q_kvar * data.with_grid)
 
 
-def share_of(room: Floats, wanted: Floats) -> Floats:
+def _share_of(room: Floats, wanted: Floats) -> Floats:
     """How much of what is wanted there is room for, 0 to 1."""
     share = np.divide(room, wanted, out=np.ones_like(wanted), where=wanted > 0.0)
     return np.clip(share, 0.0, 1.0)

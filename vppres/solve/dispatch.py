@@ -143,19 +143,19 @@ def _ways(
 
     Where the network is not asked, and batteries would waste energy, their modes are left to what
     decides them with the service; those of next to no power waste next to nothing, whatever their
-    modes. A window with phases gets its rows as they are needed; its tie-breakers take longer than
-    all else, so that they are left to ``settle``.
+    modes. A window with phases or ratings gets its rows as they are needed. With phases the
+    tie-breakers take longer than all else, so that they are left to ``settle``.
     """
     if not network:
         yield cheapest(task, served, modes_later=not task.site.batteries.idle)
         return
-    if task.by_phase:
+    if task.by_rows:
         if charges is None and before is not None:
             charges = before.charge_kw > before.discharge_kw
         way = CheapestDispatch.of_set(task.cache, task.data, served)
         outcome, dispatch = way.of(served, task.answer_by(HALF), charges, keeps_turns)
         found = netted(task, outcome, dispatch)
-        yield found and carried(task, found)
+        yield found and carried(task, found, *ways_of_rows(task))
         if keeps_turns or (found is None and outcome.status == Status.INFEASIBLE):
             return
     elif keeps_turns:
@@ -283,6 +283,12 @@ def carried(task: WindowTask, found: Candidate, *ways: Carrier) -> Candidate | N
             return found.carried_by(task.site, attempt.dispatch, attempt.own)
         task.certificate.note("checked", Outcome(Status.INACCURATE, np.nan, np.nan, 0.0))
     return None
+
+
+def ways_of_rows(task: WindowTask) -> tuple[Carrier, ...]:
+    """Ways of a candidate whose limits were rows: the tie-breakers of a large window take long."""
+    plain = task.is_large and not task.by_phase
+    return (least_reactive_power,) if plain else ()
 
 
 def settle(task: WindowTask) -> None:

@@ -45,10 +45,8 @@ from vppres.solve.forms import by_phase, own_of
 from vppres.solve.longest_off import solve_with_limits
 from vppres.solve.network.decide import (
     decide_at_once,
-    decide_within_ratings,
     enter_network,
     network_master,
-    serve_within_ratings,
 )
 from vppres.solve.result import SolveLimits, WindowSolution
 from vppres.solve.slack import least_slack
@@ -206,12 +204,6 @@ class WindowSolver:
 
     def _decided(self, data: WindowData, limits: SolveLimits) -> WindowSolution:
         """The best supply schedule of a window."""
-        if has_ratings(data):
-            task = self._task(data, limits)
-            if decide_within_ratings(task):
-                if worth_the_whole(task):
-                    with_binaries(task)
-                return task.solution()
         if self.method != "decomposed" or own_of(self.cache, data):
             return self._solve(data, limits)
         if data.longest_off is not None:
@@ -228,8 +220,6 @@ class WindowSolver:
             if task.data.switching is not None and not task.certificate.answered:
                 keep_a_steady_set(task)
             if worth_an_answer(task):
-                without_binaries(task)
-            if worth_the_whole(task) and not task.certificate.ran("relaxed"):
                 without_binaries(task)
         if worth_the_whole(task):
             with_binaries(task)
@@ -281,17 +271,15 @@ class WindowSolver:
     ) -> WindowSolution | None:
         """Cheapest dispatch of a supply schedule within a window's limits, None if it has none."""
         task = self._task(data, limits)
-        rated = has_ratings(data)
-        if not (rated and serve_within_ratings(task, served)):
-            if before is not None and keeps_turns:
-                keep_dispatch(task, before.served, True, before, keeps_turns=True)
-            if not task.certificate.answered:
-                keep_dispatch(task, served, True, before)
+        if before is not None and keeps_turns:
+            keep_dispatch(task, before.served, True, before, keeps_turns=True)
+        if not task.certificate.answered:
+            keep_dispatch(task, served, True, before)
         if not task.certificate.answered:
             return None
         settle(task)
         found = task.solution()
-        if rated or not self.site.rated:
+        if has_ratings(data) or not self.site.rated:
             return found
         limited = with_ratings(self.site, data)
         if not overloaded(self.site, limited, found.dispatch).any():
@@ -360,7 +348,8 @@ def climb(task: WindowTask) -> None:
     require_bounds(task)
     everyone = worth_everyone(task)
     plain = not task.data.physical and task.data.switching is None
-    at_once = plain and (task.is_huge or (task.is_wide and not everyone))
+    at_once = has_ratings(task.data)
+    at_once = at_once or (plain and (task.is_huge or (task.is_wide and not everyone)))
     master = network_master(task) if at_once else None
     if master is not None and decide_at_once(task, master):
         return
@@ -417,9 +406,13 @@ def _by_levels(task: WindowTask, lumped: bool) -> None:
 
 
 def worth_an_answer(task: WindowTask) -> bool:
-    """Whether the last way to an answer is worth its time: the whole problem without binaries."""
+    """Whether the last way to an answer is worth its time: the whole problem without binaries.
+
+    A small window that was decided in the network is searched with binaries at once.
+    """
     known = task.certificate
-    return not (known.answered or known.nothing_to_find or compiles_nothing(task))
+    decided = known.ran("network_service") and (task.is_huge or not task.is_large)
+    return not (known.answered or known.nothing_to_find or decided)
 
 
 def compiles_nothing(task: WindowTask) -> bool:

@@ -11,6 +11,7 @@ import numpy as np
 
 from vppres.core.arrays import Flags
 from vppres.model.data import WindowData
+from vppres.model.ratings import has_ratings
 from vppres.model.site import Site
 from vppres.solve.cache import ModelCache
 from vppres.solve.certificate import Certificate, CostRange
@@ -92,6 +93,15 @@ class WindowTask:
     def by_phase(self) -> bool:
         """Whether dispatches in the network come from rows of phases."""
         return by_phase(self.cache, self.data)
+
+    @property
+    def by_rows(self) -> bool:
+        """Whether limits of dispatches in the network are rows of a linear problem.
+
+        So are phases, and ratings of lines; reactive power stays within no part of a feeder there.
+        """
+        rated = has_ratings(self.data) and self.data.sections is None
+        return self.by_phase or (rated and not self.own)
 
     @property
     def changed(self) -> tuple[str, ...]:

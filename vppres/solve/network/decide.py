@@ -12,14 +12,15 @@ import numpy as np
 
 from vppres.core.arrays import Flags
 from vppres.model.numerics import ROUNDING
+from vppres.model.ratings import has_ratings
 from vppres.solve.certificate import Candidate, cost_gap_gbp
 from vppres.solve.deadline import HALF, Deadline
 from vppres.solve.dispatch import (
     carried,
     dispatch_of,
-    least_reactive_power,
     netted,
     tie_breakers,
+    ways_of_rows,
 )
 from vppres.solve.fleet.masters import Master, fleets_of, master_of
 from vppres.solve.network.master import NetworkMaster, applies
@@ -61,18 +62,20 @@ def decide_at_once(task: WindowTask, master: NetworkMaster) -> bool:
     """Decide a large window in the network, where that forbids what the fleet could do.
 
     In a huge window in any case: nothing else is compiled there, since the cheapest dispatch
-    without the network alone has millions of numbers at 10,000 buses. Says whether it was decided.
+    without the network alone has millions of numbers at 10,000 buses. So is one with ratings, of
+    which the fleet knows none. Says whether it was decided.
     """
     known = task.certificate
-    fleet = fleet_master(task, task.search)
-    assert fleet is not None
-    outcome, served = fleet.service(task.gap / master.unit)
-    if not task.is_huge and served is not None and not forbids(master, outcome, served):
-        return False
-    known.note("service", outcome)
-    known.prove(outcome)
-    if outcome.status.has_answer:
-        known.bound_service(master.unit * outcome.bound)
+    if not has_ratings(task.data):
+        fleet = fleet_master(task, task.search)
+        assert fleet is not None
+        outcome, served = fleet.service(task.gap / master.unit)
+        if not task.is_huge and served is not None and not forbids(master, outcome, served):
+            return False
+        known.note("service", outcome)
+        known.prove(outcome)
+        if outcome.status.has_answer:
+            known.bound_service(master.unit * outcome.bound)
     if not known.nothing_to_find:
         known.best = InNetwork(task, master).decide()
     return True
@@ -241,29 +244,5 @@ class InNetwork:
 
     def cheapest(self, served: Flags) -> Candidate | None:
         """Cheapest dispatch of a set, with the tie-breakers if they find one."""
-        task = self.task
-        found = netted(task, *self.master.cheapest(served, task.answer_by()))
-        if found is not None and task.is_large and task.data.phased is None:
-            return carried(task, found, least_reactive_power)
-        return found and carried(task, found)
-
-
-# Ratings of lines: rows are made where a solution violates them, as those of voltages.
-
-
-def decide_within_ratings(task: WindowTask) -> bool:
-    """Find the best set that the ratings of a window allow; False where no master can say."""
-    master = network_master(task)
-    if master is None:
-        return False
-    task.certificate.best = InNetwork(task, master).decide()
-    return True
-
-
-def serve_within_ratings(task: WindowTask, served: Flags) -> bool:
-    """Find the cheapest dispatch of a schedule within the ratings of a window; the same."""
-    master = network_master(task)
-    if master is None:
-        return False
-    task.certificate.best = InNetwork(task, master).cheapest(served)
-    return True
+        found = netted(self.task, *self.master.cheapest(served, self.task.answer_by()))
+        return found and carried(self.task, found, *ways_of_rows(self.task))
