@@ -6,6 +6,7 @@ import json
 import warnings
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import chain
 from random import Random
 from typing import Any
 from urllib.parse import quote, urlencode, urlsplit
@@ -19,13 +20,8 @@ from vppres.service.clock import written
 LEAST_OF_A_KIND = 5
 
 
-def generated_requests(
-    description: dict[str, Any], count: int, seed: int, rounds: int = 1
-) -> list[Request]:
-    """Requests that schemathesis makes from an OpenAPI description, right and wrong ones.
-
-    What has few ways to be asked gives fewer than its share; further rounds make up for it.
-    """
+def generated_requests(description: dict[str, Any], count: int, seed: int) -> list[Request]:
+    """Requests that schemathesis makes from an OpenAPI description, right and wrong ones."""
     import schemathesis
 
     described: Any = schemathesis.openapi.from_dict(description)
@@ -33,13 +29,9 @@ def generated_requests(
     kinds = [(one, mode) for one in found for mode in schemathesis.GenerationMode]
     # A kind costs its time even for one request: of few requests, some kinds.
     kinds = Random(seed).sample(kinds, min(len(kinds), max(1, count // LEAST_OF_A_KIND)))
-    made: list[Request] = []
-    for turn in range(rounds):
-        each = -(-(count - len(made)) // len(kinds))
-        for number, (operation, mode) in enumerate(kinds):
-            if len(made) < count:
-                made += _cases(operation, mode, each, seed + turn * len(kinds) + number)
-    return made[:count]
+    each = -(-count // len(kinds))
+    made = (_cases(*kind, each, seed + number) for number, kind in enumerate(kinds))
+    return [*chain.from_iterable(made)][:count]
 
 
 def _cases(operation: Any, mode: Any, count: int, seed: int) -> list[Request]:
