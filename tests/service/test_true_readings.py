@@ -20,6 +20,7 @@ from tests.support.live_service import (
     client,
     decided,
     heard,
+    reading,
     readings,
     said,
     site,
@@ -148,15 +149,10 @@ def test_whatever_is_read_the_step_is_decided(batch: list[Any], dark: bool) -> N
         decided(http, clock, NOON)
         clock.set(NOON + HOUR)
         series = [
-            {
-                "source": "meter",
-                "asset": asset,
-                "quantity": quantity,
-                "start": (NOON + HOUR + pd.Timedelta(minutes=minutes)).isoformat(),
-                "resolution": resolution,
-                "values": values,
-            }
-            for quantity, asset, resolution, minutes, values in batch
+            reading(
+                asset, quantity, NOON + HOUR + pd.Timedelta(minutes=minutes), *values, lasts=lasts
+            )
+            for quantity, asset, lasts, minutes, values in batch
         ]
         if series:
             assert http.post("/v1/telemetry", {"series": series}).status in (200, 422)

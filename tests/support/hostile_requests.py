@@ -14,6 +14,7 @@ from urllib.parse import quote, urlencode, urlsplit
 import pandas as pd
 
 from experiments.studies.within import Request
+from tests.support.live_service import reading
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import written
 
@@ -135,14 +136,7 @@ def valid_requests(scenario: Scenario, now: pd.Timestamp) -> list[tuple[str, str
     """Requests of each kind as they should be, to be spoiled."""
     battery, load = str(scenario.batteries.id[0]), str(scenario.customers.id[0])
     at, later = written(now), written(now + pd.Timedelta("2h"))
-    reading = {
-        "source": "scada",
-        "asset": battery,
-        "quantity": "soc",
-        "start": at,
-        "resolution": "PT1H",
-        "values": [0.5, None],
-    }
+    told = [reading(battery, "soc", now, 0.5, None), reading(battery, "online", now, 1.0)]
     forecast = {
         "issued_at": at,
         "start": at,
@@ -158,11 +152,7 @@ def valid_requests(scenario: Scenario, now: pd.Timestamp) -> list[tuple[str, str
         "duration": {"family": "lognormal", "median_h": 7.0, "sigma": 1.3, "max_h": 72.0},
     }
     return [
-        (
-            "POST",
-            "/v1/telemetry",
-            {"series": [reading, {**reading, "quantity": "online", "values": [1.0]}]},
-        ),
+        ("POST", "/v1/telemetry", {"series": told}),
         ("PUT", "/v1/forecasts/load_kw", forecast),
         ("PUT", "/v1/events/one", {"type": "outage", "source": "x", "start": at, "end": later}),
         (
