@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.support.live_service import site
+from tests.support.live_service import readings, site
 from tests.support.tiny_day import tiny_scenario
 from vppres.day.options import RunOptions
 from vppres.service.clock import written
@@ -50,11 +50,7 @@ class ControlRoom:
 
     def read(self, quantity: str, after: int, **values: float) -> None:
         """A reading of five minutes of each asset."""
-        each = {"source": "scada", "quantity": quantity, "start": written(minutes(after))}
-        series = [
-            {**each, "asset": asset, "resolution": "PT5M", "values": [value]}
-            for asset, value in values.items()
-        ]
+        series = readings(minutes(after), quantity, values, lasts="PT5M")
         self.client.wanted("POST", "/v1/telemetry", {"series": series})
 
     def decided(self) -> Plan:

@@ -22,7 +22,7 @@ import sqlalchemy as sa
 from tests.support import live_service
 from tests.support.asgi import Caller
 from tests.support.browser import free_port, listening
-from tests.support.live_service import NOON
+from tests.support.live_service import NOON, reading
 from tests.support.tiny_day import tiny_scenario
 from vppres.core.errors import InputError
 from vppres.day.options import RunOptions
@@ -179,11 +179,9 @@ def test_everything_that_changes_something_is_written_down_for_good(
     runner: Runner, http: Caller
 ) -> None:
     before = len(runner.store.audit())
-    reading = {"source": "scada", "asset": "big", "quantity": "soc", "start": written(NOON),
-               "resolution": "PT1H", "values": [0.5]}  # fmt: skip
     forecast = {"issued_at": written(NOON), "start": written(NOON), "resolution": "PT1H",
                 "assets": {"shop": {"p50": [40.0]}}}  # fmt: skip
-    http.post("/v1/telemetry", {"series": [reading]})
+    http.post("/v1/telemetry", {"series": [reading("big", "soc", NOON, 0.5)]})
     http.put("/v1/forecasts/load_kw", forecast)
     http.put("/v1/events/storm", OUTAGE)
     http.delete("/v1/events/storm")
@@ -219,8 +217,7 @@ def test_a_batch_is_written_at_once_and_counted_by_reading(runner: Runner) -> No
 
 
 def test_batches_that_are_too_large_are_refused(http: Caller) -> None:
-    one = {"source": "s", "asset": "big", "quantity": "soc", "start": written(NOON),
-           "resolution": "PT1S", "values": [0.5] * 2000}  # fmt: skip
+    one = reading("big", "soc", NOON, *[0.5] * 2000, lasts="PT1S")
     answer = http.post("/v1/telemetry", {"series": [one] * 11})
     assert answer.status == 422
     detail = answer.json()["detail"]

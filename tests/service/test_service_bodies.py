@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from tests.support.asgi import Caller
 from tests.support.live_service import NOON, client, decided, site
-from tests.support.strangers import BEGIN, empty_texts, reading, unknown_fields
+from tests.support.strangers import empty_texts, telemetry, unknown_fields
 from tests.support.tiny_day import tiny_scenario
 from vppres.day.options import RunOptions
 from vppres.scenario.scenario import Scenario
@@ -23,6 +23,7 @@ from vppres.service.operation.runner import Service
 BELIEVING = RunOptions(horizon_h=2.0, isolate=False, outages="belief")
 HUGE = 10**400
 SEE = "The fields are described in /openapi.json."
+BEGIN = "2026-11-21T12:00:00Z"
 LATE = "2199-12-31T00:00:00Z"
 
 
@@ -57,9 +58,9 @@ EVENTS = {
 }  # fmt: skip
 FORECASTS = {"a gigawatt": forecast([2e6]), "400 digits": forecast([HUGE])}
 TELEMETRY = {
-    "centuries": reading(**CENTURIES, values=[0.5] * 2000),
-    "400 digits": reading(values=[HUGE]),
-    "a gigawatt": reading(asset="shop", quantity="load_kw", values=[2e6]),
+    "centuries": telemetry(**CENTURIES, values=[0.5] * 2000),
+    "400 digits": telemetry(values=[HUGE]),
+    "a gigawatt": telemetry(asset="shop", quantity="load_kw", values=[2e6]),
 }
 OPENADR = {
     "400 digits": openadr("PRICE", [HUGE]),

@@ -17,9 +17,11 @@ from tests.support.live_service import (
     HERE,
     NOON,
     Live,
+    at_noon,
     client,
     decided,
     heard,
+    reading,
     readings,
     said,
     site,
@@ -148,20 +150,32 @@ def test_whatever_is_read_the_step_is_decided(batch: list[Any], dark: bool) -> N
         decided(http, clock, NOON)
         clock.set(NOON + HOUR)
         series = [
-            {
-                "source": "meter",
-                "asset": asset,
-                "quantity": quantity,
-                "start": (NOON + HOUR + pd.Timedelta(minutes=minutes)).isoformat(),
-                "resolution": resolution,
-                "values": values,
-            }
-            for quantity, asset, resolution, minutes, values in batch
+            reading(
+                asset, quantity, NOON + HOUR + pd.Timedelta(minutes=minutes), *values, lasts=lasts
+            )
+            for quantity, asset, lasts, minutes, values in batch
         ]
         if series:
             assert http.post("/v1/telemetry", {"series": series}).status in (200, 422)
         plan = http.post("/v1/steps").json()
         assert plan["status"] in ("ok", "fallback"), plan
+
+
+def test_a_loss_that_is_read_is_planned_as_an_outage_without_an_end(
+    tiny: Scenario, tmp_path: Path
+) -> None:
+    """With grid in the next hour the batteries would supply the shop in this one."""
+
+    def supplied(how: str) -> dict[str, bool]:
+        with at_noon(tiny, tmp_path / how) as (http, clock):
+            if how == "announced":
+                http.put("/v1/events/storm", DARK)
+            else:
+                http.post("/v1/telemetry", {"series": readings(NOON, "grid_on", {"grid": 0.0})})
+            plan = decided(http, clock, NOON, soc=0.3)
+            return {name: one["served"] for name, one in said(plan, "customers").items()}
+
+    assert supplied("read") == supplied("announced")
 
 
 def test_a_forecast_has_the_range_of_a_reading(live: Live) -> None:

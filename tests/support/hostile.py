@@ -13,7 +13,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,6 @@ import numpy as np
 import pandas as pd
 import sqlalchemy as sa
 
-import vppres
 from experiments.studies.within import ask
 from tests.support.hostile_requests import Request, generated_requests, hostile_requests
 from vppres.core.errors import VppresError
@@ -36,50 +35,16 @@ NOON = pd.Timestamp("2026-11-21T12:00Z")
 STEP_EVERY = 250
 """Requests between two steps."""
 
-ROUNDS = 8
 ALWAYS_OPEN = ("/livez", "/readyz", "/metrics", "/openapi.json", "/", "/page/")
 
 
 @dataclass
 class Tally:
-    """Count of the requests and their answers.
+    """Answers by status, what must not be with its request, and steps decided meanwhile."""
 
-    Parameters
-    ----------
-    sent : int
-        Requests.
-    answers : Counter
-        How many had each status.
-    wrong : list of str
-        What must not be, with the request.
-    steps : int
-        Steps that were decided meanwhile.
-    """
-
-    sent: int = 0
     answers: Counter[int] = field(default_factory=Counter)
     wrong: list[str] = field(default_factory=list)
     steps: int = 0
-
-    def summary(self) -> dict[str, Any]:
-        """In plain values."""
-        return {
-            "sent": self.sent,
-            "answers": {str(status): count for status, count in sorted(self.answers.items())},
-            "steps": self.steps,
-            "wrong": self.wrong[:20],
-        }
-
-
-def site() -> Service:
-    """A small feeder in hours, whose outages are for others to tell."""
-    feeder = vppres.import_network("case33bw")
-    options = vppres.NewScenarioOptions(
-        step_minutes=60.0, draw_tiers=True, pv="sized", add_batteries=True
-    )
-    day = vppres.new_scenario(feeder, options)
-    quiet = replace(day, grid_limit_kw=np.full(day.grid.n_steps, np.inf))
-    return Service(quiet, vppres.RunOptions(horizon_h=0.0, isolate=False))
 
 
 def judged(request: Request, answer: tuple[int, dict[str, str], bytes]) -> list[str]:
@@ -123,8 +88,7 @@ def attack(
     tally = Tally()
 
     async def all_of_them() -> None:
-        for request in requests:
-            tally.sent += 1
+        for number, request in enumerate(requests, 1):
             try:
                 answer = await ask(app, request)
             except Exception as error:  # what a server would log, and answer with 500
@@ -132,7 +96,7 @@ def attack(
                 continue
             tally.answers[answer[0]] += 1
             tally.wrong += [f"{what}: {request}" for what in judged(request, answer)]
-            if steps and tally.sent % STEP_EVERY == 0:
+            if steps and number % STEP_EVERY == 0:
                 _next_step(runner, tally)
 
     asyncio.run(all_of_them())
@@ -174,26 +138,26 @@ def begun(served: Service) -> Iterator[Runner]:
         yield runner
 
 
-def study(served: Service, generated: int, hostile: int, seed: int) -> dict[str, Any]:
-    """Everybody may ask, then nobody: tallies of both, and what strangers have changed."""
-    found: dict[str, Any] = {}
+def let_in(served: Service, generated: int, hostile: int, seed: int) -> tuple[list[Request], Tally]:
+    """Requests of both kinds, and the answers of a service where everybody may ask."""
     with begun(served) as runner:
         description = make_app(runner, Access()).openapi()
         requests = [
-            *generated_requests(description, generated, seed, ROUNDS),
+            *generated_requests(description, generated, seed),
             *hostile_requests(runner.scenario, NOON, hostile, seed),
         ]
-        found["open"] = attack(runner, requests, Access()).summary()
+        return requests, attack(runner, requests, Access())
+
+
+def shut_out(served: Service, requests: Iterable[Request]) -> tuple[Tally, list[str]]:
+    """Answers of a service that knows none of those who ask, and tables that they changed."""
     with begun(served) as runner:
         _, token = new_token("nobody:read")
         before = content(runner)
         guarded = [one for one in requests if not _open(one.target)]
         tally = attack(runner, guarded, Access([token]), steps=False)
-        found["shut"] = tally.summary()
         after = content(runner)
-        found["shut"]["changed"] = [name for name in before if before[name] != after[name]]
-        found["shut"]["let_in"] = tally.answers[200] + tally.answers[201] + tally.answers[202]
-    return found
+        return tally, [name for name in before if before[name] != after[name]]
 
 
 def _open(target: str) -> bool:

@@ -6,6 +6,7 @@ import json
 import warnings
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import chain
 from random import Random
 from typing import Any
 from urllib.parse import quote, urlencode, urlsplit
@@ -13,19 +14,15 @@ from urllib.parse import quote, urlencode, urlsplit
 import pandas as pd
 
 from experiments.studies.within import Request
+from tests.support.live_service import reading
 from vppres.scenario.scenario import Scenario
 from vppres.service.clock import written
 
 LEAST_OF_A_KIND = 5
 
 
-def generated_requests(
-    description: dict[str, Any], count: int, seed: int, rounds: int = 1
-) -> list[Request]:
-    """Requests that schemathesis makes from an OpenAPI description, right and wrong ones.
-
-    What has few ways to be asked gives fewer than its share; further rounds make up for it.
-    """
+def generated_requests(description: dict[str, Any], count: int, seed: int) -> list[Request]:
+    """Requests that schemathesis makes from an OpenAPI description, right and wrong ones."""
     import schemathesis
 
     described: Any = schemathesis.openapi.from_dict(description)
@@ -33,13 +30,9 @@ def generated_requests(
     kinds = [(one, mode) for one in found for mode in schemathesis.GenerationMode]
     # A kind costs its time even for one request: of few requests, some kinds.
     kinds = Random(seed).sample(kinds, min(len(kinds), max(1, count // LEAST_OF_A_KIND)))
-    made: list[Request] = []
-    for turn in range(rounds):
-        each = -(-(count - len(made)) // len(kinds))
-        for number, (operation, mode) in enumerate(kinds):
-            if len(made) < count:
-                made += _cases(operation, mode, each, seed + turn * len(kinds) + number)
-    return made[:count]
+    each = -(-count // len(kinds))
+    made = (_cases(*kind, each, seed + number) for number, kind in enumerate(kinds))
+    return [*chain.from_iterable(made)][:count]
 
 
 def _cases(operation: Any, mode: Any, count: int, seed: int) -> list[Request]:
@@ -143,14 +136,7 @@ def valid_requests(scenario: Scenario, now: pd.Timestamp) -> list[tuple[str, str
     """Requests of each kind as they should be, to be spoiled."""
     battery, load = str(scenario.batteries.id[0]), str(scenario.customers.id[0])
     at, later = written(now), written(now + pd.Timedelta("2h"))
-    reading = {
-        "source": "scada",
-        "asset": battery,
-        "quantity": "soc",
-        "start": at,
-        "resolution": "PT1H",
-        "values": [0.5, None],
-    }
+    told = [reading(battery, "soc", now, 0.5, None), reading(battery, "online", now, 1.0)]
     forecast = {
         "issued_at": at,
         "start": at,
@@ -166,11 +152,7 @@ def valid_requests(scenario: Scenario, now: pd.Timestamp) -> list[tuple[str, str
         "duration": {"family": "lognormal", "median_h": 7.0, "sigma": 1.3, "max_h": 72.0},
     }
     return [
-        (
-            "POST",
-            "/v1/telemetry",
-            {"series": [reading, {**reading, "quantity": "online", "values": [1.0]}]},
-        ),
+        ("POST", "/v1/telemetry", {"series": told}),
         ("PUT", "/v1/forecasts/load_kw", forecast),
         ("PUT", "/v1/events/one", {"type": "outage", "source": "x", "start": at, "end": later}),
         (

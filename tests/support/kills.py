@@ -1,7 +1,7 @@
 """Commands killed at random moments: the target is whole or the old one, and nothing stays behind.
 
 Called as a process of its own, which has one thread, so that it may fork:
-``python -m tests.support.kills FOLDER KILLS SEED``. It prints what it found as JSON. Processes are
+``python -m tests.support.kills FOLDER KILLS SEED``. It prints what must not happen as JSON. Processes are
 found in ``/proc``, so that it needs Linux.
 """
 
@@ -16,7 +16,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
 from hashlib import sha256
 from pathlib import Path
 from uuid import uuid4
@@ -38,32 +37,6 @@ WHOLE = {
     "sweep": "summary.json summary.csv sweep.html horizon=0/report.html horizon=1/report.html",
     "new": "scenario.toml notes.md scenario.schema.json system.csv",
 }
-
-
-@dataclass
-class Tally:
-    """Count of the killed commands and their remains.
-
-    Parameters
-    ----------
-    kills, finished : int
-        Commands that were killed, and those that were faster.
-    old, absent, new : int
-        What the target was afterwards.
-    with_leftovers : int
-        Killed commands that left a hidden folder or file for the next one to remove.
-    faults : list of str
-        What must not happen.
-    """
-
-    kills: int = 0
-    finished: int = 0
-    old: int = 0
-    absent: int = 0
-    new: int = 0
-    reruns: int = 0
-    with_leftovers: int = 0
-    faults: list[str] = field(default_factory=list)
 
 
 def started(words: Sequence[str], mark: str) -> int:
@@ -116,7 +89,7 @@ class Study:
     def __init__(self, day: Path, home: Path, seed: int) -> None:
         self.home = home
         self.draw = random.Random(seed)
-        self.tally = Tally()
+        self.faults: list[str] = []
         self.duration_s: dict[str, float] = {}
         self.names = {"day": str(day), "runs": str(home / "runs")}
         for name, horizon in (("one", "0"), ("two", "1")):
@@ -144,9 +117,8 @@ class Study:
         self._look(f"{kind} {number.name} {status}", kind, target, before, status)
         self._wait_for_orphans(kind, mark)
         hidden = [p.name for p in place.iterdir() if p.name.startswith(".")]
-        self.tally.with_leftovers += bool(hidden)
         if hidden and number == signal.SIGTERM and status == 128 + signal.SIGTERM:
-            self.tally.faults.append(f"{kind}: SIGTERM left {hidden}")
+            self.faults.append(f"{kind}: SIGTERM left {hidden}")
         if rerun and not (kind == "new" and target.exists()):
             self._rerun(kind, place)
         shutil.rmtree(place)
@@ -154,38 +126,28 @@ class Study:
     def _look(self, case: str, kind: str, target: Path, before: str | None, status: int) -> None:
         after = content(target)
         if status not in (0, -signal.SIGKILL, -signal.SIGTERM, 128 + signal.SIGTERM):
-            self.tally.faults.append(f"{case}: ended by itself")
-        if status == 0:
-            self.tally.finished += 1
-        else:
-            self.tally.kills += 1
-        if after == before:
-            self.tally.old += before is not None
-            self.tally.absent += before is None
-        elif after is not None and self._whole(kind, target):
-            self.tally.new += 1
-        else:
-            self.tally.faults.append(f"{case}: neither the old result nor a whole new one")
+            self.faults.append(f"{case}: ended by itself")
+        if after != before and (after is None or not self._whole(kind, target)):
+            self.faults.append(f"{case}: neither the old result nor a whole new one")
 
     def _wait_for_orphans(self, kind: str, mark: str) -> None:
         end = time.monotonic() + PATIENCE_S
         while (left := orphans(mark)) and time.monotonic() < end:
             time.sleep(0.2)
         if left:
-            self.tally.faults.append(f"{kind}: {len(left)} processes stayed")
+            self.faults.append(f"{kind}: {len(left)} processes stayed")
 
     def _rerun(self, kind: str, place: Path) -> None:
         self._finish(self._words(kind, place))
-        self.tally.reruns += 1
         hidden = [p.name for p in place.iterdir() if p.name.startswith(".")]
         if hidden or not self._whole(kind, self._target(kind, place)):
-            self.tally.faults.append(f"{kind}: the rerun left {hidden} or is not whole")
+            self.faults.append(f"{kind}: the rerun left {hidden} or is not whole")
 
     def _finish(self, words: Sequence[str]) -> None:
         process = started(words, uuid4().hex)
         status = os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
         if status != 0:
-            self.tally.faults.append(f"{' '.join(words)}: status {status}")
+            self.faults.append(f"{' '.join(words)}: status {status}")
 
     def _words(self, kind: str, place: Path) -> list[str]:
         return [word.format(place=place, **self.names) for word in COMMANDS[kind].split()]
@@ -199,30 +161,21 @@ class Study:
         return all((target / name).is_file() for name in WHOLE[kind].split())
 
 
-def study(day: Path, kills: int, seed: int = 0, kinds: Sequence[str] = tuple(COMMANDS)) -> Tally:
+def study(day: Path, kills: int, seed: int) -> list[str]:
     """Kill commands one after the other; every fourth by SIGTERM, every third is run again.
 
-    Parameters
-    ----------
-    day : Path
-        A small, sound scenario folder.
-    kills : int
-        How many commands are started and killed.
-    seed : int
-        Of the moments.
-    kinds : sequence of str
-        Names of the commands.
+    Returns what must not happen.
     """
     assert app.registered_commands  # loaded once, before the first copy of this process
+    kinds = tuple(COMMANDS)
     with tempfile.TemporaryDirectory() as home:
         killing = Study(day.absolute(), Path(home), seed)
         for number in range(kills):
             how = signal.SIGTERM if number % 4 == 3 else signal.SIGKILL
             killing.kill(kinds[number % len(kinds)], how, rerun=number % 3 == 0)
-        return killing.tally
+        return killing.faults
 
 
 if __name__ == "__main__":
     source, number, seed_of_moments = sys.argv[1:]
-    found = study(Path(source), int(number), int(seed_of_moments))
-    sys.stdout.write(json.dumps(asdict(found)) + "\n")
+    sys.stdout.write(json.dumps(study(Path(source), int(number), int(seed_of_moments))))

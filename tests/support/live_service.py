@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -81,19 +81,24 @@ def at_noon(tiny: Scenario, folder: Path) -> Iterator[Live]:
         yield http, clock
 
 
-def readings(time: pd.Timestamp, quantity: str, values: dict[str, float | None]) -> list[Any]:
+def reading(
+    asset: str,
+    quantity: str,
+    time: pd.Timestamp,
+    *values: float | None,
+    lasts: str = "PT1H",
+    source: str = "scada",
+) -> dict[str, Any]:
+    """Readings of an asset one after another, of an hour each, as they are sent."""
+    what = {"source": source, "asset": asset, "quantity": quantity}
+    return {**what, "start": written(time), "resolution": lasts, "values": list(values)}
+
+
+def readings(
+    time: pd.Timestamp, quantity: str, values: Mapping[str, float | None], lasts: str = "PT1H"
+) -> list[Any]:
     """One reading of each asset, for an hour."""
-    return [
-        {
-            "source": "scada",
-            "asset": asset,
-            "quantity": quantity,
-            "start": written(time),
-            "resolution": "PT1H",
-            "values": [value],
-        }
-        for asset, value in values.items()
-    ]
+    return [reading(asset, quantity, time, value, lasts=lasts) for asset, value in values.items()]
 
 
 def heard(time: pd.Timestamp, soc: float = 0.5) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import combinations
 from typing import Any
 
@@ -16,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 from tests.support.homes import homes
-from tests.support.live_service import serving
+from tests.support.live_service import reading, serving
 from tests.support.sets import gensets
 from tests.support.tiny_day import tiny_scenario
 from tests.support.vans import chargers, plugged_in
@@ -88,21 +89,7 @@ OTHERS: dict[str, dict[str, Told]] = {
 
 @dataclass(frozen=True)
 class Lie:
-    """False reading of a sensor.
-
-    Parameters
-    ----------
-    quantity : str
-        Of what.
-    name : str
-        How.
-    told : callable
-        What.
-    assets : tuple of str
-        Of whom; empty for all.
-    instead : dict of str to str
-        Whose truth is told instead, by asset.
-    """
+    """False reading of a quantity, of some assets or of all; ``instead`` has whose truth is told."""
 
     quantity: str
     name: str
@@ -154,15 +141,7 @@ def _swapped(quantity: str, one: str, other: str) -> Lie:
 
 @dataclass
 class Way:
-    """Readings as they arrive when some sensors lie.
-
-    Parameters
-    ----------
-    lies : sequence of Lie
-        Those that are told.
-    since : int
-        The step from which on.
-    """
+    """Readings as they arrive when some sensors lie from a step on."""
 
     lies: Sequence[Lie]
     since: int
@@ -238,18 +217,8 @@ def _again(come: Scenario, t: int) -> list[Series]:
     now = come.grid.times[t]
     there = come.grid_limit_kw[t] > 0.0
     import_kw = float(come.load_kw[t].sum() - come.pv_kw[t].sum()) * there
-    told = {"grid_on": (now + AGAIN, float(there)), "import_kw": (now, import_kw)}
-    return [
-        {
-            "source": "substation",
-            "asset": "grid",
-            "quantity": quantity,
-            "start": written(time),
-            "resolution": f"PT{round(AGAIN.total_seconds())}S",
-            "values": [value],
-        }
-        for quantity, (time, value) in told.items()
-    ]
+    again = partial(reading, "grid", lasts="PT5S", source="substation")
+    return [again("grid_on", now + AGAIN, float(there)), again("import_kw", now, import_kw)]
 
 
 def low_voltage_site() -> Scenario:

@@ -9,7 +9,7 @@ loss to those who are; or what others gain is worth as much as its supply.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -49,20 +49,6 @@ OF_PEAK = (0.6, 1.3)
 """Ratings of some of its lines, as shares of the current at the peaks of all customers."""
 
 
-@dataclass(frozen=True)
-class Checked:
-    """A reason and whether it holds."""
-
-    seed: int
-    step: int
-    customer: str
-    rule: str
-    mode: str
-    driver: str
-    words: str
-    wrong: str
-
-
 def day_of(seed: int) -> tuple[Scenario, RunOptions, Generator]:
     """A random day, its rule and its mode."""
     rng = np.random.default_rng([seed, 39])
@@ -97,29 +83,21 @@ def weak_day(day: Scenario, rng: Generator) -> Scenario:
     return replace(day, network=network)
 
 
-def checked(seed: int, most: int) -> list[Checked]:
-    """Some reasons of a day, checked."""
+def checked(seed: int, most: int) -> list[str]:
+    """Faults of some drawn reasons of a day, one for each; empty where it holds."""
     day, options, rng = day_of(seed)
     run = run_day(day, options)
     actions = [
         (step, int(customer)) for step in steps_of(run) for customer in np.flatnonzero(~step.served)
     ]
     drawn = rng.permutation(len(actions))[:most]
-    return [_checked(seed, options, *actions[i]) for i in sorted(drawn.tolist())]
+    return [_checked(*actions[i]) for i in sorted(drawn.tolist())]
 
 
-def _checked(seed: int, options: RunOptions, step: Step, customer: int) -> Checked:
+def _checked(step: Step, customer: int) -> str:
     reason = why_not_served(step, customer)
-    return Checked(
-        seed,
-        step.t,
-        str(step.site.customers.id[customer]),
-        str(options.priority),
-        str(options.mode),
-        str(reason.driver),
-        reason.words,
-        what_is_wrong(step, customer, reason),
-    )
+    wrong = what_is_wrong(step, customer, reason)
+    return wrong and f"{step.t}, {step.site.customers.id[customer]}, {reason.words}: {wrong}"
 
 
 def what_is_wrong(step: Step, customer: int, reason: Reason) -> str:

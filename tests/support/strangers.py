@@ -19,33 +19,25 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from tests.support.live_service import NOON, reading
 from vppres.service.clock import written
 from vppres.service.http.client import Client
 from vppres.service.http.connections import MOST_AT_ONCE
 from vppres.service.http.started import Started
 
-BEGIN = "2026-11-21T12:00:00Z"
 READERS = 26
 READS = 500
 READ = ("/v1/setpoints", "/v1/plan", "/readyz", "/v1/overview")
 
 
-def reading(**fields: Any) -> dict[str, Any]:
+def telemetry(**fields: Any) -> dict[str, Any]:
     """A body of one series."""
-    one = {
-        "source": "scada",
-        "asset": "big",
-        "quantity": "soc",
-        "start": BEGIN,
-        "resolution": "PT1H",
-        "values": [0.5],
-    }
-    return {"series": [{**one, **fields}]}
+    return {"series": [{**reading("big", "soc", NOON, 0.5), **fields}]}
 
 
 def empty_texts() -> bytes:
     """8 MB of readings that are none: 2.6 million mistakes."""
-    one = json.dumps(reading(values=[""] * 1280)["series"][0], separators=(",", ":"))
+    one = json.dumps(telemetry(values=[""] * 1280)["series"][0], separators=(",", ":"))
     return f'{{"series":[{",".join([one] * 2000)}]}}'.encode()
 
 
