@@ -100,7 +100,7 @@ class WindowTask:
 
         So are phases, and ratings of lines; reactive power stays within no part of a feeder there.
         """
-        rated = has_ratings(self.data) and self.data.sections is None
+        rated = has_ratings(self.data) and self.data.parts.whole
         return self.by_phase or (rated and not self.own)
 
     @property
